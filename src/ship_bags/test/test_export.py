@@ -370,6 +370,32 @@ def test_only_the_time_asked_for(tmp_path):
     assert [int(row[0]) - START_NS for row in rows] == [50_000_000 + 10_000_000 * number for number in range(5)]
 
 
+@pytest.mark.parametrize(
+    ("since", "until", "why"),
+    [
+        ("2023-11-14T22:13:20.15Z", "2023-11-14T22:13:20.1Z", "--from 2023-11-14T22:13:20.150Z is not before --to"),
+        ("2023-11-14T22:13:20.1Z", "2023-11-14T22:13:20.1Z", "--from 2023-11-14T22:13:20.100Z is not before --to"),
+        ("2024-01-01T00:00:00Z", "2024-01-02T00:00:00Z", "the bag is from 2023-11-14T22:13:20.050Z to"),
+        ("2022-01-01T00:00:00Z", "2022-01-02T00:00:00Z", "the bag is from 2023-11-14T22:13:20.050Z to"),
+    ],
+)
+def test_times_without_a_message_leave_what_is_there(since, until, why, imu_bag, tmp_path, capsys):
+    (tmp_path / "a.csv").write_text("precious")
+    line = refusal([imu_bag, "--out", tmp_path / "a.csv", "--force", "--from", since, "--to", until], capsys)
+    assert why in line
+    assert (tmp_path / "a.csv").read_text() == "precious"
+    assert {path.name for path in tmp_path.iterdir()} == {"imu.mcap", "a.csv"}
+
+
+def test_a_topic_without_a_message_in_the_times_is_told(tmp_path, capsys):
+    with BagWriter(tmp_path / "two.mcap") as bag:
+        bag.write("early", imu(START_NS), START_NS)
+        bag.write("late", imu(START_NS), START_NS + 10_000_000_000)
+    arguments = [str(tmp_path / "two.mcap"), "--out", str(tmp_path / "out")]
+    assert main([*arguments, "--from", "2023-11-14T22:13:25Z"]) == 0
+    assert capsys.readouterr().err == "export: topic 'early': no message was logged between --from and --to\n"
+
+
 @pytest.mark.parametrize("text", ["yesterday", "2026-13-01T00:00:00Z", "2026-06-01T20:00:00.1234567890Z", "1700000000"])
 def test_a_time_that_is_none_is_refused(text, imu_bag, tmp_path, capsys):
     with pytest.raises(SystemExit) as left:
@@ -527,6 +553,26 @@ def test_a_full_disk_is_named_and_nothing_is_left(kind, tmp_path, capsys, small_
         line = refusal([tmp_path / "long.mcap", "--out", out, "--format", kind], capsys)
     assert f"ins.imu{SUFFIXES[kind]}: File too large" in line
     assert sorted(path.name for path in tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize("kind", SUFFIXES)
+def test_a_disk_that_is_full_at_the_last_table_leaves_the_old_ones_of_all(kind, tmp_path, capsys, small_files):
+    """Parquet holds its rows back up to the end, and NetCDF is as wide as its longest text, which comes last."""
+    string = message_store().types["std_msgs/msg/String"]
+    with BagWriter(tmp_path / "texts.mcap") as bag:
+        bag.write("a", string("first"), START_NS)
+        for number in range(1000):
+            bag.write("b", string(f"{number:064x}"), START_NS)
+        bag.write("b", string("x" * 2000), START_NS)
+    out = tmp_path / "out"
+    out.mkdir()
+    old = {f"{name}{SUFFIXES[kind]}": f"old {name}" for name in "ab"}
+    for name, text in old.items():
+        (out / name).write_text(text)
+    with small_files({"csv": 50_000, "parquet": 5_000, "netcdf": 150_000}[kind]):
+        line = refusal([tmp_path / "texts.mcap", "--out", out, "--format", kind, "--force"], capsys)
+    assert f"b{SUFFIXES[kind]}: File too large" in line
+    assert {path.name: path.read_text() for path in out.iterdir()} == old
 
 
 @pytest.fixture

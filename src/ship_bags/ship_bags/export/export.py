@@ -15,7 +15,7 @@ from ship_bags.export.table_files import CsvFile, ParquetFile, TableFile, TableH
 from ship_bags.export.table_rows import MessageTable, TopicRows
 from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag, watched
 from ship_bags.output_files import check_file, check_folder
-from ship_bags.stamps import END_OF_TIME_NS
+from ship_bags.stamps import END_OF_TIME_NS, utc_text
 
 FORMATS: dict[str, type[TableFile]] = {"csv": CsvFile, "parquet": ParquetFile, "netcdf": NetcdfFile}
 
@@ -80,6 +80,8 @@ def export(order: ExportOrder) -> Exported:
         BadInput: bag, topics or names of files cannot be used; the line says which and why.
         OSError: a file cannot be written.
     """
+    if order.since_ns >= order.until_ns:
+        raise BadInput(f"--from {utc_text(order.since_ns)} is not before --to {utc_text(order.until_ns)}")
     kind = _kind(order)
     with read_bag(order.bag) as bag, ExitStack() as stack:
         names = _wanted(bag, order.topics)
@@ -94,11 +96,14 @@ def export(order: ExportOrder) -> Exported:
                 file = _opened(kind, paths[name, table.name], head, table)
                 stack.callback(file.discard)
                 topic.files.append((table, file))
-        unreadable = _take_messages(bag, order, topics)
+        untold = _take_messages(bag, order, topics)
         files = [file for topic in topics.values() for _, file in topic.files]
+        # A full disk shows itself here at the latest: no file gets its name before all are on the disk.
         for file in files:
             file.finish()
-        return Exported({file.path: file.row_count for file in files}, [*bag.problems, *refused, *unreadable])
+        for file in files:
+            file.publish()
+        return Exported({file.path: file.row_count for file in files}, [*bag.problems, *refused, *untold])
 
 
 def _opened(kind: type[TableFile], path: Path, head: TableHead, table: MessageTable) -> TableFile:
@@ -111,11 +116,17 @@ def _opened(kind: type[TableFile], path: Path, head: TableHead, table: MessageTa
 
 
 def _take_messages(bag: Bag, order: ExportOrder, topics: dict[str, _Topic]) -> list[str]:
-    """Read the bag and write the rows; returns what could not be decoded."""
+    """Read the bag and write the rows; returns what could not be decoded, and what has nothing in the times.
+
+    Raises:
+        BadInput: nothing at all lies in the times.
+    """
+    met: set[str] = set()
     counts: Counter[str] = Counter()
     first: dict[str, str] = {}
     for record in watched(_until(bag.records(topics.keys(), order.since_ns), order.until_ns), bag):
         topic = topics[record.topic]
+        met.add(record.topic)
         try:
             message = record.decode()
         except BadInput as problem:
@@ -126,10 +137,27 @@ def _take_messages(bag: Bag, order: ExportOrder, topics: dict[str, _Topic]) -> l
         topic.write()
     for topic in topics.values():
         topic.write(everything=True)
-    return [
+    undecoded = [
         f"topic '{name}': {number} messages cannot be decoded and are left out; the first: {first[name]}"
         for name, number in counts.items()
     ]
+    return [*undecoded, *_empty_by_times(bag, order, [name for name in topics if name not in met], bool(met))]
+
+
+def _empty_by_times(bag: Bag, order: ExportOrder, names: list[str], others: bool) -> list[str]:
+    """One line for each topic that has no message between the times which the user gave.
+
+    Raises:
+        BadInput: no topic has one: the times are wrong, and empty tables are not what was meant.
+    """
+    if order.since_ns == 0 and order.until_ns == END_OF_TIME_NS:
+        return []
+    if not others:
+        extent = "has no messages"
+        if bag.start_ns is not None and bag.end_ns is not None:
+            extent = f"is from {utc_text(bag.start_ns)} to {utc_text(bag.end_ns)}"
+        raise BadInput(f"no message was logged between --from and --to: the bag {extent}", file=order.bag)
+    return [f"topic '{name}': no message was logged between --from and --to" for name in names]
 
 
 def _until(records: Iterator[BagRecord], until_ns: int) -> Iterator[BagRecord]:

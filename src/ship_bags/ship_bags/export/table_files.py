@@ -69,20 +69,29 @@ class TableFile:
         self.row_count += len(values[0])
 
     def finish(self) -> None:
-        """Write what is left and give the file its name.
+        """Write what is left, down to the disk; the file does not have its name yet.
 
         Raises:
+            BadInput: the format cannot hold so many rows.
             OSError: the disk is full, or the like.
         """
         with self._naming():
             self._end()
             self._stream.flush()
             os.fsync(self._stream.fileno())
+
+    def publish(self) -> None:
+        """Give the finished file its name.
+
+        Raises:
+            OSError: the name was taken by a folder, or the like.
+        """
+        with self._naming():
             self._part.replace(self.path)
             self._stream.close()
 
     def discard(self) -> None:
-        """Leave nothing behind, unless the file is finished."""
+        """Leave nothing behind, unless the file has its name."""
         if not self._stream.closed:
             self._part.unlink(missing_ok=True)
             # Closing writes what is left in the buffer, and fails once more on a full disk.
