@@ -64,6 +64,15 @@ def test_a_truncated_bag_is_counted_up_to_the_cut(tmp_path, capsys):
     assert f"{bag_content(tmp_path / 'cut.mcap').message_count} messages could be read" in text
 
 
+@pytest.mark.parametrize("cut", [209_815, 500_000])
+def test_a_cut_within_an_index_is_no_damage(cut, tmp_path, capsys):
+    """Bytes of the index that is cut off look like the head of an attachment."""
+    (tmp_path / "cut.mcap").write_bytes(DEMO.read_bytes()[:cut])
+    problems = [line for line in said([tmp_path / "cut.mcap"], capsys).splitlines() if line.startswith("problem:")]
+    assert len(problems) == 1
+    assert "no footer, it ends or is damaged at byte" in problems[0]
+
+
 def test_a_damaged_chunk_is_named(tmp_path, capsys):
     data = bytearray(DEMO.read_bytes())
     data[len(data) // 3] ^= 0xFF

@@ -252,4 +252,6 @@ def _take_side_record(file: McapFile, opcode: int, body: bytes) -> None:
             file.attachments[attachment.name] = attachment.data
             file.side_records.append(attachment)
     except Exception as problem:
-        file.problems.append(f"{file.path.name}: a {Opcode(opcode).name.lower()} record is damaged: {problem}")
+        # The parser may fail in any way over damaged bytes, and what it says of that helps nobody.
+        why = f" ({problem})" if isinstance(problem, DamagedChunk) else ""
+        file.problems.append(f"{file.path.name}: one {Opcode(opcode).name.lower()} record is damaged{why}: it is lost")

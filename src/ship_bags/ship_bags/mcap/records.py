@@ -8,6 +8,7 @@ that can stand between chunks, so that one wrong bit costs one record, whatever 
 import io
 import re
 import struct
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import BinaryIO
@@ -193,7 +194,20 @@ def _can_restart(data: RecordFile, offset: int) -> bool:
     record = _sound_record(data, offset)
     if record is None or record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.HEADER):
         return False
+    if record.opcode == Opcode.ATTACHMENT:
+        # The bytes of an index that is cut off may look like the head of one.
+        return _is_whole_attachment(record.body)
     return record.opcode != Opcode.CHUNK or _compression(record.body) in COMPRESSIONS
+
+
+def _is_whole_attachment(body: bytes) -> bool:
+    """Whether name, kind and content fill the body, and the checksum is right where there is one."""
+    checksum = _U32.unpack_from(body, len(body) - _U32.size)[0]
+    try:
+        end = _end_of(body, 2 * _U64.size, (_U32, _U32, _U64)) + _U32.size
+    except struct.error:
+        return False
+    return end == len(body) and checksum in (0, zlib.crc32(body[: -_U32.size]))
 
 
 def _compression(chunk: bytes) -> str:
