@@ -76,11 +76,15 @@ def test_nothing_comes_where_more_is_asked_for_than_is_offered(quality):
     assert f"does not offer {quality}, as the suite file asks for" in found
 
 
-def test_what_the_suites_own_nmea_in_gives_cannot_be_heard_before_the_suite():
+def test_a_required_input_of_the_suites_own_nmea_in_fails_until_it_is_heard():
     silent = NetworkState("rmw", heard=(dataclasses.replace(GOOD, publishers=()),))
-    (row,) = judge_sensors(silent, LIMITS, {}, {}, ["ins/imu"])
+    (row,) = judge_sensors(silent, LIMITS, {}, {}, ["ins/imu"], "./ros2run nmea_in")
+    assert row.result is Result.FAIL
+    assert row.found == "ins/imu: not heard: nobody publishes it before nmea_in runs, which the suite starts"
+    assert row.advice == "start ./ros2run nmea_in, then preflight again, and end it before the suite"
+    spare = dataclasses.replace(GOOD, input=dataclasses.replace(GOOD.input, required=False), publishers=())
+    (row,) = judge_sensors(NetworkState("rmw", heard=(spare,)), LIMITS, {}, {}, ["ins/imu"])
     assert row.result is Result.NOT_CHECKED
-    assert "nmea_in, which the suite starts, may give it" in row.found
     heard = NetworkState("rmw", heard=(dataclasses.replace(GOOD, rate_hz=1.0),))
     (row,) = judge_sensors(heard, LIMITS, {}, {}, ["ins/imu"])
     assert row.result is Result.FAIL

@@ -42,6 +42,7 @@ def judge_sensors(
     lags_s: Mapping[str, float],
     asked: Mapping[str, frozenset[str]],
     own: Collection[str] = (),
+    own_command: str = "",
 ) -> Iterator[CheckLine]:
     """Rows of all inputs.
 
@@ -51,6 +52,7 @@ def judge_sensors(
         lags_s: relative topic → age beyond which a node no longer applies a message, s.
         asked: see :func:`asked_qualities`.
         own: inputs that the suite's own ``nmea_in`` may give once it is started.
+        own_command: that starts it now.
     """
     if state.failure:
         # A suite whose sensors nobody has heard is not ready, whatever the reason.
@@ -59,9 +61,11 @@ def judge_sensors(
         return
     for heard in state.heard:
         if not heard.publishers and heard.input.topic in own:
-            found = f"{heard.input.topic}: nobody publishes it; nmea_in, which the suite starts, may give it"
-            advice = "to hear it now: ./ros2run ship_nmea nmea_in --ros-args --params-file FILE"
-            yield CheckLine(_CHECK, Result.NOT_CHECKED, found, advice)
+            found = f"{heard.input.topic}: not heard: nobody publishes it before nmea_in runs, which the suite starts"
+            # That a section names an instrument does not say that it is on.
+            is_needed = heard.input.required or heard.input.named
+            advice = f"start {own_command}, then preflight again, and end it before the suite"
+            yield CheckLine(_CHECK, Result.FAIL if is_needed else Result.NOT_CHECKED, found, advice)
             continue
         result, found, advice = _judged(heard, limits, lags_s, asked.get(heard.input.topic, frozenset()))
         yield CheckLine(_CHECK, result, f"{heard.input.topic}: {found}", advice)

@@ -3,6 +3,7 @@
 import argparse
 import datetime
 import os
+import shlex
 import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -64,6 +65,10 @@ class _Suite:
             return {}  # told with the parameters
 
     @property
+    def companion_names(self) -> list[str]:
+        return [full_name(name, self.options.namespace) for name in self.companions]
+
+    @property
     def names(self) -> list[str]:
         return [full_name(adapter.node_name, self.options.namespace) for adapter in self.chain.adapters]
 
@@ -113,7 +118,7 @@ def _preflight(options: argparse.Namespace) -> int:
     security = list(_security(suite))
     settings = list(judge_settings(os.environ))
     network = _network(suite, settings)
-    domain = [*settings, *judge_domain(network, suite.names)]
+    domain = [*settings, *judge_domain(network, suite.names, suite.companion_names)]
     checks = [_parameters(suite), security, _clock(suite), domain, _disk(suite, network)]
     checks += [_files(suite), _sensors(suite, network)]
     lines = [line for check in checks for line in bounded(check)]
@@ -189,7 +194,13 @@ def _sensors(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
             lag_s = float(getattr(node.config, "lag_s", 2.0))
             lags_s[topic.topic] = min(lag_s, lags_s.get(topic.topic, lag_s))
     asked = asked_qualities(suite.options.file, lags_s, suite.options.namespace)
-    yield from judge_sensors(network, suite.limits, lags_s, asked, heard_by_nmea(suite.companions))
+    yield from judge_sensors(network, suite.limits, lags_s, asked, heard_by_nmea(suite.companions), _nmea_in(suite))
+
+
+def _nmea_in(suite: _Suite) -> str:
+    """The command that starts the suite's ``nmea_in`` alone, as people would type it."""
+    names = suite.options.namespace and f" -r __ns:=/{suite.options.namespace}"
+    return f"./ros2run ship_nmea nmea_in --ros-args{names} --params-file {shlex.quote(str(suite.options.file))}"
 
 
 if __name__ == "__main__":
