@@ -98,7 +98,7 @@ def test_faults_come_together_and_all_are_told(tmp_path, domain):
         r"security: machine.require_security demands it, and ROS_SECURITY_ENABLE is not set",
         r"keystore: .*: is no keystore",
         r"domain: ship/attitude, which the suite gives, is published by /observer",
-        r"disk: .*/proc/boxes: ",
+        r"disk: .*/proc/boxes is not there yet: .* in /proc, ",
         r"files: --box /proc/boxes: user \w+ cannot make it",
         r"files: .*suite.yaml:\d+: alignment_file /nowhere/alignment.yaml: user \w+ cannot make it",
         r"sensors: ins/imu: .* Hz from /observer, stamps (99|100|101)\.\d+ s old",

@@ -173,13 +173,14 @@ def _network(suite: _Suite, settings: Sequence[CheckLine]) -> NetworkState:
 def _disk(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
     night, box = night_bytes(suite.chain.adapters, network.heard), suite.options.box
     disk_path = suite.limits.machine.disk_path
-    states = [(look_at_disk(Path(disk_path) if disk_path else box or Path.cwd()), night.record)]
+    must_be_there = "machine.disk_path" if disk_path else ""
+    states = [(look_at_disk(Path(disk_path) if disk_path else box or Path.cwd()), night.record, must_be_there)]
     if box is not None:
-        states.append((look_at_disk(box), night.boxes))
-    for state, _ in states:
+        states.append((look_at_disk(box), night.boxes, ""))
+    for state, _, named_by in states:
         # What lies on one disk is asked of it together.
-        needs = sum(bytes_per_s for other, bytes_per_s in states if other.device == state.device)
-        yield from judge_disk(state, needs, suite.options.hours, suite.limits)
+        needs = sum(bytes_per_s for other, bytes_per_s, _ in states if other.device == state.device)
+        yield from judge_disk(state, needs, suite.options.hours, suite.limits, named_by)
 
 
 def _files(suite: _Suite) -> Iterable[CheckLine]:
