@@ -102,7 +102,7 @@ def test_faults_come_together_and_all_are_told(tmp_path, domain):
         r"files: --box /proc/boxes: user \w+ cannot make it",
         r"files: .*suite.yaml:\d+: alignment_file /nowhere/alignment.yaml: user \w+ cannot make it",
         r"sensors: ins/imu: .* Hz from /observer, stamps (99|100|101)\.\d+ s old",
-        r"sensors: star/fore/horizon_attitude: /observer does not offer reliable, as the suite file asks for",
+        r"sensors: star/fore/horizon_attitude: /observer does not offer reliable, asked for by qos_overrides in the ",
         r"sensors: star/starboard/horizon_attitude: nobody publishes it",
     ):
         assert any(re.match(expected, line) for line in failed), (expected, failed)

@@ -96,6 +96,9 @@ def _parser() -> CommandParser:
     parser.add_argument(
         "--locked", action="store_true", help="nobody may set a parameter of a running node: policies must deny it"
     )
+    parser.add_argument(
+        "--reliable-inputs", action="store_true", help="suite will be started with it: every driver must offer reliable"
+    )
     parser.add_argument("--box", type=Path, metavar="FOLDER", help="black boxes will go into this folder")
     parser.add_argument(
         "--hours", type=positive, default=_HOURS, metavar="H", help=f"the disk must last so many hours ({_HOURS:g})"
@@ -189,12 +192,12 @@ def _files(suite: _Suite) -> Iterable[CheckLine]:
 
 
 def _sensors(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
-    lags_s: dict[str, float] = {}
+    options, lags_s = suite.options, dict[str, float]()
     for node in suite.nodes:
         for topic in node.adapter.inputs:
             lag_s = float(getattr(node.config, "lag_s", 2.0))
             lags_s[topic.topic] = min(lag_s, lags_s.get(topic.topic, lag_s))
-    asked = asked_qualities(suite.options.file, lags_s, suite.options.namespace)
+    asked = asked_qualities(options.file, lags_s, options.namespace, options.reliable_inputs)
     yield from judge_sensors(network, suite.limits, lags_s, asked, heard_by_nmea(suite.companions), _nmea_in(suite))
 
 
