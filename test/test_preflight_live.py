@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu
 
@@ -97,14 +98,38 @@ def test_faults_come_together_and_all_are_told(tmp_path, domain):
         r"security: machine.require_security demands it, and ROS_SECURITY_ENABLE is not set",
         r"keystore: .*: is no keystore",
         r"domain: ship/attitude, which the suite gives, is published by /observer",
-        r"disk: .*/proc/boxes: ",
+        r"disk: .*/proc/boxes is not there yet: .* in /proc, ",
         r"files: --box /proc/boxes: user \w+ cannot make it",
         r"files: .*suite.yaml:\d+: alignment_file /nowhere/alignment.yaml: user \w+ cannot make it",
         r"sensors: ins/imu: .* Hz from /observer, stamps (99|100|101)\.\d+ s old",
-        r"sensors: star/fore/horizon_attitude: /observer does not offer reliable, as the suite file asks for",
+        r"sensors: star/fore/horizon_attitude: /observer does not offer reliable, asked for by qos_overrides in the ",
         r"sensors: star/starboard/horizon_attitude: nobody publishes it",
     ):
         assert any(re.match(expected, line) for line in failed), (expected, failed)
+
+
+NMEA = """
+/**/nmea_in:
+  ros__parameters:
+    sources:
+      seapath: {kind: udp, address: 127.0.0.1, port: 10200, becomes: ins}
+"""
+
+
+def test_an_ins_that_nobody_has_heard_is_not_ready_though_nmea_in_will_read_it(tmp_path, domain):
+    environment = live_environment(domain, tmp_path)
+    path = tmp_path / "the suite.yaml"
+    path.write_text(EXAMPLE.read_text() + NMEA)
+    with GraphObserver(domain) as observer:
+        for sensor in ("fore", "starboard"):
+            publish(observer.node, f"/demo/star/{sensor}/horizon_attitude", StarHorizonAttitude, 5.0)
+        by_hand = Node("nmea_in", namespace="/demo", context=observer.node.context, start_parameter_services=False)
+        code, rows, _ = preflight(observer, environment, path, "--namespace", "demo", "--listen", "1")
+        by_hand.destroy_node()
+    failed = [(check, found) for check, result, found in rows if result == "FAIL"]
+    unheard = "ins/imu: not heard: nobody publishes it before nmea_in runs, which the suite starts"
+    assert (code, failed) == (1, [("sensors", unheard)])
+    assert ("domain", "WARN", "/demo/nmea_in is running already") in rows
 
 
 def test_a_domain_that_dds_would_not_take_is_told_and_nothing_is_heard(tmp_path, domain):

@@ -1,5 +1,6 @@
 """What a night writes, held against bags and boxes that were written, and against the room on the disk."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,7 @@ from ship_watch.limits import Limits, MachineLimits
 
 ROOT = Path(__file__).parents[3]
 GB, HOUR_S = 1e9, 3600.0
+FREE = MachineLimits(disk_free_gb=0.0)
 TAIL_S = 2.0
 """What :func:`make_box` puts behind its eight seconds: three hundred messages again."""
 
@@ -102,6 +104,21 @@ def test_what_is_free_against_what_is_needed_and_what_is_to_be_left(free_gb, res
 def test_a_disk_that_cannot_be_asked_fails():
     (row,) = judge_disk(DiskState(Path("/box"), None, None), 1.0, 1.0, Limits())
     assert row.result is Result.FAIL
+
+
+def test_a_disk_of_the_ships_limits_that_is_not_mounted_fails_though_the_disk_above_it_is_free(tmp_path):
+    (row,) = judge_disk(look_at_disk(tmp_path / "data"), 1.0, 1.0, Limits(), "machine.disk_path")
+    assert row.result is Result.FAIL
+    assert row.found.startswith(f"{tmp_path}/data, named by machine.disk_path, is not there")
+    assert row.advice.startswith("mount the disk")
+    (row,) = judge_disk(look_at_disk(tmp_path), 1.0, 0.001, Limits(machine=FREE), "machine.disk_path")
+    assert row.result is Result.OK
+
+
+def test_of_a_folder_that_is_still_to_be_made_it_is_told_which_folder_was_asked(tmp_path):
+    (row,) = judge_disk(look_at_disk(tmp_path / "a" / "b"), 1.0, 0.001, Limits(machine=FREE))
+    assert row.result is Result.OK
+    assert re.fullmatch(rf"{tmp_path}/a/b is not there yet: [\d.]+ GB free in {tmp_path}, .*", row.found)
 
 
 def test_a_folder_that_is_not_there_yet_lies_on_the_disk_above_it(tmp_path):

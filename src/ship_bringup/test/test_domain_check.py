@@ -49,6 +49,14 @@ def test_a_node_of_the_suite_that_runs_already_fails():
     assert len(rows) == 2
 
 
+def test_nmea_nodes_started_by_hand_are_no_strangers_and_must_end_before_the_suite():
+    state = NetworkState("rmw", ("/demo/nmea_in", "/demo/nmea_out", "/demo/ins"), (INS,))
+    warning, good = judge_domain(state, OWN, ["/demo/nmea_in", "/demo/nmea_out"])
+    assert (warning.result, warning.found) == (Result.WARN, "/demo/nmea_in, /demo/nmea_out is running already")
+    assert warning.advice.startswith("end it before the suite is started")
+    assert good.result is Result.OK
+
+
 def test_somebody_else_who_gives_what_the_suite_gives_fails():
     rows = found(NetworkState("rmw", ("/x", "/demo/ins"), (INS,), {"ship/attitude": ("/x",)}))
     assert (Result.FAIL, "ship/attitude, which the suite gives, is published by /x") in rows

@@ -103,6 +103,10 @@ def test_nmea_out_hears_what_it_tells_and_nmea_in_gives_what_its_sources_say(tmp
     given = {topic for topic in into.publishes if topic.startswith("/demo/")}
     assert given == {f"/demo/{topic}" for topic in ("ins/imu", "gnss/fix", "reference/s330/imu")}
     assert set(heard_by_nmea(companions)) == {"ins/imu", "gnss/fix", "reference/s330/imu"}
+    # Nobody else may give them; with nmea_in left out, a driver of the INS may.
+    assert [name for name, rights in every.items() if "/demo/ins/imu" in rights.publishes] == ["/demo/nmea_in"]
+    assert "/demo/sensors/ins" in rights_of("two_sensors")
+    assert {"/demo/sensors/star_fore", "/demo/sensors/ins"} & set(every) == {"/demo/sensors/star_fore"}
     assert not {"/demo/nmea_out", "/demo/nmea_in"} & set(rights_of("two_sensors"))
 
 

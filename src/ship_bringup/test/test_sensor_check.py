@@ -26,7 +26,7 @@ def judged(limits=LIMITS, asked=MappingProxyType({}), **changes):
 def test_a_good_sensor():
     assert judged() == (Result.OK, "ins/imu: 100 Hz from /ins_driver, stamps 0.012 s old")
     assert judged(age_s=None) == (Result.OK, "ins/imu: 100 Hz from /ins_driver")
-    assert judged(asked={"ins/imu": STRONGER})[0] is Result.OK
+    assert judged(asked={"ins/imu": dict.fromkeys(STRONGER, "x")})[0] is Result.OK
 
 
 @pytest.mark.parametrize(
@@ -71,16 +71,36 @@ def test_a_sensor_that_is_neither_required_nor_named_is_a_warning():
 def test_nothing_comes_where_more_is_asked_for_than_is_offered(quality):
     weak = (dataclasses.replace(DRIVER, offers=STRONGER - {quality}),)
     assert judged(publishers=weak)[0] is Result.OK
-    result, found = judged(publishers=weak, asked={"ins/imu": frozenset({quality})})
+    setting = "qos_overrides in the suite file"
+    result, found = judged(publishers=weak, asked={"ins/imu": {quality: setting}})
     assert result is Result.FAIL
-    assert f"does not offer {quality}, as the suite file asks for" in found
+    assert f"does not offer {quality}, asked for by {setting}: nothing will come" in found
 
 
-def test_what_the_suites_own_nmea_in_gives_cannot_be_heard_before_the_suite():
+def test_the_advice_names_the_setting_that_asks_for_more_than_is_offered(tmp_path):
+    weak = dataclasses.replace(GOOD, publishers=(dataclasses.replace(DRIVER, offers=frozenset()),))
+    path = tmp_path / "suite.yaml"
+    for parameters, by_option, setting in (
+        ("{a: 1}", True, "--reliable-inputs"),
+        ("{reliable_inputs: true}", False, "reliable_inputs in the suite file"),
+        ("{qos_overrides: {/ins/imu: {subscription: {reliability: reliable}}}}", False,
+         "qos_overrides in the suite file"),
+    ):  # fmt: skip
+        path.write_text(f"/**/ship_attitude: {{ros__parameters: {parameters}}}\n")
+        asked = asked_qualities(path, ["ins/imu"], "", by_option)
+        (row,) = judge_sensors(NetworkState("rmw", heard=(weak,)), LIMITS, {"ins/imu": 2.0}, asked)
+        assert (row.result, row.advice) == (Result.FAIL, f"let the driver offer it, or leave out {setting}")
+
+
+def test_a_required_input_of_the_suites_own_nmea_in_fails_until_it_is_heard():
     silent = NetworkState("rmw", heard=(dataclasses.replace(GOOD, publishers=()),))
-    (row,) = judge_sensors(silent, LIMITS, {}, {}, ["ins/imu"])
+    (row,) = judge_sensors(silent, LIMITS, {}, {}, ["ins/imu"], "./ros2run nmea_in")
+    assert row.result is Result.FAIL
+    assert row.found == "ins/imu: not heard: nobody publishes it before nmea_in runs, which the suite starts"
+    assert row.advice == "start ./ros2run nmea_in, then preflight again, and end it before the suite"
+    spare = dataclasses.replace(GOOD, input=dataclasses.replace(GOOD.input, required=False), publishers=())
+    (row,) = judge_sensors(NetworkState("rmw", heard=(spare,)), LIMITS, {}, {}, ["ins/imu"])
     assert row.result is Result.NOT_CHECKED
-    assert "nmea_in, which the suite starts, may give it" in row.found
     heard = NetworkState("rmw", heard=(dataclasses.replace(GOOD, rate_hz=1.0),))
     (row,) = judge_sensors(heard, LIMITS, {}, {}, ["ins/imu"])
     assert row.result is Result.FAIL
@@ -104,7 +124,10 @@ def test_what_a_suite_file_asks_of_the_quality_of_service(tmp_path):
         "      /demo/met/pressure: {subscription: {durability: transient_local, depth: 5}}\n"
     )
     topics = ["ins/imu", "gnss/fix", "met/pressure"]
-    assert asked_qualities(path, topics, "demo") == {"ins/imu": {"reliable"}, "met/pressure": {"transient_local"}}
+    by = "qos_overrides in the suite file"
+    expected = {"ins/imu": {"reliable": by}, "met/pressure": {"transient_local": by}}
+    assert asked_qualities(path, topics, "demo") == expected
     assert asked_qualities(path, topics, "aurora") == {}
     path.write_text("/**/ship_attitude: {ros__parameters: {reliable_inputs: true}}\n")
-    assert asked_qualities(path, topics, "demo") == {name: {"reliable"} for name in topics}
+    by = "reliable_inputs in the suite file"
+    assert asked_qualities(path, topics, "demo") == {name: {"reliable": by} for name in topics}

@@ -1,5 +1,6 @@
 """What the checks before a voyage say, as rows of a table, and the exit code that follows from them."""
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -51,6 +52,19 @@ def table(lines: Sequence[CheckLine]) -> list[str]:
         if line.advice:
             text.append(f"{'':{indent}}-> {one_line(line.advice)}")
     return text
+
+
+def rounded(value: float) -> str:
+    """A number with three digits that count, never as a power of ten.
+
+    Example:
+        >>> rounded(0.00150123), rounded(4.0), rounded(1623.4)
+        ('0.0015', '4', '1623')
+    """
+    if not math.isfinite(value) or value == 0.0:
+        return f"{value:g}"
+    text = f"{value:.{max(0, 2 - math.floor(math.log10(abs(value))))}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
 
 
 def bounded(lines: Iterable[CheckLine]) -> list[CheckLine]:

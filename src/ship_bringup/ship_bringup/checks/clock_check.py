@@ -10,7 +10,7 @@ import shutil
 import subprocess
 from dataclasses import dataclass
 
-from ship_bringup.checks.check_line import CheckLine, Result
+from ship_bringup.checks.check_line import CheckLine, Result, rounded
 from ship_watch.limits import Limits
 
 TURN_DEG_PER_S = 5.0
@@ -34,6 +34,7 @@ class ClockState:
         bound_s: no larger error is possible where the source is right (chrony's root distance); NaN where not told.
         is_synchronised: whether the source says that it follows a better clock.
         detail: why nothing is known, or what the source says of itself.
+        is_dead: whether a program is there that should know and that tells nothing.
     """
 
     source: str
@@ -41,15 +42,17 @@ class ClockState:
     bound_s: float = math.nan
     is_synchronised: bool = False
     detail: str = ""
+    is_dead: bool = False
 
 
 def look_at_clock() -> ClockState:
     """Ask chrony, then PTP."""
-    told = []
+    told, is_dead = [], False
     for command, read in ((_CHRONY, chrony_state), (_PTP, ptp_state)):
         if shutil.which(command[0]) is None:
             told.append(f"no {command[0]}")
             continue
+        is_dead = True
         try:
             run = subprocess.run(command, capture_output=True, text=True, timeout=_ANSWER_S, check=False)
         except subprocess.TimeoutExpired:
@@ -60,7 +63,7 @@ def look_at_clock() -> ClockState:
             return state
         said = (run.stderr or run.stdout).strip().splitlines()
         told.append(f"{command[0]} says: {said[-1] if said else 'nothing'}")
-    return ClockState("", detail=", ".join(told))
+    return ClockState("", detail=", ".join(told), is_dead=is_dead)
 
 
 def chrony_state(text: str) -> ClockState | None:
@@ -91,14 +94,19 @@ def ptp_state(text: str) -> ClockState | None:
 
 def judge_clock(state: ClockState, limits: Limits) -> CheckLine:
     """Hold the clock against the ship's limits: FAIL over the limit of stamps, WARN over that of the heading."""
+    if state.is_dead:
+        found = f"nothing keeps the clock: {state.detail}"
+        return CheckLine(_CHECK, Result.FAIL, found, "start it: systemctl status chrony, or ptp4l and phc2sys")
     if not state.source:
         return CheckLine(_CHECK, Result.WARN, f"neither chrony nor PTP: {state.detail}", _TO_DO)
     if not state.is_synchronised:
         return CheckLine(_CHECK, Result.FAIL, f"{state.source} is not synchronised ({state.detail})", _TO_DO)
     turn_arcsec = arcsec_in_a_turn(state.offset_s)
-    found = f"{state.source}: {state.offset_s * 1e3:.3g} ms off, {turn_arcsec:.3g}\" at {TURN_DEG_PER_S:g} deg/s"
+    found = f"{state.source}: {rounded(state.offset_s * 1e3)} ms off, {rounded(turn_arcsec)}\""
+    found += f" at {TURN_DEG_PER_S:g} deg/s"
     if math.isfinite(state.bound_s):
-        found += f" (at most {state.bound_s * 1e3:.3g} ms, {arcsec_in_a_turn(state.bound_s):.3g}\")"
+        bound_arcsec = arcsec_in_a_turn(state.bound_s)
+        found += f" (its source vouches for {rounded(state.bound_s * 1e3)} ms, {rounded(bound_arcsec)}\")"
     if not state.offset_s <= limits.machine.clock_offset_s:
         over = f"over machine.clock_offset_s, {limits.machine.clock_offset_s * 1e3:g} ms"
         return CheckLine(_CHECK, Result.FAIL, f"{found}: {over}", "wait until it has settled: chronyc waitsync")

@@ -52,11 +52,19 @@ class NightBytes:
 
 @dataclass(frozen=True)
 class DiskState:
-    """A folder's disk: its number, and what is free, bytes; None where it could not be asked."""
+    """A folder's disk.
+
+    Attributes:
+        folder: that was asked for.
+        device: number of the disk; None where it could not be asked.
+        free_bytes: what is free on it; None where it could not be asked.
+        asked: the folder that answered: the nearest one above, where `folder` is not there.
+    """
 
     folder: Path
     device: int | None
     free_bytes: int | None
+    asked: Path | None = None
 
 
 def night_bytes(adapters: Sequence[Adapter], heard: Sequence[HeardTopic]) -> NightBytes:
@@ -81,13 +89,23 @@ def look_at_disk(folder: Path) -> DiskState:
     while not place.exists() and place != place.parent:
         place = place.parent
     try:
-        return DiskState(folder, place.stat().st_dev, shutil.disk_usage(place).free)
+        return DiskState(folder, place.stat().st_dev, shutil.disk_usage(place).free, place)
     except OSError:
         return DiskState(folder, None, None)
 
 
-def judge_disk(state: DiskState, needs_bytes_per_s: float, hours: float, limits: Limits) -> Iterator[CheckLine]:
-    """Whether what is free is enough for so many hours."""
+def judge_disk(
+    state: DiskState, needs_bytes_per_s: float, hours: float, limits: Limits, must_be_there: str = ""
+) -> Iterator[CheckLine]:
+    """Whether what is free is enough for so many hours.
+
+    Args:
+        state: of the disk.
+        needs_bytes_per_s: what is written to it.
+        hours: how long.
+        limits: of the ship.
+        must_be_there: the setting that names this folder; empty for one that is still to be made.
+    """
     need_gb = needs_bytes_per_s * _SECONDS_PER_HOUR * hours / _GB
     needs = f"{hours:g} h need {need_gb:.1f} GB"
     advice = "free some, or record elsewhere"
@@ -96,6 +114,13 @@ def judge_disk(state: DiskState, needs_bytes_per_s: float, hours: float, limits:
         return
     free_gb = state.free_bytes / _GB
     found = f"{state.folder}: {free_gb:.1f} GB free, {needs}"
+    if state.asked is not None and state.asked != state.folder.absolute():
+        if must_be_there:
+            # The disk above it is another one where this one is only not mounted.
+            found = f"{state.folder}, named by {must_be_there}, is not there; {needs}"
+            yield CheckLine(_CHECK, Result.FAIL, found, f"mount the disk, or set right {must_be_there}")
+            return
+        found = f"{state.folder} is not there yet: {free_gb:.1f} GB free in {state.asked}, {needs}"
     if not free_gb >= need_gb:
         yield CheckLine(_CHECK, Result.FAIL, found, advice)
     elif not free_gb - need_gb >= limits.machine.disk_free_gb:

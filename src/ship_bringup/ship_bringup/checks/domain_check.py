@@ -39,12 +39,14 @@ def judge_settings(environment: Mapping[str, str]) -> Iterator[CheckLine]:
         yield CheckLine(_CHECK, Result.OK, f"others are met in {reach or 'SUBNET'}")
 
 
-def judge_domain(state: NetworkState, own: Collection[str]) -> Iterator[CheckLine]:
+def judge_domain(state: NetworkState, own: Collection[str], beside: Collection[str] = ()) -> Iterator[CheckLine]:
     """Rows about who is in the domain.
 
     Args:
         state: what was seen.
         own: full names of the suite's nodes, none of which is started yet.
+        beside: full names of ``nmea_in`` and ``nmea_out`` where the suite file has them: people may start them by hand
+            to hear the instruments.
     """
     if state.failure:
         yield CheckLine(_CHECK, Result.NOT_CHECKED, state.failure)
@@ -53,6 +55,10 @@ def judge_domain(state: NetworkState, own: Collection[str]) -> Iterator[CheckLin
     if running:
         found = f"{', '.join(running)} is running already"
         yield CheckLine(_CHECK, Result.FAIL, found, "end that suite first: two nodes of one name fight")
+    by_hand = sorted(set(beside) & set(state.nodes))
+    if by_hand:
+        advice = "end it before the suite is started, which starts its own: two cannot use one port or device"
+        yield CheckLine(_CHECK, Result.WARN, f"{', '.join(by_hand)} is running already", advice)
     others = {node for names in state.given.values() for node in names} - set(own)
     for topic in sorted(topic for topic, names in state.given.items() if others & set(names)):
         names = ", ".join(sorted(set(state.given[topic]) - set(own)))
@@ -65,7 +71,7 @@ def judge_domain(state: NetworkState, own: Collection[str]) -> Iterator[CheckLin
         if count > 1:
             yield CheckLine(_CHECK, Result.WARN, f"{count} nodes are called {name}", "give each a name of its own")
     drivers = {publisher.node for heard in state.heard for publisher in heard.publishers}
-    strangers = sorted(set(state.nodes) - drivers - set(own) - others)
+    strangers = sorted(set(state.nodes) - drivers - set(own) - set(beside) - others)
     if strangers:
         advice = "if they are not the ship's: another domain, or DDS security"
         yield CheckLine(_CHECK, Result.WARN, f"no part of the suite: {', '.join(strangers)}", advice)

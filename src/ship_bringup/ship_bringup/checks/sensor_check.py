@@ -13,26 +13,32 @@ from ship_watch.topics import source_of_topic
 _CHECK = "sensors"
 _NOT_IN_THE_LOG = "gnss", "weather"
 """Their values are taken as they come: nothing is applied at their time."""
-_OVERRIDES = "qos_overrides."
+_OVERRIDES, _RELIABLE = "qos_overrides.", "reliable"
 
 
-def asked_qualities(path: Path, topics: Iterable[str], namespace: str) -> dict[str, frozenset[str]]:
-    """Relative topic → qualities of service that the suite file has a node ask for beyond its own.
+def asked_qualities(
+    path: Path, topics: Iterable[str], namespace: str, reliable_inputs: bool = False
+) -> dict[str, dict[str, str]]:
+    """Relative topic → quality of service that a node is told to ask for beyond its own → the setting that tells it.
 
     Args:
         path: the suite file.
         topics: relative names of inputs.
         namespace: of the suite.
+        reliable_inputs: whether ``suite`` will be started with that option.
     """
     begins = {f"{_OVERRIDES}{full_name(topic, namespace)}.subscription.": topic for topic in topics}
-    found: dict[str, frozenset[str]] = {}
+    found: dict[str, dict[str, str]] = {}
+    if reliable_inputs:
+        found = {topic: {_RELIABLE: "--reliable-inputs"} for topic in begins.values()}
     for section in read_sections(path)[1]:
         for key, (value, _) in section.parameters.items():
             if key == RELIABLE_INPUTS_PARAMETER and value is True:
-                found |= {name: found.get(name, frozenset()) | {"reliable"} for name in begins.values()}
+                for name in begins.values():
+                    found.setdefault(name, {})[_RELIABLE] = f"{key} in the suite file"
             topic = begins.get(key.rpartition(".")[0] + ".")
             if topic is not None and value in STRONGER:
-                found[topic] = found.get(topic, frozenset()) | {value}
+                found.setdefault(topic, {})[value] = f"{_OVERRIDES[:-1]} in the suite file"
     return found
 
 
@@ -40,8 +46,9 @@ def judge_sensors(
     state: NetworkState,
     limits: Limits,
     lags_s: Mapping[str, float],
-    asked: Mapping[str, frozenset[str]],
+    asked: Mapping[str, Mapping[str, str]],
     own: Collection[str] = (),
+    own_command: str = "",
 ) -> Iterator[CheckLine]:
     """Rows of all inputs.
 
@@ -51,6 +58,7 @@ def judge_sensors(
         lags_s: relative topic → age beyond which a node no longer applies a message, s.
         asked: see :func:`asked_qualities`.
         own: inputs that the suite's own ``nmea_in`` may give once it is started.
+        own_command: that starts it now.
     """
     if state.failure:
         # A suite whose sensors nobody has heard is not ready, whatever the reason.
@@ -59,16 +67,18 @@ def judge_sensors(
         return
     for heard in state.heard:
         if not heard.publishers and heard.input.topic in own:
-            found = f"{heard.input.topic}: nobody publishes it; nmea_in, which the suite starts, may give it"
-            advice = "to hear it now: ./ros2run ship_nmea nmea_in --ros-args --params-file FILE"
-            yield CheckLine(_CHECK, Result.NOT_CHECKED, found, advice)
+            found = f"{heard.input.topic}: not heard: nobody publishes it before nmea_in runs, which the suite starts"
+            # That a section names an instrument does not say that it is on.
+            is_needed = heard.input.required or heard.input.named
+            advice = f"start {own_command}, then preflight again, and end it before the suite"
+            yield CheckLine(_CHECK, Result.FAIL if is_needed else Result.NOT_CHECKED, found, advice)
             continue
-        result, found, advice = _judged(heard, limits, lags_s, asked.get(heard.input.topic, frozenset()))
+        result, found, advice = _judged(heard, limits, lags_s, asked.get(heard.input.topic, {}))
         yield CheckLine(_CHECK, result, f"{heard.input.topic}: {found}", advice)
 
 
 def _judged(
-    heard: HeardTopic, limits: Limits, lags_s: Mapping[str, float], asked: frozenset[str]
+    heard: HeardTopic, limits: Limits, lags_s: Mapping[str, float], asked: Mapping[str, str]
 ) -> tuple[Result, str, str]:
     topic = heard.input.topic
     needed = Result.FAIL if heard.input.required or heard.input.named else Result.WARN
@@ -80,8 +90,9 @@ def _judged(
         other = heard.publishers[0].type_name
         return Result.FAIL, f"{who} publishes {other}, expected {heard.input.type_name}", "change the driver or remap"
     if lacking := [quality for quality in sorted(asked) if any(quality not in each.offers for each in of_type)]:
-        found = f"{who} does not offer {' and '.join(lacking)}, as the suite file asks for: nothing will come"
-        return Result.FAIL, found, "let the driver offer it, or take qos_overrides out of the suite file"
+        settings = " and ".join(dict.fromkeys(asked[quality] for quality in lacking))
+        found = f"{who} does not offer {' and '.join(lacking)}, asked for by {settings}: nothing will come"
+        return Result.FAIL, found, f"let the driver offer it, or leave out {settings}"
     if not heard.count:
         return needed, f"{who} publishes it, and no message came", "is the device on? for slow ones: a longer --listen"
     found = f"{heard.rate_hz:.3g} Hz from {who}"

@@ -3,6 +3,7 @@
 import argparse
 import datetime
 import os
+import shlex
 import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -64,6 +65,10 @@ class _Suite:
             return {}  # told with the parameters
 
     @property
+    def companion_names(self) -> list[str]:
+        return [full_name(name, self.options.namespace) for name in self.companions]
+
+    @property
     def names(self) -> list[str]:
         return [full_name(adapter.node_name, self.options.namespace) for adapter in self.chain.adapters]
 
@@ -91,6 +96,9 @@ def _parser() -> CommandParser:
     parser.add_argument(
         "--locked", action="store_true", help="nobody may set a parameter of a running node: policies must deny it"
     )
+    parser.add_argument(
+        "--reliable-inputs", action="store_true", help="suite will be started with it: every driver must offer reliable"
+    )
     parser.add_argument("--box", type=Path, metavar="FOLDER", help="black boxes will go into this folder")
     parser.add_argument(
         "--hours", type=positive, default=_HOURS, metavar="H", help=f"the disk must last so many hours ({_HOURS:g})"
@@ -113,7 +121,7 @@ def _preflight(options: argparse.Namespace) -> int:
     security = list(_security(suite))
     settings = list(judge_settings(os.environ))
     network = _network(suite, settings)
-    domain = [*settings, *judge_domain(network, suite.names)]
+    domain = [*settings, *judge_domain(network, suite.names, suite.companion_names)]
     checks = [_parameters(suite), security, _clock(suite), domain, _disk(suite, network)]
     checks += [_files(suite), _sensors(suite, network)]
     lines = [line for check in checks for line in bounded(check)]
@@ -168,13 +176,14 @@ def _network(suite: _Suite, settings: Sequence[CheckLine]) -> NetworkState:
 def _disk(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
     night, box = night_bytes(suite.chain.adapters, network.heard), suite.options.box
     disk_path = suite.limits.machine.disk_path
-    states = [(look_at_disk(Path(disk_path) if disk_path else box or Path.cwd()), night.record)]
+    must_be_there = "machine.disk_path" if disk_path else ""
+    states = [(look_at_disk(Path(disk_path) if disk_path else box or Path.cwd()), night.record, must_be_there)]
     if box is not None:
-        states.append((look_at_disk(box), night.boxes))
-    for state, _ in states:
+        states.append((look_at_disk(box), night.boxes, ""))
+    for state, _, named_by in states:
         # What lies on one disk is asked of it together.
-        needs = sum(bytes_per_s for other, bytes_per_s in states if other.device == state.device)
-        yield from judge_disk(state, needs, suite.options.hours, suite.limits)
+        needs = sum(bytes_per_s for other, bytes_per_s, _ in states if other.device == state.device)
+        yield from judge_disk(state, needs, suite.options.hours, suite.limits, named_by)
 
 
 def _files(suite: _Suite) -> Iterable[CheckLine]:
@@ -183,13 +192,19 @@ def _files(suite: _Suite) -> Iterable[CheckLine]:
 
 
 def _sensors(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
-    lags_s: dict[str, float] = {}
+    options, lags_s = suite.options, dict[str, float]()
     for node in suite.nodes:
         for topic in node.adapter.inputs:
             lag_s = float(getattr(node.config, "lag_s", 2.0))
             lags_s[topic.topic] = min(lag_s, lags_s.get(topic.topic, lag_s))
-    asked = asked_qualities(suite.options.file, lags_s, suite.options.namespace)
-    yield from judge_sensors(network, suite.limits, lags_s, asked, heard_by_nmea(suite.companions))
+    asked = asked_qualities(options.file, lags_s, options.namespace, options.reliable_inputs)
+    yield from judge_sensors(network, suite.limits, lags_s, asked, heard_by_nmea(suite.companions), _nmea_in(suite))
+
+
+def _nmea_in(suite: _Suite) -> str:
+    """The command that starts the suite's ``nmea_in`` alone, as people would type it."""
+    names = suite.options.namespace and f" -r __ns:=/{suite.options.namespace}"
+    return f"./ros2run ship_nmea nmea_in --ros-args{names} --params-file {shlex.quote(str(suite.options.file))}"
 
 
 if __name__ == "__main__":

@@ -212,9 +212,10 @@ class _SuiteRights:
 
     def _of_sensors(self) -> Iterator[Rights]:
         """One enclave for each device; its driver is not ours, and is expected under the device's name."""
-        devices = sorted({device_of(topic) for topic in self._from_outside})
-        for device in devices:
-            topics = self._topics(topic for topic in self._from_outside if device_of(topic) == device)
+        # Who reads an instrument with nmea_in has no driver for it: another certificate could only be misused.
+        driven = set(self._from_outside) - set(heard_by_nmea(self._companions))
+        for device in sorted({device_of(topic) for topic in driven}):
+            topics = self._topics(topic for topic in driven if device_of(topic) == device)
             node = self._full(device)
             enclave = self._full(f"{SENSORS}/{device}")
             # A node of rclcpp hears /parameter_events, too, and does not start without that.
