@@ -138,13 +138,25 @@ def test_every_change_is_told_once_with_the_next_revision():
     assert ledger.told == []
 
 
-def test_what_becomes_more_urgent_escalates_and_a_new_instance_begins_anew():
+def test_what_becomes_more_urgent_is_another_instance_and_the_one_before_is_told_as_normal_first():
+    """As ship_watch escalates: a warning that nobody answers ends, and an alarm with the next instance begins."""
+    ledger = AlertLedger()
+    (warning,) = ledger.take([alert()], 0)
+    ended, alarm = ledger.take([alert(instance=2, priority=Alert.ALARM)], 9)
+    assert (ended.instance, ended.priority, ended.state, ended.revision, ended.changed_ns) == (1, "W", "N", 2, 9)
+    assert (alarm.instance, alarm.priority, alarm.state, alarm.escalation) == (2, "A", "V", 1)
+    assert warning.identifier == ended.identifier == alarm.identifier
+    (acknowledged,) = ledger.take([alert(instance=2, priority=Alert.ALARM, state=Alert.ACTIVE_ACKNOWLEDGED)], 0)
+    assert acknowledged.escalation == 1
+    assert [told.instance for told in ledger.told] == [2]
+
+
+def test_what_only_comes_again_begins_anew():
     ledger = AlertLedger()
     ledger.take([alert()], 0)
-    (worse,) = ledger.take([alert(priority=Alert.ALARM)], 0)
-    assert (worse.priority, worse.escalation) == ("A", 1)
-    (again,) = ledger.take([alert(instance=2)], 0)
-    assert (again.instance, again.escalation) == (2, 0)
+    ledger.take([alert(instance=2, priority=Alert.ALARM)], 0)
+    ended, again = ledger.take([alert(instance=3, priority=Alert.ALARM)], 0)
+    assert [(one.instance, one.state, one.escalation) for one in (ended, again)] == [(2, "N", 1), (3, "V", 0)]
 
 
 def test_two_alerts_never_share_a_number(monkeypatch):

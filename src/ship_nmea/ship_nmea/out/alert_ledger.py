@@ -58,6 +58,9 @@ class AlertLedger:
     def take(self, alerts: Sequence[Any], now_ns: int) -> list[AlertToTell]:
         """What changed: alerts that are new or another way than before, and as normal those that are no more.
 
+        An instance in whose place another one comes is told as normal before it: the bridge knows an alert by number
+        and instance, and would keep both.
+
         Args:
             alerts: the ship_msgs/Alert of an AlertArray.
             now_ns: when those that are no more became normal.
@@ -67,16 +70,15 @@ class AlertLedger:
         changed = []
         for alert in alerts[:MOST_ALERTS]:
             number = _number(alert.id, now)
-            entry = now[number] = _entry(number, alert, before.get(number))
-            if number not in before or entry.key != before[number].key:
+            former = before.get(number)
+            entry = now[number] = _entry(number, alert, former)
+            if former is not None and former.told.instance != entry.told.instance:
+                changed.append(_normal(former.told, now_ns))
+            if former is None or entry.key != former.key:
                 changed.append(entry.told)
         # Only now, so that a list that cannot be read changes nothing.
         self._entries = now
-        over = [entry.told for number, entry in before.items() if number not in now]
-        return changed + [
-            dataclasses.replace(told, state=NORMAL, changed_ns=now_ns, revision=told.revision % _LAST_REVISION + 1)
-            for told in over
-        ]
+        return changed + [_normal(entry.told, now_ns) for number, entry in before.items() if number not in now]
 
     def meant(self, command: AlertCommand) -> tuple[str, int] | None:
         """Id and instance of the alert that a command is about; None where there is no such alert.
@@ -103,6 +105,10 @@ def _number(id_: str, taken: Container[int]) -> int:
     return FIRST_IDENTIFIER + number
 
 
+def _normal(told: AlertToTell, now_ns: int) -> AlertToTell:
+    return dataclasses.replace(told, state=NORMAL, changed_ns=now_ns, revision=told.revision % _LAST_REVISION + 1)
+
+
 def _entry(number: int, alert: Any, before: _Entry | None) -> _Entry:
     changed_ns = ns_from_stamp(alert.changed)
     key = alert.id, alert.instance, alert.priority, alert.state, alert.text, changed_ns
@@ -113,7 +119,8 @@ def _entry(number: int, alert: Any, before: _Entry | None) -> _Entry:
     if before is not None:
         revision = before.told.revision % _LAST_REVISION + 1
         rose = _PRIORITIES.index(priority) > _PRIORITIES.index(before.told.priority)
-        if before.instance == alert.instance:
+        # What becomes graver is another instance (docs/explanation/alerts.md); one that only comes again begins anew.
+        if rose or before.instance == alert.instance:
             escalation = min(before.told.escalation + rose, _LAST_ESCALATION)
     instance = (alert.instance - 1) % GREATEST_INSTANCE + 1
     told = AlertToTell(
