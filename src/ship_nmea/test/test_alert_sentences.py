@@ -1,5 +1,7 @@
 """Alerts as sentences, against examples that open decoders quote (ALF) and a recorded line (ALC); bridge's commands."""
 
+import re
+from pathlib import Path
 from types import SimpleNamespace
 
 import pynmea2
@@ -157,6 +159,46 @@ def test_what_only_comes_again_begins_anew():
     ledger.take([alert(instance=2, priority=Alert.ALARM)], 0)
     ended, again = ledger.take([alert(instance=3, priority=Alert.ALARM)], 0)
     assert [(one.instance, one.state, one.escalation) for one in (ended, again)] == [(2, "N", 1), (3, "V", 0)]
+
+
+TABLE = Path(__file__).parents[3] / "docs" / "explanation" / "alerts.md"
+DEVICES = ("fore", "aft", "port", "starboard", "s330", "mast", "starboard1", "starboard2")
+SOURCES = (
+    "ins", "encoder", "lights", "baselines", "ship_attitude", "gnss", "weather",
+    *(f"star.{device}" for device in DEVICES), *(f"reference.{device}" for device in DEVICES),
+)  # fmt: skip
+NODES = ("ship_attitude", "optical_axis", "nmea_in", "nmea_out")
+
+
+def ids_of_the_suite():
+    """All ids of the table of alerts, with each device, source and node put in."""
+    ids = re.findall(r"^\| `([^`]+)` \|", TABLE.read_text(), re.MULTILINE)
+    ids = [id_ for id_ in ids if "." in id_]
+    for word, names in (("ID", DEVICES), ("SOURCE", SOURCES), ("NODE", NODES)):
+        ids = [filled for id_ in ids for filled in ([re.sub(rf"\b{word}\b", name, id_) for name in names]
+                                                    if re.search(rf"\b{word}\b", id_) else [id_])]  # fmt: skip
+    return ids
+
+
+def test_a_title_keeps_its_subject_and_no_two_alerts_have_the_same():
+    ids = ids_of_the_suite()
+    assert len(ids) > 100
+    told = {id_: AlertLedger().take([alert(id_)], 0)[0].title for id_ in ids}
+    assert max(map(len, told.values())) <= 16
+    assert len(set(told.values())) == len(set(ids))
+    assert told["attitude.degraded"] == "ATTITUD DEGRADED"
+    assert told["pointing.degraded"] == "POINTIN DEGRADED"
+    assert told["ship_attitude.out"] == "SHIP ATTITUD OUT"
+    assert told["ship_attitude.clock"] == "SHIP ATTIT CLOCK"
+    assert told["star.starboard2.out"] == "STAR STARBO2 OUT"
+
+
+@pytest.mark.parametrize("id_", ["", "a.b.c.d.e.f.g.h.i.j.k.l", "1234567890123456789.out", "x" * 200])
+def test_an_id_of_any_kind_has_a_title_that_fits(id_):
+    (told,) = AlertLedger().take([alert(id_)], 0)
+    for sentence in alf(told, "IN", "ZZZ", 1):
+        assert len(sentence.text) <= 16 or sentence.number == 2
+        assert len(sentence.render()) + 2 <= LONGEST_BYTES
 
 
 def test_two_alerts_never_share_a_number(monkeypatch):

@@ -1,6 +1,7 @@
 """What the bridge has been told of each alert: its number, its revision, and which alert a command means."""
 
 import dataclasses
+import string
 import zlib
 from collections.abc import Container, Sequence
 from dataclasses import dataclass
@@ -130,8 +131,18 @@ def _entry(number: int, alert: Any, before: _Entry | None) -> _Entry:
 
 
 def _title(id_: str) -> str:
-    """The end of an id in words, as far as it fits: "star.starboard.out" is STARBOARD OUT."""
-    parts = id_.upper().replace("_", " ").split(".")
-    while len(parts) > 1 and len(" ".join(parts)) > _TITLE_LENGTH:
-        del parts[0]
-    return " ".join(parts)
+    """An id in words, none left out: where they are too long, the longest loses its last letter until they fit.
+
+    So "attitude.degraded" is ATTITUD DEGRADED, and "star.starboard2.out" is STAR STARBO2 OUT: a number at the end of a
+    word tells two devices apart and stays.
+    """
+    words = id_.upper().replace("_", " ").replace(".", " ").split()
+    while len(" ".join(words)) > _TITLE_LENGTH and (longest := max(map(_letters, words), default=0)) > 1:
+        at = next(at for at, word in enumerate(words) if _letters(word) == longest)
+        words[at] = words[at][: longest - 1] + words[at][longest:]
+    return " ".join(words)
+
+
+def _letters(word: str) -> int:
+    """How long a word is without the number at its end."""
+    return len(word.rstrip(string.digits))
