@@ -22,7 +22,7 @@ from ship_nmea.sentences.alerts import (
     arc,
     hbt,
 )
-from ship_nmea.sentences.defined import LONGEST_BYTES
+from ship_nmea.sentences.defined import LONGEST_BYTES, text_field
 
 DAY_NS = 1_406_851_200 * 10**9
 
@@ -79,8 +79,36 @@ def test_a_text_of_any_characters_is_one_field_of_a_sentence_that_is_not_too_lon
     for sentence in sentences:
         assert len(sentence.render()) + 2 <= LONGEST_BYTES
         assert len(pynmea2.parse(sentence.render(), check=True).data) == 13
-    assert sentences[0].text == "A^2CB^2AC^24DE"  # 16 characters at most, codes whole
+    assert sentences[0].text == "A^2CB^2AC^24DE.."  # 16 characters at most, codes whole
     assert sentences[1].text.startswith('heading sigma 3.2" is')
+
+
+@pytest.mark.parametrize(("text", "most", "field"), [
+    ("one two", 7, "one two"),
+    ("one two three", 10, "one two.."),
+    ("one two three", 8, "one.."),
+    ("a^b, and", 9, "a^5Eb.."),
+    ("incomprehensible", 10, "incompre.."),
+    ("over 3 × the limit ± 2, é 東", 40, "over 3 x the limit +- 2^2C e ?"),
+    ("ins: refused", 10, "ins.."),
+    ("", 10, ""),
+])  # fmt: skip
+def test_a_text_that_is_too_long_ends_behind_a_word_and_says_so(text, most, field):
+    assert text_field(text, most) == field
+
+
+@pytest.mark.parametrize(("text", "told"), [
+    ("all star sensors out: silent; heading and tilt lost", "heading and tilt lost; all star sensors.."),
+    ("ins out: refused in a row; heading over its limit, tilt lost", "tilt lost^2C heading over its limit; ins.."),
+    ("encoder out: silent; pointing lost", "pointing lost; encoder out: silent"),
+    ("ship/attitude silent: heading and tilt lost", "heading and tilt lost; ship/attitude.."),
+    ("no stars used for more than 30 s", "no stars used for more than 30 s"),
+])  # fmt: skip
+def test_a_description_tells_first_what_is_lost(text, told):
+    message = alert("star.fore.out")
+    message.text = text
+    (taken,) = AlertLedger().take([message], 0)
+    assert alf(taken, "IN", "ZZZ", 1)[1].text == told
 
 
 def test_arc_and_hbt_have_the_fields_of_the_manuals():
