@@ -1,5 +1,7 @@
 """Alerts as sentences, against examples that open decoders quote (ALF) and a recorded line (ALC); bridge's commands."""
 
+import re
+from pathlib import Path
 from types import SimpleNamespace
 
 import pynmea2
@@ -20,7 +22,7 @@ from ship_nmea.sentences.alerts import (
     arc,
     hbt,
 )
-from ship_nmea.sentences.defined import LONGEST_BYTES
+from ship_nmea.sentences.defined import LONGEST_BYTES, text_field
 
 DAY_NS = 1_406_851_200 * 10**9
 
@@ -77,8 +79,36 @@ def test_a_text_of_any_characters_is_one_field_of_a_sentence_that_is_not_too_lon
     for sentence in sentences:
         assert len(sentence.render()) + 2 <= LONGEST_BYTES
         assert len(pynmea2.parse(sentence.render(), check=True).data) == 13
-    assert sentences[0].text == "A^2CB^2AC^24DE"  # 16 characters at most, codes whole
+    assert sentences[0].text == "A^2CB^2AC^24DE.."  # 16 characters at most, codes whole
     assert sentences[1].text.startswith('heading sigma 3.2" is')
+
+
+@pytest.mark.parametrize(("text", "most", "field"), [
+    ("one two", 7, "one two"),
+    ("one two three", 10, "one two.."),
+    ("one two three", 8, "one.."),
+    ("a^b, and", 9, "a^5Eb.."),
+    ("incomprehensible", 10, "incompre.."),
+    ("over 3 × the limit ± 2, é 東", 40, "over 3 x the limit +- 2^2C e ?"),
+    ("ins: refused", 10, "ins.."),
+    ("", 10, ""),
+])  # fmt: skip
+def test_a_text_that_is_too_long_ends_behind_a_word_and_says_so(text, most, field):
+    assert text_field(text, most) == field
+
+
+@pytest.mark.parametrize(("text", "told"), [
+    ("all star sensors out: silent; heading and tilt lost", "heading and tilt lost; all star sensors.."),
+    ("ins out: refused in a row; heading over its limit, tilt lost", "tilt lost^2C heading over its limit; ins.."),
+    ("encoder out: silent; pointing lost", "pointing lost; encoder out: silent"),
+    ("ship/attitude silent: heading and tilt lost", "heading and tilt lost; ship/attitude.."),
+    ("no stars used for more than 30 s", "no stars used for more than 30 s"),
+])  # fmt: skip
+def test_a_description_tells_first_what_is_lost(text, told):
+    message = alert("star.fore.out")
+    message.text = text
+    (taken,) = AlertLedger().take([message], 0)
+    assert alf(taken, "IN", "ZZZ", 1)[1].text == told
 
 
 def test_arc_and_hbt_have_the_fields_of_the_manuals():
@@ -138,13 +168,65 @@ def test_every_change_is_told_once_with_the_next_revision():
     assert ledger.told == []
 
 
-def test_what_becomes_more_urgent_escalates_and_a_new_instance_begins_anew():
+def test_what_becomes_more_urgent_is_another_instance_and_the_one_before_is_told_as_normal_first():
+    """As ship_watch escalates: a warning that nobody answers ends, and an alarm with the next instance begins."""
+    ledger = AlertLedger()
+    (warning,) = ledger.take([alert()], 0)
+    ended, alarm = ledger.take([alert(instance=2, priority=Alert.ALARM)], 9)
+    assert (ended.instance, ended.priority, ended.state, ended.revision, ended.changed_ns) == (1, "W", "N", 2, 9)
+    assert (alarm.instance, alarm.priority, alarm.state, alarm.escalation) == (2, "A", "V", 1)
+    assert warning.identifier == ended.identifier == alarm.identifier
+    (acknowledged,) = ledger.take([alert(instance=2, priority=Alert.ALARM, state=Alert.ACTIVE_ACKNOWLEDGED)], 0)
+    assert acknowledged.escalation == 1
+    assert [told.instance for told in ledger.told] == [2]
+
+
+def test_what_only_comes_again_begins_anew():
     ledger = AlertLedger()
     ledger.take([alert()], 0)
-    (worse,) = ledger.take([alert(priority=Alert.ALARM)], 0)
-    assert (worse.priority, worse.escalation) == ("A", 1)
-    (again,) = ledger.take([alert(instance=2)], 0)
-    assert (again.instance, again.escalation) == (2, 0)
+    ledger.take([alert(instance=2, priority=Alert.ALARM)], 0)
+    ended, again = ledger.take([alert(instance=3, priority=Alert.ALARM)], 0)
+    assert [(one.instance, one.state, one.escalation) for one in (ended, again)] == [(2, "N", 1), (3, "V", 0)]
+
+
+TABLE = Path(__file__).parents[3] / "docs" / "explanation" / "alerts.md"
+DEVICES = ("fore", "aft", "port", "starboard", "s330", "mast", "starboard1", "starboard2")
+SOURCES = (
+    "ins", "encoder", "lights", "baselines", "ship_attitude", "gnss", "weather",
+    *(f"star.{device}" for device in DEVICES), *(f"reference.{device}" for device in DEVICES),
+)  # fmt: skip
+NODES = ("ship_attitude", "optical_axis", "nmea_in", "nmea_out")
+
+
+def ids_of_the_suite():
+    """All ids of the table of alerts, with each device, source and node put in."""
+    ids = re.findall(r"^\| `([^`]+)` \|", TABLE.read_text(), re.MULTILINE)
+    ids = [id_ for id_ in ids if "." in id_]
+    for word, names in (("ID", DEVICES), ("SOURCE", SOURCES), ("NODE", NODES)):
+        ids = [filled for id_ in ids for filled in ([re.sub(rf"\b{word}\b", name, id_) for name in names]
+                                                    if re.search(rf"\b{word}\b", id_) else [id_])]  # fmt: skip
+    return ids
+
+
+def test_a_title_keeps_its_subject_and_no_two_alerts_have_the_same():
+    ids = ids_of_the_suite()
+    assert len(ids) > 100
+    told = {id_: AlertLedger().take([alert(id_)], 0)[0].title for id_ in ids}
+    assert max(map(len, told.values())) <= 16
+    assert len(set(told.values())) == len(set(ids))
+    assert told["attitude.degraded"] == "ATTITUD DEGRADED"
+    assert told["pointing.degraded"] == "POINTIN DEGRADED"
+    assert told["ship_attitude.out"] == "SHIP ATTITUD OUT"
+    assert told["ship_attitude.clock"] == "SHIP ATTIT CLOCK"
+    assert told["star.starboard2.out"] == "STAR STARBO2 OUT"
+
+
+@pytest.mark.parametrize("id_", ["", "a.b.c.d.e.f.g.h.i.j.k.l", "1234567890123456789.out", "x" * 200])
+def test_an_id_of_any_kind_has_a_title_that_fits(id_):
+    (told,) = AlertLedger().take([alert(id_)], 0)
+    for sentence in alf(told, "IN", "ZZZ", 1):
+        assert len(sentence.text) <= 16 or sentence.number == 2
+        assert len(sentence.render()) + 2 <= LONGEST_BYTES
 
 
 def test_two_alerts_never_share_a_number(monkeypatch):

@@ -1,6 +1,8 @@
 """What the bridge has been told of each alert: its number, its revision, and which alert a command means."""
 
 import dataclasses
+import re
+import string
 import zlib
 from collections.abc import Container, Sequence
 from dataclasses import dataclass
@@ -24,6 +26,8 @@ _STATES = "NVSAU"
 _LAST_REVISION = 99
 _LAST_ESCALATION = 9
 _TITLE_LENGTH = 16
+_AFTER_GROUP = r"(?<=lost), |(?<=its limit), "
+"""Between functions of which different things have become: "heading and tilt over its limit, pointing lost"."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +62,9 @@ class AlertLedger:
     def take(self, alerts: Sequence[Any], now_ns: int) -> list[AlertToTell]:
         """What changed: alerts that are new or another way than before, and as normal those that are no more.
 
+        An instance in whose place another one comes is told as normal before it: the bridge knows an alert by number
+        and instance, and would keep both.
+
         Args:
             alerts: the ship_msgs/Alert of an AlertArray.
             now_ns: when those that are no more became normal.
@@ -67,16 +74,15 @@ class AlertLedger:
         changed = []
         for alert in alerts[:MOST_ALERTS]:
             number = _number(alert.id, now)
-            entry = now[number] = _entry(number, alert, before.get(number))
-            if number not in before or entry.key != before[number].key:
+            former = before.get(number)
+            entry = now[number] = _entry(number, alert, former)
+            if former is not None and former.told.instance != entry.told.instance:
+                changed.append(_normal(former.told, now_ns))
+            if former is None or entry.key != former.key:
                 changed.append(entry.told)
         # Only now, so that a list that cannot be read changes nothing.
         self._entries = now
-        over = [entry.told for number, entry in before.items() if number not in now]
-        return changed + [
-            dataclasses.replace(told, state=NORMAL, changed_ns=now_ns, revision=told.revision % _LAST_REVISION + 1)
-            for told in over
-        ]
+        return changed + [_normal(entry.told, now_ns) for number, entry in before.items() if number not in now]
 
     def meant(self, command: AlertCommand) -> tuple[str, int] | None:
         """Id and instance of the alert that a command is about; None where there is no such alert.
@@ -103,6 +109,10 @@ def _number(id_: str, taken: Container[int]) -> int:
     return FIRST_IDENTIFIER + number
 
 
+def _normal(told: AlertToTell, now_ns: int) -> AlertToTell:
+    return dataclasses.replace(told, state=NORMAL, changed_ns=now_ns, revision=told.revision % _LAST_REVISION + 1)
+
+
 def _entry(number: int, alert: Any, before: _Entry | None) -> _Entry:
     changed_ns = ns_from_stamp(alert.changed)
     key = alert.id, alert.instance, alert.priority, alert.state, alert.text, changed_ns
@@ -113,18 +123,41 @@ def _entry(number: int, alert: Any, before: _Entry | None) -> _Entry:
     if before is not None:
         revision = before.told.revision % _LAST_REVISION + 1
         rose = _PRIORITIES.index(priority) > _PRIORITIES.index(before.told.priority)
-        if before.instance == alert.instance:
+        # What becomes graver is another instance (docs/explanation/alerts.md); one that only comes again begins anew.
+        if rose or before.instance == alert.instance:
             escalation = min(before.told.escalation + rose, _LAST_ESCALATION)
     instance = (alert.instance - 1) % GREATEST_INSTANCE + 1
     told = AlertToTell(
-        number, instance, revision, escalation, priority, _STATES[alert.state], changed_ns, _title(alert.id), alert.text
-    )
+        number, instance, revision, escalation, priority, _STATES[alert.state], changed_ns, _title(alert.id),
+        _consequence_first(alert.text),
+    )  # fmt: skip
     return _Entry(key, alert.id, alert.instance, told)
 
 
+def _consequence_first(text: str) -> str:
+    """What is lost first, for a description has room for some 45 characters and the title names what is out.
+
+    "ins out: silent; tilt over its limit, heading lost" is "heading lost, tilt over its limit; ins out: silent".
+    """
+    mark = ": " if text.endswith("lost") and "; " not in text else "; "
+    cause, found, consequence = text.rpartition(mark)
+    groups = sorted(re.split(_AFTER_GROUP, consequence), key=lambda group: not group.endswith("lost"))
+    return f"{', '.join(groups)}; {cause}" if found else text
+
+
 def _title(id_: str) -> str:
-    """The end of an id in words, as far as it fits: "star.starboard.out" is STARBOARD OUT."""
-    parts = id_.upper().replace("_", " ").split(".")
-    while len(parts) > 1 and len(" ".join(parts)) > _TITLE_LENGTH:
-        del parts[0]
-    return " ".join(parts)
+    """An id in words, none left out: where they are too long, the longest loses its last letter until they fit.
+
+    So "attitude.degraded" is ATTITUD DEGRADED, and "star.starboard2.out" is STAR STARBO2 OUT: a number at the end of a
+    word tells two devices apart and stays.
+    """
+    words = id_.upper().replace("_", " ").replace(".", " ").split()
+    while len(" ".join(words)) > _TITLE_LENGTH and (longest := max(map(_letters, words), default=0)) > 1:
+        at = next(at for at, word in enumerate(words) if _letters(word) == longest)
+        words[at] = words[at][: longest - 1] + words[at][longest:]
+    return " ".join(words)
+
+
+def _letters(word: str) -> int:
+    """How long a word is without the number at its end."""
+    return len(word.rstrip(string.digits))

@@ -3,6 +3,7 @@
 pynmea2 files a sentence under the name of its class, with (description, name, and how to read it) of each field.
 """
 
+import itertools
 import unicodedata
 
 import pynmea2
@@ -12,7 +13,12 @@ LONGEST_BYTES = 82
 
 _RESERVED = "!$*,\\^~\x7f\r\n"
 """Characters with a meaning of their own: in a text ``^`` and their code in hexadecimal stand for them."""
-_IN_ASCII = str.maketrans({"″": '"', "′": "'", "°": " deg", "σ": "sigma", "–": "-", "−": "-", "…": "..."})
+_IN_ASCII = str.maketrans({
+    "″": '"', "′": "'", "°": " deg", "σ": "sigma", "–": "-", "−": "-", "…": "...",
+    "×": "x", "·": " ", "µ": "u", "≤": "<=", "≥": ">=", "±": "+-",
+})  # fmt: skip
+_CUT = ".."
+"""Ends a text that is longer than its field."""
 
 
 class ALF(pynmea2.TalkerSentence):  # type: ignore[misc]
@@ -84,18 +90,39 @@ class HBT(pynmea2.TalkerSentence):  # type: ignore[misc]
 def text_field(text: str, most: int) -> str:
     """A text as a field: in ASCII, reserved characters by their codes, at most so many characters.
 
+    What has no likeness in ASCII is ``?``. A text that is too long ends behind a word, with ``..``.
+
     Example:
         >>> text_field("σ 3.2″, limit 2″", 40)
         'sigma 3.2"^2C limit 2"'
+        >>> text_field("all star sensors out: silent", 20)
+        'all star sensors..'
     """
-    plain = unicodedata.normalize("NFKD", text.translate(_IN_ASCII)).encode("ascii", "ignore").decode()
-    field = ""
-    for character in plain:
-        code = f"^{ord(character):02X}" if character in _RESERVED or not character.isprintable() else character
-        if len(field) + len(code) > most:
+    words = [_coded(word) for word in _plain(text).split(" ")]
+    field = " ".join("".join(word) for word in words)
+    if len(field) <= most:
+        return field
+    room, kept = most - len(_CUT), ""
+    for word in words:
+        longer = f"{kept} {''.join(word)}" if kept else "".join(word)
+        if len(longer) > room:
             break
-        field += code
-    return field
+        kept = longer
+    if not kept:
+        # The first word alone is too long: as many of its characters as fit.
+        lengths = itertools.accumulate(map(len, words[0]))
+        kept = "".join(code for code, length in zip(words[0], lengths, strict=True) if length <= room)
+    return kept.rstrip(":;") + _CUT
+
+
+def _plain(text: str) -> str:
+    parts = unicodedata.normalize("NFKD", text.translate(_IN_ASCII))
+    return "".join(part if part.isascii() else "?" for part in parts if not unicodedata.combining(part))
+
+
+def _coded(word: str) -> list[str]:
+    """The characters of a word as they stand in a field; a code is never cut."""
+    return [f"^{ord(one):02X}" if one in _RESERVED or not one.isprintable() else one for one in word]
 
 
 def time_field(time_ns: int, decimals: int) -> str:
