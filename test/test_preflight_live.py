@@ -50,6 +50,7 @@ def preflight(observer, environment, *arguments):
         assert observer.spin_until(lambda: process.poll() is not None, READY_S)
         said, told = process.communicate()
     row = re.compile(r"^  (\w+) +(OK|WARN|FAIL|not checked) +(.*)$", re.MULTILINE)
+    assert said.splitlines()[-1].partition(": ")[2].startswith("NOT READY: " if process.returncode else "READY: ")
     return process.returncode, row.findall(said), told
 
 
