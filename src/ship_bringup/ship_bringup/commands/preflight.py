@@ -136,7 +136,7 @@ def _parameters(suite: _Suite) -> Iterable[CheckLine]:
     for text in suite.findings.warnings:
         yield CheckLine("parameters", Result.WARN, text)
     if not suite.findings.errors:
-        names = ", ".join(adapter.node_name for adapter in suite.chain.adapters)
+        names = ", ".join([*(adapter.node_name for adapter in suite.chain.adapters), *suite.companions])
         yield CheckLine("parameters", Result.OK, f"{suite.options.file}: good for {names}")
 
 
