@@ -50,6 +50,7 @@ def preflight(observer, environment, *arguments):
         assert observer.spin_until(lambda: process.poll() is not None, READY_S)
         said, told = process.communicate()
     row = re.compile(r"^  (\w+) +(OK|WARN|FAIL|not checked) +(.*)$", re.MULTILINE)
+    assert said.splitlines()[-1].partition(": ")[2].startswith("NOT READY: " if process.returncode else "READY: ")
     return process.returncode, row.findall(said), told
 
 
@@ -126,6 +127,7 @@ def test_an_ins_that_nobody_has_heard_is_not_ready_though_nmea_in_will_read_it(t
         by_hand = Node("nmea_in", namespace="/demo", context=observer.node.context, start_parameter_services=False)
         code, rows, _ = preflight(observer, environment, path, "--namespace", "demo", "--listen", "1")
         by_hand.destroy_node()
+    assert ("parameters", "OK", f"{path}: good for ship_attitude, nmea_in") in rows
     failed = [(check, found) for check, result, found in rows if result == "FAIL"]
     unheard = "ins/imu: not heard: nobody publishes it before nmea_in runs, which the suite starts"
     assert (code, failed) == (1, [("sensors", unheard)])

@@ -74,6 +74,15 @@ def test_a_serial_device_that_is_there_and_one_that_is_not(tmp_path):
     assert found == f"{tmp_path}/suite.yaml:8: sources.seapath.device /dev/ttyNONE7: is not there"
 
 
+def test_a_file_that_nmea_out_appends_to_needs_its_folder(tmp_path):
+    path = tmp_path / "suite.yaml"
+    for log, result in ((tmp_path / "nmea.log", Result.OK), (tmp_path / "none" / "nmea.log", Result.FAIL)):
+        path.write_text(f"/**/nmea_out: {{ros__parameters: {{sinks: {{log: {{kind: file, path: {log}}}}}}}}}\n")
+        ((found, text),) = rows(look_at_files(path, None))
+        assert found is result
+        assert text.startswith(f"{path}:1: sinks.log.path {log}: ")
+
+
 def test_a_device_of_another_group_says_how_to_get_into_it():
     state = PathState(Path("/dev/ttyUSB0"), "suite.yaml:8: device", True, True, False, False)
     (row,) = judge_files([state], [])

@@ -47,6 +47,24 @@ def test_a_sensor_that_the_suite_cannot_use_fails(changes, told):
     assert told in found
 
 
+@pytest.mark.parametrize(
+    ("age_s", "told"),
+    [(390513437.825, "12 years old"), (-390513437.825, "12 years in the future"), (119.0, "119.000 s old"),
+     (130.0, "2 minutes old"), (3.0 * 3600.0, "3 hours old"), (5.0 * 86400.0, "5 days old")],
+)  # fmt: skip
+def test_ages_are_told_in_words(age_s, told):
+    """390513437.825 s / (365.25 x 86400 s) = 12.4 years."""
+    assert judged(age_s=age_s)[1].endswith(f"stamps {told}")
+
+
+def test_old_stamps_while_somebody_sets_the_time_are_those_of_a_bag():
+    old = dataclasses.replace(GOOD, age_s=390513437.825)
+    for has_clock, advice in ((True, "a bag is being played"), (False, "set the clock of the device")):
+        (row,) = judge_sensors(NetworkState("rmw", heard=(old,), has_clock=has_clock), LIMITS, {"ins/imu": 2.0}, {})
+        assert row.result is Result.FAIL
+        assert row.advice.startswith(advice)
+
+
 @pytest.mark.parametrize("age_s", [-0.049, 1.99])
 def test_stamps_just_inside_the_limits(age_s):
     assert judged(age_s=age_s)[0] is Result.OK

@@ -1,6 +1,7 @@
 """What the checks before a voyage say, as rows of a table, and the exit code that follows from them."""
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -52,6 +53,23 @@ def table(lines: Sequence[CheckLine]) -> list[str]:
         if line.advice:
             text.append(f"{'':{indent}}-> {one_line(line.advice)}")
     return text
+
+
+def verdict(lines: Sequence[CheckLine]) -> str:
+    """The last line: whether the suite may start, and how many rows are not good."""
+    counts = Counter(line.result for line in lines)
+    words = [
+        f"{counts[result]} {name}{'s' if result is Result.WARN and counts[result] > 1 else ''}"
+        for result, name in ((Result.FAIL, "failed"), (Result.WARN, "warning"), (Result.NOT_CHECKED, "not checked"))
+        if counts[result]
+    ]
+    return f"{'NOT READY' if counts[Result.FAIL] else 'READY'}: {', '.join(words) or 'all is good'}"
+
+
+def worst_first(checks: Iterable[Iterable[CheckLine]]) -> list[CheckLine]:
+    """Rows of all checks: what failed first, then warnings, then the others, each in the order of the checks."""
+    lines = [line for check in checks for line in bounded(check)]
+    return sorted(lines, key=lambda line: _ORDER.index(line.result))
 
 
 def rounded(value: float) -> str:

@@ -2,6 +2,7 @@
 
 import getpass
 import os
+import re
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -13,6 +14,8 @@ from ship_bringup.suite.plan import SAVED_FILES
 
 _CHECK = "files"
 _DEVICES = "/dev/"
+_SINK = r"sinks\.[^.]+\.path"
+"""A file that ``nmea_out`` appends to."""
 
 
 @dataclass(frozen=True)
@@ -44,8 +47,9 @@ def look_at_files(suite_path: Path, box: Path | None) -> list[PathState]:
             if not isinstance(value, str) or not value:
                 continue
             is_device = value.startswith(_DEVICES)
-            if is_device or name.rpartition(".")[2] in (*SAVED_FILES, BLACK_BOX_PARAMETER):
-                found.append(_state(Path(value), f"{suite_path}:{line}: {name}", is_device))
+            is_sink = re.fullmatch(_SINK, name) is not None
+            if is_device or is_sink or name.rpartition(".")[2] in (*SAVED_FILES, BLACK_BOX_PARAMETER):
+                found.append(_state(Path(value), f"{suite_path}:{line}: {name}", is_device, is_appended=is_sink))
     return found
 
 
@@ -79,12 +83,14 @@ def _problem(state: PathState, user: str) -> tuple[str, str]:
     return "", ""
 
 
-def _state(path: Path, what: str, is_device: bool = False, makes_parents: bool = False) -> PathState:
+def _state(
+    path: Path, what: str, is_device: bool = False, makes_parents: bool = False, is_appended: bool = False
+) -> PathState:
     if path.is_dir():
         return PathState(path, what, is_device, True, os.access(path, os.R_OK), _takes_files(path))
     if path.exists():
         # A saved file is replaced whole: its folder must take the new one.
-        writable = os.access(path, os.W_OK) and (is_device or _takes_files(path.parent))
+        writable = os.access(path, os.W_OK) and (is_device or is_appended or _takes_files(path.parent))
         return PathState(path, what, is_device, True, os.access(path, os.R_OK), writable)
     above = path.absolute().parent
     while makes_parents and not above.exists() and above != above.parent:

@@ -13,6 +13,9 @@ from ship_watch.topics import source_of_topic
 _CHECK = "sensors"
 _NOT_IN_THE_LOG = "gnss", "weather"
 """Their values are taken as they come: nothing is applied at their time."""
+_OLD = "old"
+_UNITS = ("years", 365.25 * 86400.0), ("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)
+"""Ages of two or more of a unit are told in it."""
 _OVERRIDES, _RELIABLE = "qos_overrides.", "reliable"
 
 
@@ -74,6 +77,8 @@ def judge_sensors(
             yield CheckLine(_CHECK, Result.FAIL if is_needed else Result.NOT_CHECKED, found, advice)
             continue
         result, found, advice = _judged(heard, limits, lags_s, asked.get(heard.input.topic, {}))
+        if result is Result.FAIL and state.has_clock and found.endswith(_OLD):
+            advice = "a bag is being played, as its clock tells: end its player"
         yield CheckLine(_CHECK, result, f"{heard.input.topic}: {found}", advice)
 
 
@@ -111,4 +116,11 @@ def _judged(
 
 
 def _age_words(age_s: float) -> str:
-    return f"{abs(age_s):.3f} s {'in the future' if age_s < 0.0 else 'old'}"
+    size_s = abs(age_s)
+    for unit, unit_s in _UNITS:
+        if size_s >= 2.0 * unit_s:
+            length = f"{size_s / unit_s:.0f} {unit}"
+            break
+    else:
+        length = f"{size_s:.3f} s"
+    return f"{length} {'in the future' if age_s < 0.0 else _OLD}"

@@ -20,7 +20,7 @@ from ship_bags.live.ros_process import (
     positive,
 )
 from ship_bags.parameter_yaml import full_name
-from ship_bringup.checks.check_line import CheckLine, Result, bounded, exit_code, table
+from ship_bringup.checks.check_line import CheckLine, Result, exit_code, table, verdict, worst_first
 from ship_bringup.checks.clock_check import judge_clock, look_at_clock
 from ship_bringup.checks.disk_check import judge_disk, look_at_disk, night_bytes
 from ship_bringup.checks.domain_check import judge_domain, judge_settings
@@ -124,10 +124,9 @@ def _preflight(options: argparse.Namespace) -> int:
     domain = [*settings, *judge_domain(network, suite.names, suite.companion_names)]
     checks = [_parameters(suite), security, _clock(suite), domain, _disk(suite, network)]
     checks += [_files(suite), _sensors(suite, network)]
-    lines = [line for check in checks for line in bounded(check)]
+    lines = worst_first(checks)
     print("\n".join(table(lines)))
-    counts = {result: sum(line.result is result for line in lines) for result in (Result.FAIL, Result.WARN)}
-    print(f"{options.file}: failed: {counts[Result.FAIL]}, warnings: {counts[Result.WARN]}")
+    print(f"{options.file}: {verdict(lines)}")
     return exit_code(lines)
 
 
@@ -137,7 +136,7 @@ def _parameters(suite: _Suite) -> Iterable[CheckLine]:
     for text in suite.findings.warnings:
         yield CheckLine("parameters", Result.WARN, text)
     if not suite.findings.errors:
-        names = ", ".join(adapter.node_name for adapter in suite.chain.adapters)
+        names = ", ".join([*(adapter.node_name for adapter in suite.chain.adapters), *suite.companions])
         yield CheckLine("parameters", Result.OK, f"{suite.options.file}: good for {names}")
 
 
