@@ -85,6 +85,11 @@ class NmeaOutConfig:
     )
     manufacturer: str = parameter("ZZZ", doc="code of three letters that stands for this suite in ALF, ALC, ACN, ARC")
 
+    tell_simulated: bool = parameter(
+        False, doc="for training: under /clock (a played bag, a simulation) all goes out as usual; otherwise only THS,"
+        " in mode S, the rest is void, and no alert goes out",
+    )  # fmt: skip
+
     def __post_init__(self) -> None:
         """Check what belongs together.
 
