@@ -280,6 +280,25 @@ def test_a_full_disk_is_told_and_tried_again(open_sink):
     until(lambda: sink.status().level is not Level.ERROR)
 
 
+def test_a_disk_that_gets_full_leaves_no_half_sentence(tmp_path):
+    """The limit of a process for the size of a file cuts a write as a full disk does."""
+    path = tmp_path / "log.nmea"
+    program = (
+        "import resource, signal\n"
+        "from ship_nmea.out.outlets import FileOutlet\n"
+        "from ship_nmea.out.sink import SinkConfig\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (30, 30))\n"
+        f"outlet = FileOutlet(SinkConfig(kind='file', path={str(path)!r}), print)\n"
+        "outlet.open(None)\n"
+        "outlet.send(b'$INHDT,12.3456,T*08\\r\\n')\n"
+        "outlet.send(b'$INHDT,12.3456,T*08\\r\\n')\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
+    assert "No space left on device" in ended.stderr
+    assert path.read_bytes() == f"{SENTENCE}\r\n".encode()
+
+
 def test_a_folder_is_no_file(open_sink, tmp_path):
     with pytest.raises(BadInput, match=r"'sinks.bridge.path' = .*: Is a directory"):
         open_sink(kind="file", path=str(tmp_path))

@@ -310,7 +310,11 @@ class FileOutlet(Outlet):
     def send(self, sentence: bytes) -> bool:
         """See :meth:`Outlet.send`."""
         assert self._file is not None
-        if os.write(self._file, sentence) < len(sentence):
+        written = os.write(self._file, sentence)
+        if written < len(sentence):
+            # Of a full disk: what was begun would stand before the next sentence.
+            with contextlib.suppress(OSError):
+                os.ftruncate(self._file, os.fstat(self._file).st_size - written)
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         return True
 
