@@ -308,6 +308,12 @@ def test_the_advice_where_permission_is_missing_is_that_of_the_kind(kind, told):
         refuse_hopeless("bridge", SinkConfig(kind=kind), PermissionError(errno.EACCES, "no"))
 
 
+def test_a_sentence_is_named_once():
+    assert SinkConfig(kind="file", path="x", sentences=("HDT", "THS")).misfit() is None
+    twice = SinkConfig(kind="file", path="x", sentences=("HDT", "THS", "HDT"))
+    assert twice.misfit() == ("sentences", "names HDT twice: expected each sentence once")
+
+
 def test_a_folder_is_no_file(open_sink, tmp_path):
     with pytest.raises(BadInput, match=r"'sinks.bridge.path' = .*: Is a directory"):
         open_sink(kind="file", path=str(tmp_path))

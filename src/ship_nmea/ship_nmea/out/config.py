@@ -67,6 +67,9 @@ class SinkConfig:
                 return name, f"is '{getattr(self, name)}': expected an IPv4 address as 192.168.1.255"
         if not self.sentences:
             return "sentences", "is empty: expected at least one sentence"
+        for name in self.sentences:
+            if self.sentences.count(name) > 1:
+                return "sentences", f"names {name} twice: expected each sentence once"
         return None
 
 
