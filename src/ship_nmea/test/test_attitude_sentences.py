@@ -17,6 +17,7 @@ from ship_nmea.sentences.attitude import (
     ATTITUDE_SENTENCES,
     AttitudeToTell,
     Worth,
+    as_played,
     hdt,
     heading_rate,
     pashr,
@@ -74,6 +75,19 @@ def test_a_void_attitude_has_void_fields_and_says_so(name):
     assert sentence.rpartition("*")[0] == {
         "HDT": "$INHDT,,T",
         "THS": "$INTHS,,V",
+        "ROT": "$INROT,,V",
+        "PASHR": "$PASHR,000000.000,,,,,,,,,0,0",
+        "PSXN20": "$PSXN,20,2,2,2,2",
+        "PSXN23": "$PSXN,23,,,,",
+    }[name]
+
+
+@pytest.mark.parametrize("name", ATTITUDE_SENTENCES)
+def test_of_a_played_attitude_only_ths_tells_and_says_so(name):
+    shown = as_played(name, attitude(10.0, 1.0, 2.0, Worth.SIMULATED))
+    assert ATTITUDE_SENTENCES[name](shown, "IN", 1).render().rpartition("*")[0] == {
+        "HDT": "$INHDT,,T",
+        "THS": "$INTHS,10.0,S",
         "ROT": "$INROT,,V",
         "PASHR": "$PASHR,000000.000,,,,,,,,,0,0",
         "PSXN20": "$PSXN,20,2,2,2,2",

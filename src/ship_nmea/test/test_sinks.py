@@ -1,5 +1,6 @@
 """Sinks with real sockets, a real pseudo-terminal and real files: what goes out, what is dropped, what comes back."""
 
+import errno
 import os
 import socket
 import stat
@@ -13,7 +14,7 @@ import pytest
 
 from ship_bags.errors import BadInput
 from ship_nmea.out.config import SinkConfig
-from ship_nmea.out.outlets import LineSplitter
+from ship_nmea.out.outlets import LineSplitter, refuse_hopeless
 from ship_nmea.out.sink import MOST_WAITING, RETRY_S, Sink
 from ship_node.edge.messages_out import Level
 from ship_testing.listening_node import free_port
@@ -278,6 +279,39 @@ def test_a_full_disk_is_told_and_tried_again(open_sink):
     status = until(lambda: sink.status().level is Level.ERROR and sink.status())
     assert "No space left on device" in status.message
     until(lambda: sink.status().level is not Level.ERROR)
+
+
+def test_a_disk_that_gets_full_leaves_no_half_sentence(tmp_path):
+    """The limit of a process for the size of a file cuts a write as a full disk does."""
+    path = tmp_path / "log.nmea"
+    program = (
+        "import resource, signal\n"
+        "from ship_nmea.out.outlets import FileOutlet\n"
+        "from ship_nmea.out.sink import SinkConfig\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (30, 30))\n"
+        f"outlet = FileOutlet(SinkConfig(kind='file', path={str(path)!r}), print)\n"
+        "outlet.open(None)\n"
+        "outlet.send(b'$INHDT,12.3456,T*08\\r\\n')\n"
+        "outlet.send(b'$INHDT,12.3456,T*08\\r\\n')\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
+    assert "No space left on device" in ended.stderr
+    assert path.read_bytes() == f"{SENTENCE}\r\n".encode()
+
+
+@pytest.mark.parametrize(("kind", "told"), [
+    ("tcp_server", "a port below 1024"), ("udp", "a port below 1024"), ("serial", "'dialout'"), ("file", "a folder"),
+])  # fmt: skip
+def test_the_advice_where_permission_is_missing_is_that_of_the_kind(kind, told):
+    with pytest.raises(BadInput, match=told):
+        refuse_hopeless("bridge", SinkConfig(kind=kind), PermissionError(errno.EACCES, "no"))
+
+
+def test_a_sentence_is_named_once():
+    assert SinkConfig(kind="file", path="x", sentences=("HDT", "THS")).misfit() is None
+    twice = SinkConfig(kind="file", path="x", sentences=("HDT", "THS", "HDT"))
+    assert twice.misfit() == ("sentences", "names HDT twice: expected each sentence once")
 
 
 def test_a_folder_is_no_file(open_sink, tmp_path):

@@ -149,7 +149,10 @@ def _companion(companion: Companion, path: Path, ros: tuple[str, ...]) -> Progra
 def _played_out(companions: Sequence[Companion], options: SuiteOptions) -> Iterator[str]:
     """What people must know who play a bag while its attitude goes to the bridge."""
     if options.bag is not None and any(companion.node_name == "nmea_out" for companion in companions):
-        yield f"nmea_out sends what {options.bag} gives: THS says S (simulator), the other sentences cannot say so"
+        yield (
+            f"nmea_out tells of {options.bag} by THS alone, which says S (simulator): the other sentences are void and"
+            " no alert goes out, unless tell_simulated is true"
+        )
 
 
 def _ros_arguments(options: SuiteOptions) -> tuple[str, ...]:

@@ -67,6 +67,9 @@ class SinkConfig:
                 return name, f"is '{getattr(self, name)}': expected an IPv4 address as 192.168.1.255"
         if not self.sentences:
             return "sentences", "is empty: expected at least one sentence"
+        for name in self.sentences:
+            if self.sentences.count(name) > 1:
+                return "sentences", f"names {name} twice: expected each sentence once"
         return None
 
 
@@ -84,6 +87,11 @@ class NmeaOutConfig:
         30.0, doc="how often ALC and HBT are sent", unit="s", minimum=0.1, maximum=60.0
     )
     manufacturer: str = parameter("ZZZ", doc="code of three letters that stands for this suite in ALF, ALC, ACN, ARC")
+
+    tell_simulated: bool = parameter(
+        False, doc="for training: under /clock (a played bag, a simulation) all goes out as usual; otherwise only THS,"
+        " in mode S, the rest is void, and no alert goes out",
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         """Check what belongs together.

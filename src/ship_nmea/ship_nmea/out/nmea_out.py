@@ -21,7 +21,14 @@ from ship_nmea.out.alert_ledger import AlertLedger
 from ship_nmea.out.config import ALC, ALERT_SENTENCES, ALF, HBT, NmeaOutConfig, SinkConfig
 from ship_nmea.out.sink import Sink
 from ship_nmea.sentences.alerts import ACKNOWLEDGE, REPEAT, AlertCommand, AlertToTell, alc, alert_command, alf, arc, hbt
-from ship_nmea.sentences.attitude import ATTITUDE_SENTENCES, AttitudeToTell, Worth, heading_rate
+from ship_nmea.sentences.attitude import (
+    ATTITUDE_SENTENCES,
+    SAY_SIMULATED,
+    AttitudeToTell,
+    Worth,
+    as_played,
+    heading_rate,
+)
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 from ship_node.edge.topics import InputTopic
 
@@ -34,6 +41,7 @@ _COMMANDS_PERIOD_S = 0.05
 _MOST_HEARD = 100
 _MOST_ASKED = 50
 _ANSWERED_WITHIN_NS = 3 * NS_PER_S
+_PLAYED = "this node follows /clock, and tell_simulated is false"
 _WORTHS = {
     ShipAttitude.VALID: Worth.NORMAL, ShipAttitude.COASTING: Worth.ESTIMATED, ShipAttitude.DEGRADED: Worth.ESTIMATED
 }  # fmt: skip
@@ -117,7 +125,10 @@ class NmeaOut:
         """See :class:`ship_nmea.node_shell.Work`."""
         yield from (sink.status() for sink in self._sinks)
         reason = self._why_void(*self._shell.clock.times())
-        yield DiagnosticStatus("attitude", Level.WARN if reason else Level.OK, f"void: {reason}" if reason else "told")
+        text = f"void: {reason}" if reason else ""
+        if not text and self._is_played():
+            text = f"void but for {', '.join(SAY_SIMULATED)}: {_PLAYED}"
+        yield DiagnosticStatus("attitude", Level.WARN if text else Level.OK, text or "told")
         if self._tells_alerts:
             yield self._alerts_status()
 
@@ -153,10 +164,12 @@ class NmeaOut:
         if not due:
             return
         attitude = AttitudeToTell(now_ns) if why_void else self._told(self._attitude)
+        is_played = self._is_played()
         for sink in due:
             for name in sink.config.sentences:
                 if make := ATTITUDE_SENTENCES.get(name):
-                    sentence = make(attitude, self._config.talker, sink.config.decimals)
+                    told = as_played(name, attitude) if is_played else attitude
+                    sentence = make(told, self._config.talker, sink.config.decimals)
                     sink.put(sentence.render(), self._longest_ns)
 
     def _why_void(self, now_ns: int, waiting_ns: int) -> str:
@@ -176,6 +189,10 @@ class NmeaOut:
             return f"the stamp of {ATTITUDE.topic} is {duration_text(age_ns)} {side} this node's clock"
         return ""
 
+    def _is_played(self) -> bool:
+        """Whether what comes is of another time and must not reach the bridge as if it were live."""
+        return self._shell.clock.is_simulated() and not self._config.tell_simulated
+
     def _told(self, message: Any) -> AttitudeToTell:
         worth = Worth.SIMULATED if self._shell.clock.is_simulated() else _WORTHS[message.status]
         variances = [float(message.covariance[index]) for index in (0, 4, 8)]
@@ -192,6 +209,8 @@ class NmeaOut:
     # -- alerts ---------------------------------------------------------------------------------------------
 
     def _take_alerts(self, message: Any) -> None:
+        if self._is_played():
+            return
         for alert in self._ledger.take(message.alerts, self._utc_ns()):
             self._tell_alert(alert, self._with(ALF))
 
@@ -201,8 +220,8 @@ class NmeaOut:
         self._counts["told"] += 1
 
     def _tell_list(self) -> None:
-        """The list, unless nobody keeps the alerts: then an empty list would say that all is well."""
-        is_kept = self._is_kept()
+        """The list, unless nobody keeps the alerts or they are played: an empty list would say that all is well."""
+        is_kept = self._is_kept() and not self._is_played()
         sentences = alc(self._ledger.told, self._config.talker, self._config.manufacturer, self._next(ALC))
         for sentence in sentences if is_kept else ():
             _put(sentence, self._with(ALC))
@@ -271,6 +290,8 @@ class NmeaOut:
 
     def _alerts_status(self) -> DiagnosticStatus:
         values = {name: str(count) for name, count in sorted(self._counts.items())}
+        if self._is_played():
+            return DiagnosticStatus("alerts", Level.WARN, f"none goes out, the heartbeat says V: {_PLAYED}", values)
         if not self._is_kept():
             text = f"nobody publishes {ALERTS.topic}: no list goes out, and the heartbeat says V"
             return DiagnosticStatus("alerts", Level.WARN, text, values)

@@ -310,7 +310,11 @@ class FileOutlet(Outlet):
     def send(self, sentence: bytes) -> bool:
         """See :meth:`Outlet.send`."""
         assert self._file is not None
-        if os.write(self._file, sentence) < len(sentence):
+        written = os.write(self._file, sentence)
+        if written < len(sentence):
+            # Of a full disk: what was begun would stand before the next sentence.
+            with contextlib.suppress(OSError):
+                os.ftruncate(self._file, os.fstat(self._file).st_size - written)
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         return True
 
@@ -335,7 +339,12 @@ _TO_DO = {
     errno.EADDRINUSE: "another program has it: end that one, or give another port",
     errno.EAGAIN: "another program has it: end that one",
     errno.EADDRNOTAVAIL: "this machine has no such address",
-    errno.EACCES: "this user may not: for serial devices join the group of the device, often 'dialout'",
+}
+_MAY_NOT = {
+    UDP: "this user may not: a port below 1024 needs a right of its own, give another one",
+    TCP_SERVER: "this user may not: a port below 1024 needs a right of its own, give another one",
+    SERIAL: "this user may not: join the group of the device, often 'dialout'",
+    FILE: "this user may not: give a folder in which it may write",
 }
 
 
@@ -350,5 +359,6 @@ def refuse_hopeless(name: str, config: SinkConfig, problem: OSError) -> None:
     parameter = f"sinks.{name}.{own[config.kind]}"
     value = getattr(config, own[config.kind])
     words = os.strerror(problem.errno)
-    advice = f": {_TO_DO[problem.errno]}" if problem.errno in _TO_DO else ""
+    to_do = _TO_DO | {errno.EACCES: _MAY_NOT[config.kind]}
+    advice = f": {to_do[problem.errno]}" if problem.errno in to_do else ""
     raise BadInput(f"parameter '{parameter}' = {value!r}: {words}{advice}", parameters=(parameter,), value=value)

@@ -132,6 +132,13 @@ ATTITUDE_SENTENCES: dict[str, Callable[[AttitudeToTell, str, int], Any]] = {
     "HDT": hdt, "THS": ths, "ROT": rot, "PASHR": pashr, "PSXN20": psxn20, "PSXN23": psxn23,
 }  # fmt: skip
 """Name → what makes it of an attitude, the talker's two letters, and how many decimals its angles have."""
+SAY_SIMULATED = ("THS",)
+"""The sentences that can say of themselves that they are simulated."""
+
+
+def as_played(name: str, attitude: AttitudeToTell) -> AttitudeToTell:
+    """What a sentence may tell of a played attitude without passing for live: void, unless it says what it is."""
+    return attitude if name in SAY_SIMULATED else AttitudeToTell(attitude.time_ns)
 
 
 def _heading(angle: float, decimals: int) -> str:
