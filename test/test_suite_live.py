@@ -94,14 +94,17 @@ def test_a_bag_is_played_to_its_end_into_the_suite_that_is_attached_to_it(tmp_pa
     assert "suite.yaml: ship_attitude has no alignment_file" in log
 
 
-def test_the_attitude_of_a_bag_goes_out_as_sentences_that_say_it_is_played(tmp_path, domain):
+@pytest.mark.parametrize("tell_simulated", [False, True])
+def test_the_attitude_of_a_bag_goes_out_as_sentences_that_say_it_is_played(tmp_path, domain, tell_simulated):
+    """Of the two only THS can say so; HDT is void unless people ask for it, as for a training."""
     path, told = tmp_path / "suite.yaml", tmp_path / "told.nmea"
     nodes = {
         "/**/nmea_in": {"sources": {"gyro": {"kind": "serial", "device": "/dev/ttyUSB7", "becomes": "gyro"}}},
         # Of a bag at 20 times its speed a moment on the way is a second of the ship.
         "/**/nmea_out": {
             "longest_age_s": 30.0,
-            "sinks": {"log": {"kind": "file", "path": str(told), "sentences": ["THS"], "rate_hz": 100.0}},
+            "tell_simulated": tell_simulated,
+            "sinks": {"log": {"kind": "file", "path": str(told), "sentences": ["THS", "HDT"], "rate_hz": 100.0}},
         },
     }
     path.write_text((ROOT / "examples" / "two_sensors.yaml").read_text() + sections_text(nodes))
@@ -111,7 +114,12 @@ def test_the_attitude_of_a_bag_goes_out_as_sentences_that_say_it_is_played(tmp_p
         assert "nmea_in" not in process.log()
     lines = told.read_text().split()
     assert sum(",S*" in line for line in lines) > 50
-    assert not [line for line in lines if not re.fullmatch(r"\$INTHS,(\d+\.\d{4},S|,V)\*[0-9A-F]{2}", line)]
+    headings = [line for line in lines if line.startswith("$INHDT")]
+    others = [line for line in lines if line not in headings]
+    assert not [line for line in others if not re.fullmatch(r"\$INTHS,(\d+\.\d{4},S|,V)\*[0-9A-F]{2}", line)]
+    assert sum(not line.startswith("$INHDT,,T") for line in headings) == (
+        sum(",S*" in line for line in others) if tell_simulated else 0
+    )
 
 
 def test_a_port_that_another_program_has_ends_nmea_out_and_not_the_suite(tmp_path, domain):
