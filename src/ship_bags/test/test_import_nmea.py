@@ -223,6 +223,26 @@ def test_pashr_with_the_day_from_the_receive_time(imported):
     np.testing.assert_allclose(angles_deg(message), [224.19, 0.83, -1.26], atol=1e-9)
 
 
+@pytest.mark.parametrize("time", ["235959", "235959.9", "235959.95", "235959.9500", "235959.950000"])
+def test_pashr_with_a_time_of_any_precision(imported, time):
+    """pynmea2 itself takes two or three decimals alone."""
+    found, _, _ = imported(ins=line(0.1, f"PASHR,{time},224.19,T,-01.26,+00.83,+00.10,0.101,0.113,0.267,1,0"))
+    ((_, message),) = found["ins/imu"]
+    fraction = f"0.{time.partition('.')[2] or 0}"
+    assert ns_from_stamp(message.header.stamp) == MIDNIGHT_NS - 10**9 + round(float(fraction) * 10**9)
+    np.testing.assert_allclose(angles_deg(message), [224.19, 0.83, -1.26], atol=1e-9)
+
+
+def test_pashr_of_a_system_that_is_not_aligned_is_no_attitude(imported, capsys):
+    """Its last two fields are 0 at NovAtel and Trimble; one of them alone is 0 at others that are well, as an RT300."""
+    good = line(0.1, "PASHR,000000.050,224.19,T,-01.26,+00.83,+00.10,0.101,0.113,0.267,1,0")
+    bad = line(0.2, "PASHR,000000.150,024.19,T,-11.26,+10.83,+00.10,9.900,9.900,9.900,0,0")
+    void = line(0.3, "PASHR,000000.250,224.19,T,-01.26,+00.83,+00.10,0.101,0.113,0.267,,")
+    found, _, _ = imported(ins=good + bad + void)
+    assert len(found["ins/imu"]) == 2
+    assert "PASHR: no aiding, and the IMU's status is 0" in capsys.readouterr().out
+
+
 def weeks_ago(text, weeks):
     """A log of 2014-08-01 whose ZDA tell a day so many weeks earlier."""
     day = datetime(2014, 8, 1, tzinfo=timezone.utc) - timedelta(weeks=weeks)

@@ -33,6 +33,12 @@ _BURST_NS = NS_PER_S
 
 _INVALID_QUALITY = 2
 
+_PASHR_STATUS = slice(10, 12)
+"""Fields of PASHR behind the accuracies: aiding, and status of the IMU."""
+
+UNAIDED = "PASHR: no aiding, and the IMU's status is 0"
+"""Both last fields are 0: not aligned at NovAtel and Trimble. One 0 alone differs in meaning from maker to maker."""
+
 
 @dataclass(frozen=True)
 class LoggedAttitude:
@@ -56,8 +62,8 @@ class AttitudeReader:
 
     Args:
         by_instrument: stamp by the instrument's time, otherwise by the receive time.
-        report: counts what cannot be used: invalid by PSXN,20, without a ZDA, of a wrong time, not later than the one
-            before.
+        report: counts what cannot be used: invalid by PSXN,20 or by PASHR's own status, without a ZDA, of a wrong
+            time, not later than the one before.
     """
 
     def __init__(self, by_instrument: bool, report: LineReport) -> None:
@@ -77,6 +83,8 @@ class AttitudeReader:
         elif line.kind in ATTITUDE_KINDS:
             if self._is_invalid:
                 self._report.reject("invalid by PSXN,20", line.number, str(line.content))
+            elif line.kind == "PASHR" and line.content.data[_PASHR_STATUS] == ["0", "0"]:
+                self._report.reject(UNAIDED, line.number, str(line.content))
             else:
                 attitude = self._attitude(line)
             if line.kind == "PSXN23":

@@ -1,9 +1,11 @@
 """One line of an instrument read: a sentence of NMEA 0183, or a line ``MET`` of a mast.
 
-Sentences are parsed by pynmea2. What it lacks stands here: THS, and MET, which is not NMEA.
+Sentences are parsed by pynmea2. What it lacks stands here: THS, PASHR with a time of any precision, and MET,
+which is not NMEA.
 """
 
 import math
+import re
 from dataclasses import dataclass
 from decimal import Decimal
 from typing import Any
@@ -18,6 +20,9 @@ what cannot be."""
 # Fields of the line MET of the station mwx1.
 _MET_TEMPERATURE, _MET_HUMIDITY, _MET_PRESSURE = 3, 4, -1
 _MET_LEAST_FIELDS = 6
+
+_PASHR_LEAST_FIELDS = 6
+"""Up to the pitch."""
 
 _PA_PER_BAR = 1e5
 
@@ -41,6 +46,9 @@ _RANGES_DEG = {
 """Angles beyond are none: some instruments write 999.99 where they know nothing."""
 
 _KINDS = {"SXN20": "PSXN20", "SXN23": "PSXN23", "ASHRATT": "PASHR"}
+
+
+_TIME_OF_DAY = re.compile(r"\d{6}(\.\d+)?", re.ASCII)
 
 
 class THS(pynmea2.TalkerSentence):  # type: ignore[misc]
@@ -104,7 +112,17 @@ def read_sentence(text: str) -> Sentence | NotOfInterest | Unusable:
     except Exception:
         # Over sentences that are cut short pynmea2 raises IndexError and others, which it does not declare.
         return Unusable(UNPARSED)
-    return _of_interest(name.lstrip("$"), content)
+    return _of_interest(name.lstrip("$"), _pashr(content) if type(content).__name__ == "ASH" else content)
+
+
+def _pashr(content: Any) -> Any:
+    """The attitude in a PASHR, which pynmea2 knows by a time with two or three decimals alone; others as they are."""
+    data = list(content.data)
+    if len(data) < _PASHR_LEAST_FIELDS or not _TIME_OF_DAY.fullmatch(data[1]):
+        return content
+    attitude = pynmea2.ash.ASHRATT("ASH", [data[0], f"{data[1][:6]}.00", *data[2:]])
+    attitude.data[1] = data[1]
+    return attitude
 
 
 def _of_interest(name: str, content: Any) -> Sentence | NotOfInterest | Unusable:
