@@ -181,7 +181,7 @@ def test_two_suites_in_two_namespaces_do_not_mix(tmp_path, domain):
             own = "/" + topic.split("/")[1]
             # Names of nodes come later than their topics.
             assert observer.spin_until(lambda t=topic, own=own: namespaces(observer.node, t) == {own}), topic
-            assert observer.node.count_publishers(topic) == 1
+            assert observer.spin_until(lambda t=topic: observer.node.count_publishers(t) == 1), topic
         assert observer.spin_until(lambda: frames >= FRAMES), frames
         # Suites share this topic alone: what a node tells of itself says whose it is.
         observer.node.create_subscription(

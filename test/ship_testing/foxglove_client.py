@@ -87,13 +87,19 @@ class FoxgloveClient:
             self._run(self._take(left_s))
 
     def close(self) -> None:
-        """Leave."""
-        self._socket.close()
+        """Leave; once more is nothing."""
+        if self._loop.is_closed():
+            return
+        self._run(self._leave())
         # The server answers the closing.
         deadline_s = time.monotonic() + 5.0
         while not self.is_over and time.monotonic() < deadline_s:
             self.listen(0.05)
         self._loop.close()
+
+    async def _leave(self) -> None:
+        # Within the loop of this client: that of the thread may be gone with another test.
+        self._socket.close()
 
     async def _take(self, limit_s: float) -> None:
         # A reading that was given up would lose its message: the one that waits is kept for the next time.

@@ -19,6 +19,8 @@ NETEM = Path(__file__).parents[3] / "shared" / "tools" / "netem.py"
 
 NEAR, FAR = "relA", "relB"
 
+_FIRST = "chrt", "--rr", "1"
+"""Before a command: it goes before all other work of this machine, where that is allowed."""
 _START_S = 15.0
 _LONGEST_S = 600
 # It finds its namespaces below /run/netns. On a /run of its own, two links do not meet, and nothing is left behind.
@@ -57,6 +59,9 @@ class LossyLink:
         self._folder = folder
         # Shared memory would go past the link.
         self._environment = live_environment(1, folder / "ros") | UDP_ALONE
+        self._may_go_first = bool(shutil.which("chrt")) and not subprocess.run(
+            [*_FIRST, "true"], stderr=subprocess.DEVNULL, check=False
+        ).returncode
         self._environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SUBNET"
         script = [sys.executable, "-c", _SWITCHED, str(NETEM), str(loss), "0", "0", "0", str(_LONGEST_S)]
         self._running = ExitStack()
@@ -78,7 +83,9 @@ class LossyLink:
         return time.time_ns()
 
     def _started(self, command: Sequence[str], name: str) -> LiveProcess:
-        return self._running.enter_context(LiveProcess(command, self._folder / f"{name}.log", self._environment))
+        # What is asked of the link must not depend on other work of this machine: its processes go first.
+        urgent = [*(_FIRST if self._may_go_first else ()), *command]
+        return self._running.enter_context(LiveProcess(urgent, self._folder / f"{name}.log", self._environment))
 
     def __enter__(self) -> "LossyLink":
         deadline_s = time.monotonic() + _START_S

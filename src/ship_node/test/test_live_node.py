@@ -243,6 +243,8 @@ def test_bag_time_ticks_on_the_grid_and_a_jump_back_starts_anew_once(live_relay)
     set_time = relay.clock_publisher()
     for time_s in (1000.03, 1000.12, 1000.34):
         set_time(time_s)
+        # The node has looked at its clock: a slow one would begin its grid at the next time.
+        relay.wait_until(lambda time_s=time_s: relay.live._last_ns == round(time_s * 1e9))
     relay.wait_until(lambda: len(relay.adapter.ticks) == 3)
     assert relay.adapter.ticks == [1000_100_000_000, 1000_200_000_000, 1000_300_000_000]
     set_time(1000.33)
