@@ -13,8 +13,9 @@ import tty
 import pytest
 
 from ship_bags.errors import BadInput
+from ship_nmea.line_splitter import LineSplitter
 from ship_nmea.out.config import SinkConfig
-from ship_nmea.out.outlets import LineSplitter, refuse_hopeless
+from ship_nmea.out.outlets import command_texts, refuse_hopeless
 from ship_nmea.out.sink import MOST_WAITING, RETRY_S, Sink
 from ship_node.edge.messages_out import Level
 from ship_testing.listening_node import free_port
@@ -339,6 +340,6 @@ def test_a_disk_that_hangs_holds_up_neither_the_node_nor_its_end(tmp_path):
 
 def test_lines_without_an_end_and_of_any_length_are_bounded():
     splitter = LineSplitter()
-    assert splitter.lines(b"x" * 5000) == []
-    assert splitter.lines(b"y" * 5000 + b"\n$ok\r\n") == ["$ok"]
-    assert splitter.lines(b"\xff\x00\n") == ["\ufffd\x00"]
+    assert command_texts(splitter.take(b"x" * 5000)) == []
+    assert command_texts(splitter.take(b"y" * 5000 + b"\n$ok\r\n")) == ["$ok"]
+    assert command_texts(splitter.take(b"\xff\x00\n")) == ["\ufffd\x00"]

@@ -1,4 +1,4 @@
-"""Bytes as they arrive become lines, and lines sentences or what is wrong with them.
+"""A line as it arrives becomes sentences, or what is wrong with it.
 
 A live line is cut where a connection begins, ends or loses bytes. So a sentence counts only from its ``$`` to its
 checksum: half a heading, ``$GPHDT,21``, would be a heading as well.
@@ -9,43 +9,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from ship_bags.nmea.sentences import NotOfInterest, Sentence, Unusable, read_sentence
-
-LONGEST_LINE = 512
-"""Bytes of a line: a sentence of the standard has 82, makers' own have up to three times as many."""
+from ship_nmea.line_splitter import LONGEST_LINE
 
 TOO_LONG, NOISE, HALF = "line too long", "binary noise", "half line or no checksum"
 
-_END = re.compile(rb"[\r\n]+")
 # In front of a sentence on an IEC 61162-450 network: the datagram's mark and a TAG block.
 _FRONT = re.compile(rb"(UdPbC\x00)?(\\[^\\]*\\)*")
 _PRINTABLE = re.compile(rb"[\x20-\x7e\t]*")
 _CHECKSUM = re.compile(r".*\*[0-9A-Fa-f]{2}", re.DOTALL)
-
-
-class LineSplitter:
-    """Puts the lines of a stream together; a line that is too long is cut and its rest left out."""
-
-    def __init__(self) -> None:
-        self._rest = b""
-        self._skips = False
-
-    def take(self, data: bytes) -> list[bytes]:
-        """The lines that end in the next bytes; one cut has a byte more than :data:`LONGEST_LINE`."""
-        *ended, rest = _END.split(self._rest + data)
-        if self._skips and ended:
-            del ended[0]
-            self._skips = False
-        if len(rest) > LONGEST_LINE:
-            if not self._skips:
-                ended.append(rest)
-            self._skips, rest = True, b""
-        self._rest = b"" if self._skips else rest
-        return [line[: LONGEST_LINE + 1] for line in ended if line]
-
-    def end(self) -> list[bytes]:
-        """What is left where a datagram or a connection ends."""
-        rest, self._rest, self._skips = self._rest, b"", False
-        return [rest] if rest else []
 
 
 @dataclass(frozen=True)

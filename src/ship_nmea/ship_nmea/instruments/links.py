@@ -17,7 +17,7 @@ import serial
 
 from ship_bags.errors import one_line
 from ship_nmea.instruments.config import ANY_ADDRESS, SERIAL, UDP, NmeaSourceConfig
-from ship_nmea.instruments.lines import LineSplitter
+from ship_nmea.line_splitter import LineSplitter
 
 RETRY_S = 1.0
 WAITING_LINES = 1000

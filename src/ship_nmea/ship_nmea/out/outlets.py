@@ -12,19 +12,19 @@ import socket
 import termios
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import serial
 
 from ship_bags.errors import BadInput
+from ship_nmea.line_splitter import LONGEST_LINE, LineSplitter
 from ship_nmea.out.config import FILE, SERIAL, TCP_SERVER, UDP, SinkConfig
 
 MOST_CLIENTS = 32
 STALLED_S = 10.0
 """A client that takes nothing for so long is sent away, s."""
 
-_LONGEST_LINE = 1024
 _RECEIVE_BYTES = 4096
 _MOST_READ = 20
 """So many reads in one go: a flood of one client must not hold up the sentences."""
@@ -83,19 +83,10 @@ class Outlet(ABC):
         return ""
 
 
-class LineSplitter:
-    """Whole lines out of bytes as they come; what is longer than a sentence could ever be is thrown away."""
-
-    def __init__(self) -> None:
-        self._rest = b""
-
-    def lines(self, data: bytes) -> list[str]:
-        """The lines that these bytes end, without empty ones."""
-        *whole, self._rest = (self._rest + data).split(b"\n")
-        if len(self._rest) > _LONGEST_LINE:
-            self._rest = b""
-        lines = [line.decode("ascii", errors="replace").strip() for line in whole if len(line) <= _LONGEST_LINE]
-        return [line for line in lines if line]
+def command_texts(lines: Iterable[bytes]) -> list[str]:
+    """Lines that came in as texts; one that was longer than a sentence can be is left out."""
+    texts = [line.decode("ascii", errors="replace").strip() for line in lines if len(line) <= LONGEST_LINE]
+    return [text for text in texts if text]
 
 
 class UdpOutlet(Outlet):
@@ -139,7 +130,7 @@ class UdpOutlet(Outlet):
                 data = self._socket.recv(_RECEIVE_BYTES)
             except (BlockingIOError, ConnectionRefusedError):
                 return
-            for line in LineSplitter().lines(data + b"\n"):
+            for line in command_texts(LineSplitter().take(data + b"\n")):
                 self._hear(line)
 
 
@@ -240,7 +231,7 @@ class TcpOutlet(Outlet):
         if not data:
             self._drop(client)
             return
-        for line in client.splitter.lines(data):
+        for line in command_texts(client.splitter.take(data)):
             self._hear(line)
 
     def _drop(self, client: _Client) -> None:
@@ -294,7 +285,7 @@ class SerialOutlet(Outlet):
         data = os.read(self._port.fileno(), _RECEIVE_BYTES)
         if not data:
             raise OSError(errno.EIO, "the device is gone")
-        for line in self._splitter.lines(data):
+        for line in command_texts(self._splitter.take(data)):
             self._hear(line)
 
 
