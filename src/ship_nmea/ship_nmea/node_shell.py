@@ -103,8 +103,8 @@ class NmeaNode:
         parameter_files: given on the command line, to say where a bad parameter stands.
 
     Raises:
-        BadInput: a parameter is unknown, of the wrong type, out of its range or missing; or the work cannot begin with
-            it. The text names file and line.
+        BadInput: a parameter is unknown, of the wrong type, out of its range or missing; or the work cannot begin at
+            all with it. The text names file and line.
     """
 
     def __init__(
@@ -120,6 +120,7 @@ class NmeaNode:
         self.guard = Guard(self.node.get_logger(), time.monotonic_ns)
         self._context = context
         self._full_name = self.node.get_fully_qualified_name()
+        self._parameter_files = parameter_files
         self._events = NodeEvents(context, self.guard, time.monotonic_ns)
         self.clock = NodeClock(self.node, time.monotonic_ns, self._events.came)
         self._status_log = StatusLog(self.node.get_logger())
@@ -138,6 +139,22 @@ class NmeaNode:
             raise placed(error, parameter_files, self._full_name) from error
         self.every(REPORT_PERIOD_S, "report", self._report)
         self._events.start(self.node)
+
+    def begin_without(self, refusals: Sequence[InputError], count: int) -> None:
+        """Go on without places that cannot be opened, each told in the log, as long as one of all is left.
+
+        Args:
+            refusals: why some cannot be opened.
+            count: of all places.
+
+        Raises:
+            InputError: the first, where none is left.
+        """
+        if len(refusals) == count:
+            raise refusals[0]
+        for error in refusals:
+            text = placed(error, self._parameter_files, self._full_name)
+            self.node.get_logger().error(f"{text}; the others go on, and it is tried again")
 
     def subscribe(self, topic: InputTopic, take: Callable[[Any], None], latched: bool = False) -> None:
         """Give each message of a topic to ``take``.

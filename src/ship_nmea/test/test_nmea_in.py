@@ -63,7 +63,7 @@ def pashr(moment, heading_deg, pitch_deg, roll_deg):
 @pytest.mark.parametrize(("burst", "print_deg"), [(psxn, 0.005), (pashr, 0.0005)])
 def test_attitudes_come_back_to_what_is_printed(listening, burst, print_deg):
     node = listening({"seapath": udp("ins")}, namespace="aurora")
-    start = datetime.now(timezone.utc).replace(microsecond=0)
+    start = datetime.now(timezone.utc).replace(microsecond=0) - timedelta(seconds=2)
     moments = [start + timedelta(milliseconds=100 * number) for number in range(len(ANGLES_DEG))]
     for moment, angles in zip(moments, ANGLES_DEG, strict=True):
         node.send("seapath", burst(moment, *angles))
@@ -263,21 +263,38 @@ def test_bad_input_is_one_line_with_file_line_and_key(tmp_path):
         code, line = refused(tmp_path, f"{SOURCE}        kind: udp\n        port: {port}\n")
     assert code == 2
     assert line == (
-        f"nmea_in: suite.yaml:7: parameter 'sources.seapath.port' = {port}: udp 0.0.0.0:{port} cannot be opened: "
-        "somebody else listens there"
+        f"nmea_in: suite.yaml:7: parameter 'sources.seapath.port' = {port}: Address already in use: another "
+        "program has it: end that one, or give another port"
     )
     code, line = refused(tmp_path, f"{SOURCE}        kind: udp\n        port: {port}\n        address: 192.0.2.1\n")
     assert code == 2
     assert line.startswith("nmea_in: suite.yaml:8: parameter 'sources.seapath.address' = '192.0.2.1'")
-    assert line.endswith("expected an address of this machine")
+    assert line.endswith("this machine has no such address")
     code, line = refused(tmp_path, f"{SOURCE}        kind: serial\n        device: {tmp_path / 'suite.yaml'}\n")
     assert code == 2
     assert line.startswith("nmea_in: suite.yaml:7: parameter 'sources.seapath.device' =")
+    assert line.endswith("it is no serial device: expected one as /dev/ttyUSB0")
     code, line = refused(tmp_path, f"{SOURCE}        kind: udp\n        prt: 10110\n")
     assert code == 2
     assert line.startswith("nmea_in: suite.yaml:7: parameter 'sources.seapath.prt' is unknown: expected one of address")
     code, line = refused(tmp_path, "/**/nmea_in:\n  ros__parameters:\n    use_sim_time: false\n")
     assert (code, line) == (2, "nmea_in: parameter 'sources' names no source: expected one as 'sources.gyro.kind'")
+
+
+def test_a_busy_port_of_one_source_leaves_the_others(listening):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        busy = udp("gnss")
+        other.bind(("127.0.0.1", busy["port"]))
+        node = listening({"busy": busy, "well": udp("gyro")}, as_process=True)
+        node.send("well", ended("HEHDT,10.0,T"))
+        node.wait_until(lambda: node.heard["reference/well/imu"] and node.told("busy")[0] == ERROR)
+        assert node.told("busy")[1].endswith("Address already in use; it is tried again")
+    node.wait_until(lambda: "Address" not in node.told("busy")[1])
+    expected = (
+        f"nmea_in.yaml:8: parameter 'sources.busy.port' = {busy['port']}: Address already in use: another program has "
+        "it: end that one, or give another port; the others go on, and it is tried again"
+    )
+    assert expected in node.log.read_text()
 
 
 def test_no_permission_on_a_device(tmp_path):
@@ -293,8 +310,8 @@ def test_no_permission_on_a_device(tmp_path):
     os.close(terminal)
     assert code == 2
     assert line == (
-        f"nmea_in: suite.yaml:7: parameter 'sources.seapath.device' = '{device}': {device} at 4800 Bd cannot be "
-        "opened: no permission, which for serial devices the group dialout has as a rule"
+        f"nmea_in: suite.yaml:7: parameter 'sources.seapath.device' = '{device}': Permission denied: this user "
+        "may not: join the group of the device, often 'dialout'"
     )
 
 
@@ -364,7 +381,7 @@ def test_everything_goes_wrong_at_once(listening, tmp_path):
         stop.set()
         flooding.join()
     assert node.exceptions() == "no exception"
-    # A line at the start, and one whenever the state of one of five sources changes.
+    # A line at the start, and one whenever the state of one of five sources changes, or why.
     assert len(node.log.read_text().splitlines()) < 15
     node.process.send_signal(signal.SIGTERM)
     assert node.process.wait(10.0) == 0

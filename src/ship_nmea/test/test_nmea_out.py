@@ -7,14 +7,17 @@ import socket
 import subprocess
 import sys
 import time
+from datetime import datetime, timezone
 
+import pynmea2
 import pytest
+from rosgraph_msgs.msg import Clock
 
-from ship_msgs.msg import ShipAttitude
+from ship_msgs.msg import Alert, AlertArray, ShipAttitude
 from ship_nmea.commands.nmea_out import main
 from ship_nmea.out.nmea_out import Pace
 from ship_replay.trials.live_process import free_domain_id
-from ship_testing.bridge import Display, TellingShip, until
+from ship_testing.bridge import LATCHED, Display, TellingShip, until
 from ship_testing.listening_node import free_port
 
 pytestmark = pytest.mark.live
@@ -203,6 +206,66 @@ def test_a_bad_start_is_one_line_with_file_line_and_what_was_expected(tmp_path, 
     place = f"nmea_out: {path}" if told.startswith(":") and "names no sink" not in told else "nmea_out"
     assert said.err.count("\n") == 1
     assert said.err.startswith(place + told.replace("BUSY", port)), said.err
+
+
+def test_a_busy_port_of_one_sink_leaves_the_others(tmp_path):
+    log = tmp_path / "log.txt"
+    with socket.socket() as busy:
+        busy.bind(("", 0))
+        busy.listen()
+        port, path = busy.getsockname()[1], tmp_path / "log.nmea"
+        process = started(log, *parameters(
+            sinks__busy__kind="tcp_server", sinks__busy__port=port, sinks__log__kind="file", sinks__log__path=path,
+        ))  # fmt: skip
+        try:
+            wait_s = time.monotonic() + 60.0
+            while not (path.exists() and path.stat().st_size):
+                assert time.monotonic() < wait_s, log.read_text()
+                time.sleep(0.05)
+        finally:
+            assert ended(process) == 0
+    assert path.read_text().startswith("$INHDT,,T*")
+    told = f"parameter 'sinks.busy.port' = {port}: Address already in use: another program has it"
+    assert told in log.read_text()
+
+
+def test_of_a_played_bag_no_alert_goes_out_and_the_heartbeat_says_so(tmp_path):
+    """Nor has a void PASHR before the first /clock the time of 1970."""
+    ship = TellingShip()
+    path, began = tmp_path / "log.nmea", datetime.now(timezone.utc)
+    process = started(tmp_path / "log.txt", *parameters(
+        use_sim_time="true", sinks__log__kind="file", sinks__log__path=path, alerts_period_s=0.2,
+        sinks__log__sentences="[PASHR, ALF, ALC, HBT]",
+    ))  # fmt: skip
+    alerts = ship.node.create_publisher(AlertArray, "ship/alerts", LATCHED)
+    alerts.publish(AlertArray(alerts=[Alert(id="attitude.lost", priority=Alert.ALARM, text="no attitude")]))
+    clock = ship.node.create_publisher(Clock, "/clock", 10)
+    try:
+        until(ship, lambda: path.exists() and path.read_text().count("PASHR") > 2)
+        until(ship, lambda: "none goes out, the heartbeat says V" in said(ship, "alerts"), lambda: tick(clock, began))
+        beats = path.read_text().count("HBT")
+        until(ship, lambda: path.read_text().count("HBT") > beats + 2, lambda: tick(clock, began))
+    finally:
+        ship.stop()
+        assert ended(process) == 0
+    sentences = [pynmea2.parse(line, check=True) for line in path.read_text().splitlines()]
+    assert {type(sentence).__name__ for sentence in sentences} == {"ASHRATT", "HBT"}
+    assert {sentence.status for sentence in sentences if type(sentence).__name__ == "HBT"} == {"V"}
+    first = sentences[0].timestamp
+    assert abs(first.hour * 60 + first.minute - began.hour * 60 - began.minute) <= 2
+
+
+def said(ship, name):
+    status = ship.statuses.get(f"nmea_out: {name}")
+    return status.message if status else ""
+
+
+def tick(clock, began):
+    """A clock that runs at the bag's time, a year ago."""
+    message = Clock()
+    message.clock.sec = int(began.timestamp()) - 31_536_000
+    message.clock.nanosec = time.monotonic_ns() % 10**9
+    clock.publish(message)
 
 
 def test_a_bad_start_ends_the_process_with_2():

@@ -12,11 +12,11 @@ import tty
 
 import pytest
 
-from ship_bags.errors import BadInput
 from ship_nmea.line_splitter import LineSplitter
 from ship_nmea.out.config import SinkConfig
-from ship_nmea.out.outlets import command_texts, refuse_hopeless
+from ship_nmea.out.outlets import command_texts
 from ship_nmea.out.sink import MOST_WAITING, RETRY_S, Sink
+from ship_nmea.places import refusal
 from ship_node.edge.messages_out import Level
 from ship_testing.listening_node import free_port
 
@@ -124,6 +124,7 @@ def test_a_client_that_does_not_read_holds_up_nobody_and_is_sent_away(open_sink,
         until(one_more_reaches_the_reader)
         assert "1 clients, " in sink.status().message
         assert "skipped for clients that did not read" in sink.status().message
+        assert sink.status().level is Level.WARN
 
 
 def test_what_a_slow_client_gets_are_whole_sentences(open_sink):
@@ -154,19 +155,31 @@ def test_what_a_slow_client_gets_are_whole_sentences(open_sink):
 def test_a_port_in_use_is_refused_at_the_start(open_sink):
     port = free_port(socket.SOCK_STREAM)
     open_sink(kind="tcp_server", port=port, address="127.0.0.1")
-    with pytest.raises(BadInput, match=rf"'sinks.bridge.port' = {port}: Address already in use: another") as refused:
-        open_sink(kind="tcp_server", port=port, address="127.0.0.1")
-    assert refused.value.parameters == ("sinks.bridge.port",)
+    refused = open_sink(kind="tcp_server", port=port, address="127.0.0.1").refusal
+    assert str(refused).startswith(f"parameter 'sinks.bridge.port' = {port}: Address already in use: another")
+    assert refused.parameters == ("sinks.bridge.port",)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("", 0))
         taken = other.getsockname()[1]
-        with pytest.raises(BadInput, match=r"'sinks.bridge.listen_port' = .* in use"):
-            open_sink(kind="udp", address="127.0.0.1", port=port, listen_port=taken)
+        sink = open_sink(kind="udp", address="127.0.0.1", port=port, listen_port=taken)
+        assert f"'sinks.bridge.listen_port' = {taken}: Address already in use" in str(sink.refusal)
+        assert sink.status().level is Level.ERROR
+    until(lambda: sink.status().level is Level.OK)
 
 
 def test_an_address_that_is_not_this_machines_is_refused_at_the_start(open_sink):
-    with pytest.raises(BadInput, match=r"'sinks.bridge.address' = '192.0.2.1': Cannot assign"):
-        open_sink(kind="tcp_server", port=free_port(), address="192.0.2.1")
+    sink = open_sink(kind="tcp_server", port=free_port(), address="192.0.2.1")
+    assert "'sinks.bridge.address' = '192.0.2.1': Cannot assign" in str(sink.refusal)
+
+
+def test_what_is_no_serial_device_is_refused_at_the_start(open_sink, tmp_path):
+    path = tmp_path / "log.nmea"
+    path.touch()
+    for device in (str(path), "/dev/null"):
+        sink = open_sink(kind="serial", device=device)
+        assert "'sinks.bridge.device'" in str(sink.refusal)
+        assert "it is no serial device" in str(sink.refusal)
+        assert "Inappropriate ioctl for device; tried again" in sink.status().message
 
 
 @pytest.fixture
@@ -245,7 +258,8 @@ def test_a_serial_line_whose_far_end_does_not_read_drops_what_gets_old(open_sink
 def test_a_serial_device_that_is_not_there_yet_is_waited_for(open_sink, tmp_path):
     sink = open_sink(kind="serial", device=str(tmp_path / "ttyUSB7"))
     assert sink.status().level is Level.ERROR
-    assert "No such file" in sink.status().message
+    assert sink.refusal is None
+    assert f"{tmp_path}/ttyUSB7 at 38400 Bd: No such file or directory; tried again" in sink.status().message
 
 
 def test_a_serial_device_without_permission_is_refused_at_the_start(tmp_path):
@@ -256,7 +270,7 @@ def test_a_serial_device_without_permission_is_refused_at_the_start(tmp_path):
         "import os\n"
         "from ship_nmea.out.sink import Sink, SinkConfig\n"
         "if os.getuid() == 0: os.setuid(65534)\n"
-        f"Sink('gyro', SinkConfig(kind='serial', device={name!r}), print)\n"
+        f"raise Sink('gyro', SinkConfig(kind='serial', device={name!r}), print).refusal\n"
     )
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
     os.close(far)
@@ -305,8 +319,8 @@ def test_a_disk_that_gets_full_leaves_no_half_sentence(tmp_path):
     ("tcp_server", "a port below 1024"), ("udp", "a port below 1024"), ("serial", "'dialout'"), ("file", "a folder"),
 ])  # fmt: skip
 def test_the_advice_where_permission_is_missing_is_that_of_the_kind(kind, told):
-    with pytest.raises(BadInput, match=told):
-        refuse_hopeless("bridge", SinkConfig(kind=kind), PermissionError(errno.EACCES, "no"))
+    named_by = {kind: ("port", "address")}
+    assert told in str(refusal(PermissionError(errno.EACCES, "no"), "sinks.bridge", SinkConfig(kind=kind), named_by))
 
 
 def test_a_sentence_is_named_once():
@@ -316,8 +330,8 @@ def test_a_sentence_is_named_once():
 
 
 def test_a_folder_is_no_file(open_sink, tmp_path):
-    with pytest.raises(BadInput, match=r"'sinks.bridge.path' = .*: Is a directory"):
-        open_sink(kind="file", path=str(tmp_path))
+    refused = open_sink(kind="file", path=str(tmp_path)).refusal
+    assert str(refused) == f"parameter 'sinks.bridge.path' = '{tmp_path}': Is a directory"
 
 
 def test_a_disk_that_hangs_holds_up_neither_the_node_nor_its_end(tmp_path):

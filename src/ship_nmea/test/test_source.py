@@ -54,6 +54,48 @@ def test_a_node_without_time_uses_no_line(source):
     assert (status.level, status.values[f"rejected: {NO_TIME}"]) == (Level.ERROR, "1")
 
 
+def test_a_clock_that_is_ahead_is_told_and_put_right_it_is_used_again(source):
+    """30 s ahead for 10 s, then right: not refused for the 20 s until its stamps are later again."""
+    ins, given = source(becomes="ins"), []
+    for second in range(20):
+        arrival = START + timedelta(seconds=second)
+        ahead = timedelta(seconds=30 if second < 10 else 0)
+        given += [second for _ in taken(ins, pashr(arrival + ahead), datetime_ns(arrival), second * NS_PER_S)]
+        if second == 9:
+            status = ins.status("", 0, second * NS_PER_S)
+            assert status.level == Level.WARN
+            assert status.message.startswith("its clock is 30 s ahead of this computer's: set the clocks")
+    assert given == [*range(10), *range(14, 20)]
+    assert ins.status("", 0, 30 * NS_PER_S - 1).level == Level.ERROR  # silent again
+    assert "ahead" not in ins.status("", 0, 30 * NS_PER_S - 1).message
+
+
+def test_a_clock_that_stands_gives_one_attitude(source):
+    ins = source(becomes="ins")
+    given = [taken(ins, pashr(START), datetime_ns(START) + second * NS_PER_S, second * NS_PER_S) for second in range(9)]
+    assert given == [["ins/imu"], *8 * [[]]]
+    assert ins.status("", 0, 8 * NS_PER_S).level == Level.ERROR
+
+
+def test_an_instrument_that_says_itself_that_it_is_not_aligned_is_not_used(source):
+    ins = source(becomes="ins")
+    for fields, topics in (("0,0", []), ("0.0,0", []), ("0,1", ["ins/imu"])):
+        text = sentence(f"PASHR,120000.000,90.0,T,+1.0,+2.0,,0.1,0.1,0.1,{fields}").encode()
+        assert taken(ins, text, datetime_ns(START)) == topics
+
+
+def test_of_hdt_and_ths_the_one_that_says_when_it_is_not_to_be_used_rules(source):
+    """HDT is used before the first THS and 3 s after the last one, whatever that said."""
+    gyro = source(becomes="gyro")
+    hdt, used = "HDT,10.0,T", []
+    said = {0: hdt, 1: "THS,1.0,A", 2: hdt, 3: "THS,1.0,V", 4: "THS,,V", 6: hdt, 7: hdt, 8: hdt, 9: "THS,1,A", 10: hdt}
+    for second, body in said.items():
+        if taken(gyro, sentence(f"HE{body}").encode(), datetime_ns(START) + second * NS_PER_S):
+            used.append(second)
+    assert used == [0, 1, 8, 9]
+    assert gyro.status("", 0, 0).values["rejected: THS not in mode A"] == "2"
+
+
 @pytest.mark.parametrize(
     ("bodies", "told"),
     [

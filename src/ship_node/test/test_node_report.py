@@ -87,6 +87,19 @@ def test_mend_16_a_change_of_level_is_one_line(lines: Lines) -> None:
     assert lines.lines == ["info attitude: VALID", "error attitude: INVALID", "info attitude: VALID"]
 
 
+def test_each_reason_of_a_fault_that_lasts_is_said_once(lines: Lines) -> None:
+    log = StatusLog(lines)
+    log.see([DiagnosticStatus("source gyro", Level.OK, "gives")])
+    course = "no line for 3 s", "no line for 4 s", "broken, as '$HE'", "no line for 5 s", "broken, as '$HEHDT'"
+    for message in course:
+        log.see([DiagnosticStatus("source gyro", Level.ERROR, message)])
+    assert lines.lines == ["error source gyro: no line for 3 s", "error source gyro: broken, as '$HE'"]
+    log.see([DiagnosticStatus("source gyro", Level.OK, "gives")])
+    for letter in "abcdefghij":
+        log.see([DiagnosticStatus("source gyro", Level.ERROR, letter)])
+    assert lines.lines[2:] == ["info source gyro: gives", *(f"error source gyro: {letter}" for letter in "abcde")]
+
+
 def test_an_error_from_the_start_is_said(lines: Lines) -> None:
     log = StatusLog(lines)
     log.see([DiagnosticStatus("name", Level.ERROR, "2 nodes"), DiagnosticStatus("clock", Level.WARN, "waits")])

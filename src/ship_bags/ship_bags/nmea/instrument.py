@@ -12,8 +12,8 @@ import numpy as np
 from ship_bags.message_factory import MessageFactory
 from ship_bags.nmea.instrument_line import InstrumentLine, LineReport, instrument_ns, time_of_day_ns
 from ship_bags.nmea.nmea_attitude import AttitudeReader, LoggedAttitude
-from ship_bags.nmea.sentences import MetReading, number
-from ship_bags.stamps import make_header
+from ship_bags.nmea.sentences import AUTONOMOUS, MetReading, number
+from ship_bags.stamps import NS_PER_S, make_header
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.ros_axes import flu_from_device_vector, quaternion_from_rotation
 from ship_geometry.rotations import FloatArray
@@ -36,8 +36,8 @@ AIR_KINDS = ("MET", "MDA", "XDR")
 TimedMessage = tuple[int, str, Any]
 """(log time in ns, topic, message)."""
 
-_AUTONOMOUS = "A"
-"""Mode of THS in which the heading is measured: not estimated, manual, simulated or invalid."""
+_THS_RULES_NS = 3 * NS_PER_S
+"""So long after a THS no HDT of the same instrument is used, ns."""
 
 _GYRO_HEADING_SIGMA_DEG = 0.1
 """Assumed of a gyrocompass, which says nothing of its own accuracy."""
@@ -112,7 +112,7 @@ class Instrument:
         self._name = name
         self._report = report
         self._attitudes = AttitudeReader(role.by_instrument, report)
-        self._heading_kind = ""
+        self._ths_ns: int | None = None
         self._transducers: dict[str, set[str]] = {}
 
     def take(self, line: InstrumentLine) -> Iterator[TimedMessage]:
@@ -130,13 +130,15 @@ class Instrument:
     def _heading(self, line: InstrumentLine) -> Iterator[TimedMessage]:
         """A gyrocompass's heading as sensor_msgs/Imu, level, with roll and pitch as good as unknown.
 
-        Neither sentence carries a time: the stamp is the receive time. Of an instrument that gives both one is used.
+        Neither sentence carries a time: the stamp is the receive time. Of an instrument that gives both THS rules, as
+        only that says when the heading is not to be used, until it has been silent for some seconds.
         """
-        if line.kind not in HEADING_KINDS or (self._heading_kind or line.kind) != line.kind:
-            return
-        self._heading_kind = line.kind
-        if line.kind == "THS" and line.content.mode != _AUTONOMOUS:
-            self._report.reject(f"THS not in mode {_AUTONOMOUS}", line.number, str(line.content))
+        if line.kind == "THS":
+            self._ths_ns = line.receive_ns
+            if line.content.mode != AUTONOMOUS:
+                self._report.reject(f"THS not in mode {AUTONOMOUS}", line.number, str(line.content))
+                return
+        elif line.kind != "HDT" or (self._ths_ns is not None and line.receive_ns - self._ths_ns <= _THS_RULES_NS):
             return
         variances = [_UNKNOWN_ANGLE_VARIANCE, _UNKNOWN_ANGLE_VARIANCE, np.deg2rad(_GYRO_HEADING_SIGMA_DEG) ** 2]
         rotation_nd = rotation_from_angles(*np.deg2rad([float(line.content.heading), 0.0, 0.0]))

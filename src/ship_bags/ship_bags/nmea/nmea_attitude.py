@@ -18,6 +18,7 @@ from ship_bags.nmea.instrument_line import (
     instrument_ns,
     time_of_day_ns,
 )
+from ship_bags.nmea.sentences import number
 from ship_bags.stamps import NS_PER_S
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
@@ -35,6 +36,8 @@ _INVALID_QUALITY = 2
 
 _PASHR_STATUS = slice(10, 12)
 """Fields of PASHR behind the accuracies: aiding, and status of the IMU."""
+
+NOT_LATER = "not later than the attitude before"
 
 UNAIDED = "PASHR: no aiding, and the IMU's status is 0"
 """Both last fields are 0: not aligned at NovAtel and Trimble. One 0 alone differs in meaning from maker to maker."""
@@ -83,7 +86,7 @@ class AttitudeReader:
         elif line.kind in ATTITUDE_KINDS:
             if self._is_invalid:
                 self._report.reject("invalid by PSXN,20", line.number, str(line.content))
-            elif line.kind == "PASHR" and line.content.data[_PASHR_STATUS] == ["0", "0"]:
+            elif line.kind == "PASHR" and [number(field) for field in line.content.data[_PASHR_STATUS]] == [0, 0]:
                 self._report.reject(UNAIDED, line.number, str(line.content))
             else:
                 attitude = self._attitude(line)
@@ -97,7 +100,7 @@ class AttitudeReader:
         if stamp_ns is None:
             return None
         if self._last_ns is not None and stamp_ns <= self._last_ns:
-            self._report.reject("not later than the attitude before", line.number, str(content))
+            self._report.reject(NOT_LATER, line.number, str(content))
             return None
         self._last_ns = stamp_ns
         heading_deg = content.head if line.kind == "PSXN23" else content.true_heading

@@ -26,6 +26,9 @@ _PASHR_LEAST_FIELDS = 6
 
 _PA_PER_BAR = 1e5
 
+AUTONOMOUS = "A"
+"""Mode of THS in which the heading is measured: not estimated, manual, simulated or invalid."""
+
 _NEEDED = {
     "ZDA": ("timestamp", "day", "month", "year"),
     "GGA": ("timestamp",),
@@ -132,12 +135,14 @@ def _of_interest(name: str, content: Any) -> Sentence | NotOfInterest | Unusable
         # The sentences PSXN are told apart by a number behind the name, which pynmea2 puts into the name of its class.
         return NotOfInterest(name + kind.removeprefix("SXN") if "SXN" in kind else name)
     # Where a field is no number pynmea2 gives its text.
-    values = [getattr(content, field) for field in _NEEDED[kind]]
+    # A THS that says that its heading is not to be used may leave that out.
+    needed = () if kind == "THS" and content.mode not in ("", AUTONOMOUS) else _NEEDED[kind]
+    values = [getattr(content, field) for field in needed]
     if any(value is None for value in values):
         return Unusable(UNPARSED, VOID)
     if any(isinstance(value, str) or not _is_finite(value) for value in values):
         return Unusable(UNPARSED)
-    if any(not _is_angle(field, value) for field, value in zip(_NEEDED[kind], values, strict=True)):
+    if any(not _is_angle(field, value) for field, value in zip(needed, values, strict=True)):
         return Unusable(UNPARSED, OUT_OF_RANGE)
     if kind == "ZDA" and not 1970 < content.year < 2038:
         return Unusable("no year of ours")

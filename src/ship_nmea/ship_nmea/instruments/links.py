@@ -7,17 +7,14 @@ import contextlib
 import ipaddress
 import socket
 import sys
-import termios
 import threading
 from collections import deque
 from collections.abc import Callable
 from typing import Protocol
 
-import serial
-
-from ship_bags.errors import one_line
 from ship_nmea.instruments.config import ANY_ADDRESS, SERIAL, UDP, NmeaSourceConfig
 from ship_nmea.line_splitter import LineSplitter
+from ship_nmea.places import opened_serial, words
 
 RETRY_S = 1.0
 WAITING_LINES = 1000
@@ -40,10 +37,12 @@ class Link(Protocol):
 
     Attributes:
         is_stream: whether lines go on from one read to the next.
+        opens_at_once: whether opening never waits.
         lost: datagrams that the system dropped because they were not read in time.
     """
 
     is_stream: bool
+    opens_at_once: bool
     lost: int
 
     def open(self) -> None:
@@ -63,6 +62,7 @@ class UdpLink:
     """Listens for datagrams at a port of this machine, or of a multicast group."""
 
     is_stream = False
+    opens_at_once = True
     lost = 0
 
     def __init__(self, address: str, port: int, interface: str) -> None:
@@ -108,6 +108,7 @@ class TcpLink:
     """Connects to a server and reads what it sends."""
 
     is_stream = True
+    opens_at_once = False
     lost = 0
 
     def __init__(self, address: str, port: int) -> None:
@@ -138,9 +139,10 @@ class TcpLink:
 
 
 class SerialLink:
-    """Reads a serial device, 8 data bits, no parity, one stop bit, as NMEA 0183 has it; nobody else may read it."""
+    """Reads a serial device."""
 
     is_stream = True
+    opens_at_once = True
     lost = 0
 
     def __init__(self, device: str, baud: int) -> None:
@@ -148,10 +150,7 @@ class SerialLink:
 
     def open(self) -> None:
         """See :class:`Link`."""
-        try:
-            self._serial = serial.Serial(self._device, self._baud, timeout=_WAIT_S, exclusive=True)
-        except termios.error as problem:
-            raise OSError(*problem.args) from problem
+        self._serial = opened_serial(self._device, self._baud, _WAIT_S)
 
     def read(self) -> bytes:
         """See :class:`Link`."""
@@ -176,24 +175,33 @@ class LinkReader:
     """Reads a link in a thread of its own; its lines wait for the node, so many and no more.
 
     Args:
-        link: as yet unopened, or open.
-        is_open: whether it is open.
+        link: as yet unopened.
         now_ns: the node's time.
         came: called when lines have come.
 
     Attributes:
         problem: why the link is not open, in one line; empty where it is.
+        failure: what its first opening raised, if anything.
     """
 
-    def __init__(self, link: Link, is_open: bool, now_ns: Callable[[], int], came: Callable[[], None]) -> None:
-        self._link, self._is_open = link, is_open
+    def __init__(self, link: Link, now_ns: Callable[[], int], came: Callable[[], None]) -> None:
+        self._link, self._is_open = link, False
         self._now_ns, self._came = now_ns, came
         self._lines: deque[tuple[int, bytes]] = deque(maxlen=WAITING_LINES)
         self._lock = threading.Lock()
         self._stop = threading.Event()
-        self.problem = "" if is_open else "not open yet"
+        self.problem = "not open yet"
+        self.failure: OSError | None = None
         self._displaced = 0
         self._thread = threading.Thread(target=self._run, daemon=True)
+        if link.opens_at_once:
+            try:
+                self._open()
+            except OSError as problem:
+                self.failure, self.problem = problem, words(problem)
+
+    def start(self) -> None:
+        """Begin to read."""
         self._thread.start()
 
     @property
@@ -218,17 +226,20 @@ class LinkReader:
         while not self._stop.is_set():
             try:
                 if not self._is_open:
-                    self._link.open()
-                    self._is_open, self.problem = True, ""
+                    self._open()
                 self._read()
             except Exception as problem:
                 # Whatever a driver raises, it is tried again.
-                self.problem = one_line(getattr(problem, "strerror", None) or str(problem) or type(problem).__name__)
+                self.problem = words(problem)
             if self._is_open:
                 self._is_open = False
                 with contextlib.suppress(OSError):
                     self._link.close()
             self._stop.wait(RETRY_S)
+
+    def _open(self) -> None:
+        self._link.open()
+        self._is_open, self.problem = True, ""
 
     def _read(self) -> None:
         splitter = LineSplitter()

@@ -1,18 +1,16 @@
 """``nmea_in``: hears instruments and publishes what they say."""
 
-import errno
-import os
-import socket
 import threading
 import time
 from collections.abc import Iterator, Sequence
 
-from ship_estimation.parameters import ParameterError
-from ship_nmea.instruments.config import SERIAL, TCP, NmeaInConfig
+from ship_bags.errors import BadInput
+from ship_nmea.instruments.config import SERIAL, UDP, NmeaInConfig
 from ship_nmea.instruments.lines import heard_texts
-from ship_nmea.instruments.links import Link, LinkReader, link_of
+from ship_nmea.instruments.links import LinkReader, link_of
 from ship_nmea.instruments.source import Source
 from ship_nmea.node_shell import NmeaNode, run_nmea_node
+from ship_nmea.places import refusal
 from ship_node.edge.messages_out import DiagnosticStatus
 from ship_node.edge.topics import OutputTopic
 
@@ -29,9 +27,8 @@ in /diagnostics, for each source with an example. A source that is gone is told 
 _AT_ONCE = 50
 """Lines of a link taken before the next link's turn: a flood of one holds up no other."""
 _IDLE_S = 0.5
-_ABSENT = (errno.ENOENT, errno.ENXIO, errno.ENODEV)
-_HELD = {errno.EADDRINUSE: "somebody else listens there", errno.EAGAIN: "somebody else reads it",
-         errno.EACCES: "no permission, which for serial devices the group dialout has as a rule"}
+_NAMED_BY = {UDP: ("port", "address"), SERIAL: ("device", "baud")}
+"""See :func:`ship_nmea.places.refusal`; of tcp a failure is that of the other side."""
 _JOIN_S = 2.0
 
 
@@ -44,7 +41,7 @@ class NmeaIn:
     """The node's work: a thread for each link that reads, and one that publishes.
 
     Raises:
-        InputError: there is no source, a port is in use, or a device cannot be read.
+        InputError: no source can be opened: a port is in use, or a device cannot be read.
     """
 
     def __init__(self, shell: NmeaNode) -> None:
@@ -58,11 +55,13 @@ class NmeaIn:
             self._sources.setdefault(source_config.place, []).append(source)
             for topic, type_name in source.topics.items():
                 self._publishers[topic] = shell.publisher(OutputTopic(topic, type_name))
-        links = {place: _first_opened(sources[0]) for place, sources in self._sources.items()}
         self._readers = {
-            place: LinkReader(link, is_open, shell.clock.now_ns, self._lines_came.set)
-            for place, (link, is_open) in links.items()
+            place: LinkReader(link_of(sources[0].config), shell.clock.now_ns, self._lines_came.set)
+            for place, sources in self._sources.items()
         }
+        shell.begin_without(list(self._refusals()), len(self._readers))
+        for reader in self._readers.values():
+            reader.start()
         self._publishing = threading.Thread(target=self._publish, daemon=True)
         self._publishing.start()
 
@@ -82,6 +81,14 @@ class NmeaIn:
             reader.stop()
         for reader in self._readers.values():
             reader.join()
+
+    def _refusals(self) -> Iterator[BadInput]:
+        """Why places cannot be opened that somebody has to put right."""
+        for place, reader in self._readers.items():
+            source = self._sources[place][0]
+            refused = reader.failure and refusal(reader.failure, f"sources.{source.id}", source.config, _NAMED_BY)
+            if refused:
+                yield refused
 
     def _publish(self) -> None:
         while not self._stop.is_set():
@@ -104,28 +111,3 @@ class NmeaIn:
             for source in self._sources[place]:
                 for topic, message in source.take(heard, arrival_ns, now_ns):
                     self._publishers[topic].publish(message)
-
-
-def _first_opened(source: Source) -> tuple[Link, bool]:
-    """The link of a source, and whether it is open: a server or a device that is not there yet may still come.
-
-    Raises:
-        ParameterError: a port is in use, or a device is there and cannot be read.
-    """
-    config, link = source.config, link_of(source.config)
-    if config.kind == TCP:
-        return link, False
-    try:
-        link.open()
-    except (OSError, ValueError) as problem:
-        number = max(0, getattr(problem, "errno", None) or 0)
-        if config.kind == SERIAL and number in _ABSENT:
-            return link, False
-        reason = _HELD.get(number) or (os.strerror(number) if number else str(problem))
-        key, value = ("device", config.device) if config.kind == SERIAL else ("port", config.port)
-        if number == errno.EADDRNOTAVAIL or isinstance(problem, socket.gaierror):
-            key, value, reason = "address", config.address, "expected an address of this machine"
-        name = f"sources.{source.id}.{key}"
-        text = f"parameter '{name}' = {value!r}: {config.place} cannot be opened: {reason}"
-        raise ParameterError(text, name, value=value) from problem
-    return link, True

@@ -9,9 +9,10 @@ from typing import Any
 from ship_bags.message_factory import MessageFactory
 from ship_bags.nmea.instrument import WEATHER, Instrument, InstrumentRole
 from ship_bags.nmea.instrument_line import InstrumentLine, LineReport
+from ship_bags.nmea.nmea_attitude import NOT_LATER
 from ship_bags.nmea.sentences import NotOfInterest, Unusable
-from ship_bags.stamps import NS_PER_S
-from ship_nmea.instruments.config import NmeaSourceConfig
+from ship_bags.stamps import NS_PER_S, ns_from_stamp
+from ship_nmea.instruments.config import ARRIVAL_TIME, NmeaSourceConfig
 from ship_nmea.instruments.lines import HeardText
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 
@@ -22,6 +23,11 @@ SHOWN_NS = 10 * NS_PER_S
 
 _BACK_NS = NS_PER_S
 """Where the node's time goes back by more, the instrument is heard anew."""
+
+_PUT_RIGHT_NS = 3 * NS_PER_S
+"""Where none has been later for so long than a last one that is still to come, the instrument is heard anew, ns."""
+_AHEAD_NS = NS_PER_S // 20
+"""A stamp that is further ahead of the arrival is told; the estimators refuse such a one, ns."""
 
 _SHOWN_CHARACTERS = 60
 _MOST_NAMES, _MOST_TOLD, _LONGEST_NAME, _OTHERS = 50, 10, 12, "others"
@@ -78,11 +84,13 @@ class Source:
         self._report = LiveReport(id_)
         self._instrument = Instrument(factory, role, id_, self._report)
         self._lock = threading.Lock()
-        self._arrival_ns = 0
+        self._arrival_ns = self._stamp_ns = 0
         self._heard_ns = self._given_ns = self._told_ns = now_ns
         self._given: Counter[str] = Counter()
         self._given_before = 0
-        self._dropped, self._dropped_ns = 0, now_ns - SHOWN_NS
+        # Long enough ago for neither to be shown.
+        self._dropped, self._dropped_ns = 0, now_ns - 2 * SHOWN_NS
+        self._ahead_ns, self._ahead_at_ns = 0, now_ns - 2 * SHOWN_NS
         # Of an INS the attitude matters, of a weather station whatever it tells.
         self._wanted = tuple(self.topics) if role.becomes == WEATHER else tuple(self.topics)[:1]
 
@@ -105,11 +113,19 @@ class Source:
             self._instrument = Instrument(self._factory, self._role, self.id, report)
         self._arrival_ns = arrival_ns
         line = self._line(heard, arrival_ns)
+        not_later = report.rejected[NOT_LATER]
         messages = [] if line is None else [(topic, message) for _, topic, message in self._instrument.take(line)]
-        for topic, _ in messages:
+        was_ahead = self._stamp_ns > arrival_ns and now_ns - self._given_ns > _PUT_RIGHT_NS
+        if was_ahead and report.rejected[NOT_LATER] > not_later:
+            # Its clock has been put right: what is refused is good, and what it said before was not.
+            self._instrument = Instrument(self._factory, self._role, self.id, report)
+        for topic, message in messages:
             self._given[topic] += 1
             if topic in self._wanted:
                 self._given_ns = now_ns
+            self._stamp_ns = ns_from_stamp(message.header.stamp)
+            if self._stamp_ns - arrival_ns > _AHEAD_NS:
+                self._ahead_ns, self._ahead_at_ns = self._stamp_ns - arrival_ns, now_ns
         return messages
 
     def _line(self, heard: HeardText, arrival_ns: int) -> InstrumentLine | None:
@@ -175,6 +191,9 @@ class Source:
             return Level.ERROR, f"lines come, and no {topics} for {(now_ns - self._given_ns) / NS_PER_S:.0f} s: {why}"
         if now_ns - self._dropped_ns <= SHOWN_NS:
             return Level.ERROR, f"overflow: more came than can be taken; {self._dropped} lines were dropped"
+        if now_ns - self._ahead_at_ns <= SHOWN_NS:
+            ahead = f"its clock is {self._ahead_ns / NS_PER_S:.3g} s ahead of this computer's"
+            return Level.WARN, f"{ahead}: set the clocks by NTP or PTP, or stamp by time: {ARRIVAL_TIME}"
         if wrong:
             return Level.WARN, wrong
         if not any(self._given[topic] for topic in self._wanted):

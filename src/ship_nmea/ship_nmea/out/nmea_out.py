@@ -86,7 +86,7 @@ class NmeaOut:
         shell: of the node.
 
     Raises:
-        BadInput: a sink cannot be opened, and trying again would not help.
+        BadInput: no sink can be opened, and trying again would not help.
     """
 
     def __init__(self, shell: NmeaNode) -> None:
@@ -100,10 +100,9 @@ class NmeaOut:
         self._counts: Counter[str] = Counter()
         self._ledger = AlertLedger()
         self._sequences: Counter[str] = Counter()
-        self._sinks: list[Sink] = []
+        self._sinks = [self._opened(name, config) for name, config in self._config.sinks.items()]
         try:
-            for name, config in self._config.sinks.items():
-                self._sinks.append(self._opened(name, config))
+            shell.begin_without([sink.refusal for sink in self._sinks if sink.refusal], len(self._sinks))
         except ValueError:
             self.close()
             raise
@@ -151,19 +150,18 @@ class NmeaOut:
     def _take_attitude(self, message: Any) -> None:
         now_ns, waiting_ns = self._shell.clock.times()
         self._attitude, self._came_ns = message, waiting_ns
-        self._tell_attitude(now_ns, self._why_void(now_ns, waiting_ns))
+        self._tell_attitude(self._why_void(now_ns, waiting_ns))
 
     def _tell_void(self) -> None:
-        now_ns, waiting_ns = self._shell.clock.times()
-        if reason := self._why_void(now_ns, waiting_ns):
-            self._tell_attitude(now_ns, reason)
+        if reason := self._why_void(*self._shell.clock.times()):
+            self._tell_attitude(reason)
 
-    def _tell_attitude(self, now_ns: int, why_void: str) -> None:
+    def _tell_attitude(self, why_void: str) -> None:
         steady_ns = time.monotonic_ns()
         due = [sink for sink, pace in self._paces if pace.is_due(steady_ns)]
         if not due:
             return
-        attitude = AttitudeToTell(now_ns) if why_void else self._told(self._attitude)
+        attitude = AttitudeToTell(self._utc_ns()) if why_void else self._told(self._attitude)
         is_played = self._is_played()
         for sink in due:
             for name in sink.config.sentences:
@@ -259,7 +257,9 @@ class NmeaOut:
 
     def _do(self, sink: Sink, command: AlertCommand) -> None:
         meant, alert = self._ledger.meant(command), self._ledger.told_of(command)
-        if meant is None or alert is None:
+        if not {ALF, ALC} & set(sink.config.sentences):
+            self._refuse(sink, command, "no alerts are told here")
+        elif meant is None or alert is None:
             self._refuse(sink, command, "there is no such alert")
         elif command.command == REPEAT:
             self._tell_alert(alert, [sink])

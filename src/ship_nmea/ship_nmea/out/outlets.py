@@ -17,9 +17,9 @@ from pathlib import Path
 
 import serial
 
-from ship_bags.errors import BadInput
 from ship_nmea.line_splitter import LONGEST_LINE, LineSplitter
 from ship_nmea.out.config import FILE, SERIAL, TCP_SERVER, UDP, SinkConfig
+from ship_nmea.places import opened_serial
 
 MOST_CLIENTS = 32
 STALLED_S = 10.0
@@ -42,6 +42,7 @@ class Outlet(ABC):
 
     Attributes:
         place: what it is for people.
+        lost_ns: when it last lost one of those who listen, by the steady clock; None if never.
 
     Args:
         config: of its sink.
@@ -50,6 +51,7 @@ class Outlet(ABC):
 
     def __init__(self, config: SinkConfig, hear: Heard) -> None:
         self._config, self._hear = config, hear
+        self.lost_ns: int | None = None
         where = {
             UDP: f"{config.address}:{config.port}",
             TCP_SERVER: f"{config.address or '*'}:{config.port}",
@@ -172,7 +174,7 @@ class TcpOutlet(Outlet):
             if client.unsent:
                 self._skipped += 1
                 if time.monotonic() - client.took_s > STALLED_S:
-                    self._sent_away += 1
+                    self._send_away()
                     self._drop(client)
             else:
                 client.unsent = sentence
@@ -201,7 +203,7 @@ class TcpOutlet(Outlet):
             return  # gone again, or too many files are open: the listener itself is well
         if len(self._clients) >= MOST_CLIENTS:
             connection.close()
-            self._sent_away += 1
+            self._send_away()
             return
         connection.setblocking(False)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -209,6 +211,10 @@ class TcpOutlet(Outlet):
         client = _Client(connection)
         self._clients.append(client)
         self._selector.register(connection, selectors.EVENT_READ, lambda: self._read(client))
+
+    def _send_away(self) -> None:
+        self._sent_away += 1
+        self.lost_ns = time.monotonic_ns()
 
     def _give(self, client: _Client) -> None:
         try:
@@ -251,7 +257,7 @@ class SerialOutlet(Outlet):
         config = self._config
         self._splitter = LineSplitter()
         self._unsent = b""
-        self._port = serial.Serial(config.device, config.baud, timeout=0, write_timeout=0, exclusive=True)
+        self._port = opened_serial(config.device, config.baud, wait_s=0.0)
         selector.register(self._port.fileno(), selectors.EVENT_READ, self._read)
 
     def send(self, sentence: bytes) -> bool:
@@ -319,37 +325,3 @@ class FileOutlet(Outlet):
 
 OUTLETS: dict[str, type[Outlet]] = {UDP: UdpOutlet, TCP_SERVER: TcpOutlet, SERIAL: SerialOutlet, FILE: FileOutlet}
 """Kind of a sink → its way out."""
-
-_NEVER = (
-    errno.EADDRINUSE, errno.EADDRNOTAVAIL, errno.EACCES, errno.EPERM, errno.EISDIR, errno.EROFS, errno.ENOTDIR,
-    errno.EINVAL, errno.ENOTTY, errno.EAGAIN,
-)  # fmt: skip
-"""What does not go away by waiting: at the start somebody has to put it right."""
-
-_TO_DO = {
-    errno.EADDRINUSE: "another program has it: end that one, or give another port",
-    errno.EAGAIN: "another program has it: end that one",
-    errno.EADDRNOTAVAIL: "this machine has no such address",
-}
-_MAY_NOT = {
-    UDP: "this user may not: a port below 1024 needs a right of its own, give another one",
-    TCP_SERVER: "this user may not: a port below 1024 needs a right of its own, give another one",
-    SERIAL: "this user may not: join the group of the device, often 'dialout'",
-    FILE: "this user may not: give a folder in which it may write",
-}
-
-
-def refuse_hopeless(name: str, config: SinkConfig, problem: OSError) -> None:
-    """Raise BadInput for a problem of a sink's first opening that waiting would not mend; naming the parameter."""
-    if problem.errno not in _NEVER:
-        return
-    # Of udp only binding and the interface can fail so.
-    own = {UDP: "listen_port", TCP_SERVER: "port", SERIAL: "device", FILE: "path"}
-    if problem.errno == errno.EADDRNOTAVAIL:
-        own |= {UDP: "interface", TCP_SERVER: "address"}
-    parameter = f"sinks.{name}.{own[config.kind]}"
-    value = getattr(config, own[config.kind])
-    words = os.strerror(problem.errno)
-    to_do = _TO_DO | {errno.EACCES: _MAY_NOT[config.kind]}
-    advice = f": {to_do[problem.errno]}" if problem.errno in to_do else ""
-    raise BadInput(f"parameter '{parameter}' = {value!r}: {words}{advice}", parameters=(parameter,), value=value)

@@ -9,10 +9,12 @@ from collections import Counter, deque
 from collections.abc import Callable
 from typing import NamedTuple
 
+from ship_bags.errors import BadInput
 from ship_bags.stamps import NS_PER_S
 from ship_estimation.refusals import shortened
-from ship_nmea.out.config import SinkConfig
-from ship_nmea.out.outlets import OUTLETS, Outlet, refuse_hopeless
+from ship_nmea.out.config import FILE, SERIAL, TCP_SERVER, UDP, SinkConfig
+from ship_nmea.out.outlets import OUTLETS, Outlet
+from ship_nmea.places import refusal, words
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 
 MOST_WAITING = 200
@@ -24,7 +26,15 @@ _OFFER_AGAIN_S = 0.02
 _LOOK_S = 0.5
 _ENDS_WITHIN_S = 2.0
 _SHOWN_NS = 10 * NS_PER_S
-"""What was dropped is a warning for so long, ns."""
+"""What was dropped, or who was sent away, is a warning for so long, ns."""
+
+_NAMED_BY = {
+    UDP: ("listen_port", "interface"),
+    TCP_SERVER: ("port", "address"),
+    SERIAL: ("device", "baud"),
+    FILE: ("path", "path"),
+}
+"""See :func:`ship_nmea.places.refusal`; of udp only binding and the interface can fail so."""
 
 
 class _Waiting(NamedTuple):
@@ -42,12 +52,13 @@ class Sink:
         config: of the sink.
         hear: takes each line that comes in, in the thread of the sink.
 
-    Raises:
-        BadInput: it cannot be opened, and trying again would not help.
+    Attributes:
+        refusal: of the first opening, where trying again will not help unless somebody does something; otherwise None.
     """
 
     def __init__(self, name: str, config: SinkConfig, hear: Callable[[str], None]) -> None:
         self.name, self.config = name, config
+        self.refusal: BadInput | None = None
         self._outlet: Outlet = OUTLETS[config.kind](config, hear)
         self._queue: deque[_Waiting] = deque()
         self._lock = threading.Lock()
@@ -63,11 +74,7 @@ class Sink:
             self._open()
         except OSError as problem:
             self._fail(problem)
-            try:
-                refuse_hopeless(name, config, problem)
-            except ValueError:
-                self._give_back()
-                raise
+            self.refusal = refusal(problem, f"sinks.{name}", config, _NAMED_BY)
         self._thread = threading.Thread(target=self._run, name=f"sink {name}", daemon=True)
 
     @property
@@ -101,7 +108,7 @@ class Sink:
         """How the sink does."""
         with self._lock:
             dropped, failure = dict(self._dropped), self._failure
-            waiting, recent = len(self._queue), time.monotonic_ns() - self._dropped_ns <= _SHOWN_NS
+            waiting, last_ns = len(self._queue), max(self._dropped_ns, self._outlet.lost_ns or self._dropped_ns)
         values = {"sent": str(self._sent), "waiting": str(waiting), "failures": str(self._failures)}
         values |= {f"dropped: {why}": str(count) for why, count in dropped.items()}
         text = f"{self._outlet.place}: {self._sent} sent"
@@ -112,7 +119,8 @@ class Sink:
         if not self._is_open:
             text = f"{self._outlet.place}: {failure}; tried again every {RETRY_S:g} s"
             return DiagnosticStatus(f"sink {self.name}", Level.ERROR, text, values)
-        return DiagnosticStatus(f"sink {self.name}", Level.WARN if recent else Level.OK, text, values)
+        is_recent = time.monotonic_ns() - last_ns <= _SHOWN_NS
+        return DiagnosticStatus(f"sink {self.name}", Level.WARN if is_recent else Level.OK, text, values)
 
     def close(self) -> None:
         """Send what waits if that goes at once, and end."""
@@ -180,7 +188,7 @@ class Sink:
         with self._lock:
             self._is_open = False
             self._failures += 1
-            self._failure = shortened(str(getattr(problem, "strerror", None) or problem))
+            self._failure = shortened(words(problem))
             self._queue.clear()
         with contextlib.suppress(OSError):
             self._outlet.close()

@@ -7,6 +7,7 @@ the data are of its time.
 """
 
 import dataclasses
+import re
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
@@ -25,6 +26,9 @@ SHOWN_NS = 10_000_000_000
 """A failure is an error in the diagnostics for this long, then a warning, ns."""
 
 _FILE = "_file"
+_FIGURES = re.compile(r"'[^']*'|\d+(\.\d+)?")
+"""What changes in a text from report to report without another meaning: figures, and examples in quotes."""
+_MOST_REASONS = 5
 
 
 def start_line(adapter: Adapter, config: Any, clock: str, black_box: str) -> str:
@@ -119,8 +123,18 @@ class Guard:
         self._logged_ns, self._not_logged = self._last_ns, 0
 
 
+@dataclasses.dataclass
+class _Told:
+    """What the log knows of a status: its level, and the texts of that level without their figures and examples."""
+
+    level: Level
+    reasons: set[str]
+
+
 class StatusLog:
-    """Logs each status when its level changes, not as often as it is reported; at the start only an error is said.
+    """Logs each status when its level changes or a fault has a new reason, not as often as it is reported.
+
+    At the start only an error is said. Of a fault that lasts each reason is said once, and only the first few.
 
     Args:
         logger: takes the lines.
@@ -128,25 +142,30 @@ class StatusLog:
 
     def __init__(self, logger: Logger) -> None:
         self._logger = logger
-        self._levels: dict[str, Level] | None = None
+        self._told: dict[str, _Told] | None = None
 
     def tells_of(self, name: str) -> bool:
         """Whether an error of that status was logged and is not over yet."""
-        return (self._levels or {}).get(name) is Level.ERROR
+        return name in (told := self._told or {}) and told[name].level is Level.ERROR
 
     def see(self, statuses: Iterable[DiagnosticStatus]) -> None:
         """Take all statuses of a report."""
-        before, now = self._levels, {}
+        before, now = self._told, {}
         for status in statuses:
-            now[status.name] = status.level
+            reason = _FIGURES.sub("", status.message)
             # A status that is new, as of a conflict, counts as well before.
-            was = Level.OK if before is None else before.get(status.name, Level.OK)
-            if status.level is not was and (before is not None or status.level is Level.ERROR):
+            was = (before or {}).get(status.name, _Told(Level.OK, set()))
+            is_change = status.level is not was.level
+            now[status.name] = told = _Told(status.level, set()) if is_change else was
+            is_new = reason not in told.reasons and len(told.reasons) < _MOST_REASONS and status.level is not Level.OK
+            if (is_change or is_new) and (before is not None or status.level is Level.ERROR):
                 self._say(status.level, f"{status.name}: {status.message}")
-        for name, level in (before or {}).items():
-            if name not in now and level is not Level.OK:
+            if is_new:
+                told.reasons.add(reason)
+        for name, was in (before or {}).items():
+            if name not in now and was.level is not Level.OK:
                 self._say(Level.OK, f"{name}: over")
-        self._levels = now
+        self._told = now
 
     def _say(self, level: Level, text: str) -> None:
         # Three calls, because a logger of rclpy lets a line of code keep the severity with which it first logged.
