@@ -113,6 +113,7 @@ def bridge():
 
 def test_an_alert_is_heard_acknowledged_and_over_on_the_bridge(ship, bridge, processes, tmp_path):
     udp_port, listen_port = free_port(), free_port()
+    mute = Display(free_port(socket.SOCK_STREAM))
     limits = tmp_path / "limits.yaml"
     limits.write_text("alerts: {clear_after_s: 1.0}\n")
     suite = tmp_path / "suite.yaml"
@@ -121,6 +122,7 @@ def test_an_alert_is_heard_acknowledged_and_over_on_the_bridge(ship, bridge, pro
         f"      bridge: {{kind: tcp_server, port: {bridge.display.port}, sentences: [ALF, ALC, HBT]}}\n"
         f"      wing: {{kind: udp, address: 127.0.0.1, port: {udp_port}, listen_port: {listen_port}, "
         "sentences: [ALF]}\n"
+        f"      mute: {{kind: tcp_server, port: {mute.port}, sentences: [HDT]}}\n"
     )
     processes("nmea_out", "-m", "ship_nmea.commands.nmea_out", "--ros-args", "--params-file", str(suite),
               "-r", "__ns:=/demo")  # fmt: skip
@@ -150,6 +152,11 @@ def test_an_alert_is_heard_acknowledged_and_over_on_the_bridge(ship, bridge, pro
         assert (told.priority, told.text) == ("A", "ATTITUDE SILENT")
         seen(lambda knows: ("ZZZ", SILENT, 1) in knows.listed)
 
+        # Who is told no alerts acknowledges none.
+        until(ship, mute.connect)
+        mute.send(f"BNACN,120000.00,ZZZ,{SILENT},1,A,C")
+        until(ship, lambda: mute.read() or mute.last("ARC"))
+        mute.close()
         bridge.command(SILENT, 2, "A")  # no such instance
         bridge.command(SILENT, 1, "S")  # silencing one alert is not known here
         bridge.command(SILENT + 1, 1, "A")  # no such alert
@@ -194,5 +201,5 @@ def test_an_alert_is_heard_acknowledged_and_over_on_the_bridge(ship, bridge, pro
         until(ship, lambda: ship.statuses["nmea_out: alerts"].level == b"\x01")
         values = {pair.key: pair.value for pair in ship.statuses["nmea_out: alerts"].values}
         assert (values["acknowledged"], values["refused"], values["for others"], values["unreadable"]) == (
-            "2", "3", "1", "2"
+            "2", "4", "1", "2"
         )  # fmt: skip

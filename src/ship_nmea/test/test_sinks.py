@@ -14,7 +14,7 @@ import pytest
 
 from ship_nmea.line_splitter import LineSplitter
 from ship_nmea.out.config import SinkConfig
-from ship_nmea.out.outlets import command_texts
+from ship_nmea.out.outlet import command_texts
 from ship_nmea.out.sink import MOST_WAITING, RETRY_S, Sink
 from ship_nmea.places import refusal
 from ship_node.edge.messages_out import Level
@@ -108,7 +108,7 @@ def test_tcp_serves_several_clients_and_hears_lines_in_pieces(open_sink):
 
 
 def test_a_client_that_does_not_read_holds_up_nobody_and_is_sent_away(open_sink, monkeypatch):
-    monkeypatch.setattr("ship_nmea.out.outlets.STALLED_S", 0.5)
+    monkeypatch.setattr("ship_nmea.out.network_outlets.STALLED_S", 0.5)
     port = free_port(socket.SOCK_STREAM)
     sink = open_sink(kind="tcp_server", port=port)
     with socket.socket() as lazy, connected(port) as reader:
@@ -301,7 +301,7 @@ def test_a_disk_that_gets_full_leaves_no_half_sentence(tmp_path):
     path = tmp_path / "log.nmea"
     program = (
         "import resource, signal\n"
-        "from ship_nmea.out.outlets import FileOutlet\n"
+        "from ship_nmea.out.device_outlets import FileOutlet\n"
         "from ship_nmea.out.sink import SinkConfig\n"
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (30, 30))\n"

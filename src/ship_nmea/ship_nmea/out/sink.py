@@ -13,7 +13,9 @@ from ship_bags.errors import BadInput
 from ship_bags.stamps import NS_PER_S
 from ship_estimation.refusals import shortened
 from ship_nmea.out.config import FILE, SERIAL, TCP_SERVER, UDP, SinkConfig
-from ship_nmea.out.outlets import OUTLETS, Outlet
+from ship_nmea.out.device_outlets import FileOutlet, SerialOutlet
+from ship_nmea.out.network_outlets import TcpOutlet, UdpOutlet
+from ship_nmea.out.outlet import Outlet
 from ship_nmea.places import refusal, words
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 
@@ -28,6 +30,7 @@ _ENDS_WITHIN_S = 2.0
 _SHOWN_NS = 10 * NS_PER_S
 """What was dropped, or who was sent away, is a warning for so long, ns."""
 
+_OUTLETS: dict[str, type[Outlet]] = {UDP: UdpOutlet, TCP_SERVER: TcpOutlet, SERIAL: SerialOutlet, FILE: FileOutlet}
 _NAMED_BY = {
     UDP: ("listen_port", "interface"),
     TCP_SERVER: ("port", "address"),
@@ -59,7 +62,7 @@ class Sink:
     def __init__(self, name: str, config: SinkConfig, hear: Callable[[str], None]) -> None:
         self.name, self.config = name, config
         self.refusal: BadInput | None = None
-        self._outlet: Outlet = OUTLETS[config.kind](config, hear)
+        self._outlet: Outlet = _OUTLETS[config.kind](config, hear)
         self._queue: deque[_Waiting] = deque()
         self._lock = threading.Lock()
         self._dropped: Counter[str] = Counter()

@@ -1,94 +1,21 @@
-"""Ways out of the machine, each worked by the thread of its sink alone: UDP, TCP server, serial line, file.
+"""Ways out over the network: UDP datagrams, and a TCP server with its clients."""
 
-An outlet never waits, but for a file, whose disk may. It takes a sentence or says that it cannot now. What it hears
-comes as whole lines. Where it fails it raises OSError, and is opened anew later.
-"""
-
-import contextlib
-import errno
-import os
 import selectors
 import socket
-import termios
 import time
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable
-from pathlib import Path
 
-import serial
-
-from ship_nmea.line_splitter import LONGEST_LINE, LineSplitter
-from ship_nmea.out.config import FILE, SERIAL, TCP_SERVER, UDP, SinkConfig
-from ship_nmea.places import opened_serial
+from ship_nmea.line_splitter import LineSplitter
+from ship_nmea.out.config import SinkConfig
+from ship_nmea.out.outlet import RECEIVE_BYTES, Heard, Outlet, command_texts
 
 MOST_CLIENTS = 32
 STALLED_S = 10.0
 """A client that takes nothing for so long is sent away, s."""
 
-_RECEIVE_BYTES = 4096
 _MOST_READ = 20
 """So many reads in one go: a flood of one client must not hold up the sentences."""
 _SEND_BUFFER_BYTES = 4096
 """What waits in the kernel for a client that reads slowly is old when it reads it."""
-_UNSENT_S = 0.1
-"""A serial line takes the next sentence when what it has still to send takes no longer, s."""
-_BITS_PER_BYTE = 10
-
-Heard = Callable[[str], None]
-
-
-class Outlet(ABC):
-    """A way out.
-
-    Attributes:
-        place: what it is for people.
-        lost_ns: when it last lost one of those who listen, by the steady clock; None if never.
-
-    Args:
-        config: of its sink.
-        hear: takes each line that comes in.
-    """
-
-    def __init__(self, config: SinkConfig, hear: Heard) -> None:
-        self._config, self._hear = config, hear
-        self.lost_ns: int | None = None
-        where = {
-            UDP: f"{config.address}:{config.port}",
-            TCP_SERVER: f"{config.address or '*'}:{config.port}",
-            SERIAL: f"{config.device} at {config.baud} Bd",
-            FILE: str(Path(config.path).absolute()),
-        }
-        self.place = f"{config.kind} {where[config.kind]}"
-
-    @abstractmethod
-    def open(self, selector: selectors.BaseSelector) -> None:
-        """Open it; what it waits for is registered with a function to call.
-
-        Raises:
-            OSError: it cannot be opened now.
-        """
-
-    @abstractmethod
-    def send(self, sentence: bytes) -> bool:
-        """Whether it took a sentence; if not, it is to be offered again soon.
-
-        Raises:
-            OSError: the outlet is broken.
-        """
-
-    @abstractmethod
-    def close(self) -> None:
-        """Give it back; also where it could not be opened."""
-
-    def note(self) -> str:
-        """What else is to be said of it."""
-        return ""
-
-
-def command_texts(lines: Iterable[bytes]) -> list[str]:
-    """Lines that came in as texts; one that was longer than a sentence can be is left out."""
-    texts = [line.decode("ascii", errors="replace").strip() for line in lines if len(line) <= LONGEST_LINE]
-    return [text for text in texts if text]
 
 
 class UdpOutlet(Outlet):
@@ -129,7 +56,7 @@ class UdpOutlet(Outlet):
         assert self._socket is not None
         for _ in range(_MOST_READ):
             try:
-                data = self._socket.recv(_RECEIVE_BYTES)
+                data = self._socket.recv(RECEIVE_BYTES)
             except (BlockingIOError, ConnectionRefusedError):
                 return
             for line in command_texts(LineSplitter().take(data + b"\n")):
@@ -229,7 +156,7 @@ class TcpOutlet(Outlet):
 
     def _read(self, client: _Client) -> None:
         try:
-            data = client.connection.recv(_RECEIVE_BYTES)
+            data = client.connection.recv(RECEIVE_BYTES)
         except BlockingIOError:
             return
         except OSError:
@@ -245,83 +172,3 @@ class TcpOutlet(Outlet):
             self._clients.remove(client)
             self._selector.unregister(client.connection)
             client.connection.close()
-
-
-class SerialOutlet(Outlet):
-    """A serial line; it is told the next sentence only when it has nearly sent the one before."""
-
-    _port: serial.Serial | None = None
-
-    def open(self, selector: selectors.BaseSelector) -> None:
-        """See :meth:`Outlet.open`."""
-        config = self._config
-        self._splitter = LineSplitter()
-        self._unsent = b""
-        self._port = opened_serial(config.device, config.baud, wait_s=0.0)
-        selector.register(self._port.fileno(), selectors.EVENT_READ, self._read)
-
-    def send(self, sentence: bytes) -> bool:
-        """See :meth:`Outlet.send`."""
-        assert self._port is not None
-        if self._unsent:
-            self._give()
-        if self._unsent or self._port.out_waiting > self._config.baud / _BITS_PER_BYTE * _UNSENT_S:
-            return False
-        self._unsent = sentence
-        self._give()
-        return True
-
-    def close(self) -> None:
-        """See :meth:`Outlet.close`."""
-        if self._port is not None:
-            # What is not sent of a line that is gone would be waited for.
-            with contextlib.suppress(OSError, termios.error):
-                self._port.reset_output_buffer()
-            with contextlib.suppress(OSError, termios.error):
-                self._port.close()
-            self._port = None
-
-    def _give(self) -> None:
-        assert self._port is not None
-        with contextlib.suppress(BlockingIOError):
-            self._unsent = self._unsent[os.write(self._port.fileno(), self._unsent) :]
-
-    def _read(self) -> None:
-        assert self._port is not None
-        data = os.read(self._port.fileno(), _RECEIVE_BYTES)
-        if not data:
-            raise OSError(errno.EIO, "the device is gone")
-        for line in command_texts(self._splitter.take(data)):
-            self._hear(line)
-
-
-class FileOutlet(Outlet):
-    """A file that is appended to, whole sentences at a time."""
-
-    _file: int | None = None
-
-    def open(self, _selector: selectors.BaseSelector) -> None:
-        """See :meth:`Outlet.open`."""
-        self._file = os.open(self._config.path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o644)
-
-    def send(self, sentence: bytes) -> bool:
-        """See :meth:`Outlet.send`."""
-        assert self._file is not None
-        written = os.write(self._file, sentence)
-        if written < len(sentence):
-            # Of a full disk: what was begun would stand before the next sentence.
-            with contextlib.suppress(OSError):
-                os.ftruncate(self._file, os.fstat(self._file).st_size - written)
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        return True
-
-    def close(self) -> None:
-        """See :meth:`Outlet.close`."""
-        if self._file is not None:
-            with contextlib.suppress(OSError):
-                os.close(self._file)
-            self._file = None
-
-
-OUTLETS: dict[str, type[Outlet]] = {UDP: UdpOutlet, TCP_SERVER: TcpOutlet, SERIAL: SerialOutlet, FILE: FileOutlet}
-"""Kind of a sink → its way out."""

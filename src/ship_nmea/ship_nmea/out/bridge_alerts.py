@@ -1,0 +1,191 @@
+"""Alerts to the bridge and its commands back: each change at once, the list and a heartbeat now and then.
+
+What the bridge acknowledges is passed on to the node that keeps the alerts; what it asks in vain is refused by ARC.
+"""
+
+import time
+from collections import Counter, deque
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from rclpy.task import Future
+
+from ship_bags.stamps import NS_PER_S
+from ship_msgs.srv import AcknowledgeAlert
+from ship_nmea.node_shell import NmeaNode
+from ship_nmea.out.alert_ledger import AlertLedger
+from ship_nmea.out.config import ALC, ALERT_SENTENCES, ALF, HBT, NmeaOutConfig
+from ship_nmea.out.played import PLAYED, is_played, utc_ns
+from ship_nmea.out.sink import Sink
+from ship_nmea.sentences.alerts import ACKNOWLEDGE, REPEAT, AlertCommand, AlertToTell, alc, alert_command, alf, arc, hbt
+from ship_node.edge.messages_out import DiagnosticStatus, Level
+from ship_node.edge.topics import InputTopic
+
+ALERTS = InputTopic("ship/alerts", "ship_msgs/msg/AlertArray", required=False, depth=1)
+ACKNOWLEDGE_SERVICE = "alerts/acknowledge"
+
+_COMMANDS_PERIOD_S = 0.05
+_MOST_HEARD = 100
+_MOST_ASKED = 50
+_ANSWERED_WITHIN_NS = 3 * NS_PER_S
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """A command that was passed on: the answer to come, until when, and which sink it came from."""
+
+    answer: Future
+    until_ns: int
+    command: AlertCommand
+    sink: Sink
+
+
+class BridgeAlerts:
+    """Tells alerts to the sinks that want them, and takes the bridge's commands.
+
+    Args:
+        shell: of the node.
+    """
+
+    def __init__(self, shell: NmeaNode) -> None:
+        self._shell = shell
+        self._config: NmeaOutConfig = shell.config
+        self._sinks: Mapping[str, Sink] = {}
+        self._heard: deque[tuple[str, str]] = deque(maxlen=_MOST_HEARD)
+        self._asked: deque[_Asked] = deque()
+        self._counts: Counter[str] = Counter()
+        self._ledger = AlertLedger()
+        self._sequences: Counter[str] = Counter()
+
+    def begin(self, sinks: Mapping[str, Sink]) -> None:
+        """Begin to tell; ``sinks`` are those of the node by their names."""
+        self._sinks = sinks
+        if self.are_told:
+            self._acknowledger = self._shell.node.create_client(AcknowledgeAlert, ACKNOWLEDGE_SERVICE)
+            self._shell.subscribe(ALERTS, self._take, latched=True)
+            self._shell.every(self._config.alerts_period_s, "alert list", self._tell_list)
+            self._shell.every(_COMMANDS_PERIOD_S, "commands", self._answer_commands)
+
+    @property
+    def are_told(self) -> bool:
+        """Whether any sink wants alerts."""
+        return any(self._with(name) for name in ALERT_SENTENCES)
+
+    def hear(self, name: str, text: str) -> None:
+        """Keep a line that came in at the sink of that name, in whose thread this is called, until it is answered."""
+        if len(self._heard) == _MOST_HEARD:
+            self._counts["dropped"] += 1
+        self._heard.append((name, text))
+
+    def status(self) -> DiagnosticStatus:
+        """What was told, and what was not."""
+        values = {name: str(count) for name, count in sorted(self._counts.items())}
+        if is_played(self._shell):
+            return DiagnosticStatus("alerts", Level.WARN, f"none goes out, the heartbeat says V: {PLAYED}", values)
+        if not self._is_kept():
+            text = f"nobody publishes {ALERTS.topic}: no list goes out, and the heartbeat says V"
+            return DiagnosticStatus("alerts", Level.WARN, text, values)
+        text = f"{len(self._ledger.told)} alerts"
+        if self._ledger.left_out:
+            text = f"{text} told, {self._ledger.left_out} more left out"
+            return DiagnosticStatus("alerts", Level.WARN, text, values)
+        return DiagnosticStatus("alerts", Level.OK, text, values)
+
+    def _take(self, message: Any) -> None:
+        if is_played(self._shell):
+            return
+        for alert in self._ledger.take(message.alerts, utc_ns(self._shell)):
+            self._tell_alert(alert, self._with(ALF))
+
+    def _tell_alert(self, alert: AlertToTell, sinks: Iterable[Sink]) -> None:
+        for sentence in alf(alert, self._config.talker, self._config.manufacturer, self._next(ALF)):
+            _put(sentence, sinks)
+        self._counts["told"] += 1
+
+    def _tell_list(self) -> None:
+        """The list, unless nobody keeps the alerts or they are played: an empty list would say that all is well."""
+        is_kept = self._is_kept() and not is_played(self._shell)
+        sentences = alc(self._ledger.told, self._config.talker, self._config.manufacturer, self._next(ALC))
+        for sentence in sentences if is_kept else ():
+            _put(sentence, self._with(ALC))
+        beat = hbt(is_kept, self._config.talker, self._config.alerts_period_s, self._next(HBT))
+        _put(beat, self._with(HBT))
+
+    def _answer_commands(self) -> None:
+        for _ in range(len(self._heard)):
+            name, text = self._heard.popleft()
+            self._take_line(self._sinks[name], text)
+        now_ns = time.monotonic_ns()
+        for _ in range(len(self._asked)):
+            asked = self._asked.popleft()
+            if asked.answer.done():
+                self._take_answer(asked)
+            elif now_ns > asked.until_ns:
+                self._acknowledger.remove_pending_request(asked.answer)
+                self._refuse(asked.sink, asked.command, f"{ACKNOWLEDGE_SERVICE} does not answer")
+            else:
+                self._asked.append(asked)
+
+    def _take_line(self, sink: Sink, text: str) -> None:
+        try:
+            command = alert_command(text, self._config.manufacturer)
+        except ValueError as problem:
+            self._counts["unreadable"] += 1
+            self._shell.node.get_logger().warning(
+                f"{sink.name}: {text[:100]!r}: {problem}", throttle_duration_sec=1.0
+            )
+            return
+        if command is None:
+            self._counts["for others"] += 1
+        else:
+            self._do(sink, command)
+
+    def _do(self, sink: Sink, command: AlertCommand) -> None:
+        meant, alert = self._ledger.meant(command), self._ledger.told_of(command)
+        if not {ALF, ALC} & set(sink.config.sentences):
+            self._refuse(sink, command, "no alerts are told here")
+        elif meant is None or alert is None:
+            self._refuse(sink, command, "there is no such alert")
+        elif command.command == REPEAT:
+            self._tell_alert(alert, [sink])
+        elif command.command != ACKNOWLEDGE:
+            self._refuse(sink, command, "this command is not known here")
+        elif len(self._asked) >= _MOST_ASKED or not self._acknowledger.service_is_ready():
+            self._refuse(sink, command, f"{ACKNOWLEDGE_SERVICE} is not there, or behind")
+        else:
+            answer = self._acknowledger.call_async(AcknowledgeAlert.Request(id=meant[0], instance=meant[1]))
+            self._asked.append(_Asked(answer, time.monotonic_ns() + _ANSWERED_WITHIN_NS, command, sink))
+
+    def _take_answer(self, asked: _Asked) -> None:
+        response = asked.answer.result()
+        if response is None or not response.success:
+            why = "failed" if response is None else response.message
+            self._refuse(asked.sink, asked.command, why)
+            return
+        self._counts["acknowledged"] += 1
+        self._shell.node.get_logger().info(f"{asked.sink.name}: acknowledged: {response.message}")
+
+    def _refuse(self, sink: Sink, command: AlertCommand, why: str) -> None:
+        self._counts["refused"] += 1
+        sink.put(arc(command, self._config.talker, self._config.manufacturer, utc_ns(self._shell)).render())
+        self._shell.node.get_logger().warning(
+            f"{sink.name}: command {command.command} about alert {command.identifier} refused: {why}",
+            throttle_duration_sec=1.0,
+        )
+
+    def _is_kept(self) -> bool:
+        return bool(self._shell.node.count_publishers(ALERTS.topic) > 0)
+
+    def _with(self, name: str) -> list[Sink]:
+        return [sink for sink in self._sinks.values() if name in sink.config.sentences]
+
+    def _next(self, name: str) -> int:
+        """The number of the next message of a kind: by a gap the bridge learns that one is lost."""
+        self._sequences[name] += 1
+        return self._sequences[name]
+
+
+def _put(sentence: Any, sinks: Iterable[Sink]) -> None:
+    for sink in sinks:
+        sink.put(sentence.render())
