@@ -49,6 +49,10 @@ TOGETHER = [
 """Arrays that share a table, by the last part of their type: which, and how many of each stand in a row."""
 
 
+def constants(type_name):
+    return [name for name, _, _ in message_store().fielddefs[type_name][0]]
+
+
 def read_table(path):
     """Names of the columns and the rows, as csv, pyarrow or scipy give them; split integers are put together."""
     if path.suffix == ".csv":
@@ -318,6 +322,58 @@ def test_netcdf_says_what_the_conventions_ask_for_and_no_path(tmp_path):
         midnight_ns = 1_404_864_000_000_000_000  # date -d 2014-07-09T00:00:00Z +%s
         assert np.abs(axis.data * 1e9 - (np.array(stamps) - midnight_ns)).max() < 0.5
     assert str(tmp_path).encode() not in (tmp_path / "a.nc").read_bytes()
+
+
+def flags(path):
+    """Name of a variable → what its values mean, as a NetCDF file says."""
+    with netcdf_file(path, mmap=False) as file:
+        flagged = {name: each for name, each in file.variables.items() if hasattr(each, "flag_meanings")}
+        # The conventions ask for values of the kind of the variable itself; a single one is read as a plain number.
+        arrays = [each for each in flagged.values() if np.ndim(each.flag_values)]
+        assert all(each.flag_values.dtype == each.data.dtype for each in arrays)
+        return {
+            name: dict(zip(np.atleast_1d(each.flag_values).tolist(), each.flag_meanings.decode().split(), strict=True))
+            for name, each in flagged.items()
+        }
+
+
+def netcdf_of(type_name, folder):
+    """A message of a type as NetCDF in a folder."""
+    with BagWriter(folder / "one.mcap") as bag:
+        bag.write("a", random_message(type_name, message_store(), np.random.default_rng(1)), START_NS)
+    assert main([str(folder / "one.mcap"), "--out", str(folder), "--format", "netcdf", "--force"]) == 0
+
+
+def test_netcdf_names_the_values_of_enumerations(tmp_path):
+    worth = {0: "VALID", 1: "COASTING", 2: "DEGRADED", 3: "INVALID"}
+    netcdf_of("ship_msgs/msg/OpticalAxisPointing", tmp_path)
+    assert flags(tmp_path / "a.nc") == {"mode": {0: "TWO_LIGHTS", 1: "ONE_LIGHT", 2: "ENCODER"}, "status": worth}
+    netcdf_of("ship_msgs/msg/ShipAttitude", tmp_path)
+    assert flags(tmp_path / "a.nc") == {"status": worth, "horizon": {0: "GEODETIC", 1: "GRAVITY"}}
+    netcdf_of("ship_msgs/msg/AlertArray", tmp_path)
+    assert flags(tmp_path / "a-alerts.nc")["priority"] == {0: "CAUTION", 1: "WARNING", 2: "ALARM"}
+    assert flags(tmp_path / "a-alerts.nc")["state"][4] == "RECTIFIED_UNACKNOWLEDGED"
+    netcdf_of("sensor_msgs/msg/NavSatFix", tmp_path)
+    found = flags(tmp_path / "a.nc")
+    assert found["status_status"][-1] == "STATUS_NO_FIX"
+    assert found["position_covariance_type"][3] == "COVARIANCE_TYPE_KNOWN"
+    assert "status_service" not in found  # its values are added up
+    netcdf_of("diagnostic_msgs/msg/DiagnosticArray", tmp_path)
+    assert flags(tmp_path / "a-status.nc") == {"level": {0: "OK", 1: "WARN", 2: "ERROR", 3: "STALE"}}
+
+
+@pytest.mark.parametrize("type_name", [name for name in TYPES if name.startswith("ship_msgs") and constants(name)])
+def test_every_constant_of_our_messages_is_a_value_of_a_field(type_name, tmp_path):
+    netcdf_of(type_name, tmp_path)
+    named = [name for meanings in flags(tmp_path / "a.nc").values() for name in meanings.values()]
+    assert sorted(named) == sorted(constants(type_name))
+
+
+def test_constants_of_a_bag_that_its_field_cannot_hold_are_no_values(tmp_path):
+    text = 'uint8 VALID=0\nint32 COASTING=70000\nstring INVALID="no"\nuint8 status'
+    write_defined(tmp_path / "odd.mcap", text, b"\1", name="ship_msgs/msg/ShipAttitude")
+    assert main([str(tmp_path / "odd.mcap"), "--out", str(tmp_path / "a.nc")]) == 0
+    assert flags(tmp_path / "a.nc") == {"status": {0: "VALID"}}
 
 
 def test_what_the_conventions_name_is_named_where_it_is_certain(tmp_path):
@@ -593,12 +649,12 @@ def small_files():
     return bound
 
 
-def write_defined(path, text, data, topic="odd"):
+def write_defined(path, text, data, topic="odd", name="x/msg/A"):
     """One message of a type that is defined in the bag alone."""
     with open(path, "wb") as file:
         writer = Writer(file)
         writer.start(profile="ros2", library="test")
-        schema = writer.register_schema("x/msg/A", "ros2msg", text.encode())
+        schema = writer.register_schema(name, "ros2msg", text.encode())
         writer.add_message(writer.register_channel(topic, "cdr", schema), START_NS, b"\0\1\0\0" + data, START_NS)
         writer.finish()
     return path
