@@ -443,13 +443,20 @@ def test_times_without_a_message_leave_what_is_there(since, until, why, imu_bag,
     assert {path.name for path in tmp_path.iterdir()} == {"imu.mcap", "a.csv"}
 
 
-def test_a_topic_without_a_message_in_the_times_is_told(tmp_path, capsys):
+def test_a_topic_without_a_message_in_the_times_is_told_and_gets_no_file(tmp_path, capsys):
     with BagWriter(tmp_path / "two.mcap") as bag:
         bag.write("early", imu(START_NS), START_NS)
+        bag.write("first", imu(START_NS), START_NS)
         bag.write("late", imu(START_NS), START_NS + 10_000_000_000)
-    arguments = [str(tmp_path / "two.mcap"), "--out", str(tmp_path / "out")]
-    assert main([*arguments, "--from", "2023-11-14T22:13:25Z"]) == 0
-    assert capsys.readouterr().err == "export: topic 'early': no message was logged between --from and --to\n"
+    arguments = [str(tmp_path / "two.mcap"), "--out", str(tmp_path / "out"), "--from", "2023-11-14T22:13:25Z"]
+    for kind, suffix in SUFFIXES.items():
+        assert main([*arguments, "--format", kind]) == 0
+        said = "nothing was logged between --from and --to, so no file is written, of 'early', 'first'"
+        assert capsys.readouterr().err == f"export: {said}\n"
+        assert [path.name for path in (tmp_path / "out").glob(f"*{suffix}*")] == [f"late{suffix}"]
+    assert main([*arguments, "--topics", "early"]) == 2
+    line = capsys.readouterr().err
+    assert "no message of these topics was logged between --from and --to: the bag is from 2023-11-14T22:13:20" in line
 
 
 @pytest.mark.parametrize("text", ["yesterday", "2026-13-01T00:00:00Z", "2026-06-01T20:00:00.1234567890Z", "1700000000"])
@@ -497,6 +504,22 @@ def test_a_topic_that_is_not_there_is_told_with_the_nearest(imu_bag, tmp_path, c
     assert not (tmp_path / "out").exists()
 
 
+def test_the_truth_is_no_suggestion_for_a_topic_of_the_ship(tmp_path, capsys):
+    """Who took the suggestion would judge the suite by the truth itself."""
+    demo, options = ROOT / "bags" / "demo.mcap", ["--out", tmp_path / "out", "--topics"]
+    for name in ("ship/attitude", "attitude", "ship/atitude"):
+        line = refusal([demo, *options, name], capsys)
+        assert "did you mean" not in line
+        assert ": it has gnss/fix, ins/imu, met/humidity, " in line
+        assert line.endswith("star/starboard/horizon_attitude, truth/alignment, truth/attitude")
+    assert refusal([demo, *options, "truth/atitude"], capsys).endswith("did you mean 'truth/attitude'?")
+    with BagWriter(tmp_path / "both.mcap") as bag:
+        for topic in ("/a/truth/attitude", "/a/ship/attitude"):
+            bag.write(topic, imu(START_NS), START_NS)
+    line = refusal([tmp_path / "both.mcap", *options, "/a/trip/attitude"], capsys)
+    assert line.endswith("did you mean 'a/ship/attitude'?")
+
+
 def test_the_slash_in_front_of_a_topic_may_be_there_or_not(imu_bag, tmp_path):
     assert main([str(imu_bag), "--out", str(tmp_path / "a.csv"), "--topics", "/ins/imu"]) == 0
 
@@ -520,6 +543,35 @@ def test_one_file_cannot_take_two_topics(tmp_path, capsys):
 def test_format_and_name_must_agree(imu_bag, tmp_path, capsys):
     line = refusal([imu_bag, "--out", tmp_path / "a.csv", "--format", "netcdf"], capsys)
     assert "--out ends in .csv, but --format is netcdf" in line
+
+
+def test_an_empty_out_is_no_folder(imu_bag, tmp_path, capsys, monkeypatch):
+    """It comes from a variable that is not set, and would mean the folder in which the command runs."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as left:
+        main([str(imu_bag), "--out", ""])
+    assert left.value.code == 2
+    assert "argument --out: it is empty: name a folder, or a file .csv, .parquet or .nc" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["imu.mcap"]
+
+
+@pytest.mark.parametrize("name", ["x.xls", "a.csv.gz", "night.2"])
+def test_an_ending_that_is_no_format_is_refused_unless_a_folder_bears_it(name, imu_bag, tmp_path, capsys):
+    line = refusal([imu_bag, "--out", tmp_path / name], capsys)
+    ending = Path(name).suffix
+    assert f"{name}: --out ends in {ending}: a file ends in one of .csv, .parquet, .nc; a folder of that name" in line
+    assert not (tmp_path / name).exists()
+    (tmp_path / name).mkdir()
+    assert main([str(imu_bag), "--out", str(tmp_path / name)]) == 0
+    assert [path.name for path in (tmp_path / name).iterdir()] == ["ins.imu.csv"]
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES.values())
+def test_an_ending_in_capital_letters_means_the_same(suffix, imu_bag, tmp_path):
+    path = tmp_path / f"A{suffix.upper()}"
+    assert main([str(imu_bag), "--out", str(path)]) == 0
+    assert path.is_file()
+    assert len(read_table(path.rename(tmp_path / f"a{suffix}"))[1]) == 20
 
 
 def test_two_topics_that_map_to_one_name_are_refused(tmp_path, capsys):

@@ -37,7 +37,7 @@ def _parser() -> CommandParser:
     parser.add_argument("bag", type=Path, help="bag to read: .mcap file or rosbag2 folder")
     parser.add_argument(
         "--out",
-        type=Path,
+        type=_out,
         required=True,
         metavar="OUT",
         help="folder to write into, made where it is not there; of one topic also a file .csv, .parquet or .nc",
@@ -81,6 +81,13 @@ def _run(options: argparse.Namespace) -> int:
     for path, rows in exported.row_counts.items():
         print(f"export: {path}: {rows} rows")
     return EXIT_DONE
+
+
+def _out(text: str) -> Path:
+    # An empty path would mean the folder in which the command runs: it comes from a variable that is not set.
+    if not text.strip():
+        raise argparse.ArgumentTypeError("it is empty: name a folder, or a file .csv, .parquet or .nc")
+    return Path(text)
 
 
 def _time_ns(text: str) -> int:
