@@ -1,6 +1,7 @@
 """Topics of bags as tables, read back by readers that are not ours: csv, pyarrow, scipy."""
 
 import csv
+import re
 import resource
 import signal
 import struct
@@ -18,6 +19,7 @@ from rosbags.interfaces import Nodetype
 from scipy.io import netcdf_file
 
 from ship_bags.commands.export import main
+from ship_bags.export.units import value_names
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.mcap.folder import FolderWriter, SplitLimits
@@ -360,6 +362,17 @@ def test_netcdf_names_the_values_of_enumerations(tmp_path):
     assert "status_service" not in found  # its values are added up
     netcdf_of("diagnostic_msgs/msg/DiagnosticArray", tmp_path)
     assert flags(tmp_path / "a-status.nc") == {"level": {0: "OK", 1: "WARN", 2: "ERROR", 3: "STALE"}}
+
+
+def test_the_page_names_the_values_as_the_definitions_do():
+    page = (ROOT / "docs" / "how-to" / "export.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| (`.*`) \| (0 .*) \|$", page, re.MULTILINE)
+    assert len(rows) == 9
+    for column, types, text in rows:
+        told = {name: int(value) for value, name in (each.split() for each in text.split(", "))}
+        for name in re.findall(r"\w+", types):
+            type_name = f"ship_msgs/msg/{name}"
+            assert value_names(type_name, column, message_store().fielddefs[type_name][0]) == told
 
 
 @pytest.mark.parametrize("type_name", [name for name in TYPES if name.startswith("ship_msgs") and constants(name)])
