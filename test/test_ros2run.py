@@ -30,6 +30,16 @@ def test_alone_it_lists_packages_and_their_executables() -> None:
     assert ros2run(ROOT, "--help").stdout == alone.stdout
 
 
+def test_a_package_alone_lists_its_executables() -> None:
+    for arguments in (["ship_bags"], ["ship_bags", ""]):
+        asked = ros2run(ROOT, *arguments)
+        assert (asked.returncode, asked.stdout) == (2, "")
+        listed = "export import_nmea info play record"
+        assert asked.stderr == f"ros2run: name an executable of package 'ship_bags': {listed}\n"
+    wrong = ros2run(ROOT, "ship_bags", "rekord")
+    assert wrong.stderr == f"ros2run: no executable 'rekord' in package 'ship_bags'; there are: {listed}\n"
+
+
 def test_before_the_first_build_the_list_says_how_to_get_one_and_builds_nothing(tmp_path: Path) -> None:
     shutil.copy(ROOT / "ros2run", tmp_path)
     alone = ros2run(tmp_path)

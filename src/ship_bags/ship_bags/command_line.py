@@ -1,12 +1,15 @@
 """What every command of the suite does alike: arguments, exit codes, interruption, progress.
 
-Bad input ends a command with one line on stderr and exit code 2, Ctrl-C with 130. Work of more than two seconds shows
+Bad input ends a command with one line on stderr and exit code 2, Ctrl-C with 130. Where the reader of its output has
+left, as ``head`` does, it ends without a word. Work of more than two seconds shows
 a bar on a terminal.
 """
 
 import argparse
 import contextlib
 import io
+import os
+import select
 import signal
 import sys
 import threading
@@ -22,6 +25,8 @@ EXIT_DONE = 0
 EXIT_BOUND_NOT_MET = 1
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
+EXIT_NO_READER = 141
+"""As a shell tells of a program that SIGPIPE ended, and so of cat or grep before ``head``."""
 
 _PATIENCE_S = 2.0
 _REFRESH_EVERY = 1000
@@ -64,10 +69,14 @@ def run_command(
     code = EXIT_BAD_INPUT
     with _one_interrupt():
         try:
-            return command(parsed)
+            done = command(parsed)
+            sys.stdout.flush()
+            return done
         except InputError as problem:
             reason = str(problem)
         except OSError as problem:
+            if isinstance(problem, BrokenPipeError) and _nobody_reads():
+                return EXIT_NO_READER
             reason = f"{problem.filename}: {problem.strerror}" if problem.filename else str(problem)
         except KeyboardInterrupt:
             reason, code = "interrupted", EXIT_INTERRUPTED
@@ -99,6 +108,23 @@ def with_bar(
                 shown = time.monotonic() - started_s > _PATIENCE_S
                 progress.update(task, completed=time_ns(item) - start_ns, visible=shown)
             yield item
+
+
+def _nobody_reads() -> bool:
+    """Whether stdout is a pipe that nobody reads any more; what is still written to it is dropped then."""
+    try:
+        stdout = sys.stdout.fileno()
+    except OSError:
+        return False  # no file, but what a test captures
+    watch = select.poll()
+    watch.register(stdout, 0)
+    if not any(event & select.POLLERR for _, event in watch.poll(0)):
+        return False
+    # Python flushes it once more at the exit, and would complain.
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, stdout)
+    os.close(nowhere)
+    return True
 
 
 @contextlib.contextmanager

@@ -1,10 +1,14 @@
-"""Ctrl-C in the commands that work for long: one line, exit code 130, and no half file."""
+"""Ctrl-C in the commands that work for long: one line, exit code 130, no half file; and a reader that leaves."""
 
+import errno
+import os
 import subprocess
 import sys
 
 import pytest
 
+from ship_bags.command_line import CommandParser, run_command
+from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_testing.calibration_sessions import STILL, session, write_session
 from ship_testing.hand_made_bags import write_imu_bag
 from ship_testing.short_scenario import SHORT
@@ -79,3 +83,25 @@ def test_mend_21_ctrl_c_is_one_line_and_leaves_no_half_file(case, tmp_path):
     said = f"{case}: interrupted\n"
     assert done.stderr == "".join(f"at {number}: {said}" for number in moments.split(","))
     assert done.returncode == 0
+
+
+@pytest.mark.parametrize("unbuffered", ["", "1"], ids=["", "unbuffered"])
+@pytest.mark.parametrize("option", [[], ["--json"], ["--suite"]], ids=str)
+def test_a_command_whose_reader_has_left_ends_without_a_word(option, unbuffered, tmp_path):
+    """As `info BAG | head -1`."""
+    bag = write_imu_bag(tmp_path / "a.mcap", 3, attachments=[(SUITE_ATTACHMENT, "a: 1\n")])
+    reader, writer = os.pipe()
+    os.close(reader)
+    command = [sys.executable, "-m", "ship_bags.commands.info", str(bag), *option]
+    environment = {**os.environ, "PYTHONUNBUFFERED": unbuffered}
+    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True, env=environment, check=False)
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (141, "")
+
+
+def test_another_pipe_that_breaks_is_told(capsys):
+    def command(_options):
+        raise BrokenPipeError(errno.EPIPE, "Broken pipe", "/dev/sensor")
+
+    assert run_command(CommandParser(prog="a"), command, []) == 2
+    assert capsys.readouterr().err == "a: /dev/sensor: Broken pipe\n"

@@ -1,6 +1,7 @@
 """Topics of bags as tables, read back by readers that are not ours: csv, pyarrow, scipy."""
 
 import csv
+import re
 import resource
 import signal
 import struct
@@ -18,6 +19,7 @@ from rosbags.interfaces import Nodetype
 from scipy.io import netcdf_file
 
 from ship_bags.commands.export import main
+from ship_bags.export.units import value_names
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.mcap.folder import FolderWriter, SplitLimits
@@ -47,6 +49,10 @@ TOGETHER = [
     ("JointState", {"name": 1, "position": 1, "velocity": 1, "effort": 1}),
 ]
 """Arrays that share a table, by the last part of their type: which, and how many of each stand in a row."""
+
+
+def constants(type_name):
+    return [name for name, _, _ in message_store().fielddefs[type_name][0]]
 
 
 def read_table(path):
@@ -320,6 +326,69 @@ def test_netcdf_says_what_the_conventions_ask_for_and_no_path(tmp_path):
     assert str(tmp_path).encode() not in (tmp_path / "a.nc").read_bytes()
 
 
+def flags(path):
+    """Name of a variable → what its values mean, as a NetCDF file says."""
+    with netcdf_file(path, mmap=False) as file:
+        flagged = {name: each for name, each in file.variables.items() if hasattr(each, "flag_meanings")}
+        # The conventions ask for values of the kind of the variable itself; a single one is read as a plain number.
+        arrays = [each for each in flagged.values() if np.ndim(each.flag_values)]
+        assert all(each.flag_values.dtype == each.data.dtype for each in arrays)
+        return {
+            name: dict(zip(np.atleast_1d(each.flag_values).tolist(), each.flag_meanings.decode().split(), strict=True))
+            for name, each in flagged.items()
+        }
+
+
+def netcdf_of(type_name, folder):
+    """A message of a type as NetCDF in a folder."""
+    with BagWriter(folder / "one.mcap") as bag:
+        bag.write("a", random_message(type_name, message_store(), np.random.default_rng(1)), START_NS)
+    assert main([str(folder / "one.mcap"), "--out", str(folder), "--format", "netcdf", "--force"]) == 0
+
+
+def test_netcdf_names_the_values_of_enumerations(tmp_path):
+    worth = {0: "VALID", 1: "COASTING", 2: "DEGRADED", 3: "INVALID"}
+    netcdf_of("ship_msgs/msg/OpticalAxisPointing", tmp_path)
+    assert flags(tmp_path / "a.nc") == {"mode": {0: "TWO_LIGHTS", 1: "ONE_LIGHT", 2: "ENCODER"}, "status": worth}
+    netcdf_of("ship_msgs/msg/ShipAttitude", tmp_path)
+    assert flags(tmp_path / "a.nc") == {"status": worth, "horizon": {0: "GEODETIC", 1: "GRAVITY"}}
+    netcdf_of("ship_msgs/msg/AlertArray", tmp_path)
+    assert flags(tmp_path / "a-alerts.nc")["priority"] == {0: "CAUTION", 1: "WARNING", 2: "ALARM"}
+    assert flags(tmp_path / "a-alerts.nc")["state"][4] == "RECTIFIED_UNACKNOWLEDGED"
+    netcdf_of("sensor_msgs/msg/NavSatFix", tmp_path)
+    found = flags(tmp_path / "a.nc")
+    assert found["status_status"][-1] == "STATUS_NO_FIX"
+    assert found["position_covariance_type"][3] == "COVARIANCE_TYPE_KNOWN"
+    assert "status_service" not in found  # its values are added up
+    netcdf_of("diagnostic_msgs/msg/DiagnosticArray", tmp_path)
+    assert flags(tmp_path / "a-status.nc") == {"level": {0: "OK", 1: "WARN", 2: "ERROR", 3: "STALE"}}
+
+
+def test_the_page_names_the_values_as_the_definitions_do():
+    page = (ROOT / "docs" / "how-to" / "export.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| (`.*`) \| (0 .*) \|$", page, re.MULTILINE)
+    assert len(rows) == 9
+    for column, types, text in rows:
+        told = {name: int(value) for value, name in (each.split() for each in text.split(", "))}
+        for name in re.findall(r"\w+", types):
+            type_name = f"ship_msgs/msg/{name}"
+            assert value_names(type_name, column, message_store().fielddefs[type_name][0]) == told
+
+
+@pytest.mark.parametrize("type_name", [name for name in TYPES if name.startswith("ship_msgs") and constants(name)])
+def test_every_constant_of_our_messages_is_a_value_of_a_field(type_name, tmp_path):
+    netcdf_of(type_name, tmp_path)
+    named = [name for meanings in flags(tmp_path / "a.nc").values() for name in meanings.values()]
+    assert sorted(named) == sorted(constants(type_name))
+
+
+def test_constants_of_a_bag_that_its_field_cannot_hold_are_no_values(tmp_path):
+    text = 'uint8 VALID=0\nint32 COASTING=70000\nstring INVALID="no"\nuint8 status'
+    write_defined(tmp_path / "odd.mcap", text, b"\1", name="ship_msgs/msg/ShipAttitude")
+    assert main([str(tmp_path / "odd.mcap"), "--out", str(tmp_path / "a.nc")]) == 0
+    assert flags(tmp_path / "a.nc") == {"status": {0: "VALID"}}
+
+
 def test_what_the_conventions_name_is_named_where_it_is_certain(tmp_path):
     topics = ["gnss/fix", "met/pressure", "met/temperature", "met/humidity"]
     arguments = [str(ROOT / "bags" / "demo.mcap"), "--topics", *topics, "--out", str(tmp_path)]
@@ -387,13 +456,20 @@ def test_times_without_a_message_leave_what_is_there(since, until, why, imu_bag,
     assert {path.name for path in tmp_path.iterdir()} == {"imu.mcap", "a.csv"}
 
 
-def test_a_topic_without_a_message_in_the_times_is_told(tmp_path, capsys):
+def test_a_topic_without_a_message_in_the_times_is_told_and_gets_no_file(tmp_path, capsys):
     with BagWriter(tmp_path / "two.mcap") as bag:
         bag.write("early", imu(START_NS), START_NS)
+        bag.write("first", imu(START_NS), START_NS)
         bag.write("late", imu(START_NS), START_NS + 10_000_000_000)
-    arguments = [str(tmp_path / "two.mcap"), "--out", str(tmp_path / "out")]
-    assert main([*arguments, "--from", "2023-11-14T22:13:25Z"]) == 0
-    assert capsys.readouterr().err == "export: topic 'early': no message was logged between --from and --to\n"
+    arguments = [str(tmp_path / "two.mcap"), "--out", str(tmp_path / "out"), "--from", "2023-11-14T22:13:25Z"]
+    for kind, suffix in SUFFIXES.items():
+        assert main([*arguments, "--format", kind]) == 0
+        said = "nothing was logged between --from and --to, so no file is written, of 'early', 'first'"
+        assert capsys.readouterr().err == f"export: {said}\n"
+        assert [path.name for path in (tmp_path / "out").glob(f"*{suffix}*")] == [f"late{suffix}"]
+    assert main([*arguments, "--topics", "early"]) == 2
+    line = capsys.readouterr().err
+    assert "no message of these topics was logged between --from and --to: the bag is from 2023-11-14T22:13:20" in line
 
 
 @pytest.mark.parametrize("text", ["yesterday", "2026-13-01T00:00:00Z", "2026-06-01T20:00:00.1234567890Z", "1700000000"])
@@ -441,6 +517,22 @@ def test_a_topic_that_is_not_there_is_told_with_the_nearest(imu_bag, tmp_path, c
     assert not (tmp_path / "out").exists()
 
 
+def test_the_truth_is_no_suggestion_for_a_topic_of_the_ship(tmp_path, capsys):
+    """Who took the suggestion would judge the suite by the truth itself."""
+    demo, options = ROOT / "bags" / "demo.mcap", ["--out", tmp_path / "out", "--topics"]
+    for name in ("ship/attitude", "attitude", "ship/atitude"):
+        line = refusal([demo, *options, name], capsys)
+        assert "did you mean" not in line
+        assert ": it has gnss/fix, ins/imu, met/humidity, " in line
+        assert line.endswith("star/starboard/horizon_attitude, truth/alignment, truth/attitude")
+    assert refusal([demo, *options, "truth/atitude"], capsys).endswith("did you mean 'truth/attitude'?")
+    with BagWriter(tmp_path / "both.mcap") as bag:
+        for topic in ("/a/truth/attitude", "/a/ship/attitude"):
+            bag.write(topic, imu(START_NS), START_NS)
+    line = refusal([tmp_path / "both.mcap", *options, "/a/trip/attitude"], capsys)
+    assert line.endswith("did you mean 'a/ship/attitude'?")
+
+
 def test_the_slash_in_front_of_a_topic_may_be_there_or_not(imu_bag, tmp_path):
     assert main([str(imu_bag), "--out", str(tmp_path / "a.csv"), "--topics", "/ins/imu"]) == 0
 
@@ -464,6 +556,35 @@ def test_one_file_cannot_take_two_topics(tmp_path, capsys):
 def test_format_and_name_must_agree(imu_bag, tmp_path, capsys):
     line = refusal([imu_bag, "--out", tmp_path / "a.csv", "--format", "netcdf"], capsys)
     assert "--out ends in .csv, but --format is netcdf" in line
+
+
+def test_an_empty_out_is_no_folder(imu_bag, tmp_path, capsys, monkeypatch):
+    """It comes from a variable that is not set, and would mean the folder in which the command runs."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as left:
+        main([str(imu_bag), "--out", ""])
+    assert left.value.code == 2
+    assert "argument --out: it is empty: name a folder, or a file .csv, .parquet or .nc" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["imu.mcap"]
+
+
+@pytest.mark.parametrize("name", ["x.xls", "a.csv.gz", "night.2"])
+def test_an_ending_that_is_no_format_is_refused_unless_a_folder_bears_it(name, imu_bag, tmp_path, capsys):
+    line = refusal([imu_bag, "--out", tmp_path / name], capsys)
+    ending = Path(name).suffix
+    assert f"{name}: --out ends in {ending}: a file ends in one of .csv, .parquet, .nc; a folder of that name" in line
+    assert not (tmp_path / name).exists()
+    (tmp_path / name).mkdir()
+    assert main([str(imu_bag), "--out", str(tmp_path / name)]) == 0
+    assert [path.name for path in (tmp_path / name).iterdir()] == ["ins.imu.csv"]
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES.values())
+def test_an_ending_in_capital_letters_means_the_same(suffix, imu_bag, tmp_path):
+    path = tmp_path / f"A{suffix.upper()}"
+    assert main([str(imu_bag), "--out", str(path)]) == 0
+    assert path.is_file()
+    assert len(read_table(path.rename(tmp_path / f"a{suffix}"))[1]) == 20
 
 
 def test_two_topics_that_map_to_one_name_are_refused(tmp_path, capsys):
@@ -593,12 +714,12 @@ def small_files():
     return bound
 
 
-def write_defined(path, text, data, topic="odd"):
+def write_defined(path, text, data, topic="odd", name="x/msg/A"):
     """One message of a type that is defined in the bag alone."""
     with open(path, "wb") as file:
         writer = Writer(file)
         writer.start(profile="ros2", library="test")
-        schema = writer.register_schema("x/msg/A", "ros2msg", text.encode())
+        schema = writer.register_schema(name, "ros2msg", text.encode())
         writer.add_message(writer.register_channel(topic, "cdr", schema), START_NS, b"\0\1\0\0" + data, START_NS)
         writer.finish()
     return path

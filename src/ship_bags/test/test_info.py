@@ -140,7 +140,19 @@ def test_a_suite_file_writes_over_nothing_unless_told(tmp_path, capsys):
 def test_a_bag_without_a_suite_file_says_what_it_has(tmp_path, capsys):
     write_imu_bag(tmp_path / "a.mcap", 3, attachments=[("notes.txt", "rain")])
     line = refusal([tmp_path / "a.mcap", "--suite"], capsys)
-    assert line.endswith("a.mcap: no suite.yaml is attached to it: it has notes.txt")
+    assert "a.mcap: no suite file (suite.yaml) is attached to it, only notes.txt: " in line
+    assert line.endswith("take the file with which the nodes ran, and give it to replay by --config")
+    write_imu_bag(tmp_path / "b.mcap", 3)
+    line = refusal([tmp_path / "b.mcap", "--suite"], capsys)
+    assert "b.mcap: no suite file (suite.yaml) is attached to it: take" in line
+
+
+def test_of_a_long_entry_of_metadata_its_length_is_told(tmp_path, capsys):
+    with BagWriter(tmp_path / "a.mcap") as bag:
+        bag.write("a", imu(START_NS), START_NS)
+        bag.add_metadata("rosbag2", {"ROS_DISTRO": "jazzy", "serialized_metadata": "version: 9\n" * 1000})
+    lines = said([tmp_path / "a.mcap"], capsys).splitlines()
+    assert "metadata: rosbag2: ROS_DISTRO=jazzy, serialized_metadata=(11000 characters)" in lines
 
 
 def test_control_characters_of_a_bag_do_not_reach_the_terminal(tmp_path, capsys):

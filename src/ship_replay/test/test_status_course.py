@@ -1,18 +1,22 @@
 """What a replay tells at its end: the statuses over time, and why they were no better."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 
-from ship_bags.mcap.bag_writer import BagWriter
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import make_header
 from ship_replay.commands.check_config import main as check_config
 from ship_replay.commands.replay import main as replay
 from ship_replay.offline.message_times import Gaps
 from ship_replay.offline.status_course import StatusCourse
+from ship_testing.bag_parts import beginning
 from ship_testing.hand_made_bags import START_NS, imu, ship_attitude
 
+DEMO = Path(__file__).parents[3] / "bags" / "demo.mcap"
 SECOND_NS = 1_000_000_000
 VALID, COASTING, DEGRADED, INVALID = range(4)
 SUITE = """\
@@ -126,7 +130,8 @@ def test_mend_14_a_replay_says_why_nothing_was_valid(tmp_path, capsys):
     lines = capsys.readouterr().out.splitlines()
     (heading,) = [number for number, line in enumerate(lines) if line.startswith("why ")]
     assert lines[heading].endswith("outputs of ship_attitude:")
-    assert lines[heading + 2].startswith("  parameter 'ins.max_gap_s' = 0.5 s, but messages of 'ins/imu' in the bag")
+    assert lines[heading + 1] == "  it said 59 of 59 times: DEGRADED: INS alone, no star yet"
+    assert lines[heading + 3].startswith("  parameter 'ins.max_gap_s' = 0.5 s, but messages of 'ins/imu' in the bag")
     assert any(line.startswith("status of ship/attitude from ") for line in lines[:heading])
     assert any("of 60 messages on 'reference/b/imu' 0 were used, " in line for line in lines[heading:])
 
@@ -143,4 +148,31 @@ def test_mend_14_a_replay_names_the_input_that_never_came(tmp_path, capsys):
     out = capsys.readouterr().out
     heading = "why 400 DEGRADED of 400 outputs of ship_attitude:\n"
     no_stars = "  no star_sensors are configured: by references alone the attitude stays DEGRADED, horizon GRAVITY\n"
-    assert f"{heading}{no_stars}  nothing came on 'reference/b/imu'" in out
+    said = "  it said 20 of 20 times: DEGRADED: INS alone, no star yet\n"
+    assert f"{heading}{said}{no_stars}  nothing came on 'reference/b/imu'" in out
+
+
+def test_a_replay_gives_the_reason_that_the_node_itself_gave(tmp_path, capsys):
+    """It was a level above its limit, and the replay named a sensor that never came, or said that nothing was wrong."""
+    config, bag = tmp_path / "suite.yaml", tmp_path / "a.mcap"
+    beginning(DEMO, bag, 6)
+    with read_bag(DEMO) as demo:
+        suite = demo.attachments[SUITE_ATTACHMENT].decode()
+    limit = "    integrity: {alert_limit_arcsec: [0.1, 0.1, 0.1]}\n"
+    absent = "    references: {gyro: {frame_id: gyro}}\n"
+    for more, line in ((limit, None), (limit + absent, "  nothing came on 'reference/gyro/imu'")):
+        config.write_text(suite.replace("    star_sensors:\n", f"{more}    star_sensors:\n"))
+        assert replay([str(bag), "--config", str(config), "--out", str(tmp_path / "out.mcap"), "--force"]) == 0
+        why = capsys.readouterr().out.partition("\nwhy ")[2].splitlines()[1:]
+        assert why[0].startswith("  it said ")
+        assert ": DEGRADED: a protection level is above its alert limit: heading " in why[0]
+        assert [each for each in why if not each.startswith("  it said ")] == ([line] if line else [])
+
+
+def test_what_a_node_said_is_counted_without_its_numbers_and_not_while_it_was_valid() -> None:
+    course = course_of((0.0, DEGRADED))
+    for saying in ("above its limit: 3.5″", "above its limit: 12″", "INS alone"):
+        course.note(saying)
+    course.add(Output(make_header(RosbagsFactory(), START_NS + SECOND_NS, ""), VALID))
+    course.note("VALID")
+    assert course.sayings == ["it said 2 of 3 times: above its limit: 12″", "it said 1 of 3 times: INS alone"]

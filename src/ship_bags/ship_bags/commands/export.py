@@ -16,7 +16,8 @@ Writes topics of a bag as tables, one file each, e.g. ship.attitude.csv for ship
 messages, to the last bit; the unit of a column stands at the end of its name (heading_rad, sigma_m, covariance_rad2_0),
 where it is known. An array whose length varies becomes a table of its own with a row per element, e.g.
 star.fore.observations-stars.csv; message_index says to which message it belongs. log_time_ns and stamp_ns are
-nanoseconds since 1970 of UTC as POSIX time.
+nanoseconds since 1970 of UTC as POSIX time. What the numbers of a column like status mean is said in NetCDF files and
+in docs/how-to/export.md.
 """
 _EPILOG = "exit code: 0 written; 2 bad input or usage, or the disk failed, in one line; 130 interrupted"
 
@@ -37,10 +38,11 @@ def _parser() -> CommandParser:
     parser.add_argument("bag", type=Path, help="bag to read: .mcap file or rosbag2 folder")
     parser.add_argument(
         "--out",
-        type=Path,
+        type=_out,
         required=True,
         metavar="OUT",
-        help="folder to write into, made where it is not there; of one topic also a file .csv, .parquet or .nc",
+        help="folder to write into, made where it is not there; of one topic also a file .csv, .parquet or .nc: other "
+        "endings are refused unless a folder of that name is there",
     )
     parser.add_argument(
         "--topics", nargs="+", default=[], metavar="TOPIC", help="only these topics, named as in the bag (all)"
@@ -57,7 +59,8 @@ def _parser() -> CommandParser:
         type=_time_ns,
         default=0,
         metavar="UTC",
-        help="leave out messages logged before, e.g. 2026-06-01T20:00:30.5Z (the start of the bag)",
+        help="leave out messages logged before, e.g. 2026-06-01T20:00:30.5Z, and topics that have no others (the start "
+        "of the bag)",
     )
     parser.add_argument(
         "--to",
@@ -65,7 +68,7 @@ def _parser() -> CommandParser:
         type=_time_ns,
         default=END_OF_TIME_NS,
         metavar="UTC",
-        help="leave out messages logged then and later (the end of the bag)",
+        help="leave out messages logged then and later, and topics that have no others (the end of the bag)",
     )
     add_force(parser)
     return parser
@@ -81,6 +84,13 @@ def _run(options: argparse.Namespace) -> int:
     for path, rows in exported.row_counts.items():
         print(f"export: {path}: {rows} rows")
     return EXIT_DONE
+
+
+def _out(text: str) -> Path:
+    # An empty path would mean the folder in which the command runs: it comes from a variable that is not set.
+    if not text.strip():
+        raise argparse.ArgumentTypeError("it is empty: name a folder, or a file .csv, .parquet or .nc")
+    return Path(text)
 
 
 def _time_ns(text: str) -> int:

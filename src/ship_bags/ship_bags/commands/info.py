@@ -9,7 +9,7 @@ from typing import Any
 
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import one_line
-from ship_bags.mcap.bag_content import BagContent, TopicContent, attachment, bag_content
+from ship_bags.mcap.bag_content import BagContent, TopicContent, attached_suite, bag_content
 from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT
 from ship_bags.output_files import add_force, check_file, write_whole
 from ship_bags.stamps import NS_PER_S, utc_text
@@ -21,6 +21,9 @@ counted. With --suite it writes the configuration of the suite that is attached 
 """
 _EPILOG = "exit code: 0 said or written, also of a damaged bag; 2 bad input or usage, with one line that says which"
 _STDOUT = "-"
+_LONGEST_ENTRY = 200
+"""Of metadata that is shown: rosbag2 puts the whole description of its file into one entry."""
+
 _ROLES = {SUITE_ATTACHMENT: "the suite's configuration", SCENARIO_ATTACHMENT: "the scenario of a simulated bag"}
 
 
@@ -67,7 +70,7 @@ def _run(options: argparse.Namespace) -> int:
 def _take_out_suite(bag: Path, target: str, force: bool) -> None:
     if target != _STDOUT:
         check_file(Path(target), force)
-    text = attachment(bag, SUITE_ATTACHMENT)
+    text = attached_suite(bag)
     if target != _STDOUT:
         write_whole(Path(target), text)
         return
@@ -89,11 +92,15 @@ def _lines(path: Path, content: BagContent) -> Iterator[str]:
         role = f", {_ROLES[name]}" if name in _ROLES else ""
         yield one_line(f"attached: {name}, {len(data)} bytes{role}")
     for name, entries in sorted(content.metadata.items()):
-        yield one_line(f"metadata: {name}: {', '.join(f'{key}={value}' for key, value in entries.items())}")
+        yield one_line(f"metadata: {name}: {', '.join(f'{key}={_entry(value)}' for key, value in entries.items())}")
     for problem in content.problems:
         yield one_line(f"problem: {problem}")
     if not content.problems:
         yield "whole: footer, index and checksums are in order"
+
+
+def _entry(value: str) -> str:
+    return value if len(value) <= _LONGEST_ENTRY else f"({len(value)} characters)"
 
 
 def _topic_table(content: BagContent) -> Iterator[str]:

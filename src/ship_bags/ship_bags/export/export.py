@@ -4,7 +4,7 @@ import difflib
 import errno
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +16,7 @@ from ship_bags.export.table_rows import MessageTable, TopicRows
 from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag, watched
 from ship_bags.output_files import check_file, check_folder
 from ship_bags.stamps import END_OF_TIME_NS, utc_text
+from ship_bags.topic_names import TRUTH_PREFIX
 
 FORMATS: dict[str, type[TableFile]] = {"csv": CsvFile, "parquet": ParquetFile, "netcdf": NetcdfFile}
 
@@ -24,6 +25,10 @@ _BATCH_CELLS = 30_000
 """A table waits for so many rows or cells before they are written."""
 
 _LONGEST_STEM = 180
+_MOST_NAMED = 20
+_ALIKE, _THE_SAME = 0.6, 0.85
+"""How alike names are, after difflib: alike, and the same but for a slip of the pen."""
+
 _NOT_IN_A_NAME = re.compile(r"[^A-Za-z0-9_.-]")
 
 
@@ -96,14 +101,14 @@ def export(order: ExportOrder) -> Exported:
                 file = _opened(kind, paths[name, table.name], head, table)
                 stack.callback(file.discard)
                 topic.files.append((table, file))
-        untold = _take_messages(bag, order, topics)
-        files = [file for topic in topics.values() for _, file in topic.files]
+        met, left_out = _take_messages(bag, order, topics)
+        files = [file for name in met for _, file in topics[name].files]
         # A full disk shows itself here at the latest: no file gets its name before all are on the disk.
         for file in files:
             file.finish()
         for file in files:
             file.publish()
-        return Exported({file.path: file.row_count for file in files}, [*bag.problems, *refused, *untold])
+        return Exported({file.path: file.row_count for file in files}, [*bag.problems, *refused, *left_out])
 
 
 def _opened(kind: type[TableFile], path: Path, head: TableHead, table: MessageTable) -> TableFile:
@@ -115,8 +120,8 @@ def _opened(kind: type[TableFile], path: Path, head: TableHead, table: MessageTa
         raise BadInput("too many files at once: export fewer topics by --topics", file=path) from problem
 
 
-def _take_messages(bag: Bag, order: ExportOrder, topics: dict[str, _Topic]) -> list[str]:
-    """Read the bag and write the rows; returns what could not be decoded, and what has nothing in the times.
+def _take_messages(bag: Bag, order: ExportOrder, topics: dict[str, _Topic]) -> tuple[list[str], list[str]]:
+    """Read the bag and write the rows; returns the topics that get their files, and one line for each thing left out.
 
     Raises:
         BadInput: nothing at all lies in the times.
@@ -141,23 +146,21 @@ def _take_messages(bag: Bag, order: ExportOrder, topics: dict[str, _Topic]) -> l
         f"topic '{name}': {number} messages cannot be decoded and are left out; the first: {first[name]}"
         for name, number in counts.items()
     ]
-    return [*undecoded, *_empty_by_times(bag, order, [name for name in topics if name not in met], bool(met))]
-
-
-def _empty_by_times(bag: Bag, order: ExportOrder, names: list[str], others: bool) -> list[str]:
-    """One line for each topic that has no message between the times which the user gave.
-
-    Raises:
-        BadInput: no topic has one: the times are wrong, and empty tables are not what was meant.
-    """
     if order.since_ns == 0 and order.until_ns == END_OF_TIME_NS:
-        return []
-    if not others:
-        extent = "has no messages"
-        if bag.start_ns is not None and bag.end_ns is not None:
-            extent = f"is from {utc_text(bag.start_ns)} to {utc_text(bag.end_ns)}"
-        raise BadInput(f"no message was logged between --from and --to: the bag {extent}", file=order.bag)
-    return [f"topic '{name}': no message was logged between --from and --to" for name in names]
+        return list(topics), undecoded
+    empty = [f"'{name}'" for name in topics if name not in met]
+    if not met:
+        what = "no message of these topics" if order.topics else "no message"
+        raise BadInput(f"{what} was logged between --from and --to: the bag {_extent(bag)}", file=order.bag)
+    nothing = "nothing was logged between --from and --to, so no file is written, of"
+    left_out = [f"{nothing} {', '.join(empty)}"] if empty else []
+    return [name for name in topics if name in met], [*undecoded, *left_out]
+
+
+def _extent(bag: Bag) -> str:
+    if bag.start_ns is None or bag.end_ns is None:
+        return "has no messages"
+    return f"is from {utc_text(bag.start_ns)} to {utc_text(bag.end_ns)}"
 
 
 def _until(records: Iterator[BagRecord], until_ns: int) -> Iterator[BagRecord]:
@@ -169,15 +172,27 @@ def _until(records: Iterator[BagRecord], until_ns: int) -> Iterator[BagRecord]:
 
 def _kind(order: ExportOrder) -> type[TableFile]:
     """The kind of file, which ``--format`` and the end of the name must both mean."""
-    by_name = next((name for name, kind in FORMATS.items() if kind.suffix == order.out.suffix), None)
-    if order.out.is_dir():
-        by_name = None
+    by_name = None
+    if _names_a_file(order.out):
+        suffix = order.out.suffix.lower()
+        by_name = next((name for name, kind in FORMATS.items() if kind.suffix == suffix), None)
+        if by_name is None:
+            known = ", ".join(kind.suffix for kind in FORMATS.values())
+            raise BadInput(
+                f"--out ends in {order.out.suffix}: a file ends in one of {known}; a folder of that name must be there",
+                file=order.out,
+            )
     if order.format and by_name and order.format != by_name:
         raise BadInput(f"--out ends in {order.out.suffix}, but --format is {order.format}", file=order.out)
     name = order.format or by_name or "csv"
     if name == "parquet":
         check_parquet()
     return FORMATS[name]
+
+
+def _names_a_file(out: Path) -> bool:
+    """Whether ``--out`` means a file: it has an ending, and no folder bears the name."""
+    return bool(out.suffix) and not out.is_dir()
 
 
 def _wanted(bag: Bag, names: tuple[str, ...]) -> list[str]:
@@ -192,11 +207,21 @@ def _wanted(bag: Bag, names: tuple[str, ...]) -> list[str]:
             why = bag.skipped_topics[skipped[name]]
             raise BadInput(f"topic '{skipped[name]}' cannot be exported: {why}", file=bag.path)
         if name not in bare:
-            near = difflib.get_close_matches(name, bare, 1, 0.5)
-            hint = f"did you mean '{near[0]}'?" if near else f"it has {', '.join(sorted(bare)[:20])}"
-            raise BadInput(f"no topic '{name}': {hint}", file=bag.path)
+            raise BadInput(f"no topic '{name}': {_hint(name, bare)}", file=bag.path)
         wanted.append(bare[name])
     return wanted
+
+
+def _hint(name: str, known: Collection[str]) -> str:
+    """What the user may have meant, of the topics without a slash in front.
+
+    The truth of a simulation comes last, and is suggested only for what can mean nothing else: who asks for
+    ship/attitude, which the bag lacks, must not be sent to truth/attitude.
+    """
+    truth = sorted(topic for topic in known if f"/{TRUTH_PREFIX}" in f"/{topic}")
+    others = sorted(set(known).difference(truth))
+    near = difflib.get_close_matches(name, others, 1, _ALIKE) or difflib.get_close_matches(name, truth, 1, _THE_SAME)
+    return f"did you mean '{near[0]}'?" if near else f"it has {', '.join([*others, *truth][:_MOST_NAMED])}"
 
 
 def _topic_rows(bag: Bag, names: list[str], required: bool) -> tuple[dict[str, _Topic], list[str]]:
@@ -225,7 +250,7 @@ def _rows_of(bag: Bag, name: str) -> tuple[TopicRows | None, str]:
 
 def _paths(order: ExportOrder, kind: type[TableFile], topics: dict[str, _Topic]) -> dict[tuple[str, str], Path]:
     """The file of each table, by topic and name of the table."""
-    single = order.out.suffix == kind.suffix and not order.out.is_dir()
+    single = _names_a_file(order.out)
     if single and len(topics) > 1:
         raise BadInput(
             f"--out names one file, but {len(topics)} topics are exported: name one by --topics, or a folder",
@@ -236,8 +261,10 @@ def _paths(order: ExportOrder, kind: type[TableFile], topics: dict[str, _Topic])
     for name, topic in topics.items():
         stem = order.out.stem if single else _stem(name)
         folder = order.out.parent if single else order.out
+        # A file is called as the user wrote it, capital letters and all.
+        suffix = order.out.suffix if single else kind.suffix
         for table in topic.rows.tables:
-            path = folder / f"{stem}{'-' if table.name else ''}{table.name}{kind.suffix}"
+            path = folder / f"{stem}{'-' if table.name else ''}{table.name}{suffix}"
             # Disks of other systems do not tell capital letters from small ones.
             owner = owners.setdefault(path.name.lower(), name)
             if owner != name:

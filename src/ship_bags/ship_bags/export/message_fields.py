@@ -12,7 +12,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
 from ship_bags.errors import BadInput
-from ship_bags.export.units import Unit, standard_name, unit_of
+from ship_bags.export.units import Unit, standard_name, unit_of, value_names
 
 _MOST_NUMBERED = 64
 """A fixed array that is longer becomes a table of its own: nobody reads a thousand columns."""
@@ -43,7 +43,10 @@ Get = Callable[[Any], Any]
 
 
 class MessageField(NamedTuple):
-    """A number, text or array in a message: its place and type, what its numbers mean, the array or type it is in."""
+    """A number, text or array in a message: its place and type, what its numbers mean, the array or type it is in.
+
+    ``value_names`` are the names of the values that it can have, where it is one of the constants of its type.
+    """
 
     path: Path
     node: Nodetype
@@ -52,6 +55,7 @@ class MessageField(NamedTuple):
     standard_name: str | None = None
     array: str = ""
     owner: str = ""
+    value_names: tuple[tuple[str, int], ...] = ()
 
     @property
     def base(self) -> str:
@@ -74,10 +78,13 @@ def fields_of(
     """All that a message holds, down to numbers, texts, times and arrays that become no single columns."""
     if len(path) > _DEEPEST:
         raise BadInput(f"{type_name}: messages within messages are more than {_DEEPEST} deep")
-    for name, (node, content) in store.fielddefs[type_name][1]:
+    constants, fields = store.fielddefs[type_name]
+    for name, (node, content) in fields:
         unit = unit_of(type_name, name) or inherited
         cf_name = standard_name(type_name, name)
-        yield from _parts(MessageField((*path, name), node, content, unit, cf_name, owner=type_name), store)
+        values = tuple(value_names(type_name, name, constants).items())
+        field = MessageField((*path, name), node, content, unit, cf_name, owner=type_name, value_names=values)
+        yield from _parts(field, store)
 
 
 def _parts(field: MessageField, store: Typestore) -> Iterator[MessageField]:

@@ -57,7 +57,7 @@ class _Variable(NamedTuple):
 
     name: str
     code: str
-    attributes: dict[str, str]
+    attributes: dict[str, Any]
 
 
 class NetcdfFile(TableFile):
@@ -179,8 +179,8 @@ class NetcdfFile(TableFile):
         for variable, width in zip(self._variables, self._widths, strict=True):
             dimensions = (ROW, f"characters_{width}") if width else (ROW,)
             made = file.createVariable(variable.name, variable.code, dimensions)
-            for name, text in variable.attributes.items():
-                setattr(made, name, _ascii(text))
+            for name, value in variable.attributes.items():
+                setattr(made, name, _ascii(value) if isinstance(value, str) else value)
             # One record: by it the library knows sizes and places. It is cut off again.
             made[0] = b" " * width if width else 0
         file.flush()
@@ -208,8 +208,8 @@ def _time_attributes(origin: str, epoch_ns: int) -> dict[str, str]:
     }
 
 
-def _attributes(column: Column, topic: str) -> dict[str, str]:
-    attributes = {"long_name": column.origin, "coordinates": TIME}
+def _attributes(column: Column, topic: str) -> dict[str, Any]:
+    attributes: dict[str, Any] = {"long_name": column.origin, "coordinates": TIME}
     name = column.standard_name or standard_name_on(topic, column.origin)
     if column.unit is not None:
         attributes["units"] = cf_units(column.unit, name)
@@ -217,7 +217,20 @@ def _attributes(column: Column, topic: str) -> dict[str, str]:
         attributes["standard_name"] = name
     if column.kind == TEXT:
         attributes["_Encoding"] = "utf-8"
-    return attributes
+    return attributes | _flags(column)
+
+
+def _flags(column: Column) -> dict[str, Any]:
+    """What the values of an enumeration mean, as the conventions say it."""
+    if not column.kind.startswith(("int", "uint")) or column.kind in _SPLIT:
+        return {}
+    bounds = np.iinfo(column.kind)
+    # A bag may define any constant.
+    named = [(name, value) for name, value in column.value_names if bounds.min <= value <= bounds.max]
+    if not named:
+        return {}
+    names, values = zip(*named, strict=True)
+    return {"flag_values": np.array(values, _DTYPES[_CODES[column.kind]]), "flag_meanings": " ".join(names)}
 
 
 def _filled(column: Column, values: list[Any]) -> list[Any]:

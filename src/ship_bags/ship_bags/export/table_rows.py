@@ -58,13 +58,17 @@ Put = Callable[[list[Any], Any], None]
 
 @dataclass(frozen=True)
 class Column:
-    """A column: its name, the numpy name of its numbers or TEXT, its unit, and where its values stand in a message."""
+    """A column: its name, the numpy name of its numbers or TEXT, its unit, and where its values stand in a message.
+
+    ``value_names`` as of :class:`MessageField`.
+    """
 
     name: str
     kind: str
     unit: Unit | None
     origin: str
     standard_name: str | None = None
+    value_names: tuple[tuple[str, int], ...] = ()
 
 
 class MessageTable:
@@ -238,7 +242,8 @@ def _value_column(field: MessageField, base_type: str, origin: str) -> Column:
     kind = _KINDS.get(base_type)
     if kind is None:
         raise BadInput(f"field {field.origin}: numbers of type {base_type} are unknown here")
-    return Column("", kind, None if kind in (TEXT, "bool") else field.unit, origin, field.standard_name)
+    unit = None if kind in (TEXT, "bool") else field.unit
+    return Column("", kind, unit, origin, field.standard_name, field.value_names)
 
 
 def _put_value(row: list[Any], value: Any) -> None:

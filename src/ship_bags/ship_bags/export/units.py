@@ -1,11 +1,12 @@
-"""Units of message fields: of ship_msgs by the comments of its definitions, of common ROS messages by a table.
+"""Units of message fields and names of their values, as definitions of ship_msgs say; of common ROS messages by tables.
 
-A field whose unit is not certain has none: a wrong unit is worse than no unit.
+A field whose unit is not certain has none: a wrong unit is worse than no unit. So it is with the names of values.
 """
 
 import functools
 import re
-from typing import NamedTuple
+from collections.abc import Iterable
+from typing import Any, NamedTuple
 
 from ship_bags.message_store import SHIP_MESSAGES, ship_message_folder
 
@@ -118,6 +119,20 @@ _STANDARD_NAMES_IN_THE_AIR = {
 _CF_UNITS = {"latitude": "degrees_north", "longitude": "degrees_east"}
 """What CF wants to read in place of "degree"."""
 
+_CONSTANTS = {
+    "diagnostic_msgs/msg/DiagnosticStatus": {"level": ""},
+    "sensor_msgs/msg/NavSatStatus": {"status": "STATUS_"},
+    "sensor_msgs/msg/NavSatFix": {"position_covariance_type": "COVARIANCE_TYPE_"},
+    "sensor_msgs/msg/Range": {"radiation_type": ""},
+    "sensor_msgs/msg/BatteryState": {
+        name: f"{name.upper()}_" for name in ("power_supply_status", "power_supply_health", "power_supply_technology")
+    },
+}
+"""Type → field that is one of the type's constants → how their names begin."""
+
+_ONE_OF = re.compile(
+    r"\bOne of (?:the constants above|(?P<first>\w+) to (?P<last>\w+)|(?P<listed>\w+(?:, \w+)*))\."
+)
 _COMMENT_UNIT = re.compile(r"\[([^\]]+)\]")
 _FIELD = re.compile(r"^(\S+)\s+([A-Za-z]\w*)\s*(?:#.*)?$")
 
@@ -145,11 +160,50 @@ def cf_units(unit: Unit, name: str | None) -> str:
     return _CF_UNITS.get(name or "", unit.symbol)
 
 
+def value_names(type_name: str, field: str, constants: Iterable[tuple[str, str, Any]]) -> dict[str, int]:
+    """Name → value of what a field can be, where it is one of the constants of its type; else empty.
+
+    Args:
+        type_name: of the message.
+        field: of that type.
+        constants: name, type and value of each, in the order of the definition that rules.
+    """
+    values = {name: value for name, _, value in constants if isinstance(value, int)}
+    prefix = _CONSTANTS.get(type_name, {}).get(field)
+    if prefix is not None:
+        return {name: value for name, value in values.items() if name.startswith(prefix)}
+    if not type_name.startswith(f"{SHIP_MESSAGES}/msg/"):
+        return {}
+    one_of = _ONE_OF.search(_comments(type_name.rpartition("/")[2]).get(field, ""))
+    return {} if one_of is None else _selected(one_of, values)
+
+
+def _selected(one_of: re.Match[str], values: dict[str, int]) -> dict[str, int]:
+    """The constants that a comment means: those that it lists, from one to another, or all."""
+    names = list(values)
+    if one_of["listed"]:
+        names = [name for name in one_of["listed"].split(", ") if name in values]
+    elif one_of["first"] in values and one_of["last"] in values:
+        names = names[names.index(one_of["first"]) : names.index(one_of["last"]) + 1]
+    return {name: values[name] for name in names}
+
+
 @functools.cache
 def _commented_units(message: str) -> dict[str, str]:
-    """Field → unit in brackets, from the comment above it, which holds for all fields up to the next comment."""
+    """Field → unit in brackets, from its comment."""
+    units = {}
+    for field, comment in _comments(message).items():
+        known = [text for text in _COMMENT_UNIT.findall(comment) if text in _UNITS]
+        if known:
+            units[field] = known[0]
+    return units
+
+
+@functools.cache
+def _comments(message: str) -> dict[str, str]:
+    """Field that is no text → the comment above it, which holds for all fields up to the next comment."""
     path = ship_message_folder() / f"{message}.msg"
-    units: dict[str, str] = {}
+    comments: dict[str, str] = {}
     comment, ended = "", True
     for line in path.read_text(encoding="utf-8").splitlines() if path.is_file() else ():
         if line.startswith("#"):
@@ -158,9 +212,6 @@ def _commented_units(message: str) -> dict[str, str]:
             continue
         ended = True
         field = _FIELD.match(line)
-        if field is None or field[1].startswith("string"):
-            continue
-        known = [text for text in _COMMENT_UNIT.findall(comment) if text in _UNITS]
-        if known:
-            units[field[2]] = known[0]
-    return units
+        if field is not None and not field[1].startswith("string"):
+            comments[field[2]] = comment
+    return comments

@@ -10,6 +10,7 @@ from ship_bags.command_line import with_bar
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_file import McapFile
 from ship_bags.mcap.bag_reader import Bag, open_files
+from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.stamps import NS_PER_S
 
 
@@ -91,21 +92,25 @@ def bag_content(path: Path) -> BagContent:
             file.data.stream.close()
 
 
-def attachment(path: Path, name: str) -> bytes:
-    """A file that is attached to a bag; of several of that name in a folder the last.
+def attached_suite(path: Path) -> bytes:
+    """The suite file that is attached to a bag; of several in a folder the last.
 
     Raises:
-        BadInput: there is none of that name, or the bag cannot be opened.
+        BadInput: there is none, or the bag cannot be opened.
     """
     files = open_files(path)
     for file in files:
         file.data.stream.close()
     attached = {known: data for file in files for known, data in file.attachments.items()}
-    if name not in attached:
-        others = f"it has {', '.join(sorted(attached))}" if attached else "nothing is attached to it"
+    if SUITE_ATTACHMENT not in attached:
+        only = f", only {', '.join(sorted(attached))}" if attached else ""
         problems = "".join(f"; {problem}" for file in files for problem in file.problems)
-        raise BadInput(f"no {name} is attached to it: {others}{problems}", file=path)
-    return attached[name]
+        raise BadInput(
+            f"no suite file ({SUITE_ATTACHMENT}) is attached to it{only}: take the file with which the nodes ran, and "
+            f"give it to replay by --config{problems}",
+            file=path,
+        )
+    return attached[SUITE_ATTACHMENT]
 
 
 def _count(content: BagContent, file: McapFile) -> None:

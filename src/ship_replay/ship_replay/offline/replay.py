@@ -18,6 +18,7 @@ from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import NS_PER_S
 from ship_bags.topic_names import TRUTH_PREFIX, likely_namespace, relative_topics
 from ship_node.edge.adapter import TICK_PERIOD_NS, Adapter
+from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC
 from ship_node.edge.topics import Published
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain, suite_text
 from ship_replay.offline.message_times import LogTimes, MessageTimes, in_order_of_stamps
@@ -231,6 +232,12 @@ class ReplayRun:
         self._writer = writer
         self._summary = summary
         known = [orientation for orientation in ORIENTATIONS if orientation.truth_topic in truth_topics]
+        self._status_topics = {
+            f"{adapter.node_name}: {output.topic.rpartition('/')[2]}": output.topic
+            for adapter in chain.adapters
+            for output in adapter.outputs
+            if output.topic in STATUS_TOPICS
+        }
         self._errors = [TruthErrors(orientation) for orientation in known]
         self.last_time_ns: int | None = None
 
@@ -293,3 +300,12 @@ class ReplayRun:
         self._summary.outputs[topic] += 1
         if topic in STATUS_TOPICS:
             self._summary.statuses.setdefault(topic, StatusCourse()).add(message)
+        elif topic == DIAGNOSTICS_TOPIC:
+            self._note_sayings(message)
+
+    def _note_sayings(self, diagnostics: Any) -> None:
+        """What the nodes say of their statuses: the diagnostics "ship_attitude: attitude" are about ship/attitude."""
+        for said in diagnostics.status:
+            course = self._summary.statuses.get(self._status_topics.get(said.name, ""))
+            if course is not None:
+                course.note(said.message)

@@ -1,5 +1,6 @@
 """What a run claimed over time: shares of each status, the spans of one status, and why it was no better."""
 
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -24,6 +25,8 @@ _NOTED = Reason.COVARIANCE_UNKNOWN.word
 
 _WORTH_A_REASON = 0.01
 _MOST_SPANS = 12
+_MOST_SAYINGS = 4
+_NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")
 
 
 @dataclass(frozen=True)
@@ -62,6 +65,7 @@ class StatusCourse:
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()
         self._runs: list[_Run] = []
+        self._sayings: dict[str, list[str]] = {}
 
     def add(self, message: Any) -> None:
         """An output, in the order in which they were put out."""
@@ -73,6 +77,19 @@ class StatusCourse:
             self._runs[-1] = last._replace(last_ns=max(last.last_ns, stamp_ns), count=last.count + 1)
         else:
             self._runs.append(_Run(stamp_ns, stamp_ns, word, 1))
+
+    def note(self, saying: str) -> None:
+        """What the node says of its status in its diagnostics, once a second; kept where the last output was poor."""
+        if self._runs and self._runs[-1].word in _POOR:
+            # The same reason has other numbers each time.
+            self._sayings.setdefault(_NUMBER.sub("", saying), []).append(saying)
+
+    @property
+    def sayings(self) -> list[str]:
+        """What the node itself said of poor outputs, one line each, the most frequent first, with the last numbers."""
+        total = sum(map(len, self._sayings.values()))
+        most = sorted(self._sayings.values(), key=len, reverse=True)[:_MOST_SAYINGS]
+        return [f"it said {len(said)} of {total} times: {said[-1]}" for said in most]
 
     @property
     def spans(self) -> list[Span]:
@@ -111,6 +128,8 @@ def reasons_for(
 ) -> list[str]:
     """Why a node's outputs were INVALID or DEGRADED, one line each below a heading; empty where hardly any was.
 
+    First what the node itself said of them, which is the reason; then what its configuration and its inputs lack.
+
     Args:
         course: of its output.
         adapter: the node.
@@ -121,7 +140,9 @@ def reasons_for(
     counts = course.counts
     if sum(counts[word] for word in _POOR) <= _WORTH_A_REASON * counts.total():
         return []
-    reasons = [*adapter.start_warnings, *_no_stars(config)]
+    said = course.sayings
+    warnings = [warning for warning in adapter.start_warnings if not any(warning in saying for saying in said)]
+    reasons = [*said, *warnings, *_no_stars(config)]
     reasons += [excess.text for excess in exceeded(config, dict(times), "the bag")]
     reasons += [line for message in health if (line := hardly_used(message))]
     poor = " and ".join(f"{counts[word]} {word}" for word in reversed(_POOR) if counts[word])
