@@ -65,7 +65,8 @@ class StatusCourse:
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()
         self._runs: list[_Run] = []
-        self._sayings: dict[str, list[str]] = {}
+        self._sayings: Counter[str] = Counter()
+        self._last_saying: dict[str, str] = {}
 
     def add(self, message: Any) -> None:
         """An output, in the order in which they were put out."""
@@ -82,14 +83,16 @@ class StatusCourse:
         """What the node says of its status in its diagnostics, once a second; kept where the last output was poor."""
         if self._runs and self._runs[-1].word in _POOR:
             # The same reason has other numbers each time.
-            self._sayings.setdefault(_NUMBER.sub("", saying), []).append(saying)
+            reason = _NUMBER.sub("", saying)
+            self._sayings[reason] += 1
+            self._last_saying[reason] = saying
 
     @property
     def sayings(self) -> list[str]:
         """What the node itself said of poor outputs, one line each, the most frequent first, with the last numbers."""
-        total = sum(map(len, self._sayings.values()))
-        most = sorted(self._sayings.values(), key=len, reverse=True)[:_MOST_SAYINGS]
-        return [f"it said {len(said)} of {total} times: {said[-1]}" for said in most]
+        total = self._sayings.total()
+        most = self._sayings.most_common(_MOST_SAYINGS)
+        return [f"it said {count} of {total} times: {self._last_saying[reason]}" for reason, count in most]
 
     @property
     def spans(self) -> list[Span]:
