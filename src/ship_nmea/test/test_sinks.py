@@ -13,10 +13,10 @@ import tty
 import pytest
 
 from ship_nmea.line_splitter import LineSplitter
+from ship_nmea.opening import refusal
 from ship_nmea.out.config import SinkConfig
 from ship_nmea.out.outlet import command_texts
 from ship_nmea.out.sink import MOST_WAITING, RETRY_S, Sink
-from ship_nmea.places import refusal
 from ship_node.edge.messages_out import Level
 from ship_testing.listening_node import free_port
 

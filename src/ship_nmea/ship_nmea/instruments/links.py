@@ -14,7 +14,7 @@ from typing import Protocol
 
 from ship_nmea.instruments.config import ANY_ADDRESS, SERIAL, UDP, NmeaSourceConfig
 from ship_nmea.line_splitter import LineSplitter
-from ship_nmea.places import opened_serial, words
+from ship_nmea.opening import opened_serial, words
 
 RETRY_S = 1.0
 WAITING_LINES = 1000

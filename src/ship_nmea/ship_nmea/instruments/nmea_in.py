@@ -10,7 +10,7 @@ from ship_nmea.instruments.lines import heard_texts
 from ship_nmea.instruments.links import LinkReader, link_of
 from ship_nmea.instruments.source import Source
 from ship_nmea.node_shell import NmeaNode, run_nmea_node
-from ship_nmea.places import refusal
+from ship_nmea.opening import refusal
 from ship_node.edge.messages_out import DiagnosticStatus
 from ship_node.edge.topics import OutputTopic
 
@@ -28,7 +28,7 @@ _AT_ONCE = 50
 """Lines of a link taken before the next link's turn: a flood of one holds up no other."""
 _IDLE_S = 0.5
 _NAMED_BY = {UDP: ("port", "address"), SERIAL: ("device", "baud")}
-"""See :func:`ship_nmea.places.refusal`; of tcp a failure is that of the other side."""
+"""See :func:`ship_nmea.opening.refusal`; of tcp a failure is that of the other side."""
 _JOIN_S = 2.0
 
 

@@ -9,8 +9,8 @@ import termios
 import serial
 
 from ship_nmea.line_splitter import LineSplitter
+from ship_nmea.opening import opened_serial
 from ship_nmea.out.outlet import RECEIVE_BYTES, Outlet, command_texts
-from ship_nmea.places import opened_serial
 
 _UNSENT_S = 0.1
 """A serial line takes the next sentence when what it has still to send takes no longer, s."""

@@ -12,11 +12,11 @@ from typing import NamedTuple
 from ship_bags.errors import BadInput
 from ship_bags.stamps import NS_PER_S
 from ship_estimation.refusals import shortened
+from ship_nmea.opening import refusal, words
 from ship_nmea.out.config import FILE, SERIAL, TCP_SERVER, UDP, SinkConfig
 from ship_nmea.out.device_outlets import FileOutlet, SerialOutlet
 from ship_nmea.out.network_outlets import TcpOutlet, UdpOutlet
 from ship_nmea.out.outlet import Outlet
-from ship_nmea.places import refusal, words
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 
 MOST_WAITING = 200
@@ -37,7 +37,7 @@ _NAMED_BY = {
     SERIAL: ("device", "baud"),
     FILE: ("path", "path"),
 }
-"""See :func:`ship_nmea.places.refusal`; of udp only binding and the interface can fail so."""
+"""See :func:`ship_nmea.opening.refusal`; of udp only binding and the interface can fail so."""
 
 
 class _Waiting(NamedTuple):
