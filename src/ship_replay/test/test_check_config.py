@@ -327,6 +327,55 @@ def test_the_nodes_beside_the_estimators_may_have_sections_in_it(check, tmp_path
     assert check(GOOD + NMEA, write_bag(tmp_path / "a.mcap"))[0] == 0
 
 
+def nmea(sink, source, out="/**/nmea_out", heard="/**/nmea_in"):
+    """Sections of both NMEA nodes with one sink and one source, in lines 8 to 15."""
+    sections = ((out, "sinks", "s", sink), (heard, "sources", "g", f"{source}, becomes: gyro"))
+    return "".join(f"{node}:\n  ros__parameters:\n    {group}:\n      {id_}: {{{text}}}\n"
+                   for node, group, id_, text in sections)  # fmt: skip
+
+
+TTY = "kind: serial, device: /dev/ttyUSB0"
+LISTENS = "kind: udp, address: 10.0.0.1, port: 1, listen_port: 10110"
+
+
+@pytest.mark.parametrize(
+    ("sink", "source", "told"),
+    [
+        (TTY, TTY, "device' = '/dev/ttyUSB0' of /nmea_out: 'sources.g.device' of /nmea_in, line 15, has path /dev/tty"),
+        (LISTENS, "kind: udp, port: 10110", "listen_port' = 10110 of /nmea_out: 'sources.g.port' of /nmea_in, line 15"),
+        (LISTENS, "kind: udp, port: 10111", ""),
+        ("kind: udp, address: 127.0.0.1, port: 10110", "kind: udp, port: 10110", ""),
+        ("kind: tcp_server, port: 10110", "kind: tcp, address: 127.0.0.1, port: 10110", ""),
+        ("kind: tcp_server, port: 10110", "kind: udp, port: 10110", ""),
+    ],
+)  # fmt: skip
+def test_a_place_that_both_nmea_nodes_want_is_an_error(check, sink, source, told):
+    code, (line,), _ = check(GOOD + nmea(sink, source))
+    assert code == (2 if told else 0)
+    assert line.startswith(f"error: suite.yaml:11: parameter 'sinks.s.{told}" if told else "suite.yaml: good")
+
+
+def test_places_of_other_namespaces_of_the_file_are_looked_at(check):
+    text = GOOD.replace("ship_attitude:", "/**/ship_attitude:") + nmea(TTY, TTY, "/a/nmea_out", "/b/nmea_in")
+    text += nmea(TTY, TTY, "/b/nmea_out", "/a/nmea_in").replace("USB0", "USB1")
+    code, lines, _ = check(text, None, "--namespace", "a")
+    errors = [line for line in lines if line.startswith("error")]
+    assert code == 2
+    assert [line.partition(", has")[0] for line in errors] == [
+        f"error: suite.yaml:{place}: parameter 'sinks.s.device' = '/dev/ttyUSB{number}' of /{one}/nmea_out: "
+        f"'sources.g.device' of /{other}/nmea_in, line {line}"
+        for place, number, one, other, line in ((19, 1, "b", "a", 23), (11, 0, "a", "b", 15))
+    ]
+
+
+def test_a_place_that_two_sinks_want_is_told_once(check):
+    files = "      log: {kind: file, path: a}\n      too: {kind: file, path: ./a}\n"
+    text = GOOD + NMEA.replace("/**/nmea_in", f"{files}/**/nmea_in")
+    code, lines, _ = check(text)
+    expected = "parameter 'sinks.too.path' = 'a': 'sinks.log.path' has path a already: expected a path of its own"
+    assert (code, lines) == (2, [f"error: suite.yaml:13: {expected}"])
+
+
 def test_their_parameters_are_checked_too_all_of_them(check):
     text = NMEA.replace("port: 10110", "prt: 10110, rate_hz: 0.0").replace("becomes: gyro", "becomes: compass")
     code, found, _ = check(GOOD + text)

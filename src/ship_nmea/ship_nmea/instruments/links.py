@@ -16,8 +16,9 @@ from typing import Protocol
 import serial
 
 from ship_bags.errors import one_line
-from ship_nmea.instruments.config import ANY_ADDRESS, SERIAL, UDP, NmeaSourceConfig
+from ship_nmea.instruments.config import SERIAL, UDP, NmeaSourceConfig
 from ship_nmea.line_splitter import LineSplitter
+from ship_node.parameters.places import ANY_ADDRESS
 
 RETRY_S = 1.0
 WAITING_LINES = 1000

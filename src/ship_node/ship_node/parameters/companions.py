@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
-from ship_bags.parameter_yaml import full_name
+from ship_bags.parameter_yaml import full_name, read_sections
 from ship_node.parameters.parameter_file import has_section
 
 
@@ -56,3 +56,22 @@ def named_companions(source: Path | str, namespace: str = "") -> Iterator[Compan
     for companion in COMPANIONS:
         if has_section(source, full_name(companion.node_name, namespace), wildcards=False):
             yield companion
+
+
+def companion_nodes(source: Path | str, namespace: str = "") -> Iterator[tuple[Companion, str]]:
+    """All nodes of this kind that a suite file speaks of, with their full names, also those of other namespaces.
+
+    Args:
+        source: the file.
+        namespace: of those that the file names with wildcards alone.
+
+    Raises:
+        BadInput: the file cannot be read or is no parameter file.
+    """
+    sections = [section.node for section in read_sections(source)[1]]
+    for companion in COMPANIONS:
+        last, name = f"/{companion.node_name}", full_name(companion.node_name, namespace)
+        exact = {section for section in sections if section.endswith(last) and "*" not in section}
+        by_wildcard = [name] if not exact and has_section(source, name, wildcards=False) else []
+        for node in sorted(exact) or by_wildcard:
+            yield companion, node

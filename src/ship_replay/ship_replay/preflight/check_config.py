@@ -20,8 +20,9 @@ from ship_bags.topic_names import relative_topics
 from ship_estimation.parameters import ParameterDescription, ParameterError, build, describe
 from ship_node.documents.saved_document import UNTOUCHED
 from ship_node.edge.adapter import Adapter
-from ship_node.parameters.companions import COMPANIONS, Companion, named_companions
+from ship_node.parameters.companions import COMPANIONS, Companion, companion_nodes, named_companions
 from ship_node.parameters.parameter_file import has_section, misfit, read, unknown_sections
+from ship_node.parameters.places import HeldPlace
 from ship_replay.offline.adapter_chain import nodes_of
 
 _OF_ONE_NODE = ("magnitude_limit", "refraction_time_s", "position_time_s")
@@ -131,6 +132,7 @@ def check_file(
     nodes = [node for node in checked if node is not None]
     for companion in named_companions(path, namespace):
         _check_companion(path, companion, namespace, findings)
+    findings.errors += list(_held_twice(path, namespace))
     findings.warnings += list(_told_differently(path, nodes))
     return nodes
 
@@ -177,6 +179,28 @@ def _check_companion(path: Path, companion: Companion, namespace: str, findings:
     _configured(read(path, full_name(companion.node_name, namespace)), kind, findings)
 
 
+def _held_twice(path: Path, namespace: str) -> Iterator[str]:
+    """What two nodes of a file want of the machine and only one can have; of one node its configuration tells it."""
+    for (node, file, place), (other_node, other_file, other) in itertools.combinations(_held(path, namespace), 2):
+        if node != other_node and place.excludes(other):
+            reason = f"parameter '{other.parameter}' = {other.name!r} of {other_node}"
+            reason += f": '{place.parameter}' of {node}, line {file.line_of(place.parameter)}, has {place} already"
+            line = other_file.line_of(other.parameter)
+            yield f"{path}:{line}: {reason}: expected a {place.kind.value} of its own"
+
+
+def _held(path: Path, namespace: str) -> Iterator[tuple[str, ParameterFile, HeldPlace]]:
+    """Full name, parameters and each place of all nodes beside the estimators whose parameters are good."""
+    for companion, node in companion_nodes(path, namespace):
+        file = read(path, node)
+        try:
+            config = build(companion.config_type, file.values)
+        except (ImportError, ParameterError):
+            continue  # told already, or no node of this suite
+        for place in config.places:
+            yield node, file, place
+
+
 def _configured(file: ParameterFile, kind: type[Any], findings: Findings) -> tuple[Any, set[str]]:
     """The configuration with wrong values replaced, or None; and the names of those of which enough is said."""
     values = copy.deepcopy(file.values)
@@ -186,6 +210,8 @@ def _configured(file: ParameterFile, kind: type[Any], findings: Findings) -> tup
         try:
             return build(kind, values), told
         except ParameterError as problem:  # noqa: PERF203 - each time another value is put right
+            if problem.parameters and problem.parameters[0] in told:
+                return None, told  # it follows from the value that was taken out
             findings.errors.append(str(file.error(problem)))
             told.update(problem.parameters[:1])
             if not _put_right(values, problem, descriptions):
