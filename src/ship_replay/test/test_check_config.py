@@ -253,7 +253,8 @@ def test_a_sky_that_is_another_one_for_another_node_is_a_warning(check):
     assert not any("sky" in line for line in check(text.replace("input: solution", "input: horizon_attitude"))[1])
 
 
-NODES = "expected one of '/**/ship_attitude', '/**/star_attitude', '/**/optical_axis' or '/**'"
+NODES = "expected one of '/**/ship_attitude', '/**/star_attitude', '/**/optical_axis', '/**/nmea_in', '/**/nmea_out'"
+NODES += " or '/**'"
 
 
 def test_mend_12_a_misspelt_node_is_an_error(check):
@@ -327,6 +328,16 @@ def test_the_nodes_beside_the_estimators_may_have_sections_in_it(check, tmp_path
     assert check(GOOD + NMEA, write_bag(tmp_path / "a.mcap"))[0] == 0
 
 
+def test_they_may_stand_alone_in_it(check, tmp_path):
+    assert check(NMEA) == (0, ["suite.yaml: good"], [])
+    assert check(NMEA, None, "--namespace", "aurora") == (0, ["suite.yaml: good"], [])
+    code, (line,), _ = check(NMEA.replace("port: 10111", "port: 0"))
+    assert (code, line[:50]) == (2, "error: suite.yaml:8: parameter 'sources.gyro.port'")
+    code, (warning, _), _ = check(NMEA, write_bag(tmp_path / "a.mcap"))
+    told = "warning: suite.yaml: no section for an estimator: nothing of the bag is checked"
+    assert (code, warning) == (0, told)
+
+
 def nmea(sink, source, out="/**/nmea_out", heard="/**/nmea_in"):
     """Sections of both NMEA nodes with one sink and one source, in lines 8 to 15."""
     sections = ((out, "sinks", "s", sink), (heard, "sources", "g", f"{source}, becomes: gyro"))
@@ -388,12 +399,6 @@ def test_a_section_of_nearly_their_name_is_refused(check):
     code, found, _ = check(GOOD + NMEA.replace("/nmea_out", "/nmea_outs"))
     assert code == 2
     assert any("suite.yaml:8: section '/**/nmea_outs' does not fit node '/nmea_out'" in line for line in found)
-
-
-def test_a_file_about_them_alone_is_no_suite(check):
-    code, _, said = check(NMEA)
-    assert code == 2
-    assert "no section for a node of this suite" in said[0]
 
 
 def test_what_is_not_installed_cannot_be_checked_and_that_is_said(check, monkeypatch):

@@ -43,6 +43,8 @@ def _parser() -> CommandParser:
 def _run(options: argparse.Namespace) -> int:
     findings = Findings()
     nodes = check_file(options.config, ADAPTERS, findings, options.namespace)
+    if options.bag is not None and not nodes and not findings.errors:
+        findings.warnings.append(f"{options.config}: no section for an estimator: nothing of the bag is checked")
     if options.bag is not None and nodes:
         with read_bag(options.bag) as bag:
             check = BagCheck(options.config, nodes, bag, options.namespace, findings)

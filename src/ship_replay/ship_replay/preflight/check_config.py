@@ -121,7 +121,8 @@ def check_file(
     misfits = [problem for name in known for problem in _misfit(path, name)]
     findings.errors += misfits
     strange = unknown_sections(path, known)
-    if not misfits and not any(has_section(path, name) for name in names.values()):
+    companions = list(named_companions(path, namespace))
+    if not (misfits or companions or any(has_section(path, name) for name in names.values())):
         found = ", ".join(f"'{name}'" for name in strange) or "none"
         raise BadInput(f"no section for a node of this suite: {_expected(adapter_classes)}, found {found}", file=path)
     if not misfits:
@@ -130,7 +131,7 @@ def check_file(
     named = [kind for kind in nodes_of(path, adapter_classes, namespace) if has_section(path, names[kind])]
     checked = (_checked(path, kind, names[kind], findings) for kind in named)
     nodes = [node for node in checked if node is not None]
-    for companion in named_companions(path, namespace):
+    for companion in companions:
         _check_companion(path, companion, namespace, findings)
     findings.errors += list(_held_twice(path, namespace))
     findings.warnings += list(_told_differently(path, nodes))
@@ -138,7 +139,7 @@ def check_file(
 
 
 def _expected(adapter_classes: Sequence[type[Adapter]]) -> str:
-    names = ", ".join(f"'{anywhere(kind.node_name)}'" for kind in adapter_classes)
+    names = ", ".join(f"'{anywhere(kind.node_name)}'" for kind in (*adapter_classes, *COMPANIONS))
     return f"expected one of {names} or '/**'"
 
 
