@@ -116,6 +116,12 @@ class NmeaInConfig:
             held.setdefault(source.place, source.held(f"sources.{id_}"))
         return tuple(filter(None, held.values()))
 
+    @property
+    def interfaces(self) -> dict[str, str]:
+        """Dotted name of a parameter → the own address that it names beside a port's."""
+        own = {f"sources.{id_}.interface": source.interface for id_, source in self.sources.items()}
+        return {name: address for name, address in own.items() if address}
+
     def _check_shared(self) -> None:
         """Refuse sources that share a device or a group and would have it opened differently."""
         firsts: dict[str, tuple[str, NmeaSourceConfig]] = {}

@@ -129,6 +129,12 @@ class NmeaOutConfig:
         """What the node holds of this machine."""
         return tuple(filter(None, (sink.held(f"sinks.{name}") for name, sink in self.sinks.items())))
 
+    @property
+    def interfaces(self) -> dict[str, str]:
+        """Dotted name of a parameter → the own address that it names beside a port's."""
+        own = {f"sinks.{id_}.interface": sink.interface for id_, sink in self.sinks.items()}
+        return {name: address for name, address in own.items() if address}
+
 
 def _check_letters(name: str, value: str, count: int) -> None:
     if not re.fullmatch(f"[A-Z]{{{count}}}", value):
