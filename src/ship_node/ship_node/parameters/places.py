@@ -63,7 +63,7 @@ class HeldPlace:
 
 
 def held_port(parameter: str, kind: PlaceKind, port: int, address: str = "") -> HeldPlace:
-    """A port of an own address or of a group; without one, or with 0.0.0.0, of all addresses."""
+    """A port of an own address or of a group, as it is written; without one, or with 0.0.0.0, of all addresses."""
     return HeldPlace(parameter, kind, port, "" if address == ANY_ADDRESS else address)
 
 
