@@ -18,6 +18,7 @@ from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 
 ROOT = Path(__file__).parents[1]
 NODES = {"ship_attitude": ShipAttitudeAdapter, "star_attitude": StarAttitudeAdapter, "optical_axis": OpticalAxisAdapter}
+SUITE = {"nmea_in", "nmea_out", "suite", "check_config", "preflight"}
 EXECUTABLES = re.findall(
     # What has moved to another package only says where it is now.
     r'"(\w+) = (?!ship_replay\.commands\.moved)([\w.]+):\w+"',
@@ -45,6 +46,16 @@ def test_mend_16_every_help_ends_with_an_example(name, module, capsys):
     # Files of the repository that it names are there, and its options are known.
     assert all((ROOT / word).exists() for word in command if word.startswith(("bags/", "examples/")))
     assert all(word in shown for word in command if word.startswith("--"))
+
+
+@pytest.mark.parametrize(("name", "module"), [row for row in EXECUTABLES if row[0] in {*NODES, *SUITE}])
+def test_the_parameters_of_a_node_and_the_help_of_a_suite_are_no_wider_than_a_page(name, module, capsys):
+    shown = help_of(name, module, capsys)
+    looked_at = shown.partition("parameters (")[2] if name in NODES else shown
+    assert max(map(len, looked_at.splitlines())) <= 120
+    if name in ("suite", "check_config"):
+        assert "nmea_in" in shown
+        assert "nmea_out" in shown
 
 
 def test_mend_16_the_help_of_a_node_lists_what_any_configuration_asks_for():

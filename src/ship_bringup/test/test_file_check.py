@@ -83,6 +83,15 @@ def test_a_file_that_nmea_out_appends_to_needs_its_folder(tmp_path):
         assert text.startswith(f"{path}:1: sinks.log.path {log}: ")
 
 
+@pytest.mark.parametrize(("key", "found"), [("path", "is a folder"), ("device", "is no serial device")])
+def test_what_is_no_file_and_no_device_of_nmea_out(tmp_path, key, found):
+    path = tmp_path / "suite.yaml"
+    path.write_text(f"/**/nmea_out: {{ros__parameters: {{sinks: {{log: {{{key}: {tmp_path}}}}}}}}}\n")
+    assert rows(look_at_files(path, None)) == [(Result.FAIL, f"{path}:1: sinks.log.{key} {tmp_path}: {found}")]
+    path.write_text(f"/**/nmea_out: {{ros__parameters: {{sinks: {{log: {{device: {path}}}}}}}}}\n")
+    assert rows(look_at_files(path, None)) == [(Result.FAIL, f"{path}:1: sinks.log.device {path}: is no serial device")]
+
+
 def test_a_device_of_another_group_says_how_to_get_into_it():
     state = PathState(Path("/dev/ttyUSB0"), "suite.yaml:8: device", True, True, False, False)
     (row,) = judge_files([state], [])

@@ -58,3 +58,18 @@ def test_a_bad_key_of_theirs_is_told_before_anything_starts(suite):
     line = suite.read_text().splitlines().index(next(s for s in suite.read_text().splitlines() if "prt" in s)) + 1
     with pytest.raises(BadInput, match=rf"suite.yaml:{line}: parameter 'sinks.bridge.prt' is unknown: .* 'port'\?"):
         plan_of(suite, SuiteOptions())
+
+
+def test_a_place_that_two_want_is_told_before_anything_starts(suite):
+    suite.write_text(suite.read_text().replace("port: 10110}", "port: 10110, listen_port: 10111}"))
+    with pytest.raises(BadInput, match=r"suite.yaml:\d+: .*'sinks.bridge.listen_port' = 10111 .*'sources.gyro.port'"):
+        plan_of(suite, SuiteOptions())
+
+
+def test_nmea_nodes_are_a_suite_without_estimators_too(tmp_path):
+    """As on a second computer: they may run there alone, and the suite is over when both are."""
+    path = tmp_path / "suite.yaml"
+    path.write_text(NMEA)
+    assert roles(plan_of(path, SuiteOptions(namespace="aurora"))) == {"nmea_in": Role.NODE, "nmea_out": Role.NODE}
+    with pytest.raises(BadInput, match=r"suite.yaml: .*demo.mcap cannot be played: .* no section for an estimator"):
+        plan_of(path, SuiteOptions(bag=DEMO))

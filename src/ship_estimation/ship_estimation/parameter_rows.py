@@ -1,6 +1,13 @@
 """The parameters of a dataclass as rows of text, for ``--help``."""
 
+import textwrap
+
 from ship_estimation.parameters import ParameterDescription, describe
+
+_WIDTH = 120
+_WIDEST = 24
+"""What is wider than this in a column but the first one does not push the next column away in the other rows."""
+_BELOW = " " * 6
 
 
 def key_rows(kind: type) -> list[str]:
@@ -14,7 +21,7 @@ def key_rows(kind: type) -> list[str]:
         >>> key_rows(GateConfig)[1].split()[:4]
         ['conflict_after*', '-', '10', '[1,']
     """
-    return in_columns([parameter_row(description) for description in describe(kind)])
+    return in_lines([parameter_row(description) for description in describe(kind)])
 
 
 def parameter_row(description: ParameterDescription) -> tuple[str, ...]:
@@ -45,3 +52,28 @@ def in_columns(rows: list[tuple[str, ...]]) -> list[str]:
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["  ".join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=True)) for row in rows]
     return ["  " + line.rstrip() for line in lines]
+
+
+def in_lines(rows: list[tuple[str, ...]]) -> list[str]:
+    """As :func:`in_columns`, with no line longer than 120: where the last cell of a row does not fit, it stands below.
+
+    Example:
+        >>> in_lines([("heading", "deg", "true"), ("sigma", "arcsec", "of the heading, " * 7 + "one sigma")])
+        ... # doctest: +NORMALIZE_WHITESPACE
+        ['  heading  deg     true', '  sigma    arcsec', '      of the heading, of the heading, of the heading,
+        of the heading, of the heading, of the heading, of the', '      heading, one sigma']
+    """
+    first, *others = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    widths = [first, *(min(width, _WIDEST) for width in others[:-1])]
+    lines = []
+    for *head, last in rows:
+        begin = "  " + "  ".join(f"{cell:{width}}" for cell, width in zip(head, widths, strict=True))
+        line = f"{begin}  {last}".rstrip()
+        lines += [line] if len(line) <= _WIDTH else [*_wrapped(begin, ""), *_wrapped(last, _BELOW)]
+    return lines
+
+
+def _wrapped(text: str, indent: str) -> list[str]:
+    return textwrap.wrap(
+        text, _WIDTH, initial_indent=indent, subsequent_indent=_BELOW, break_long_words=False, break_on_hyphens=False
+    )

@@ -12,7 +12,7 @@ import math
 import re
 import types
 import typing
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Any, TypeVar
 
 from ship_geometry.input_error import InputError
@@ -20,6 +20,9 @@ from ship_geometry.input_error import InputError
 Config = TypeVar("Config")
 
 _ID = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_MOST_NAMED = 8
+_LIKEST = 3
+"""Of more names than fit a line only the likest are told where another one was expected."""
 
 
 class ParameterError(InputError):
@@ -205,10 +208,21 @@ def _near(name: str, known: Iterable[str]) -> str:
     return f"did you mean '{near[0]}'?" if near else "ros2 param list tells them all"
 
 
-def _expected(name: str, known: Iterable[str]) -> str:
-    """The name that was probably meant, and all that there are."""
+def _expected(name: str, known: Collection[str]) -> str:
+    """The names that there are, of many the likest and how many others; and the one that was probably meant.
+
+    Example:
+        >>> _expected("colour", ["gate", "lever_m"])
+        'expected one of gate, lever_m'
+        >>> _expected("lagg_s", ["gate", "lag_s", "sky", *(f"other_{number}" for number in range(20))])
+        "expected one of lag_s, gate, sky or 20 others; did you mean 'lag_s'?"
+    """
     near = difflib.get_close_matches(name, known, n=1)
-    return f"expected one of {', '.join(sorted(known))}" + "".join(f"; did you mean '{meant}'?" for meant in near)
+    named, others = sorted(known), len(known) - _LIKEST
+    if len(known) > _MOST_NAMED:
+        named = sorted(named, key=lambda one: difflib.SequenceMatcher(None, name, one).ratio(), reverse=True)[:_LIKEST]
+    text = f"expected one of {', '.join(named)}" + (f" or {others} others" if len(known) > _MOST_NAMED else "")
+    return text + "".join(f"; did you mean '{meant}'?" for meant in near)
 
 
 def _ids(name: str, group: Mapping[Any, Any], placeholder: str) -> list[str]:

@@ -21,8 +21,7 @@ from ship_bags.command_line import CommandParser
 from ship_bags.live.ros_process import split_ros_arguments
 from ship_bags.message_factory import RosidlFactory, message_class
 from ship_bags.parameter_yaml import BLACK_BOX_PARAMETER
-from ship_estimation.parameter_rows import in_columns, parameter_row
-from ship_estimation.parameters import describe
+from ship_estimation.parameter_rows import key_rows
 from ship_geometry.input_error import InputError
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, DiagnosticStatus, diagnostic_array
 from ship_node.edge.topics import InputTopic, OutputTopic
@@ -59,7 +58,7 @@ def run_nmea_node(
     Returns:
         Exit code: 0 ended by a signal, 2 bad arguments or parameters (one line on stderr says which).
     """
-    rows = "\n".join(in_columns([parameter_row(parameter) for parameter in describe(config_type)]))
+    rows = "\n".join(key_rows(config_type))
     parser = CommandParser(
         prog=name,
         usage=f"{name} [--help] [--ros-args [--params-file FILE] [-p NAME:=VALUE] ...]",

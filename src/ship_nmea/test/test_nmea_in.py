@@ -276,7 +276,7 @@ def test_bad_input_is_one_line_with_file_line_and_key(tmp_path):
     assert line.endswith("it is no serial device: expected one as /dev/ttyUSB0")
     code, line = refused(tmp_path, f"{SOURCE}        kind: udp\n        prt: 10110\n")
     assert code == 2
-    assert line.startswith("nmea_in: suite.yaml:7: parameter 'sources.seapath.prt' is unknown: expected one of address")
+    assert line.startswith("nmea_in: suite.yaml:7: parameter 'sources.seapath.prt' is unknown: expected one of port")
     code, line = refused(tmp_path, "/**/nmea_in:\n  ros__parameters:\n    use_sim_time: false\n")
     assert (code, line) == (2, "nmea_in: parameter 'sources' names no source: expected one as 'sources.gyro.kind'")
 

@@ -6,6 +6,7 @@ from ship_estimation.parameters import ParameterError, build
 from ship_nmea.instruments.config import NmeaInConfig
 
 UDP = {"kind": "udp", "port": 10110}
+GROUP = UDP | {"address": "239.192.0.4"}
 SERIAL = {"kind": "serial", "device": "/dev/ttyUSB0"}
 
 
@@ -29,6 +30,21 @@ SERIAL = {"kind": "serial", "device": "/dev/ttyUSB0"}
             "sources.b.baud",
             "'a' reads the same device at 4800 Bd",
         ),
+        (
+            {n: GROUP | {"becomes": "gyro", "interface": own} for n, own in (("a", ""), ("b", "10.0.0.7"))},
+            "sources.b.interface",
+            "'a' hears the same by the default one, and one is opened",
+        ),
+        (
+            {n: UDP | {"becomes": "gyro", "address": own} for n, own in (("a", "127.0.0.1"), ("b", ""))},
+            "sources.b.port",
+            "'sources.a.port' has UDP port 10110 of 127.0.0.1 already: expected a UDP port of its own",
+        ),
+        (
+            {n: UDP | {"becomes": "gyro", "address": own} for n, own in (("a", "239.192.0.4"), ("b", "0.0.0.0"))},
+            "sources.b.port",
+            "'sources.a.port' has UDP port 10110 of 239.192.0.4 already",
+        ),
     ],
 )
 def test_what_cannot_be_is_named(sources, parameter, complaint):
@@ -43,3 +59,20 @@ def test_of_two_receivers_the_one_of_its_own_gives_the_fix():
     both = build(NmeaInConfig, {"sources": {"a": UDP | {"becomes": "ins"}, "b": UDP | {"becomes": "gnss"}}})
     assert list(both.role("a").topics("a")) == ["ins/imu"]
     assert list(both.role("b").topics("b")) == ["gnss/fix"]
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "held"),
+    [
+        (UDP, UDP | {"address": "0.0.0.0"}, ["sources.a.port"]),
+        (SERIAL, SERIAL | {"device": "/dev//ttyUSB0"}, ["sources.a.device"]),
+        (GROUP, GROUP | {"address": "239.192.0.5"}, ["sources.a.port", "sources.b.port"]),
+        (UDP | {"address": "10.0.0.7"}, UDP | {"address": "127.0.0.1"}, ["sources.a.port", "sources.b.port"]),
+        *[({"kind": "tcp", "address": "10.0.0.1", "port": 4001}, other, held) for other, held in (
+            (UDP | {"port": 4001}, ["sources.b.port"]), ({"kind": "tcp", "address": "10.0.0.1", "port": 4001}, []))],
+    ],
+)  # fmt: skip
+def test_sources_of_one_place_share_it_and_others_have_their_own(one, other, held):
+    config = build(NmeaInConfig, {"sources": {"a": one | {"becomes": "gyro"}, "b": other | {"becomes": "reference"}}})
+    assert [place.parameter for place in config.places] == held
+    assert (config.sources["a"].place == config.sources["b"].place) is (len(held) < 2 and other["kind"] == one["kind"])

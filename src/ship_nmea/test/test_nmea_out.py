@@ -176,7 +176,7 @@ SINK = "/**/nmea_out:\n  ros__parameters:\n    sinks:\n      bridge:\n"
 
 @pytest.mark.parametrize(("text", "told"), [
     (SINK + "        kind: tcp_server\n        prt: 10110\n",
-     ":6: parameter 'sinks.bridge.prt' is unknown: expected one of address, baud,"),
+     ":6: parameter 'sinks.bridge.prt' is unknown: expected one of port,"),
     (SINK + "        kind: tcp\n", ":5: parameter 'sinks.bridge.kind' = 'tcp' must be one of udp, tcp_server,"),
     (SINK + "        kind: serial\n", ":5: parameter 'sinks.bridge.device' must be given for kind serial"),
     (SINK + "        kind: file\n        path: log\n        port: 7\n",

@@ -86,7 +86,8 @@ ship_attitude:
 def test_mend_16_each_error_is_said_once(check):
     _, lines, errors = check(GOOD.replace("    ins:", "    lagg_s: 1.0\n    ins:"))
     assert "".join(lines + errors).count("lagg_s") == 1
-    assert "did you mean 'lag_s'?" in lines[0]
+    told = "expected one of lag_s, max_age_s, coasting_after_s or 10 others; did you mean 'lag_s'?"
+    assert lines[0] == f"error: suite.yaml:3: parameter 'lagg_s' is unknown: {told}"
 
 
 def test_wrong_frame_id(check, tmp_path):
@@ -253,7 +254,8 @@ def test_a_sky_that_is_another_one_for_another_node_is_a_warning(check):
     assert not any("sky" in line for line in check(text.replace("input: solution", "input: horizon_attitude"))[1])
 
 
-NODES = "expected one of '/**/ship_attitude', '/**/star_attitude', '/**/optical_axis' or '/**'"
+NODES = "expected one of '/**/ship_attitude', '/**/star_attitude', '/**/optical_axis', '/**/nmea_in', '/**/nmea_out'"
+NODES += " or '/**'"
 
 
 def test_mend_12_a_misspelt_node_is_an_error(check):
@@ -327,6 +329,59 @@ def test_the_nodes_beside_the_estimators_may_have_sections_in_it(check, tmp_path
     assert check(GOOD + NMEA, write_bag(tmp_path / "a.mcap"))[0] == 0
 
 
+def test_they_may_stand_alone_in_it(check, tmp_path):
+    assert check(NMEA) == (0, ["suite.yaml: good"], [])
+    assert check(NMEA, None, "--namespace", "aurora") == (0, ["suite.yaml: good"], [])
+    code, (line,), _ = check(NMEA.replace("port: 10111", "port: 0"))
+    assert (code, line[:50]) == (2, "error: suite.yaml:8: parameter 'sources.gyro.port'")
+    code, (warning, _), _ = check(NMEA, write_bag(tmp_path / "a.mcap"))
+    told = "warning: suite.yaml: no section for an estimator: nothing of the bag is checked"
+    assert (code, warning) == (0, told)
+
+
+def nmea(sink, source, out="/**/nmea_out", heard="/**/nmea_in"):
+    """Sections of both NMEA nodes with one sink and one source, in lines 8 to 15."""
+    sections = ((out, "sinks", "s", sink), (heard, "sources", "g", f"{source}, becomes: gyro"))
+    return "".join(f"{node}:\n  ros__parameters:\n    {group}:\n      {id_}: {{{text}}}\n"
+                   for node, group, id_, text in sections)  # fmt: skip
+
+
+TTY = "kind: serial, device: /dev/ttyUSB0"
+LISTENS = "kind: udp, address: 10.0.0.1, port: 1, listen_port: 10110"
+
+
+@pytest.mark.parametrize(
+    ("sink", "source", "told"),
+    [
+        (TTY, TTY, "device' = '/dev/ttyUSB0' of /nmea_out: 'sources.g.device' of /nmea_in, line 15, has path /dev/tty"),
+        (LISTENS, "kind: udp, port: 10110", "listen_port' = 10110 of /nmea_out: 'sources.g.port' of /nmea_in, line 15"),
+        (LISTENS, "kind: udp, port: 10111", ""),
+        ("kind: udp, address: 127.0.0.1, port: 10110", "kind: udp, port: 10110", ""),
+        ("kind: tcp_server, port: 10110", "kind: tcp, address: 127.0.0.1, port: 10110", ""),
+        ("kind: tcp_server, port: 10110", "kind: udp, port: 10110", ""),
+    ],
+)  # fmt: skip
+def test_a_place_that_both_nmea_nodes_want_is_an_error(check, sink, source, told):
+    code, (line,), _ = check(GOOD + nmea(sink, source))
+    assert code == (2 if told else 0)
+    assert line.startswith(f"error: suite.yaml:11: parameter 'sinks.s.{told}" if told else "suite.yaml: good")
+
+
+def test_the_same_place_of_another_namespace_is_another_machines(check):
+    text = GOOD.replace("ship_attitude:", "/**/ship_attitude:") + nmea(TTY, TTY, "/a/nmea_out", "/b/nmea_in")
+    text += nmea(TTY, TTY, "/b/nmea_out", "/a/nmea_in").replace("USB0", "USB1")
+    code, lines, _ = check(text, None, "--namespace", "a")
+    assert code == 0, lines
+
+
+def test_a_place_that_two_sinks_want_is_told_once(check):
+    files = "      log: {kind: file, path: a}\n      too: {kind: file, path: ./a}\n"
+    text = GOOD + NMEA.replace("/**/nmea_in", f"{files}/**/nmea_in")
+    code, lines, _ = check(text)
+    expected = "parameter 'sinks.too.path' = 'a': 'sinks.log.path' has path a already: expected a path of its own"
+    assert (code, lines) == (2, [f"error: suite.yaml:13: {expected}"])
+
+
 def test_their_parameters_are_checked_too_all_of_them(check):
     text = NMEA.replace("port: 10110", "prt: 10110, rate_hz: 0.0").replace("becomes: gyro", "becomes: compass")
     code, found, _ = check(GOOD + text)
@@ -339,12 +394,6 @@ def test_a_section_of_nearly_their_name_is_refused(check):
     code, found, _ = check(GOOD + NMEA.replace("/nmea_out", "/nmea_outs"))
     assert code == 2
     assert any("suite.yaml:8: section '/**/nmea_outs' does not fit node '/nmea_out'" in line for line in found)
-
-
-def test_a_file_about_them_alone_is_no_suite(check):
-    code, _, said = check(NMEA)
-    assert code == 2
-    assert "no section for a node of this suite" in said[0]
 
 
 def test_what_is_not_installed_cannot_be_checked_and_that_is_said(check, monkeypatch):

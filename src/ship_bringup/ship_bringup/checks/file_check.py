@@ -3,6 +3,7 @@
 import getpass
 import os
 import re
+import stat
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ _CHECK = "files"
 _DEVICES = "/dev/"
 _SINK = r"sinks\.[^.]+\.path"
 """A file that ``nmea_out`` appends to."""
+_SERIAL = r"(sinks|sources)\.[^.]+\.device"
 
 
 @dataclass(frozen=True)
@@ -29,6 +31,7 @@ class PathState:
         is_there: whether it is.
         readable: by this user.
         writable: by this user; where it is not there: whether it can be made.
+        is_other: whether something else is there: no device, or a folder where a file is appended to.
     """
 
     path: Path
@@ -37,6 +40,7 @@ class PathState:
     is_there: bool
     readable: bool
     writable: bool
+    is_other: bool = False
 
 
 def look_at_files(suite_path: Path, box: Path | None) -> list[PathState]:
@@ -46,8 +50,8 @@ def look_at_files(suite_path: Path, box: Path | None) -> list[PathState]:
         for name, (value, line) in section.parameters.items():
             if not isinstance(value, str) or not value:
                 continue
-            is_device = value.startswith(_DEVICES)
             is_sink = re.fullmatch(_SINK, name) is not None
+            is_device = not is_sink and (value.startswith(_DEVICES) or re.fullmatch(_SERIAL, name) is not None)
             if is_device or is_sink or name.rpartition(".")[2] in (*SAVED_FILES, BLACK_BOX_PARAMETER):
                 found.append(_state(Path(value), f"{suite_path}:{line}: {name}", is_device, is_appended=is_sink))
     return found
@@ -72,6 +76,10 @@ def judge_files(states: Sequence[PathState], without: Sequence[str]) -> Iterator
 
 
 def _problem(state: PathState, user: str) -> tuple[str, str]:
+    if state.is_other:
+        if state.is_device:
+            return "is no serial device", "give one as /dev/ttyUSB0, or see what it is called: ls /dev/serial/by-id"
+        return "is a folder", f"give a file in it, as {state.path / 'attitude.nmea'}"
     if state.is_device and not state.is_there:
         return "is not there", "plug the device in, or see what it is called: ls /dev/serial/by-id"
     if state.is_device and not (state.readable and state.writable):
@@ -87,11 +95,13 @@ def _state(
     path: Path, what: str, is_device: bool = False, makes_parents: bool = False, is_appended: bool = False
 ) -> PathState:
     if path.is_dir():
-        return PathState(path, what, is_device, True, os.access(path, os.R_OK), _takes_files(path))
+        is_other = is_device or is_appended
+        return PathState(path, what, is_device, True, os.access(path, os.R_OK), _takes_files(path), is_other)
     if path.exists():
         # A saved file is replaced whole: its folder must take the new one.
         writable = os.access(path, os.W_OK) and (is_device or is_appended or _takes_files(path.parent))
-        return PathState(path, what, is_device, True, os.access(path, os.R_OK), writable)
+        is_other = is_device and not stat.S_ISCHR(path.stat().st_mode)
+        return PathState(path, what, is_device, True, os.access(path, os.R_OK), writable, is_other)
     above = path.absolute().parent
     while makes_parents and not above.exists() and above != above.parent:
         above = above.parent

@@ -26,6 +26,7 @@ from ship_bringup.checks.disk_check import judge_disk, look_at_disk, night_bytes
 from ship_bringup.checks.domain_check import judge_domain, judge_settings
 from ship_bringup.checks.file_check import judge_files, look_at_files
 from ship_bringup.checks.network_look import NetworkState, look_at_network
+from ship_bringup.checks.port_check import judge_places, look_at_places
 from ship_bringup.checks.security_check import judge_keystore, judge_security
 from ship_bringup.checks.sensor_check import asked_qualities, judge_sensors
 from ship_bringup.security.demand import KEYSTORE, domain_of
@@ -40,8 +41,9 @@ from ship_watch.limits import Limits, read_limits
 _DESCRIPTION = """\
 Checks before the voyage that a suite can run here: its file, DDS security with the ship's keystore and policies, the
 clock (chrony or PTP; its offset in ms, and in arcseconds at a turn of 5 deg/s), the domain and who is in it, the disk
-for the night's record and black boxes, files and rights, and whether every sensor of the file is heard. All checks are
-made, whatever the first ones find; nothing is changed on the machine. Start the drivers first, and the suite after it.
+for the night's record and black boxes, files and rights, the ports and devices of nmea_in and nmea_out, and whether
+every sensor of the file is heard. All checks are made, whatever the first ones find; nothing is changed on the machine.
+Start the drivers first, and the suite after it.
 """
 _EPILOG = "exit code: 0 no check failed, perhaps warnings; 1 a check failed; 2 bad input or usage"
 _HOURS, _DAYS, _LISTEN_S = 12.0, 30.0, 5.0
@@ -123,7 +125,7 @@ def _preflight(options: argparse.Namespace) -> int:
     network = _network(suite, settings)
     domain = [*settings, *judge_domain(network, suite.names, suite.companion_names)]
     checks = [_parameters(suite), security, _clock(suite), domain, _disk(suite, network)]
-    checks += [_files(suite), _sensors(suite, network)]
+    checks += [_files(suite), _ports(suite, network), _sensors(suite, network)]
     lines = worst_first(checks)
     print("\n".join(table(lines)))
     print(f"{options.file}: {verdict(lines)}")
@@ -188,6 +190,11 @@ def _disk(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
 def _files(suite: _Suite) -> Iterable[CheckLine]:
     states = look_at_files(suite.options.file, suite.options.box)
     yield from judge_files(states, list(without_saved_file(suite.options.file, suite.nodes)))
+
+
+def _ports(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
+    states = look_at_places(suite.options.file, suite.options.namespace, suite.companions)
+    yield from judge_places(list(states), network.nodes)
 
 
 def _sensors(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:

@@ -29,10 +29,13 @@ and alignment_autosave_s). What ended with exit code 2, bad input, is not starte
 others go on. Ctrl-C or SIGTERM ends all in order, a second one at once; when this process is killed, they end too.
 With --bag the bag is played into the nodes and sets their time; the suite ends with it. Topics that the nodes give
 themselves are not played.
+
+Sections for nmea_in and nmea_out, as '/**/nmea_out:', start these nodes of ship_nmea, too: attitude and alerts go out
+as NMEA sentences, and instruments' sentences become topics, but not with --bag. The others do not need them.
 """
 _EPILOG = (
-    "exit code: that of the first program that failed for good (128 + n after signal n); 0 where none did, also after "
-    "Ctrl-C or SIGTERM; 2 bad input or usage"
+    "exit code: that of the first program that failed for good (128 + n after signal n); 0 where none did,\n"
+    "also after Ctrl-C or SIGTERM; 2 bad input or usage"
 )
 _MOST_RESTARTS = 5
 

@@ -86,6 +86,9 @@ def plan_of(path: Path, options: SuiteOptions) -> Plan:
             lacks; or a program that is not installed.
     """
     nodes, warnings = checked_nodes(path, options.namespace)
+    if options.bag is not None and not nodes:
+        reason = f"{options.bag} cannot be played: the file has no section for an estimator, which would hear it"
+        raise BadInput(reason, file=path)
     chain = AdapterChain([node.adapter for node in nodes])
     packages = {kind.node_name: kind.__module__.partition(".")[0] for kind in ADAPTERS}
     ros = _ros_arguments(options)
@@ -97,7 +100,7 @@ def plan_of(path: Path, options: SuiteOptions) -> Plan:
         arguments = ("--ros-args", "--params-file", str(path.resolve()), *ros, *box, *inputs)
         programs.append(Program(name, (*executable(packages[name], name), *arguments), has_reserve=True))
     companions = [one for one in named_companions(path, options.namespace) if options.bag is None or not one.feeds]
-    programs += [_companion(one, path, ros) for one in companions]
+    programs += [_companion(one, path, ros, is_alone=not nodes) for one in companions]
     if options.monitor:
         programs += _watchers(options, ros)
     if options.bag is not None:
@@ -140,9 +143,10 @@ def without_saved_file(path: Path, nodes: Sequence[CheckedNode]) -> Iterator[str
                 yield f"{path}: {node.adapter.node_name} has no {name}: a restart begins without what it has learned"
 
 
-def _companion(companion: Companion, path: Path, ros: tuple[str, ...]) -> Program:
+def _companion(companion: Companion, path: Path, ros: tuple[str, ...], is_alone: bool) -> Program:
+    """The program of a node beside the estimators; without any, the suite ends with the last of these instead."""
     command = executable(companion.package, companion.node_name)
-    role = Role.FEEDER if companion.feeds else Role.WATCHER
+    role = Role.NODE if is_alone else Role.FEEDER if companion.feeds else Role.WATCHER
     return Program(companion.node_name, (*command, "--ros-args", "--params-file", str(path.resolve()), *ros), role)
 
 

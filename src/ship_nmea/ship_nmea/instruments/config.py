@@ -1,16 +1,16 @@
 """The parameters of ``nmea_in``: the sources, where each is heard and what its sentences become."""
 
 import ipaddress
+import os.path
 from dataclasses import dataclass
 
 from ship_bags.nmea.instrument import GNSS, GYRO, INS, INSTRUMENT_TIME, REFERENCE, WEATHER, InstrumentRole
 from ship_estimation.parameter_fields import mapping_of, parameter
 from ship_estimation.parameters import ParameterError
+from ship_node.parameters.places import ANY_ADDRESS, HeldPlace, PlaceKind, held_path, held_port, refuse_clashes
 
 UDP, TCP, SERIAL = "udp", "tcp", "serial"
 ARRIVAL_TIME = "arrival"
-
-ANY_ADDRESS = "0.0.0.0"
 
 _MEANT = {UDP: ("address", "port", "interface"), TCP: ("address", "port"), SERIAL: ("device", "baud")}
 """Of the parameters that say where a source is heard those that mean something to its kind."""
@@ -66,8 +66,20 @@ class NmeaSourceConfig:
     def place(self) -> str:
         """Where the source is heard, for people; sources of one place share it."""
         if self.kind == SERIAL:
-            return f"{self.device} at {self.baud} Bd"
+            return f"{os.path.normpath(self.device)} at {self.baud} Bd"
         return f"{self.kind} {self.address or ANY_ADDRESS}:{self.port}"
+
+    def held(self, name: str) -> HeldPlace | None:
+        """What it holds of this machine, if anything.
+
+        Args:
+            name: of the source's group of parameters, as ``sources.gyro``.
+        """
+        if self.kind == SERIAL:
+            return held_path(f"{name}.device", self.device)
+        if self.kind == UDP:
+            return held_port(f"{name}.port", PlaceKind.UDP, self.port, self.address)
+        return None
 
 
 @dataclass(frozen=True)
@@ -93,11 +105,35 @@ class NmeaInConfig:
             ids = [id_ for id_, source in self.sources.items() if source.becomes == role]
             if len(ids) > 1:
                 raise _error(f"sources.{ids[1]}.becomes", role, f"'{ids[0]}' becomes that already")
-        by_device: dict[str, tuple[str, int]] = {}
+        self._check_shared()
+        refuse_clashes(self.places)
+
+    @property
+    def places(self) -> tuple[HeldPlace, ...]:
+        """What the node holds of this machine; what sources share it holds once, by the first of them."""
+        held: dict[str, HeldPlace | None] = {}
         for id_, source in self.sources.items():
-            other, baud = by_device.setdefault(source.device, (id_, source.baud))
-            if source.kind == SERIAL and baud != source.baud:
-                raise _error(f"sources.{id_}.baud", source.baud, f"'{other}' reads the same device at {baud} Bd")
+            held.setdefault(source.place, source.held(f"sources.{id_}"))
+        return tuple(filter(None, held.values()))
+
+    @property
+    def interfaces(self) -> dict[str, str]:
+        """Dotted name of a parameter → the own address that it names beside a port's."""
+        own = {f"sources.{id_}.interface": source.interface for id_, source in self.sources.items()}
+        return {name: address for name, address in own.items() if address}
+
+    def _check_shared(self) -> None:
+        """Refuse sources that share a device or a group and would have it opened differently."""
+        firsts: dict[str, tuple[str, NmeaSourceConfig]] = {}
+        for id_, source in self.sources.items():
+            where = os.path.normpath(source.device) if source.kind == SERIAL else source.place
+            first_id, first = firsts.setdefault(where, (id_, source))
+            if source.kind == SERIAL and source.baud != first.baud:
+                reason = f"'{first_id}' reads the same device at {first.baud} Bd"
+                raise _error(f"sources.{id_}.baud", source.baud, reason)
+            if source.interface != first.interface:
+                reason = f"'{first_id}' hears the same by {first.interface or 'the default one'}, and one is opened"
+                raise _error(f"sources.{id_}.interface", source.interface, reason)
 
     def role(self, id_: str) -> InstrumentRole:
         """What the lines of a source become."""

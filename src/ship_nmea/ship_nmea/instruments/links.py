@@ -12,9 +12,10 @@ from collections import deque
 from collections.abc import Callable
 from typing import Protocol
 
-from ship_nmea.instruments.config import ANY_ADDRESS, SERIAL, UDP, NmeaSourceConfig
+from ship_nmea.instruments.config import SERIAL, UDP, NmeaSourceConfig
 from ship_nmea.line_splitter import LineSplitter
 from ship_nmea.opening import opened_serial, words
+from ship_node.parameters.places import ANY_ADDRESS
 
 RETRY_S = 1.0
 WAITING_LINES = 1000

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from ship_estimation.parameter_fields import mapping_of, parameter
 from ship_estimation.parameters import ParameterError
 from ship_nmea.sentences.attitude import ATTITUDE_SENTENCES
+from ship_node.parameters.places import HeldPlace, PlaceKind, held_path, held_port, refuse_clashes
 
 UDP, TCP_SERVER, SERIAL, FILE = "udp", "tcp_server", "serial", "file"
 ALF, ALC, HBT = "ALF", "ALC", "HBT"
@@ -72,6 +73,20 @@ class SinkConfig:
                 return "sentences", f"names {name} twice: expected each sentence once"
         return None
 
+    def held(self, name: str) -> HeldPlace | None:
+        """What it holds of this machine, if anything: several may send to one UDP address.
+
+        Args:
+            name: of the sink's group of parameters, as ``sinks.bridge``.
+        """
+        if self.kind == TCP_SERVER:
+            return held_port(f"{name}.port", PlaceKind.TCP, self.port, self.address)
+        if self.kind == SERIAL:
+            return held_path(f"{name}.device", self.device)
+        if self.kind == FILE:
+            return held_path(f"{name}.path", self.path)
+        return held_port(f"{name}.listen_port", PlaceKind.UDP, self.listen_port) if self.listen_port else None
+
 
 @dataclass(frozen=True)
 class NmeaOutConfig:
@@ -107,6 +122,18 @@ class NmeaOutConfig:
                 raise ParameterError(f"parameter '{full_name}' {misfit[1]}", full_name)
         _check_letters("talker", self.talker, 2)
         _check_letters("manufacturer", self.manufacturer, 3)
+        refuse_clashes(self.places)
+
+    @property
+    def places(self) -> tuple[HeldPlace, ...]:
+        """What the node holds of this machine."""
+        return tuple(filter(None, (sink.held(f"sinks.{name}") for name, sink in self.sinks.items())))
+
+    @property
+    def interfaces(self) -> dict[str, str]:
+        """Dotted name of a parameter → the own address that it names beside a port's."""
+        own = {f"sinks.{id_}.interface": sink.interface for id_, sink in self.sinks.items()}
+        return {name: address for name, address in own.items() if address}
 
 
 def _check_letters(name: str, value: str, count: int) -> None:

@@ -5,7 +5,7 @@ from typing import Any
 
 from ship_bags.message_factory import MessageFactory
 from ship_bags.parameter_yaml import BLACK_BOX_PARAMETER, RELIABLE_INPUTS_PARAMETER
-from ship_estimation.parameter_rows import in_columns, parameter_row
+from ship_estimation.parameter_rows import in_columns, in_lines, parameter_row
 from ship_estimation.parameters import ParameterDescription, build, describe, nest
 from ship_node.edge.adapter import Adapter
 from ship_node.edge.topics import InputTopic
@@ -53,7 +53,7 @@ def usage_text(adapter_class: type[Adapter], package: str, factory: MessageFacto
             "services (std_srvs/srv/Trigger):",
             *in_columns([(f"~/{service}",) for service in adapter_class.services]),
             "parameters (* may be changed while the node runs):",
-            *in_columns([*map(parameter_row, describe(adapter_class.config_type)), *_SHELL_ROWS]),
+            *in_lines([*map(parameter_row, describe(adapter_class.config_type)), *_SHELL_ROWS]),
             "",
             "exit code: 0 ended by SIGINT or SIGTERM, 2 bad parameters or arguments (one line says which)",
             "",

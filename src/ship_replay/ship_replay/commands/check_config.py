@@ -27,7 +27,8 @@ def _parser() -> CommandParser:
         prog="check_config",
         example="./ros2run ship_replay check_config examples/two_sensors.yaml bags/demo.mcap",
         epilog="exit code: 0 good, or warnings only; 2 something is wrong, or bad usage",
-        description="Check a suite configuration (ROS 2 parameter file; units stand in the names of the parameters) "
+        description="Check a suite configuration (ROS 2 parameter file; units stand in the names of the parameters), "
+        "with the sections of nmea_in and nmea_out, "
         "and, with a bag, whether it fits: topics, types, frame_ids, rates; installation angles and focal lengths of "
         "star sensors and references, by their attitudes against ins/imu; the telescope's focal length; what a node "
         "would refuse. Exit code 2 when something is wrong, 0 when there is nothing but warnings.",
@@ -43,6 +44,8 @@ def _parser() -> CommandParser:
 def _run(options: argparse.Namespace) -> int:
     findings = Findings()
     nodes = check_file(options.config, ADAPTERS, findings, options.namespace)
+    if options.bag is not None and not nodes and not findings.errors:
+        findings.warnings.append(f"{options.config}: no section for an estimator: nothing of the bag is checked")
     if options.bag is not None and nodes:
         with read_bag(options.bag) as bag:
             check = BagCheck(options.config, nodes, bag, options.namespace, findings)

@@ -22,6 +22,7 @@ from ship_node.documents.saved_document import UNTOUCHED
 from ship_node.edge.adapter import Adapter
 from ship_node.parameters.companions import COMPANIONS, Companion, named_companions
 from ship_node.parameters.parameter_file import has_section, misfit, read, unknown_sections
+from ship_node.parameters.places import HeldPlace
 from ship_replay.offline.adapter_chain import nodes_of
 
 _OF_ONE_NODE = ("magnitude_limit", "refraction_time_s", "position_time_s")
@@ -120,7 +121,8 @@ def check_file(
     misfits = [problem for name in known for problem in _misfit(path, name)]
     findings.errors += misfits
     strange = unknown_sections(path, known)
-    if not misfits and not any(has_section(path, name) for name in names.values()):
+    companions = list(named_companions(path, namespace))
+    if not (misfits or companions or any(has_section(path, name) for name in names.values())):
         found = ", ".join(f"'{name}'" for name in strange) or "none"
         raise BadInput(f"no section for a node of this suite: {_expected(adapter_classes)}, found {found}", file=path)
     if not misfits:
@@ -129,14 +131,14 @@ def check_file(
     named = [kind for kind in nodes_of(path, adapter_classes, namespace) if has_section(path, names[kind])]
     checked = (_checked(path, kind, names[kind], findings) for kind in named)
     nodes = [node for node in checked if node is not None]
-    for companion in named_companions(path, namespace):
-        _check_companion(path, companion, namespace, findings)
+    held = [place for companion in companions for place in _held_places(path, companion, namespace, findings)]
+    findings.errors += list(_held_twice(path, held))
     findings.warnings += list(_told_differently(path, nodes))
     return nodes
 
 
 def _expected(adapter_classes: Sequence[type[Adapter]]) -> str:
-    names = ", ".join(f"'{anywhere(kind.node_name)}'" for kind in adapter_classes)
+    names = ", ".join(f"'{anywhere(kind.node_name)}'" for kind in (*adapter_classes, *COMPANIONS))
     return f"expected one of {names} or '/**'"
 
 
@@ -167,14 +169,31 @@ def _checked(path: Path, adapter_class: type[Adapter], name: str, findings: Find
     return None
 
 
-def _check_companion(path: Path, companion: Companion, namespace: str, findings: Findings) -> None:
+def _held_places(
+    path: Path, companion: Companion, namespace: str, findings: Findings
+) -> Iterator[tuple[str, ParameterFile, HeldPlace]]:
+    """Full name, parameters and each place of a node beside the estimators, whose parameters are checked."""
     try:
         kind = companion.config_type
     except ImportError:
         text = f"{path}: section '{companion.node_name}' is not checked: package {companion.package} is not installed"
         findings.warnings.append(text)
         return
-    _configured(read(path, full_name(companion.node_name, namespace)), kind, findings)
+    node = full_name(companion.node_name, namespace)
+    file = read(path, node)
+    config, told = _configured(file, kind, findings)
+    for place in () if told else config.places:
+        yield node, file, place
+
+
+def _held_twice(path: Path, held: Sequence[tuple[str, ParameterFile, HeldPlace]]) -> Iterator[str]:
+    """What two nodes of a suite want of the machine and only one can have; of one node its configuration tells it."""
+    for (node, file, place), (other_node, other_file, other) in itertools.combinations(held, 2):
+        if node != other_node and place.excludes(other):
+            reason = f"parameter '{other.parameter}' = {other.name!r} of {other_node}"
+            reason += f": '{place.parameter}' of {node}, line {file.line_of(place.parameter)}, has {place} already"
+            line = other_file.line_of(other.parameter)
+            yield f"{path}:{line}: {reason}: expected a {place.kind.value} of its own"
 
 
 def _configured(file: ParameterFile, kind: type[Any], findings: Findings) -> tuple[Any, set[str]]:
@@ -186,6 +205,8 @@ def _configured(file: ParameterFile, kind: type[Any], findings: Findings) -> tup
         try:
             return build(kind, values), told
         except ParameterError as problem:  # noqa: PERF203 - each time another value is put right
+            if problem.parameters and problem.parameters[0] in told:
+                return None, told  # it follows from the value that was taken out
             findings.errors.append(str(file.error(problem)))
             told.update(problem.parameters[:1])
             if not _put_right(values, problem, descriptions):

@@ -1,0 +1,112 @@
+"""Ports, own addresses and devices of the NMEA nodes: free, taken by whom, and not this machine's."""
+
+import os
+import pty
+import socket
+import subprocess
+import sys
+
+import pytest
+
+from ship_bringup.checks.check_line import Result
+from ship_bringup.checks.port_check import PlaceState, judge_places, look_at_places
+from ship_bringup.security.rights import companions_of
+from ship_node.parameters.places import PlaceKind, held_port
+from ship_testing.listening_node import free_port
+
+STREAM, DATAGRAM = socket.SOCK_STREAM, socket.SOCK_DGRAM
+HELD = {
+    "server": ("nmea_out", "sinks.a.port", STREAM, "kind: tcp_server, port: PORT"),
+    "bridge": ("nmea_out", "sinks.a.listen_port", DATAGRAM, "kind: udp, address: 10.0.0.1, port: 1, listen_port: PORT"),
+    "source": ("nmea_in", "sources.a.port", DATAGRAM, "kind: udp, becomes: gyro, port: PORT"),
+}
+
+
+@pytest.fixture
+def look(tmp_path):
+    """What is found of one sink or source, and the rows about it."""
+
+    def states(node, text, namespace="", running=()):
+        group = "sinks" if node == "nmea_out" else "sources"
+        path = tmp_path / "suite.yaml"
+        path.write_text(f"/**/{node}:\n  ros__parameters:\n    {group}:\n      a: {{{text}}}\n")
+        found = look_at_places(path, namespace, companions_of(path, namespace))
+        rows = judge_places(list(found), running)
+        return [(row.result, row.found.replace(f"{tmp_path}/", ""), row.advice) for row in rows]
+
+    return states
+
+
+@pytest.mark.parametrize("what", HELD)
+def test_a_port_is_free_and_then_another_program_has_it(look, what):
+    node, key, kind, text = HELD[what]
+    port = free_port(kind)
+    text, name = text.replace("PORT", str(port)), f"{'TCP' if kind is STREAM else 'UDP'} port {port}"
+    for _ in range(2):  # tried, and given back
+        assert look(node, text) == [(Result.OK, f"suite.yaml:4: {key}: {name} can be had", "")]
+    with socket.socket(socket.AF_INET, kind) as other:
+        other.bind(("", port))
+        if kind is STREAM:
+            other.listen()
+        ((result, found, advice),) = look(node, text)
+        assert (result, advice) == (Result.FAIL, "end that one, or give another port")
+        assert found.startswith(f"suite.yaml:4: {key}: {name} is in use by ")
+        assert found.endswith(f"(process {os.getpid()})")
+        # Started by hand, to hear the instruments.
+        ((result, found, _),) = look(node, text, "demo", [f"/demo/{node}"])
+        assert (result, found) == (Result.NOT_CHECKED, f"suite.yaml:4: {key}: {name} is in use while /demo/{node} runs")
+
+
+def test_the_program_that_has_a_port_is_named_by_its_script(look, tmp_path):
+    script = tmp_path / "old_logger.py"
+    text = "import socket, sys\ns = socket.create_server(('', 0))\nprint(s.getsockname()[1], flush=True)\n"
+    script.write_text(text + "sys.stdin.read()\n")
+    piped = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    with subprocess.Popen([sys.executable, str(script)], **piped) as process:
+        ((_, found, _),) = look("nmea_out", f"kind: tcp_server, port: {process.stdout.readline().strip()}")
+        process.stdin.close()
+    assert found.endswith(f" is in use by old_logger.py (process {process.pid})")
+
+
+def test_a_program_that_cannot_be_seen_may_be_the_suite_itself():
+    state = PlaceState("/nmea_out", "suite.yaml:4: sinks.a.port", held_port("", PlaceKind.TCP, 10110), 98)
+    (row,) = judge_places([state], [])
+    assert row.found.endswith("TCP port 10110 is in use by another program, or by this suite if it already runs")
+
+
+@pytest.mark.parametrize(
+    ("node", "text", "rows"),
+    [
+        ("nmea_out", "kind: tcp_server, address: 203.0.113.7, port: 10110",
+         ["port: TCP port 10110 of 203.0.113.7 cannot be had: this machine has no such address"]),
+        ("nmea_out", "kind: udp, address: 239.192.0.4, port: 1, interface: 203.0.113.7",
+         ["interface: 203.0.113.7 cannot be had: this machine has no such address"]),
+        ("nmea_in", "kind: udp, becomes: ins, address: 203.0.113.7, port: 10110",
+         ["port: UDP port 10110 of 203.0.113.7 cannot be had: this machine has no such address"]),
+        ("nmea_out", "kind: udp, address: 239.192.0.4, port: 1, interface: 127.0.0.1",
+         ["interface: 127.0.0.1 is an address of this machine"]),
+        ("nmea_in", "kind: tcp, becomes: ins, address: 203.0.113.7, port: 10110", []),
+        ("nmea_out", "kind: file, path: /nowhere", []),
+        ("nmea_out", "kind: serial, device: /dev/ttyNONE7", []),
+    ],
+)  # fmt: skip
+def test_own_addresses_are_those_of_this_machine(look, node, text, rows):
+    found = look(node, text)
+    assert [words.partition(".a.")[2] for _, words, _ in found] == rows
+    assert all((result is Result.FAIL) is ("cannot" in words) for result, words, _ in found)
+
+
+def test_a_device_that_another_program_has_open(look):
+    first, second = pty.openpty()
+    try:
+        text = f"kind: serial, device: {os.ttyname(second)}"
+        ((result, found, advice),) = look("nmea_out", text)
+        assert (result, advice) == (Result.FAIL, "end that one, or give another device")
+        assert f"sinks.a.device: path {os.ttyname(second)} is in use by " in found
+        os.close(second)
+        second = None
+        assert look("nmea_out", text) == []
+    finally:
+        os.close(first)
+        if second is not None:
+            os.close(second)

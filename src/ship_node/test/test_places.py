@@ -1,0 +1,56 @@
+"""Of which places only one can be had: as the kernel has it."""
+
+import contextlib
+import itertools
+import socket
+
+import pytest
+
+from ship_node.parameters.places import PlaceKind, clashes, held_path, held_port
+from ship_testing.listening_node import free_port
+
+ADDRESSES = "", "0.0.0.0", "127.0.0.1", "127.0.0.2", "239.192.0.4", "239.192.0.5"
+KINDS = {PlaceKind.UDP: socket.SOCK_DGRAM, PlaceKind.TCP: socket.SOCK_STREAM}
+
+
+def can_have_both(kind, one, other):
+    """Whether the kernel gives a port at both addresses, asked for as sinks and sources do."""
+    port = free_port(KINDS[kind])
+    with contextlib.ExitStack() as stack:
+        for address in (one, other):
+            opened = stack.enter_context(socket.socket(socket.AF_INET, KINDS[kind]))
+            if kind is PlaceKind.TCP or held_port("", kind, port, address).is_group:
+                opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                opened.bind((address, port))
+            except OSError:
+                return False
+            if kind is PlaceKind.TCP:
+                opened.listen()
+    return True
+
+
+@pytest.mark.parametrize(
+    ("kind", "one", "other"),
+    [
+        (kind, *pair)
+        for kind, addresses in ((PlaceKind.UDP, ADDRESSES), (PlaceKind.TCP, ADDRESSES[:4]))
+        for pair in itertools.product(addresses, repeat=2)
+    ],
+)
+def test_ports_exclude_each_other_as_the_kernel_has_it(kind, one, other):
+    places = held_port("a", kind, 10110, one), held_port("b", kind, 10110, other)
+    assert places[0].excludes(places[1]) is not can_have_both(kind, one, other)
+
+
+def test_what_differs_in_kind_or_name_can_be_had_by_two():
+    places = [
+        held_port("a", PlaceKind.UDP, 10110),
+        held_port("b", PlaceKind.TCP, 10110),
+        held_port("c", PlaceKind.TCP, 10111),
+        held_path("d", "/dev/ttyUSB0"),
+        held_path("e", "/dev/ttyUSB1"),
+    ]
+    assert list(clashes(places)) == []
+    again = held_path("f", "/dev//./ttyUSB1")
+    assert list(clashes([*places, again])) == [(places[-1], again)]
