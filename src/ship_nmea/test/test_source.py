@@ -55,12 +55,14 @@ def test_a_node_without_time_uses_no_line(source):
 
 
 def test_a_clock_that_is_ahead_is_told_and_put_right_it_is_used_again(source):
-    """30 s ahead for 10 s, then right: not refused for the 20 s until its stamps are later again."""
+    """30 s ahead for 10 s, then right: attitudes are not refused for 20 s until their stamps are later again."""
     ins, given = source(becomes="ins"), []
     for second in range(20):
         arrival = START + timedelta(seconds=second)
-        ahead = timedelta(seconds=30 if second < 10 else 0)
-        given += [second for _ in taken(ins, pashr(arrival + ahead), datetime_ns(arrival), second * NS_PER_S)]
+        told = arrival + timedelta(seconds=30 if second < 10 else 0)
+        fix = sentence(f"INGGA,{told:%H%M%S}.00,2200.110899,S,01756.359432,W,1,12,0.7,-2.76,M,4.67,M,,").encode()
+        assert taken(ins, fix, datetime_ns(arrival), second * NS_PER_S) == ["gnss/fix"]
+        given += [second for _ in taken(ins, pashr(told), datetime_ns(arrival), second * NS_PER_S)]
         if second == 9:
             status = ins.status("", 0, second * NS_PER_S)
             assert status.level == Level.WARN

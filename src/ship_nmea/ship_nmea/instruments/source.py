@@ -121,11 +121,11 @@ class Source:
             self._instrument = Instrument(self._factory, self._role, self.id, report)
         for topic, message in messages:
             self._given[topic] += 1
+            stamp_ns = ns_from_stamp(message.header.stamp)
             if topic in self._wanted:
-                self._given_ns = now_ns
-            self._stamp_ns = ns_from_stamp(message.header.stamp)
-            if self._stamp_ns - arrival_ns > _AHEAD_NS:
-                self._ahead_ns, self._ahead_at_ns = self._stamp_ns - arrival_ns, now_ns
+                self._given_ns, self._stamp_ns = now_ns, stamp_ns
+            if stamp_ns - arrival_ns > _AHEAD_NS:
+                self._ahead_ns, self._ahead_at_ns = stamp_ns - arrival_ns, now_ns
         return messages
 
     def _line(self, heard: HeardText, arrival_ns: int) -> InstrumentLine | None:
