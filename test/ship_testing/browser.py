@@ -2,6 +2,7 @@
 
 import asyncio
 import base64
+import contextlib
 import json
 import shutil
 import subprocess
@@ -23,6 +24,10 @@ _ALONE = (
     "--remote-debugging-port=0",
 )
 _START_S = 60.0
+
+
+class _LeftPage(Exception):
+    """The page was left, as to load it anew, while it was asked."""
 
 
 class Browser:
@@ -64,7 +69,12 @@ class Browser:
     def until(self, expression: str, limit_s: float = 30.0) -> Any:
         """The value of an expression once it is true; between two pages it cannot be asked, which is not yet either."""
         guarded = f"(() => {{ try {{ return {expression} }} catch {{ return null }} }})()"
-        return self.wait(lambda: self.evaluate(guarded), expression, limit_s)
+
+        def look() -> Any:
+            with contextlib.suppress(_LeftPage):
+                return self.evaluate(guarded)
+
+        return self.wait(look, expression, limit_s)
 
     def wait(self, look: Callable[[], Any], what: str, limit_s: float = 30.0) -> Any:
         """What a function returns once that is true; the browser is listened to meanwhile."""
@@ -115,6 +125,8 @@ class Browser:
             assert text is not None, "the browser has gone"
             message = json.loads(text)
             if message.get("id") == number:
+                if "navigated" in message.get("error", {}).get("message", ""):
+                    raise _LeftPage(message["error"])
                 assert "error" not in message, message["error"]
                 return dict(message["result"])
             self._note(message.get("method", ""), message.get("params", {}))

@@ -215,7 +215,7 @@ def _expected(name: str, known: Collection[str]) -> str:
         >>> _expected("colour", ["gate", "lever_m"])
         'expected one of gate, lever_m'
         >>> _expected("lagg_s", ["gate", "lag_s", "sky", *(f"other_{number}" for number in range(20))])
-        "expected one of lag_s, gate, sky or 20 others; did you mean 'lag_s'?"
+        "expected one of lag_s, sky, gate or 20 others; did you mean 'lag_s'?"
     """
     near = difflib.get_close_matches(name, known, n=1)
     named, others = sorted(known), len(known) - _LIKEST
