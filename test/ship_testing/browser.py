@@ -26,6 +26,10 @@ _ALONE = (
 _START_S = 60.0
 
 
+_LOOK_S = 0.2
+"""Who asks more often holds up the page that is to be drawn, on a busy computer for good."""
+
+
 class _LeftPage(Exception):
     """The page was left, as to load it anew, while it was asked."""
 
@@ -82,7 +86,7 @@ class Browser:
         while time.monotonic() < deadline_s:
             if found := look():
                 return found
-            time.sleep(0.05)
+            time.sleep(_LOOK_S)
         raise AssertionError(f"not within {limit_s} s: {what}")
 
     def text(self, selector: str) -> str:

@@ -344,7 +344,7 @@ def test_a_click_on_a_tile_shows_its_budget_and_its_error_in_one_window(browser,
     browser.open(page, *SIZES[size])
     browser.until("monitor.isLinked()")
     browser.evaluate("document.querySelector('#roll').click()")
-    browser.until(f"{PANEL}('Error budget')[0].startsWith('roll, ')")
+    browser.until(f"{PANEL}('Error budget')[0].startsWith('roll, ')", 90.0)  # the panels are made and drawn meanwhile
     browser.until(f"{FIGURES}.some((each) => each.title?.text === '▶ roll')")
     assert browser.until(f"{PANEL}('Error budget')[1] && {PANEL}('Error inside')[1]")
 

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import threading
+import time
 from dataclasses import replace
 from io import BytesIO
 from queue import Queue
@@ -162,10 +163,16 @@ def test_a_drag_zooms_the_time_of_all_plots_and_a_double_click_returns(browser):
         before = panels.times.range.end
         browser.wait(lambda: panels.times._latest[1] > before, "time goes on")
         assert panels.times.range.end == before
-        for count in (1, 2):
-            mouse(browser, "mousePressed", x, y, count)
-            mouse(browser, "mouseReleased", x, y, count)
-        browser.wait(lambda: not panels.times.is_paused and shown_range.end - shown_range.start > 300e3, "live again")
+
+        def is_live_again():
+            """Two clicks are one double click only where they come in time: on a busy machine it may need another."""
+            for count in (1, 2):
+                mouse(browser, "mousePressed", x, y, count)
+                mouse(browser, "mouseReleased", x, y, count)
+            time.sleep(1.0)
+            return not panels.times.is_paused and shown_range.end - shown_range.start > 300e3
+
+        browser.wait(is_live_again, "live again")
         assert panels.times.range.end - panels.times.range.start == pytest.approx(600e3)
         assert panels.times.range.end >= NOW_NS * 1e-6
 
