@@ -810,10 +810,9 @@ def test_ctrl_c_leaves_nothing_behind(tmp_path):
     options = [str(tmp_path / "long.mcap"), "--out", str(tmp_path / "out")]
     # It leaves the processor to who watches it: on a busy machine it would else be done before it is seen. And it hears
     # Ctrl-C where the tests run in the background of a shell, whose programs do not.
-    command = ["nice", "-n", "19", sys.executable, "-m", "ship_bags.commands.export", *options]
-    process = subprocess.Popen(
-        command, stderr=subprocess.PIPE, text=True, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)
-    )
+    patient = ["env", "--default-signal=INT", "nice", "-n", "19"]
+    command = [*patient, sys.executable, "-m", "ship_bags.commands.export", *options]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     while not any(path.stat().st_size for path in tmp_path.glob("out/*.part")):
         assert process.poll() is None
         time.sleep(0.002)
