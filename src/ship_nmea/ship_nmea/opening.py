@@ -1,7 +1,7 @@
 """Ports, devices and files where sentences come in or go out: opening them, and what is wrong with one, in plain words.
 
-Some problems go away by waiting, as a plug that is put in. Others somebody has to put right: they are refused at the
-start, with the parameter that names the place.
+Some problems go away by waiting: a plug is put in. Others somebody has to put right: the node says so at its start,
+with the parameter that names the place.
 """
 
 import errno
@@ -26,12 +26,13 @@ _TO_DO = {
     errno.EAGAIN: "another program has it: end that one",
     errno.EADDRNOTAVAIL: "this machine has no such address",
     errno.ENOTTY: "it is no serial device: expected one as /dev/ttyUSB0",
+    errno.EACCES: "this user may not: a port below 1024 needs a right of its own, give another one",
 }
-_MAY_NOT = {
-    "serial": "this user may not: join the group of the device, often 'dialout'",
-    "file": "this user may not: give a folder in which it may write",
+_TO_DO_OF_KIND = {
+    ("serial", errno.EACCES): "this user may not: join the group of the device, often 'dialout'",
+    ("file", errno.EACCES): "this user may not: give a folder in which it may write",
+    ("serial", errno.EINVAL): "expected a rate that the device knows, as 4800 or 38400",
 }
-_MAY_NOT_BIND = "this user may not: a port below 1024 needs a right of its own, give another one"
 
 
 def opened_serial(device: str, baud: int, wait_s: float) -> serial.Serial:
@@ -73,16 +74,14 @@ def refusal(problem: Exception, prefix: str, config: Any, named_by: Mapping[str,
         config: parameters of the place, with its ``kind``.
         named_by: kind → the parameter that names the place, and the one that holds its own address, or its rate.
     """
-    number = problem.errno if isinstance(problem, OSError) else None
+    number = (isinstance(problem, OSError) and problem.errno) or 0
     is_unresolved = isinstance(problem, socket.gaierror)
     if not is_unresolved and number not in _HOPELESS:
         return None
     is_there = is_unresolved or number in (errno.EADDRNOTAVAIL, errno.EINVAL)
     parameter = named_by[config.kind][is_there]
     value = getattr(config, parameter)
-    to_do = {**_TO_DO, errno.EACCES: _MAY_NOT.get(config.kind, _MAY_NOT_BIND)}
-    if config.kind == "serial":
-        to_do[errno.EINVAL] = "expected a rate that the device knows, as 4800 or 38400"
-    advice = f": {to_do[number]}" if number in to_do else ""
+    to_do = _TO_DO_OF_KIND.get((config.kind, number)) or _TO_DO.get(number)
+    advice = f": {to_do}" if to_do else ""
     name = f"{prefix}.{parameter}"
     return BadInput(f"parameter '{name}' = {value!r}: {words(problem)}{advice}", parameters=(name,), value=value)
