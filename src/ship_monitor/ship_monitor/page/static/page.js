@@ -175,29 +175,20 @@ const monitor = (() => {
     return seconds < 100 ? Math.round(seconds) + " s" : seconds < 6000 ? Math.round(seconds / 60) + " min" : Math.round(seconds / 3600) + " h";
   }
 
-  // Of a silence the time in which the page itself stood still, as while it drew the panels on a busy computer: what the
-  // server told meanwhile is still to be read, and to load the page anew would only draw them again.
-  let lookedMs = performance.now(), stoodMs = 0;
-  function isSilentForLong() {
-    return performance.now() - heardMs - stoodMs > limits.reloadAfterMs;
-  }
-
   function watchLink() {
-    const silentMs = performance.now() - heardMs, sinceMs = performance.now() - lookedMs;
-    lookedMs += sinceMs;
-    if (sinceMs > 2 * limits.lookMs) stoodMs += sinceMs;
+    const silentMs = performance.now() - heardMs;
     if (silentMs < limits.linkLostMs || last === null) return;
     lost = true;
     document.documentElement.classList.add("nolink");
     draw(withoutLink(last, silentMs / 1000));
-    if (linked && isSilentForLong() && !asking) {
+    if (linked && silentMs > limits.reloadAfterMs && !asking) {
       asking = true;
       fetch("health", { cache: "no-store", signal: AbortSignal.timeout(2000) })
         .then((answer) => answer.ok, () => false)
         // A server that was only busy answers this first, and then tells its news over the link that is still there.
         .then((isAlive) => setTimeout(() => {
           asking = false;
-          if (isAlive && isSilentForLong()) location.reload();
+          if (isAlive && performance.now() - heardMs > limits.reloadAfterMs) location.reload();
         }, 1000));
     }
   }
@@ -308,7 +299,6 @@ const monitor = (() => {
     show(model) {
       last = model;
       heardMs = performance.now();
-      stoodMs = 0;
       if (lost) document.documentElement.classList.remove("nolink");
       lost = false;
       draw(model);
