@@ -40,6 +40,8 @@ class Library:
 LIBRARIES = {
     library.module: library
     for library in (
+        Library("Cython", "Cython", "cython3"),
+        Library("cython", "Cython", "cython3"),
         Library("hypothesis", "hypothesis", "python3-hypothesis"),
         Library("jinja2", "Jinja2", "python3-jinja2"),
         Library("matplotlib", "matplotlib", "python3-matplotlib"),

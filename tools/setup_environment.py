@@ -207,7 +207,10 @@ def repair_paths() -> None:
 
 
 def build_identity(wheels: str, prefix: str) -> str:
-    """Changes when something changes that colcon must see: with symlinks an edited Python file is not such a thing."""
+    """Changes when something changes that colcon must see: with symlinks an edited Python file is not such a thing.
+
+    Those that are compiled are.
+    """
     parts: list[str | bytes] = [wheels]
     folders = [SRC] if prefix else [SRC, WHEELS_ONLY]
     contents = ("package.xml", "setup.py", "setup.cfg", "CMakeLists.txt", "colcon.meta")
@@ -218,6 +221,8 @@ def build_identity(wheels: str, prefix: str) -> str:
             continue
         if path.name in contents or path.suffix in (".msg", ".srv", ".action"):
             parts += [str(path.relative_to(ROOT)), path.read_bytes()]
+        elif path.name.startswith("compiled_"):
+            parts += [path.read_bytes()] if path.suffix == ".py" else []  # beside it lies what is made of it
         elif path.suffix not in (".py", ".pyc", ".pyi"):
             parts.append(str(path.relative_to(ROOT)))  # launch, parameter and resource files: setup.py lists them
     return digest(*parts)

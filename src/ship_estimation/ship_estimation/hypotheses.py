@@ -12,9 +12,9 @@ are kept in one stack: the n_sources parts of the first row, then the covariance
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg.lapack as lapack
 from numpy.typing import NDArray
 
+from ship_estimation import compiled_steps
 from ship_estimation.kalman import LinearMeasurement
 from ship_geometry.rotations import FloatArray
 
@@ -52,8 +52,8 @@ def covariances(stack: FloatArray, rows: int) -> FloatArray:
         >>> print(covariances(np.array([[[1.0]], [[2.0]], [[5.0]]]), rows=2).ravel())
         [3. 5.]
     """
-    parts = len(stack) - rows + 1
-    return np.concatenate([stack[:parts].sum(axis=0, keepdims=True), stack[parts:]])
+    found: FloatArray = compiled_steps.row_covariances(np.ascontiguousarray(stack), rows)
+    return found
 
 
 def add_error(
@@ -140,39 +140,10 @@ def compare_rows(
         >>> print(found.nis, found.gain.ravel())
         [4.      0.78125] [0.36 0.5 ]
     """
-    h, noise = measurement.jacobian, measurement.noise
-    residual = measurement.residual - (means - at_mean) @ h.T
-    cross = covariance @ h.T
-    innovation_covariance = h @ cross + noise
-    # Solved in place: of each row the gain, and the residual and ``by_turn`` times the inverse covariance.
-    solved = np.empty((len(means), means.shape[-1] + 4, len(measurement.residual)))
-    solved[:, :-4], solved[:, -4], solved[:, -3:] = cross, residual, by_turn.T
-    for row, asked in zip(innovation_covariance, solved, strict=True):
-        info = lapack.dposv(row, asked.T, overwrite_b=True)[-1]
-        if info != 0:
-            raise np.linalg.LinAlgError("innovation covariance is not positive definite")
-    nis = np.einsum("hm,hm->h", residual, solved[:, -4])
-    whitened = _whitened(by_turn, solved[:, -4:], noise)
-    return RowsCompared(residual, innovation_covariance, nis, solved[:, :-4], *whitened)
-
-
-def _whitened(by_turn: FloatArray, solved: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Turn, share of the noise and root of the covariance of :class:`RowsCompared`.
-
-    Args:
-        by_turn: shape (m, 3).
-        solved: the residual, and ``by_turn`` transposed, times the inverse covariance of the residual, shape (h, 4, m).
-        noise: covariance of the measurement's own noise, shape (m, m).
-    """
-    seen = solved @ by_turn
-    values, vectors = np.linalg.eigh(seen[:, 1:])
-    # A turn that the measurement does not show has no information: it counts for nothing, instead of for infinity.
-    scale = 1.0 / np.sqrt(np.where(values > 1e-9 * values[:, -1:], values, np.inf))
-    # The symmetric root: whitened turns of successive measurements keep their directions.
-    inverse_root = (vectors * scale[:, None]) @ vectors.transpose(0, 2, 1)
-    turn: FloatArray = (seen[:, :1] @ inverse_root)[:, 0]
-    weights = inverse_root[0] @ solved[0, 1:]
-    return turn, weights @ noise @ weights.T, inverse_root
+    found = compiled_steps.compared(
+        means, covariance, measurement.residual, measurement.jacobian, measurement.noise, at_mean, by_turn
+    )
+    return RowsCompared(*found)
 
 
 def update_rows(
@@ -200,21 +171,13 @@ def update_rows(
         [[4. 4.]
          [0. 4.]] [[4.0, -1.778], [-1.778, 2.222]]
     """
-    rows, states = learns.shape
-    parts = len(stack) - rows + 1
-    gain = np.where(learns[:, :, None], compared.gain, 0.0)
-    gain_transposed = gain.transpose(0, 2, 1)
-    keep_transposed = np.eye(states) - measurement.jacobian.T @ gain_transposed
-    updated = np.empty_like(stack)
-    # Both products of the first row take all its parts at once; between them the symmetric parts are transposed.
-    halfway = (stack[:parts].reshape(-1, states) @ keep_transposed[0]).reshape(parts, states, states)
-    halfway = np.ascontiguousarray(halfway.swapaxes(-1, -2)).reshape(-1, states)
-    np.matmul(halfway, keep_transposed[0], out=updated[:parts].reshape(-1, states))
-    np.matmul(keep_transposed[1:].swapaxes(-1, -2) @ stack[parts:], keep_transposed[1:], out=updated[parts:])
-    for source_index, noise in measurement.noise_by_source.items():
-        updated[source_index] += gain[0] @ noise @ gain_transposed[0]
-    updated[parts:] += gain[1:] @ (measurement.noise @ gain_transposed[1:])
-    updated = updated + updated.swapaxes(-1, -2)
-    updated *= 0.5
-    corrections: FloatArray = (gain @ compared.residual[:, :, None])[:, :, 0]
+    corrections, updated = compiled_steps.updated(
+        np.ascontiguousarray(stack),
+        measurement.jacobian,
+        compared.residual,
+        compared.gain,
+        learns.view(np.uint8),
+        tuple(measurement.noise_by_source.items()),
+        measurement.noise,
+    )
     return corrections, updated

@@ -5,18 +5,18 @@ evolves, which source its noise is booked to. Its covariance P is carried as ``p
 P = parts.sum(axis=0). All steps are linear in P (the update in Joseph's form), so each part goes through with the
 filter's own gain and the sum stays exact: this is the error budget.
 
-:func:`predict`, :meth:`StateModel.transition` and :meth:`StateModel.booked_noise` work along the last axes alone: the
-covariance may have leading axes (...), one entry for each of several hypotheses.
+The steps themselves are compiled (:mod:`ship_estimation.compiled_steps`); here is told what they are.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
-import scipy.linalg.lapack as lapack
 from numpy.typing import NDArray
 
+from ship_estimation import compiled_steps
 from ship_geometry.rotations import FloatArray
 
 _BEYOND_SIGMAS = 5.0
@@ -81,6 +81,13 @@ class StateModel:
         blocks: the parts, in order.
         noise_sources: sources of measurement noise, booked beside the blocks' own.
 
+    Attributes:
+        blocks: by name.
+        slices: which states they are.
+        size: number of states, n.
+        sources: of error, by name, in the order of the parts.
+        source_of: index of the source that the noise of each state is booked to, shape (n,).
+
     Example:
         >>> ins, mount = block("ins", [10.0], "ins_drift", time_s=1800.0), block("mount", [20.0], "installation")
         >>> model = StateModel([ins, mount], noise_sources=["star_noise"])
@@ -107,9 +114,9 @@ class StateModel:
         walk = np.concatenate([b.walk for b in blocks])
         self._steady_variance = np.where(np.isfinite(self._time_s), sigma**2, 0.0)
         self._walk_variance = np.where(np.isfinite(self._time_s), 0.0, walk**2)
-        self._source_rows = np.zeros((len(self.sources), self.size))
-        for b in blocks:
-            self._source_rows[self.sources.index(b.source), self.slices[b.name]] = 1.0
+        self.source_of: NDArray[np.intp] = np.repeat(
+            [self.sources.index(b.source) for b in blocks], [b.sigma.size for b in blocks]
+        ).astype(np.intp)
         self._initial_variance = sigma**2
 
     def rows(self, name: str) -> NDArray[np.intp]:
@@ -125,8 +132,8 @@ class StateModel:
 
         Cross terms between blocks of different sources must be zero.
         """
-        rows = self._source_rows
-        return rows[:, :, None] * covariance * rows[:, None, :]
+        own = self.source_of == np.arange(len(self.sources))[:, None]
+        return np.where(own[:, :, None] & own[:, None, :], covariance, 0.0)
 
     def transition(self, dt_s: float | FloatArray) -> tuple[FloatArray, FloatArray]:
         """Diagonal of the transition matrix and of the process noise over ``dt_s`` >= 0, shapes (..., n), (..., n)."""
@@ -135,10 +142,6 @@ class StateModel:
         dt_s = np.asarray(dt_s)[..., None]
         decay = np.exp(-dt_s / self._time_s)
         return decay, self._steady_variance * (1.0 - decay * decay) + self._walk_variance * dt_s
-
-    def booked_noise(self, noise_diagonal: FloatArray) -> FloatArray:
-        """Process noise diagonals by source, shape (..., n_sources, n), for diagonals (..., n)."""
-        return self._source_rows * noise_diagonal[..., None, :]
 
 
 def slow_error_later(error: FloatArray, decay: FloatArray, sigma: FloatArray) -> FloatArray:
@@ -185,67 +188,94 @@ class LinearMeasurement:
         return sum(others, start=first)
 
 
-def predict(parts: FloatArray, decay: FloatArray, booked_noise: FloatArray) -> FloatArray:
-    """Parts after a step with diagonal transition ``decay`` (..., n) and process noise (..., n_sources, n).
+class Innovation(NamedTuple):
+    """A measurement of m components beside an estimate of n states.
+
+    Attributes:
+        covariance: of the residual, shape (m, m).
+        nis: normalised innovation squared: chi² with m degrees of freedom where all is as modelled.
+        gain: of the optimal update, shape (n, m).
+    """
+
+    covariance: FloatArray
+    nis: float
+    gain: FloatArray
+
+
+def predict(
+    stack: FloatArray, decay: FloatArray, noise: FloatArray, source_of: NDArray[np.intp], rows: int = 1
+) -> FloatArray:
+    """The covariances after a step with diagonal transition and process noise, both of shape (n,).
+
+    Args:
+        stack: covariance by source, and those of further rows (:mod:`ship_estimation.hypotheses`), if there are any,
+            shape (n_sources + h - 1, n, n); several such stacks may be given, as a leading axis.
+        decay: what is left of each state.
+        noise: variance that comes new.
+        source_of: index of the source to which it is booked (:attr:`StateModel.source_of`).
+        rows: h; the further rows have no budget.
 
     Example:
-        One state, whose covariance of 4 belongs to one source; it decays by half, and 1 comes new:
+        One state, whose covariance of 4 belongs to the first of two sources; it decays by half, and 1 comes new:
 
-        >>> print(predict(np.array([[[4.0]]]), decay=np.array([0.5]), booked_noise=np.array([[1.0]])))
-        [[[2.]]]
+        >>> parts = np.array([[[4.0]], [[0.0]]])
+        >>> print(predict(parts, decay=np.array([0.5]), noise=np.array([1.0]), source_of=np.array([0])).ravel())
+        [2. 0.]
     """
-    predicted: FloatArray = parts * (decay[..., :, None] * decay[..., None, :])[..., None, :, :]
-    diagonal = np.arange(decay.shape[-1])
-    predicted[..., diagonal, diagonal] += booked_noise
-    return predicted
+    stacks = np.ascontiguousarray(stack).reshape(-1, *stack.shape[-3:])
+    predicted: FloatArray = compiled_steps.carried(stacks, stack.shape[-3] - rows + 1, decay, noise, source_of)
+    return predicted.reshape(stack.shape)
 
 
-def innovation(parts: FloatArray, measurement: LinearMeasurement) -> tuple[FloatArray, float]:
-    """Innovation covariance, shape (m, m), and normalised innovation squared (chi² with m degrees).
+def innovation(parts: FloatArray, measurement: LinearMeasurement) -> Innovation:
+    """A measurement beside the estimate whose covariance is the sum of the parts.
+
+    Raises:
+        numpy.linalg.LinAlgError: the covariance of the residual is not positive definite.
 
     Example:
         A state with variance 3, measured with variance 1 and found 4 away, two sigma of their sum:
 
         >>> measured = LinearMeasurement(np.array([4.0]), np.array([[1.0]]), {1: np.array([[1.0]])})
         >>> parts = np.array([[[3.0]], [[0.0]]])  # by the INS, by the stars
-        >>> covariance, nis = innovation(parts, measured)
-        >>> print(covariance, round(nis, 6))
-        [[4.]] 4.0
+        >>> covariance, nis, gain = innovation(parts, measured)
+        >>> print(covariance, round(nis, 6), gain)
+        [[4.]] 4.0 [[0.75]]
     """
-    h = measurement.jacobian
-    covariance = h @ parts.sum(axis=0) @ h.T + measurement.noise
-    _, solution, info = lapack.dposv(covariance, measurement.residual)
-    if info != 0:
-        raise np.linalg.LinAlgError("innovation covariance is not positive definite")
-    return covariance, float(measurement.residual @ solution)
+    mean, residual = np.zeros((1, parts.shape[-1])), measurement.residual
+    total, no_turn = parts.sum(axis=0)[None], np.zeros((len(residual), 3))
+    _, covariance, nis, gain, *_ = compiled_steps.compared(
+        mean, total, residual, measurement.jacobian, measurement.noise, mean[0], no_turn
+    )
+    return Innovation(covariance[0], float(nis[0]), gain[0])
 
 
 def update(
-    parts: FloatArray, measurement: LinearMeasurement, innovation_covariance: FloatArray
+    parts: FloatArray, measurement: LinearMeasurement, gain: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Correction of the state, shape (n,), and the parts after a measurement.
 
     Args:
         parts: before the measurement, shape (n_sources, n, n).
         measurement: linearised at the predicted state.
-        innovation_covariance: as :func:`innovation` gives it.
+        gain: as :func:`innovation` gives it; the form is Joseph's, which is right for any.
 
     Example:
         The measurement of :func:`innovation` has the weight 3/4, and the parts add up to the new variance 3/4:
 
         >>> measured = LinearMeasurement(np.array([4.0]), np.array([[1.0]]), {1: np.array([[1.0]])})
         >>> parts = np.array([[[3.0]], [[0.0]]])  # by the INS, by the stars
-        >>> correction, parts = update(parts, measured, innovation(parts, measured)[0])
-        >>> print(correction.round(6), parts.ravel().round(6))
+        >>> correction, parts = update(parts, measured, innovation(parts, measured).gain)
+        >>> print(correction, parts.ravel())
         [3.] [0.1875 0.5625]
     """
-    h = measurement.jacobian
-    cross = h @ parts.sum(axis=0)
-    _, gain_transposed, _ = lapack.dposv(innovation_covariance, cross)
-    gain = gain_transposed.T
-    keep = np.eye(parts.shape[-1]) - gain @ h
-    updated: FloatArray = keep @ parts @ keep.T
-    for source_index, noise in measurement.noise_by_source.items():
-        updated[source_index] += gain @ noise @ gain.T
-    updated = 0.5 * (updated + updated.transpose(0, 2, 1))
-    return gain @ measurement.residual, updated
+    corrections, updated = compiled_steps.updated(
+        np.ascontiguousarray(parts),
+        measurement.jacobian,
+        measurement.residual[None],
+        gain[None],
+        np.ones((1, len(gain)), dtype=np.uint8),
+        tuple(measurement.noise_by_source.items()),
+        measurement.noise,
+    )
+    return corrections[0], updated

@@ -28,10 +28,10 @@ def sequential(jacobians: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, n
     mean, parts, last_s = np.zeros(4), model.initial_parts(), 0.0
     for time_s, jacobian, value in zip(TIMES_S, jacobians, values, strict=True):
         decay, noise = model.transition(time_s - last_s)
-        mean, parts, last_s = decay * mean, predict(parts, decay, model.booked_noise(noise)), time_s
+        mean, parts, last_s = decay * mean, predict(parts, decay, noise, model.source_of), time_s
         measurement = LinearMeasurement(value - jacobian @ mean, jacobian, {model.sources.index("noise"): NOISE})
-        covariance, _ = innovation(parts, measurement)
-        correction, parts = update(parts, measurement, covariance)
+        _, _, gain = innovation(parts, measurement)
+        correction, parts = update(parts, measurement, gain)
         mean = mean + correction
     return mean, parts.sum(axis=0)
 
@@ -81,8 +81,8 @@ def test_constant_measured_often_is_the_weighted_mean() -> None:
     mean, parts = np.zeros(3), model.initial_parts()
     for row, value, sigma in zip(design, values, sigmas, strict=True):
         measurement = LinearMeasurement(np.array([value - row @ mean]), row[None], {1: np.array([[sigma**2]])})
-        covariance, _ = innovation(parts, measurement)
-        correction, parts = update(parts, measurement, covariance)
+        _, _, gain = innovation(parts, measurement)
+        correction, parts = update(parts, measurement, gain)
         mean = mean + correction
     expected, *_ = np.linalg.lstsq(design / sigmas[:, None], values / sigmas)
     np.testing.assert_allclose(mean, expected, rtol=0, atol=1e-7)

@@ -54,15 +54,15 @@ def test_sum_of_parts_is_the_textbook_filter(seed: int) -> None:
     P = parts.sum(axis=0)
     for dt_s, measurement in random_measurements(model, 60, seed):
         decay, noise = model.transition(dt_s)
-        parts = predict(parts, decay, model.booked_noise(noise))
+        parts = predict(parts, decay, noise, model.source_of)
         F = np.diag(decay)
         P = F @ P @ F.T + np.diag(noise)
-        covariance, nis = innovation(parts, measurement)
+        covariance, nis, gain = innovation(parts, measurement)
         expected_covariance = measurement.jacobian @ P @ measurement.jacobian.T + measurement.noise
         np.testing.assert_allclose(covariance, expected_covariance, rtol=0, atol=1e-12 * np.abs(covariance).max())
         expected_nis = measurement.residual @ np.linalg.inv(expected_covariance) @ measurement.residual
         assert nis == pytest.approx(expected_nis, rel=1e-9)
-        correction, parts = update(parts, measurement, covariance)
+        correction, parts = update(parts, measurement, gain)
         expected_correction, P = textbook_update(P, measurement)
         # 72² is the size of the covariance at the start, and of its rounding.
         np.testing.assert_allclose(parts.sum(axis=0), P, rtol=0, atol=1e-12 * 72.0**2)
@@ -74,8 +74,8 @@ def test_one_update_is_that_of_the_information_form(seed: int) -> None:
     model = ship_like_model()
     parts = model.initial_parts()
     _, measurement = next(random_measurements(model, 1, seed))
-    covariance, _ = innovation(parts, measurement)
-    _, updated = update(parts, measurement, covariance)
+    _, _, gain = innovation(parts, measurement)
+    _, updated = update(parts, measurement, gain)
     expected = information_update(parts.sum(axis=0), measurement)
     np.testing.assert_allclose(updated.sum(axis=0), expected, rtol=0, atol=1e-11 * expected.max())
 
@@ -85,9 +85,9 @@ def test_every_part_stays_symmetric_and_positive_semidefinite() -> None:
     parts = model.initial_parts()
     for dt_s, measurement in random_measurements(model, 400, 7):
         decay, noise = model.transition(dt_s)
-        parts = predict(parts, decay, model.booked_noise(noise))
-        covariance, _ = innovation(parts, measurement)
-        _, parts = update(parts, measurement, covariance)
+        parts = predict(parts, decay, noise, model.source_of)
+        _, _, gain = innovation(parts, measurement)
+        _, parts = update(parts, measurement, gain)
         np.testing.assert_array_equal(parts, parts.transpose(0, 2, 1))
         for part in parts:
             eigenvalues = np.linalg.eigvalsh(part)
@@ -102,8 +102,8 @@ def test_very_precise_measurement_leaves_a_valid_covariance() -> None:
         jacobian = np.zeros((1, model.size))
         jacobian[0, axis] = jacobian[0, axis + 3] = 1.0
         measurement = LinearMeasurement(np.array([1.0]), jacobian, {3: np.array([[5e-11]])})
-        covariance, _ = innovation(parts, measurement)
-        _, parts = update(parts, measurement, covariance)
+        _, _, gain = innovation(parts, measurement)
+        _, parts = update(parts, measurement, gain)
         assert np.linalg.eigvalsh(parts.sum(axis=0))[0] > 0.0
 
 
@@ -113,22 +113,22 @@ def test_budget_is_the_variance_that_each_source_alone_causes() -> None:
     rng = np.random.default_rng(8)
     draws = 20_000
     parts = model.initial_parts()
-    rows = model.booked_noise(np.ones(model.size))
+    rows = (model.source_of == np.arange(len(model.sources))[:, None]).astype(float)
     start_sigma = np.sqrt(np.diagonal(parts, axis1=1, axis2=2))
     # errors[s] is what the estimate's error would be had source s alone been at work.
     errors = start_sigma[:, None, :] * rng.standard_normal((len(SOURCES), draws, model.size))
     for dt_s, measurement in random_measurements(model, 25, 9):
         decay, noise = model.transition(dt_s)
-        parts = predict(parts, decay, model.booked_noise(noise))
+        parts = predict(parts, decay, noise, model.source_of)
         driven = np.sqrt(noise) * rng.standard_normal((draws, model.size))
         errors = decay * errors + rows[:, None, :] * driven
-        covariance, _ = innovation(parts, measurement)
+        covariance, _, gain = innovation(parts, measurement)
         H, P = measurement.jacobian, parts.sum(axis=0)
         K = P @ H.T @ np.linalg.inv(covariance)
         errors = errors @ (np.eye(model.size) - K @ H).T
         for source, noise in measurement.noise_by_source.items():
             errors[source] -= rng.multivariate_normal(np.zeros(len(H)), noise, draws) @ K.T
-        _, parts = update(parts, measurement, covariance)
+        _, parts = update(parts, measurement, gain)
     assert model.sources == SOURCES
     total = np.diagonal(parts.sum(axis=0))
     for part, error in zip(parts, errors, strict=True):
@@ -142,8 +142,8 @@ def test_useless_measurement_changes_nothing() -> None:
     model = ship_like_model()
     parts = model.initial_parts()
     measurement = LinearMeasurement(np.array([5.0]), np.zeros((1, model.size)), {3: np.eye(1)})
-    covariance, nis = innovation(parts, measurement)
-    correction, updated = update(parts, measurement, covariance)
+    _, nis, gain = innovation(parts, measurement)
+    correction, updated = update(parts, measurement, gain)
     assert nis == 25.0
     np.testing.assert_array_equal(correction, 0.0)
     np.testing.assert_array_equal(updated, parts)
@@ -156,12 +156,12 @@ def test_inputs_are_left_as_they_were() -> None:
     _, measurement = next(random_measurements(model, 1, 1))
     arrays = (parts, measurement.residual, measurement.jacobian, measurement.noise)
     copies = [a.copy() for a in arrays]
-    covariance, _ = innovation(parts, measurement)
-    covariance_before = covariance.copy()
-    update(parts, measurement, covariance)
+    _, _, gain = innovation(parts, measurement)
+    gain_before = gain.copy()
+    update(parts, measurement, gain)
     decay, noise = model.transition(1.0)
-    predict(parts, decay, model.booked_noise(noise))
-    for array, copy in zip((*arrays, covariance), (*copies, covariance_before), strict=True):
+    predict(parts, decay, noise, model.source_of)
+    for array, copy in zip((*arrays, gain), (*copies, gain_before), strict=True):
         np.testing.assert_array_equal(array, copy)
 
 

@@ -115,7 +115,7 @@ def test_booking_keeps_correlations_inside_a_source_and_the_sum(model: StateMode
 
 def test_process_noise_is_booked_to_the_blocks_sources(model: StateModel) -> None:
     decay, noise = model.transition(10.0)
-    parts = predict(model.initial_parts(), decay, model.booked_noise(noise))
+    parts = predict(model.initial_parts(), decay, noise, model.source_of)
     np.testing.assert_allclose(np.diagonal(parts.sum(axis=0)), [4.0, 9.0, 1.0, 25.0, 36.0, 0.25 + 0.1], rtol=1e-14)
     assert parts[2, 5, 5] == pytest.approx(0.35)
     np.testing.assert_array_equal(parts[3], 0.0)

@@ -11,7 +11,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ship_geometry import compiled_rotations
 from ship_geometry.interpolation_error import (
+    ANY_DIRECTION,
     BESIDE,
     as_covariance,
     by_miss,
@@ -174,27 +176,19 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         return turn * (SECOND_NS / (self._times[after] - self._times[before]))
 
     def _moved_by_rates(self, index: int, ahead_s: float) -> InterpolatedAttitude:
-        """The newest sample moved by its measured rate and by the change of the rate since the sample before."""
+        """The newest sample moved by its measured rate and by the change of the rate since the sample before.
+
+        The difference of two rates is the acceleration half a step ago: what it lacks acts over that time too.
+        """
         rotation_nd, rates = self._samples[index].rotation_nd, self._recent_rates(index)
-        # This runs for each INS sample, so step by step: on arrays it takes three times as long.
-        times = self._times
-        steps_s = [(times[k] - times[k - 1]) / SECOND_NS for k in range(index, index - len(rates) + 1, -1)]
-        changes = [(later - rate) / step_s for later, rate, step_s in zip(rates, rates[1:], steps_s, strict=False)]
-        if not changes:
+        if len(rates) == 1:
             return InterpolatedAttitude(rotation_nd @ exp_rotation(ahead_s * rates[0]), rates[0], 1.0)
-        vector = ahead_s * rates[0] + 0.5 * ahead_s * ahead_s * changes[0]
-        # With two rates alone the jerk is taken as large as it can be: all of the change came within the step.
-        jerks = [changes[0] / steps_s[0]]
-        if len(changes) > 1:
-            jerks = [
-                (changes[back] - changes[back + 1]) * (2.0 / (steps_s[back] + steps_s[back + 1]))
-                for back in range(len(changes) - 1)
-            ]
-        # The difference of two rates is the acceleration half a step ago: what it lacks acts over that time too.
-        lacking = (ahead_s**3 / 6.0 + ahead_s * ahead_s * steps_s[0] / 4.0) / math.sqrt(len(jerks))
-        covariance_d = as_covariance(lacking * np.array(jerks), _LARGEST_VARIANCE)
-        rotation_nd = rotation_nd.dot(exp_rotation(vector))
-        return InterpolatedAttitude(rotation_nd, rates[0] + ahead_s * changes[0], 1.0, covariance_d)
+        times_ns = np.array(self._times[index - len(rates) + 1 : index + 1])
+        steps_s = np.diff(times_ns)[::-1] / SECOND_NS
+        found = compiled_rotations.moved(
+            rotation_nd, np.array(rates), steps_s, ahead_s, ANY_DIRECTION, _LARGEST_VARIANCE
+        )
+        return InterpolatedAttitude(found[0], found[1], 1.0, found[2])
 
     def _recent_rates(self, index: int) -> list[FloatArray]:
         """Measured rates, rad/s, newest first: four at most, none from beyond a gap, a jump or a sample without one."""

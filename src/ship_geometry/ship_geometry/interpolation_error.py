@@ -25,7 +25,7 @@ BESIDE = 0.5
 
 In a wave the terms of successive orders are out of phase: where one happens to be zero, the next one is largest."""
 
-_ANY_DIRECTION = 0.3
+ANY_DIRECTION = 0.3
 """Share of an estimated error by which the estimate itself may be off, in any direction."""
 
 
@@ -49,7 +49,7 @@ def as_covariance(errors: Sequence[FloatArray] | FloatArray, largest: float = ma
     squares = float(np.vdot(rows, rows))
     covariance: FloatArray = rows.T.dot(rows)
     every_diagonal_element = slice(None, None, rows.shape[1] + 1)
-    covariance.ravel()[every_diagonal_element] += _ANY_DIRECTION**2 * squares
+    covariance.ravel()[every_diagonal_element] += ANY_DIRECTION**2 * squares
     return covariance if squares <= largest else covariance * (largest / squares)
 
 
@@ -79,7 +79,7 @@ def joint_covariance(errors: FloatArray, interval: NDArray[np.int64]) -> FloatAr
     """
     products = np.einsum("irx,jry->ixjy", errors, errors)
     squares = np.trace(products, axis1=1, axis2=3)
-    products += _ANY_DIRECTION**2 * squares[:, None, :, None] * np.eye(errors.shape[-1])[:, None, :]
+    products += ANY_DIRECTION**2 * squares[:, None, :, None] * np.eye(errors.shape[-1])[:, None, :]
     covariance: FloatArray = products * (interval[:, None] == interval)[:, None, :, None]
     return covariance
 

@@ -1,13 +1,14 @@
 """Rotation vectors and rotation matrices: exponential, logarithm and their Jacobians.
 
-All functions take any number of leading dimensions: a rotation vector has shape (..., 3), a matrix
-(..., 3, 3). Formulas: Sola, Deray, Atchuthan, "A micro Lie theory" (2018), section on SO(3).
+All functions take any number of leading dimensions: a rotation vector has shape (..., 3), a matrix (..., 3, 3). Single
+ones are compiled (:mod:`ship_geometry.compiled_rotations`). Formulas: Sola, Deray, Atchuthan, "A micro Lie theory"
+(2018), section on SO(3).
 """
-
-import math
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ship_geometry import compiled_rotations
 
 FloatArray = NDArray[np.float64]
 
@@ -77,32 +78,10 @@ def _sinc_coefficients(angle_squared: FloatArray) -> tuple[FloatArray, FloatArra
     return first, second, third
 
 
-def _sinc_coefficients_of_one(angle_squared: float) -> tuple[float, float, float]:
-    """The three ratios for a single angle, forty times faster than by arrays: most calls of a live node are single."""
-    if angle_squared < _SMALL_ANGLE**2:
-        return 1.0 - angle_squared / 6.0, 0.5 - angle_squared / 24.0, 1.0 / 6.0 - angle_squared / 120.0
-    t = math.sqrt(angle_squared)
-    sin_t, half_sine = math.sin(t), math.sin(0.5 * t)
-    return sin_t / t, 2.0 * half_sine * half_sine / angle_squared, (t - sin_t) / (angle_squared * t)
-
-
 def _polynomial(vector: FloatArray, linear: FloatArray, quadratic: FloatArray) -> FloatArray:
     """Identity + linear [v x] + quadratic [v x]²."""
     matrix = skew(vector)
     return np.eye(3) + linear[..., None, None] * matrix + quadratic[..., None, None] * (matrix @ matrix)
-
-
-def _polynomial_of_one(x: float, y: float, z: float, linear: float, quadratic: float) -> FloatArray:
-    """Identity + linear [v x] + quadratic [v x]² for one vector."""
-    a, b = linear, quadratic
-    xx, yy, zz, xy, xz, yz = b * x * x, b * y * y, b * z * z, b * x * y, b * x * z, b * y * z
-    return np.array(
-        [
-            [1.0 - yy - zz, xy - a * z, xz + a * y],
-            [xy + a * z, 1.0 - xx - zz, yz - a * x],
-            [xz - a * y, yz + a * x, 1.0 - xx - yy],
-        ]
-    )
 
 
 def exp_rotation(vector: FloatArray) -> FloatArray:
@@ -117,9 +96,8 @@ def exp_rotation(vector: FloatArray) -> FloatArray:
     """
     vector = np.asarray(vector, dtype=float)
     if vector.ndim == 1:
-        x, y, z = vector.tolist()
-        first, second, _ = _sinc_coefficients_of_one(x * x + y * y + z * z)
-        return _polynomial_of_one(x, y, z, first, second)
+        rotation: FloatArray = compiled_rotations.exponential(vector)
+        return rotation
     firsts, seconds, _ = _sinc_coefficients(np.sum(vector * vector, axis=-1))
     return _polynomial(vector, firsts, seconds)
 
@@ -137,9 +115,8 @@ def left_jacobian(vector: FloatArray) -> FloatArray:
     """
     vector = np.asarray(vector, dtype=float)
     if vector.ndim == 1:
-        x, y, z = vector.tolist()
-        _, second, third = _sinc_coefficients_of_one(x * x + y * y + z * z)
-        return _polynomial_of_one(x, y, z, second, third)
+        jacobian: FloatArray = compiled_rotations.jacobian(vector)
+        return jacobian
     _, seconds, thirds = _sinc_coefficients(np.sum(vector * vector, axis=-1))
     return _polynomial(vector, seconds, thirds)
 
@@ -157,7 +134,7 @@ def log_rotation(rotation: FloatArray) -> FloatArray:
     """
     rotation = np.asarray(rotation, dtype=float)
     if rotation.ndim == 2:
-        vector = _log_of_one(rotation)
+        vector: FloatArray | None = compiled_rotations.logarithm(rotation)
         if vector is not None:
             return vector
     twice_sine = np.empty(rotation.shape[:-1])
@@ -174,18 +151,6 @@ def log_rotation(rotation: FloatArray) -> FloatArray:
     if np.any(near_half_turn):
         vector = np.where(near_half_turn[..., None], _log_near_half_turn(rotation, twice_sine, angle), vector)
     return vector
-
-
-def _log_of_one(rotation: FloatArray) -> FloatArray | None:
-    """Logarithm of one matrix by its antisymmetric part; None near half a turn."""
-    (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = rotation.tolist()
-    cosine = 0.5 * (r00 + r11 + r22 - 1.0)
-    if cosine < -0.9:
-        return None
-    x, y, z = r21 - r12, r02 - r20, r10 - r01
-    sine = 0.5 * math.sqrt(x * x + y * y + z * z)
-    scale = 0.5 + sine * sine / 12.0 if sine < _SMALL_ANGLE else 0.5 * math.atan2(sine, cosine) / sine
-    return np.array([scale * x, scale * y, scale * z])
 
 
 def _log_near_half_turn(rotation: FloatArray, twice_sine: FloatArray, angle: FloatArray) -> FloatArray:

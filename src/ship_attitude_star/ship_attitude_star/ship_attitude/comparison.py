@@ -7,6 +7,7 @@ predicted direction p = Rᵀ v by p × ε. The errors that all stars share (refr
 of the filter: one sigma of such an error displaces v by g, and the predicted direction by Rᵀ g.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,8 +25,11 @@ from ship_attitude_star.stars.solution import SolutionStatus, solve_stars
 from ship_estimation.kalman import LinearMeasurement
 from ship_estimation.outcome import Measurement
 from ship_estimation.refusals import Reason, Refusal
+from ship_geometry import compiled_rotations
 from ship_geometry.attitude_track import InterpolatedAttitude
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, exp_rotation, left_jacobian, log_rotation, skew
+
+_NO_TURN = np.eye(3)
 
 
 @dataclass(frozen=True)
@@ -81,35 +85,29 @@ def predict_attitude(
     The chain is multiplied from the device outwards; an error of a factor exp(v) is a small rotation
     J_left(v) dv in the frame on its left, which everything multiplied so far brings into the device frame.
     """
-    noise_scale = float(np.sqrt(ins.noise_gain))
-    names = [f"{device.name}.{part}" for part in ("slow", "installation", "flexure", "common")]
-    scales = {name: 1.0 for name in names if name in model.slices} | {"ins.noise": noise_scale, "ins.attitude": 1.0}
-    factors: dict[str, tuple[FloatArray, FloatArray]] = {}
-    for name, scale in scales.items():
-        vector = scale * mean[model.slices[name]]
-        factors[name] = exp_rotation(vector), left_jacobian(vector)
+    on_its_left = {
+        f"{device.name}.slow": _NO_TURN,
+        f"{device.name}.installation": device.rotation_dv0,
+        f"{device.name}.flexure": _NO_TURN,
+        "ins.noise": _NO_TURN,
+        "ins.attitude": _NO_TURN,
+        f"{device.name}.common": _NO_TURN,
+    }
+    links = [name for name in on_its_left if name in model.slices]
+    scales = [math.sqrt(ins.noise_gain) if name == "ins.noise" else 1.0 for name in links]
+    vectors = np.array([scale * mean[model.slices[name]] for name, scale in zip(links, scales, strict=True)])
+    fixed, last_of_hull = np.array([on_its_left[name] for name in links]), links.index("ins.noise") - 1
+    fixed[last_of_hull] = ins.rotation_nd @ fixed[last_of_hull]
+    products, derivatives = compiled_rotations.chain(vectors, fixed)
     jacobian = np.zeros((3, model.size))
-
-    def turned(name: str, rotation: FloatArray) -> FloatArray:
-        """Multiply ``rotation`` from the left by exp(state ``name``), where there is such a state."""
-        if name not in factors:
-            return rotation
-        factor, by_vector = factors[name]
-        rotation = factor @ rotation
-        jacobian[:, model.slices[name]] = scales[name] * rotation.T @ by_vector
-        return rotation
-
-    rotation_dv = turned(f"{device.name}.slow", np.eye(3))
-    rotation_dv = device.rotation_dv0 @ turned(f"{device.name}.installation", rotation_dv)
-    rotation_dv = turned(f"{device.name}.flexure", rotation_dv)
+    for name, scale, derivative in zip(links, scales, derivatives, strict=True):
+        jacobian[:, model.slices[name]] = scale * derivative
+    rotation_dv = ins.rotation_nd.T @ products[last_of_hull]
     rate_v = rotation_dv.T @ ins.rate_d
     for name, sign in device.ins_time_states:
         jacobian[:, model.slices[name]] = sign * rate_v[:, None]
-    rotation_nv = turned("ins.noise", ins.rotation_nd @ rotation_dv)
-    rotation_nv = turned("ins.attitude", rotation_nv)
-    rotation_nv = turned(f"{device.name}.common", rotation_nv)
     interpolation_v = rotation_dv.T @ ins.error_covariance_d @ rotation_dv
-    return PredictedAttitude(rotation_nv, jacobian, interpolation_v)
+    return PredictedAttitude(products[-1], jacobian, interpolation_v)
 
 
 def compare(

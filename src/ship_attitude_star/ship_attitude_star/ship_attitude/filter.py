@@ -57,8 +57,7 @@ class ShipFilter:
         dt_s = max(time_ns - state.time_ns, 0) * 1e-9
         decay, noise = self.model.transition(dt_s)
         rows = len(state.means)
-        booked = np.concatenate([self.model.booked_noise(noise), *[noise[None]] * (rows - 1)])
-        stack = predict(state.stack, decay, booked)
+        stack = predict(state.stack, decay, noise, self.model.source_of, rows)
         for source, steady in state.common_n.items():
             common = self.model.slices[f"{source}.common"]
             fresh = 1.0 - decay[common.start] ** 2

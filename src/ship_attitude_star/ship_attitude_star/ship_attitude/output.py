@@ -22,6 +22,7 @@ from ship_estimation.kalman import lasting
 from ship_estimation.outcome import Measurement, Status
 from ship_estimation.protection import above_limit
 from ship_estimation.refusals import Refusal
+from ship_geometry import compiled_rotations
 from ship_geometry.attitude_track import InterpolatedAttitude
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian
 from ship_geometry.time_scales import SECOND_NS
@@ -50,11 +51,11 @@ class CorrectedIns:
         rows = np.r_[model.rows("ins.attitude"), model.rows("ins.time_offset")]
         self._error_n = state.mean[rows][_ATTITUDE]
         self.time_offset_s = float(state.mean[rows][_TIME_OFFSET])
-        self._parts = state.parts[:, rows[:, None], rows]
+        self._parts = np.ascontiguousarray(state.parts[:, rows[:, None], rows])
         self._drift_index = model.sources.index(slow.source)
         self._white_index = model.sources.index(SOURCE_INS_NOISE)
         self._interpolation_index = model.sources.index(SOURCE_INTERPOLATION)
-        self._lasting = lasting(self._error_n, slow.sigma)
+        self._lasting = lasting(self._error_n, slow.sigma).view(np.uint8)
         self._correlation_time_s, self._steady_variance = slow.time_s, slow.sigma**2
         self._newest_star_ns = _newest_star_ns(filter_, state)
         self._white_variance = model.blocks["ins.noise"].sigma ** 2
@@ -63,34 +64,31 @@ class CorrectedIns:
         """Attitude and its covariance parts, horizon frame, rad², shapes (..., 3, 3), (..., n_sources, 3, 3).
 
         The result depends on the arguments and the state alone. The arguments may be stacks: the leading axes (...) of
-        ``since_s`` and of every array in ``ins`` are the same. A stack gives what the single calls give, but for the
-        rounding of a rotation (1e-15).
+        ``since_s`` and of every array in ``ins`` are the same. A stack gives what the single calls give, to the last
+        bit.
 
         Args:
             since_s: time from the state to the moment, at least 0, s, shape (...).
             ins: the INS's attitude of that moment (its samples moved by tau).
         """
-        decay = np.exp(-np.asarray(since_s)[..., None] / self._correlation_time_s)
-        drift_variance = self._steady_variance * (1.0 - decay * decay)
-        error_n = np.where(self._lasting, self._error_n, decay * self._error_n)
-        correction = exp_rotation(error_n)
-        rotation_nd: FloatArray = correction @ ins.rotation_nd
-
-        # Errors now, from errors at the state's moment.
-        by_error = left_jacobian(error_n)
-        by_state = np.empty((*rotation_nd.shape[:-1], 4))
-        by_state[..., _ATTITUDE] = by_error * decay[..., None, :]
-        by_state[..., _TIME_OFFSET] = -(rotation_nd @ ins.rate_d[..., None])[..., 0]
-        by_state = by_state[..., None, :, :]  # the same for every source
-        parts: FloatArray = by_state @ self._parts @ by_state.swapaxes(-1, -2)
-        drift = by_error * np.sqrt(drift_variance)[..., None, :]
-        parts[..., self._drift_index, :, :] += drift @ drift.swapaxes(-1, -2)
-        white_variance = self._white_variance * np.asarray(ins.noise_gain)[..., None]
-        white = correction * np.sqrt(white_variance)[..., None, :]
-        parts[..., self._white_index, :, :] += white @ white.swapaxes(-1, -2)
-        interpolated = rotation_nd @ ins.error_covariance_d @ rotation_nd.swapaxes(-1, -2)
-        parts[..., self._interpolation_index, :, :] += interpolated
-        return rotation_nd, parts
+        since_s, leading = np.atleast_1d(np.asarray(since_s, dtype=float)), np.shape(since_s)
+        rotation_nd, parts = compiled_rotations.corrected(
+            since_s.ravel(),
+            ins.rotation_nd.reshape(-1, 3, 3),
+            ins.rate_d.reshape(-1, 3),
+            np.ravel(ins.noise_gain).astype(float),
+            ins.error_covariance_d.reshape(-1, 3, 3),
+            self._error_n,
+            self._lasting,
+            self._correlation_time_s,
+            self._steady_variance,
+            self._white_variance,
+            self._parts,
+            self._drift_index,
+            self._white_index,
+            self._interpolation_index,
+        )
+        return rotation_nd.reshape(*leading, 3, 3), parts.reshape(*leading, *parts.shape[1:])
 
     def estimate(self, time_ns: int, ins: InterpolatedAttitude, config: ShipAttitudeConfig) -> AttitudeEstimate:
         """The attitude at the stamp of an INS sample, with its status."""

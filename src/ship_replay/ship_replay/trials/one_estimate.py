@@ -32,8 +32,8 @@ class WithoutIntegrity(ShipFilter):
         self, state: FilterState, predicted: FilterState, measurement: Measurement, found: Linearised
     ) -> tuple[FilterState, AttitudeDecision]:
         linear = found.compared.linear
-        covariance, nis = innovation(predicted.parts, linear)
-        correction, parts = update(predicted.parts, linear, covariance)
+        _, nis, gain = innovation(predicted.parts, linear)
+        correction, parts = update(predicted.parts, linear, gain)
         after = replace(predicted, means=predicted.means + correction, stack=parts)
         decision = AttitudeDecision(measurement, Reason.NONE, True, nis=nis, ins_time_ns=found.ins_time_ns)
         return self._used(after, measurement), decision

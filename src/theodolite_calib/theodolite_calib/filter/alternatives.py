@@ -133,7 +133,8 @@ class SourceRows:
         """The rows carried to a later moment; arguments as of ``CalibrationFilter.predicted``."""
         dt_s = 0.0 if rows.time_ns is None else max(time_ns - rows.time_ns, 0) * 1e-9
         decay, noise = self._model.transition(dt_s)
-        mean, parts, ship = decay * rows.mean, predict(rows.parts, decay, noise[None]), self._ship_error.columns
+        mean, ship, of_no_budget = decay * rows.mean, self._ship_error.columns, len(rows.mean) + 1
+        parts = predict(rows.parts[:, 0], decay, noise, self._model.source_of, of_no_budget)[:, None]
         mean[:, ship] = self._ship_error.later(rows.mean[:, ship], decay[ship])
         mean, parts, _ = self._ship_error.carried(
             mean, parts, ship, decay[ship], rows.ship_steady_n, ship_now_n, _ONLY_SOURCE

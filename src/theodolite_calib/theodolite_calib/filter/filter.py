@@ -87,12 +87,14 @@ class Comparison:
         measurement: residual in metres with its Jacobian and noise.
         covariance: of the residual, m², shape (2 N, 2 N).
         nis: normalised innovation squared.
+        gain: of the optimal update, shape (n, 2 N).
     """
 
     prediction: Prediction
     measurement: LinearMeasurement
     covariance: FloatArray
     nis: float
+    gain: FloatArray
 
 
 class CalibrationFilter:
@@ -131,7 +133,7 @@ class CalibrationFilter:
         """
         dt_s = 0.0 if state.time_ns is None else max(time_ns - state.time_ns, 0) * 1e-9
         decay, noise = self.model.transition(dt_s)
-        parts = predict(state.parts, decay, self.model.booked_noise(noise))
+        parts = predict(state.parts, decay, noise, self.model.source_of)
         mean, steady_n, ship = decay * state.mean, state.ship_steady_n, self.ship_error.columns
         mean[..., ship] = self.ship_error.later(state.mean[..., ship], decay[ship])
         mean, parts, step = self.ship_error.carried(mean, parts, ship, decay[ship], steady_n, ship_now_n)
@@ -217,7 +219,7 @@ class CalibrationFilter:
         """
         compared, mean = comparison, state.mean
         for _ in range(_STEPS):
-            correction, parts = update(state.parts, compared.measurement, compared.covariance)
+            correction, parts = update(state.parts, compared.measurement, compared.gain)
             turned = compared.prediction.turn_n @ (state.mean + correction - mean)
             mean = state.mean + correction
             if np.max(np.abs(turned)) < _SMALL_STEP:

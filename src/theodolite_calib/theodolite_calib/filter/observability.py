@@ -76,7 +76,7 @@ class Observability:
     def predicted(self, unaided: Unaided, dt_s: float, ship_steady_n: FloatArray | None) -> Unaided:
         """After ``dt_s``; the ship's error follows a stated steady covariance (rad², (3, 3)) where there is one."""
         decay, noise = self._model.transition(dt_s)
-        parts = predict(unaided.parts, decay, self._model.booked_noise(noise))
+        parts = predict(unaided.parts, decay, noise, self._model.source_of)
         add_steady_noise(parts, self._ship, _ONLY_SOURCE, decay[self._ship], ship_steady_n)
         return Unaided(parts)
 
@@ -87,8 +87,7 @@ class Observability:
     def updated(self, unaided: Unaided, jacobian: FloatArray, noise: FloatArray) -> Unaided:
         """After a sighting with the filter's Jacobian (m, n) and noise (m, m)."""
         measurement = LinearMeasurement(np.zeros(len(noise)), jacobian, {_ONLY_SOURCE: noise})
-        covariance, _ = innovation(unaided.parts, measurement)
-        return Unaided(update(unaided.parts, measurement, covariance)[1])
+        return Unaided(update(unaided.parts, measurement, innovation(unaided.parts, measurement).gain)[1])
 
     def open_combinations(self, unaided: Unaided) -> tuple[str, ...]:
         """Combinations of names that the sightings so far cannot tell apart, as ``g - deformation_up``."""

@@ -1,0 +1,470 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+"""The loops of the Kalman steps, compiled: covariances by source and rows of hypotheses are carried and updated here.
+
+This is the one source of these steps. It is Python with C types for its numbers, compiled by Cython when the package is
+built. It knows no state's name: any number of states, sources, rows and residuals will do. What each function computes
+is told where it is called, in :mod:`ship_estimation.kalman` and :mod:`ship_estimation.hypotheses`; the same in plain
+numpy stands in the tests.
+
+A covariance P becomes (I - K H) P (I - K H)ᵀ + K N Kᵀ by a measurement with the Jacobian H, the gain K and the noise N.
+The matrix I - K H is never made: its thin factors are applied from the right and from the left, which is a fifth of the
+work for 19 states and 3 residuals. Where there are more residuals than states that H has a column for, K H and these
+states are the thinner factors.
+
+Matrices lie row by row. Every loop that counts subtracts or adds one row times a number (:func:`_add`): that is what
+compilers make fast, and the sums come in the same order everywhere.
+"""
+
+import cython
+import numpy as np
+
+if not cython.compiled:
+    raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")
+
+from cython.cimports.libc.math import fabs, sqrt
+from cython.cimports.libc.string import memcpy, memset
+
+_JACOBI_SWEEPS = 12
+"""Of a symmetric 3 × 3 matrix five make the off-diagonal elements vanish to the last bit."""
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+@cython.inline
+def _add(
+    target: cython.p_double, weight: cython.double, row: cython.p_double, count: cython.Py_ssize_t
+) -> cython.void:
+    """Add a number times a row to another row."""
+    i: cython.Py_ssize_t
+    for i in range(count):
+        target[i] += weight * row[i]
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _product(
+    left: cython.p_double,
+    rows: cython.Py_ssize_t,
+    inner: cython.Py_ssize_t,
+    right: cython.p_double,
+    columns: cython.Py_ssize_t,
+    out: cython.p_double,
+) -> cython.void:
+    """The product of two matrices; what is zero in the left one costs nothing."""
+    i: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    memset(out, 0, rows * columns * cython.sizeof(cython.double))
+    for i in range(rows):
+        for k in range(inner):
+            if left[i * inner + k] != 0.0:
+                _add(out + i * columns, left[i * inner + k], right + k * columns, columns)
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _transposed(
+    matrix: cython.p_double, rows: cython.Py_ssize_t, columns: cython.Py_ssize_t, out: cython.p_double
+) -> cython.void:
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    for i in range(rows):
+        for j in range(columns):
+            out[j * rows + i] = matrix[i * columns + j]
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _decomposed(matrix: cython.p_double, size: cython.Py_ssize_t) -> cython.bint:
+    """Replace the upper triangle by Cholesky's factor; False where the matrix is not positive definite, or NaN."""
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    root: cython.double
+    row: cython.p_double
+    for j in range(size):
+        row = matrix + j * size
+        if not row[j] > 0.0:
+            return False
+        root = sqrt(row[j])
+        for i in range(j, size):
+            row[i] /= root
+        for i in range(j + 1, size):
+            _add(matrix + i * size + i, -row[i], row + i, size - i)
+    return True
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _solve(
+    factor: cython.p_double, size: cython.Py_ssize_t, asked: cython.p_double, columns: cython.Py_ssize_t
+) -> cython.void:
+    """Replace a matrix of so many columns by the inverse of the decomposed matrix times it."""
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    row: cython.p_double
+    for i in range(size):
+        row = asked + i * columns
+        for k in range(i):
+            _add(row, -factor[k * size + i], asked + k * columns, columns)
+        for j in range(columns):
+            row[j] /= factor[i * size + i]
+    for i in range(size - 1, -1, -1):
+        row = asked + i * columns
+        for k in range(i + 1, size):
+            _add(row, -factor[i * size + k], asked + k * columns, columns)
+        for j in range(columns):
+            row[j] /= factor[i * size + i]
+
+
+def carried(
+    stacks: cython.const[cython.double][:, :, :, ::1],
+    sources: cython.Py_ssize_t,
+    decay: cython.const[cython.double][::1],
+    noise: cython.const[cython.double][::1],
+    source_of: cython.const[cython.Py_ssize_t][::1],
+):
+    """The covariances of several stacks after a diagonal transition; each state's noise is booked to its source."""
+    matrices: cython.Py_ssize_t = stacks.shape[1]
+    n: cython.Py_ssize_t = stacks.shape[2]
+    result = np.empty((stacks.shape[0], matrices, n, n))
+    out: cython.double[:, :, :, ::1] = result
+    stack: cython.Py_ssize_t
+    s: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    for stack in range(stacks.shape[0]):
+        for s in range(matrices):
+            for i in range(n):
+                for j in range(n):
+                    out[stack, s, i, j] = stacks[stack, s, i, j] * (decay[i] * decay[j])
+                if s >= sources or source_of[i] == s:
+                    out[stack, s, i, i] += noise[i]
+    return result
+
+
+def row_covariances(stack: cython.const[cython.double][:, :, ::1], rows: cython.Py_ssize_t):
+    """The covariance of each row of a stack: the parts of the first one added up, the others as they are."""
+    sources: cython.Py_ssize_t = stack.shape[0] - rows + 1
+    size: cython.Py_ssize_t = stack.shape[1] * stack.shape[2]
+    result = np.empty((rows, stack.shape[1], stack.shape[2]))
+    out: cython.double[:, :, ::1] = result
+    start: cython.p_double = cython.cast(cython.p_double, cython.address(stack[0, 0, 0]))
+    s: cython.Py_ssize_t
+    memcpy(cython.address(out[0, 0, 0]), start, size * cython.sizeof(cython.double))
+    for s in range(1, sources):
+        _add(cython.address(out[0, 0, 0]), 1.0, start + s * size, size)
+    if rows > 1:
+        memcpy(cython.address(out[1, 0, 0]), start + sources * size, (rows - 1) * size * cython.sizeof(cython.double))
+    return result
+
+
+def compared(
+    means: cython.const[cython.double][:, ::1],
+    covariance: cython.const[cython.double][:, :, ::1],
+    measured: cython.const[cython.double][::1],
+    jacobian: cython.const[cython.double][:, ::1],
+    noise: cython.const[cython.double][:, ::1],
+    at_mean: cython.const[cython.double][::1],
+    by_turn: cython.const[cython.double][:, ::1],
+):
+    """A measurement beside all rows: the fields of :class:`ship_estimation.hypotheses.RowsCompared`, in their order.
+
+    Raises:
+        numpy.linalg.LinAlgError: a covariance of the residual is not positive definite.
+    """
+    rows: cython.Py_ssize_t = means.shape[0]
+    n: cython.Py_ssize_t = means.shape[1]
+    m: cython.Py_ssize_t = jacobian.shape[0]
+    wide: cython.Py_ssize_t = n + 4
+    of_residual, of_covariance, of_nis = np.empty((rows, m)), np.empty((rows, m, m)), np.empty(rows)
+    of_gain, of_turn, of_root = np.empty((rows, n, m)), np.empty((rows, 3)), np.empty((rows, 3, 3))
+    of_noise = np.empty((3, 3))
+    residual: cython.double[:, ::1] = of_residual
+    innovation: cython.double[:, :, ::1] = of_covariance
+    nis: cython.double[::1] = of_nis
+    gain: cython.double[:, :, ::1] = of_gain
+    turn: cython.double[:, ::1] = of_turn
+    root: cython.double[:, :, ::1] = of_root
+    share: cython.double[:, ::1] = of_noise
+    # In a row: the Jacobian transposed, the columns asked for, the cross covariance, a factor, what a turn does.
+    scratch: cython.double[::1] = np.empty(n * m + wide * m + n * m + m * m + 4 * m + 12 + 9)
+    transposed: cython.p_double = cython.address(scratch[0])
+    asked: cython.p_double = transposed + n * m
+    cross: cython.p_double = asked + wide * m
+    factor: cython.p_double = cross + n * m
+    solved: cython.p_double = factor + m * m
+    seen: cython.p_double = solved + 4 * m
+    information: cython.p_double = seen + 12
+    h: cython.p_double = cython.cast(cython.p_double, cython.address(jacobian[0, 0]))
+    turning: cython.p_double = cython.cast(cython.p_double, cython.address(by_turn[0, 0]))
+    row: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    total: cython.double
+    _transposed(h, m, n, transposed)
+    for row in range(rows):
+        for j in range(m):
+            total = measured[j]
+            for k in range(n):
+                total -= jacobian[j, k] * (means[row, k] - at_mean[k])
+            residual[row, j] = total
+        _product(h, m, n, cython.cast(cython.p_double, cython.address(covariance[row, 0, 0])), n, cross)
+        _product(cross, m, n, transposed, m, factor)
+        for i in range(m):
+            for j in range(m):
+                factor[i * m + j] += noise[i, j]
+                innovation[row, i, j] = factor[i * m + j]
+        for j in range(m):
+            memcpy(asked + j * wide, cross + j * n, n * cython.sizeof(cython.double))
+            asked[j * wide + n] = residual[row, j]
+            for k in range(3):
+                asked[j * wide + n + 1 + k] = by_turn[j, k]
+        if not _decomposed(factor, m):
+            raise np.linalg.LinAlgError("innovation covariance is not positive definite")
+        _solve(factor, m, asked, wide)
+        total = 0.0
+        for j in range(m):
+            for i in range(n):
+                gain[row, i, j] = asked[j * wide + i]
+            for k in range(4):
+                solved[k * m + j] = asked[j * wide + n + k]
+            total += residual[row, j] * solved[j]
+        nis[row] = total
+        _product(solved, 4, m, turning, 3, seen)
+        memcpy(information, seen + 3, 9 * cython.sizeof(cython.double))
+        _inverse_root(information, cython.address(root[row, 0, 0]))
+        _product(seen, 1, 3, cython.address(root[row, 0, 0]), 3, cython.address(turn[row, 0]))
+        if row == 0:
+            _share_of_noise(cython.address(root[0, 0, 0]), solved + m, noise, cython.address(share[0, 0]))
+    return of_residual, of_covariance, of_nis, of_gain, of_turn, of_noise, of_root
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _share_of_noise(
+    root: cython.p_double,
+    solved: cython.p_double,
+    noise: cython.const[cython.double][:, ::1],
+    share: cython.p_double,
+) -> cython.void:
+    """The covariance of the whitened turn by the measurement's noise alone, shape (3, 3)."""
+    m: cython.Py_ssize_t = noise.shape[0]
+    scratch: cython.double[::1] = np.empty(9 * m)
+    weights: cython.p_double = cython.address(scratch[0])
+    by_noise: cython.p_double = weights + 3 * m
+    transposed: cython.p_double = by_noise + 3 * m
+    _product(root, 3, 3, solved, m, weights)
+    _product(weights, 3, m, cython.cast(cython.p_double, cython.address(noise[0, 0])), m, by_noise)
+    _transposed(weights, 3, m, transposed)
+    _product(by_noise, 3, m, transposed, 3, share)
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _inverse_root(matrix: cython.p_double, root: cython.p_double) -> cython.void:
+    """The symmetric root of the inverse of an information matrix (3 × 3), which is used up; by Jacobi's rotations.
+
+    A direction without information counts for nothing, instead of for infinity.
+    """
+    vectors = cython.declare(cython.double[9])
+    scale = cython.declare(cython.double[3])
+    p: cython.int
+    q: cython.int
+    k: cython.int
+    off: cython.double
+    angle: cython.double
+    t: cython.double
+    c: cython.double
+    s: cython.double
+    first: cython.double
+    second: cython.double
+    largest: cython.double
+    for k in range(9):
+        vectors[k] = 1.0 if k % 4 == 0 else 0.0
+    for _ in range(_JACOBI_SWEEPS):
+        if matrix[1] == 0.0 and matrix[2] == 0.0 and matrix[5] == 0.0:
+            break
+        for p in range(2):
+            for q in range(p + 1, 3):
+                off = matrix[3 * p + q]
+                if off == 0.0:
+                    continue
+                angle = (matrix[4 * q] - matrix[4 * p]) / (2.0 * off)
+                t = 1.0 / (fabs(angle) + sqrt(angle * angle + 1.0))
+                t = -t if angle < 0.0 else t
+                c = 1.0 / sqrt(t * t + 1.0)
+                s = t * c
+                matrix[4 * p] -= t * off
+                matrix[4 * q] += t * off
+                k = 3 - p - q
+                first, second = matrix[3 * k + p], matrix[3 * k + q]
+                matrix[3 * k + p] = matrix[3 * p + k] = c * first - s * second
+                matrix[3 * k + q] = matrix[3 * q + k] = s * first + c * second
+                matrix[3 * p + q] = matrix[3 * q + p] = 0.0
+                for k in range(3):
+                    first, second = vectors[3 * k + p], vectors[3 * k + q]
+                    vectors[3 * k + p] = c * first - s * second
+                    vectors[3 * k + q] = s * first + c * second
+    largest = max(matrix[0], matrix[4], matrix[8])
+    for k in range(3):
+        scale[k] = 1.0 / sqrt(matrix[4 * k]) if matrix[4 * k] > 1e-9 * largest else 0.0
+    memset(root, 0, 9 * cython.sizeof(cython.double))
+    for p in range(3):
+        for q in range(3):
+            for k in range(3):
+                root[3 * p + q] += vectors[3 * p + k] * scale[k] * vectors[3 * q + k]
+
+
+def updated(
+    stack: cython.const[cython.double][:, :, ::1],
+    jacobian: cython.const[cython.double][:, ::1],
+    residual: cython.const[cython.double][:, ::1],
+    gain: cython.const[cython.double][:, :, ::1],
+    learns: cython.const[cython.uchar][:, ::1],
+    booked: tuple,
+    noise: cython.const[cython.double][:, ::1],
+):
+    """Corrections (h, n) and the stack after a measurement.
+
+    Args:
+        stack: before, shape (n_sources + h - 1, n, n).
+        jacobian: shape (m, n).
+        residual: of each row, shape (h, m).
+        gain: of the optimal update, shape (h, n, m).
+        learns: which states each row learns, shape (h, n).
+        booked: pairs of a source and its part of the noise, shape (m, m) each.
+        noise: their sum.
+    """
+    rows: cython.Py_ssize_t = gain.shape[0]
+    n: cython.Py_ssize_t = gain.shape[1]
+    m: cython.Py_ssize_t = gain.shape[2]
+    sources: cython.Py_ssize_t = stack.shape[0] - rows + 1
+    result, corrections = np.empty((sources + rows - 1, n, n)), np.zeros((rows, n))
+    out: cython.double[:, :, ::1] = result
+    moved: cython.double[:, ::1] = corrections
+    own: cython.double[:, ::1] = np.empty((n, m))
+    # Three of both factors, a halfway matrix, the gain by the noise.
+    scratch: cython.double[::1] = np.empty(5 * n * min(n, m) + n * n + 2 * n * m)
+    part: cython.const[cython.double][:, ::1]
+    row: cython.Py_ssize_t
+    s: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    thin: cython.Py_ssize_t
+    total: cython.double
+    for row in range(rows):
+        for i in range(n):
+            total = 0.0
+            for j in range(m):
+                own[i, j] = gain[row, i, j] if learns[row, i] else 0.0
+                total += own[i, j] * residual[row, j]
+            moved[row, i] = total
+        thin = _thin_factors(own, jacobian, scratch)
+        if row > 0:
+            s = sources + row - 1
+            _both_sides(stack, s, thin, out, scratch)
+            _add_noise(own, noise, cython.address(out[s, 0, 0]), scratch)
+            continue
+        for s in range(sources):
+            _both_sides(stack, s, thin, out, scratch)
+        for s, part in booked:
+            _add_noise(own, part, cython.address(out[s, 0, 0]), scratch)
+    for s in range(sources + rows - 1):
+        for i in range(n):
+            for j in range(i):
+                out[s, i, j] = out[s, j, i]
+    return corrections, result
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _thin_factors(
+    gain: cython.double[:, ::1], jacobian: cython.const[cython.double][:, ::1], scratch: cython.double[::1]
+) -> cython.Py_ssize_t:
+    """Write factors of K H into the scratch: A (n, r), its transpose, and B (r, n); returns r.
+
+    They are K and H themselves, or K H and the states that H has a column for, where these are fewer.
+    """
+    n: cython.Py_ssize_t = gain.shape[0]
+    m: cython.Py_ssize_t = gain.shape[1]
+    left: cython.p_double = cython.address(scratch[0])
+    r: cython.Py_ssize_t = 0
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    total: cython.double
+    right: cython.p_double
+    if m > n:
+        r = n
+        right = left + 2 * n * r
+        memset(right, 0, r * n * cython.sizeof(cython.double))
+        for k in range(n):
+            right[k * n + k] = 1.0
+            for i in range(n):
+                total = 0.0
+                for j in range(m):
+                    total += gain[i, j] * jacobian[j, k]
+                left[i * r + k] = total
+    else:
+        r = m
+        right = left + 2 * n * r
+        memcpy(left, cython.address(gain[0, 0]), n * m * cython.sizeof(cython.double))
+        memcpy(right, cython.address(jacobian[0, 0]), n * m * cython.sizeof(cython.double))
+    _transposed(left, n, r, left + n * r)
+    return r
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _both_sides(
+    stack: cython.const[cython.double][:, :, ::1],
+    which: cython.Py_ssize_t,
+    r: cython.Py_ssize_t,
+    result: cython.double[:, :, ::1],
+    scratch: cython.double[::1],
+) -> cython.void:
+    """(I - A B) P (I - A B)ᵀ by the factors in the scratch; of the result only the upper triangle is written."""
+    n: cython.Py_ssize_t = stack.shape[1]
+    covariance: cython.p_double = cython.cast(cython.p_double, cython.address(stack[which, 0, 0]))
+    out: cython.p_double = cython.address(result[which, 0, 0])
+    left: cython.p_double = cython.address(scratch[0])
+    transposed: cython.p_double = left + n * r
+    right: cython.p_double = transposed + n * r
+    across: cython.p_double = right + n * r
+    halfway: cython.p_double = across + n * r
+    i: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    # Of a symmetric matrix rows are columns: of B P the transpose is P Bᵀ.
+    _product(right, r, n, covariance, n, across)
+    memcpy(halfway, covariance, n * n * cython.sizeof(cython.double))
+    for i in range(n):
+        for k in range(r):
+            _add(halfway + i * n, -across[k * n + i], transposed + k * n, n)
+    _product(right, r, n, halfway, n, across)
+    for i in range(n):
+        memcpy(out + i * n + i, halfway + i * n + i, (n - i) * cython.sizeof(cython.double))
+        for k in range(r):
+            _add(out + i * n + i, -left[i * r + k], across + k * n + i, n - i)
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _add_noise(
+    gain: cython.double[:, ::1],
+    noise: cython.const[cython.double][:, ::1],
+    out: cython.p_double,
+    scratch: cython.double[::1],
+) -> cython.void:
+    """Add K N Kᵀ to the upper triangle of a covariance; the last part of the scratch is used."""
+    n: cython.Py_ssize_t = gain.shape[0]
+    m: cython.Py_ssize_t = gain.shape[1]
+    transposed: cython.p_double = cython.address(scratch[scratch.shape[0] - 2 * n * m])
+    by_noise: cython.p_double = transposed + n * m
+    i: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    _transposed(cython.address(gain[0, 0]), n, m, transposed)
+    _product(cython.cast(cython.p_double, cython.address(noise[0, 0])), m, m, transposed, n, by_noise)
+    for i in range(n):
+        for k in range(m):
+            _add(out + i * n + i, gain[i, k], by_noise + k * n + i, n - i)

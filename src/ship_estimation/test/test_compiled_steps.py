@@ -1,0 +1,121 @@
+"""The compiled steps against the same formulas in plain numpy, for which LAPACK does the rest.
+
+"Equal" is 1e-13 of the largest number of an array: what two orders of summation may differ by in well-conditioned
+cases, of which the cases here are.
+"""
+
+import numpy as np
+import pytest
+
+from ship_estimation.hypotheses import RowsCompared, compare_rows, covariances, update_rows
+from ship_estimation.kalman import LinearMeasurement, predict
+
+SHAPES = [(1, 1, 1, 1), (4, 2, 2, 1), (19, 3, 7, 1), (19, 3, 7, 4), (23, 16, 7, 4), (9, 24, 3, 3)]
+"""States, residuals, sources, rows: the paper's ship alone and with its rows, single stars, more residuals than states.
+"""
+
+
+def equal(found: np.ndarray, expected: np.ndarray) -> None:
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13 * max(np.abs(expected).max(), 1e-300))
+
+
+def case(
+    shape: tuple[int, int, int, int], seed: int = 1
+) -> tuple[np.ndarray, np.ndarray, LinearMeasurement, np.ndarray]:
+    """A stack, means, a measurement that says nothing of a third of the states, and its derivative by a turn."""
+    states, residuals, sources, rows = shape
+    rng = np.random.default_rng(seed)
+    roots = rng.standard_normal((sources + rows - 1, states, 2 * states))
+    stack = roots @ roots.transpose(0, 2, 1)
+    jacobian = rng.standard_normal((residuals, states)) * (np.arange(states) % 3 != 2)
+    root = rng.standard_normal((residuals, residuals))
+    noise = {0: 20.0 * np.eye(residuals), sources - 1: root @ root.T + np.eye(residuals)}
+    measured = LinearMeasurement(rng.standard_normal(residuals), jacobian, noise)
+    return stack, rng.standard_normal((rows, states)), measured, rng.standard_normal((residuals, 3))
+
+
+def numpy_compared(
+    means: np.ndarray, covariance: np.ndarray, measured: LinearMeasurement, at_mean: np.ndarray, by_turn: np.ndarray
+) -> RowsCompared:
+    h, noise = measured.jacobian, measured.noise
+    residual = measured.residual - (means - at_mean) @ h.T
+    cross = covariance @ h.T
+    innovation = h @ cross + noise
+    gain = np.linalg.solve(innovation, cross.transpose(0, 2, 1)).transpose(0, 2, 1)
+    nis = np.einsum("hm,hm->h", residual, np.linalg.solve(innovation, residual[:, :, None])[:, :, 0])
+    weighted = np.linalg.solve(innovation, np.broadcast_to(by_turn, (len(means), *by_turn.shape)))
+    values, vectors = np.linalg.eigh(by_turn.T @ weighted)
+    scale = 1.0 / np.sqrt(np.where(values > 1e-9 * values[:, -1:], values, np.inf))
+    root = (vectors * scale[:, None]) @ vectors.transpose(0, 2, 1)
+    turn = np.einsum("hij,hmj,hm->hi", root, weighted, residual)
+    weights = root[0] @ weighted[0].T
+    return RowsCompared(residual, innovation, nis, gain, turn, weights @ noise @ weights.T, root)
+
+
+def numpy_updated(
+    stack: np.ndarray, measured: LinearMeasurement, compared: RowsCompared, learns: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    rows, states = learns.shape
+    sources = len(stack) - rows + 1
+    updated = np.empty_like(stack)
+    gain = compared.gain * learns[:, :, None]
+    for index, covariance in enumerate(stack):
+        row = max(index - sources + 1, 0)
+        keep = np.eye(states) - gain[row] @ measured.jacobian
+        noise = measured.noise if row else measured.noise_by_source.get(index, np.zeros_like(measured.noise))
+        updated[index] = keep @ covariance @ keep.T + gain[row] @ noise @ gain[row].T
+    return np.einsum("hnm,hm->hn", gain, compared.residual), updated
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_stack_is_carried_as_by_numpy(shape: tuple[int, int, int, int]) -> None:
+    stack, _, _, _ = case(shape)
+    states, _, sources, rows = shape
+    rng = np.random.default_rng(2)
+    decay, noise, source_of = rng.uniform(size=states), rng.uniform(size=states), rng.integers(0, sources, states)
+    expected = stack * decay[:, None] * decay
+    for state, source in enumerate(source_of):
+        expected[[source, *range(sources, len(stack))], state, state] += noise[state]
+    equal(predict(stack, decay, noise, source_of, rows), expected)
+    equal(covariances(stack, rows), np.concatenate([stack[:sources].sum(axis=0)[None], stack[sources:]]))
+
+
+@pytest.mark.parametrize("shape", [shape for shape in SHAPES if shape[1] >= 3])
+def test_a_measurement_beside_all_rows_is_as_by_numpy(shape: tuple[int, int, int, int]) -> None:
+    stack, means, measured, by_turn = case(shape)
+    at_mean = means[-1] + 0.1
+    arguments = means, covariances(stack, shape[3]), measured, at_mean, by_turn
+    found, expected = compare_rows(*arguments), numpy_compared(*arguments)
+    for name in vars(expected):
+        equal(getattr(found, name), getattr(expected, name))
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("share", [0.0, 0.7, 1.0])
+def test_what_each_row_learns_is_as_by_numpy(shape: tuple[int, int, int, int], share: float) -> None:
+    stack, means, measured, by_turn = case(shape)
+    compared = compare_rows(means, covariances(stack, shape[3]), measured, means[0], by_turn)
+    learns = np.random.default_rng(3).uniform(size=means.shape) < share
+    corrections, updated = update_rows(stack, measured, compared, learns)
+    expected_corrections, expected = numpy_updated(stack, measured, compared, learns)
+    equal(corrections, expected_corrections)
+    equal(updated, expected)
+    np.testing.assert_array_equal(updated, updated.transpose(0, 2, 1))
+
+
+def test_a_turn_that_is_not_seen_counts_for_nothing() -> None:
+    """Residuals that do not change by a turn about the third axis."""
+    stack, means, measured, by_turn = case((6, 4, 2, 2))
+    by_turn[:, 2] = 0.0
+    found = compare_rows(means, covariances(stack, 2), measured, means[0], by_turn)
+    np.testing.assert_array_equal(found.turn[:, 2], 0.0)
+    np.testing.assert_array_equal(found.turn_root[:, 2], 0.0)
+    equal(found.turn, numpy_compared(means, covariances(stack, 2), measured, means[0], by_turn).turn)
+
+
+@pytest.mark.parametrize("wrong", [-1e6, np.nan])
+def test_a_covariance_that_is_none_is_refused(wrong: float) -> None:
+    stack, means, measured, by_turn = case((6, 4, 2, 2))
+    stack[2, 0, 0] = wrong
+    with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
+        compare_rows(means, covariances(stack, 2), measured, means[0], by_turn)

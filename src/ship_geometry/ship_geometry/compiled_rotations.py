@@ -1,0 +1,327 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+"""The rotations of single moments, compiled: most calls of a live node are single, and numpy is made for many.
+
+This is the one source of them. It is Python with C types for its numbers, compiled by Cython when the package is built.
+What the functions compute is told where they are called; the same for whole arrays stands in
+:mod:`ship_geometry.rotations`, and the tests hold the one against the other.
+"""
+
+import cython
+import numpy as np
+
+if not cython.compiled:
+    raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")
+
+from cython.cimports.libc.math import atan2, exp, sin, sqrt
+
+_SMALL_ANGLE = cython.declare(cython.double, 1e-4)
+"""Below this angle (rad) the series used are exact to the last bit of a double."""
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _polynomial(
+    v: cython.p_double, linear: cython.double, quadratic: cython.double, out: cython.p_double
+) -> cython.void:
+    """Identity + linear [v x] + quadratic [v x]²."""
+    x: cython.double = v[0]
+    y: cython.double = v[1]
+    z: cython.double = v[2]
+    xx: cython.double = quadratic * x * x
+    yy: cython.double = quadratic * y * y
+    zz: cython.double = quadratic * z * z
+    xy: cython.double = quadratic * x * y
+    xz: cython.double = quadratic * x * z
+    yz: cython.double = quadratic * y * z
+    out[0], out[1], out[2] = 1.0 - yy - zz, xy - linear * z, xz + linear * y
+    out[3], out[4], out[5] = xy + linear * z, 1.0 - xx - zz, yz - linear * x
+    out[6], out[7], out[8] = xz - linear * y, yz + linear * x, 1.0 - xx - yy
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _exponential(v: cython.p_double, out: cython.p_double) -> cython.void:
+    squared: cython.double = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
+    angle: cython.double
+    half_sine: cython.double
+    if squared < _SMALL_ANGLE * _SMALL_ANGLE:
+        _polynomial(v, 1.0 - squared / 6.0, 0.5 - squared / 24.0, out)
+        return
+    angle = sqrt(squared)
+    half_sine = sin(0.5 * angle)
+    _polynomial(v, sin(angle) / angle, 2.0 * half_sine * half_sine / squared, out)
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _jacobian(v: cython.p_double, out: cython.p_double) -> cython.void:
+    squared: cython.double = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
+    angle: cython.double
+    half_sine: cython.double
+    if squared < _SMALL_ANGLE * _SMALL_ANGLE:
+        _polynomial(v, 0.5 - squared / 24.0, 1.0 / 6.0 - squared / 120.0, out)
+        return
+    angle = sqrt(squared)
+    half_sine = sin(0.5 * angle)
+    _polynomial(v, 2.0 * half_sine * half_sine / squared, (angle - sin(angle)) / (squared * angle), out)
+
+
+def exponential(vector: cython.const[cython.double][:]):
+    """:func:`ship_geometry.rotations.exp_rotation` of one vector."""
+    v = cython.declare(cython.double[3])
+    v[0], v[1], v[2] = vector[0], vector[1], vector[2]
+    rotation = np.empty((3, 3))
+    out: cython.double[:, ::1] = rotation
+    _exponential(v, cython.address(out[0, 0]))
+    return rotation
+
+
+def jacobian(vector: cython.const[cython.double][:]):
+    """:func:`ship_geometry.rotations.left_jacobian` of one vector."""
+    v = cython.declare(cython.double[3])
+    v[0], v[1], v[2] = vector[0], vector[1], vector[2]
+    matrix = np.empty((3, 3))
+    out: cython.double[:, ::1] = matrix
+    _jacobian(v, cython.address(out[0, 0]))
+    return matrix
+
+
+def logarithm(rotation: cython.const[cython.double][:, :]):
+    """:func:`ship_geometry.rotations.log_rotation` of one matrix by its antisymmetric part; None near half a turn."""
+    cosine: cython.double = 0.5 * (rotation[0, 0] + rotation[1, 1] + rotation[2, 2] - 1.0)
+    x: cython.double = rotation[2, 1] - rotation[1, 2]
+    y: cython.double = rotation[0, 2] - rotation[2, 0]
+    z: cython.double = rotation[1, 0] - rotation[0, 1]
+    sine: cython.double
+    scale: cython.double
+    if cosine < -0.9:
+        return None
+    sine = 0.5 * sqrt(x * x + y * y + z * z)
+    scale = 0.5 + sine * sine / 12.0 if sine < _SMALL_ANGLE else 0.5 * atan2(sine, cosine) / sine
+    vector = np.empty(3)
+    out: cython.double[::1] = vector
+    out[0], out[1], out[2] = scale * x, scale * y, scale * z
+    return vector
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _times(left: cython.p_double, right: cython.p_double, out: cython.p_double) -> cython.void:
+    """The product of two 3 × 3 matrices."""
+    i: cython.int
+    j: cython.int
+    for i in range(3):
+        for j in range(3):
+            out[3 * i + j] = left[3 * i] * right[j] + left[3 * i + 1] * right[3 + j] + left[3 * i + 2] * right[6 + j]
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _transposed_times(left: cython.p_double, right: cython.p_double, out: cython.p_double) -> cython.void:
+    """The product of two 3 × 3 matrices, the first one transposed."""
+    i: cython.int
+    j: cython.int
+    for i in range(3):
+        for j in range(3):
+            out[3 * i + j] = left[i] * right[j] + left[3 + i] * right[3 + j] + left[6 + i] * right[6 + j]
+
+
+def chain(vectors: cython.const[cython.double][:, ::1], after: cython.const[cython.double][:, :, ::1]):
+    """A product of rotations made from right to left, each a rotation vector's with a fixed rotation on its left.
+
+    Args:
+        vectors: rad, shape (k, 3).
+        after: the fixed rotations, shape (k, 3, 3).
+
+    Returns:
+        The products so far, each with its fixed rotation, shape (k, 3, 3); and the derivative of the whole product by
+        each vector, as a rotation vector in the frame on the right, shape (k, 3, 3).
+    """
+    count: cython.Py_ssize_t = vectors.shape[0]
+    of_products, of_derivatives = np.empty((count, 3, 3)), np.empty((count, 3, 3))
+    products: cython.double[:, :, ::1] = of_products
+    derivatives: cython.double[:, :, ::1] = of_derivatives
+    turn = cython.declare(cython.double[9])
+    by_vector = cython.declare(cython.double[9])
+    turned = cython.declare(cython.double[9])
+    k: cython.Py_ssize_t
+    i: cython.int
+    for k in range(count):
+        _exponential(cython.cast(cython.p_double, cython.address(vectors[k, 0])), turn)
+        _jacobian(cython.cast(cython.p_double, cython.address(vectors[k, 0])), by_vector)
+        if k == 0:
+            for i in range(9):
+                turned[i] = turn[i]
+        else:
+            _times(turn, cython.address(products[k - 1, 0, 0]), turned)
+        _transposed_times(turned, by_vector, cython.address(derivatives[k, 0, 0]))
+        _times(
+            cython.cast(cython.p_double, cython.address(after[k, 0, 0])), turned, cython.address(products[k, 0, 0])
+        )
+    return of_products, of_derivatives
+
+
+def moved(
+    rotation: cython.const[cython.double][:, :],
+    rates: cython.const[cython.double][:, ::1],
+    steps_s: cython.const[cython.double][::1],
+    ahead_s: cython.double,
+    any_direction: cython.double,
+    largest: cython.double,
+):
+    """A sample moved by its rate and by the change of the rates before it.
+
+    Args:
+        rotation: shape (3, 3).
+        rates: rad/s, newest first, at least two, shape (k, 3).
+        steps_s: between them, shape (k - 1,).
+        ahead_s: by so much the sample is moved.
+        any_direction: share of an error that may have any direction.
+        largest: bound of the squares of the error, rad².
+
+    Returns:
+        The rotation, the rate, and the covariance of what the motion may have beside.
+    """
+    count: cython.Py_ssize_t = rates.shape[0]
+    of_rotation, of_rate, of_error = np.empty((3, 3)), np.empty(3), np.zeros((3, 3))
+    result: cython.double[:, ::1] = of_rotation
+    rate: cython.double[::1] = of_rate
+    error: cython.double[:, ::1] = of_error
+    vector = cython.declare(cython.double[3])
+    jerk = cython.declare(cython.double[3])
+    turn = cython.declare(cython.double[9])
+    start = cython.declare(cython.double[9])
+    jerks: cython.Py_ssize_t = max(count - 2, 1)
+    lacking: cython.double = ahead_s * ahead_s * ahead_s / 6.0 + ahead_s * ahead_s * steps_s[0] / 4.0
+    squares: cython.double = 0.0
+    change: cython.double
+    back: cython.Py_ssize_t
+    i: cython.int
+    j: cython.int
+    lacking /= sqrt(cython.cast(cython.double, jerks))
+    for i in range(3):
+        change = (rates[0, i] - rates[1, i]) / steps_s[0]
+        vector[i] = ahead_s * rates[0, i] + 0.5 * ahead_s * ahead_s * change
+        rate[i] = rates[0, i] + ahead_s * change
+        for j in range(3):
+            start[3 * i + j] = rotation[i, j]
+    _exponential(vector, turn)
+    _times(start, turn, cython.address(result[0, 0]))
+    for back in range(jerks):
+        for i in range(3):
+            jerk[i] = (rates[back, i] - rates[back + 1, i]) / steps_s[back]
+            if count > 2:
+                jerk[i] -= (rates[back + 1, i] - rates[back + 2, i]) / steps_s[back + 1]
+                jerk[i] *= 2.0 / (steps_s[back] + steps_s[back + 1])
+            else:
+                # With two rates alone the jerk is as large as it can be: all of the change came within the step.
+                jerk[i] /= steps_s[0]
+            jerk[i] *= lacking
+            squares += jerk[i] * jerk[i]
+        for i in range(3):
+            for j in range(3):
+                error[i, j] += jerk[i] * jerk[j]
+    for i in range(3):
+        error[i, i] += any_direction * any_direction * squares
+    if not squares <= largest:
+        for i in range(3):
+            for j in range(3):
+                error[i, j] *= largest / squares
+    return of_rotation, of_rate, of_error
+
+
+def corrected(
+    since_s: cython.const[cython.double][::1],
+    rotations: cython.const[cython.double][:, :, ::1],
+    rates: cython.const[cython.double][:, ::1],
+    noise_gains: cython.const[cython.double][::1],
+    own_errors: cython.const[cython.double][:, :, ::1],
+    error: cython.const[cython.double][::1],
+    lasting: cython.const[cython.uchar][::1],
+    time_s: cython.const[cython.double][::1],
+    steady_variance: cython.const[cython.double][::1],
+    white_variance: cython.const[cython.double][::1],
+    parts: cython.const[cython.double][:, :, ::1],
+    drift: cython.Py_ssize_t,
+    white: cython.Py_ssize_t,
+    own: cython.Py_ssize_t,
+):
+    """Attitudes of N samples corrected by one estimate of their slow error and of their clock.
+
+    Args:
+        since_s: time since the estimate, shape (N,).
+        rotations: of the samples, shape (N, 3, 3).
+        rates: angular velocity about their own axes, rad/s, shape (N, 3).
+        noise_gains: of the samples' white noise, shape (N,).
+        own_errors: covariance of a further error of each about its own axes, rad², shape (N, 3, 3).
+        error: estimated slow error, rad, shape (3,).
+        lasting: which of it does not die out, shape (3,).
+        time_s: its correlation time, shape (3,).
+        steady_variance: of it, rad², shape (3,).
+        white_variance: of the samples, rad², shape (3,).
+        parts: covariance of the error and of the clock (rad, s) by source, shape (n_sources, 4, 4).
+        drift: index of the source of the slow error.
+        white: of the white noise.
+        own: of the further error.
+
+    Returns:
+        Attitudes, shape (N, 3, 3), and the covariance of each by source, rad², shape (N, n_sources, 3, 3).
+    """
+    count: cython.Py_ssize_t = since_s.shape[0]
+    sources: cython.Py_ssize_t = parts.shape[0]
+    of_rotations, of_parts = np.empty((count, 3, 3)), np.empty((count, sources, 3, 3))
+    attitudes: cython.double[:, :, ::1] = of_rotations
+    out: cython.double[:, :, :, ::1] = of_parts
+    now = cython.declare(cython.double[3])
+    fresh = cython.declare(cython.double[3])
+    correction = cython.declare(cython.double[9])
+    by_error = cython.declare(cython.double[9])
+    by_state = cython.declare(cython.double[12])
+    half = cython.declare(cython.double[12])
+    own_n = cython.declare(cython.double[9])
+    decay: cython.double
+    total: cython.double
+    at: cython.p_double
+    n: cython.Py_ssize_t
+    s: cython.Py_ssize_t
+    i: cython.int
+    j: cython.int
+    k: cython.int
+    for n in range(count):
+        at = cython.address(attitudes[n, 0, 0])
+        for i in range(3):
+            decay = exp(-since_s[n] / time_s[i])
+            fresh[i] = steady_variance[i] * (1.0 - decay * decay)
+            now[i] = error[i] if lasting[i] else decay * error[i]
+        _exponential(now, correction)
+        _jacobian(now, by_error)
+        _times(correction, cython.cast(cython.p_double, cython.address(rotations[n, 0, 0])), at)
+        for i in range(3):
+            for j in range(3):
+                by_state[4 * i + j] = by_error[3 * i + j] * exp(-since_s[n] / time_s[j])
+            by_state[4 * i + 3] = -(
+                at[3 * i] * rates[n, 0] + at[3 * i + 1] * rates[n, 1] + at[3 * i + 2] * rates[n, 2]
+            )
+        for s in range(sources):
+            for i in range(3):
+                for j in range(4):
+                    total = 0.0
+                    for k in range(4):
+                        total += by_state[4 * i + k] * parts[s, k, j]
+                    half[4 * i + j] = total
+            for i in range(3):
+                for j in range(3):
+                    total = 0.0
+                    for k in range(4):
+                        total += half[4 * i + k] * by_state[4 * j + k]
+                    out[n, s, i, j] = total
+        _times(at, cython.cast(cython.p_double, cython.address(own_errors[n, 0, 0])), own_n)
+        for i in range(3):
+            for j in range(3):
+                for k in range(3):
+                    out[n, drift, i, j] += by_error[3 * i + k] * fresh[k] * by_error[3 * j + k]
+                    out[n, white, i, j] += (
+                        correction[3 * i + k] * (white_variance[k] * noise_gains[n]) * correction[3 * j + k]
+                    )
+                    out[n, own, i, j] += own_n[3 * i + k] * at[3 * j + k]
+    return of_rotations, of_parts

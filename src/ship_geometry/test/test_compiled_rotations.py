@@ -1,0 +1,115 @@
+"""The compiled rotations of single moments against those of arrays, finite differences and plain numpy.
+
+"Equal" is 1e-13, in radians and parts of one: the rounding of a product of a few rotations is a hundredth of that.
+"""
+
+import numpy as np
+import pytest
+
+from ship_geometry import compiled_rotations
+from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, log_rotation
+
+RNG_SEED = 5
+SIZES = [0.0, 1e-9, 0.99e-4, 1.01e-4, 0.01, 1.0, 2.5, 3.1]
+"""Angles, rad: none, within the series, on both sides of its end, far from it, and near half a turn."""
+
+
+def vectors(count: int) -> FloatArray:
+    rng = np.random.default_rng(RNG_SEED)
+    directions = rng.standard_normal((count, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    return directions * np.resize(SIZES, count)[:, None]
+
+
+def equal(found: FloatArray, expected: FloatArray) -> None:
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("function", [exp_rotation, left_jacobian])
+def test_one_vector_gives_what_an_array_gives(function) -> None:
+    found = vectors(40)
+    equal(np.array([function(vector) for vector in found]), function(found))
+
+
+def test_one_matrix_gives_what_an_array_gives() -> None:
+    rotations = exp_rotation(vectors(40))
+    single = np.array([log_rotation(rotation) for rotation in rotations])
+    np.testing.assert_allclose(single, log_rotation(rotations), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(single, vectors(40), rtol=0, atol=1e-12)
+
+
+def test_views_that_are_not_contiguous_are_read_as_they_are() -> None:
+    rotation = exp_rotation(np.array([0.3, -0.2, 0.5]))
+    equal(log_rotation(rotation.T), -log_rotation(rotation))
+    equal(exp_rotation(np.array([0.3, 9.0, -0.2, 9.0, 0.5, 9.0])[::2]), rotation)
+
+
+def test_a_chain_is_the_product_and_its_derivatives_are_those_of_small_steps() -> None:
+    turns, fixed = 0.2 * vectors(4), exp_rotation(vectors(9)[5:])
+    products, derivatives = compiled_rotations.chain(turns, fixed)
+
+    def product(turns: FloatArray) -> FloatArray:
+        rotation = np.eye(3)
+        for turn, left in zip(exp_rotation(turns), fixed, strict=True):
+            rotation = left @ turn @ rotation
+        return rotation
+
+    equal(products[-1], product(turns))
+    step = 1e-6
+    for link in range(4):
+        for axis in range(3):
+            moved = turns.copy()
+            moved[link, axis] += step
+            small = log_rotation(product(turns).T @ product(moved)) / step
+            np.testing.assert_allclose(derivatives[link][:, axis], small, rtol=0, atol=2e-6)
+
+
+@pytest.mark.parametrize("count", [2, 3, 4])
+def test_a_sample_is_moved_by_its_rates_as_by_numpy(count: int) -> None:
+    """Two to four rates, at uneven steps; docs/explanation/interpolation.md has the formulas."""
+    rng = np.random.default_rng(RNG_SEED)
+    rotation, rates = exp_rotation(np.array([0.1, 0.7, -0.2])), rng.standard_normal((count, 3))
+    steps_s = rng.uniform(0.05, 0.15, count - 1)
+    ahead_s, any_direction, largest = -0.07, 0.3, 1e-9
+    changes = (rates[:-1] - rates[1:]) / steps_s[:, None]
+    jerks = changes / steps_s[0]
+    if count > 2:
+        jerks = (changes[:-1] - changes[1:]) * (2.0 / (steps_s[:-1] + steps_s[1:]))[:, None]
+    rows = (ahead_s**3 / 6.0 + ahead_s**2 * steps_s[0] / 4.0) / np.sqrt(len(jerks)) * jerks
+    covariance = rows.T @ rows + any_direction**2 * np.sum(rows**2) * np.eye(3)
+    found = compiled_rotations.moved(rotation, rates, steps_s, ahead_s, any_direction, largest)
+    equal(found[0], rotation @ exp_rotation(ahead_s * rates[0] + 0.5 * ahead_s**2 * changes[0]))
+    equal(found[1], rates[0] + ahead_s * changes[0])
+    assert np.sum(rows**2) > largest
+    equal(found[2] / largest, covariance / np.sum(rows**2))
+    equal(compiled_rotations.moved(rotation, rates, steps_s, ahead_s, any_direction, 1.0)[2], covariance)
+
+
+def test_samples_are_corrected_as_by_numpy() -> None:
+    """Fifty samples by one estimate; the second component of its error lasts. Units of one, so that 1e-13 means all."""
+    rng = np.random.default_rng(RNG_SEED)
+    count, sources = 50, 4
+    since_s, rotations, rates = rng.uniform(0.0, 3.0, count), exp_rotation(vectors(count)), rng.normal(size=(count, 3))
+    gains, roots = rng.uniform(0.5, 1.0, count), rng.standard_normal((count, 3, 3))
+    own_errors = roots @ roots.transpose(0, 2, 1)
+    error, time_s, steady, white = 0.3 * rng.standard_normal(3), *rng.uniform(1.0, 2.0, (3, 3))
+    lasting = np.array([0, 1, 0], dtype=np.uint8)
+    parts = rng.standard_normal((sources, 4, 4))
+    parts = parts @ parts.transpose(0, 2, 1)
+    found = compiled_rotations.corrected(
+        since_s, rotations, rates, gains, own_errors, error, lasting, time_s, steady, white, parts, 0, 2, 3
+    )
+    decay = np.exp(-since_s[:, None] / time_s)
+    now = np.where(lasting, error, decay * error)
+    attitudes = exp_rotation(now) @ rotations
+    by_error = left_jacobian(now)
+    by_clock = -(attitudes @ rates[..., None])
+    by_state = np.concatenate([by_error * decay[:, None], by_clock], axis=-1)[:, None]
+    expected = by_state @ parts @ by_state.swapaxes(-1, -2)
+    drift = by_error * np.sqrt(steady * (1.0 - decay**2))[:, None]
+    expected[:, 0] += drift @ drift.swapaxes(-1, -2)
+    noise = exp_rotation(now) * np.sqrt(white * gains[:, None])[:, None]
+    expected[:, 2] += noise @ noise.swapaxes(-1, -2)
+    expected[:, 3] += attitudes @ own_errors @ attitudes.swapaxes(-1, -2)
+    equal(found[0], attitudes)
+    np.testing.assert_allclose(found[1], expected, rtol=0, atol=1e-13 * np.abs(expected).max())
