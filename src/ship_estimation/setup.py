@@ -25,7 +25,7 @@ setup(
         (f"share/{package_name}", ["package.xml"]),
     ],
     install_requires=["setuptools", "numpy", "scipy"],
-    extras_require={"test": ["pytest", "hypothesis"]},
+    extras_require={"build": ["Cython"], "test": ["pytest", "hypothesis"]},
     zip_safe=False,
     maintainer="Ship attitude team",
     maintainer_email="maintainers@example.org",

@@ -7,12 +7,11 @@ is told where it is called, in :mod:`ship_estimation.kalman` and :mod:`ship_esti
 numpy stands in the tests.
 
 A covariance P becomes (I - K H) P (I - K H)ᵀ + K N Kᵀ by a measurement with the Jacobian H, the gain K and the noise N.
-The matrix I - K H is never made: its thin factors are applied from the right and from the left, which is a fifth of the
-work for 19 states and 3 residuals. Where there are more residuals than states that H has a column for, K H and these
-states are the thinner factors.
+The matrix I - K H is never made: two thin factors of K H are applied from the right and from the left, which is a fifth
+of the work for 19 states and 3 residuals.
 
-Matrices lie row by row. Every loop that counts subtracts or adds one row times a number (:func:`_add`): that is what
-compilers make fast, and the sums come in the same order everywhere.
+Matrices lie row by row. Every loop that counts adds rows times numbers to another row (:func:`_add_rows`): that is what
+compilers make fast.
 """
 
 import cython
@@ -42,6 +41,51 @@ def _add(
 
 @cython.cfunc
 @cython.exceptval(check=False)
+def _add_rows(
+    target: cython.p_double,
+    sign: cython.double,
+    weights: cython.p_double,
+    step: cython.Py_ssize_t,
+    inner: cython.Py_ssize_t,
+    rows: cython.p_double,
+    stride: cython.Py_ssize_t,
+    count: cython.Py_ssize_t,
+) -> cython.void:
+    """Add several rows to one, each times its weight; four at a time, so that the target is read and written less.
+
+    Args:
+        target: of so many numbers.
+        sign: of all weights.
+        weights: one for each row, ``step`` apart.
+        step: 1 along a row of a matrix, its width along a column.
+        inner: number of rows.
+        rows: ``stride`` apart.
+        stride: width of their matrix.
+        count: numbers of each row.
+    """
+    j: cython.Py_ssize_t
+    k: cython.Py_ssize_t = 0
+    row: cython.p_double
+    first: cython.double
+    second: cython.double
+    third: cython.double
+    fourth: cython.double
+    while k + 4 <= inner:
+        row = rows + k * stride
+        first, second = sign * weights[k * step], sign * weights[(k + 1) * step]
+        third, fourth = sign * weights[(k + 2) * step], sign * weights[(k + 3) * step]
+        for j in range(count):
+            target[j] += (
+                first * row[j] + second * row[stride + j] + third * row[2 * stride + j] + fourth * row[3 * stride + j]
+            )
+        k += 4
+    while k < inner:
+        _add(target, sign * weights[k * step], rows + k * stride, count)
+        k += 1
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
 def _product(
     left: cython.p_double,
     rows: cython.Py_ssize_t,
@@ -50,14 +94,11 @@ def _product(
     columns: cython.Py_ssize_t,
     out: cython.p_double,
 ) -> cython.void:
-    """The product of two matrices; what is zero in the left one costs nothing."""
+    """The product of two matrices."""
     i: cython.Py_ssize_t
-    k: cython.Py_ssize_t
     memset(out, 0, rows * columns * cython.sizeof(cython.double))
     for i in range(rows):
-        for k in range(inner):
-            if left[i * inner + k] != 0.0:
-                _add(out + i * columns, left[i * inner + k], right + k * columns, columns)
+        _add_rows(out + i * columns, 1.0, left + i * inner, 1, inner, right, columns, columns)
 
 
 @cython.cfunc
@@ -104,14 +145,13 @@ def _solve(
     row: cython.p_double
     for i in range(size):
         row = asked + i * columns
-        for k in range(i):
-            _add(row, -factor[k * size + i], asked + k * columns, columns)
+        _add_rows(row, -1.0, factor + i, size, i, asked, columns, columns)
         for j in range(columns):
             row[j] /= factor[i * size + i]
     for i in range(size - 1, -1, -1):
         row = asked + i * columns
-        for k in range(i + 1, size):
-            _add(row, -factor[i * size + k], asked + k * columns, columns)
+        k = i + 1
+        _add_rows(row, -1.0, factor + i * size + k, 1, size - k, asked + k * columns, columns, columns)
         for j in range(columns):
             row[j] /= factor[i * size + i]
 
@@ -340,18 +380,22 @@ def updated(
     n: cython.Py_ssize_t = gain.shape[1]
     m: cython.Py_ssize_t = gain.shape[2]
     sources: cython.Py_ssize_t = stack.shape[0] - rows + 1
-    result, corrections = np.empty((sources + rows - 1, n, n)), np.zeros((rows, n))
+    result, corrections = np.empty((sources + rows - 1, n, n)), np.empty((rows, n))
     out: cython.double[:, :, ::1] = result
     moved: cython.double[:, ::1] = corrections
     own: cython.double[:, ::1] = np.empty((n, m))
-    # Three of both factors, a halfway matrix, the gain by the noise.
-    scratch: cython.double[::1] = np.empty(5 * n * min(n, m) + n * n + 2 * n * m)
+    states: cython.Py_ssize_t[::1] = np.empty(n, dtype=np.intp)
+    seen: cython.Py_ssize_t = _seen_states(jacobian, states)
+    # To choose states costs nothing, to multiply by H does.
+    chosen: cython.Py_ssize_t = seen if seen <= 2 * m else 0
+    room: cython.double[::1] = np.empty(3 * n * max(m, chosen) + n * n + 2 * n * m)
+    scratch: cython.p_double = cython.address(room[0])
+    h: cython.p_double = cython.cast(cython.p_double, cython.address(jacobian[0, 0]))
     part: cython.const[cython.double][:, ::1]
     row: cython.Py_ssize_t
     s: cython.Py_ssize_t
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
-    thin: cython.Py_ssize_t
     total: cython.double
     for row in range(rows):
         for i in range(n):
@@ -360,16 +404,24 @@ def updated(
                 own[i, j] = gain[row, i, j] if learns[row, i] else 0.0
                 total += own[i, j] * residual[row, j]
             moved[row, i] = total
-        thin = _thin_factors(own, jacobian, scratch)
+        _thin_factor(own, h, states, chosen, scratch)
+        # The first row has all parts, each other one a covariance of its own.
+        for s in range(sources + row - 1 if row else 0, sources + row if row else sources):
+            _both_sides(
+                cython.cast(cython.p_double, cython.address(stack[s, 0, 0])),
+                n,
+                h,
+                m,
+                states,
+                chosen,
+                scratch,
+                cython.address(out[s, 0, 0]),
+            )
         if row > 0:
-            s = sources + row - 1
-            _both_sides(stack, s, thin, out, scratch)
-            _add_noise(own, noise, cython.address(out[s, 0, 0]), scratch)
+            _add_noise(own, noise, cython.address(out[sources + row - 1, 0, 0]), room)
             continue
-        for s in range(sources):
-            _both_sides(stack, s, thin, out, scratch)
         for s, part in booked:
-            _add_noise(own, part, cython.address(out[s, 0, 0]), scratch)
+            _add_noise(own, part, cython.address(out[s, 0, 0]), room)
     for s in range(sources + rows - 1):
         for i in range(n):
             for j in range(i):
@@ -379,73 +431,97 @@ def updated(
 
 @cython.cfunc
 @cython.exceptval(check=False)
-def _thin_factors(
-    gain: cython.double[:, ::1], jacobian: cython.const[cython.double][:, ::1], scratch: cython.double[::1]
+def _seen_states(
+    jacobian: cython.const[cython.double][:, ::1], states: cython.Py_ssize_t[::1]
 ) -> cython.Py_ssize_t:
-    """Write factors of K H into the scratch: A (n, r), its transpose, and B (r, n); returns r.
+    """List the states that H has a column for; returns how many there are."""
+    count: cython.Py_ssize_t = 0
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    for j in range(jacobian.shape[1]):
+        for i in range(jacobian.shape[0]):
+            if jacobian[i, j] != 0.0:
+                states[count] = j
+                count += 1
+                break
+    return count
 
-    They are K and H themselves, or K H and the states that H has a column for, where these are fewer.
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _thin_factor(
+    gain: cython.double[:, ::1],
+    jacobian: cython.p_double,
+    states: cython.Py_ssize_t[::1],
+    chosen: cython.Py_ssize_t,
+    scratch: cython.p_double,
+) -> cython.void:
+    """Write the left factor A of K H into the scratch, shape (n, r), and its transpose behind it.
+
+    It is K, and H is the right one; or, where ``chosen`` tells how many states H sees, it is K H of these.
     """
     n: cython.Py_ssize_t = gain.shape[0]
     m: cython.Py_ssize_t = gain.shape[1]
-    left: cython.p_double = cython.address(scratch[0])
-    r: cython.Py_ssize_t = 0
     i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
     k: cython.Py_ssize_t
-    total: cython.double
-    right: cython.p_double
-    if m > n:
-        r = n
-        right = left + 2 * n * r
-        memset(right, 0, r * n * cython.sizeof(cython.double))
-        for k in range(n):
-            right[k * n + k] = 1.0
-            for i in range(n):
-                total = 0.0
-                for j in range(m):
-                    total += gain[i, j] * jacobian[j, k]
-                left[i * r + k] = total
-    else:
-        r = m
-        right = left + 2 * n * r
-        memcpy(left, cython.address(gain[0, 0]), n * m * cython.sizeof(cython.double))
-        memcpy(right, cython.address(jacobian[0, 0]), n * m * cython.sizeof(cython.double))
-    _transposed(left, n, r, left + n * r)
-    return r
+    product: cython.p_double = scratch + 2 * n * chosen
+    if not chosen:
+        memcpy(scratch, cython.address(gain[0, 0]), n * m * cython.sizeof(cython.double))
+        _transposed(scratch, n, m, scratch + n * m)
+        return
+    _product(cython.address(gain[0, 0]), n, m, jacobian, n, product)
+    for i in range(n):
+        for k in range(chosen):
+            scratch[i * chosen + k] = product[i * n + states[k]]
+    _transposed(scratch, n, chosen, scratch + n * chosen)
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _across(
+    jacobian: cython.p_double,
+    m: cython.Py_ssize_t,
+    states: cython.Py_ssize_t[::1],
+    chosen: cython.Py_ssize_t,
+    matrix: cython.p_double,
+    n: cython.Py_ssize_t,
+    out: cython.p_double,
+) -> cython.void:
+    """The right factor of K H times a matrix: H times it, or its rows of the chosen states."""
+    k: cython.Py_ssize_t
+    if not chosen:
+        _product(jacobian, m, n, matrix, n, out)
+    for k in range(chosen):
+        memcpy(out + k * n, matrix + states[k] * n, n * cython.sizeof(cython.double))
 
 
 @cython.cfunc
 @cython.exceptval(check=False)
 def _both_sides(
-    stack: cython.const[cython.double][:, :, ::1],
-    which: cython.Py_ssize_t,
-    r: cython.Py_ssize_t,
-    result: cython.double[:, :, ::1],
-    scratch: cython.double[::1],
+    covariance: cython.p_double,
+    n: cython.Py_ssize_t,
+    jacobian: cython.p_double,
+    m: cython.Py_ssize_t,
+    states: cython.Py_ssize_t[::1],
+    chosen: cython.Py_ssize_t,
+    scratch: cython.p_double,
+    out: cython.p_double,
 ) -> cython.void:
-    """(I - A B) P (I - A B)ᵀ by the factors in the scratch; of the result only the upper triangle is written."""
-    n: cython.Py_ssize_t = stack.shape[1]
-    covariance: cython.p_double = cython.cast(cython.p_double, cython.address(stack[which, 0, 0]))
-    out: cython.p_double = cython.address(result[which, 0, 0])
-    left: cython.p_double = cython.address(scratch[0])
-    transposed: cython.p_double = left + n * r
-    right: cython.p_double = transposed + n * r
-    across: cython.p_double = right + n * r
+    """(I - A B) P (I - A B)ᵀ with A in the scratch; of the result only the upper triangle is written."""
+    r: cython.Py_ssize_t = chosen if chosen else m
+    transposed: cython.p_double = scratch + n * r
+    across: cython.p_double = transposed + n * r
     halfway: cython.p_double = across + n * r
     i: cython.Py_ssize_t
-    k: cython.Py_ssize_t
     # Of a symmetric matrix rows are columns: of B P the transpose is P Bᵀ.
-    _product(right, r, n, covariance, n, across)
+    _across(jacobian, m, states, chosen, covariance, n, across)
     memcpy(halfway, covariance, n * n * cython.sizeof(cython.double))
     for i in range(n):
-        for k in range(r):
-            _add(halfway + i * n, -across[k * n + i], transposed + k * n, n)
-    _product(right, r, n, halfway, n, across)
+        _add_rows(halfway + i * n, -1.0, across + i, n, r, transposed, n, n)
+    _across(jacobian, m, states, chosen, halfway, n, across)
     for i in range(n):
         memcpy(out + i * n + i, halfway + i * n + i, (n - i) * cython.sizeof(cython.double))
-        for k in range(r):
-            _add(out + i * n + i, -left[i * r + k], across + k * n + i, n - i)
+        _add_rows(out + i * n + i, -1.0, scratch + i * r, 1, r, across + i, n, n - i)
 
 
 @cython.cfunc
@@ -456,7 +532,7 @@ def _add_noise(
     out: cython.p_double,
     scratch: cython.double[::1],
 ) -> cython.void:
-    """Add K N Kᵀ to the upper triangle of a covariance; the last part of the scratch is used."""
+    """Add K N Kᵀ to the upper triangle of a covariance; the end of the scratch is used."""
     n: cython.Py_ssize_t = gain.shape[0]
     m: cython.Py_ssize_t = gain.shape[1]
     transposed: cython.p_double = cython.address(scratch[scratch.shape[0] - 2 * n * m])
@@ -466,5 +542,4 @@ def _add_noise(
     _transposed(cython.address(gain[0, 0]), n, m, transposed)
     _product(cython.cast(cython.p_double, cython.address(noise[0, 0])), m, m, transposed, n, by_noise)
     for i in range(n):
-        for k in range(m):
-            _add(out + i * n + i, gain[i, k], by_noise + k * n + i, n - i)
+        _add_rows(out + i * n + i, 1.0, cython.address(gain[i, 0]), 1, m, by_noise + i, n, n - i)
