@@ -508,7 +508,7 @@ def _both_sides(
     out: cython.p_double,
 ) -> cython.void:
     """(I - A B) P (I - A B)ᵀ with A in the scratch; of the result only the upper triangle is written."""
-    r: cython.Py_ssize_t = chosen if chosen else m
+    r: cython.Py_ssize_t = chosen or m
     transposed: cython.p_double = scratch + n * r
     across: cython.p_double = transposed + n * r
     halfway: cython.p_double = across + n * r
@@ -538,7 +538,6 @@ def _add_noise(
     transposed: cython.p_double = cython.address(scratch[scratch.shape[0] - 2 * n * m])
     by_noise: cython.p_double = transposed + n * m
     i: cython.Py_ssize_t
-    k: cython.Py_ssize_t
     _transposed(cython.address(gain[0, 0]), n, m, transposed)
     _product(cython.cast(cython.p_double, cython.address(noise[0, 0])), m, m, transposed, n, by_noise)
     for i in range(n):

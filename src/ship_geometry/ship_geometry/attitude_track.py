@@ -20,7 +20,7 @@ from ship_geometry.interpolation_error import (
     by_polynomial,
     by_third_derivative,
 )
-from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, log_rotation
+from ship_geometry.rotations import FloatArray, exp_rotation, log_rotation
 from ship_geometry.sample_track import RECENT, SampleTrack, hermite_weights
 from ship_geometry.time_scales import SECOND_NS
 
@@ -257,7 +257,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         start_rate, end_rate = self.rate(left), self.rate(left + 1)
         # First all that the track says, ...
         interval_s = self._seconds(left, left + 1)
-        value0, slope0, value1, slope1 = hermite_weights(fraction)
+        value0, _, value1, _ = hermite_weights(fraction)
         gain = value0 * value0 + value1 * value1 if measured else self._noise_gain(left, fraction)
         checked = measured and left > 0 and self._joined(left - 1)
         at_check = -self._seconds(left - 1, left) / interval_s if checked else 0.0
@@ -265,16 +265,9 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         # ... then the rotations, ...
         turn = log_rotation(first.rotation_nd.T @ second.rotation_nd)
         turn_check = log_rotation(first.rotation_nd.T @ self._samples[left - 1].rotation_nd) if checked else turn
-        start_slope = start_rate * interval_s
-        # d(rotation vector)/dt = J_right^-1 rate, and J_right = J_left^T.
-        end_slope = np.linalg.solve(left_jacobian(turn).T, end_rate * interval_s)
-        vector = slope0 * start_slope + value1 * turn + slope1 * end_slope
-        s = fraction
-        derivative = (
-            (1 - s) * (1 - 3 * s) * start_slope + 6 * s * (1 - s) * turn + s * (3 * s - 2) * end_slope
+        rotation_nd, rate, vector, start_slope, end_slope = compiled_rotations.cubic(
+            np.ascontiguousarray(first.rotation_nd), turn, start_rate, end_rate, interval_s, fraction
         )
-        rate = left_jacobian(vector).T @ derivative / interval_s
-        rotation_nd = first.rotation_nd @ exp_rotation(vector)
         # ... then how far the cubic may be off: with measured slopes, by how far it misses the sample before.
         errors: tuple[FloatArray, ...]
         if measured:

@@ -161,6 +161,81 @@ def chain(vectors: cython.const[cython.double][:, ::1], after: cython.const[cyth
     return of_products, of_derivatives
 
 
+@cython.cfunc
+@cython.exceptval(check=False)
+def _inverse_times(matrix: cython.p_double, vector: cython.p_double, out: cython.p_double) -> cython.void:
+    """The inverse of a transposed 3 × 3 matrix times a vector, by Cramer's rule."""
+    minors = cython.declare(cython.double[9])
+    determinant: cython.double
+    i: cython.int
+    j: cython.int
+    for i in range(3):
+        for j in range(3):
+            minors[3 * i + j] = (
+                matrix[3 * ((i + 1) % 3) + (j + 1) % 3] * matrix[3 * ((i + 2) % 3) + (j + 2) % 3]
+                - matrix[3 * ((i + 1) % 3) + (j + 2) % 3] * matrix[3 * ((i + 2) % 3) + (j + 1) % 3]
+            )
+    determinant = matrix[0] * minors[0] + matrix[1] * minors[1] + matrix[2] * minors[2]
+    for i in range(3):
+        out[i] = (
+            minors[3 * i] * vector[0] + minors[3 * i + 1] * vector[1] + minors[3 * i + 2] * vector[2]
+        ) / determinant
+
+
+def cubic(
+    first: cython.const[cython.double][:, ::1],
+    turn: cython.const[cython.double][::1],
+    start_rate: cython.const[cython.double][:],
+    end_rate: cython.const[cython.double][:],
+    interval_s: cython.double,
+    at: cython.double,
+):
+    """Between two attitudes, by a cubic of the rotation vector from the first one, with given rates at both ends.
+
+    Args:
+        first: shape (3, 3).
+        turn: rotation vector from the first to the second one about the axes of the first, rad, shape (3,).
+        start_rate: about the axes of the first one, rad/s, shape (3,).
+        end_rate: about those of the second one.
+        interval_s: time between the two.
+        at: fraction of it.
+
+    Returns:
+        Rotation and rate there, the rotation vector from the first one, and the slopes of the cubic at its ends per
+        interval.
+    """
+    of_rotation, of_rate = np.empty((3, 3)), np.empty(3)
+    of_vector, of_start, of_end = np.empty(3), np.empty(3), np.empty(3)
+    rotation: cython.double[:, ::1] = of_rotation
+    rate: cython.double[::1] = of_rate
+    vector: cython.double[::1] = of_vector
+    start: cython.double[::1] = of_start
+    end: cython.double[::1] = of_end
+    matrix = cython.declare(cython.double[9])
+    slope = cython.declare(cython.double[3])
+    i: cython.int
+    _jacobian(cython.cast(cython.p_double, cython.address(turn[0])), matrix)
+    for i in range(3):
+        start[i], slope[i] = start_rate[i] * interval_s, end_rate[i] * interval_s
+    # d(rotation vector)/dt = J_right^-1 rate, and J_right = J_left^T.
+    _inverse_times(matrix, slope, cython.address(end[0]))
+    for i in range(3):
+        vector[i] = (
+            at * (1.0 - at) * (1.0 - at) * start[i]
+            + at * at * (3.0 - 2.0 * at) * turn[i]
+            + at * at * (at - 1.0) * end[i]
+        )
+        slope[i] = (
+            (1.0 - at) * (1.0 - 3.0 * at) * start[i] + 6.0 * at * (1.0 - at) * turn[i] + at * (3.0 * at - 2.0) * end[i]
+        )
+    _jacobian(cython.address(vector[0]), matrix)
+    for i in range(3):
+        rate[i] = (matrix[i] * slope[0] + matrix[3 + i] * slope[1] + matrix[6 + i] * slope[2]) / interval_s
+    _exponential(cython.address(vector[0]), matrix)
+    _times(cython.cast(cython.p_double, cython.address(first[0, 0])), matrix, cython.address(rotation[0, 0]))
+    return of_rotation, of_rate, of_vector, of_start, of_end
+
+
 def moved(
     rotation: cython.const[cython.double][:, :],
     rates: cython.const[cython.double][:, ::1],

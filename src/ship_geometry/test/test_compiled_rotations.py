@@ -64,6 +64,26 @@ def test_a_chain_is_the_product_and_its_derivatives_are_those_of_small_steps() -
             np.testing.assert_allclose(derivatives[link][:, axis], small, rtol=0, atol=2e-6)
 
 
+@pytest.mark.parametrize("at", [1e-3, 0.3, 0.9])
+def test_between_two_attitudes_lies_the_cubic_with_their_rates(at: float) -> None:
+    """Hermite's cubic by numpy; the rate is that of small steps along it."""
+    first, turn, interval_s = exp_rotation(np.array([0.4, -1.0, 0.3])), np.array([0.02, -0.03, 0.05]), 0.2
+    start_rate, end_rate = np.array([0.3, -0.1, 0.2]), np.array([0.0, -0.2, 0.4])
+    end_slope = np.linalg.solve(left_jacobian(turn).T, end_rate * interval_s)
+
+    def vector(s: float) -> FloatArray:
+        by_start, by_end = s * (1.0 - s) ** 2 * interval_s * start_rate, s * s * (s - 1.0) * end_slope
+        return by_start + s * s * (3.0 - 2.0 * s) * turn + by_end
+
+    found = compiled_rotations.cubic(first, turn, start_rate, end_rate, interval_s, at)
+    step = 1e-4
+    ahead, behind = (exp_rotation(vector(at + s)) for s in (step, -step))
+    equal(found[0], first @ exp_rotation(vector(at)))
+    np.testing.assert_allclose(found[1], log_rotation(behind.T @ ahead) / (2.0 * step * interval_s), rtol=0, atol=1e-7)
+    for number, expected in ((2, vector(at)), (3, start_rate * interval_s), (4, end_slope)):
+        equal(found[number], expected)
+
+
 @pytest.mark.parametrize("count", [2, 3, 4])
 def test_a_sample_is_moved_by_its_rates_as_by_numpy(count: int) -> None:
     """Two to four rates, at uneven steps; docs/explanation/interpolation.md has the formulas."""
