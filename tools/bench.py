@@ -83,6 +83,7 @@ def _circumstances() -> dict[str, Any]:
         "cores": len(os.sched_getaffinity(0)),
         "python": platform.python_version(),
         "numpy": np.__version__,
+        "load": round(os.getloadavg()[2], 1),
     }
 
 

@@ -16,7 +16,9 @@ HEAD = """# Performance
 How fast the suite is, as `make bench` measures it. Seconds and microseconds belong to the machine; ratios, both sides
 measured by turns in one run, hold for others. A row with a bound that is not met is work that is still to be done.
 
-Measured on {date}: {processor}, {cores}, Python {python}, numpy {numpy}.
+Measured on {date}: {processor}, {cores}, Python {python}, numpy {numpy};
+load {load} in the mean of 15 minutes. On a busy machine times that pass are too long, and ratios of them uncertain;
+processor times are less so.
 
 This page is written by `python tools/bench_page.py` from `out/bench.json`, where `make bench` keeps its rows.
 """

@@ -5,8 +5,11 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
+
+Figure = TypeVar("Figure")
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,7 @@ class Row:
         return f"{self.name:<64}{self.value:10.3f} {self.unit}   {self.bound}".rstrip()
 
 
-def by_turns(rounds: int, *measured: Callable[[], float]) -> list[list[float]]:
+def by_turns(rounds: int, *measured: Callable[[], Figure]) -> list[list[Figure]]:
     """Of each thing its figures, a round each: what else the machine does meanwhile comes upon all alike."""
     return [list(figures) for figures in zip(*([one() for one in measured] for _ in range(rounds)), strict=True)]
 
