@@ -4,6 +4,7 @@ import ast
 import importlib
 import json
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -24,6 +25,28 @@ def test_what_a_tool_imports_of_the_suite_exists(tool: Path) -> None:
             missing = [alias.name for alias in node.names if not hasattr(module, alias.name)]
             for name in missing:
                 importlib.import_module(f"{node.module}.{name}")
+
+
+def test_the_page_of_speed_tells_value_bound_and_circumstances(tmp_path: Path) -> None:
+    kept = {
+        "date": "2026-11-23", "processor": "one of 1 GHz", "cores": 1, "python": "3.11.7", "numpy": "2.4.6",
+        "load": 0.5,
+        "rows": [
+            {"benchmark": "star_solution", "name": "fast", "value": 1.5, "unit": "x", "greatest": 2.0},
+            {"benchmark": "star_solution", "name": "odd", "value": float("nan"), "unit": "x", "greatest": 2.0},
+            {"benchmark": "step", "name": "shown", "value": 12.34, "unit": "us"},
+        ],
+    }  # fmt: skip
+    path = tmp_path / "bench.json"
+    path.write_text(json.dumps(kept), encoding="utf-8")
+    script = f"import json, bench_page; print(bench_page.page(json.load(open({str(path)!r}))))"
+    command = [sys.executable, "-c", script]
+    text = subprocess.run(command, cwd=TOOLS, capture_output=True, text=True, check=True, timeout=60).stdout
+    assert "Measured on 2026-11-23: one of 1 GHz, 1 core, Python 3.11.7, numpy 2.4.6;\nload 0.5 in" in text
+    assert "## star solution\n" in text
+    assert "| fast | 1.5 | x | at most 2: met |" in text
+    assert "| odd | nan | x | at most 2: NOT MET |" in text
+    assert "| shown | 12.3 | us |  |" in text
 
 
 def packages_that_colcon_finds(*where: str) -> set[str]:

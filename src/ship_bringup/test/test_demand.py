@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from ship_bags.errors import BadInput
-from ship_bags.live.ros_process import dds_has_security, loaded_libraries
+from ship_bags.live.dds import dds_has_security, loaded_libraries
 from ship_bringup.checks.check_line import CheckLine, Result, bounded, exit_code, table
 from ship_bringup.checks.security_check import judge_keystore, judge_security
 from ship_bringup.security.demand import enclave_command, require_profile, shortcomings

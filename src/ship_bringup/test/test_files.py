@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from ship_bags.live.ros_process import DDS_PROFILE
+from ship_bags.live.dds import DDS_PROFILE
 from ship_bags.message_factory import RosidlFactory
 from ship_bringup.commands import suite as suite_command
 from ship_node.parameters.companions import COMPANIONS

@@ -5,11 +5,10 @@ This module computes; the filters decide. Normalised errors and their bands foll
 """
 
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
-from scipy.special import chdtri, gammaincinv
 
+from ship_estimation.chi_square import value_above, value_below
 from ship_estimation.parameter_fields import parameter
 from ship_geometry.rotations import FloatArray
 
@@ -39,7 +38,6 @@ class GateConfig:
     )
 
 
-@cache
 def chi_square_gate(probability: float, degrees: int) -> float:
     """The chi² value that a consistent measurement of ``degrees`` components stays below with ``probability``.
 
@@ -49,7 +47,7 @@ def chi_square_gate(probability: float, degrees: int) -> float:
         >>> print(round(chi_square_gate(0.9999, 3), 2))
         21.11
     """
-    return float(chdtri(degrees, 1.0 - probability))
+    return value_below(probability, degrees)
 
 
 def normalized_error_squared(error: FloatArray, covariance: FloatArray) -> FloatArray:
@@ -76,9 +74,8 @@ def mean_nees_band(samples: int, degrees: int, probability: float = 0.999) -> tu
         >>> print(f"{low:.2f} to {high:.2f}")
         2.46 to 3.60
     """
-    tail, half_degrees = 0.5 * (1.0 - probability), 0.5 * samples * degrees
-    low, high = (2.0 * float(gammaincinv(half_degrees, p)) for p in (tail, 1.0 - tail))
-    return low / samples, high / samples
+    tail, total = 0.5 * (1.0 - probability), samples * degrees
+    return value_below(tail, total) / samples, value_above(tail, total) / samples
 
 
 def sigma_ratio_band(samples: int, probability: float = 0.999) -> tuple[float, float]:

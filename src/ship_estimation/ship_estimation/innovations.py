@@ -12,8 +12,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtrc, chdtri, ndtri
 
+from ship_estimation.chi_square import normal_value_above, probability_above, value_above
 from ship_estimation.gates import normalized_error_squared
 from ship_estimation.outcome import Decision
 from ship_estimation.refusals import Reason
@@ -45,7 +45,7 @@ _STEADY = 0.25
 _MISFIT = (Reason.MISIDENTIFIED, Reason.LIGHT_CONFLICT)
 _MOST_CORRELATED = 0.95
 _CLIPPED_AT = 3.0
-_SIGMAS = -float(ndtri(0.5 * FALSE_VERDICT))
+_SIGMAS = normal_value_above(0.5 * FALSE_VERDICT)
 _MEDIAN_SIGMA = math.sqrt(0.5 * math.pi)
 """Sigma of the median of n normal values of sigma 1, times √n."""
 _SIGMA_OF_SPREAD = 1.4826
@@ -152,7 +152,7 @@ class Parts:
         squares = np.concatenate([one.squares for one in telling]) if telling else np.empty(0)
         self._degrees = max((one.degrees for one in telling), default=0) or 1
         self._own_share = float(np.mean([one.own_share for one in telling])) if telling else math.nan
-        self._least_far = float(chdtri(self._degrees, _FAR))
+        self._least_far = value_above(_FAR, self._degrees)
         self._all, self._near = squares, squares[squares <= self._least_far]
         self.far_share = 1.0 - len(self._near) / len(squares) if len(squares) >= LEAST_COUNT else math.nan
         by_all, by_near = self._factor(self._all), self._factor(self._near)
@@ -177,7 +177,7 @@ class Parts:
     @property
     def _many_far(self) -> bool:
         """Whether more lie far off than would with a sigma that is as optimistic as is tolerated."""
-        count, expected = len(self._all), float(chdtrc(self._degrees, self._least_far / TOLERATED_FACTOR**2))
+        count, expected = len(self._all), probability_above(self._least_far / TOLERATED_FACTOR**2, self._degrees)
         return count * (self.far_share - expected) > _SIGMAS * math.sqrt(count * expected * (1.0 - expected))
 
     def _factor(self, squares: FloatArray) -> float:
@@ -193,12 +193,12 @@ class Parts:
         if math.isinf(found):
             return math.nan  # so many were left out that nobody knows how far off they were
         # The square of a part is that of the prediction's error and that of the source's own, which alone is scaled.
-        ratio = found / float(chdtri(self._degrees, 1.0 - share))
+        ratio = found / value_above(1.0 - share, self._degrees)
         return math.sqrt(max(1.0 + (ratio - 1.0) / self._own_share, 0.0))
 
     def _excess(self, squares: FloatArray) -> float:
         """Number of parts above the predicted median beyond half of them, in sigmas of that number."""
-        above = int(np.sum(squares > float(chdtri(self._degrees, 0.5))))
+        above = int(np.sum(squares > value_above(0.5, self._degrees)))
         return (2 * above - len(squares)) / math.sqrt(len(squares))
 
 

@@ -17,8 +17,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtri
 
+from ship_estimation.chi_square import normal_value_above
 from ship_estimation.parameter_fields import parameter, section
 from ship_estimation.parameters import ParameterError
 from ship_geometry.rotations import ARCSEC, FloatArray
@@ -152,11 +152,11 @@ def factors(config: IntegrityConfig, priors_per_h: Sequence[float]) -> Factors:
     """
     share = config.p_hmi / (len(priors_per_h) + 1)
     tests = _COMPONENTS * TESTS_PER_H
-    missed = [_sigmas(min(share / prior, _MOST_PROBABLE_MISS)) for prior in priors_per_h]
+    missed = [normal_value_above(min(share / prior, _MOST_PROBABLE_MISS)) for prior in priors_per_h]
     return Factors(
-        right=_sigmas(0.5 * share / tests),
+        right=normal_value_above(0.5 * share / tests),
         # On both sides; the other half of the false exclusions is that of ship_estimation.running_means.
-        false_exclusion=_sigmas(0.25 * config.false_exclusions_per_h / (tests * max(len(priors_per_h), 1))),
+        false_exclusion=normal_value_above(0.25 * config.false_exclusions_per_h / (tests * max(len(priors_per_h), 1))),
         missed=np.array(missed),
     )
 
@@ -385,8 +385,3 @@ def above_limit(report: IntegrityReport, quantities: Sequence[str]) -> str:
         why = "too few sources check one another, or they contradict one another"
         return f"there is no protection level, and alert limits are configured: {why}"
     return ""
-
-
-def _sigmas(probability: float) -> float:
-    """Of a normal error, that it exceeds on one side with a probability."""
-    return float(-ndtri(probability))

@@ -8,7 +8,6 @@ Quaternions are ordered x, y, z, w.
 import math
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ship_geometry.rotations import FloatArray
 
@@ -74,9 +73,7 @@ def quaternion_from_rotation(rotation: FloatArray) -> FloatArray:
     matrix = ENU_FROM_HORIZON @ rotation @ FLU_FROM_DEVICE.T
     if matrix.ndim == 2:
         return _quaternion_of_one(matrix)
-    flat = Rotation.from_matrix(matrix.reshape(-1, 3, 3)).as_quat(canonical=True)
-    quaternion: FloatArray = flat.reshape(*rotation.shape[:-2], 4)
-    return quaternion
+    return _quaternion_from_matrix(matrix)
 
 
 def mounting_quaternion(rotation_dv: FloatArray) -> FloatArray:
@@ -160,6 +157,24 @@ def _quaternion_of_one(matrix: FloatArray) -> FloatArray:
     x, y, z, w = products[squares.index(max(squares))]
     norm = math.copysign(math.sqrt(x * x + y * y + z * z + w * w), w)
     return np.array([x / norm, y / norm, z / norm, w / norm])
+
+
+def _quaternion_from_matrix(matrix: FloatArray) -> FloatArray:
+    """Quaternions x, y, z, w (w >= 0) of matrices, each by the largest of its components."""
+    diagonal = np.einsum("...ii->...i", matrix)
+    trace = diagonal.sum(axis=-1, keepdims=True)
+    # Four times the products of each component of the quaternion with each.
+    products = np.empty((*matrix.shape[:-2], 4, 4))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        products[..., i, i] = 1.0 - trace[..., 0] + 2.0 * diagonal[..., i]
+        products[..., i, j] = products[..., j, i] = matrix[..., j, i] + matrix[..., i, j]
+        products[..., i, 3] = products[..., 3, i] = matrix[..., k, j] - matrix[..., j, k]
+    products[..., 3, 3] = 1.0 + trace[..., 0]
+    largest = np.argmax(np.concatenate([diagonal, trace], axis=-1), axis=-1)
+    quaternion = np.take_along_axis(products, largest[..., None, None], axis=-2)[..., 0, :]
+    quaternion /= np.sqrt(np.sum(quaternion**2, axis=-1, keepdims=True))
+    quaternion *= np.copysign(1.0, quaternion[..., 3:])
+    return quaternion
 
 
 def _matrix_of_one(quaternion: FloatArray) -> FloatArray:

@@ -11,9 +11,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg.lapack as lapack
 from numpy.typing import NDArray
 
+from ship_geometry import lapack
 from ship_geometry.rotations import FloatArray
 
 WORST_SIGMA = np.deg2rad(1.0)

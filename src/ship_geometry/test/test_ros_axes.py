@@ -6,6 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.ros_axes import (
+    ENU_FROM_HORIZON,
+    FLU_FROM_DEVICE,
     device_vector_from_ros,
     enu_covariance,
     flu_from_device_vector,
@@ -67,6 +69,8 @@ def test_quaternions_of_all_attitudes_there_and_back() -> None:
     quaternions = quaternion_from_rotation(rotations)
     assert quaternions.shape == (50, 10, 4)
     assert np.all(quaternions[..., 3] >= 0.0)
+    of_scipy = Rotation.from_matrix(ENU_FROM_HORIZON @ rotations @ FLU_FROM_DEVICE.T).as_quat(canonical=True)
+    np.testing.assert_allclose(quaternions, of_scipy, rtol=0, atol=1e-15)
     np.testing.assert_allclose(rotation_from_quaternion(quaternions), rotations, rtol=0, atol=2e-15)
     # One at a time, as a live node has them. All four ways to divide occur: each component is the largest somewhere.
     assert set(np.argmax(np.abs(quaternions), axis=-1).ravel()) == {0, 1, 2, 3}

@@ -18,10 +18,9 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lapack
-from scipy.special import chdtrc
 
-from ship_geometry import wahba
+from ship_estimation.chi_square import probability_above
+from ship_geometry import lapack, wahba
 from ship_geometry.rotations import FloatArray, exp_rotation, skew
 
 ATTITUDE = slice(0, 3)
@@ -172,7 +171,7 @@ class StarJudgement:
         """Probability of a chi² at least as large by chance; 1 without degrees of freedom, NaN where chi² is NaN."""
         if self.degrees <= 0 and np.isfinite(self.chi_square):
             return 1.0
-        return float(chdtrc(max(self.degrees, 1), np.maximum(self.chi_square, 0.0)))
+        return probability_above(self.chi_square, max(self.degrees, 1))
 
 
 def linearized(stars: SightedStars, rotation_nb: FloatArray) -> StarFit:

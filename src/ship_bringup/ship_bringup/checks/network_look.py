@@ -18,7 +18,8 @@ from rclpy.subscription import Subscription
 from rclpy.utilities import get_rmw_implementation_identifier
 
 from ship_bags.errors import BadInput
-from ship_bags.live.ros_process import command_node, is_demanded
+from ship_bags.live.dds import is_demanded
+from ship_bags.live.ros_process import command_node
 from ship_bags.message_factory import message_class
 from ship_bags.parameter_yaml import full_name
 from ship_bags.stamps import NS_PER_S, ns_from_stamp

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from ship_bags.live.ros_process import ENABLE, is_demanded
+from ship_bags.live.dds import ENABLE, is_demanded
 from ship_bringup.checks.check_line import CheckLine, Result
 from ship_bringup.security.demand import KEYSTORE, shortcomings
 from ship_bringup.security.keystore import KeystoreUse, keystore_faults

@@ -12,13 +12,8 @@ from typing import Any
 
 from ship_bags.command_line import CommandParser, run_command
 from ship_bags.errors import BadInput
-from ship_bags.live.ros_process import (
-    dds_has_security,
-    is_demanded,
-    loaded_libraries,
-    namespace_name,
-    positive,
-)
+from ship_bags.live.dds import dds_has_security, is_demanded, loaded_libraries
+from ship_bags.live.ros_process import namespace_name, positive
 from ship_bags.parameter_yaml import full_name
 from ship_bringup.checks.check_line import CheckLine, Result, exit_code, table, verdict, worst_first
 from ship_bringup.checks.clock_check import judge_clock, look_at_clock

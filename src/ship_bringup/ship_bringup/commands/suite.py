@@ -8,13 +8,8 @@ from pathlib import Path
 
 from ship_bags.command_line import CommandParser, run_command
 from ship_bags.errors import BadInput, one_line
-from ship_bags.live.ros_process import (
-    dds_has_security,
-    loaded_libraries,
-    namespace_name,
-    positive,
-    require_demanded_security,
-)
+from ship_bags.live.dds import dds_has_security, loaded_libraries, require_demanded_security
+from ship_bags.live.ros_process import namespace_name, positive
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bringup.security.demand import require_profile
 from ship_bringup.suite.keeper import Keeper, say_line

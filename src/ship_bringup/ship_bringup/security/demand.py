@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from ship_bags.errors import BadInput
-from ship_bags.live.ros_process import ENABLE, STRATEGY, is_demanded
+from ship_bags.live.dds import ENABLE, STRATEGY, is_demanded
 from ship_watch.limits import Limits
 
 KEYSTORE = "ROS_SECURITY_KEYSTORE"

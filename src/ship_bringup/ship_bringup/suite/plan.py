@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ship_bags.errors import BadInput
-from ship_bags.live.ros_process import executable, is_demanded
+from ship_bags.live.dds import is_demanded
+from ship_bags.live.ros_process import executable
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.parameter_yaml import anywhere, full_name, read_sections
 from ship_bags.topic_names import TRUTH_PREFIX, likely_namespace, relative_topics

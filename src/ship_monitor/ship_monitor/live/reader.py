@@ -17,7 +17,7 @@ from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 
 from ship_bags.errors import BadInput
-from ship_bags.live.ros_process import prepare_dds
+from ship_bags.live.dds import prepare_dds
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_bags.topic_names import TRUTH_PREFIX, relative_topic
 from ship_monitor.live.raw_subscription import RawSubscription, are_latched

@@ -30,8 +30,8 @@ from ship_node.black_box.black_box_format import (
     Event,
     FileUsed,
     event_text,
-    versions,
 )
+from ship_node.black_box.versions import versions
 from ship_node.documents.saved_document import FileUse
 from ship_node.edge.adapter import Adapter
 from ship_node.edge.messages_out import DiagnosticStatus, Level

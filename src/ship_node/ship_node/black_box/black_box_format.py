@@ -1,4 +1,4 @@
-"""What stands in a black box besides the messages: the events of a node, versions, and the names of everything.
+"""What stands in a black box besides the messages: the events of a node, and the names of everything.
 
 A box is an MCAP bag. Inputs lie in it under their own topics, outputs under theirs, events as JSON text on
 :data:`EVENTS_TOPIC`; the order in the file is the order of use, and what a use led to follows it. The sequence numbers
@@ -7,10 +7,8 @@ waiting (:class:`ship_node.edge.adapter.Adapter`).
 """
 
 import json
-import platform
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from importlib import metadata
 from typing import Any
 
 from ship_bags.errors import BadInput
@@ -24,13 +22,8 @@ METADATA = "black_box"
 """Metadata record with the entries ``format``, ``node`` and ``namespace``."""
 
 VERSIONS_ATTACHMENT = "versions.json"
-"""Attachment with :func:`versions`. The parameters are :data:`ship_bags.mcap.bag_writer.SUITE_ATTACHMENT`."""
-
-SUITE_PACKAGES = "ship_msgs", "ship_geometry", "ship_estimation", "ship_node"
-"""Packages of the suite whose code every node's numbers go through; ``ship_bags`` only carries them."""
-
-LIBRARIES = "numpy", "rclpy", "mcap"
-"""Libraries whose versions a box holds."""
+"""Attachment with :func:`ship_node.black_box.versions.versions`; that with the parameters is
+:data:`ship_bags.mcap.bag_writer.SUITE_ATTACHMENT`."""
 
 
 @dataclass(frozen=True)
@@ -132,31 +125,3 @@ def event_from_text(text: str) -> Event:
         return _KINDS[fields.pop("event")](**fields)
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise BadInput(f"'{text:.100}' on {EVENTS_TOPIC} is no event of a black box") from error
-
-
-def versions(own_package: str, type_hashes: dict[str, str]) -> dict[str, Any]:
-    """The versions of everything that must be the same for the same bits.
-
-    Args:
-        own_package: package of the node.
-        type_hashes: message type → hash of its definition.
-    """
-    return {
-        "suite": package_versions((*SUITE_PACKAGES, own_package)),
-        "python": platform.python_version(),
-        "machine": platform.machine(),
-        "libraries": package_versions(LIBRARIES),
-        "message_definitions": type_hashes,
-    }
-
-
-def package_versions(names: Iterable[str]) -> dict[str, str]:
-    """Package → version, "unknown" where it was not installed as a package."""
-    return {name: _version(name) for name in names}
-
-
-def _version(name: str) -> str:
-    try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return "unknown"

@@ -1,13 +1,12 @@
 """Every use of an adapter by a live node: what it gives is published, and a black box notes the use and the results."""
 
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rclpy.publisher import Publisher
 from rclpy.serialization import serialize_message
 
 from ship_estimation.parameters import ParameterError
-from ship_node.black_box.black_box import BlackBox
 from ship_node.black_box.black_box_format import (
     ChangeRefused,
     ClockJumpedBack,
@@ -21,6 +20,9 @@ from ship_node.edge.adapter import Adapter, ServiceResult
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DiagnosticStatus, Level
 from ship_node.edge.topics import Published
 from ship_node.live.node_report import StatusLog
+
+if TYPE_CHECKING:
+    from ship_node.black_box.black_box import BlackBox
 
 
 class AdapterCalls:
@@ -41,7 +43,7 @@ class AdapterCalls:
         adapter: Adapter,
         publishers: Mapping[str, Publisher],
         files: NotedFiles,
-        box: BlackBox | None,
+        box: "BlackBox | None",
         status_log: StatusLog | None = None,
     ) -> None:
         self._adapter = adapter

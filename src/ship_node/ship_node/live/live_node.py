@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
 from rclpy.context import Context
@@ -24,7 +25,6 @@ from std_srvs.srv import Trigger
 
 from ship_bags.message_factory import RosidlFactory, message_class
 from ship_geometry.input_error import InputError
-from ship_node.black_box.black_box import BlackBox
 from ship_node.documents.saved_document import NotedFiles
 from ship_node.edge.adapter import TICK_PERIOD_NS, Adapter, ServiceResult
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, diagnostic_array
@@ -36,6 +36,9 @@ from ship_node.live.node_report import Guard, StatusLog, name_status, stamps_sta
 from ship_node.live.qos import input_qos, output_qos, overridable, overrides_checked
 from ship_node.live.ros_parameters import NodeParameters, ParameterNode
 from ship_node.parameters.parameter_file import misfit_warnings, placed
+
+if TYPE_CHECKING:
+    from ship_node.black_box.black_box import BlackBox
 
 SPIN_TIMEOUT_S = 0.1
 WATCH_PERIOD_S = 1.0
@@ -143,10 +146,13 @@ class LiveNode:
                 raw=True,
             )
 
-    def _open_box(self) -> BlackBox | None:
+    def _open_box(self) -> "BlackBox | None":
         path, config = self._parameters.black_box, self._parameters.config
         if not path:
             return None
+        # Read only where a box is kept: the writer of bags takes a tenth of a node's start.
+        from ship_node.black_box.black_box import BlackBox
+
         logger = self.node.get_logger()
         box = BlackBox(path, self.adapter, config, _outputs(self.adapter), self.node.get_namespace(), logger.error)
         logger.info(f"black box: {box.path}")

@@ -16,7 +16,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from ship_bags.errors import BadInput
-from ship_bags.live.ros_process import prepare_dds
+from ship_bags.live.dds import prepare_dds
 from ship_bags.message_factory import RosidlFactory
 from ship_node.edge.adapter import Adapter
 from ship_node.live.live_node import LiveNode

@@ -2,7 +2,7 @@
 
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
@@ -74,7 +74,7 @@ class NodeParameters:
         self._last_refusal = ""
         self.black_box = str(_declared(node, BLACK_BOX_PARAMETER, "", _BLACK_BOX_DOC)) if has_black_box else ""
         self.has_reliable_inputs = bool(_declared(node, RELIABLE_INPUTS_PARAMETER, False, _RELIABLE_INPUTS_DOC))
-        self._descriptions = {name: _description(name, config_type) for name in flatten(self.config)}
+        self._descriptions = _descriptions(flatten(self.config), config_type)
         for name, value in flatten(self.config).items():
             # The override is in the value already, as a float where the file had an integer.
             node.declare_parameter(name, value, _descriptor(self._descriptions[name]), ignore_override=True)
@@ -174,12 +174,22 @@ def _plain(value: Any) -> Any:
     return value if value is None or isinstance(value, (bool, int, float, str)) else list(value)
 
 
-def _description(name: str, config_type: type) -> ParameterDescription:
-    """The description that a dotted name follows; ``<id>`` in it stands for any one part."""
-    for description in describe(config_type):
-        if re.fullmatch(re.escape(description.name).replace("<id>", r"[^.]+"), name):
-            return description
-    raise ParameterError(f"parameter '{name}' has no description", name)
+def _descriptions(names: Iterable[str], config_type: type) -> dict[str, ParameterDescription]:
+    """Of each dotted name the description that it follows; ``<id>`` in that stands for any one part."""
+    described = {description.name: description for description in describe(config_type)}
+    patterns = {
+        re.compile(re.escape(name).replace("<id>", r"[^.]+")): description
+        for name, description in described.items()
+        if "<id>" in name
+    }
+    found = {}
+    for name in names:
+        fitting = (description for pattern, description in patterns.items() if pattern.fullmatch(name))
+        description = described.get(name) or next(fitting, None)
+        if description is None:
+            raise ParameterError(f"parameter '{name}' has no description", name)
+        found[name] = description
+    return found
 
 
 def _descriptor(description: ParameterDescription) -> ParameterDescriptor:

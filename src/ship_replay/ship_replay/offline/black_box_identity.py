@@ -11,7 +11,8 @@ from ship_bags.mcap.bag_reader import Bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.parameter_yaml import anywhere, full_name
 from ship_estimation.parameters import flatten
-from ship_node.black_box.black_box_format import EVENTS_TOPIC, FORMAT, METADATA, VERSIONS_ATTACHMENT, versions
+from ship_node.black_box.black_box_format import EVENTS_TOPIC, FORMAT, METADATA, VERSIONS_ATTACHMENT
+from ship_node.black_box.versions import versions
 from ship_node.edge.adapter import Adapter
 from ship_node.parameters.parameter_file import read, read_whatever_fits
 from ship_replay.offline.adapter_chain import suite_config, suite_text

@@ -7,7 +7,8 @@ from typing import Any
 import jinja2
 
 from ship_bags.stamps import NS_PER_S
-from ship_node.black_box.black_box_format import LIBRARIES, SUITE_PACKAGES, VERSIONS_ATTACHMENT, package_versions
+from ship_node.black_box.black_box_format import VERSIONS_ATTACHMENT
+from ship_node.black_box.versions import LIBRARIES, SUITE_PACKAGES, package_versions
 from ship_replay.report.consistency import consistency
 from ship_replay.report.drawings import budget_svg, errors_svg, refusals_svg, status_svg
 from ship_replay.report.night import Night

@@ -1,0 +1,32 @@
+"""What a live node reads before it runs: nothing that only other programs, or other settings, need."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+ADAPTERS = [
+    "ship_attitude_star.ros.ship_attitude_adapter",
+    "ship_attitude_star.ros.star_attitude_adapter",
+    "theodolite_calib.ros.optical_axis_adapter",
+]
+
+NEEDLESS = {
+    # ship_estimation.chi_square, ship_geometry.ros_axes and ship_geometry.lapack stand for the few functions needed;
+    # each of these rooms of scipy alone takes longer than rclpy.
+    "scipy.special", "scipy.stats", "scipy.spatial", "scipy.optimize", "scipy.sparse", "scipy.signal",
+    # Figures and pages are made by commands.
+    "matplotlib", "jinja2", "rich",
+    # Bags are read by commands, and written by a node that keeps a black box.
+    "rosbags", "mcap", "zstandard", "lz4", "ship_bags.mcap.bag_writer", "ship_node.black_box.black_box",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("adapter", ADAPTERS)
+def test_node_reads_nothing_needless(adapter: str) -> None:
+    script = f"import json, sys, ship_node.live.node_shell, {adapter}; print(json.dumps(list(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True, timeout=120)
+    read = set(json.loads(done.stdout))
+    assert {"rclpy", "ship_node.live.live_node", adapter} <= read  # what it does need is there
+    assert read & NEEDLESS == set()

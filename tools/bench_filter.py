@@ -1,0 +1,124 @@
+"""The filters' steps: over a yardstick that no release moves far, numpy's 3 x 3 SVD; with integrity over without."""
+
+import dataclasses
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench_rows import Row, by_turns, median_ratio, median_us
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.filter import ShipFilter
+from ship_estimation.parameters import build
+from ship_replay.trials.monte_carlo import core_for, feed_attitude, feed_pointing
+from ship_replay.trials.one_estimate import WithoutAlternatives, WithoutIntegrity
+from ship_simulation.run import SimulatedRun, simulate
+from ship_simulation.scenario.scenario_file import load_scenario
+from ship_simulation.suite.suite import optical_axis_configuration
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.filter.step import SightingStep
+from theodolite_calib.optical_axis.core import OpticalAxisCore
+
+SCENARIOS = Path(__file__).resolve().parents[1] / "bags" / "scenarios"
+STEP_ROUNDS = 5
+INTEGRITY_PAIRS = 7
+MOST_STEP_US = 30.0
+MOST_INTEGRITY_RATIO = 1.6
+"""Of the filter's step with the estimates without each source, and without them."""
+
+
+def step_cost() -> list[Row]:
+    """Median of the steps of a run, by turns with numpy's 3 x 3 SVD."""
+    run = _run_of("paper", 30.0)
+    model = core_for(run.scenario).filter.model
+    states, parts = model.size, len(model.sources)
+    matrix = np.random.default_rng(1).standard_normal((3, 3))
+    step_us, svd_us = by_turns(
+        STEP_ROUNDS,
+        lambda: float(np.median(_ship_steps_us(run, WithoutIntegrity))),
+        lambda: median_us(lambda: np.linalg.svd(matrix)),
+    )
+    what = f"step of the ship's filter, {states} states x {parts} parts"
+    return [
+        Row(f"{what}: median", float(np.median(step_us)), "us", MOST_STEP_US),
+        Row("numpy 3 x 3 SVD: median", float(np.median(svd_us)), "us"),
+        Row(f"ratio: {what} / SVD", median_ratio(step_us, svd_us), "x", None, "numpy 3 x 3 SVD"),
+    ]
+
+
+class _WithPairs(ShipFilter):
+    """The step with the estimates without each pair of sources, too."""
+
+    def __init__(self, config: ShipAttitudeConfig) -> None:
+        pairs = dataclasses.replace(config.integrity, pairs=True, max_hypotheses=64)
+        super().__init__(dataclasses.replace(config, integrity=pairs))
+
+
+def integrity_cost() -> list[Row]:
+    """The filters' steps, with the estimates without each source beside them and without them, by turns."""
+    ship, theodolite = _run_of("three_sensors", 20.0), _run_of("theodolite", 60.0)
+    of_ship = "ship's step by three star sensors"
+    return [
+        *_integrity_rows(of_ship, _ship_steps_us, ship, WithoutIntegrity, ShipFilter),
+        *_integrity_rows(f"{of_ship}, integrity.pairs", _ship_steps_us, ship, WithoutIntegrity, _WithPairs, None),
+        *_integrity_rows(
+            "theodolite's step by two lights", _theodolite_steps_us, theodolite, WithoutAlternatives, SightingStep
+        ),
+    ]
+
+
+def _integrity_rows(
+    what: str,
+    steps_us: Callable[[SimulatedRun, Any], list[float]],
+    run: SimulatedRun,
+    without: type,
+    with_: type,
+    most: float | None = MOST_INTEGRITY_RATIO,
+) -> list[Row]:
+    pairs = [(steps_us(run, without), steps_us(run, with_)) for _ in range(INTEGRITY_PAIRS)]
+    # Of each step the least of several: what else the machine does only adds.
+    without_us, with_us = np.median(np.min(pairs, axis=0), axis=-1)
+    return [
+        Row(f"{what}, one estimate: median", without_us, "us"),
+        Row("the same with integrity: median", with_us, "us"),
+        Row("ratio: integrity", with_us / without_us, "x", most),
+    ]
+
+
+def _run_of(scenario: str, duration_s: float) -> SimulatedRun:
+    found = load_scenario(SCENARIOS / f"{scenario}.yaml")
+    return simulate(dataclasses.replace(found, duration_s=duration_s), seed=1)
+
+
+def _ship_steps_us(run: SimulatedRun, kind: type[ShipFilter]) -> list[float]:
+    """The time of each step of a filter over a run."""
+    core = core_for(run.scenario)
+    core.filter = kind(core.config)
+    core.reset()
+    core.filter.step, times_us = _timed(core.filter.step)  # type: ignore[method-assign]
+    feed_attitude(core, run)
+    return times_us
+
+
+def _theodolite_steps_us(run: SimulatedRun, kind: type[SightingStep]) -> list[float]:
+    """The time of each step over a session."""
+    config = build(OpticalAxisConfig, optical_axis_configuration(run.scenario))
+    core = OpticalAxisCore(config)
+    core._step_to, times_us = _timed(kind(config, core.filter))
+    feed_pointing(core, run)
+    return times_us
+
+
+def _timed(step: Callable[..., Any]) -> tuple[Any, list[float]]:
+    """A step that notes how long each call of it takes, us."""
+    times_us: list[float] = []
+
+    def timed(*arguments: Any) -> Any:
+        begin_ns = time.perf_counter_ns()
+        result = step(*arguments)
+        times_us.append((time.perf_counter_ns() - begin_ns) * 1e-3)
+        return result
+
+    return timed, times_us

@@ -1,0 +1,110 @@
+"""How fast a live node starts: reading its modules, and from exec until another process sees its subscription.
+
+The yardsticks are what any node needs: ``import rclpy``, and a node of rclpy alone with one subscription. Python's
+compiled files are there: the first round, which makes them, is not counted.
+"""
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from bench_rows import Row, by_turns, median_ratio, process_cpu_s
+from ship_bags.live.ros_process import executable
+from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
+from ship_replay.trials.live_run import LiveFailure
+
+SUITE = Path(__file__).resolve().parents[1] / "examples" / "theodolite.yaml"
+"""Parameters of the nodes: those of a ship."""
+
+IMPORT_ROUNDS = 4
+START_ROUNDS = 3
+MOST_IMPORT_RATIO = 2.0
+_START_S = 60.0
+_LOOK_S = 0.002
+
+_NODES = {
+    "ship_attitude": ("ship_attitude_star", "ship_attitude_star.ros.ship_attitude_adapter", "ins/imu"),
+    "star_attitude": ("ship_attitude_star", "ship_attitude_star.ros.star_attitude_adapter", "gnss/fix"),
+    "optical_axis": ("theodolite_calib", "theodolite_calib.ros.optical_axis_adapter", "theodolite/encoder"),
+}
+"""Node → its package, its adapter, one of its inputs."""
+
+_BARE_NODE = """
+import rclpy
+from sensor_msgs.msg import Imu
+rclpy.init()
+node = rclpy.create_node("bare")
+subscription = node.create_subscription(Imu, "bare/imu", print, 10)
+rclpy.spin(node)
+"""
+
+
+def import_cost() -> list[Row]:
+    """Processor time of reading each node's modules, and of ``import rclpy``."""
+    modules = {name: f"ship_node.live.node_shell, {adapter}" for name, (_, adapter, _) in _NODES.items()}
+    statements = {"rclpy": "rclpy", "rclpy.node": "rclpy.node", **modules}
+    figures = by_turns(IMPORT_ROUNDS + 1, *(lambda s=s: _import_cpu_s(s) for s in statements.values()))
+    cpu_s = {name: counted[1:] for name, counted in zip(statements, figures, strict=True)}
+    rows = [Row("import rclpy, processor time: median", float(np.median(cpu_s["rclpy"])), "s")]
+    for name in _NODES:
+        what = f"ratio: import of {name} / import rclpy"
+        rows.append(Row(what, median_ratio(cpu_s[name], cpu_s["rclpy"]), "x", MOST_IMPORT_RATIO, "import rclpy"))
+    what = "ratio: import rclpy.node, as each node must / import rclpy"
+    return [*rows, Row(what, median_ratio(cpu_s["rclpy.node"], cpu_s["rclpy"]), "x", None, "import rclpy")]
+
+
+def start_cost() -> list[Row]:
+    """From exec to the subscription seen elsewhere, of each node and of a bare one."""
+    commands = {"a bare node": ([sys.executable, "-c", _BARE_NODE], "bare/imu")}
+    arguments = ["--ros-args", "--params-file", str(SUITE)]
+    for name, (package, _, topic) in _NODES.items():
+        commands[name] = [*executable(package, name), *arguments], topic
+    domain_id = free_domain_id()
+    with tempfile.TemporaryDirectory() as folder, GraphObserver(domain_id) as observer:
+        environment = live_environment(domain_id, Path(folder))
+        environment.pop("PYTHONDONTWRITEBYTECODE", None)
+        log = Path(folder) / "node.log"
+        starts = [partial(_started, command, topic, log, environment, observer) for command, topic in commands.values()]
+        counted = [figures[1:] for figures in by_turns(START_ROUNDS + 1, *starts)]
+    started = dict(zip(commands, counted, strict=True))
+    yardstick = "a node of rclpy with one subscription"
+    rows = []
+    for name, figures in started.items():
+        rows.append(Row(f"exec of {name} to its subscription: median", float(np.median(figures, axis=0)[0]), "s"))
+    for name in _NODES:
+        ratio = median_ratio([cpu_s for _, cpu_s in started[name]], [cpu_s for _, cpu_s in started["a bare node"]])
+        rows.append(Row(f"ratio: the same in processor time, {name} / a bare node", ratio, "x", None, yardstick))
+    return rows
+
+
+def _import_cpu_s(modules: str) -> float:
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    process = subprocess.Popen([sys.executable, "-c", f"import {modules}"], env=environment)
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise LiveFailure(f"'import {modules}' failed")
+    return usage.ru_utime + usage.ru_stime
+
+
+def _started(
+    command: Sequence[str], topic: str, log: Path, environment: dict[str, str], observer: GraphObserver
+) -> tuple[float, float]:
+    """Time that passes, and processor time that a node takes, until its subscription is seen, s."""
+    begin_s = time.monotonic()
+    with LiveProcess(command, log, environment) as process:
+        while not observer.node.count_subscribers(topic):
+            if process.exit_code is not None or time.monotonic() > begin_s + _START_S:
+                raise LiveFailure(f"{command[1]} did not start; its log:\n{process.log()}")
+            time.sleep(_LOOK_S)
+        taken_s = time.monotonic() - begin_s, process_cpu_s(process.pid)
+    while observer.node.count_subscribers(topic):
+        time.sleep(_LOOK_S)
+    return taken_s
