@@ -192,6 +192,10 @@ class _Quantity:
         return _Value(reading.value, math.sqrt(reading.sigma**2 + growth * age_ns / self._max_age_ns))
 
 
+_ANSWERS_KEPT = 256
+"""Moments of which the answer is kept: exposures that are applied again ask again, 28 a second in two seconds."""
+
+
 class Surroundings:
     """Position fixes and readings of the air by their stamps, and what they tell of any moment.
 
@@ -204,6 +208,7 @@ class Surroundings:
         self._fix_max_age_ns = round(config.fix_max_age_s * SECOND_NS)
         self._delay_ns = round(config.gnss_delay_s * SECOND_NS)
         self._oldest_ns: int | None = None
+        self._answers: dict[int, tuple[Place, Air]] = {}
         reach = JumpLimits(FIX_AT_ONCE_M, config.max_speed_m_per_s, config.fix_max_age_s, "m")
         self._fixes: StampedValues[_Fix] = StampedValues(reach)
         pressure = _Value(config.pressure_hpa, config.pressure_sigma_hpa)
@@ -240,7 +245,13 @@ class Surroundings:
         Returns:
             The moment (ns) after which answers may have changed; None where no answer has changed.
         """
-        return self._insert_fix(given) if isinstance(given, PositionFix) else self._air[given.quantity].insert(given)
+        if isinstance(given, PositionFix):
+            changed_after_ns = self._insert_fix(given)
+        else:
+            changed_after_ns = self._air[given.quantity].insert(given)
+        if changed_after_ns is not None:
+            self._answers = {moment: told for moment, told in self._answers.items() if moment <= changed_after_ns}
+        return changed_after_ns
 
     def _insert_fix(self, fix: PositionFix) -> int | None:
         changed_ns = self._fixes.insert(fix.time_ns, _earth_fixed(fix))
@@ -280,14 +291,21 @@ class Surroundings:
         """Place and air at a moment, or NO_FIX where no fix is near enough in time.
 
         Errors of successive fixes are taken to be alike, as those of GNSS are: no averaging makes them better. The
-        error that the straight line leaves out grows with the time to its two fixes.
+        error that the straight line leaves out grows with the time to its two fixes. As long as no input has changed
+        the answer, it is the same object.
         """
+        known = self._answers.get(time_ns)
+        if known is not None:
+            return known
         place = self._place(time_ns)
         if isinstance(place, Refusal):
             return place
         pressure, temperature, humidity = [quantity.at(time_ns) for quantity in self._air.values()]
         weather = Weather(pressure.value, temperature.value, humidity.value)
-        return place, Air(weather, pressure.sigma, temperature.sigma)
+        told = self._answers[time_ns] = place, Air(weather, pressure.sigma, temperature.sigma)
+        if len(self._answers) > _ANSWERS_KEPT:
+            del self._answers[next(iter(self._answers))]
+        return told
 
     def not_measured(self, time_ns: int) -> list[str]:
         """Names of the quantities of the air that are taken from parameters at a moment."""
