@@ -23,7 +23,7 @@ from bench_filter import integrity_cost, step_cost
 from bench_monitor import monitor_cost
 from bench_replay import replay_cost
 from bench_rows import Row
-from bench_stars import star_solution
+from bench_stars import late_star_cost, star_solution
 from bench_start import import_cost, start_cost
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_replay.trials.live_run import LiveFailure
@@ -37,6 +37,7 @@ BENCHMARKS: dict[str, Callable[[], list[Row]]] = {
     "replay": replay_cost,
     "black_box": black_box_cost,
     "star_solution": star_solution,
+    "late_star": late_star_cost,
     "integrity": integrity_cost,
     "monitor": monitor_cost,
 }

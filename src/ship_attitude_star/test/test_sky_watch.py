@@ -79,3 +79,19 @@ def test_a_sigma_of_position_turns_the_sky_as_another_place_does(stars, column: 
 
 def test_the_air_that_nothing_measured_is_named() -> None:
     assert told().surroundings.not_measured(TIME_NS) == ["temperature", "humidity"]
+
+
+def test_what_was_asked_is_kept_until_an_input_changes_it() -> None:
+    watch = told()
+    stars = watch.catalogue.at_j2000[:3]
+    first = watch.at(TIME_NS)
+    assert watch.at(TIME_NS) is first
+    assert first.apparent(stars) is first.apparent(stars)
+    with pytest.raises(ValueError, match="read-only"):
+        first.apparent(stars).direction_n[0, 0] = 0.0
+    # Later air changes nothing now, the air of before does.
+    watch.surroundings.insert(AirReading("temperature", TIME_NS + 1, 20.0))
+    assert watch.at(TIME_NS) is first
+    watch.surroundings.insert(AirReading("temperature", TIME_NS - 1, 20.0))
+    assert watch.at(TIME_NS).air.weather.temperature_c == 20.0
+    assert first.air.weather.temperature_c != 20.0

@@ -51,7 +51,7 @@ def test_without_any_measurement_the_parameters_hold() -> None:
     assert Readings(CONFIG).not_measured(ns(0)) == ["pressure", "temperature", "humidity"]
 
 
-def test_the_last_value_at_or_before_the_moment_holds() -> None:
+def test_the_last_value_holds_from_its_delay_on_and_the_first_one_from_its_stamp() -> None:
     track = Readings(CONFIG)
     track.insert(AirReading("pressure", ns(0), 1010.0))
     track.insert(AirReading("pressure", ns(60), 1011.0))
@@ -59,8 +59,8 @@ def test_the_last_value_at_or_before_the_moment_holds() -> None:
     track.insert(AirReading("humidity", ns(30), 0.4))
     assert track.air(ns(-1)).weather == Weather(1000.0, -3.0, 0.9)
     assert track.air(ns(0)).weather == Weather(1010.0, -3.0, 0.9)
-    assert track.air(ns(59)).weather == Weather(1010.0, 20.0, 0.4)
-    assert track.air(ns(60)).weather == Weather(1011.0, 20.0, 0.4)
+    assert track.air(ns(60.4)).weather == Weather(1010.0, 20.0, 0.4)
+    assert track.air(ns(60.5)).weather == Weather(1011.0, 20.0, 0.4)
     assert track.not_measured(ns(10)) == ["temperature", "humidity"]
     assert track.not_measured(ns(40)) == []
 
@@ -100,10 +100,17 @@ def test_nothing_changed_at_or_before_the_moment_it_says() -> None:
     track = Readings(CONFIG)
     track.insert(AirReading("pressure", ns(0), 1010.0))
     track.insert(AirReading("pressure", ns(20), 1010.0))
-    before = {t: track.air(ns(t)) for t in (0, 9, 10, 19, 20)}
-    assert track.insert(AirReading("pressure", ns(10), 1014.0)) == ns(10) - 1
-    assert [t for t in before if track.air(ns(t)) != before[t]] == [10, 19]
+    before = {t: track.air(ns(t)) for t in (0, 9, 10, 10.4, 10.5, 19, 20.4, 20.5)}
+    assert track.insert(AirReading("pressure", ns(10), 1014.0)) == ns(10.5) - 1
+    assert [t for t in before if track.air(ns(t)) != before[t]] == [10.5, 19, 20.4]
     assert track.insert(AirReading("pressure", ns(10), 1014.0)) is None
+
+
+def test_a_first_reading_and_one_after_a_long_time_count_from_their_stamps_on() -> None:
+    track = Readings(CONFIG)
+    for since_s in (0, 4000):
+        assert track.insert(AirReading("pressure", ns(since_s), 1010.0)) == ns(since_s) - 1
+        assert track.not_measured(ns(since_s)) == ["temperature", "humidity"]
 
 
 def test_the_same_stamp_again_is_told() -> None:
@@ -118,8 +125,8 @@ def test_what_is_dropped_is_needed_no_more() -> None:
     track = Readings(CONFIG)
     for since_s in range(10):
         track.insert(AirReading("temperature", ns(since_s), float(since_s)))
-    track.drop_before(ns(5.5))
-    assert track.air(ns(5.5)).weather.temperature_c == 5.0
+    track.drop_before(ns(5.75))
+    assert track.air(ns(5.75)).weather.temperature_c == 5.0
     assert track.air(ns(4.0)).weather.temperature_c == CONFIG.temperature_c
 
 

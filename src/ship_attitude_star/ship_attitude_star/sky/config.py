@@ -49,6 +49,13 @@ class SkyConfig:
     fix_max_age_s: float = parameter(
         60.0, doc="without a fix as young as this no star is used", unit="s", minimum=0.1, maximum=3600.0
     )
+    gnss_delay_s: float = parameter(
+        0.5,
+        doc="stars are placed by fixes and readings of the air of so long before: later ones make them compare anew",
+        unit="s",
+        minimum=0.0,
+        maximum=10.0,
+    )
     fix_sigma_m: float = parameter(
         5.0, doc="error of a fix, each horizontal axis, where the message gives none", unit="m", minimum=0.0
     )

@@ -6,7 +6,7 @@ not average: refraction, Earth rotation (UT1) and the ship's position. Each dire
 displacement by one standard deviation of each of them (docs/explanation/stars.md).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import erfa
 import numpy as np
@@ -31,6 +31,10 @@ EARTH_ROTATION_RATE = 15.041 * ARCSEC
 """Angle by which the sky turns in a second of UT1, rad."""
 
 _TINY = 1e-300
+
+_MOMENTS_KEPT = 256
+_STARS_KEPT = 4
+"""Sets of stars whose places are kept with a moment: sensors that expose together share it."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +83,8 @@ class BrightStars:
 class SkyMoment:
     """The sky over the ship at one moment. :meth:`SkyWatch.at` makes it.
 
+    It keeps what it was asked: an exposure that is applied again has the same stars in the same sky.
+
     Attributes:
         time_ns: the moment.
         place: the ship's place then.
@@ -96,9 +102,23 @@ class SkyMoment:
     model: ModelName
     wavelength_um: float
     bright: BrightStars
+    _kept: dict[int, tuple[StarPositions, ApparentStars]] = field(default_factory=dict, repr=False, compare=False)
 
     def apparent(self, stars: StarPositions) -> ApparentStars:
-        """Directions of stars, with refraction; ``stars`` has shape (k,)."""
+        """Directions of stars, with refraction; ``stars`` has shape (k,). The arrays are read-only."""
+        # What is kept holds the stars, so that no others can have their identity.
+        kept = self._kept.get(id(stars))
+        if kept is not None:
+            return kept[1]
+        found = self._apparent(stars)
+        for array in (found.direction_n, found.shared_n, found.elevation, found.visible):
+            array.flags.writeable = False
+        self._kept[id(stars)] = stars, found
+        if len(self._kept) > _STARS_KEPT:
+            del self._kept[next(iter(self._kept))]
+        return found
+
+    def _apparent(self, stars: StarPositions) -> ApparentStars:
         without_air = self.refreshed.directions(stars, self.time_ns, self.place.observer)
         ut1_sigma_s = self.refreshed.orientation(self.time_ns).ut1_sigma_s
         elevation = elevation_of(without_air)
@@ -182,6 +202,7 @@ class SkyWatch:
     def reset(self) -> None:
         """Forget fixes and readings of the air."""
         self.surroundings = Surroundings(self._config)
+        self._moments: dict[int, SkyMoment] = {}
 
     def at(self, time_ns: int) -> SkyMoment | Refusal:
         """The sky at a moment, or why no star can be placed then: NO_EARTH_ORIENTATION or NO_FIX."""
@@ -192,7 +213,10 @@ class SkyWatch:
         if isinstance(found, Refusal):
             return found
         place, air = found
-        return SkyMoment(
+        known = self._moments.get(time_ns)
+        if known is not None and known.place is place and known.air is air:
+            return known
+        moment = self._moments[time_ns] = SkyMoment(
             time_ns=time_ns,
             place=place,
             air=air,
@@ -201,6 +225,9 @@ class SkyWatch:
             wavelength_um=self._config.wavelength_um,
             bright=self._bright,
         )
+        if len(self._moments) > _MOMENTS_KEPT:
+            del self._moments[next(iter(self._moments))]
+        return moment
 
 
 def installed_sky(config: SkyConfig) -> SkyWatch:

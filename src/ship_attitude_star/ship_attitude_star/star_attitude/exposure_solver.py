@@ -182,7 +182,10 @@ def solve_deck(
         prior: attitude of the deck that helps to choose among the stars; None where it is not known.
     """
     with_stars = [index for index, mounted in enumerate(group) if mounted.placed.stars is not None]
-    seeing, turn_covariance_d = [group[index] for index in with_stars], turn_covariance_d[with_stars][:, :, with_stars]
+    seeing = group
+    if len(with_stars) < len(group):
+        seeing = [group[index] for index in with_stars]
+        turn_covariance_d = turn_covariance_d[with_stars][:, :, with_stars]
     if not seeing:
         refusal = Refusal(Reason.TOO_FEW_STARS, "no exposure could be compared with the sky")
         return Solved(JOINT, time_ns, no_attitude(np.zeros(0, dtype=bool), refusal), (), ())
@@ -203,24 +206,30 @@ def _in_deck(
     """All stars in the deck frame, with the errors of their sensors' mounting and of the turns to this moment."""
     stars = [mounted.placed.stars for mounted in group if mounted.placed.stars is not None]
     mounting_b = np.empty((len(group), 3, 3))
-    turn_covariance_d = turn_covariance_d.copy()
     for index, mounted in enumerate(group):
         mounting_b[index] = mounted.rotation_ds * sensors[mounted.placed.source.partition(".")[2]].installation_sigma_s
-        turn_covariance_d[index, :, index] += mounted.placed.turn_variance * np.eye(3)
-    size = 3 * len(group)
-    turned_b = square_roots(turn_covariance_d.reshape(size, size)).reshape(len(group), 3, size)
     return SightedStars(
         measured_b=np.concatenate([s.measured_b @ m.rotation_ds.T for s, m in zip(stars, group, strict=True)]),
         reference_n=np.concatenate([s.reference_n for s in stars]),
         sigma=np.concatenate([s.sigma for s in stars]),
         position_sigma=np.concatenate([s.position_sigma for s in stars]),
         shared_n=np.concatenate([s.shared_n for s in stars]),
-        sensor=np.repeat(np.arange(len(stars)), [len(s) for s in stars]),
+        sensor=np.array([index for index, s in enumerate(stars) for _ in range(len(s))], dtype=np.intp),
         mounting_b=mounting_b,
         smear_b=_smear_in_deck(stars, group),
-        turned_b=turned_b if turn_covariance_d.any() else None,
+        turned_b=_turned_in_deck(group, turn_covariance_d),
         rivals=_rivals(stars),
     )
+
+
+def _turned_in_deck(group: Sequence[Mounted], turn_covariance_d: FloatArray) -> FloatArray | None:
+    """Turn of each of m exposures by one sigma of each error of the turns, rad, (m, 3, 3 m); None where none errs."""
+    own = [mounted.placed.turn_variance for mounted in group]
+    if not (any(own) or turn_covariance_d.any()):
+        return None
+    size = 3 * len(group)
+    covariance_d = turn_covariance_d.reshape(size, size) + np.diag(np.repeat(own, 3))
+    return square_roots(covariance_d).reshape(len(group), 3, size)
 
 
 def _smear_in_deck(stars: Sequence[SightedStars], group: Sequence[Mounted]) -> FloatArray | None:

@@ -13,6 +13,7 @@ sigma of each of them. The unknowns m, t and z are counted in their standard dev
 information is the identity.
 """
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -125,8 +126,8 @@ class StarFit:
         information, right_side = self.normal_equations(members)
         displacement = self.displacement if members is None else self.displacement[members]
         constrained = information.copy()
-        known = np.arange(self.open, len(right_side))
-        constrained[known, known] += 1.0
+        diagonal = constrained.ravel()[:: len(right_side) + 1]
+        diagonal[self.open :] += 1.0
         degrees = 2 * len(displacement) - self.open
         _, solution, failed = lapack.dposv(constrained, right_side)
         if failed:
@@ -169,7 +170,7 @@ class StarJudgement:
     @property
     def probability(self) -> float:
         """Probability of a chi² at least as large by chance; 1 without degrees of freedom, NaN where chi² is NaN."""
-        if self.degrees <= 0 and np.isfinite(self.chi_square):
+        if self.degrees <= 0 and math.isfinite(self.chi_square):
             return 1.0
         return probability_above(self.chi_square, max(self.degrees, 1))
 
@@ -182,19 +183,21 @@ def linearized(stars: SightedStars, rotation_nb: FloatArray) -> StarFit:
     turn_columns = slice(mounting_columns.stop, mounting_columns.stop + turns)
     shared_columns = slice(turn_columns.stop, turn_columns.stop + shared)
     per_sigma = 1.0 / stars.white_sigma[:, None]
+    minus_per_sigma = -per_sigma
     # δ × v per sigma, column by column of δ.
-    about_star = -skew(stars.reference_n * per_sigma)
+    about_star = skew(stars.reference_n * minus_per_sigma)
     jacobian = np.zeros((count, 3, shared_columns.stop))
     jacobian[:, :, ATTITUDE] = about_star
     if sensors:
-        mounting_n = rotation_nb @ stars.mounting_b
-        turned = about_star @ mounting_n[stars.sensor]
+        # The mounting errors of all sensors side by side; of each star those of its own sensor count.
+        mounting_n = (rotation_nb @ stars.mounting_b).swapaxes(0, 1).reshape(3, 3 * sensors)
+        turned = (about_star.reshape(-1, 3) @ mounting_n).reshape(count, 3, sensors, 3)
         own = stars.sensor[:, None] == np.arange(sensors)
         blocks = jacobian[:, :, mounting_columns].reshape(count, 3, sensors, 3)
-        np.multiply(turned[:, :, None, :], own[:, None, :, None], out=blocks)
+        np.multiply(turned, own[:, None, :, None], out=blocks)
     if stars.turned_b is not None:
         jacobian[:, :, turn_columns] = about_star @ (rotation_nb @ stars.turned_b)[stars.sensor]
-    np.multiply(stars.shared_n, -per_sigma[..., None], out=jacobian[:, :, shared_columns])
+    np.multiply(stars.shared_n, minus_per_sigma[..., None], out=jacobian[:, :, shared_columns])
     residual_n = stars.reference_n - stars.measured_b @ rotation_nb.T
     displacement = residual_n * per_sigma
     if stars.smear_b is not None:
