@@ -28,6 +28,9 @@ from ship_attitude_star.star_attitude.exposure_solver import Mounted, solve_deck
 from ship_attitude_star.stars.solution import SolutionStatus
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_estimation.parameters import build
+from ship_replay.campaign.items import items_of
+from ship_replay.campaign.one_item import make
+from ship_replay.campaign.processes import in_processes
 from ship_replay.trials.live_run import LiveFailure, LiveRun
 from ship_replay.trials.monte_carlo import core_for, feed_attitude, feed_pointing, sky_input, star_exposure
 from ship_replay.trials.one_estimate import WithoutAlternatives, WithoutIntegrity
@@ -50,6 +53,9 @@ MOST_SOLUTION_RATIO = 150.0 / 46.0
 
 MOST_INTEGRITY_RATIO = 1.6
 """Of the filter's step with the estimates without each source, and without them."""
+
+MOST_WORKERS_RATIO = 1.0 / 1.8
+"""Of a campaign by two workers and by one, on two processors that have nothing else to do."""
 
 
 def black_box_cost() -> list[Row]:
@@ -185,11 +191,34 @@ def _median_us(call: Callable[[], object], calls: int = 2000) -> float:
     return float(np.median(times_ns)) * 1e-3
 
 
+def campaign_workers() -> list[Row]:
+    """Wall time of a campaign of six voyages of ten seconds, by one worker and by two, by turns."""
+    text = (ROOT / "bags" / "scenarios" / "demo.yaml").read_text(encoding="utf-8")
+    times_s: dict[int, list[float]] = {1: [], 2: []}
+    with tempfile.TemporaryDirectory() as name:
+        scenario = Path(name) / "voyage.yaml"
+        scenario.write_text(text.replace("duration_s: 120.0", "duration_s: 10.0"), encoding="utf-8")
+        items = items_of([scenario], [], range(6))
+        list(in_processes(make, items[:1], 1))  # starts the server of processes
+        for _ in range(PAIRS):
+            for workers, taken_s in times_s.items():
+                begin_s = time.monotonic()
+                list(in_processes(make, items, workers))
+                taken_s.append(time.monotonic() - begin_s)
+    one_s, two_s = min(times_s[1]), min(times_s[2])
+    return [
+        Row("campaign of six voyages, one worker: least wall time", one_s, "s"),
+        Row("the same with two workers", two_s, "s"),
+        Row("ratio: two workers / one", two_s / one_s, "x", MOST_WORKERS_RATIO),
+    ]
+
+
 BENCHMARKS: dict[str, Callable[[], list[Row]]] = {
     "black_box": black_box_cost,
     "star_solution": star_solution,
     "integrity": integrity_cost,
     "monitor": monitor_cost,
+    "campaign": campaign_workers,
 }
 
 
