@@ -10,9 +10,9 @@ import pytest
 
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT
-from ship_replay.commands.replay import ADAPTERS
 from ship_replay.evaluation.bounds import judge, read_bounds
 from ship_replay.evaluation.evaluate import evaluate
+from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
 
 ROOT = Path(__file__).parents[1]

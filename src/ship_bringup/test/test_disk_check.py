@@ -12,8 +12,8 @@ from ship_bringup.checks.check_line import Result
 from ship_bringup.checks.disk_check import DiskState, judge_disk, look_at_disk, night_bytes
 from ship_bringup.checks.network_look import HeardTopic
 from ship_node.edge.topics import InputTopic
-from ship_replay.commands.replay import ADAPTERS
 from ship_replay.offline.adapter_chain import suite_chain
+from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
 from ship_testing.bag_parts import beginning
 from ship_testing.black_boxes import LENGTH_NS, OPTICAL_AXIS, SHIP_ATTITUDE, make_box

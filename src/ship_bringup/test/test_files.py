@@ -19,7 +19,7 @@ from ship_bags.message_factory import RosidlFactory
 from ship_bringup.commands import suite as suite_command
 from ship_node.parameters.companions import COMPANIONS
 from ship_node.parameters.usage import usage_text
-from ship_replay.commands.replay import ADAPTERS
+from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.preflight.check_config import Findings, check_file
 
 PACKAGE = Path(__file__).parents[1]

@@ -15,8 +15,8 @@ from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.stamps import ns_from_stamp
 from ship_geometry.rotations import ARCSEC, wrap_pi
 from ship_replay.commands.compare import main
-from ship_replay.commands.replay import ADAPTERS
 from ship_replay.evaluation.evaluate import evaluate
+from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
 from ship_replay.report.configurations import parameter_differences, text_differences
 from ship_replay.report.pair import origin, read_pair

@@ -9,8 +9,8 @@ import pytest
 
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.message_store import RosbagsFactory
-from ship_replay.commands.replay import ADAPTERS
 from ship_replay.offline.adapter_chain import suite_chain
+from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import match_inputs
 
 BAGS = Path(__file__).parents[3] / "bags"

@@ -28,8 +28,8 @@ from ship_bringup.security.demand import KEYSTORE, domain_of
 from ship_bringup.security.keystore import KeystoreUse
 from ship_bringup.security.rights import companions_of, heard_by_nmea, suite_rights
 from ship_bringup.suite.plan import without_saved_file
-from ship_replay.commands.replay import ADAPTERS
 from ship_replay.offline.adapter_chain import AdapterChain
+from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.preflight.check_config import CheckedNode, Findings, check_file
 from ship_watch.limits import Limits, read_limits
 

@@ -4,20 +4,15 @@ import argparse
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
-from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag, watched
 from ship_bags.output_files import add_force, check_file, check_folder, write_whole
 from ship_replay.offline.black_box_identity import is_black_box
 from ship_replay.offline.black_box_replay import replay_black_box
+from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import ReplaySummary, replay
 from ship_replay.offline.verification import Verification, verify_bag
-from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
-
-ADAPTERS = (ShipAttitudeAdapter, StarAttitudeAdapter, OpticalAxisAdapter)
-"""Nodes that can be replayed, the main one first: it runs by a configuration that names no node, too."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

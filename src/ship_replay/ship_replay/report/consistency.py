@@ -68,18 +68,31 @@ def nees_fit(errors: AttitudeErrors) -> SigmaFit:
     N independent NEES of three degrees of freedom come to a χ² of 3 N.
     """
     nees = errors.nees[np.isfinite(errors.nees)]
-    if not len(nees):
-        return SigmaFit("NEES", errors.label, math.nan, _NEES_DEGREES, 0, 0.0, {}, "no σ stated")
-    independent, mean = errors.independent_count(), float(np.mean(nees))
-    degrees = _NEES_DEGREES * independent
-    low, high = chi2.ppf([0.5 * (1.0 - _BAND), 0.5 * (1.0 + _BAND)], degrees) / degrees
+    mean = float(np.mean(nees)) if len(nees) else math.nan
+    return mean_nees_fit(errors.label, mean, len(nees), errors.independent_count())
+
+
+def mean_nees_fit(name: str, mean: float, count: int, independent: float) -> SigmaFit:
+    """Whether a mean of so many NEES, which tell as much as so many independent ones, is that of a sigma that fits."""
+    if not count:
+        return SigmaFit("NEES", name, math.nan, _NEES_DEGREES, 0, 0.0, {}, "no σ stated")
+    low, high = nees_band(independent)
     ratio_square = mean / _NEES_DEGREES
-    if not BAND_SIGMAS / math.sqrt(2.0 * degrees) <= WIDEST_BAND or not 0.0 < ratio_square < math.inf:
+    spread = BAND_SIGMAS / math.sqrt(2.0 * _NEES_DEGREES * independent)
+    if not spread <= WIDEST_BAND or not 0.0 < ratio_square < math.inf:
         words = TOO_FEW_INDEPENDENT
     else:
         ratio = math.sqrt(ratio_square)
-        words = f"σ {as_stated(ratio) if low <= ratio_square <= high else misfit(ratio)}"
-    return SigmaFit("NEES", errors.label, mean, _NEES_DEGREES, len(nees), independent, {}, words)
+        words = f"σ {as_stated(ratio) if low <= mean <= high else misfit(ratio)}"
+    return SigmaFit("NEES", name, mean, _NEES_DEGREES, count, independent, {}, words)
+
+
+def nees_band(independent: float) -> tuple[float, float]:
+    """The 99.9 % band of the mean of so many independent NEES of three degrees of freedom; NaN of none."""
+    if not independent:
+        return math.nan, math.nan
+    low, high = chi2.ppf([0.5 * (1.0 - _BAND), 0.5 * (1.0 + _BAND)], _NEES_DEGREES * independent) / independent
+    return float(low), float(high)
 
 
 def nis_fit(name: str, part: SourceInnovations) -> SigmaFit:

@@ -4,7 +4,6 @@ The bag goes message by message through :class:`ship_watch.watch.Watch`. Its buf
 new in them is taken out again and again.
 """
 
-import hashlib
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,6 +17,7 @@ from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_bags.topic_names import TRUTH_PREFIX, namespace_of_outputs, relative_topics
 from ship_replay.evaluation.sources import JOINT_SOLUTION
 from ship_replay.evaluation.statistics import reason_name
+from ship_replay.offline.digests import content_sha256
 from ship_watch.alert_conditions import conditions
 from ship_watch.alert_states import AlertState
 from ship_watch.alerts import AlertBook, AlertChange
@@ -139,7 +139,7 @@ def read_night(path: Path, limits: Limits | None = None, namespace: str = "") ->
                 file=path,
             )
         night = Night(
-            path, _sha256(path), bag.start_ns or 0, bag.end_ns or 0, limits,
+            path, content_sha256(path), bag.start_ns or 0, bag.end_ns or 0, limits,
             {topic: bag.topics[name] for topic, name in topics.items()}, dict(bag.attachments), dict(bag.metadata),
         )
         _Reading(night, ALERTS in topics).read(bag, {name: topic for topic, name in topics.items()})
@@ -282,13 +282,3 @@ class _Reading:
 def _grave(changes: Iterable[AlertChange]) -> list[AlertChange]:
     """Nobody acknowledges what is computed afterwards, so that repetitions for that tell nothing."""
     return [change for change in changes if not change.what.startswith("repeated")]
-
-
-def _sha256(path: Path) -> str:
-    if path.is_dir():
-        return "\n".join(f"{_sha256(part)}  {part.name}" for part in sorted(path.glob("*.mcap")))
-    digest = hashlib.sha256()
-    with path.open("rb") as stream:
-        while data := stream.read(1 << 20):
-            digest.update(data)
-    return digest.hexdigest()

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
-from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
 from ship_bags.mcap.bag_reader import Bag, read_bag
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import NS_PER_S
 from ship_estimation.protection import IntegrityConfig
 from ship_replay.evaluation.sources import Truth
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain
+from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import ReplayRun, ReplaySummary
 from ship_replay.trials.fault_judge import beyond, judged
 from ship_replay.trials.passage import Passage
@@ -33,8 +33,6 @@ from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.simulate_command import write_bag
 from ship_watch.orientations import ORIENTATIONS
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
-
-NODES = (ShipAttitudeAdapter, StarAttitudeAdapter, OpticalAxisAdapter)
 
 
 @dataclass(frozen=True)
@@ -107,7 +105,7 @@ def run_voyage(voyage: Voyage, clean: Passage) -> dict[str, Any]:
 
 def taken_topics(bag: Bag) -> dict[str, str]:
     """Topic → type of what the nodes of a bag take from it."""
-    chain, _ = suite_chain(bag, NODES, RosbagsFactory())
+    chain, _ = suite_chain(bag, ADAPTERS, RosbagsFactory())
     return {topic.topic: topic.type_name for topic in chain.inputs if topic.topic in bag.topics}
 
 
@@ -134,7 +132,7 @@ def clean_voyage(path: Path) -> Passage:
     arrivals: dict[str, list[int]] = {}
     lights: list[int] = []
     with read_bag(path) as bag:
-        chain, _ = suite_chain(bag, NODES, RosbagsFactory())
+        chain, _ = suite_chain(bag, ADAPTERS, RosbagsFactory())
         for record in bag.records({topic.topic for topic in chain.inputs if topic.topic in bag.topics}):
             arrivals.setdefault(record.topic, []).append(record.log_time_ns)
             if record.topic == IMAGE_TOPIC and record.decode().beacons:
@@ -155,7 +153,7 @@ def clean_voyage(path: Path) -> Passage:
 def replayed(injection: Injection) -> Told:
     """What the nodes put out, in this process, over a bag with faults."""
     with read_bag(injection.path) as bag:
-        chain, _ = suite_chain(bag, NODES, RosbagsFactory())
+        chain, _ = suite_chain(bag, ADAPTERS, RosbagsFactory())
         taken = {topic.topic for topic in chain.inputs}
         sink = VoyageSink(_truths(bag))
         run = ReplayRun(_Quiet(chain), sink, ReplaySummary(), truth_topics=())

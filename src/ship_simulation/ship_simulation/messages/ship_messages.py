@@ -16,6 +16,7 @@ from ship_bags.stamps import make_header
 from ship_geometry.frames import angle_covariance, angles_from_rotation
 from ship_geometry.ros_axes import enu_covariance, flu_from_device_vector, quaternion_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_simulation.messages.rows import BLOCK_ROWS, Rows
 from ship_simulation.scenario.names import DECK_FRAME, IMU, INS_FRAME, SHIP_ATTITUDE
 from ship_simulation.scenario.scenario import Ins, WeatherStation
 from ship_simulation.ship.attitude_device import DeviceSamples, FusedSamples, InsSamples
@@ -25,6 +26,9 @@ Maker = Callable[[int, int], Any]
 
 NOT_GIVEN = np.array([-1.0, *[0.0] * 8])
 """A covariance by which a message says that it gives none."""
+
+_EXACT = np.zeros(9)
+"""The covariance of the truth."""
 
 _FIX, _GPS, _DIAGONAL_KNOWN = 0, 1, 2
 """NavSatStatus.STATUS_FIX, NavSatStatus.SERVICE_GPS, NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN."""
@@ -37,8 +41,8 @@ def ins_maker(samples: InsSamples, config: Ins, factory: MessageFactory) -> Make
     covariance = np.diag(variance).ravel()
     # All zero, which says unknown, where the scenario has no noise of the rate.
     rate_covariance = np.diag(np.full(3, (config.rate_sigma_arcsec_per_s * ARCSEC) ** 2)).ravel()
-    quaternions = quaternion_from_rotation(samples.rotation_nd).tolist()
-    rates = flu_from_device_vector(samples.rate_d).tolist()
+    quaternions = quaternion_rows(samples.rotation_nd)
+    rates = rate_rows(samples.rate_d)
 
     def make(stamp: int, value: int) -> Any:
         header = make_header(factory, int(samples.time_ns[stamp]), INS_FRAME)
@@ -49,8 +53,8 @@ def ins_maker(samples: InsSamples, config: Ins, factory: MessageFactory) -> Make
 
 def reference_maker(name: str, samples: DeviceSamples, factory: MessageFactory) -> Maker:
     """Maker of reference/<name>/imu. Its covariance is that of the white noise alone; it gives no rate."""
-    quaternions = quaternion_from_rotation(samples.rotation_nv).tolist()
-    covariances = enu_covariance(white_in_horizon(samples)).reshape(-1, 9)
+    quaternions = quaternion_rows(samples.rotation_nv)
+    covariances = Rows(lambda part: list(enu_covariance(white_in_horizon(samples, part)).reshape(-1, 9)))
 
     def make(stamp: int, value: int) -> Any:
         header = make_header(factory, int(samples.time_ns[stamp]), name)
@@ -59,9 +63,25 @@ def reference_maker(name: str, samples: DeviceSamples, factory: MessageFactory) 
     return make
 
 
-def white_in_horizon(samples: DeviceSamples) -> FloatArray:
-    """White covariance about the horizon's axes, turned by the measured attitude, shape (n, 3, 3)."""
-    return samples.rotation_nv @ samples.noise_v @ np.swapaxes(samples.rotation_nv, -1, -2)
+def white_in_horizon(samples: DeviceSamples, part: slice) -> FloatArray:
+    """White covariance of some samples about the horizon's axes, turned by the measured attitude, shape (n, 3, 3)."""
+    rotation_nv = samples.rotation_nv[part]
+    return rotation_nv @ samples.noise_v @ np.swapaxes(rotation_nv, -1, -2)
+
+
+def quaternion_rows(rotation: FloatArray) -> Rows[list[float]]:
+    """Quaternions x, y, z, w, ENU <- FLU, of rotations "horizon from device", shape (n, 3, 3)."""
+    return Rows(lambda part: quaternion_from_rotation(rotation[part]).tolist())
+
+
+def angle_rows(rotation: FloatArray) -> Rows[list[float]]:
+    """The three angles of rotations, rad, shape (n, 3, 3)."""
+    return Rows(lambda part: angles_from_rotation(rotation[part]).tolist())
+
+
+def rate_rows(rate: FloatArray) -> Rows[list[float]]:
+    """Angular velocities in FLU, of those in the axes of the device, rad/s, shape (n, 3)."""
+    return Rows(lambda part: flu_from_device_vector(rate[part]).tolist())
 
 
 def make_imu(
@@ -99,11 +119,14 @@ def make_vector(factory: MessageFactory, xyz: list[float]) -> Any:
 
 def fused_maker(samples: FusedSamples, factory: MessageFactory) -> Maker:
     """Maker of ship/attitude."""
-    headings, pitches, _ = angles_from_rotation(samples.rotation_nd).T
-    covariances = angle_covariance(samples.covariance_n, headings, pitches).reshape(-1, 9)
+
+    def covariances(part: slice) -> list[FloatArray]:
+        headings, pitches, _ = angles_from_rotation(samples.rotation_nd[part]).T
+        return list(angle_covariance(samples.covariance_n, headings, pitches).reshape(-1, 9))
+
     total = enu_covariance(samples.covariance_n).ravel()
     told = {"rotation_covariance": total, "sources": ["ins", "star"], "star_age_s": 0.0}
-    return _maker(samples.time_ns, samples.rotation_nd, samples.rate_d, covariances, told, factory)
+    return _maker(samples.time_ns, samples.rotation_nd, samples.rate_d, Rows(covariances), told, factory)
 
 
 def true_attitude_maker(
@@ -111,21 +134,21 @@ def true_attitude_maker(
 ) -> Maker:
     """Maker of truth/attitude."""
     told = {"rotation_covariance": np.zeros(9), "sources": ["truth"], "star_age_s": float("nan")}
-    return _maker(time_ns, rotation_nd, rate_d, np.zeros((time_ns.size, 9)), told, factory)
+    return _maker(time_ns, rotation_nd, rate_d, Rows(lambda part: [_EXACT] * BLOCK_ROWS), told, factory)
 
 
 def _maker(
     time_ns: np.ndarray,
     rotation_nd: FloatArray,
     rate_d: FloatArray,
-    covariances: FloatArray,
+    covariances: Rows[FloatArray],
     told: dict[str, Any],
     factory: MessageFactory,
 ) -> Maker:
     """Maker of ShipAttitude; ``told`` holds the fields that are the same in all messages."""
-    angles = angles_from_rotation(rotation_nd).tolist()
-    quaternions = quaternion_from_rotation(rotation_nd).tolist()
-    rates = flu_from_device_vector(rate_d).tolist()
+    angles = angle_rows(rotation_nd)
+    quaternions = quaternion_rows(rotation_nd)
+    rates = rate_rows(rate_d)
 
     def make(stamp: int, value: int) -> Any:
         heading, pitch, roll = angles[value]

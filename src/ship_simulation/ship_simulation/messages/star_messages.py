@@ -1,5 +1,6 @@
 """Messages of star sensors: horizon attitudes, single stars, attitudes among the stars."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -9,8 +10,9 @@ from ship_bags.message_factory import MessageFactory
 from ship_bags.stamps import make_header
 from ship_geometry.frames import SINGULAR_ELEVATION, angle_covariance, angles_from_rotation
 from ship_geometry.ros_axes import FLU_FROM_DEVICE, enu_covariance
-from ship_geometry.rotations import ARCSEC
-from ship_simulation.messages.ship_messages import Maker, make_quaternion, white_in_horizon
+from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_simulation.messages.rows import Rows
+from ship_simulation.messages.ship_messages import Maker, angle_rows, make_quaternion, white_in_horizon
 from ship_simulation.scenario.names import INERTIAL, OBSERVATIONS, STAR, star_frame
 from ship_simulation.scenario.scenario import StarSensor
 from ship_simulation.ship.attitude_device import DeviceSamples
@@ -22,18 +24,23 @@ _STATUS_VALID, _STATUS_ANGLES_SINGULAR = 0, 2
 
 def star_maker(sensor_id: str, samples: DeviceSamples, config: StarSensor, factory: MessageFactory) -> Maker:
     """Maker of star/<id>/horizon_attitude."""
-    angles = angles_from_rotation(samples.rotation_nv)
-    noise_n = white_in_horizon(samples)
-    total_n = noise_n + samples.common_n
-    azimuths, elevations, _ = angles.T
-    angle_covariances = angle_covariance(total_n, azimuths, elevations).reshape(-1, 9)
-    rotation_covariances = enu_covariance(total_n).reshape(-1, 9)
-    noise_covariances = enu_covariance(noise_n).reshape(-1, 9)
+    angles = angle_rows(samples.rotation_nv)
+
+    def covariances(part: slice) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
+        noise_n = white_in_horizon(samples, part)
+        total_n = noise_n + samples.common_n
+        azimuths, elevations, _ = angles_from_rotation(samples.rotation_nv[part]).T
+        of_angles = angle_covariance(total_n, azimuths, elevations)
+        found = (each.reshape(-1, 9) for each in (of_angles, enu_covariance(total_n), enu_covariance(noise_n)))
+        return list(zip(*found, strict=True))
+
+    rows = Rows(covariances)
     # The solution's error across the boresight is that of one star over the root of their number.
     residual_rms = ARCSEC * np.hypot(config.sigma_up_arcsec, config.sigma_right_arcsec) * np.sqrt(config.star_count)
 
     def make(stamp: int, value: int) -> Any:
-        azimuth, elevation, roll = angles[value].tolist()
+        azimuth, elevation, roll = angles[value]
+        covariance, rotation_covariance, noise_covariance = rows[value]
         singular = abs(elevation) > SINGULAR_ELEVATION
         return factory.make(
             STAR,
@@ -42,9 +49,9 @@ def star_maker(sensor_id: str, samples: DeviceSamples, config: StarSensor, facto
             azimuth=azimuth,
             elevation=elevation,
             roll=roll,
-            covariance=angle_covariances[value],
-            rotation_covariance=rotation_covariances[value],
-            noise_covariance=noise_covariances[value],
+            covariance=covariance,
+            rotation_covariance=rotation_covariance,
+            noise_covariance=noise_covariance,
             star_count=config.star_count,
             rejected_count=0,
             residual_rms=float(residual_rms),
@@ -57,22 +64,20 @@ def star_maker(sensor_id: str, samples: DeviceSamples, config: StarSensor, facto
 def observations_maker(sensor_id: str, sightings: StarSightings, config: StarSensor, factory: MessageFactory) -> Maker:
     """Maker of star/<id>/observations."""
     stars = sightings.stars
-    hip, magnitude, pixel = stars.hip.tolist(), stars.magnitude.tolist(), sightings.pixel.tolist()
-    # A star with a number takes its place from the catalogue.
-    numbered = stars.hip != 0
-    right_ascension = np.where(numbered, np.nan, stars.positions.right_ascension).tolist()
-    declination = np.where(numbered, np.nan, stars.positions.declination).tolist()
 
     def make_star(row: int) -> Any:
+        # A star with a number takes its place from the catalogue.
+        numbered = stars.hip[row] != 0
+        u, v = sightings.pixel[row].tolist()
         return factory.make(
             "ship_msgs/msg/StarObservation",
-            catalogue_id=hip[row],
-            right_ascension=right_ascension[row],
-            declination=declination[row],
-            u=pixel[row][0],
-            v=pixel[row][1],
+            catalogue_id=int(stars.hip[row]),
+            right_ascension=math.nan if numbered else float(stars.positions.right_ascension[row]),
+            declination=math.nan if numbered else float(stars.positions.declination[row]),
+            u=u,
+            v=v,
             sigma_px=sightings.sigma_px,
-            magnitude=magnitude[row],
+            magnitude=float(stars.magnitude[row]),
         )
 
     def make(stamp: int, value: int) -> Any:
@@ -91,7 +96,13 @@ def observations_maker(sensor_id: str, sightings: StarSightings, config: StarSen
 def inertial_maker(sensor_id: str, samples: InertialSamples, factory: MessageFactory) -> Maker:
     """Maker of star/<id>/inertial_attitude."""
     # ICRS <- forward, left, up.
-    quaternions = Rotation.from_matrix(samples.rotation_cv @ FLU_FROM_DEVICE.T).as_quat(canonical=True).tolist()
+
+    def quaternions_of(part: slice) -> list[list[float]]:
+        rotations = Rotation.from_matrix(samples.rotation_cv[part] @ FLU_FROM_DEVICE.T)
+        told: list[list[float]] = rotations.as_quat(canonical=True).tolist()
+        return told
+
+    quaternions = Rows(quaternions_of)
     covariance = (FLU_FROM_DEVICE @ samples.noise_v @ FLU_FROM_DEVICE.T).ravel()
 
     def make(stamp: int, value: int) -> Any:

@@ -7,10 +7,10 @@ import numpy as np
 
 from ship_bags.message_factory import MessageFactory
 from ship_bags.stamps import make_header
-from ship_geometry.frames import angles_from_rotation
-from ship_geometry.ros_axes import ENU_FROM_HORIZON, enu_covariance, flu_from_device_vector, quaternion_from_rotation
+from ship_geometry.ros_axes import ENU_FROM_HORIZON, enu_covariance
 from ship_simulation.draws.noise import once_a_second
-from ship_simulation.messages.ship_messages import Maker, make_imu, make_vector
+from ship_simulation.messages.rows import Rows
+from ship_simulation.messages.ship_messages import Maker, angle_rows, make_imu, make_vector, quaternion_rows, rate_rows
 from ship_simulation.scenario.names import (
     ANTENNA_FRAME,
     BASELINE,
@@ -110,8 +110,8 @@ def image_maker(samples: ImageSamples, exposure_s: float, factory: MessageFactor
 
 def baseline_maker(beacon_id: str, samples: BaselineSamples, factory: MessageFactory) -> Maker:
     """Maker of beacon/<id>/baseline."""
-    enu_m = (samples.baseline_n @ ENU_FROM_HORIZON.T).tolist()
-    covariances = enu_covariance(samples.covariance_n).reshape(-1, 9)
+    enu_m: Rows[list[float]] = Rows(lambda part: (samples.baseline_n[part] @ ENU_FROM_HORIZON.T).tolist())
+    covariances = Rows(lambda part: list(enu_covariance(samples.covariance_n[part]).reshape(-1, 9)))
 
     def make(stamp: int, value: int) -> Any:
         return factory.make(
@@ -131,8 +131,8 @@ def baseline_maker(beacon_id: str, samples: BaselineSamples, factory: MessageFac
 
 def drone_maker(beacon_id: str, samples: DroneSamples, factory: MessageFactory) -> Maker:
     """Maker of beacon/<id>/imu. The orientation's covariance is that of its total error."""
-    quaternions = quaternion_from_rotation(samples.rotation_nb).tolist()
-    rates = flu_from_device_vector(samples.rate_b).tolist()
+    quaternions = quaternion_rows(samples.rotation_nb)
+    rates = rate_rows(samples.rate_b)
     covariance = enu_covariance(samples.covariance_n).ravel()
 
     def make(stamp: int, value: int) -> Any:
@@ -145,9 +145,9 @@ def drone_maker(beacon_id: str, samples: DroneSamples, factory: MessageFactory) 
 def true_pointings(run: TheodoliteRun, factory: MessageFactory) -> Iterator[tuple[int, Any]]:
     """(stamp, OpticalAxisPointing) at the stamps of the truth; mode by the lights in the telescope's view."""
     truth = run.truth
-    main = angles_from_rotation(truth.mount.rotation_nm).tolist()
-    telescope = angles_from_rotation(truth.rotation_nt).tolist()
-    for row, time_ns in enumerate(run.encoder.time_ns[truth.encoder_index].tolist()):
+    main = angle_rows(truth.mount.rotation_nm)
+    telescope = angle_rows(truth.rotation_nt)
+    for row, time_ns in enumerate(map(int, run.encoder.time_ns[truth.encoder_index])):
         count = int(truth.light_count[row])
         yield (
             time_ns,

@@ -87,7 +87,7 @@ def _delivered(
     run: SimulatedRun, topic: str, type_name: str, time_ns: np.ndarray, log_time_ns: np.ndarray, maker: Maker
 ) -> Iterator[LogEntry]:
     faults = {name: fault for name, fault in run.scenario.faults.items() if fault.topic == topic}
-    order = np.argsort(log_time_ns, kind="stable").tolist()
+    order = map(int, np.argsort(log_time_ns, kind="stable"))
     made = (Delivery(maker(i, i), int(log_time_ns[i]), int(time_ns[i]), i) for i in order)
     for delivery in spoilt(made, type_name, faults, run.start_ns, run.seed, _optics(run.scenario)):
         yield topic, delivery.message, delivery.log_time_ns
@@ -110,7 +110,7 @@ def truth_attitudes(run: SimulatedRun, factory: MessageFactory) -> Iterator[tupl
     """(stamp, ShipAttitude) at the stamps of the truth."""
     time_ns = run.ins.time_ns[run.truth.ins_index]
     make = true_attitude_maker(time_ns, run.truth.rotation_nd, run.truth.rate_d, factory)
-    for row, stamp_ns in enumerate(time_ns.tolist()):
+    for row, stamp_ns in enumerate(map(int, time_ns)):
         yield stamp_ns, make(row, row)
 
 

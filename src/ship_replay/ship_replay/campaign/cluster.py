@@ -1,0 +1,45 @@
+"""Items made by the workers of a Dask cluster; this module alone imports dask.distributed, which is optional."""
+
+import threading
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from ship_bags.errors import BadInput
+from ship_replay.campaign.items import Item
+from ship_replay.campaign.one_item import Result, failed
+from ship_replay.campaign.processes import Make
+
+_ONE_AT_A_TIME = threading.Lock()
+"""Of the threads of a worker: an item computes all the time, and others would only wait for the interpreter."""
+
+
+def in_cluster(make: Make, items: Sequence[Item], address: str) -> Iterator[tuple[Item, Result]]:
+    """Each item with its result, as they are made; the cluster redoes the items of a worker that died.
+
+    Args:
+        make: makes an item in an empty folder; a function of a module that the workers have.
+        items: their files lie at the same paths for the workers as here.
+        address: of the scheduler, tcp://host:port.
+
+    Raises:
+        BadInput: dask.distributed is not installed.
+        OSError: nothing answers at the address.
+    """
+    try:
+        from distributed import Client, as_completed
+    except ImportError as problem:
+        raise BadInput("--scheduler needs dask.distributed: install it with pip install distributed") from problem
+    with Client(address) as client:
+        futures = {client.submit(_make, make, item, pure=False): item for item in items}
+        try:
+            for future in as_completed(list(futures)):
+                died = future.exception()
+                yield futures.pop(future), failed(str(died)) if died is not None else future.result()
+        finally:
+            client.cancel(list(futures))
+
+
+def _make(make: Make, item: Item) -> Result:
+    with _ONE_AT_A_TIME, TemporaryDirectory(prefix="campaign-") as folder:
+        return make(item, Path(folder))

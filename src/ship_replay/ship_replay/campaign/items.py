@@ -1,0 +1,176 @@
+"""What a campaign makes: items, each a bag or a scenario with a seed, under one parameter set."""
+
+import hashlib
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ship_bags.errors import BadInput
+from ship_replay.offline.adapter_chain import nodes_of
+from ship_replay.offline.digests import code_sha256, content_sha256
+from ship_replay.offline.nodes import ADAPTERS
+from ship_simulation.scenario.scenario_file import load_scenario
+
+_SCENARIO_SUFFIXES = ".yaml", ".yml"
+_KEY_LENGTH = 32
+_SEEDS = re.compile(r"\d+(?:-\d+)?(?:,\d+(?:-\d+)?)*")
+
+
+@dataclass(frozen=True)
+class GivenFile:
+    """A file as somebody gave it.
+
+    Attributes:
+        name: as it was typed.
+        path: the same, from the root.
+        contents: the file and what it refers to, each from the root, with its hash.
+    """
+
+    name: str
+    path: Path
+    contents: tuple[tuple[Path, str], ...]
+
+    @property
+    def sha256(self) -> str:
+        """What tells the contents from others."""
+        return "\n".join(digest for _, digest in self.contents)
+
+    @property
+    def is_scenario(self) -> bool:
+        """Whether this source is to be simulated; else it is a bag."""
+        return self.path.suffix in _SCENARIO_SUFFIXES
+
+    def check(self) -> None:
+        """Make sure that the file is still the same.
+
+        Raises:
+            BadInput: it is another.
+            OSError: it cannot be read.
+        """
+        if any(content_sha256(path) != digest for path, digest in self.contents):
+            raise BadInput("has changed since the campaign began", file=self.name)
+
+
+@dataclass(frozen=True)
+class Item:
+    """One run of a campaign.
+
+    Attributes:
+        source: bag or scenario.
+        parameters: suite file; None takes the one attached to the bag, or made from the scenario.
+        seed: of the simulation; None for a bag.
+        skip_s: the evaluation leaves out what is earlier than this after the beginning.
+        namespace: of the ship in the bag.
+        code: hash of the code that is to make it.
+    """
+
+    source: GivenFile
+    parameters: GivenFile | None
+    seed: int | None
+    skip_s: float
+    namespace: str
+    code: str
+
+    @property
+    def ingredients(self) -> dict[str, Any]:
+        """All that the result depends on; names and places of files are not among it."""
+        return {
+            "source_sha256": self.source.sha256,
+            "parameters_sha256": None if self.parameters is None else self.parameters.sha256,
+            "seed": self.seed,
+            "skip_s": self.skip_s,
+            "namespace": self.namespace,
+            "code_sha256": self.code,
+        }
+
+    @property
+    def key(self) -> str:
+        """The name of the result."""
+        return hashlib.sha256(json.dumps(self.ingredients).encode()).hexdigest()[:_KEY_LENGTH]
+
+    @property
+    def parameters_name(self) -> str:
+        """The parameter set for people."""
+        return "as attached" if self.parameters is None else self.parameters.name
+
+    @property
+    def order(self) -> tuple[str, str, int]:
+        """By which items are sorted in tables."""
+        return self.source.name, self.parameters_name, -1 if self.seed is None else self.seed
+
+    @property
+    def name(self) -> str:
+        """The item for people."""
+        seed = "" if self.seed is None else f", seed {self.seed}"
+        return f"{self.source.name}, {self.parameters_name}{seed}"
+
+
+def items_of(
+    sources: Sequence[Path],
+    parameter_sets: Sequence[Path],
+    seeds: Sequence[int],
+    skip_s: float = 0.0,
+    namespace: str = "",
+) -> list[Item]:
+    """All items of a campaign, sorted: each source under each parameter set, a scenario with each seed.
+
+    Args:
+        sources: scenarios (.yaml) and bags.
+        parameter_sets: suite files; none takes what belongs to each source.
+        seeds: of the scenarios.
+        skip_s: see :class:`Item`.
+        namespace: of the ship in the bags.
+
+    Raises:
+        BadInput: a scenario or suite file is none. What is wrong with a bag, its run tells.
+        OSError: a file cannot be read.
+    """
+    given = [_source(path) for path in dict.fromkeys(sources)]
+    sets: list[GivenFile | None] = [_parameter_set(path) for path in dict.fromkeys(parameter_sets)]
+    code = code_sha256()
+    items = [
+        Item(source, parameters, seed, skip_s, "" if source.is_scenario else namespace, code)
+        for source in given
+        for parameters in sets or [None]
+        for seed in (dict.fromkeys(seeds) if source.is_scenario else (None,))
+    ]
+    return sorted(items, key=lambda item: item.order)
+
+
+def seeds_of(text: str) -> list[int]:
+    """The seeds that "1-200" or "1,5,7-9" names.
+
+    Raises:
+        ValueError: it is none of these.
+
+    Example:
+        >>> seeds_of("1,5,7-9")
+        [1, 5, 7, 8, 9]
+    """
+    if not _SEEDS.fullmatch(text):
+        raise ValueError(f"'{text}' are no seeds such as 1-200 or 1,5,7-9")
+    ranges = [[int(end) for end in part.split("-")] for part in text.split(",")]
+    if any(ends[0] > ends[-1] for ends in ranges):
+        raise ValueError(f"'{text}' holds a range that ends before it begins")
+    return list(dict.fromkeys(seed for ends in ranges for seed in range(ends[0], ends[-1] + 1)))
+
+
+def _source(path: Path) -> GivenFile:
+    source = _given(path)
+    if not source.is_scenario:
+        return source
+    carrier = load_scenario(path).carrier
+    return _given(path, Path(carrier.recording.bag)) if carrier.kind == "recorded" else source
+
+
+def _parameter_set(path: Path) -> GivenFile:
+    nodes_of(path, ADAPTERS)
+    return _given(path)
+
+
+def _given(path: Path, *others: Path) -> GivenFile:
+    contents = tuple((each.resolve(), content_sha256(each)) for each in (path, *others))
+    return GivenFile(str(path), path.resolve(), contents)

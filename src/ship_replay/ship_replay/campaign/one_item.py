@@ -1,0 +1,92 @@
+"""One item made: simulated where it is a scenario, replayed through the suite's nodes, evaluated against the truth."""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ship_geometry.input_error import InputError
+from ship_replay.campaign.items import Item
+from ship_replay.evaluation.evaluate import Evaluation, evaluate
+from ship_replay.evaluation.statistics import AttitudeErrors
+from ship_replay.offline.digests import code_sha256
+from ship_replay.offline.nodes import ADAPTERS
+from ship_replay.offline.replay import ReplaySummary, replay
+from ship_simulation.run import simulate
+from ship_simulation.scenario.scenario_file import load_scenario
+from ship_simulation.simulate_command import write_bag
+
+Result = dict[str, Any]
+"""What came of an item, as plain data of JSON: ``error``, which is None where it was made, and then
+
+- ``errors``: source of an orientation → its ``channels``, its statistics by the names of ``evaluate --json`` [arcsec],
+  ``nees_count`` and ``nees_independent``: how many errors have a NEES, and as many independent ones tell as much;
+- ``values``: all quantities of ``evaluate --json``;
+- ``statuses``: topic → status → outputs;
+- ``refused``: topic → reason → messages that were not used.
+"""
+
+
+def make(item: Item, folder: Path) -> Result:
+    """Make an item; whatever goes wrong is told in the result.
+
+    Args:
+        item: what is to be made.
+        folder: empty, for the bags on the way.
+    """
+    try:
+        return _made(item, folder)
+    except InputError as problem:
+        error = str(problem)
+    except Exception as problem:
+        # A defect in one run must not take the others with it.
+        error = f"{type(problem).__name__}: {problem}"
+    # The same words wherever it was made.
+    error = error.replace(f"{folder}/", "").replace(str(item.source.path), item.source.name)
+    if item.parameters is not None:
+        error = error.replace(str(item.parameters.path), item.parameters.name)
+    return failed(error)
+
+
+def failed(error: str) -> Result:
+    """The result of an item that could not be made."""
+    return {"error": error, "errors": {}, "values": {}, "statuses": {}, "refused": {}}
+
+
+def _made(item: Item, folder: Path) -> Result:
+    if item.code != code_sha256():
+        raise InputError("the worker has another version of the suite or of its libraries than who began the campaign")
+    given = [item.source] if item.parameters is None else [item.source, item.parameters]
+    for file in given:
+        file.check()
+    bag, out = item.source.path, folder / "out.mcap"
+    if item.seed is not None:
+        bag = folder / "in.mcap"
+        write_bag(simulate(load_scenario(item.source.path), item.seed), bag, item.source.path.read_bytes())
+    config = None if item.parameters is None else item.parameters.path
+    summary = replay(bag, out, ADAPTERS, config, item.namespace)
+    return _told(evaluate(out, bag, item.skip_s, item.namespace), summary)
+
+
+def _told(evaluation: Evaluation, summary: ReplaySummary) -> Result:
+    return {
+        "error": None,
+        "errors": {errors.label: _statistics(errors) for errors in evaluation.errors},
+        "values": _plain(evaluation.flat()),
+        "statuses": {topic: dict(sorted(course.counts.items())) for topic, course in sorted(summary.statuses.items())},
+        "refused": {topic: dict(sorted(reasons.items())) for topic, reasons in sorted(summary.refused.items())},
+    }
+
+
+def _statistics(errors: AttitudeErrors) -> dict[str, Any]:
+    nees = errors.nees[np.isfinite(errors.nees)]
+    told = errors.statistics() | {"nees_mean": float(np.mean(nees)) if len(nees) else math.nan}
+    counts = {"nees_count": float(len(nees)), "nees_independent": errors.independent_count()}
+    return {"channels": list(errors.channels), **_plain(told | counts)}
+
+
+def _plain(values: Mapping[str, float]) -> dict[str, float | None]:
+    """Values as JSON has them: null for what is no number."""
+    return {name: float(value) if math.isfinite(value) else None for name, value in values.items()}

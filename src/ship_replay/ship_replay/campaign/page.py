@@ -1,0 +1,84 @@
+"""A campaign told in one page and in a few lines."""
+
+from collections.abc import Iterable, Sequence
+
+from rich.table import Table
+
+from ship_replay.campaign.items import GivenFile, Item
+from ship_replay.campaign.pooled import Pool, pools, worst_items
+from ship_replay.campaign.results import Made
+from ship_replay.report.page import render, versions
+from ship_replay.report.wording import number
+
+SECTIONS = (
+    ("made", "What was made"),
+    ("errors", "Errors by parameter set"),
+    ("statuses", "Statuses and refusals"),
+    ("sources", "Errors by bag or scenario"),
+    ("worst", "Worst items"),
+    ("failed", "Failed items"),
+    ("provenance", "Hashes and versions"),
+)
+"""Ids and titles of the sections, in their order."""
+
+
+def page(made: Sequence[Made]) -> str:
+    """The campaign as one HTML file that names no other; the same results give the same text."""
+    in_order = sorted(made, key=lambda each: each[0].order)
+    items = [item for item, _ in in_order]
+    return render(
+        "campaign.html.j2",
+        sections=SECTIONS,
+        title="Campaign",
+        items=items,
+        failed=[(item, result["error"]) for item, result in in_order if result["error"] is not None],
+        sources=_given({item.source for item in items}),
+        parameter_sets=_given({item.parameters for item in items if item.parameters is not None}),
+        seeds=_seeds_text(items),
+        by_parameters=by_parameters(made),
+        by_source=pools(made, lambda item: f"{item.source.name}, {item.parameters_name}"),
+        worst=worst_items(in_order),
+        code=items[0].code,
+        skip_s=items[0].skip_s,
+        versions=versions(),
+    )
+
+
+def by_parameters(made: Sequence[Made]) -> list[Pool]:
+    """What the parameter sets come to, each over all its items."""
+    return pools(made, lambda item: item.parameters_name)
+
+
+def pooled_table(pooled: Sequence[Pool]) -> Table:
+    """The pooled errors for the terminal."""
+    table = Table(title="Errors against the truth over all items, arcseconds")
+    for column in ("parameters", "source", "angle"):
+        table.add_column(column)
+    for column in ("RMS", "predicted σ", "RMS/σ", "NEES", "99.9 % band", "items"):
+        table.add_column(column, justify="right")
+    for pool in pooled:
+        for errors in pool.errors:
+            for place, channel in enumerate(errors.channels):
+                first = place == 0
+                band = f"{number(errors.band[0])} to {number(errors.band[1])}"
+                table.add_row(
+                    pool.name if first and errors is pool.errors[0] else "",
+                    errors.label if first else "",
+                    channel.name,
+                    *(number(value) for value in (channel.rms_arcsec, channel.sigma_arcsec, channel.ratio)),
+                    *((number(errors.fit.mean), band, str(errors.items)) if first else ("", "", "")),
+                    end_section=place + 1 == len(errors.channels),
+                )
+    return table
+
+
+def _given(files: Iterable[GivenFile]) -> list[tuple[str, str]]:
+    return sorted((file.name, file.sha256) for file in files)
+
+
+def _seeds_text(items: Sequence[Item]) -> str:
+    seeds = sorted({item.seed for item in items if item.seed is not None})
+    if not seeds:
+        return ""
+    whole = seeds == list(range(seeds[0], seeds[-1] + 1))
+    return f"{seeds[0]} to {seeds[-1]}" if whole and len(seeds) > 1 else ", ".join(map(str, seeds))

@@ -1,0 +1,162 @@
+"""What many results say together: errors, sigmas and statuses of each parameter set, and the worst of the items."""
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Any
+
+from ship_replay.campaign.items import Item
+from ship_replay.campaign.results import Made
+from ship_replay.report.consistency import SigmaFit, mean_nees_fit, nees_band
+
+MOST_WORST = 10
+
+
+@dataclass(frozen=True)
+class PooledChannel:
+    """One channel of a source of an orientation, over all samples of several items.
+
+    Attributes:
+        name: of the channel.
+        rms_arcsec: root mean square of the errors.
+        sigma_arcsec: root of the mean predicted variance; NaN where an item states none.
+    """
+
+    name: str
+    rms_arcsec: float
+    sigma_arcsec: float
+
+    @property
+    def ratio(self) -> float:
+        """RMS over sigma."""
+        return self.rms_arcsec / self.sigma_arcsec
+
+
+@dataclass(frozen=True)
+class PooledErrors:
+    """One source of an orientation over several items.
+
+    Attributes:
+        label: as in an evaluation: ``fused``, ``ins``, ``star.<id>``, ``pointing``.
+        items: how many have it.
+        samples: in all.
+        channels: its three errors.
+        fit: whether the mean NEES is that of a sigma that fits.
+        band: the 99.9 % band of that mean.
+    """
+
+    label: str
+    items: int
+    samples: int
+    channels: list[PooledChannel]
+    fit: SigmaFit
+    band: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Pool:
+    """Several items that are told together.
+
+    Attributes:
+        name: of what they share.
+        items: that were made.
+        failed: that were not.
+        errors: by source of an orientation, in the order in which the items have them.
+        shares: topic → status → share of its outputs.
+        refused: messages that were not used.
+    """
+
+    name: str
+    items: int
+    failed: int
+    errors: list[PooledErrors]
+    shares: dict[str, dict[str, float]]
+    refused: int
+
+
+@dataclass(frozen=True)
+class WorstItem:
+    """The channel of an item whose errors are largest for their sigma."""
+
+    item: Item
+    label: str
+    channel: str
+    rms_arcsec: float
+    sigma_arcsec: float
+    ratio: float
+
+
+def pools(made: Sequence[Made], name: Callable[[Item], str]) -> list[Pool]:
+    """The items pooled by a name that they share, in the order of the names."""
+    by_name = sorted(made, key=lambda each: (name(each[0]), each[0].order))
+    return [_pool(shared, list(group)) for shared, group in groupby(by_name, key=lambda each: name(each[0]))]
+
+
+def worst_items(made: Sequence[Made]) -> list[WorstItem]:
+    """The items whose largest ratio of RMS to predicted sigma is largest, the worst first."""
+    worst = []
+    for item, result in made:
+        ratios = [
+            (values[f"{channel}.rms_over_sigma"], label, channel)
+            for label, values in result["errors"].items()
+            for channel in values["channels"]
+            if values[f"{channel}.rms_over_sigma"] is not None
+        ]
+        if ratios:
+            ratio, label, channel = max(ratios)
+            values = result["errors"][label]
+            worst.append(
+                WorstItem(
+                    item, label, channel, values[f"{channel}.rms_arcsec"], values[f"{channel}.sigma_arcsec"], ratio
+                )
+            )
+    return sorted(worst, key=lambda each: (-each.ratio, each.item.order))[:MOST_WORST]
+
+
+def _pool(name: str, made: list[Made]) -> Pool:
+    results = [result for _, result in made if result["error"] is None]
+    labels = dict.fromkeys(label for result in results for label in result["errors"])
+    counts: dict[str, Counter[str]] = {}
+    for result in results:
+        for topic, statuses in result["statuses"].items():
+            counts.setdefault(topic, Counter()).update(statuses)
+    return Pool(
+        name=name,
+        items=len(results),
+        failed=len(made) - len(results),
+        errors=[
+            _pooled_errors(label, [result["errors"][label] for result in results if label in result["errors"]])
+            for label in labels
+        ],
+        shares={
+            topic: {word: count / told.total() for word, count in told.items()} for topic, told in counts.items()
+        },
+        refused=sum(sum(reasons.values()) for result in results for reasons in result["refused"].values()),
+    )
+
+
+def _pooled_errors(label: str, parts: list[dict[str, Any]]) -> PooledErrors:
+    samples = [part["samples"] for part in parts]
+    channels = [
+        PooledChannel(
+            channel,
+            _root_mean_square((part[f"{channel}.rms_arcsec"] for part in parts), samples),
+            _root_mean_square((part[f"{channel}.sigma_arcsec"] for part in parts), samples),
+        )
+        for channel in parts[0]["channels"]
+    ]
+    # A run whose errors hang together tells as much as its independent ones.
+    told = [part for part in parts if part["nees_mean"] is not None]
+    independent = math.fsum(part["nees_independent"] for part in told)
+    mean = math.fsum(part["nees_mean"] * part["nees_independent"] for part in told) / independent if told else math.nan
+    count = round(math.fsum(part["nees_count"] for part in told))
+    fit = mean_nees_fit(label, mean, count, independent)
+    return PooledErrors(label, len(parts), round(math.fsum(samples)), channels, fit, nees_band(independent))
+
+
+def _root_mean_square(values: Iterable[float | None], weights: Sequence[float]) -> float:
+    """The root of the weighted mean square; NaN where a value is missing."""
+    squares = [math.nan if value is None else weight * value**2 for value, weight in zip(values, weights, strict=True)]
+    return math.sqrt(sum(squares) / math.fsum(weights))

@@ -1,0 +1,102 @@
+"""Items made by processes of this machine, each item in a new one: what kills a worker kills one item, which is redone.
+
+A pool of the standard library breaks as a whole when one of its processes is killed.
+"""
+
+import json
+import os
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from multiprocessing import get_context
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from ship_bags.command_line import serve_a_command
+from ship_replay.campaign.items import Item
+from ship_replay.campaign.one_item import Result, failed
+
+MOST_DEATHS = 3
+"""An item whose worker died so often is given up."""
+
+Make = Callable[[Item, Path], Result]
+
+
+def in_processes(make: Make, items: Sequence[Item], workers: int) -> Iterator[tuple[Item, Result]]:
+    """Each item with its result, as they are made.
+
+    Args:
+        make: makes an item in an empty folder; a function of a module.
+        items: in any order.
+        workers: processes at a time.
+    """
+    # Matrices here are small: threads of BLAS would only wait for one another. The server of processes inherits it.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # What is imported once is there in each process; the server has no threads that a fork would cut off.
+    context = get_context("forkserver")
+    context.set_forkserver_preload([make.__module__])
+    waiting, deaths = deque(items), dict.fromkeys((item.key for item in items), 0)
+    running: dict[Any, _Worker] = {}
+    try:
+        while waiting or running:
+            while waiting and len(running) < workers:
+                worker = _Worker(context, make, waiting.popleft())
+                running[worker.connection] = worker
+            for connection in wait(list(running)):
+                worker = running.pop(connection)
+                item, result = worker.item, worker.result()
+                if result is None:
+                    deaths[item.key] += 1
+                    if deaths[item.key] < MOST_DEATHS:
+                        waiting.append(item)
+                        continue
+                    result = failed(f"its worker died {MOST_DEATHS} times, at last with {worker.exit_text}")
+                yield item, result
+    finally:
+        for worker in running.values():
+            worker.end()
+
+
+class _Worker:
+    """A process that makes one item."""
+
+    def __init__(self, context: Any, make: Make, item: Item) -> None:
+        self.item = item
+        self._folder = TemporaryDirectory(prefix="campaign-")
+        self.connection, given = context.Pipe(duplex=False)
+        self._process = context.Process(target=_serve, args=(make, item, Path(self._folder.name), given), daemon=True)
+        self._process.start()
+        # With this end closed here, the death of the process is the end of the pipe.
+        given.close()
+
+    def result(self) -> Result | None:
+        """What it said; None where it died before."""
+        try:
+            told: Result | None = json.loads(self.connection.recv_bytes())
+        except EOFError:
+            told = None
+        self._process.join()
+        self._leave()
+        return told
+
+    @property
+    def exit_text(self) -> str:
+        """How the process ended."""
+        code = self._process.exitcode or 0
+        return f"signal {-code}" if code < 0 else f"exit code {code}"
+
+    def end(self) -> None:
+        """End the process, whatever it does."""
+        self._process.kill()
+        self._process.join()
+        self._leave()
+
+    def _leave(self) -> None:
+        self.connection.close()
+        self._folder.cleanup()
+
+
+def _serve(make: Make, item: Item, folder: Path, connection: Connection) -> None:
+    serve_a_command()
+    connection.send_bytes(json.dumps(make(item, folder)).encode())

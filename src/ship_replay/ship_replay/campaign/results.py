@@ -1,0 +1,92 @@
+"""The folder of a campaign: a file for each result, by its key, and one table of all."""
+
+import csv
+import io
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ship_bags.errors import BadInput
+from ship_bags.output_files import check_folder, write_whole
+from ship_replay.campaign.items import Item
+from ship_replay.campaign.one_item import Result
+
+TABLE, PAGE = "table.csv", "campaign.html"
+
+Made = tuple[Item, Result]
+
+
+class ResultFolder:
+    """Results that outlive whatever ends the campaign.
+
+    Args:
+        folder: is made where it is not there.
+
+    Raises:
+        BadInput: it cannot be made or written to.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        check_folder(folder / "results", (), force=True)
+        (folder / "results").mkdir(parents=True, exist_ok=True)
+
+    def path(self, item: Item) -> Path:
+        """Where the result of an item lies."""
+        return self.folder / "results" / f"{item.key}.json"
+
+    def result(self, item: Item) -> Result | None:
+        """What came of an item; None where it was not yet made.
+
+        Raises:
+            BadInput: what lies there is no result.
+        """
+        path = self.path(item)
+        try:
+            found = json.loads(path.read_bytes())
+            ingredients, result = found["item"], found["result"]
+        except FileNotFoundError:
+            return None
+        except (ValueError, KeyError, TypeError) as problem:
+            raise BadInput("is no result of a campaign: take it away", file=path) from problem
+        if ingredients != item.ingredients:
+            raise BadInput("is the result of another item: take it away", file=path)
+        told: Result = result
+        return told
+
+    def keep(self, item: Item, result: Result) -> None:
+        """Write a result; it is on the disk, whole, when this returns.
+
+        One that failed is not kept: a worker that was killed, or a disk that was full, may do better the next time.
+        """
+        if result["error"] is None:
+            text = json.dumps({"item": item.ingredients, "result": result}, indent=1)
+            write_whole(self.path(item), text + "\n")
+
+
+def table(made: Sequence[Made]) -> str:
+    """All results as CSV, one line each in the order of the items, whoever made them.
+
+    The columns are those of ``evaluate --json``, then ``status.<topic>.<status>``, outputs, and
+    ``refused.<topic>.<reason>``, messages.
+    """
+    in_order = sorted(made, key=lambda each: each[0].order)
+    rows = [_flat(result) for _, result in in_order]
+    columns = list(dict.fromkeys(name for values in rows for name in values))
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["source", "parameters", "seed", "error", *columns])
+    for (item, result), values in zip(in_order, rows, strict=True):
+        head = [item.source.name, item.parameters_name, item.seed, result["error"]]
+        writer.writerow([*head, *(values.get(name) for name in columns)])
+    return text.getvalue()
+
+
+def _flat(result: Result) -> dict[str, Any]:
+    values: dict[str, Any] = result["values"]
+    return values | _dotted("status", result["statuses"]) | _dotted("refused", result["refused"])
+
+
+def _dotted(head: str, counts: Mapping[str, Mapping[str, int]]) -> dict[str, int]:
+    return {f"{head}.{topic}.{name}": count for topic, named in counts.items() for name, count in named.items()}

@@ -1,0 +1,129 @@
+"""``campaign``: bags or scenarios under parameter sets and seeds, many at a time, with one table and one page."""
+
+import argparse
+import functools
+import os
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import Progress
+
+from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
+from ship_bags.errors import BadInput
+from ship_bags.output_files import write_whole
+from ship_replay.campaign.cluster import in_cluster
+from ship_replay.campaign.items import Item, items_of, seeds_of
+from ship_replay.campaign.one_item import Result, make
+from ship_replay.campaign.processes import in_processes
+from ship_replay.campaign.results import PAGE, TABLE, Made, ResultFolder, table
+from ship_replay.evaluation.tables import table_console
+
+_MOST_FAILURES_TOLD = 10
+
+Maker = Callable[[list[Item]], Iterator[tuple[Item, Result]]]
+"""Makes items, in any order."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point."""
+    return run_command(_parser(), _run, arguments)
+
+
+def _parser() -> CommandParser:
+    parser = CommandParser(
+        prog="campaign",
+        example="./ros2run ship_replay campaign bags/demo.mcap --config examples/two_sensors.yaml --out out/campaign",
+        epilog="exit code: 0 all items made; 1 an item failed, which is a line of the table with its error; 2 bad "
+        "input or usage; 130 interrupted: what is made is kept",
+        description="Make many runs: each bag, and each scenario with each seed, under each parameter set. A scenario "
+        "is simulated; each bag is replayed through the suite's nodes, and the outputs are evaluated against the truth "
+        f"in it. FOLDER holds a result for each item, {TABLE} with all quantities of evaluate --json [arcsec, deg, s, "
+        f"m] and counts of statuses and refusals, and {PAGE} with the errors of each parameter set. A second run makes "
+        "only what is missing: a result is known by the contents of bag or scenario and of the parameter set, the "
+        "seed, and the code. The results are the same whatever the number of workers.",
+    )
+    parser.add_argument("sources", type=Path, nargs="+", metavar="SOURCE", help="scenario (.yaml), or bag with truth")
+    parser.add_argument(
+        "--config", type=Path, nargs="+", default=[], metavar="FILE",
+        help="parameter sets: suite files (default: that attached to the bag, or made from the scenario)",
+    )  # fmt: skip
+    parser.add_argument("--seeds", type=_seeds, metavar="LIST", help="of the scenarios: 1-200, or 1,5,7-9 (1)")
+    parser.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder of results, table and page")
+    parser.add_argument("--skip", type=float, default=0.0, metavar="S", help="leave out the first S seconds (0)")
+    parser.add_argument("--namespace", default="", help="namespace of the ship's topics in the bags")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--workers", type=_workers, metavar="N", help="processes at a time (default: one a processor)")
+    where.add_argument(
+        "--scheduler",
+        metavar="tcp://HOST:PORT",
+        help="let the workers of this Dask cluster make the items; they have the suite, and the files at equal paths",
+    )
+    return parser
+
+
+def _seeds(text: str) -> list[int]:
+    try:
+        return seeds_of(text)
+    except ValueError as problem:
+        raise argparse.ArgumentTypeError(str(problem)) from problem
+
+
+def _workers(text: str) -> int:
+    if not text.isdecimal() or not int(text):
+        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number, 1 or more")
+    return int(text)
+
+
+def _run(options: argparse.Namespace) -> int:
+    items = items_of(options.sources, options.config, options.seeds or [1], options.skip, options.namespace)
+    if options.seeds is not None and all(item.seed is None for item in items):
+        raise BadInput("--seeds is for scenarios (.yaml), and none is given")
+    if not options.skip >= 0.0:
+        raise BadInput(f"--skip {options.skip:g}: expected 0 s or more")
+    folder = ResultFolder(options.out)
+    made = _made(items, folder, _maker(options))
+    # Loading what draws pages takes longer than to find out that an argument is wrong.
+    from ship_replay.campaign.page import page
+
+    for name, text in ((TABLE, table(made)), (PAGE, page(made))):
+        write_whole(folder.folder / name, text)
+    return _told(made, folder.folder)
+
+
+def _maker(options: argparse.Namespace) -> Maker:
+    if options.scheduler is not None:
+        return functools.partial(in_cluster, make, address=options.scheduler)
+    return functools.partial(in_processes, make, workers=options.workers or len(os.sched_getaffinity(0)))
+
+
+def _made(items: Sequence[Item], folder: ResultFolder, maker: Maker) -> list[Made]:
+    """Every item with its result: those that are missing are made, with a bar of progress, and kept."""
+    known = ((item.key, folder.result(item)) for item in items)
+    found = {key: result for key, result in known if result is not None}
+    missing = {item.key: item for item in items if item.key not in found}
+    print(f"{len(items)} items: {len(found)} results there already, {len(missing)} to make", flush=True)
+    with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as progress:
+        task = progress.add_task("items", total=len(missing))
+        for item, result in maker(list(missing.values())) if missing else ():
+            folder.keep(item, result)
+            found[item.key] = result
+            progress.advance(task)
+    return [(item, found[item.key]) for item in items]
+
+
+def _told(made: Sequence[Made], folder: Path) -> int:
+    """Print what came of the campaign; returns the exit code."""
+    from ship_replay.campaign.page import by_parameters, pooled_table
+
+    pooled = by_parameters(made)
+    if any(pool.errors for pool in pooled):
+        table_console().print(pooled_table(pooled))
+    failures = [(item, result["error"]) for item, result in made if result["error"] is not None]
+    for item, error in failures[:_MOST_FAILURES_TOLD]:
+        print(f"failed: {item.name}: {error}")
+    if len(failures) > _MOST_FAILURES_TOLD:
+        print(f"failed: {len(failures) - _MOST_FAILURES_TOLD} more")
+    print(f"campaign: {folder / TABLE}, {folder / PAGE}")
+    return EXIT_BOUND_NOT_MET if failures else EXIT_DONE

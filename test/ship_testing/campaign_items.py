@@ -1,0 +1,34 @@
+"""Makers of a campaign's items whose process is killed, as the kernel does where memory is short."""
+
+import os
+import signal
+from pathlib import Path
+
+from ship_replay.campaign.items import Item
+from ship_replay.campaign.one_item import Result, failed
+
+DEADLY_SEED = 2
+
+
+def quick(item: Item, _folder: Path) -> Result:
+    """A result that takes no time."""
+    return failed("") | {"error": None, "values": {"seed": float(item.seed or 0)}}
+
+
+def dies_once(item: Item, folder: Path) -> Result:
+    """One seed kills its process the first time that it is made."""
+    mark = item.source.path.with_name("died")
+    if item.seed == DEADLY_SEED and not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return quick(item, folder)
+
+
+def dies_always(item: Item, folder: Path) -> Result:
+    """One seed kills its process each time, and notes that it did."""
+    if item.seed == DEADLY_SEED:
+        with item.source.path.with_name("deaths").open("a", encoding="utf-8") as notes:
+            notes.write(f"{folder}\n")
+        (folder / "left_behind").touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return quick(item, folder)
