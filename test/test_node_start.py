@@ -15,7 +15,7 @@ ADAPTERS = [
 NEEDLESS = {
     # ship_estimation.chi_square, ship_geometry.ros_axes and ship_geometry.lapack stand for the few functions needed;
     # each of these rooms of scipy alone takes longer than rclpy.
-    "scipy.special", "scipy.stats", "scipy.spatial", "scipy.optimize", "scipy.sparse", "scipy.signal",
+    "scipy.linalg", "scipy.special", "scipy.stats", "scipy.spatial", "scipy.optimize", "scipy.sparse", "scipy.signal",
     # Figures and pages are made by commands.
     "matplotlib", "jinja2", "rich",
     # Bags are read by commands, and written by a node that keeps a black box.

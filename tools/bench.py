@@ -31,28 +31,6 @@ from ship_replay.trials.live_run import LiveFailure
 
 JSON_FILE = Path(__file__).resolve().parents[1] / "out" / "bench.json"
 
-def campaign_workers() -> list[Row]:
-    """Wall time of a campaign of six voyages of ten seconds, by one worker and by two, by turns."""
-    text = (ROOT / "bags" / "scenarios" / "demo.yaml").read_text(encoding="utf-8")
-    times_s: dict[int, list[float]] = {1: [], 2: []}
-    with tempfile.TemporaryDirectory() as name:
-        scenario = Path(name) / "voyage.yaml"
-        scenario.write_text(text.replace("duration_s: 120.0", "duration_s: 10.0"), encoding="utf-8")
-        items = items_of([scenario], [], range(6))
-        list(in_processes(make, items[:1], 1))  # starts the server of processes
-        for _ in range(PAIRS):
-            for workers, taken_s in times_s.items():
-                begin_s = time.monotonic()
-                list(in_processes(make, items, workers))
-                taken_s.append(time.monotonic() - begin_s)
-    one_s, two_s = min(times_s[1]), min(times_s[2])
-    return [
-        Row("campaign of six voyages, one worker: least wall time", one_s, "s"),
-        Row("the same with two workers", two_s, "s"),
-        Row("ratio: two workers / one", two_s / one_s, "x", MOST_WORKERS_RATIO),
-    ]
-
-
 BENCHMARKS: dict[str, Callable[[], list[Row]]] = {
     "import": import_cost,
     "start": start_cost,
@@ -63,7 +41,6 @@ BENCHMARKS: dict[str, Callable[[], list[Row]]] = {
     "late_star": late_star_cost,
     "integrity": integrity_cost,
     "monitor": monitor_cost,
-    "campaign": campaign_workers,
     "campaign": campaign_workers,
 }
 
