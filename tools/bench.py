@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rclpy.serialization import deserialize_message, serialize_message
 from scipy.spatial.transform import Rotation
 
 from bench_monitor import monitor_cost
@@ -26,8 +27,13 @@ from ship_attitude_star.sky.sky_watch import installed_sky
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_attitude_star.star_attitude.exposure_solver import Mounted, solve_deck, solve_exposure
 from ship_attitude_star.stars.solution import SolutionStatus
+from ship_bags.cdr_template import CdrReader
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
+from ship_bags.message_factory import RosidlFactory, message_class
+from ship_bags.message_store import RosbagsFactory, message_store, serialize
+from ship_estimation.ins import InsInputConfig
 from ship_estimation.parameters import build
+from ship_node.edge.messages_in import ins_sample
 from ship_replay.trials.live_run import LiveFailure, LiveRun
 from ship_replay.trials.monte_carlo import core_for, feed_attitude, feed_pointing, sky_input, star_exposure
 from ship_replay.trials.one_estimate import WithoutAlternatives, WithoutIntegrity
@@ -47,6 +53,12 @@ GREATEST_BOX_RATIO = 1.10
 """A black box may cost a tenth of its node."""
 MOST_SOLUTION_RATIO = 150.0 / 46.0
 """150 us where scipy's align_vectors with sensitivity takes 46 us."""
+
+MOST_TEMPLATE_RATIO = 0.5
+MOST_READ_RATIO = 0.85
+"""Of bytes to the same by message objects: made, and read and checked."""
+
+_IMU_TYPE = "sensor_msgs/msg/Imu"
 
 MOST_INTEGRITY_RATIO = 1.6
 """Of the filter's step with the estimates without each source, and without them."""
@@ -97,6 +109,41 @@ def star_solution() -> list[Row]:
         Row("their places in the sky, two exposures: median", place_us, "us"),
         Row("scipy align_vectors with sensitivity, the same stars: median", scipy_us, "us"),
         Row("ratio: solution with its errors by source / scipy's", deck_us / scipy_us, "x", MOST_SOLUTION_RATIO),
+    ]
+
+
+def message_cost() -> list[Row]:
+    """A sensor_msgs/Imu made as bytes and read, by templates and by the message objects of rosbags and of rclpy."""
+    offline, live, kind = RosbagsFactory(), RosidlFactory(), message_class(_IMU_TYPE)
+    vector = dict.fromkeys("xyz", 0.25)
+    unknown = (-1.0, *(0.0,) * 8)
+    fields = {
+        "header": {"stamp": 1_700_000_000_123_456_789, "frame_id": "ins"},
+        "orientation": {**vector, "w": 0.9},
+        "angular_velocity": vector,
+        "linear_acceleration": vector,
+        **{f"{name}_covariance": unknown for name in ("orientation", "angular_velocity", "linear_acceleration")},
+    }
+    data = serialize(offline.make(_IMU_TYPE, **fields))
+    assert live.encoded(_IMU_TYPE, **fields).__cdr__ == data
+    reader, store, config = CdrReader(_IMU_TYPE, live.definition), message_store(), InsInputConfig()
+
+    def sample_of(message: Any) -> None:
+        ins_sample(message, config, 1_800_000_000_000_000_000)
+
+    encoded_us = _median_us(lambda: live.encoded(_IMU_TYPE, **fields))
+    rosbags_us = _median_us(lambda: serialize(offline.make(_IMU_TYPE, **fields)))
+    rclpy_us = _median_us(lambda: serialize_message(live.make(_IMU_TYPE, **fields)))
+    read_us = _median_us(lambda: sample_of(reader.message(data)))
+    read_rosbags_us = _median_us(lambda: sample_of(store.deserialize_cdr(data, _IMU_TYPE)))
+    read_rclpy_us = _median_us(lambda: sample_of(deserialize_message(data, kind)))
+    return [
+        Row("Imu made as bytes by its template: median", encoded_us, "us"),
+        Row("ratio: by its template / by rosbags", encoded_us / rosbags_us, "x", MOST_TEMPLATE_RATIO),
+        Row("ratio: by its template / by rclpy", encoded_us / rclpy_us, "x", MOST_TEMPLATE_RATIO),
+        Row("Imu read into a sample by its template: median", read_us, "us"),
+        Row("ratio: read by its template / by rosbags", read_us / read_rosbags_us, "x"),
+        Row("ratio: read by its template / by rclpy", read_us / read_rclpy_us, "x", MOST_READ_RATIO),
     ]
 
 
@@ -187,6 +234,7 @@ def _median_us(call: Callable[[], object], calls: int = 2000) -> float:
 
 BENCHMARKS: dict[str, Callable[[], list[Row]]] = {
     "black_box": black_box_cost,
+    "messages": message_cost,
     "star_solution": star_solution,
     "integrity": integrity_cost,
     "monitor": monitor_cost,

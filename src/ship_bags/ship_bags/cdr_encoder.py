@@ -62,7 +62,7 @@ class _Flattener:
     def __init__(self, type_name: str, definitions: Definitions) -> None:
         self._type_name = type_name
         fields = definitions(type_name)
-        self._names = fields.keys()
+        self._names = frozenset(fields)
         self._steps = [(name, _step(field, definitions)) for name, field in fields.items()]
 
     def add(self, fields: Mapping[str, Any], numbers: list[Any], variables: list[Variable]) -> None:

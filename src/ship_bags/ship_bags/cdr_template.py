@@ -9,6 +9,7 @@ Messages are made by templates in :mod:`ship_bags.cdr_encoder`.
 
 import struct
 from collections.abc import Callable, Mapping
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -47,12 +48,12 @@ Variable = str | int
 class CdrMessage:
     """A message as its bytes, whose fields are read where somebody asks for them, as attributes.
 
-    Texts are str, arrays of numbers read-only numpy arrays, sequences and arrays of others lists. Every other name
-    begins with an underscore, as no field's does.
+    Texts are str, arrays of numbers read-only numpy arrays, sequences and arrays of others lists; a message in it is
+    read whole. Every other name begins with an underscore, as no field's does.
 
     Attributes:
         __msgtype__: name of the type, as the message objects of rosbags have it.
-        __cdr__: the bytes; in a message that is part of another, those of the whole.
+        __cdr__: the bytes.
     """
 
     __slots__ = ("__cdr__", "__msgtype__", "_readers")
@@ -234,8 +235,9 @@ class _Walk:
             content = text.encode() + b"\x00"
             self._constant(struct.pack("<I", len(content)) + content, _LENGTH_BYTES)
             return lambda _data: text
-        readers = self.message(element, name + ".")
-        return lambda data: CdrMessage(element, data, readers)
+        readers = list(self.message(element, name + ".").items())
+        # Who asks for a part of a vector asks for all of them.
+        return lambda data: SimpleNamespace(**{field: read(data) for field, read in readers})
 
     def _number(self, code: str, name: str) -> _Reader:
         offset = self._place(code, name, 1)
@@ -285,7 +287,11 @@ def _variable_at(data: bytes, field: FieldType, offset: int) -> Variable:
     start, end = offset + _LENGTH_BYTES, offset + _LENGTH_BYTES + length
     if length > len(data):
         raise ValueError(f"a length of {length} in {len(data)} bytes")
-    return length if field.is_sequence else data[start : end - 1].decode()
+    if field.is_sequence:
+        return int(length)
+    if b"\x00" in data[start : end - 1]:
+        raise ValueError("a text ends before its end")
+    return data[start : end - 1].decode()
 
 
 class CdrReader:
@@ -296,31 +302,33 @@ class CdrReader:
         definitions: gives its definition, and those of all that it refers to.
     """
 
+    _MOST_TEMPLATES = 16
+    """So many lengths have a template: texts that always change must not fill the memory."""
+
     def __init__(self, type_name: str, definitions: Definitions) -> None:
         self._type_name = type_name
         self._definitions = definitions
         self._is_fixed = _is_fixed(type_name, definitions)
-        self._templates: dict[int, CdrTemplate | None] = {}
+        self._templates: dict[int, CdrTemplate] = {}
 
     def message(self, data: bytes) -> CdrMessage | None:
         """The message; None where a message object must read it: of another encapsulation, other texts, damaged.
 
         A type with sequences is read by message objects, for its layout changes from message to message.
         """
-        size = len(data)
-        if size not in self._templates:
-            self._templates[size] = self._template(data)
-        template = self._templates[size]
+        template = self._templates.get(len(data)) or self._laid_out(data)
         return template.message(data) if template is not None and template.fits(data) else None
 
-    def _template(self, data: bytes) -> CdrTemplate | None:
-        """The layout of the first message of a length, for all of this length."""
-        if not self._is_fixed:
+    def _laid_out(self, data: bytes) -> CdrTemplate | None:
+        """The template of the first message of a length, for all of this length."""
+        if not self._is_fixed or len(self._templates) >= self._MOST_TEMPLATES:
             return None
         try:
-            return CdrTemplate.of_message(self._type_name, self._definitions, data)
+            template = CdrTemplate.of_message(self._type_name, self._definitions, data)
         except ValueError:
             return None
+        self._templates[len(data)] = template
+        return template
 
 
 def _is_fixed(type_name: str, definitions: Definitions) -> bool:

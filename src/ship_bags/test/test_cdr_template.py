@@ -152,6 +152,7 @@ def test_a_signalling_nan_keeps_its_bits():
         lambda data: data[:12] + b"\xff\xff\xff\xff" + data[16:],
         lambda data: data[:12] + b"\x00\x00\x00\x00" + data[16:],
         lambda data: data[:16] + b"\xff" + data[17:],
+        lambda data: data[:16] + b"\x00" + data[17:],
         lambda data: data[:10],
         lambda data: b"",
     ],
@@ -176,6 +177,15 @@ def test_a_reader_gives_other_texts_of_the_same_length_to_message_objects():
     assert reader.message(other) is None
     assert reader.message(longer).header.frame_id == "ins_of_the_bow"
     assert reader.message(first).__cdr__ == first
+
+
+def test_texts_that_always_change_do_not_fill_the_memory():
+    draw, factory = random.Random(5), RosbagsFactory()
+    reader = CdrReader("sensor_msgs/msg/Imu", factory.definition)
+    frames = ["x" * length for length in range(0, 800, 8)]
+    read = [reader.message(factory.encoded("sensor_msgs/msg/Imu", **imu_fields(draw, name)).__cdr__) for name in frames]
+    assert [message.header.frame_id for message in read[:16]] == frames[:16]
+    assert read[16:] == [None] * 84
 
 
 def test_a_type_with_sequences_is_left_to_message_objects():
