@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rclpy.serialization import serialize_message
 
 from ship_estimation.outcome import Status
 from ship_geometry.attitude_track import AttitudeSample
 from ship_node.edge.adapter import Adapter
+from ship_node.live.adapter_calls import message_bytes
 from ship_testing.adapter_runs import FACTORY, SECOND_NS, AdapterRun, Arrival, changed_copy, hand_over
 from ship_testing.every_input import topics, voyage, worst_claim
 from ship_testing.garbage import Path, inside, paths
@@ -112,7 +112,7 @@ def test_no_value_of_any_field_raises_or_makes_a_claim_dishonest(topic: str, one
             heard[index] = changed_copy(rest[index], lambda message, p=path, v=value: put(message, p, v))
         hand_over(run, heard)
         for _, _, message in run.published:
-            serialize_message(message)
+            message_bytes(message)
         if not worst_claim(voyage(NODE), run) < 5.0:
             wrong.append((path, value, worst_claim(voyage(NODE), run)))
     assert not wrong

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rclpy.serialization import serialize_message
 
+from ship_node.live.adapter_calls import message_bytes
 from ship_testing.adapter_runs import SECOND_NS, AdapterRun, Arrival, stamp_of
 from ship_testing.every_input import NODES, Voyage, clean_run, voyage
 from ship_testing.garbage import paths, spoil
@@ -34,7 +34,7 @@ def test_no_message_whatsoever_raises_or_leaves_anything_behind(node: str) -> No
                 tried += 1
             published += adapter.tick(arrival.receive_ns)
             for _, message in published:
-                serialize_message(message)
+                message_bytes(message)
     assert set().union(*(health.reasons for health in adapter.health.messages(adapter.factory, start_ns))) >= {
         "bad_covariance", "bad_stamp", "conflict", "duplicate", "frame", "future", "late", "non_finite", "units",
     }  # fmt: skip

@@ -21,6 +21,7 @@ import numpy as np
 from bench_black_box import black_box_cost
 from bench_campaign import campaign_workers
 from bench_filter import integrity_cost, step_cost
+from bench_messages import message_cost
 from bench_monitor import monitor_cost
 from bench_replay import replay_cost
 from bench_rows import Row
@@ -37,6 +38,7 @@ BENCHMARKS: dict[str, Callable[[], list[Row]]] = {
     "step": step_cost,
     "replay": replay_cost,
     "black_box": black_box_cost,
+    "messages": message_cost,
     "star_solution": star_solution,
     "late_star": late_star_cost,
     "integrity": integrity_cost,

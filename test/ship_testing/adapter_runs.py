@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ship_bags.cdr_template import CdrMessage
 from ship_bags.message_factory import RosidlFactory
 from ship_bags.stamps import ns_from_stamp
 from ship_estimation.estimator_shell import MOST_REPEATS_PER_S
@@ -78,6 +79,8 @@ class AdapterRun:
 
 def exactly(value: Any) -> Any:
     """A message as tuples of bytes and texts: NaN equals NaN, and 0.0 is not -0.0."""
+    if isinstance(value, CdrMessage):
+        return value.__cdr__
     if hasattr(value, "get_fields_and_field_types"):
         return tuple(exactly(getattr(value, name)) for name in value.get_fields_and_field_types())
     if isinstance(value, list):

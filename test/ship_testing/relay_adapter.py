@@ -89,7 +89,7 @@ class RelayAdapter:
         rate = self.factory.make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
         attitude = self.factory.make(
             "ship_msgs/msg/ShipAttitude",
-            header=message.header,
+            header={"stamp": time_ns, "frame_id": message.header.frame_id},
             heading=0.0,
             pitch=0.0,
             roll=0.0,

@@ -5,9 +5,9 @@ import pickle
 from collections import Counter
 
 import numpy as np
-from rclpy.serialization import serialize_message
 
 from ship_estimation.outcome import Status
+from ship_node.live.adapter_calls import message_bytes
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival
 from ship_testing.garbage import paths, spoil
 from ship_testing.small_voyage import FORE, INS, Run, clean_run, new_adapter, voyage
@@ -70,6 +70,6 @@ def take(run: Run, arrival: Arrival, now_ns: int) -> None:
     """Hand over a message; all that comes of it must be fit to be sent."""
     run.now_ns = now_ns
     for topic, message in run.adapter.handle(arrival.topic, arrival.message, now_ns):
-        serialize_message(message)
+        message_bytes(message)
         if topic == "ship/attitude":
             run.published.append((now_ns, topic, message))

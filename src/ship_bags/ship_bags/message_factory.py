@@ -10,6 +10,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from ship_bags.cdr_encoder import STAMP, CdrEncoder
+from ship_bags.cdr_template import CdrMessage, Definition, FieldType
+
 _TYPE_CODES = {
     "double": "d",
     "float": "f",
@@ -24,11 +27,17 @@ _TYPE_CODES = {
 }
 """Code of each type of number, the same for array.array and numpy."""
 
-_STAMP = "builtin_interfaces/msg/Time"
+_SEVERAL = re.compile(r"([\w/]+)\[(\d+)\]|sequence<([\w/]+)(?:, \d+)?>")
+"""An array or a sequence, as rosidl writes its type."""
+
 _NS_PER_S = 1_000_000_000
 
 _SCALARS: dict[str, Callable[[Any], Any]] = {"boolean": bool, "octet": lambda level: bytes([level]), "string": str}
 _SCALARS |= {name: float if name in ("double", "float") else int for name in _TYPE_CODES}
+
+
+_ELEMENTS = _TYPE_CODES | {"boolean": "?", "string": "string"}
+"""What templates call the elements of which messages are made. A byte is bytes to rclpy and a number to rosbags."""
 
 
 class MessageFactory(Protocol):
@@ -48,6 +57,16 @@ class MessageFactory(Protocol):
         """
         ...
 
+    def encoded(self, type_name: str, **fields: Any) -> CdrMessage:
+        """A message as its bytes, from the same fields; a message in it is given as a dict.
+
+        It is made without message objects, in a fraction of their time: for what goes out a hundred times a second.
+
+        Raises:
+            TypeError: a field is missing or unknown.
+        """
+        ...
+
 
 Converters = dict[str, Callable[[Any], Any] | None]
 """Field name → what makes of a plain value what a message class accepts; None where that is the value itself."""
@@ -61,6 +80,7 @@ class PlannedFactory(abc.ABC):
 
     def __init__(self) -> None:
         self._plans: dict[str, tuple[Any, Converters]] = {}
+        self._encoder = CdrEncoder(self.definition)
 
     def make(self, type_name: str, **fields: Any) -> Any:
         """See :meth:`MessageFactory.make`."""
@@ -76,6 +96,18 @@ class PlannedFactory(abc.ABC):
                 fields[name] = convert(fields[name])
         return kind(**fields)
 
+    def encoded(self, type_name: str, **fields: Any) -> CdrMessage:
+        """See :meth:`MessageFactory.encoded`."""
+        return self._encoder.encoded(type_name, fields)
+
+    @abc.abstractmethod
+    def definition(self, type_name: str) -> Definition:
+        """The fields of a type, in order.
+
+        Raises:
+            TypeError: it has a field for which there is no template.
+        """
+
     @abc.abstractmethod
     def plan(self, type_name: str) -> tuple[Any, Converters]:
         """Class of a message, and the converters of all its fields."""
@@ -86,7 +118,7 @@ class PlannedFactory(abc.ABC):
         def convert(value: Any) -> Any:
             if isinstance(value, dict):
                 return self.make(type_name, **value)
-            if type_name == _STAMP and isinstance(value, (int, np.integer)):
+            if type_name == STAMP and isinstance(value, (int, np.integer)):
                 sec, nanosec = divmod(value, _NS_PER_S)
                 return self.make(type_name, sec=sec, nanosec=nanosec)
             return value
@@ -107,12 +139,17 @@ class RosidlFactory(PlannedFactory):
         kind = message_class(type_name)
         return kind, {name: self._converter(text) for name, text in kind.get_fields_and_field_types().items()}
 
+    def definition(self, type_name: str) -> Definition:
+        """See :meth:`PlannedFactory.definition`."""
+        texts = message_class(type_name).get_fields_and_field_types()
+        return {name: _field_type(text) for name, text in texts.items()}
+
     def _converter(self, field_type: str) -> Callable[[Any], Any]:
         """By the type of a field as rosidl writes it: ``double[9]``, ``sequence<string>``, ``std_msgs/Header``."""
         if field_type in _SCALARS:
             return _SCALARS[field_type]
-        if match := re.fullmatch(r"([\w/]+)\[\d+\]|sequence<([\w/]+)(?:, \d+)?>", field_type):
-            fixed, dynamic = match.groups()
+        if match := _SEVERAL.fullmatch(field_type):
+            fixed, _, dynamic = match.groups()
             if fixed in _TYPE_CODES:
                 return functools.partial(np.asarray, dtype=_TYPE_CODES[fixed])
             if dynamic in _TYPE_CODES:
@@ -120,6 +157,17 @@ class RosidlFactory(PlannedFactory):
             element = fixed or dynamic
             return self.list_converter(element.replace("/", "/msg/")) if "/" in element else list
         return self.message_converter(field_type.replace("/", "/msg/"))
+
+
+def _field_type(text: str) -> FieldType:
+    """The type of a field by what rosidl writes."""
+    match = _SEVERAL.fullmatch(text)
+    fixed, count, dynamic = match.groups() if match else (text, None, None)
+    name = str(fixed or dynamic)
+    element = name.replace("/", "/msg/") if "/" in name else _ELEMENTS.get(name)
+    if element is None:
+        raise TypeError(f"there is no template for a field of type {text}")
+    return FieldType(element, int(count) if count else None, dynamic is not None)
 
 
 def message_class(type_name: str) -> Any:

@@ -15,12 +15,28 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from ship_bags.cdr_template import CdrMessage, Definition, FieldType
 from ship_bags.errors import BadInput
 from ship_bags.message_factory import Converters, PlannedFactory
 
 SHIP_MESSAGES = "ship_msgs"
 
 _ARRAY_DTYPES = {"byte": "uint8", "char": "uint8"}
+_ELEMENTS = {
+    "float64": "d",
+    "float32": "f",
+    "int8": "b",
+    "uint8": "B",
+    "int16": "h",
+    "uint16": "H",
+    "int32": "i",
+    "uint32": "I",
+    "int64": "q",
+    "uint64": "Q",
+    "bool": "?",
+    "char": "B",
+    "string": "string",
+}
 _REFERENCE_SEPARATOR = "/msg/"
 
 
@@ -61,6 +77,8 @@ def type_hash(type_name: str) -> str:
 
 def serialize(message: Any) -> bytes:
     """CDR bytes (little endian) of a message made by :class:`RosbagsFactory` or decoded from a bag."""
+    if isinstance(message, CdrMessage):
+        return message.__cdr__
     return bytes(message_store().serialize_cdr(message, message.__msgtype__, little_endian=True))
 
 
@@ -148,6 +166,10 @@ class RosbagsFactory(PlannedFactory):
         fields = store.fielddefs[type_name][1]
         return store.types[type_name], {name: self._converter(node, content) for name, (node, content) in fields}
 
+    def definition(self, type_name: str) -> Definition:
+        """See :meth:`PlannedFactory.definition`."""
+        return definition_in(message_store(), type_name)
+
     def _converter(self, node: Nodetype, content: Any) -> Callable[[Any], Any] | None:
         """By the kind of a field and what it holds."""
         if node == Nodetype.NAME:
@@ -160,6 +182,27 @@ class RosbagsFactory(PlannedFactory):
         if element[0] == "string":
             return None
         return functools.partial(np.ascontiguousarray, dtype=np.dtype(_ARRAY_DTYPES.get(element[0], element[0])))
+
+
+def definition_in(store: Typestore, type_name: str) -> Definition:
+    """The fields of a type that a store knows, in order, as templates need them.
+
+    Raises:
+        TypeError: it has a field for which there is no template.
+    """
+    return {name: _field_type(node, content) for name, (node, content) in store.fielddefs[type_name][1]}
+
+
+def _field_type(node: Nodetype, content: Any) -> FieldType:
+    if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+        (element_node, element), count = content
+        is_sequence = node == Nodetype.SEQUENCE
+        return FieldType(_field_type(element_node, element).element, None if is_sequence else count, is_sequence)
+    if node == Nodetype.NAME:
+        return FieldType(str(content))
+    if content[0] not in _ELEMENTS:
+        raise TypeError(f"there is no template for a field of type {content[0]}")
+    return FieldType(_ELEMENTS[content[0]])
 
 
 def _integer_from_byte(value: int | bytes) -> int:

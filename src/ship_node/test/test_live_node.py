@@ -16,12 +16,15 @@ from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
+from ship_bags.message_store import message_store
 from ship_bags.stamps import ns_from_stamp
 from ship_node.edge.adapter import TICK_PERIOD_NS
 from ship_node.live.node_clock import DEAD_AFTER_NS
 from ship_node.live.node_events import LARGEST_MESSAGE_BYTES
 from ship_testing.live_relay import RELIABLE_INPUT, SIM_TIME, imu_message
 from ship_testing.relay_adapter import EXPLOSIVE_FRAME
+
+IMU = "sensor_msgs/msg/Imu"
 
 pytestmark = pytest.mark.live
 
@@ -41,6 +44,20 @@ def test_relays_a_thousand_messages_at_500_hz_and_loses_none(live_relay):
         relay.spin()
         time.sleep(0.002)
     relay.wait_until(lambda: len(relay.attitudes) >= 1000)
+    assert [ns_from_stamp(a.header.stamp) for a in relay.attitudes] == sent_ns
+
+
+def test_messages_of_another_byte_order_length_or_text_are_read_too(live_relay):
+    relay = live_relay(*RELIABLE_INPUT)
+    publisher = relay.imu_publisher()
+    store, sent_ns = message_store(), [time.time_ns() + number for number in range(4)]
+    frames = "ins", "gps", "ins", "ins"
+    usual, other, swapped, longer = map(serialize_message, map(imu_message, sent_ns, frames))
+    swapped = bytes(store.serialize_cdr(store.deserialize_cdr(swapped, IMU), IMU, little_endian=False))
+    assert swapped[1] == 0, "big endian"
+    for data in (usual, other, swapped, longer + bytes(4)):
+        publisher.publish(data)
+    relay.wait_until(lambda: len(relay.attitudes) == 4)
     assert [ns_from_stamp(a.header.stamp) for a in relay.attitudes] == sent_ns
 
 

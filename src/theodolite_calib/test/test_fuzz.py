@@ -4,9 +4,9 @@ import copy
 import pickle
 
 import numpy as np
-from rclpy.serialization import serialize_message
 
 from ship_estimation.outcome import Status
+from ship_node.live.adapter_calls import message_bytes
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival
 from ship_testing.garbage import paths, spoil
 from ship_testing.small_session import ALL_TOPICS, SHIP, Run, clean_run, new_adapter, session
@@ -63,6 +63,6 @@ def take(run: Run, arrival: Arrival, now_ns: int) -> None:
     """Hand over a message; all that comes of it must be fit to be sent."""
     run.now_ns = now_ns
     for topic, message in run.adapter.handle(arrival.topic, arrival.message, now_ns):
-        serialize_message(message)
+        message_bytes(message)
         if topic == "theodolite/pointing":
             run.published.append((now_ns, topic, message))

@@ -17,6 +17,7 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig, StarSens
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.integrity import QUANTITIES
 from ship_attitude_star.sky.sky_watch import installed_sky
+from ship_bags.cdr_template import CdrMessage
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.outcome import Status
 from ship_estimation.protection import NORMAL_95
@@ -77,7 +78,8 @@ _RATES = {
 }
 _GROUPS = {"star": "star_sensors", "reference": "references"}
 """First word of a source's name → where its parameters stand."""
-_NOT_GIVEN = np.array([-1.0] + [0.0] * 8)
+_ZEROS = (0.0,) * 9
+_NOT_GIVEN = (-1.0, *_ZEROS[1:])
 """Covariance that tells readers of sensor_msgs/Imu that nothing was measured."""
 
 
@@ -205,64 +207,89 @@ def attitude_messages(factory: MessageFactory, estimate: AttitudeEstimate) -> li
     Where no attitude is claimed the first two are all NaN, and the others, which are for standard tools, are not made.
     """
     claimed = estimate.status is not Status.INVALID
-    covariance_n = estimate.covariance_n
-    heading, pitch, roll = angles_from_rotation(estimate.rotation_nd).tolist()
-    angles_covariance = angle_covariance(covariance_n, heading, pitch)
+    angles = angles_from_rotation(estimate.rotation_nd).tolist()
+    angles_covariance = angle_covariance(estimate.covariance_n, angles[0], angles[1])
+    # The messages share what is the same in them: this runs for each INS sample.
     header = {"stamp": estimate.time_ns, "frame_id": DECK_FRAME}
     quaternion = quaternion_from_rotation(estimate.rotation_nd) if claimed else np.full(4, np.nan)
-    rotation_covariance = enu_covariance(covariance_n).ravel()
-    rate_flu = flu_from_device_vector(estimate.rate_d)
-    rate_known = bool(np.all(np.isfinite(rate_flu)))
     orientation = dict(zip("xyzw", quaternion.tolist(), strict=True))
-    rate = dict(zip("xyz", rate_flu.tolist(), strict=True))
-    accuracy_arcsec = NORMAL_95 / ARCSEC * np.sqrt(angles_covariance.diagonal())
-    attitude = factory.make(
+    rotation_covariance = enu_covariance(estimate.covariance_n).ravel()
+    rate_flu = flu_from_device_vector(estimate.rate_d).tolist()
+    rate = dict(zip("xyz", rate_flu, strict=True))
+    attitude = factory.encoded(
         "ship_msgs/msg/ShipAttitude",
         header=header,
-        heading=heading,
-        pitch=pitch,
-        roll=roll,
+        heading=angles[0],
+        pitch=angles[1],
+        roll=angles[2],
         covariance=angles_covariance.ravel(),
         orientation=orientation,
         rotation_covariance=rotation_covariance,
         angular_velocity=rate,
         status=int(estimate.status),
         horizon=int(estimate.horizon),
-        sources=list(estimate.sources),
+        sources=estimate.sources,
         star_age_s=estimate.star_age_s,
     )
-    # The messages share what is the same in them: this runs for each INS sample.
-    in_degrees = factory.make(
-        "ship_msgs/msg/AttitudeDeg",
-        header=attitude.header,
-        heading_deg=math.degrees(heading),
-        pitch_deg=math.degrees(pitch),
-        roll_deg=math.degrees(roll),
-        heading_95_arcsec=accuracy_arcsec[0],
-        pitch_95_arcsec=accuracy_arcsec[1],
-        roll_95_arcsec=accuracy_arcsec[2],
-        status=attitude.status,
-    )
+    in_degrees = _in_degrees(factory, header, angles, angles_covariance, estimate.status)
     if not claimed:
         return [(ATTITUDE_TOPIC, attitude), (DEGREES_TOPIC, in_degrees)]
-    # No acceleration; the rate where it is known.
-    imu = factory.make(
+    known_rate = rate if all(map(math.isfinite, rate_flu)) else None
+    imu = _as_imu(factory, header, orientation, rotation_covariance, known_rate)
+    frames = _as_frame(factory, estimate.time_ns, orientation)
+    return [(ATTITUDE_TOPIC, attitude), (IMU_TOPIC, imu), (DEGREES_TOPIC, in_degrees), (TF_TOPIC, frames)]
+
+
+def _in_degrees(
+    factory: MessageFactory,
+    header: Mapping[str, Any],
+    angles: Sequence[float],
+    angles_covariance: np.ndarray,
+    status: Status,
+) -> CdrMessage:
+    """ship_msgs/AttitudeDeg of heading, pitch and roll, rad; their covariance, shape (3, 3), is in rad²."""
+    heading_95, pitch_95, roll_95 = (NORMAL_95 / ARCSEC * np.sqrt(angles_covariance.diagonal())).tolist()
+    return factory.encoded(
+        "ship_msgs/msg/AttitudeDeg",
+        header=header,
+        heading_deg=math.degrees(angles[0]),
+        pitch_deg=math.degrees(angles[1]),
+        roll_deg=math.degrees(angles[2]),
+        heading_95_arcsec=heading_95,
+        pitch_95_arcsec=pitch_95,
+        roll_95_arcsec=roll_95,
+        status=int(status),
+    )
+
+
+def _as_imu(
+    factory: MessageFactory,
+    header: Mapping[str, Any],
+    orientation: Mapping[str, float],
+    rotation_covariance: np.ndarray,
+    rate: Mapping[str, float] | None,
+) -> CdrMessage:
+    """sensor_msgs/Imu without acceleration, with the rate where it is known."""
+    return factory.encoded(
         _IMU_TYPE,
-        header=attitude.header,
-        orientation=attitude.orientation,
-        orientation_covariance=attitude.rotation_covariance,
-        angular_velocity=attitude.angular_velocity if rate_known else ZERO_VECTOR,
-        angular_velocity_covariance=np.zeros(9) if rate_known else _NOT_GIVEN,
+        header=header,
+        orientation=orientation,
+        orientation_covariance=rotation_covariance,
+        angular_velocity=ZERO_VECTOR if rate is None else rate,
+        angular_velocity_covariance=_NOT_GIVEN if rate is None else _ZEROS,
         linear_acceleration=ZERO_VECTOR,
         linear_acceleration_covariance=_NOT_GIVEN,
     )
+
+
+def _as_frame(factory: MessageFactory, time_ns: int, orientation: Mapping[str, float]) -> CdrMessage:
+    """tf2_msgs/TFMessage of the deck in the horizon's frame."""
     deck = {
-        "header": {"stamp": attitude.header.stamp, "frame_id": HORIZON_FRAME},
+        "header": {"stamp": time_ns, "frame_id": HORIZON_FRAME},
         "child_frame_id": DECK_FRAME,
-        "transform": {"translation": ZERO_VECTOR, "rotation": attitude.orientation},
+        "transform": {"translation": ZERO_VECTOR, "rotation": orientation},
     }
-    frames = factory.make(TF_TYPE, transforms=[deck])
-    return [(ATTITUDE_TOPIC, attitude), (IMU_TOPIC, imu), (DEGREES_TOPIC, in_degrees), (TF_TOPIC, frames)]
+    return factory.encoded(TF_TYPE, transforms=[deck])
 
 
 def attitude_budget(factory: MessageFactory, estimate: AttitudeEstimate, sources: Sequence[str]) -> Any:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 from rclpy.publisher import Publisher
 from rclpy.serialization import serialize_message
 
+from ship_bags.cdr_template import CdrMessage
 from ship_estimation.parameters import ParameterError
 from ship_node.black_box.black_box_format import (
     ChangeRefused,
@@ -112,14 +113,11 @@ class AdapterCalls:
         self._note(ChangeRefused(dict(changes), reason), now_ns)
 
     def publish(self, published: list[Published], now_ns: int) -> None:
-        """Publish messages; where there is a box they are serialised once, for the subscribers and for the box."""
-        if self._box is None:
-            for topic, message in published:
-                self._publishers[topic].publish(message)
-            return
-        outputs = [(topic, serialize_message(message)) for topic, message in published]
-        for topic, data in outputs:
-            self._box.put(topic, data, now_ns)
+        """Publish messages; those that are not bytes yet are serialised once, for the subscribers and for the box."""
+        outputs = [(topic, message_bytes(message)) for topic, message in published]
+        if self._box is not None:
+            for topic, data in outputs:
+                self._box.put(topic, data, now_ns)
         for topic, data in outputs:
             self._publishers[topic].publish(data)
 
@@ -134,6 +132,11 @@ class AdapterCalls:
             if self._box is not None:
                 self._box.put_file(use, now_ns)
         self._files.uses.clear()
+
+
+def message_bytes(message: Any) -> bytes:
+    """The bytes to be sent of a message of an adapter."""
+    return message.__cdr__ if isinstance(message, CdrMessage) else serialize_message(message)
 
 
 def _told_in_the_log(message: Any) -> Iterator[DiagnosticStatus]:

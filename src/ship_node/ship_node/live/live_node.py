@@ -23,6 +23,7 @@ from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
 
+from ship_bags.cdr_template import CdrReader
 from ship_bags.message_factory import RosidlFactory, message_class
 from ship_geometry.input_error import InputError
 from ship_node.documents.saved_document import NotedFiles
@@ -83,6 +84,7 @@ class LiveNode:
             self._publishers = {o.topic: self._create_publisher(o) for o in _outputs(self.adapter)}
             wanted = {i: input_qos(i, self._parameters.has_reliable_inputs) for i in self.adapter.inputs}
             self._subscriptions = {i.topic: self._create_subscription(i, qos) for i, qos in wanted.items()}
+            self._readers = {i.topic: CdrReader(i.type_name, self._factory.definition) for i in self.adapter.inputs}
             self._box = self._open_box()
         except InputError as error:
             self.node.destroy_node()
@@ -203,7 +205,9 @@ class LiveNode:
             self._work()
 
     def _handle(self, topic: str, data: bytes, now_ns: int, waiting_ns: int) -> None:
-        message = deserialize_message(data, self._subscriptions[topic].msg_type)
+        message = self._readers[topic].message(data)
+        if message is None:
+            message = deserialize_message(data, self._subscriptions[topic].msg_type)
         self._calls.handle(topic, data, message, now_ns, waiting_ns)
 
     def _advance(self, now_ns: int, waiting_ns: int) -> None:

@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from ship_bags.cdr_template import CdrMessage
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag
-from ship_bags.message_store import RosbagsFactory, serialize
+from ship_bags.message_store import RosbagsFactory, message_store, serialize
 from ship_bags.stamps import ns_from_stamp, utc_text
 from ship_bags.topic_names import relative_topics
 from ship_node.edge.adapter import Adapter
@@ -62,6 +63,8 @@ def message_difference(topic: str, recorded: Any, replayed: Any, time_ns: int) -
     # Compared anew serialised: what fills the gaps between fields is no part of a message.
     if serialize(recorded) == serialize(replayed):
         return None
+    if isinstance(replayed, CdrMessage):
+        replayed = message_store().deserialize_cdr(replayed.__cdr__, replayed.__msgtype__)
     field, one, other = _first_difference("", recorded, replayed) or ("", "other bytes", "other bytes")
     return Difference(topic, stamp_of(recorded, time_ns), field, _text(one), _text(other))
 

@@ -185,7 +185,7 @@ def pointing_messages(
         # The INS alone: its attitude is not that of the frame "deck", and nobody may publish that one at all.
         parent, translation = HORIZON_FRAME, ZERO_VECTOR
         quaternion = quaternion_from_rotation(estimate.rotation_nm)
-    message = factory.make(
+    message = factory.encoded(
         "ship_msgs/msg/OpticalAxisPointing",
         header={"stamp": estimate.time_ns, "frame_id": MAIN_FRAME},
         azimuth=azimuth,
@@ -203,14 +203,14 @@ def pointing_messages(
     if estimate.status is Status.INVALID:
         return [(POINTING_TOPIC, message)]
     main = {
-        "header": {"stamp": message.header.stamp, "frame_id": parent},
+        "header": {"stamp": estimate.time_ns, "frame_id": parent},
         "child_frame_id": MAIN_FRAME,
         "transform": {
             "translation": translation,
             "rotation": dict(zip("xyzw", quaternion.tolist(), strict=True)),
         },
     }
-    return [(POINTING_TOPIC, message), (TF_TOPIC, factory.make(TF_TYPE, transforms=[main]))]
+    return [(POINTING_TOPIC, message), (TF_TOPIC, factory.encoded(TF_TYPE, transforms=[main]))]
 
 
 def pointing_budget(factory: MessageFactory, estimate: PointingEstimate, sources: Sequence[str]) -> Any:

@@ -1,0 +1,115 @@
+"""Makes messages as CDR bytes from plain values, without message objects.
+
+The values of a message are taken apart into its numbers, which are packed, and its texts and lengths of sequences,
+which decide by which template.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from ship_bags.cdr_template import TEXT, CdrMessage, CdrTemplate, Definitions, FieldType, Variable
+
+STAMP = "builtin_interfaces/msg/Time"
+
+_NS_PER_S = 1_000_000_000
+
+
+class CdrEncoder:
+    """Makes messages of any types as bytes; each layout is laid out once.
+
+    Args:
+        definitions: gives the definition of a type.
+    """
+
+    _MOST_TEMPLATES = 1000
+    """So many layouts are remembered: a text that always changes must not fill the memory."""
+
+    def __init__(self, definitions: Definitions) -> None:
+        self._definitions = definitions
+        self._flatteners: dict[str, _Flattener] = {}
+        self._templates: dict[tuple[Variable, ...], CdrTemplate] = {}
+
+    def encoded(self, type_name: str, fields: Mapping[str, Any]) -> CdrMessage:
+        """A message; see :meth:`ship_bags.message_factory.MessageFactory.encoded`."""
+        flattener = self._flatteners.get(type_name)
+        if flattener is None:
+            flattener = self._flatteners[type_name] = _Flattener(type_name, self._definitions)
+        numbers: list[Any] = []
+        variables: list[Variable] = []
+        flattener.add(fields, numbers, variables)
+        template = self._template(type_name, tuple(variables))
+        return template.message(template.pack(numbers))
+
+    def _template(self, type_name: str, variables: tuple[Variable, ...]) -> CdrTemplate:
+        layout = (type_name, *variables)
+        if layout not in self._templates:
+            if len(self._templates) >= self._MOST_TEMPLATES:
+                self._templates.clear()
+            self._templates[layout] = CdrTemplate(type_name, self._definitions, variables)
+        return self._templates[layout]
+
+
+class _Flattener:
+    """Takes the fields of a type apart: into its numbers, and into what decides on its layout.
+
+    Args:
+        type_name: the type.
+        definitions: gives its definition, and those of all that it refers to.
+    """
+
+    def __init__(self, type_name: str, definitions: Definitions) -> None:
+        self._type_name = type_name
+        fields = definitions(type_name)
+        self._names = frozenset(fields)
+        self._steps = [(name, _step(field, definitions)) for name, field in fields.items()]
+
+    def add(self, fields: Mapping[str, Any], numbers: list[Any], variables: list[Variable]) -> None:
+        """Append the parts of a message.
+
+        Raises:
+            TypeError: a field is missing or unknown, or an array has not the length of its type.
+        """
+        if fields.keys() != self._names:
+            missing, unknown = self._names - fields.keys(), fields.keys() - self._names
+            raise TypeError(f"{self._type_name}: missing fields {sorted(missing)}, unknown fields {sorted(unknown)}")
+        for name, step in self._steps:
+            if step is None:
+                numbers.append(fields[name])
+            else:
+                step(fields[name], numbers, variables)
+
+
+_Step = Callable[[Any, list[Any], list[Variable]], None]
+
+
+def _step(field: FieldType, definitions: Definitions) -> _Step | None:
+    """What takes a field apart; None where it is one number."""
+    if field.length is None and not field.is_sequence:
+        return _element_step(field.element, definitions)
+    add_element = _element_step(field.element, definitions)
+
+    def add_all(values: Any, numbers: list[Any], variables: list[Variable]) -> None:
+        if field.is_sequence:
+            variables.append(len(values))
+        elif len(values) != field.length:
+            raise TypeError(f"{len(values)} elements: expected {field.length}")
+        if add_element is None:
+            numbers.extend(values.tolist() if isinstance(values, np.ndarray) else values)
+        else:
+            for value in values:
+                add_element(value, numbers, variables)
+
+    return add_all
+
+
+def _element_step(element: str, definitions: Definitions) -> _Step | None:
+    if len(element) == 1:
+        return None
+    if element == TEXT:
+        return lambda text, _numbers, variables: variables.append(text)
+    flattener = _Flattener(element, definitions)
+    if element == STAMP:
+        return lambda time_ns, numbers, _variables: numbers.extend(divmod(time_ns, _NS_PER_S))
+    return flattener.add

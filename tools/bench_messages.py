@@ -1,0 +1,53 @@
+"""A message made as bytes and read by templates, over the same by message objects."""
+
+from typing import Any
+
+from rclpy.serialization import deserialize_message, serialize_message
+
+from bench_rows import Row, median_us
+from ship_bags.cdr_template import CdrReader
+from ship_bags.message_factory import RosidlFactory, message_class
+from ship_bags.message_store import RosbagsFactory, message_store, serialize
+from ship_estimation.ins import InsInputConfig
+from ship_node.edge.messages_in import ins_sample
+
+MOST_TEMPLATE_RATIO = 0.5
+MOST_READ_RATIO = 0.85
+"""Of bytes to the same by message objects: made, and read and checked."""
+
+_IMU_TYPE = "sensor_msgs/msg/Imu"
+
+
+def message_cost() -> list[Row]:
+    """A sensor_msgs/Imu made as bytes and read, by templates and by the message objects of rosbags and of rclpy."""
+    offline, live, kind = RosbagsFactory(), RosidlFactory(), message_class(_IMU_TYPE)
+    vector = dict.fromkeys("xyz", 0.25)
+    unknown = (-1.0, *(0.0,) * 8)
+    fields = {
+        "header": {"stamp": 1_700_000_000_123_456_789, "frame_id": "ins"},
+        "orientation": {**vector, "w": 0.9},
+        "angular_velocity": vector,
+        "linear_acceleration": vector,
+        **{f"{name}_covariance": unknown for name in ("orientation", "angular_velocity", "linear_acceleration")},
+    }
+    data = serialize(offline.make(_IMU_TYPE, **fields))
+    assert live.encoded(_IMU_TYPE, **fields).__cdr__ == data
+    reader, store, config = CdrReader(_IMU_TYPE, live.definition), message_store(), InsInputConfig()
+
+    def sample_of(message: Any) -> None:
+        ins_sample(message, config, 1_800_000_000_000_000_000)
+
+    encoded_us = median_us(lambda: live.encoded(_IMU_TYPE, **fields))
+    rosbags_us = median_us(lambda: serialize(offline.make(_IMU_TYPE, **fields)))
+    rclpy_us = median_us(lambda: serialize_message(live.make(_IMU_TYPE, **fields)))
+    read_us = median_us(lambda: sample_of(reader.message(data)))
+    read_rosbags_us = median_us(lambda: sample_of(store.deserialize_cdr(data, _IMU_TYPE)))
+    read_rclpy_us = median_us(lambda: sample_of(deserialize_message(data, kind)))
+    return [
+        Row("Imu made as bytes by its template: median", encoded_us, "us"),
+        Row("ratio: by its template / by rosbags", encoded_us / rosbags_us, "x", MOST_TEMPLATE_RATIO),
+        Row("ratio: by its template / by rclpy", encoded_us / rclpy_us, "x", MOST_TEMPLATE_RATIO),
+        Row("Imu read into a sample by its template: median", read_us, "us"),
+        Row("ratio: read by its template / by rosbags", read_us / read_rosbags_us, "x"),
+        Row("ratio: read by its template / by rclpy", read_us / read_rclpy_us, "x", MOST_READ_RATIO),
+    ]
