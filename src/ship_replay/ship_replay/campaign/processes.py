@@ -35,7 +35,7 @@ def in_processes(make: Make, items: Sequence[Item], workers: int) -> Iterator[tu
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # What is imported once is there in each process; the server has no threads that a fork would cut off.
     context = get_context("forkserver")
-    context.set_forkserver_preload([make.__module__])
+    context.set_forkserver_preload(["__main__", make.__module__])
     waiting, deaths = deque(items), dict.fromkeys((item.key for item in items), 0)
     running: dict[Any, _Worker] = {}
     try:
