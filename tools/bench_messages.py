@@ -5,7 +5,7 @@ from typing import Any
 from rclpy.serialization import deserialize_message, serialize_message
 
 from bench_rows import Row, median_us
-from ship_bags.cdr_template import CdrReader
+from ship_bags.cdr_reader import CdrReader
 from ship_bags.message_factory import RosidlFactory, message_class
 from ship_bags.message_store import RosbagsFactory, message_store, serialize
 from ship_estimation.ins import InsInputConfig

@@ -7,7 +7,8 @@ import pytest
 
 from ship_attitude_star.measurements.readings import PositionFix
 from ship_attitude_star.sky.config import SkyConfig
-from ship_attitude_star.sky.surroundings import ACCELERATION_SIGMA_M_PER_S2, SPEED_SIGMA_M_PER_S, Place, Surroundings
+from ship_attitude_star.sky.place_by_fixes import ACCELERATION_SIGMA_M_PER_S2, SPEED_SIGMA_M_PER_S, Place
+from ship_attitude_star.sky.surroundings import Surroundings
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.geodetic import GeodeticPosition
 from ship_testing.horizon_vectors import vector_between

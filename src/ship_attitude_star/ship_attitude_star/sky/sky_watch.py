@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from ship_attitude_star.sky.catalogue import StarCatalogue, hipparcos
 from ship_attitude_star.sky.config import SkyConfig
-from ship_attitude_star.sky.surroundings import Air, Place, Surroundings
+from ship_attitude_star.sky.place_by_fixes import Place
+from ship_attitude_star.sky.surroundings import Air, Surroundings
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.earth_orientation import EarthOrientationTable, earth_orientation_table
 from ship_geometry.refraction import LOWEST_ELEVATION, ModelName, elevation_of, lifted, refraction, refraction_slopes

