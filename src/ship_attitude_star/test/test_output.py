@@ -13,7 +13,6 @@ from ship_attitude_star.ship_attitude.output import CorrectedIns
 from ship_estimation.hypotheses import covariances
 from ship_estimation.ins import InsJump
 from ship_estimation.parameters import build
-from ship_geometry.attitude_track import InterpolatedAttitude
 from ship_geometry.rotations import ARCSEC
 
 FILTER = ShipFilter(
@@ -33,24 +32,20 @@ def test_a_stack_of_samples_gives_what_the_single_calls_give(sigma_rad: float) -
     corrected = CorrectedIns(FILTER, state)
     since_s = np.concatenate([[0.0], rng.uniform(0.0, 1e4, SAMPLES - 1)])
     lower = rng.normal(scale=1e-5, size=(SAMPLES, 3, 3))
-    stack = InterpolatedAttitude(
-        rotation_nd=Rotation.random(SAMPLES, random_state=7).as_matrix(),
-        rate_d=rng.normal(scale=0.1, size=(SAMPLES, 3)),
-        noise_gain=rng.uniform(0.3, 1.0, SAMPLES),  # type: ignore[arg-type]
-        error_covariance_d=lower @ lower.transpose(0, 2, 1),
+    ins = (
+        Rotation.random(SAMPLES, random_state=7).as_matrix(),
+        rng.normal(scale=0.1, size=(SAMPLES, 3)),
+        rng.uniform(0.3, 1.0, SAMPLES),
+        lower @ lower.transpose(0, 2, 1),
     )
-    rotations, parts = corrected.attitude(since_s, stack)
+    rotations, parts = corrected.attitudes(since_s, *ins)
     assert rotations.shape == (SAMPLES, 3, 3)
     assert parts.shape == (SAMPLES, len(FILTER.model.sources), 3, 3)
     for row in range(SAMPLES):
-        one = InterpolatedAttitude(
-            stack.rotation_nd[row], stack.rate_d[row], float(stack.noise_gain[row]), stack.error_covariance_d[row]
-        )
-        rotation, of_one = corrected.attitude(float(since_s[row]), one)
-        assert rotations[row] == pytest.approx(rotation, rel=0.0, abs=1e-15)
-        # Each part to some units in the last place of its largest element.
-        largest = np.abs(of_one).max(axis=(-2, -1), keepdims=True)
-        assert np.all(np.abs(parts[row] - of_one) <= 1e-14 * largest)
+        alone = slice(row, row + 1)
+        rotation, of_one = corrected.attitudes(since_s[alone], *(values[alone] for values in ins))
+        assert rotations[row].tobytes() == rotation.tobytes()
+        assert parts[row].tobytes() == of_one.tobytes()
 
 
 def test_each_row_of_a_state_is_predicted_and_opened_as_if_it_were_alone() -> None:

@@ -183,10 +183,10 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         rotation_nd, rates = self._samples[index].rotation_nd, self._recent_rates(index)
         if len(rates) == 1:
             return InterpolatedAttitude(rotation_nd @ exp_rotation(ahead_s * rates[0]), rates[0], 1.0)
-        times_ns = np.array(self._times[index - len(rates) + 1 : index + 1])
-        steps_s = np.diff(times_ns)[::-1] / SECOND_NS
+        times = self._times
+        steps_s = [(times[k] - times[k - 1]) / SECOND_NS for k in range(index, index - len(rates) + 1, -1)]
         found = compiled_rotations.moved(
-            rotation_nd, np.array(rates), steps_s, ahead_s, ANY_DIRECTION, _LARGEST_VARIANCE
+            rotation_nd, np.array(rates), np.array(steps_s), ahead_s, ANY_DIRECTION, _LARGEST_VARIANCE
         )
         return InterpolatedAttitude(found[0], found[1], 1.0, found[2])
 

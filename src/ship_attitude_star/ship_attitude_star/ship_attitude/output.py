@@ -60,24 +60,36 @@ class CorrectedIns:
         self._newest_star_ns = _newest_star_ns(filter_, state)
         self._white_variance = model.blocks["ins.noise"].sigma ** 2
 
-    def attitude(self, since_s: float | FloatArray, ins: InterpolatedAttitude) -> tuple[FloatArray, FloatArray]:
-        """Attitude and its covariance parts, horizon frame, rad², shapes (..., 3, 3), (..., n_sources, 3, 3).
+    def attitudes(
+        self,
+        since_s: FloatArray,
+        rotation_nd: FloatArray,
+        rate_d: FloatArray,
+        noise_gain: FloatArray,
+        error_covariance_d: FloatArray,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Attitudes of N moments and their covariance by source, horizon frame, rad².
 
-        The result depends on the arguments and the state alone. The arguments may be stacks: the leading axes (...) of
-        ``since_s`` and of every array in ``ins`` are the same. A stack gives what the single calls give, to the last
-        bit.
+        The result depends on the arguments and the state alone; one moment gives, to the last bit, what it gives among
+        others. The last four arguments are the INS's attitudes of these moments (its samples moved by tau), as
+        :class:`ship_geometry.attitude_track.InterpolatedAttitude` has them.
 
         Args:
-            since_s: time from the state to the moment, at least 0, s, shape (...).
-            ins: the INS's attitude of that moment (its samples moved by tau).
+            since_s: time from the state to each moment, at least 0, s, shape (N,).
+            rotation_nd: shape (N, 3, 3).
+            rate_d: rad/s, shape (N, 3).
+            noise_gain: shape (N,).
+            error_covariance_d: rad², shape (N, 3, 3).
+
+        Returns:
+            Shapes (N, 3, 3) and (N, n_sources, 3, 3).
         """
-        since_s, leading = np.atleast_1d(np.asarray(since_s, dtype=float)), np.shape(since_s)
-        rotation_nd, parts = compiled_rotations.corrected(
-            since_s.ravel(),
-            ins.rotation_nd.reshape(-1, 3, 3),
-            ins.rate_d.reshape(-1, 3),
-            np.ravel(ins.noise_gain).astype(float),
-            ins.error_covariance_d.reshape(-1, 3, 3),
+        found: tuple[FloatArray, FloatArray] = compiled_rotations.corrected(
+            since_s,
+            rotation_nd,
+            rate_d,
+            noise_gain,
+            error_covariance_d,
             self._error_n,
             self._lasting,
             self._correlation_time_s,
@@ -88,7 +100,7 @@ class CorrectedIns:
             self._white_index,
             self._interpolation_index,
         )
-        return rotation_nd.reshape(*leading, 3, 3), parts.reshape(*leading, *parts.shape[1:])
+        return found
 
     def estimate(self, time_ns: int, ins: InterpolatedAttitude, config: ShipAttitudeConfig) -> AttitudeEstimate:
         """The attitude at the stamp of an INS sample, with its status."""
@@ -99,7 +111,10 @@ class CorrectedIns:
         # NaN compares false: before the first star the horizon is the INS's own.
         horizon = Horizon.GEODETIC if star_age_s <= config.ins.tilt_time_s else Horizon.GRAVITY
         since_ns = 0 if self.state.time_ns is None else max(time_ns - self.state.time_ns, 0)
-        rotation_nd, parts = self.attitude(since_ns * 1e-9, ins)
+        times_s, gains = np.array([since_ns * 1e-9]), np.array([ins.noise_gain])
+        (rotation_nd,), (parts,) = self.attitudes(
+            times_s, ins.rotation_nd[None], ins.rate_d[None], gains, ins.error_covariance_d[None]
+        )
         if self.state.doubt is not None:
             parts[self._drift_index] += self.state.doubt.covariance_n
         if INS in self.state.excluded:
