@@ -12,9 +12,10 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.model import devices
 from ship_attitude_star.ship_attitude.output import CorrectedIns
+from ship_attitude_star.ship_attitude.state import FilterState
 from ship_estimation.parameters import build
 from ship_geometry.attitude_track import InterpolatedAttitude
-from ship_geometry.rotations import exp_rotation, log_rotation
+from ship_geometry.rotations import FloatArray, exp_rotation, log_rotation
 
 CONFIG = build(
     ShipAttitudeConfig,
@@ -114,6 +115,13 @@ def test_clock_offsets_have_the_signs_of_the_contract() -> None:
         assert FILTER.linearisation.ins_time_ns(state.mean, measurement) == one_second + shift_ms * 1_000_000
 
 
+def corrected_at_once(state: FilterState, ins: InterpolatedAttitude) -> tuple[FloatArray, FloatArray]:
+    """The attitude at the moment of the state, and its covariance by source."""
+    of_one = ins.rotation_nd[None], ins.rate_d[None], np.array([ins.noise_gain]), ins.error_covariance_d[None]
+    (rotation,), (parts,) = CorrectedIns(FILTER, state).attitudes(np.zeros(1), *of_one)
+    return rotation, parts
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_covariance_of_the_output_is_that_of_its_errors(seed: int) -> None:
     """Output covariance = G P G^T + white noise, with G by central differences of the published attitude."""
@@ -123,7 +131,7 @@ def test_covariance_of_the_output_is_that_of_its_errors(seed: int) -> None:
     parts = np.zeros((len(MODEL.sources), MODEL.size, MODEL.size))
     parts[0] = root @ root.T
     state = replace(FILTER.suspects.start(mean, parts), time_ns=1_000_000_000)
-    rotation, covariance_parts = CorrectedIns(FILTER, state).attitude(0.0, ins)
+    rotation, covariance_parts = corrected_at_once(state, ins)
 
     jacobian = np.zeros((3, MODEL.size))
     tau = MODEL.slices["ins.time_offset"].start
@@ -133,7 +141,7 @@ def test_covariance_of_the_output_is_that_of_its_errors(seed: int) -> None:
             changed = replace(FILTER.suspects.start(moved(mean, index, by), parts), time_ns=state.time_ns)
             shift_s = -by if index == tau else 0.0
             shifted = InterpolatedAttitude(ins.rotation_nd @ exp_rotation(ins.rate_d * shift_s), ins.rate_d, 0.6)
-            turns.append(log_rotation(CorrectedIns(FILTER, changed).attitude(0.0, shifted)[0] @ rotation.T))
+            turns.append(log_rotation(corrected_at_once(changed, shifted)[0] @ rotation.T))
         jacobian[:, index] = (turns[0] - turns[1]) / (2.0 * STEP)
     white = np.diag(MODEL.blocks["ins.noise"].sigma ** 2) * 0.6
     expected = jacobian @ parts[0] @ jacobian.T + white

@@ -156,6 +156,16 @@ def _solve(
             row[j] /= factor[i * size + i]
 
 
+def _check(what: str, fits: bool) -> None:
+    """Refuse arrays whose shapes do not fit together: the loops look no more.
+
+    Raises:
+        ValueError: they do not.
+    """
+    if not fits:
+        raise ValueError(f"{what}: the shapes of the arrays do not fit together")
+
+
 def carried(
     stacks: cython.const[cython.double][:, :, :, ::1],
     sources: cython.Py_ssize_t,
@@ -166,6 +176,7 @@ def carried(
     """The covariances of several stacks after a diagonal transition; each state's noise is booked to its source."""
     matrices: cython.Py_ssize_t = stacks.shape[1]
     n: cython.Py_ssize_t = stacks.shape[2]
+    _check("carried", stacks.shape[3] == n == decay.shape[0] == noise.shape[0] == source_of.shape[0])
     result = np.empty((stacks.shape[0], matrices, n, n))
     out: cython.double[:, :, :, ::1] = result
     stack: cython.Py_ssize_t
@@ -186,6 +197,7 @@ def row_covariances(stack: cython.const[cython.double][:, :, ::1], rows: cython.
     """The covariance of each row of a stack: the parts of the first one added up, the others as they are."""
     sources: cython.Py_ssize_t = stack.shape[0] - rows + 1
     size: cython.Py_ssize_t = stack.shape[1] * stack.shape[2]
+    _check("row_covariances", rows >= 1 and sources >= 1)
     result = np.empty((rows, stack.shape[1], stack.shape[2]))
     out: cython.double[:, :, ::1] = result
     start: cython.p_double = cython.cast(cython.p_double, cython.address(stack[0, 0, 0]))
@@ -216,6 +228,10 @@ def compared(
     n: cython.Py_ssize_t = means.shape[1]
     m: cython.Py_ssize_t = jacobian.shape[0]
     wide: cython.Py_ssize_t = n + 4
+    _check("means", covariance.shape[0] == rows and at_mean.shape[0] == n)
+    _check("covariance", covariance.shape[1] == covariance.shape[2] == jacobian.shape[1] == n)
+    _check("measurement", measured.shape[0] == noise.shape[0] == noise.shape[1] == by_turn.shape[0] == m)
+    _check("by_turn", by_turn.shape[1] == 3)
     of_residual, of_covariance, of_nis = np.empty((rows, m)), np.empty((rows, m, m)), np.empty(rows)
     of_gain, of_turn, of_root = np.empty((rows, n, m)), np.empty((rows, 3)), np.empty((rows, 3, 3))
     of_noise = np.empty((3, 3))
@@ -380,6 +396,9 @@ def updated(
     n: cython.Py_ssize_t = gain.shape[1]
     m: cython.Py_ssize_t = gain.shape[2]
     sources: cython.Py_ssize_t = stack.shape[0] - rows + 1
+    _check("stack", sources >= 1 and stack.shape[1] == stack.shape[2] == jacobian.shape[1] == learns.shape[1] == n)
+    _check("measurement", jacobian.shape[0] == residual.shape[1] == noise.shape[0] == noise.shape[1] == m)
+    _check("rows", residual.shape[0] == learns.shape[0] == rows)
     result, corrections = np.empty((sources + rows - 1, n, n)), np.empty((rows, n))
     out: cython.double[:, :, ::1] = result
     moved: cython.double[:, ::1] = corrections
@@ -421,6 +440,7 @@ def updated(
             _add_noise(own, noise, cython.address(out[sources + row - 1, 0, 0]), room)
             continue
         for s, part in booked:
+            _check("booked", 0 <= s < sources and part.shape[0] == part.shape[1] == m)
             _add_noise(own, part, cython.address(out[s, 0, 0]), room)
     for s in range(sources + rows - 1):
         for i in range(n):

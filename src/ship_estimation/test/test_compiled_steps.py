@@ -119,3 +119,22 @@ def test_a_covariance_that_is_none_is_refused(wrong: float) -> None:
     stack[2, 0, 0] = wrong
     with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
         compare_rows(means, covariances(stack, 2), measured, means[0], by_turn)
+
+
+def test_shapes_that_do_not_fit_are_refused() -> None:
+    """The loops look at no bounds."""
+    stack, means, measured, by_turn = case((6, 4, 2, 2))
+    arguments = means, covariances(stack, 2), measured, means[0], by_turn
+    found = compare_rows(*arguments)
+    for place, wrong in ((0, means[:1]), (1, stack[:2, :5, :5].copy()), (3, means[0, :5]), (4, by_turn[:3])):
+        with pytest.raises(ValueError, match="do not fit together"):
+            compare_rows(*arguments[:place], wrong, *arguments[place + 1 :])
+    everything = np.ones((2, 6), dtype=bool)
+    for wrong in (everything[:1], everything[:, :5].copy()):
+        with pytest.raises(ValueError, match="do not fit together"):
+            update_rows(stack, measured, found, wrong)
+    beyond = LinearMeasurement(measured.residual, measured.jacobian, {2: measured.noise})
+    with pytest.raises(ValueError, match="booked"):
+        update_rows(stack, beyond, found, everything)
+    with pytest.raises(ValueError, match="carried"):
+        predict(stack, np.ones(5), np.ones(6), np.zeros(6, dtype=np.intp), 2)

@@ -66,8 +66,19 @@ def _jacobian(v: cython.p_double, out: cython.p_double) -> cython.void:
     _polynomial(v, 2.0 * half_sine * half_sine / squared, (angle - sin(angle)) / (squared * angle), out)
 
 
+def _check(what: str, fits: bool) -> None:
+    """Refuse arrays whose shapes do not fit together: the loops look no more.
+
+    Raises:
+        ValueError: they do not.
+    """
+    if not fits:
+        raise ValueError(f"{what}: the shapes of the arrays do not fit together")
+
+
 def exponential(vector: cython.const[cython.double][:]):
     """:func:`ship_geometry.rotations.exp_rotation` of one vector."""
+    _check("vector", vector.shape[0] == 3)
     v = cython.declare(cython.double[3])
     v[0], v[1], v[2] = vector[0], vector[1], vector[2]
     rotation = np.empty((3, 3))
@@ -78,6 +89,7 @@ def exponential(vector: cython.const[cython.double][:]):
 
 def jacobian(vector: cython.const[cython.double][:]):
     """:func:`ship_geometry.rotations.left_jacobian` of one vector."""
+    _check("vector", vector.shape[0] == 3)
     v = cython.declare(cython.double[3])
     v[0], v[1], v[2] = vector[0], vector[1], vector[2]
     matrix = np.empty((3, 3))
@@ -88,6 +100,7 @@ def jacobian(vector: cython.const[cython.double][:]):
 
 def logarithm(rotation: cython.const[cython.double][:, :]):
     """:func:`ship_geometry.rotations.log_rotation` of one matrix by its antisymmetric part; None near half a turn."""
+    _check("rotation", rotation.shape[0] == rotation.shape[1] == 3)
     cosine: cython.double = 0.5 * (rotation[0, 0] + rotation[1, 1] + rotation[2, 2] - 1.0)
     x: cython.double = rotation[2, 1] - rotation[1, 2]
     y: cython.double = rotation[0, 2] - rotation[2, 0]
@@ -138,6 +151,7 @@ def chain(vectors: cython.const[cython.double][:, ::1], after: cython.const[cyth
         each vector, as a rotation vector in the frame on the right, shape (k, 3, 3).
     """
     count: cython.Py_ssize_t = vectors.shape[0]
+    _check("chain", after.shape[0] == count and vectors.shape[1] == after.shape[1] == after.shape[2] == 3)
     of_products, of_derivatives = np.empty((count, 3, 3)), np.empty((count, 3, 3))
     products: cython.double[:, :, ::1] = of_products
     derivatives: cython.double[:, :, ::1] = of_derivatives
@@ -204,6 +218,7 @@ def cubic(
         Rotation and rate there, the rotation vector from the first one, and the slopes of the cubic at its ends per
         interval.
     """
+    _check("cubic", first.shape[0] == first.shape[1] == turn.shape[0] == start_rate.shape[0] == end_rate.shape[0] == 3)
     of_rotation, of_rate = np.empty((3, 3)), np.empty(3)
     of_vector, of_start, of_end = np.empty(3), np.empty(3), np.empty(3)
     rotation: cython.double[:, ::1] = of_rotation
@@ -258,6 +273,8 @@ def moved(
         The rotation, the rate, and the covariance of what the motion may have beside.
     """
     count: cython.Py_ssize_t = rates.shape[0]
+    _check("moved", count >= 2 and steps_s.shape[0] == count - 1 and rates.shape[1] == 3)
+    _check("rotation", rotation.shape[0] == rotation.shape[1] == 3)
     of_rotation, of_rate, of_error = np.empty((3, 3)), np.empty(3), np.zeros((3, 3))
     result: cython.double[:, ::1] = of_rotation
     rate: cython.double[::1] = of_rate
@@ -344,6 +361,13 @@ def corrected(
     """
     count: cython.Py_ssize_t = since_s.shape[0]
     sources: cython.Py_ssize_t = parts.shape[0]
+    _check("samples", rotations.shape[0] == rates.shape[0] == noise_gains.shape[0] == own_errors.shape[0] == count)
+    _check("rotations", rotations.shape[1] == rotations.shape[2] == rates.shape[1] == 3)
+    _check("own_errors", own_errors.shape[1] == own_errors.shape[2] == 3)
+    _check("error", error.shape[0] == lasting.shape[0] == time_s.shape[0] == steady_variance.shape[0] == 3)
+    _check("white_variance", white_variance.shape[0] == 3)
+    _check("parts", parts.shape[1] == parts.shape[2] == 4)
+    _check("sources", 0 <= drift < sources and 0 <= white < sources and 0 <= own < sources)
     of_rotations, of_parts = np.empty((count, 3, 3)), np.empty((count, sources, 3, 3))
     attitudes: cython.double[:, :, ::1] = of_rotations
     out: cython.double[:, :, :, ::1] = of_parts

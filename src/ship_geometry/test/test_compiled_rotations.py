@@ -133,3 +133,18 @@ def test_samples_are_corrected_as_by_numpy() -> None:
     expected[:, 3] += attitudes @ own_errors @ attitudes.swapaxes(-1, -2)
     equal(found[0], attitudes)
     np.testing.assert_allclose(found[1], expected, rtol=0, atol=1e-13 * np.abs(expected).max())
+
+
+def test_shapes_that_do_not_fit_are_refused() -> None:
+    """The loops look at no bounds."""
+    calls = [
+        lambda: exp_rotation(np.zeros(2)),
+        lambda: left_jacobian(np.zeros(4)),
+        lambda: log_rotation(np.eye(2)),
+        lambda: compiled_rotations.chain(np.zeros((2, 3)), np.zeros((3, 3, 3))),
+        lambda: compiled_rotations.moved(np.eye(3), np.zeros((1, 3)), np.zeros(0), 0.1, 0.3, 1.0),
+        lambda: compiled_rotations.cubic(np.eye(3), np.zeros(3), np.zeros(2), np.zeros(3), 0.1, 0.5),
+    ]
+    for call in calls:
+        with pytest.raises(ValueError, match="do not fit together"):
+            call()
