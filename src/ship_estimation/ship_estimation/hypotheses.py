@@ -177,7 +177,7 @@ def update_rows(
         compared.residual,
         compared.gain,
         learns.view(np.uint8),
-        tuple(measurement.noise_by_source.items()),
+        measurement.booked,
         measurement.noise,
     )
     return corrections, updated

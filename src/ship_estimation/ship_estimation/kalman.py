@@ -185,10 +185,15 @@ class LinearMeasurement:
     def noise(self) -> FloatArray:
         """Covariance of the whole measurement noise, shape (m, m)."""
         first, *others = self.noise_by_source.values()
-        return sum(others, start=first)
+        return np.ascontiguousarray(sum(others, start=first))
+
+    @cached_property
+    def booked(self) -> tuple[tuple[int, FloatArray], ...]:
+        """The noise by source as the compiled steps take it: they read matrices row by row."""
+        return tuple((index, np.ascontiguousarray(part)) for index, part in self.noise_by_source.items())
 
 
-class Innovation(NamedTuple):
+class ResidualCompared(NamedTuple):
     """A measurement of m components beside an estimate of n states.
 
     Attributes:
@@ -227,7 +232,7 @@ def predict(
     return predicted.reshape(stack.shape)
 
 
-def innovation(parts: FloatArray, measurement: LinearMeasurement) -> Innovation:
+def innovation(parts: FloatArray, measurement: LinearMeasurement) -> ResidualCompared:
     """A measurement beside the estimate whose covariance is the sum of the parts.
 
     Raises:
@@ -247,7 +252,7 @@ def innovation(parts: FloatArray, measurement: LinearMeasurement) -> Innovation:
     _, covariance, nis, gain, *_ = compiled_steps.compared(
         mean, total, residual, measurement.jacobian, measurement.noise, mean[0], no_turn
     )
-    return Innovation(covariance[0], float(nis[0]), gain[0])
+    return ResidualCompared(covariance[0], float(nis[0]), gain[0])
 
 
 def update(
@@ -275,7 +280,7 @@ def update(
         measurement.residual[None],
         gain[None],
         np.ones((1, len(gain)), dtype=np.uint8),
-        tuple(measurement.noise_by_source.items()),
+        measurement.booked,
         measurement.noise,
     )
     return corrections[0], updated

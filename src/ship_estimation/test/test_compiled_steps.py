@@ -121,6 +121,19 @@ def test_a_covariance_that_is_none_is_refused(wrong: float) -> None:
         compare_rows(means, covariances(stack, 2), measured, means[0], by_turn)
 
 
+def test_noise_that_does_not_lie_row_by_row_is_read_as_it_is() -> None:
+    """A transposed view, as a product of rotations may leave it."""
+    stack, means, measured, by_turn = case((6, 4, 2, 2))
+    views = {source: np.asfortranarray(part) for source, part in measured.noise_by_source.items()}
+    assert not all(part.flags.c_contiguous for part in views.values())
+    others = [measured, LinearMeasurement(measured.residual, measured.jacobian, views)]
+    found = [compare_rows(means, covariances(stack, 2), one, means[0], by_turn) for one in others]
+    everything = np.ones((2, 6), dtype=bool)
+    (_, expected), (_, after) = (update_rows(stack, *each, everything) for each in zip(others, found, strict=True))
+    assert found[1].covariance.tobytes() == found[0].covariance.tobytes()
+    assert after.tobytes() == expected.tobytes()
+
+
 def test_shapes_that_do_not_fit_are_refused() -> None:
     """The loops look at no bounds."""
     stack, means, measured, by_turn = case((6, 4, 2, 2))
