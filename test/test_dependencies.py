@@ -14,7 +14,7 @@ def test_the_page_is_current() -> None:
 @pytest.mark.parametrize("package", PYTHON_PACKAGES)
 def test_every_import_of_a_package_is_declared(package: str) -> None:
     """Libraries by their rosdep key, where there is one, and in setup.py; packages of ROS and of the suite by name."""
-    keys, distributions = declared(package, "depend", "build_depend", "exec_depend"), required(package)
+    keys, distributions = declared(package, "depend", "exec_depend"), required(package)
     wanted = imported(SRC / package / package) - {package}
     assert {LIBRARIES[name].key for name in wanted if name in LIBRARIES} - {""} - keys == set(), "package.xml"
     assert {LIBRARIES[name].distribution for name in wanted if name in LIBRARIES} - distributions == set(), "setup.py"

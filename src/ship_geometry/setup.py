@@ -25,7 +25,7 @@ setup(
         (f"share/{package_name}", ["package.xml"]),
     ],
     install_requires=["setuptools", "numpy", "scipy", "pyerfa", "astropy-iers-data"],
-    extras_require={"build": ["Cython"], "test": ["pytest"]},
+    extras_require={"build": ["Cython>=3.1"], "test": ["pytest"]},
     zip_safe=False,
     maintainer="Ship attitude team",
     maintainer_email="maintainers@example.org",
