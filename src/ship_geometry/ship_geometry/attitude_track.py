@@ -27,7 +27,7 @@ from ship_geometry.time_scales import SECOND_NS
 _EVERY_NS = 100_000_000
 """Spacing of the samples that tell the newest one's motion: closer ones tell more of their noise than of the motion."""
 
-_RATES = 4
+RATES = 4
 """How many measured rates, at most, tell the angular acceleration and how that changes."""
 
 _WORST_OF_DIFFERENCED = 0.0962
@@ -185,15 +185,15 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
             return InterpolatedAttitude(rotation_nd @ exp_rotation(ahead_s * rates[0]), rates[0], 1.0)
         times = self._times
         steps_s = [(times[k] - times[k - 1]) / SECOND_NS for k in range(index, index - len(rates) + 1, -1)]
-        found = compiled_rotations.moved(
-            rotation_nd, np.array(rates), np.array(steps_s), ahead_s, ANY_DIRECTION, _LARGEST_VARIANCE
+        (moved_nd,), (rate_d,), (error_d,) = moved_by_rates(
+            rotation_nd[None], np.array([rates]), np.array([steps_s]), np.array([ahead_s])
         )
-        return InterpolatedAttitude(found[0], found[1], 1.0, found[2])
+        return InterpolatedAttitude(moved_nd, rate_d, 1.0, error_d)
 
     def _recent_rates(self, index: int) -> list[FloatArray]:
         """Measured rates, rad/s, newest first: four at most, none from beyond a gap, a jump or a sample without one."""
         recent: list[FloatArray] = []
-        for sample in reversed(self._samples[max(index + 1 - _RATES, 0) : index + 1]):
+        for sample in reversed(self._samples[max(index + 1 - RATES, 0) : index + 1]):
             if sample.rate_d is None or (recent and not self._joined(index - len(recent))):
                 break
             recent.append(sample.rate_d)
@@ -284,6 +284,34 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
     def _turn(self, first: int, second: int) -> FloatArray:
         """Rotation vector from one sample to another, rad."""
         return log_rotation(self._samples[first].rotation_nd.T @ self._samples[second].rotation_nd)
+
+
+def moved_by_rates(
+    rotation_nd: FloatArray, rates_d: FloatArray, steps_s: FloatArray, ahead_s: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """N samples moved by short times, by their rates and angular accelerations.
+
+    Args:
+        rotation_nd: of the samples, shape (N, 3, 3).
+        rates_d: measured with each sample and with those before it, newest first, rad/s, shape (N, k, 3), k at least 2.
+        steps_s: times between them, shape (N, k - 1).
+        ahead_s: seconds after each sample, or before it where negative, shape (N,).
+
+    Returns:
+        As :class:`InterpolatedAttitude` has them: horizon from deck, rad/s, and the covariance of the own error, rad².
+
+    Example:
+        A sample moved by 10 ms at a steady 0.1 rad/s:
+
+        >>> rates_d, steps_s = np.full((1, 4, 3), [0.1, 0.0, 0.0]), np.full((1, 3), 0.01)
+        >>> moved_nd, _, _ = moved_by_rates(np.eye(3)[None], rates_d, steps_s, np.array([0.01]))
+        >>> print(log_rotation(moved_nd[0]).round(6))
+        [0.001 0.    0.   ]
+    """
+    found: tuple[FloatArray, FloatArray, FloatArray] = compiled_rotations.moved(
+        rotation_nd, rates_d, steps_s, ahead_s, ANY_DIRECTION, _LARGEST_VARIANCE
+    )
+    return found
 
 
 def _error_by_differences(nodes_s: FloatArray, second: FloatArray, ahead_s: float) -> FloatArray:

@@ -252,74 +252,81 @@ def cubic(
 
 
 def moved(
-    rotation: cython.const[cython.double][:, :],
-    rates: cython.const[cython.double][:, ::1],
-    steps_s: cython.const[cython.double][::1],
-    ahead_s: cython.double,
+    rotations: cython.const[cython.double][:, :, :],
+    rates: cython.const[cython.double][:, :, :],
+    steps_s: cython.const[cython.double][:, :],
+    ahead_s: cython.const[cython.double][:],
     any_direction: cython.double,
     largest: cython.double,
 ):
-    """A sample moved by its rate and by the change of the rates before it.
+    """N samples, each moved by its rate and by the change of the rates before it.
 
     Args:
-        rotation: shape (3, 3).
-        rates: rad/s, newest first, at least two, shape (k, 3).
-        steps_s: between them, shape (k - 1,).
-        ahead_s: by so much the sample is moved.
+        rotations: shape (N, 3, 3).
+        rates: of each sample and of those before it, rad/s, newest first, at least two, shape (N, k, 3).
+        steps_s: between them, shape (N, k - 1).
+        ahead_s: by so much each sample is moved, shape (N,).
         any_direction: share of an error that may have any direction.
         largest: bound of the squares of the error, rad².
 
     Returns:
-        The rotation, the rate, and the covariance of what the motion may have beside.
+        The rotations, the rates, and the covariance of what the motion may have beside.
     """
-    count: cython.Py_ssize_t = rates.shape[0]
-    _check("moved", count >= 2 and steps_s.shape[0] == count - 1 and rates.shape[1] == 3)
-    _check("rotation", rotation.shape[0] == rotation.shape[1] == 3)
-    of_rotation, of_rate, of_error = np.empty((3, 3)), np.empty(3), np.zeros((3, 3))
-    result: cython.double[:, ::1] = of_rotation
-    rate: cython.double[::1] = of_rate
-    error: cython.double[:, ::1] = of_error
+    samples: cython.Py_ssize_t = rotations.shape[0]
+    count: cython.Py_ssize_t = rates.shape[1]
+    _check("rates", count >= 2 and rates.shape[2] == 3 and rates.shape[0] == samples)
+    _check("moved", steps_s.shape[0] == ahead_s.shape[0] == samples and steps_s.shape[1] == count - 1)
+    _check("rotations", rotations.shape[1] == rotations.shape[2] == 3)
+    of_rotations, of_rates, of_errors = np.empty((samples, 3, 3)), np.empty((samples, 3)), np.zeros((samples, 3, 3))
+    results: cython.double[:, :, ::1] = of_rotations
+    rate: cython.double[:, ::1] = of_rates
+    errors: cython.double[:, :, ::1] = of_errors
     vector = cython.declare(cython.double[3])
     jerk = cython.declare(cython.double[3])
     turn = cython.declare(cython.double[9])
     start = cython.declare(cython.double[9])
     jerks: cython.Py_ssize_t = max(count - 2, 1)
-    lacking: cython.double = ahead_s * ahead_s * ahead_s / 6.0 + ahead_s * ahead_s * steps_s[0] / 4.0
-    squares: cython.double = 0.0
+    lacking: cython.double
+    squares: cython.double
     change: cython.double
+    ahead: cython.double
+    n: cython.Py_ssize_t
     back: cython.Py_ssize_t
     i: cython.int
     j: cython.int
-    lacking /= sqrt(cython.cast(cython.double, jerks))
-    for i in range(3):
-        change = (rates[0, i] - rates[1, i]) / steps_s[0]
-        vector[i] = ahead_s * rates[0, i] + 0.5 * ahead_s * ahead_s * change
-        rate[i] = rates[0, i] + ahead_s * change
-        for j in range(3):
-            start[3 * i + j] = rotation[i, j]
-    _exponential(vector, turn)
-    _times(start, turn, cython.address(result[0, 0]))
-    for back in range(jerks):
+    for n in range(samples):
+        ahead, squares = ahead_s[n], 0.0
+        lacking = ahead * ahead * ahead / 6.0 + ahead * ahead * steps_s[n, 0] / 4.0
+        lacking /= sqrt(cython.cast(cython.double, jerks))
         for i in range(3):
-            jerk[i] = (rates[back, i] - rates[back + 1, i]) / steps_s[back]
-            if count > 2:
-                jerk[i] -= (rates[back + 1, i] - rates[back + 2, i]) / steps_s[back + 1]
-                jerk[i] *= 2.0 / (steps_s[back] + steps_s[back + 1])
-            else:
-                # With two rates alone the jerk is as large as it can be: all of the change came within the step.
-                jerk[i] /= steps_s[0]
-            jerk[i] *= lacking
-            squares += jerk[i] * jerk[i]
-        for i in range(3):
+            change = (rates[n, 0, i] - rates[n, 1, i]) / steps_s[n, 0]
+            vector[i] = ahead * rates[n, 0, i] + 0.5 * ahead * ahead * change
+            rate[n, i] = rates[n, 0, i] + ahead * change
             for j in range(3):
-                error[i, j] += jerk[i] * jerk[j]
-    for i in range(3):
-        error[i, i] += any_direction * any_direction * squares
-    if not squares <= largest:
+                start[3 * i + j] = rotations[n, i, j]
+        _exponential(vector, turn)
+        _times(start, turn, cython.address(results[n, 0, 0]))
+        for back in range(jerks):
+            for i in range(3):
+                jerk[i] = (rates[n, back, i] - rates[n, back + 1, i]) / steps_s[n, back]
+                if count > 2:
+                    jerk[i] -= (rates[n, back + 1, i] - rates[n, back + 2, i]) / steps_s[n, back + 1]
+                    jerk[i] *= 2.0 / (steps_s[n, back] + steps_s[n, back + 1])
+                else:
+                    # With two rates alone the jerk is as large as it can be: all of the change came within the step.
+                    jerk[i] /= steps_s[n, 0]
+                jerk[i] *= lacking
+                squares += jerk[i] * jerk[i]
+            for i in range(3):
+                for j in range(3):
+                    errors[n, i, j] += jerk[i] * jerk[j]
         for i in range(3):
-            for j in range(3):
-                error[i, j] *= largest / squares
-    return of_rotation, of_rate, of_error
+            errors[n, i, i] += any_direction * any_direction * squares
+        if not squares <= largest:
+            for i in range(3):
+                for j in range(3):
+                    errors[n, i, j] *= largest / squares
+    return of_rotations, of_rates, of_errors
 
 
 def corrected(

@@ -5,13 +5,10 @@ parent's forward axis), elevation (up positive) and roll (right side down positi
 leading dimensions.
 """
 
-import math
-
 import numpy as np
 
+from ship_geometry import compiled_angles
 from ship_geometry.rotations import FloatArray, wrap_two_pi
-
-_FULL_TURN = 2.0 * math.pi
 
 SINGULAR_ELEVATION = np.deg2rad(89.9)
 """Beyond this elevation (rad) azimuth and roll can no longer be told apart, and their covariance is NaN."""
@@ -55,7 +52,8 @@ def angles_from_rotation(rotation: FloatArray) -> FloatArray:
         [359.   5.  -3.]
     """
     if rotation.ndim == 2:
-        return _angles_of_one(rotation)
+        angles: FloatArray = compiled_angles.angles(rotation[None])[0]
+        return angles
     azimuth = wrap_two_pi(np.arctan2(rotation[..., 2, 0], rotation[..., 0, 0]))
     # atan2 keeps full precision near the zenith, where an arcsine would not.
     horizontal = np.hypot(rotation[..., 0, 0], rotation[..., 2, 0])
@@ -65,17 +63,6 @@ def angles_from_rotation(rotation: FloatArray) -> FloatArray:
     sine = ca * rotation[..., 2, 1] - sa * rotation[..., 0, 1]
     cosine = ca * rotation[..., 2, 2] - sa * rotation[..., 0, 2]
     return np.stack([azimuth, elevation, np.arctan2(sine, cosine)], axis=-1)
-
-
-def _angles_of_one(rotation: FloatArray) -> FloatArray:
-    """:func:`angles_from_rotation` of one matrix, several times faster: a live node has one at a time."""
-    (r00, r01, r02), (r10, _, _), (r20, r21, r22) = rotation.tolist()
-    azimuth = math.atan2(r20, r00) % _FULL_TURN
-    # A tiny negative angle is rounded up to a full turn itself by the remainder.
-    azimuth = 0.0 if azimuth == _FULL_TURN else azimuth
-    ca, sa = math.cos(azimuth), math.sin(azimuth)
-    roll = math.atan2(ca * r21 - sa * r01, ca * r22 - sa * r02)
-    return np.array([azimuth, math.atan2(r10, math.hypot(r00, r20)), roll])
 
 
 def rotation_vector_from_angle_errors(azimuth: FloatArray, elevation: FloatArray) -> FloatArray:
@@ -111,7 +98,8 @@ def angle_errors_from_rotation_vector(azimuth: FloatArray, elevation: FloatArray
         [34.6  0.  40. ]
     """
     if np.ndim(azimuth) == 0 and np.ndim(elevation) == 0:
-        return _inverse_of_one(float(azimuth), float(elevation))
+        errors: FloatArray = compiled_angles.angle_errors(float(azimuth), float(elevation), SINGULAR_ELEVATION)
+        return errors
     azimuth, elevation = np.broadcast_arrays(np.asarray(azimuth, float), np.asarray(elevation, float))
     ca, sa = np.cos(azimuth), np.sin(azimuth)
     regular = np.abs(elevation) <= SINGULAR_ELEVATION
@@ -126,13 +114,6 @@ def angle_errors_from_rotation_vector(azimuth: FloatArray, elevation: FloatArray
     matrix[..., 2, 0] = ca / ce
     matrix[..., 2, 2] = sa / ce
     return np.where(regular[..., None, None], matrix, np.nan)
-
-
-def _inverse_of_one(azimuth: float, elevation: float) -> FloatArray:
-    if not abs(elevation) <= SINGULAR_ELEVATION:
-        return np.full((3, 3), np.nan)
-    ca, sa, ce, tangent = math.cos(azimuth), math.sin(azimuth), math.cos(elevation), math.tan(elevation)
-    return np.array([[ca * tangent, -1.0, sa * tangent], [-sa, 0.0, ca], [ca / ce, 0.0, sa / ce]])
 
 
 def angle_covariance(covariance_parent: FloatArray, azimuth: FloatArray, elevation: FloatArray) -> FloatArray:

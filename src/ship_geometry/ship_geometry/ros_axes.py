@@ -5,10 +5,9 @@ right. Both pairs are fixed permutations with signs. ROS yaw = 90° - heading, R
 Quaternions are ordered x, y, z, w.
 """
 
-import math
-
 import numpy as np
 
+from ship_geometry import compiled_angles
 from ship_geometry.rotations import FloatArray
 
 ENU_FROM_HORIZON = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
@@ -141,22 +140,8 @@ def _axes(convention: str) -> tuple[FloatArray, FloatArray]:
 
 
 def _quaternion_of_one(matrix: FloatArray) -> FloatArray:
-    """Quaternion x, y, z, w (w >= 0) of one matrix, by the largest of its components (Shepperd 1978).
-
-    A live node converts one attitude at a time: this is a hundred times faster than by arrays.
-    """
-    (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()
-    # Four times the square of each component of the quaternion.
-    squares = (1.0 + a - e - i, 1.0 - a + e - i, 1.0 - a - e + i, 1.0 + a + e + i)
-    products = (
-        (squares[0], b + d, c + g, h - f),
-        (b + d, squares[1], f + h, c - g),
-        (c + g, f + h, squares[2], d - b),
-        (h - f, c - g, d - b, squares[3]),
-    )
-    x, y, z, w = products[squares.index(max(squares))]
-    norm = math.copysign(math.sqrt(x * x + y * y + z * z + w * w), w)
-    return np.array([x / norm, y / norm, z / norm, w / norm])
+    quaternion: FloatArray = compiled_angles.quaternions(matrix[None])[0]
+    return quaternion
 
 
 def _quaternion_from_matrix(matrix: FloatArray) -> FloatArray:
@@ -178,18 +163,8 @@ def _quaternion_from_matrix(matrix: FloatArray) -> FloatArray:
 
 
 def _matrix_of_one(quaternion: FloatArray) -> FloatArray:
-    """Rotation matrix of one quaternion x, y, z, w of any norm but zero."""
-    x, y, z, w = quaternion.tolist()
-    scale = 2.0 / (x * x + y * y + z * z + w * w)
-    xx, yy, zz = scale * x * x, scale * y * y, scale * z * z
-    xy, xz, yz, xw, yw, zw = (scale * p for p in (x * y, x * z, y * z, x * w, y * w, z * w))
-    return np.array(
-        [
-            [1.0 - yy - zz, xy - zw, xz + yw],
-            [xy + zw, 1.0 - xx - zz, yz - xw],
-            [xz - yw, yz + xw, 1.0 - xx - yy],
-        ]
-    )
+    matrix: FloatArray = compiled_angles.rotations_of(quaternion[None])[0]
+    return matrix
 
 
 def _matrix_from_quaternion(quaternion: FloatArray) -> FloatArray:

@@ -97,12 +97,24 @@ def test_a_sample_is_moved_by_its_rates_as_by_numpy(count: int) -> None:
         jerks = (changes[:-1] - changes[1:]) * (2.0 / (steps_s[:-1] + steps_s[1:]))[:, None]
     rows = (ahead_s**3 / 6.0 + ahead_s**2 * steps_s[0] / 4.0) / np.sqrt(len(jerks)) * jerks
     covariance = rows.T @ rows + any_direction**2 * np.sum(rows**2) * np.eye(3)
-    found = compiled_rotations.moved(rotation, rates, steps_s, ahead_s, any_direction, largest)
+    sample = rotation[None], rates[None], steps_s[None], np.array([ahead_s])
+    found = [of_one[0] for of_one in compiled_rotations.moved(*sample, any_direction, largest)]
     equal(found[0], rotation @ exp_rotation(ahead_s * rates[0] + 0.5 * ahead_s**2 * changes[0]))
     equal(found[1], rates[0] + ahead_s * changes[0])
     assert np.sum(rows**2) > largest
     equal(found[2] / largest, covariance / np.sum(rows**2))
-    equal(compiled_rotations.moved(rotation, rates, steps_s, ahead_s, any_direction, 1.0)[2], covariance)
+    equal(compiled_rotations.moved(*sample, any_direction, 1.0)[2][0], covariance)
+
+
+def test_one_sample_is_moved_to_the_bit_as_among_others() -> None:
+    rng = np.random.default_rng(RNG_SEED)
+    rates, steps_s, ahead_s = rng.standard_normal((9, 4, 3)), rng.uniform(0.01, 0.1, (9, 3)), rng.normal(size=9)
+    samples = exp_rotation(vectors(9)), rates, steps_s, ahead_s
+    together = compiled_rotations.moved(*samples, 0.3, 1e-3)
+    for number in range(9):
+        alone = compiled_rotations.moved(*(values[number : number + 1] for values in samples), 0.3, 1e-3)
+        for one, among_others in zip(alone, together, strict=True):
+            np.testing.assert_array_equal(one[0], among_others[number])
 
 
 def test_samples_are_corrected_as_by_numpy() -> None:
@@ -142,7 +154,7 @@ def test_shapes_that_do_not_fit_are_refused() -> None:
         lambda: left_jacobian(np.zeros(4)),
         lambda: log_rotation(np.eye(2)),
         lambda: compiled_rotations.chain(np.zeros((2, 3)), np.zeros((3, 3, 3))),
-        lambda: compiled_rotations.moved(np.eye(3), np.zeros((1, 3)), np.zeros(0), 0.1, 0.3, 1.0),
+        lambda: compiled_rotations.moved(np.eye(3)[None], np.zeros((1, 1, 3)), np.zeros((1, 0)), np.zeros(1), 0.3, 1.0),
         lambda: compiled_rotations.cubic(np.eye(3), np.zeros(3), np.zeros(2), np.zeros(3), 0.1, 0.5),
     ]
     for call in calls:
