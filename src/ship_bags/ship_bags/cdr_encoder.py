@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ship_bags.cdr_template import TEXT, CdrMessage, CdrTemplate, Definitions, FieldType, Variable
+from ship_bags.cdr_template import TEXT, CdrMessage, CdrRows, CdrTemplate, Definitions, FieldType, Variable
 
 STAMP = "builtin_interfaces/msg/Time"
 
@@ -28,19 +28,31 @@ class CdrEncoder:
 
     def __init__(self, definitions: Definitions) -> None:
         self._definitions = definitions
-        self._flatteners: dict[str, _Flattener] = {}
+        self._flatteners: dict[tuple[str, bool], _Flattener] = {}
         self._templates: dict[tuple[Variable, ...], CdrTemplate] = {}
 
     def encoded(self, type_name: str, fields: Mapping[str, Any]) -> CdrMessage:
         """A message; see :meth:`ship_bags.message_factory.MessageFactory.encoded`."""
-        flattener = self._flatteners.get(type_name)
-        if flattener is None:
-            flattener = self._flatteners[type_name] = _Flattener(type_name, self._definitions)
         numbers: list[Any] = []
+        template = self._taken_apart(type_name, fields, numbers, many=False)
+        return template.message(template.pack(numbers))
+
+    def encoded_rows(self, type_name: str, count: int, fields: Mapping[str, Any]) -> CdrRows:
+        """Messages; see :meth:`ship_bags.message_factory.MessageFactory.encoded_rows`."""
+        columns: list[Any] = []
+        template = self._taken_apart(type_name, fields, columns, many=True)
+        return CdrRows(template, template.encode_many(columns, count))
+
+    def _taken_apart(
+        self, type_name: str, fields: Mapping[str, Any], numbers: list[Any], many: bool
+    ) -> CdrTemplate:
+        """The layout of a message, or of many; their numbers are appended."""
+        flattener = self._flatteners.get((type_name, many))
+        if flattener is None:
+            flattener = self._flatteners[type_name, many] = _Flattener(type_name, self._definitions, many)
         variables: list[Variable] = []
         flattener.add(fields, numbers, variables)
-        template = self._template(type_name, tuple(variables))
-        return template.message(template.pack(numbers))
+        return self._template(type_name, tuple(variables))
 
     def _template(self, type_name: str, variables: tuple[Variable, ...]) -> CdrTemplate:
         layout = (type_name, *variables)
@@ -57,13 +69,14 @@ class _Flattener:
     Args:
         type_name: the type.
         definitions: gives its definition, and those of all that it refers to.
+        many: whether the numbers are columns, of many messages with the same texts.
     """
 
-    def __init__(self, type_name: str, definitions: Definitions) -> None:
+    def __init__(self, type_name: str, definitions: Definitions, many: bool) -> None:
         self._type_name = type_name
         fields = definitions(type_name)
         self._names = frozenset(fields)
-        self._steps = [(name, _step(field, definitions)) for name, field in fields.items()]
+        self._steps = [(name, _step(field, definitions, many)) for name, field in fields.items()]
 
     def add(self, fields: Mapping[str, Any], numbers: list[Any], variables: list[Variable]) -> None:
         """Append the parts of a message.
@@ -84,18 +97,21 @@ class _Flattener:
 _Step = Callable[[Any, list[Any], list[Variable]], None]
 
 
-def _step(field: FieldType, definitions: Definitions) -> _Step | None:
+def _step(field: FieldType, definitions: Definitions, many: bool) -> _Step | None:
     """What takes a field apart; None where it is one number."""
+    add_element = _element_step(field.element, definitions, many)
     if field.length is None and not field.is_sequence:
-        return _element_step(field.element, definitions)
-    add_element = _element_step(field.element, definitions)
+        return add_element
 
     def add_all(values: Any, numbers: list[Any], variables: list[Variable]) -> None:
         if field.is_sequence:
             variables.append(len(values))
         elif len(values) != field.length:
             raise TypeError(f"{len(values)} elements: expected {field.length}")
-        if add_element is None:
+        if add_element is None and many:
+            # An array of numbers has one column, as wide as itself.
+            numbers.append(np.transpose(values))
+        elif add_element is None:
             numbers.extend(values.tolist() if isinstance(values, np.ndarray) else values)
         else:
             for value in values:
@@ -104,12 +120,12 @@ def _step(field: FieldType, definitions: Definitions) -> _Step | None:
     return add_all
 
 
-def _element_step(element: str, definitions: Definitions) -> _Step | None:
+def _element_step(element: str, definitions: Definitions, many: bool) -> _Step | None:
     if len(element) == 1:
         return None
     if element == TEXT:
         return lambda text, _numbers, variables: variables.append(text)
-    flattener = _Flattener(element, definitions)
+    flattener = _Flattener(element, definitions, many)
     if element == STAMP:
         return lambda time_ns, numbers, _variables: numbers.extend(divmod(time_ns, _NS_PER_S))
     return flattener.add

@@ -8,7 +8,7 @@ Messages are made by templates in :mod:`ship_bags.cdr_encoder` and read in :mod:
 """
 
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -135,23 +135,22 @@ class CdrTemplate:
             numbers.insert(place, constant)
         return self._pack(*numbers)
 
-    def encode_many(self, columns: Mapping[str, Any]) -> np.ndarray:
+    def encode_many(self, columns: Sequence[Any], count: int) -> np.ndarray:
         """The bytes of many messages, shape (count, size), uint8.
 
         Args:
-            columns: name in :attr:`dtype` → values of all messages, the first axis counts them; or one for all.
+            columns: for each name in :attr:`dtype` the values of all messages, the first axis counts them; or one value
+                for all.
+            count: number of messages.
 
         Raises:
-            ValueError: a column is missing or unknown.
+            ValueError: there are more or fewer columns than names.
         """
-        if columns.keys() != set(self.dtype.names or ()):
-            raise ValueError(f"{self.type_name}: columns {sorted(columns.keys() ^ set(self.dtype.names or ()))}")
-        count = max(len(np.atleast_1d(column)) for column in columns.values())
         rows = np.zeros((count, self.size), dtype=np.uint8)
         for start, constant in self._constants:
             rows[:, start : start + len(constant)] = np.frombuffer(constant, dtype=np.uint8)
         messages = rows.view(self.dtype)[:, 0]
-        for name, column in columns.items():
+        for name, column in zip(self.dtype.names or (), columns, strict=True):
             messages[name] = column
         return rows
 
@@ -183,6 +182,27 @@ class CdrTemplate:
     def message(self, data: bytes) -> CdrMessage:
         """The message of bytes that fit."""
         return CdrMessage(self.type_name, data, self._readers)
+
+
+class CdrRows(NamedTuple):
+    """Messages of one layout.
+
+    Attributes:
+        template: their layout.
+        rows: their bytes, shape (count, size), uint8.
+    """
+
+    template: CdrTemplate
+    rows: np.ndarray
+
+    @property
+    def type_name(self) -> str:
+        """The type of the messages."""
+        return self.template.type_name
+
+    def message(self, number: int) -> CdrMessage:
+        """One of them."""
+        return self.template.message(self.rows[number].tobytes())
 
 
 class _Walk:

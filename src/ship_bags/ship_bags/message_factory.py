@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ship_bags.cdr_encoder import STAMP, CdrEncoder
-from ship_bags.cdr_template import CdrMessage, Definition, FieldType
+from ship_bags.cdr_template import CdrMessage, CdrRows, Definition, FieldType
 
 _TYPE_CODES = {
     "double": "d",
@@ -67,6 +67,18 @@ class MessageFactory(Protocol):
         """
         ...
 
+    def encoded_rows(self, type_name: str, count: int, **fields: Any) -> CdrRows:
+        """So many messages as their bytes, from the same fields.
+
+        The texts and the lengths of sequences are the same in all. A number is given as an array with one of each
+        message, a stamp likewise, an array of n numbers as an array of shape (n, count); what is the same in all
+        messages may be given as for one.
+
+        Raises:
+            TypeError: a field is missing or unknown.
+        """
+        ...
+
 
 Converters = dict[str, Callable[[Any], Any] | None]
 """Field name → what makes of a plain value what a message class accepts; None where that is the value itself."""
@@ -99,6 +111,10 @@ class PlannedFactory(abc.ABC):
     def encoded(self, type_name: str, **fields: Any) -> CdrMessage:
         """See :meth:`MessageFactory.encoded`."""
         return self._encoder.encoded(type_name, fields)
+
+    def encoded_rows(self, type_name: str, count: int, **fields: Any) -> CdrRows:
+        """See :meth:`MessageFactory.encoded_rows`."""
+        return self._encoder.encoded_rows(type_name, count, fields)
 
     @abc.abstractmethod
     def definition(self, type_name: str) -> Definition:

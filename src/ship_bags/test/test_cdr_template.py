@@ -124,15 +124,42 @@ def test_many_at_once_are_the_same_as_one_by_one():
     np.testing.assert_array_equal(numbers["header.stamp.nanosec"], [each.header.stamp.nanosec for each in expected])
     np.testing.assert_array_equal(numbers["orientation.w"], [each.orientation.w for each in expected])
     np.testing.assert_array_equal(numbers["orientation_covariance"], [each.orientation_covariance for each in expected])
-    rows = template.encode_many({name: numbers[name] for name in template.dtype.names})
+    rows = template.encode_many([numbers[name] for name in template.dtype.names], len(numbers))
     assert rows.tobytes() == b"".join(messages)
 
 
 def test_columns_must_be_all_and_no_others():
     template = CdrTemplate("geometry_msgs/msg/Vector3", RosbagsFactory().definition, ())
-    with pytest.raises(ValueError, match="'y', 'z'"):
-        template.encode_many({"x": [1.0]})
-    assert template.encode_many({"x": [1.0, 2.0], "y": 0.0, "z": 0.0}).shape == (2, 28)
+    for columns in ([[1.0, 2.0]], [[1.0, 2.0], 0.0, 0.0, 0.0]):
+        with pytest.raises(ValueError, match="argument"):
+            template.encode_many(columns, 2)
+    assert template.encode_many([[1.0, 2.0], 0.0, 0.0], 2).shape == (2, 28)
+
+
+def test_rows_are_the_bytes_of_messages_encoded_one_by_one():
+    """Texts, a sequence and an array of messages are the same in all; each number is another in each."""
+    draw, factory, count = random.Random(4), RosbagsFactory(), 20
+    one_by_one = [random_fields(draw, "ship_msgs/msg/ShipAttitude") for _ in range(count)]
+    for number, fields in enumerate(one_by_one):
+        fields |= {"header": {"stamp": 7 + number * 10**9, "frame_id": "deck"}, "sources": ["ins", "star.fore"]}
+
+    def column(values):
+        if isinstance(values[0], dict):
+            return {name: column([value[name] for value in values]) for name in values[0]}
+        return values[0] if isinstance(values[0], (str, list)) else np.array(values).T
+
+    columns = {name: column([fields[name] for fields in one_by_one]) for name in one_by_one[0]}
+    rows = factory.encoded_rows("ship_msgs/msg/ShipAttitude", count, **columns)
+    for number, fields in enumerate(one_by_one):
+        assert rows.message(number).__cdr__ == serialize(factory.make("ship_msgs/msg/ShipAttitude", **fields))
+
+
+def test_what_is_the_same_in_all_rows_is_given_once():
+    factory = RosbagsFactory()
+    fields = {"x": 1.5, "y": np.array([1.0, 2.0]), "z": 0.0}
+    rows = factory.encoded_rows("geometry_msgs/msg/Vector3", 2, **fields)
+    assert [rows.message(number).y for number in range(2)] == [1.0, 2.0]
+    assert [rows.message(number).x for number in range(2)] == [1.5, 1.5]
 
 
 def test_a_signalling_nan_keeps_its_bits():
@@ -140,7 +167,7 @@ def test_a_signalling_nan_keeps_its_bits():
     data = data[:4] + bytes.fromhex("01000000000ff07f") + data[12:]
     template = CdrTemplate.of_message("geometry_msgs/msg/Vector3", RosbagsFactory().definition, data)
     numbers = template.decode_many(data)
-    assert template.encode_many({name: numbers[name] for name in numbers.dtype.names}).tobytes() == data
+    assert template.encode_many([numbers[name] for name in numbers.dtype.names], 1).tobytes() == data
 
 
 @pytest.mark.parametrize(

@@ -5,9 +5,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ship_estimation.outcome import Decision, Measurement, Outcome, Status
 from ship_geometry.rotations import FloatArray
+
+StampArray = NDArray[np.int64]
+"""Stamps, ns."""
 
 
 class Horizon(enum.IntEnum):
@@ -124,6 +128,74 @@ class AttitudeEstimate:
     star_age_s: float
     state: Any = field(repr=False)
     text: str = ""
+
+
+@dataclass(frozen=True)
+class AttitudeRun:
+    """The ship's attitudes at N moments that rest on one state; each field is that of :class:`AttitudeEstimate`.
+
+    Attributes:
+        time_ns: in ascending order, shape (N,).
+        rotation_nd: shape (N, 3, 3).
+        covariance_parts_n: shape (N, n_sources, 3, 3).
+        covariance_n: shape (N, 3, 3).
+        undisputed_n: shape (N, 3, 3).
+        rate_d: shape (N, 3).
+        status: N of them.
+        horizon: shape (N,).
+        sources: N of them.
+        star_age_s: shape (N,).
+        state: of the filter.
+        text: N of them.
+    """
+
+    time_ns: StampArray
+    rotation_nd: FloatArray
+    covariance_parts_n: FloatArray
+    covariance_n: FloatArray
+    undisputed_n: FloatArray
+    rate_d: FloatArray
+    status: list[Status]
+    horizon: NDArray[np.int64]
+    sources: list[tuple[str, ...]]
+    star_age_s: FloatArray
+    state: Any = field(repr=False)
+    text: list[str]
+
+    @classmethod
+    def of_one(cls, estimate: AttitudeEstimate) -> "AttitudeRun":
+        """The run of one attitude."""
+        return cls(
+            time_ns=np.array([estimate.time_ns]),
+            rotation_nd=estimate.rotation_nd[None],
+            covariance_parts_n=estimate.covariance_parts_n[None],
+            covariance_n=estimate.covariance_n[None],
+            undisputed_n=estimate.undisputed_n[None],
+            rate_d=estimate.rate_d[None],
+            status=[estimate.status],
+            horizon=np.array([estimate.horizon]),
+            sources=[estimate.sources],
+            star_age_s=np.array([estimate.star_age_s]),
+            state=estimate.state,
+            text=[estimate.text],
+        )
+
+    def one(self, number: int) -> AttitudeEstimate:
+        """One of them."""
+        return AttitudeEstimate(
+            time_ns=int(self.time_ns[number]),
+            rotation_nd=self.rotation_nd[number],
+            covariance_parts_n=self.covariance_parts_n[number],
+            covariance_n=self.covariance_n[number],
+            undisputed_n=self.undisputed_n[number],
+            rate_d=self.rate_d[number],
+            status=self.status[number],
+            horizon=Horizon(self.horizon[number]),
+            sources=self.sources[number],
+            star_age_s=float(self.star_age_s[number]),
+            state=self.state,
+            text=self.text[number],
+        )
 
 
 AttitudeOutcome = Outcome[AttitudeDecision, AttitudeEstimate]

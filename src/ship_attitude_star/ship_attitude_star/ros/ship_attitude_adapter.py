@@ -1,7 +1,6 @@
 """The node ``ship_attitude``: which topic feeds which method of its core, what an attitude becomes, its diagnostics."""
 
 import functools
-import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from operator import attrgetter
@@ -12,22 +11,26 @@ import numpy as np
 from ship_attitude_star.measurements.samples import AttitudeEstimate
 from ship_attitude_star.ros import messages_in, star_messages_in
 from ship_attitude_star.ros.alignment_file import ALIGNMENT_FILE
+from ship_attitude_star.ros.attitude_messages import (
+    ATTITUDE_TOPIC,
+    ATTITUDE_TYPE,
+    DEGREES_TOPIC,
+    DEGREES_TYPE,
+    IMU_TOPIC,
+    IMU_TYPE,
+    attitude_messages,
+)
 from ship_attitude_star.ship_attitude.alignment import Alignment
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig, StarSensorConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.integrity import QUANTITIES
 from ship_attitude_star.sky.sky_watch import installed_sky
-from ship_bags.cdr_template import CdrMessage
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.outcome import Status
-from ship_estimation.protection import NORMAL_95
 from ship_estimation.rate_guard import Rates
 from ship_geometry.frames import angle_covariance, angles_from_rotation
 from ship_geometry.ros_axes import (
-    enu_covariance,
-    flu_from_device_vector,
     mounting_quaternion,
-    quaternion_from_rotation,
 )
 from ship_geometry.rotations import ARCSEC
 from ship_node.documents.saved_document import DISK, Files
@@ -51,10 +54,8 @@ from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, ReportingAdapter
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
 from ship_node.edge.verdict_report import clock_status
 
-ATTITUDE_TOPIC, IMU_TOPIC, INTEGRITY_TOPIC = "ship/attitude", "ship/imu", "ship/integrity"
-DEGREES_TOPIC = "ship/attitude_deg"
+INTEGRITY_TOPIC = "ship/integrity"
 
-_IMU_TYPE = "sensor_msgs/msg/Imu"
 _STAR_TYPES = {
     "horizon_attitude": "ship_msgs/msg/StarHorizonAttitude",
     "solution": "ship_msgs/msg/StarHorizonAttitude",
@@ -78,9 +79,6 @@ _RATES = {
 }
 _GROUPS = {"star": "star_sensors", "reference": "references"}
 """First word of a source's name → where its parameters stand."""
-_ZEROS = (0.0,) * 9
-_NOT_GIVEN = (-1.0, *_ZEROS[1:])
-"""Covariance that tells readers of sensor_msgs/Imu that nothing was measured."""
 
 
 class ShipAttitudeAdapter(ReportingAdapter):
@@ -106,9 +104,9 @@ class ShipAttitudeAdapter(ReportingAdapter):
     checked_by: ClassVar["attrgetter[tuple[Any, ...]]"] = attrgetter("status", "sources")
     directions: ClassVar["attrgetter[np.ndarray]"] = attrgetter("rotation_nd")
     outputs: tuple[OutputTopic, ...] = (
-        OutputTopic(ATTITUDE_TOPIC, "ship_msgs/msg/ShipAttitude"),
-        OutputTopic(IMU_TOPIC, _IMU_TYPE),
-        OutputTopic(DEGREES_TOPIC, "ship_msgs/msg/AttitudeDeg"),
+        OutputTopic(ATTITUDE_TOPIC, ATTITUDE_TYPE),
+        OutputTopic(IMU_TOPIC, IMU_TYPE),
+        OutputTopic(DEGREES_TOPIC, DEGREES_TYPE),
         OutputTopic(TF_TOPIC, TF_TYPE),
         OutputTopic(TF_STATIC_TOPIC, TF_TYPE, latched=True),
         OutputTopic("ship/alignment", "ship_msgs/msg/AlignmentState"),
@@ -142,13 +140,13 @@ class ShipAttitudeAdapter(ReportingAdapter):
     def table(self, config: ShipAttitudeConfig) -> Iterator[Feed]:
         """Which topic feeds which method of the core; each star sensor has one topic, so that no star counts twice."""
         core: ShipAttitudeCore = self.core
-        ins = InputTopic("ins/imu", _IMU_TYPE, required=True, depth=1000)
+        ins = InputTopic("ins/imu", IMU_TYPE, required=True, depth=1000)
         yield Feed(ins, "ins", functools.partial(ins_sample, config=config.ins), core.add_ins)
         for id_, star in config.star_sensors.items():
             topic = InputTopic(f"star/{id_}/{star.input}", _STAR_TYPES[star.input], False, depth=1000, named=True)
             yield Feed(topic, f"star.{id_}", self._star_reader(id_, star), core.add_measurement, judged=True)
         for name, reference in config.references.items():
-            topic = InputTopic(f"reference/{name}/imu", _IMU_TYPE, False, depth=1000, named=True)
+            topic = InputTopic(f"reference/{name}/imu", IMU_TYPE, False, depth=1000, named=True)
             read = functools.partial(messages_in.reference_measurement, name=name, config=reference)
             yield Feed(topic, f"reference.{name}", read, core.add_measurement, judged=True)
         if self._watch is not None:
@@ -199,97 +197,6 @@ class ShipAttitudeAdapter(ReportingAdapter):
             *self.verdicts.statuses(),
             clock_status(self.core.filter.model, self.core.state.mean, _GROUPS),
         ]
-
-
-def attitude_messages(factory: MessageFactory, estimate: AttitudeEstimate) -> list[Published]:
-    """What an attitude becomes: ship_msgs/ShipAttitude, and the same in degrees, as sensor_msgs/Imu and on /tf.
-
-    Where no attitude is claimed the first two are all NaN, and the others, which are for standard tools, are not made.
-    """
-    claimed = estimate.status is not Status.INVALID
-    angles = angles_from_rotation(estimate.rotation_nd).tolist()
-    angles_covariance = angle_covariance(estimate.covariance_n, angles[0], angles[1])
-    # The messages share what is the same in them: this runs for each INS sample.
-    header = {"stamp": estimate.time_ns, "frame_id": DECK_FRAME}
-    quaternion = quaternion_from_rotation(estimate.rotation_nd) if claimed else np.full(4, np.nan)
-    orientation = dict(zip("xyzw", quaternion.tolist(), strict=True))
-    rotation_covariance = enu_covariance(estimate.covariance_n).ravel()
-    rate_flu = flu_from_device_vector(estimate.rate_d).tolist()
-    rate = dict(zip("xyz", rate_flu, strict=True))
-    attitude = factory.encoded(
-        "ship_msgs/msg/ShipAttitude",
-        header=header,
-        heading=angles[0],
-        pitch=angles[1],
-        roll=angles[2],
-        covariance=angles_covariance.ravel(),
-        orientation=orientation,
-        rotation_covariance=rotation_covariance,
-        angular_velocity=rate,
-        status=int(estimate.status),
-        horizon=int(estimate.horizon),
-        sources=estimate.sources,
-        star_age_s=estimate.star_age_s,
-    )
-    in_degrees = _in_degrees(factory, header, angles, angles_covariance, estimate.status)
-    if not claimed:
-        return [(ATTITUDE_TOPIC, attitude), (DEGREES_TOPIC, in_degrees)]
-    known_rate = rate if all(map(math.isfinite, rate_flu)) else None
-    imu = _as_imu(factory, header, orientation, rotation_covariance, known_rate)
-    frames = _as_frame(factory, estimate.time_ns, orientation)
-    return [(ATTITUDE_TOPIC, attitude), (IMU_TOPIC, imu), (DEGREES_TOPIC, in_degrees), (TF_TOPIC, frames)]
-
-
-def _in_degrees(
-    factory: MessageFactory,
-    header: Mapping[str, Any],
-    angles: Sequence[float],
-    angles_covariance: np.ndarray,
-    status: Status,
-) -> CdrMessage:
-    """ship_msgs/AttitudeDeg of heading, pitch and roll, rad; their covariance, shape (3, 3), is in rad²."""
-    heading_95, pitch_95, roll_95 = (NORMAL_95 / ARCSEC * np.sqrt(angles_covariance.diagonal())).tolist()
-    return factory.encoded(
-        "ship_msgs/msg/AttitudeDeg",
-        header=header,
-        heading_deg=math.degrees(angles[0]),
-        pitch_deg=math.degrees(angles[1]),
-        roll_deg=math.degrees(angles[2]),
-        heading_95_arcsec=heading_95,
-        pitch_95_arcsec=pitch_95,
-        roll_95_arcsec=roll_95,
-        status=int(status),
-    )
-
-
-def _as_imu(
-    factory: MessageFactory,
-    header: Mapping[str, Any],
-    orientation: Mapping[str, float],
-    rotation_covariance: np.ndarray,
-    rate: Mapping[str, float] | None,
-) -> CdrMessage:
-    """sensor_msgs/Imu without acceleration, with the rate where it is known."""
-    return factory.encoded(
-        _IMU_TYPE,
-        header=header,
-        orientation=orientation,
-        orientation_covariance=rotation_covariance,
-        angular_velocity=ZERO_VECTOR if rate is None else rate,
-        angular_velocity_covariance=_NOT_GIVEN if rate is None else _ZEROS,
-        linear_acceleration=ZERO_VECTOR,
-        linear_acceleration_covariance=_NOT_GIVEN,
-    )
-
-
-def _as_frame(factory: MessageFactory, time_ns: int, orientation: Mapping[str, float]) -> CdrMessage:
-    """tf2_msgs/TFMessage of the deck in the horizon's frame."""
-    deck = {
-        "header": {"stamp": time_ns, "frame_id": HORIZON_FRAME},
-        "child_frame_id": DECK_FRAME,
-        "transform": {"translation": ZERO_VECTOR, "rotation": orientation},
-    }
-    return factory.encoded(TF_TYPE, transforms=[deck])
 
 
 def attitude_budget(factory: MessageFactory, estimate: AttitudeEstimate, sources: Sequence[str]) -> Any:

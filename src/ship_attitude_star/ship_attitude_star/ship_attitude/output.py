@@ -6,7 +6,14 @@ from dataclasses import replace
 import numpy as np
 
 from ship_attitude_star.measurements.readings import InertialAttitude
-from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMeasurement, Horizon, SolvedAttitude
+from ship_attitude_star.measurements.samples import (
+    AttitudeEstimate,
+    AttitudeMeasurement,
+    AttitudeRun,
+    Horizon,
+    SolvedAttitude,
+    StampArray,
+)
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.ins_at_fault import UNKNOWN_INS_RAD_PER_SQRT_S
@@ -104,43 +111,88 @@ class CorrectedIns:
 
     def estimate(self, time_ns: int, ins: InterpolatedAttitude, config: ShipAttitudeConfig) -> AttitudeEstimate:
         """The attitude at the stamp of an INS sample, with its status."""
-        recent_ns = time_ns - config.coasting_after_s * SECOND_NS
-        used = sorted([source for source, used_ns in self.state.used_ns.items() if used_ns >= recent_ns])
-        star_age_s = _age_s(self._newest_star_ns, time_ns)
-        status, text = self._worth(star_age_s, config.coasting_after_s)
-        # NaN compares false: before the first star the horizon is the INS's own.
-        horizon = Horizon.GEODETIC if star_age_s <= config.ins.tilt_time_s else Horizon.GRAVITY
-        since_ns = 0 if self.state.time_ns is None else max(time_ns - self.state.time_ns, 0)
-        times_s, gains = np.array([since_ns * 1e-9]), np.array([ins.noise_gain])
-        (rotation_nd,), (parts,) = self.attitudes(
-            times_s, ins.rotation_nd[None], ins.rate_d[None], gains, ins.error_covariance_d[None]
-        )
-        if self.state.doubt is not None:
-            parts[self._drift_index] += self.state.doubt.covariance_n
-        if INS in self.state.excluded:
-            parts[self._drift_index] += UNKNOWN_INS_RAD_PER_SQRT_S**2 * since_ns * 1e-9 * np.eye(3)
-        covariance_n = undisputed_n = parts.sum(axis=0)
-        if self.state.disputed_n is not None:
-            parts[self._drift_index] += self.state.disputed_n
-            covariance_n = parts.sum(axis=0)
-        estimate = AttitudeEstimate(
+        moved = ins.rotation_nd[None], ins.rate_d[None], np.array([ins.noise_gain]), ins.error_covariance_d[None]
+        return self.estimates(np.array([time_ns]), *moved, config).one(0)
+
+    def estimates(
+        self,
+        time_ns: StampArray,
+        rotation_nd: FloatArray,
+        rate_d: FloatArray,
+        noise_gain: FloatArray,
+        error_covariance_d: FloatArray,
+        config: ShipAttitudeConfig,
+    ) -> AttitudeRun:
+        """The attitudes at the stamps of N INS samples, with their statuses.
+
+        Args:
+            time_ns: in ascending order, shape (N,).
+            rotation_nd: and the next three as in :meth:`attitudes`.
+            rate_d: rad/s.
+            noise_gain: of the samples' white noise.
+            error_covariance_d: rad².
+            config: of the node.
+        """
+        state, since_ns = self.state, np.zeros(len(time_ns), dtype=np.int64)
+        if state.time_ns is not None:
+            since_ns = np.maximum(time_ns - state.time_ns, 0)
+        since_s = 1e-9 * since_ns.astype(np.float64)
+        attitude_nd, parts = self.attitudes(since_s, rotation_nd, rate_d, noise_gain, error_covariance_d)
+        if state.doubt is not None:
+            parts[:, self._drift_index] += state.doubt.covariance_n
+        if INS in state.excluded:
+            unknown = UNKNOWN_INS_RAD_PER_SQRT_S**2 * since_ns * 1e-9
+            parts[:, self._drift_index] += unknown[:, None, None] * np.eye(3)
+        covariance_n = undisputed_n = parts.sum(axis=1)
+        if state.disputed_n is not None:
+            parts[:, self._drift_index] += state.disputed_n
+            covariance_n = parts.sum(axis=1)
+        star_age_s = self._star_ages_s(time_ns)
+        worth = [self._worth(age_s, config.coasting_after_s) for age_s in star_age_s.tolist()]
+        run = AttitudeRun(
             time_ns=time_ns,
-            rotation_nd=rotation_nd,
+            rotation_nd=attitude_nd,
             covariance_parts_n=parts,
             covariance_n=covariance_n,
             undisputed_n=undisputed_n,
-            rate_d=ins.rate_d,
-            status=status,
-            horizon=horizon,
-            sources=("ins", *used),
+            rate_d=rate_d,
+            status=[status for status, _ in worth],
+            # NaN compares false: before the first star the horizon is the INS's own.
+            horizon=np.where(star_age_s <= config.ins.tilt_time_s, Horizon.GEODETIC, Horizon.GRAVITY),
+            sources=self._sources(time_ns, round(config.coasting_after_s * SECOND_NS)),
             star_age_s=star_age_s,
-            state=self.state,
-            text=text,
+            state=state,
+            text=[text for _, text in worth],
         )
-        if status is Status.DEGRADED or not config.integrity.alert_limit_arcsec:
-            return estimate
-        text = above_limit(integrity_of(self._filter, config, estimate), QUANTITIES)
-        return replace(estimate, status=Status.DEGRADED, text=text) if text else estimate
+        if config.integrity.alert_limit_arcsec:
+            self._degrade_above_limit(run, config)
+        return run
+
+    def _star_ages_s(self, time_ns: StampArray) -> FloatArray:
+        """Time since the last star measurement used; NaN where there was none."""
+        if self._newest_star_ns is None:
+            return np.full(len(time_ns), np.nan)
+        ages_s: FloatArray = (time_ns - self._newest_star_ns) / SECOND_NS
+        return ages_s
+
+    def _sources(self, time_ns: StampArray, recent_ns: int) -> list[tuple[str, ...]]:
+        """At each moment the INS, and the sources of which a measurement was used not long before."""
+
+        def at(moment_ns: int) -> tuple[str, ...]:
+            used = [source for source, used_ns in self.state.used_ns.items() if used_ns >= moment_ns - recent_ns]
+            return INS, *sorted(used)
+
+        first, last = at(int(time_ns[0])), at(int(time_ns[-1]))
+        # As time goes on sources can only be left out.
+        return [first] * len(time_ns) if first == last else [at(moment_ns) for moment_ns in time_ns.tolist()]
+
+    def _degrade_above_limit(self, run: AttitudeRun, config: ShipAttitudeConfig) -> None:
+        """Attitudes that may be wrong by more than the alert limit are DEGRADED."""
+        for number, status in enumerate(run.status):
+            if status is not Status.DEGRADED:
+                text = above_limit(integrity_of(self._filter, config, run.one(number)), QUANTITIES)
+                if text:
+                    run.status[number], run.text[number] = Status.DEGRADED, text
 
     def _worth(self, star_age_s: float, coasting_after_s: float) -> tuple[Status, str]:
         """Status of an attitude, and why it is DEGRADED."""

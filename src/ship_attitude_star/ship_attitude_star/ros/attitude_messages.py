@@ -1,0 +1,191 @@
+"""What attitudes become: ship_msgs/ShipAttitude, and the same in degrees, as sensor_msgs/Imu and on /tf.
+
+One function says what stands in which field. Its values are numbers for the one attitude that a live node has at a
+time, and columns of numbers for the many of a block, which become rows of bytes together.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from itertools import chain
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeRun, StampArray
+from ship_bags.cdr_template import CdrRows
+from ship_bags.message_factory import MessageFactory
+from ship_estimation.outcome import Status
+from ship_estimation.protection import NORMAL_95
+from ship_geometry.compiled_angles import angle_covariances, angles, quaternions
+from ship_geometry.frames import SINGULAR_ELEVATION
+from ship_geometry.ros_axes import ENU_FROM_HORIZON, FLU_FROM_DEVICE, enu_covariance, flu_from_device_vector
+from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_node.edge.messages_out import DECK_FRAME, HORIZON_FRAME, TF_TOPIC, TF_TYPE, ZERO_VECTOR
+from ship_node.edge.topics import Published
+
+ATTITUDE_TOPIC, ATTITUDE_TYPE = "ship/attitude", "ship_msgs/msg/ShipAttitude"
+IMU_TOPIC, IMU_TYPE = "ship/imu", "sensor_msgs/msg/Imu"
+DEGREES_TOPIC, DEGREES_TYPE = "ship/attitude_deg", "ship_msgs/msg/AttitudeDeg"
+
+_ZEROS = (0.0,) * 9
+_NOT_GIVEN = (-1.0, *_ZEROS[1:])
+"""Covariance that tells readers of sensor_msgs/Imu that nothing was measured."""
+
+Fields = Mapping[str, Any]
+
+
+class PublishedRows(NamedTuple):
+    """The messages of one topic that some of N attitudes become.
+
+    Attributes:
+        topic: the topic.
+        messages: in order.
+        places: which of the attitudes each message is of.
+    """
+
+    topic: str
+    messages: CdrRows
+    places: NDArray[np.int64]
+
+
+class AttitudeNumbers(NamedTuple):
+    """What is published of N attitudes, whatever states they rest on; see :class:`AttitudeRun`."""
+
+    time_ns: StampArray
+    rotation_nd: FloatArray
+    covariance_n: FloatArray
+    rate_d: FloatArray
+    status: list[Status]
+    horizon: NDArray[np.int64]
+    sources: list[tuple[str, ...]]
+    star_age_s: FloatArray
+
+    @classmethod
+    def of(cls, runs: list[AttitudeRun]) -> "AttitudeNumbers":
+        """The numbers of several runs, one after another."""
+
+        def joined(name: str) -> Any:
+            values = [getattr(run, name) for run in runs]
+            if len(values) == 1:
+                return values[0]
+            return list(chain.from_iterable(values)) if isinstance(values[0], list) else np.concatenate(values)
+
+        return cls(*map(joined, cls._fields))
+
+    def some(self, places: NDArray[np.int64]) -> "AttitudeNumbers":
+        """Some of them."""
+        if len(places) == len(self.time_ns):
+            return self
+
+        def some(values: Any) -> Any:
+            return [values[place] for place in places] if isinstance(values, list) else values[places]
+
+        return AttitudeNumbers(*map(some, self))
+
+
+def attitude_messages(factory: MessageFactory, estimate: AttitudeEstimate) -> list[Published]:
+    """What one attitude becomes, as messages on their way out.
+
+    Where no attitude is claimed the first two are all NaN, and the others, which are for standard tools, are not made.
+    """
+    attitude = AttitudeNumbers.of([AttitudeRun.of_one(estimate)])
+    return [
+        (topic, factory.encoded(type_name, **fields)) for topic, type_name, fields in _messages(attitude, _numbers)
+    ]
+
+
+def attitude_rows(factory: MessageFactory, attitudes: AttitudeNumbers) -> Iterator[PublishedRows]:
+    """What N attitudes become; the messages of one are in the same order as by :func:`attitude_messages`."""
+    known: list[bool] = np.all(np.isfinite(attitudes.rate_d), axis=1).tolist()
+    claimed = [status is not Status.INVALID for status in attitudes.status]
+    # Alike are those whose messages have the same texts, and nothing left out.
+    kinds = list(zip(claimed, known, attitudes.sources, strict=True))
+    for kind in dict.fromkeys(kinds):
+        places = np.array([place for place, other in enumerate(kinds) if other == kind])
+        for topic, type_name, fields in _messages(attitudes.some(places), _columns):
+            yield PublishedRows(topic, factory.encoded_rows(type_name, len(places), **fields), places)
+
+
+def _numbers(values: Any) -> Any:
+    """The numbers of the only attitude, of an array whose first axis counts attitudes."""
+    return values[0].tolist()
+
+
+def _columns(values: Any) -> Any:
+    """The numbers of all attitudes, by columns."""
+    return values.T
+
+
+def _messages(
+    attitudes: AttitudeNumbers, values_of: Callable[[Any], Any]
+) -> Iterator[tuple[str, str, Fields]]:
+    """Topic, type and fields of each message of attitudes that are alike."""
+    of_angles = angles(attitudes.rotation_nd)
+    covariances = angle_covariances(attitudes.covariance_n, of_angles, SINGULAR_ELEVATION)
+    heading, pitch, roll = values_of(of_angles)
+    (time_ns,) = values_of(attitudes.time_ns[:, None])
+    header = {"stamp": time_ns, "frame_id": DECK_FRAME}
+    (status,) = values_of(np.array(attitudes.status)[:, None])
+    rotations = quaternions(ENU_FROM_HORIZON @ attitudes.rotation_nd @ FLU_FROM_DEVICE.T)
+    orientation = dict(zip("xyzw", values_of(rotations), strict=True))
+    rotation_covariance = values_of(enu_covariance(attitudes.covariance_n).reshape(-1, 9))
+    rate = dict(zip("xyz", values_of(flu_from_device_vector(attitudes.rate_d)), strict=True))
+    (horizon, star_age_s) = values_of(attitudes.horizon[:, None])[0], values_of(attitudes.star_age_s[:, None])[0]
+    is_claimed = attitudes.status[0] is not Status.INVALID
+    yield (
+        ATTITUDE_TOPIC,
+        ATTITUDE_TYPE,
+        {
+            "header": header,
+            "heading": heading,
+            "pitch": pitch,
+            "roll": roll,
+            "covariance": values_of(covariances.reshape(-1, 9)),
+            "orientation": orientation,
+            "rotation_covariance": rotation_covariance,
+            "angular_velocity": rate,
+            "status": status,
+            "horizon": horizon,
+            "sources": attitudes.sources[0],
+            "star_age_s": star_age_s,
+        },
+    )
+    if is_claimed:
+        rate_known = bool(np.isfinite(attitudes.rate_d[0]).all())
+        yield IMU_TOPIC, IMU_TYPE, _as_imu(header, orientation, rotation_covariance, rate if rate_known else None)
+    heading_95, pitch_95, roll_95 = values_of(NORMAL_95 / ARCSEC * np.sqrt(covariances.diagonal(axis1=1, axis2=2)))
+    heading_deg, pitch_deg, roll_deg = values_of(np.rad2deg(of_angles))
+    yield (
+        DEGREES_TOPIC,
+        DEGREES_TYPE,
+        {
+            "header": header,
+            "heading_deg": heading_deg,
+            "pitch_deg": pitch_deg,
+            "roll_deg": roll_deg,
+            "heading_95_arcsec": heading_95,
+            "pitch_95_arcsec": pitch_95,
+            "roll_95_arcsec": roll_95,
+            "status": status,
+        },
+    )
+    if is_claimed:
+        deck = {
+            "header": {"stamp": time_ns, "frame_id": HORIZON_FRAME},
+            "child_frame_id": DECK_FRAME,
+            "transform": {"translation": ZERO_VECTOR, "rotation": orientation},
+        }
+        yield TF_TOPIC, TF_TYPE, {"transforms": [deck]}
+
+
+def _as_imu(header: Fields, orientation: Fields, rotation_covariance: Any, rate: Fields | None) -> Fields:
+    """sensor_msgs/Imu without acceleration, with the rate where it is known."""
+    return {
+        "header": header,
+        "orientation": orientation,
+        "orientation_covariance": rotation_covariance,
+        "angular_velocity": ZERO_VECTOR if rate is None else rate,
+        "angular_velocity_covariance": _NOT_GIVEN if rate is None else _ZEROS,
+        "linear_acceleration": ZERO_VECTOR,
+        "linear_acceleration_covariance": _NOT_GIVEN,
+    }
