@@ -1,0 +1,56 @@
+"""The messages of many attitudes made together are those of each made alone, byte for byte."""
+
+import numpy as np
+
+from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeRun, Horizon
+from ship_attitude_star.ros.attitude_messages import AttitudeNumbers, attitude_messages, attitude_rows
+from ship_bags.message_store import RosbagsFactory
+from ship_estimation.outcome import Status
+from ship_geometry.rotations import exp_rotation
+
+KINDS = [
+    (Status.VALID, ("ins", "star.fore", "star.starboard"), True),
+    (Status.COASTING, ("ins",), True),
+    (Status.INVALID, (), False),
+    (Status.DEGRADED, ("star.fore",), False),
+    (Status.VALID, ("ins", "star.fore"), True),
+]
+"""Status, sources, and whether the rate is known."""
+
+
+def attitudes(count: int = 40) -> list[AttitudeEstimate]:
+    """Attitudes of all kinds, each with other numbers."""
+    rng = np.random.default_rng(3)
+    found = []
+    for number in range(count):
+        status, sources, rate_known = KINDS[number % len(KINDS)]
+        root = 1e-5 * rng.standard_normal((3, 3))
+        nothing = np.nan if status is Status.INVALID else 0.0
+        found.append(
+            AttitudeEstimate(
+                time_ns=1_400_000_000_000_000_000 + 10_000_001 * number,
+                rotation_nd=exp_rotation(rng.uniform(-2.0, 2.0, 3)) + nothing,
+                covariance_parts_n=np.zeros((1, 3, 3)),
+                covariance_n=root @ root.T + nothing,
+                undisputed_n=root @ root.T,
+                rate_d=rng.standard_normal(3) + (0.0 if rate_known else np.nan),
+                status=status,
+                horizon=Horizon.GRAVITY if number % 3 else Horizon.GEODETIC,
+                sources=sources,
+                star_age_s=0.1 * number,
+                state=None,
+            )
+        )
+    return found
+
+
+def test_rows_are_the_messages_of_each_attitude_in_their_order() -> None:
+    factory = RosbagsFactory()
+    numbers = AttitudeNumbers.of([AttitudeRun.of_one(attitude) for attitude in attitudes()])
+    found: list[list[tuple[str, bytes]]] = [[] for _ in attitudes()]
+    for rows in attitude_rows(factory, numbers):
+        for number, place in enumerate(rows.places.tolist()):
+            found[place].append((rows.topic, rows.messages.message(number).__cdr__))
+    for messages, attitude in zip(found, attitudes(), strict=True):
+        assert messages == [(topic, message.__cdr__) for topic, message in attitude_messages(factory, attitude)]
+    assert {len(messages) for messages in found} == {2, 4}
