@@ -7,19 +7,21 @@ be mended.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+import numpy as np
+
 from ship_estimation.ins import GuardedInsConfig, InsJump, clock_step_s
 from ship_estimation.ins_leads import FASTEST_RAD_PER_S, Leads, SeenSample, moved_back, one_run, seconds_between
-from ship_estimation.integrated_rates import Learnt, RateIntegrator, StepWatch
+from ship_estimation.integrated_rates import IntegratedRun, Learnt, RateIntegrator, StepWatch
 from ship_estimation.rate_guard import RateGuard, Rates
 from ship_estimation.rate_slopes import SlopeWatch
 from ship_estimation.refusals import Reason, Refusal
 from ship_estimation.value_guards import JumpGuard, JumpVerdict, Match, StuckGuard, size
 from ship_estimation.witnesses import Witness
-from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
+from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, SampleBlock
 from ship_geometry.rotations import ARCSEC
 
 _STUCK = Refusal(Reason.STUCK, "orientation stands still while other sources move")
@@ -114,6 +116,77 @@ class InsGuard:
         if self._rates.usable or sample.rate_d is None:
             return judged
         return judged._replace(sample=replace(sample, rate_d=None))
+
+    def follow(
+        self, samples: Sequence[AttitudeSample], block: SampleBlock, witnesses: Mapping[str, Witness]
+    ) -> tuple[int, JudgedIns | None]:
+        """Take the samples of a block, from the first one on, that go the way of nearly all.
+
+        Each of them is judged as by :meth:`judge` and is used as it is. The next one is for :meth:`judge`.
+
+        Args:
+            samples: later than all before, in the order of their stamps.
+            block: the same as arrays.
+            witnesses: as in :meth:`judge`; the same for all samples.
+
+        Returns:
+            How many were taken; and what is to be done with the last of them where something is, because the rates
+            turned out to be wrong with it.
+        """
+        self._leads.told_rad = 0.0
+        taken = self._taken
+        if taken is None or self._previous is not taken or self._rates.rates is not Rates.MEASURED:
+            return 0, None
+        if self._disputed is not None or taken.integrated is None or samples[0].time_ns <= taken.sample.time_ns:
+            return 0, None
+        fresh = self._stuck.new_values(samples[0].time_ns, block.rotations_nd)
+        integrated = self._integrator.integrate_all(block.times_ns[:fresh], block.rates_d[:fresh])
+        joined, count, wrong_after_ns = len(integrated.missed_rad), 0, None
+        if integrated.run != taken.integrated.run:
+            return 0, None
+        while count < joined and wrong_after_ns is None and self._rates.rates is Rates.MEASURED:
+            # With the sample at which it is due the rates are judged.
+            due = int(np.searchsorted(block.times_ns[count:joined], self._rates.due_ns)) + 1
+            some = slice(count, min(count + due, joined))
+            errors_rad = self._leads.by_rates.noise_rad, self._stuck.coarseness_rad
+            along = self._steps.follow(
+                block.times_ns[some],
+                block.rotations_nd[some],
+                block.rates_d[some],
+                IntegratedRun(integrated.rotations[some], integrated.run, integrated.missed_rad[some]),
+                *errors_rad,
+            )
+            if along == 0:
+                break
+            count += along
+            previous, self._taken = self._seen(samples, integrated, taken, count)
+            self._previous = self._taken
+            if along == due:
+                wrong_after_ns = self._judge_rates(previous, self._taken)
+        if count == 0:
+            return 0, None
+        last = samples[count - 1]
+        self._integrator.take(last.time_ns, block.rates_d[count - 1], integrated.one(count - 1))
+        # As the guard of what stands still was told of it: before the rates were judged with this sample.
+        by_rates = Witness(last.time_ns, integrated.rotations[count - 1], 0.0, self._leads.drift.bound_rad_per_s)
+        self._stuck.follow(last.time_ns, block.rotations_nd[:count], {**witnesses, "rate": by_rates})
+        self.noise_rad = math.hypot(self._sigma_rad, self._stuck.coarseness_rad / math.sqrt(12.0))
+        self.by_rates = by_rates if self._rates.usable else None
+        self._smooth_since_taken = True
+        if wrong_after_ns is None and self._rates.usable:
+            return count, None
+        return count, JudgedIns(last if self._rates.usable else replace(last, rate_d=None), None, (), wrong_after_ns)
+
+    @staticmethod
+    def _seen(
+        samples: Sequence[AttitudeSample], integrated: IntegratedRun, taken: SeenSample, count: int
+    ) -> tuple[SeenSample, SeenSample]:
+        """The last two of so many samples taken, as the guard has seen them, and before the block the one taken."""
+        before = (taken.before, taken.sample, *samples[max(count - 3, 0) : count])
+        last = SeenSample(samples[count - 1], taken.number + count, before[-2], integrated.one(count - 1))
+        if count == 1:
+            return taken, last
+        return SeenSample(samples[count - 2], last.number - 1, before[-3], integrated.one(count - 2)), last
 
     def _judge_next(
         self, sample: AttitudeSample, previous: SeenSample | None, witnesses: Mapping[str, Witness]

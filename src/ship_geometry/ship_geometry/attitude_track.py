@@ -8,8 +8,10 @@ neighbouring samples. docs/explanation/interpolation.md states the error for a r
 import bisect
 import math
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ship_geometry import compiled_rotations
 from ship_geometry.interpolation_error import (
@@ -56,6 +58,44 @@ class AttitudeSample:
     def content(self) -> bytes:
         """All values as bytes: equal for a repeated sample, and an order for conflicting ones."""
         return self.rotation_nd.tobytes() + (b"" if self.rate_d is None else self.rate_d.tobytes())
+
+
+class SampleBlock(NamedTuple):
+    """The samples of one source that follow one another, each with a measured rate; see :class:`AttitudeSample`.
+
+    Attributes:
+        times_ns: in ascending order, shape (N,).
+        rotations_nd: shape (N, 3, 3).
+        rates_d: shape (N, 3).
+    """
+
+    times_ns: NDArray[np.int64]
+    rotations_nd: FloatArray
+    rates_d: FloatArray
+
+    def samples(self) -> list[AttitudeSample]:
+        """Each of them as a sample."""
+        return list(map(AttitudeSample, self.times_ns.tolist(), self.rotations_nd, self.rates_d))
+
+    def some(self, which: slice) -> "SampleBlock":
+        """Some of them."""
+        return SampleBlock(self.times_ns[which], self.rotations_nd[which], self.rates_d[which])
+
+
+class MovedBlock(NamedTuple):
+    """Attitudes of a block, moved by one time; each field is that of :class:`InterpolatedAttitude`.
+
+    Attributes:
+        rotation_nd: shape (N, 3, 3).
+        rate_d: shape (N, 3).
+        noise_gain: shape (N,).
+        error_covariance_d: shape (N, 3, 3).
+    """
+
+    rotation_nd: FloatArray
+    rate_d: FloatArray
+    noise_gain: FloatArray
+    error_covariance_d: FloatArray
 
 
 @dataclass(frozen=True)
@@ -151,6 +191,38 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         if self._samples[index].rate_d is None:
             return self._moved_by_differences(index, ahead_s)
         return self._moved_by_rates(index, ahead_s)
+
+    def moves_by_rates(self, times_ns: NDArray[np.int64]) -> int:
+        """How many samples to come, from the first one on, can be moved by RATES measured rates each.
+
+        Args:
+            times_ns: stamps of samples with a measured rate, later than all here, shape (N,).
+        """
+        recent, kept_ns = self._samples[1 - RATES :], self._times[1 - RATES :]
+        if len(recent) < RATES - 1 or any(sample.rate_d is None for sample in recent):
+            return 0
+        all_ns = np.concatenate([kept_ns, times_ns])
+        near = np.diff(all_ns) <= self.max_gap_ns
+        count = len(near) if near.all() else int(np.argmin(near))
+        # A jump lies behind all of these samples or it is too near.
+        return 0 if self._cut_between(int(all_ns[0]), int(all_ns[-1])) else max(count - RATES + 2, 0)
+
+    def newest_all_moved(self, count: int, ahead_s: float) -> MovedBlock:
+        """The newest samples, each moved as by :meth:`newest_moved` when it was the newest.
+
+        Args:
+            count: how many; :meth:`moves_by_rates` told that they can be moved so.
+            ahead_s: seconds after each sample, or before it where negative.
+        """
+        samples, times_ns = self._samples[1 - RATES - count :], np.array(self._times[1 - RATES - count :])
+        steps_s, rates_d = np.diff(times_ns) / SECOND_NS, np.array([sample.rate_d for sample in samples])
+        # Newest first, as of each sample.
+        recent = np.arange(RATES - 1, RATES - 1 + count)[:, None] - np.arange(RATES)
+        rotations_nd = np.array([sample.rotation_nd for sample in samples[RATES - 1 :]])
+        moved_nd, rate_d, error_d = moved_by_rates(
+            rotations_nd, rates_d[recent], steps_s[recent[:, :-1] - 1], np.full(count, ahead_s)
+        )
+        return MovedBlock(moved_nd, rate_d, np.ones(count), error_d)
 
     def forget_rates(self, after_ns: int) -> int | None:
         """Forget the measured rates of all samples stamped after a moment, because they turned out to be wrong.

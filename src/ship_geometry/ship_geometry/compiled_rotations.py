@@ -12,7 +12,7 @@ import numpy as np
 if not cython.compiled:
     raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")
 
-from cython.cimports.libc.math import atan2, exp, sin, sqrt
+from cython.cimports.libc.math import NAN, atan2, exp, sin, sqrt
 
 _SMALL_ANGLE = cython.declare(cython.double, 1e-4)
 """Below this angle (rad) the series used are exact to the last bit of a double."""
@@ -98,23 +98,34 @@ def jacobian(vector: cython.const[cython.double][:]):
     return matrix
 
 
-def logarithm(rotation: cython.const[cython.double][:, :]):
-    """:func:`ship_geometry.rotations.log_rotation` of one matrix by its antisymmetric part; None near half a turn."""
-    _check("rotation", rotation.shape[0] == rotation.shape[1] == 3)
-    cosine: cython.double = 0.5 * (rotation[0, 0] + rotation[1, 1] + rotation[2, 2] - 1.0)
-    x: cython.double = rotation[2, 1] - rotation[1, 2]
-    y: cython.double = rotation[0, 2] - rotation[2, 0]
-    z: cython.double = rotation[1, 0] - rotation[0, 1]
+@cython.cfunc
+@cython.exceptval(check=False)
+def _logarithm(rotation: cython.p_double, out: cython.p_double) -> cython.bint:
+    """The rotation vector by the antisymmetric part; False near half a turn, where that does not tell it."""
+    cosine: cython.double = 0.5 * (rotation[0] + rotation[4] + rotation[8] - 1.0)
+    x: cython.double = rotation[7] - rotation[5]
+    y: cython.double = rotation[2] - rotation[6]
+    z: cython.double = rotation[3] - rotation[1]
     sine: cython.double
     scale: cython.double
     if cosine < -0.9:
-        return None
+        return False
     sine = 0.5 * sqrt(x * x + y * y + z * z)
     scale = 0.5 + sine * sine / 12.0 if sine < _SMALL_ANGLE else 0.5 * atan2(sine, cosine) / sine
+    out[0], out[1], out[2] = scale * x, scale * y, scale * z
+    return True
+
+
+def logarithm(rotation: cython.const[cython.double][:, :]):
+    """:func:`ship_geometry.rotations.log_rotation` of one matrix by its antisymmetric part; None near half a turn."""
+    _check("rotation", rotation.shape[0] == rotation.shape[1] == 3)
+    matrix = cython.declare(cython.double[9])
+    i: cython.int
+    for i in range(9):
+        matrix[i] = rotation[i // 3, i % 3]
     vector = np.empty(3)
     out: cython.double[::1] = vector
-    out[0], out[1], out[2] = scale * x, scale * y, scale * z
-    return vector
+    return vector if _logarithm(matrix, cython.address(out[0])) else None
 
 
 @cython.cfunc
@@ -126,6 +137,80 @@ def _times(left: cython.p_double, right: cython.p_double, out: cython.p_double) 
     for i in range(3):
         for j in range(3):
             out[3 * i + j] = left[3 * i] * right[j] + left[3 * i + 1] * right[3 + j] + left[3 * i + 2] * right[6 + j]
+
+
+def turned_on(rotation: cython.const[cython.double][:, :], vectors: cython.const[cython.double][:, :]):
+    """A rotation turned on by N rotation vectors, one after another, each about the axes reached before it.
+
+    Args:
+        rotation: shape (3, 3).
+        vectors: rad, shape (N, 3).
+
+    Returns:
+        The rotations reached, shape (N, 3, 3).
+    """
+    count: cython.Py_ssize_t = vectors.shape[0]
+    _check("turned_on", rotation.shape[0] == rotation.shape[1] == 3 and vectors.shape[1] == 3)
+    of_rotations = np.empty((count, 3, 3))
+    reached: cython.double[:, :, ::1] = of_rotations
+    before = cython.declare(cython.double[9])
+    vector = cython.declare(cython.double[3])
+    turn = cython.declare(cython.double[9])
+    n: cython.Py_ssize_t
+    i: cython.int
+    for i in range(9):
+        before[i] = rotation[i // 3, i % 3]
+    for n in range(count):
+        for i in range(3):
+            vector[i] = vectors[n, i]
+        _exponential(vector, turn)
+        _times(before, turn, cython.address(reached[n, 0, 0]))
+        for i in range(9):
+            before[i] = reached[n, i // 3, i % 3]
+    return of_rotations
+
+
+def differences(
+    rotations: cython.const[cython.double][:, :, :],
+    others: cython.const[cython.double][:, :, :],
+    turn: cython.const[cython.double][:, :],
+):
+    """Rotation vectors of N rotations against others, R Oᵀ T, in the frame on their left.
+
+    Args:
+        rotations: R, shape (N, 3, 3).
+        others: O, to other frames on the left, shape (N, 3, 3).
+        turn: T, nearly what turns the frame of R into that of O, shape (3, 3).
+
+    Returns:
+        rad, shape (N, 3); NaN near half a turn.
+    """
+    count: cython.Py_ssize_t = rotations.shape[0]
+    _check("rotations", rotations.shape[1] == rotations.shape[2] == others.shape[1] == others.shape[2] == 3)
+    _check("differences", others.shape[0] == count and turn.shape[0] == turn.shape[1] == 3)
+    of_vectors = np.empty((count, 3))
+    vectors: cython.double[:, ::1] = of_vectors
+    across = cython.declare(cython.double[9])
+    turned = cython.declare(cython.double[9])
+    n: cython.Py_ssize_t
+    i: cython.int
+    j: cython.int
+    for n in range(count):
+        for i in range(3):
+            for j in range(3):
+                across[3 * i + j] = (
+                    rotations[n, i, 0] * others[n, j, 0]
+                    + rotations[n, i, 1] * others[n, j, 1]
+                    + rotations[n, i, 2] * others[n, j, 2]
+                )
+        for i in range(3):
+            for j in range(3):
+                turned[3 * i + j] = (
+                    across[3 * i] * turn[0, j] + across[3 * i + 1] * turn[1, j] + across[3 * i + 2] * turn[2, j]
+                )
+        if not _logarithm(turned, cython.address(vectors[n, 0])):
+            vectors[n, 0] = vectors[n, 1] = vectors[n, 2] = NAN
+    return of_vectors
 
 
 @cython.cfunc

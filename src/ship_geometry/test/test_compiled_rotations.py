@@ -64,6 +64,31 @@ def test_a_chain_is_the_product_and_its_derivatives_are_those_of_small_steps() -
             np.testing.assert_allclose(derivatives[link][:, axis], small, rtol=0, atol=2e-6)
 
 
+def test_a_rotation_is_turned_on_by_one_vector_after_another() -> None:
+    start, turns = exp_rotation(np.array([0.3, -0.2, 0.5])), vectors(40)
+    reached = compiled_rotations.turned_on(start, turns)
+    expected = start
+    for turn, found in zip(exp_rotation(turns), reached, strict=True):
+        expected = expected @ turn
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
+    (alone,) = compiled_rotations.turned_on(reached[6], turns[7:8])
+    assert alone.tobytes() == reached[7].tobytes()
+
+
+def test_differences_are_logarithms_and_unknown_near_half_a_turn() -> None:
+    rotations, others = exp_rotation(0.2 * vectors(40)), exp_rotation(0.3 * vectors(45)[5:])
+    turn = others[0] @ rotations[0].T
+    found = compiled_rotations.differences(rotations, others, turn)
+    expected = log_rotation(rotations @ others.swapaxes(1, 2) @ turn)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
+    alone = [
+        compiled_rotations.differences(rotations[n : n + 1], others[n : n + 1], turn)[0] for n in range(len(others))
+    ]
+    assert np.array(alone).tobytes() == found.tobytes()
+    half = exp_rotation(np.array([[0.0, 3.1, 0.0]]))
+    assert np.isnan(compiled_rotations.differences(half, np.eye(3)[None], np.eye(3))).all()
+
+
 @pytest.mark.parametrize("at", [1e-3, 0.3, 0.9])
 def test_between_two_attitudes_lies_the_cubic_with_their_rates(at: float) -> None:
     """Hermite's cubic by numpy; the rate is that of small steps along it."""

@@ -6,6 +6,7 @@ measurement is applied and which output may follow. What belongs to the ship's a
 of the INS and of the star sensors, and who carries the attitude when the INS is gone.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +18,8 @@ from ship_attitude_star.measurements.samples import (
     AttitudeEstimate,
     AttitudeMeasurement,
     AttitudeOutcome,
+    AttitudeRun,
+    StampArray,
 )
 from ship_attitude_star.ship_attitude.alignment import (
     Alignment,
@@ -34,11 +37,12 @@ from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_estimation.estimator_shell import EstimatorShell, Model
 from ship_estimation.ins import InsJump
-from ship_estimation.outcome import Measurement, Status
+from ship_estimation.ins_guard import JudgedIns
+from ship_estimation.outcome import BlockOutcome, Measurement, Status
 from ship_estimation.protection import IntegrityReport
 from ship_estimation.rate_guard import Rates
 from ship_estimation.refusals import Refusal, contradiction_text
-from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
+from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, SampleBlock
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
@@ -121,6 +125,55 @@ class ShipAttitudeCore:
             return AttitudeOutcome(self._shell.window.late(sample.time_ns))
         outcome = AttitudeOutcome()
         judged = self._guards.ins.judge(sample, self._track, self._guards.witnesses)
+        return self._use_ins(judged, sample.time_ns if arrival_ns is None else arrival_ns, outcome, estimate)
+
+    def add_ins_block(self, block: SampleBlock, arrivals_ns: StampArray, estimate: bool = True) -> BlockOutcome:
+        """The samples of a block, from the first one on, that all go the usual way, which is taken once for them.
+
+        Each is used as by :meth:`add_ins`. The first one that goes another way ends the block: it comes late or jumps,
+        or a measurement waits for it.
+
+        Args:
+            block: samples with rates.
+            arrivals_ns: when each came, in the time of waiting, shape (N,).
+            estimate: as in :meth:`add_ins`.
+        """
+        newest, first_ns = self._track.newest, int(block.times_ns[0])
+        in_order = newest is not None and newest.time_ns < first_ns and self._shell.follows(first_ns)
+        if not (in_order and self._shell.is_idle) or self._shell.contradictions.at(first_ns):
+            return BlockOutcome()
+        block = block.some(slice(self._track.moves_by_rates(block.times_ns)))
+        if not len(block.times_ns):
+            return BlockOutcome()
+        samples = block.samples()
+        count, last = self._guards.ins.follow(samples, block, self._guards.witnesses)
+        usual = count if last is None else count - 1
+        run = self._taken_together(samples[:usual], arrivals_ns, estimate) if usual else None
+        if last is None:
+            return BlockOutcome(count, run)
+        return BlockOutcome(count, run, self._use_ins(last, int(arrivals_ns[usual]), AttitudeOutcome(), estimate))
+
+    def _taken_together(
+        self, samples: Sequence[AttitudeSample], arrivals_ns: StampArray, estimate: bool
+    ) -> AttitudeRun | None:
+        """Take samples that were judged, behind all others; their attitudes."""
+        self._track.extend(samples)
+        self._ins_arrival_ns = int(arrivals_ns[len(samples) - 1])
+        run = None
+        if estimate:
+            corrected = self._corrected_by(self.state)
+            moved = self._track.newest_all_moved(len(samples), self._moved_s(corrected))
+            times_ns = np.array([sample.time_ns for sample in samples])
+            run = corrected.estimates(times_ns, *moved, self.config)
+            self._shell.was_put_out(samples[-1].time_ns, self._ins_arrival_ns, self._silence_ns)
+        self._shell.move_to(samples[-1].time_ns)
+        return run
+
+    def _use_ins(
+        self, judged: JudgedIns, arrival_ns: int, outcome: AttitudeOutcome, estimate: bool
+    ) -> AttitudeOutcome:
+        """Use a sample that was judged, and put out the attitude at its stamp."""
+        time_ns = judged.sample.time_ns
         if judged.rates_wrong_after_ns is not None:
             # The rates proved wrong. Measurements compared with their help are compared again without rates.
             changed_after_ns = self._track.forget_rates(judged.rates_wrong_after_ns)
@@ -138,13 +191,13 @@ class ShipAttitudeCore:
         # An attitude that is moved by a clock offset needs its rate. Without a rate no attitude is put out for the
         # sample.
         if self._track.newest is judged.sample and (self._track.newest_rate_known or self.state.time_ns is None):
-            self._ins_arrival_ns = sample.time_ns if arrival_ns is None else arrival_ns
+            self._ins_arrival_ns = arrival_ns
             if estimate:
 
                 def by_ins(state: FilterState) -> AttitudeEstimate:
-                    return self._estimate_by_newest_ins(state, sample.time_ns)
+                    return self._estimate_by_newest_ins(state, time_ns)
 
-                self._shell.put_out(outcome, sample.time_ns, self._ins_arrival_ns, by_ins, self._silence_ns)
+                self._shell.put_out(outcome, time_ns, arrival_ns, by_ins, self._silence_ns)
         return outcome
 
     def add_sky_input(self, sky_input: SkyInput) -> AttitudeOutcome:
@@ -242,10 +295,19 @@ class ShipAttitudeCore:
 
     def _estimate_by_newest_ins(self, state: FilterState, time_ns: int) -> AttitudeEstimate:
         """The attitude at the stamp of the newest INS sample, by a state of the filter."""
+        corrected = self._corrected_by(state)
+        ins = self._track.newest_moved(self._moved_s(corrected))
+        return self._doubted(corrected.estimate(time_ns, ins, self.config))
+
+    def _corrected_by(self, state: FilterState) -> CorrectedIns:
+        """INS attitudes corrected by a state, made once for all that rest on it."""
         if state is not self._corrected.state:
             self._corrected = CorrectedIns(self.filter, state)
-        moved_s = -(self.config.ins.time_offset_s + self._corrected.time_offset_s)
-        return self._doubted(self._corrected.estimate(time_ns, self._track.newest_moved(moved_s), self.config))
+        return self._corrected
+
+    def _moved_s(self, corrected: CorrectedIns) -> float:
+        """By so much an INS sample is moved so that it is the attitude at its stamp, s."""
+        return -(self.config.ins.time_offset_s + corrected.time_offset_s)
 
     def _doubted(self, estimate: AttitudeEstimate) -> AttitudeEstimate:
         """An estimate is DEGRADED where a source that it rests on contradicted itself not long ago."""

@@ -1,7 +1,7 @@
-"""What a message must hold before any of it reaches a filter, checked field by field; and the INS's message, whole.
+"""What a message must hold before any of it reaches a filter, checked field by field.
 
 Each check returns the value in the form that cores use, or raises :class:`Refused`. The readers of the packages are
-made of these checks; the one of sensor_msgs/Imu stands here, because every node hears an INS.
+made of these checks.
 """
 
 import math
@@ -13,10 +13,8 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from ship_bags.stamps import duration_text
-from ship_estimation.ins import InsInputConfig
 from ship_estimation.refusals import Reason, Refusal, shortened
-from ship_geometry.attitude_track import AttitudeSample
-from ship_geometry.ros_axes import device_vector_from_ros, rotation_from_quaternion
+from ship_geometry.ros_axes import rotation_from_quaternion
 from ship_geometry.rotations import FloatArray
 
 FUTURE_TOLERANCE_NS = 50_000_000
@@ -25,13 +23,13 @@ FUTURE_TOLERANCE_NS = 50_000_000
 Value = TypeVar("Value")
 
 _SECOND_NS = 1_000_000_000
-_LEAST_QUATERNION_NORM = 1e-6
-_QUATERNION_NORM_TOLERANCE = 1e-2
+LEAST_QUATERNION_NORM = 1e-6
+QUATERNION_NORM_TOLERANCE = 1e-2
 _COVARIANCE_TOLERANCE = 1e-6
 _LONGEST_ID = 64
 _LARGEST_VARIANCE = (2.0 * math.pi) ** 2
 
-_LARGEST_RATE = 100.0
+LARGEST_RATE = 100.0
 """No ship turns like this, rad/s; far above what degrees per second would give, which are found by their ratio."""
 
 
@@ -150,10 +148,10 @@ def unit_quaternion(quaternion: Any, what: str = "orientation") -> FloatArray:
     """
     numbers = quaternion.x, quaternion.y, quaternion.z, quaternion.w
     finite_numbers(what, *numbers)
-    norm = math.hypot(*numbers)
-    if norm < _LEAST_QUATERNION_NORM:
+    norm = math.sqrt(sum(number * number for number in numbers))
+    if norm < LEAST_QUATERNION_NORM:
         raise Refused(Reason.BAD_QUATERNION, f"norm of {what} is {norm:.3g}: no orientation is given")
-    if abs(norm - 1.0) > _QUATERNION_NORM_TOLERANCE:
+    if abs(norm - 1.0) > QUATERNION_NORM_TOLERANCE:
         raise Refused(Reason.BAD_QUATERNION, f"norm of {what} is {norm:.6g}: expected 1")
     return np.array(numbers) / norm
 
@@ -232,25 +230,6 @@ def _covariance_of_bytes(content: bytes, what: str) -> FloatArray | None:
     return symmetric
 
 
-def ins_sample(message: Any, config: InsInputConfig, receive_ns: int) -> ReadMessage[AttitudeSample]:
-    """``ins/imu`` → attitude and rate of the deck.
-
-    Its covariance is the INS's total error, not white noise: it is checked and otherwise left alone.
-
-    Raises:
-        Refused: with the reason.
-    """
-    time_ns = stamp_ns(message.header, receive_ns)
-    frame(message.header.frame_id, config.frame_id)
-    quaternion = unit_quaternion(message.orientation)
-    covariance = covariance_3x3(message.orientation_covariance, "orientation_covariance")
-    rate_given = message.angular_velocity_covariance[0] != -1.0
-    rate_ros = ship_rate(message.angular_velocity) if rate_given else None
-    rotation_nd = rotation_from_quaternion(quaternion, config.convention) @ config.rotation_di.T
-    rate_d = None if rate_ros is None else config.rotation_di @ device_vector_from_ros(rate_ros, config.convention)
-    return ReadMessage(AttitudeSample(time_ns, rotation_nd, rate_d), covariance is not None)
-
-
 def ship_rate(angular_velocity: Any) -> FloatArray:
     """The numbers of an angular velocity (rad/s), in the axes of the message, shape (3,).
 
@@ -258,7 +237,7 @@ def ship_rate(angular_velocity: Any) -> FloatArray:
         Refused: NON_FINITE, or UNITS where no ship turns so fast.
     """
     rate_ros = finite_vector(angular_velocity, "angular_velocity")
-    if np.max(np.abs(rate_ros)) > _LARGEST_RATE:
+    if np.max(np.abs(rate_ros)) > LARGEST_RATE:
         raise Refused(Reason.UNITS, f"angular_velocity {rate_ros.tolist()} cannot be a ship's in rad/s")
     return rate_ros
 

@@ -6,23 +6,25 @@ nodes add the table, what an estimate becomes, and diagnostics of their own.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any, ClassVar
 
 import numpy as np
 
+from ship_bags.cdr_template import CdrRows
 from ship_bags.errors import BadInput
 from ship_bags.message_factory import MessageFactory
 from ship_bags.stamps import ns_from_stamp
-from ship_estimation.outcome import Status
+from ship_estimation.outcome import BlockOutcome, Status
 from ship_estimation.parameters import changed
 from ship_estimation.refusals import Reason, Refusal, failure
 from ship_estimation.told_levels import ToldLevels
 from ship_node.documents.saved_start import SavedStart
 from ship_node.edge import messages_out
 from ship_node.edge.adapter import ServiceResult
+from ship_node.edge.blocks import BlockFeed, BlockPart, PublishedRows, StampArray, parts_with_levels
 from ship_node.edge.input_health import InputHealthBook
 from ship_node.edge.messages_in import ReadMessage, Refused
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, DiagnosticStatus
@@ -52,6 +54,7 @@ class Feed:
         take: the core's method: of what was read and the time of waiting in ns; it returns the outcome.
         judged: whether a decision says later if the message was used; otherwise it is used unless refused at once.
         measured_by: what measurements call the device; empty where that is ``source``.
+        block: the way of many messages at once; None where each is taken by itself.
     """
 
     input: InputTopic
@@ -60,6 +63,7 @@ class Feed:
     take: Callable[[Any, int], Any]
     judged: bool = False
     measured_by: str = ""
+    block: BlockFeed | None = None
 
 
 def untimed(take: Callable[[Any], Any]) -> Callable[[Any, int], Any]:
@@ -178,6 +182,52 @@ class ReportingAdapter(ABC):
         if refusal is not None:
             published.append(self.refused(feed.source, time_ns, refusal))
         return published if outcome is None else published + self.published(outcome, receive_ns, waiting_ns)
+
+    def takes_blocks(self, topic: str) -> bool:
+        """Whether the messages of a topic can be given many at once."""
+        return self._feeds[topic].block is not None
+
+    @property
+    def quiet_until_ns(self) -> int:
+        """Time of waiting before which a tick does nothing, as long as blocks are taken as they come."""
+        if self._slow_due_ns is None or (self.saved is not None and self.saved.is_due):
+            return 0
+        if self.saved is None:
+            return self._slow_due_ns
+        return min(self._slow_due_ns, self.saved.next_look_ns(self.config.alignment_autosave_s))
+
+    def handle_block(self, topic: str, messages: CdrRows, receive_ns: StampArray) -> tuple[int, list[BlockPart]]:
+        """Take the first messages of a block, all that need not be taken by themselves; how many, and what they led to.
+
+        The time of waiting is that of the node's clock.
+        """
+        block = self._feeds[topic].block
+        if block is None or (self.saved is not None and self.saved.is_due):
+            return 0, []
+        reading = block.read(messages, receive_ns)
+        times_ns: StampArray = reading.samples.times_ns
+        outcome = block.take(reading.samples, receive_ns) if len(times_ns) else BlockOutcome()
+        if outcome.count:
+            taken = slice(outcome.count)
+            self.health.took_block(topic, receive_ns[taken], times_ns[taken], reading.covariance_known)
+        return outcome.count, list(self._block_parts(outcome, receive_ns))
+
+    def _block_parts(self, outcome: BlockOutcome, receive_ns: StampArray) -> Iterator[BlockPart]:
+        run = outcome.estimates
+        if run is not None:
+            if self.integrity_topic:
+                checked_by = list(zip(*self.checked_by(run), strict=True))
+                yield from parts_with_levels(run, self._told, checked_by, self.directions(run), self._levels_before)
+            else:
+                yield BlockPart(0, [], run)
+            self.latest = self.budget_due = run.one(len(run.time_ns) - 1)
+        if outcome.last is not None:
+            now_ns = int(receive_ns[outcome.count - 1])
+            yield BlockPart(outcome.count - 1, self.published(outcome.last, now_ns, now_ns))
+
+    def block_messages(self, runs: Sequence[Any]) -> Iterator[PublishedRows]:
+        """What the outputs of several runs become, the messages of each in the order in which they are published."""
+        raise NotImplementedError(f"{self.node_name} takes no blocks")
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
         """Do what depends on waiting; once a period, the slow topics."""

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from ship_bags.cdr_template import CdrRows
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
@@ -15,6 +16,7 @@ from ship_bags.parameter_yaml import full_name
 from ship_bags.topic_names import relative_topics
 from ship_node.documents.saved_document import UNTOUCHED
 from ship_node.edge.adapter import Adapter
+from ship_node.edge.blocks import BlockPart, StampArray
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
 from ship_node.parameters.parameter_file import has_section, load_config, misfit
 
@@ -151,6 +153,29 @@ class AdapterChain:
     def handle(self, topic: str, message: Any, receive_ns: int) -> list[Published]:
         """Take one message of an input topic."""
         return self._handle(0, topic, message, receive_ns)
+
+    def takes_blocks(self, topic: str) -> bool:
+        """Whether the messages of an input topic can be given many at once: one adapter takes them, and it alone.
+
+        What it gives must not be an input of another adapter.
+        """
+        taking = [number for number, taken in enumerate(self._taken) if topic in taken]
+        if len(taking) != 1 or not self.adapters[taking[0]].takes_blocks(topic):
+            return False
+        given = _names(self.adapters[taking[0]].outputs)
+        return not self._linked or all(given.isdisjoint(taken) for taken in self._taken)
+
+    @property
+    def quiet_until_ns(self) -> int:
+        """Time before which ticks do nothing, as long as blocks are taken as they come."""
+        return min(adapter.quiet_until_ns for adapter in self.adapters)
+
+    def handle_block(
+        self, topic: str, messages: CdrRows, receive_ns: StampArray
+    ) -> tuple[Adapter, int, list[BlockPart]]:
+        """Take the first messages of a block: which adapter took them, how many, and what they led to."""
+        (adapter,) = (one for one, taken in zip(self.adapters, self._taken, strict=True) if topic in taken)
+        return adapter, *adapter.handle_block(topic, messages, receive_ns)
 
     def tick(self, now_ns: int) -> list[Published]:
         """Tick all adapters; each has then been given what those before it gave at this tick."""
