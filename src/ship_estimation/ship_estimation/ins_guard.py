@@ -15,7 +15,7 @@ import numpy as np
 
 from ship_estimation.ins import GuardedInsConfig, InsJump, clock_step_s
 from ship_estimation.ins_leads import FASTEST_RAD_PER_S, Leads, SeenSample, moved_back, one_run, seconds_between
-from ship_estimation.integrated_rates import IntegratedRun, Learnt, RateIntegrator, StepWatch
+from ship_estimation.integrated_rates import IntegratedRun, RateIntegrator, StepWatch
 from ship_estimation.rate_guard import RateGuard, Rates
 from ship_estimation.rate_slopes import SlopeWatch
 from ship_estimation.refusals import Reason, Refusal
@@ -23,6 +23,9 @@ from ship_estimation.value_guards import JumpGuard, JumpVerdict, Match, StuckGua
 from ship_estimation.witnesses import Witness
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, SampleBlock
 from ship_geometry.rotations import ARCSEC
+
+_PIECE = 64
+"""So many samples of a block are looked at together: after fewer than that something is learnt."""
 
 _STUCK = Refusal(Reason.STUCK, "orientation stands still while other sources move")
 
@@ -130,8 +133,8 @@ class InsGuard:
             witnesses: as in :meth:`judge`; the same for all samples.
 
         Returns:
-            How many were taken; and what is to be done with the last of them where something is, because the rates
-            turned out to be wrong with it.
+            How many were taken; and what is to be done with the last of them where something is, because the attitude
+            crept, or the rates turned out to be wrong with it.
         """
         self._leads.told_rad = 0.0
         taken = self._taken
@@ -139,49 +142,61 @@ class InsGuard:
             return 0, None
         if self._disputed is not None or taken.integrated is None or samples[0].time_ns <= taken.sample.time_ns:
             return 0, None
-        fresh = self._stuck.new_values(samples[0].time_ns, block.rotations_nd)
-        integrated = self._integrator.integrate_all(block.times_ns[:fresh], block.rates_d[:fresh])
-        joined, count, wrong_after_ns = len(integrated.missed_rad), 0, None
-        if integrated.run != taken.integrated.run:
-            return 0, None
-        while count < joined and wrong_after_ns is None and self._rates.rates is Rates.MEASURED:
-            # With the sample at which it is due the rates are judged.
-            due = int(np.searchsorted(block.times_ns[count:joined], self._rates.due_ns)) + 1
-            some = slice(count, min(count + due, joined))
-            errors_rad = self._leads.by_rates.noise_rad, self._stuck.coarseness_rad
-            along = self._steps.follow(
-                block.times_ns[some],
-                block.rotations_nd[some],
-                block.rates_d[some],
-                IntegratedRun(integrated.rotations[some], integrated.run, integrated.missed_rad[some]),
-                *errors_rad,
-            )
+        fresh, count, told = self._stuck.new_values(samples[0].time_ns, block.rotations_nd), 0, None
+        by_rates = self.by_rates
+        while count < fresh and told is None:
+            some = slice(count, min(count + _PIECE, fresh))
+            along, by_rates, told = self._follow_rates(samples[some], block.some(some))
             if along == 0:
                 break
             count += along
-            previous, self._taken = self._seen(samples, integrated, taken, count)
-            self._previous = self._taken
-            if along == due:
-                wrong_after_ns = self._judge_rates(previous, self._taken)
-        if count == 0:
+        if count == 0 or by_rates is None:
             return 0, None
-        last = samples[count - 1]
-        self._integrator.take(last.time_ns, block.rates_d[count - 1], integrated.one(count - 1))
-        # As the guard of what stands still was told of it: before the rates were judged with this sample.
-        by_rates = Witness(last.time_ns, integrated.rotations[count - 1], 0.0, self._leads.drift.bound_rad_per_s)
-        self._stuck.follow(last.time_ns, block.rotations_nd[:count], {**witnesses, "rate": by_rates})
+        # The guard of what stands still hears the rates as they were before they were judged with the last sample.
+        self._stuck.follow(by_rates.time_ns, block.rotations_nd[:count], {**witnesses, "rate": by_rates})
         self.noise_rad = math.hypot(self._sigma_rad, self._stuck.coarseness_rad / math.sqrt(12.0))
-        self.by_rates = by_rates if self._rates.usable else None
         self._smooth_since_taken = True
-        if wrong_after_ns is None and self._rates.usable:
-            return count, None
-        return count, JudgedIns(last if self._rates.usable else replace(last, rate_d=None), None, (), wrong_after_ns)
+        return count, told
+
+    def _follow_rates(
+        self, samples: Sequence[AttitudeSample], block: SampleBlock
+    ) -> tuple[int, Witness | None, JudgedIns | None]:
+        """Take the samples that lie on one line with those before, up to one with which something is learnt.
+
+        Returns:
+            How many; the attitude by the rates at the last of them, None where there is none; and what is to be done
+            with the last one where something is.
+        """
+        taken, integrated = self._taken, self._integrator.integrate_all(block.times_ns, block.rates_d)
+        joined = len(integrated.missed_rad)
+        if joined == 0 or taken is None or taken.integrated is None or integrated.run != taken.integrated.run:
+            return 0, None, None
+        # With the sample at which that is due the rates are judged.
+        due = int(np.searchsorted(block.times_ns[:joined], self._rates.due_ns)) + 1
+        some = block.some(slice(min(due, joined)))
+        count = self._steps.follow(*some, integrated, self._leads.by_rates.noise_rad, self._stuck.coarseness_rad)
+        if count == 0:
+            return 0, None, None
+        last = samples[count - 1]
+        previous, seen = self._last_two(samples, integrated, taken, count)
+        self._integrator.take(last.time_ns, block.rates_d[count - 1], integrated.one(count - 1))
+        by_rates = Witness(last.time_ns, integrated.rotations[count - 1], 0.0, self._leads.drift.bound_rad_per_s)
+        self.by_rates, self._taken = by_rates, seen
+        jumps = self._crept_since(last)
+        if jumps:
+            self._taken = seen._replace(before=None)
+        self._previous = self._taken
+        wrong_after_ns = self._judge_rates(previous, seen) if count == due else None
+        if not jumps and wrong_after_ns is None:
+            return count, by_rates, None
+        sample = last if self._rates.usable else replace(last, rate_d=None)
+        return count, by_rates, JudgedIns(sample, _stepped(jumps), jumps, wrong_after_ns)
 
     @staticmethod
-    def _seen(
+    def _last_two(
         samples: Sequence[AttitudeSample], integrated: IntegratedRun, taken: SeenSample, count: int
     ) -> tuple[SeenSample, SeenSample]:
-        """The last two of so many samples taken, as the guard has seen them, and before the block the one taken."""
+        """The last two of so many samples taken, as the guard has seen them; before all of them is the one taken."""
         before = (taken.before, taken.sample, *samples[max(count - 3, 0) : count])
         last = SeenSample(samples[count - 1], taken.number + count, before[-2], integrated.one(count - 1))
         if count == 1:
@@ -287,14 +302,16 @@ class InsGuard:
         """Take a sample into the line by which the next ones are judged; the jump that it makes known."""
         found = self._steps.keep()
         if found is None:
-            learnt, self._steps.learnt = self._steps.learnt, None
-            return () if learnt is None else self._crept(learnt, seen.sample)
+            return self._crept_since(seen.sample)
         self._rates.restart()
         moments_ns = sorted({found.first_ns, found.last_ns})
         return tuple(InsJump(time_ns - 1, found.step_n, found.sigma_rad) for time_ns in moments_ns)
 
-    def _crept(self, learnt: Learnt, sample: AttitudeSample) -> tuple[InsJump, ...]:
+    def _crept_since(self, sample: AttitudeSample) -> tuple[InsJump, ...]:
         """Learn from what samples on a line tell; the jump as large as what has crept where it does not fit."""
+        learnt, self._steps.learnt = self._steps.learnt, None
+        if learnt is None:
+            return ()
         self._integrator.take_out(self._leads.drift.learnt(learnt.drift_n, sample.rotation_nd))
         self._leads.by_rates.know(learnt.typical_rad)
         crept = self._slopes.crept(learnt.drift_n, learnt.seconds, learnt.turning)

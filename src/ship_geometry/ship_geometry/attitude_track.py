@@ -77,6 +77,10 @@ class SampleBlock(NamedTuple):
         """Each of them as a sample."""
         return list(map(AttitudeSample, self.times_ns.tolist(), self.rotations_nd, self.rates_d))
 
+    def one(self, number: int) -> AttitudeSample:
+        """One of them."""
+        return AttitudeSample(int(self.times_ns[number]), self.rotations_nd[number], self.rates_d[number])
+
     def some(self, which: slice) -> "SampleBlock":
         """Some of them."""
         return SampleBlock(self.times_ns[which], self.rotations_nd[which], self.rates_d[which])

@@ -131,7 +131,7 @@ class ReportingAdapter(ABC):
         self.conflicts: dict[str, str] = {}
         self.verdicts = VerdictReport()
         self._slow_due_ns: int | None = None
-        self._told = ToldLevels()
+        self._told_levels = ToldLevels()
 
     # -- what a node adds -----------------------------------------------------------------------------------
 
@@ -172,10 +172,16 @@ class ReportingAdapter(ABC):
             # The message came all the same; what was raised is told by the shell.
             self.health.arrived(topic, waiting_ns)
             raise
+        return self._told(feed, reading, outcome, receive_ns, waiting_ns)
+
+    def _told(
+        self, feed: Feed, reading: ReadMessage[Any], outcome: Any, receive_ns: int, waiting_ns: int
+    ) -> list[Published]:
+        """What is said of a message that was read, and of what the core made of it: None where it asked no core."""
         time_ns = reading.value.time_ns
         refusal = None if outcome is None else outcome.refusal
         used = not feed.judged or outcome is None
-        self.health.took(topic, waiting_ns, receive_ns, reading, refusal, used)
+        self.health.took(feed.input.topic, waiting_ns, receive_ns, reading, refusal, used)
         published: list[Published] = []
         for name, left_out in reading.left_out:
             published.append(self._left_out(feed.source, time_ns, name, left_out))
@@ -201,29 +207,31 @@ class ReportingAdapter(ABC):
 
         The time of waiting is that of the node's clock.
         """
-        block = self._feeds[topic].block
-        if block is None or (self.saved is not None and self.saved.is_due):
+        feed = self._feeds[topic]
+        if feed.block is None or (self.saved is not None and self.saved.is_due):
             return 0, []
-        reading = block.read(messages, receive_ns)
+        reading = feed.block.read(messages, receive_ns)
         times_ns: StampArray = reading.samples.times_ns
-        outcome = block.take(reading.samples, receive_ns) if len(times_ns) else BlockOutcome()
-        if outcome.count:
-            taken = slice(outcome.count)
-            self.health.took_block(topic, receive_ns[taken], times_ns[taken], reading.covariance_known)
-        return outcome.count, list(self._block_parts(outcome, receive_ns))
-
-    def _block_parts(self, outcome: BlockOutcome, receive_ns: StampArray) -> Iterator[BlockPart]:
-        run = outcome.estimates
-        if run is not None:
-            if self.integrity_topic:
-                checked_by = list(zip(*self.checked_by(run), strict=True))
-                yield from parts_with_levels(run, self._told, checked_by, self.directions(run), self._levels_before)
-            else:
-                yield BlockPart(0, [], run)
-            self.latest = self.budget_due = run.one(len(run.time_ns) - 1)
+        outcome = feed.block.take(reading.samples, receive_ns) if len(times_ns) else BlockOutcome()
+        usual = outcome.count if outcome.last is None else outcome.count - 1
+        if usual:
+            self.health.took_block(topic, receive_ns[:usual], times_ns[:usual], reading.covariance_known)
+        parts = list(self._parts(outcome.estimates))
         if outcome.last is not None:
-            now_ns = int(receive_ns[outcome.count - 1])
-            yield BlockPart(outcome.count - 1, self.published(outcome.last, now_ns, now_ns))
+            last, now_ns = ReadMessage(reading.samples.one(usual), reading.covariance_known), int(receive_ns[usual])
+            parts.append(BlockPart(usual, self._told(feed, last, outcome.last, now_ns, now_ns)))
+        return outcome.count, parts
+
+    def _parts(self, run: Any) -> Iterator[BlockPart]:
+        """What the outputs of a block lead to, with the protection levels that are told before some of them."""
+        if run is None:
+            return
+        if self.integrity_topic:
+            checked_by = list(zip(*self.checked_by(run), strict=True))
+            yield from parts_with_levels(run, self._told_levels, checked_by, self.directions(run), self._levels_before)
+        else:
+            yield BlockPart(0, [], run)
+        self.latest = self.budget_due = run.one(len(run.time_ns) - 1)
 
     def block_messages(self, runs: Sequence[Any]) -> Iterator[PublishedRows]:
         """What the outputs of several runs become, the messages of each in the order in which they are published."""
@@ -334,7 +342,7 @@ class ReportingAdapter(ABC):
         if self.saved is None or not self.saved.is_time(waiting_ns, self.config.alignment_autosave_s):
             return
         # A source in conflict, or excluded, may have led the state astray before it was refused.
-        in_doubt = self.conflicts or (self._told.report is not None and self._told.report.excluded)
+        in_doubt = self.conflicts or (self._told_levels.report is not None and self._told_levels.report.excluded)
         if self.latest is not None and self.latest.status is Status.VALID and not in_doubt:
             self.saved.save_by_itself()
 
@@ -348,7 +356,7 @@ class ReportingAdapter(ABC):
 
     def _levels_before(self, estimate: Any) -> list[Published]:
         """The protection levels of an output, where those told last do not cover it."""
-        told, checked_by, directions = self._told, self.checked_by(estimate), self.directions(estimate)
+        told, checked_by, directions = self._told_levels, self.checked_by(estimate), self.directions(estimate)
         # Asked for each output, and so no more than this; NaN is within no bound.
         if (
             told.state is estimate.state
@@ -373,7 +381,7 @@ class ReportingAdapter(ABC):
     def integrity_statuses(self) -> list[DiagnosticStatus]:
         """One status with the protection levels told last and the sources excluded."""
         known = self.latest is not None and self.latest.status is not Status.INVALID
-        return [messages_out.integrity_status(self._told.report if known else None, self.quantities)]
+        return [messages_out.integrity_status(self._told_levels.report if known else None, self.quantities)]
 
     def conflict_statuses(self) -> list[DiagnosticStatus]:
         """One status for each source that keeps disagreeing with the rest."""
@@ -388,6 +396,6 @@ class ReportingAdapter(ABC):
         if self.saved is not None:
             self.saved.restarted()
         self.latest, self.budget_due, self._slow_due_ns = None, None, None
-        self._told = ToldLevels()
+        self._told_levels = ToldLevels()
         self.conflicts.clear()
         self.verdicts.clear()
