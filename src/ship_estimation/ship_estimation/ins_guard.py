@@ -22,7 +22,7 @@ from ship_estimation.refusals import Reason, Refusal
 from ship_estimation.value_guards import JumpGuard, JumpVerdict, Match, StuckGuard, size
 from ship_estimation.witnesses import Witness
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, SampleBlock
-from ship_geometry.rotations import ARCSEC
+from ship_geometry.rotations import ARCSEC, FloatArray
 
 _PIECE = 64
 """So many samples of a block are looked at together: after fewer than that something is learnt."""
@@ -46,6 +46,19 @@ class JudgedIns(NamedTuple):
     refusal: Refusal | None = None
     jumps: tuple[InsJump, ...] = ()
     rates_wrong_after_ns: int | None = None
+
+
+class Followed(NamedTuple):
+    """The samples of a block that were judged ahead.
+
+    Attributes:
+        by_rates: at each of them the attitude by the rates alone, for the guards of other sources.
+        last: what is to be done with the last of them where something is, because the attitude crept, or the rates
+            turned out to be wrong with it.
+    """
+
+    by_rates: list[Witness]
+    last: JudgedIns | None
 
 
 class InsGuard:
@@ -120,77 +133,82 @@ class InsGuard:
             return judged
         return judged._replace(sample=replace(sample, rate_d=None))
 
-    def follow(
-        self, samples: Sequence[AttitudeSample], block: SampleBlock, witnesses: Mapping[str, Witness]
-    ) -> tuple[int, JudgedIns | None]:
-        """Take the samples of a block, from the first one on, that go the way of nearly all.
+    def look_ahead(self, samples: Sequence[AttitudeSample], block: SampleBlock) -> Followed:
+        """Judge the samples of a block, from the first one on, as long as they go the way of nearly all.
 
-        Each of them is judged as by :meth:`judge` and is used as it is. The next one is for :meth:`judge`.
+        Each of them is judged as by :meth:`judge` and may be used as it is; witnesses have no part in that. The next
+        one is for :meth:`judge`, after :meth:`arrive`.
 
         Args:
             samples: later than all before, in the order of their stamps.
             block: the same as arrays.
-            witnesses: as in :meth:`judge`; the same for all samples.
-
-        Returns:
-            How many were taken; and what is to be done with the last of them where something is, because the attitude
-            crept, or the rates turned out to be wrong with it.
         """
         self._leads.told_rad = 0.0
-        taken = self._taken
+        taken, followed = self._taken, Followed([], None)
         if taken is None or self._previous is not taken or self._rates.rates is not Rates.MEASURED:
-            return 0, None
+            return followed
         if self._disputed is not None or taken.integrated is None or samples[0].time_ns <= taken.sample.time_ns:
-            return 0, None
-        fresh, count, told = self._stuck.new_values(samples[0].time_ns, block.rotations_nd), 0, None
-        by_rates = self.by_rates
-        while count < fresh and told is None:
+            return followed
+        fresh = self._stuck.new_values(samples[0].time_ns, block.rotations_nd)
+        while len(followed.by_rates) < fresh and followed.last is None:
+            count = len(followed.by_rates)
             some = slice(count, min(count + _PIECE, fresh))
-            along, by_rates, told = self._follow_rates(samples[some], block.some(some))
-            if along == 0:
+            by_rates, last = self._follow_rates(samples[some], block.some(some))
+            if not by_rates:
                 break
-            count += along
-        if count == 0 or by_rates is None:
-            return 0, None
+            followed = Followed(followed.by_rates + by_rates, last)
+        return followed
+
+    def arrive(self, values: FloatArray, followed: Followed, witnesses: Mapping[str, Witness]) -> None:
+        """Samples that were judged ahead have come, all of them.
+
+        Args:
+            values: their attitudes, shape (N, 3, 3).
+            followed: what :meth:`look_ahead` gave.
+            witnesses: as in :meth:`judge`, at the last of them.
+        """
+        by_rates = followed.by_rates[-1]
         # The guard of what stands still hears the rates as they were before they were judged with the last sample.
-        self._stuck.follow(by_rates.time_ns, block.rotations_nd[:count], {**witnesses, "rate": by_rates})
+        self._stuck.follow(by_rates.time_ns, values, {**witnesses, "rate": by_rates})
         self.noise_rad = math.hypot(self._sigma_rad, self._stuck.coarseness_rad / math.sqrt(12.0))
+        self.by_rates = by_rates if self._rates.usable else None
         self._smooth_since_taken = True
-        return count, told
 
     def _follow_rates(
         self, samples: Sequence[AttitudeSample], block: SampleBlock
-    ) -> tuple[int, Witness | None, JudgedIns | None]:
+    ) -> tuple[list[Witness], JudgedIns | None]:
         """Take the samples that lie on one line with those before, up to one with which something is learnt.
 
         Returns:
-            How many; the attitude by the rates at the last of them, None where there is none; and what is to be done
-            with the last one where something is.
+            The attitude by the rates at each of them; and what is to be done with the last one where something is.
         """
         taken, integrated = self._taken, self._integrator.integrate_all(block.times_ns, block.rates_d)
         joined = len(integrated.missed_rad)
         if joined == 0 or taken is None or taken.integrated is None or integrated.run != taken.integrated.run:
-            return 0, None, None
+            return [], None
         # With the sample at which that is due the rates are judged.
         due = int(np.searchsorted(block.times_ns[:joined], self._rates.due_ns)) + 1
         some = block.some(slice(min(due, joined)))
         count = self._steps.follow(*some, integrated, self._leads.by_rates.noise_rad, self._stuck.coarseness_rad)
         if count == 0:
-            return 0, None, None
-        last = samples[count - 1]
-        previous, seen = self._last_two(samples, integrated, taken, count)
+            return [], None
+        last, drift = samples[count - 1], self._leads.drift.bound_rad_per_s
+        by_rates = [
+            Witness(sample.time_ns, rotation, 0.0, drift)
+            for sample, rotation in zip(samples[:count], integrated.rotations[:count], strict=True)
+        ]
+        previous, self._taken = self._last_two(samples, integrated, taken, count)
+        seen = self._taken
         self._integrator.take(last.time_ns, block.rates_d[count - 1], integrated.one(count - 1))
-        by_rates = Witness(last.time_ns, integrated.rotations[count - 1], 0.0, self._leads.drift.bound_rad_per_s)
-        self.by_rates, self._taken = by_rates, seen
         jumps = self._crept_since(last)
         if jumps:
             self._taken = seen._replace(before=None)
         self._previous = self._taken
         wrong_after_ns = self._judge_rates(previous, seen) if count == due else None
         if not jumps and wrong_after_ns is None:
-            return count, by_rates, None
+            return by_rates, None
         sample = last if self._rates.usable else replace(last, rate_d=None)
-        return count, by_rates, JudgedIns(sample, _stepped(jumps), jumps, wrong_after_ns)
+        return by_rates, JudgedIns(sample, _stepped(jumps), jumps, wrong_after_ns)
 
     @staticmethod
     def _last_two(

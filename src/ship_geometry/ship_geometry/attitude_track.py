@@ -86,8 +86,20 @@ class SampleBlock(NamedTuple):
         return SampleBlock(self.times_ns[which], self.rotations_nd[which], self.rates_d[which])
 
 
+class RecentRates(NamedTuple):
+    """The last RATES - 1 samples before a block, joined to one another; see :class:`AttitudeSample`.
+
+    Attributes:
+        times_ns: in ascending order, shape (RATES - 1,).
+        rates_d: shape (RATES - 1, 3).
+    """
+
+    times_ns: NDArray[np.int64]
+    rates_d: FloatArray
+
+
 class MovedBlock(NamedTuple):
-    """Attitudes of a block, moved by one time; each field is that of :class:`InterpolatedAttitude`.
+    """Attitudes of a block, each moved by a short time; each field is that of :class:`InterpolatedAttitude`.
 
     Attributes:
         rotation_nd: shape (N, 3, 3).
@@ -100,6 +112,10 @@ class MovedBlock(NamedTuple):
     rate_d: FloatArray
     noise_gain: FloatArray
     error_covariance_d: FloatArray
+
+    def some(self, which: slice) -> "MovedBlock":
+        """Some of them."""
+        return MovedBlock(*(values[which] for values in self))
 
 
 @dataclass(frozen=True)
@@ -196,37 +212,16 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
             return self._moved_by_differences(index, ahead_s)
         return self._moved_by_rates(index, ahead_s)
 
-    def moves_by_rates(self, times_ns: NDArray[np.int64]) -> int:
-        """How many samples to come, from the first one on, can be moved by RATES measured rates each.
-
-        Args:
-            times_ns: stamps of samples with a measured rate, later than all here, shape (N,).
-        """
-        recent, kept_ns = self._samples[1 - RATES :], self._times[1 - RATES :]
-        if len(recent) < RATES - 1 or any(sample.rate_d is None for sample in recent):
-            return 0
-        all_ns = np.concatenate([kept_ns, times_ns])
-        near = np.diff(all_ns) <= self.max_gap_ns
-        count = len(near) if near.all() else int(np.argmin(near))
+    def recent_rates(self) -> RecentRates | None:
+        """What moves samples to come, together with their own rates; None where RATES - 1 samples do not tell it."""
+        recent, times_ns = self._samples[1 - RATES :], self._times[1 - RATES :]
+        rates_d = [sample.rate_d for sample in recent if sample.rate_d is not None]
+        if len(rates_d) < RATES - 1 or max(np.diff(times_ns)) > self.max_gap_ns:
+            return None
         # A jump lies behind all of these samples or it is too near.
-        return 0 if self._cut_between(int(all_ns[0]), int(all_ns[-1])) else max(count - RATES + 2, 0)
-
-    def newest_all_moved(self, count: int, ahead_s: float) -> MovedBlock:
-        """The newest samples, each moved as by :meth:`newest_moved` when it was the newest.
-
-        Args:
-            count: how many; :meth:`moves_by_rates` told that they can be moved so.
-            ahead_s: seconds after each sample, or before it where negative.
-        """
-        samples, times_ns = self._samples[1 - RATES - count :], np.array(self._times[1 - RATES - count :])
-        steps_s, rates_d = np.diff(times_ns) / SECOND_NS, np.array([sample.rate_d for sample in samples])
-        # Newest first, as of each sample.
-        recent = np.arange(RATES - 1, RATES - 1 + count)[:, None] - np.arange(RATES)
-        rotations_nd = np.array([sample.rotation_nd for sample in samples[RATES - 1 :]])
-        moved_nd, rate_d, error_d = moved_by_rates(
-            rotations_nd, rates_d[recent], steps_s[recent[:, :-1] - 1], np.full(count, ahead_s)
-        )
-        return MovedBlock(moved_nd, rate_d, np.ones(count), error_d)
+        if self._cuts_ns and max(self._cuts_ns) >= times_ns[0]:
+            return None
+        return RecentRates(np.array(times_ns), np.array(rates_d))
 
     def forget_rates(self, after_ns: int) -> int | None:
         """Forget the measured rates of all samples stamped after a moment, because they turned out to be wrong.
@@ -360,6 +355,25 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
     def _turn(self, first: int, second: int) -> FloatArray:
         """Rotation vector from one sample to another, rad."""
         return log_rotation(self._samples[first].rotation_nd.T @ self._samples[second].rotation_nd)
+
+
+def moved_block(before: RecentRates, block: SampleBlock, ahead_s: FloatArray) -> MovedBlock:
+    """The samples of a block, each moved as :meth:`AttitudeTrack.newest_moved` moves it while it is the newest.
+
+    Args:
+        before: the samples before the block, joined to it.
+        block: N samples, joined to one another.
+        ahead_s: seconds after each sample, or before it where negative, shape (N,).
+    """
+    count = len(ahead_s)
+    steps_s = np.diff(np.concatenate([before.times_ns, block.times_ns[:count]])) / SECOND_NS
+    rates_d = np.concatenate([before.rates_d, block.rates_d[:count]])
+    # Newest first, as of each sample.
+    recent = np.arange(RATES - 1, RATES - 1 + count)[:, None] - np.arange(RATES)
+    moved_nd, rate_d, error_d = moved_by_rates(
+        block.rotations_nd[:count], rates_d[recent], steps_s[recent[:, :-1] - 1], ahead_s
+    )
+    return MovedBlock(moved_nd, rate_d, np.ones(count), error_d)
 
 
 def moved_by_rates(

@@ -145,7 +145,7 @@ class ShipAttitudeAdapter(ReportingAdapter):
         """Which topic feeds which method of the core; each star sensor has one topic, so that no star counts twice."""
         core: ShipAttitudeCore = self.core
         ins = InputTopic("ins/imu", IMU_TYPE, required=True, depth=1000)
-        block = BlockFeed(functools.partial(ins_block, config=config.ins), core.add_ins_block)
+        block = BlockFeed(functools.partial(ins_block, config=config.ins), core)
         yield Feed(ins, "ins", functools.partial(ins_sample, config=config.ins), core.add_ins, block=block)
         for id_, star in config.star_sensors.items():
             topic = InputTopic(f"star/{id_}/{star.input}", _STAR_TYPES[star.input], False, depth=1000, named=True)

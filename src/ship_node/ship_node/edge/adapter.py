@@ -10,7 +10,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 from ship_bags.cdr_template import CdrRows
 from ship_bags.message_factory import MessageFactory
 from ship_node.documents.saved_document import DISK, Files
-from ship_node.edge.blocks import BlockPart, PublishedRows, StampArray
+from ship_node.edge.blocks import BlockPart, BlockTurn, PublishedRows, StampArray
 from ship_node.edge.input_health import InputHealthBook
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
 
@@ -65,8 +65,16 @@ class Adapter(Protocol):
         """Time of waiting before which a tick does nothing, as long as blocks are taken as they come."""
         ...
 
-    def handle_block(self, topic: str, messages: CdrRows, receive_ns: StampArray) -> tuple[int, list[BlockPart]]:
-        """Take the first messages of a block; how many, and what they led to."""
+    def look_ahead(self, topic: str, messages: CdrRows, receive_ns: StampArray) -> BlockTurn | None:
+        """Read and judge the first messages of a block before their turn; None where the first is to be taken alone."""
+        ...
+
+    def take_ahead(self, turn: BlockTurn, stop: int) -> list[BlockPart]:
+        """The messages of a block have their turn, up to one that is not included."""
+        ...
+
+    def end_ahead(self, turn: BlockTurn) -> list[BlockPart]:
+        """All messages of a block had their turn: what they lead to besides."""
         ...
 
     def block_messages(self, runs: Sequence[Any]) -> Iterator[PublishedRows]:

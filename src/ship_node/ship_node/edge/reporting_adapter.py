@@ -17,14 +17,14 @@ from ship_bags.cdr_template import CdrRows
 from ship_bags.errors import BadInput
 from ship_bags.message_factory import MessageFactory
 from ship_bags.stamps import ns_from_stamp
-from ship_estimation.outcome import BlockOutcome, Status
+from ship_estimation.outcome import Status
 from ship_estimation.parameters import changed
 from ship_estimation.refusals import Reason, Refusal, failure
 from ship_estimation.told_levels import ToldLevels
 from ship_node.documents.saved_start import SavedStart
 from ship_node.edge import messages_out
 from ship_node.edge.adapter import ServiceResult
-from ship_node.edge.blocks import BlockFeed, BlockPart, PublishedRows, StampArray, parts_with_levels
+from ship_node.edge.blocks import BlockFeed, BlockPart, BlockTurn, PublishedRows, StampArray, parts_with_levels
 from ship_node.edge.input_health import InputHealthBook
 from ship_node.edge.messages_in import ReadMessage, Refused
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, DiagnosticStatus
@@ -202,36 +202,62 @@ class ReportingAdapter(ABC):
             return self._slow_due_ns
         return min(self._slow_due_ns, self.saved.next_look_ns(self.config.alignment_autosave_s))
 
-    def handle_block(self, topic: str, messages: CdrRows, receive_ns: StampArray) -> tuple[int, list[BlockPart]]:
-        """Take the first messages of a block, all that need not be taken by themselves; how many, and what they led to.
+    def look_ahead(self, topic: str, messages: CdrRows, receive_ns: StampArray) -> BlockTurn | None:
+        """Read and judge the first messages of a block before their turn; None where the first is to be taken alone.
 
-        The time of waiting is that of the node's clock.
+        Until all of them had their turn no other message of the topic is handled. Estimates and levels, which no other
+        message asks for, are computed at the end (:meth:`end_ahead`).
         """
-        feed = self._feeds[topic]
-        if feed.block is None or (self.saved is not None and self.saved.is_due):
-            return 0, []
-        reading = feed.block.read(messages, receive_ns)
-        times_ns: StampArray = reading.samples.times_ns
-        outcome = feed.block.take(reading.samples, receive_ns) if len(times_ns) else BlockOutcome()
-        usual = outcome.count if outcome.last is None else outcome.count - 1
-        if usual:
-            self.health.took_block(topic, receive_ns[:usual], times_ns[:usual], reading.covariance_known)
-        parts = list(self._parts(outcome.estimates))
-        if outcome.last is not None:
-            last, now_ns = ReadMessage(reading.samples.one(usual), reading.covariance_known), int(receive_ns[usual])
-            parts.append(BlockPart(usual, self._told(feed, last, outcome.last, now_ns, now_ns)))
-        return outcome.count, parts
+        block = self._feeds[topic].block
+        if block is None or (self.saved is not None and self.saved.is_due):
+            return None
+        reading = block.read(messages, receive_ns)
+        count = len(reading.samples.times_ns)
+        ahead = block.core.look_ahead(reading.samples, receive_ns[:count]) if count else None
+        return None if ahead is None else BlockTurn(topic, reading, receive_ns[: ahead.count], ahead)
 
-    def _parts(self, run: Any) -> Iterator[BlockPart]:
-        """What the outputs of a block lead to, with the protection levels that are told before some of them."""
-        if run is None:
+    def take_ahead(self, turn: BlockTurn, stop: int) -> list[BlockPart]:
+        """The messages of a block have their turn, up to one that is not included; what is to be published at once."""
+        block = self._feeds[turn.topic].block
+        assert block is not None
+        block.core.take_ahead(turn.ahead, min(stop, turn.ahead.usual))
+        told, turn.ahead.told[:] = list(turn.ahead.told), []
+        parts = []
+        for place, outcome in told:
+            now_ns = int(turn.receive_ns[place])
+            parts.append(BlockPart(place, self.published(outcome, now_ns, now_ns)))
+        return parts
+
+    def end_ahead(self, turn: BlockTurn) -> list[BlockPart]:
+        """All messages of a block had their turn: what they lead to besides."""
+        feed, usual, known = self._feeds[turn.topic], turn.ahead.usual, turn.reading.covariance_known
+        assert feed.block is not None
+        if usual:
+            times_ns = turn.reading.samples.times_ns[:usual]
+            self.health.took_block(turn.topic, turn.receive_ns[:usual], times_ns, known)
+        parts: list[BlockPart] = []
+        for some, found in feed.block.core.estimates_ahead(turn.ahead):
+            parts += self._parts(some, found, turn)
+        last = feed.block.core.end_ahead(turn.ahead)
+        if last is not None:
+            reading, now_ns = ReadMessage(turn.reading.samples.one(usual), known), int(turn.receive_ns[usual])
+            parts.append(BlockPart(usual, self._told(feed, reading, last, now_ns, now_ns)))
+        return parts
+
+    def _parts(self, some: slice, found: Any, turn: BlockTurn) -> Iterator[BlockPart]:
+        """What estimates of a block lead to, with the protection levels that are told before some of them."""
+        if isinstance(found, Refusal):
+            for place in range(some.start, some.stop):
+                time_ns = int(turn.reading.samples.times_ns[place])
+                yield BlockPart(place, [self.failed(self.main_topic, time_ns, found)])
             return
         if self.integrity_topic:
-            checked_by = list(zip(*self.checked_by(run), strict=True))
-            yield from parts_with_levels(run, self._told_levels, checked_by, self.directions(run), self._levels_before)
+            checked_by = list(zip(*self.checked_by(found), strict=True))
+            directions, levels_before = self.directions(found), self._levels_before
+            yield from parts_with_levels(some.start, found, self._told_levels, checked_by, directions, levels_before)
         else:
-            yield BlockPart(0, [], run)
-        self.latest = self.budget_due = run.one(len(run.time_ns) - 1)
+            yield BlockPart(some.start, [], found)
+        self.latest = self.budget_due = found.one(len(found.time_ns) - 1)
 
     def block_messages(self, runs: Sequence[Any]) -> Iterator[PublishedRows]:
         """What the outputs of several runs become, the messages of each in the order in which they are published."""
