@@ -133,6 +133,14 @@ class InsGuard:
             return judged
         return judged._replace(sample=replace(sample, rate_d=None))
 
+    def looks_ahead(self, time_ns: int) -> bool:
+        """Whether a sample may go the usual way: rates are proven, a line leads to it, and nothing is in question."""
+        taken = self._taken
+        if taken is None or self._previous is not taken or self._rates.rates is not Rates.MEASURED:
+            return False
+        in_order = taken.integrated is not None and taken.sample.time_ns < time_ns
+        return in_order and self._disputed is None and self._steps.judges
+
     def look_ahead(self, samples: Sequence[AttitudeSample], block: SampleBlock) -> Followed:
         """Judge the samples of a block, from the first one on, as long as they go the way of nearly all.
 
@@ -143,12 +151,10 @@ class InsGuard:
             samples: later than all before, in the order of their stamps.
             block: the same as arrays.
         """
+        followed = Followed([], None)
+        if not self.looks_ahead(samples[0].time_ns):
+            return followed
         self._leads.told_rad = 0.0
-        taken, followed = self._taken, Followed([], None)
-        if taken is None or self._previous is not taken or self._rates.rates is not Rates.MEASURED:
-            return followed
-        if self._disputed is not None or taken.integrated is None or samples[0].time_ns <= taken.sample.time_ns:
-            return followed
         fresh = self._stuck.new_values(samples[0].time_ns, block.rotations_nd)
         while len(followed.by_rates) < fresh and followed.last is None:
             count = len(followed.by_rates)

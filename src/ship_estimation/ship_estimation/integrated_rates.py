@@ -269,6 +269,11 @@ class StepWatch:
         """The smallest step that is told from noise; infinite where none is."""
         return math.inf if self._plan is None else float(self._bounds[-1])
 
+    @property
+    def judges(self) -> bool:
+        """Whether samples are judged by a line as long as it is to be."""
+        return self._plan is not None and self._plan is self._full and self._judges
+
     def look(
         self,
         sample: AttitudeSample,
@@ -362,9 +367,7 @@ class StepWatch:
             coarseness_rad: rad.
         """
         plan = self._plan
-        if plan is None or plan is not self._full or self._to_line is None or not self._judges:
-            return 0
-        if integrated.run != self._run:
+        if plan is None or self._to_line is None or not self.judges or integrated.run != self._run:
             return 0
         count = min(len(times_ns), len(self._rows) - self._end, self._until_bounds_are_set())
         missed_rad = np.diff(integrated.missed_rad[:count], prepend=self._missed_rad)

@@ -1,8 +1,8 @@
 """Samples of an INS that are judged before their turn, and the attitudes that they become when all of them have come.
 
-Offline the samples of some time are there together. They are judged in one go; then each has its turn among the other
-inputs, so that the filter's state at each sample is what it is live; at the end the attitudes of all are computed, those
-that rest on one state together.
+Offline the samples of some time are there together. They are judged in one go. Then each has its turn among the other
+inputs, so that the filter's state at each sample is what it is live. At the end the attitudes of all are computed,
+those that rest on one state together.
 """
 
 from collections.abc import Callable

@@ -139,7 +139,10 @@ class ShipAttitudeCore:
         Returns:
             None where the first one is to be taken by itself.
         """
-        newest, first_ns, before = self._track.newest, int(block.times_ns[0]), self._track.recent_rates()
+        first_ns = int(block.times_ns[0])
+        if not self._guards.ins.looks_ahead(first_ns):
+            return None
+        newest, before = self._track.newest, self._track.recent_rates()
         if newest is None or before is None or self._ins_arrival_ns is None:
             return None
         if not (newest.time_ns < first_ns and self._shell.follows(first_ns)):
