@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from ship_geometry import compiled_rotations
+from ship_geometry.interpolation_error import ANY_DIRECTION, BESIDE, as_covariance
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, log_rotation
+from ship_geometry.sample_track import hermite_weights
 
 RNG_SEED = 5
 SIZES = [0.0, 1e-9, 0.99e-4, 1.01e-4, 0.01, 1.0, 2.5, 3.1]
@@ -80,8 +82,31 @@ def test_between_two_attitudes_lies_the_cubic_with_their_rates(at: float) -> Non
     ahead, behind = (exp_rotation(vector(at + s)) for s in (step, -step))
     equal(found[0], first @ exp_rotation(vector(at)))
     np.testing.assert_allclose(found[1], log_rotation(behind.T @ ahead) / (2.0 * step * interval_s), rtol=0, atol=1e-7)
-    for number, expected in ((2, vector(at)), (3, start_rate * interval_s), (4, end_slope)):
-        equal(found[number], expected)
+    equal(found[2], vector(at))
+
+
+@pytest.mark.parametrize("at", [1e-3, 0.3, 0.9])
+@pytest.mark.parametrize("other_at", [0.0, -0.7])
+@pytest.mark.parametrize("largest", [1e-6, 10.0])
+def test_the_cubic_tells_how_far_it_may_be_off(at: float, other_at: float, largest: float) -> None:
+    """By numpy: the miss at another sample, scaled by t² (1 - t)², and the third derivative of the cubic."""
+    first, second, other = exp_rotation(np.array([[0.4, -1.0, 0.3], [0.45, -0.9, 0.5], [0.2, -1.1, 0.3]]))
+    first_rate, second_rate, interval_s = np.array([0.3, -0.1, 0.2]), np.array([0.0, -0.2, 0.4]), 0.2
+    turn, to_other = log_rotation(first.T @ second), log_rotation(first.T @ other)
+    start, end = first_rate * interval_s, np.linalg.solve(left_jacobian(turn).T, second_rate * interval_s)
+    bound = (6.0 * (start + end) - 12.0 * turn) * (at * (1.0 - at)) ** 2 / 24.0
+    _, by_start, by_turn, by_end = hermite_weights(other_at)
+    miss = to_other - (by_start * start + by_turn * turn + by_end * end)
+    errors = [bound]
+    if other_at:
+        errors = [miss * (at * (1.0 - at) / (other_at * (1.0 - other_at))) ** 2, 0.5 * BESIDE * bound]
+    arguments = first, second, other, first_rate, second_rate, interval_s, at, other_at
+    found = compiled_rotations.between(*arguments, BESIDE, ANY_DIRECTION, largest)
+    rotation, rate, _ = compiled_rotations.cubic(first, turn, first_rate, second_rate, interval_s, at)
+    equal(found[0], rotation)
+    equal(found[1], rate)
+    equal(found[2], np.array(errors))
+    equal(found[3], as_covariance(errors, largest))
 
 
 @pytest.mark.parametrize("count", [2, 3, 4])
@@ -156,6 +181,9 @@ def test_shapes_that_do_not_fit_are_refused() -> None:
         lambda: compiled_rotations.chain(np.zeros((2, 3)), np.zeros((3, 3, 3))),
         lambda: compiled_rotations.moved(np.eye(3)[None], np.zeros((1, 1, 3)), np.zeros((1, 0)), np.zeros(1), 0.3, 1.0),
         lambda: compiled_rotations.cubic(np.eye(3), np.zeros(3), np.zeros(2), np.zeros(3), 0.1, 0.5),
+        lambda: compiled_rotations.between(
+            np.eye(3), np.eye(3), np.eye(2), np.zeros(3), np.zeros(3), 0.1, 0.5, 0.0, 0.5, 0.3, 1.0
+        ),
     ]
     for call in calls:
         with pytest.raises(ValueError, match="do not fit together"):
