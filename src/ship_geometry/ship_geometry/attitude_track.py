@@ -165,8 +165,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         before, after = self._neighbours(index)
         if before == after:
             return np.zeros(3)
-        turn = log_rotation(self._samples[before].rotation_nd.T @ self._samples[after].rotation_nd)
-        return turn * (SECOND_NS / (self._times[after] - self._times[before]))
+        return self._turn(before, after) * (SECOND_NS / (self._times[after] - self._times[before]))
 
     def _moved_by_rates(self, index: int, ahead_s: float) -> InterpolatedAttitude:
         """The newest sample moved by its measured rate and by the change of the rate since the sample before.
@@ -285,7 +284,10 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
 
     def _turn(self, first: int, second: int) -> FloatArray:
         """Rotation vector from one sample to another, rad."""
-        return log_rotation(self._samples[first].rotation_nd.T @ self._samples[second].rotation_nd)
+        turn: FloatArray = compiled_rotations.turn_between(
+            self._samples[first].rotation_nd, self._samples[second].rotation_nd
+        )
+        return turn
 
 
 def moved_by_rates(

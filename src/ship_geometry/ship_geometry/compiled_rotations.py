@@ -13,6 +13,7 @@ if not cython.compiled:
     raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")
 
 from cython.cimports.libc.math import atan2, cos, exp, sin, sqrt
+from cython.cimports.libc.string import memcpy
 
 _SMALL_ANGLE = cython.declare(cython.double, 1e-4)
 """Below this angle (rad) the series used are exact to the last bit of a double."""
@@ -173,40 +174,107 @@ def _transposed_times(left: cython.p_double, right: cython.p_double, out: cython
             out[3 * i + j] = left[i] * right[j] + left[3 + i] * right[3 + j] + left[6 + i] * right[6 + j]
 
 
-def chain(vectors: cython.const[cython.double][:, ::1], after: cython.const[cython.double][:, :, ::1]):
-    """A product of rotations made from right to left, each a rotation vector's with a fixed rotation on its left.
+def hung(
+    mean: cython.const[cython.double][::1],
+    links: cython.const[cython.Py_ssize_t][::1],
+    after: cython.const[cython.double][:, :, ::1],
+    hull: cython.Py_ssize_t,
+    white: cython.Py_ssize_t,
+    white_scale: cython.double,
+    clocks: cython.const[cython.Py_ssize_t][::1],
+    signs: cython.const[cython.double][::1],
+    base: cython.const[cython.double][:, :],
+    rate: cython.const[cython.double][:],
+    base_error: cython.const[cython.double][:, :],
+):
+    """The attitude of what hangs by a chain of rotations on a base that turns, with its derivatives.
+
+    The chain is multiplied from right to left: the rotation of each link, exp(v) of three states v, and a fixed one on
+    its left. The base stands on the left of the fixed rotation of one of the links.
 
     Args:
-        vectors: rad, shape (k, 3).
+        mean: all states, shape (n,).
+        links: first state of each link, shape (k,).
         after: the fixed rotations, shape (k, 3, 3).
+        hull: the link that hangs on the base itself.
+        white: a link whose states count ``white_scale`` times.
+        white_scale: as said.
+        clocks: states by whose sum the moment of the base moves, s, shape (c,).
+        signs: of each in that sum, shape (c,).
+        base: its attitude, shape (3, 3).
+        rate: of the base about its own axes, rad/s, shape (3,).
+        base_error: covariance of an error of the base about its own axes, rad², shape (3, 3).
 
     Returns:
-        The products so far, each with its fixed rotation, shape (k, 3, 3); and the derivative of the whole product by
-        each vector, as a rotation vector in the frame on the right, shape (k, 3, 3).
+        The attitude, shape (3, 3); its derivative by the states as a rotation vector in the frame on the right, shape
+        (3, n); and the covariance of the base's error in that frame, rad², shape (3, 3).
     """
-    count: cython.Py_ssize_t = vectors.shape[0]
-    _check("chain", after.shape[0] == count and vectors.shape[1] == after.shape[1] == after.shape[2] == 3)
-    of_products, of_derivatives = np.empty((count, 3, 3)), np.empty((count, 3, 3))
-    products: cython.double[:, :, ::1] = of_products
-    derivatives: cython.double[:, :, ::1] = of_derivatives
+    n: cython.Py_ssize_t = mean.shape[0]
+    count: cython.Py_ssize_t = links.shape[0]
+    _check("after", after.shape[0] == count and after.shape[1] == after.shape[2] == 3)
+    _check("links", 0 <= hull < count and 0 <= white < count)
+    _check("clocks", clocks.shape[0] == signs.shape[0])
+    _check("base", base.shape[0] == base.shape[1] == base_error.shape[0] == base_error.shape[1] == rate.shape[0] == 3)
+    of_attitude, of_jacobian, of_error = np.empty((3, 3)), np.zeros((3, n)), np.empty((3, 3))
+    jacobian: cython.double[:, ::1] = of_jacobian
+    attitude: cython.double[:, ::1] = of_attitude
+    error: cython.double[:, ::1] = of_error
+    vector = cython.declare(cython.double[3])
     turn = cython.declare(cython.double[9])
     by_vector = cython.declare(cython.double[9])
     turned = cython.declare(cython.double[9])
+    product = cython.declare(cython.double[9])
+    from_hung = cython.declare(cython.double[9])
+    on_base = cython.declare(cython.double[9])
+    scale: cython.double
     k: cython.Py_ssize_t
     i: cython.int
+    j: cython.int
     for k in range(count):
-        _exponential(cython.cast(cython.p_double, cython.address(vectors[k, 0])), turn)
-        _jacobian(cython.cast(cython.p_double, cython.address(vectors[k, 0])), by_vector)
+        _check("links", 0 <= links[k] <= n - 3)
+        scale = white_scale if k == white else 1.0
+        for i in range(3):
+            vector[i] = scale * mean[links[k] + i]
+        _exponential(vector, turn)
+        _jacobian(vector, by_vector)
         if k == 0:
-            for i in range(9):
-                turned[i] = turn[i]
+            memcpy(turned, turn, 9 * cython.sizeof(cython.double))
         else:
-            _times(turn, cython.address(products[k - 1, 0, 0]), turned)
-        _transposed_times(turned, by_vector, cython.address(derivatives[k, 0, 0]))
-        _times(
-            cython.cast(cython.p_double, cython.address(after[k, 0, 0])), turned, cython.address(products[k, 0, 0])
-        )
-    return of_products, of_derivatives
+            _times(turn, product, turned)
+        _transposed_times(turned, by_vector, turn)
+        for i in range(3):
+            for j in range(3):
+                jacobian[i, links[k] + j] = scale * turn[3 * i + j]
+        _times(cython.cast(cython.p_double, cython.address(after[k, 0, 0])), turned, product)
+        if k == hull:
+            memcpy(from_hung, product, 9 * cython.sizeof(cython.double))
+            _copied(base, on_base)
+            _times(on_base, from_hung, product)
+    memcpy(cython.address(attitude[0, 0]), product, 9 * cython.sizeof(cython.double))
+    for i in range(3):
+        scale = from_hung[i] * rate[0] + from_hung[3 + i] * rate[1] + from_hung[6 + i] * rate[2]
+        for k in range(clocks.shape[0]):
+            _check("clocks", 0 <= clocks[k] < n)
+            jacobian[i, clocks[k]] = signs[k] * scale
+    _copied(base_error, on_base)
+    _transposed_times(from_hung, on_base, turn)
+    _times(turn, from_hung, cython.address(error[0, 0]))
+    return of_attitude, of_jacobian, of_error
+
+
+def turn_between(first: cython.const[cython.double][:, :], second: cython.const[cython.double][:, :]):
+    """Rotation vector from one attitude to another about the axes of the first one, rad, shape (3,)."""
+    _check("attitudes", first.shape[0] == first.shape[1] == second.shape[0] == second.shape[1] == 3)
+    before = cython.declare(cython.double[9])
+    after = cython.declare(cython.double[9])
+    product = cython.declare(cython.double[9])
+    vector = np.empty(3)
+    out: cython.double[::1] = vector
+    _copied(first, before)
+    _copied(second, after)
+    _transposed_times(before, after, product)
+    _logarithm(product, cython.address(out[0]))
+    return vector
 
 
 @cython.cfunc

@@ -46,24 +46,38 @@ def test_views_that_are_not_contiguous_are_read_as_they_are() -> None:
     equal(exp_rotation(np.array([0.3, 9.0, -0.2, 9.0, 0.5, 9.0])[::2]), rotation)
 
 
-def test_a_chain_is_the_product_and_its_derivatives_are_those_of_small_steps() -> None:
-    turns, fixed = 0.2 * vectors(4), exp_rotation(vectors(9)[5:])
-    products, derivatives = compiled_rotations.chain(turns, fixed)
+def test_what_hangs_on_a_base_has_the_product_of_the_chain_and_derivatives_of_small_steps() -> None:
+    """Four links, of which the third hangs on a turning base and the last counts 0.7 times; two clocks."""
+    rng = np.random.default_rng(RNG_SEED)
+    links, fixed, base = np.array([9, 3, 0, 6]), exp_rotation(vectors(9)[5:]), exp_rotation(np.array([0.3, -1.0, 0.2]))
+    mean, rate, signs, root = np.zeros(14), rng.standard_normal(3), np.array([1.0, -1.0]), rng.standard_normal((3, 3))
+    mean[:12] = 0.2 * vectors(4).ravel()
+    hull, clocks, error = 2, np.array([13, 12]), root @ root.T
 
-    def product(turns: FloatArray) -> FloatArray:
+    def product(states: FloatArray) -> FloatArray:
         rotation = np.eye(3)
-        for turn, left in zip(exp_rotation(turns), fixed, strict=True):
+        for number, (link, left) in enumerate(zip(links, fixed, strict=True)):
+            turn = exp_rotation((0.7 if number == 3 else 1.0) * states[link : link + 3])
             rotation = left @ turn @ rotation
+            if number == hull:
+                rotation = base @ exp_rotation((states[13] - states[12]) * rate) @ rotation
         return rotation
 
-    equal(products[-1], product(turns))
-    step = 1e-6
-    for link in range(4):
-        for axis in range(3):
-            moved = turns.copy()
-            moved[link, axis] += step
-            small = log_rotation(product(turns).T @ product(moved)) / step
-            np.testing.assert_allclose(derivatives[link][:, axis], small, rtol=0, atol=2e-6)
+    found = compiled_rotations.hung(mean, links, fixed, hull, 3, 0.7, clocks, signs, base, rate, error)
+    equal(found[0], product(mean))
+    step = 1e-6 * np.eye(14)
+    small = [log_rotation(product(mean - by).T @ product(mean + by)) / 2e-6 for by in step]
+    np.testing.assert_allclose(found[1].T, small, rtol=0, atol=1e-8)
+    from_hung = np.eye(3)
+    for link, left in zip(links[: hull + 1], fixed, strict=False):
+        from_hung = left @ exp_rotation(mean[link : link + 3]) @ from_hung
+    equal(found[2], from_hung.T @ error @ from_hung)
+
+
+def test_the_turn_between_two_attitudes_is_the_logarithm_of_their_quotient() -> None:
+    first, second = exp_rotation(np.array([0.3, -1.0, 0.2])), exp_rotation(vectors(16))
+    expected = log_rotation(first.T @ second)
+    np.testing.assert_allclose([compiled_rotations.turn_between(first, one) for one in second], expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("at", [1e-3, 0.3, 0.9])
@@ -172,13 +186,22 @@ def test_samples_are_corrected_as_by_numpy() -> None:
     np.testing.assert_allclose(found[1], expected, rtol=0, atol=1e-13 * np.abs(expected).max())
 
 
+def hung_by(links: FloatArray, fixed: FloatArray, clocks: FloatArray) -> None:
+    """A chain of seven states on a base."""
+    base, rate = np.eye(3), np.zeros(3)
+    compiled_rotations.hung(np.zeros(7), links, fixed, 0, 0, 1.0, clocks, np.ones(1), base, rate, base)
+
+
 def test_shapes_that_do_not_fit_are_refused() -> None:
     """The loops look at no bounds."""
     calls = [
         lambda: exp_rotation(np.zeros(2)),
         lambda: left_jacobian(np.zeros(4)),
         lambda: log_rotation(np.eye(2)),
-        lambda: compiled_rotations.chain(np.zeros((2, 3)), np.zeros((3, 3, 3))),
+        lambda: hung_by(np.array([0, 3]), np.zeros((3, 3, 3)), np.array([6])),
+        lambda: hung_by(np.array([0, 5]), np.zeros((2, 3, 3)), np.array([6])),
+        lambda: hung_by(np.array([0, 3]), np.zeros((2, 3, 3)), np.array([7])),
+        lambda: compiled_rotations.turn_between(np.eye(3), np.eye(2)),
         lambda: compiled_rotations.moved(np.eye(3)[None], np.zeros((1, 1, 3)), np.zeros((1, 0)), np.zeros(1), 0.3, 1.0),
         lambda: compiled_rotations.cubic(np.eye(3), np.zeros(3), np.zeros(2), np.zeros(3), 0.1, 0.5),
         lambda: compiled_rotations.between(
