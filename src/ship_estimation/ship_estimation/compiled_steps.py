@@ -20,7 +20,7 @@ import numpy as np
 if not cython.compiled:
     raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")
 
-from cython.cimports.libc.math import fabs, sqrt
+from cython.cimports.libc.math import exp, fabs, sqrt
 from cython.cimports.libc.string import memcpy, memset
 
 _JACOBI_SWEEPS = 12
@@ -79,9 +79,22 @@ def _add_rows(
                 first * row[j] + second * row[stride + j] + third * row[2 * stride + j] + fourth * row[3 * stride + j]
             )
         k += 4
-    while k < inner:
-        _add(target, sign * weights[k * step], rows + k * stride, count)
-        k += 1
+    if k == inner:
+        return
+    # Up to three are left: of an attitude these are all.
+    row = rows + k * stride
+    first = sign * weights[k * step]
+    if inner - k == 1:
+        _add(target, first, row, count)
+        return
+    second = sign * weights[(k + 1) * step]
+    if inner - k == 2:
+        for j in range(count):
+            target[j] += first * row[j] + second * row[stride + j]
+        return
+    third = sign * weights[(k + 2) * step]
+    for j in range(count):
+        target[j] += first * row[j] + second * row[stride + j] + third * row[2 * stride + j]
 
 
 @cython.cfunc
@@ -193,6 +206,87 @@ def carried(
     return result
 
 
+def transition(
+    dt_s: cython.double,
+    time_s: cython.const[cython.double][::1],
+    steady_variance: cython.const[cython.double][::1],
+    walk_variance: cython.const[cython.double][::1],
+):
+    """What is left of each state after some time and the variance that comes new, shapes (n,), (n,)."""
+    n: cython.Py_ssize_t = time_s.shape[0]
+    _check("transition", steady_variance.shape[0] == walk_variance.shape[0] == n)
+    of_decay, of_noise = np.empty(n), np.empty(n)
+    decay: cython.double[::1] = of_decay
+    noise: cython.double[::1] = of_noise
+    i: cython.Py_ssize_t
+    for i in range(n):
+        decay[i] = exp(-dt_s / time_s[i])
+        noise[i] = steady_variance[i] * (1.0 - decay[i] * decay[i]) + walk_variance[i] * dt_s
+    return of_decay, of_noise
+
+
+def decayed(
+    means: cython.const[cython.double][:, ::1],
+    decay: cython.const[cython.double][::1],
+    first: cython.Py_ssize_t,
+    lasts_beyond: cython.const[cython.double][::1],
+):
+    """States after some time, shape (h, n): what is left of them.
+
+    Args:
+        means: before, shape (h, n).
+        decay: what is left of each, shape (n,).
+        first: of k states that stay as they are where they are too large.
+        lasts_beyond: how large that is, shape (k,).
+    """
+    n: cython.Py_ssize_t = means.shape[1]
+    _check("decayed", decay.shape[0] == n and 0 <= first <= n - lasts_beyond.shape[0])
+    result = np.empty((means.shape[0], n))
+    out: cython.double[:, ::1] = result
+    row: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    for row in range(means.shape[0]):
+        for i in range(n):
+            out[row, i] = decay[i] * means[row, i]
+        for i in range(lasts_beyond.shape[0]):
+            if fabs(means[row, first + i]) > lasts_beyond[i]:
+                out[row, first + i] = means[row, first + i]
+    return result
+
+
+def add_error(
+    stack: cython.double[:, :, ::1],
+    rows: cython.Py_ssize_t,
+    part: cython.Py_ssize_t,
+    first: cython.Py_ssize_t,
+    covariance: cython.const[cython.double][:, :],
+    row: cython.Py_ssize_t,
+):
+    """Add an error of some states, in place, to all rows of a stack or to one of those beside the first.
+
+    Args:
+        stack: shape (n_sources + h - 1, n, n).
+        rows: h.
+        part: of the first row, to which the error is booked.
+        first: of the k states that err.
+        covariance: of the error, shape (k, k).
+        row: which one; 0 for all.
+    """
+    sources: cython.Py_ssize_t = stack.shape[0] - rows + 1
+    count: cython.Py_ssize_t = covariance.shape[0]
+    _check("row", 0 <= row < rows and 0 <= part < sources)
+    _check("states", 0 <= first <= stack.shape[1] - count and stack.shape[1] == stack.shape[2])
+    _check("covariance", covariance.shape[1] == count)
+    s: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    for s in range(stack.shape[0]):
+        if s == sources + row - 1 if row else s == part or s >= sources:
+            for i in range(count):
+                for j in range(count):
+                    stack[s, first + i, first + j] += covariance[i, j]
+
+
 def row_covariances(stack: cython.const[cython.double][:, :, ::1], rows: cython.Py_ssize_t):
     """The covariance of each row of a stack: the parts of the first one added up, the others as they are."""
     sources: cython.Py_ssize_t = stack.shape[0] - rows + 1
@@ -208,6 +302,54 @@ def row_covariances(stack: cython.const[cython.double][:, :, ::1], rows: cython.
     if rows > 1:
         memcpy(cython.address(out[1, 0, 0]), start + sources * size, (rows - 1) * size * cython.sizeof(cython.double))
     return result
+
+
+def variance_along(
+    weights: cython.const[cython.double][::1], covariance: cython.const[cython.double][:, :]
+) -> cython.double:
+    """The variance of a sum of states, each times a weight: shapes (n,) and (n, n). Most of the weights are zero."""
+    n: cython.Py_ssize_t = weights.shape[0]
+    _check("variance_along", covariance.shape[0] == covariance.shape[1] == n)
+    total: cython.double = 0.0
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    for i in range(n):
+        if weights[i] != 0.0:
+            for j in range(n):
+                if weights[j] != 0.0:
+                    total += weights[i] * covariance[i, j] * weights[j]
+    return total
+
+
+def spread(
+    jacobian: cython.const[cython.double][:, ::1],
+    covariance: cython.const[cython.double][:, ::1],
+    without: cython.const[cython.double][::1],
+) -> cython.double:
+    """The sum of the variances of what some states do: the trace of J P Jᵀ.
+
+    Args:
+        jacobian: J, shape (m, n).
+        covariance: P, shape (n, n).
+        without: states for which it is not zero have no part, shape (n,).
+    """
+    n: cython.Py_ssize_t = jacobian.shape[1]
+    _check("spread", covariance.shape[0] == covariance.shape[1] == without.shape[0] == n)
+    total: cython.double = 0.0
+    along: cython.double
+    row: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    for row in range(jacobian.shape[0]):
+        for i in range(n):
+            if without[i] != 0.0 or jacobian[row, i] == 0.0:
+                continue
+            along = 0.0
+            for j in range(n):
+                if without[j] == 0.0:
+                    along += covariance[i, j] * jacobian[row, j]
+            total += jacobian[row, i] * along
+    return total
 
 
 def compared(

@@ -66,7 +66,7 @@ def add_error(
         rows: h.
         part: of the first row, to which the error is booked.
         states: that err.
-        covariance: of the error.
+        covariance: of the error, as many rows and columns as there are of these states.
         row: which one; None for all.
 
     Example:
@@ -75,12 +75,8 @@ def add_error(
         >>> print(stack.ravel())
         [0. 4. 4.]
     """
-    parts = len(stack) - rows + 1
-    if row is not None:
-        stack[parts + row - 1, states, states] += covariance
-        return
-    stack[part, states, states] += covariance
-    stack[parts:, states, states] += covariance
+    first = states.indices(stack.shape[-1])[0]
+    compiled_steps.add_error(stack, rows, part, first, covariance, row or 0)
 
 
 def promoted(stack: FloatArray, rows: int, row: int) -> FloatArray:

@@ -139,9 +139,34 @@ class StateModel:
         """Diagonal of the transition matrix and of the process noise over ``dt_s`` >= 0, shapes (..., n), (..., n)."""
         if isinstance(dt_s, float) and dt_s == 0.0:
             return np.ones(self.size), np.zeros(self.size)
+        if isinstance(dt_s, float):
+            found: tuple[FloatArray, FloatArray] = compiled_steps.transition(
+                dt_s, self._time_s, self._steady_variance, self._walk_variance
+            )
+            return found
         dt_s = np.asarray(dt_s)[..., None]
         decay = np.exp(-dt_s / self._time_s)
         return decay, self._steady_variance * (1.0 - decay * decay) + self._walk_variance * dt_s
+
+
+def states_later(means: FloatArray, decay: FloatArray, slow: slice, sigma: FloatArray) -> FloatArray:
+    """Estimated states after some time, shape (h, n): they die out as told; of some see :func:`slow_error_later`.
+
+    Args:
+        means: before, shape (h, n).
+        decay: what is left of each, shape (n,).
+        slow: the states of a slow error, k of them.
+        sigma: of that error, shape (k,).
+
+    Example:
+        The last two are a slow error of the sigma 10, and the last one is a jump of a degree:
+
+        >>> means, sigma = np.array([[4.0, 8.0, 3600.0]]), np.array([10.0, 10.0])
+        >>> print(states_later(means, np.array([0.0, 0.5, 0.5]), slice(1, 3), sigma))
+        [[   0.    4. 3600.]]
+    """
+    later: FloatArray = compiled_steps.decayed(means, decay, slow.start, _BEYOND_SIGMAS * sigma)
+    return later
 
 
 def slow_error_later(error: FloatArray, decay: FloatArray, sigma: FloatArray) -> FloatArray:
@@ -184,8 +209,10 @@ class LinearMeasurement:
     @cached_property
     def noise(self) -> FloatArray:
         """Covariance of the whole measurement noise, shape (m, m)."""
-        first, *others = self.noise_by_source.values()
-        return np.ascontiguousarray(sum(others, start=first))
+        total, *others = self.noise_by_source.values()
+        for other in others:
+            total = total + other
+        return np.ascontiguousarray(total)
 
     @cached_property
     def booked(self) -> tuple[tuple[int, FloatArray], ...]:
@@ -248,7 +275,7 @@ def innovation(parts: FloatArray, measurement: LinearMeasurement) -> ResidualCom
         [[4.]] 4.0 [[0.75]]
     """
     mean, residual = np.zeros((1, parts.shape[-1])), measurement.residual
-    total, no_turn = parts.sum(axis=0)[None], np.zeros((len(residual), 3))
+    total, no_turn = compiled_steps.row_covariances(np.ascontiguousarray(parts), 1), np.zeros((len(residual), 3))
     _, covariance, nis, gain, *_ = compiled_steps.compared(
         mean, total, residual, measurement.jacobian, measurement.noise, mean[0], no_turn
     )

@@ -7,8 +7,9 @@ cases, of which the cases here are.
 import numpy as np
 import pytest
 
-from ship_estimation.hypotheses import RowsCompared, compare_rows, covariances, update_rows
-from ship_estimation.kalman import LinearMeasurement, predict
+from ship_estimation import compiled_steps
+from ship_estimation.hypotheses import RowsCompared, add_error, compare_rows, covariances, update_rows
+from ship_estimation.kalman import LinearMeasurement, StateModel, block, predict, slow_error_later, states_later
 
 SHAPES = [(1, 1, 1, 1), (4, 2, 2, 1), (19, 3, 7, 1), (19, 3, 7, 4), (23, 16, 7, 4), (9, 24, 3, 3)]
 """States, residuals, sources, rows: the paper's ship alone and with its rows, single stars, more residuals than states.
@@ -80,6 +81,39 @@ def test_a_stack_is_carried_as_by_numpy(shape: tuple[int, int, int, int]) -> Non
     equal(covariances(stack, rows), np.concatenate([stack[:sources].sum(axis=0)[None], stack[sources:]]))
 
 
+@pytest.mark.parametrize("dt_s", [1e-9, 0.2, 3600.0])
+def test_a_moment_later_the_states_are_as_many_moments_later_are_by_numpy(dt_s: float) -> None:
+    """A single time is compiled, several are not; white noise, a constant that walks and two that die out."""
+    slow, white = block("slow", [3.0, 2.0], "a", time_s=[1800.0, 2.0]), block("white", [1.0], "b", time_s=0.0)
+    model = StateModel([slow, white, block("walking", [5.0], "a", walk=0.1)], noise_sources=[])
+    for found, expected in zip(model.transition(dt_s), model.transition(np.array([dt_s])), strict=True):
+        equal(found, expected[0])
+    (decay, _), states = model.transition(dt_s), model.slices["slow"]
+    means = np.random.default_rng(4).normal(scale=20.0, size=(9, 4))
+    expected = decay * means
+    expected[:, states] = slow_error_later(means[:, states], decay[states], slow.sigma)
+    np.testing.assert_array_equal(states_later(means, decay, states, slow.sigma), expected)
+
+
+@pytest.mark.parametrize("row", [None, 1, 2])
+def test_an_error_is_added_to_the_rows_that_it_belongs_to(row: int | None) -> None:
+    stack, covariance = case((6, 3, 3, 3))[0], np.arange(4.0).reshape(2, 2)
+    found, expected = stack.copy(), stack.copy()
+    add_error(found, 3, 1, slice(2, 4), covariance, row)
+    for index in (1, 3, 4) if row is None else (2 + row,):
+        expected[index, 2:4, 2:4] += covariance
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_variances_along_some_states_are_as_by_numpy() -> None:
+    rng = np.random.default_rng(5)
+    root, jacobian, weights = rng.normal(size=(7, 9)), rng.normal(size=(3, 7)), np.zeros(7)
+    weights[[1, 5]], covariance = (1.0, -2.0), root @ root.T
+    equal(np.array(compiled_steps.variance_along(weights, covariance)), weights @ covariance @ weights)
+    others = np.where(weights == 0.0, jacobian, 0.0)
+    equal(np.array(compiled_steps.spread(jacobian, covariance, weights)), np.trace(others @ covariance @ others.T))
+
+
 @pytest.mark.parametrize("shape", [shape for shape in SHAPES if shape[1] >= 3])
 def test_a_measurement_beside_all_rows_is_as_by_numpy(shape: tuple[int, int, int, int]) -> None:
     stack, means, measured, by_turn = case(shape)
@@ -149,5 +183,13 @@ def test_shapes_that_do_not_fit_are_refused() -> None:
     beyond = LinearMeasurement(measured.residual, measured.jacobian, {2: measured.noise})
     with pytest.raises(ValueError, match="booked"):
         update_rows(stack, beyond, found, everything)
+    for states, part, row in ((slice(4, 7), 0, None), (slice(0, 3), 2, None), (slice(0, 3), 0, 2)):
+        with pytest.raises(ValueError, match="do not fit together"):
+            add_error(stack, 2, part, states, np.eye(3), row)
+    for call in (compiled_steps.variance_along, lambda *of: compiled_steps.spread(np.ones((3, 6)), *reversed(of))):
+        with pytest.raises(ValueError, match="do not fit together"):
+            call(np.ones(5), np.eye(6))
+    with pytest.raises(ValueError, match="decayed"):
+        states_later(np.ones((2, 6)), np.ones(6), slice(4, 7), np.ones(3))
     with pytest.raises(ValueError, match="carried"):
         predict(stack, np.ones(5), np.ones(6), np.zeros(6, dtype=np.intp), 2)

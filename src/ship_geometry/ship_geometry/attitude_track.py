@@ -14,14 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_geometry import compiled_rotations
-from ship_geometry.interpolation_error import (
-    ANY_DIRECTION,
-    BESIDE,
-    as_covariance,
-    by_miss,
-    by_polynomial,
-    by_third_derivative,
-)
+from ship_geometry.interpolation_error import ANY_DIRECTION, BESIDE, as_covariance, by_polynomial
 from ship_geometry.rotations import FloatArray, exp_rotation, log_rotation
 from ship_geometry.sample_track import RECENT, SampleTrack, hermite_weights
 from ship_geometry.time_scales import SECOND_NS
@@ -243,8 +236,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         before, after = self._neighbours(index)
         if before == after:
             return np.zeros(3)
-        turn = log_rotation(self._samples[before].rotation_nd.T @ self._samples[after].rotation_nd)
-        return turn * (SECOND_NS / (self._times[after] - self._times[before]))
+        return self._turn(before, after) * (SECOND_NS / (self._times[after] - self._times[before]))
 
     def _moved_by_rates(self, index: int, ahead_s: float) -> InterpolatedAttitude:
         """The newest sample moved by its measured rate and by the change of the rate since the sample before.
@@ -324,37 +316,49 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
     def _between(self, left: int, fraction: float) -> InterpolatedAttitude:
         """Between two samples, by a cubic in the rotation vector from the first one."""
         first, second = self._samples[left], self._samples[left + 1]
-        measured = first.rate_d is not None and second.rate_d is not None
-        start_rate, end_rate = self.rate(left), self.rate(left + 1)
-        # First all that the track says, ...
+        if first.rate_d is None or second.rate_d is None:
+            return self._between_without_rates(left, fraction)
         interval_s = self._seconds(left, left + 1)
-        value0, _, value1, _ = hermite_weights(fraction)
-        gain = value0 * value0 + value1 * value1 if measured else self._noise_gain(left, fraction)
-        checked = measured and left > 0 and self._joined(left - 1)
-        at_check = -self._seconds(left - 1, left) / interval_s if checked else 0.0
-        _, slope0_check, value1_check, slope1_check = hermite_weights(at_check)
-        # ... then the rotations, ...
-        turn = log_rotation(first.rotation_nd.T @ second.rotation_nd)
-        turn_check = log_rotation(first.rotation_nd.T @ self._samples[left - 1].rotation_nd) if checked else turn
-        rotation_nd, rate, vector, start_slope, end_slope = compiled_rotations.cubic(
-            np.ascontiguousarray(first.rotation_nd), turn, start_rate, end_rate, interval_s, fraction
+        # How far the cubic may be off is told by how far it misses the sample before.
+        before, at_before = first, 0.0
+        if left > 0 and self._joined(left - 1):
+            before, at_before = self._samples[left - 1], -self._seconds(left - 1, left) / interval_s
+        rotation_nd, rate_d, errors_d, covariance_d = compiled_rotations.between(
+            first.rotation_nd,
+            second.rotation_nd,
+            before.rotation_nd,
+            first.rate_d,
+            second.rate_d,
+            interval_s,
+            fraction,
+            at_before,
+            BESIDE,
+            ANY_DIRECTION,
+            _LARGEST_VARIANCE,
         )
-        # ... then how far the cubic may be off: with measured slopes, by how far it misses the sample before.
-        errors: tuple[FloatArray, ...]
-        if measured:
-            bound = by_third_derivative(6.0 * (start_slope + end_slope) - 12.0 * turn, fraction)
-            miss = turn_check - (slope0_check * start_slope + value1_check * turn + slope1_check * end_slope)
-            errors = (by_miss(miss, at_check, fraction), 0.5 * BESIDE * bound) if checked else (bound,)
-        else:
-            around = self._around(left)
-            values = np.array([self._turn(left, index) for index in around])
-            errors = by_polynomial(self._fractions(around, left), values, fraction, vector)
-        covariance_d = as_covariance(errors, _LARGEST_VARIANCE)
-        return InterpolatedAttitude(rotation_nd, rate, gain, covariance_d, first, second, errors)
+        value0, _, value1, _ = hermite_weights(fraction)
+        gain = value0 * value0 + value1 * value1
+        return InterpolatedAttitude(rotation_nd, rate_d, gain, covariance_d, first, second, tuple(errors_d))
+
+    def _between_without_rates(self, left: int, fraction: float) -> InterpolatedAttitude:
+        """Between two samples of which one has no measured rate: the neighbours tell it, and the cubic's error."""
+        first, second = self._samples[left], self._samples[left + 1]
+        turn, interval_s = self._turn(left, left + 1), self._seconds(left, left + 1)
+        rotation_nd, rate_d, vector = compiled_rotations.cubic(
+            first.rotation_nd, turn, self.rate(left), self.rate(left + 1), interval_s, fraction
+        )
+        around = self._around(left)
+        values = np.array([self._turn(left, index) for index in around])
+        errors = by_polynomial(self._fractions(around, left), values, fraction, vector)
+        covariance_d, gain = as_covariance(errors, _LARGEST_VARIANCE), self._noise_gain(left, fraction)
+        return InterpolatedAttitude(rotation_nd, rate_d, gain, covariance_d, first, second, errors)
 
     def _turn(self, first: int, second: int) -> FloatArray:
         """Rotation vector from one sample to another, rad."""
-        return log_rotation(self._samples[first].rotation_nd.T @ self._samples[second].rotation_nd)
+        turn: FloatArray = compiled_rotations.turn_between(
+            self._samples[first].rotation_nd, self._samples[second].rotation_nd
+        )
+        return turn
 
 
 def moved_block(before: RecentRates, block: SampleBlock, ahead_s: FloatArray) -> MovedBlock:

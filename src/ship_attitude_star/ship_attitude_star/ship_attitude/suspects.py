@@ -20,7 +20,7 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.ins_at_fault import InsAtFault, distrusted
 from ship_attitude_star.ship_attitude.model import Device, ShipStateModel
 from ship_attitude_star.ship_attitude.row_table import INS, LEAST_FOR_PAIRS, RowTable
-from ship_attitude_star.ship_attitude.state import Apart, Doubt, FilterState, Lately, with_entry, without
+from ship_attitude_star.ship_attitude.state import Apart, Doubt, FilterState, Lately, changed, with_entry, without
 from ship_estimation.exclusion import HEARD_NS, Exclusion, Finding, find_fault, must_agree_s, watched
 from ship_estimation.hypotheses import RowsCompared, add_error, promoted, update_rows
 from ship_estimation.outcome import Measurement
@@ -109,7 +109,7 @@ class Suspects:
         # source nothing is used, but how it is mounted may be learnt anew.
         learnt = bool((used & accepted).any()) if exclusion is None else exclusion.apart is None
         if not learnt:
-            return replace(state, seen=seen, apart=apart)
+            return changed(state, seen=seen, apart=apart)
         learns = self.ins.learns(state, (used[:, None] | self.table.own[source]) & accepted[:, None])
         corrections, stack = update_rows(predicted.stack, measured.linear, compared, learns)
         lately = state.lately
@@ -117,7 +117,7 @@ class Suspects:
             running = averaged(lately[source].running if source in lately else NO_MEANS, compared.turn[0])
             lately = with_entry(lately, source, Lately(running, farthest_mean(running)))
         means = predicted.means + corrections
-        return replace(predicted, means=means, stack=stack, seen=seen, apart=apart, lately=lately)
+        return changed(predicted, means=means, stack=stack, seen=seen, apart=apart, lately=lately)
 
     def _heard_again(self, state: FilterState, source: str, time_ns: int) -> FilterState:
         """The state before the first measurement after a silence: in that time nobody has agreed with anything."""
@@ -127,7 +127,7 @@ class Suspects:
         if distrusted(state) and state.seen.heard_ns.max() < time_ns - HEARD_NS:
             excluded[INS] = replace(excluded[INS], agrees_since_ns=time_ns)
         heard_since_ns = with_entry(state.heard_since_ns, source, time_ns)
-        return replace(state, excluded=MappingProxyType(excluded), heard_since_ns=heard_since_ns)
+        return changed(state, excluded=MappingProxyType(excluded), heard_since_ns=heard_since_ns)
 
     def separations(self, state: FilterState) -> tuple[FloatArray, FloatArray]:
         """Distances of the rows from the first one, about North, Up and East, and these in sigmas at most.
@@ -192,7 +192,7 @@ class Suspects:
         if contradicting:
             # Nothing tells that they were knocked: how they are mounted is not learnt anew.
             excluded = {name: Exclusion(time_ns, apart=state.apart[name].turn_v) for name in contradicting}
-            state = replace(state, excluded=MappingProxyType({**state.excluded, **excluded}))
+            state = changed(state, excluded=MappingProxyType({**state.excluded, **excluded}))
         return self._in_doubt(state, apart_n, statistic, contradicting), ""
 
     def _agreed(
@@ -213,7 +213,7 @@ class Suspects:
         within = statistic.max() <= UNDISPUTED_SIGMAS
         if within and state.doubt is None and state.disputed_n is None:
             return state
-        return replace(state, doubt=None, disputed_n=None if within else disputed(apart_n, statistic))
+        return changed(state, doubt=None, disputed_n=None if within else disputed(apart_n, statistic))
 
     def acquitted(self, state: FilterState, time_ns: int) -> FilterState:
         """The state after the INS has told itself that it jumped: those that contradicted it were right.
@@ -222,7 +222,7 @@ class Suspects:
         """
         if state.doubt is not None:
             means, stack = self.ins.all_rows_at(state.mean, state.parts)
-            state = replace(state, means=means, stack=stack)
+            state = changed(state, means=means, stack=stack)
         if distrusted(state):
             return self.ins.contradicted_now(state, time_ns)
         return self._forgiven(state)
@@ -239,14 +239,14 @@ class Suspects:
     def begun_anew(self, state: FilterState) -> FilterState:
         """The state after a gate was re-opened: what the sources contradicted of one another is forgotten."""
         means, stack = self.ins.all_rows_at(state.mean, state.parts)
-        return self._forgiven(replace(state, means=means, stack=stack))
+        return self._forgiven(changed(state, means=means, stack=stack))
 
     def _forgiven(self, state: FilterState) -> FilterState:
         """The state in which only those stay excluded that were knocked, and the INS."""
         knocked = {name: exclusion for name, exclusion in state.excluded.items() if exclusion.apart is None}
         seen = forgotten(state.seen, slice(None), slice(None))
         doubt = state.doubt if distrusted(state) else None
-        return replace(
+        return changed(
             state,
             excluded=MappingProxyType(knocked),
             seen=seen,
@@ -279,7 +279,7 @@ class Suspects:
             apart = None if relearns or name == INS else state.apart[name].turn_v
             excluded[name] = Exclusion(time_ns, record[name], apart=apart)
             used_ns.pop(name, None)
-        state = replace(
+        state = changed(
             state,
             means=means,
             stack=stack,
@@ -304,12 +304,12 @@ class Suspects:
         exclusion, back = watched(exclusion, state.seen, index, compared, time_ns, after_s)
         after_s = must_agree_s(exclusion, after_s)
         if not back:
-            state = replace(state, excluded=with_entry(state.excluded, source, exclusion))
+            state = changed(state, excluded=with_entry(state.excluded, source, exclusion))
             if exclusion.apart is None and self._contradicts(state, index):
                 # Knocked once more, or back: what was learnt of its mounting since is void.
                 stack = state.stack.copy()
                 self._open_mounting(stack, state, source)
-                state = replace(state, stack=stack, seen=forgotten(state.seen, slice(None), [index]))
+                state = changed(state, stack=stack, seen=forgotten(state.seen, slice(None), [index]))
             since_s = (time_ns - exclusion.since_ns) / SECOND_NS
             agrees = "it does not agree with the others"
             if exclusion.agrees_since_ns is not None:
@@ -318,7 +318,7 @@ class Suspects:
             return state, f"{source} is excluded for {since_s:.0f} s: {agrees}"
         seen = forgotten(state.seen, slice(None), [index])
         excluded = without(state.excluded, source)
-        return replace(state, seen=seen, excluded=excluded, doubt=None), f"{source} is used again"
+        return changed(state, seen=seen, excluded=excluded, doubt=None), f"{source} is used again"
 
     def _contradicts(self, state: FilterState, index: int) -> bool:
         """Whether what the first row has seen of a source contradicts it."""
@@ -337,7 +337,7 @@ class Suspects:
             text += "stars contradict one another"
         else:
             text = "the sources contradict one another, and which of them is wrong nothing tells"
-        return replace(state, doubt=Doubt(text, covariance_n), disputed_n=None)
+        return changed(state, doubt=Doubt(text, covariance_n), disputed_n=None)
 
     def _stars_contradicting(
         self, state: FilterState, wrong: tuple[str, ...], in_use: list[str]
