@@ -11,7 +11,7 @@ import numpy as np
 
 from ship_estimation.kalman import StateModel
 from ship_geometry.rotations import FloatArray, exp_rotation
-from theodolite_calib.chain.axes import CHAIN_STATES, SHIP_TIME, AxisChain, AxisErrors, ChainErrors, axis_chain
+from theodolite_calib.chain.axes import AXES, SHIP_TIME, AxisChain, axis_chain
 from theodolite_calib.chain.parallelism import telescope_from_main
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.model import (
@@ -21,6 +21,7 @@ from theodolite_calib.filter.model import (
     SOURCE_IMAGE,
     SOURCE_RTK,
     SOURCE_SHIP_NOISE,
+    chain_rows,
 )
 from theodolite_calib.lights.image import Camera, block_diagonal, predict_points
 from theodolite_calib.lights.line_of_sight import (
@@ -72,18 +73,17 @@ class SightingModel:
 
     def __init__(self, config: OpticalAxisConfig, model: StateModel) -> None:
         self._config, self._model = config, model
-        self._axes = config.axes.values
+        self._turning = chain_rows(model)
+        self._configured_errors: FloatArray = np.zeros(SHIP_TIME.stop)
+        self._configured_errors[AXES] = config.axes.values
         self._parallelism = config.telescope.parallelism
         self._principal_point = config.telescope.principal_point_m
 
-    def chain_errors(self, mean: FloatArray) -> ChainErrors:
-        """What a state says is wrong with the chain to the main axis."""
-        return ChainErrors(
-            ship_n=self._of(mean, "ship.attitude"),
-            deformation_d=self._of(mean, "deformation"),
-            axes=AxisErrors.from_vector(self._axes + self._of(mean, "axes")),
-            ship_time_s=float(self._of(mean, "ship.time_offset", 1)[0]),
-        )
+    def chain_errors(self, mean: FloatArray) -> FloatArray:
+        """What a state says is wrong with the chain to the main axis, in the order of its columns, shape (14,)."""
+        errors: FloatArray = self._configured_errors.copy()
+        errors[: len(self._turning)] += mean[self._turning]
+        return errors
 
     def parallelism(self, mean: FloatArray) -> FloatArray:
         """Angles of the main axis in the telescope, rad, shape (3,)."""
@@ -155,9 +155,7 @@ class SightingModel:
 
     def _turn_n(self, chain: AxisChain, by_parallelism: FloatArray) -> FloatArray:
         turn_n = np.zeros((3, self._model.size))
-        for name, columns in CHAIN_STATES.items():
-            if name in self._model.slices:
-                turn_n[:, self._model.slices[name]] = chain.by_error[:, columns]
+        turn_n[:, self._turning] = chain.by_error[:, : len(self._turning)]
         turn_n[:, self._model.slices["parallelism"]] = by_parallelism
         return turn_n
 

@@ -35,13 +35,13 @@ _CREPT_WITHIN_NS = 60 * SECOND_NS
 
 @dataclass(frozen=True)
 class ShipAt:
-    """The ship's attitude at one moment, or at several.
+    """The ship's attitude at one moment.
 
     Attributes:
-        rotation_nd: horizon from deck, shape (..., 3, 3).
-        rate_d: angular velocity in the deck frame, rad/s, shape (..., 3).
+        rotation_nd: horizon from deck, shape (3, 3).
+        rate_d: angular velocity in the deck frame, rad/s, shape (3,).
         slow_covariance_n: as in :class:`theodolite_calib.measured.samples.ShipSample`.
-        noise: variance of each component of what is new with each sample, and of interpolation, rad², shape (...).
+        noise: variance of each component of what is new with each sample, and of interpolation, rad².
         status: what the source says that it is worth; between two attitudes, of the lesser one.
         chord_nd: horizon from deck as tf2 gives it, which turns steadily from one ship/attitude to the next; None where
             the attitude is that of the INS alone.
@@ -50,24 +50,57 @@ class ShipAt:
     rotation_nd: FloatArray
     rate_d: FloatArray
     slow_covariance_n: FloatArray | None
-    noise: float | FloatArray
+    noise: float
     status: Status = Status.VALID
     chord_nd: FloatArray | None = None
 
 
 @dataclass(frozen=True)
-class EncoderAt:
-    """The encoders at one moment, or at several.
+class ShipRun:
+    """The ship's attitude at N moments; each field is that of :class:`ShipAt`.
 
     Attributes:
-        azimuth: rad, shape (...).
-        elevation: rad, shape (...).
-        noise: variance of each, that of interpolation included, rad², shape (...).
+        rotation_nd: shape (N, 3, 3).
+        rate_d: shape (N, 3).
+        slow_covariance_n: shape (N, 3, 3); None where the configuration states it.
+        noise: shape (N,).
+        status: N of them.
+        chord_nd: shape (N, 3, 3); None where the attitude is that of the INS alone.
     """
 
-    azimuth: float | FloatArray
-    elevation: float | FloatArray
-    noise: float | FloatArray
+    rotation_nd: FloatArray
+    rate_d: FloatArray
+    slow_covariance_n: FloatArray | None
+    noise: FloatArray
+    status: list[Status]
+    chord_nd: FloatArray | None
+
+    @classmethod
+    def of_one(cls, ship: ShipAt) -> "ShipRun":
+        """The run of one moment."""
+        return cls(
+            rotation_nd=ship.rotation_nd[None],
+            rate_d=ship.rate_d[None],
+            slow_covariance_n=None if ship.slow_covariance_n is None else ship.slow_covariance_n[None],
+            noise=np.array([ship.noise]),
+            status=[ship.status],
+            chord_nd=None if ship.chord_nd is None else ship.chord_nd[None],
+        )
+
+
+@dataclass(frozen=True)
+class EncoderAt:
+    """The encoders at one moment.
+
+    Attributes:
+        azimuth: rad.
+        elevation: rad.
+        noise: variance of each, that of interpolation included, rad².
+    """
+
+    azimuth: float
+    elevation: float
+    noise: float
 
 
 @dataclass(frozen=True)

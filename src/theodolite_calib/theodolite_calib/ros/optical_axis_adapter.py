@@ -179,7 +179,7 @@ def pointing_messages(
     azimuth, elevation, image_rotation = angles_from_rotation(estimate.rotation_nm).tolist()
     telescope_azimuth, telescope_elevation, telescope_rotation = angles_from_rotation(estimate.rotation_nt).tolist()
     angles_covariance = angle_covariance(estimate.covariance_n, azimuth, elevation)
-    if estimate.rotation_dm is not None:
+    if np.isfinite(estimate.rotation_dm).all():
         parent, translation, quaternion = DECK_FRAME, lever, mounting_quaternion(estimate.rotation_dm)
     else:
         # The INS alone: its attitude is not that of the frame "deck", and nobody may publish that one at all.
