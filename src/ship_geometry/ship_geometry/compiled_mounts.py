@@ -248,7 +248,7 @@ def _turned(
 
 
 def pointings(
-    since_s: cython.const[cython.double][:],
+    since_ns: cython.const[cython.longlong][:],
     rotations: cython.const[cython.double][:, :, :],
     rates: cython.const[cython.double][:, :],
     ship_variances: cython.const[cython.double][:],
@@ -272,14 +272,14 @@ def pointings(
     steady one too, and a share of a may be gone and something new come at the moment itself.
 
     Args:
-        since_s: time since the estimate, shape (N,).
+        since_ns: time since the estimate, shape (N,); less than none counts as none.
         rotations: measured attitudes of the ship at the readings, shape (N, 3, 3).
         rates: her angular velocity about her own axes, rad/s, shape (N, 3).
         ship_variances: of a further error of each attitude, the same about all axes, rad², shape (N,).
         angles: azimuth and elevation as the encoders read them, rad, shape (N, 2).
         angle_variances: of the noise of each of the two, rad², shape (N,).
-        kept: share of a that is left at the moment, shape (N, 3).
-        new: covariance of what has come new of a, rad², shape (N, 3, 3).
+        kept: share of a that is left at the moment, shape (N, 3), or (0, 3) where nothing happens at any.
+        new: covariance of what has come new of a, rad², shape (N, 3, 3), or (0, 3, 3).
         errors: as estimated, shape (14,).
         lasting: which of the first six do not die out in the mean, shape (6,).
         time_s: correlation time of the first six, shape (6,).
@@ -294,14 +294,16 @@ def pointings(
         The main frame in the horizon, shape (N, 3, 3); its rotation vector in n per error at the moment, shape
         (N, 3, k); and the covariance of that vector by source, rad², shape (N, n_sources, 3, 3).
     """
-    count: cython.Py_ssize_t = since_s.shape[0]
+    count: cython.Py_ssize_t = since_ns.shape[0]
     sources: cython.Py_ssize_t = parts.shape[0]
     size: cython.Py_ssize_t = parts.shape[1]
     _check("readings", rotations.shape[0] == rates.shape[0] == ship_variances.shape[0] == count)
-    _check("readings", angles.shape[0] == angle_variances.shape[0] == kept.shape[0] == new.shape[0] == count)
+    _check("readings", angles.shape[0] == angle_variances.shape[0] == count)
     _check("rotations", rotations.shape[1] == rotations.shape[2] == rates.shape[1] == 3)
     _check("angles", angles.shape[1] == 2)
+    steps: cython.bint = kept.shape[0] > 0
     _check("new", kept.shape[1] == new.shape[1] == new.shape[2] == 3)
+    _check("new", new.shape[0] == kept.shape[0] and (kept.shape[0] == count or not steps))
     _check("errors", errors.shape[0] == _ERRORS and lasting.shape[0] == time_s.shape[0] == _DYING)
     _check("steady", steady.shape[0] == 2 and steady.shape[1] == steady.shape[2] == 3)
     _check("parts", parts.shape[2] == size and (size == _ERRORS - 1 or size == _ERRORS))
@@ -321,19 +323,23 @@ def pointings(
     by_encoder = cython.declare(cython.double[6])
     carried = cython.declare(cython.double[42])
     fresh = cython.declare(cython.double[9])
+    left = cython.declare(cython.double[3])
+    since_s: cython.double
     n: cython.Py_ssize_t
     s: cython.Py_ssize_t
     i: cython.int
     j: cython.int
     for n in range(count):
+        since_s = 1e-9 * max(since_ns[n], 0)
         for i in range(_ERRORS):
             now[i] = errors[i]
         for i in range(_DYING):
-            decay[i] = exp(-since_s[n] / time_s[i])
+            decay[i] = exp(-since_s / time_s[i])
             if not lasting[i]:
                 now[i] *= decay[i]
         for i in range(3):
-            now[i] *= kept[n, i]
+            left[i] = kept[n, i] if steps else 1.0
+            now[i] *= left[i]
             rate[i] = rates[n, i]
             for j in range(3):
                 measured[3 * i + j] = rotations[n, i, j]
@@ -355,7 +361,7 @@ def pointings(
             for j in range(_DYING):
                 carried[size * i + j] *= decay[j]
             for j in range(3):
-                carried[size * i + j] *= kept[n, j]
+                carried[size * i + j] *= left[j]
         for s in range(sources):
             _turned(
                 carried,
@@ -366,7 +372,8 @@ def pointings(
         for i in range(3):
             for j in range(3):
                 fresh[3 * i + j] = (1.0 - decay[i] * decay[j]) * steady[0, i, j]
-                fresh[3 * i + j] = kept[n, i] * fresh[3 * i + j] * kept[n, j] + new[n, i, j]
+                if steps:
+                    fresh[3 * i + j] = left[i] * fresh[3 * i + j] * left[j] + new[n, i, j]
         _add_turned(by_all, 14, fresh, cython.address(out[n, ship, 0, 0]))
         for i in range(3):
             for j in range(3):

@@ -70,7 +70,7 @@ def readings(size: int) -> tuple[list[FloatArray], tuple[Any, ...]]:
     rng = np.random.default_rng(RNG_SEED)
     errors, rotations, rates, angles = moments()
     roots = rng.standard_normal((COUNT, 3, 3))
-    of_each = [rng.uniform(0.0, 2.0, COUNT), rotations, rates, rng.random(COUNT), angles, rng.random(COUNT)]
+    of_each = [rng.integers(-(10**8), 2 * 10**9, COUNT), rotations, rates, rng.random(COUNT), angles, rng.random(COUNT)]
     of_each += [rng.uniform(0.3, 1.0, (COUNT, 3)), roots @ roots.swapaxes(1, 2)]
     of_states, of_steady = rng.standard_normal((SOURCES, size, size)), rng.standard_normal((2, 3, 3))
     lasting = np.array([0, 1, 0, 0, 0, 0], dtype=np.uint8)
@@ -84,9 +84,9 @@ def test_pointings_are_corrected_as_by_numpy(size: int) -> None:
     of_each, estimate = readings(size)
     errors, lasting, time_s, steady, parts, *_ = estimate
     rotation_nm, by_error, found = compiled_mounts.pointings(*of_each, *estimate)
-    for number, (since_s, rotation, rate, white, angles, noise, kept, new) in enumerate(zip(*of_each, strict=True)):
+    for number, (since_ns, rotation, rate, white, angles, noise, kept, new) in enumerate(zip(*of_each, strict=True)):
         decay, left = np.ones(size), np.ones(size)
-        decay[:6], left[:3] = np.exp(-since_s / time_s), kept
+        decay[:6], left[:3] = np.exp(-1e-9 * max(since_ns, 0) / time_s), kept
         now = errors.copy()
         now[:6] *= np.where(lasting, 1.0, decay[:6])
         now[:3] *= kept
@@ -103,6 +103,13 @@ def test_pointings_are_corrected_as_by_numpy(size: int) -> None:
         expected[ENCODER] += noise * by_encoder @ by_encoder.T
         expected[WHITE] += white * np.eye(3)
         np.testing.assert_allclose(found[number], expected, rtol=1e-13, atol=1e-12)
+
+
+def test_where_nothing_happens_at_the_moment_all_is_left_and_nothing_is_new() -> None:
+    (of_each, estimate), nothing = readings(13), (np.empty((0, 3)), np.empty((0, 3, 3)))
+    all_left = compiled_mounts.pointings(*of_each[:6], np.ones((COUNT, 3)), np.zeros((COUNT, 3, 3)), *estimate)
+    for found, expected in zip(compiled_mounts.pointings(*of_each[:6], *nothing, *estimate), all_left, strict=True):
+        np.testing.assert_array_equal(found, expected)
 
 
 def test_sums_are_those_of_numpy_with_what_is_added_to_one_source() -> None:
@@ -139,6 +146,8 @@ def test_shapes_that_do_not_fit_are_refused() -> None:
         lambda: compiled_mounts.chains(moments()[0][:3], *moments()[1:]),
         lambda: compiled_mounts.pointings(of_each[0][:3], *of_each[1:], *estimate),
         lambda: compiled_mounts.pointings(*of_each, *estimate[:-1], SOURCES),
+        lambda: compiled_mounts.pointings(*of_each[:7], np.empty((0, 3, 3)), *estimate),
+        lambda: compiled_mounts.pointings(*of_each[:7], np.zeros((COUNT, 3, 2)), *estimate),
         lambda: compiled_mounts.pointings(*of_each, *estimate[:4], np.zeros((SOURCES, 12, 12)), *estimate[5:]),
         lambda: compiled_mounts.totals(parts, np.zeros((2, 3, 4)), np.eye(5), np.zeros(2, dtype=np.uint8), 0),
         lambda: compiled_mounts.totals(parts, np.zeros((2, 3, 4)), np.eye(4), np.zeros(2, dtype=np.uint8), 3),

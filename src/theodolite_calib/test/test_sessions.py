@@ -57,10 +57,9 @@ class AxisAt:
 
 def axis_at(filter_: CalibrationFilter, state: CalibrationState, sighting: Sighting, noise: float) -> AxisAt:
     """The main axis at the moment of a sighting by a state, with so much noise of the encoders, rad²."""
-    encoder, since_ns = sighting.encoder, sighting.time_ns - (state.time_ns or 0)
-    angles = np.array([[encoder.azimuth, encoder.elevation]])
+    angles = np.array([[sighting.encoder.azimuth, sighting.encoder.elevation]])
     reading = EncoderRun(np.array([sighting.time_ns]), angles, np.array([noise]), [""])
-    axes = CorrectedAxis(filter_, state).axes(np.array([since_ns * 1e-9]), ShipRun.of_one(sighting.ship), reading)
+    axes = CorrectedAxis(filter_, state).axes(ShipRun.of_one(sighting.ship), reading)
     return AxisAt(axes.rotation_nm[0], axes.parts_n[0])
 
 

@@ -255,9 +255,10 @@ def ship_error_steps(followed_n: FloatArray | None, now_n: FloatArray) -> ShipEr
     if followed_n is None:
         followed_n = np.zeros((3, 3))
     old, new = followed_n.diagonal(), now_n.diagonal(axis1=1, axis2=2)
-    stays = np.all((new <= _AT_ONCE * old) & (old <= _AT_ONCE * new), axis=1)
-    if stays.all():
+    near = np.logical_and(new <= _AT_ONCE * old, old <= _AT_ONCE * new)
+    if near.all():
         return None
+    stays = np.all(near, axis=1)
     kept = np.where(old > 0.0, np.minimum(new / np.where(old > 0.0, old, 1.0), 1.0), 1.0)
     left_n = now_n - followed_n * (kept[:, :, None] * kept[:, None, :])
     # Not every change of a matrix is such a step in each axis: a negative variance is taken for zero.

@@ -243,25 +243,6 @@ class PointingRun:
     by_error_n: FloatArray
     rotation_dm: FloatArray
 
-    @classmethod
-    def of_one(cls, estimate: PointingEstimate) -> "PointingRun":
-        """The run of one pointing."""
-        return cls(
-            time_ns=np.array([estimate.time_ns]),
-            rotation_nm=estimate.rotation_nm[None],
-            parts_n=estimate.parts_n[None],
-            covariance_n=estimate.covariance_n[None],
-            undisputed_n=estimate.undisputed_n[None],
-            rotation_nt=estimate.rotation_nt[None],
-            mode=np.array([estimate.mode]),
-            status=[estimate.status],
-            light_count=np.array([estimate.light_count]),
-            state=estimate.state,
-            text=[estimate.text],
-            by_error_n=estimate.by_error_n[None],
-            rotation_dm=estimate.rotation_dm[None],
-        )
-
     def one(self, number: int) -> PointingEstimate:
         """One of them."""
         return PointingEstimate(

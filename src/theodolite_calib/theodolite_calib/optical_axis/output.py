@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ship_estimation.outcome import Status
-from ship_estimation.protection import above_limit, disputed
+from ship_estimation.protection import IntegrityReport, above_limit, disputed
 from ship_geometry import compiled_mounts
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
@@ -23,13 +23,17 @@ from theodolite_calib.filter.model import (
     SOURCE_SAVED,
     SOURCE_SHIP,
     SOURCE_SHIP_NOISE,
-    ShipErrorStep,
     chain_rows,
     ship_error_steps,
 )
 from theodolite_calib.measured.samples import EncoderRun, EncoderSample, Mode, PointingEstimate, PointingRun
 from theodolite_calib.measured.tracks import ShipAt, ShipRun
-from theodolite_calib.optical_axis.integrity import QUANTITIES, integrity_of
+from theodolite_calib.optical_axis.integrity import QUANTITIES, PointingLevels
+
+_NOTHING_HAPPENS = np.empty((0, 3)), np.empty((0, 3, 3))
+"""Of the ship's error: what is left at each moment, and what is new."""
+
+_TWO_LIGHTS, _ONE_LIGHT, _ENCODER = int(Mode.TWO_LIGHTS), int(Mode.ONE_LIGHT), int(Mode.ENCODER)
 
 
 class AxesAt(NamedTuple):
@@ -78,34 +82,32 @@ class CorrectedAxis:
             model.sources.index(source)
             for source in (SOURCE_SHIP, SOURCE_DEFORMATION, SOURCE_ENCODER, SOURCE_SHIP_NOISE)
         )
-        self.rotation_mt = rotation_from_angles(*filter_.sightings.parallelism(state.mean)).T
+        self.rotation_mt = rotation_from_angles(*filter_.sightings.parallelism(state.mean)).T.copy()
         self.disputed = disputed((state.alternatives.mean - state.mean)[:, rows], state.separation)
 
-    def axes(self, since_s: FloatArray, ship: ShipRun, encoders: EncoderRun) -> AxesAt:
-        """The axes at N moments at or after the state's.
+    def axes(self, ship: ShipRun, encoders: EncoderRun) -> AxesAt:
+        """The axes at N readings; before the state's moment they are as at it.
 
         The result depends on the arguments and the state alone; one moment gives, to the last bit, what it gives among
         others.
 
         Args:
-            since_s: time from the state to each moment, at least 0, s, shape (N,).
-            ship: of these moments.
-            encoders: of these moments.
+            ship: of the moments of the readings.
+            encoders: the readings.
         """
-        step = None
-        if ship.slow_covariance_n is not None:
-            step = ship_error_steps(self.state.ship_steady_n, ship.slow_covariance_n)
-        if step is None:
-            step = _nothing_happens(len(since_s))
+        since_ns = np.zeros(len(encoders.time_ns), dtype=np.int64)
+        if self.state.time_ns is not None:
+            since_ns = encoders.time_ns - self.state.time_ns
+        stated_n = ship.slow_covariance_n
+        step = None if stated_n is None else ship_error_steps(self.state.ship_steady_n, stated_n)
         found = compiled_mounts.pointings(
-            since_s,
+            since_ns,
             ship.rotation_nd,
             ship.rate_d,
             ship.noise,
             encoders.angles,
             encoders.variance,
-            step.kept,
-            step.new_n,
+            *(_NOTHING_HAPPENS if step is None else (step.kept, step.new_n)),
             self._errors,
             self._lasting,
             self._time_s,
@@ -114,11 +116,6 @@ class CorrectedAxis:
             *self._sources,
         )
         return AxesAt(*found)
-
-
-def _nothing_happens(count: int) -> ShipErrorStep:
-    """At so many moments all of the ship's error is left, and nothing is new."""
-    return ShipErrorStep(np.ones((count, 3)), np.zeros((count, 3, 3)))
 
 
 class PointingOutput:
@@ -133,6 +130,7 @@ class PointingOutput:
         self._config, self._filter = config, filter_
         self._recent_ns = round(config.lights_recent_s * SECOND_NS)
         self._corrected: CorrectedAxis | None = None
+        self._levels: PointingLevels | None = None
         self._saved = filter_.model.sources.index(SOURCE_SAVED)
         self._disagreement = filter_.model.sources.index(SOURCE_SHIP)
 
@@ -160,10 +158,7 @@ class PointingOutput:
         """
         if self._corrected is None or self._corrected.state is not state:
             self._corrected = CorrectedAxis(self._filter, state)
-        time_ns, since_ns = encoders.time_ns, np.zeros(len(encoders.time_ns), dtype=np.int64)
-        if state.time_ns is not None:
-            since_ns = np.maximum(time_ns - state.time_ns, 0)
-        axes = self._corrected.axes(1e-9 * since_ns.astype(np.float64), ship, encoders)
+        time_ns, axes = encoders.time_ns, self._corrected.axes(ship, encoders)
         if state.trust.conflict is not None:
             axes.parts_n[:, self._disagreement] += state.trust.conflict.spread_n
         recent = np.zeros(len(time_ns), dtype=bool)
@@ -173,37 +168,59 @@ class PointingOutput:
         undisputed_n, covariance_n = compiled_mounts.totals(
             axes.parts_n, axes.by_error_n, self._corrected.disputed, recent.view(np.uint8), self._disagreement
         )
-        with_lights = Mode.ONE_LIGHT if state.light_count == 1 else Mode.TWO_LIGHTS
-        mode = np.where(recent, with_lights, Mode.ENCODER)
-        kinds = list(zip(mode.tolist(), ship.status, encoders.doubt, strict=True))
-        worth = {kind: self._worth(state, *kind) for kind in set(kinds)}
-        unknown = np.full((len(time_ns), 3, 3), np.nan)
+        mode = np.where(recent, _ONE_LIGHT if state.light_count == 1 else _TWO_LIGHTS, _ENCODER)
+        worth = self._worths(state, mode.tolist(), ship.status, encoders.doubt)
+        rotation_nt = axes.rotation_nm @ self._corrected.rotation_mt
+        rotation_nt[~recent] = np.nan
+        if ship.chord_nd is None:
+            rotation_dm = np.full((len(time_ns), 3, 3), np.nan)
+        else:
+            rotation_dm = ship.chord_nd.swapaxes(1, 2) @ axes.rotation_nm
         run = PointingRun(
             time_ns=time_ns,
             rotation_nm=axes.rotation_nm,
             parts_n=axes.parts_n,
             covariance_n=covariance_n,
             undisputed_n=undisputed_n,
-            rotation_nt=np.where(recent[:, None, None], axes.rotation_nm @ self._corrected.rotation_mt, unknown),
+            rotation_nt=rotation_nt,
             mode=mode,
-            status=[worth[kind][0] for kind in kinds],
-            light_count=np.where(recent, state.light_count, 0),
+            status=[status for status, _ in worth],
+            light_count=recent * state.light_count,
             state=state,
-            text=[worth[kind][1] for kind in kinds],
+            text=[text for _, text in worth],
             by_error_n=axes.by_error_n,
-            rotation_dm=unknown if ship.chord_nd is None else ship.chord_nd.swapaxes(1, 2) @ axes.rotation_nm,
+            rotation_dm=rotation_dm,
         )
         if self._config.integrity.alert_limit_arcsec:
             self._degrade_above_limit(run)
         return run
 
+    def integrity(self, estimate: PointingEstimate) -> IntegrityReport:
+        """How far a pointing may be wrong although nothing says so."""
+        if self._levels is None or self._levels.state is not estimate.state:
+            self._levels = PointingLevels(self._filter, self._config, estimate.state)
+        return self._levels.of(estimate)
+
     def _degrade_above_limit(self, run: PointingRun) -> None:
         """Pointings that may be wrong by more than the alert limit are DEGRADED."""
         for number, status in enumerate(run.status):
             if status is not Status.DEGRADED:
-                text = above_limit(integrity_of(self._filter, self._config, run.one(number)), QUANTITIES)
+                text = above_limit(self.integrity(run.one(number)), QUANTITIES)
                 if text:
                     run.status[number], run.text[number] = Status.DEGRADED, text
+
+    def _worths(
+        self, state: CalibrationState, modes: list[int], ship_statuses: list[Status], doubts: list[str]
+    ) -> list[tuple[Status, str]]:
+        """Status of each pointing, and why it is not VALID."""
+        known: dict[tuple[int, Status, str], tuple[Status, str]] = {}
+        worths = []
+        for kind in zip(modes, ship_statuses, doubts, strict=True):
+            worth = known.get(kind)
+            if worth is None:
+                worth = known[kind] = self._worth(state, *kind)
+            worths.append(worth)
+        return worths
 
     def _worth(self, state: CalibrationState, mode: int, ship_status: Status, doubt: str) -> tuple[Status, str]:
         """Status of a pointing, and why it is not VALID."""

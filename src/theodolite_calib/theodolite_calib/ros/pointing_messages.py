@@ -4,6 +4,7 @@ One function says what stands in which field. Its values are numbers for the one
 time, and columns of numbers for the many of a block, which become rows of bytes together.
 """
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import chain
 from typing import Any, NamedTuple
@@ -66,6 +67,20 @@ class PointingNumbers(NamedTuple):
 
         return cls(*map(joined, cls._fields))
 
+    @classmethod
+    def of_one(cls, estimate: PointingEstimate) -> "PointingNumbers":
+        """The numbers of one pointing."""
+        return cls(
+            time_ns=np.array([estimate.time_ns]),
+            rotation_nm=estimate.rotation_nm[None],
+            covariance_n=estimate.covariance_n[None],
+            rotation_nt=estimate.rotation_nt[None],
+            mode=np.array([estimate.mode]),
+            status=[estimate.status],
+            light_count=np.array([estimate.light_count]),
+            rotation_dm=estimate.rotation_dm[None],
+        )
+
     def some(self, places: NDArray[np.int64]) -> "PointingNumbers":
         """Some of them."""
         if len(places) == len(self.time_ns):
@@ -89,11 +104,10 @@ def pointing_messages(
         lever: place of the theodolite in the deck, x forward, y left, z up, m.
         estimate: the pointing.
     """
-    pointing = PointingNumbers.of([PointingRun.of_one(estimate)])
-    known = bool(np.isfinite(estimate.rotation_dm).all())
+    pointing, in_deck = PointingNumbers.of_one(estimate), math.isfinite(estimate.rotation_dm[0, 0])
     return [
         (topic, factory.encoded(type_name, **fields))
-        for topic, type_name, fields in _messages(pointing, lever, known, _numbers)
+        for topic, type_name, fields in _messages(pointing, lever, in_deck, _numbers)
     ]
 
 
@@ -101,10 +115,10 @@ def pointing_rows(
     factory: MessageFactory, lever: Mapping[str, float], pointings: PointingNumbers
 ) -> Iterator[PublishedRows]:
     """What N pointings become; the messages of one are in the same order as by :func:`pointing_messages`."""
-    known: list[bool] = np.all(np.isfinite(pointings.rotation_dm), axis=(1, 2)).tolist()
+    in_deck: list[bool] = np.isfinite(pointings.rotation_dm[:, 0, 0]).tolist()
     claimed = [status is not Status.INVALID for status in pointings.status]
     # Alike are those whose messages have the same texts, and nothing left out.
-    kinds = list(zip(claimed, known, strict=True))
+    kinds = list(zip(claimed, in_deck, strict=True))
     for kind in dict.fromkeys(kinds):
         places = np.array([place for place, other in enumerate(kinds) if other == kind])
         for topic, type_name, fields in _messages(pointings.some(places), lever, kind[1], _columns):
@@ -129,8 +143,10 @@ def _messages(
     azimuth, elevation, image_rotation = values_of(of_main)
     telescope_azimuth, telescope_elevation, telescope_rotation = values_of(angles(pointings.rotation_nt))
     covariances = angle_covariances(pointings.covariance_n, of_main, SINGULAR_ELEVATION)
-    whole = np.stack([pointings.time_ns, pointings.mode, pointings.status, pointings.light_count], axis=1)
-    time_ns, mode, status, light_count = values_of(whole)
+    time_ns, mode, status, light_count = (
+        values_of(whole[:, None])[0]
+        for whole in (pointings.time_ns, pointings.mode, np.array(pointings.status), pointings.light_count)
+    )
     yield (
         POINTING_TOPIC,
         POINTING_TYPE,
