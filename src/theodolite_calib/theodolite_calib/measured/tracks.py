@@ -32,6 +32,9 @@ _BEFORE_NS = SECOND_NS
 _CREPT_WITHIN_NS = 60 * SECOND_NS
 """So long back the ship's attitude is compared with its own rates where lights creep away from it."""
 
+_DROP_EVERY_NS = SECOND_NS // 10
+"""What is not needed any more is forgotten so often, not at each sample."""
+
 
 @dataclass(frozen=True)
 class ShipAt:
@@ -147,6 +150,7 @@ class MeasuredTracks:
             id_: AttitudeTrack(_ns(b.imu.max_gap_s)) for id_, b in config.beacons.items() if np.any(b.light.vector_m)
         }
         self.encoder.keeps_ns, self.ship.keeps_ns = _LOOKED_BACK_NS + _BEFORE_NS, _CREPT_WITHIN_NS
+        self._dropped_until_ns = -_DROP_EVERY_NS
         self._all: list[SampleTrack[Any]] = [self.encoder, self.ship, *self.baselines.values(), *self.drones.values()]
         widest_gap_ns = max(track.max_gap_ns for track in self._all)
         self.reach_ns = widest_gap_ns + abs(self.ship_shift_ns) + _LONGEST_REACH_NS
@@ -158,8 +162,10 @@ class MeasuredTracks:
         self._ship_noise = (white_arcsec * ARCSEC) ** 2
 
     def drop_before(self, time_ns: int) -> None:
-        """Forget what no exposure at or after ``time_ns`` needs."""
-        keep_from_ns = time_ns - abs(self.ship_shift_ns)
+        """Forget what no exposure at or after ``time_ns`` needs; of the last moments nothing yet."""
+        if time_ns < self._dropped_until_ns + _DROP_EVERY_NS:
+            return
+        self._dropped_until_ns, keep_from_ns = time_ns, time_ns - abs(self.ship_shift_ns)
         for track in self._all:
             track.drop_before(keep_from_ns)
 
@@ -196,7 +202,7 @@ class MeasuredTracks:
         gain = attitude.noise_gain
         if over is not None:
             gain = self.ship.noise_gain_of_mean(over.moments(time_ns - self.ship_shift_ns))
-        noise = gain * self._ship_noise + float(np.trace(attitude.error_covariance_d))
+        noise = gain * self._ship_noise + float(attitude.error_covariance_d.trace())
         # An attitude between two is worth no more than either of them: the source may have jumped there.
         after = attitude.next_sample
         degraded = isinstance(after, ShipSample) and after.status is Status.DEGRADED
@@ -212,7 +218,7 @@ class MeasuredTracks:
             return None
         azimuth, elevation = angles.vector.tolist()
         gain = angles.noise_gain if over is None else self.encoder.noise_gain_of_mean(over.moments(time_ns))
-        noise = gain * sample.sigma**2 + float(np.trace(angles.error_covariance))
+        noise = gain * sample.sigma**2 + float(angles.error_covariance.trace())
         return EncoderAt(azimuth, elevation, noise)
 
     def streams_since(self, since_ns: int, until_ns: int) -> Streams | None:
