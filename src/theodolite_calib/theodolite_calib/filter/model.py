@@ -172,7 +172,7 @@ class ShipErrorProcess:
 
         Args:
             error_n: before, shape (..., 3).
-            decay: of the process over the time, shape (..., 3).
+            decay: of the process over the time, shape (3,).
         """
         return decay * error_n if self._sigma is None else slow_error_later(error_n, decay, self._sigma)
 
@@ -196,7 +196,7 @@ class ShipErrorProcess:
             mean: the state, shape (..., n).
             parts: shape (..., n_sources, n, n), decayed and without the noise of the ship's error; changed in place.
             columns: where the ship's error is in these two.
-            decay: of the error over the time, shape (..., 3).
+            decay: of the error over the time, shape (3,).
             steady_n: stated covariance that the error has followed, rad², shape (3, 3); None where none was stated.
             now_n: that is stated now; None where none is.
             source_index: of the ship's error in ``parts``; None where these are those of the filter.
@@ -218,12 +218,11 @@ def add_steady_noise(
         parts: shape (..., n_sources, n, n), decayed already.
         columns: where the ship's error is in them.
         source_index: of the ship's error.
-        decay: of the error over the time, shape (..., 3).
+        decay: of the error over the time, shape (3,).
         steady_n: the stated covariance, rad², shape (3, 3); None where none is stated.
     """
     if steady_n is not None:
-        noise = 1.0 - np.moveaxis(decay, -1, 0)[0] ** 2
-        parts[..., source_index, columns, columns] += np.asarray(noise)[..., None, None] * steady_n
+        parts[..., source_index, columns, columns] += (1.0 - decay[0] ** 2) * steady_n
 
 
 def ship_error_step(followed_n: FloatArray | None, now_n: FloatArray | None) -> ShipErrorStep | None:
