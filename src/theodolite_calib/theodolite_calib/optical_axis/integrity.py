@@ -4,13 +4,13 @@ The estimates without one source each (:mod:`theodolite_calib.filter.alternative
 another one without it; :mod:`ship_estimation.protection` makes levels of that.
 """
 
-import numpy as np
+import math
 
 from ship_estimation.outcome import Status
 from ship_estimation.protection import Hypotheses, IntegrityReport, integrity_report
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.filter import CalibrationFilter
+from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import chain_rows
 from theodolite_calib.filter.step import hypothesis_factors
 from theodolite_calib.measured.samples import Mode, PointingEstimate
@@ -19,33 +19,49 @@ QUANTITIES = ("azimuth_cos_elevation", "elevation", "image_rotation")
 """What the levels bound."""
 
 
-def integrity_of(
-    filter_: CalibrationFilter, config: OpticalAxisConfig, estimate: PointingEstimate
-) -> IntegrityReport:
-    """The integrity of a pointing.
+class PointingLevels:
+    """The protection levels of the pointings by one state of the filter; made once per state.
 
     Args:
         filter_: the filter and its model.
         config: its configuration.
-        estimate: the pointing, which rests on a state of the filter.
+        state: of the filter.
+
+    Attributes:
+        state: the same.
     """
-    state, sources = estimate.state, filter_.rows.sources
-    azimuth, elevation, _ = angles_from_rotation(estimate.rotation_nm)
-    to_angles = angle_errors_from_rotation_vector(azimuth, elevation)
-    to_angles[0] *= np.cos(elevation)
-    turning, by_error = chain_rows(filter_.model), to_angles @ estimate.by_error_n
-    beside, first = state.alternatives, state.covariance[turning[:, None], turning]
-    left_out = beside.parts[:, 0][:, turning[:, None], turning]
-    # What the estimates dispute is covered by the levels already. What a pointing adds to the error of the state, as
-    # the noise of the encoders, is the same in every estimate.
-    all_sources = to_angles @ estimate.undisputed_n @ to_angles.T
-    without = all_sources + by_error @ (left_out - first) @ by_error.T
-    distance = (beside.mean - state.mean)[:, turning] @ by_error.T
-    excluded = {name: told.exclusion.since_ns for name, told in state.trust.left_out.items()}
-    # Without lights nothing checks the encoders and the ship's attitude.
-    in_dispute = state.trust.conflict is not None or state.refusals > 0 or estimate.status is Status.INVALID
-    checked = estimate.mode is not Mode.ENCODER and not in_dispute
-    k, variance = hypothesis_factors(config.integrity, sources), left_out.diagonal(axis1=-2, axis2=-1)
-    rows = [row for row, name in enumerate(sources) if name not in excluded]
-    hypotheses = Hypotheses(sources, k, distance, without, all_sources, variance)
-    return integrity_report(estimate.time_ns, config.integrity, hypotheses, rows, excluded, checked)
+
+    def __init__(self, filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState) -> None:
+        self.state, self._config = state, config.integrity
+        self._sources, self._k = filter_.rows.sources, hypothesis_factors(config.integrity, filter_.rows.sources)
+        turning, rows = chain_rows(filter_.model), state.alternatives
+        left_out = rows.parts[:, 0, turning[:, None], turning]
+        self._further = left_out - state.parts[:, turning[:, None], turning].sum(axis=0)
+        self._variance = left_out.diagonal(axis1=-2, axis2=-1)
+        self._distance = (rows.mean - state.mean)[:, turning]
+        self._excluded = {name: told.exclusion.since_ns for name, told in state.trust.left_out.items()}
+        self._rows = [row for row, name in enumerate(self._sources) if name not in self._excluded]
+        self._in_dispute = state.trust.conflict is not None or state.refusals > 0
+
+    def of(self, estimate: PointingEstimate) -> IntegrityReport:
+        """The integrity of a pointing."""
+        azimuth, elevation, _ = angles_from_rotation(estimate.rotation_nm).tolist()
+        to_angles = angle_errors_from_rotation_vector(azimuth, elevation)
+        to_angles[0] *= math.cos(elevation)
+        by_error = to_angles @ estimate.by_error_n
+        # What the estimates dispute is covered by the levels already. What a pointing adds to the error of the state,
+        # as the noise of the encoders, is the same in every estimate.
+        all_sources = to_angles @ estimate.undisputed_n @ to_angles.T
+        without = all_sources + by_error @ self._further @ by_error.T
+        # Without lights nothing checks the encoders and the ship's attitude.
+        in_doubt = self._in_dispute or estimate.mode is Mode.ENCODER or estimate.status is Status.INVALID
+        distance = self._distance @ by_error.T
+        hypotheses = Hypotheses(self._sources, self._k, distance, without, all_sources, self._variance)
+        return integrity_report(
+            estimate.time_ns, self._config, hypotheses, self._rows, self._excluded, checked=not in_doubt
+        )
+
+
+def integrity_of(filter_: CalibrationFilter, config: OpticalAxisConfig, estimate: PointingEstimate) -> IntegrityReport:
+    """The integrity of one pointing, which rests on a state of the filter of that configuration."""
+    return PointingLevels(filter_, config, estimate.state).of(estimate)
