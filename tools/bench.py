@@ -23,6 +23,7 @@ from bench_campaign import campaign_workers
 from bench_filter import integrity_cost, step_cost
 from bench_messages import message_cost
 from bench_monitor import monitor_cost
+from bench_peers import peers_cost
 from bench_replay import replay_cost
 from bench_rows import Row
 from bench_stars import late_star_cost, star_solution
@@ -42,6 +43,7 @@ BENCHMARKS: dict[str, Callable[[], list[Row]]] = {
     "star_solution": star_solution,
     "late_star": late_star_cost,
     "integrity": integrity_cost,
+    "peers": peers_cost,
     "monitor": monitor_cost,
     "campaign": campaign_workers,
 }
