@@ -187,7 +187,7 @@ class LiveNode:
         """Give the adapter the next message at the time at which it came, or where none waits the time now."""
         if not self._inbox:
             self._advance(*self._clock.times())
-        elif self._clock.now_ns():
+        elif self._last_ns or self._clock.now_ns():
             arrival = self._inbox.take()
             now_ns, waiting_ns = (arrival.now_ns, arrival.waiting_ns) if arrival.now_ns else self._clock.times()
             self._advance(now_ns, waiting_ns)
