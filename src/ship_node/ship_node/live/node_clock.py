@@ -51,9 +51,10 @@ class NodeClock:
 
     def times(self) -> tuple[int, int]:
         """The node's time and the time of waiting, ns; zeros while the node waits for its first /clock."""
-        now_ns = self.now_ns()
         if not self.is_simulated():
+            now_ns = time.time_ns()
             return now_ns, self._waiting.now_ns(now_ns)
+        now_ns = self.now_ns()
         stood_still_ns = self._stood_still_ns()
         return (now_ns, now_ns + stood_still_ns) if now_ns else (0, 0)
 

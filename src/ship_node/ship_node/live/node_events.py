@@ -162,5 +162,7 @@ class Inbox:
 
     def take_cuts(self) -> Counter[tuple[str, str]]:
         """(topic, why) → messages that were not kept since the last call."""
+        if not self._cuts:
+            return self._cuts
         cuts, self._cuts = self._cuts, Counter()
         return cuts
