@@ -26,7 +26,7 @@ from bench_live import live_cost
 from bench_messages import message_cost
 from bench_monitor import monitor_cost
 from bench_peers import peers_cost
-from bench_replay import replay_cost
+from bench_replay import block_cost, replay_cost
 from bench_rows import Row
 from bench_stars import late_star_cost, star_solution
 from bench_start import import_cost, start_cost
@@ -42,6 +42,7 @@ BENCHMARKS: dict[str, Callable[[], list[Row]]] = {
     "behind_star": behind_star_cost,
     "step": step_cost,
     "replay": replay_cost,
+    "blocks": block_cost,
     "black_box": black_box_cost,
     "messages": message_cost,
     "star_solution": star_solution,

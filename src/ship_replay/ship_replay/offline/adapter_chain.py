@@ -15,6 +15,7 @@ from ship_bags.parameter_yaml import full_name
 from ship_bags.topic_names import relative_topics
 from ship_node.documents.saved_document import UNTOUCHED
 from ship_node.edge.adapter import Adapter
+from ship_node.edge.block_adapter import BlockAdapter
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
 from ship_node.parameters.parameter_file import has_section, load_config, misfit
 
@@ -160,7 +161,7 @@ class AdapterChain:
             topic
             for adapter, taken in zip(self.adapters, self.taken, strict=True)
             for topic in taken & _names(self.inputs)
-            if adapter.takes_blocks(topic)
+            if isinstance(adapter, BlockAdapter) and adapter.takes_blocks(topic)
         }
 
     def tick(self, now_ns: int) -> list[Published]:

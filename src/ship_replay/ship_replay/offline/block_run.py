@@ -20,7 +20,7 @@ from ship_bags.topic_names import TRUTH_PREFIX
 from ship_node.edge.topics import Published
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.message_times import MessageTimes
-from ship_replay.offline.node_pass import Moment, NodePass, Passed, TopicRows, rows_of
+from ship_replay.offline.node_pass import Moment, NodePass, Passed, TopicRows
 from ship_replay.offline.ordered_output import ManySink, OrderedOutput
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 from ship_replay.offline.status_course import StatusCourse
@@ -149,11 +149,11 @@ class BlockRun(ReplayRun):
         for node, one in enumerate(passed):
             for place, order, published in one.single:
                 found += [(place, node, order, message) for message in published if message[0] in taken]
-            for rows, places, order in one.rows:
+            for rows, places, orders in one.rows:
                 if rows.topic in taken:
                     found += [
                         (place, node, order, (rows.topic, rows.messages.message(number)))
-                        for number, place in enumerate(places.tolist())
+                        for number, (place, order) in enumerate(zip(places.tolist(), orders.tolist(), strict=True))
                     ]
         given: dict[int, list[Published]] = defaultdict(list)
         for place, _, _, message in sorted(found, key=lambda each: each[:3]):
@@ -161,16 +161,12 @@ class BlockRun(ReplayRun):
         return given
 
     def _add_rows(self, node: int, passed: Passed, moments: list[Moment]) -> None:
-        """Make the messages of a node's estimates."""
-        places = np.concatenate([run.places for run in passed.runs]) if passed.runs else np.empty(0, dtype=np.int64)
-        orders = np.repeat([run.order for run in passed.runs], [len(run.places) for run in passed.runs])
-        log_times_ns = np.array([moments[place].now_ns for place in places.tolist()], dtype=np.int64)
-        for rows in rows_of(self._chain.adapters[node], passed.runs):
-            order = (node << _NODE_BITS) + orders[rows.places]
-            self._output.add_rows(rows, places[rows.places], order, log_times_ns[rows.places])
+        """Let the messages that a node's estimates became go out."""
+        for rows, places, orders in passed.rows:
+            log_times_ns = np.array([moments[place].now_ns for place in places.tolist()], dtype=np.int64)
+            self._output.add_rows(rows, places, (node << _NODE_BITS) + orders, log_times_ns)
             for errors in self._errors:
                 errors.add_rows(rows)
-            passed.rows.append((rows, places[rows.places], orders[rows.places]))
 
     # -- what goes out --------------------------------------------------------------------------------------
 
@@ -182,7 +178,7 @@ class BlockRun(ReplayRun):
             for place, order, published in one.single:
                 single[place].append(((node << _NODE_BITS) + order, published))
             for run in one.runs:
-                runs[int(run.places[0])].append((self._chain.adapters[node].main_topic, run.estimates))
+                runs[int(run.places[0])].append((run.topic, run.estimates))
         for place, (moment, record) in enumerate(zip(moments, of_moment, strict=True)):
             for topic, estimates in runs.get(place, ()):
                 course = self._summary.statuses.setdefault(topic, StatusCourse())

@@ -12,6 +12,7 @@ import numpy as np
 
 from ship_bags.cdr_template import CdrRows
 from ship_node.edge.adapter import TICK_PERIOD_NS, Adapter
+from ship_node.edge.block_adapter import BlockAdapter
 from ship_node.edge.blocks import BlockPart, BlockTurn, PublishedRows, StampArray
 from ship_node.edge.topics import Published
 
@@ -49,11 +50,20 @@ class TopicRows(NamedTuple):
 
 
 class EstimatesOfMoments(NamedTuple):
-    """Estimates at moments that follow one another; ``order`` is their place among what else was published there."""
+    """Estimates, one at each of several moments; ``order`` is their place among what else was published there."""
 
+    topic: str
     places: StampArray
     order: int
     estimates: Any
+
+
+class RowsOfMoments(NamedTuple):
+    """The messages of estimates on one topic, and the number of the moment and the order of each."""
+
+    rows: PublishedRows
+    places: StampArray
+    orders: StampArray
 
 
 @dataclass
@@ -62,13 +72,13 @@ class Passed:
 
     Attributes:
         single: number of the moment, order within it, and messages.
-        runs: estimates of which messages are still to be made.
-        rows: these messages, once they are made, and the number of the moment and the order of each.
+        runs: estimates.
+        rows: the messages that these become.
     """
 
     single: list[tuple[int, int, list[Published]]] = field(default_factory=list)
     runs: list[EstimatesOfMoments] = field(default_factory=list)
-    rows: list[tuple[PublishedRows, StampArray, StampArray]] = field(default_factory=list)
+    rows: list[RowsOfMoments] = field(default_factory=list)
 
 
 class NodePass:
@@ -92,14 +102,15 @@ class NodePass:
     ) -> None:
         self._adapter, self._taken, self._moments, self._given = adapter, taken, moments, given
         self._rows, self._next = rows, dict.fromkeys(rows, 0)
-        self._blocks = {topic for topic in rows if topic in taken and adapter.takes_blocks(topic)}
+        # The same node, as one that takes blocks; None where it does not.
+        self._ahead = adapter if isinstance(adapter, BlockAdapter) else None
         self._turn: BlockTurn | None = None
         self._turn_places: StampArray = np.empty(0, dtype=np.int64)
         self._arrived = self._patience = self._order = 0
         self.passed = Passed()
 
     def run(self) -> Passed:
-        """Go through all moments."""
+        """Go through all moments, then make the messages of the estimates."""
         for place, moment in enumerate(self._moments):
             for topic, message in self._given.get(place, ()):
                 self._handle(place, topic, message)
@@ -110,7 +121,15 @@ class NodePass:
                     self._arrive(place, moment)
                 elif moment.message is not None:
                     self._handle(place, moment.topic, moment.message)
+        if self._ahead is not None and self.passed.runs:
+            self._make_messages(self._ahead, self.passed.runs)
         return self.passed
+
+    def _make_messages(self, adapter: BlockAdapter, runs: list[EstimatesOfMoments]) -> None:
+        places = np.concatenate([run.places for run in runs])
+        orders = np.repeat([run.order for run in runs], [len(run.places) for run in runs])
+        for rows in adapter.block_messages([run.estimates for run in runs]):
+            self.passed.rows.append(RowsOfMoments(rows, places[rows.places], orders[rows.places]))
 
     def _tick(self, place: int, now_ns: int) -> None:
         # In the time of a block no tick does anything, or the block would end before it.
@@ -119,39 +138,40 @@ class NodePass:
 
     def _handle(self, place: int, topic: str, message: Any) -> None:
         if self._turn is not None:
-            self._publish_parts(self._adapter.take_ahead(self._turn, self._arrived))
+            assert self._ahead is not None
+            self._publish_parts(self._ahead.take_ahead(self._turn, self._arrived))
         self._publish(place, self._adapter.handle(topic, message, self._moments[place].now_ns))
 
     def _arrive(self, place: int, moment: Moment) -> None:
         """A message that stands among rows."""
         number = self._next[moment.topic]
         self._next[moment.topic] += 1
-        if self._turn is None and moment.topic in self._blocks:
-            self._begin(moment.topic, number)
-        if self._turn is None or self._turn.topic != moment.topic:
+        if self._turn is None and self._ahead is not None and self._ahead.takes_blocks(moment.topic):
+            self._turn = self._begin(self._ahead, moment.topic, number)
+        if self._ahead is None or self._turn is None or self._turn.topic != moment.topic:
             self._handle(place, moment.topic, self._rows[moment.topic].messages.message(number))
             return
         self._arrived += 1
         if self._arrived == self._turn.ahead.count:
             turn, self._turn = self._turn, None
-            self._publish_parts(self._adapter.take_ahead(turn, self._arrived))
-            self._publish_parts(self._adapter.end_ahead(turn))
+            self._publish_parts(self._ahead.take_ahead(turn, self._arrived))
+            self._publish_parts(self._ahead.end_ahead(turn))
 
-    def _begin(self, topic: str, number: int) -> None:
+    def _begin(self, adapter: BlockAdapter, topic: str, number: int) -> BlockTurn | None:
         """Begin a block with a message, where it goes the usual way."""
         if self._patience:
             self._patience -= 1
-            return
-        rows = self._rows[topic]
+            return None
+        rows, turn = self._rows[topic], None
         # The first tick that is not quiet comes before the message logged with it.
-        tick_ns = -(-self._adapter.quiet_until_ns // TICK_PERIOD_NS) * TICK_PERIOD_NS
+        tick_ns = -(-adapter.quiet_until_ns // TICK_PERIOD_NS) * TICK_PERIOD_NS
         some = slice(number, int(np.searchsorted(rows.times_ns, tick_ns)))
         if some.stop > some.start:
-            self._turn = self._adapter.look_ahead(topic, rows.messages.some(some), rows.times_ns[some])
-        if self._turn is None:
+            turn = adapter.look_ahead(topic, rows.messages.some(some), rows.times_ns[some])
+        if turn is None:
             self._patience = _PATIENCE
-        else:
-            self._turn_places, self._arrived = rows.places[some], 0
+        self._turn_places, self._arrived = rows.places[some], 0
+        return turn
 
     def _publish(self, place: int, published: list[Published]) -> None:
         if published:
@@ -159,14 +179,10 @@ class NodePass:
             self._order += 1
 
     def _publish_parts(self, parts: list[BlockPart]) -> None:
+        assert self._ahead is not None
         for part in parts:
             self._publish(int(self._turn_places[part.place]), part.published)
             if part.estimates is not None:
                 places = self._turn_places[part.place : part.place + len(part.estimates.time_ns)]
-                self.passed.runs.append(EstimatesOfMoments(places, self._order, part.estimates))
+                self.passed.runs.append(EstimatesOfMoments(self._ahead.main_topic, places, self._order, part.estimates))
                 self._order += 1
-
-
-def rows_of(adapter: Adapter, runs: list[EstimatesOfMoments]) -> list[PublishedRows]:
-    """The messages of estimates, in the order of their topics at each of them."""
-    return list(adapter.block_messages([run.estimates for run in runs])) if runs else []
