@@ -127,8 +127,8 @@ def observed(
         >>> number
         4
     """
+    sources = (source,) if isinstance(source, int) else tuple(source)
     one = isinstance(source, int)
-    sources = np.array([source] if one else source, dtype=np.intp)
     after = compiled_means.observed(
         means.running,
         means.excess,
@@ -151,7 +151,7 @@ def observed(
         return Means(*after)
     # What is no number has no mean; it is a refusal.
     refused = means.refused.copy()
-    refused[:, sources] += 1
+    refused[:, list(sources)] += 1
     return replace(means, refused=refused)
 
 
