@@ -103,7 +103,7 @@ def observed(
     refused: cython.const[cython.longlong][:, ::1],
     heard_ns: cython.const[cython.longlong][::1],
     contradicts_ns: cython.const[cython.longlong][::1],
-    sources: cython.const[cython.Py_ssize_t][::1],
+    sources: tuple,
     turn: cython.const[cython.double][:, :, :],
     accepted: cython.const[cython.uchar][:, :],
     time_ns: cython.longlong,
@@ -123,7 +123,7 @@ def observed(
         refused: shape (h, s).
         heard_ns: shape (s,).
         contradicts_ns: shape (s,).
-        sources: index of each source that measured, shape (l,).
+        sources: index of each of l sources that measured.
         turn: whitened, in every row, shape (h, l, 3).
         accepted: whether the measurement passed the gate of each row, shape (h, l).
         time_ns: its stamp.
@@ -144,10 +144,11 @@ def observed(
     _check("excess", excess.shape[0] == refused.shape[0] == rows and excess.shape[1] == refused.shape[1] == count)
     _check("heard_ns", heard_ns.shape[0] == contradicts_ns.shape[0] == count)
     _check("turn", turn.shape[0] == accepted.shape[0] == rows and turn.shape[2] == 3)
-    _check("sources", turn.shape[1] == accepted.shape[1] == sources.shape[0])
+    _check("sources", turn.shape[1] == accepted.shape[1] == len(sources))
     _check("turn_noise", turn_noise.shape[0] == turn_noise.shape[1] == 3)
-    of_running, of_excess, of_refused = np.array(running), np.array(excess), np.array(refused)
-    of_heard, of_contradicts = np.array(heard_ns), np.array(contradicts_ns)
+    of_running, of_excess = np.empty((rows, count, weights.shape[0], _COLUMNS)), np.empty((rows, count))
+    of_refused = np.empty((rows, count), dtype=np.int64)
+    of_heard, of_contradicts = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
     means: cython.double[:, :, :, ::1] = of_running
     excesses: cython.double[:, ::1] = of_excess
     refusals: cython.longlong[:, ::1] = of_refused
@@ -162,7 +163,12 @@ def observed(
     s: cython.Py_ssize_t
     k: cython.Py_ssize_t
     i: cython.Py_ssize_t
-    for one in range(sources.shape[0]):
+    means[...] = running
+    excesses[...] = excess
+    refusals[...] = refused
+    heard[...] = heard_ns
+    contradicts[...] = contradicts_ns
+    for one in range(turn.shape[1]):
         s = sources[one]
         _check("sources", 0 <= s < count)
         for row in range(rows):
@@ -197,8 +203,9 @@ def averaged(
 ):
     """The means of one row and source after one turn more, shape (w, 5)."""
     _check("averaged", running.shape[0] == weights.shape[0] and running.shape[1] == _COLUMNS and turn.shape[0] == 3)
-    result = np.array(running)
+    result = np.empty((weights.shape[0], _COLUMNS))
     means: cython.double[:, ::1] = result
+    means[...] = running
     seen = cython.declare(cython.double[3])
     seen[0], seen[1], seen[2] = turn[0], turn[1], turn[2]
     _average(cython.address(means[0, 0]), seen, weights)

@@ -116,6 +116,18 @@ def _product(
 
 @cython.cfunc
 @cython.exceptval(check=False)
+def _sum(
+    parts: cython.p_double, count: cython.Py_ssize_t, size: cython.Py_ssize_t, out: cython.p_double
+) -> cython.void:
+    """The sum of matrices that lie one after the other."""
+    s: cython.Py_ssize_t
+    memcpy(out, parts, size * cython.sizeof(cython.double))
+    for s in range(1, count):
+        _add(out, 1.0, parts + s * size, size)
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
 def _transposed(
     matrix: cython.p_double, rows: cython.Py_ssize_t, columns: cython.Py_ssize_t, out: cython.p_double
 ) -> cython.void:
@@ -229,7 +241,8 @@ def decayed(
     means: cython.const[cython.double][:, ::1],
     decay: cython.const[cython.double][::1],
     first: cython.Py_ssize_t,
-    lasts_beyond: cython.const[cython.double][::1],
+    sigma: cython.const[cython.double][::1],
+    beyond: cython.double,
 ):
     """States after some time, shape (h, n): what is left of them.
 
@@ -237,10 +250,11 @@ def decayed(
         means: before, shape (h, n).
         decay: what is left of each, shape (n,).
         first: of k states that stay as they are where they are too large.
-        lasts_beyond: how large that is, shape (k,).
+        sigma: of these, shape (k,).
+        beyond: how many sigmas are too large.
     """
     n: cython.Py_ssize_t = means.shape[1]
-    _check("decayed", decay.shape[0] == n and 0 <= first <= n - lasts_beyond.shape[0])
+    _check("decayed", decay.shape[0] == n and 0 <= first <= n - sigma.shape[0])
     result = np.empty((means.shape[0], n))
     out: cython.double[:, ::1] = result
     row: cython.Py_ssize_t
@@ -248,8 +262,8 @@ def decayed(
     for row in range(means.shape[0]):
         for i in range(n):
             out[row, i] = decay[i] * means[row, i]
-        for i in range(lasts_beyond.shape[0]):
-            if fabs(means[row, first + i]) > lasts_beyond[i]:
+        for i in range(sigma.shape[0]):
+            if fabs(means[row, first + i]) > beyond * sigma[i]:
                 out[row, first + i] = means[row, first + i]
     return result
 
@@ -287,6 +301,56 @@ def add_error(
                     stack[s, first + i, first + j] += covariance[i, j]
 
 
+@cython.cfunc
+@cython.exceptval(check=False)
+@cython.inline
+def _larger(first: cython.double, second: cython.double) -> cython.double:
+    """The larger of two numbers; no number where one of them is none."""
+    return first if first != first or second <= first else second
+
+
+def separations(
+    means: cython.const[cython.double][:, ::1],
+    stack: cython.const[cython.double][:, :, ::1],
+    first: cython.Py_ssize_t,
+    count: cython.Py_ssize_t,
+    least_share: cython.double,
+    least_variance: cython.double,
+):
+    """How far each row is from the first one in k states, shape (h, k), and at most, in sigmas, shape (h,).
+
+    Args:
+        means: shape (h, n).
+        stack: shape (n_sources + h - 1, n, n).
+        first: of the states.
+        count: k.
+        least_share: share of the first row's variance that the variance of a distance has at least.
+        least_variance: what it has at least.
+    """
+    rows: cython.Py_ssize_t = means.shape[0]
+    sources: cython.Py_ssize_t = stack.shape[0] - rows + 1
+    _check("separations", sources >= 1 and stack.shape[1] == stack.shape[2] == means.shape[1])
+    _check("states", first >= 0 and 0 <= count <= means.shape[1] - first)
+    of_apart, of_statistic = np.empty((rows, count)), np.zeros(rows)
+    apart: cython.double[:, ::1] = of_apart
+    statistic: cython.double[::1] = of_statistic
+    by_all: cython.double
+    variance: cython.double
+    row: cython.Py_ssize_t
+    s: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    for i in range(first, first + count):
+        by_all = 0.0
+        for s in range(sources):
+            by_all += stack[s, i, i]
+        for row in range(rows):
+            variance = stack[sources + row - 1, i, i] - by_all if row else 0.0
+            variance = _larger(variance, _larger(least_share * by_all, least_variance))
+            apart[row, i - first] = means[row, i] - means[0, i]
+            statistic[row] = _larger(statistic[row], fabs(apart[row, i - first]) / sqrt(variance))
+    return of_apart, of_statistic
+
+
 def row_covariances(stack: cython.const[cython.double][:, :, ::1], rows: cython.Py_ssize_t):
     """The covariance of each row of a stack: the parts of the first one added up, the others as they are."""
     sources: cython.Py_ssize_t = stack.shape[0] - rows + 1
@@ -295,10 +359,7 @@ def row_covariances(stack: cython.const[cython.double][:, :, ::1], rows: cython.
     result = np.empty((rows, stack.shape[1], stack.shape[2]))
     out: cython.double[:, :, ::1] = result
     start: cython.p_double = cython.cast(cython.p_double, cython.address(stack[0, 0, 0]))
-    s: cython.Py_ssize_t
-    memcpy(cython.address(out[0, 0, 0]), start, size * cython.sizeof(cython.double))
-    for s in range(1, sources):
-        _add(cython.address(out[0, 0, 0]), 1.0, start + s * size, size)
+    _sum(start, sources, size, cython.address(out[0, 0, 0]))
     if rows > 1:
         memcpy(cython.address(out[1, 0, 0]), start + sources * size, (rows - 1) * size * cython.sizeof(cython.double))
     return result
@@ -354,7 +415,7 @@ def spread(
 
 def compared(
     means: cython.const[cython.double][:, ::1],
-    covariance: cython.const[cython.double][:, :, ::1],
+    stack: cython.const[cython.double][:, :, ::1],
     measured: cython.const[cython.double][::1],
     jacobian: cython.const[cython.double][:, ::1],
     noise: cython.const[cython.double][:, ::1],
@@ -370,8 +431,9 @@ def compared(
     n: cython.Py_ssize_t = means.shape[1]
     m: cython.Py_ssize_t = jacobian.shape[0]
     wide: cython.Py_ssize_t = n + 4
-    _check("means", covariance.shape[0] == rows and at_mean.shape[0] == n)
-    _check("covariance", covariance.shape[1] == covariance.shape[2] == jacobian.shape[1] == n)
+    sources: cython.Py_ssize_t = stack.shape[0] - rows + 1
+    _check("means", rows >= 1 and sources >= 1 and at_mean.shape[0] == n)
+    _check("stack", stack.shape[1] == stack.shape[2] == jacobian.shape[1] == n)
     _check("measurement", measured.shape[0] == noise.shape[0] == noise.shape[1] == by_turn.shape[0] == m)
     _check("by_turn", by_turn.shape[1] == 3)
     of_residual, of_covariance, of_nis = np.empty((rows, m)), np.empty((rows, m, m)), np.empty(rows)
@@ -384,8 +446,9 @@ def compared(
     turn: cython.double[:, ::1] = of_turn
     root: cython.double[:, :, ::1] = of_root
     share: cython.double[:, ::1] = of_noise
-    # In a row: the Jacobian transposed, the columns asked for, the cross covariance, a factor, what a turn does.
-    scratch: cython.double[::1] = np.empty(n * m + wide * m + n * m + m * m + 4 * m + 12 + 9)
+    # In a row: the Jacobian transposed, the columns asked for, the cross covariance, a factor, what a turn does, and
+    # the covariance of the first row.
+    scratch: cython.double[::1] = np.empty(n * m + wide * m + n * m + m * m + 4 * m + 12 + 9 + n * n)
     transposed: cython.p_double = cython.address(scratch[0])
     asked: cython.p_double = transposed + n * m
     cross: cython.p_double = asked + wide * m
@@ -393,6 +456,8 @@ def compared(
     solved: cython.p_double = factor + m * m
     seen: cython.p_double = solved + 4 * m
     information: cython.p_double = seen + 12
+    covariance: cython.p_double = information + 9
+    parts: cython.p_double = cython.cast(cython.p_double, cython.address(stack[0, 0, 0]))
     h: cython.p_double = cython.cast(cython.p_double, cython.address(jacobian[0, 0]))
     turning: cython.p_double = cython.cast(cython.p_double, cython.address(by_turn[0, 0]))
     row: cython.Py_ssize_t
@@ -401,13 +466,16 @@ def compared(
     k: cython.Py_ssize_t
     total: cython.double
     _transposed(h, m, n, transposed)
+    _sum(parts, sources, n * n, covariance)
     for row in range(rows):
         for j in range(m):
             total = measured[j]
             for k in range(n):
                 total -= jacobian[j, k] * (means[row, k] - at_mean[k])
             residual[row, j] = total
-        _product(h, m, n, cython.cast(cython.p_double, cython.address(covariance[row, 0, 0])), n, cross)
+        if row > 0:
+            covariance = parts + (sources + row - 1) * n * n
+        _product(h, m, n, covariance, n, cross)
         _product(cross, m, n, transposed, m, factor)
         for i in range(m):
             for j in range(m):

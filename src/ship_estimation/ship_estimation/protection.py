@@ -31,8 +31,9 @@ NORMAL_95 = 1.96
 """95 % of a normal error lie within so many sigmas to both sides: what the suite calls the accuracy of an angle."""
 
 _COMPONENTS = 3
-_TINY_RAD2 = 1e-24
-"""Of a source that is taken for exact nothing is apart by more than rounding."""
+LEAST_SHARE, LEAST_VARIANCE_RAD2 = 1e-6, 1e-24
+"""What the variance of a distance has at least, as a share of the variance by all sources and by itself: of a source
+that is taken for exact nothing is apart by more than rounding."""
 UNDISPUTED_SIGMAS = 3.0
 """Estimates without one source that are no further from that by all are as near as they are when all is right."""
 _MOST_PROBABLE_MISS = 0.5
@@ -215,7 +216,8 @@ def separation_sigma(left_out: FloatArray, all_sources: FloatArray) -> FloatArra
         [[3.    3.    0.004]]
     """
     # Rounding may leave nothing of a small difference; a thousandth of the sigma is nothing to a level.
-    sigma: FloatArray = np.sqrt(np.maximum(left_out - all_sources, np.maximum(1e-6 * all_sources, _TINY_RAD2)))
+    least = np.maximum(LEAST_SHARE * all_sources, LEAST_VARIANCE_RAD2)
+    sigma: FloatArray = np.sqrt(np.maximum(left_out - all_sources, least))
     return sigma
 
 

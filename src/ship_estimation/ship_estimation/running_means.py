@@ -127,17 +127,17 @@ def observed(
         >>> number
         4
     """
-    one = isinstance(source, int)
-    sources = np.array([source] if one else source, dtype=np.intp)
+    if isinstance(source, int):
+        source, turn, accepted = (source,), turn[:, None], accepted[:, None]
     after = compiled_means.observed(
         means.running,
         means.excess,
         means.refused,
         means.heard_ns,
         means.contradicts_ns,
-        sources,
-        turn[:, None] if one else turn,
-        (accepted[:, None] if one else accepted).view(np.uint8),
+        tuple(source),
+        turn,
+        accepted.view(np.uint8),
         time_ns,
         _WEIGHTS,
         limit,
@@ -151,7 +151,7 @@ def observed(
         return Means(*after)
     # What is no number has no mean; it is a refusal.
     refused = means.refused.copy()
-    refused[:, sources] += 1
+    refused[:, list(source)] += 1
     return replace(means, refused=refused)
 
 

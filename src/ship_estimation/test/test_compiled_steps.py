@@ -118,8 +118,8 @@ def test_variances_along_some_states_are_as_by_numpy() -> None:
 def test_a_measurement_beside_all_rows_is_as_by_numpy(shape: tuple[int, int, int, int]) -> None:
     stack, means, measured, by_turn = case(shape)
     at_mean = means[-1] + 0.1
-    arguments = means, covariances(stack, shape[3]), measured, at_mean, by_turn
-    found, expected = compare_rows(*arguments), numpy_compared(*arguments)
+    found = compare_rows(means, stack, measured, at_mean, by_turn)
+    expected = numpy_compared(means, covariances(stack, shape[3]), measured, at_mean, by_turn)
     for name in vars(expected):
         equal(getattr(found, name), getattr(expected, name))
 
@@ -128,7 +128,7 @@ def test_a_measurement_beside_all_rows_is_as_by_numpy(shape: tuple[int, int, int
 @pytest.mark.parametrize("share", [0.0, 0.7, 1.0])
 def test_what_each_row_learns_is_as_by_numpy(shape: tuple[int, int, int, int], share: float) -> None:
     stack, means, measured, by_turn = case(shape)
-    compared = compare_rows(means, covariances(stack, shape[3]), measured, means[0], by_turn)
+    compared = compare_rows(means, stack, measured, means[0], by_turn)
     learns = np.random.default_rng(3).uniform(size=means.shape) < share
     corrections, updated = update_rows(stack, measured, compared, learns)
     expected_corrections, expected = numpy_updated(stack, measured, compared, learns)
@@ -141,7 +141,7 @@ def test_a_turn_that_is_not_seen_counts_for_nothing() -> None:
     """Residuals that do not change by a turn about the third axis."""
     stack, means, measured, by_turn = case((6, 4, 2, 2))
     by_turn[:, 2] = 0.0
-    found = compare_rows(means, covariances(stack, 2), measured, means[0], by_turn)
+    found = compare_rows(means, stack, measured, means[0], by_turn)
     np.testing.assert_array_equal(found.turn[:, 2], 0.0)
     np.testing.assert_array_equal(found.turn_root[:, 2], 0.0)
     equal(found.turn, numpy_compared(means, covariances(stack, 2), measured, means[0], by_turn).turn)
@@ -152,7 +152,7 @@ def test_a_covariance_that_is_none_is_refused(wrong: float) -> None:
     stack, means, measured, by_turn = case((6, 4, 2, 2))
     stack[2, 0, 0] = wrong
     with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
-        compare_rows(means, covariances(stack, 2), measured, means[0], by_turn)
+        compare_rows(means, stack, measured, means[0], by_turn)
 
 
 def test_noise_that_does_not_lie_row_by_row_is_read_as_it_is() -> None:
@@ -161,7 +161,7 @@ def test_noise_that_does_not_lie_row_by_row_is_read_as_it_is() -> None:
     views = {source: np.asfortranarray(part) for source, part in measured.noise_by_source.items()}
     assert not all(part.flags.c_contiguous for part in views.values())
     others = [measured, LinearMeasurement(measured.residual, measured.jacobian, views)]
-    found = [compare_rows(means, covariances(stack, 2), one, means[0], by_turn) for one in others]
+    found = [compare_rows(means, stack, one, means[0], by_turn) for one in others]
     everything = np.ones((2, 6), dtype=bool)
     (_, expected), (_, after) = (update_rows(stack, *each, everything) for each in zip(others, found, strict=True))
     assert found[1].covariance.tobytes() == found[0].covariance.tobytes()
@@ -171,9 +171,10 @@ def test_noise_that_does_not_lie_row_by_row_is_read_as_it_is() -> None:
 def test_shapes_that_do_not_fit_are_refused() -> None:
     """The loops look at no bounds."""
     stack, means, measured, by_turn = case((6, 4, 2, 2))
-    arguments = means, covariances(stack, 2), measured, means[0], by_turn
+    arguments = means, stack, measured, means[0], by_turn
     found = compare_rows(*arguments)
-    for place, wrong in ((0, means[:1]), (1, stack[:2, :5, :5].copy()), (3, means[0, :5]), (4, by_turn[:3])):
+    of_five = means[:, :5].copy(), stack[:2, :5, :5].copy()
+    for place, wrong in ((0, of_five[0]), (1, stack[:1]), (1, of_five[1]), (3, means[0, :5]), (4, by_turn[:3])):
         with pytest.raises(ValueError, match="do not fit together"):
             compare_rows(*arguments[:place], wrong, *arguments[place + 1 :])
     everything = np.ones((2, 6), dtype=bool)

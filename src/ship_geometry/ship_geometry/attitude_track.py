@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ship_geometry import compiled_rotations
 from ship_geometry.interpolation_error import ANY_DIRECTION, BESIDE, as_covariance, by_polynomial
 from ship_geometry.rotations import FloatArray, exp_rotation, log_rotation
-from ship_geometry.sample_track import RECENT, SampleTrack, hermite_weights
+from ship_geometry.sample_track import RECENT, SampleTrack
 from ship_geometry.time_scales import SECOND_NS
 
 _EVERY_NS = 100_000_000
@@ -323,7 +323,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         before, at_before = first, 0.0
         if left > 0 and self._joined(left - 1):
             before, at_before = self._samples[left - 1], -self._seconds(left - 1, left) / interval_s
-        rotation_nd, rate_d, errors_d, covariance_d = compiled_rotations.between(
+        rotation_nd, rate_d, gain, errors_d, covariance_d = compiled_rotations.between(
             first.rotation_nd,
             second.rotation_nd,
             before.rotation_nd,
@@ -336,8 +336,6 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
             ANY_DIRECTION,
             _LARGEST_VARIANCE,
         )
-        value0, _, value1, _ = hermite_weights(fraction)
-        gain = value0 * value0 + value1 * value1
         return InterpolatedAttitude(rotation_nd, rate_d, gain, covariance_d, first, second, tuple(errors_d))
 
     def _between_without_rates(self, left: int, fraction: float) -> InterpolatedAttitude:

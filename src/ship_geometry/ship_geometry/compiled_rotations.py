@@ -484,8 +484,9 @@ def between(
         largest: bound of the sum of the errors' squares, rad².
 
     Returns:
-        Rotation and rate there; the estimates of the error, rotation vectors about the axes of the deck, rad, shape
-        (k, 3): two, or without another sample one; and the covariance that they make, rad², shape (3, 3).
+        Rotation and rate there; the variance of the attitude per variance of the samples' noise; the estimates of the
+        error, rotation vectors about the axes of the deck, rad, shape (k, 3): two, or without another sample one; and
+        the covariance that they make, rad², shape (3, 3).
     """
     _check("attitudes", first.shape[0] == first.shape[1] == second.shape[0] == second.shape[1] == 3)
     _check("other", other.shape[0] == other.shape[1] == first_rate.shape[0] == second_rate.shape[0] == 3)
@@ -547,7 +548,9 @@ def between(
             covariance[i, j] = any_direction * any_direction * squares * scale if i == j else 0.0
             for k in range(estimates):
                 covariance[i, j] += errors[k, i] * errors[k, j] * scale
-    return of_rotation, of_rate, of_errors, of_covariance
+    # Of the two attitudes the second has this weight; measured rates count as free of noise.
+    share = at * at * (3.0 - 2.0 * at)
+    return of_rotation, of_rate, (1.0 - share) * (1.0 - share) + share * share, of_errors, of_covariance
 
 
 def moved(

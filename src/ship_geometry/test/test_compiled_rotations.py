@@ -142,8 +142,10 @@ def test_the_cubic_tells_how_far_it_may_be_off(at: float, other_at: float, large
     rotation, rate, _ = compiled_rotations.cubic(first, turn, first_rate, second_rate, interval_s, at)
     equal(found[0], rotation)
     equal(found[1], rate)
-    equal(found[2], np.array(errors))
-    equal(found[3], as_covariance(errors, largest))
+    by_first, _, by_second, _ = hermite_weights(at)
+    equal(np.array(found[2]), np.array(by_first**2 + by_second**2))
+    equal(found[3], np.array(errors))
+    equal(found[4], as_covariance(errors, largest))
 
 
 @pytest.mark.parametrize("count", [2, 3, 4])

@@ -16,7 +16,7 @@ from ship_attitude_star.ship_attitude.state import FilterState, changed, with_en
 from ship_attitude_star.ship_attitude.suspects import Suspects
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_estimation.gates import GateConfig, chi_square_gate
-from ship_estimation.hypotheses import RowsCompared, add_error, compare_rows, covariances
+from ship_estimation.hypotheses import RowsCompared, add_error, compare_rows
 from ship_estimation.ins import InsJump
 from ship_estimation.kalman import predict, states_later
 from ship_estimation.outcome import Measurement
@@ -158,7 +158,7 @@ class ShipFilter:
             accepted=bool(accepted[0]) and source not in state.excluded,
             ins_time_ns=found.ins_time_ns,
             residual=linear.residual,
-            sigma=np.sqrt(np.diagonal(compared.covariance[0])),
+            sigma=np.sqrt(compared.covariance[0].diagonal()),
             components=found.compared.components,
             covariance=compared.covariance[0],
             noise=linear.noise,
@@ -190,13 +190,12 @@ class ShipFilter:
         self, predicted: FilterState, source: str, compared: Compared, gate: float
     ) -> tuple[FilterState, RowsCompared]:
         """A measurement beside all rows; those where the INS is wrong are opened where they differ from it."""
-        linear, by_turn, at_mean = compared.linear, compared.by_turn, predicted.means[0]
-        count = len(predicted.means)
-        rows = compare_rows(predicted.means, covariances(predicted.stack, count), linear, at_mean, by_turn)
+        linear, by_turn, at_mean = compared.linear, compared.by_turn, predicted.mean
+        rows = compare_rows(predicted.means, predicted.stack, linear, at_mean, by_turn)
         opened, wrong = self.suspects.ins.opened_against(predicted, source, rows, compared.predicted_nv, gate)
         if not wrong:
             return predicted, rows
-        wider = compare_rows(predicted.means, covariances(opened, count), linear, at_mean, by_turn)
+        wider = compare_rows(predicted.means, opened, linear, at_mean, by_turn)
         # What a row has seen is judged as it was before it was opened.
         turn, turn_root = wider.turn.copy(), wider.turn_root.copy()
         turn[wrong], turn_root[wrong] = rows.turn[wrong], rows.turn_root[wrong]
@@ -255,7 +254,7 @@ class ShipFilter:
             stack = stack.copy()
             common = self.model.slices[f"{source}.common"]
             add_error(stack, len(state.means), self._common_index, common, common_n)
-        elif not common_n.any() or np.array_equal(common_n, state.common_n[source]):
+        elif common_n.tobytes() == state.common_n[source].tobytes() or not common_n.any():
             return state
         return changed(state, stack=stack, common_n=with_entry(state.common_n, source, common_n))
 

@@ -162,8 +162,11 @@ class InsAtFault:
         One that is distrusted must have agreed for so long. One that crept is tried after a while: there no single
         measurement tells.
         """
-        exclusion, distrust = state.excluded.get(INS), distrusted(state)
-        if exclusion is None or (state.doubt is not None and not distrust):
+        exclusion = state.excluded.get(INS)
+        if exclusion is None:
+            return state
+        distrust = distrusted(state)
+        if state.doubt is not None and not distrust:
             return state
         since_ns = exclusion.since_ns if exclusion.agrees_since_ns is None else exclusion.agrees_since_ns
         after_s = _UNCONTRADICTED_S if exclusion.on_suspicion else must_agree_s(exclusion, self._return_after_s)

@@ -9,6 +9,7 @@ estimate that it leads to, until that stays (Gauss-Newton; the iterated Kalman f
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -47,6 +48,9 @@ _FAR = 3.0
 """Sigmas from the estimate at which an offset of the clocks is called far off."""
 
 _MOST_STEPS = 20
+
+_AGAINST_SKY = (InertialAttitude, SolvedAttitude)
+
 
 @dataclass(frozen=True)
 class Linearised:
@@ -88,8 +92,7 @@ class NotCompared:
         return self.refusal.reason in (Reason.UNIDENTIFIED, Reason.MISIDENTIFIED, Reason.GATE)
 
 
-@dataclass(frozen=True)
-class _Task:
+class _Task(NamedTuple):
     """What a measurement is to be linearised with.
 
     Attributes:
@@ -115,8 +118,7 @@ class _Task:
     alike: float
 
 
-@dataclass(frozen=True)
-class _Paired:
+class _Paired(NamedTuple):
     """A measurement as it is compared, the INS's attitude that belongs to it, its stamp and the latest one needed."""
 
     measurement: Measurement
@@ -139,6 +141,11 @@ class Linearisation:
         self._offsets = {name: np.zeros(model.size) for name in devices}
         for name, chain in model.chains.items():
             self._offsets[name][chain.clocks] = chain.signs
+        # The same as pairs of a state and its sign.
+        self._clocks = {
+            name: tuple(zip(chain.clocks.tolist(), chain.signs.tolist(), strict=True))
+            for name, chain in model.chains.items()
+        }
         self._told_sigma_s = {name: _told_sigma_s(model, device) for name, device in devices.items()}
 
     @property
@@ -158,7 +165,8 @@ class Linearisation:
     def ins_time_ns(self, mean: FloatArray, measurement: Measurement) -> int:
         """Stamp (ns) of the INS for the attitude that was measured, by a mean of the state, shape (n,)."""
         source = measurement.source
-        shift_s = self._devices[source].ins_time_s + float(self._offsets[source] @ mean)
+        estimated_s: float = sum(sign * mean.item(state) for state, sign in self._clocks[source])
+        shift_s = self._devices[source].ins_time_s + estimated_s
         return measurement.time_ns + round(shift_s * SECOND_NS)
 
     def of(
@@ -222,7 +230,7 @@ class Linearisation:
         if ins is None:
             text = "no INS samples on both sides of it: it cannot be compared"
             return NotCompared(Refusal(Reason.GAP, text), ins_time_ns)
-        if isinstance(measurement, InertialAttitude | SolvedAttitude):
+        if isinstance(measurement, _AGAINST_SKY):
             assert task.watch is not None
             turned = in_horizon(measurement, task.watch)
             if isinstance(turned, Refusal):

@@ -136,8 +136,8 @@ class FilterState:
 
     def in_use(self, sources: Sequence[str], time_ns: int) -> list[str]:
         """Those of the sources, in the order of their index, heard of not long ago that are not excluded."""
-        heard = self.seen.heard_ns >= time_ns - HEARD_NS
-        return [name for index, name in enumerate(sources) if heard[index] and name not in self.excluded]
+        heard, since_ns = zip(sources, self.seen.heard_ns.tolist(), strict=True), time_ns - HEARD_NS
+        return [name for name, heard_ns in heard if heard_ns >= since_ns and name not in self.excluded]
 
     @property
     def covariance(self) -> FloatArray:

@@ -8,7 +8,7 @@ that jumped, its own rates tell (:mod:`ship_estimation.ins_guard`); where they t
 is excluded (:mod:`ship_attitude_star.ship_attitude.ins_at_fault`).
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 
@@ -22,9 +22,9 @@ from ship_attitude_star.ship_attitude.model import Device, ShipStateModel
 from ship_attitude_star.ship_attitude.row_table import INS, LEAST_FOR_PAIRS, RowTable
 from ship_attitude_star.ship_attitude.state import Apart, Doubt, FilterState, Lately, changed, with_entry, without
 from ship_estimation.exclusion import HEARD_NS, Exclusion, Finding, find_fault, must_agree_s, watched
-from ship_estimation.hypotheses import RowsCompared, add_error, promoted, update_rows
+from ship_estimation.hypotheses import RowsCompared, add_error, promoted, separations, update_rows
 from ship_estimation.outcome import Measurement
-from ship_estimation.protection import UNDISPUTED_SIGMAS, disputed, separation_sigma
+from ship_estimation.protection import UNDISPUTED_SIGMAS, disputed
 from ship_estimation.running_means import NO_MEANS, averaged, farthest_mean, forgotten, no_means, observed
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
@@ -60,6 +60,7 @@ class Suspects:
         self._degraded_after = config.gate.degraded_after
         self.table = RowTable(config, model, devices)
         self._sources = self.table.sources
+        self._indices = {name: index for index, name in enumerate(self._sources)}
         self.ins = InsAtFault(config, model, self.table)
         self._slow = model.slices["ins.attitude"]
 
@@ -94,7 +95,7 @@ class Suspects:
             compared: with all rows.
             accepted: whether it passed the gate of each row, shape (h,).
         """
-        source, index = measurement.source, self._sources.index(measurement.source)
+        source, index = measurement.source, self._indices[measurement.source]
         used = self.uses(state)[:, index]
         noise = None if used[0] else compared.turn_noise
         seen = observed(
@@ -102,15 +103,15 @@ class Suspects:
         )
         if state.seen.heard_ns[index] < measurement.time_ns - HEARD_NS:
             state, predicted = (self._heard_again(one, source, measurement.time_ns) for one in (state, predicted))
-        turn_v = compared.turn_root[0] @ compared.turn[0]
-        apart = with_entry(state.apart, source, Apart(turn_v, measured.predicted_nv @ turn_v))
+        turn_v = compared.turn_root[0].dot(compared.turn[0])
+        apart = with_entry(state.apart, source, Apart(turn_v, measured.predicted_nv.dot(turn_v)))
         exclusion = state.excluded.get(source)
         # A measurement that no row uses leaves all of them, to the last bit, as they are without it. Of an excluded
         # source nothing is used, but how it is mounted may be learnt anew.
-        learnt = bool((used & accepted).any()) if exclusion is None else exclusion.apart is None
+        learnt = any((used & accepted).tolist()) if exclusion is None else exclusion.apart is None
         if not learnt:
             return changed(state, seen=seen, apart=apart)
-        learns = self.ins.learns(state, (used[:, None] | self.table.own[source]) & accepted[:, None])
+        learns = self.ins.learns(state, self._learns(state, source, used) & accepted[:, None])
         corrections, stack = update_rows(predicted.stack, measured.linear, compared, learns)
         lately = state.lately
         if used[0] and accepted[0]:
@@ -118,6 +119,10 @@ class Suspects:
             lately = with_entry(lately, source, Lately(running, farthest_mean(running)))
         means = predicted.means + corrections
         return changed(predicted, means=means, stack=stack, seen=seen, apart=apart, lately=lately)
+
+    def _learns(self, state: FilterState, source: str, used: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Which states each row may learn of a source, shape (h, n), by whether it uses the source, shape (h,)."""
+        return self.table.learns[source] if not state.excluded else used[:, None] | self.table.own[source]
 
     def _heard_again(self, state: FilterState, source: str, time_ns: int) -> FilterState:
         """The state before the first measurement after a silence: in that time nobody has agreed with anything."""
@@ -134,12 +139,7 @@ class Suspects:
 
         Shapes (h, 3), rad, and (h,).
         """
-        apart_n = state.means[:, self._slow] - state.means[0, self._slow]
-        by_stack = state.stack[:, self._slow, self._slow].diagonal(axis1=-2, axis2=-1)
-        first = by_stack[: len(self._model.sources)].sum(axis=0)
-        # Of the first row, which is apart by nothing, any variance serves.
-        sigma = separation_sigma(by_stack[-len(apart_n) :], first)
-        return apart_n, np.abs(apart_n / sigma).max(axis=-1)
+        return separations(state.means, state.stack, self._slow)
 
     def judged(
         self, state: FilterState, source: str, compared: RowsCompared, ins_vouched: bool, time_ns: int
@@ -163,10 +163,12 @@ class Suspects:
             return self.ins.watched(state, compared, agrees, time_ns), ""
         table, uses, in_use = self.table, self.uses(state), state.in_use(self._sources, time_ns)
         apart_n, statistic = self.separations(state)
-        candidates = [row for row in table.singles if table.names[row - 1] not in state.excluded]
+        candidates: Sequence[int] = table.singles
+        if state.excluded:
+            candidates = [row for row in candidates if table.names[row - 1] not in state.excluded]
         pairs = table.pairs_in_question(in_use, state.excluded) if table.pairs else []
         # A step of the INS its rates would have told; that it creeps they do not tell.
-        stepped = bool(state.seen.refused[0].any())
+        stepped = any(state.seen.refused[0].tolist())
         if ins_vouched and stepped:
             candidates, pairs = ([row for row in rows if row not in table.ins_rows] for rows in (candidates, pairs))
         elif stepped and len(in_use) <= LEAST_FOR_PAIRS:
@@ -210,7 +212,7 @@ class Suspects:
                 if source in in_use and source in state.lately:
                     statistic[row] = np.maximum(statistic[row], state.lately[source].sigmas)
         # Written so that a distance that is no number is looked at.
-        within = statistic.max() <= UNDISPUTED_SIGMAS
+        within = all(sigmas <= UNDISPUTED_SIGMAS for sigmas in statistic.tolist())
         if within and state.doubt is None and state.disputed_n is None:
             return state
         return changed(state, doubt=None, disputed_n=None if within else disputed(apart_n, statistic))
