@@ -25,6 +25,7 @@ from theodolite_calib.filter.model import (
 )
 from theodolite_calib.lights.image import Camera, block_diagonal, predict_points
 from theodolite_calib.lights.line_of_sight import (
+    TERM_COLUMNS,
     LeverArm,
     Lights,
     LinesOfSight,
@@ -109,7 +110,8 @@ class SightingModel:
         camera = Camera(self.focal_length_m(mean), self._config.telescope.focal_length_sigma_m, self._principal_point)
         points = predict_points(camera, rotation_nt, lines.direction_n)
         # Each error of the lines of sight moves the points, m per unit, shape (N, 2, k).
-        by_term = {term.name: points.by_direction_n @ term.jacobian_n for term in lines.terms}
+        by_error = points.by_direction_n @ lines.jacobian_n
+        by_term = {name: by_error[..., columns] for name, columns in TERM_COLUMNS.items()}
         turn_n = self._turn_n(chain, by_parallelism)
         rows = 2 * len(sighting.names)
         by_attitude_n = points.by_attitude_n.reshape(rows, 3)
