@@ -6,6 +6,7 @@ another one without it; :mod:`ship_estimation.protection` makes levels of that.
 
 import numpy as np
 
+from ship_estimation.compiled_integrity import apart
 from ship_estimation.outcome import Status
 from ship_estimation.protection import Hypotheses, IntegrityReport, integrity_report
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
@@ -33,19 +34,22 @@ def integrity_of(
     azimuth, elevation, _ = angles_from_rotation(estimate.rotation_nm)
     to_angles = angle_errors_from_rotation_vector(azimuth, elevation)
     to_angles[0] *= np.cos(elevation)
-    turning, by_error = chain_rows(filter_.model), to_angles @ estimate.by_error_n
-    beside, first = state.alternatives, state.covariance[turning[:, None], turning]
-    left_out = beside.parts[:, 0][:, turning[:, None], turning]
     # What the estimates dispute is covered by the levels already. What a pointing adds to the error of the state, as
     # the noise of the encoders, is the same in every estimate.
-    all_sources = to_angles @ estimate.undisputed_n @ to_angles.T
-    without = all_sources + by_error @ (left_out - first) @ by_error.T
-    distance = (beside.mean - state.mean)[:, turning] @ by_error.T
+    beside = apart(
+        chain_rows(filter_.model),
+        to_angles,
+        to_angles @ estimate.by_error_n,
+        estimate.undisputed_n,
+        state.mean,
+        state.alternatives.mean,
+        state.parts,
+        state.alternatives.parts[:, 0],
+    )
     excluded = {name: told.exclusion.since_ns for name, told in state.trust.left_out.items()}
     # Without lights nothing checks the encoders and the ship's attitude.
     in_dispute = state.trust.conflict is not None or state.refusals > 0 or estimate.status is Status.INVALID
     checked = estimate.mode is not Mode.ENCODER and not in_dispute
-    k, variance = hypothesis_factors(config.integrity, sources), left_out.diagonal(axis1=-2, axis2=-1)
+    hypotheses = Hypotheses(sources, hypothesis_factors(config.integrity, sources), *beside)
     rows = [row for row, name in enumerate(sources) if name not in excluded]
-    hypotheses = Hypotheses(sources, k, distance, without, all_sources, variance)
     return integrity_report(estimate.time_ns, config.integrity, hypotheses, rows, excluded, checked)
