@@ -13,7 +13,7 @@ import numpy as np
 if not cython.compiled:
     raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")
 
-from cython.cimports.libc.math import NAN, fabs, sqrt
+from cython.cimports.libc.math import INFINITY, fabs, sqrt
 
 _JACOBI_SWEEPS = 12
 """Of a symmetric 3 × 3 matrix five make the off-diagonal elements vanish to the last bit."""
@@ -297,10 +297,11 @@ def innovation(
 
     Returns:
         Of each part its normalised square, the own share, and of each axis the mean in its sigma and in rad, as
-        :class:`ship_estimation.innovations.Innovation` has them; None where the covariance is not positive definite.
+        :class:`ship_estimation.innovations.Innovation` has them; None where
+        one of the numbers is none, or the covariance is not positive definite.
     """
     m: cython.Py_ssize_t = residual.shape[0]
-    _check("covariance", covariance.shape[0] == covariance.shape[1] == noise.shape[0] == noise.shape[1] == m)
+    _check("covariance", covariance.shape[0] == covariance.shape[1] == m)
     _check("components", part_of.shape[0] == axis_of.shape[0] == m)
     of_squares, of_axes = np.empty(parts), np.empty((axes, 2))
     square: cython.double[::1] = of_squares
@@ -318,10 +319,15 @@ def innovation(
     j: cython.Py_ssize_t
     k: cython.Py_ssize_t
     for i in range(m):
+        if not fabs(residual[i]) < INFINITY:
+            return None
         for j in range(m):
+            if not fabs(covariance[i, j]) < INFINITY:
+                return None
             white[i, j] = covariance[i, j]
     if not _whiten(white, m):
         return None
+    _check("noise", noise.shape[0] == noise.shape[1] == m)
     for k in range(m):
         for i in range(k + 1):
             row = 0.0
@@ -338,7 +344,7 @@ def innovation(
                 alike += covariance[chosen[i], chosen[j]] / (
                     sqrt(covariance[chosen[i], chosen[i]]) * sqrt(covariance[chosen[j], chosen[j]])
                 )
-        along[group, 0], along[group, 1] = total / sqrt(alike), in_rad / count if count else NAN
+        along[group, 0], along[group, 1] = total / sqrt(alike), in_rad / count
     for group in range(parts):
         count = _members(part_of, group, chosen)
         if count < m or parts > 1:
