@@ -88,7 +88,7 @@ class InputHealthBook(InputRecords):
 
     def _message(self, factory: MessageFactory, record: InputRecord, now_ns: int, waiting_ns: int) -> Any:
         latency_s = record.latency_s
-        return factory.make(
+        return factory.encoded(
             "ship_msgs/msg/InputHealth",
             header={"stamp": now_ns, "frame_id": ""},
             topic=record.input.topic,

@@ -155,7 +155,8 @@ def unit_quaternion(quaternion: Any, what: str = "orientation") -> FloatArray:
     if norm < LEAST_QUATERNION_NORM:
         raise Refused(Reason.BAD_QUATERNION, f"norm of {what} is {norm:.3g}: no orientation is given")
     if abs(norm - 1.0) > QUATERNION_NORM_TOLERANCE:
-        raise Refused(Reason.BAD_QUATERNION, f"norm of {what} is {norm:.6g}: expected 1")
+        # Whose squares are infinite is told all the same.
+        raise Refused(Reason.BAD_QUATERNION, f"norm of {what} is {math.hypot(*numbers):.6g}: expected 1")
     return np.array(numbers) / norm
 
 

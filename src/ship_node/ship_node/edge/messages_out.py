@@ -96,7 +96,9 @@ def judged_input(factory: MessageFactory, source: str, decision: Decision[Any]) 
     if decision.revised:
         verdict = "now used" if decision.accepted else f"now refused: {reason.word}"
         reason, text = Reason.REVISED, f"judged anew after a measurement that arrived late, {verdict} {text}".rstrip()
-    return factory.make(
+    # Of layouts made once; a text with numbers would make a new one each time.
+    make = factory.make if text else factory.encoded
+    return make(
         INNOVATION_TYPE,
         header={"stamp": decision.measurement.time_ns, "frame_id": source},
         source=source,
@@ -191,7 +193,7 @@ def integrity(
         frame_id: whose output it is.
         config: with the limits and the probability.
     """
-    return factory.make(
+    return factory.encoded(
         INTEGRITY_TYPE,
         header={"stamp": report.time_ns, "frame_id": frame_id},
         quantities=list(quantities),
