@@ -10,6 +10,8 @@ What is no number makes what rests on it no number.
 import cython
 import numpy as np
 
+from ship_geometry.array_shapes import check
+
 if not cython.compiled:
     raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")
 
@@ -17,16 +19,6 @@ from cython.cimports.libc.math import INFINITY, fabs, sqrt
 
 _JACOBI_SWEEPS = 12
 """Of a symmetric 3 × 3 matrix five make the off-diagonal elements vanish to the last bit."""
-
-
-def _check(what: str, fits: bool) -> None:
-    """Refuse arrays whose shapes do not fit together: the loops look no more.
-
-    Raises:
-        ValueError: they do not.
-    """
-    if not fits:
-        raise ValueError(f"{what}: the shapes of the arrays do not fit together")
 
 
 @cython.cfunc
@@ -83,10 +75,10 @@ def apart(
     n: cython.Py_ssize_t = states.shape[0]
     m: cython.Py_ssize_t = mean.shape[0]
     rows: cython.Py_ssize_t = means.shape[0]
-    _check("components", to_components.shape[0] == to_components.shape[1] == by_states.shape[0] == 3)
-    _check("covariance", covariance.shape[0] == covariance.shape[1] == 3 and by_states.shape[1] == n)
-    _check("means", means.shape[1] == parts.shape[1] == parts.shape[2] == m and left_out.shape[0] == rows)
-    _check("left_out", left_out.shape[1] == left_out.shape[2] == m)
+    check("components", to_components.shape[0] == to_components.shape[1] == by_states.shape[0] == 3)
+    check("covariance", covariance.shape[0] == covariance.shape[1] == 3 and by_states.shape[1] == n)
+    check("means", means.shape[1] == parts.shape[1] == parts.shape[2] == m and left_out.shape[0] == rows)
+    check("left_out", left_out.shape[1] == left_out.shape[2] == m)
     of_distance, of_variance = np.empty((rows, 3)), np.empty((rows, 3))
     of_variance_0, of_widest = np.empty(3), np.empty(rows)
     distance: cython.double[:, ::1] = of_distance
@@ -100,7 +92,7 @@ def apart(
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
     for i in range(n):
-        _check("states", 0 <= states[i] < m)
+        check("states", 0 <= states[i] < m)
     for i in range(3):
         variance_0[i] = _form(to_components[i], covariance, to_components[i])
     for part in range(parts.shape[0]):
@@ -137,7 +129,7 @@ def separation_sigmas(
         tiny: least variance of a distance.
     """
     columns: cython.Py_ssize_t = variance.shape[1]
-    _check("variance", variance_0.shape[0] == columns)
+    check("variance", variance_0.shape[0] == columns)
     of_sigma = np.empty((variance.shape[0], columns))
     sigma: cython.double[:, ::1] = of_sigma
     row: cython.Py_ssize_t
@@ -183,8 +175,8 @@ def levels(
         tiny: least variance of a distance.
     """
     asked: cython.Py_ssize_t = rows.shape[0]
-    _check("distance", distance.shape[0] == variance.shape[0] == missed.shape[0])
-    _check("variance", distance.shape[1] == variance.shape[1] == variance_0.shape[0] == 3)
+    check("distance", distance.shape[0] == variance.shape[0] == missed.shape[0])
+    check("variance", distance.shape[1] == variance.shape[1] == variance_0.shape[0] == 3)
     of_statistic, of_level = np.empty(asked), np.empty(3)
     statistic: cython.double[::1] = of_statistic
     level: cython.double[::1] = of_level
@@ -202,7 +194,7 @@ def levels(
         largest = _larger(largest, level[i])
     for k in range(asked):
         row = rows[k]
-        _check("rows", 0 <= row < distance.shape[0])
+        check("rows", 0 <= row < distance.shape[0])
         of_row = statistic[k] = 0.0
         for i in range(3):
             # Without a source nothing is known better, but for one that was refused with it and is used without.
@@ -218,7 +210,7 @@ def levels(
 
 def least_eigenvalue(matrix: cython.const[cython.double][:, :]) -> cython.double:
     """The least eigenvalue of a symmetric 3 × 3 matrix, by Jacobi's rotations; only the lower triangle is read."""
-    _check("matrix", matrix.shape[0] == matrix.shape[1] == 3)
+    check("matrix", matrix.shape[0] == matrix.shape[1] == 3)
     a = cython.declare(cython.double[9])
     p: cython.int
     q: cython.int
@@ -315,8 +307,8 @@ def innovation(
         one of the numbers is none, or the covariance is not positive definite.
     """
     m: cython.Py_ssize_t = residual.shape[0]
-    _check("covariance", covariance.shape[0] == covariance.shape[1] == m)
-    _check("components", part_of.shape[0] == axis_of.shape[0] == m)
+    check("covariance", covariance.shape[0] == covariance.shape[1] == m)
+    check("components", part_of.shape[0] == axis_of.shape[0] == m)
     of_squares, of_axes = np.empty(parts), np.empty((axes, 2))
     square: cython.double[::1] = of_squares
     along: cython.double[:, ::1] = of_axes
@@ -341,7 +333,7 @@ def innovation(
             white[i, j] = covariance[i, j]
     if not _whiten(white, m):
         return None
-    _check("noise", noise.shape[0] == noise.shape[1] == m)
+    check("noise", noise.shape[0] == noise.shape[1] == m)
     for k in range(m):
         for i in range(k + 1):
             row = 0.0

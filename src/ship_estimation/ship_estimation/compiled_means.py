@@ -8,6 +8,8 @@ What is computed is told in :mod:`ship_estimation.running_means`; the same in pl
 import cython
 import numpy as np
 
+from ship_geometry.array_shapes import check
+
 if not cython.compiled:
     raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")
 
@@ -16,16 +18,6 @@ from cython.cimports.libc.math import NAN, fabs, sqrt
 _COLUMNS = cython.declare(cython.Py_ssize_t, 5)
 _LASTING = cython.declare(cython.double, 1e-9)
 """Of an error that lasts, so that one without noise has a covariance."""
-
-
-def _check(what: str, fits: bool) -> None:
-    """Refuse arrays whose shapes do not fit together: the loops look no more.
-
-    Raises:
-        ValueError: they do not.
-    """
-    if not fits:
-        raise ValueError(f"{what}: the shapes of the arrays do not fit together")
 
 
 @cython.cfunc
@@ -140,12 +132,12 @@ def observed(
     """
     rows: cython.Py_ssize_t = running.shape[0]
     count: cython.Py_ssize_t = running.shape[1]
-    _check("running", running.shape[2] == weights.shape[0] and running.shape[3] == _COLUMNS)
-    _check("excess", excess.shape[0] == refused.shape[0] == rows and excess.shape[1] == refused.shape[1] == count)
-    _check("heard_ns", heard_ns.shape[0] == contradicts_ns.shape[0] == count)
-    _check("turn", turn.shape[0] == accepted.shape[0] == rows and turn.shape[2] == 3)
-    _check("sources", turn.shape[1] == accepted.shape[1] == len(sources))
-    _check("turn_noise", turn_noise.shape[0] == turn_noise.shape[1] == 3)
+    check("running", running.shape[2] == weights.shape[0] and running.shape[3] == _COLUMNS)
+    check("excess", excess.shape[0] == refused.shape[0] == rows and excess.shape[1] == refused.shape[1] == count)
+    check("heard_ns", heard_ns.shape[0] == contradicts_ns.shape[0] == count)
+    check("turn", turn.shape[0] == accepted.shape[0] == rows and turn.shape[2] == 3)
+    check("sources", turn.shape[1] == accepted.shape[1] == len(sources))
+    check("turn_noise", turn_noise.shape[0] == turn_noise.shape[1] == 3)
     of_running, of_excess = np.empty((rows, count, weights.shape[0], _COLUMNS)), np.empty((rows, count))
     of_refused = np.empty((rows, count), dtype=np.int64)
     of_heard, of_contradicts = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
@@ -170,7 +162,7 @@ def observed(
     contradicts[...] = contradicts_ns
     for one in range(turn.shape[1]):
         s = sources[one]
-        _check("sources", 0 <= s < count)
+        check("sources", 0 <= s < count)
         for row in range(rows):
             size = sqrt(turn[row, one, 0] ** 2 + turn[row, one, 1] ** 2 + turn[row, one, 2] ** 2)
             if not size < float("inf"):
@@ -202,7 +194,7 @@ def averaged(
     weights: cython.const[cython.double][::1],
 ):
     """The means of one row and source after one turn more, shape (w, 5)."""
-    _check("averaged", running.shape[0] == weights.shape[0] and running.shape[1] == _COLUMNS and turn.shape[0] == 3)
+    check("averaged", running.shape[0] == weights.shape[0] and running.shape[1] == _COLUMNS and turn.shape[0] == 3)
     result = np.empty((weights.shape[0], _COLUMNS))
     means: cython.double[:, ::1] = result
     means[...] = running
@@ -214,7 +206,7 @@ def averaged(
 
 def farthest(running: cython.const[cython.double][:, ::1]) -> cython.double:
     """The component of a mean, shape (w, 5), that is farthest from zero in its own sigmas; no number where one is."""
-    _check("farthest", running.shape[1] == _COLUMNS)
+    check("farthest", running.shape[1] == _COLUMNS)
     worst: cython.double = 0.0
     k: cython.Py_ssize_t
     i: cython.Py_ssize_t

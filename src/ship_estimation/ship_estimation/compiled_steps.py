@@ -17,6 +17,8 @@ compilers make fast.
 import cython
 import numpy as np
 
+from ship_geometry.array_shapes import check
+
 if not cython.compiled:
     raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")
 
@@ -181,16 +183,6 @@ def _solve(
             row[j] /= factor[i * size + i]
 
 
-def _check(what: str, fits: bool) -> None:
-    """Refuse arrays whose shapes do not fit together: the loops look no more.
-
-    Raises:
-        ValueError: they do not.
-    """
-    if not fits:
-        raise ValueError(f"{what}: the shapes of the arrays do not fit together")
-
-
 def carried(
     stacks: cython.const[cython.double][:, :, :, ::1],
     sources: cython.Py_ssize_t,
@@ -201,7 +193,7 @@ def carried(
     """The covariances of several stacks after a diagonal transition; each state's noise is booked to its source."""
     matrices: cython.Py_ssize_t = stacks.shape[1]
     n: cython.Py_ssize_t = stacks.shape[2]
-    _check("carried", stacks.shape[3] == n == decay.shape[0] == noise.shape[0] == source_of.shape[0])
+    check("carried", stacks.shape[3] == n == decay.shape[0] == noise.shape[0] == source_of.shape[0])
     result = np.empty((stacks.shape[0], matrices, n, n))
     out: cython.double[:, :, :, ::1] = result
     stack: cython.Py_ssize_t
@@ -226,7 +218,7 @@ def transition(
 ):
     """What is left of each state after some time and the variance that comes new, shapes (n,), (n,)."""
     n: cython.Py_ssize_t = time_s.shape[0]
-    _check("transition", steady_variance.shape[0] == walk_variance.shape[0] == n)
+    check("transition", steady_variance.shape[0] == walk_variance.shape[0] == n)
     of_decay, of_noise = np.empty(n), np.empty(n)
     decay: cython.double[::1] = of_decay
     noise: cython.double[::1] = of_noise
@@ -254,7 +246,7 @@ def decayed(
         beyond: how many sigmas are too large.
     """
     n: cython.Py_ssize_t = means.shape[1]
-    _check("decayed", decay.shape[0] == n and 0 <= first <= n - sigma.shape[0])
+    check("decayed", decay.shape[0] == n and 0 <= first <= n - sigma.shape[0])
     result = np.empty((means.shape[0], n))
     out: cython.double[:, ::1] = result
     row: cython.Py_ssize_t
@@ -288,9 +280,9 @@ def add_error(
     """
     sources: cython.Py_ssize_t = stack.shape[0] - rows + 1
     count: cython.Py_ssize_t = covariance.shape[0]
-    _check("row", 0 <= row < rows and 0 <= part < sources)
-    _check("states", 0 <= first <= stack.shape[1] - count and stack.shape[1] == stack.shape[2])
-    _check("covariance", covariance.shape[1] == count)
+    check("row", 0 <= row < rows and 0 <= part < sources)
+    check("states", 0 <= first <= stack.shape[1] - count and stack.shape[1] == stack.shape[2])
+    check("covariance", covariance.shape[1] == count)
     s: cython.Py_ssize_t
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
@@ -329,8 +321,8 @@ def separations(
     """
     rows: cython.Py_ssize_t = means.shape[0]
     sources: cython.Py_ssize_t = stack.shape[0] - rows + 1
-    _check("separations", sources >= 1 and stack.shape[1] == stack.shape[2] == means.shape[1])
-    _check("states", first >= 0 and 0 <= count <= means.shape[1] - first)
+    check("separations", sources >= 1 and stack.shape[1] == stack.shape[2] == means.shape[1])
+    check("states", first >= 0 and 0 <= count <= means.shape[1] - first)
     of_apart, of_statistic = np.empty((rows, count)), np.zeros(rows)
     apart: cython.double[:, ::1] = of_apart
     statistic: cython.double[::1] = of_statistic
@@ -355,7 +347,7 @@ def row_covariances(stack: cython.const[cython.double][:, :, ::1], rows: cython.
     """The covariance of each row of a stack: the parts of the first one added up, the others as they are."""
     sources: cython.Py_ssize_t = stack.shape[0] - rows + 1
     size: cython.Py_ssize_t = stack.shape[1] * stack.shape[2]
-    _check("row_covariances", rows >= 1 and sources >= 1)
+    check("row_covariances", rows >= 1 and sources >= 1)
     result = np.empty((rows, stack.shape[1], stack.shape[2]))
     out: cython.double[:, :, ::1] = result
     start: cython.p_double = cython.cast(cython.p_double, cython.address(stack[0, 0, 0]))
@@ -370,7 +362,7 @@ def variance_along(
 ) -> cython.double:
     """The variance of a sum of states, each times a weight: shapes (n,) and (n, n). Most of the weights are zero."""
     n: cython.Py_ssize_t = weights.shape[0]
-    _check("variance_along", covariance.shape[0] == covariance.shape[1] == n)
+    check("variance_along", covariance.shape[0] == covariance.shape[1] == n)
     total: cython.double = 0.0
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
@@ -395,7 +387,7 @@ def spread(
         without: states for which it is not zero have no part, shape (n,).
     """
     n: cython.Py_ssize_t = jacobian.shape[1]
-    _check("spread", covariance.shape[0] == covariance.shape[1] == without.shape[0] == n)
+    check("spread", covariance.shape[0] == covariance.shape[1] == without.shape[0] == n)
     total: cython.double = 0.0
     along: cython.double
     row: cython.Py_ssize_t
@@ -432,10 +424,10 @@ def compared(
     m: cython.Py_ssize_t = jacobian.shape[0]
     wide: cython.Py_ssize_t = n + 4
     sources: cython.Py_ssize_t = stack.shape[0] - rows + 1
-    _check("means", rows >= 1 and sources >= 1 and at_mean.shape[0] == n)
-    _check("stack", stack.shape[1] == stack.shape[2] == jacobian.shape[1] == n)
-    _check("measurement", measured.shape[0] == noise.shape[0] == noise.shape[1] == by_turn.shape[0] == m)
-    _check("by_turn", by_turn.shape[1] == 3)
+    check("means", rows >= 1 and sources >= 1 and at_mean.shape[0] == n)
+    check("stack", stack.shape[1] == stack.shape[2] == jacobian.shape[1] == n)
+    check("measurement", measured.shape[0] == noise.shape[0] == noise.shape[1] == by_turn.shape[0] == m)
+    check("by_turn", by_turn.shape[1] == 3)
     of_residual, of_covariance, of_nis = np.empty((rows, m)), np.empty((rows, m, m)), np.empty(rows)
     of_gain, of_turn, of_root = np.empty((rows, n, m)), np.empty((rows, 3)), np.empty((rows, 3, 3))
     of_noise = np.empty((3, 3))
@@ -606,9 +598,9 @@ def updated(
     n: cython.Py_ssize_t = gain.shape[1]
     m: cython.Py_ssize_t = gain.shape[2]
     sources: cython.Py_ssize_t = stack.shape[0] - rows + 1
-    _check("stack", sources >= 1 and stack.shape[1] == stack.shape[2] == jacobian.shape[1] == learns.shape[1] == n)
-    _check("measurement", jacobian.shape[0] == residual.shape[1] == noise.shape[0] == noise.shape[1] == m)
-    _check("rows", residual.shape[0] == learns.shape[0] == rows)
+    check("stack", sources >= 1 and stack.shape[1] == stack.shape[2] == jacobian.shape[1] == learns.shape[1] == n)
+    check("measurement", jacobian.shape[0] == residual.shape[1] == noise.shape[0] == noise.shape[1] == m)
+    check("rows", residual.shape[0] == learns.shape[0] == rows)
     result, corrections = np.empty((sources + rows - 1, n, n)), np.empty((rows, n))
     out: cython.double[:, :, ::1] = result
     moved: cython.double[:, ::1] = corrections
@@ -650,7 +642,7 @@ def updated(
             _add_noise(own, noise, cython.address(out[sources + row - 1, 0, 0]), room)
             continue
         for s, part in booked:
-            _check("booked", 0 <= s < sources and part.shape[0] == part.shape[1] == m)
+            check("booked", 0 <= s < sources and part.shape[0] == part.shape[1] == m)
             _add_noise(own, part, cython.address(out[s, 0, 0]), room)
     for s in range(sources + rows - 1):
         for i in range(n):

@@ -9,6 +9,8 @@ numpy stands in the tests. What a sample gives does not depend on how many other
 import cython
 import numpy as np
 
+from ship_geometry.array_shapes import check
+
 if not cython.compiled:
     raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")
 
@@ -41,7 +43,7 @@ def missed_by_mean(
     first: cython.const[cython.double][:], second: cython.const[cython.double][:], seconds: cython.double
 ):
     """What the mean of two rates (rad/s, shape (3,)) may miss of the turn between them, rad."""
-    _check("rates", first.shape[0] == second.shape[0] == 3)
+    check("rates", first.shape[0] == second.shape[0] == 3)
     one = cython.declare(cython.double[3])
     other = cython.declare(cython.double[3])
     i: cython.int
@@ -75,7 +77,7 @@ def turns(
         each sample, shape (N,). From the first one on that is not joined, or no number, that is infinite.
     """
     count: cython.Py_ssize_t = times_ns.shape[0]
-    _check("rates", rates.shape[0] == count and rates.shape[1] == last_rate.shape[0] == twice_drift.shape[0] == 3)
+    check("rates", rates.shape[0] == count and rates.shape[1] == last_rate.shape[0] == twice_drift.shape[0] == 3)
     of_turns, of_missed = np.empty((count, 3)), np.empty(count)
     turn: cython.double[:, ::1] = of_turns
     missed: cython.double[::1] = of_missed
@@ -115,7 +117,7 @@ def step_sizes(
     """
     places: cython.Py_ssize_t = weights.shape[0]
     length: cython.Py_ssize_t = weights.shape[1]
-    _check("rows", count >= 0 and rows.shape[0] == length + count - 1 and rows.shape[1] == 3)
+    check("rows", count >= 0 and rows.shape[0] == length + count - 1 and rows.shape[1] == 3)
     of_sizes = np.empty((count, places))
     sizes: cython.double[:, ::1] = of_sizes
     x: cython.double
@@ -133,13 +135,3 @@ def step_sizes(
                 z += weights[p, m] * rows[n + m, 2]
             sizes[n, p] = x * x + y * y + z * z
     return of_sizes
-
-
-def _check(what: str, fits: bool) -> None:
-    """Refuse arrays whose shapes do not fit together: the loops look no more.
-
-    Raises:
-        ValueError: they do not.
-    """
-    if not fits:
-        raise ValueError(f"{what}: the shapes of the arrays do not fit together")

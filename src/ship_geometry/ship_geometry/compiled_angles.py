@@ -10,6 +10,8 @@ against these.
 import cython
 import numpy as np
 
+from ship_geometry.array_shapes import check
+
 if not cython.compiled:
     raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")
 
@@ -18,7 +20,7 @@ from cython.cimports.libc.math import M_PI, NAN, atan2, copysign, cos, fabs, hyp
 
 def angles(rotations: cython.const[cython.double][:, :, :]):
     """Azimuth, elevation and roll (rad), shape (N, 3), of rotations "parent from device", shape (N, 3, 3)."""
-    _check("rotations", rotations.shape[1] == rotations.shape[2] == 3)
+    check("rotations", rotations.shape[1] == rotations.shape[2] == 3)
     count: cython.Py_ssize_t = rotations.shape[0]
     of_angles = np.empty((count, 3))
     out: cython.double[:, ::1] = of_angles
@@ -84,8 +86,8 @@ def angle_covariances(
         highest: elevation beyond which it is NaN, rad.
     """
     count: cython.Py_ssize_t = covariances.shape[0]
-    _check("covariances", covariances.shape[1] == covariances.shape[2] == of_angles.shape[1] == 3)
-    _check("angles", of_angles.shape[0] == count)
+    check("covariances", covariances.shape[1] == covariances.shape[2] == of_angles.shape[1] == 3)
+    check("angles", of_angles.shape[0] == count)
     of_result = np.empty((count, 3, 3))
     out: cython.double[:, :, ::1] = of_result
     by_vector = cython.declare(cython.double[9])
@@ -114,7 +116,7 @@ def angle_covariances(
 
 def quaternions(matrices: cython.const[cython.double][:, :, :]):
     """Quaternions x, y, z, w (w >= 0), shape (N, 4), of rotation matrices, by the largest component (Shepperd 1978)."""
-    _check("matrices", matrices.shape[1] == matrices.shape[2] == 3)
+    check("matrices", matrices.shape[1] == matrices.shape[2] == 3)
     count: cython.Py_ssize_t = matrices.shape[0]
     of_result = np.empty((count, 4))
     out: cython.double[:, ::1] = of_result
@@ -151,7 +153,7 @@ def quaternions(matrices: cython.const[cython.double][:, :, :]):
 
 def rotations_of(quaternions: cython.const[cython.double][:, :]):
     """Rotation matrices, shape (N, 3, 3), of quaternions x, y, z, w of any norm but zero, shape (N, 4)."""
-    _check("quaternions", quaternions.shape[1] == 4)
+    check("quaternions", quaternions.shape[1] == 4)
     count: cython.Py_ssize_t = quaternions.shape[0]
     of_result = np.empty((count, 3, 3))
     out: cython.double[:, :, ::1] = of_result
@@ -171,13 +173,3 @@ def rotations_of(quaternions: cython.const[cython.double][:, :]):
         out[n, 0, 2], out[n, 2, 0] = scale * (x * z) + scale * (y * w), scale * (x * z) - scale * (y * w)
         out[n, 1, 2], out[n, 2, 1] = scale * (y * z) - scale * (x * w), scale * (y * z) + scale * (x * w)
     return of_result
-
-
-def _check(what: str, fits: bool) -> None:
-    """Refuse arrays whose shapes do not fit together: the loops look no more.
-
-    Raises:
-        ValueError: they do not.
-    """
-    if not fits:
-        raise ValueError(f"{what}: the shapes of the arrays do not fit together")

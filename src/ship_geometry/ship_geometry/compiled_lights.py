@@ -8,13 +8,13 @@ What they mean is told in :mod:`theodolite_calib.lights`.
 import cython
 import numpy as np
 
+from ship_geometry.array_shapes import check
+
 if not cython.compiled:
     raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")
 
 from cython.cimports.libc.math import NAN, sqrt
 from cython.cimports.ship_geometry.compiled_rotations import _times
-
-from ship_geometry.compiled_rotations import _check
 
 _COLUMNS = cython.declare(cython.int, 19)
 
@@ -82,13 +82,13 @@ def sight_lines(
     """
     epochs: cython.Py_ssize_t = baselines.shape[0]
     count: cython.Py_ssize_t = baselines.shape[1]
-    _check("baselines", baselines.shape[2] == light_levers.shape[2] == 3)
-    _check("drones", drones.shape[0] == light_levers.shape[0] == refraction.shape[0] == epochs)
-    _check("drones", drones.shape[1] == light_levers.shape[1] == refraction.shape[1] == count)
-    _check("drones", drones.shape[2] == drones.shape[3] == 3)
-    _check("ships", ships.shape[0] == mounts.shape[0] == epochs)
-    _check("ships", ships.shape[1] == ships.shape[2] == mounts.shape[1] == mounts.shape[2] == 3)
-    _check("levers", lever.shape[0] == principal_point.shape[0] == 3)
+    check("baselines", baselines.shape[2] == light_levers.shape[2] == 3)
+    check("drones", drones.shape[0] == light_levers.shape[0] == refraction.shape[0] == epochs)
+    check("drones", drones.shape[1] == light_levers.shape[1] == refraction.shape[1] == count)
+    check("drones", drones.shape[2] == drones.shape[3] == 3)
+    check("ships", ships.shape[0] == mounts.shape[0] == epochs)
+    check("ships", ships.shape[1] == ships.shape[2] == mounts.shape[1] == mounts.shape[2] == 3)
+    check("levers", lever.shape[0] == principal_point.shape[0] == 3)
     of_directions, of_distances = np.empty((epochs, count, 3)), np.empty((epochs, count))
     of_changes = np.empty((epochs, count, 3, _COLUMNS))
     directions: cython.double[:, :, ::1] = of_directions
@@ -167,9 +167,9 @@ def image_points(
     """
     epochs: cython.Py_ssize_t = directions.shape[0]
     count: cython.Py_ssize_t = directions.shape[1]
-    _check("directions", directions.shape[2] == telescopes.shape[1] == telescopes.shape[2] == 3)
-    _check("telescopes", telescopes.shape[0] == focal_lengths_m.shape[0] == principal_points_m.shape[0] == epochs)
-    _check("principal points", principal_points_m.shape[1] == 2)
+    check("directions", directions.shape[2] == telescopes.shape[1] == telescopes.shape[2] == 3)
+    check("telescopes", telescopes.shape[0] == focal_lengths_m.shape[0] == principal_points_m.shape[0] == epochs)
+    check("principal points", principal_points_m.shape[1] == 2)
     of_points, of_focal_lengths = np.empty((epochs, count, 2)), np.empty((epochs, count, 2))
     of_attitudes, of_directions = np.empty((epochs, count, 2, 3)), np.empty((epochs, count, 2, 3))
     points: cython.double[:, :, ::1] = of_points

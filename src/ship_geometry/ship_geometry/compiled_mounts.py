@@ -14,13 +14,13 @@ in d), g, h, c, I, βx, βy, f, and τ in seconds. Those of the axes are told in
 import cython
 import numpy as np
 
+from ship_geometry.array_shapes import check
+
 if not cython.compiled:
     raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")
 
 from cython.cimports.libc.math import cos, exp, sin
 from cython.cimports.ship_geometry.compiled_rotations import _exponential, _jacobian, _times
-
-from ship_geometry.compiled_rotations import _check
 
 _ERRORS = cython.declare(cython.int, 14)
 _DYING = cython.declare(cython.int, 6)
@@ -164,10 +164,10 @@ def chains(
         shape (N, 3, 14), and per encoder angle, shape (N, 3, 2).
     """
     count: cython.Py_ssize_t = errors.shape[0]
-    _check("moments", rotations.shape[0] == rates.shape[0] == angles.shape[0] == count)
-    _check("errors", errors.shape[1] == _ERRORS)
-    _check("rotations", rotations.shape[1] == rotations.shape[2] == rates.shape[1] == 3)
-    _check("angles", angles.shape[1] == 2)
+    check("moments", rotations.shape[0] == rates.shape[0] == angles.shape[0] == count)
+    check("errors", errors.shape[1] == _ERRORS)
+    check("rotations", rotations.shape[1] == rotations.shape[2] == rates.shape[1] == 3)
+    check("angles", angles.shape[1] == 2)
     of_nd, of_dm, of_nm = np.empty((count, 3, 3)), np.empty((count, 3, 3)), np.empty((count, 3, 3))
     of_errors, of_encoders = np.empty((count, 3, _ERRORS)), np.empty((count, 3, 2))
     rotation_nd: cython.double[:, :, ::1] = of_nd
@@ -297,17 +297,17 @@ def pointings(
     count: cython.Py_ssize_t = since_ns.shape[0]
     sources: cython.Py_ssize_t = parts.shape[0]
     size: cython.Py_ssize_t = parts.shape[1]
-    _check("readings", rotations.shape[0] == rates.shape[0] == ship_variances.shape[0] == count)
-    _check("readings", angles.shape[0] == angle_variances.shape[0] == count)
-    _check("rotations", rotations.shape[1] == rotations.shape[2] == rates.shape[1] == 3)
-    _check("angles", angles.shape[1] == 2)
+    check("readings", rotations.shape[0] == rates.shape[0] == ship_variances.shape[0] == count)
+    check("readings", angles.shape[0] == angle_variances.shape[0] == count)
+    check("rotations", rotations.shape[1] == rotations.shape[2] == rates.shape[1] == 3)
+    check("angles", angles.shape[1] == 2)
     steps: cython.bint = kept.shape[0] > 0
-    _check("new", kept.shape[1] == new.shape[1] == new.shape[2] == 3)
-    _check("new", new.shape[0] == kept.shape[0] and (kept.shape[0] == count or not steps))
-    _check("errors", errors.shape[0] == _ERRORS and lasting.shape[0] == time_s.shape[0] == _DYING)
-    _check("steady", steady.shape[0] == 2 and steady.shape[1] == steady.shape[2] == 3)
-    _check("parts", parts.shape[2] == size and (size == _ERRORS - 1 or size == _ERRORS))
-    _check("sources", min(ship, bending, encoder, white) >= 0 and max(ship, bending, encoder, white) < sources)
+    check("new", kept.shape[1] == new.shape[1] == new.shape[2] == 3)
+    check("new", new.shape[0] == kept.shape[0] and (kept.shape[0] == count or not steps))
+    check("errors", errors.shape[0] == _ERRORS and lasting.shape[0] == time_s.shape[0] == _DYING)
+    check("steady", steady.shape[0] == 2 and steady.shape[1] == steady.shape[2] == 3)
+    check("parts", parts.shape[2] == size and (size == _ERRORS - 1 or size == _ERRORS))
+    check("sources", min(ship, bending, encoder, white) >= 0 and max(ship, bending, encoder, white) < sources)
     of_rotations, of_errors = np.empty((count, 3, 3)), np.empty((count, 3, size))
     of_parts = np.empty((count, sources, 3, 3))
     rotation_nm: cython.double[:, :, ::1] = of_rotations
@@ -410,10 +410,10 @@ def totals(
     count: cython.Py_ssize_t = parts.shape[0]
     sources: cython.Py_ssize_t = parts.shape[1]
     size: cython.Py_ssize_t = by_error.shape[2]
-    _check("covariances", parts.shape[2] == parts.shape[3] == by_error.shape[1] == 3)
-    _check("moments", by_error.shape[0] == added.shape[0] == count)
-    _check("beside", beside.shape[0] == beside.shape[1] == size and 0 < size <= _ERRORS)
-    _check("source", 0 <= source < sources)
+    check("covariances", parts.shape[2] == parts.shape[3] == by_error.shape[1] == 3)
+    check("moments", by_error.shape[0] == added.shape[0] == count)
+    check("beside", beside.shape[0] == beside.shape[1] == size and 0 < size <= _ERRORS)
+    check("source", 0 <= source < sources)
     of_before, of_after = np.empty((count, 3, 3)), np.empty((count, 3, 3))
     before: cython.double[:, :, ::1] = of_before
     after: cython.double[:, :, ::1] = of_after

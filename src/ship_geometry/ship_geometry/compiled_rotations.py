@@ -9,6 +9,8 @@ What the functions compute is told where they are called; the same for whole arr
 import cython
 import numpy as np
 
+from ship_geometry.array_shapes import check
+
 if not cython.compiled:
     raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")
 
@@ -67,19 +69,9 @@ def _jacobian(v: cython.p_double, out: cython.p_double) -> cython.void:
     _polynomial(v, 2.0 * half_sine * half_sine / squared, (angle - sin(angle)) / (squared * angle), out)
 
 
-def _check(what: str, fits: bool) -> None:
-    """Refuse arrays whose shapes do not fit together: the loops look no more.
-
-    Raises:
-        ValueError: they do not.
-    """
-    if not fits:
-        raise ValueError(f"{what}: the shapes of the arrays do not fit together")
-
-
 def exponential(vector: cython.const[cython.double][:]):
     """:func:`ship_geometry.rotations.exp_rotation` of one vector."""
-    _check("vector", vector.shape[0] == 3)
+    check("vector", vector.shape[0] == 3)
     v = cython.declare(cython.double[3])
     v[0], v[1], v[2] = vector[0], vector[1], vector[2]
     rotation = np.empty((3, 3))
@@ -90,7 +82,7 @@ def exponential(vector: cython.const[cython.double][:]):
 
 def jacobian(vector: cython.const[cython.double][:]):
     """:func:`ship_geometry.rotations.left_jacobian` of one vector."""
-    _check("vector", vector.shape[0] == 3)
+    check("vector", vector.shape[0] == 3)
     v = cython.declare(cython.double[3])
     v[0], v[1], v[2] = vector[0], vector[1], vector[2]
     matrix = np.empty((3, 3))
@@ -143,7 +135,7 @@ def _copied(matrix: cython.const[cython.double][:, :], out: cython.p_double) -> 
 
 def logarithm(rotation: cython.const[cython.double][:, :]):
     """:func:`ship_geometry.rotations.log_rotation` of one matrix."""
-    _check("rotation", rotation.shape[0] == rotation.shape[1] == 3)
+    check("rotation", rotation.shape[0] == rotation.shape[1] == 3)
     matrix = cython.declare(cython.double[9])
     vector = np.empty(3)
     out: cython.double[::1] = vector
@@ -174,7 +166,7 @@ def turned_on(rotation: cython.const[cython.double][:, :], vectors: cython.const
         The rotations reached, shape (N, 3, 3).
     """
     count: cython.Py_ssize_t = vectors.shape[0]
-    _check("turned_on", rotation.shape[0] == rotation.shape[1] == 3 and vectors.shape[1] == 3)
+    check("turned_on", rotation.shape[0] == rotation.shape[1] == 3 and vectors.shape[1] == 3)
     of_rotations = np.empty((count, 3, 3))
     reached: cython.double[:, :, ::1] = of_rotations
     before = cython.declare(cython.double[9])
@@ -209,8 +201,8 @@ def differences(
         rad, shape (N, 3).
     """
     count: cython.Py_ssize_t = rotations.shape[0]
-    _check("rotations", rotations.shape[1] == rotations.shape[2] == others.shape[1] == others.shape[2] == 3)
-    _check("differences", others.shape[0] == count and turn.shape[0] == turn.shape[1] == 3)
+    check("rotations", rotations.shape[1] == rotations.shape[2] == others.shape[1] == others.shape[2] == 3)
+    check("differences", others.shape[0] == count and turn.shape[0] == turn.shape[1] == 3)
     of_vectors = np.empty((count, 3))
     vectors: cython.double[:, ::1] = of_vectors
     across = cython.declare(cython.double[9])
@@ -283,10 +275,10 @@ def hung(
     """
     n: cython.Py_ssize_t = mean.shape[0]
     count: cython.Py_ssize_t = links.shape[0]
-    _check("after", after.shape[0] == count and after.shape[1] == after.shape[2] == 3)
-    _check("links", 0 <= hull < count and 0 <= white < count)
-    _check("clocks", clocks.shape[0] == signs.shape[0])
-    _check("base", base.shape[0] == base.shape[1] == base_error.shape[0] == base_error.shape[1] == rate.shape[0] == 3)
+    check("after", after.shape[0] == count and after.shape[1] == after.shape[2] == 3)
+    check("links", 0 <= hull < count and 0 <= white < count)
+    check("clocks", clocks.shape[0] == signs.shape[0])
+    check("base", base.shape[0] == base.shape[1] == base_error.shape[0] == base_error.shape[1] == rate.shape[0] == 3)
     of_attitude, of_jacobian, of_error = np.empty((3, 3)), np.zeros((3, n)), np.empty((3, 3))
     jacobian: cython.double[:, ::1] = of_jacobian
     attitude: cython.double[:, ::1] = of_attitude
@@ -303,7 +295,7 @@ def hung(
     i: cython.int
     j: cython.int
     for k in range(count):
-        _check("links", 0 <= links[k] <= n - 3)
+        check("links", 0 <= links[k] <= n - 3)
         scale = white_scale if k == white else 1.0
         for i in range(3):
             vector[i] = scale * mean[links[k] + i]
@@ -326,7 +318,7 @@ def hung(
     for i in range(3):
         scale = from_hung[i] * rate[0] + from_hung[3 + i] * rate[1] + from_hung[6 + i] * rate[2]
         for k in range(clocks.shape[0]):
-            _check("clocks", 0 <= clocks[k] < n)
+            check("clocks", 0 <= clocks[k] < n)
             jacobian[i, clocks[k]] = signs[k] * scale
     _copied(base_error, on_base)
     _transposed_times(from_hung, on_base, turn)
@@ -336,7 +328,7 @@ def hung(
 
 def turn_between(first: cython.const[cython.double][:, :], second: cython.const[cython.double][:, :]):
     """Rotation vector from one attitude to another about the axes of the first one, rad, shape (3,)."""
-    _check("attitudes", first.shape[0] == first.shape[1] == second.shape[0] == second.shape[1] == 3)
+    check("attitudes", first.shape[0] == first.shape[1] == second.shape[0] == second.shape[1] == 3)
     before = cython.declare(cython.double[9])
     after = cython.declare(cython.double[9])
     product = cython.declare(cython.double[9])
@@ -430,7 +422,7 @@ def cubic(
     Returns:
         Rotation and rate there, and the rotation vector from the first one.
     """
-    _check("cubic", first.shape[0] == first.shape[1] == turn.shape[0] == start_rate.shape[0] == end_rate.shape[0] == 3)
+    check("cubic", first.shape[0] == first.shape[1] == turn.shape[0] == start_rate.shape[0] == end_rate.shape[0] == 3)
     of_rotation, of_rate, of_vector = np.empty((3, 3)), np.empty(3), np.empty(3)
     rotation: cython.double[:, ::1] = of_rotation
     rate: cython.double[::1] = of_rate
@@ -488,8 +480,8 @@ def between(
         error, rotation vectors about the axes of the deck, rad, shape (k, 3): two, or without another sample one; and
         the covariance that they make, rad², shape (3, 3).
     """
-    _check("attitudes", first.shape[0] == first.shape[1] == second.shape[0] == second.shape[1] == 3)
-    _check("other", other.shape[0] == other.shape[1] == first_rate.shape[0] == second_rate.shape[0] == 3)
+    check("attitudes", first.shape[0] == first.shape[1] == second.shape[0] == second.shape[1] == 3)
+    check("other", other.shape[0] == other.shape[1] == first_rate.shape[0] == second_rate.shape[0] == 3)
     estimates: cython.int = 1 if other_at == 0.0 else 2
     of_rotation, of_rate = np.empty((3, 3)), np.empty(3)
     of_errors, of_covariance = np.empty((estimates, 3)), np.empty((3, 3))
@@ -576,9 +568,9 @@ def moved(
     """
     samples: cython.Py_ssize_t = rotations.shape[0]
     count: cython.Py_ssize_t = rates.shape[1]
-    _check("rates", count >= 2 and rates.shape[2] == 3 and rates.shape[0] == samples)
-    _check("moved", steps_s.shape[0] == ahead_s.shape[0] == samples and steps_s.shape[1] == count - 1)
-    _check("rotations", rotations.shape[1] == rotations.shape[2] == 3)
+    check("rates", count >= 2 and rates.shape[2] == 3 and rates.shape[0] == samples)
+    check("moved", steps_s.shape[0] == ahead_s.shape[0] == samples and steps_s.shape[1] == count - 1)
+    check("rotations", rotations.shape[1] == rotations.shape[2] == 3)
     of_rotations, of_rates, of_errors = np.empty((samples, 3, 3)), np.empty((samples, 3)), np.zeros((samples, 3, 3))
     results: cython.double[:, :, ::1] = of_rotations
     rate: cython.double[:, ::1] = of_rates
@@ -670,13 +662,13 @@ def corrected(
     """
     count: cython.Py_ssize_t = since_s.shape[0]
     sources: cython.Py_ssize_t = parts.shape[0]
-    _check("samples", rotations.shape[0] == rates.shape[0] == noise_gains.shape[0] == own_errors.shape[0] == count)
-    _check("rotations", rotations.shape[1] == rotations.shape[2] == rates.shape[1] == 3)
-    _check("own_errors", own_errors.shape[1] == own_errors.shape[2] == 3)
-    _check("error", error.shape[0] == lasting.shape[0] == time_s.shape[0] == steady_variance.shape[0] == 3)
-    _check("white_variance", white_variance.shape[0] == 3)
-    _check("parts", parts.shape[1] == parts.shape[2] == 4)
-    _check("sources", 0 <= drift < sources and 0 <= white < sources and 0 <= own < sources)
+    check("samples", rotations.shape[0] == rates.shape[0] == noise_gains.shape[0] == own_errors.shape[0] == count)
+    check("rotations", rotations.shape[1] == rotations.shape[2] == rates.shape[1] == 3)
+    check("own_errors", own_errors.shape[1] == own_errors.shape[2] == 3)
+    check("error", error.shape[0] == lasting.shape[0] == time_s.shape[0] == steady_variance.shape[0] == 3)
+    check("white_variance", white_variance.shape[0] == 3)
+    check("parts", parts.shape[1] == parts.shape[2] == 4)
+    check("sources", 0 <= drift < sources and 0 <= white < sources and 0 <= own < sources)
     of_rotations, of_parts = np.empty((count, 3, 3)), np.empty((count, sources, 3, 3))
     attitudes: cython.double[:, :, ::1] = of_rotations
     out: cython.double[:, :, :, ::1] = of_parts

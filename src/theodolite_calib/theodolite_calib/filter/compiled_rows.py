@@ -8,6 +8,8 @@ What the rows and the numbers mean is told in :mod:`theodolite_calib.filter.alte
 import cython
 import numpy as np
 
+from ship_geometry.array_shapes import check
+
 if not cython.compiled:
     raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")
 
@@ -157,10 +159,10 @@ def rows_seen(
     n: cython.Py_ssize_t = distance.shape[1]
     m: cython.Py_ssize_t = residual.shape[0]
     lights: cython.Py_ssize_t = known.shape[0]
-    _check("rows", parts.shape[0] == sees.shape[0] == rows and known.shape[1] == rows + 1)
-    _check("states", parts.shape[1] == parts.shape[2] == jacobian.shape[1] == n)
-    _check("components", jacobian.shape[0] == sees.shape[1] == known.shape[2] == 2 * lights == m)
-    _check("noise", noise.shape[0] == noise.shape[1] == first.shape[0] == first.shape[1] == m)
+    check("rows", parts.shape[0] == sees.shape[0] == rows and known.shape[1] == rows + 1)
+    check("states", parts.shape[1] == parts.shape[2] == jacobian.shape[1] == n)
+    check("components", jacobian.shape[0] == sees.shape[1] == known.shape[2] == 2 * lights == m)
+    check("noise", noise.shape[0] == noise.shape[1] == first.shape[0] == first.shape[1] == m)
     of_residuals, of_gains = np.zeros((rows, m)), np.zeros((rows, n, m))
     of_nis, of_turns = np.empty(rows), np.empty((rows + 1, lights, 3))
     residuals: cython.double[:, ::1] = of_residuals
@@ -231,13 +233,3 @@ def rows_seen(
                 gains[row, k, places[i]] = asked[i * (n + 1) + k]
             nis[row] += of_row[places[i]] * asked[i * (n + 1) + n]
     return of_residuals, of_gains, of_nis, of_turns
-
-
-def _check(what: str, fits: bool) -> None:
-    """Refuse arrays whose shapes do not fit together: the loops look no more.
-
-    Raises:
-        ValueError: they do not.
-    """
-    if not fits:
-        raise ValueError(f"{what}: the shapes of the arrays do not fit together")
