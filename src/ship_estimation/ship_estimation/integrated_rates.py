@@ -62,6 +62,7 @@ class IntegratedRun(NamedTuple):
 class RateIntegrator:
     """Integrates the rates of one INS in the order of their stamps.
 
+    >>> from ship_geometry.rotations import log_rotation
     >>> integrator = RateIntegrator()
     >>> turns = [integrator.integrate(n * 100_000_000, np.array([0.0, 0.0, 0.1])) for n in range(11)]
     >>> print(log_rotation(turns[-1].rotation).round(6) + 0.0)

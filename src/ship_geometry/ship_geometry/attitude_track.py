@@ -366,6 +366,16 @@ def moved_block(before: RecentRates, block: SampleBlock, ahead_s: FloatArray) ->
         before: the samples before the block, joined to it.
         block: N samples, joined to one another.
         ahead_s: seconds after each sample, or before it where negative, shape (N,).
+
+    Example:
+        A ship that turns at 0.1 rad/s, four samples ten seconds apart; the last one moved by a second:
+
+        >>> times_ns, rate_d = 10 * SECOND_NS * np.arange(4), np.array([0.0, -0.1, 0.0])
+        >>> rotations_nd, rates_d = exp_rotation(np.outer(times_ns / SECOND_NS, rate_d)), np.tile(rate_d, (4, 1))
+        >>> block = SampleBlock(times_ns[3:], rotations_nd[3:], rates_d[3:])
+        >>> moved = moved_block(RecentRates(times_ns[:3], rates_d[:3]), block, np.array([1.0]))
+        >>> print(log_rotation(rotations_nd[3].T @ moved.rotation_nd[0]).round(6) + 0.0)
+        [ 0.  -0.1  0. ]
     """
     count = len(ahead_s)
     steps_s = np.diff(np.concatenate([before.times_ns, block.times_ns[:count]])) / SECOND_NS
