@@ -9,7 +9,7 @@ from ship_bags.cdr_reader import CdrReader
 from ship_bags.message_factory import RosidlFactory, message_class
 from ship_bags.message_store import RosbagsFactory, message_store, serialize
 from ship_estimation.ins import InsInputConfig
-from ship_node.edge.messages_in import ins_sample
+from ship_node.edge.ins_messages import ins_sample
 
 MOST_TEMPLATE_RATIO = 0.5
 MOST_READ_RATIO = 0.85

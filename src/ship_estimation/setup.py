@@ -1,5 +1,5 @@
 # The same lines stand in the setup.py of every package: colcon builds each package from its own file alone.
-# This one compiles a module besides.
+# This one compiles modules besides.
 from Cython.Build import cythonize
 from setuptools import Extension, find_packages, setup
 
@@ -13,10 +13,11 @@ setup(
     ext_modules=cythonize(
         [
             Extension(
-                "ship_estimation.compiled_steps",
-                ["ship_estimation/compiled_steps.py"],
+                f"ship_estimation.{name}",
+                [f"ship_estimation/{name}.py"],
                 extra_compile_args=["-O3", "-ffp-contract=off"],
             )
+            for name in ("compiled_integrity", "compiled_means", "compiled_steps", "compiled_watch")
         ],
         quiet=True,  # colcon reads what this file prints
     ),

@@ -200,6 +200,20 @@ class CdrRows(NamedTuple):
         """The type of the messages."""
         return self.template.type_name
 
+    @property
+    def numbers(self) -> np.ndarray:
+        """The numbers of all of them by their names in the template, shape (count,)."""
+        return self.rows.view(self.template.dtype)[:, 0]
+
+    def each(self) -> list[bytes]:
+        """The bytes of each of them."""
+        content, size = self.rows.tobytes(), self.template.size
+        return [content[start : start + size] for start in range(0, len(content), size)]
+
+    def some(self, which: slice) -> "CdrRows":
+        """Some of them."""
+        return CdrRows(self.template, self.rows[which])
+
     def message(self, number: int) -> CdrMessage:
         """One of them."""
         return self.template.message(self.rows[number].tobytes())

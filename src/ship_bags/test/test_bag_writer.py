@@ -1,9 +1,11 @@
 """What the writer promises: the same bytes each time, whole files only, readable by others."""
 
+import itertools
 import json
 import random
 import struct
 
+import numpy as np
 import pytest
 import yaml
 from mcap.reader import make_reader
@@ -14,6 +16,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.mcap.mcap_writer import CHUNK_BYTES
 from ship_bags.mcap.recover import recover
+from ship_bags.stamps import NS_PER_S
 from ship_testing.hand_made_bags import FACTORY, PERIOD_NS, START_NS, imu, vector, write_imu_bag
 
 HOUR_NS = 3_600_000_000_000
@@ -87,6 +90,44 @@ def test_mend_26_a_recording_takes_a_clock_that_steps_back_and_a_message_larger_
             in_time = [(record.log_time_ns - START_NS, record.data[0]) for record in read.records()]
         assert in_file == [(time_ns, number) for number, time_ns in enumerate(log_times)]
         assert in_time == sorted(in_file)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_many_messages_are_written_as_one_after_another(tmp_path, seed):
+    """Chunks end where they are long, where time goes on by a second, and where it goes back by one."""
+    rng, count = np.random.default_rng(seed), 400
+    steps_ns = rng.integers(0, 20_000_000, count)
+    steps_ns[rng.integers(0, count, 5)] += rng.integers(-3, 4, 5) * NS_PER_S
+    times_ns = 1_400_000_000 * NS_PER_S + np.cumsum(steps_ns)
+    lengths = rng.integers(0, 300_000 if seed % 2 else 500, count)
+    data = [b"\x00\x01\x00\x00" + rng.bytes(int(length)) for length in lengths]
+    topics = [("a", "std_msgs/msg/String"), ("b", "sensor_msgs/msg/Imu"), ("c", "std_msgs/msg/String")]
+    of_topic = rng.integers(0, len(topics), count)
+    parts = [slice(start, end) for start, end in itertools.pairwise([0, *sorted(rng.integers(1, count, 4)), count])]
+    for name in ("one", "many"):
+        with BagWriter(tmp_path / f"{name}.mcap") as writer:
+            for topic in topics:
+                writer.add_topic(*topic)
+            if name == "one":
+                for number, content, time_ns in zip(of_topic.tolist(), data, times_ns.tolist(), strict=True):
+                    writer.write_raw(*topics[number], content, time_ns)
+            else:
+                for part in parts:
+                    writer.write_many(topics, of_topic[part], data[part], times_ns[part])
+            assert writer.message_count == count
+    assert (tmp_path / "one.mcap").read_bytes() == (tmp_path / "many.mcap").read_bytes()
+
+
+def test_many_messages_make_the_topics_that_are_not_announced(tmp_path):
+    topics = [("a", "std_msgs/msg/String"), ("b", "sensor_msgs/msg/Imu")]
+    with BagWriter(tmp_path / "many.mcap") as writer:
+        writer.write_many(topics, np.array([1, 1]), [b"one", b"two"], np.array([START_NS, START_NS + 1]))
+        writer.write_many(topics, np.array([0, 1]), [b"three", b"four"], np.array([START_NS + 2, START_NS + 3]))
+        with pytest.raises(BadInput, match="carries"):
+            writer.write_many([("a", "sensor_msgs/msg/Imu")], np.array([0]), [b"five"], np.array([START_NS]))
+    with read_bag(tmp_path / "many.mcap") as bag:
+        found = [(one.topic, one.sequence, bytes(one.data)) for one in bag.records()]
+    assert found == [("b", 1, b"one"), ("b", 2, b"two"), ("a", 1, b"three"), ("b", 3, b"four")]
 
 
 def test_another_type_on_a_topic_is_refused(tmp_path):

@@ -347,6 +347,16 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
             self._advance(sample.time_ns, outcome)
         return taken
 
+    @property
+    def is_idle(self) -> bool:
+        """Whether nothing waits to be applied: new samples, behind all others, only go into their track."""
+        return not self._log.waiting
+
+    def move_to(self, time_ns: int) -> None:
+        """Samples up to a stamp were taken, behind all others of their track, while nothing waits (:attr:`is_idle`)."""
+        self.window.move_to(time_ns)
+        self._close()
+
     def add_refused(self, source: str, track: SampleTrack[Any], sample: Any) -> None:
         """A sample is refused: where one of its stamp was taken and it is not late, the source contradicts itself."""
         known = track.get(sample.time_ns)
@@ -426,6 +436,10 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         """Apply what can be applied now, then close the window."""
         self.window.move_to(time_ns)
         self.apply(outcome)
+        self._close()
+
+    def _close(self) -> None:
+        """Close the window: what is older than it can no longer be revised."""
         closed_ns = self.window.oldest_ns - self._reach_ns
         if self._log.oldest_ns is not None and self._log.oldest_ns < closed_ns:
             self._log.forget_before(closed_ns)
@@ -470,16 +484,21 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         if not self.follows(time_ns):
             return
         try:
-            found = estimate(self._state_now())
+            found = estimate(self.state_now)
         except Exception as error:
             outcome.failures.append((time_ns, failure(error)))
             return
         if found is not None:
             outcome.estimates.append(found)
-            self._last_claim_ns, self._said_invalid_ns = time_ns, None
-            self._silent_after_ns = waiting_ns + max(patience_ns, SECOND_NS)
+            self.was_put_out(time_ns, waiting_ns, patience_ns)
 
-    def _state_now(self) -> State:
+    def was_put_out(self, time_ns: int, waiting_ns: int, patience_ns: int = SECOND_NS) -> None:
+        """An estimate of a moment went out, later than all before; arguments as in :meth:`put_out`."""
+        self._last_claim_ns, self._said_invalid_ns = time_ns, None
+        self._silent_after_ns = waiting_ns + max(patience_ns, SECOND_NS)
+
+    @property
+    def state_now(self) -> State:
         """The state for outputs: jumps count at once, also where measurements of before them still wait."""
         if not (self._jumped and self._log.waiting):
             return self.state

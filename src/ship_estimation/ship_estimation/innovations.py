@@ -1,20 +1,22 @@
 """Innovations of one source: how large they are, where their mean lies, and how long they last.
 
 An innovation is the residual of a measurement against its prediction. A measurement has parts: stars, lights, or the
-attitude as a whole. :class:`Parts` tells whether their sizes are those predicted, :class:`Axis` whether their mean is
-zero and each independent of the one before. Medians make a few that lie far off count little.
+attitude as a whole. An :class:`InnovationTable` holds many of them; :class:`Parts` tells whether the sizes of the parts
+are those predicted, :class:`Axis` whether their mean is zero and each independent of the one before. Medians make a few
+that lie far off count little.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from functools import cache, lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ship_estimation import compiled_integrity
 from ship_estimation.chi_square import normal_value_above, probability_above, value_above
-from ship_estimation.gates import normalized_error_squared
 from ship_estimation.outcome import Decision
 from ship_estimation.refusals import Reason
 from ship_geometry.rotations import ARCSEC, FloatArray
@@ -88,7 +90,7 @@ def innovation_of(decision: Decision[Any]) -> Innovation | None:
         >>> decision = Decision(VectorSample(1, residual), Reason.NONE, True, ("up",), residual,
         ...                     covariance=covariance, noise=covariance)
         >>> found = innovation_of(decision)
-        >>> print(found.squares.round(6), found.own_share, round(found.axes["up"][0], 6))
+        >>> print(found.squares.round(6), round(found.own_share, 6), round(found.axes["up"][0], 6))
         [4.] 1.0 2.0
     """
     time_ns = decision.measurement.time_ns
@@ -97,44 +99,138 @@ def innovation_of(decision: Decision[Any]) -> Innovation | None:
         if decision.reason not in _MISFIT:
             return None
         return Innovation(time_ns, np.full(max(left_out, 1), np.inf), 0, 0.0, 0, 1.0, True, {})
-    if not (np.all(np.isfinite(decision.residual)) and np.all(np.isfinite(decision.covariance))):
-        return None
     if len(decision.covariance) != len(decision.residual):
         return None  # its covariance is not known
-    parts, axes = _grouped(decision.components)
-    residual, covariance = decision.residual, decision.covariance
-    squares = [float(normalized_error_squared(residual[rows], covariance[np.ix_(rows, rows)])) for rows in parts]
-    normalised = residual / np.sqrt(np.diagonal(covariance))
+    groups = _grouped(decision.components)
+    found = compiled_integrity.innovation(decision.residual, decision.covariance, decision.noise, *groups[:4])
+    if found is None:
+        return None  # what is no number, or no covariance, says nothing
+    squares, own_share, along = found
     return Innovation(
         time_ns=time_ns,
-        squares=np.array(squares + [np.inf] * left_out),
-        degrees=len(parts[0]),
+        squares=np.append(squares, [np.inf] * left_out) if left_out else squares,
+        degrees=groups.degrees,
         nis=decision.nis,
-        components=len(residual),
-        own_share=float(np.trace(np.linalg.solve(covariance, decision.noise))) / len(residual),
+        components=len(decision.residual),
+        own_share=own_share,
         is_used=decision.reason is not Reason.EXCLUDED,
-        axes={name: _along(rows, normalised, residual, covariance) for name, rows in axes.items()},
+        axes=dict(zip(groups.axes, along.tolist(), strict=True)),
     )
 
 
-def _along(
-    rows: Sequence[int], normalised: FloatArray, residual: FloatArray, covariance: FloatArray
-) -> tuple[float, float]:
-    """Mean of the residuals of several parts along an axis, in its sigma, and in rad."""
-    sigma = np.sqrt(np.diagonal(covariance)[rows])
-    correlation = covariance[np.ix_(rows, rows)] / np.outer(sigma, sigma)
-    return float(np.sum(normalised[rows]) / np.sqrt(np.sum(correlation))), float(np.mean(residual[rows]))
+class _Groups(NamedTuple):
+    """Which part and which axis each of m components belongs to.
+
+    Attributes:
+        part_of: number of its part, shape (m,).
+        axis_of: number of its axis, shape (m,).
+        parts: how many there are.
+        axis_count: how many there are.
+        axes: their names.
+        degrees: components of the first part.
+    """
+
+    part_of: NDArray[np.intp]
+    axis_of: NDArray[np.intp]
+    parts: int
+    axis_count: int
+    axes: tuple[str, ...]
+    degrees: int
 
 
-def _grouped(components: tuple[str, ...]) -> tuple[list[list[int]], dict[str, list[int]]]:
-    """Rows of each part, and rows of each axis: ``"HIP 92420 up"`` is the axis ``up`` of the part ``HIP 92420``."""
-    parts: dict[str, list[int]] = {}
-    axes: dict[str, list[int]] = {}
-    for row, name in enumerate(components):
-        part, _, axis = name.rpartition(" ")
-        parts.setdefault(part, []).append(row)
-        axes.setdefault(axis, []).append(row)
-    return list(parts.values()), axes
+@lru_cache(maxsize=256)
+def _grouped(components: tuple[str, ...]) -> _Groups:
+    """``"HIP 92420 up"`` is the axis ``up`` of the part ``HIP 92420``; remembered, as a source mostly has the same."""
+    names = [name.rpartition(" ") for name in components]
+    parts = list(dict.fromkeys(part for part, _, _ in names))
+    axes = tuple(dict.fromkeys(axis for _, _, axis in names))
+    part_of = np.array([parts.index(part) for part, _, _ in names], dtype=np.intp)
+    axis_of = np.array([axes.index(axis) for _, _, axis in names], dtype=np.intp)
+    return _Groups(part_of, axis_of, len(parts), len(axes), axes, int(np.count_nonzero(part_of == 0)))
+
+
+_SINGLE_NUMBERS = ("time_ns", "degrees", "nis", "components", "own_share", "is_used")
+"""Fields of :class:`Innovation` that are columns of an :class:`InnovationTable` as they are."""
+_NO_AXIS = (math.nan, math.nan)
+
+
+class InnovationTable:
+    """Innovations of one source in order of time, one of each stamp.
+
+    Example:
+        >>> table = InnovationTable()
+        >>> one = Innovation(7, np.array([4.0]), degrees=1, nis=4.0, components=1, own_share=1.0,
+        ...                  is_used=True, axes={"up": (2.0, 6.0 * ARCSEC)})
+        >>> table.take([one, one])
+        >>> print(len(table), table.column("squares"), table.along("up")[:, 0])
+        1 [[4.]] [2.]
+    """
+
+    def __init__(self) -> None:
+        self.axes: tuple[str, ...] = ()
+        self._most_parts = 0
+        self._rows = self._empty(0)
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def column(self, name: str) -> NDArray[Any]:
+        """A field of all innovations, shape (n,); the squares of their parts have the shape (n, p), filled with NaN."""
+        column: NDArray[Any] = self._rows[name]
+        return column
+
+    def along(self, axis: str) -> FloatArray:
+        """What was measured along an axis, in sigmas and in rad, shape (k, 2), of the k innovations that have it."""
+        along: FloatArray = self._rows["axes"][:, self.axes.index(axis)]
+        known = ~np.isnan(along[:, 0])
+        return along if known.all() else along[known]
+
+    def take(self, innovations: Collection[Innovation]) -> None:
+        """Add innovations; of those with one stamp the last one taken stays."""
+        self._make_room(innovations)
+        rows = np.concatenate([self._rows, self._as_rows(innovations)])
+        times_ns = rows["time_ns"]
+        if not (times_ns[1:] > times_ns[:-1]).all():
+            rows = rows[np.argsort(times_ns, kind="stable")]
+            times_ns = rows["time_ns"]
+            rows = rows[np.append(times_ns[1:] > times_ns[:-1], True)]
+        self._rows = rows
+
+    def forget(self, until_ns: int, most: int) -> None:
+        """Forget those up to a stamp, and of the others all but the newest."""
+        first = int(np.searchsorted(self._rows["time_ns"], until_ns, side="right"))
+        self._rows = self._rows[max(first, len(self._rows) - most) :]
+
+    def _make_room(self, innovations: Collection[Innovation]) -> None:
+        """Widen the table for axes that it does not have yet, and for more parts than any had."""
+        axes = tuple(dict.fromkeys([*self.axes, *(name for one in innovations for name in one.axes)]))
+        most_parts = max(self._most_parts, *(len(one.squares) for one in innovations), 0)
+        if axes != self.axes or most_parts > self._most_parts:
+            old, old_axes, old_parts = self._rows, len(self.axes), self._most_parts
+            self.axes, self._most_parts = axes, most_parts
+            self._rows = self._empty(len(old))
+            for name in _SINGLE_NUMBERS:
+                self._rows[name] = old[name]
+            self._rows["axes"][:, :old_axes], self._rows["squares"][:, :old_parts] = old["axes"], old["squares"]
+
+    def _as_rows(self, innovations: Collection[Innovation]) -> NDArray[np.void]:
+        rows = self._empty(len(innovations))
+        for name in _SINGLE_NUMBERS:
+            rows[name] = [getattr(one, name) for one in innovations]
+        axes, squares = rows["axes"], rows["squares"]
+        for place, one in enumerate(innovations):
+            for number, name in enumerate(self.axes):
+                axes[place, number] = one.axes.get(name, _NO_AXIS)
+            squares[place, : len(one.squares)] = one.squares
+        return rows
+
+    def _empty(self, count: int) -> NDArray[np.void]:
+        """So many rows of zeros, of which no axis and no part is known."""
+        single = zip(_SINGLE_NUMBERS, ("i8", "i8", "f8", "i8", "f8", "?"), strict=True)
+        several = [("axes", "f8", (len(self.axes), 2)), ("squares", "f8", (self._most_parts,))]
+        rows = np.zeros(count, dtype=[*single, *several])
+        rows["axes"] = rows["squares"] = np.nan
+        return rows
 
 
 class Parts:
@@ -147,22 +243,26 @@ class Parts:
         far_share: share of the parts that lie far off, or were left out; NaN likewise.
     """
 
-    def __init__(self, innovations: Sequence[Innovation]) -> None:
-        telling = [one for one in innovations if one.own_share >= _LEAST_OWN_SHARE]
-        squares = np.concatenate([one.squares for one in telling]) if telling else np.empty(0)
-        self._degrees = max((one.degrees for one in telling), default=0) or 1
-        self._own_share = float(np.mean([one.own_share for one in telling])) if telling else math.nan
-        self._least_far = value_above(_FAR, self._degrees)
-        self._all, self._near = squares, squares[squares <= self._least_far]
-        self.far_share = 1.0 - len(self._near) / len(squares) if len(squares) >= LEAST_COUNT else math.nan
-        by_all, by_near = self._factor(self._all), self._factor(self._near)
+    def __init__(self, table: InnovationTable) -> None:
+        own_share = table.column("own_share")
+        telling = own_share >= _LEAST_OWN_SHARE
+        count = int(np.count_nonzero(telling))
+        self._degrees = int(table.column("degrees")[telling].max(initial=0)) or 1
+        self._own_share = float(own_share[telling].sum()) / count if count else math.nan
+        # In order, so that each share of them is a number of places; what fills the table is NaN and comes last.
+        squares = np.sort(table.column("squares")[telling], axis=None)
+        self._squares = squares[: np.searchsorted(squares, np.inf, side="right")]
+        self._count, self._least_far = len(self._squares), value_above(_FAR, self._degrees)
+        self._near = int(np.searchsorted(self._squares, self._least_far, side="right"))
+        self.far_share = 1.0 - self._near / self._count if self._count >= LEAST_COUNT else math.nan
+        by_all, by_near = self._factor(self._count), self._factor(self._near)
         self._bulk_factor = by_all if math.isnan(by_near) else by_near
         self.factor = by_all if self._bulk_factor > TOLERATED_FACTOR else self._bulk_factor
 
     @property
     def is_optimistic(self) -> bool:
         """Whether even those that are not far off are larger than predicted."""
-        return self._bulk_factor > TOLERATED_FACTOR and (self._excess(self._all) > _SIGMAS or self._many_far)
+        return self._bulk_factor > TOLERATED_FACTOR and (self._excess(self._count) > _SIGMAS or self._many_far)
 
     @property
     def is_conservative(self) -> bool:
@@ -177,77 +277,82 @@ class Parts:
     @property
     def _many_far(self) -> bool:
         """Whether more lie far off than would with a sigma that is as optimistic as is tolerated."""
-        count, expected = len(self._all), probability_above(self._least_far / TOLERATED_FACTOR**2, self._degrees)
+        count, expected = self._count, _expected_far(self._degrees)
         return count * (self.far_share - expected) > _SIGMAS * math.sqrt(count * expected * (1.0 - expected))
 
-    def _factor(self, squares: FloatArray) -> float:
-        """True sigma over the stated one, by the median; by the lower quarter where many lie far off.
+    def _factor(self, count: int) -> float:
+        """True sigma over the stated one, by the median of the least squares; by the lower quarter where many are far.
 
         Of an exposure with too large errors not only the stars that lie far off are left out, but as many of the
         largest as make the others agree. That changes the median, but hardly the lower quarter.
         """
-        if len(squares) < LEAST_COUNT:
+        if count < LEAST_COUNT:
             return math.nan
-        share = 0.5 if np.mean(squares > self._least_far) < _MANY_FAR else 0.25
-        found = float(np.quantile(squares, share, method="inverted_cdf"))
+        share = 0.5 if max(count - self._near, 0) / count < _MANY_FAR else 0.25
+        found = float(self._squares[math.ceil(share * count) - 1])
         if math.isinf(found):
             return math.nan  # so many were left out that nobody knows how far off they were
         # The square of a part is that of the prediction's error and that of the source's own, which alone is scaled.
         ratio = found / value_above(1.0 - share, self._degrees)
         return math.sqrt(max(1.0 + (ratio - 1.0) / self._own_share, 0.0))
 
-    def _excess(self, squares: FloatArray) -> float:
-        """Number of parts above the predicted median beyond half of them, in sigmas of that number."""
-        above = int(np.sum(squares > value_above(0.5, self._degrees)))
-        return (2 * above - len(squares)) / math.sqrt(len(squares))
+    def _excess(self, count: int) -> float:
+        """Of the least squares those above the predicted median, beyond half of them, in sigmas of that number."""
+        below = min(int(np.searchsorted(self._squares, value_above(0.5, self._degrees), side="right")), count)
+        return (count - 2 * below) / math.sqrt(count)
 
 
-@dataclass(frozen=True)
+@cache
+def _expected_far(degrees: int) -> float:
+    """Share of the parts that lie far off where a sigma is as optimistic as is tolerated."""
+    return probability_above(value_above(_FAR, degrees) / TOLERATED_FACTOR**2, degrees)
+
+
 class Axis:
     """The innovations along one axis, in order of time.
 
-    Attributes:
+    Args:
         name: of the axis.
         normalised: in their sigmas, shape (n,).
         residual: in rad, shape (n,).
         lasting: variance, in squares of their sigmas, of what of the prediction's error is the same in all of them.
+
+    Attributes:
+        name: the same.
+        bias_sigma: median of the innovations, in their sigmas.
+        correlation: of each innovation with the one before, those that are far off clipped; 0 where all are the same.
     """
 
-    name: str
-    normalised: FloatArray
-    residual: FloatArray
-    lasting: float
-
-    @cached_property
-    def bias_sigma(self) -> float:
-        """Median of the innovations, in their sigmas."""
-        return float(np.median(self.normalised))
-
-    @cached_property
-    def correlation(self) -> float:
-        """Of each innovation with the one before, those that are far off clipped; 0 where all are the same."""
-        around = np.clip((self.normalised - self.bias_sigma) / self._spread, -_CLIPPED_AT, _CLIPPED_AT)
-        squares = float(np.sum(around * around))
-        return float(np.sum(around[1:] * around[:-1])) / squares if squares > 0.0 else 0.0
+    def __init__(self, name: str, normalised: FloatArray, residual: FloatArray, lasting: float) -> None:
+        self.name, self._residual, self._lasting = name, residual, lasting
+        self._count = len(normalised)
+        self.bias_sigma = _median(normalised)
+        around = normalised - self.bias_sigma
+        # Sigma of the innovations about their median, in predicted sigmas.
+        self._spread = max(1.0, _SIGMA_OF_SPREAD * _median(np.abs(around)))
+        limit = _CLIPPED_AT * self._spread
+        around = np.minimum(np.maximum(around, -limit), limit)
+        squares = float((around * around).sum())
+        self.correlation = float((around[1:] * around[:-1]).sum()) / squares if squares > 0.0 else 0.0
 
     @property
     def is_biased(self) -> bool:
         """Whether the median is not zero."""
-        return abs(self.bias_sigma) > max(TOLERATED_BIAS, _SIGMAS * self._sigma_of_median(len(self.normalised)))
+        return abs(self.bias_sigma) > max(TOLERATED_BIAS, _SIGMAS * self._sigma_of_median)
 
     @property
     def is_lasting(self) -> bool:
         """Whether the innovations are not independent of one another, although the prediction's errors are."""
-        most = max(TOLERATED_CORRELATION, _SIGMAS / math.sqrt(len(self.normalised)))
-        return self.lasting == 0.0 and abs(self.correlation) > most
+        most = max(TOLERATED_CORRELATION, _SIGMAS / math.sqrt(self._count))
+        return self._lasting == 0.0 and abs(self.correlation) > most
 
     @property
     def bias_text(self) -> str:
         """The size of a bias, and what it may come from."""
         # In rad, as the sigma changes with the prediction's; the noise by successive differences, free of a drift.
-        half, bias = len(self.residual) // 2, float(np.median(self.residual))
-        change = float(np.median(self.residual[half:]) - np.median(self.residual[:half]))
-        noise = _SIGMA_OF_SPREAD * float(np.median(np.abs(np.diff(self.residual)))) / math.sqrt(2.0)
+        half, bias = len(self._residual) // 2, float(np.median(self._residual))
+        change = float(np.median(self._residual[half:]) - np.median(self._residual[:half]))
+        noise = _SIGMA_OF_SPREAD * float(np.median(np.abs(np.diff(self._residual)))) / math.sqrt(2.0)
         size = f"bias of {bias / ARCSEC:+.1f} arcsec in {self.name} ({self.bias_sigma:+.1f} sigma)"
         if abs(change) < max(_STEADY * abs(bias), _SIGMAS * _MEDIAN_SIGMA * noise * math.sqrt(4.0 / half)):
             return f"{size}, steady: look at installation and alignment"
@@ -266,32 +371,31 @@ class Axis:
             "the estimate follows its measurements too closely"
         )
 
-    @cached_property
-    def _spread(self) -> float:
-        """Sigma of the innovations about their median, in predicted sigmas; at least 1."""
-        return max(1.0, _SIGMA_OF_SPREAD * float(np.median(np.abs(self.normalised - self.bias_sigma))))
-
-    def _sigma_of_median(self, count: int) -> float:
-        """Of the median of ``count`` innovations, in predicted sigmas: as of fewer where they are correlated."""
+    @property
+    def _sigma_of_median(self) -> float:
+        """Of the median of the innovations, in predicted sigmas: as of fewer where they are correlated."""
         alike = min(max(self.correlation, 0.0), _MOST_CORRELATED)
-        variance = (_MEDIAN_SIGMA * self._spread) ** 2 * (1.0 + alike) / (1.0 - alike) / count
-        return math.sqrt(variance + self.lasting)
+        variance = (_MEDIAN_SIGMA * self._spread) ** 2 * (1.0 + alike) / (1.0 - alike) / self._count
+        return math.sqrt(variance + self._lasting)
 
 
-def axes_of(innovations: Sequence[Innovation]) -> list[Axis]:
+def axes_of(table: InnovationTable) -> list[Axis]:
     """The axes along which enough was measured.
 
     Example:
-        >>> one = Innovation(1, np.array([4.0]), degrees=1, nis=4.0, components=1, own_share=1.0,
-        ...                  is_used=True, axes={"up": (2.0, 6.0 * ARCSEC)})
-        >>> [up] = axes_of([one] * LEAST_COUNT)
+        >>> table = InnovationTable()
+        >>> table.take([Innovation(time_ns, np.array([4.0]), degrees=1, nis=4.0, components=1, own_share=1.0,
+        ...                        is_used=True, axes={"up": (2.0, 6.0 * ARCSEC)}) for time_ns in range(LEAST_COUNT)])
+        >>> [up] = axes_of(table)
         >>> print(up.name, up.bias_sigma, up.is_biased)
         up 2.0 True
     """
-    by_name: dict[str, list[tuple[float, float]]] = {}
-    for one in innovations:
-        for name, values in one.axes.items():
-            by_name.setdefault(name, []).append(values)
-    lasting = max((1.0 - one.own_share for one in innovations if not one.is_used), default=0.0)
-    enough = {name: np.array(values) for name, values in by_name.items() if len(values) >= LEAST_COUNT}
-    return [Axis(name, values[:, 0], values[:, 1], lasting) for name, values in enough.items()]
+    beside = ~table.column("is_used")
+    lasting = float((1.0 - table.column("own_share")[beside]).max()) if beside.any() else 0.0
+    along = [(name, table.along(name)) for name in table.axes]
+    return [Axis(name, both[:, 0], both[:, 1], lasting) for name, both in along if len(both) >= LEAST_COUNT]
+
+
+def _median(values: FloatArray) -> float:
+    ordered, half = np.sort(values), len(values) // 2
+    return float(ordered[half]) if len(values) % 2 else 0.5 * (float(ordered[half - 1]) + float(ordered[half]))

@@ -138,7 +138,7 @@ class Leads:
         if not rates_measured or start.rate_d is None or end.rate_d is None or seconds > _LONGEST_STEP_S:
             return self.match_by_time(start, end)
         predicted_nd = start.rotation_nd @ exp_rotation((0.5 * seconds) * (start.rate_d + end.rate_d))
-        step = self._step(seconds, missed_by_mean_rad(start.rate_d.tolist(), end.rate_d.tolist(), seconds))
+        step = self._step(seconds, missed_by_mean_rad(start.rate_d, end.rate_d, seconds))
         return self.by_rates.match(log_rotation(end.rotation_nd @ predicted_nd.T), step)
 
     def lied_between(self, start: SeenSample, end: SeenSample, step: Match) -> bool:

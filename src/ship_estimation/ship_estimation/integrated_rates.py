@@ -7,26 +7,24 @@ samples after it against the line before shows a smaller one.
 """
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ship_estimation import compiled_watch
 from ship_estimation.line_steps import Period, StepPlan, doubling, located, step_plan
 from ship_estimation.value_guards import ACROSS, Match, size
+from ship_geometry import compiled_rotations
 from ship_geometry.attitude_track import AttitudeSample
-from ship_geometry.rotations import FloatArray, exp_rotation, log_rotation
+from ship_geometry.rotations import FloatArray, exp_rotation
 from ship_geometry.time_scales import SECOND_NS
+
+StampArray = NDArray[np.int64]
+"""Stamps, ns."""
 
 _LONGEST_STEP_NS = SECOND_NS
 """Rates that are further apart are not joined by integration."""
-_CHANGE_SHARE = 0.25
-"""The mean of two rates may miss this share of their change, times the time between them."""
-_SHORTEST_PERIOD_S = 4.0
-"""Shortest period of a hull's motion, s.
-
-The mean of two rates then misses at most (2 pi h / period)² / 12 of the turn.
-"""
 
 
 class Integrated(NamedTuple):
@@ -43,6 +41,24 @@ class Integrated(NamedTuple):
     missed_rad: float
 
 
+class IntegratedRun(NamedTuple):
+    """The attitudes by the rates alone of N samples that belong to one run; see :class:`Integrated`.
+
+    Attributes:
+        rotations: shape (N, 3, 3).
+        run: number of the run.
+        missed_rad: shape (N,).
+    """
+
+    rotations: FloatArray
+    run: int
+    missed_rad: FloatArray
+
+    def one(self, number: int) -> Integrated:
+        """One of them."""
+        return Integrated(self.rotations[number], self.run, float(self.missed_rad[number]))
+
+
 class RateIntegrator:
     """Integrates the rates of one INS in the order of their stamps.
 
@@ -54,7 +70,7 @@ class RateIntegrator:
 
     def __init__(self) -> None:
         self._integrated = Integrated(np.eye(3), 0, 0.0)
-        self._last: tuple[int, FloatArray, list[float]] | None = None
+        self._last: tuple[int, FloatArray] | None = None
         self._twice_drift_d = np.zeros(3)
 
     def integrate(self, time_ns: int, rate_d: FloatArray | None) -> Integrated | None:
@@ -72,36 +88,60 @@ class RateIntegrator:
         """
         if rate_d is None:
             return None
-        rate = rate_d.tolist()
         rotation, run, missed_rad = self._integrated
-        last = self._last
-        if last is None or not 0 < time_ns - last[0] <= _LONGEST_STEP_NS:
-            run, missed_rad = run + 1, 0.0 * sum(rate)
+        if self._last is None or not 0 < time_ns - self._last[0] <= _LONGEST_STEP_NS:
+            run, missed_rad = run + 1, 0.0 * float(rate_d.sum())
         else:
-            missed_rad += missed_by_mean_rad(last[2], rate, (time_ns - last[0]) * 1e-9)
-            # The mean of both rates, less the drift.
-            turn_d = (0.5e-9 * (time_ns - last[0])) * (last[1] + rate_d - self._twice_drift_d)
-            rotation = rotation.dot(exp_rotation(turn_d))
+            rotations, missed = self._integrate(np.array([time_ns]), rate_d[None])
+            rotation, missed_rad = rotations[0], float(missed[0])
         if not missed_rad < math.inf:
             return None
-        self._integrated, self._last = Integrated(rotation, run, missed_rad), (time_ns, rate_d, rate)
+        self._integrated, self._last = Integrated(rotation, run, missed_rad), (time_ns, rate_d)
         return self._integrated
+
+    def integrate_all(self, times_ns: StampArray, rates_d: FloatArray) -> "IntegratedRun":
+        """The same for the samples of a block, in which nothing is taken yet: see :meth:`take`.
+
+        Args:
+            times_ns: their stamps, shape (N,).
+            rates_d: their rates, rad/s, shape (N, 3).
+
+        Returns:
+            The attitudes of those that go on with the run of before; none where there is no run.
+        """
+        if self._last is None:
+            return IntegratedRun(np.empty((0, 3, 3)), self._integrated.run, np.empty(0))
+        rotations, missed = self._integrate(times_ns, rates_d)
+        joined = int(np.count_nonzero(missed < math.inf))
+        return IntegratedRun(rotations[:joined], self._integrated.run, missed[:joined])
+
+    def take(self, time_ns: int, rate_d: FloatArray, integrated: Integrated) -> None:
+        """Go on from a sample of a block, its rate in rad/s, shape (3,)."""
+        self._integrated, self._last = integrated, (time_ns, rate_d)
+
+    def _integrate(self, times_ns: StampArray, rates_d: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Attitudes by the rates, shape (N, 3, 3), and what may be missed, infinite from a gap on, shape (N,)."""
+        assert self._last is not None
+        rotation, _, missed_rad = self._integrated
+        turns_d, missed = compiled_watch.turns(
+            times_ns, rates_d, *self._last, missed_rad, self._twice_drift_d, _LONGEST_STEP_NS
+        )
+        return compiled_rotations.turned_on(rotation, turns_d), missed
 
     def take_out(self, drift_d: FloatArray) -> None:
         """From now on the rates are taken to be larger by this than the turn of the deck, rad/s, shape (3,)."""
         self._twice_drift_d = 2.0 * drift_d
 
 
-def missed_by_mean_rad(first_rate_d: Sequence[float], second_rate_d: Sequence[float], seconds: float) -> float:
-    """What the mean of two rates (rad/s, three numbers each) may miss of the turn between them, rad.
+def missed_by_mean_rad(first_rate_d: FloatArray, second_rate_d: FloatArray, seconds: float) -> float:
+    """What the mean of two rates (rad/s, shape (3,)) may miss of the turn between them, rad.
 
-    >>> missed_by_mean_rad([0.0, 0.0, 0.1], [0.0, 0.0, 0.1], seconds=0.0)
+    >>> steady = np.array([0.0, 0.0, 0.1])
+    >>> missed_by_mean_rad(steady, steady, seconds=0.0)
     0.0
     """
-    (x, y, z), (u, v, w) = first_rate_d, second_rate_d
-    change, mean = math.hypot(u - x, v - y, w - z), 0.5 * math.hypot(u + x, v + y, w + z)
-    share = (2.0 * math.pi * seconds / _SHORTEST_PERIOD_S) ** 2 / 12.0
-    return seconds * (_CHANGE_SHARE * change + share * mean)
+    missed_rad: float = compiled_watch.missed_by_mean(first_rate_d, second_rate_d, seconds)
+    return missed_rad
 
 
 _BEFORE_S, _AFTER_S = (0.5, 0.25, 0.125), 0.2
@@ -130,7 +170,6 @@ _ROOM = 4
 """Samples are kept in an array so many times as long as the line."""
 _SET_EVERY, _FORGET = 8, 0.78
 """Bounds follow what was learnt so many times in between; of what integration feigned at most so much is left then."""
-_ONES = np.ones(3)
 
 
 class FoundStep(NamedTuple):
@@ -230,6 +269,11 @@ class StepWatch:
         """The smallest step that is told from noise; infinite where none is."""
         return math.inf if self._plan is None else float(self._bounds[-1])
 
+    @property
+    def judges(self) -> bool:
+        """Whether samples are judged by a line as long as it is to be."""
+        return self._plan is not None and self._plan is self._full and self._judges
+
     def look(
         self,
         sample: AttitudeSample,
@@ -253,9 +297,8 @@ class StepWatch:
         if integrated.run != self._run or time_ns - self._last_ns > _GAP * self._period.ns:
             self.restart()
             self._run, self._missed_rad = integrated.run, integrated.missed_rad
-        turned = sample.rotation_nd.dot(integrated.rotation.T)
         if self._to_line is None:
-            self._to_line = turned.T
+            self._to_line = integrated.rotation.dot(sample.rotation_nd.T)
         missed_rad = integrated.missed_rad - self._missed_rad
         # What integration misses alike in every step is a slope. A change of it feigns a step.
         feigned_rad = abs(missed_rad - self._missed_before_rad)
@@ -263,15 +306,16 @@ class StepWatch:
         self._now_ns = time_ns
         self._first_rad, self._coarseness_rad = first_rad, coarseness_rad
         self._newest, self._rates[self._end] = self._end, sample.rate_d
-        self._rows[self._end] = self._pending = log_rotation(turned.dot(self._to_line))
+        (row,) = compiled_rotations.differences(sample.rotation_nd[None], integrated.rotation[None], self._to_line)
+        self._rows[self._end] = self._pending = row
         plan = self._plan
         if plan is None:
             return None
         if feigned_rad > self._feigned_rad:
             self._feigned_rad = 1.5 * feigned_rad
             self._set_bounds(plan)
-        steps = self._scaled.dot(self._rows[self._end + 1 - plan.length : self._end + 1])
-        self._sizes = (steps * steps).dot(_ONES).tolist()
+        rows = self._rows[self._end + 1 - plan.length : self._end + 1]
+        self._sizes = compiled_watch.step_sizes(self._scaled, rows, 1)[0].tolist()
         if not self._judges:
             return None
         # Where more than this sample alone speaks for a step, it began before, and this sample goes on after it.
@@ -299,6 +343,69 @@ class StepWatch:
         if self._end == len(self._rows):
             self._shift()
         return None
+
+    def follow(
+        self,
+        times_ns: StampArray,
+        rotations_nd: FloatArray,
+        rates_d: FloatArray,
+        integrated: IntegratedRun,
+        first_rad: float,
+        coarseness_rad: float,
+    ) -> int:
+        """Take the samples of a block, from the first one on, that lie on the line of those kept; returns how many.
+
+        Each is taken as by :meth:`look` and :meth:`keep`. The next one may be taken likewise, after what was learnt
+        with the last one; where none is taken the first one is for these: it may be off the line, or begin one.
+
+        Args:
+            times_ns: stamps, each later than all kept, shape (N,).
+            rotations_nd: attitudes, shape (N, 3, 3).
+            rates_d: rad/s, shape (N, 3).
+            integrated: the attitudes by the rates.
+            first_rad: and the next one as in :meth:`look`.
+            coarseness_rad: rad.
+        """
+        plan = self._plan
+        if plan is None or self._to_line is None or not self.judges or integrated.run != self._run:
+            return 0
+        count = min(len(times_ns), len(self._rows) - self._end, self._until_bounds_are_set())
+        missed_rad = np.diff(integrated.missed_rad[:count], prepend=self._missed_rad)
+        feigned_rad = np.abs(np.diff(missed_rad, prepend=self._missed_before_rad))
+        if feigned_rad[0] > self._feigned_rad:
+            self._feigned_rad = 1.5 * float(feigned_rad[0])
+            self._set_bounds(plan)
+        near = np.diff(times_ns[:count], prepend=self._last_ns) <= _GAP * self._period.ns
+        end, length = self._end, plan.length
+        self._rows[end : end + count] = compiled_rotations.differences(
+            rotations_nd[:count], integrated.rotations[:count], self._to_line
+        )
+        sizes = compiled_watch.step_sizes(self._scaled, self._rows[end + 1 - length : end + count], count)
+        # Written so that NaN ends it.
+        on_line = near & (feigned_rad <= self._feigned_rad) & (sizes <= 1.0).all(axis=1)
+        count = count if on_line.all() else int(np.argmin(on_line))
+        if count == 0:
+            return 0
+        self._rates[end : end + count], self._times[end : end + count] = rates_d[:count], times_ns[:count]
+        self._end, self._newest, self._pending = end + count, end + count - 1, None
+        self._missed_rad = float(integrated.missed_rad[count - 1])
+        self._missed_before_rad = float(missed_rad[count - 1])
+        self._last_ns = self._now_ns = int(times_ns[count - 1])
+        self._first_rad, self._coarseness_rad = first_rad, coarseness_rad
+        for place in range(self._learn_every - 1 - self._since_learnt, count, self._learn_every):
+            self._sizes = sizes[place].tolist()
+            self._learn()
+            self._since_learnt = -1 - place
+        self._since_learnt += count
+        self._sizes = sizes[count - 1].tolist()
+        if self._end == len(self._rows):
+            self._shift()
+        return count
+
+    def _until_bounds_are_set(self) -> int:
+        """Number of samples up to the next one with which bounds are set."""
+        learns = _SET_EVERY - self._learns % _SET_EVERY
+        return learns * self._learn_every - self._since_learnt
 
     def _lags(self, plan: StepPlan) -> bool:
         """Whether rates that lag a little explain what looks like a step, as where a turn begins."""

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ship_estimation import compiled_integrity
 from ship_estimation.chi_square import normal_value_above
 from ship_estimation.parameter_fields import parameter, section
 from ship_estimation.parameters import ParameterError
@@ -31,8 +32,9 @@ NORMAL_95 = 1.96
 """95 % of a normal error lie within so many sigmas to both sides: what the suite calls the accuracy of an angle."""
 
 _COMPONENTS = 3
-_TINY_RAD2 = 1e-24
-"""Of a source that is taken for exact nothing is apart by more than rounding."""
+LEAST_SHARE, LEAST_VARIANCE_RAD2 = 1e-6, 1e-24
+"""What the variance of a distance has at least, as a share of the variance by all sources and by itself: of a source
+that is taken for exact nothing is apart by more than rounding."""
 UNDISPUTED_SIGMAS = 3.0
 """Estimates without one source that are no further from that by all are as near as they are when all is right."""
 _MOST_PROBABLE_MISS = 0.5
@@ -176,46 +178,53 @@ class Separation:
     dominant: int
 
 
-def separation(distance: FloatArray, left_out: FloatArray, all_sources: FloatArray, k: Factors) -> Separation:
+def separation(
+    distance: FloatArray, variance: FloatArray, variance_0: FloatArray, k: Factors, rows: Sequence[int] | None = None
+) -> Separation:
     """The separations of the estimates without one source from the estimate by all, and the protection levels.
 
     Args:
         distance: components of the estimate without each source minus those by all, shape (h, 3).
-        left_out: covariance of the components without each source, shape (h, 3, 3).
-        all_sources: that by all sources, shape (3, 3).
+        variance: of the components without each source, rad², shape (h, 3).
+        variance_0: of those by all sources, shape (3,).
         k: numbers of sigmas.
+        rows: which hypotheses are in question, and told of; None for all.
 
     Example:
         A source is left out; the estimate moves by 4″, and its sigma grows from 1.8″ to 3″, in each component alike:
 
         >>> k = Factors(right=6.0, false_exclusion=5.0, missed=np.array([2.0]))
-        >>> found = separation(np.full((1, 3), 4.0), 9.0 * np.eye(3)[None], 3.24 * np.eye(3), k)
+        >>> found = separation(np.full((1, 3), 4.0), np.full((1, 3), 9.0), np.full(3, 3.24), k)
         >>> print(found.statistic.round(2), found.level.round(1), found.dominant)
         [1.67] [18. 18. 18.] 0
     """
-    variance_0 = np.diagonal(all_sources)
-    # Without a source nothing is known better, but for one that was refused with it and is used without.
-    variance = np.maximum(np.diagonal(left_out, axis1=-2, axis2=-1), variance_0)
-    apart = separation_sigma(variance, variance_0)
-    levels = k.false_exclusion * apart + k.missed[:, None] * np.sqrt(variance)
-    levels = np.vstack([k.right * np.sqrt(variance_0), levels])
-    dominant = int(np.argmax(np.max(levels, axis=-1))) - 1
-    return Separation(np.max(np.abs(distance) / apart, axis=-1), np.max(levels, axis=0), dominant)
+    asked = np.arange(len(distance)) if rows is None else np.array(rows, dtype=np.intp)
+    found = compiled_integrity.levels(
+        distance,
+        variance,
+        variance_0,
+        asked,
+        k.right,
+        k.false_exclusion,
+        k.missed,
+        LEAST_SHARE,
+        LEAST_VARIANCE_RAD2,
+    )
+    return Separation(*found)
 
 
-def separation_sigma(left_out: FloatArray, all_sources: FloatArray) -> FloatArray:
+def separation_sigma(variance: FloatArray, variance_0: FloatArray) -> FloatArray:
     """Standard deviation of each distance of an estimate without one source from the estimate by all, shape (h, 3).
 
     Args:
-        left_out: variances of the components without each source, rad², shape (h, 3).
-        all_sources: variances by all sources, rad², shape (3,).
+        variance: of the components without each source, rad², shape (h, 3).
+        variance_0: of those by all sources, rad², shape (3,).
 
     Example:
         >>> print(separation_sigma(np.array([[9.0, 25.0, 16.0]]), np.array([0.0, 16.0, 16.0])))
         [[3.    3.    0.004]]
     """
-    # Rounding may leave nothing of a small difference; a thousandth of the sigma is nothing to a level.
-    sigma: FloatArray = np.sqrt(np.maximum(left_out - all_sources, np.maximum(1e-6 * all_sources, _TINY_RAD2)))
+    sigma: FloatArray = compiled_integrity.separation_sigmas(variance, variance_0, LEAST_SHARE, LEAST_VARIANCE_RAD2)
     return sigma
 
 
@@ -299,17 +308,17 @@ class Hypotheses:
         names: what each does without.
         k: numbers of sigmas.
         distance: as in :func:`separation`.
-        left_out: the same.
-        all_sources: the same.
-        variance: of the states that make the components, in each estimate, rad², shape (h, n).
+        variance: the same.
+        variance_0: the same.
+        widest: largest variance of a state that makes the components, in each estimate, rad², shape (h,).
     """
 
     names: Sequence[str]
     k: Factors
     distance: FloatArray
-    left_out: FloatArray
-    all_sources: FloatArray
     variance: FloatArray
+    variance_0: FloatArray
+    widest: FloatArray
 
 
 def integrity_report(
@@ -333,20 +342,18 @@ def integrity_report(
 
     Example:
         >>> limits = IntegrityConfig(alert_limit_arcsec=(24.0, 24.0, 24.0))
-        >>> k, one = Factors(right=6.0, false_exclusion=5.0, missed=np.array([2.0])), ARCSEC**2 * np.eye(3)
+        >>> k, one = Factors(right=6.0, false_exclusion=5.0, missed=np.array([2.0])), np.full(3, ARCSEC**2)
         >>> beside = Hypotheses(["star.bow"], k, np.full((1, 3), 4.0 * ARCSEC), 9.0 * one[None], 3.24 * one, one[:1])
         >>> told = integrity_report(0, limits, beside, rows=[0], excluded={}, checked=True)
         >>> print(told.state.name, told.dominant, (told.level / ARCSEC).round(1))
         MET star.bow [18. 18. 18.]
     """
-    k, names = hypotheses.k, tuple(hypotheses.names[row] for row in rows)
+    k, names = hypotheses.k, tuple([hypotheses.names[row] for row in rows])
     found = Separation(np.empty(0), np.full(_COMPONENTS, np.nan), -1)
     if rows:
-        in_question = Factors(k.right, k.false_exclusion, k.missed[rows])
-        distance, left_out = hypotheses.distance[rows], hypotheses.left_out[rows]
-        found = separation(distance, left_out, hypotheses.all_sources, in_question)
+        found = separation(hypotheses.distance, hypotheses.variance, hypotheses.variance_0, k, rows)
     # A level counts on separations within the threshold; NaN is not within it.
-    checked = checked and bool(np.all(found.statistic <= k.false_exclusion))
+    checked = checked and all(statistic <= k.false_exclusion for statistic in found.statistic.tolist())
     level = found.level if checked else np.full(_COMPONENTS, np.nan)
     state = IntegrityState.UNAVAILABLE
     if checked and not config.alert_limit_arcsec:
@@ -363,7 +370,7 @@ def integrity_report(
         threshold=k.false_exclusion,
         excluded=tuple(sorted(excluded.items())),
         dominant=names[found.dominant] if checked and found.dominant >= 0 else "",
-        widest=math.sqrt(float(hypotheses.variance[rows].max())) if rows else 0.0,
+        widest=math.sqrt(max(hypotheses.widest[row] for row in rows)) if rows else 0.0,
     )
 
 

@@ -5,10 +5,12 @@ period, and before an output that the last told ones do not cover: its own are l
 source is excluded.
 """
 
+import math
 from typing import Any, Protocol
 
 import numpy as np
 
+from ship_estimation import compiled_integrity
 from ship_estimation.protection import IntegrityReport
 from ship_geometry.rotations import FloatArray
 
@@ -79,15 +81,17 @@ class ToldLevels:
             self.report, self.until_ns = report, output.time_ns + period_ns
         assert self.report is not None
         self.greatest_variance = self.most_turned = np.inf
-        if np.all(np.isfinite(report.level)):
-            room = 0.5 * float(np.min(self.report.level * MOST_GROWTH / report.level) - 1.0)
+        own = report.level.tolist()
+        if all(map(math.isfinite, own)):
+            growth = [MOST_GROWTH * told / level for told, level in zip(self.report.level.tolist(), own, strict=True)]
+            room = 0.5 * (min(growth) - 1.0)
             # What is added to a covariance adds at most its trace to the variance of any angle, and a level grows no
             # faster than the sigma.
-            least = float(np.linalg.eigvalsh(output.covariance_n)[0])
+            least = compiled_integrity.least_eigenvalue(output.covariance_n)
             self.greatest_variance = float(output.covariance_n.trace()) + least * ((1.0 + room) ** 2 - 1.0)
             # A turn brings something of the errors that make the angles into the one with the smallest level.
             entering = _SIGMAS * report.threshold * report.widest
-            self.most_turned = room * float(np.min(report.level)) / max(entering, _TINY)
+            self.most_turned = room * min(own) / max(entering, _TINY)
         return due
 
     def _covers(self, report: IntegrityReport) -> bool:
@@ -95,5 +99,6 @@ class ToldLevels:
         if told is None or (told.state, told.excluded) != (report.state, report.excluded):
             return False
         # Levels that are no numbers are those of the state UNAVAILABLE, which was told.
-        both_unknown = bool(np.all(np.isnan(told.level)) and np.all(np.isnan(report.level)))
-        return both_unknown or bool(np.all(report.level <= MOST_GROWTH * told.level))
+        pairs = list(zip(report.level.tolist(), told.level.tolist(), strict=True))
+        both_unknown = all(math.isnan(own) and math.isnan(before) for own, before in pairs)
+        return both_unknown or all(own <= MOST_GROWTH * before for own, before in pairs)

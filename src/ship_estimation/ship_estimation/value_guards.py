@@ -99,6 +99,40 @@ class StuckGuard:
             held.stuck = held.stuck or (turned and time_ns - held.since_ns >= _LEAST_NS)
         return held.stuck
 
+    def new_values(self, first_ns: int, values: FloatArray) -> int:
+        """Of how many values in a row, from the first one on, it is plain that none stands; the rest is for observe().
+
+        Args:
+            first_ns: stamp of the first one.
+            values: as in :meth:`observe`, shape (N, 3, 3).
+        """
+        held = self._held
+        if held is None or held.stuck or held.repeats or not self._steps or any(self._repeated):
+            return 0
+        if self._former is not None and first_ns - self._left_ns <= RECENT_NS:
+            return 0
+        new = (np.diff(values, axis=0, prepend=held.value[None]) != 0.0).any(axis=(1, 2))
+        return len(new) if new.all() else int(np.argmin(new))
+
+    def follow(self, time_ns: int, values: FloatArray, witnesses: Mapping[str, Witness]) -> None:
+        """Take values of which none stands (:meth:`new_values`).
+
+        Args:
+            time_ns: stamp of the last one.
+            values: shape (N, 3, 3), N at least 1.
+            witnesses: as in :meth:`observe`, at the last one.
+        """
+        assert self._held is not None
+        steps = np.diff(values[-_STEPS - 1 :], axis=0)
+        if len(values) <= _STEPS:
+            steps = np.concatenate([values[:1] - self._held.value, steps])
+        sizes = np.sqrt(np.sum(steps * steps, axis=2)).max(axis=1)
+        self._steps.extend(sizes[np.isfinite(sizes)].tolist())
+        self._resolution_rad = min(self._steps)
+        self._repeated.extend([False] * min(len(values), _STEPS))
+        self.coarseness_rad, self.repeated = 0.0, False
+        self._held = _Held(values[-1], time_ns, dict(witnesses))
+
     def _changed(self, time_ns: int, value: FloatArray, witnesses: Mapping[str, Witness]) -> "_Held":
         """Take a value that differs from the one before: a new value, or the frozen value again."""
         before, former = self._held, self._former
@@ -120,7 +154,7 @@ class StuckGuard:
         if before.shape == value.shape:
             # Of rotations and of directions alike: the farthest that one of the axes, or stars, has turned.
             rows = (value - before).tolist()
-            sizes = [math.hypot(*row) for row in (rows if value.ndim > 1 else [rows])]
+            sizes = [math.sqrt(sum(number * number for number in row)) for row in (rows if value.ndim > 1 else [rows])]
             if math.isfinite(sum(sizes)):
                 self._steps.append(max(sizes))
                 self._resolution_rad = min(self._steps)

@@ -19,12 +19,21 @@ true but small (``TOLERATED_FACTOR``, ``TOLERATED_BIAS``, ``TOLERATED_CORRELATIO
 
 import enum
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from ship_estimation.gates import mean_nees_band
-from ship_estimation.innovations import FALSE_VERDICT, LEAST_COUNT, Axis, Innovation, Parts, axes_of, innovation_of
+from ship_estimation.innovations import (
+    FALSE_VERDICT,
+    LEAST_COUNT,
+    Axis,
+    Innovation,
+    InnovationTable,
+    Parts,
+    axes_of,
+    innovation_of,
+)
 from ship_estimation.kalman import StateModel
 from ship_estimation.outcome import Decision
 from ship_geometry.rotations import FloatArray
@@ -100,29 +109,32 @@ class VerdictBook:
     """
 
     def __init__(self) -> None:
-        self._sources: dict[str, dict[int, Innovation]] = {}
+        self._tables: dict[str, InnovationTable] = {}
+        self._fresh: dict[str, list[Innovation]] = {}
         self._newest_ns = 0
 
     def clear(self) -> None:
         """Forget all, as after a reset of the estimator."""
-        self._sources.clear()
+        self._tables.clear()
+        self._fresh.clear()
         self._newest_ns = 0
 
     def add(self, source: str, decision: Decision[Any]) -> None:
         """Take a decision; one about a measurement that was judged before takes the place of the earlier one."""
         innovation = innovation_of(decision)
         if innovation is not None:
-            self._sources.setdefault(source, {})[innovation.time_ns] = innovation
+            self._fresh.setdefault(source, []).append(innovation)
             self._newest_ns = max(self._newest_ns, innovation.time_ns)
 
     def verdicts(self) -> dict[str, SourceVerdict]:
         """The verdict about each source, in the order of their names."""
-        since_ns = self._newest_ns - round(WINDOW_S * SECOND_NS)
-        verdicts = {}
-        for source, innovations in sorted(self._sources.items()):
-            kept = sorted(time_ns for time_ns in innovations if time_ns > since_ns)[-_MOST_KEPT:]
-            self._sources[source] = {time_ns: innovations[time_ns] for time_ns in kept}
-            verdicts[source] = _verdict(list(self._sources[source].values()))
+        for source, innovations in self._fresh.items():
+            self._tables.setdefault(source, InnovationTable()).take(innovations)
+        self._fresh.clear()
+        until_ns, verdicts = self._newest_ns - round(WINDOW_S * SECOND_NS), {}
+        for source, table in sorted(self._tables.items()):
+            table.forget(until_ns, _MOST_KEPT)
+            verdicts[source] = _verdict(table)
         return verdicts
 
 
@@ -156,19 +168,19 @@ def clock_verdicts(model: StateModel, mean: FloatArray, groups: Mapping[str, str
     return told
 
 
-def _verdict(innovations: Sequence[Innovation]) -> SourceVerdict:
-    """The verdict by the innovations of a source, in order of time."""
-    count = len(innovations)
+def _verdict(table: InnovationTable) -> SourceVerdict:
+    """The verdict by the innovations of a source."""
+    count = len(table)
     if count < LEAST_COUNT:
         return SourceVerdict(VerdictKind.UNKNOWN, f"too few measurements to judge: {count} of {LEAST_COUNT}", count)
-    parts, axes = Parts(innovations), axes_of(innovations)
-    components = sum(one.components for one in innovations)
+    parts, axes = Parts(table), axes_of(table)
+    components = int(table.column("components").sum())
     kind, text = _finding(parts, axes)
     return SourceVerdict(
         kind=kind,
         text=f"{text}; {count} measurements",
         count=count,
-        nis=sum(one.nis for one in innovations) / components if components else math.nan,
+        nis=float(table.column("nis").sum()) / components if components else math.nan,
         nis_band=mean_nees_band(components, 1, 1.0 - FALSE_VERDICT) if components else None,
         factor=parts.factor,
         far_share=parts.far_share,

@@ -46,7 +46,7 @@ def test_a_fault_that_is_not_told_stays_within_the_level():
             measured.mean(axis=0),
             np.array([np.delete(measured, i, 0).mean(axis=0) for i in range(3)]),
         )
-        found = separation(left_out - estimate_0, np.tile(4.5 * np.eye(3), (3, 1, 1)), 3.0 * np.eye(3), k)
+        found = separation(left_out - estimate_0, np.full((3, 3), 4.5), np.full(3, 3.0), k)
         told = found.statistic.max() > k.false_exclusion
         misled += not told and bool(np.any(np.abs(estimate_0) > found.level))
     assert misled == 0
@@ -62,14 +62,14 @@ def misled_by_two_faults(sensors, bias, pairs, draws=300, seed=5):
     left_out = [*itertools.combinations(everyone, 1), *(itertools.combinations(everyone, 2) if pairs else ())]
     uses = [sorted(everyone - set(names)) for names in left_out]
     k = Factors(right=4.0, false_exclusion=5.0, missed=np.full(len(uses), MISSED))
-    variances = np.array([9.0 / len(row) for row in uses])[:, None, None] * np.eye(3)
+    variances = np.array([[9.0 / len(row)] * 3 for row in uses])
     misled = 0
     for _ in range(draws):
         measured = 3.0 * rng.standard_normal((sensors, 3))
         measured[:2] += bias
         estimate = measured.mean(axis=0)
         distance = np.array([measured[row].mean(axis=0) for row in uses]) - estimate
-        found = separation(distance, variances, 9.0 / sensors * np.eye(3), k)
+        found = separation(distance, variances, np.full(3, 9.0 / sensors), k)
         told = not found.statistic.max() <= k.false_exclusion
         misled += not told and bool(np.any(np.abs(estimate) > found.level))
     return misled / draws
@@ -106,11 +106,11 @@ def test_a_threat_less_probable_than_its_share_adds_nothing_to_the_threshold():
 
 def test_the_largest_hypothesis_dominates():
     k = Factors(right=6.0, false_exclusion=5.0, missed=np.array([2.0, 2.0]))
-    left_out = np.stack([4.0 * np.eye(3), 9.0 * np.eye(3)])
-    found = separation(np.zeros((2, 3)), left_out, 3.0 * np.eye(3), k)
+    left_out = np.array([[4.0] * 3, [9.0] * 3])
+    found = separation(np.zeros((2, 3)), left_out, np.full(3, 3.0), k)
     assert found.dominant == 1
     np.testing.assert_allclose(found.level, 5.0 * np.sqrt(6.0) + 2.0 * 3.0)
-    nothing = separation(np.zeros((2, 3)), np.stack([3.0 * np.eye(3)] * 2), 3.0 * np.eye(3), k)
+    nothing = separation(np.zeros((2, 3)), np.full((2, 3), 3.0), np.full(3, 3.0), k)
     assert nothing.dominant == -1
 
 
@@ -136,8 +136,7 @@ def test_there_is_no_level_where_a_separation_is_beyond_its_threshold(statistic)
     for beyond, state in ((5.0, IntegrityState.NO_LIMIT), (statistic, IntegrityState.UNAVAILABLE)):
         # Without a source the sigma is 2 instead of the square root of 3: the distance has a sigma of 1.
         distance = np.array([[0.5] * 3, [beyond] * 3])
-        left_out, variance = np.stack([4.0 * np.eye(3)] * 2), np.ones((2, 3))
-        beside = Hypotheses(["star.bow", "ins"], k, distance, left_out, 3.0 * np.eye(3), variance)
+        beside = Hypotheses(["star.bow", "ins"], k, distance, np.full((2, 3), 4.0), np.full(3, 3.0), np.ones(2))
         told = integrity_report(0, IntegrityConfig(), beside, [0, 1], {}, checked=True)
         assert told.state is state
         np.testing.assert_allclose(told.statistic, [0.5, beyond])
@@ -147,9 +146,8 @@ def test_there_is_no_level_where_a_separation_is_beyond_its_threshold(statistic)
 def test_a_source_that_is_excluded_has_no_part_in_the_level():
     """Its row stands apart by a hundred sigmas, and would make the largest level."""
     k = Factors(right=6.0, false_exclusion=5.12, missed=np.array([2.0, 2.0]))
-    distance, left_out = np.array([[100.0] * 3, [0.5] * 3]), np.stack([9.0 * np.eye(3), 4.0 * np.eye(3)])
-    variance = np.array([[9.0] * 3, [4.0] * 3])
-    beside = Hypotheses(["star.bow", "ins"], k, distance, left_out, 3.0 * np.eye(3), variance)
+    distance, variance = np.array([[100.0] * 3, [0.5] * 3]), np.array([[9.0] * 3, [4.0] * 3])
+    beside = Hypotheses(["star.bow", "ins"], k, distance, variance, np.full(3, 3.0), variance[:, 0])
     told = integrity_report(7, IntegrityConfig(), beside, [1], {"star.bow": 5}, checked=True)
     assert told.widest == 2.0
     assert (told.hypotheses, told.excluded, told.dominant) == (("ins",), (("star.bow", 5),), "")

@@ -39,10 +39,7 @@ def rotation_from_quaternion(quaternion: FloatArray, convention: str = "enu_flu"
     """
     parent, device = _axes(convention)
     quaternion = np.asarray(quaternion, dtype=float)
-    if quaternion.ndim == 1:
-        matrix = _matrix_of_one(quaternion)
-    else:
-        matrix = _matrix_from_quaternion(quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True))
+    matrix = compiled_angles.rotations_of(quaternion.reshape(-1, 4)).reshape(*quaternion.shape[:-1], 3, 3)
     rotation: FloatArray = parent.T @ matrix @ device
     return rotation
 
@@ -164,20 +161,4 @@ def _quaternion_from_matrix(matrix: FloatArray) -> FloatArray:
 
 def _matrix_of_one(quaternion: FloatArray) -> FloatArray:
     matrix: FloatArray = compiled_angles.rotations_of(quaternion[None])[0]
-    return matrix
-
-
-def _matrix_from_quaternion(quaternion: FloatArray) -> FloatArray:
-    """Rotation matrix of unit quaternions x, y, z, w."""
-    x, y, z, w = np.moveaxis(quaternion, -1, 0)
-    matrix = np.empty((*quaternion.shape[:-1], 3, 3))
-    matrix[..., 0, 0] = 1.0 - 2.0 * (y * y + z * z)
-    matrix[..., 0, 1] = 2.0 * (x * y - z * w)
-    matrix[..., 0, 2] = 2.0 * (x * z + y * w)
-    matrix[..., 1, 0] = 2.0 * (x * y + z * w)
-    matrix[..., 1, 1] = 1.0 - 2.0 * (x * x + z * z)
-    matrix[..., 1, 2] = 2.0 * (y * z - x * w)
-    matrix[..., 2, 0] = 2.0 * (x * z - y * w)
-    matrix[..., 2, 1] = 2.0 * (y * z + x * w)
-    matrix[..., 2, 2] = 1.0 - 2.0 * (x * x + y * y)
     return matrix

@@ -109,6 +109,11 @@ class SampleTrack(Generic[Sample]):
             self._samples.insert(index, sample)
         return self._changed_after_ns(index)
 
+    def extend(self, samples: Sequence[Sample]) -> None:
+        """Put samples behind the newest one, all of them later than it and in the order of their stamps."""
+        self._times.extend(sample.time_ns for sample in samples)
+        self._samples.extend(samples)
+
     def cut(self, time_ns: int) -> int | None:
         """Do not interpolate across a moment, because the quantity has jumped there.
 

@@ -5,6 +5,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from ship_geometry import compiled_angles
 from ship_geometry.frames import (
@@ -14,7 +15,12 @@ from ship_geometry.frames import (
     angles_from_rotation,
     rotation_from_angles,
 )
-from ship_geometry.ros_axes import quaternion_from_rotation, rotation_from_quaternion
+from ship_geometry.ros_axes import (
+    ENU_FROM_HORIZON,
+    FLU_FROM_DEVICE,
+    quaternion_from_rotation,
+    rotation_from_quaternion,
+)
 from ship_geometry.rotations import FloatArray, exp_rotation
 
 RNG_SEED = 8
@@ -63,6 +69,9 @@ def test_quaternions_are_those_of_arrays_and_lead_back() -> None:
     equal(found, quaternion_from_rotation(rotations()))
     equal(np.array([rotation_from_quaternion(2.5 * quaternion) for quaternion in found]), rotations())
     equal(rotation_from_quaternion(found), rotations())
+    # scipy's quaternions are x, y, z, w too; the axes are those of ROS on both sides.
+    by_scipy = Rotation.from_quat(found).as_matrix()
+    equal(rotation_from_quaternion(found), ENU_FROM_HORIZON.T @ by_scipy @ FLU_FROM_DEVICE)
 
 
 def test_one_attitude_gives_to_the_bit_what_it_gives_among_others() -> None:

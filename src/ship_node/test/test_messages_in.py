@@ -8,6 +8,7 @@ from ship_estimation.refusals import LONGEST_TEXT, Reason, Refusal, shortened
 from ship_msgs.msg import Innovation
 from ship_node.edge.messages_in import (
     Refused,
+    angular_covariance,
     covariance_3x3,
     device_id,
     finite_numbers,
@@ -155,3 +156,41 @@ def test_mend_18_texts_from_outside_are_cut_with_an_ellipsis():
     assert len(str(Refused(Reason.FRAME, endless))) < LONGEST_TEXT + 10
     assert Refusal(Reason.FRAME, endless).text == shortened(endless)
     assert shortened("x" * LONGEST_TEXT) == "x" * LONGEST_TEXT
+
+
+def covariance_of_numpy(matrix: np.ndarray) -> np.ndarray | None:
+    """By the eigenvalues of the correlations alone; None where they refuse."""
+    sigma = np.sqrt(np.diagonal(matrix))
+    limit = np.outer(sigma, sigma)
+    symmetric = 0.5 * matrix + 0.5 * matrix.T
+    eigenvalues, vectors = np.linalg.eigh(symmetric / np.where(limit > 0.0, limit, 1.0))
+    if eigenvalues[0] < -1e-6:
+        return None
+    if eigenvalues[0] < 0.0:
+        correlation = (vectors * np.maximum(eigenvalues, 0.0)) @ vectors.T
+        symmetric = 0.5 * limit * (correlation + correlation.T)
+    return symmetric
+
+
+@pytest.mark.parametrize("least", [0.3, 1e-3, 1e-8, 1e-10, 1e-15, 0.0, -1e-15, -5e-7, -2e-6, -0.1])
+def test_the_quick_judgement_of_a_covariance_is_that_of_its_eigenvalues(least):
+    """Correlations whose least eigenvalue is about this, of sigmas that differ by up to a million."""
+    rng = np.random.default_rng(3)
+    for _ in range(200):
+        vectors = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+        matrix = (vectors * [least, *rng.uniform(0.5, 2.0, 2)]) @ vectors.T
+        root = 10.0 ** rng.uniform(-6.0, 0.0, 3) / np.sqrt(np.abs(np.diagonal(matrix)))
+        matrix = matrix * np.outer(root, root)
+        variances = np.diagonal(matrix)
+        if not (variances.min() >= 0.0 and np.all(matrix**2 <= np.outer(variances, variances) * (1.0 + 1e-12))):
+            continue
+        expected = covariance_of_numpy(matrix)
+        if expected is None:
+            assert "eigenvalue" in refusal(covariance_3x3, matrix.ravel()).text
+        else:
+            np.testing.assert_array_equal(covariance_3x3(matrix.ravel()), expected)
+
+
+def test_a_variance_of_more_than_a_full_turn_is_refused():
+    assert angular_covariance([39.0, 0, 0, 0, 1, 0, 0, 0, 1], "covariance")[0, 0] == 39.0
+    assert "full turn" in refusal(angular_covariance, [1, 0, 0, 0, 40.0, 0, 0, 0, 1], "covariance").text

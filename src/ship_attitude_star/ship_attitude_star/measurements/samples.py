@@ -1,7 +1,7 @@
 """What goes into the ship-attitude core and what comes out: plain structs in radians, metres and nanoseconds."""
 
 import enum
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -180,6 +180,11 @@ class AttitudeRun:
             text=[estimate.text],
         )
 
+    def some(self, which: slice) -> "AttitudeRun":
+        """Some of them."""
+        values = {item.name: getattr(self, item.name) for item in fields(self)}
+        return AttitudeRun(**{name: value if name == "state" else value[which] for name, value in values.items()})
+
     def one(self, number: int) -> AttitudeEstimate:
         """One of them."""
         return AttitudeEstimate(
@@ -200,3 +205,4 @@ class AttitudeRun:
 
 AttitudeOutcome = Outcome[AttitudeDecision, AttitudeEstimate]
 """What one input led to."""
+

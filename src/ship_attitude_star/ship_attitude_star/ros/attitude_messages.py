@@ -4,7 +4,7 @@ One function says what stands in which field. Its values are numbers for the one
 time, and columns of numbers for the many of a block, which become rows of bytes together.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import chain
 from typing import Any, NamedTuple
 
@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeRun, StampArray
-from ship_bags.cdr_template import CdrRows
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.outcome import Status
 from ship_estimation.protection import NORMAL_95
@@ -20,6 +19,7 @@ from ship_geometry.compiled_angles import angle_covariances, angles, quaternions
 from ship_geometry.frames import SINGULAR_ELEVATION
 from ship_geometry.ros_axes import ENU_FROM_HORIZON, FLU_FROM_DEVICE, enu_covariance, flu_from_device_vector
 from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_node.edge.blocks import PublishedRows
 from ship_node.edge.messages_out import DECK_FRAME, HORIZON_FRAME, TF_TOPIC, TF_TYPE, ZERO_VECTOR
 from ship_node.edge.topics import Published
 
@@ -32,20 +32,6 @@ _NOT_GIVEN = (-1.0, *_ZEROS[1:])
 """Covariance that tells readers of sensor_msgs/Imu that nothing was measured."""
 
 Fields = Mapping[str, Any]
-
-
-class PublishedRows(NamedTuple):
-    """The messages of one topic that some of N attitudes become.
-
-    Attributes:
-        topic: the topic.
-        messages: in order.
-        places: which of the attitudes each message is of.
-    """
-
-    topic: str
-    messages: CdrRows
-    places: NDArray[np.int64]
 
 
 class AttitudeNumbers(NamedTuple):
@@ -61,7 +47,7 @@ class AttitudeNumbers(NamedTuple):
     star_age_s: FloatArray
 
     @classmethod
-    def of(cls, runs: list[AttitudeRun]) -> "AttitudeNumbers":
+    def of(cls, runs: Sequence[AttitudeRun]) -> "AttitudeNumbers":
         """The numbers of several runs, one after another."""
 
         def joined(name: str) -> Any:

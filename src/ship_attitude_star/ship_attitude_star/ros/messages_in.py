@@ -275,7 +275,10 @@ def _configured_noise(config: StarSensorConfig) -> FloatArray:
 
 def _common_covariance(total_n: FloatArray, noise_n: FloatArray) -> FloatArray:
     """What successive solutions share: total minus noise, which must not be negative."""
-    values, vectors = np.linalg.eigh(total_n - noise_n)
+    difference_n = total_n - noise_n
+    if not difference_n.any():
+        return np.zeros((3, 3))
+    values, vectors = np.linalg.eigh(difference_n)
     limit = _COVARIANCE_TOLERANCE * float(np.trace(total_n))
     if values[0] < -limit:
         raise Refused(Reason.BAD_COVARIANCE, "noise_covariance is larger than the total covariance")

@@ -20,7 +20,7 @@ from ship_geometry.frames import angle_covariance, angles_from_rotation
 from ship_geometry.ros_axes import enu_covariance
 from ship_geometry.rotations import ARCSEC
 from ship_node.documents.saved_document import DISK, Files
-from ship_node.edge.messages_in import ins_sample
+from ship_node.edge.ins_messages import ins_sample
 from ship_node.edge.messages_out import (
     BUDGET_TYPE,
     DECK_FRAME,

@@ -17,7 +17,10 @@ from ship_attitude_star.measurements.samples import (
     AttitudeEstimate,
     AttitudeMeasurement,
     AttitudeOutcome,
+    AttitudeRun,
+    StampArray,
 )
+from ship_attitude_star.ship_attitude.ahead import InsAhead
 from ship_attitude_star.ship_attitude.alignment import (
     Alignment,
     AlignmentPrior,
@@ -34,11 +37,12 @@ from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_estimation.estimator_shell import EstimatorShell, Model
 from ship_estimation.ins import InsJump
+from ship_estimation.ins_guard import JudgedIns
 from ship_estimation.outcome import Measurement, Status
 from ship_estimation.protection import IntegrityReport
 from ship_estimation.rate_guard import Rates
 from ship_estimation.refusals import Refusal, contradiction_text
-from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
+from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, SampleBlock
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
@@ -121,6 +125,78 @@ class ShipAttitudeCore:
             return AttitudeOutcome(self._shell.window.late(sample.time_ns))
         outcome = AttitudeOutcome()
         judged = self._guards.ins.judge(sample, self._track, self._guards.witnesses)
+        return self._use_ins(judged, sample.time_ns if arrival_ns is None else arrival_ns, outcome, estimate)
+
+    def look_ahead(self, block: SampleBlock, arrivals_ns: StampArray) -> InsAhead | None:
+        """Judge samples of the INS before their turn, from the first one on, as long as they go the usual way.
+
+        Until all of them had their turn (:meth:`take_ahead`) no other sample of the INS is taken.
+
+        Args:
+            block: samples with rates, in the order of their stamps.
+            arrivals_ns: when each comes, in the time of waiting, shape (N,).
+
+        Returns:
+            None where the first one is to be taken by itself.
+        """
+        first_ns = int(block.times_ns[0])
+        if not self._guards.ins.looks_ahead(first_ns):
+            return None
+        newest, before = self._track.newest, self._track.recent_rates()
+        if newest is None or before is None or self._ins_arrival_ns is None:
+            return None
+        if not (newest.time_ns < first_ns and self._shell.follows(first_ns)):
+            return None
+        # No sample after a gap, and none before which a tick says that the INS is silent.
+        steps_ns = np.diff(block.times_ns, prepend=newest.time_ns)
+        waits_ns = np.diff(arrivals_ns, prepend=self._ins_arrival_ns)
+        near = (steps_ns <= self._max_gap_ns) & (waits_ns >= 0) & (waits_ns <= min(self._silence_ns, SECOND_NS))
+        block = block.some(slice(len(near) if near.all() else int(np.argmin(near))))
+        if not len(block.times_ns):
+            return None
+        samples = block.samples()
+        followed = self._guards.ins.look_ahead(samples, block)
+        usual = len(followed.by_rates) - (followed.last is not None)
+        return InsAhead(samples[:usual], block, arrivals_ns, followed, before) if followed.by_rates else None
+
+    def take_ahead(self, ahead: InsAhead, stop: int) -> None:
+        """Samples that were judged ahead have their turn, up to one that is not included."""
+        while ahead.taken < stop:
+            if self._shell.is_idle:
+                end = stop
+                self._track.extend(ahead.samples[ahead.taken : end])
+                self._shell.move_to(ahead.samples[end - 1].time_ns)
+            else:
+                # A measurement waits: it may be for this very sample.
+                end, outcome = ahead.taken + 1, AttitudeOutcome()
+                self._shell.add_sample(INS, self._track, ahead.samples[ahead.taken], outcome)
+                if outcome.decisions or outcome.failures:
+                    ahead.told.append((ahead.taken, outcome))
+            doubts = None
+            if self._shell.contradictions.latest_ns:
+                doubts = [self._doubt(sample.time_ns) for sample in ahead.samples[ahead.taken : end]]
+            ahead.had_turn(self._shell.state_now, end, doubts)
+            self._ins_arrival_ns = int(ahead.arrivals_ns[end - 1])
+            self._shell.was_put_out(ahead.samples[end - 1].time_ns, self._ins_arrival_ns, self._silence_ns)
+            self._guards.ins.by_rates = ahead.followed.by_rates[end - 1]
+
+    def end_ahead(self, ahead: InsAhead) -> AttitudeOutcome | None:
+        """All samples that were judged ahead had their turn; what the one led to that did not go the usual way."""
+        values, last = ahead.block.rotations_nd[: len(ahead.followed.by_rates)], ahead.followed.last
+        self._guards.ins.arrive(values, ahead.followed, self._guards.witnesses)
+        if last is None:
+            return None
+        return self._use_ins(last, int(ahead.arrivals_ns[len(ahead.samples)]), AttitudeOutcome(), True)
+
+    def estimates_ahead(self, ahead: InsAhead) -> list[tuple[slice, AttitudeRun | Refusal]]:
+        """The attitudes at the stamps of samples that were judged ahead; see :meth:`InsAhead.attitudes`."""
+        return ahead.attitudes(self._corrected_by, self._moved_s, self.config)
+
+    def _use_ins(
+        self, judged: JudgedIns, arrival_ns: int, outcome: AttitudeOutcome, estimate: bool
+    ) -> AttitudeOutcome:
+        """Use a sample that was judged, and put out the attitude at its stamp."""
+        time_ns = judged.sample.time_ns
         if judged.rates_wrong_after_ns is not None:
             # The rates proved wrong. Measurements compared with their help are compared again without rates.
             changed_after_ns = self._track.forget_rates(judged.rates_wrong_after_ns)
@@ -138,13 +214,13 @@ class ShipAttitudeCore:
         # An attitude that is moved by a clock offset needs its rate. Without a rate no attitude is put out for the
         # sample.
         if self._track.newest is judged.sample and (self._track.newest_rate_known or self.state.time_ns is None):
-            self._ins_arrival_ns = sample.time_ns if arrival_ns is None else arrival_ns
+            self._ins_arrival_ns = arrival_ns
             if estimate:
 
                 def by_ins(state: FilterState) -> AttitudeEstimate:
-                    return self._estimate_by_newest_ins(state, sample.time_ns)
+                    return self._estimate_by_newest_ins(state, time_ns)
 
-                self._shell.put_out(outcome, sample.time_ns, self._ins_arrival_ns, by_ins, self._silence_ns)
+                self._shell.put_out(outcome, time_ns, arrival_ns, by_ins, self._silence_ns)
         return outcome
 
     def add_sky_input(self, sky_input: SkyInput) -> AttitudeOutcome:
@@ -242,25 +318,38 @@ class ShipAttitudeCore:
 
     def _estimate_by_newest_ins(self, state: FilterState, time_ns: int) -> AttitudeEstimate:
         """The attitude at the stamp of the newest INS sample, by a state of the filter."""
+        corrected = self._corrected_by(state)
+        ins = self._track.newest_moved(self._moved_s(corrected))
+        return self._doubted(corrected.estimate(time_ns, ins, self.config))
+
+    def _corrected_by(self, state: FilterState) -> CorrectedIns:
+        """INS attitudes corrected by a state, made once for all that rest on it."""
         if state is not self._corrected.state:
             self._corrected = CorrectedIns(self.filter, state)
-        moved_s = -(self.config.ins.time_offset_s + self._corrected.time_offset_s)
-        return self._doubted(self._corrected.estimate(time_ns, self._track.newest_moved(moved_s), self.config))
+        return self._corrected
+
+    def _moved_s(self, corrected: CorrectedIns) -> float:
+        """By so much an INS sample is moved so that it is the attitude at its stamp, s."""
+        return -(self.config.ins.time_offset_s + corrected.time_offset_s)
 
     def _doubted(self, estimate: AttitudeEstimate) -> AttitudeEstimate:
         """An estimate is DEGRADED where a source that it rests on contradicted itself not long ago."""
-        if not self._shell.contradictions.latest_ns:
+        doubt = self._doubt(estimate.time_ns)
+        if not doubt:
             return estimate
+        return replace(estimate, status=max(estimate.status, Status.DEGRADED), text=doubt)
+
+    def _doubt(self, time_ns: int) -> str:
+        """Which sources that an attitude now rests on contradicted themselves not long ago; empty for none."""
+        if not self._shell.contradictions.latest_ns:
+            return ""
         used_ns, devices = self.state.used_ns, self.filter.devices
         contradictory = [
             source
-            for source, since_ns in self._shell.contradictions.at(estimate.time_ns).items()
+            for source, since_ns in self._shell.contradictions.at(time_ns).items()
             if source not in devices or used_ns.get(source, since_ns - 1) >= since_ns
         ]
-        if not contradictory:
-            return estimate
-        status = max(estimate.status, Status.DEGRADED)
-        return replace(estimate, status=status, text=contradiction_text(contradictory))
+        return contradiction_text(contradictory)
 
     def _carry(self, outcome: AttitudeOutcome, waiting_ns: int) -> None:
         """With the INS gone, put out the attitude by the newest star measurement, once, while it is young."""

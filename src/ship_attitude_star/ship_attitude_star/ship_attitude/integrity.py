@@ -8,7 +8,7 @@ from ship_attitude_star.measurements.samples import AttitudeEstimate
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.state import FilterState
-from ship_estimation.hypotheses import covariances
+from ship_estimation.compiled_integrity import apart
 from ship_estimation.outcome import Status
 from ship_estimation.protection import Hypotheses, IntegrityReport, integrity_report
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
@@ -34,17 +34,22 @@ def integrity_of(filter_: ShipFilter, config: ShipAttitudeConfig, estimate: Atti
     rows += [row - 1 for row in table.pairs_in_question(others, state.excluded)]
     heading, pitch, _ = angles_from_rotation(estimate.rotation_nd)
     to_angles = angle_errors_from_rotation_vector(heading, pitch)
-    columns = filter_.model.rows("ins.attitude")
-    covariance = covariances(state.stack[:, columns[:, None], columns], len(state.means))
+    parts = len(state.stack) - len(state.means) + 1
     # What the rows dispute is covered by the levels already. What an attitude adds to the error of the state, as the
     # noise of the INS, is the same in every row.
-    without_n = estimate.undisputed_n + covariance[1:] - covariance[0]
-    distance = (state.means[1:, columns] - state.means[0, columns]) @ to_angles.T
-    all_sources = to_angles @ estimate.undisputed_n @ to_angles.T
-    estimates = distance, to_angles @ without_n @ to_angles.T, all_sources
+    beside = apart(
+        filter_.model.rows("ins.attitude"),
+        to_angles,
+        to_angles,
+        estimate.undisputed_n,
+        state.mean,
+        state.means[1:],
+        state.stack[:parts],
+        state.stack[parts:],
+    )
     excluded = {name: exclusion.since_ns for name, exclusion in state.excluded.items()}
     checked = _checked(filter_, state, estimate, others)
-    hypotheses = Hypotheses(table.names, table.k, *estimates, covariance[1:].diagonal(axis1=-2, axis2=-1))
+    hypotheses = Hypotheses(table.names, table.k, *beside)
     return integrity_report(estimate.time_ns, config.integrity, hypotheses, rows, excluded, checked)
 
 

@@ -8,13 +8,15 @@ a chunk and once behind it, so that no single damage takes the meaning from the 
 
 import contextlib
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, NamedTuple
 
+import numpy as np
 from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Schema
+from numpy.typing import NDArray
 
 from ship_bags.errors import BadInput
 from ship_bags.mcap.mcap_writer import McapWriter
@@ -165,6 +167,37 @@ class BagWriter:
         except OSError as problem:
             raise named(problem, self.path) from problem
         self.message_count += 1
+
+    def write_many(
+        self,
+        topics: Sequence[tuple[str, str]],
+        of_topic: NDArray[np.int64],
+        data: Sequence[bytes],
+        log_times_ns: NDArray[np.int64],
+    ) -> None:
+        """Add messages one after another, as by :meth:`write_raw`.
+
+        Args:
+            topics: names and types.
+            of_topic: number of the topic of each message, shape (N,).
+            data: bytes of each message.
+            log_times_ns: shape (N,).
+
+        Raises:
+            BadInput: a topic already carries another type, or the type is unknown.
+        """
+        sequences = np.empty(len(data), dtype=np.int64)
+        channel_ids = np.empty(len(data), dtype=np.int64)
+        # Channels are made in the order of their first messages.
+        for number in dict.fromkeys(of_topic.tolist()):
+            places = np.flatnonzero(of_topic == number)
+            channel_id = self._channel_id(*topics[number])
+            before = self._sequences.get(channel_id, 0)
+            self._sequences[channel_id] = before + len(places)
+            channel_ids[places], sequences[places] = channel_id, before + 1 + np.arange(len(places))
+        with self._naming():
+            self._writer.add_messages(channel_ids, log_times_ns, data, sequences)
+        self.message_count += len(data)
 
     def add_attachment(self, name: str, content: str | bytes, media_type: str = "application/yaml") -> None:
         """Attach a file."""

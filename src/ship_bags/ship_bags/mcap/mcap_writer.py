@@ -7,10 +7,11 @@ a recorder begins fifteen chunks a second, for weeks, beside an estimator that n
 import struct
 import tempfile
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import BinaryIO
 
+import numpy as np
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
@@ -30,6 +31,7 @@ from mcap.records import (
     Statistics,
     SummaryOffset,
 )
+from numpy.typing import NDArray
 
 CHUNK_BYTES = 1024 * 1024
 """A chunk ends when it is longer, before compression."""
@@ -42,6 +44,17 @@ MAGIC = b"\x89MCAP0\r\n"
 
 _MESSAGE = struct.Struct("<BQHIQQ")
 _MESSAGE_HEAD_BYTES = 2 + 4 + 8 + 8
+_MESSAGE_HEADS = np.dtype(
+    [
+        ("opcode", "u1"),
+        ("length", "<u8"),
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("log_time", "<u8"),
+        ("publish_time", "<u8"),
+    ]
+)
+"""The heads of many messages."""
 _INDEX_HEAD = struct.Struct("<BQHI")
 _INDEX_HEAD_BYTES = 2 + 4
 _INDEX_ENTRY = struct.Struct("<QQ")
@@ -111,6 +124,78 @@ class McapWriter:
         self._end_ns = max(self._end_ns, log_time_ns)
         self._message_counts[channel_id] = self._message_counts.get(channel_id, 0) + 1
         self._add_to_chunk(data)
+
+    def add_messages(
+        self,
+        channel_ids: NDArray[np.int64],
+        log_times_ns: NDArray[np.int64],
+        data: Sequence[bytes],
+        sequences: NDArray[np.int64],
+    ) -> None:
+        """Add messages as by :meth:`add_message` one after another, published when they were logged.
+
+        Args:
+            channel_ids: shape (N,).
+            log_times_ns: shape (N,).
+            data: of each message.
+            sequences: shape (N,).
+        """
+        lengths = np.fromiter(map(len, data), np.int64, len(data)) + _MESSAGE_HEAD_BYTES
+        heads = np.empty(len(data), dtype=_MESSAGE_HEADS)
+        heads["opcode"], heads["length"], heads["channel"], heads["sequence"] = (
+            Opcode.MESSAGE, lengths, channel_ids, sequences
+        )
+        heads["log_time"] = heads["publish_time"] = log_times_ns
+        content, size = heads.tobytes(), _MESSAGE_HEADS.itemsize
+        records = [part for n, body in enumerate(data) for part in (content[size * n : size * n + size], body)]
+        # Behind its opcode and its length a record is as long as that says.
+        ends = np.cumsum(lengths + size - _MESSAGE_HEAD_BYTES)
+        start = 0
+        while start < len(data):
+            stop = self._end_of_chunk(log_times_ns, ends, start)
+            self._add_some(channel_ids, log_times_ns, ends, slice(start, stop), records[2 * start : 2 * stop])
+            start = stop
+
+    def _end_of_chunk(self, log_times_ns: NDArray[np.int64], ends: NDArray[np.int64], start: int) -> int:
+        """Number of the first message that is not of the chunk to which message ``start`` of those given belongs."""
+        if self._start_ns is not None and (
+            log_times_ns[start] - self._start_ns > CHUNK_NS or self._end_ns - log_times_ns[start] > CHUNK_NS
+        ):
+            self._end_chunk()
+        first_ns = log_times_ns[start] if self._start_ns is None else self._start_ns
+        times_ns = log_times_ns[start:]
+        earliest_ns = np.minimum(np.minimum.accumulate(times_ns), first_ns)
+        latest_ns = np.maximum(np.maximum.accumulate(times_ns), self._end_ns)
+        # Each message against those before it; the first one is of the chunk.
+        far = (times_ns[1:] - earliest_ns[:-1] > CHUNK_NS) | (latest_ns[:-1] - times_ns[1:] > CHUNK_NS)
+        near = len(far) if not far.any() else int(np.argmax(far))
+        before = int(ends[start - 1]) if start else 0
+        room = int(np.searchsorted(ends[start:] - before, CHUNK_BYTES - len(self._chunk), side="right"))
+        return start + min(near, room) + 1
+
+    def _add_some(
+        self,
+        channel_ids: NDArray[np.int64],
+        log_times_ns: NDArray[np.int64],
+        ends: NDArray[np.int64],
+        some: slice,
+        records: Sequence[bytes],
+    ) -> None:
+        """Add those of the messages to the chunk that belong to it."""
+        times_ns, channels = log_times_ns[some], channel_ids[some]
+        before = int(ends[some.start - 1]) if some.start else 0
+        entries = np.empty((len(times_ns), 2), dtype="<u8")
+        entries[0, 1], entries[1:, 1] = len(self._chunk), len(self._chunk) + ends[some][:-1] - before
+        entries[:, 0] = times_ns
+        # In the order in which the channels come, as one message after another adds them.
+        for channel_id in dict.fromkeys(channels.tolist()):
+            of_channel = channels == channel_id
+            self._indexes.setdefault(channel_id, bytearray()).extend(entries[of_channel].tobytes())
+            self._message_counts[channel_id] = self._message_counts.get(channel_id, 0) + int(of_channel.sum())
+        first_ns = int(times_ns.min())
+        self._start_ns = first_ns if self._start_ns is None else min(self._start_ns, first_ns)
+        self._end_ns = max(self._end_ns, int(times_ns.max()))
+        self._add_to_chunk(b"".join(records))
 
     def add_attachment(self, name: str, media_type: str, data: bytes) -> None:
         """Add an attachment, with times of zero."""

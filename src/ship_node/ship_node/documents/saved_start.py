@@ -13,6 +13,9 @@ from ship_node.documents.saved_document import Files, SavedFormat
 _WORSE = 1.1
 """A sigma that is larger than another one by this factor is worse: by less it wavers with the stars in view."""
 
+_NEVER_NS = 1 << 62
+"""Later than any time, ns."""
+
 
 class Saved(Protocol):
     """What a node starts from: an alignment, a calibration."""
@@ -97,11 +100,15 @@ class SavedStart(Generic[Prior]):
         self._write(path, content)
         return f"{self._kind.what} saved to {path}"
 
+    def next_look_ns(self, period_s: float) -> int:
+        """Time of waiting before which :meth:`is_time` says no."""
+        if not self._path or not period_s:
+            return _NEVER_NS
+        return 0 if self._looked_ns is None else self._looked_ns + round(period_s * 1e9)
+
     def is_time(self, waiting_ns: int, period_s: float) -> bool:
         """Whether the node should save by itself now: once a period of the time of waiting, never with one of 0."""
-        if not self._path or not period_s:
-            return False
-        if self._looked_ns is not None and waiting_ns < self._looked_ns + round(period_s * 1e9):
+        if waiting_ns < self.next_look_ns(period_s):
             return False
         is_first, self._looked_ns = self._looked_ns is None, waiting_ns
         return not is_first

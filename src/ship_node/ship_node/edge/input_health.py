@@ -70,7 +70,7 @@ class InputHealthBook(InputRecords):
     def of_another_time(self) -> str:
         """What there is to say of the first input whose stamps are too old, for the log; empty where none is."""
         old = [record for record in self.records.values() if record.is_too_old]
-        return f"{old[0].input.topic}: {self._age_text(old[0])}" if old else ""
+        return f"{old[0].input.topic}: {self._age_text(old[0].latency_s)}" if old else ""
 
     def lost(self, topic: str, count: int) -> None:
         """The middleware lost ``count`` further messages."""
@@ -87,6 +87,7 @@ class InputHealthBook(InputRecords):
         return [self._message(factory, record, now_ns, waiting_ns) for record in self.records.values()]
 
     def _message(self, factory: MessageFactory, record: InputRecord, now_ns: int, waiting_ns: int) -> Any:
+        latency_s = record.latency_s
         return factory.make(
             "ship_msgs/msg/InputHealth",
             header={"stamp": now_ns, "frame_id": ""},
@@ -95,21 +96,22 @@ class InputHealthBook(InputRecords):
             accepted=record.accepted,
             rejected=record.rejected,
             rate_hz=record.rate_hz(waiting_ns),
-            latency_s=record.latency_s,
+            latency_s=latency_s,
             age_s=record.age_s(now_ns),
-            level=int(self._judge(record, waiting_ns)[0]),
+            level=int(self._judge(record, latency_s, waiting_ns)[0]),
             reasons=[reason.word for reason in record.reasons],
             reason_counts=np.array(list(record.reasons.values()), dtype=np.uint64),
         )
 
     def _status(self, record: InputRecord, now_ns: int, waiting_ns: int) -> DiagnosticStatus:
-        level, text = self._judge(record, waiting_ns)
+        latency_s = record.latency_s
+        level, text = self._judge(record, latency_s, waiting_ns)
         values = {
             "received": str(record.received),
             "accepted": str(record.accepted),
             "rejected": str(record.rejected),
             "rate [Hz]": f"{record.rate_hz(waiting_ns):.2f}",
-            "latency [s]": f"{record.latency_s:.3f}",
+            "latency [s]": f"{latency_s:.3f}",
             "age [s]": f"{record.age_s(now_ns):.3f}",
         }
         values |= {f"reason {reason.word}": str(count) for reason, count in record.reasons.items()}
@@ -122,22 +124,22 @@ class InputHealthBook(InputRecords):
             values["lost by the middleware"] = str(self._lost[topic])
         return DiagnosticStatus(f"input {topic}", level, text, values)
 
-    def _judge(self, record: InputRecord, waiting_ns: int) -> _Verdict:
+    def _judge(self, record: InputRecord, latency_s: float, waiting_ns: int) -> _Verdict:
         """The worst that there is to say; the earlier of equals."""
         verdicts = [
             *self._judge_connection(record, waiting_ns),
-            *([(Level.ERROR, self._age_text(record))] if record.is_too_old else []),
+            *([(Level.ERROR, self._age_text(latency_s))] if record.is_too_old else []),
             *_judge_refusals(record, waiting_ns),
             *_judge_silence(record, waiting_ns),
         ]
         if record.received == 0:
             verdicts.append((Level.OK, "no message yet"))
-        verdicts.append((Level.OK, f"{_rate_text(record, waiting_ns)}, latency {_latency_text(record)}"))
+        verdicts.append((Level.OK, f"{_rate_text(record, waiting_ns)}, latency {_latency_text(latency_s)}"))
         return max(verdicts, key=lambda verdict: verdict[0])
 
-    def _age_text(self, record: InputRecord) -> str:
+    def _age_text(self, latency_s: float) -> str:
         hint = " /clock is published: start with use_sim_time:=true" if self._is_clock_unused else ""
-        return f"stamps {_latency_text(record)} before the node's clock: a bag of another time?{hint}"
+        return f"stamps {_latency_text(latency_s)} before the node's clock: a bag of another time?{hint}"
 
     def _judge_connection(self, record: InputRecord, waiting_ns: int) -> list[_Verdict]:
         """Whether messages can come at all."""
@@ -180,8 +182,8 @@ def _rate_text(record: InputRecord, waiting_ns: int) -> str:
     return f"messages: {record.received}" if math.isnan(rate_hz) else f"{rate_hz:.1f} Hz"
 
 
-def _latency_text(record: InputRecord) -> str:
-    return "nan s" if math.isnan(record.latency_s) else duration_text(round(record.latency_s * 1e9))
+def _latency_text(latency_s: float) -> str:
+    return "nan s" if math.isnan(latency_s) else duration_text(round(latency_s * 1e9))
 
 
 def _judge_silence(record: InputRecord, waiting_ns: int) -> list[_Verdict]:

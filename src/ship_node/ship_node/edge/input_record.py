@@ -3,6 +3,7 @@
 Whether that is well is judged in :mod:`ship_node.edge.input_health`.
 """
 
+import itertools
 import math
 from collections import Counter, deque
 from collections.abc import Iterable
@@ -69,6 +70,32 @@ class InputRecord:
         if self.last_arrival_ns is not None:
             self._intervals_ns.append(waiting_ns - self.last_arrival_ns)
         self.last_arrival_ns = waiting_ns
+
+    def add_block(self, arrivals_ns: np.ndarray, stamps_ns: np.ndarray, max_age_ns: int) -> None:
+        """Messages came, one after another, and each was used; times as in the two methods beside.
+
+        Args:
+            arrivals_ns: shape (N,); the time of waiting is that of the node's clock.
+            stamps_ns: in ascending order, shape (N,).
+            max_age_ns: see :meth:`add_accepted`.
+        """
+        self.received += len(arrivals_ns)
+        self.accepted += len(arrivals_ns)
+        self.refused_in_a_row = self.future_in_a_row = 0
+        arrivals = arrivals_ns[-WINDOW - 1 :].tolist()
+        if self.last_arrival_ns is not None and len(arrivals_ns) <= WINDOW:
+            arrivals.insert(0, self.last_arrival_ns)
+        self._intervals_ns.extend(later - earlier for earlier, later in itertools.pairwise(arrivals))
+        self.last_arrival_ns = arrivals[-1]
+        ages_ns = arrivals_ns - stamps_ns
+        self._latencies_ns.extend(ages_ns[-WINDOW:].tolist())
+        too_old = int(np.count_nonzero(ages_ns > max_age_ns))
+        self.is_too_old = bool(ages_ns[-1] > max_age_ns)
+        if too_old:
+            self.reasons[Reason.CLOCK] += too_old
+            self.noted[Reason.CLOCK] += too_old
+        if self._newest_stamp_ns is None or stamps_ns[-1] > self._newest_stamp_ns:
+            self._newest_stamp_ns = int(stamps_ns[-1])
 
     def add_accepted(self, stamp_ns: int, receive_ns: int, max_age_ns: int) -> None:
         """A message was used; that ends a run of refusals. One older than ``max_age_ns`` counts for CLOCK."""
@@ -181,6 +208,25 @@ class InputRecords:
             self.rejected(topic, refusal, receive_ns, reading.value.time_ns)
         elif used:
             self.accepted(topic, reading.value.time_ns, receive_ns)
+
+    def took_block(
+        self, topic: str, receive_ns: np.ndarray, stamps_ns: np.ndarray, covariance_known: bool
+    ) -> None:
+        """Messages came and were used, with nothing else to be said of any; as :meth:`took` of each.
+
+        Args:
+            topic: the topic that they came on.
+            receive_ns: when each came, by the node's clock and in the time of waiting, shape (N,).
+            stamps_ns: in ascending order, shape (N,).
+            covariance_known: whether they give a covariance.
+        """
+        self._now(int(receive_ns[0]))
+        self._now(int(receive_ns[-1]))
+        record = self.records[topic]
+        record.add_block(receive_ns, stamps_ns, self._max_age_ns)
+        if not covariance_known:
+            record.reasons[Reason.COVARIANCE_UNKNOWN] += len(receive_ns)
+            record.noted[Reason.COVARIANCE_UNKNOWN] += len(receive_ns)
 
     def turned_away(self, topic: str, waiting_ns: int, receive_ns: int, stamp_ns: int, refusal: Refusal) -> None:
         """A message came and could not be read; the times are those of :meth:`took` and its stamp."""

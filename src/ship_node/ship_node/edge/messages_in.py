@@ -1,10 +1,11 @@
-"""What a message must hold before any of it reaches a filter, checked field by field; and the INS's message, whole.
+"""What a message must hold before any of it reaches a filter, checked field by field.
 
 Each check returns the value in the form that cores use, or raises :class:`Refused`. The readers of the packages are
-made of these checks; the one of sensor_msgs/Imu stands here, because every node hears an INS.
+made of these checks.
 """
 
 import math
+import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -13,10 +14,8 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from ship_bags.stamps import duration_text
-from ship_estimation.ins import InsInputConfig
 from ship_estimation.refusals import Reason, Refusal, shortened
-from ship_geometry.attitude_track import AttitudeSample
-from ship_geometry.ros_axes import device_vector_from_ros, rotation_from_quaternion
+from ship_geometry.ros_axes import rotation_from_quaternion
 from ship_geometry.rotations import FloatArray
 
 FUTURE_TOLERANCE_NS = 50_000_000
@@ -25,13 +24,15 @@ FUTURE_TOLERANCE_NS = 50_000_000
 Value = TypeVar("Value")
 
 _SECOND_NS = 1_000_000_000
-_LEAST_QUATERNION_NORM = 1e-6
-_QUATERNION_NORM_TOLERANCE = 1e-2
+LEAST_QUATERNION_NORM = 1e-6
+QUATERNION_NORM_TOLERANCE = 1e-2
 _COVARIANCE_TOLERANCE = 1e-6
+_CLEAR_DETERMINANT = 1e-9
+"""Of correlations: nothing above it is due to rounding."""
 _LONGEST_ID = 64
 _LARGEST_VARIANCE = (2.0 * math.pi) ** 2
 
-_LARGEST_RATE = 100.0
+LARGEST_RATE = 100.0
 """No ship turns like this, rad/s; far above what degrees per second would give, which are found by their ratio."""
 
 
@@ -150,10 +151,10 @@ def unit_quaternion(quaternion: Any, what: str = "orientation") -> FloatArray:
     """
     numbers = quaternion.x, quaternion.y, quaternion.z, quaternion.w
     finite_numbers(what, *numbers)
-    norm = math.hypot(*numbers)
-    if norm < _LEAST_QUATERNION_NORM:
+    norm = math.sqrt(sum(number * number for number in numbers))
+    if norm < LEAST_QUATERNION_NORM:
         raise Refused(Reason.BAD_QUATERNION, f"norm of {what} is {norm:.3g}: no orientation is given")
-    if abs(norm - 1.0) > _QUATERNION_NORM_TOLERANCE:
+    if abs(norm - 1.0) > QUATERNION_NORM_TOLERANCE:
         raise Refused(Reason.BAD_QUATERNION, f"norm of {what} is {norm:.6g}: expected 1")
     return np.array(numbers) / norm
 
@@ -192,33 +193,65 @@ def angular_covariance(values: Sequence[float], what: str) -> FloatArray | None:
         Refused: as :func:`covariance_3x3`, and BAD_COVARIANCE where a sigma is of more than a full turn.
     """
     covariance = covariance_3x3(values, what)
-    if covariance is not None and covariance.diagonal().max() > _LARGEST_VARIANCE:
-        largest = covariance.diagonal().max()
-        text = f"{what}: a variance of {largest:.3g} rad² is a sigma of more than a full turn"
-        raise Refused(Reason.BAD_COVARIANCE, text)
+    if covariance is not None:
+        largest = max(covariance.diagonal().tolist())
+        if not largest <= _LARGEST_VARIANCE:
+            text = f"{what}: a variance of {largest:.3g} rad² is a sigma of more than a full turn"
+            raise Refused(Reason.BAD_COVARIANCE, text)
     return covariance
 
 
 @lru_cache(maxsize=64)
 def _covariance_of_bytes(content: bytes, what: str) -> FloatArray | None:
     """The same of nine doubles; remembered, because an INS says the same covariance a hundred times a second."""
-    matrix = np.frombuffer(content).reshape(3, 3)
-    if matrix[0, 0] == -1.0 or not matrix.any():
+    numbers = struct.unpack("9d", content)
+    if numbers[0] == -1.0 or not any(numbers):
         return None
-    if not np.isfinite(matrix).all():
+    if not all(map(math.isfinite, numbers)):
         raise Refused(Reason.NON_FINITE, f"{what} holds NaN or infinity")
-    variances = matrix.diagonal()
-    if (variances < 0.0).any():
-        raise Refused(Reason.BAD_COVARIANCE, f"{what} holds a negative variance: {variances.min():.6g}")
+    variances = numbers[::4]
+    if min(variances) < 0.0:
+        raise Refused(Reason.BAD_COVARIANCE, f"{what} holds a negative variance: {min(variances):.6g}")
     # Measured in sigmas, so that a small axis is judged as strictly as a large one.
-    scale = np.sqrt(variances)
-    limit = np.outer(scale, scale)
-    asymmetry = np.abs(matrix - matrix.T)
-    if (asymmetry > _COVARIANCE_TOLERANCE * limit).any():
-        raise Refused(Reason.BAD_COVARIANCE, f"{what} is not symmetric: elements differ by {asymmetry.max():.3g}")
-    symmetric: FloatArray = 0.5 * matrix + 0.5 * matrix.T
-    if (np.abs(symmetric) > limit * (1.0 + _COVARIANCE_TOLERANCE)).any():
+    first, second, third = map(math.sqrt, variances)
+    limits = first * second, first * third, second * third
+    above, below = (numbers[1], numbers[2], numbers[5]), (numbers[3], numbers[6], numbers[7])
+    asymmetry = [abs(one - other) for one, other in zip(above, below, strict=True)]
+    if not all(differs <= _COVARIANCE_TOLERANCE * limit for differs, limit in zip(asymmetry, limits, strict=True)):
+        raise Refused(Reason.BAD_COVARIANCE, f"{what} is not symmetric: elements differ by {max(asymmetry):.3g}")
+    xy, xz, yz = beside = [0.5 * one + 0.5 * other for one, other in zip(above, below, strict=True)]
+    if not all(abs(one) <= limit * (1.0 + _COVARIANCE_TOLERANCE) for one, limit in zip(beside, limits, strict=True)):
         raise Refused(Reason.BAD_COVARIANCE, f"{what} is not positive semidefinite: a correlation exceeds 1")
+    symmetric = np.array([[variances[0], xy, xz], [xy, variances[1], yz], [xz, yz, variances[2]]])
+    if not _clearly_definite(beside, limits):
+        symmetric = _without_negative_variance(symmetric, np.array([first, second, third]), what)
+    symmetric.flags.writeable = False
+    return symmetric
+
+
+def _clearly_definite(beside: Sequence[float], limits: Sequence[float]) -> bool:
+    """Whether correlations are those of a positive definite matrix, by more than rounding.
+
+    The product of three eigenvalues is the determinant, and as their sum is three that of two is at most 9/4: the least
+    one is larger than a third of the determinant.
+
+    Args:
+        beside: covariances of the first and the second, the first and the third, the second and the third axis.
+        limits: products of their sigmas.
+    """
+    if not min(limits) > 0.0:
+        return False
+    a, b, c = [one / limit for one, limit in zip(beside, limits, strict=True)]
+    return abs(a) < 1.0 and 1.0 + 2.0 * a * b * c - a * a - b * b - c * c > _CLEAR_DETERMINANT
+
+
+def _without_negative_variance(symmetric: FloatArray, sigma: FloatArray, what: str) -> FloatArray:
+    """A symmetric matrix, shape (3, 3), as a covariance by the eigenvalues of its correlations.
+
+    Raises:
+        Refused: BAD_COVARIANCE where one of these is negative by more than rounding.
+    """
+    limit = np.outer(sigma, sigma)
     correlation = symmetric / np.where(limit > 0.0, limit, 1.0)
     eigenvalues, vectors = np.linalg.eigh(correlation)
     if eigenvalues[0] < -_COVARIANCE_TOLERANCE:
@@ -228,27 +261,7 @@ def _covariance_of_bytes(content: bytes, what: str) -> FloatArray | None:
         # Rounded numbers are let in, but no filter may meet a negative variance.
         correlation = (vectors * np.maximum(eigenvalues, 0.0)) @ vectors.T
         symmetric = 0.5 * limit * (correlation + correlation.T)
-    symmetric.flags.writeable = False
     return symmetric
-
-
-def ins_sample(message: Any, config: InsInputConfig, receive_ns: int) -> ReadMessage[AttitudeSample]:
-    """``ins/imu`` → attitude and rate of the deck.
-
-    Its covariance is the INS's total error, not white noise: it is checked and otherwise left alone.
-
-    Raises:
-        Refused: with the reason.
-    """
-    time_ns = stamp_ns(message.header, receive_ns)
-    frame(message.header.frame_id, config.frame_id)
-    quaternion = unit_quaternion(message.orientation)
-    covariance = covariance_3x3(message.orientation_covariance, "orientation_covariance")
-    rate_given = message.angular_velocity_covariance[0] != -1.0
-    rate_ros = ship_rate(message.angular_velocity) if rate_given else None
-    rotation_nd = rotation_from_quaternion(quaternion, config.convention) @ config.rotation_di.T
-    rate_d = None if rate_ros is None else config.rotation_di @ device_vector_from_ros(rate_ros, config.convention)
-    return ReadMessage(AttitudeSample(time_ns, rotation_nd, rate_d), covariance is not None)
 
 
 def ship_rate(angular_velocity: Any) -> FloatArray:
@@ -258,7 +271,7 @@ def ship_rate(angular_velocity: Any) -> FloatArray:
         Refused: NON_FINITE, or UNITS where no ship turns so fast.
     """
     rate_ros = finite_vector(angular_velocity, "angular_velocity")
-    if np.max(np.abs(rate_ros)) > _LARGEST_RATE:
+    if np.max(np.abs(rate_ros)) > LARGEST_RATE:
         raise Refused(Reason.UNITS, f"angular_velocity {rate_ros.tolist()} cannot be a ship's in rad/s")
     return rate_ros
 

@@ -21,7 +21,8 @@ from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, wrap_pi, wrap_two_pi
 from ship_node.edge.topics import Published
 from ship_replay.offline.adapter_chain import suite_chain
-from ship_replay.offline.replay import ReplayRun, ReplaySummary, Watcher, match_inputs
+from ship_replay.offline.replay import Watcher, match_inputs
+from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 from theodolite_calib.axis_fit.exposure_errors import slow_effects
 from theodolite_calib.axis_fit.sighting_file import COLUMNS, LABEL_COLUMN, TIME_COLUMN, slow_column
 from theodolite_calib.axis_fit.sightings import MOST_SIGHTINGS

@@ -25,7 +25,8 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.edge.adapter import Adapter
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain
-from ship_replay.offline.replay import ReplayRun, ReplaySummary, Watcher, match_inputs
+from ship_replay.offline.replay import Watcher, match_inputs
+from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 
 _ALIGNMENT_TOPIC = "ship/alignment"
 _IMPROBABLE = Reason.GATE.word, Reason.ATTITUDE_CONFLICT.word

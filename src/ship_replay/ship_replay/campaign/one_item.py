@@ -13,7 +13,8 @@ from ship_replay.evaluation.evaluate import Evaluation, evaluate
 from ship_replay.evaluation.statistics import AttitudeErrors
 from ship_replay.offline.digests import code_sha256
 from ship_replay.offline.nodes import ADAPTERS
-from ship_replay.offline.replay import ReplaySummary, replay
+from ship_replay.offline.replay import replay
+from ship_replay.offline.replay_run import ReplaySummary
 from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.simulate_command import write_bag

@@ -11,7 +11,8 @@ from ship_bags.output_files import add_force, check_file, check_folder, write_wh
 from ship_replay.offline.black_box_identity import is_black_box
 from ship_replay.offline.black_box_replay import replay_black_box
 from ship_replay.offline.nodes import ADAPTERS
-from ship_replay.offline.replay import ReplaySummary, replay
+from ship_replay.offline.replay import replay
+from ship_replay.offline.replay_run import ReplaySummary
 from ship_replay.offline.verification import Verification, verify_bag
 
 
@@ -44,6 +45,12 @@ def _parser() -> CommandParser:
         choices=("log", "stamps"),
         default="log",
         help="when a message arrives: when it was logged (default), or at its stamp, for a bag whose recorder stalled",
+    )
+    parser.add_argument(
+        "--one-by-one",
+        action="store_true",
+        help="hand each message over by itself, as a live node hears it; without it those that go the usual way are "
+        "taken together, which publishes the same in less time",
     )
     parser.add_argument(
         "--report", type=Path, metavar="DIR", help="folder for OUT.html, as report writes it, and "
@@ -82,7 +89,8 @@ def _run(options: argparse.Namespace) -> int:
         elif options.verify:
             verification = verify_bag(bag, ADAPTERS, options.config, options.namespace, watched)
     if options.out is not None and not is_box:
-        _print(replay(options.bag, options.out, ADAPTERS, options.config, options.namespace, watched, by_stamps))
+        arrival = by_stamps, options.one_by_one
+        _print(replay(options.bag, options.out, ADAPTERS, options.config, options.namespace, watched, *arrival))
     if options.report is not None:
         _report(options)
     return EXIT_DONE if verification is None else _judge(verification, options.verify)

@@ -88,6 +88,20 @@ class Gaps:
         if len(self._waiting) > _REACH:
             self._take(heappop(self._waiting))
 
+    def add_block(self, times_ns: np.ndarray) -> None:
+        """Note times in ascending order, as by :meth:`add`."""
+        ordered = sorted([*self._waiting, *times_ns.tolist()])
+        taken, self._waiting = ordered[:-_REACH], ordered[-_REACH:]  # a list in order is a heap
+        if not taken:
+            return
+        last_ns = taken[0] if self._last_ns is None else self._last_ns
+        later_ns = np.maximum.accumulate([last_ns, *taken])
+        gaps_ns = np.diff(later_ns)
+        lengths, counts = np.unique(np.rint(gaps_ns[gaps_ns > 0] / _GAP_RESOLUTION_NS), return_counts=True)
+        for length, count in zip(lengths.tolist(), counts.tolist(), strict=True):
+            self._counts[int(length)] += count
+        self._last_ns = int(later_ns[-1])
+
     def seconds(self) -> tuple[np.ndarray, np.ndarray]:
         """Lengths of the gaps in ascending order, s, and how many there are of each. Equal times are no gap."""
         while self._waiting:
@@ -113,6 +127,11 @@ class MessageTimes:
         stamp_ns = stamp_of_bytes(record.data)
         if stamp_ns is not None:
             self.stamps.add(stamp_ns)
+
+    def add_block(self, stamps_ns: np.ndarray, log_times_ns: np.ndarray) -> None:
+        """Note messages, stamps and log times in ascending order."""
+        self.arrivals.add_block(log_times_ns)
+        self.stamps.add_block(stamps_ns)
 
 
 def stamp_of_bytes(data: bytes) -> int | None:
@@ -196,6 +215,18 @@ class LogTimes:
         delay_ns = record.log_time_ns - stamp_ns
         self._delays.setdefault(topic, Counter())[round(delay_ns / _DELAY_RESOLUTION_NS)] += 1
         self._latest[topic] = max(self._latest.get(topic, (delay_ns, 0)), (delay_ns, record.log_time_ns))
+
+    def add_block(self, topic: str, stamps_ns: np.ndarray, log_times_ns: np.ndarray) -> None:
+        """Note messages, each with a stamp."""
+        delays_ns = log_times_ns - stamps_ns
+        counts = self._delays.setdefault(topic, Counter())
+        lengths, numbers = np.unique(np.rint(delays_ns / _DELAY_RESOLUTION_NS), return_counts=True)
+        for length, number in zip(lengths.tolist(), numbers.tolist(), strict=True):
+            counts[int(length)] += number
+        # Of equal delays the last one.
+        place = len(delays_ns) - 1 - int(np.argmax(delays_ns[::-1]))
+        latest = int(delays_ns[place]), int(log_times_ns[place])
+        self._latest[topic] = max(self._latest.get(topic, (latest[0], 0)), latest)
 
     def usual_ns(self) -> int:
         """Log time minus stamp of the middle message of all; 0 where none has a stamp."""

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_bags.stamps import NS_PER_S, ns_from_stamp, utc_text
 from ship_estimation.refusals import Reason
@@ -70,14 +72,25 @@ class StatusCourse:
 
     def add(self, message: Any) -> None:
         """An output, in the order in which they were put out."""
-        status, stamp_ns = int(message.status), ns_from_stamp(message.header.stamp)
+        self._add(int(message.status), ns_from_stamp(message.header.stamp), ns_from_stamp(message.header.stamp), 1)
+
+    def add_run(self, statuses: Sequence[int], stamps_ns: np.ndarray) -> None:
+        """Outputs in the order in which they were put out, their stamps in ascending order."""
+        start = 0
+        for status, group in groupby(statuses):
+            end = start + len(list(group))
+            self._add(int(status), int(stamps_ns[start]), int(stamps_ns[end - 1]), end - start)
+            start = end
+
+    def _add(self, status: int, first_ns: int, last_ns: int, count: int) -> None:
+        """Outputs of one status that were put out one after another."""
         word = STATUS_WORDS[status] if status < len(STATUS_WORDS) else f"status {status}"
-        self.counts[word] += 1
+        self.counts[word] += count
         if self._runs and self._runs[-1].word == word:
             last = self._runs[-1]
-            self._runs[-1] = last._replace(last_ns=max(last.last_ns, stamp_ns), count=last.count + 1)
+            self._runs[-1] = last._replace(last_ns=max(last.last_ns, last_ns), count=last.count + count)
         else:
-            self._runs.append(_Run(stamp_ns, stamp_ns, word, 1))
+            self._runs.append(_Run(first_ns, last_ns, word, count))
 
     def note(self, saying: str) -> None:
         """What the node says of its status in its diagnostics, once a second; kept where the last output was poor."""

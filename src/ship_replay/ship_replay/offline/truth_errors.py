@@ -6,9 +6,12 @@ A replay fills them into ``ship/error_arcsec`` and its like; an estimator never 
 from collections import deque
 from typing import Any
 
-from ship_bags.stamps import ns_from_stamp
+import numpy as np
+
+from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.rotations import FloatArray
+from ship_node.edge.blocks import PublishedRows
 from ship_watch.orientations import Orientation
 
 _TRUTH_GAP_NS = 1_000_000_000
@@ -38,6 +41,22 @@ class TruthErrors:
         """A message of the orientation as published."""
         self._attitudes[ns_from_stamp(message.header.stamp)] = self.orientation.angles_of(message)
 
+    def add_rows(self, rows: PublishedRows) -> None:
+        """Messages as published; only those of the orientation count."""
+        if rows.topic == self.orientation.topic:
+            numbers = rows.messages.numbers
+            stamps_ns = numbers["header.stamp.sec"].astype(np.int64) * NS_PER_S + numbers["header.stamp.nanosec"]
+            angles = np.stack([numbers[name] for name in self.orientation.angles], axis=1)
+            self._attitudes.update(zip(stamps_ns.tolist(), angles, strict=True))
+
+    def is_ready(self, now_ns: int | None) -> bool:
+        """Whether an error message waits that :meth:`filled` would give back."""
+        if not self._waiting:
+            return False
+        log_time_ns, message = self._waiting[0]
+        patient = now_ns is not None and now_ns - log_time_ns < _PATIENCE_NS
+        return not patient or self._truth.at(ns_from_stamp(message.header.stamp)) is not None
+
     def add_error(self, message: Any, log_time_ns: int) -> None:
         """A message of errors as published, without errors."""
         self._waiting.append((log_time_ns, message))
@@ -45,19 +64,15 @@ class TruthErrors:
     def filled(self, now_ns: int | None) -> list[tuple[int, Any]]:
         """(log time, message) of those that are ready at ``now_ns``; None: nothing more will come."""
         ready: list[tuple[int, Any]] = []
-        while self._waiting:
-            log_time_ns, message = self._waiting[0]
+        while self.is_ready(now_ns):
+            log_time_ns, message = self._waiting.popleft()
             stamp_ns = ns_from_stamp(message.header.stamp)
-            truth = self._truth.at(stamp_ns)
-            if truth is None and now_ns is not None and now_ns - log_time_ns < _PATIENCE_NS:
-                break
-            attitude = self._attitudes.get(stamp_ns)
+            truth, attitude = self._truth.at(stamp_ns), self._attitudes.get(stamp_ns)
             if truth is not None and attitude is not None:
                 errors_arcsec = self.orientation.errors_arcsec(attitude, truth.rotation_nd)
                 for channel, error in zip(self.orientation.channels, errors_arcsec.tolist(), strict=True):
                     setattr(message, f"error_{channel}", error)
             ready.append((log_time_ns, message))
-            self._waiting.popleft()
             self._forget(stamp_ns)
         return ready
 

@@ -19,7 +19,8 @@ from ship_bags.topic_names import relative_topics
 from ship_node.edge.adapter import Adapter
 from ship_node.edge.messages_out import DIAGNOSTICS_TYPE
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain
-from ship_replay.offline.replay import ReplayRun, ReplaySummary, Watcher, match_inputs
+from ship_replay.offline.replay import Watcher, match_inputs
+from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 
 ASIDE = DIAGNOSTICS_TYPE, "ship_msgs/msg/InputHealth"
 """Types of messages that also tell of the middleware, which no replay knows: not compared."""

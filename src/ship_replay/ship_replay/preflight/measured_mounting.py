@@ -29,7 +29,8 @@ from ship_bags.stamps import NS_PER_S
 from ship_estimation.refusals import Refusal
 from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.rotations import FloatArray, angle_between
-from ship_node.edge.messages_in import Refused, ins_sample
+from ship_node.edge.ins_messages import ins_sample
+from ship_node.edge.messages_in import Refused
 from ship_replay.offline.message_times import stamp_of_bytes
 
 _EPOCHS = 30

@@ -20,7 +20,7 @@ from ship_estimation.protection import IntegrityConfig
 from ship_replay.evaluation.sources import Truth
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain
 from ship_replay.offline.nodes import ADAPTERS
-from ship_replay.offline.replay import ReplayRun, ReplaySummary
+from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 from ship_replay.trials.fault_judge import beyond, judged
 from ship_replay.trials.passage import Passage
 from ship_replay.trials.threats import OVERLAPPING, SINGLE, DrawnFault, draw_faults

@@ -6,6 +6,7 @@ another one without it; :mod:`ship_estimation.protection` makes levels of that.
 
 import math
 
+from ship_estimation.compiled_integrity import apart
 from ship_estimation.outcome import Status
 from ship_estimation.protection import Hypotheses, IntegrityReport, integrity_report
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
@@ -34,11 +35,7 @@ class PointingLevels:
     def __init__(self, filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState) -> None:
         self.state, self._config = state, config.integrity
         self._sources, self._k = filter_.rows.sources, hypothesis_factors(config.integrity, filter_.rows.sources)
-        turning, rows = chain_rows(filter_.model), state.alternatives
-        left_out = rows.parts[:, 0, turning[:, None], turning]
-        self._further = left_out - state.parts[:, turning[:, None], turning].sum(axis=0)
-        self._variance = left_out.diagonal(axis1=-2, axis2=-1)
-        self._distance = (rows.mean - state.mean)[:, turning]
+        self._turning = chain_rows(filter_.model)
         self._excluded = {name: told.exclusion.since_ns for name, told in state.trust.left_out.items()}
         self._rows = [row for row, name in enumerate(self._sources) if name not in self._excluded]
         self._in_dispute = state.trust.conflict is not None or state.refusals > 0
@@ -48,15 +45,21 @@ class PointingLevels:
         azimuth, elevation, _ = angles_from_rotation(estimate.rotation_nm).tolist()
         to_angles = angle_errors_from_rotation_vector(azimuth, elevation)
         to_angles[0] *= math.cos(elevation)
-        by_error = to_angles @ estimate.by_error_n
         # What the estimates dispute is covered by the levels already. What a pointing adds to the error of the state,
         # as the noise of the encoders, is the same in every estimate.
-        all_sources = to_angles @ estimate.undisputed_n @ to_angles.T
-        without = all_sources + by_error @ self._further @ by_error.T
+        beside = apart(
+            self._turning,
+            to_angles,
+            to_angles @ estimate.by_error_n,
+            estimate.undisputed_n,
+            self.state.mean,
+            self.state.alternatives.mean,
+            self.state.parts,
+            self.state.alternatives.parts[:, 0],
+        )
         # Without lights nothing checks the encoders and the ship's attitude.
         in_doubt = self._in_dispute or estimate.mode is Mode.ENCODER or estimate.status is Status.INVALID
-        distance = self._distance @ by_error.T
-        hypotheses = Hypotheses(self._sources, self._k, distance, without, all_sources, self._variance)
+        hypotheses = Hypotheses(self._sources, self._k, *beside)
         return integrity_report(
             estimate.time_ns, self._config, hypotheses, self._rows, self._excluded, checked=not in_doubt
         )

@@ -17,6 +17,7 @@ from ship_geometry.ros_axes import (
     rotation_from_quaternion,
 )
 from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_node.edge.ins_messages import ins_sample
 from ship_node.edge.messages_in import (
     ReadMessage,
     Refused,
@@ -27,7 +28,6 @@ from ship_node.edge.messages_in import (
     finite_vector,
     frame,
     imu_rotation,
-    ins_sample,
     quoted_id,
     ship_rate,
     sigma_given,

@@ -1,0 +1,96 @@
+"""Innovations in a table: one of each stamp, in order; their statistics are those of numpy over all of them."""
+
+import math
+
+import numpy as np
+import pytest
+
+from ship_estimation.chi_square import value_above
+from ship_estimation.innovations import LEAST_COUNT, Axis, Innovation, InnovationTable, Parts, axes_of
+from ship_geometry.rotations import FloatArray
+
+
+def innovation(time_ns: int, squares: list[float], **others: object) -> Innovation:
+    usual = {"degrees": 2, "nis": 1.0, "components": 2, "own_share": 1.0, "is_used": True, "axes": {"up": (1.0, 2.0)}}
+    return Innovation(time_ns, np.array(squares), **(usual | others))  # type: ignore[arg-type]
+
+
+def table_of(*innovations: Innovation) -> InnovationTable:
+    table = InnovationTable()
+    table.take(innovations)
+    return table
+
+
+def test_innovations_stand_in_order_of_time_and_the_last_of_a_stamp_counts() -> None:
+    table = table_of(innovation(3, [3.0]), innovation(1, [1.0]), innovation(3, [33.0]))
+    table.take([innovation(2, [2.0]), innovation(1, [11.0])])
+    assert table.column("time_ns").tolist() == [1, 2, 3]
+    assert table.column("squares").tolist() == [[11.0], [2.0], [33.0]]
+
+
+def test_a_table_grows_with_parts_and_axes_and_keeps_what_it_has() -> None:
+    table = table_of(innovation(1, [1.0]))
+    table.take([innovation(2, [2.0, 22.0], axes={"right": (5.0, 6.0)}), innovation(3, [np.inf], axes={})])
+    assert table.axes == ("up", "right")
+    np.testing.assert_array_equal(table.column("squares"), [[1.0, np.nan], [2.0, 22.0], [np.inf, np.nan]])
+    assert table.along("up").tolist() == [[1.0, 2.0]]
+    assert table.along("right").tolist() == [[5.0, 6.0]]
+
+
+def test_what_is_old_and_what_is_too_many_is_forgotten() -> None:
+    table = table_of(*[innovation(time_ns, [0.0]) for time_ns in range(10)])
+    table.forget(until_ns=3, most=100)
+    assert table.column("time_ns").tolist() == [4, 5, 6, 7, 8, 9]
+    table.forget(until_ns=3, most=2)
+    assert table.column("time_ns").tolist() == [8, 9]
+
+
+@pytest.mark.parametrize("far", [0, 20, 60])
+@pytest.mark.parametrize("count", [29, 101, 150])
+def test_the_factor_is_that_of_the_median_or_of_the_lower_quarter(count: int, far: int) -> None:
+    """Two parts in each; some are left out, and some innovations are mostly the prediction's error."""
+    rng = np.random.default_rng([count, far])
+    squares = 2.0 * rng.chisquare(2, (count, 2))
+    squares[:far, 1] = np.inf
+    found = Parts(
+        table_of(*[innovation(k, row.tolist(), own_share=0.9 if k % 7 else 0.4) for k, row in enumerate(squares)])
+    )
+    telling = squares[[k for k in range(count) if k % 7]].ravel()
+    near = telling[telling <= value_above(1e-3, 2)]
+    assert found.far_share == pytest.approx(1.0 - len(near) / len(telling), rel=1e-13)
+    by_all, by_near = factor(telling), factor(near)
+    bulk = by_all if math.isnan(by_near) else by_near
+    assert found.factor == pytest.approx(by_all if bulk > 1.25 else bulk, rel=1e-13, nan_ok=True)
+
+
+def factor(squares: FloatArray) -> float:
+    if len(squares) < LEAST_COUNT:
+        return math.nan
+    share = 0.5 if np.mean(squares > value_above(1e-3, 2)) < 0.25 else 0.25
+    found = float(np.quantile(squares, share, method="inverted_cdf"))
+    if math.isinf(found):
+        return math.nan
+    return math.sqrt(max(1.0 + (found / value_above(1.0 - share, 2) - 1.0) / 0.9, 0.0))
+
+
+@pytest.mark.parametrize("count", [30, 31, 300])
+def test_bias_and_correlation_are_those_of_numpy(count: int) -> None:
+    rng = np.random.default_rng(count)
+    values = 0.3 + rng.standard_normal(count) * rng.choice([1.0, 10.0], count)
+    found = Axis("up", values, values, 0.0)
+    assert found.bias_sigma == np.median(values)
+    spread = max(1.0, 1.4826 * float(np.median(np.abs(values - np.median(values)))))
+    around = np.clip((values - np.median(values)) / spread, -3.0, 3.0)
+    expected = np.sum(around[1:] * around[:-1]) / np.sum(around * around)
+    assert found.correlation == pytest.approx(expected, rel=1e-12)
+
+
+def test_only_an_axis_along_which_enough_was_measured_is_told() -> None:
+    rare = [innovation(k, [1.0], axes={"right": (1.0, 1.0)}) for k in range(LEAST_COUNT - 1)]
+    often = [innovation(100 + k, [1.0]) for k in range(LEAST_COUNT)]
+    assert [axis.name for axis in axes_of(table_of(*rare, *often))] == ["up"]
+
+
+def test_a_table_of_nothing_has_no_factor() -> None:
+    assert math.isnan(Parts(InnovationTable()).factor)
+    assert axes_of(InnovationTable()) == []

@@ -1,0 +1,104 @@
+"""The messages of an INS, sensor_msgs/Imu, which every node hears: one of them, and the many of a block."""
+
+from typing import Any
+
+import numpy as np
+
+from ship_bags.cdr_template import CdrRows
+from ship_estimation.ins import InsInputConfig
+from ship_geometry.attitude_track import AttitudeSample, SampleBlock
+from ship_geometry.ros_axes import device_vector_from_ros, rotation_from_quaternion
+from ship_geometry.rotations import FloatArray
+from ship_node.edge.blocks import ReadBlock, StampArray
+from ship_node.edge.messages_in import (
+    FUTURE_TOLERANCE_NS,
+    LARGEST_RATE,
+    LEAST_QUATERNION_NORM,
+    QUATERNION_NORM_TOLERANCE,
+    ReadMessage,
+    Refused,
+    covariance_3x3,
+    frame,
+    ship_rate,
+    stamp_ns,
+    unit_quaternion,
+)
+
+_NS_PER_S = 1_000_000_000
+_RATE_NOT_GIVEN = -1.0
+
+
+def ins_sample(message: Any, config: InsInputConfig, receive_ns: int) -> ReadMessage[AttitudeSample]:
+    """``ins/imu`` → attitude and rate of the deck.
+
+    Its covariance is the INS's total error, not white noise: it is checked and otherwise left alone.
+
+    Raises:
+        Refused: with the reason.
+    """
+    time_ns = stamp_ns(message.header, receive_ns)
+    frame(message.header.frame_id, config.frame_id)
+    quaternion = unit_quaternion(message.orientation)
+    covariance = covariance_3x3(message.orientation_covariance, "orientation_covariance")
+    (rotation_nd,) = _rotations_nd(quaternion[None], config)
+    rate_d = None
+    if message.angular_velocity_covariance[0] != _RATE_NOT_GIVEN:
+        (rate_d,) = _rates_d(ship_rate(message.angular_velocity)[None], config)
+    return ReadMessage(AttitudeSample(time_ns, rotation_nd, rate_d), covariance is not None)
+
+
+def ins_block(messages: CdrRows, receive_ns: StampArray, config: InsInputConfig) -> ReadBlock:
+    """The messages of a block that :func:`ins_sample` takes, with rates and the same covariance in all: a SampleBlock.
+
+    Each sample is, to the last bit, what :func:`ins_sample` makes of its message.
+
+    Args:
+        messages: of ``ins/imu``.
+        receive_ns: when each came by the node's clock, shape (N,).
+        config: of the INS.
+    """
+    first, numbers = messages.message(0), messages.numbers
+    try:
+        frame(first.header.frame_id, config.frame_id)
+        covariance = covariance_3x3(first.orientation_covariance, "orientation_covariance")
+    except Refused:
+        # The first one will be refused by itself.
+        numbers, covariance = numbers[:0], None
+    times_ns = numbers["header.stamp.sec"].astype(np.int64) * _NS_PER_S + numbers["header.stamp.nanosec"]
+    quaternions = _columns(numbers, "orientation", "xyzw")
+    rates_ros = _columns(numbers, "angular_velocity", "xyz")
+    x, y, z, w = quaternions.T
+    norms = np.sqrt(x * x + y * y + z * z + w * w)
+    covariances = numbers["orientation_covariance"].view(np.int64)
+    # Written so that NaN is no good.
+    good = (
+        (numbers["header.stamp.nanosec"] < _NS_PER_S)
+        & (times_ns > 0)
+        & (times_ns <= receive_ns[: len(numbers)] + FUTURE_TOLERANCE_NS)
+        & (norms >= LEAST_QUATERNION_NORM)
+        & (np.abs(norms - 1.0) <= QUATERNION_NORM_TOLERANCE)
+        & (covariances == covariances[:1]).all(axis=1)
+        & (numbers["angular_velocity_covariance"][:, 0] != _RATE_NOT_GIVEN)
+        & (np.abs(rates_ros) <= LARGEST_RATE).all(axis=1)
+    )
+    count = len(good) if good.all() else int(np.argmin(good))
+    rotations_nd = _rotations_nd(quaternions[:count] / norms[:count, None], config)
+    samples = SampleBlock(times_ns[:count], rotations_nd, _rates_d(rates_ros[:count], config))
+    return ReadBlock(samples, covariance is not None)
+
+
+def _columns(numbers: np.ndarray, field: str, names: str) -> FloatArray:
+    """The numbers of a vector in all messages, shape (N, n)."""
+    return np.stack([numbers[f"{field}.{name}"] for name in names], axis=1)
+
+
+def _rotations_nd(quaternions: FloatArray, config: InsInputConfig) -> FloatArray:
+    """Horizon from deck, shape (N, 3, 3), of orientations of the INS as quaternions, shape (N, 4)."""
+    rotations: FloatArray = rotation_from_quaternion(quaternions, config.convention) @ config.rotation_di.T
+    return rotations
+
+
+def _rates_d(rates_ros: FloatArray, config: InsInputConfig) -> FloatArray:
+    """Rates in the deck frame, of rates in the axes of the message, rad/s, shape (N, 3)."""
+    rates: FloatArray = (config.rotation_di @ device_vector_from_ros(rates_ros, config.convention)[..., None])[..., 0]
+    return rates

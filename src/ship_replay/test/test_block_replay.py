@@ -1,0 +1,138 @@
+"""A replay in blocks publishes what a replay one by one does: the same messages at the same times, byte for byte.
+
+The scenarios are those of the repository, shortened; the faults are those of the injector, drawn by their seeds.
+FAULTED_BAGS says how many of them.
+"""
+
+import os
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ship_attitude_star.ship_attitude.ahead import InsAhead
+from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
+from ship_bags.mcap.bag_reader import BagRecord, read_bag
+from ship_bags.message_store import RosbagsFactory, serialize
+from ship_bags.stamps import NS_PER_S
+from ship_estimation.protection import IntegrityConfig
+from ship_replay.offline import block_run
+from ship_replay.offline.adapter_chain import suite_chain
+from ship_replay.offline.block_run import BlockRun
+from ship_replay.offline.nodes import ADAPTERS
+from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
+from ship_replay.trials.fault_voyage import make_bag, taken_topics
+from ship_replay.trials.threats import OVERLAPPING, SINGLE, draw_faults
+from ship_simulation.draws.noise import random_stream
+from ship_simulation.faults.injection import Injection
+
+SCENARIOS = Path(__file__).resolve().parents[3] / "bags" / "scenarios"
+NAMES = ["demo", "everything", "late_shuffled", "outage", "paper_stars", "sea_state_5", "theodolite", "three_sensors"]
+FAULTED_BAGS = int(os.environ.get("FAULTED_BAGS", "6"))
+FAULT_SECONDS = 45.0
+
+Published = dict[str, list[tuple[int, bytes]]]
+
+
+class Kept:
+    """A sink that keeps what it is given: topic → log time and bytes of each message."""
+
+    def __init__(self) -> None:
+        self.published: Published = defaultdict(list)
+
+    def write(self, topic: str, message: Any, log_time_ns: int) -> None:
+        self.write_raw(topic, "", serialize(message), log_time_ns)
+
+    def write_raw(self, topic: str, _type_name: str, data: bytes, log_time_ns: int) -> None:
+        self.published[topic].append((log_time_ns, bytes(data)))
+
+    def write_many(
+        self, topics: Sequence[tuple[str, str]], of_topic: np.ndarray, data: Sequence[bytes], log_times_ns: np.ndarray
+    ) -> None:
+        for number, content, time_ns in zip(of_topic.tolist(), data, log_times_ns.tolist(), strict=True):
+            self.published[topics[number][0]].append((time_ns, bytes(content)))
+
+
+def replayed(run_class: type[ReplayRun], bag_path: Path, injection: Injection) -> tuple[Published, ReplaySummary]:
+    with read_bag(bag_path) as bag:
+        chain, _ = suite_chain(bag, ADAPTERS, RosbagsFactory())
+        truth = {topic for topic in bag.topics if topic.startswith("truth/")}
+        taken, sink, summary = {topic.topic for topic in chain.inputs} | truth, Kept(), ReplaySummary()
+        run = run_class(chain, sink, summary, truth_topics=truth)
+        records: Iterator[BagRecord] = injection.records(bag)
+        for record in records:
+            if record.topic in taken:
+                run.take(record.topic, record)
+        run.finish()
+        summary.refused = {a.node_name: a.health.refused_and_noted() for a in chain.adapters}
+    return sink.published, summary
+
+
+def assert_equal(bag_path: Path, injection: Injection | None = None) -> None:
+    injection = injection or Injection(bag_path, {}, 0)
+    expected, told = replayed(ReplayRun, bag_path, injection)
+    found, also_told = replayed(BlockRun, bag_path, injection)
+    assert {topic: len(messages) for topic, messages in found.items()} == {
+        topic: len(messages) for topic, messages in expected.items()
+    }
+    for topic, messages in expected.items():
+        odd = next((n for n, (one, other) in enumerate(zip(messages, found[topic], strict=True)) if one != other), None)
+        assert odd is None, f"{topic}: message {odd} of {len(messages)} at {messages[odd][0]}"
+    assert (also_told.inputs, also_told.outputs, also_told.refused) == (told.inputs, told.outputs, told.refused)
+    for topic, course in told.statuses.items():
+        assert (also_told.statuses[topic].counts, also_told.statuses[topic].spans) == (course.counts, course.spans)
+    for topic, times in told.times.items():
+        for one, other in zip(_gaps(times), _gaps(also_told.times[topic]), strict=True):
+            np.testing.assert_array_equal(one, other)
+    assert also_told.log_times.held_up() == told.log_times.held_up()
+    assert also_told.log_times.usual_ns() == told.log_times.usual_ns()
+
+
+def _gaps(times: Any) -> list[np.ndarray]:
+    return [*times.stamps.seconds(), *times.arrivals.seconds()]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_scenarios(tmp_path: Path, name: str) -> None:
+    assert_equal(make_bag(SCENARIOS / f"{name}.yaml", 25.0, 1, tmp_path / f"{name}.mcap"))
+
+
+@pytest.fixture(scope="session")
+def clean_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_bag(SCENARIOS / "demo.yaml", FAULT_SECONDS, 2, tmp_path_factory.mktemp("faulted") / "demo.mcap")
+
+
+@pytest.mark.parametrize("seed", range(FAULTED_BAGS))
+def test_faulted_bags(clean_bag: Path, seed: int) -> None:
+    mode = (SINGLE, OVERLAPPING)[seed % 2]
+    with read_bag(clean_bag) as bag:
+        rng = random_stream(seed, f"voyage.{mode}")
+        length_s = ((bag.end_ns or 0) - (bag.start_ns or 0)) / NS_PER_S
+        drawn = draw_faults(taken_topics(bag), length_s, mode, IntegrityConfig().return_after_s, rng)
+    faults = {f"f{number}": one.fault for number, one in enumerate(drawn)}
+    assert_equal(clean_bag, Injection(clean_bag, faults, seed))
+
+
+@pytest.mark.parametrize("most", [7, 100])
+def test_where_blocks_end_makes_no_difference(
+    clean_bag: Path, most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(block_run, "_MOST", most)
+    assert_equal(clean_bag)
+
+
+def test_most_of_a_healthy_ins_is_taken_in_blocks(clean_bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Otherwise what is held against one by one would be one by one itself."""
+    taken = []
+    end_ahead = ShipAttitudeCore.end_ahead
+
+    def counted(self: ShipAttitudeCore, ahead: InsAhead) -> Any:
+        taken.append(ahead.usual)
+        return end_ahead(self, ahead)
+
+    monkeypatch.setattr(ShipAttitudeCore, "end_ahead", counted)
+    _, summary = replayed(BlockRun, clean_bag, Injection(clean_bag, {}, 0))
+    assert sum(taken) > 0.9 * summary.inputs["ins/imu"]
