@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from ship_bags.errors import BadInput
 from ship_bags.live.ros_process import executable
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
@@ -27,13 +28,15 @@ pytestmark = [
 ]
 
 DEMO = Path(__file__).parents[1] / "bags" / "demo.mcap"
-LOSS, BEFORE_S, CUT_S, AFTER_S = 0.1, 10.0, 10.0, 24.0
+LOSS, BEFORE_S, CUT_S, AFTER_S = 0.1, 10.0, 10.0, 28.0
+TAIL_S = 1.0
+"""What was sent so short a time before an end may still be on its way then, which is no loss."""
+LEAST_RATE_HZ = 92.0
+"""At which the player sends its 100 Hz on a busy machine."""
 BACK_S = 18.0
 """So long after the cut all must be as before it. Measured: 3 to 5 s on two cores that eight programs wanted, and over
 10 s where fourteen wanted them: the node makes up for the samples of the cut first."""
 MOST_START_S = 60.0
-SOME_BYTES = 20_000
-"""The definitions of the two types, and about as much of messages."""
 
 
 class Crossing(NamedTuple):
@@ -48,13 +51,15 @@ class Crossing(NamedTuple):
     mended_ns: int
 
     def latencies_s(self, begin_ns, end_ns):
-        """From the receipt of a sample to that of its attitude, for attitudes received in between.
+        """From the receipt of each sample to that of its attitude; infinite where that was not there at the end.
 
-        Those at the stamps of stars, which the node gives where the INS is silent, are of no sample.
+        Of the samples received from the beginning on and :data:`TAIL_S` before the end at the latest.
         """
-        own = self.attitude_times.keys() & self.sample_times.keys()
-        received = [stamp for stamp in own if begin_ns <= self.attitude_times[stamp] < end_ns]
-        return np.array([(self.attitude_times[stamp] - self.sample_times[stamp]) / NS_PER_S for stamp in received])
+        latest_ns = end_ns - round(TAIL_S * NS_PER_S)
+        stamps = [stamp for stamp, sent_ns in self.sample_times.items() if begin_ns <= sent_ns < latest_ns]
+        there = {stamp: time_ns for stamp, time_ns in self.attitude_times.items() if time_ns < end_ns}
+        never = float("inf")
+        return np.array([(there.get(stamp, never) - self.sample_times[stamp]) / NS_PER_S for stamp in stamps])
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +75,7 @@ def crossing(tmp_path_factory):
         recorder = link.start(NEAR, "record", record)
         # The nodes and the recorder.
         player = link.start(NEAR, "play", [*play, "--wait-for-subscribers", "ins/imu=2"])
-        wait_for_some(recorded, player)
+        wait_for_attitude(recorded, player)
         time.sleep(BEFORE_S)
         cut_ns = link.cut()
         time.sleep(CUT_S)
@@ -121,19 +126,33 @@ def times(path, topic):
     return found
 
 
-def wait_for_some(path, player):
-    """Wait until something is played and recorded."""
+def wait_for_attitude(path, player):
+    """Wait until an attitude is recorded: it takes seconds until a recorder has met a node beyond the link."""
     deadline_s = time.monotonic() + MOST_START_S
-    while not (path.exists() and path.stat().st_size > SOME_BYTES):
+    while not has_attitude(path):
         assert player.exit_code is None, player.log()
         assert time.monotonic() < deadline_s, player.log()
         time.sleep(0.1)
 
 
+def has_attitude(path):
+    try:
+        return bool(times(path, "ship/attitude"))
+    except BadInput:
+        return False
+
+
 def test_a_link_that_loses_one_packet_in_ten_costs_no_rate_and_little_time(crossing):
-    latencies_s = crossing.latencies_s(crossing.cut_ns - 9 * NS_PER_S, crossing.cut_ns)
-    print(len(latencies_s) / 9.0, "Hz,", np.quantile(latencies_s, [0.5, 0.99]), "s")
-    assert len(latencies_s) >= 92 * 9
+    assert_all_come_in_time(crossing, crossing.cut_ns - round(BEFORE_S * NS_PER_S), crossing.cut_ns)
+
+
+def assert_all_come_in_time(crossing, begin_ns, end_ns):
+    """Every sample has its attitude, and they come at the rate at which samples are sent."""
+    latencies_s = crossing.latencies_s(begin_ns, end_ns)
+    rate_hz = len(latencies_s) / ((end_ns - begin_ns) / NS_PER_S - TAIL_S)
+    assert rate_hz >= LEAST_RATE_HZ
+    assert np.isfinite(latencies_s).all(), f"{np.isinf(latencies_s).sum()} of {len(latencies_s)} have no attitude"
+    print(f"{rate_hz:.1f} Hz,", np.quantile(latencies_s, [0.5, 0.99, 1.0]), "s")
     assert np.median(latencies_s) <= 0.2
 
 
@@ -151,11 +170,9 @@ def test_the_recorder_at_the_other_end_has_every_attitude_that_was_given(crossin
 
 def test_after_a_cut_it_goes_on_by_itself(crossing):
     silent_ns = crossing.cut_ns + NS_PER_S
-    assert not len(crossing.latencies_s(silent_ns, crossing.mended_ns)), "the link was not cut"
+    came_ns = crossing.attitude_times.values()
+    assert not [time_ns for time_ns in came_ns if silent_ns <= time_ns < crossing.mended_ns], "the link was not cut"
     end_ns = max(crossing.sample_times.values())
     back_ns = crossing.mended_ns + round(BACK_S * NS_PER_S)
     assert end_ns > back_ns + 2 * NS_PER_S
-    latencies_s = crossing.latencies_s(back_ns, end_ns)
-    print(len(latencies_s), "in", (end_ns - back_ns) / NS_PER_S, "s,", np.quantile(latencies_s, [0.5, 0.99]), "s")
-    assert len(latencies_s) >= 92 * (end_ns - back_ns) / NS_PER_S
-    assert np.median(latencies_s) <= 0.2
+    assert_all_come_in_time(crossing, back_ns, end_ns)

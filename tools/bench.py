@@ -18,12 +18,15 @@ from typing import Any
 
 import numpy as np
 
+from bench_behind_star import behind_star_cost
 from bench_black_box import black_box_cost
 from bench_campaign import campaign_workers
 from bench_filter import integrity_cost, step_cost
+from bench_live import live_cost
 from bench_messages import message_cost
 from bench_monitor import monitor_cost
-from bench_replay import replay_cost
+from bench_peers import peers_cost
+from bench_replay import block_cost, replay_cost
 from bench_rows import Row
 from bench_stars import late_star_cost, star_solution
 from bench_start import import_cost, start_cost
@@ -35,13 +38,17 @@ JSON_FILE = Path(__file__).resolve().parents[1] / "out" / "bench.json"
 BENCHMARKS: dict[str, Callable[[], list[Row]]] = {
     "import": import_cost,
     "start": start_cost,
+    "live": live_cost,
+    "behind_star": behind_star_cost,
     "step": step_cost,
     "replay": replay_cost,
+    "blocks": block_cost,
     "black_box": black_box_cost,
     "messages": message_cost,
     "star_solution": star_solution,
     "late_star": late_star_cost,
     "integrity": integrity_cost,
+    "peers": peers_cost,
     "monitor": monitor_cost,
     "campaign": campaign_workers,
 }

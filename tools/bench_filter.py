@@ -31,13 +31,13 @@ MOST_INTEGRITY_RATIO = 1.6
 
 def step_cost() -> list[Row]:
     """Median of the steps of a run, by turns with numpy's 3 x 3 SVD."""
-    run = _run_of("paper", 30.0)
+    run = run_of("paper", 30.0)
     model = core_for(run.scenario).filter.model
     states, parts = model.size, len(model.sources)
     matrix = np.random.default_rng(1).standard_normal((3, 3))
     step_us, svd_us = by_turns(
         STEP_ROUNDS,
-        lambda: float(np.median(_ship_steps_us(run, WithoutIntegrity))),
+        lambda: float(np.median(ship_steps_us(run, WithoutIntegrity))),
         lambda: median_us(lambda: np.linalg.svd(matrix)),
     )
     what = f"step of the ship's filter, {states} states x {parts} parts"
@@ -58,11 +58,11 @@ class _WithPairs(ShipFilter):
 
 def integrity_cost() -> list[Row]:
     """The filters' steps, with the estimates without each source beside them and without them, by turns."""
-    ship, theodolite = _run_of("three_sensors", 20.0), _run_of("theodolite", 60.0)
+    ship, theodolite = run_of("three_sensors", 20.0), run_of("theodolite", 60.0)
     of_ship = "ship's step by three star sensors"
     return [
-        *_integrity_rows(of_ship, _ship_steps_us, ship, WithoutIntegrity, ShipFilter),
-        *_integrity_rows(f"{of_ship}, integrity.pairs", _ship_steps_us, ship, WithoutIntegrity, _WithPairs, None),
+        *_integrity_rows(of_ship, ship_steps_us, ship, WithoutIntegrity, ShipFilter),
+        *_integrity_rows(f"{of_ship}, integrity.pairs", ship_steps_us, ship, WithoutIntegrity, _WithPairs, None),
         *_integrity_rows(
             "theodolite's step by two lights", _theodolite_steps_us, theodolite, WithoutAlternatives, SightingStep
         ),
@@ -87,12 +87,13 @@ def _integrity_rows(
     ]
 
 
-def _run_of(scenario: str, duration_s: float) -> SimulatedRun:
+def run_of(scenario: str, duration_s: float) -> SimulatedRun:
+    """A scenario of the repository over some seconds, simulated."""
     found = load_scenario(SCENARIOS / f"{scenario}.yaml")
     return simulate(dataclasses.replace(found, duration_s=duration_s), seed=1)
 
 
-def _ship_steps_us(run: SimulatedRun, kind: type[ShipFilter]) -> list[float]:
+def ship_steps_us(run: SimulatedRun, kind: type[ShipFilter]) -> list[float]:
     """The time of each step of a filter over a run."""
     core = core_for(run.scenario)
     core.filter = kind(core.config)

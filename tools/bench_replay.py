@@ -1,6 +1,8 @@
-"""One message at a time: the replay of a bag, over what rosbags takes to copy the same bag, each message decoded."""
+"""Replay, one message at a time and in blocks, over what rosbags takes to copy the same bag, each message decoded."""
 
 import dataclasses
+import subprocess
+import sys
 import tempfile
 from functools import partial
 from pathlib import Path
@@ -19,16 +21,31 @@ from ship_simulation.simulate_command import write_bag
 SCENARIOS = Path(__file__).resolve().parents[1] / "bags" / "scenarios"
 ROUNDS = 3
 DEMO_S, SUITE_S = 30.0, 15.0
-"""Length of the voyages, s: of the demo, and with every device."""
+"""Length of the voyages one message at a time, s: of the demo, and with every device."""
+SHIP_S, LONG_SUITE_S, SHORT_S = 300.0, 60.0, 100.0
+"""Length of the voyages in blocks, s: of the ship's attitude at 100 Hz and twice 5 Hz, and with every device; and of a
+shorter one of the first, beside which its memory is seen not to grow."""
 
 MOST_OF_DEMO, MOST_OF_SUITE = 6.0, 12.0
 """What issue 10 asks of replay, one message at a time, over a copy."""
+MOST_IN_BLOCKS, MOST_OF_SUITE_IN_BLOCKS = 0.25, 0.5
+"""The same of replay in blocks."""
+MOST_MB, MOST_GROWTH = 250.0, 1.05
 
 _COPY = "rosbags copy of the bag, each message decoded and encoded"
+_REPLAYED = """
+import re, sys
+from pathlib import Path
+from ship_replay.commands.replay import ADAPTERS
+from ship_replay.offline.replay import replay
+replay(Path(sys.argv[1]), Path(sys.argv[2]), ADAPTERS)
+print(re.search(r"VmHWM:\\s*(\\d+) kB", Path("/proc/self/status").read_text())[1])
+"""
+"""What getrusage tells counts the process that started this one, too."""
 
 
 def replay_cost() -> list[Row]:
-    """Processor time of replay, of rosbags' copy and of rosbags' decoding, by turns: the demo and a full suite."""
+    """Processor time of replay one message at a time, of rosbags' copy and of rosbags' decoding, by turns."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         return [
@@ -37,23 +54,64 @@ def replay_cost() -> list[Row]:
         ]
 
 
+def block_cost() -> list[Row]:
+    """Processor time of replay in blocks, over rosbags' copy and over one message at a time, by turns; its memory."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        ship, suite = _voyage("paper", SHIP_S, folder), _voyage("everything", LONG_SUITE_S, folder)
+        (folder / "short").mkdir()
+        memory_mb = [_memory_mb(bag, folder) for bag in (_voyage("paper", SHORT_S, folder / "short"), ship)]
+        return [
+            *_block_rows("ship's attitude", ship, folder, MOST_IN_BLOCKS),
+            *_block_rows("full suite", suite, folder, MOST_OF_SUITE_IN_BLOCKS),
+            Row(f"resident memory of replay, {SHIP_S:g} s", memory_mb[1], "MB", MOST_MB),
+            Row(f"ratio: the same / {SHORT_S:g} s", memory_mb[1] / memory_mb[0], "x", MOST_GROWTH),
+        ]
+
+
 def _rows(what: str, bag: Path, folder: Path, most: float) -> list[Row]:
     copies = iter(range(ROUNDS))
     out = folder / f"{bag.stem}_out.mcap"
     replayed, copied, decoded = by_turns(
         ROUNDS,
-        lambda: own_cpu_s(partial(replay, bag, out, ADAPTERS)),
+        lambda: own_cpu_s(partial(replay, bag, out, ADAPTERS, one_by_one=True)),
         lambda: own_cpu_s(partial(_copy, bag, folder / f"{bag.stem}_{next(copies)}")),
         lambda: own_cpu_s(partial(_decode, bag)),
     )
-    with AnyReader([bag]) as reader:
-        duration_s = reader.duration * 1e-9
     return [
-        Row(f"replay of the {what}, processor time: median", float(np.median(replayed)), "s"),
-        Row(f"real time / replay of the {what}", duration_s / float(np.median(replayed)), "x"),
+        Row(f"replay of the {what}, one by one, processor time: median", float(np.median(replayed)), "s"),
+        Row(f"real time / replay of the {what}", _duration_s(bag) / float(np.median(replayed)), "x"),
         Row(f"ratio: replay of the {what} / rosbags copy", median_ratio(replayed, copied), "x", most, _COPY),
         Row(f"ratio: rosbags decoding of the {what} / rosbags copy", median_ratio(decoded, copied), "x", None, _COPY),
     ]
+
+
+def _block_rows(what: str, bag: Path, folder: Path, most: float) -> list[Row]:
+    copies = iter(range(ROUNDS))
+    out = folder / f"{bag.stem}_out.mcap"
+    blocks, one_by_one, copied = by_turns(
+        ROUNDS,
+        lambda: own_cpu_s(partial(replay, bag, out, ADAPTERS)),
+        lambda: own_cpu_s(partial(replay, bag, out, ADAPTERS, one_by_one=True)),
+        lambda: own_cpu_s(partial(_copy, bag, folder / f"{bag.stem}_{next(copies)}")),
+    )
+    return [
+        Row(f"replay of the {what} in blocks, processor time: median", float(np.median(blocks)), "s"),
+        Row(f"real time / replay of the {what} in blocks", _duration_s(bag) / float(np.median(blocks)), "x"),
+        Row(f"ratio: replay of the {what} in blocks / rosbags copy", median_ratio(blocks, copied), "x", most, _COPY),
+        Row(f"ratio: replay of the {what} in blocks / one by one", median_ratio(blocks, one_by_one), "x"),
+    ]
+
+
+def _memory_mb(bag: Path, folder: Path) -> float:
+    """The most memory that a process takes which replays a bag."""
+    command = [sys.executable, "-c", _REPLAYED, str(bag), str(folder / "memory.mcap")]
+    return float(subprocess.run(command, check=True, capture_output=True, text=True).stdout) / 1024.0
+
+
+def _duration_s(bag: Path) -> float:
+    with AnyReader([bag]) as reader:
+        return float(reader.duration) * 1e-9
 
 
 def _voyage(scenario: str, duration_s: float, folder: Path) -> Path:

@@ -17,7 +17,7 @@ setup(
                 [f"ship_estimation/{name}.py"],
                 extra_compile_args=["-O3", "-ffp-contract=off"],
             )
-            for name in ("compiled_steps", "compiled_watch", "compiled_integrity")
+            for name in ("compiled_integrity", "compiled_means", "compiled_steps", "compiled_watch")
         ],
         quiet=True,  # colcon reads what this file prints
     ),

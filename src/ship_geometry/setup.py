@@ -17,7 +17,7 @@ setup(
                 [f"ship_geometry/{name}.py"],
                 extra_compile_args=["-O3", "-ffp-contract=off"],
             )
-            for name in ("compiled_angles", "compiled_rotations")
+            for name in ("compiled_angles", "compiled_lights", "compiled_mounts", "compiled_rotations")
         ],
         quiet=True,  # colcon reads what this file prints
     ),

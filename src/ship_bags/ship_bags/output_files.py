@@ -8,7 +8,6 @@ so that nobody else's file is written. A part that a killed program left is take
 at this moment is not.
 """
 
-import argparse
 import csv
 import errno
 import fcntl
@@ -18,11 +17,14 @@ import stat
 from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
 from ship_bags.errors import BadInput
+
+if TYPE_CHECKING:
+    import argparse
 
 PART_SUFFIX = ".part"
 
@@ -41,7 +43,7 @@ _REASONS = {
 }
 
 
-def add_force(parser: argparse.ArgumentParser) -> None:
+def add_force(parser: "argparse.ArgumentParser") -> None:
     """The option that :func:`check_file` and :func:`check_folder` ask about."""
     parser.add_argument("--force", action="store_true", help="write over files that are there")
 

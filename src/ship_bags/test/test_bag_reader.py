@@ -200,6 +200,45 @@ def test_cut_file_gives_all_up_to_the_cut(tmp_path, bag_bytes, share):
     assert f"{expected} messages could be read, the last at {utc_text(times[-1])}" in problem
 
 
+class GrowingFile(io.BytesIO):
+    """A file that another program writes: whenever somebody has looked for its end, that lies further on."""
+
+    def __init__(self, data, grown_by):
+        super().__init__(data)
+        self._grown_by = grown_by
+
+    def seek(self, offset, whence=io.SEEK_SET):
+        place = super().seek(offset, whence)
+        if whence == io.SEEK_END:
+            super().seek(0, io.SEEK_END)
+            self.write(self._grown_by)
+            super().seek(place)
+        return place
+
+
+@pytest.mark.parametrize("share", [0.2, 0.77])
+@pytest.mark.parametrize("grown_by", ["a byte", "all the rest"])
+def test_a_file_that_grows_while_it_is_read_gives_what_it_had_when_it_was_opened(
+    tmp_path, bag_bytes, monkeypatch, share, grown_by
+):
+    length = int(len(bag_bytes) * share)
+    there, rest = bag_bytes[:length], bag_bytes[length:]
+    growing = GrowingFile(there, rest[:1] if grown_by == "a byte" else rest)
+    monkeypatch.setattr("ship_bags.mcap.bag_file.open", lambda *_: growing, raising=False)
+    with read_bag(tmp_path / "whole.mcap") as bag:
+        assert [record.log_time_ns for record in bag.records()] == TIMES[: whole_messages(there)]
+        (problem,) = bag.problems
+    assert "no footer" in problem
+
+
+def test_a_file_that_became_shorter_since_it_was_opened_has_no_whole_footer(tmp_path, bag_bytes, monkeypatch):
+    shrunk = io.BytesIO(bag_bytes[:-3000])
+    shrunk.seek = lambda *where: len(bag_bytes) if where == (0, io.SEEK_END) else io.BytesIO.seek(shrunk, *where)
+    monkeypatch.setattr("ship_bags.mcap.bag_file.open", lambda *_: shrunk, raising=False)
+    with read_bag(tmp_path / "whole.mcap") as bag:
+        assert [record.log_time_ns for record in bag.records()] == TIMES[: whole_messages(bag_bytes[:-3000])]
+
+
 def test_flipped_bits_in_a_chunk_cost_that_chunk_only(tmp_path, bag_bytes):
     chunks = chunk_offsets(bag_bytes)
     assert len(chunks) == 12

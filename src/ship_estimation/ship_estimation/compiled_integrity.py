@@ -123,9 +123,12 @@ def apart(
 
 
 def separation_sigmas(
-    variance: cython.const[cython.double][:, :], variance_0: cython.const[cython.double][:], tiny: cython.double
+    variance: cython.const[cython.double][:, :],
+    variance_0: cython.const[cython.double][:],
+    least_share: cython.double,
+    least_variance: cython.double,
 ):
-    """See :func:`ship_estimation.protection.separation_sigma`; ``tiny`` is the least variance of a distance."""
+    """See :func:`ship_estimation.protection.separation_sigma`; the last two as in :func:`levels`."""
     columns: cython.Py_ssize_t = variance.shape[1]
     _check("variance", variance_0.shape[0] == columns)
     of_sigma = np.empty((variance.shape[0], columns))
@@ -134,16 +137,18 @@ def separation_sigmas(
     i: cython.Py_ssize_t
     for row in range(variance.shape[0]):
         for i in range(columns):
-            sigma[row, i] = _separation_sigma(variance[row, i], variance_0[i], tiny)
+            sigma[row, i] = _separation_sigma(variance[row, i], variance_0[i], least_share, least_variance)
     return of_sigma
 
 
 @cython.cfunc
 @cython.exceptval(check=False)
 @cython.inline
-def _separation_sigma(variance: cython.double, variance_0: cython.double, tiny: cython.double) -> cython.double:
-    # Rounding may leave nothing of a small difference; a thousandth of the sigma is nothing to a level.
-    return sqrt(_larger(variance - variance_0, _larger(1e-6 * variance_0, tiny)))
+def _separation_sigma(
+    variance: cython.double, variance_0: cython.double, least_share: cython.double, least_variance: cython.double
+) -> cython.double:
+    # Rounding may leave nothing of a small difference.
+    return sqrt(_larger(variance - variance_0, _larger(least_share * variance_0, least_variance)))
 
 
 def levels(
@@ -154,7 +159,8 @@ def levels(
     right: cython.double,
     false_exclusion: cython.double,
     missed: cython.const[cython.double][:],
-    tiny: cython.double,
+    least_share: cython.double,
+    least_variance: cython.double,
 ):
     """The fields of :class:`ship_estimation.protection.Separation`, by the hypotheses in question.
 
@@ -166,7 +172,8 @@ def levels(
         right: and the next two: numbers of sigmas, as :class:`ship_estimation.protection.Factors` has them.
         false_exclusion: of a separation.
         missed: shape (h,).
-        tiny: least variance of a distance.
+        least_share: the least variance of a distance, as a share of that of the component by all sources.
+        least_variance: the least variance of a distance.
     """
     asked: cython.Py_ssize_t = rows.shape[0]
     _check("distance", distance.shape[0] == variance.shape[0] == missed.shape[0])
@@ -193,7 +200,7 @@ def levels(
         for i in range(3):
             # Without a source nothing is known better, but for one that was refused with it and is used without.
             grown = _larger(variance[row, i], variance_0[i])
-            apart = _separation_sigma(grown, variance_0[i], tiny)
+            apart = _separation_sigma(grown, variance_0[i], least_share, least_variance)
             value = false_exclusion * apart + missed[row] * sqrt(grown)
             level[i], of_row = _larger(level[i], value), _larger(of_row, value)
             statistic[k] = _larger(statistic[k], fabs(distance[row, i]) / apart)

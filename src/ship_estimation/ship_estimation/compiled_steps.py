@@ -20,7 +20,7 @@ import numpy as np
 if not cython.compiled:
     raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")
 
-from cython.cimports.libc.math import fabs, sqrt
+from cython.cimports.libc.math import exp, fabs, sqrt
 from cython.cimports.libc.string import memcpy, memset
 
 _JACOBI_SWEEPS = 12
@@ -79,9 +79,22 @@ def _add_rows(
                 first * row[j] + second * row[stride + j] + third * row[2 * stride + j] + fourth * row[3 * stride + j]
             )
         k += 4
-    while k < inner:
-        _add(target, sign * weights[k * step], rows + k * stride, count)
-        k += 1
+    if k == inner:
+        return
+    # Up to three are left: of an attitude these are all.
+    row = rows + k * stride
+    first = sign * weights[k * step]
+    if inner - k == 1:
+        _add(target, first, row, count)
+        return
+    second = sign * weights[(k + 1) * step]
+    if inner - k == 2:
+        for j in range(count):
+            target[j] += first * row[j] + second * row[stride + j]
+        return
+    third = sign * weights[(k + 2) * step]
+    for j in range(count):
+        target[j] += first * row[j] + second * row[stride + j] + third * row[2 * stride + j]
 
 
 @cython.cfunc
@@ -99,6 +112,18 @@ def _product(
     memset(out, 0, rows * columns * cython.sizeof(cython.double))
     for i in range(rows):
         _add_rows(out + i * columns, 1.0, left + i * inner, 1, inner, right, columns, columns)
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _sum(
+    parts: cython.p_double, count: cython.Py_ssize_t, size: cython.Py_ssize_t, out: cython.p_double
+) -> cython.void:
+    """The sum of matrices that lie one after the other."""
+    s: cython.Py_ssize_t
+    memcpy(out, parts, size * cython.sizeof(cython.double))
+    for s in range(1, count):
+        _add(out, 1.0, parts + s * size, size)
 
 
 @cython.cfunc
@@ -193,6 +218,139 @@ def carried(
     return result
 
 
+def transition(
+    dt_s: cython.double,
+    time_s: cython.const[cython.double][::1],
+    steady_variance: cython.const[cython.double][::1],
+    walk_variance: cython.const[cython.double][::1],
+):
+    """What is left of each state after some time and the variance that comes new, shapes (n,), (n,)."""
+    n: cython.Py_ssize_t = time_s.shape[0]
+    _check("transition", steady_variance.shape[0] == walk_variance.shape[0] == n)
+    of_decay, of_noise = np.empty(n), np.empty(n)
+    decay: cython.double[::1] = of_decay
+    noise: cython.double[::1] = of_noise
+    i: cython.Py_ssize_t
+    for i in range(n):
+        decay[i] = exp(-dt_s / time_s[i])
+        noise[i] = steady_variance[i] * (1.0 - decay[i] * decay[i]) + walk_variance[i] * dt_s
+    return of_decay, of_noise
+
+
+def decayed(
+    means: cython.const[cython.double][:, ::1],
+    decay: cython.const[cython.double][::1],
+    first: cython.Py_ssize_t,
+    sigma: cython.const[cython.double][::1],
+    beyond: cython.double,
+):
+    """States after some time, shape (h, n): what is left of them.
+
+    Args:
+        means: before, shape (h, n).
+        decay: what is left of each, shape (n,).
+        first: of k states that stay as they are where they are too large.
+        sigma: of these, shape (k,).
+        beyond: how many sigmas are too large.
+    """
+    n: cython.Py_ssize_t = means.shape[1]
+    _check("decayed", decay.shape[0] == n and 0 <= first <= n - sigma.shape[0])
+    result = np.empty((means.shape[0], n))
+    out: cython.double[:, ::1] = result
+    row: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    for row in range(means.shape[0]):
+        for i in range(n):
+            out[row, i] = decay[i] * means[row, i]
+        for i in range(sigma.shape[0]):
+            if fabs(means[row, first + i]) > beyond * sigma[i]:
+                out[row, first + i] = means[row, first + i]
+    return result
+
+
+def add_error(
+    stack: cython.double[:, :, ::1],
+    rows: cython.Py_ssize_t,
+    part: cython.Py_ssize_t,
+    first: cython.Py_ssize_t,
+    covariance: cython.const[cython.double][:, :],
+    row: cython.Py_ssize_t,
+):
+    """Add an error of some states, in place, to all rows of a stack or to one of those beside the first.
+
+    Args:
+        stack: shape (n_sources + h - 1, n, n).
+        rows: h.
+        part: of the first row, to which the error is booked.
+        first: of the k states that err.
+        covariance: of the error, shape (k, k).
+        row: which one; 0 for all.
+    """
+    sources: cython.Py_ssize_t = stack.shape[0] - rows + 1
+    count: cython.Py_ssize_t = covariance.shape[0]
+    _check("row", 0 <= row < rows and 0 <= part < sources)
+    _check("states", 0 <= first <= stack.shape[1] - count and stack.shape[1] == stack.shape[2])
+    _check("covariance", covariance.shape[1] == count)
+    s: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    for s in range(stack.shape[0]):
+        if s == sources + row - 1 if row else s == part or s >= sources:
+            for i in range(count):
+                for j in range(count):
+                    stack[s, first + i, first + j] += covariance[i, j]
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+@cython.inline
+def _larger(first: cython.double, second: cython.double) -> cython.double:
+    """The larger of two numbers; no number where one of them is none."""
+    return first if first != first or second <= first else second
+
+
+def separations(
+    means: cython.const[cython.double][:, ::1],
+    stack: cython.const[cython.double][:, :, ::1],
+    first: cython.Py_ssize_t,
+    count: cython.Py_ssize_t,
+    least_share: cython.double,
+    least_variance: cython.double,
+):
+    """How far each row is from the first one in k states, shape (h, k), and at most, in sigmas, shape (h,).
+
+    Args:
+        means: shape (h, n).
+        stack: shape (n_sources + h - 1, n, n).
+        first: of the states.
+        count: k.
+        least_share: share of the first row's variance that the variance of a distance has at least.
+        least_variance: what it has at least.
+    """
+    rows: cython.Py_ssize_t = means.shape[0]
+    sources: cython.Py_ssize_t = stack.shape[0] - rows + 1
+    _check("separations", sources >= 1 and stack.shape[1] == stack.shape[2] == means.shape[1])
+    _check("states", first >= 0 and 0 <= count <= means.shape[1] - first)
+    of_apart, of_statistic = np.empty((rows, count)), np.zeros(rows)
+    apart: cython.double[:, ::1] = of_apart
+    statistic: cython.double[::1] = of_statistic
+    by_all: cython.double
+    variance: cython.double
+    row: cython.Py_ssize_t
+    s: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    for i in range(first, first + count):
+        by_all = 0.0
+        for s in range(sources):
+            by_all += stack[s, i, i]
+        for row in range(rows):
+            variance = stack[sources + row - 1, i, i] - by_all if row else 0.0
+            variance = _larger(variance, _larger(least_share * by_all, least_variance))
+            apart[row, i - first] = means[row, i] - means[0, i]
+            statistic[row] = _larger(statistic[row], fabs(apart[row, i - first]) / sqrt(variance))
+    return of_apart, of_statistic
+
+
 def row_covariances(stack: cython.const[cython.double][:, :, ::1], rows: cython.Py_ssize_t):
     """The covariance of each row of a stack: the parts of the first one added up, the others as they are."""
     sources: cython.Py_ssize_t = stack.shape[0] - rows + 1
@@ -201,18 +359,63 @@ def row_covariances(stack: cython.const[cython.double][:, :, ::1], rows: cython.
     result = np.empty((rows, stack.shape[1], stack.shape[2]))
     out: cython.double[:, :, ::1] = result
     start: cython.p_double = cython.cast(cython.p_double, cython.address(stack[0, 0, 0]))
-    s: cython.Py_ssize_t
-    memcpy(cython.address(out[0, 0, 0]), start, size * cython.sizeof(cython.double))
-    for s in range(1, sources):
-        _add(cython.address(out[0, 0, 0]), 1.0, start + s * size, size)
+    _sum(start, sources, size, cython.address(out[0, 0, 0]))
     if rows > 1:
         memcpy(cython.address(out[1, 0, 0]), start + sources * size, (rows - 1) * size * cython.sizeof(cython.double))
     return result
 
 
+def variance_along(
+    weights: cython.const[cython.double][::1], covariance: cython.const[cython.double][:, :]
+) -> cython.double:
+    """The variance of a sum of states, each times a weight: shapes (n,) and (n, n). Most of the weights are zero."""
+    n: cython.Py_ssize_t = weights.shape[0]
+    _check("variance_along", covariance.shape[0] == covariance.shape[1] == n)
+    total: cython.double = 0.0
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    for i in range(n):
+        if weights[i] != 0.0:
+            for j in range(n):
+                if weights[j] != 0.0:
+                    total += weights[i] * covariance[i, j] * weights[j]
+    return total
+
+
+def spread(
+    jacobian: cython.const[cython.double][:, ::1],
+    covariance: cython.const[cython.double][:, ::1],
+    without: cython.const[cython.double][::1],
+) -> cython.double:
+    """The sum of the variances of what some states do: the trace of J P Jᵀ.
+
+    Args:
+        jacobian: J, shape (m, n).
+        covariance: P, shape (n, n).
+        without: states for which it is not zero have no part, shape (n,).
+    """
+    n: cython.Py_ssize_t = jacobian.shape[1]
+    _check("spread", covariance.shape[0] == covariance.shape[1] == without.shape[0] == n)
+    total: cython.double = 0.0
+    along: cython.double
+    row: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    for row in range(jacobian.shape[0]):
+        for i in range(n):
+            if without[i] != 0.0 or jacobian[row, i] == 0.0:
+                continue
+            along = 0.0
+            for j in range(n):
+                if without[j] == 0.0:
+                    along += covariance[i, j] * jacobian[row, j]
+            total += jacobian[row, i] * along
+    return total
+
+
 def compared(
     means: cython.const[cython.double][:, ::1],
-    covariance: cython.const[cython.double][:, :, ::1],
+    stack: cython.const[cython.double][:, :, ::1],
     measured: cython.const[cython.double][::1],
     jacobian: cython.const[cython.double][:, ::1],
     noise: cython.const[cython.double][:, ::1],
@@ -228,8 +431,9 @@ def compared(
     n: cython.Py_ssize_t = means.shape[1]
     m: cython.Py_ssize_t = jacobian.shape[0]
     wide: cython.Py_ssize_t = n + 4
-    _check("means", covariance.shape[0] == rows and at_mean.shape[0] == n)
-    _check("covariance", covariance.shape[1] == covariance.shape[2] == jacobian.shape[1] == n)
+    sources: cython.Py_ssize_t = stack.shape[0] - rows + 1
+    _check("means", rows >= 1 and sources >= 1 and at_mean.shape[0] == n)
+    _check("stack", stack.shape[1] == stack.shape[2] == jacobian.shape[1] == n)
     _check("measurement", measured.shape[0] == noise.shape[0] == noise.shape[1] == by_turn.shape[0] == m)
     _check("by_turn", by_turn.shape[1] == 3)
     of_residual, of_covariance, of_nis = np.empty((rows, m)), np.empty((rows, m, m)), np.empty(rows)
@@ -242,8 +446,9 @@ def compared(
     turn: cython.double[:, ::1] = of_turn
     root: cython.double[:, :, ::1] = of_root
     share: cython.double[:, ::1] = of_noise
-    # In a row: the Jacobian transposed, the columns asked for, the cross covariance, a factor, what a turn does.
-    scratch: cython.double[::1] = np.empty(n * m + wide * m + n * m + m * m + 4 * m + 12 + 9)
+    # In a row: the Jacobian transposed, the columns asked for, the cross covariance, a factor, what a turn does, and
+    # the covariance of the first row.
+    scratch: cython.double[::1] = np.empty(n * m + wide * m + n * m + m * m + 4 * m + 12 + 9 + n * n)
     transposed: cython.p_double = cython.address(scratch[0])
     asked: cython.p_double = transposed + n * m
     cross: cython.p_double = asked + wide * m
@@ -251,6 +456,8 @@ def compared(
     solved: cython.p_double = factor + m * m
     seen: cython.p_double = solved + 4 * m
     information: cython.p_double = seen + 12
+    covariance: cython.p_double = information + 9
+    parts: cython.p_double = cython.cast(cython.p_double, cython.address(stack[0, 0, 0]))
     h: cython.p_double = cython.cast(cython.p_double, cython.address(jacobian[0, 0]))
     turning: cython.p_double = cython.cast(cython.p_double, cython.address(by_turn[0, 0]))
     row: cython.Py_ssize_t
@@ -259,13 +466,16 @@ def compared(
     k: cython.Py_ssize_t
     total: cython.double
     _transposed(h, m, n, transposed)
+    _sum(parts, sources, n * n, covariance)
     for row in range(rows):
         for j in range(m):
             total = measured[j]
             for k in range(n):
                 total -= jacobian[j, k] * (means[row, k] - at_mean[k])
             residual[row, j] = total
-        _product(h, m, n, cython.cast(cython.p_double, cython.address(covariance[row, 0, 0])), n, cross)
+        if row > 0:
+            covariance = parts + (sources + row - 1) * n * n
+        _product(h, m, n, covariance, n, cross)
         _product(cross, m, n, transposed, m, factor)
         for i in range(m):
             for j in range(m):

@@ -484,7 +484,7 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         if not self.follows(time_ns):
             return
         try:
-            found = estimate(self._state_now())
+            found = estimate(self.state_now)
         except Exception as error:
             outcome.failures.append((time_ns, failure(error)))
             return
@@ -497,7 +497,8 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         self._last_claim_ns, self._said_invalid_ns = time_ns, None
         self._silent_after_ns = waiting_ns + max(patience_ns, SECOND_NS)
 
-    def _state_now(self) -> State:
+    @property
+    def state_now(self) -> State:
         """The state for outputs: jumps count at once, also where measurements of before them still wait."""
         if not (self._jumped and self._log.waiting):
             return self.state

@@ -72,6 +72,9 @@ class Finding:
     explaining: tuple[int, ...] = ()
 
 
+_NO_FAULT = Finding(fault=False)
+
+
 def find_fault(
     means: Means,
     uses: NDArray[np.bool_],
@@ -107,11 +110,11 @@ def find_fault(
         >>> find_fault(seen, uses, np.array([0.0, 4.0, 1.0]), 5.0, [1, 2], now_ns=0)
         Finding(fault=True, row=1, explaining=(1,))
     """
+    agrees = _first_row_agrees(means, uses[0], now_ns - HEARD_NS, degraded_after)
+    sigmas = statistic.tolist()
+    if agrees and all(sigmas[row] <= threshold for row in (*candidates, *larger)):  # NaN is not
+        return _NO_FAULT
     heard = means.heard_ns >= now_ns - HEARD_NS
-    agree = (means.excess[0] <= 1.0) & (means.refused[0] < degraded_after)  # NaN does not
-    agrees = bool((agree | ~(uses[0] & heard)).all())
-    if agrees and all(statistic[row] <= threshold for row in (*candidates, *larger)):  # NaN is not
-        return Finding(fault=False)
     counts = uses & heard
     contradicted = np.where(means.refused >= degraded_after, np.maximum(means.excess, 2.0), means.excess)
     worst = np.max(np.where(counts, contradicted, 0.0), axis=-1, initial=0.0)
@@ -132,6 +135,19 @@ def find_fault(
         both = [*explaining, *(row for row in larger if explains[row])]
         row = _farthest(both, statistic, threshold) or _farthest(explaining, statistic, threshold)
     return Finding(fault=True, row=row, explaining=tuple(explaining))
+
+
+def _first_row_agrees(means: Means, uses: NDArray[np.bool_], since_ns: int, degraded_after: int) -> bool:
+    """Whether the first row agrees with all sources that it uses and that were heard since a moment."""
+    by_source = zip(
+        means.excess[0].tolist(), means.refused[0].tolist(), means.heard_ns.tolist(), uses.tolist(), strict=True
+    )
+    # NaN does not agree.
+    return all(
+        excess <= 1.0 and refused < degraded_after
+        for excess, refused, heard_ns, used in by_source
+        if used and heard_ns >= since_ns
+    )
 
 
 def _farthest(rows: Sequence[int], statistic: FloatArray, threshold: float) -> int | None:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ship_estimation import compiled_steps
 from ship_estimation.kalman import LinearMeasurement
+from ship_estimation.protection import LEAST_SHARE, LEAST_VARIANCE_RAD2
 from ship_geometry.rotations import FloatArray
 
 
@@ -66,7 +67,7 @@ def add_error(
         rows: h.
         part: of the first row, to which the error is booked.
         states: that err.
-        covariance: of the error.
+        covariance: of the error, as many rows and columns as there are of these states.
         row: which one; None for all.
 
     Example:
@@ -75,12 +76,34 @@ def add_error(
         >>> print(stack.ravel())
         [0. 4. 4.]
     """
-    parts = len(stack) - rows + 1
-    if row is not None:
-        stack[parts + row - 1, states, states] += covariance
-        return
-    stack[part, states, states] += covariance
-    stack[parts:, states, states] += covariance
+    first = states.indices(stack.shape[-1])[0]
+    compiled_steps.add_error(stack, rows, part, first, covariance, row or 0)
+
+
+def separations(means: FloatArray, stack: FloatArray, states: slice) -> tuple[FloatArray, FloatArray]:
+    """How far each row is from the first one in k states, shape (h, k), and at most, in sigmas, shape (h,).
+
+    Their sigmas are those of :func:`ship_estimation.protection.separation_sigma`. A row of which a distance is no
+    number has no number of sigmas.
+
+    Args:
+        means: shape (h, n).
+        stack: shape (n_sources + h - 1, n, n).
+        states: in which the rows are compared.
+
+    Example:
+        The second row, of the variance 13, is six away from the first one, whose two parts are 1 and 3:
+
+        >>> stack = np.array([1.0, 3.0, 13.0])[:, None, None]
+        >>> apart, sigmas = separations(np.array([[0.0], [6.0]]), stack, slice(0, 1))
+        >>> print(apart.ravel(), sigmas)
+        [0. 6.] [0. 2.]
+    """
+    first, end, _ = states.indices(means.shape[1])
+    found: tuple[FloatArray, FloatArray] = compiled_steps.separations(
+        means, stack, first, end - first, LEAST_SHARE, LEAST_VARIANCE_RAD2
+    )
+    return found
 
 
 def promoted(stack: FloatArray, rows: int, row: int) -> FloatArray:
@@ -116,13 +139,13 @@ def promoted(stack: FloatArray, rows: int, row: int) -> FloatArray:
 
 
 def compare_rows(
-    means: FloatArray, covariance: FloatArray, measurement: LinearMeasurement, at_mean: FloatArray, by_turn: FloatArray
+    means: FloatArray, stack: FloatArray, measurement: LinearMeasurement, at_mean: FloatArray, by_turn: FloatArray
 ) -> RowsCompared:
     """Compare a measurement with every row.
 
     Args:
         means: predicted states, shape (h, n).
-        covariance: of each, shape (h, n, n).
+        stack: their covariances, shape (n_sources + h - 1, n, n).
         measurement: linearised; its residual is that of the state ``at_mean``.
         at_mean: shape (n,).
         by_turn: derivative of the residual by a rotation of the device, shape (m, 3).
@@ -131,17 +154,18 @@ def compare_rows(
         numpy.linalg.LinAlgError: a covariance of the residual is not positive definite.
 
     Example:
-        One state, known to 3 and to 4, is measured as 10 with the sigma 4; the rows stand at 0 and at 5:
+        One state, known to 3 and to 4, is measured as 10 with the sigma 4; the rows stand at 0 and at 5, and the first
+        one has two parts:
 
-        >>> covariance = np.array([[[9.0]], [[16.0]]])
+        >>> stack = np.array([[[5.0]], [[4.0]], [[16.0]]])
         >>> measured = LinearMeasurement(np.array([10.0]), np.array([[1.0]]), {0: np.array([[16.0]])})
         >>> means, by_turn = np.array([[0.0], [5.0]]), np.array([[1.0, 0.0, 0.0]])
-        >>> found = compare_rows(means, covariance, measured, np.array([0.0]), by_turn)
+        >>> found = compare_rows(means, stack, measured, np.array([0.0]), by_turn)
         >>> print(found.nis, found.gain.ravel())
         [4.      0.78125] [0.36 0.5 ]
     """
     found = compiled_steps.compared(
-        means, covariance, measurement.residual, measurement.jacobian, measurement.noise, at_mean, by_turn
+        means, stack, measurement.residual, measurement.jacobian, measurement.noise, at_mean, by_turn
     )
     return RowsCompared(*found)
 

@@ -15,14 +15,17 @@ import numpy as np
 
 from ship_estimation.ins import GuardedInsConfig, InsJump, clock_step_s
 from ship_estimation.ins_leads import FASTEST_RAD_PER_S, Leads, SeenSample, moved_back, one_run, seconds_between
-from ship_estimation.integrated_rates import IntegratedRun, Learnt, RateIntegrator, StepWatch
+from ship_estimation.integrated_rates import IntegratedRun, RateIntegrator, StepWatch
 from ship_estimation.rate_guard import RateGuard, Rates
 from ship_estimation.rate_slopes import SlopeWatch
 from ship_estimation.refusals import Reason, Refusal
 from ship_estimation.value_guards import JumpGuard, JumpVerdict, Match, StuckGuard, size
 from ship_estimation.witnesses import Witness
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, SampleBlock
-from ship_geometry.rotations import ARCSEC
+from ship_geometry.rotations import ARCSEC, FloatArray
+
+_PIECE = 64
+"""So many samples of a block are looked at together: after fewer than that something is learnt."""
 
 _STUCK = Refusal(Reason.STUCK, "orientation stands still while other sources move")
 
@@ -43,6 +46,19 @@ class JudgedIns(NamedTuple):
     refusal: Refusal | None = None
     jumps: tuple[InsJump, ...] = ()
     rates_wrong_after_ns: int | None = None
+
+
+class Followed(NamedTuple):
+    """The samples of a block that were judged ahead.
+
+    Attributes:
+        by_rates: at each of them the attitude by the rates alone, for the guards of other sources.
+        last: what is to be done with the last of them where something is, because the attitude crept, or the rates
+            turned out to be wrong with it.
+    """
+
+    by_rates: list[Witness]
+    last: JudgedIns | None
 
 
 class InsGuard:
@@ -117,71 +133,94 @@ class InsGuard:
             return judged
         return judged._replace(sample=replace(sample, rate_d=None))
 
-    def follow(
-        self, samples: Sequence[AttitudeSample], block: SampleBlock, witnesses: Mapping[str, Witness]
-    ) -> tuple[int, JudgedIns | None]:
-        """Take the samples of a block, from the first one on, that go the way of nearly all.
+    def looks_ahead(self, time_ns: int) -> bool:
+        """Whether a sample may go the usual way: rates are proven, a line leads to it, and nothing is in question."""
+        taken = self._taken
+        if taken is None or self._previous is not taken or self._rates.rates is not Rates.MEASURED:
+            return False
+        in_order = taken.integrated is not None and taken.sample.time_ns < time_ns
+        return in_order and self._disputed is None and self._steps.judges
 
-        Each of them is judged as by :meth:`judge` and is used as it is. The next one is for :meth:`judge`.
+    def look_ahead(self, samples: Sequence[AttitudeSample], block: SampleBlock) -> Followed:
+        """Judge the samples of a block, from the first one on, as long as they go the way of nearly all.
+
+        Each of them is judged as by :meth:`judge` and may be used as it is; witnesses have no part in that. The next
+        one is for :meth:`judge`, after :meth:`arrive`.
 
         Args:
             samples: later than all before, in the order of their stamps.
             block: the same as arrays.
-            witnesses: as in :meth:`judge`; the same for all samples.
-
-        Returns:
-            How many were taken; and what is to be done with the last of them where something is, because the rates
-            turned out to be wrong with it.
         """
+        followed = Followed([], None)
+        if not self.looks_ahead(samples[0].time_ns):
+            return followed
         self._leads.told_rad = 0.0
-        taken = self._taken
-        if taken is None or self._previous is not taken or self._rates.rates is not Rates.MEASURED:
-            return 0, None
-        if self._disputed is not None or taken.integrated is None or samples[0].time_ns <= taken.sample.time_ns:
-            return 0, None
         fresh = self._stuck.new_values(samples[0].time_ns, block.rotations_nd)
-        integrated = self._integrator.integrate_all(block.times_ns[:fresh], block.rates_d[:fresh])
-        joined, count, wrong_after_ns = len(integrated.missed_rad), 0, None
-        if integrated.run != taken.integrated.run:
-            return 0, None
-        while count < joined and wrong_after_ns is None and self._rates.rates is Rates.MEASURED:
-            # With the sample at which it is due the rates are judged.
-            due = int(np.searchsorted(block.times_ns[count:joined], self._rates.due_ns)) + 1
-            some = slice(count, min(count + due, joined))
-            errors_rad = self._leads.by_rates.noise_rad, self._stuck.coarseness_rad
-            along = self._steps.follow(
-                block.times_ns[some],
-                block.rotations_nd[some],
-                block.rates_d[some],
-                IntegratedRun(integrated.rotations[some], integrated.run, integrated.missed_rad[some]),
-                *errors_rad,
-            )
-            if along == 0:
+        while len(followed.by_rates) < fresh and followed.last is None:
+            count = len(followed.by_rates)
+            some = slice(count, min(count + _PIECE, fresh))
+            by_rates, last = self._follow_rates(samples[some], block.some(some))
+            if not by_rates:
                 break
-            count += along
-            previous, self._taken = self._seen(samples, integrated, taken, count)
-            self._previous = self._taken
-            if along == due:
-                wrong_after_ns = self._judge_rates(previous, self._taken)
-        if count == 0:
-            return 0, None
-        last = samples[count - 1]
-        self._integrator.take(last.time_ns, block.rates_d[count - 1], integrated.one(count - 1))
-        # As the guard of what stands still was told of it: before the rates were judged with this sample.
-        by_rates = Witness(last.time_ns, integrated.rotations[count - 1], 0.0, self._leads.drift.bound_rad_per_s)
-        self._stuck.follow(last.time_ns, block.rotations_nd[:count], {**witnesses, "rate": by_rates})
+            followed = Followed(followed.by_rates + by_rates, last)
+        return followed
+
+    def arrive(self, values: FloatArray, followed: Followed, witnesses: Mapping[str, Witness]) -> None:
+        """Samples that were judged ahead have come, all of them.
+
+        Args:
+            values: their attitudes, shape (N, 3, 3).
+            followed: what :meth:`look_ahead` gave.
+            witnesses: as in :meth:`judge`, at the last of them.
+        """
+        by_rates = followed.by_rates[-1]
+        # The guard of what stands still hears the rates as they were before they were judged with the last sample.
+        self._stuck.follow(by_rates.time_ns, values, {**witnesses, "rate": by_rates})
         self.noise_rad = math.hypot(self._sigma_rad, self._stuck.coarseness_rad / math.sqrt(12.0))
         self.by_rates = by_rates if self._rates.usable else None
         self._smooth_since_taken = True
-        if wrong_after_ns is None and self._rates.usable:
-            return count, None
-        return count, JudgedIns(last if self._rates.usable else replace(last, rate_d=None), None, (), wrong_after_ns)
+
+    def _follow_rates(
+        self, samples: Sequence[AttitudeSample], block: SampleBlock
+    ) -> tuple[list[Witness], JudgedIns | None]:
+        """Take the samples that lie on one line with those before, up to one with which something is learnt.
+
+        Returns:
+            The attitude by the rates at each of them; and what is to be done with the last one where something is.
+        """
+        taken, integrated = self._taken, self._integrator.integrate_all(block.times_ns, block.rates_d)
+        joined = len(integrated.missed_rad)
+        if joined == 0 or taken is None or taken.integrated is None or integrated.run != taken.integrated.run:
+            return [], None
+        # With the sample at which that is due the rates are judged.
+        due = int(np.searchsorted(block.times_ns[:joined], self._rates.due_ns)) + 1
+        some = block.some(slice(min(due, joined)))
+        count = self._steps.follow(*some, integrated, self._leads.by_rates.noise_rad, self._stuck.coarseness_rad)
+        if count == 0:
+            return [], None
+        last, drift = samples[count - 1], self._leads.drift.bound_rad_per_s
+        by_rates = [
+            Witness(sample.time_ns, rotation, 0.0, drift)
+            for sample, rotation in zip(samples[:count], integrated.rotations[:count], strict=True)
+        ]
+        previous, self._taken = self._last_two(samples, integrated, taken, count)
+        seen = self._taken
+        self._integrator.take(last.time_ns, block.rates_d[count - 1], integrated.one(count - 1))
+        jumps = self._crept_since(last)
+        if jumps:
+            self._taken = seen._replace(before=None)
+        self._previous = self._taken
+        wrong_after_ns = self._judge_rates(previous, seen) if count == due else None
+        if not jumps and wrong_after_ns is None:
+            return by_rates, None
+        sample = last if self._rates.usable else replace(last, rate_d=None)
+        return by_rates, JudgedIns(sample, _stepped(jumps), jumps, wrong_after_ns)
 
     @staticmethod
-    def _seen(
+    def _last_two(
         samples: Sequence[AttitudeSample], integrated: IntegratedRun, taken: SeenSample, count: int
     ) -> tuple[SeenSample, SeenSample]:
-        """The last two of so many samples taken, as the guard has seen them, and before the block the one taken."""
+        """The last two of so many samples taken, as the guard has seen them; before all of them is the one taken."""
         before = (taken.before, taken.sample, *samples[max(count - 3, 0) : count])
         last = SeenSample(samples[count - 1], taken.number + count, before[-2], integrated.one(count - 1))
         if count == 1:
@@ -287,14 +326,16 @@ class InsGuard:
         """Take a sample into the line by which the next ones are judged; the jump that it makes known."""
         found = self._steps.keep()
         if found is None:
-            learnt, self._steps.learnt = self._steps.learnt, None
-            return () if learnt is None else self._crept(learnt, seen.sample)
+            return self._crept_since(seen.sample)
         self._rates.restart()
         moments_ns = sorted({found.first_ns, found.last_ns})
         return tuple(InsJump(time_ns - 1, found.step_n, found.sigma_rad) for time_ns in moments_ns)
 
-    def _crept(self, learnt: Learnt, sample: AttitudeSample) -> tuple[InsJump, ...]:
+    def _crept_since(self, sample: AttitudeSample) -> tuple[InsJump, ...]:
         """Learn from what samples on a line tell; the jump as large as what has crept where it does not fit."""
+        learnt, self._steps.learnt = self._steps.learnt, None
+        if learnt is None:
+            return ()
         self._integrator.take_out(self._leads.drift.learnt(learnt.drift_n, sample.rotation_nd))
         self._leads.by_rates.know(learnt.typical_rad)
         crept = self._slopes.crept(learnt.drift_n, learnt.seconds, learnt.turning)

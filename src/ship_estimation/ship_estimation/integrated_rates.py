@@ -269,6 +269,11 @@ class StepWatch:
         """The smallest step that is told from noise; infinite where none is."""
         return math.inf if self._plan is None else float(self._bounds[-1])
 
+    @property
+    def judges(self) -> bool:
+        """Whether samples are judged by a line as long as it is to be."""
+        return self._plan is not None and self._plan is self._full and self._judges
+
     def look(
         self,
         sample: AttitudeSample,
@@ -350,8 +355,8 @@ class StepWatch:
     ) -> int:
         """Take the samples of a block, from the first one on, that lie on the line of those kept; returns how many.
 
-        Each is taken as by :meth:`look` and :meth:`keep`. The next one is for these: it may be off the line, or a line
-        begins with it.
+        Each is taken as by :meth:`look` and :meth:`keep`. The next one may be taken likewise, after what was learnt
+        with the last one; where none is taken the first one is for these: it may be off the line, or begin one.
 
         Args:
             times_ns: stamps, each later than all kept, shape (N,).
@@ -362,14 +367,15 @@ class StepWatch:
             coarseness_rad: rad.
         """
         plan = self._plan
-        if plan is None or plan is not self._full or self._to_line is None or not self._judges:
+        if plan is None or self._to_line is None or not self.judges or integrated.run != self._run:
             return 0
-        if integrated.run != self._run:
-            return 0
-        count = min(len(times_ns), len(self._rows) - 1 - self._end, self._until_bounds_are_set())
-        near = np.diff(times_ns[:count], prepend=self._last_ns) <= _GAP * self._period.ns
+        count = min(len(times_ns), len(self._rows) - self._end, self._until_bounds_are_set())
         missed_rad = np.diff(integrated.missed_rad[:count], prepend=self._missed_rad)
         feigned_rad = np.abs(np.diff(missed_rad, prepend=self._missed_before_rad))
+        if feigned_rad[0] > self._feigned_rad:
+            self._feigned_rad = 1.5 * float(feigned_rad[0])
+            self._set_bounds(plan)
+        near = np.diff(times_ns[:count], prepend=self._last_ns) <= _GAP * self._period.ns
         end, length = self._end, plan.length
         self._rows[end : end + count] = compiled_rotations.differences(
             rotations_nd[:count], integrated.rotations[:count], self._to_line
@@ -392,6 +398,8 @@ class StepWatch:
             self._since_learnt = -1 - place
         self._since_learnt += count
         self._sizes = sizes[count - 1].tolist()
+        if self._end == len(self._rows):
+            self._shift()
         return count
 
     def _until_bounds_are_set(self) -> int:

@@ -9,8 +9,7 @@ The steps themselves are compiled (:mod:`ship_estimation.compiled_steps`); here 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -139,9 +138,34 @@ class StateModel:
         """Diagonal of the transition matrix and of the process noise over ``dt_s`` >= 0, shapes (..., n), (..., n)."""
         if isinstance(dt_s, float) and dt_s == 0.0:
             return np.ones(self.size), np.zeros(self.size)
+        if isinstance(dt_s, float):
+            found: tuple[FloatArray, FloatArray] = compiled_steps.transition(
+                dt_s, self._time_s, self._steady_variance, self._walk_variance
+            )
+            return found
         dt_s = np.asarray(dt_s)[..., None]
         decay = np.exp(-dt_s / self._time_s)
         return decay, self._steady_variance * (1.0 - decay * decay) + self._walk_variance * dt_s
+
+
+def states_later(means: FloatArray, decay: FloatArray, slow: slice, sigma: FloatArray) -> FloatArray:
+    """Estimated states after some time, shape (h, n): they die out as told; of some see :func:`slow_error_later`.
+
+    Args:
+        means: before, shape (h, n).
+        decay: what is left of each, shape (n,).
+        slow: the states of a slow error, k of them.
+        sigma: of that error, shape (k,).
+
+    Example:
+        The last two are a slow error of the sigma 10, and the last one is a jump of a degree:
+
+        >>> means, sigma = np.array([[4.0, 8.0, 3600.0]]), np.array([10.0, 10.0])
+        >>> print(states_later(means, np.array([0.0, 0.5, 0.5]), slice(1, 3), sigma))
+        [[   0.    4. 3600.]]
+    """
+    later: FloatArray = compiled_steps.decayed(means, decay, slow.start, sigma, _BEYOND_SIGMAS)
+    return later
 
 
 def slow_error_later(error: FloatArray, decay: FloatArray, sigma: FloatArray) -> FloatArray:
@@ -175,22 +199,24 @@ class LinearMeasurement:
         jacobian: shape (m, n).
         noise_by_source: covariance of the measurement noise, shape (m, m), by the index of the source that it is
             booked to.
+        noise: covariance of the whole measurement noise, shape (m, m).
+        booked: the noise by source as the compiled steps take it.
     """
 
     residual: FloatArray
     jacobian: FloatArray
     noise_by_source: Mapping[int, FloatArray]
+    noise: FloatArray = field(init=False, repr=False)
+    booked: tuple[tuple[int, FloatArray], ...] = field(init=False, repr=False)
 
-    @cached_property
-    def noise(self) -> FloatArray:
-        """Covariance of the whole measurement noise, shape (m, m)."""
-        first, *others = self.noise_by_source.values()
-        return np.ascontiguousarray(sum(others, start=first))
-
-    @cached_property
-    def booked(self) -> tuple[tuple[int, FloatArray], ...]:
-        """The noise by source as the compiled steps take it: they read matrices row by row."""
-        return tuple((index, np.ascontiguousarray(part)) for index, part in self.noise_by_source.items())
+    def __post_init__(self) -> None:
+        # The compiled steps read matrices row by row.
+        booked = tuple((index, np.ascontiguousarray(part)) for index, part in self.noise_by_source.items())
+        (_, total), *others = booked
+        for _, part in others:
+            total = total + part
+        object.__setattr__(self, "noise", total)
+        object.__setattr__(self, "booked", booked)
 
 
 class ResidualCompared(NamedTuple):
@@ -248,9 +274,9 @@ def innovation(parts: FloatArray, measurement: LinearMeasurement) -> ResidualCom
         [[4.]] 4.0 [[0.75]]
     """
     mean, residual = np.zeros((1, parts.shape[-1])), measurement.residual
-    total, no_turn = parts.sum(axis=0)[None], np.zeros((len(residual), 3))
+    stack, no_turn = np.ascontiguousarray(parts), np.zeros((len(residual), 3))
     _, covariance, nis, gain, *_ = compiled_steps.compared(
-        mean, total, residual, measurement.jacobian, measurement.noise, mean[0], no_turn
+        mean, stack, residual, measurement.jacobian, measurement.noise, mean[0], no_turn
     )
     return ResidualCompared(covariance[0], float(nis[0]), gain[0])
 

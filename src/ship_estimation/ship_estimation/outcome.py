@@ -7,7 +7,7 @@ estimator adds what is its own in a subclass.
 
 import enum
 from dataclasses import dataclass, field
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -110,18 +110,3 @@ class Outcome(Generic[Judged, Estimate]):
     decisions: list[Judged] = field(default_factory=list)
     estimates: list[Estimate] = field(default_factory=list)
     failures: list[tuple[int, Refusal]] = field(default_factory=list)
-
-
-@dataclass(frozen=True)
-class BlockOutcome:
-    """What the samples of a block led to, as far as they were taken.
-
-    Attributes:
-        count: number of samples taken, from the first one on; the next one is to be taken by itself.
-        estimates: one for each of those that went the usual way, from the first one on; None where none is asked for.
-        last: the :class:`Outcome` of the last one where it did not go the usual way; None where it did.
-    """
-
-    count: int = 0
-    estimates: Any = None
-    last: Any = None

@@ -32,8 +32,9 @@ NORMAL_95 = 1.96
 """95 % of a normal error lie within so many sigmas to both sides: what the suite calls the accuracy of an angle."""
 
 _COMPONENTS = 3
-_TINY_RAD2 = 1e-24
-"""Of a source that is taken for exact nothing is apart by more than rounding."""
+LEAST_SHARE, LEAST_VARIANCE_RAD2 = 1e-6, 1e-24
+"""What the variance of a distance has at least, as a share of the variance by all sources and by itself: of a source
+that is taken for exact nothing is apart by more than rounding."""
 UNDISPUTED_SIGMAS = 3.0
 """Estimates without one source that are no further from that by all are as near as they are when all is right."""
 _MOST_PROBABLE_MISS = 0.5
@@ -199,7 +200,7 @@ def separation(
     """
     asked = np.arange(len(distance)) if rows is None else np.array(rows, dtype=np.intp)
     found = compiled_integrity.levels(
-        distance, variance, variance_0, asked, k.right, k.false_exclusion, k.missed, _TINY_RAD2
+        distance, variance, variance_0, asked, k.right, k.false_exclusion, k.missed, LEAST_SHARE, LEAST_VARIANCE_RAD2
     )
     return Separation(*found)
 
@@ -215,7 +216,7 @@ def separation_sigma(variance: FloatArray, variance_0: FloatArray) -> FloatArray
         >>> print(separation_sigma(np.array([[9.0, 25.0, 16.0]]), np.array([0.0, 16.0, 16.0])))
         [[3.    3.    0.004]]
     """
-    sigma: FloatArray = compiled_integrity.separation_sigmas(variance, variance_0, _TINY_RAD2)
+    sigma: FloatArray = compiled_integrity.separation_sigmas(variance, variance_0, LEAST_SHARE, LEAST_VARIANCE_RAD2)
     return sigma
 
 

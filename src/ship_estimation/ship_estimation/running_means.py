@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ship_estimation import compiled_means
 from ship_estimation.gates import chi_square_gate
 from ship_estimation.protection import IntegrityConfig
 from ship_geometry.rotations import FloatArray
@@ -36,13 +37,13 @@ _LARGEST_TURN = math.sqrt(0.5)
 """A whitened turn counts as no larger, as a share of the root of the limit: two gross errors in a row leave the mean
 over three below the limit, the third does not."""
 
-_WEIGHTS = np.array([2.0 / (count + 1.0) for count in MEANS_OVER])[:, None]
-_GAINED = np.hstack([np.repeat(_WEIGHTS, 4, axis=1), _WEIGHTS**2])
-_KEPT = np.hstack([np.repeat(1.0 - _WEIGHTS, 4, axis=1), (1.0 - _WEIGHTS) ** 2])
-"""What a measurement adds to the columns of :class:`Means`, and what it leaves of them, shape (w, 5)."""
+_WEIGHTS = np.array([2.0 / (count + 1.0) for count in MEANS_OVER])
+"""Of a measurement in each mean, shape (w,)."""
 
-NO_MEANS = np.zeros(_GAINED.shape)
-"""These columns before any measurement."""
+_NO_NOISE = np.zeros((3, 3))
+
+NO_MEANS = np.zeros((len(MEANS_OVER), 5))
+"""The columns of :class:`Means` before any measurement."""
 
 
 @dataclass(frozen=True)
@@ -126,43 +127,46 @@ def observed(
         >>> number
         4
     """
+    if isinstance(source, int):
+        source, turn, accepted = (source,), turn[:, None], accepted[:, None]
+    after = compiled_means.observed(
+        means.running,
+        means.excess,
+        means.refused,
+        means.heard_ns,
+        means.contradicts_ns,
+        tuple(source),
+        turn,
+        accepted.view(np.uint8),
+        time_ns,
+        _WEIGHTS,
+        limit,
+        _LARGEST_TURN * math.sqrt(limit),
+        WELL,
+        LONG_AGO_NS,
+        turn_noise is not None,
+        _NO_NOISE if turn_noise is None else turn_noise,
+    )
+    if after is not None:
+        return Means(*after)
+    # What is no number has no mean; it is a refusal.
     refused = means.refused.copy()
-    size = np.sqrt(np.einsum("...k,...k->...", turn, turn))
-    if not size.max() < np.inf:
-        # What is no number has no mean; it is a refusal.
-        refused[:, source] += 1
-        return replace(means, refused=refused)
-    refused[:, source] = np.where(accepted, 0, refused[:, source] + 1)
-    largest = _LARGEST_TURN * math.sqrt(limit)
-    running, excess, heard_ns = means.running.copy(), means.excess.copy(), means.heard_ns.copy()
-    running[:, source] = now = averaged(running[:, source], turn * (largest / np.maximum(size, largest))[..., None])
-    # What a row uses it has whitened to independent turns.
-    chi2 = np.einsum("...k,...k->...", now[..., :3], now[..., :3]) / now[..., 4]
-    if turn_noise is not None:
-        chi2[0] = _chi2_beside(now[0], turn_noise)
-    excess[:, source] = chi2.max(axis=-1) / limit
-    heard_ns[source] = np.maximum(heard_ns[source], time_ns)
-    contradicts_ns = means.contradicts_ns.copy()
-    well = (excess[0, source] <= WELL) & (refused[0, source] == 0)  # NaN does not agree
-    since_ns = np.where(contradicts_ns[source] == LONG_AGO_NS, time_ns, contradicts_ns[source])
-    contradicts_ns[source] = np.where(well, LONG_AGO_NS, since_ns)
-    return Means(running, excess, refused, heard_ns, contradicts_ns)
+    refused[:, list(source)] += 1
+    return replace(means, refused=refused)
 
 
 def averaged(running: FloatArray, turn: FloatArray) -> FloatArray:
-    """The columns of :attr:`Means.running` after one turn more.
+    """The columns of :attr:`Means.running` of one row and source after one turn more.
 
     Args:
-        running: before, shape (..., w, 5).
-        turn: whitened, shape (..., 3).
+        running: before, shape (w, 5).
+        turn: whitened, shape (3,).
 
     Example:
         >>> print(averaged(NO_MEANS, np.array([0.0, 4.0, 1.0]))[0])
         [0.   2.   0.5  0.5  0.25]
     """
-    seen = np.ones((*turn.shape[:-1], 1, 5))
-    seen[..., 0, :3] = turn
-    after: FloatArray = _KEPT * running + _GAINED * seen
+    after: FloatArray = compiled_means.averaged(running, turn, _WEIGHTS)
     return after
 
 
@@ -176,23 +180,8 @@ def farthest_mean(running: FloatArray) -> float:
         >>> print(round(farthest_mean(averaged(NO_MEANS, np.array([0.0, 4.0, 1.0]))), 6))
         4.0
     """
-    return float((np.abs(running[:, :3]).max(axis=-1) / np.sqrt(running[:, 4])).max())
-
-
-def _chi2_beside(running: FloatArray, turn_noise: FloatArray) -> FloatArray:
-    """Chi² of the means of a source that the row does without, shape (w,).
-
-    The row sees them against an error of its own that lasts: only the measurement's noise averages out.
-
-    Args:
-        running: as in :class:`Means`, of one row and source, shape (w, 5).
-        turn_noise: share of the noise of the last measurement, shape (3, 3).
-    """
-    turn, filled, variance = np.split(running[:, :, None], (3, 4), axis=1)
-    lasting = filled**2
-    covariance = (variance - lasting) * turn_noise + (lasting + 1e-9) * np.eye(3)
-    chi2: FloatArray = np.sum(turn * np.linalg.solve(covariance, turn), axis=(-2, -1))
-    return chi2
+    sigmas: float = compiled_means.farthest(running)
+    return sigmas
 
 
 def forgotten(means: Means, rows: Sequence[int] | slice, sources: Sequence[int] | slice) -> Means:

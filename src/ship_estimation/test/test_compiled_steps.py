@@ -7,8 +7,9 @@ cases, of which the cases here are.
 import numpy as np
 import pytest
 
-from ship_estimation.hypotheses import RowsCompared, compare_rows, covariances, update_rows
-from ship_estimation.kalman import LinearMeasurement, predict
+from ship_estimation import compiled_steps
+from ship_estimation.hypotheses import RowsCompared, add_error, compare_rows, covariances, update_rows
+from ship_estimation.kalman import LinearMeasurement, StateModel, block, predict, slow_error_later, states_later
 
 SHAPES = [(1, 1, 1, 1), (4, 2, 2, 1), (19, 3, 7, 1), (19, 3, 7, 4), (23, 16, 7, 4), (9, 24, 3, 3)]
 """States, residuals, sources, rows: the paper's ship alone and with its rows, single stars, more residuals than states.
@@ -80,12 +81,45 @@ def test_a_stack_is_carried_as_by_numpy(shape: tuple[int, int, int, int]) -> Non
     equal(covariances(stack, rows), np.concatenate([stack[:sources].sum(axis=0)[None], stack[sources:]]))
 
 
+@pytest.mark.parametrize("dt_s", [1e-9, 0.2, 3600.0])
+def test_a_moment_later_the_states_are_as_many_moments_later_are_by_numpy(dt_s: float) -> None:
+    """A single time is compiled, several are not; white noise, a constant that walks and two that die out."""
+    slow, white = block("slow", [3.0, 2.0], "a", time_s=[1800.0, 2.0]), block("white", [1.0], "b", time_s=0.0)
+    model = StateModel([slow, white, block("walking", [5.0], "a", walk=0.1)], noise_sources=[])
+    for found, expected in zip(model.transition(dt_s), model.transition(np.array([dt_s])), strict=True):
+        equal(found, expected[0])
+    (decay, _), states = model.transition(dt_s), model.slices["slow"]
+    means = np.random.default_rng(4).normal(scale=20.0, size=(9, 4))
+    expected = decay * means
+    expected[:, states] = slow_error_later(means[:, states], decay[states], slow.sigma)
+    np.testing.assert_array_equal(states_later(means, decay, states, slow.sigma), expected)
+
+
+@pytest.mark.parametrize("row", [None, 1, 2])
+def test_an_error_is_added_to_the_rows_that_it_belongs_to(row: int | None) -> None:
+    stack, covariance = case((6, 3, 3, 3))[0], np.arange(4.0).reshape(2, 2)
+    found, expected = stack.copy(), stack.copy()
+    add_error(found, 3, 1, slice(2, 4), covariance, row)
+    for index in (1, 3, 4) if row is None else (2 + row,):
+        expected[index, 2:4, 2:4] += covariance
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_variances_along_some_states_are_as_by_numpy() -> None:
+    rng = np.random.default_rng(5)
+    root, jacobian, weights = rng.normal(size=(7, 9)), rng.normal(size=(3, 7)), np.zeros(7)
+    weights[[1, 5]], covariance = (1.0, -2.0), root @ root.T
+    equal(np.array(compiled_steps.variance_along(weights, covariance)), weights @ covariance @ weights)
+    others = np.where(weights == 0.0, jacobian, 0.0)
+    equal(np.array(compiled_steps.spread(jacobian, covariance, weights)), np.trace(others @ covariance @ others.T))
+
+
 @pytest.mark.parametrize("shape", [shape for shape in SHAPES if shape[1] >= 3])
 def test_a_measurement_beside_all_rows_is_as_by_numpy(shape: tuple[int, int, int, int]) -> None:
     stack, means, measured, by_turn = case(shape)
     at_mean = means[-1] + 0.1
-    arguments = means, covariances(stack, shape[3]), measured, at_mean, by_turn
-    found, expected = compare_rows(*arguments), numpy_compared(*arguments)
+    found = compare_rows(means, stack, measured, at_mean, by_turn)
+    expected = numpy_compared(means, covariances(stack, shape[3]), measured, at_mean, by_turn)
     for name in vars(expected):
         equal(getattr(found, name), getattr(expected, name))
 
@@ -94,7 +128,7 @@ def test_a_measurement_beside_all_rows_is_as_by_numpy(shape: tuple[int, int, int
 @pytest.mark.parametrize("share", [0.0, 0.7, 1.0])
 def test_what_each_row_learns_is_as_by_numpy(shape: tuple[int, int, int, int], share: float) -> None:
     stack, means, measured, by_turn = case(shape)
-    compared = compare_rows(means, covariances(stack, shape[3]), measured, means[0], by_turn)
+    compared = compare_rows(means, stack, measured, means[0], by_turn)
     learns = np.random.default_rng(3).uniform(size=means.shape) < share
     corrections, updated = update_rows(stack, measured, compared, learns)
     expected_corrections, expected = numpy_updated(stack, measured, compared, learns)
@@ -107,7 +141,7 @@ def test_a_turn_that_is_not_seen_counts_for_nothing() -> None:
     """Residuals that do not change by a turn about the third axis."""
     stack, means, measured, by_turn = case((6, 4, 2, 2))
     by_turn[:, 2] = 0.0
-    found = compare_rows(means, covariances(stack, 2), measured, means[0], by_turn)
+    found = compare_rows(means, stack, measured, means[0], by_turn)
     np.testing.assert_array_equal(found.turn[:, 2], 0.0)
     np.testing.assert_array_equal(found.turn_root[:, 2], 0.0)
     equal(found.turn, numpy_compared(means, covariances(stack, 2), measured, means[0], by_turn).turn)
@@ -118,7 +152,7 @@ def test_a_covariance_that_is_none_is_refused(wrong: float) -> None:
     stack, means, measured, by_turn = case((6, 4, 2, 2))
     stack[2, 0, 0] = wrong
     with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
-        compare_rows(means, covariances(stack, 2), measured, means[0], by_turn)
+        compare_rows(means, stack, measured, means[0], by_turn)
 
 
 def test_noise_that_does_not_lie_row_by_row_is_read_as_it_is() -> None:
@@ -127,7 +161,7 @@ def test_noise_that_does_not_lie_row_by_row_is_read_as_it_is() -> None:
     views = {source: np.asfortranarray(part) for source, part in measured.noise_by_source.items()}
     assert not all(part.flags.c_contiguous for part in views.values())
     others = [measured, LinearMeasurement(measured.residual, measured.jacobian, views)]
-    found = [compare_rows(means, covariances(stack, 2), one, means[0], by_turn) for one in others]
+    found = [compare_rows(means, stack, one, means[0], by_turn) for one in others]
     everything = np.ones((2, 6), dtype=bool)
     (_, expected), (_, after) = (update_rows(stack, *each, everything) for each in zip(others, found, strict=True))
     assert found[1].covariance.tobytes() == found[0].covariance.tobytes()
@@ -137,9 +171,10 @@ def test_noise_that_does_not_lie_row_by_row_is_read_as_it_is() -> None:
 def test_shapes_that_do_not_fit_are_refused() -> None:
     """The loops look at no bounds."""
     stack, means, measured, by_turn = case((6, 4, 2, 2))
-    arguments = means, covariances(stack, 2), measured, means[0], by_turn
+    arguments = means, stack, measured, means[0], by_turn
     found = compare_rows(*arguments)
-    for place, wrong in ((0, means[:1]), (1, stack[:2, :5, :5].copy()), (3, means[0, :5]), (4, by_turn[:3])):
+    of_five = means[:, :5].copy(), stack[:2, :5, :5].copy()
+    for place, wrong in ((0, of_five[0]), (1, stack[:1]), (1, of_five[1]), (3, means[0, :5]), (4, by_turn[:3])):
         with pytest.raises(ValueError, match="do not fit together"):
             compare_rows(*arguments[:place], wrong, *arguments[place + 1 :])
     everything = np.ones((2, 6), dtype=bool)
@@ -149,5 +184,13 @@ def test_shapes_that_do_not_fit_are_refused() -> None:
     beyond = LinearMeasurement(measured.residual, measured.jacobian, {2: measured.noise})
     with pytest.raises(ValueError, match="booked"):
         update_rows(stack, beyond, found, everything)
+    for states, part, row in ((slice(4, 7), 0, None), (slice(0, 3), 2, None), (slice(0, 3), 0, 2)):
+        with pytest.raises(ValueError, match="do not fit together"):
+            add_error(stack, 2, part, states, np.eye(3), row)
+    for call in (compiled_steps.variance_along, lambda *of: compiled_steps.spread(np.ones((3, 6)), *reversed(of))):
+        with pytest.raises(ValueError, match="do not fit together"):
+            call(np.ones(5), np.eye(6))
+    with pytest.raises(ValueError, match="decayed"):
+        states_later(np.ones((2, 6)), np.ones(6), slice(4, 7), np.ones(3))
     with pytest.raises(ValueError, match="carried"):
         predict(stack, np.ones(5), np.ones(6), np.zeros(6, dtype=np.intp), 2)

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from ship_estimation.hypotheses import compare_rows, covariances, promoted, update_rows
+from ship_estimation.hypotheses import compare_rows, covariances, promoted, separations, update_rows
 from ship_estimation.kalman import LinearMeasurement, innovation, update
+from ship_estimation.protection import separation_sigma
 
 STATES, SOURCES = 7, 3
 
@@ -98,3 +99,21 @@ def test_a_covariance_that_is_none_is_refused():
     measured = LinearMeasurement(np.zeros(2), np.eye(2), {0: np.array([[1.0, 2.0], [2.0, 1.0]])})
     with pytest.raises(np.linalg.LinAlgError):
         compare_rows(np.zeros((1, 2)), np.zeros((1, 2, 2)), measured, np.zeros(2), np.eye(2, 3))
+
+
+@pytest.mark.parametrize("wrong", [0.0, np.nan])
+def test_separations_are_those_of_their_sigmas(wrong: float) -> None:
+    """Four rows of five states, of which the third is known better than the first one; by numpy."""
+    rng = np.random.default_rng(3)
+    roots = rng.normal(size=(5, 5, 10))
+    stack, means = roots @ roots.transpose(0, 2, 1), rng.normal(size=(4, 5))
+    stack[3] *= 0.1
+    means[2, 3] += wrong
+    apart, statistic = separations(means, stack, slice(1, 4))
+    variance = covariances(stack, 4)[:, range(1, 4), range(1, 4)]
+    expected = means[:, 1:4] - means[0, 1:4]
+    np.testing.assert_array_equal(apart, expected)
+    sigma = separation_sigma(variance, variance[0])
+    np.testing.assert_allclose(statistic, np.abs(expected / sigma).max(axis=-1), rtol=1e-13)
+    with pytest.raises(ValueError, match="do not fit together"):
+        separations(means[:, :4].copy(), stack, slice(1, 4))

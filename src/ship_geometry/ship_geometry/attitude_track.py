@@ -14,16 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_geometry import compiled_rotations
-from ship_geometry.interpolation_error import (
-    ANY_DIRECTION,
-    BESIDE,
-    as_covariance,
-    by_miss,
-    by_polynomial,
-    by_third_derivative,
-)
+from ship_geometry.interpolation_error import ANY_DIRECTION, BESIDE, as_covariance, by_polynomial
 from ship_geometry.rotations import FloatArray, exp_rotation, log_rotation
-from ship_geometry.sample_track import RECENT, SampleTrack, hermite_weights
+from ship_geometry.sample_track import RECENT, SampleTrack
 from ship_geometry.time_scales import SECOND_NS
 
 _EVERY_NS = 100_000_000
@@ -77,13 +70,29 @@ class SampleBlock(NamedTuple):
         """Each of them as a sample."""
         return list(map(AttitudeSample, self.times_ns.tolist(), self.rotations_nd, self.rates_d))
 
+    def one(self, number: int) -> AttitudeSample:
+        """One of them."""
+        return AttitudeSample(int(self.times_ns[number]), self.rotations_nd[number], self.rates_d[number])
+
     def some(self, which: slice) -> "SampleBlock":
         """Some of them."""
         return SampleBlock(self.times_ns[which], self.rotations_nd[which], self.rates_d[which])
 
 
+class RecentRates(NamedTuple):
+    """The last RATES - 1 samples before a block, joined to one another; see :class:`AttitudeSample`.
+
+    Attributes:
+        times_ns: in ascending order, shape (RATES - 1,).
+        rates_d: shape (RATES - 1, 3).
+    """
+
+    times_ns: NDArray[np.int64]
+    rates_d: FloatArray
+
+
 class MovedBlock(NamedTuple):
-    """Attitudes of a block, moved by one time; each field is that of :class:`InterpolatedAttitude`.
+    """Attitudes of a block, each moved by a short time; each field is that of :class:`InterpolatedAttitude`.
 
     Attributes:
         rotation_nd: shape (N, 3, 3).
@@ -96,6 +105,10 @@ class MovedBlock(NamedTuple):
     rate_d: FloatArray
     noise_gain: FloatArray
     error_covariance_d: FloatArray
+
+    def some(self, which: slice) -> "MovedBlock":
+        """Some of them."""
+        return MovedBlock(*(values[which] for values in self))
 
 
 @dataclass(frozen=True)
@@ -192,37 +205,16 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
             return self._moved_by_differences(index, ahead_s)
         return self._moved_by_rates(index, ahead_s)
 
-    def moves_by_rates(self, times_ns: NDArray[np.int64]) -> int:
-        """How many samples to come, from the first one on, can be moved by RATES measured rates each.
-
-        Args:
-            times_ns: stamps of samples with a measured rate, later than all here, shape (N,).
-        """
-        recent, kept_ns = self._samples[1 - RATES :], self._times[1 - RATES :]
-        if len(recent) < RATES - 1 or any(sample.rate_d is None for sample in recent):
-            return 0
-        all_ns = np.concatenate([kept_ns, times_ns])
-        near = np.diff(all_ns) <= self.max_gap_ns
-        count = len(near) if near.all() else int(np.argmin(near))
+    def recent_rates(self) -> RecentRates | None:
+        """What moves samples to come, together with their own rates; None where RATES - 1 samples do not tell it."""
+        recent, times_ns = self._samples[1 - RATES :], self._times[1 - RATES :]
+        rates_d = [sample.rate_d for sample in recent if sample.rate_d is not None]
+        if len(rates_d) < RATES - 1 or max(np.diff(times_ns)) > self.max_gap_ns:
+            return None
         # A jump lies behind all of these samples or it is too near.
-        return 0 if self._cut_between(int(all_ns[0]), int(all_ns[-1])) else max(count - RATES + 2, 0)
-
-    def newest_all_moved(self, count: int, ahead_s: float) -> MovedBlock:
-        """The newest samples, each moved as by :meth:`newest_moved` when it was the newest.
-
-        Args:
-            count: how many; :meth:`moves_by_rates` told that they can be moved so.
-            ahead_s: seconds after each sample, or before it where negative.
-        """
-        samples, times_ns = self._samples[1 - RATES - count :], np.array(self._times[1 - RATES - count :])
-        steps_s, rates_d = np.diff(times_ns) / SECOND_NS, np.array([sample.rate_d for sample in samples])
-        # Newest first, as of each sample.
-        recent = np.arange(RATES - 1, RATES - 1 + count)[:, None] - np.arange(RATES)
-        rotations_nd = np.array([sample.rotation_nd for sample in samples[RATES - 1 :]])
-        moved_nd, rate_d, error_d = moved_by_rates(
-            rotations_nd, rates_d[recent], steps_s[recent[:, :-1] - 1], np.full(count, ahead_s)
-        )
-        return MovedBlock(moved_nd, rate_d, np.ones(count), error_d)
+        if self._cuts_ns and max(self._cuts_ns) >= times_ns[0]:
+            return None
+        return RecentRates(np.array(times_ns), np.array(rates_d))
 
     def forget_rates(self, after_ns: int) -> int | None:
         """Forget the measured rates of all samples stamped after a moment, because they turned out to be wrong.
@@ -244,8 +236,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         before, after = self._neighbours(index)
         if before == after:
             return np.zeros(3)
-        turn = log_rotation(self._samples[before].rotation_nd.T @ self._samples[after].rotation_nd)
-        return turn * (SECOND_NS / (self._times[after] - self._times[before]))
+        return self._turn(before, after) * (SECOND_NS / (self._times[after] - self._times[before]))
 
     def _moved_by_rates(self, index: int, ahead_s: float) -> InterpolatedAttitude:
         """The newest sample moved by its measured rate and by the change of the rate since the sample before.
@@ -325,37 +316,66 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
     def _between(self, left: int, fraction: float) -> InterpolatedAttitude:
         """Between two samples, by a cubic in the rotation vector from the first one."""
         first, second = self._samples[left], self._samples[left + 1]
-        measured = first.rate_d is not None and second.rate_d is not None
-        start_rate, end_rate = self.rate(left), self.rate(left + 1)
-        # First all that the track says, ...
+        if first.rate_d is None or second.rate_d is None:
+            return self._between_without_rates(left, fraction)
         interval_s = self._seconds(left, left + 1)
-        value0, _, value1, _ = hermite_weights(fraction)
-        gain = value0 * value0 + value1 * value1 if measured else self._noise_gain(left, fraction)
-        checked = measured and left > 0 and self._joined(left - 1)
-        at_check = -self._seconds(left - 1, left) / interval_s if checked else 0.0
-        _, slope0_check, value1_check, slope1_check = hermite_weights(at_check)
-        # ... then the rotations, ...
-        turn = log_rotation(first.rotation_nd.T @ second.rotation_nd)
-        turn_check = log_rotation(first.rotation_nd.T @ self._samples[left - 1].rotation_nd) if checked else turn
-        rotation_nd, rate, vector, start_slope, end_slope = compiled_rotations.cubic(
-            np.ascontiguousarray(first.rotation_nd), turn, start_rate, end_rate, interval_s, fraction
+        # How far the cubic may be off is told by how far it misses the sample before.
+        before, at_before = first, 0.0
+        if left > 0 and self._joined(left - 1):
+            before, at_before = self._samples[left - 1], -self._seconds(left - 1, left) / interval_s
+        rotation_nd, rate_d, gain, errors_d, covariance_d = compiled_rotations.between(
+            first.rotation_nd,
+            second.rotation_nd,
+            before.rotation_nd,
+            first.rate_d,
+            second.rate_d,
+            interval_s,
+            fraction,
+            at_before,
+            BESIDE,
+            ANY_DIRECTION,
+            _LARGEST_VARIANCE,
         )
-        # ... then how far the cubic may be off: with measured slopes, by how far it misses the sample before.
-        errors: tuple[FloatArray, ...]
-        if measured:
-            bound = by_third_derivative(6.0 * (start_slope + end_slope) - 12.0 * turn, fraction)
-            miss = turn_check - (slope0_check * start_slope + value1_check * turn + slope1_check * end_slope)
-            errors = (by_miss(miss, at_check, fraction), 0.5 * BESIDE * bound) if checked else (bound,)
-        else:
-            around = self._around(left)
-            values = np.array([self._turn(left, index) for index in around])
-            errors = by_polynomial(self._fractions(around, left), values, fraction, vector)
-        covariance_d = as_covariance(errors, _LARGEST_VARIANCE)
-        return InterpolatedAttitude(rotation_nd, rate, gain, covariance_d, first, second, errors)
+        return InterpolatedAttitude(rotation_nd, rate_d, gain, covariance_d, first, second, tuple(errors_d))
+
+    def _between_without_rates(self, left: int, fraction: float) -> InterpolatedAttitude:
+        """Between two samples of which one has no measured rate: the neighbours tell it, and the cubic's error."""
+        first, second = self._samples[left], self._samples[left + 1]
+        turn, interval_s = self._turn(left, left + 1), self._seconds(left, left + 1)
+        rotation_nd, rate_d, vector = compiled_rotations.cubic(
+            first.rotation_nd, turn, self.rate(left), self.rate(left + 1), interval_s, fraction
+        )
+        around = self._around(left)
+        values = np.array([self._turn(left, index) for index in around])
+        errors = by_polynomial(self._fractions(around, left), values, fraction, vector)
+        covariance_d, gain = as_covariance(errors, _LARGEST_VARIANCE), self._noise_gain(left, fraction)
+        return InterpolatedAttitude(rotation_nd, rate_d, gain, covariance_d, first, second, errors)
 
     def _turn(self, first: int, second: int) -> FloatArray:
         """Rotation vector from one sample to another, rad."""
-        return log_rotation(self._samples[first].rotation_nd.T @ self._samples[second].rotation_nd)
+        turn: FloatArray = compiled_rotations.turn_between(
+            self._samples[first].rotation_nd, self._samples[second].rotation_nd
+        )
+        return turn
+
+
+def moved_block(before: RecentRates, block: SampleBlock, ahead_s: FloatArray) -> MovedBlock:
+    """The samples of a block, each moved as :meth:`AttitudeTrack.newest_moved` moves it while it is the newest.
+
+    Args:
+        before: the samples before the block, joined to it.
+        block: N samples, joined to one another.
+        ahead_s: seconds after each sample, or before it where negative, shape (N,).
+    """
+    count = len(ahead_s)
+    steps_s = np.diff(np.concatenate([before.times_ns, block.times_ns[:count]])) / SECOND_NS
+    rates_d = np.concatenate([before.rates_d, block.rates_d[:count]])
+    # Newest first, as of each sample.
+    recent = np.arange(RATES - 1, RATES - 1 + count)[:, None] - np.arange(RATES)
+    moved_nd, rate_d, error_d = moved_by_rates(
+        block.rotations_nd[:count], rates_d[recent], steps_s[recent[:, :-1] - 1], ahead_s
+    )
+    return MovedBlock(moved_nd, rate_d, np.ones(count), error_d)
 
 
 def moved_by_rates(

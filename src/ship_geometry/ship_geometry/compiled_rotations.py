@@ -12,7 +12,8 @@ import numpy as np
 if not cython.compiled:
     raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")
 
-from cython.cimports.libc.math import NAN, atan2, exp, sin, sqrt
+from cython.cimports.libc.math import atan2, cos, exp, sin, sqrt
+from cython.cimports.libc.string import memcpy
 
 _SMALL_ANGLE = cython.declare(cython.double, 1e-4)
 """Below this angle (rad) the series used are exact to the last bit of a double."""
@@ -100,32 +101,55 @@ def jacobian(vector: cython.const[cython.double][:]):
 
 @cython.cfunc
 @cython.exceptval(check=False)
-def _logarithm(rotation: cython.p_double, out: cython.p_double) -> cython.bint:
-    """The rotation vector by the antisymmetric part; False near half a turn, where that does not tell it."""
+def _logarithm(rotation: cython.p_double, out: cython.p_double) -> cython.void:
+    """By the antisymmetric part; near half a turn by R + Rᵀ = 2 cos t I + 2 (1 - cos t) n nᵀ, of axis n and angle t."""
     cosine: cython.double = 0.5 * (rotation[0] + rotation[4] + rotation[8] - 1.0)
     x: cython.double = rotation[7] - rotation[5]
     y: cython.double = rotation[2] - rotation[6]
     z: cython.double = rotation[3] - rotation[1]
-    sine: cython.double
+    sine: cython.double = 0.5 * sqrt(x * x + y * y + z * z)
+    angle: cython.double
     scale: cython.double
-    if cosine < -0.9:
-        return False
-    sine = 0.5 * sqrt(x * x + y * y + z * z)
-    scale = 0.5 + sine * sine / 12.0 if sine < _SMALL_ANGLE else 0.5 * atan2(sine, cosine) / sine
-    out[0], out[1], out[2] = scale * x, scale * y, scale * z
-    return True
+    i: cython.int
+    k: cython.int = 0
+    if not cosine < -0.9:
+        scale = 0.5 + sine * sine / 12.0 if sine < _SMALL_ANGLE else 0.5 * atan2(sine, cosine) / sine
+        out[0], out[1], out[2] = scale * x, scale * y, scale * z
+        return
+    angle = atan2(sine, cosine)
+    for i in range(1, 3):
+        if rotation[4 * i] > rotation[4 * k]:
+            k = i
+    for i in range(3):
+        out[i] = 0.5 * (rotation[3 * i + k] + rotation[3 * k + i])
+    out[k] -= cos(angle)
+    scale = angle / sqrt(out[0] * out[0] + out[1] * out[1] + out[2] * out[2])
+    if out[0] * x + out[1] * y + out[2] * z < 0.0:
+        scale = -scale
+    for i in range(3):
+        out[i] *= scale
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _copied(matrix: cython.const[cython.double][:, :], out: cython.p_double) -> cython.void:
+    """The nine numbers of a 3 × 3 matrix row by row, however they lie."""
+    i: cython.int
+    j: cython.int
+    for i in range(3):
+        for j in range(3):
+            out[3 * i + j] = matrix[i, j]
 
 
 def logarithm(rotation: cython.const[cython.double][:, :]):
-    """:func:`ship_geometry.rotations.log_rotation` of one matrix by its antisymmetric part; None near half a turn."""
+    """:func:`ship_geometry.rotations.log_rotation` of one matrix."""
     _check("rotation", rotation.shape[0] == rotation.shape[1] == 3)
     matrix = cython.declare(cython.double[9])
-    i: cython.int
-    for i in range(9):
-        matrix[i] = rotation[i // 3, i % 3]
     vector = np.empty(3)
     out: cython.double[::1] = vector
-    return vector if _logarithm(matrix, cython.address(out[0])) else None
+    _copied(rotation, matrix)
+    _logarithm(matrix, cython.address(out[0]))
+    return vector
 
 
 @cython.cfunc
@@ -158,8 +182,7 @@ def turned_on(rotation: cython.const[cython.double][:, :], vectors: cython.const
     turn = cython.declare(cython.double[9])
     n: cython.Py_ssize_t
     i: cython.int
-    for i in range(9):
-        before[i] = rotation[i // 3, i % 3]
+    _copied(rotation, before)
     for n in range(count):
         for i in range(3):
             vector[i] = vectors[n, i]
@@ -183,7 +206,7 @@ def differences(
         turn: T, nearly what turns the frame of R into that of O, shape (3, 3).
 
     Returns:
-        rad, shape (N, 3); NaN near half a turn.
+        rad, shape (N, 3).
     """
     count: cython.Py_ssize_t = rotations.shape[0]
     _check("rotations", rotations.shape[1] == rotations.shape[2] == others.shape[1] == others.shape[2] == 3)
@@ -208,8 +231,7 @@ def differences(
                 turned[3 * i + j] = (
                     across[3 * i] * turn[0, j] + across[3 * i + 1] * turn[1, j] + across[3 * i + 2] * turn[2, j]
                 )
-        if not _logarithm(turned, cython.address(vectors[n, 0])):
-            vectors[n, 0] = vectors[n, 1] = vectors[n, 2] = NAN
+        _logarithm(turned, cython.address(vectors[n, 0]))
     return of_vectors
 
 
@@ -224,40 +246,107 @@ def _transposed_times(left: cython.p_double, right: cython.p_double, out: cython
             out[3 * i + j] = left[i] * right[j] + left[3 + i] * right[3 + j] + left[6 + i] * right[6 + j]
 
 
-def chain(vectors: cython.const[cython.double][:, ::1], after: cython.const[cython.double][:, :, ::1]):
-    """A product of rotations made from right to left, each a rotation vector's with a fixed rotation on its left.
+def hung(
+    mean: cython.const[cython.double][::1],
+    links: cython.const[cython.Py_ssize_t][::1],
+    after: cython.const[cython.double][:, :, ::1],
+    hull: cython.Py_ssize_t,
+    white: cython.Py_ssize_t,
+    white_scale: cython.double,
+    clocks: cython.const[cython.Py_ssize_t][::1],
+    signs: cython.const[cython.double][::1],
+    base: cython.const[cython.double][:, :],
+    rate: cython.const[cython.double][:],
+    base_error: cython.const[cython.double][:, :],
+):
+    """The attitude of what hangs by a chain of rotations on a base that turns, with its derivatives.
+
+    The chain is multiplied from right to left: the rotation of each link, exp(v) of three states v, and a fixed one on
+    its left. The base stands on the left of the fixed rotation of one of the links.
 
     Args:
-        vectors: rad, shape (k, 3).
+        mean: all states, shape (n,).
+        links: first state of each link, shape (k,).
         after: the fixed rotations, shape (k, 3, 3).
+        hull: the link that hangs on the base itself.
+        white: a link whose states count ``white_scale`` times.
+        white_scale: as said.
+        clocks: states by whose sum the moment of the base moves, s, shape (c,).
+        signs: of each in that sum, shape (c,).
+        base: its attitude, shape (3, 3).
+        rate: of the base about its own axes, rad/s, shape (3,).
+        base_error: covariance of an error of the base about its own axes, rad², shape (3, 3).
 
     Returns:
-        The products so far, each with its fixed rotation, shape (k, 3, 3); and the derivative of the whole product by
-        each vector, as a rotation vector in the frame on the right, shape (k, 3, 3).
+        The attitude, shape (3, 3); its derivative by the states as a rotation vector in the frame on the right, shape
+        (3, n); and the covariance of the base's error in that frame, rad², shape (3, 3).
     """
-    count: cython.Py_ssize_t = vectors.shape[0]
-    _check("chain", after.shape[0] == count and vectors.shape[1] == after.shape[1] == after.shape[2] == 3)
-    of_products, of_derivatives = np.empty((count, 3, 3)), np.empty((count, 3, 3))
-    products: cython.double[:, :, ::1] = of_products
-    derivatives: cython.double[:, :, ::1] = of_derivatives
+    n: cython.Py_ssize_t = mean.shape[0]
+    count: cython.Py_ssize_t = links.shape[0]
+    _check("after", after.shape[0] == count and after.shape[1] == after.shape[2] == 3)
+    _check("links", 0 <= hull < count and 0 <= white < count)
+    _check("clocks", clocks.shape[0] == signs.shape[0])
+    _check("base", base.shape[0] == base.shape[1] == base_error.shape[0] == base_error.shape[1] == rate.shape[0] == 3)
+    of_attitude, of_jacobian, of_error = np.empty((3, 3)), np.zeros((3, n)), np.empty((3, 3))
+    jacobian: cython.double[:, ::1] = of_jacobian
+    attitude: cython.double[:, ::1] = of_attitude
+    error: cython.double[:, ::1] = of_error
+    vector = cython.declare(cython.double[3])
     turn = cython.declare(cython.double[9])
     by_vector = cython.declare(cython.double[9])
     turned = cython.declare(cython.double[9])
+    product = cython.declare(cython.double[9])
+    from_hung = cython.declare(cython.double[9])
+    on_base = cython.declare(cython.double[9])
+    scale: cython.double
     k: cython.Py_ssize_t
     i: cython.int
+    j: cython.int
     for k in range(count):
-        _exponential(cython.cast(cython.p_double, cython.address(vectors[k, 0])), turn)
-        _jacobian(cython.cast(cython.p_double, cython.address(vectors[k, 0])), by_vector)
+        _check("links", 0 <= links[k] <= n - 3)
+        scale = white_scale if k == white else 1.0
+        for i in range(3):
+            vector[i] = scale * mean[links[k] + i]
+        _exponential(vector, turn)
+        _jacobian(vector, by_vector)
         if k == 0:
-            for i in range(9):
-                turned[i] = turn[i]
+            memcpy(turned, turn, 9 * cython.sizeof(cython.double))
         else:
-            _times(turn, cython.address(products[k - 1, 0, 0]), turned)
-        _transposed_times(turned, by_vector, cython.address(derivatives[k, 0, 0]))
-        _times(
-            cython.cast(cython.p_double, cython.address(after[k, 0, 0])), turned, cython.address(products[k, 0, 0])
-        )
-    return of_products, of_derivatives
+            _times(turn, product, turned)
+        _transposed_times(turned, by_vector, turn)
+        for i in range(3):
+            for j in range(3):
+                jacobian[i, links[k] + j] = scale * turn[3 * i + j]
+        _times(cython.cast(cython.p_double, cython.address(after[k, 0, 0])), turned, product)
+        if k == hull:
+            memcpy(from_hung, product, 9 * cython.sizeof(cython.double))
+            _copied(base, on_base)
+            _times(on_base, from_hung, product)
+    memcpy(cython.address(attitude[0, 0]), product, 9 * cython.sizeof(cython.double))
+    for i in range(3):
+        scale = from_hung[i] * rate[0] + from_hung[3 + i] * rate[1] + from_hung[6 + i] * rate[2]
+        for k in range(clocks.shape[0]):
+            _check("clocks", 0 <= clocks[k] < n)
+            jacobian[i, clocks[k]] = signs[k] * scale
+    _copied(base_error, on_base)
+    _transposed_times(from_hung, on_base, turn)
+    _times(turn, from_hung, cython.address(error[0, 0]))
+    return of_attitude, of_jacobian, of_error
+
+
+def turn_between(first: cython.const[cython.double][:, :], second: cython.const[cython.double][:, :]):
+    """Rotation vector from one attitude to another about the axes of the first one, rad, shape (3,)."""
+    _check("attitudes", first.shape[0] == first.shape[1] == second.shape[0] == second.shape[1] == 3)
+    before = cython.declare(cython.double[9])
+    after = cython.declare(cython.double[9])
+    product = cython.declare(cython.double[9])
+    vector = np.empty(3)
+    out: cython.double[::1] = vector
+    _copied(first, before)
+    _copied(second, after)
+    _transposed_times(before, after, product)
+    _logarithm(product, cython.address(out[0]))
+    return vector
 
 
 @cython.cfunc
@@ -281,9 +370,48 @@ def _inverse_times(matrix: cython.p_double, vector: cython.p_double, out: cython
         ) / determinant
 
 
+@cython.cfunc
+@cython.exceptval(check=False)
+def _cubic(
+    first: cython.p_double,
+    turn: cython.p_double,
+    end_rate: cython.p_double,
+    interval_s: cython.double,
+    at: cython.double,
+    start: cython.p_double,
+    end: cython.p_double,
+    vector: cython.p_double,
+    rotation: cython.p_double,
+    rate: cython.p_double,
+) -> cython.void:
+    """The cubic of :func:`cubic`; ``start`` is its slope at the beginning, and the four after it are written."""
+    matrix = cython.declare(cython.double[9])
+    slope = cython.declare(cython.double[3])
+    i: cython.int
+    _jacobian(turn, matrix)
+    for i in range(3):
+        slope[i] = end_rate[i] * interval_s
+    # d(rotation vector)/dt = J_right^-1 rate, and J_right = J_left^T.
+    _inverse_times(matrix, slope, end)
+    for i in range(3):
+        vector[i] = (
+            at * (1.0 - at) * (1.0 - at) * start[i]
+            + at * at * (3.0 - 2.0 * at) * turn[i]
+            + at * at * (at - 1.0) * end[i]
+        )
+        slope[i] = (
+            (1.0 - at) * (1.0 - 3.0 * at) * start[i] + 6.0 * at * (1.0 - at) * turn[i] + at * (3.0 * at - 2.0) * end[i]
+        )
+    _jacobian(vector, matrix)
+    for i in range(3):
+        rate[i] = (matrix[i] * slope[0] + matrix[3 + i] * slope[1] + matrix[6 + i] * slope[2]) / interval_s
+    _exponential(vector, matrix)
+    _times(first, matrix, rotation)
+
+
 def cubic(
-    first: cython.const[cython.double][:, ::1],
-    turn: cython.const[cython.double][::1],
+    first: cython.const[cython.double][:, :],
+    turn: cython.const[cython.double][:],
     start_rate: cython.const[cython.double][:],
     end_rate: cython.const[cython.double][:],
     interval_s: cython.double,
@@ -300,40 +428,129 @@ def cubic(
         at: fraction of it.
 
     Returns:
-        Rotation and rate there, the rotation vector from the first one, and the slopes of the cubic at its ends per
-        interval.
+        Rotation and rate there, and the rotation vector from the first one.
     """
     _check("cubic", first.shape[0] == first.shape[1] == turn.shape[0] == start_rate.shape[0] == end_rate.shape[0] == 3)
-    of_rotation, of_rate = np.empty((3, 3)), np.empty(3)
-    of_vector, of_start, of_end = np.empty(3), np.empty(3), np.empty(3)
+    of_rotation, of_rate, of_vector = np.empty((3, 3)), np.empty(3), np.empty(3)
     rotation: cython.double[:, ::1] = of_rotation
     rate: cython.double[::1] = of_rate
     vector: cython.double[::1] = of_vector
-    start: cython.double[::1] = of_start
-    end: cython.double[::1] = of_end
     matrix = cython.declare(cython.double[9])
-    slope = cython.declare(cython.double[3])
+    whole = cython.declare(cython.double[3])
+    start = cython.declare(cython.double[3])
+    end = cython.declare(cython.double[3])
+    rate_there = cython.declare(cython.double[3])
     i: cython.int
-    _jacobian(cython.cast(cython.p_double, cython.address(turn[0])), matrix)
+    _copied(first, matrix)
     for i in range(3):
-        start[i], slope[i] = start_rate[i] * interval_s, end_rate[i] * interval_s
-    # d(rotation vector)/dt = J_right^-1 rate, and J_right = J_left^T.
-    _inverse_times(matrix, slope, cython.address(end[0]))
+        whole[i], start[i], rate_there[i] = turn[i], start_rate[i] * interval_s, end_rate[i]
+    _cubic(
+        matrix, whole, rate_there, interval_s, at, start, end,
+        cython.address(vector[0]), cython.address(rotation[0, 0]), cython.address(rate[0]),
+    )  # fmt: skip
+    return of_rotation, of_rate, of_vector
+
+
+def between(
+    first: cython.const[cython.double][:, :],
+    second: cython.const[cython.double][:, :],
+    other: cython.const[cython.double][:, :],
+    first_rate: cython.const[cython.double][:],
+    second_rate: cython.const[cython.double][:],
+    interval_s: cython.double,
+    at: cython.double,
+    other_at: cython.double,
+    beside: cython.double,
+    any_direction: cython.double,
+    largest: cython.double,
+):
+    """Between two attitudes with measured rates, by the cubic of :func:`cubic`, and how far it may be off.
+
+    The error of a cubic with the right values and slopes is the fourth derivative / 24 times t² (1 - t)²: how far it
+    misses another sample tells it everywhere. Beside that, and alone where there is no other sample, stands a bound by
+    the cubic's own third derivative: as if that could grow from zero within the interval.
+
+    Args:
+        first: shape (3, 3).
+        second: the next one.
+        other: the one before the first.
+        first_rate: about the axes of the first one, rad/s, shape (3,).
+        second_rate: about those of the second one.
+        interval_s: time between the two.
+        at: fraction of it.
+        other_at: where the other one is, in units of the interval; 0 where there is none.
+        beside: share of the bound by the third derivative that counts beside the miss.
+        any_direction: share of an error that may have any direction.
+        largest: bound of the sum of the errors' squares, rad².
+
+    Returns:
+        Rotation and rate there; the variance of the attitude per variance of the samples' noise; the estimates of the
+        error, rotation vectors about the axes of the deck, rad, shape (k, 3): two, or without another sample one; and
+        the covariance that they make, rad², shape (3, 3).
+    """
+    _check("attitudes", first.shape[0] == first.shape[1] == second.shape[0] == second.shape[1] == 3)
+    _check("other", other.shape[0] == other.shape[1] == first_rate.shape[0] == second_rate.shape[0] == 3)
+    estimates: cython.int = 1 if other_at == 0.0 else 2
+    of_rotation, of_rate = np.empty((3, 3)), np.empty(3)
+    of_errors, of_covariance = np.empty((estimates, 3)), np.empty((3, 3))
+    rotation: cython.double[:, ::1] = of_rotation
+    rate: cython.double[::1] = of_rate
+    errors: cython.double[:, ::1] = of_errors
+    covariance: cython.double[:, ::1] = of_covariance
+    start_nd = cython.declare(cython.double[9])
+    other_nd = cython.declare(cython.double[9])
+    between_d = cython.declare(cython.double[9])
+    turn = cython.declare(cython.double[3])
+    to_other = cython.declare(cython.double[3])
+    start = cython.declare(cython.double[3])
+    end = cython.declare(cython.double[3])
+    end_rate = cython.declare(cython.double[3])
+    vector = cython.declare(cython.double[3])
+    bent: cython.double = at * (1.0 - at)
+    share: cython.double = 1.0
+    scale: cython.double = 0.0
+    squares: cython.double = 0.0
+    miss: cython.double
+    i: cython.int
+    j: cython.int
+    k: cython.int
+    _copied(first, start_nd)
+    _copied(second, other_nd)
+    _transposed_times(start_nd, other_nd, between_d)
+    _logarithm(between_d, turn)
     for i in range(3):
-        vector[i] = (
-            at * (1.0 - at) * (1.0 - at) * start[i]
-            + at * at * (3.0 - 2.0 * at) * turn[i]
-            + at * at * (at - 1.0) * end[i]
-        )
-        slope[i] = (
-            (1.0 - at) * (1.0 - 3.0 * at) * start[i] + 6.0 * at * (1.0 - at) * turn[i] + at * (3.0 * at - 2.0) * end[i]
-        )
-    _jacobian(cython.address(vector[0]), matrix)
+        start[i], end_rate[i] = first_rate[i] * interval_s, second_rate[i]
+    _cubic(
+        start_nd, turn, end_rate, interval_s, at, start, end,
+        vector, cython.address(rotation[0, 0]), cython.address(rate[0]),
+    )  # fmt: skip
+    if estimates == 2:
+        _copied(other, other_nd)
+        _transposed_times(start_nd, other_nd, between_d)
+        _logarithm(between_d, to_other)
+        share = 0.5 * beside
+        scale = bent / (other_at * (1.0 - other_at))
+        for i in range(3):
+            miss = to_other[i] - (
+                other_at * (1.0 - other_at) * (1.0 - other_at) * start[i]
+                + other_at * other_at * (3.0 - 2.0 * other_at) * turn[i]
+                + other_at * other_at * (other_at - 1.0) * end[i]
+            )
+            errors[0, i] = miss * scale * scale
     for i in range(3):
-        rate[i] = (matrix[i] * slope[0] + matrix[3 + i] * slope[1] + matrix[6 + i] * slope[2]) / interval_s
-    _exponential(cython.address(vector[0]), matrix)
-    _times(cython.cast(cython.p_double, cython.address(first[0, 0])), matrix, cython.address(rotation[0, 0]))
-    return of_rotation, of_rate, of_vector, of_start, of_end
+        errors[estimates - 1, i] = share * (6.0 * (start[i] + end[i]) - 12.0 * turn[i]) * bent * bent / 24.0
+    for k in range(estimates):
+        for i in range(3):
+            squares += errors[k, i] * errors[k, i]
+    scale = 1.0 if squares <= largest else largest / squares
+    for i in range(3):
+        for j in range(3):
+            covariance[i, j] = any_direction * any_direction * squares * scale if i == j else 0.0
+            for k in range(estimates):
+                covariance[i, j] += errors[k, i] * errors[k, j] * scale
+    # Of the two attitudes the second has this weight; measured rates count as free of noise.
+    share = at * at * (3.0 - 2.0 * at)
+    return of_rotation, of_rate, (1.0 - share) * (1.0 - share) + share * share, of_errors, of_covariance
 
 
 def moved(

@@ -2,8 +2,8 @@
 
 A cubic joins two samples. It misses the other samples around by some amount, and that amount tells what the cubic lacks
 between the two. With measured rates the miss at one other sample is scaled to the moment asked for
-(:func:`by_miss`). Without them the polynomial through all samples around is compared with the cubic
-(:func:`by_polynomial`).
+(:func:`ship_geometry.compiled_rotations.between`). Without them the polynomial through all samples around is compared
+with the cubic (:func:`by_polynomial`).
 
 The noise of the samples is in these estimates, but it is never divided by a step. So at high rates the estimate is a
 small part of the noise that the samples have anyway. docs/explanation/interpolation.md has derivation and numbers.
@@ -82,42 +82,6 @@ def joint_covariance(errors: FloatArray, interval: NDArray[np.int64]) -> FloatAr
     products += ANY_DIRECTION**2 * squares[:, None, :, None] * np.eye(errors.shape[-1])[:, None, :]
     covariance: FloatArray = products * (interval[:, None] == interval)[:, None, :, None]
     return covariance
-
-
-def by_miss(miss: FloatArray, missed_at: float, at: float) -> FloatArray:
-    """Error of a cubic with the right values and slopes at 0 and 1, told by how far it misses another sample.
-
-    That error is the fourth derivative / 24 times t² (1 - t)², so one miss gives it everywhere.
-
-    Args:
-        miss: the other sample minus the cubic there, shape (k,).
-        missed_at: where the other sample is, in units of the interval; not 0 or 1.
-        at: where the error is wanted, in units of the interval.
-
-    Example:
-        The cubic with the values 0, 1 and the slopes 0, 4 of t⁴ at 0 and 1 is 2 t³ - t². At -1 it is -3, which misses
-        t⁴ by 4; at the middle it is off by 1/16:
-
-        >>> print(by_miss(np.array([4.0]), -1.0, 0.5))
-        [0.0625]
-    """
-    return miss * (at * (1.0 - at) / (missed_at * (1.0 - missed_at))) ** 2
-
-
-def by_third_derivative(change: FloatArray, at: float) -> FloatArray:
-    """Bound of the error of a cubic with the right values and slopes, told by its own third derivative.
-
-    It serves where there is no other sample: as if the third derivative could grow from zero within the interval.
-
-    Args:
-        change: third derivative of the cubic per interval³, shape (k,).
-        at: where the error is wanted, in units of the interval.
-
-    Example:
-        >>> print(by_third_derivative(np.array([384.0]), 0.5))
-        [1.]
-    """
-    return change * (at * (1.0 - at)) ** 2 / 24.0
 
 
 def divided_differences(nodes: FloatArray, values: FloatArray) -> FloatArray:

@@ -134,9 +134,8 @@ def log_rotation(rotation: FloatArray) -> FloatArray:
     """
     rotation = np.asarray(rotation, dtype=float)
     if rotation.ndim == 2:
-        vector: FloatArray | None = compiled_rotations.logarithm(rotation)
-        if vector is not None:
-            return vector
+        vector: FloatArray = compiled_rotations.logarithm(rotation)
+        return vector
     twice_sine = np.empty(rotation.shape[:-1])
     twice_sine[..., 0] = rotation[..., 2, 1] - rotation[..., 1, 2]
     twice_sine[..., 1] = rotation[..., 0, 2] - rotation[..., 2, 0]

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from ship_geometry import compiled_rotations
+from ship_geometry.interpolation_error import ANY_DIRECTION, BESIDE, as_covariance
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, log_rotation
+from ship_geometry.sample_track import hermite_weights
 
 RNG_SEED = 5
 SIZES = [0.0, 1e-9, 0.99e-4, 1.01e-4, 0.01, 1.0, 2.5, 3.1]
@@ -44,24 +46,38 @@ def test_views_that_are_not_contiguous_are_read_as_they_are() -> None:
     equal(exp_rotation(np.array([0.3, 9.0, -0.2, 9.0, 0.5, 9.0])[::2]), rotation)
 
 
-def test_a_chain_is_the_product_and_its_derivatives_are_those_of_small_steps() -> None:
-    turns, fixed = 0.2 * vectors(4), exp_rotation(vectors(9)[5:])
-    products, derivatives = compiled_rotations.chain(turns, fixed)
+def test_what_hangs_on_a_base_has_the_product_of_the_chain_and_derivatives_of_small_steps() -> None:
+    """Four links, of which the third hangs on a turning base and the last counts 0.7 times; two clocks."""
+    rng = np.random.default_rng(RNG_SEED)
+    links, fixed, base = np.array([9, 3, 0, 6]), exp_rotation(vectors(9)[5:]), exp_rotation(np.array([0.3, -1.0, 0.2]))
+    mean, rate, signs, root = np.zeros(14), rng.standard_normal(3), np.array([1.0, -1.0]), rng.standard_normal((3, 3))
+    mean[:12] = 0.2 * vectors(4).ravel()
+    hull, clocks, error = 2, np.array([13, 12]), root @ root.T
 
-    def product(turns: FloatArray) -> FloatArray:
+    def product(states: FloatArray) -> FloatArray:
         rotation = np.eye(3)
-        for turn, left in zip(exp_rotation(turns), fixed, strict=True):
+        for number, (link, left) in enumerate(zip(links, fixed, strict=True)):
+            turn = exp_rotation((0.7 if number == 3 else 1.0) * states[link : link + 3])
             rotation = left @ turn @ rotation
+            if number == hull:
+                rotation = base @ exp_rotation((states[13] - states[12]) * rate) @ rotation
         return rotation
 
-    equal(products[-1], product(turns))
-    step = 1e-6
-    for link in range(4):
-        for axis in range(3):
-            moved = turns.copy()
-            moved[link, axis] += step
-            small = log_rotation(product(turns).T @ product(moved)) / step
-            np.testing.assert_allclose(derivatives[link][:, axis], small, rtol=0, atol=2e-6)
+    found = compiled_rotations.hung(mean, links, fixed, hull, 3, 0.7, clocks, signs, base, rate, error)
+    equal(found[0], product(mean))
+    step = 1e-6 * np.eye(14)
+    small = [log_rotation(product(mean - by).T @ product(mean + by)) / 2e-6 for by in step]
+    np.testing.assert_allclose(found[1].T, small, rtol=0, atol=1e-8)
+    from_hung = np.eye(3)
+    for link, left in zip(links[: hull + 1], fixed, strict=False):
+        from_hung = left @ exp_rotation(mean[link : link + 3]) @ from_hung
+    equal(found[2], from_hung.T @ error @ from_hung)
+
+
+def test_the_turn_between_two_attitudes_is_the_logarithm_of_their_quotient() -> None:
+    first, second = exp_rotation(np.array([0.3, -1.0, 0.2])), exp_rotation(vectors(16))
+    expected = log_rotation(first.T @ second)
+    np.testing.assert_allclose([compiled_rotations.turn_between(first, one) for one in second], expected, atol=1e-12)
 
 
 def test_a_rotation_is_turned_on_by_one_vector_after_another() -> None:
@@ -75,7 +91,7 @@ def test_a_rotation_is_turned_on_by_one_vector_after_another() -> None:
     assert alone.tobytes() == reached[7].tobytes()
 
 
-def test_differences_are_logarithms_and_unknown_near_half_a_turn() -> None:
+def test_differences_are_logarithms() -> None:
     rotations, others = exp_rotation(0.2 * vectors(40)), exp_rotation(0.3 * vectors(45)[5:])
     turn = others[0] @ rotations[0].T
     found = compiled_rotations.differences(rotations, others, turn)
@@ -85,8 +101,6 @@ def test_differences_are_logarithms_and_unknown_near_half_a_turn() -> None:
         compiled_rotations.differences(rotations[n : n + 1], others[n : n + 1], turn)[0] for n in range(len(others))
     ]
     assert np.array(alone).tobytes() == found.tobytes()
-    half = exp_rotation(np.array([[0.0, 3.1, 0.0]]))
-    assert np.isnan(compiled_rotations.differences(half, np.eye(3)[None], np.eye(3))).all()
 
 
 @pytest.mark.parametrize("at", [1e-3, 0.3, 0.9])
@@ -105,8 +119,33 @@ def test_between_two_attitudes_lies_the_cubic_with_their_rates(at: float) -> Non
     ahead, behind = (exp_rotation(vector(at + s)) for s in (step, -step))
     equal(found[0], first @ exp_rotation(vector(at)))
     np.testing.assert_allclose(found[1], log_rotation(behind.T @ ahead) / (2.0 * step * interval_s), rtol=0, atol=1e-7)
-    for number, expected in ((2, vector(at)), (3, start_rate * interval_s), (4, end_slope)):
-        equal(found[number], expected)
+    equal(found[2], vector(at))
+
+
+@pytest.mark.parametrize("at", [1e-3, 0.3, 0.9])
+@pytest.mark.parametrize("other_at", [0.0, -0.7])
+@pytest.mark.parametrize("largest", [1e-6, 10.0])
+def test_the_cubic_tells_how_far_it_may_be_off(at: float, other_at: float, largest: float) -> None:
+    """By numpy: the miss at another sample, scaled by t² (1 - t)², and the third derivative of the cubic."""
+    first, second, other = exp_rotation(np.array([[0.4, -1.0, 0.3], [0.45, -0.9, 0.5], [0.2, -1.1, 0.3]]))
+    first_rate, second_rate, interval_s = np.array([0.3, -0.1, 0.2]), np.array([0.0, -0.2, 0.4]), 0.2
+    turn, to_other = log_rotation(first.T @ second), log_rotation(first.T @ other)
+    start, end = first_rate * interval_s, np.linalg.solve(left_jacobian(turn).T, second_rate * interval_s)
+    bound = (6.0 * (start + end) - 12.0 * turn) * (at * (1.0 - at)) ** 2 / 24.0
+    _, by_start, by_turn, by_end = hermite_weights(other_at)
+    miss = to_other - (by_start * start + by_turn * turn + by_end * end)
+    errors = [bound]
+    if other_at:
+        errors = [miss * (at * (1.0 - at) / (other_at * (1.0 - other_at))) ** 2, 0.5 * BESIDE * bound]
+    arguments = first, second, other, first_rate, second_rate, interval_s, at, other_at
+    found = compiled_rotations.between(*arguments, BESIDE, ANY_DIRECTION, largest)
+    rotation, rate, _ = compiled_rotations.cubic(first, turn, first_rate, second_rate, interval_s, at)
+    equal(found[0], rotation)
+    equal(found[1], rate)
+    by_first, _, by_second, _ = hermite_weights(at)
+    equal(np.array(found[2]), np.array(by_first**2 + by_second**2))
+    equal(found[3], np.array(errors))
+    equal(found[4], as_covariance(errors, largest))
 
 
 @pytest.mark.parametrize("count", [2, 3, 4])
@@ -172,15 +211,27 @@ def test_samples_are_corrected_as_by_numpy() -> None:
     np.testing.assert_allclose(found[1], expected, rtol=0, atol=1e-13 * np.abs(expected).max())
 
 
+def hung_by(links: FloatArray, fixed: FloatArray, clocks: FloatArray) -> None:
+    """A chain of seven states on a base."""
+    base, rate = np.eye(3), np.zeros(3)
+    compiled_rotations.hung(np.zeros(7), links, fixed, 0, 0, 1.0, clocks, np.ones(1), base, rate, base)
+
+
 def test_shapes_that_do_not_fit_are_refused() -> None:
     """The loops look at no bounds."""
     calls = [
         lambda: exp_rotation(np.zeros(2)),
         lambda: left_jacobian(np.zeros(4)),
         lambda: log_rotation(np.eye(2)),
-        lambda: compiled_rotations.chain(np.zeros((2, 3)), np.zeros((3, 3, 3))),
+        lambda: hung_by(np.array([0, 3]), np.zeros((3, 3, 3)), np.array([6])),
+        lambda: hung_by(np.array([0, 5]), np.zeros((2, 3, 3)), np.array([6])),
+        lambda: hung_by(np.array([0, 3]), np.zeros((2, 3, 3)), np.array([7])),
+        lambda: compiled_rotations.turn_between(np.eye(3), np.eye(2)),
         lambda: compiled_rotations.moved(np.eye(3)[None], np.zeros((1, 1, 3)), np.zeros((1, 0)), np.zeros(1), 0.3, 1.0),
         lambda: compiled_rotations.cubic(np.eye(3), np.zeros(3), np.zeros(2), np.zeros(3), 0.1, 0.5),
+        lambda: compiled_rotations.between(
+            np.eye(3), np.eye(3), np.eye(2), np.zeros(3), np.zeros(3), 0.1, 0.5, 0.0, 0.5, 0.3, 1.0
+        ),
     ]
     for call in calls:
         with pytest.raises(ValueError, match="do not fit together"):

@@ -20,5 +20,5 @@ def test_functions_are_those_of_scipy(imports: str) -> None:
 
 
 def test_nothing_else_of_scipy_is_read() -> None:
-    check = "import sys; from ship_geometry import lapack; assert 'scipy.linalg' not in sys.modules"
+    check = "import sys; from ship_geometry import lapack; assert 'scipy' not in sys.modules"
     subprocess.run([sys.executable, "-c", check], check=True, timeout=60)

@@ -5,10 +5,20 @@ from itertools import product
 import numpy as np
 import pytest
 
-from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, exp_rotation, log_rotation, wrap_pi
+from ship_geometry.rotations import (
+    ARCSEC,
+    FloatArray,
+    angle_between,
+    exp_rotation,
+    left_jacobian,
+    log_rotation,
+    wrap_pi,
+)
 from theodolite_calib.chain.axes import (
     NAMES,
+    AxisChain,
     AxisErrors,
+    axis_chain,
     direction_change,
     encoder_angles,
     main_axis,
@@ -210,3 +220,37 @@ def test_vector_form() -> None:
     many = AxisErrors(g=np.arange(3.0), c=0.5).vector()
     np.testing.assert_array_equal(many, [[0, 0, 0.5, 0, 0, 0, 0], [1, 0, 0.5, 0, 0, 0, 0], [2, 0, 0.5, 0, 0, 0, 0]])
     np.testing.assert_array_equal(AxisErrors.from_vector(many).vector(), many)
+
+
+def test_the_compiled_chain_is_that_of_arrays() -> None:
+    """Ship and deformation by rotations, the axes by :func:`main_axis`."""
+    rng = np.random.default_rng(2)
+    azimuths, elevations = everywhere()
+    for errors, azimuth, elevation in product((SMALL, LARGE), azimuths[0, ::5].tolist(), elevations[:, 0].tolist()):
+        ship_n, deformation_d, rotation_v, rate_d = 1e-3 * rng.standard_normal((4, 3))
+        ship_time_s, measured_nd = 0.01, exp_rotation(1e3 * rotation_v)
+        chain = axis_chain(
+            np.concatenate([ship_n, deformation_d, errors.vector(), [ship_time_s]]),
+            measured_nd,
+            rate_d,
+            azimuth,
+            elevation,
+        )
+        main, bent_df = main_axis(errors, azimuth, elevation), exp_rotation(deformation_d)
+        rotation_nd = exp_rotation(ship_n) @ measured_nd @ exp_rotation(-ship_time_s * rate_d)
+        expected = AxisChain(
+            rotation_nd,
+            bent_df @ main.rotation_dm,
+            rotation_nd @ bent_df @ main.rotation_dm,
+            np.hstack(
+                [
+                    left_jacobian(ship_n),
+                    rotation_nd @ left_jacobian(deformation_d),
+                    rotation_nd @ bent_df @ main.by_error,
+                    -(rotation_nd @ rate_d)[:, None],
+                ]
+            ),
+            rotation_nd @ bent_df @ main.by_encoder,
+        )
+        for name, found in vars(chain).items():
+            np.testing.assert_allclose(found, getattr(expected, name), rtol=0.0, atol=1e-13, err_msg=name)

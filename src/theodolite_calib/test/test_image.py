@@ -53,8 +53,9 @@ def test_each_exposure_has_its_focal_length():
 def test_nothing_is_seen_behind():
     behind = np.array([[-1.0, 0.1, 0.1], [0.0, 1.0, 0.0], [1.0, 0.1, 0.1]])
     assert np.isnan(CAMERA.points(behind)).all(axis=-1).tolist() == [True, True, False]
-    assert np.isnan(CAMERA.point_by_focal_length(behind)).all(axis=-1).tolist() == [True, True, False]
-    assert np.isnan(CAMERA.point_by_direction(behind)).any(axis=(-1, -2)).tolist() == [True, True, False]
+    predicted = predict_points(CAMERA, np.eye(3), behind)
+    for values in (predicted.point_m, predicted.by_focal_length, predicted.by_direction_n[..., 0, :]):
+        assert np.isnan(values).all(axis=-1).tolist() == [True, True, False]
 
 
 def test_direction_by_point_and_by_principal_point_equals_finite_differences():
@@ -74,14 +75,18 @@ def test_direction_by_focal_length_equals_finite_differences():
     assert CAMERA.direction_by_focal_length(point_m) == pytest.approx(expected, abs=1e-7)
 
 
-def test_point_by_direction_and_focal_length_equals_finite_differences():
+def test_points_by_direction_and_focal_length_equal_finite_differences():
     direction_t, step = 1.3 * CAMERA.directions(points()), 1e-6
-    for column, change in enumerate(np.eye(3) * step):
+    rotation_nt = exp_rotation(np.random.default_rng(6).standard_normal((len(direction_t), 3)))
+    predicted = predict_points(CAMERA, rotation_nt, direction_t @ rotation_nt.swapaxes(-1, -2))
+    assert predicted.point_m == pytest.approx(CAMERA.points(direction_t), abs=1e-16)
+    for column in range(3):
+        change = step * rotation_nt[:, None, column]
         expected = (CAMERA.points(direction_t + change) - CAMERA.points(direction_t - change)) / (2.0 * step)
-        assert CAMERA.point_by_direction(direction_t)[..., column] == pytest.approx(expected, abs=1e-11)
+        assert predicted.by_direction_n[..., column] == pytest.approx(expected, abs=1e-11)
     more, less = (Camera(0.1 + change, 0.0, CAMERA.principal_point_m) for change in (step, -step))
     expected = (more.points(direction_t) - less.points(direction_t)) / (2.0 * step)
-    assert CAMERA.point_by_focal_length(direction_t) == pytest.approx(expected, abs=1e-10)
+    assert predicted.by_focal_length == pytest.approx(expected, abs=1e-10)
 
 
 def test_a_tenth_of_a_pixel_of_the_paper_is_1_34_arcseconds_on_the_axis():

@@ -1,40 +1,144 @@
-"""The pointing that is put out: a function of state, ship and encoders that takes one moment or a stack of them."""
+"""The pointing that is put out: a function of state, ship and encoders that takes one moment or many."""
+
+import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from ship_estimation.outcome import Status
+from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from ship_testing.simulated_session import config, session, sweep
-from theodolite_calib.filter.filter import CalibrationFilter
+from theodolite_calib.chain.axes import axis_chain
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
+from theodolite_calib.filter.model import chain_rows
 from theodolite_calib.filter.step import SightingStep
-from theodolite_calib.measured.samples import Exposure
-from theodolite_calib.measured.tracks import EncoderAt, ShipAt
-from theodolite_calib.optical_axis.output import CorrectedAxis
+from theodolite_calib.filter.trust import Conflict
+from theodolite_calib.measured.samples import EncoderRun, Exposure, Mode, PointingEstimate
+from theodolite_calib.measured.tracks import ShipRun
+from theodolite_calib.optical_axis.output import CorrectedAxis, PointingOutput
 
 TIMES_S = np.arange(0.0, 10.0)
+COUNT = 12
+LIMITS_ARCSEC = (620.0, 450.0, 2000.0)
+"""Some of the pointings are beyond these."""
+SOURCES = ["ship/attitude", "ins/imu"]
 
 
-@pytest.mark.parametrize("source", ["ship/attitude", "ins/imu"])
-def test_a_stack_of_moments_gives_what_the_single_calls_give(source: str) -> None:
-    settings = config(ship__source=source)
+@functools.cache
+def seen(source: str) -> tuple[OpticalAxisConfig, CalibrationFilter, CalibrationState]:
+    """A filter that has seen lights for ten seconds, and its state."""
+    settings = config(ship__source=source, integrity__alert_limit_arcsec=LIMITS_ARCSEC)
     filter_ = CalibrationFilter(settings)
     state, step = filter_.initial_state(), SightingStep(settings, filter_)
     for sighting in session(settings, 4, TIMES_S, sweep(TIMES_S)).sightings:
         state, _ = step(state, sighting, Exposure(sighting.time_ns, ()))
     assert state.used_ns is not None
-    rng, count = np.random.default_rng(5), 7
-    since_s = np.concatenate([[0.0], rng.uniform(0.0, 100.0, count - 1)])
-    # Stars have gone: the ship's error grows at once.
-    stated_n = None if source == "ins/imu" else (ARCSEC * np.diag([3.0, 20.0, 3.0])) ** 2
-    rotation_nd, rate_d = exp_rotation(rng.standard_normal((count, 3))), 0.1 * rng.standard_normal((count, 3))
-    stack = ShipAt(rotation_nd, rate_d, stated_n, rng.uniform(1e-12, 1e-10, count))
-    encoders = EncoderAt(rng.uniform(0.0, 6.0, count), rng.uniform(0.1, 1.0, count), rng.uniform(1e-12, 1e-10, count))
-    corrected = CorrectedAxis(filter_, state)
-    axes = corrected.at(since_s, stack, encoders)
-    for row in range(count):
-        ship = ShipAt(stack.rotation_nd[row], stack.rate_d[row], stated_n, float(stack.noise[row]))
-        encoder = EncoderAt(*(float(value[row]) for value in (encoders.azimuth, encoders.elevation, encoders.noise)))
-        one = corrected.at(float(since_s[row]), ship, encoder)
-        assert axes.rotation_nm[row] == pytest.approx(one.rotation_nm, abs=1e-15)
-        assert axes.rotation_nt[row] == pytest.approx(one.rotation_nt, abs=1e-15)
-        assert axes.parts_n[row] == pytest.approx(one.parts_n, rel=1e-12, abs=1e-24)
+    return settings, filter_, state
+
+
+def readings(source: str, state: CalibrationState) -> tuple[EncoderRun, ShipRun]:
+    """Readings from the state's moment until long after the lights, among them some in doubt."""
+    rng = np.random.default_rng(5)
+    assert state.time_ns is not None
+    since_ns = np.concatenate([[0], np.sort(rng.integers(1, 8 * 10**9, COUNT - 1))])
+    angles = np.stack([rng.uniform(0.0, 6.0, COUNT), rng.uniform(0.1, 1.0, COUNT)], axis=-1)
+    doubt = ["", "", "the encoders stopped dead"] * (COUNT // 3)
+    encoders = EncoderRun(state.time_ns + since_ns, angles, rng.uniform(1e-12, 1e-10, COUNT), doubt)
+    # Stars have gone and come again: the ship's error changes at once.
+    sizes = np.resize([1.0, 1.1, 3.0, 0.2], COUNT)[:, None, None]
+    root = np.diag([1.4, 1.8, 1.4]) + 0.2 * rng.standard_normal((COUNT, 3, 3))
+    stated_n = None if source == "ins/imu" else (ARCSEC * sizes) ** 2 * (root @ root.swapaxes(1, 2))
+    rotation_nd = exp_rotation(rng.standard_normal((COUNT, 3)))
+    ship = ShipRun(
+        rotation_nd,
+        0.1 * rng.standard_normal((COUNT, 3)),
+        stated_n,
+        rng.uniform(1e-12, 1e-10, COUNT),
+        [Status.VALID, Status.VALID, Status.VALID, Status.DEGRADED] * (COUNT // 4),
+        None if source == "ins/imu" else rotation_nd @ exp_rotation(1e-3 * rng.standard_normal((COUNT, 3))),
+    )
+    return encoders, ship
+
+
+@pytest.mark.parametrize("source", SOURCES)
+def test_the_axis_is_where_the_predicted_state_has_it(source: str) -> None:
+    """The filter carries the whole state to each moment; of that the chain makes the axis, by numpy."""
+    _, filter_, state = seen(source)
+    encoders, ship = readings(source, state)
+    index, rows = filter_.model.sources.index, chain_rows(filter_.model)
+    axes = CorrectedAxis(filter_, state).axes(ship, encoders)
+    for number, time_ns in enumerate(encoders.time_ns.tolist()):
+        stated_n = None if ship.slow_covariance_n is None else ship.slow_covariance_n[number]
+        later = filter_.predicted(state, time_ns, stated_n)
+        errors = filter_.sightings.chain_errors(later.mean)
+        chain = axis_chain(errors, ship.rotation_nd[number], ship.rate_d[number], *encoders.angles[number].tolist())
+        by_error = chain.by_error[:, : len(rows)]
+        parts_n = by_error @ later.parts[:, rows[:, None], rows] @ by_error.T
+        parts_n[index("encoder")] += encoders.variance[number] * chain.by_encoder @ chain.by_encoder.T
+        parts_n[index("ship_noise")] += ship.noise[number] * np.eye(3)
+        np.testing.assert_allclose(axes.rotation_nm[number], chain.rotation_nm, rtol=0.0, atol=1e-13)
+        np.testing.assert_allclose(axes.by_error_n[number], by_error, rtol=0.0, atol=1e-13)
+        np.testing.assert_allclose(axes.parts_n[number], parts_n, rtol=0.0, atol=1e-13 * np.max(parts_n))
+
+
+def in_dispute(state: CalibrationState) -> CalibrationState:
+    """The state where lights contradict all else, and the estimates without one source stand apart."""
+    conflict = Conflict((3.0 * ARCSEC) ** 2 * np.diag([1.0, 2.0, 3.0]))
+    trust = replace(state.trust, conflict=conflict)
+    return replace(state, trust=trust, separation=np.full(len(state.separation), 5.0))
+
+
+def chosen(encoders: EncoderRun, ship: ShipRun, number: int) -> tuple[EncoderRun, ShipRun]:
+    """One of the readings, as a run of its own."""
+    one = slice(number, number + 1)
+    parts = [
+        kind(**{name: None if value is None else value[one] for name, value in vars(run).items()})
+        for kind, run in ((EncoderRun, encoders), (ShipRun, ship))
+    ]
+    return parts[0], parts[1]
+
+
+def assert_same_bits(found: PointingEstimate, expected: PointingEstimate) -> None:
+    for name, value in vars(found).items():
+        one = getattr(expected, name)
+        same = value.tobytes() == one.tobytes() if isinstance(value, np.ndarray) else value == one
+        assert same or value is one, name
+
+
+@pytest.mark.parametrize("disputed", [False, True])
+@pytest.mark.parametrize("source", SOURCES)
+def test_a_reading_gives_to_the_bit_what_it_gives_among_others(source: str, disputed: bool) -> None:
+    settings, filter_, state = seen(source)
+    state, output = in_dispute(state) if disputed else state, PointingOutput(settings, filter_)
+    encoders, ship = readings(source, state)
+    run = output.estimates(encoders, ship, state)
+    assert set(run.mode.tolist()) == {Mode.TWO_LIGHTS, Mode.ENCODER}
+    if not disputed:
+        assert len(set(run.status)) > 1
+        assert len(set(run.text)) > 2
+    for number in range(COUNT):
+        alone = output.estimates(*chosen(encoders, ship, number), state)
+        assert_same_bits(run.one(number), alone.one(0))
+
+
+@pytest.mark.parametrize("source", SOURCES)
+def test_what_depends_on_lights_is_there_while_they_are_recent(source: str) -> None:
+    settings, filter_, before = seen(source)
+    state = in_dispute(before)
+    encoders, ship = readings(source, state)
+    run = PointingOutput(settings, filter_).estimates(encoders, ship, state)
+    recent = run.mode == Mode.TWO_LIGHTS
+    assert np.isfinite(run.rotation_nt).all(axis=(1, 2)).tolist() == recent.tolist()
+    parallelism = rotation_from_angles(*filter_.sightings.parallelism(state.mean))
+    np.testing.assert_allclose(run.rotation_nt[recent] @ parallelism, run.rotation_nm[recent], rtol=0.0, atol=1e-15)
+    assert run.light_count.tolist() == np.where(recent, 2, 0).tolist()
+    np.testing.assert_allclose(run.parts_n.sum(axis=1), run.covariance_n, rtol=1e-12)
+    more = np.trace(run.covariance_n - run.undisputed_n, axis1=1, axis2=2)
+    assert (more > 0.0).tolist() == recent.tolist()
+    if ship.chord_nd is None:
+        assert np.isnan(run.rotation_dm).all()
+    else:
+        np.testing.assert_allclose(ship.chord_nd @ run.rotation_dm, run.rotation_nm, rtol=0.0, atol=1e-14)

@@ -13,8 +13,9 @@ from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.step import SightingStep
-from theodolite_calib.measured.samples import Exposure
-from theodolite_calib.measured.tracks import EncoderAt
+from theodolite_calib.measured.samples import EncoderRun, Exposure
+from theodolite_calib.measured.sighting import Sighting
+from theodolite_calib.measured.tracks import ShipRun
 from theodolite_calib.optical_axis.output import CorrectedAxis
 
 SEEDS = 16
@@ -47,6 +48,22 @@ def filtered(settings: OpticalAxisConfig, filter_: CalibrationFilter, given: Ses
 
 
 @dataclass(frozen=True)
+class AxisAt:
+    """The main axis at one moment: horizon from main frame, and its covariance by source, rad²."""
+
+    rotation_nm: FloatArray
+    parts_n: FloatArray
+
+
+def axis_at(filter_: CalibrationFilter, state: CalibrationState, sighting: Sighting, noise: float) -> AxisAt:
+    """The main axis at the moment of a sighting by a state, with so much noise of the encoders, rad²."""
+    angles = np.array([[sighting.encoder.azimuth, sighting.encoder.elevation]])
+    reading = EncoderRun(np.array([sighting.time_ns]), angles, np.array([noise]), [""])
+    axes = CorrectedAxis(filter_, state).axes(ShipRun.of_one(sighting.ship), reading)
+    return AxisAt(axes.rotation_nm[0], axes.parts_n[0])
+
+
+@dataclass(frozen=True)
 class Left:
     """Errors after the lights have left, arcseconds on the sky, shape (seeds, moments)."""
 
@@ -65,11 +82,10 @@ def left_alone() -> Left:
     for seed in range(SEEDS):
         given = session(settings, seed, times_s, sweep(times_s))
         state = filtered(settings, filter_, given, len(SWEEP_S))
-        corrected = CorrectedAxis(filter_, state)
         ins_error_n = INS_SIGMA_N * np.random.default_rng(1000 + seed).standard_normal(3)
         for k in range(len(SWEEP_S), len(times_s)):
             sighting, truth_nm = given.sightings[k], given.rotation_nm[k]
-            axis = corrected.at((sighting.time_ns - state.time_ns) * 1e-9, sighting.ship, sighting.encoder)
+            axis = axis_at(filter_, state, sighting, sighting.encoder.noise)
             error_n = log_rotation(truth_nm @ axis.rotation_nm.T)
             encoder = sighting.encoder
             ins_nd = exp_rotation(-ins_error_n) @ sighting.ship.rotation_nd
@@ -145,7 +161,7 @@ def test_ten_seconds_of_lights_are_worth_what_is_claimed(changes: dict[str, floa
         given = session(settings, seed, times_s, encoder, ship_sigma_n=np.zeros(3), swing=0.0)
         state = filtered(settings, filter_, given, len(times_s))
         last = given.sightings[-1]
-        axis = CorrectedAxis(filter_, state).at(0.0, last.ship, EncoderAt(*encoder[-1].tolist(), 0.0))
+        axis = axis_at(filter_, state, last, 0.0)
         truth_nm = given.rotation_nm[-1]
         sigma = sigma_on_sky(axis.parts_n.sum(axis=0), truth_nm[:, 0])
         assert low < sigma < high
@@ -202,7 +218,7 @@ def test_a_principal_point_off_its_place_is_seen_by_no_innovation_but_is_in_the_
         values.append(decision.nis)
     assert np.mean(values) < 5.0  # 4 degrees of freedom
     last = given.sightings[-1]
-    axis = CorrectedAxis(filter_, state).at((last.time_ns - state.time_ns) * 1e-9, last.ship, last.encoder)
+    axis = axis_at(filter_, state, last, last.encoder.noise)
     source = filter_.model.sources.index("principal_point")
     assert sigma_on_sky(axis.parts_n[source], axis.rotation_nm[:, 0]) > 6.0
     error = on_sky(log_rotation(given.rotation_nm[-1] @ axis.rotation_nm.T), axis.rotation_nm[:, 0])

@@ -37,6 +37,7 @@ from ship_geometry.ros_axes import (
 from ship_geometry.rotations import ARCSEC
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.documents.saved_start import SavedStart
+from ship_node.edge.block_adapter import BlockAdapter
 from ship_node.edge.blocks import BlockFeed, PublishedRows
 from ship_node.edge.ins_messages import ins_block, ins_sample
 from ship_node.edge.messages_in import ReadMessage
@@ -54,7 +55,7 @@ from ship_node.edge.messages_out import (
     Level,
     error_budget,
 )
-from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, ReportingAdapter, untimed
+from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, untimed
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
 from ship_node.edge.verdict_report import clock_status
 
@@ -85,7 +86,7 @@ _GROUPS = {"star": "star_sensors", "reference": "references"}
 """First word of a source's name → where its parameters stand."""
 
 
-class ShipAttitudeAdapter(ReportingAdapter):
+class ShipAttitudeAdapter(BlockAdapter):
     """The ship's attitude from the INS and star sensors, with its covariance and error budget.
 
     Args:
@@ -145,7 +146,7 @@ class ShipAttitudeAdapter(ReportingAdapter):
         """Which topic feeds which method of the core; each star sensor has one topic, so that no star counts twice."""
         core: ShipAttitudeCore = self.core
         ins = InputTopic("ins/imu", IMU_TYPE, required=True, depth=1000)
-        block = BlockFeed(functools.partial(ins_block, config=config.ins), core.add_ins_block)
+        block = BlockFeed(functools.partial(ins_block, config=config.ins), core)
         yield Feed(ins, "ins", functools.partial(ins_sample, config=config.ins), core.add_ins, block=block)
         for id_, star in config.star_sensors.items():
             topic = InputTopic(f"star/{id_}/{star.input}", _STAR_TYPES[star.input], False, depth=1000, named=True)
@@ -174,7 +175,7 @@ class ShipAttitudeAdapter(ReportingAdapter):
         return functools.partial(read, sensor_id=id_, config=star)
 
     def block_messages(self, runs: Sequence[AttitudeRun]) -> Iterator[PublishedRows]:
-        """See :meth:`ReportingAdapter.block_messages`."""
+        """See :meth:`BlockAdapter.block_messages`."""
         return attitude_rows(self.factory, AttitudeNumbers.of(runs))
 
     def own_slow_topics(self, now_ns: int) -> list[Published]:

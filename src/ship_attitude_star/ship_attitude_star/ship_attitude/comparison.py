@@ -27,9 +27,10 @@ from ship_estimation.outcome import Measurement
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry import compiled_rotations
 from ship_geometry.attitude_track import InterpolatedAttitude
-from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, exp_rotation, left_jacobian, log_rotation, skew
+from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, exp_rotation, left_jacobian, skew
 
-_NO_TURN = np.eye(3)
+_TURNED_AS_DEVICE = np.eye(3)
+_TURNED_AS_DEVICE.flags.writeable = False
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ class Compared:
         components: names of the residuals.
         rotation_nv: horizon from device as measured, shape (3, 3); as predicted where single stars agree with that.
         predicted_nv: the same as predicted, shape (3, 3).
-        attitude_noise_n: noise of a measured attitude, rotation vector in the horizon frame, rad², shape (3, 3); zero
+        attitude_noise_v: noise of a measured attitude, rotation vector in the device frame, rad², shape (3, 3); zero
             for single stars.
         left_out: stars that had no part in it, by name.
     """
@@ -73,8 +74,14 @@ class Compared:
     components: tuple[str, ...]
     rotation_nv: FloatArray
     predicted_nv: FloatArray
-    attitude_noise_n: FloatArray
+    attitude_noise_v: FloatArray
     left_out: tuple[tuple[str, Refusal], ...] = ()
+
+    @property
+    def attitude_noise_n(self) -> FloatArray:
+        """The noise of a measured attitude about the horizon's axes, rad², shape (3, 3)."""
+        noise_n: FloatArray = self.rotation_nv @ self.attitude_noise_v @ self.rotation_nv.T
+        return noise_n
 
 
 def predict_attitude(
@@ -85,29 +92,21 @@ def predict_attitude(
     The chain is multiplied from the device outwards; an error of a factor exp(v) is a small rotation
     J_left(v) dv in the frame on its left, which everything multiplied so far brings into the device frame.
     """
-    on_its_left = {
-        f"{device.name}.slow": _NO_TURN,
-        f"{device.name}.installation": device.rotation_dv0,
-        f"{device.name}.flexure": _NO_TURN,
-        "ins.noise": _NO_TURN,
-        "ins.attitude": _NO_TURN,
-        f"{device.name}.common": _NO_TURN,
-    }
-    links = [name for name in on_its_left if name in model.slices]
-    scales = [math.sqrt(ins.noise_gain) if name == "ins.noise" else 1.0 for name in links]
-    vectors = np.array([scale * mean[model.slices[name]] for name, scale in zip(links, scales, strict=True)])
-    fixed, last_of_hull = np.array([on_its_left[name] for name in links]), links.index("ins.noise") - 1
-    fixed[last_of_hull] = ins.rotation_nd @ fixed[last_of_hull]
-    products, derivatives = compiled_rotations.chain(vectors, fixed)
-    jacobian = np.zeros((3, model.size))
-    for name, scale, derivative in zip(links, scales, derivatives, strict=True):
-        jacobian[:, model.slices[name]] = scale * derivative
-    rotation_dv = ins.rotation_nd.T @ products[last_of_hull]
-    rate_v = rotation_dv.T @ ins.rate_d
-    for name, sign in device.ins_time_states:
-        jacobian[:, model.slices[name]] = sign * rate_v[:, None]
-    interpolation_v = rotation_dv.T @ ins.error_covariance_d @ rotation_dv
-    return PredictedAttitude(products[-1], jacobian, interpolation_v)
+    chain = model.chains[device.name]
+    found = compiled_rotations.hung(
+        mean,
+        chain.links,
+        chain.fixed,
+        chain.hull,
+        chain.white,
+        math.sqrt(ins.noise_gain),
+        chain.clocks,
+        chain.signs,
+        ins.rotation_nd,
+        ins.rate_d,
+        ins.error_covariance_d,
+    )
+    return PredictedAttitude(*found)
 
 
 def compare(
@@ -142,11 +141,11 @@ def compare(
         noise, interpolation = measurement.noise_v, predicted.interpolation_v
         return Compared(
             linear=LinearMeasurement(residual, jacobian, {index(device.noise_source): noise, between: interpolation}),
-            by_turn=np.eye(3),
+            by_turn=_TURNED_AS_DEVICE,
             components=ATTITUDE_COMPONENTS,
             rotation_nv=measurement.rotation_nv,
             predicted_nv=predicted.rotation_nv,
-            attitude_noise_n=measurement.rotation_nv @ noise @ measurement.rotation_nv.T,
+            attitude_noise_v=noise,
         )
     assert watch is not None
     assert isinstance(measurement, StarExposure)
@@ -161,7 +160,7 @@ def compare(
         components=stars.components,
         rotation_nv=predicted.rotation_nv if stars.rotation_ns is None else stars.rotation_ns,
         predicted_nv=predicted.rotation_nv,
-        attitude_noise_n=np.zeros((3, 3)),
+        attitude_noise_v=np.zeros((3, 3)),
         left_out=stars.refused,
     )
 
@@ -181,7 +180,7 @@ def _attitude_residual(
         rotation_nv = exp_rotation(turn) @ rotation_nv
         jacobian_v = jacobian_v.copy()
         jacobian_v[:, rows] = -rotation_nv.T @ left_jacobian(turn) @ measurement.shared_n
-    return log_rotation(rotation_nv.T @ measurement.rotation_nv), jacobian_v
+    return compiled_rotations.turn_between(rotation_nv, measurement.rotation_nv), jacobian_v
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ measurement is applied and which output may follow. What belongs to the ship's a
 of the INS and of the star sensors, and who carries the attitude when the INS is gone.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,6 +20,7 @@ from ship_attitude_star.measurements.samples import (
     AttitudeRun,
     StampArray,
 )
+from ship_attitude_star.ship_attitude.ahead import InsAhead
 from ship_attitude_star.ship_attitude.alignment import (
     Alignment,
     AlignmentPrior,
@@ -38,7 +38,7 @@ from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_estimation.estimator_shell import EstimatorShell, Model
 from ship_estimation.ins import InsJump
 from ship_estimation.ins_guard import JudgedIns
-from ship_estimation.outcome import BlockOutcome, Measurement, Status
+from ship_estimation.outcome import Measurement, Status
 from ship_estimation.protection import IntegrityReport
 from ship_estimation.rate_guard import Rates
 from ship_estimation.refusals import Refusal, contradiction_text
@@ -127,47 +127,70 @@ class ShipAttitudeCore:
         judged = self._guards.ins.judge(sample, self._track, self._guards.witnesses)
         return self._use_ins(judged, sample.time_ns if arrival_ns is None else arrival_ns, outcome, estimate)
 
-    def add_ins_block(self, block: SampleBlock, arrivals_ns: StampArray, estimate: bool = True) -> BlockOutcome:
-        """The samples of a block, from the first one on, that all go the usual way, which is taken once for them.
+    def look_ahead(self, block: SampleBlock, arrivals_ns: StampArray) -> InsAhead | None:
+        """Judge samples of the INS before their turn, from the first one on, as long as they go the usual way.
 
-        Each is used as by :meth:`add_ins`. The first one that goes another way ends the block: it comes late or jumps,
-        or a measurement waits for it.
+        Until all of them had their turn (:meth:`take_ahead`) no other sample of the INS is taken.
 
         Args:
-            block: samples with rates.
-            arrivals_ns: when each came, in the time of waiting, shape (N,).
-            estimate: as in :meth:`add_ins`.
-        """
-        newest, first_ns = self._track.newest, int(block.times_ns[0])
-        in_order = newest is not None and newest.time_ns < first_ns and self._shell.follows(first_ns)
-        if not (in_order and self._shell.is_idle) or self._shell.contradictions.at(first_ns):
-            return BlockOutcome()
-        block = block.some(slice(self._track.moves_by_rates(block.times_ns)))
-        if not len(block.times_ns):
-            return BlockOutcome()
-        samples = block.samples()
-        count, last = self._guards.ins.follow(samples, block, self._guards.witnesses)
-        usual = count if last is None else count - 1
-        run = self._taken_together(samples[:usual], arrivals_ns, estimate) if usual else None
-        if last is None:
-            return BlockOutcome(count, run)
-        return BlockOutcome(count, run, self._use_ins(last, int(arrivals_ns[usual]), AttitudeOutcome(), estimate))
+            block: samples with rates, in the order of their stamps.
+            arrivals_ns: when each comes, in the time of waiting, shape (N,).
 
-    def _taken_together(
-        self, samples: Sequence[AttitudeSample], arrivals_ns: StampArray, estimate: bool
-    ) -> AttitudeRun | None:
-        """Take samples that were judged, behind all others; their attitudes."""
-        self._track.extend(samples)
-        self._ins_arrival_ns = int(arrivals_ns[len(samples) - 1])
-        run = None
-        if estimate:
-            corrected = self._corrected_by(self.state)
-            moved = self._track.newest_all_moved(len(samples), self._moved_s(corrected))
-            times_ns = np.array([sample.time_ns for sample in samples])
-            run = corrected.estimates(times_ns, *moved, self.config)
-            self._shell.was_put_out(samples[-1].time_ns, self._ins_arrival_ns, self._silence_ns)
-        self._shell.move_to(samples[-1].time_ns)
-        return run
+        Returns:
+            None where the first one is to be taken by itself.
+        """
+        first_ns = int(block.times_ns[0])
+        if not self._guards.ins.looks_ahead(first_ns):
+            return None
+        newest, before = self._track.newest, self._track.recent_rates()
+        if newest is None or before is None or self._ins_arrival_ns is None:
+            return None
+        if not (newest.time_ns < first_ns and self._shell.follows(first_ns)):
+            return None
+        # No sample after a gap, and none before which a tick says that the INS is silent.
+        steps_ns = np.diff(block.times_ns, prepend=newest.time_ns)
+        waits_ns = np.diff(arrivals_ns, prepend=self._ins_arrival_ns)
+        near = (steps_ns <= self._max_gap_ns) & (waits_ns >= 0) & (waits_ns <= min(self._silence_ns, SECOND_NS))
+        block = block.some(slice(len(near) if near.all() else int(np.argmin(near))))
+        if not len(block.times_ns):
+            return None
+        samples = block.samples()
+        followed = self._guards.ins.look_ahead(samples, block)
+        usual = len(followed.by_rates) - (followed.last is not None)
+        return InsAhead(samples[:usual], block, arrivals_ns, followed, before) if followed.by_rates else None
+
+    def take_ahead(self, ahead: InsAhead, stop: int) -> None:
+        """Samples that were judged ahead have their turn, up to one that is not included."""
+        while ahead.taken < stop:
+            if self._shell.is_idle:
+                end = stop
+                self._track.extend(ahead.samples[ahead.taken : end])
+                self._shell.move_to(ahead.samples[end - 1].time_ns)
+            else:
+                # A measurement waits: it may be for this very sample.
+                end, outcome = ahead.taken + 1, AttitudeOutcome()
+                self._shell.add_sample(INS, self._track, ahead.samples[ahead.taken], outcome)
+                if outcome.decisions or outcome.failures:
+                    ahead.told.append((ahead.taken, outcome))
+            doubts = None
+            if self._shell.contradictions.latest_ns:
+                doubts = [self._doubt(sample.time_ns) for sample in ahead.samples[ahead.taken : end]]
+            ahead.had_turn(self._shell.state_now, end, doubts)
+            self._ins_arrival_ns = int(ahead.arrivals_ns[end - 1])
+            self._shell.was_put_out(ahead.samples[end - 1].time_ns, self._ins_arrival_ns, self._silence_ns)
+            self._guards.ins.by_rates = ahead.followed.by_rates[end - 1]
+
+    def end_ahead(self, ahead: InsAhead) -> AttitudeOutcome | None:
+        """All samples that were judged ahead had their turn; what the one led to that did not go the usual way."""
+        values, last = ahead.block.rotations_nd[: len(ahead.followed.by_rates)], ahead.followed.last
+        self._guards.ins.arrive(values, ahead.followed, self._guards.witnesses)
+        if last is None:
+            return None
+        return self._use_ins(last, int(ahead.arrivals_ns[len(ahead.samples)]), AttitudeOutcome(), True)
+
+    def estimates_ahead(self, ahead: InsAhead) -> list[tuple[slice, AttitudeRun | Refusal]]:
+        """The attitudes at the stamps of samples that were judged ahead; see :meth:`InsAhead.attitudes`."""
+        return ahead.attitudes(self._corrected_by, self._moved_s, self.config)
 
     def _use_ins(
         self, judged: JudgedIns, arrival_ns: int, outcome: AttitudeOutcome, estimate: bool
@@ -311,18 +334,22 @@ class ShipAttitudeCore:
 
     def _doubted(self, estimate: AttitudeEstimate) -> AttitudeEstimate:
         """An estimate is DEGRADED where a source that it rests on contradicted itself not long ago."""
-        if not self._shell.contradictions.latest_ns:
+        doubt = self._doubt(estimate.time_ns)
+        if not doubt:
             return estimate
+        return replace(estimate, status=max(estimate.status, Status.DEGRADED), text=doubt)
+
+    def _doubt(self, time_ns: int) -> str:
+        """Which sources that an attitude now rests on contradicted themselves not long ago; empty for none."""
+        if not self._shell.contradictions.latest_ns:
+            return ""
         used_ns, devices = self.state.used_ns, self.filter.devices
         contradictory = [
             source
-            for source, since_ns in self._shell.contradictions.at(estimate.time_ns).items()
+            for source, since_ns in self._shell.contradictions.at(time_ns).items()
             if source not in devices or used_ns.get(source, since_ns - 1) >= since_ns
         ]
-        if not contradictory:
-            return estimate
-        status = max(estimate.status, Status.DEGRADED)
-        return replace(estimate, status=status, text=contradiction_text(contradictory))
+        return contradiction_text(contradictory)
 
     def _carry(self, outcome: AttitudeOutcome, waiting_ns: int) -> None:
         """With the INS gone, put out the attitude by the newest star measurement, once, while it is young."""

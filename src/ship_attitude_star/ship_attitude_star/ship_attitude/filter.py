@@ -12,13 +12,13 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.linearised import Linearisation, Linearised, NotCompared
 from ship_attitude_star.ship_attitude.model import SOURCE_INS, SOURCE_STAR_COMMON, Device, ShipStateModel, devices
 from ship_attitude_star.ship_attitude.row_table import INS
-from ship_attitude_star.ship_attitude.state import FilterState, with_entry, without
+from ship_attitude_star.ship_attitude.state import FilterState, changed, with_entry, without
 from ship_attitude_star.ship_attitude.suspects import Suspects
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_estimation.gates import GateConfig, chi_square_gate
-from ship_estimation.hypotheses import RowsCompared, add_error, compare_rows, covariances
+from ship_estimation.hypotheses import RowsCompared, add_error, compare_rows
 from ship_estimation.ins import InsJump
-from ship_estimation.kalman import predict, slow_error_later
+from ship_estimation.kalman import predict, states_later
 from ship_estimation.outcome import Measurement
 from ship_estimation.refusals import Reason, Refusal, singular_covariance
 from ship_estimation.unconfirmed import Unconfirmed
@@ -53,20 +53,20 @@ class ShipFilter:
     def predicted(self, state: FilterState, time_ns: int) -> FilterState:
         """The state carried to a later moment."""
         if state.time_ns is None:
-            return replace(state, time_ns=time_ns)
-        dt_s = max(time_ns - state.time_ns, 0) * 1e-9
+            return changed(state, time_ns=time_ns)
+        if time_ns <= state.time_ns:
+            return state
+        dt_s = (time_ns - state.time_ns) * 1e-9
         decay, noise = self.model.transition(dt_s)
-        rows = len(state.means)
+        rows, slow = len(state.means), self.model.slices["ins.attitude"]
         stack = predict(state.stack, decay, noise, self.model.source_of, rows)
         for source, steady in state.common_n.items():
             common = self.model.slices[f"{source}.common"]
-            fresh = 1.0 - decay[common.start] ** 2
+            fresh = 1.0 - decay.item(common.start) ** 2
             add_error(stack, rows, self._common_index, common, fresh * steady)
-        means, slow = decay * state.means, self.model.slices["ins.attitude"]
-        sigma = self.model.blocks["ins.attitude"].sigma
-        means[:, slow] = slow_error_later(state.means[:, slow], decay[slow], sigma)
+        means = states_later(state.means, decay, slow, self.model.blocks["ins.attitude"].sigma)
         self.suspects.ins.carried(state, stack, dt_s)
-        return replace(state, time_ns=max(time_ns, state.time_ns), means=means, stack=stack)
+        return changed(state, time_ns=time_ns, means=means, stack=stack)
 
     def opened(self, state: FilterState, jump: InsJump) -> FilterState:
         """The state after a jump of the INS: its slow error may be as large as that.
@@ -86,16 +86,16 @@ class ShipFilter:
         # A larger step of the clock is no offset that can be estimated: with it the INS turns as the ship does not.
         if abs(jump.clock_s) <= _CLOCK_SIGMAS * clock.sigma[0]:
             both = np.r_[self.model.rows("ins.attitude"), self.model.rows(clock.name)]
-            changed, shared = jump.shared
+            moved, shared = jump.shared
             means, covariance = means.copy(), np.zeros((self.model.size, self.model.size))
-            means[:, both] += changed
+            means[:, both] += moved
             covariance[both[:, None], both] = shared
             add_error(stack, rows, self._ins_index, slice(None), covariance)
         else:
             add_error(stack, rows, self._ins_index, slow, jump.covariance_n)
             if jump.is_of_clock:
                 state = self.suspects.ins.clock_has_stepped(state, opens_ns)
-        return replace(state, means=means, stack=stack, unconfirmed=_jumped(opens_ns), jumped_ns=jump.time_ns)
+        return changed(state, means=means, stack=stack, unconfirmed=_jumped(opens_ns), jumped_ns=jump.time_ns)
 
     def opens_ns(self, jump: InsJump) -> int:
         """The time of measurements from which on the state is open for a jump of the INS."""
@@ -125,10 +125,10 @@ class ShipFilter:
             The next state and the decision; None where samples that may still come belong to the measurement.
         """
         predicted = self.predicted(state, measurement.time_ns)
-        parts = predicted.stack[: len(self.model.sources)]
-        mean, covariance = predicted.means[0], parts.sum(axis=0)
         last_ns = state.used_ns.get(measurement.source)
-        found = self.linearisation.of(measurement, mean, covariance, track, watch, may_wait, last_ns)
+        found = self.linearisation.of(
+            measurement, predicted.mean, predicted.covariance, track, watch, may_wait, last_ns
+        )
         if found is None:
             return None
         if isinstance(found, NotCompared):
@@ -136,7 +136,7 @@ class ShipFilter:
         if state.jumped_ns is not None and found.paired_ns <= state.jumped_ns:
             before = Refusal(Reason.GAP, "the INS's attitude of before its jump tells nothing of that after it")
             return self._refused(state, measurement, NotCompared(before, found.ins_time_ns))
-        if isinstance(found.measured, AttitudeMeasurement) and found.measured.common_n.any():
+        if isinstance(found.measured, AttitudeMeasurement):
             predicted = self._with_common(predicted, found.measured)
         return self._judged(state, predicted, measurement, found)
 
@@ -158,7 +158,7 @@ class ShipFilter:
             accepted=bool(accepted[0]) and source not in state.excluded,
             ins_time_ns=found.ins_time_ns,
             residual=linear.residual,
-            sigma=np.sqrt(np.diagonal(compared.covariance[0])),
+            sigma=np.sqrt(compared.covariance[0].diagonal()),
             components=found.compared.components,
             covariance=compared.covariance[0],
             noise=linear.noise,
@@ -176,7 +176,7 @@ class ShipFilter:
         vouched = self._ins_vouched(state, found)
         if self.devices[source].is_star and not (accepted[0] or vouched):
             # Nothing else tells that the INS has jumped.
-            after = replace(after, unconfirmed=_jumped(measurement.time_ns))
+            after = changed(after, unconfirmed=_jumped(measurement.time_ns))
         after, text = self.suspects.judged(after, source, compared, vouched, measurement.time_ns)
         return after, self._told(decision, after, text)
 
@@ -190,17 +190,16 @@ class ShipFilter:
         self, predicted: FilterState, source: str, compared: Compared, gate: float
     ) -> tuple[FilterState, RowsCompared]:
         """A measurement beside all rows; those where the INS is wrong are opened where they differ from it."""
-        linear, by_turn, at_mean = compared.linear, compared.by_turn, predicted.means[0]
-        count = len(predicted.means)
-        rows = compare_rows(predicted.means, covariances(predicted.stack, count), linear, at_mean, by_turn)
+        linear, by_turn, at_mean = compared.linear, compared.by_turn, predicted.mean
+        rows = compare_rows(predicted.means, predicted.stack, linear, at_mean, by_turn)
         opened, wrong = self.suspects.ins.opened_against(predicted, source, rows, compared.predicted_nv, gate)
         if not wrong:
             return predicted, rows
-        wider = compare_rows(predicted.means, covariances(opened, count), linear, at_mean, by_turn)
+        wider = compare_rows(predicted.means, opened, linear, at_mean, by_turn)
         # What a row has seen is judged as it was before it was opened.
         turn, turn_root = wider.turn.copy(), wider.turn_root.copy()
         turn[wrong], turn_root[wrong] = rows.turn[wrong], rows.turn_root[wrong]
-        return replace(predicted, stack=opened), replace(wider, turn=turn, turn_root=turn_root)
+        return changed(predicted, stack=opened), replace(wider, turn=turn, turn_root=turn_root)
 
     def _told(self, decision: AttitudeDecision, state: FilterState, text: str) -> AttitudeDecision:
         """The decision with what the verdict says; a source excluded by its own measurement is told at once."""
@@ -223,14 +222,14 @@ class ShipFilter:
 
     def _counted(self, state: FilterState, source: str) -> FilterState:
         """The state with one more refusal in a row of a source."""
-        return replace(state, refusals=with_entry(state.refusals, source, state.refusals.get(source, 0) + 1))
+        return changed(state, refusals=with_entry(state.refusals, source, state.refusals.get(source, 0) + 1))
 
     def _reopened(self, state: FilterState, source: str) -> tuple[FilterState, str]:
         """The state opened where a source's run of refusals is as long as configured for that, and what is said."""
         if not self._gate.reopen_after or state.refusals[source] % self._gate.reopen_after:
             return state, ""
-        state = replace(state, stack=state.stack * self._gate.reopen_factor)
-        state = self.suspects.begun_anew(replace(state, excluded=without(state.excluded, source)))
+        state = changed(state, stack=state.stack * self._gate.reopen_factor)
+        state = self.suspects.begun_anew(changed(state, excluded=without(state.excluded, source)))
         return state, f"; gate re-opened: covariance times {self._gate.reopen_factor:g}"
 
     def _used(self, state: FilterState, measurement: Measurement) -> FilterState:
@@ -239,7 +238,7 @@ class ShipFilter:
         unconfirmed = state.unconfirmed
         if unconfirmed is not None and self.devices[source].is_star:
             unconfirmed = unconfirmed.after_agreement(measurement.time_ns)
-        return replace(
+        return changed(
             state,
             refusals=MappingProxyType({**state.refusals, source: 0}),
             used_ns=MappingProxyType({**state.used_ns, source: measurement.time_ns}),
@@ -248,12 +247,16 @@ class ShipFilter:
 
     def _with_common(self, state: FilterState, measurement: AttitudeMeasurement) -> FilterState:
         """The common error of this sensor's messages, as large as the message says."""
-        stack, source = state.stack, measurement.source
+        stack, source, common_n = state.stack, measurement.source, measurement.common_n
         if source not in state.common_n:
+            if not common_n.any():
+                return state
             stack = stack.copy()
             common = self.model.slices[f"{source}.common"]
-            add_error(stack, len(state.means), self._common_index, common, measurement.common_n)
-        return replace(state, stack=stack, common_n=with_entry(state.common_n, source, measurement.common_n))
+            add_error(stack, len(state.means), self._common_index, common, common_n)
+        elif common_n.tobytes() == state.common_n[source].tobytes() or not common_n.any():
+            return state
+        return changed(state, stack=stack, common_n=with_entry(state.common_n, source, common_n))
 
     def _held(
         self, state: FilterState, decision: AttitudeDecision, found: Linearised
@@ -264,7 +267,7 @@ class ShipFilter:
         measured_nd = compared.rotation_nv @ compared.predicted_nv.T @ ins.rotation_nd
         turn_n = log_rotation(measured_nd @ ins.rotation_nd.T)
         departure = Departure(decision.measurement.time_ns, turn_n, compared.attitude_noise_n)
-        state = replace(self._counted(state, source), departures=with_entry(state.departures, source, departure))
+        state = changed(self._counted(state, source), departures=with_entry(state.departures, source, departure))
         run = state.refusals[source]
         reason, text = Reason.GATE, f"improbable: NIS {decision.nis:.1f} > gate {decision.gate:.1f}"
         if run >= self._gate.conflict_after:

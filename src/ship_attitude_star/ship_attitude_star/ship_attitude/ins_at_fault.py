@@ -9,7 +9,6 @@ but the error of the INS itself: a lie that is over has left nothing. It is beli
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.model import SOURCE_INS, ShipStateModel
 from ship_attitude_star.ship_attitude.row_table import INS, RowTable
-from ship_attitude_star.ship_attitude.state import Doubt, FilterState, with_entry, without
+from ship_attitude_star.ship_attitude.state import Doubt, FilterState, changed, with_entry, without
 from ship_estimation.exclusion import Exclusion, must_agree_s
 from ship_estimation.gates import chi_square_gate
 from ship_estimation.hypotheses import RowsCompared, add_error
@@ -33,6 +32,8 @@ With two or three sensors at 5 Hz such a row remembers for half a second, in hea
 than one: an INS that creeps by 200″ a minute is one to two sigmas of the row ahead of it. A larger walk would follow
 faster, and raise every protection level.
 """
+
+_ABOUT_EACH_AXIS = np.eye(3)
 
 _LEAST_AGAINST = 2
 """Sources that check each other: with fewer nobody tells whether the INS is wrong or the one that there is."""
@@ -69,7 +70,7 @@ class InsAtFault:
 
     def carried(self, state: FilterState, stack: FloatArray, dt_s: float) -> None:
         """Let the INS wander, in place, where it is the one that is wrong."""
-        walked = UNKNOWN_INS_RAD_PER_SQRT_S**2 * dt_s * np.eye(3)
+        walked = UNKNOWN_INS_RAD_PER_SQRT_S**2 * dt_s * _ABOUT_EACH_AXIS
         for row in (None,) if INS in state.excluded else self._table.ins_rows:
             self._open(stack, len(state.means), walked, row)
 
@@ -121,7 +122,7 @@ class InsAtFault:
             return state
         times = state.record.get(INS, 0) + 1
         excluded = with_entry(state.excluded, INS, Exclusion(time_ns, times, on_suspicion=True))
-        state = replace(state, excluded=excluded, record=with_entry(state.record, INS, times))
+        state = changed(state, excluded=excluded, record=with_entry(state.record, INS, times))
         return self._doubted(state, time_ns, "the INS is excluded: its clock has stepped")
 
     def contradicted_now(self, state: FilterState, time_ns: int) -> FilterState:
@@ -130,9 +131,9 @@ class InsAtFault:
         Its turn from one measurement to the next may be as wrong as it was of late: the attitude is in doubt by that.
         """
         names = state.in_use(self._table.sources, time_ns)
-        excluded = with_entry(state.excluded, INS, replace(state.excluded[INS], on_suspicion=False))
+        excluded = with_entry(state.excluded, INS, changed(state.excluded[INS], on_suspicion=False))
         text = f"the INS is excluded: it told a fault of its own, and {', '.join(names) or 'all'} contradicted it"
-        return self._doubted(replace(state, excluded=excluded), time_ns, text)
+        return self._doubted(changed(state, excluded=excluded), time_ns, text)
 
     def not_compared(self, state: FilterState, time_ns: int) -> FilterState:
         """The state after a measurement that contradicts it so much that the two cannot be compared."""
@@ -140,7 +141,7 @@ class InsAtFault:
             return state
         stack = state.stack.copy()
         self._open(stack, len(state.means), _UNKNOWN_RAD**2 * np.eye(3), None)
-        return self.contradicted_now(replace(state, stack=stack), time_ns)
+        return self.contradicted_now(changed(state, stack=stack), time_ns)
 
     def watched(self, state: FilterState, compared: RowsCompared, agrees: bool, time_ns: int) -> FilterState:
         """The state in which the INS is distrusted, after a measurement.
@@ -161,8 +162,11 @@ class InsAtFault:
         One that is distrusted must have agreed for so long. One that crept is tried after a while: there no single
         measurement tells.
         """
-        exclusion, distrust = state.excluded.get(INS), distrusted(state)
-        if exclusion is None or (state.doubt is not None and not distrust):
+        exclusion = state.excluded.get(INS)
+        if exclusion is None:
+            return state
+        distrust = distrusted(state)
+        if state.doubt is not None and not distrust:
             return state
         since_ns = exclusion.since_ns if exclusion.agrees_since_ns is None else exclusion.agrees_since_ns
         after_s = _UNCONTRADICTED_S if exclusion.on_suspicion else must_agree_s(exclusion, self._return_after_s)
@@ -171,8 +175,8 @@ class InsAtFault:
         if distrust:
             # The rows learnt nothing that tells them apart.
             means, stack = self.all_rows_at(state.mean, state.parts)
-            state = replace(state, means=means, stack=stack)
-        return replace(state, excluded=without(state.excluded, INS), doubt=None)
+            state = changed(state, means=means, stack=stack)
+        return changed(state, excluded=without(state.excluded, INS), doubt=None)
 
     # ---------------------------------------------------------------------------------------------------------
 
@@ -181,9 +185,9 @@ class InsAtFault:
         names = state.in_use(self._table.sources, time_ns)
         disputed = [state.apart[name].turn_n for name in names if name in state.apart]
         covariance_n = sum((np.outer(turn_n, turn_n) for turn_n in disputed), start=np.zeros((3, 3)))
-        excluded = with_entry(state.excluded, INS, replace(state.excluded[INS], agrees_since_ns=time_ns))
+        excluded = with_entry(state.excluded, INS, changed(state.excluded[INS], agrees_since_ns=time_ns))
         seen = forgotten(state.seen, slice(None), slice(None))
-        return replace(state, excluded=excluded, seen=seen, doubt=Doubt(text, covariance_n))
+        return changed(state, excluded=excluded, seen=seen, doubt=Doubt(text, covariance_n))
 
     def _contradicted(self, state: FilterState, source: str, row: int) -> bool:
         """Whether a source that a row uses has contradicted it for so long that one refusal more makes it a fault."""

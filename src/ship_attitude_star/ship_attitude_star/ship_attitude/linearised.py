@@ -9,6 +9,7 @@ estimate that it leads to, until that stays (Gauss-Newton; the iterated Kalman f
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from ship_attitude_star.sky.tracker_attitude import in_horizon
 from ship_attitude_star.stars.exposure import StarExposure, at_middle, visible_stars
 from ship_attitude_star.stars.selection import LINEAR_RANGE
 from ship_attitude_star.stars.solution import likely_attitude
+from ship_estimation import compiled_steps
 from ship_estimation.kalman import LinearMeasurement
 from ship_estimation.outcome import Measurement
 from ship_estimation.refusals import Reason, Refusal, singular_covariance
@@ -46,6 +48,9 @@ _FAR = 3.0
 """Sigmas from the estimate at which an offset of the clocks is called far off."""
 
 _MOST_STEPS = 20
+
+_AGAINST_SKY = (InertialAttitude, SolvedAttitude)
+
 
 @dataclass(frozen=True)
 class Linearised:
@@ -87,8 +92,7 @@ class NotCompared:
         return self.refusal.reason in (Reason.UNIDENTIFIED, Reason.MISIDENTIFIED, Reason.GATE)
 
 
-@dataclass(frozen=True)
-class _Task:
+class _Task(NamedTuple):
     """What a measurement is to be linearised with.
 
     Attributes:
@@ -114,8 +118,7 @@ class _Task:
     alike: float
 
 
-@dataclass(frozen=True)
-class _Paired:
+class _Paired(NamedTuple):
     """A measurement as it is compared, the INS's attitude that belongs to it, its stamp and the latest one needed."""
 
     measurement: Measurement
@@ -136,9 +139,14 @@ class Linearisation:
         self._model, self._devices = model, devices
         # The derivative of the offset of each device's clock by the state, shape (n,).
         self._offsets = {name: np.zeros(model.size) for name in devices}
-        for name, device in devices.items():
-            for state, sign in device.ins_time_states:
-                self._offsets[name][model.slices[state]] = sign
+        for name, chain in model.chains.items():
+            self._offsets[name][chain.clocks] = chain.signs
+        # The same as pairs of a state and its sign.
+        self._clocks = {
+            name: tuple(zip(chain.clocks.tolist(), chain.signs.tolist(), strict=True))
+            for name, chain in model.chains.items()
+        }
+        self._told_sigma_s = {name: _told_sigma_s(model, device) for name, device in devices.items()}
 
     @property
     def longest_shift_s(self) -> float:
@@ -151,17 +159,14 @@ class Linearisation:
         return self._longest_s(5.0 + _FAR)
 
     def _longest_s(self, sigmas: float) -> float:
-        devices = self._devices.values()
-        return max((abs(device.ins_time_s) + sigmas * self._told_sigma_s(device) for device in devices), default=0.0)
-
-    def _told_sigma_s(self, device: Device) -> float:
-        """Sigma of the offset of a device's clock as it is configured."""
-        return float(np.linalg.norm([self._model.blocks[name].sigma[0] for name, _ in device.ins_time_states]))
+        shifts_s = (abs(one.ins_time_s) + sigmas * self._told_sigma_s[name] for name, one in self._devices.items())
+        return max(shifts_s, default=0.0)
 
     def ins_time_ns(self, mean: FloatArray, measurement: Measurement) -> int:
         """Stamp (ns) of the INS for the attitude that was measured, by a mean of the state, shape (n,)."""
         source = measurement.source
-        shift_s = self._devices[source].ins_time_s + float(self._offsets[source] @ mean)
+        estimated_s: float = sum(sign * mean.item(state) for state, sign in self._clocks[source])
+        shift_s = self._devices[source].ins_time_s + estimated_s
         return measurement.time_ns + round(shift_s * SECOND_NS)
 
     def of(
@@ -191,7 +196,8 @@ class Linearisation:
         source = measurement.source
         device, by_offset = self._devices[source], self._offsets[source]
         # A state that was opened for another reason does not make a clock less known than it was told.
-        offset_sigma_s = min(math.sqrt(max(float(by_offset @ covariance @ by_offset), 0.0)), self._told_sigma_s(device))
+        offset_variance = compiled_steps.variance_along(by_offset, covariance)
+        offset_sigma_s = min(math.sqrt(max(offset_variance, 0.0)), self._told_sigma_s[source])
         since_s = _SAME_MOTION_S if last_ns is None else max(measurement.time_ns - last_ns, 1) / SECOND_NS
         alike = max(_SAME_MOTION_S / since_s, 1.0)
         task = _Task(measurement, device, mean, covariance, track, watch, may_wait, offset_sigma_s, alike)
@@ -199,8 +205,7 @@ class Linearisation:
         if not isinstance(paired, _Paired):
             return paired
         predicted = predict_attitude(device, self._model, mean, paired.ins)
-        turning_v = np.where(by_offset == 0.0, predicted.jacobian_v, 0.0)
-        turn_variance = float(np.trace(turning_v @ covariance @ turning_v.T))
+        turn_variance = compiled_steps.spread(predicted.jacobian_v, covariance, by_offset)
         if offset_sigma_s > _KNOWN_CLOCK_S or turn_variance > LINEAR_RANGE**2:
             return self._settled(task, paired, predicted)
         compared = compare(paired.measurement, device, predicted, self._model, mean, covariance, watch)
@@ -225,7 +230,7 @@ class Linearisation:
         if ins is None:
             text = "no INS samples on both sides of it: it cannot be compared"
             return NotCompared(Refusal(Reason.GAP, text), ins_time_ns)
-        if isinstance(measurement, InertialAttitude | SolvedAttitude):
+        if isinstance(measurement, _AGAINST_SKY):
             assert task.watch is not None
             turned = in_horizon(measurement, task.watch)
             if isinstance(turned, Refusal):
@@ -290,6 +295,11 @@ class Linearisation:
         rows = self._model.slices["ins.attitude"]
         correction[rows] = log_rotation(turn_ns @ exp_rotation(task.mean[rows])) - task.mean[rows]
         return correction
+
+
+def _told_sigma_s(model: ShipStateModel, device: Device) -> float:
+    """Sigma of the offset of a device's clock as it is configured."""
+    return float(np.linalg.norm([model.blocks[name].sigma[0] for name, _ in device.ins_time_states]))
 
 
 def _bent_by_offset(

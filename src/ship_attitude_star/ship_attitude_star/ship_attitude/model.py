@@ -34,6 +34,7 @@ the turn of the sky that all star sensors share, a sum over its causes.
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ship_attitude_star.measurements.samples import SHARED_BY_MESSAGES, SHARED_BY_SKY
 from ship_attitude_star.ship_attitude.config import InsConfig, ReferenceConfig, ShipAttitudeConfig, StarSensorConfig
@@ -61,6 +62,7 @@ SOURCE_REFERENCE_TIME = "reference_time_offset"
 SOURCE_SAVED_ALIGNMENT = "saved_alignment"
 
 _SQRT_HOUR = 60.0
+_NO_TURN = np.eye(3)
 
 
 @dataclass(frozen=True)
@@ -84,10 +86,32 @@ class Device:
     is_star: bool
 
 
+@dataclass(frozen=True)
+class DeviceChain:
+    """The rotations by which a device hangs on the INS, as :func:`ship_geometry.compiled_rotations.hung` takes them.
+
+    Attributes:
+        links: first state of each rotation, from the device outwards, shape (k,).
+        fixed: constant rotation on the left of each, shape (k, 3, 3).
+        hull: the last link of the hull: the INS's attitude is on its left.
+        white: the link of the INS's white noise.
+        clocks: states that move the moment of the INS, shape (c,).
+        signs: of each, shape (c,).
+    """
+
+    links: NDArray[np.intp]
+    fixed: FloatArray
+    hull: int
+    white: int
+    clocks: NDArray[np.intp]
+    signs: FloatArray
+
+
 class ShipStateModel(StateModel):
     """The state vector of a configuration.
 
     Attributes:
+        chains: how each device hangs on the INS.
         sky_rows: where the states are that all stars share, in the order of SHARED_TERMS; empty where no sensor's
             messages rest on the sky over the ship.
         shared_rows: where the states are that attitudes share, by :attr:`AttitudeMeasurement.shared_by`.
@@ -116,10 +140,32 @@ class ShipStateModel(StateModel):
         self.sky_rows = slice(0, 0)
         if looks_at_sky:
             self.sky_rows = slice(self.slices["sky.refraction"].start, self.slices["sky.position"].stop)
+        self.chains = {name: self._chain(device) for name, device in devices(config).items()}
         self.shared_rows = {
             SHARED_BY_SKY: self.sky_rows,
             SHARED_BY_MESSAGES: self.slices.get("sky.common", slice(0, 0)),
         }
+
+    def _chain(self, device: Device) -> DeviceChain:
+        """How a device hangs on the INS, from the device outwards."""
+        on_its_left = {
+            f"{device.name}.slow": _NO_TURN,
+            f"{device.name}.installation": device.rotation_dv0,
+            f"{device.name}.flexure": _NO_TURN,
+            "ins.noise": _NO_TURN,
+            "ins.attitude": _NO_TURN,
+            f"{device.name}.common": _NO_TURN,
+        }
+        links = [name for name in on_its_left if name in self.slices]
+        white = links.index("ins.noise")
+        return DeviceChain(
+            links=np.array([self.slices[name].start for name in links], dtype=np.intp),
+            fixed=np.array([on_its_left[name] for name in links]),
+            hull=white - 1,
+            white=white,
+            clocks=np.array([self.slices[name].start for name, _ in device.ins_time_states], dtype=np.intp),
+            signs=np.array([sign for _, sign in device.ins_time_states]),
+        )
 
 
 def devices(config: ShipAttitudeConfig) -> dict[str, Device]:

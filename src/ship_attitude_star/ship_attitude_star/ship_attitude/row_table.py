@@ -42,6 +42,7 @@ class RowTable:
         ins_rows: those where the INS is the one that is wrong.
         uses: which source each row uses where none is excluded, shape (h, s).
         own: by source, the states that belong to it alone, shape (n,).
+        learns: by source, which states each row may learn of it where none is excluded, shape (h, n).
         k: numbers of sigmas of the protection levels.
         limit: chi² of a mean of whitened turns that no source exceeds which is right.
 
@@ -63,6 +64,7 @@ class RowTable:
         used = [[name not in names for name in self.sources] for names in ((), *self.left_out)]
         self.uses: NDArray[np.bool_] = np.array(used, dtype=bool)
         self.own = {name: _own_states(model, name) for name in self.sources}
+        self.learns = {name: self.uses[:, index, None] | self.own[name] for index, name in enumerate(self.sources)}
         prior = config.integrity.prior_per_h
         prior_per_h = {name: prior.star_sensor if one.is_star else prior.reference for name, one in devices.items()}
         prior_per_h[INS] = prior.ins

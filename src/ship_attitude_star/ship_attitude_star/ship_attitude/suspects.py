@@ -8,7 +8,7 @@ that jumped, its own rates tell (:mod:`ship_estimation.ins_guard`); where they t
 is excluded (:mod:`ship_attitude_star.ship_attitude.ins_at_fault`).
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 
@@ -20,11 +20,11 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.ins_at_fault import InsAtFault, distrusted
 from ship_attitude_star.ship_attitude.model import Device, ShipStateModel
 from ship_attitude_star.ship_attitude.row_table import INS, LEAST_FOR_PAIRS, RowTable
-from ship_attitude_star.ship_attitude.state import Apart, Doubt, FilterState, Lately, with_entry, without
+from ship_attitude_star.ship_attitude.state import Apart, Doubt, FilterState, Lately, changed, with_entry, without
 from ship_estimation.exclusion import HEARD_NS, Exclusion, Finding, find_fault, must_agree_s, watched
-from ship_estimation.hypotheses import RowsCompared, add_error, promoted, update_rows
+from ship_estimation.hypotheses import RowsCompared, add_error, promoted, separations, update_rows
 from ship_estimation.outcome import Measurement
-from ship_estimation.protection import UNDISPUTED_SIGMAS, disputed, separation_sigma
+from ship_estimation.protection import UNDISPUTED_SIGMAS, disputed
 from ship_estimation.running_means import NO_MEANS, averaged, farthest_mean, forgotten, no_means, observed
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
@@ -60,6 +60,7 @@ class Suspects:
         self._degraded_after = config.gate.degraded_after
         self.table = RowTable(config, model, devices)
         self._sources = self.table.sources
+        self._indices = {name: index for index, name in enumerate(self._sources)}
         self.ins = InsAtFault(config, model, self.table)
         self._slow = model.slices["ins.attitude"]
 
@@ -94,7 +95,7 @@ class Suspects:
             compared: with all rows.
             accepted: whether it passed the gate of each row, shape (h,).
         """
-        source, index = measurement.source, self._sources.index(measurement.source)
+        source, index = measurement.source, self._indices[measurement.source]
         used = self.uses(state)[:, index]
         noise = None if used[0] else compared.turn_noise
         seen = observed(
@@ -102,22 +103,26 @@ class Suspects:
         )
         if state.seen.heard_ns[index] < measurement.time_ns - HEARD_NS:
             state, predicted = (self._heard_again(one, source, measurement.time_ns) for one in (state, predicted))
-        turn_v = compared.turn_root[0] @ compared.turn[0]
-        apart = with_entry(state.apart, source, Apart(turn_v, measured.predicted_nv @ turn_v))
+        turn_v = compared.turn_root[0].dot(compared.turn[0])
+        apart = with_entry(state.apart, source, Apart(turn_v, measured.predicted_nv.dot(turn_v)))
         exclusion = state.excluded.get(source)
         # A measurement that no row uses leaves all of them, to the last bit, as they are without it. Of an excluded
         # source nothing is used, but how it is mounted may be learnt anew.
-        learnt = bool((used & accepted).any()) if exclusion is None else exclusion.apart is None
+        learnt = any((used & accepted).tolist()) if exclusion is None else exclusion.apart is None
         if not learnt:
-            return replace(state, seen=seen, apart=apart)
-        learns = self.ins.learns(state, (used[:, None] | self.table.own[source]) & accepted[:, None])
+            return changed(state, seen=seen, apart=apart)
+        learns = self.ins.learns(state, self._learns(state, source, used) & accepted[:, None])
         corrections, stack = update_rows(predicted.stack, measured.linear, compared, learns)
         lately = state.lately
         if used[0] and accepted[0]:
             running = averaged(lately[source].running if source in lately else NO_MEANS, compared.turn[0])
             lately = with_entry(lately, source, Lately(running, farthest_mean(running)))
         means = predicted.means + corrections
-        return replace(predicted, means=means, stack=stack, seen=seen, apart=apart, lately=lately)
+        return changed(predicted, means=means, stack=stack, seen=seen, apart=apart, lately=lately)
+
+    def _learns(self, state: FilterState, source: str, used: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Which states each row may learn of a source, shape (h, n), by whether it uses the source, shape (h,)."""
+        return self.table.learns[source] if not state.excluded else used[:, None] | self.table.own[source]
 
     def _heard_again(self, state: FilterState, source: str, time_ns: int) -> FilterState:
         """The state before the first measurement after a silence: in that time nobody has agreed with anything."""
@@ -127,19 +132,14 @@ class Suspects:
         if distrusted(state) and state.seen.heard_ns.max() < time_ns - HEARD_NS:
             excluded[INS] = replace(excluded[INS], agrees_since_ns=time_ns)
         heard_since_ns = with_entry(state.heard_since_ns, source, time_ns)
-        return replace(state, excluded=MappingProxyType(excluded), heard_since_ns=heard_since_ns)
+        return changed(state, excluded=MappingProxyType(excluded), heard_since_ns=heard_since_ns)
 
     def separations(self, state: FilterState) -> tuple[FloatArray, FloatArray]:
         """Distances of the rows from the first one, about North, Up and East, and these in sigmas at most.
 
         Shapes (h, 3), rad, and (h,).
         """
-        apart_n = state.means[:, self._slow] - state.means[0, self._slow]
-        by_stack = state.stack[:, self._slow, self._slow].diagonal(axis1=-2, axis2=-1)
-        first = by_stack[: len(self._model.sources)].sum(axis=0)
-        # Of the first row, which is apart by nothing, any variance serves.
-        sigma = separation_sigma(by_stack[-len(apart_n) :], first)
-        return apart_n, np.abs(apart_n / sigma).max(axis=-1)
+        return separations(state.means, state.stack, self._slow)
 
     def judged(
         self, state: FilterState, source: str, compared: RowsCompared, ins_vouched: bool, time_ns: int
@@ -163,10 +163,12 @@ class Suspects:
             return self.ins.watched(state, compared, agrees, time_ns), ""
         table, uses, in_use = self.table, self.uses(state), state.in_use(self._sources, time_ns)
         apart_n, statistic = self.separations(state)
-        candidates = [row for row in table.singles if table.names[row - 1] not in state.excluded]
+        candidates: Sequence[int] = table.singles
+        if state.excluded:
+            candidates = [row for row in candidates if table.names[row - 1] not in state.excluded]
         pairs = table.pairs_in_question(in_use, state.excluded) if table.pairs else []
         # A step of the INS its rates would have told; that it creeps they do not tell.
-        stepped = bool(state.seen.refused[0].any())
+        stepped = any(state.seen.refused[0].tolist())
         if ins_vouched and stepped:
             candidates, pairs = ([row for row in rows if row not in table.ins_rows] for rows in (candidates, pairs))
         elif stepped and len(in_use) <= LEAST_FOR_PAIRS:
@@ -192,7 +194,7 @@ class Suspects:
         if contradicting:
             # Nothing tells that they were knocked: how they are mounted is not learnt anew.
             excluded = {name: Exclusion(time_ns, apart=state.apart[name].turn_v) for name in contradicting}
-            state = replace(state, excluded=MappingProxyType({**state.excluded, **excluded}))
+            state = changed(state, excluded=MappingProxyType({**state.excluded, **excluded}))
         return self._in_doubt(state, apart_n, statistic, contradicting), ""
 
     def _agreed(
@@ -210,10 +212,10 @@ class Suspects:
                 if source in in_use and source in state.lately:
                     statistic[row] = np.maximum(statistic[row], state.lately[source].sigmas)
         # Written so that a distance that is no number is looked at.
-        within = statistic.max() <= UNDISPUTED_SIGMAS
+        within = all(sigmas <= UNDISPUTED_SIGMAS for sigmas in statistic.tolist())
         if within and state.doubt is None and state.disputed_n is None:
             return state
-        return replace(state, doubt=None, disputed_n=None if within else disputed(apart_n, statistic))
+        return changed(state, doubt=None, disputed_n=None if within else disputed(apart_n, statistic))
 
     def acquitted(self, state: FilterState, time_ns: int) -> FilterState:
         """The state after the INS has told itself that it jumped: those that contradicted it were right.
@@ -222,7 +224,7 @@ class Suspects:
         """
         if state.doubt is not None:
             means, stack = self.ins.all_rows_at(state.mean, state.parts)
-            state = replace(state, means=means, stack=stack)
+            state = changed(state, means=means, stack=stack)
         if distrusted(state):
             return self.ins.contradicted_now(state, time_ns)
         return self._forgiven(state)
@@ -239,14 +241,14 @@ class Suspects:
     def begun_anew(self, state: FilterState) -> FilterState:
         """The state after a gate was re-opened: what the sources contradicted of one another is forgotten."""
         means, stack = self.ins.all_rows_at(state.mean, state.parts)
-        return self._forgiven(replace(state, means=means, stack=stack))
+        return self._forgiven(changed(state, means=means, stack=stack))
 
     def _forgiven(self, state: FilterState) -> FilterState:
         """The state in which only those stay excluded that were knocked, and the INS."""
         knocked = {name: exclusion for name, exclusion in state.excluded.items() if exclusion.apart is None}
         seen = forgotten(state.seen, slice(None), slice(None))
         doubt = state.doubt if distrusted(state) else None
-        return replace(
+        return changed(
             state,
             excluded=MappingProxyType(knocked),
             seen=seen,
@@ -279,7 +281,7 @@ class Suspects:
             apart = None if relearns or name == INS else state.apart[name].turn_v
             excluded[name] = Exclusion(time_ns, record[name], apart=apart)
             used_ns.pop(name, None)
-        state = replace(
+        state = changed(
             state,
             means=means,
             stack=stack,
@@ -304,12 +306,12 @@ class Suspects:
         exclusion, back = watched(exclusion, state.seen, index, compared, time_ns, after_s)
         after_s = must_agree_s(exclusion, after_s)
         if not back:
-            state = replace(state, excluded=with_entry(state.excluded, source, exclusion))
+            state = changed(state, excluded=with_entry(state.excluded, source, exclusion))
             if exclusion.apart is None and self._contradicts(state, index):
                 # Knocked once more, or back: what was learnt of its mounting since is void.
                 stack = state.stack.copy()
                 self._open_mounting(stack, state, source)
-                state = replace(state, stack=stack, seen=forgotten(state.seen, slice(None), [index]))
+                state = changed(state, stack=stack, seen=forgotten(state.seen, slice(None), [index]))
             since_s = (time_ns - exclusion.since_ns) / SECOND_NS
             agrees = "it does not agree with the others"
             if exclusion.agrees_since_ns is not None:
@@ -318,7 +320,7 @@ class Suspects:
             return state, f"{source} is excluded for {since_s:.0f} s: {agrees}"
         seen = forgotten(state.seen, slice(None), [index])
         excluded = without(state.excluded, source)
-        return replace(state, seen=seen, excluded=excluded, doubt=None), f"{source} is used again"
+        return changed(state, seen=seen, excluded=excluded, doubt=None), f"{source} is used again"
 
     def _contradicts(self, state: FilterState, index: int) -> bool:
         """Whether what the first row has seen of a source contradicts it."""
@@ -337,7 +339,7 @@ class Suspects:
             text += "stars contradict one another"
         else:
             text = "the sources contradict one another, and which of them is wrong nothing tells"
-        return replace(state, doubt=Doubt(text, covariance_n), disputed_n=None)
+        return changed(state, doubt=Doubt(text, covariance_n), disputed_n=None)
 
     def _stars_contradicting(
         self, state: FilterState, wrong: tuple[str, ...], in_use: list[str]

@@ -31,6 +31,12 @@ _HIP, _RIGHT_ASCENSION, _DECLINATION, _PARALLAX = (1, 6), (16, 28), (30, 42), (4
 _PM_ALPHA_COS_DELTA, _PM_DELTA = (52, 59), (61, 68)
 _ALPHA_SIGMA, _DELTA_SIGMA, _PM_ALPHA_SIGMA, _PM_DELTA_SIGMA = (70, 75), (77, 82), (91, 96), (98, 103)
 _MAGNITUDE = 130, 136
+_LAST_COLUMN = 136
+
+_BLANK, _MINUS, _POINT, _ZERO = b" -.0"
+_TEN = 10
+_MOST_DIGITS = 15
+"""Whole numbers of so many digits are exact as floating-point numbers, and so are the powers of ten."""
 
 
 @dataclass(frozen=True)
@@ -123,12 +129,12 @@ def read_hipparcos2(path: Path) -> StarCatalogue:
     raw = path.read_bytes()
     if not raw or len(raw) % _RECORD_LENGTH or raw[_RECORD_LENGTH - 1 : _RECORD_LENGTH] != b"\n":
         raise ValueError(f"{path}: not in the form of hip2.dat: lines of {_RECORD_LENGTH - 1} characters each")
-    characters = np.frombuffer(raw, dtype="S1").reshape(-1, _RECORD_LENGTH)
+    records = np.frombuffer(raw, dtype=np.uint8).reshape(-1, _RECORD_LENGTH)
+    characters = np.ascontiguousarray(records[:, :_LAST_COLUMN].T)
 
     def column(columns: tuple[int, int], unit: float = 1.0) -> FloatArray:
         first, last = columns
-        text = np.ascontiguousarray(characters[:, first - 1 : last]).view(f"S{last - first + 1}")[:, 0]
-        return text.astype(float) * unit
+        return _numbers(characters[first - 1 : last]) * unit
 
     try:
         declination = column(_DECLINATION)
@@ -153,3 +159,39 @@ def read_hipparcos2(path: Path) -> StarCatalogue:
     if np.any(np.diff(catalogue.hip) <= 0):
         raise ValueError(f"{path}: HIP numbers do not increase: get the file anew")
     return catalogue
+
+
+def _numbers(characters: NDArray[np.uint8]) -> FloatArray:
+    """The numbers in a column of a table, shape (n,), each to the last bit what ``float`` makes of its text.
+
+    Where the digits stand at the same places in all rows, they are added up as whole numbers, and divided once by a
+    power of ten: that is rounded as ``float`` rounds, in a tenth of the time.
+
+    Args:
+        characters: shape (width, n).
+
+    Raises:
+        ValueError: a text is no number.
+    """
+    width = len(characters)
+    is_point = characters[:, 0] == _POINT
+    digits = characters[~is_point] - np.uint8(_ZERO)
+    is_digit, is_sign = digits < _TEN, characters == _MINUS
+    is_filled = characters == _POINT
+    is_filled[~is_point] = is_digit
+    # Blanks, perhaps a sign, then digits to the end, with one point among them or none.
+    is_plain = (
+        width <= _MOST_DIGITS
+        and np.count_nonzero(is_point) <= 1
+        and np.all(characters[is_point] == _POINT)
+        and is_filled[-1].all()
+        and np.all(is_filled[:-1] <= is_filled[1:])
+        and np.all(is_sign[:-1] <= is_filled[1:])
+        and np.all(is_filled | is_sign | (characters == _BLANK))
+        and is_digit.any(axis=0).all()
+    )
+    if not is_plain:
+        return np.ascontiguousarray(characters.T).view(f"S{width}")[:, 0].astype(float)
+    whole = 10.0 ** np.arange(len(digits))[::-1] @ np.where(is_digit, digits, 0)
+    number: FloatArray = whole / 10.0 ** (width - 1 - np.argmax(is_point) if is_point.any() else 0)
+    return np.where(is_sign.any(axis=0), -number, number)

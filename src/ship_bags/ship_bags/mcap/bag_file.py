@@ -125,11 +125,17 @@ def _is_complete(summary: Summary) -> bool:
 
 
 def _has_whole_footer(file: McapFile) -> bool:
-    """Whether the file ends in a footer whose checksum over the summary is right."""
+    """Whether the file ended in a footer whose checksum over the summary is right, when it was opened.
+
+    Of a file that is still being written all places are counted from its start: its end is elsewhere a moment later.
+    """
     if file.data.size < len(MAGIC) + _FOOTER.size:
         return False
-    file.data.stream.seek(-_FOOTER.size, io.SEEK_END)
-    opcode, _, summary_start, _, checksum, magic = _FOOTER.unpack(file.data.stream.read())
+    file.data.stream.seek(file.data.size - _FOOTER.size)
+    footer = file.data.stream.read(_FOOTER.size)
+    if len(footer) < _FOOTER.size:
+        return False
+    opcode, _, summary_start, _, checksum, magic = _FOOTER.unpack(footer)
     if opcode != Opcode.FOOTER or magic != MAGIC or not 0 < summary_start < file.data.size:
         return False
     file.data.stream.seek(summary_start)

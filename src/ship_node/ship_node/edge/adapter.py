@@ -4,13 +4,11 @@ An adapter says which topic feeds which method of a core and which result goes t
 sets attributes of messages, so it serves rclpy messages in a live node and decoded messages of a bag alike.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple, Protocol
 
-from ship_bags.cdr_template import CdrRows
 from ship_bags.message_factory import MessageFactory
 from ship_node.documents.saved_document import DISK, Files
-from ship_node.edge.blocks import BlockPart, PublishedRows, StampArray
 from ship_node.edge.input_health import InputHealthBook
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
 
@@ -37,7 +35,6 @@ class Adapter(Protocol):
     """
 
     node_name: ClassVar[str]
-    main_topic: ClassVar[str]
     config_type: ClassVar[type]
     services: ClassVar[tuple[str, ...]]
     inputs: tuple[InputTopic, ...]
@@ -54,23 +51,6 @@ class Adapter(Protocol):
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
         """Do what depends on waiting; called every ``TICK_PERIOD_NS``."""
-        ...
-
-    def takes_blocks(self, topic: str) -> bool:
-        """Whether messages of an input topic can be given many at once, as a replay does."""
-        ...
-
-    @property
-    def quiet_until_ns(self) -> int:
-        """Time of waiting before which a tick does nothing, as long as blocks are taken as they come."""
-        ...
-
-    def handle_block(self, topic: str, messages: CdrRows, receive_ns: StampArray) -> tuple[int, list[BlockPart]]:
-        """Take the first messages of a block; how many, and what they led to."""
-        ...
-
-    def block_messages(self, runs: Sequence[Any]) -> Iterator[PublishedRows]:
-        """What the outputs of a block become."""
         ...
 
     def clock_jumped_back(self, now_ns: int) -> list[Published]:

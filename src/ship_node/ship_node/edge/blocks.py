@@ -5,13 +5,12 @@ one is not as the others, the block ends before it, and it is taken by itself.
 """
 
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ship_bags.cdr_template import CdrRows
-from ship_estimation.outcome import BlockOutcome
 from ship_estimation.told_levels import ToldLevels
 from ship_geometry.rotations import FloatArray
 from ship_node.edge.topics import Published
@@ -33,16 +32,56 @@ class ReadBlock(NamedTuple):
     covariance_known: bool = True
 
 
+class AheadCore(Protocol):
+    """What a core has for samples of a block that it judges before their turn.
+
+    What :meth:`look_ahead` gives tells how many it is (``count``), how many of these go the usual way (``usual``), and
+    what their turns led to besides estimates (``told``: number of a sample, outcome).
+    """
+
+    def look_ahead(self, samples: Any, arrivals_ns: StampArray) -> Any:
+        """Judge samples, from the first one on, as long as they go the usual way; None where the first does not."""
+        ...
+
+    def take_ahead(self, ahead: Any, stop: int) -> None:
+        """Those that go the usual way have their turn, up to one that is not included."""
+        ...
+
+    def end_ahead(self, ahead: Any) -> Any:
+        """All had their turn: the outcome of the last one where that does not go the usual way, or None."""
+        ...
+
+    def estimates_ahead(self, ahead: Any) -> list[tuple[slice, Any]]:
+        """Numbers of samples, and their estimates, which rest on one state, or why they could not be computed."""
+        ...
+
+
 class BlockFeed(NamedTuple):
     """The way of a block of messages into a core, beside that of one message.
 
     Attributes:
-        read: of the messages and the times at which they came.
-        take: the core's method: of the samples read and the times of waiting.
+        read: of the messages, and the times at which they come.
+        core: takes the samples read.
     """
 
     read: Callable[[CdrRows, StampArray], ReadBlock]
-    take: Callable[[Any, StampArray], BlockOutcome]
+    core: AheadCore
+
+
+class BlockTurn(NamedTuple):
+    """Messages of a block that were read and judged ahead, and have their turn among others.
+
+    Attributes:
+        topic: of the messages.
+        reading: what was read of them.
+        receive_ns: when each comes by the node's clock, which is the time of waiting too.
+        ahead: what the core knows of them.
+    """
+
+    topic: str
+    reading: ReadBlock
+    receive_ns: StampArray
+    ahead: Any
 
 
 class BlockPart(NamedTuple):
@@ -74,6 +113,7 @@ class PublishedRows(NamedTuple):
 
 
 def parts_with_levels(
+    place: int,
     run: Any,
     told: ToldLevels,
     checked_by: list[tuple[Any, ...]],
@@ -83,6 +123,7 @@ def parts_with_levels(
     """A run of outputs, cut where protection levels are told before one of them.
 
     Args:
+        place: of the first one in its block.
         run: N outputs that rest on one state.
         told: the levels told last; ``levels_before`` changes it.
         checked_by: of each output, what decides beside the state whether its sources check one another.
@@ -92,7 +133,7 @@ def parts_with_levels(
     variances, count = run.covariance_n.trace(axis1=1, axis2=2), len(run.time_ns)
     start = 0
     while start < count:
-        yield BlockPart(start, levels_before(run.one(start)))
+        yield BlockPart(place + start, levels_before(run.one(start)))
         # Asked for each output, and so no more than this; NaN is within no bound.
         covered = (
             (run.time_ns[start:] < told.until_ns)
@@ -101,7 +142,7 @@ def parts_with_levels(
         )
         covered[0] = True
         end = count if covered.all() else start + int(np.argmin(covered))
-        other = next((place for place in range(start, end) if checked_by[place] != told.checked_by), end)
+        other = next((number for number in range(start, end) if checked_by[number] != told.checked_by), end)
         end = max(other, start + 1)
-        yield BlockPart(start, [], run.some(slice(start, end)))
+        yield BlockPart(place + start, [], run.some(slice(start, end)))
         start = end

@@ -6,25 +6,24 @@ nodes add the table, what an estimate becomes, and diagnostics of their own.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any, ClassVar
 
 import numpy as np
 
-from ship_bags.cdr_template import CdrRows
 from ship_bags.errors import BadInput
 from ship_bags.message_factory import MessageFactory
 from ship_bags.stamps import ns_from_stamp
-from ship_estimation.outcome import BlockOutcome, Status
+from ship_estimation.outcome import Status
 from ship_estimation.parameters import changed
 from ship_estimation.refusals import Reason, Refusal, failure
 from ship_estimation.told_levels import ToldLevels
 from ship_node.documents.saved_start import SavedStart
 from ship_node.edge import messages_out
 from ship_node.edge.adapter import ServiceResult
-from ship_node.edge.blocks import BlockFeed, BlockPart, PublishedRows, StampArray, parts_with_levels
+from ship_node.edge.blocks import BlockFeed
 from ship_node.edge.input_health import InputHealthBook
 from ship_node.edge.messages_in import ReadMessage, Refused
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, DiagnosticStatus
@@ -54,7 +53,7 @@ class Feed:
         take: the core's method: of what was read and the time of waiting in ns; it returns the outcome.
         judged: whether a decision says later if the message was used; otherwise it is used unless refused at once.
         measured_by: what measurements call the device; empty where that is ``source``.
-        block: the way of many messages at once; None where each is taken by itself.
+        block: the way of many messages at once (:mod:`ship_node.edge.block_adapter`); None where each is taken alone.
     """
 
     input: InputTopic
@@ -122,7 +121,7 @@ class ReportingAdapter(ABC):
         self.config, self.core, self.factory = config, core, factory
         self._estimate_messages, self.saved = estimate_messages, saved
         self._bind()
-        self.inputs: tuple[InputTopic, ...] = tuple(feed.input for feed in self._feeds.values())
+        self.inputs: tuple[InputTopic, ...] = tuple(feed.input for feed in self.feeds.values())
         self.health = InputHealthBook(self.inputs, config.max_age_s)
         self.notices: list[str] = [] if saved is None else saved.notices
         self.clock_jumps = 0
@@ -130,8 +129,8 @@ class ReportingAdapter(ABC):
         self.budget_due: Any = None
         self.conflicts: dict[str, str] = {}
         self.verdicts = VerdictReport()
-        self._slow_due_ns: int | None = None
-        self._told = ToldLevels()
+        self.slow_due_ns: int | None = None
+        self.told_levels = ToldLevels()
 
     # -- what a node adds -----------------------------------------------------------------------------------
 
@@ -159,7 +158,7 @@ class ReportingAdapter(ABC):
         waiting_ns = receive_ns if waiting_ns is None else waiting_ns
         if self.saved is not None and self.saved.is_due:
             self.saved.start(receive_ns)
-        feed = self._feeds[topic]
+        feed = self.feeds[topic]
         try:
             reading = feed.read(message, receive_ns=receive_ns)
             outcome = None if reading.empty else feed.take(reading.value, waiting_ns)
@@ -172,62 +171,22 @@ class ReportingAdapter(ABC):
             # The message came all the same; what was raised is told by the shell.
             self.health.arrived(topic, waiting_ns)
             raise
+        return self.told(feed, reading, outcome, receive_ns, waiting_ns)
+
+    def told(
+        self, feed: Feed, reading: ReadMessage[Any], outcome: Any, receive_ns: int, waiting_ns: int
+    ) -> list[Published]:
+        """What is said of a message that was read, and of what the core made of it: None where it asked no core."""
         time_ns = reading.value.time_ns
         refusal = None if outcome is None else outcome.refusal
         used = not feed.judged or outcome is None
-        self.health.took(topic, waiting_ns, receive_ns, reading, refusal, used)
+        self.health.took(feed.input.topic, waiting_ns, receive_ns, reading, refusal, used)
         published: list[Published] = []
         for name, left_out in reading.left_out:
             published.append(self._left_out(feed.source, time_ns, name, left_out))
         if refusal is not None:
             published.append(self.refused(feed.source, time_ns, refusal))
         return published if outcome is None else published + self.published(outcome, receive_ns, waiting_ns)
-
-    def takes_blocks(self, topic: str) -> bool:
-        """Whether the messages of a topic can be given many at once."""
-        return self._feeds[topic].block is not None
-
-    @property
-    def quiet_until_ns(self) -> int:
-        """Time of waiting before which a tick does nothing, as long as blocks are taken as they come."""
-        if self._slow_due_ns is None or (self.saved is not None and self.saved.is_due):
-            return 0
-        if self.saved is None:
-            return self._slow_due_ns
-        return min(self._slow_due_ns, self.saved.next_look_ns(self.config.alignment_autosave_s))
-
-    def handle_block(self, topic: str, messages: CdrRows, receive_ns: StampArray) -> tuple[int, list[BlockPart]]:
-        """Take the first messages of a block, all that need not be taken by themselves; how many, and what they led to.
-
-        The time of waiting is that of the node's clock.
-        """
-        block = self._feeds[topic].block
-        if block is None or (self.saved is not None and self.saved.is_due):
-            return 0, []
-        reading = block.read(messages, receive_ns)
-        times_ns: StampArray = reading.samples.times_ns
-        outcome = block.take(reading.samples, receive_ns) if len(times_ns) else BlockOutcome()
-        if outcome.count:
-            taken = slice(outcome.count)
-            self.health.took_block(topic, receive_ns[taken], times_ns[taken], reading.covariance_known)
-        return outcome.count, list(self._block_parts(outcome, receive_ns))
-
-    def _block_parts(self, outcome: BlockOutcome, receive_ns: StampArray) -> Iterator[BlockPart]:
-        run = outcome.estimates
-        if run is not None:
-            if self.integrity_topic:
-                checked_by = list(zip(*self.checked_by(run), strict=True))
-                yield from parts_with_levels(run, self._told, checked_by, self.directions(run), self._levels_before)
-            else:
-                yield BlockPart(0, [], run)
-            self.latest = self.budget_due = run.one(len(run.time_ns) - 1)
-        if outcome.last is not None:
-            now_ns = int(receive_ns[outcome.count - 1])
-            yield BlockPart(outcome.count - 1, self.published(outcome.last, now_ns, now_ns))
-
-    def block_messages(self, runs: Sequence[Any]) -> Iterator[PublishedRows]:
-        """What the outputs of several runs become, the messages of each in the order in which they are published."""
-        raise NotImplementedError(f"{self.node_name} takes no blocks")
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
         """Do what depends on waiting; once a period, the slow topics."""
@@ -236,8 +195,8 @@ class ReportingAdapter(ABC):
             self.saved.start(now_ns)
         published = self.published(self.core.tick(now_ns, waiting_ns), now_ns, waiting_ns)
         self._save_by_itself(waiting_ns)
-        if self._slow_due_ns is None or waiting_ns >= self._slow_due_ns:
-            self._slow_due_ns = waiting_ns + round(self.config.slow_topics_period_s * _SECOND_NS)
+        if self.slow_due_ns is None or waiting_ns >= self.slow_due_ns:
+            self.slow_due_ns = waiting_ns + round(self.config.slow_topics_period_s * _SECOND_NS)
             try:
                 published += self._slow_topics(now_ns, waiting_ns)
             except Exception as error:
@@ -306,7 +265,7 @@ class ReportingAdapter(ABC):
             self.latest = estimate
             self.budget_due = None if estimate.status is Status.INVALID else estimate
             if self.integrity_topic and estimate.status is not Status.INVALID:
-                published += self._levels_before(estimate)
+                published += self.levels_before(estimate)
             published += self._estimate_messages(estimate)
         return published
 
@@ -326,15 +285,15 @@ class ReportingAdapter(ABC):
 
     def _bind(self) -> None:
         """The table with the parameters of now: what does not change with each message is bound here."""
-        self._feeds = {feed.input.topic: feed for feed in self.table(self.config)}
-        self._measured_by = {feed.measured_by or feed.source: feed for feed in self._feeds.values()}
+        self.feeds = {feed.input.topic: feed for feed in self.table(self.config)}
+        self._measured_by = {feed.measured_by or feed.source: feed for feed in self.feeds.values()}
 
     def _save_by_itself(self, waiting_ns: int) -> None:
         """Save what the core has learned, once a period, while it is sure of it."""
         if self.saved is None or not self.saved.is_time(waiting_ns, self.config.alignment_autosave_s):
             return
         # A source in conflict, or excluded, may have led the state astray before it was refused.
-        in_doubt = self.conflicts or (self._told.report is not None and self._told.report.excluded)
+        in_doubt = self.conflicts or (self.told_levels.report is not None and self.told_levels.report.excluded)
         if self.latest is not None and self.latest.status is Status.VALID and not in_doubt:
             self.saved.save_by_itself()
 
@@ -346,9 +305,9 @@ class ReportingAdapter(ABC):
         array = messages_out.diagnostic_array(self.factory, now_ns, self.node_name, statuses)
         return [*published, (DIAGNOSTICS_TOPIC, array)]
 
-    def _levels_before(self, estimate: Any) -> list[Published]:
+    def levels_before(self, estimate: Any) -> list[Published]:
         """The protection levels of an output, where those told last do not cover it."""
-        told, checked_by, directions = self._told, self.checked_by(estimate), self.directions(estimate)
+        told, checked_by, directions = self.told_levels, self.checked_by(estimate), self.directions(estimate)
         # Asked for each output, and so no more than this; NaN is within no bound.
         if (
             told.state is estimate.state
@@ -373,7 +332,7 @@ class ReportingAdapter(ABC):
     def integrity_statuses(self) -> list[DiagnosticStatus]:
         """One status with the protection levels told last and the sources excluded."""
         known = self.latest is not None and self.latest.status is not Status.INVALID
-        return [messages_out.integrity_status(self._told.report if known else None, self.quantities)]
+        return [messages_out.integrity_status(self.told_levels.report if known else None, self.quantities)]
 
     def conflict_statuses(self) -> list[DiagnosticStatus]:
         """One status for each source that keeps disagreeing with the rest."""
@@ -387,7 +346,7 @@ class ReportingAdapter(ABC):
         self.health.restart()
         if self.saved is not None:
             self.saved.restarted()
-        self.latest, self.budget_due, self._slow_due_ns = None, None, None
-        self._told = ToldLevels()
+        self.latest, self.budget_due, self.slow_due_ns = None, None, None
+        self.told_levels = ToldLevels()
         self.conflicts.clear()
         self.verdicts.clear()

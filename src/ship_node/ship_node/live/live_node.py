@@ -33,6 +33,7 @@ from ship_node.edge.topics import InputTopic, OutputTopic
 from ship_node.live.adapter_calls import AdapterCalls
 from ship_node.live.node_clock import NodeClock, TickGrid
 from ship_node.live.node_events import Arrival, Inbox, NodeEvents
+from ship_node.live.node_log import NodeLog
 from ship_node.live.node_report import Guard, StatusLog, name_status, stamps_status, start_line
 from ship_node.live.qos import input_qos, output_qos, overridable, overrides_checked
 from ship_node.live.ros_parameters import NodeParameters, ParameterNode
@@ -70,14 +71,15 @@ class LiveNode:
     def __init__(self, adapter_class: type[Adapter], context: Context, parameter_files: tuple[Path, ...] = ()) -> None:
         self.node: Node = ParameterNode(adapter_class.node_name, context=context)
         self._full_name = self.node.get_fully_qualified_name()
-        self._guard = Guard(self.node.get_logger(), time.monotonic_ns)
+        self._log = NodeLog(self.node)
+        self._guard = Guard(self._log, time.monotonic_ns)
         self._events = NodeEvents(context, self._guard, time.monotonic_ns)
         self._clock = NodeClock(self.node, time.monotonic_ns, self._events.came)
         self._context = context
         self._factory = RosidlFactory()
         try:
             for warning in misfit_warnings(parameter_files, self._full_name):
-                self.node.get_logger().warning(warning)
+                self._log.warning(warning)
             self._parameters = NodeParameters(self.node, adapter_class.config_type)
             files = NotedFiles()
             self.adapter = adapter_class(self._parameters.config, self._factory, files)
@@ -89,22 +91,20 @@ class LiveNode:
         except InputError as error:
             self.node.destroy_node()
             raise placed(error, parameter_files, self._full_name) from error
-        self._calls = AdapterCalls(
-            self.adapter, self._publishers, files, self._box, StatusLog(self.node.get_logger())
-        )
+        self._calls = AdapterCalls(self.adapter, self._publishers, files, self._box, StatusLog(self._log))
         self._parameters.give_changes_to(self._calls, self._clock.now_ns, self._handle_all)
         self._grid = TickGrid()
         self._last_node_ns = self._last_ns = 0
-        self._status_log = StatusLog(self.node.get_logger())
+        self._status_log = StatusLog(self._log)
         self._inbox = Inbox({i.topic: qos.depth for i, qos in wanted.items()})
         for name in adapter_class.services:
             self.node.create_service(Trigger, f"~/{name}", partial(self._serve, name))
         # The box has said its path itself, which is another one where a box was there.
         clock = self.node.resolve_topic_name("/clock") if self._clock.is_simulated() else ""
         box = self._parameters.black_box
-        self.node.get_logger().info(start_line(self.adapter, self._parameters.config, clock, box))
+        self._log.info(start_line(self.adapter, self._parameters.config, clock, box))
         for warning in self.adapter.start_warnings:
-            self.node.get_logger().warning(warning)
+            self._log.warning(warning)
         self._warn_of_unused_overrides()
         self._create_clocks()
         self._events.start(self.node)
@@ -155,9 +155,8 @@ class LiveNode:
         # Read only where a box is kept: the writer of bags takes a tenth of a node's start.
         from ship_node.black_box.black_box import BlackBox
 
-        logger = self.node.get_logger()
-        box = BlackBox(path, self.adapter, config, _outputs(self.adapter), self.node.get_namespace(), logger.error)
-        logger.info(f"black box: {box.path}")
+        box = BlackBox(path, self.adapter, config, _outputs(self.adapter), self.node.get_namespace(), self._log.error)
+        self._log.info(f"black box: {box.path}")
         return box
 
     def _create_clocks(self) -> None:
@@ -177,7 +176,7 @@ class LiveNode:
     def _warn_of_unused_overrides(self) -> None:
         for name in self.node._parameter_overrides:
             if name.startswith("qos_overrides.") and not self.node.has_parameter(name):
-                self.node.get_logger().warning(f"parameter '{name}' names no topic and policy of this node")
+                self._log.warning(f"parameter '{name}' names no topic and policy of this node")
 
     def _on_message(self, topic: str, data: bytes) -> None:
         self._events.came()
@@ -187,7 +186,7 @@ class LiveNode:
         """Give the adapter the next message at the time at which it came, or where none waits the time now."""
         if not self._inbox:
             self._advance(*self._clock.times())
-        elif self._clock.now_ns():
+        elif self._last_ns or self._clock.now_ns():
             arrival = self._inbox.take()
             now_ns, waiting_ns = (arrival.now_ns, arrival.waiting_ns) if arrival.now_ns else self._clock.times()
             self._advance(now_ns, waiting_ns)
@@ -196,7 +195,7 @@ class LiveNode:
 
     def _tell_notices(self) -> None:
         for notice in self.adapter.notices:
-            self.node.get_logger().info(notice)
+            self._log.info(notice)
         self.adapter.notices.clear()
 
     def _handle_all(self) -> None:
@@ -230,7 +229,7 @@ class LiveNode:
         self._handle_all()
         self._clock.start_anew()
         now_ns, waiting_ns = self._clock.times()
-        self.node.get_logger().warning(f"clock went back by {-jump.delta.nanoseconds * 1e-9:.3f} s: starting anew")
+        self._log.warning(f"clock went back by {-jump.delta.nanoseconds * 1e-9:.3f} s: starting anew")
         self._grid.restart(waiting_ns)
         self._last_node_ns, self._last_ns = now_ns, waiting_ns
         self._calls.clock_jumped_back(now_ns)
@@ -242,14 +241,14 @@ class LiveNode:
         if now_ns:
             result = self._guard.call(f"~/{name}", self._calls.service, name, now_ns)
         response.success, response.message = result or (False, "failed with an exception: see the node's log")
-        self.node.get_logger().info(f"~/{name}: {'done' if response.success else 'failed'}: {response.message}")
+        self._log.info(f"~/{name}: {'done' if response.success else 'failed'}: {response.message}")
         return response
 
     def _on_incompatible_qos(self, topic: str, event: QoSRequestedIncompatibleQoSInfo) -> None:
         policy = qos_policy_name_from_kind(event.last_policy_kind)
         text = f"a publisher of {topic} offers another {policy} than asked for; no message of it will come"
         self.adapter.health.incompatible_qos(topic, text)
-        self.node.get_logger().error(f"incompatible QoS: {text}")
+        self._log.error(f"incompatible QoS: {text}")
 
     def _on_lost(self, topic: str, event: QoSMessageLostInfo) -> None:
         self._events.came()

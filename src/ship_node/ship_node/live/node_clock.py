@@ -3,6 +3,7 @@
 The ticks are multiples of a period in the time of waiting. Nothing of ROS is read before a node follows /clock.
 """
 
+import time
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
@@ -45,13 +46,15 @@ class NodeClock:
 
     def now_ns(self) -> int:
         """Time of the node; 0 while it waits for its first /clock."""
-        return int(self._clock.now().nanoseconds)
+        # Without /clock the node's clock is the system's, which rclpy asks in many steps.
+        return int(self._clock.now().nanoseconds) if self.is_simulated() else time.time_ns()
 
     def times(self) -> tuple[int, int]:
         """The node's time and the time of waiting, ns; zeros while the node waits for its first /clock."""
-        now_ns = self.now_ns()
         if not self.is_simulated():
+            now_ns = time.time_ns()
             return now_ns, self._waiting.now_ns(now_ns)
+        now_ns = self.now_ns()
         stood_still_ns = self._stood_still_ns()
         return (now_ns, now_ns + stood_still_ns) if now_ns else (0, 0)
 

@@ -24,6 +24,7 @@ from ship_estimation.parameters import (
 from ship_estimation.refusals import shortened
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 from ship_node.live.adapter_calls import AdapterCalls
+from ship_node.live.node_log import NodeLog
 
 USE_SIM_TIME = "use_sim_time"
 
@@ -68,7 +69,7 @@ class NodeParameters:
     """
 
     def __init__(self, node: ParameterNode, config_type: type, has_black_box: bool = True) -> None:
-        self._node = node
+        self._node, self._log = node, NodeLog(node)
         self.config: Any = build(config_type, nest(_overrides(node)))
         self._at_start = flatten(self.config)
         self._last_refusal = ""
@@ -125,7 +126,7 @@ class NodeParameters:
         result.reason = shortened(result.reason)
         if not result.successful:
             self._last_refusal = f"; last refusal: {result.reason}"
-            self._node.get_logger().warning(f"refused: {result.reason}")
+            self._log.warning(f"refused: {result.reason}")
             if not self._adapter_was_asked:
                 self._calls.note_refusal(asked, result.reason, self._now_ns())
         return result
@@ -149,7 +150,7 @@ class NodeParameters:
         self.config = config
         for name, value in changes.items():
             unit = self._descriptions[name].unit
-            self._node.get_logger().info(f"parameter {name} = {value} {unit}".rstrip() + f", was {before[name]}")
+            self._log.info(f"parameter {name} = {value} {unit}".rstrip() + f", was {before[name]}")
         return SetParametersResult(successful=True)
 
 

@@ -7,7 +7,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ship_bags.cdr_template import CdrRows
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
@@ -16,7 +15,7 @@ from ship_bags.parameter_yaml import full_name
 from ship_bags.topic_names import relative_topics
 from ship_node.documents.saved_document import UNTOUCHED
 from ship_node.edge.adapter import Adapter
-from ship_node.edge.blocks import BlockPart, StampArray
+from ship_node.edge.block_adapter import BlockAdapter
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
 from ship_node.parameters.parameter_file import has_section, load_config, misfit
 
@@ -128,6 +127,8 @@ class AdapterChain:
 
     Attributes:
         configs: the same.
+        taken: topics that each adapter takes, from outside or from those before it.
+        linked: whether what one gives goes to those after it.
         inputs: topics taken from outside.
         outputs: topics given.
     """
@@ -137,8 +138,8 @@ class AdapterChain:
     ) -> None:
         self.adapters = _in_order_of_flow(adapters)
         self.configs = dict(configs or {})
-        self._linked = linked
-        self._taken = [_names(adapter.inputs) for adapter in self.adapters]
+        self.linked = linked
+        self.taken = [_names(adapter.inputs) for adapter in self.adapters]
         self.outputs: tuple[OutputTopic, ...] = _by_topic(t for adapter in self.adapters for t in adapter.outputs)
         inside = _names(self.outputs) if linked else set()
         wanted = [t for adapter in self.adapters for t in adapter.inputs if t.topic not in inside]
@@ -154,28 +155,14 @@ class AdapterChain:
         """Take one message of an input topic."""
         return self._handle(0, topic, message, receive_ns)
 
-    def takes_blocks(self, topic: str) -> bool:
-        """Whether the messages of an input topic can be given many at once: one adapter takes them, and it alone.
-
-        What it gives must not be an input of another adapter.
-        """
-        taking = [number for number, taken in enumerate(self._taken) if topic in taken]
-        if len(taking) != 1 or not self.adapters[taking[0]].takes_blocks(topic):
-            return False
-        given = _names(self.adapters[taking[0]].outputs)
-        return not self._linked or all(given.isdisjoint(taken) for taken in self._taken)
-
-    @property
-    def quiet_until_ns(self) -> int:
-        """Time before which ticks do nothing, as long as blocks are taken as they come."""
-        return min(adapter.quiet_until_ns for adapter in self.adapters)
-
-    def handle_block(
-        self, topic: str, messages: CdrRows, receive_ns: StampArray
-    ) -> tuple[Adapter, int, list[BlockPart]]:
-        """Take the first messages of a block: which adapter took them, how many, and what they led to."""
-        (adapter,) = (one for one, taken in zip(self.adapters, self._taken, strict=True) if topic in taken)
-        return adapter, *adapter.handle_block(topic, messages, receive_ns)
+    def topics_in_blocks(self) -> set[str]:
+        """Topics from outside of which an adapter can take many messages at once."""
+        return {
+            topic
+            for adapter, taken in zip(self.adapters, self.taken, strict=True)
+            for topic in taken & _names(self.inputs)
+            if isinstance(adapter, BlockAdapter) and adapter.takes_blocks(topic)
+        }
 
     def tick(self, now_ns: int) -> list[Published]:
         """Tick all adapters; each has then been given what those before it gave at this tick."""
@@ -187,7 +174,7 @@ class AdapterChain:
     def _handle(self, first: int, topic: str, message: Any, receive_ns: int) -> list[Published]:
         published: list[Published] = []
         for index in range(first, len(self.adapters)):
-            if topic in self._taken[index]:
+            if topic in self.taken[index]:
                 given = self.adapters[index].handle(topic, message, receive_ns)
                 published += self._passed_on(index, given, receive_ns)
         return published
@@ -195,7 +182,7 @@ class AdapterChain:
     def _passed_on(self, index: int, given: list[Published], now_ns: int) -> list[Published]:
         """What an adapter gave, and what the adapters after it made of that."""
         published = list(given)
-        if self._linked:
+        if self.linked:
             for topic, message in given:
                 published += self._handle(index + 1, topic, message, now_ns)
         return published

@@ -1,30 +1,38 @@
-"""A replay in blocks: messages of one topic that follow one another are handed over together where that can be.
+"""A replay in blocks: the messages of some time go through one node after another, those of an INS judged together.
 
-What is published and in which order is what :class:`ship_replay.offline.replay_run.ReplayRun` makes of the same
-messages one by one. A block ends at the next message of another topic, and at the next tick that says something.
-Messages of the truth end none, for no adapter hears them.
+What is published, and in which order, is what :class:`ship_replay.offline.replay_run.ReplayRun` makes of the same
+messages one by one. Data flow from node to node one way, so that a node may see all of a time before the next one sees
+any of it.
 """
 
+from collections import defaultdict
 from collections.abc import Container
+from typing import Any
 
 import numpy as np
 
 from ship_bags.cdr_template import CdrRows, CdrTemplate
+from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import BagRecord
 from ship_bags.message_store import definition_in
+from ship_bags.stamps import NS_PER_S
 from ship_bags.topic_names import TRUTH_PREFIX
-from ship_node.edge.adapter import TICK_PERIOD_NS
-from ship_node.edge.blocks import StampArray
+from ship_node.edge.topics import Published
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.message_times import MessageTimes
+from ship_replay.offline.node_pass import Moment, NodePass, Passed, TopicRows
 from ship_replay.offline.ordered_output import ManySink, OrderedOutput
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 from ship_replay.offline.status_course import StatusCourse
 
 _MOST = 1000
-"""Messages that wait to be handed over together, at most."""
+"""Messages that are looked at together, at most."""
 _LEAST = 3
-"""Fewer are handed over one by one."""
+"""Fewer of one topic are taken one by one."""
+
+_NODE_BITS = 32
+"""The order of what is published at one moment: the number of the node stands above these bits."""
+_BEHIND_ALL = 1 << 62
 
 
 class BlockRun(ReplayRun):
@@ -35,90 +43,82 @@ class BlockRun(ReplayRun):
     ) -> None:
         self._output = OrderedOutput(writer, summary.outputs)
         super().__init__(chain, self._output, summary, truth_topics)
-        self._waiting: list[BagRecord] = []
-        self._waiting_topic = ""
-        self._truth_waiting: list[tuple[str, BagRecord]] = []
+        self._waiting: list[tuple[str, BagRecord]] = []
         self._templates: dict[tuple[str, int], CdrTemplate | None] = {}
 
     def take(self, topic: str, record: BagRecord) -> None:
         """One message of the bag, in order of log time."""
-        if topic.startswith(TRUTH_PREFIX):
-            self._truth_waiting.append((topic, record))
-            if len(self._truth_waiting) == _MOST:
-                self._take_waiting()
-        elif self._chain.takes_blocks(topic):
-            waiting = self._waiting
-            if waiting and (
-                topic != self._waiting_topic or len(waiting) == _MOST or len(record.data) != len(waiting[0].data)
-            ):
-                self._take_waiting()
-            self._waiting_topic = topic
-            self._waiting.append(record)
-        else:
+        self._waiting.append((topic, record))
+        if len(self._waiting) == _MOST:
             self._take_waiting()
-            super().take(topic, record)
 
     def finish(self) -> None:
         """Take what waits, and write all that is not written."""
         self._take_waiting()
+        self._output.place = _BEHIND_ALL, 0
         super().finish()
         self._output.flush()
 
     def _take_waiting(self) -> None:
-        truth, records = self._truth_waiting, self._waiting
-        self._truth_waiting, self._waiting = [], []
-        for topic, record in truth:
-            self._copy_truth(topic, record)
-        if records:
-            self._take_together(self._waiting_topic, records)
-        ends = [*records[-1:], *(record for _, record in truth[-1:])]
-        if ends:
-            last_ns = max(record.log_time_ns for record in ends)
-            self._tick_until(last_ns)
-            self._write_errors(last_ns)
+        """Let what waits go through one node after another, then hand on what these published."""
+        records, self._waiting = self._waiting, []
+        moments, of_moment = self._moments(records)
+        rows = self._rows(moments, of_moment)
+        self._note(moments, of_moment, rows)
+        passed: list[Passed] = []
+        for adapter, taken in zip(self._chain.adapters, self._chain.taken, strict=True):
+            given = self._given(passed, taken) if self._chain.linked else {}
+            passed.append(NodePass(adapter, taken, moments, rows, given).run())
+            self._add_rows(len(passed) - 1, passed[-1], moments)
+        self._hand_on(moments, of_moment, passed)
+        self._output.flush()
 
-    def _take_together(self, topic: str, records: list[BagRecord]) -> None:
-        messages, start = self._rows(records), 0
-        times_ns = np.array([record.log_time_ns for record in records])
-        while start < len(records):
-            # The first tick that is not quiet comes before the message logged with it.
-            tick_ns = -(-self._chain.quiet_until_ns // TICK_PERIOD_NS) * TICK_PERIOD_NS
-            some = slice(start, int(np.searchsorted(times_ns, tick_ns)))
-            count = 0
-            if messages is not None and some.stop - start >= _LEAST:
-                count = self._hand_over_some(topic, messages.some(some), times_ns[some])
-            if count == 0:
-                self._tick_until(records[start].log_time_ns)
-                self._hand_over(topic, records[start])
-                count = 1
-            start += count
+    # -- what goes in ---------------------------------------------------------------------------------------
 
-    def _hand_over_some(self, topic: str, messages: CdrRows, times_ns: StampArray) -> int:
-        """Hand the first messages of a block over, those that can be taken together; how many these were."""
-        adapter, count, parts = self._chain.handle_block(topic, messages, times_ns)
-        if count == 0:
-            return 0
-        self.last_time_ns = int(times_ns[count - 1])
-        self._summary.inputs[topic] += count
-        numbers = messages.some(slice(count)).numbers
-        stamps_ns = numbers["header.stamp.sec"].astype(np.int64) * 1_000_000_000 + numbers["header.stamp.nanosec"]
-        self._summary.times.setdefault(topic, MessageTimes()).add_block(stamps_ns, times_ns[:count])
-        self._summary.log_times.add_block(topic, stamps_ns, times_ns[:count])
-        for part in parts:
-            self._publish(part.published, int(times_ns[part.place]))
-            if part.estimates is not None:
-                run = part.estimates
-                logged_ns = times_ns[part.place : part.place + len(run.time_ns)]
-                self._output.add_run(adapter.block_messages, run, logged_ns)
-                self._summary.statuses.setdefault(adapter.main_topic, StatusCourse()).add_run(run.status, run.time_ns)
-        return count
+    def _moments(self, records: list[tuple[str, BagRecord]]) -> tuple[list[Moment], list[BagRecord | None]]:
+        """The ticks and messages of some time, and the record of each message."""
+        moments: list[Moment] = []
+        of_moment: list[BagRecord | None] = []
+        for topic, record in records:
+            ticks_ns = self._ticks_until(record.log_time_ns)
+            moments += map(Moment, ticks_ns)
+            moments.append(Moment(record.log_time_ns, topic))
+            of_moment += [None] * len(ticks_ns) + [record]
+        return moments, of_moment
 
-    def _rows(self, records: list[BagRecord]) -> CdrRows | None:
-        """Messages of one length as rows; None where they are laid out in different ways, or in one unknown."""
-        if len(records) < _LEAST:
+    def _rows(self, moments: list[Moment], of_moment: list[BagRecord | None]) -> dict[str, TopicRows]:
+        """The messages of topics that may be taken in blocks; all others are decoded."""
+        blocks = self._chain.topics_in_blocks()
+        places: dict[str, list[int]] = defaultdict(list)
+        for place, (moment, record) in enumerate(zip(moments, of_moment, strict=True)):
+            if moment.topic in blocks:
+                places[moment.topic].append(place)
+            elif record is not None and not moment.topic.startswith(TRUTH_PREFIX):
+                self._decode(moment, record)
+        rows = {}
+        for topic, of_topic in places.items():
+            records = [record for place in of_topic if (record := of_moment[place]) is not None]
+            messages = self._laid_out(records)
+            if messages is not None:
+                times_ns = np.array([record.log_time_ns for record in records])
+                rows[topic] = TopicRows(messages, times_ns, np.array(of_topic))
+                continue
+            for place, record in zip(of_topic, records, strict=True):
+                self._decode(moments[place], record)
+        return rows
+
+    def _decode(self, moment: Moment, record: BagRecord) -> None:
+        try:
+            moment.message = record.decode()
+        except BadInput:
+            self._summary.undecodable[moment.topic] += 1
+
+    def _laid_out(self, records: list[BagRecord]) -> CdrRows | None:
+        """Messages as rows; None where they are few, laid out in different ways, or in one unknown."""
+        first, length = records[0], len(records[0].data)
+        if len(records) < _LEAST or any(len(record.data) != length for record in records):
             return None
-        first = records[0]
-        kind = first.topic, len(first.data)
+        kind = first.topic, length
         if kind not in self._templates:
             self._templates[kind] = _template(first)
         template = self._templates[kind]
@@ -127,13 +127,70 @@ class BlockRun(ReplayRun):
         rows = np.frombuffer(b"".join([record.data for record in records]), dtype=np.uint8).reshape(len(records), -1)
         return CdrRows(template, rows) if template.fitting(rows).all() else None
 
-    def _write_errors(self, now_ns: int | None) -> None:
-        # The attitudes that errors are of may still be waiting.
-        if self._output.is_full or any(errors.is_ready(now_ns) for errors in self._errors):
-            for rows in self._output.flush():
-                for errors in self._errors:
-                    errors.add_rows(rows)
-        super()._write_errors(now_ns)
+    def _note(
+        self, moments: list[Moment], of_moment: list[BagRecord | None], rows: dict[str, TopicRows]
+    ) -> None:
+        """Note which messages come, and when."""
+        for topic, (messages, times_ns, _) in rows.items():
+            numbers = messages.numbers
+            stamps_ns = numbers["header.stamp.sec"].astype(np.int64) * NS_PER_S + numbers["header.stamp.nanosec"]
+            self._summary.inputs[topic] += len(times_ns)
+            self._summary.times.setdefault(topic, MessageTimes()).add_block(stamps_ns, times_ns)
+            self._summary.log_times.add_block(topic, stamps_ns, times_ns)
+        for moment, record in zip(moments, of_moment, strict=True):
+            if moment.message is not None and record is not None:
+                self._note_message(moment.topic, record)
+
+    # -- from node to node ----------------------------------------------------------------------------------
+
+    def _given(self, passed: list[Passed], taken: Container[str]) -> dict[int, list[Published]]:
+        """Number of a moment → what the nodes before published there, of some topics, in their order."""
+        found: list[tuple[int, int, int, Published]] = []
+        for node, one in enumerate(passed):
+            for place, order, published in one.single:
+                found += [(place, node, order, message) for message in published if message[0] in taken]
+            for rows, places, orders in one.rows:
+                if rows.topic in taken:
+                    found += [
+                        (place, node, order, (rows.topic, rows.messages.message(number)))
+                        for number, (place, order) in enumerate(zip(places.tolist(), orders.tolist(), strict=True))
+                    ]
+        given: dict[int, list[Published]] = defaultdict(list)
+        for place, _, _, message in sorted(found, key=lambda each: each[:3]):
+            given[place].append(message)
+        return given
+
+    def _add_rows(self, node: int, passed: Passed, moments: list[Moment]) -> None:
+        """Let the messages that a node's estimates became go out."""
+        for rows, places, orders in passed.rows:
+            log_times_ns = np.array([moments[place].now_ns for place in places.tolist()], dtype=np.int64)
+            self._output.add_rows(rows, places, (node << _NODE_BITS) + orders, log_times_ns)
+            for errors in self._errors:
+                errors.add_rows(rows)
+
+    # -- what goes out --------------------------------------------------------------------------------------
+
+    def _hand_on(self, moments: list[Moment], of_moment: list[BagRecord | None], passed: list[Passed]) -> None:
+        """Hand on what was published, moment by moment, with the truth and the errors against it."""
+        single: dict[int, list[tuple[int, list[Published]]]] = defaultdict(list)
+        runs: dict[int, list[tuple[str, Any]]] = defaultdict(list)
+        for node, one in enumerate(passed):
+            for place, order, published in one.single:
+                single[place].append(((node << _NODE_BITS) + order, published))
+            for run in one.runs:
+                runs[int(run.places[0])].append((run.topic, run.estimates))
+        for place, (moment, record) in enumerate(zip(moments, of_moment, strict=True)):
+            for topic, estimates in runs.get(place, ()):
+                course = self._summary.statuses.setdefault(topic, StatusCourse())
+                course.add_run(estimates.status, estimates.time_ns)
+            for order, published in sorted(single.get(place, ()), key=lambda each: each[0]):
+                self._output.place = place, order
+                self._publish(published, moment.now_ns)
+            self._output.place = place, _BEHIND_ALL
+            if record is not None:
+                if moment.topic.startswith(TRUTH_PREFIX):
+                    self._copy_truth(moment.topic, record)
+                self._write_errors(moment.now_ns)
 
 
 def _template(record: BagRecord) -> CdrTemplate | None:
@@ -142,4 +199,3 @@ def _template(record: BagRecord) -> CdrTemplate | None:
         return CdrTemplate.of_message(record.type_name, lambda name: definition_in(record.store, name), record.data)
     except (ValueError, TypeError):
         return None
-

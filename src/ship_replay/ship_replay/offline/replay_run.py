@@ -121,23 +121,29 @@ class ReplayRun:
         except BadInput:
             self._summary.undecodable[topic] += 1
             return
+        self._note_message(topic, record)
+        self._publish(self._chain.handle(topic, message, record.log_time_ns), record.log_time_ns)
+
+    def _note_message(self, topic: str, record: BagRecord) -> None:
         self._summary.inputs[topic] += 1
         self._summary.times.setdefault(topic, MessageTimes()).add(record)
         self._summary.log_times.add(topic, record)
-        self._publish(self._chain.handle(topic, message, record.log_time_ns), record.log_time_ns)
 
     def finish(self) -> None:
         """Write the messages that still wait for the truth."""
         self._write_errors(None)
 
     def _tick_until(self, time_ns: int) -> None:
-        """Tick at each multiple of the period between the last message and a time, both in ns."""
-        if self.last_time_ns is not None:
-            end_ns = min(time_ns, self.last_time_ns + _LONGEST_SILENCE_NS)
-            first_ns = (self.last_time_ns // TICK_PERIOD_NS + 1) * TICK_PERIOD_NS
-            for now_ns in range(first_ns, end_ns + 1, TICK_PERIOD_NS):
-                self._publish(self._chain.tick(now_ns), now_ns)
-        self.last_time_ns = time_ns
+        for now_ns in self._ticks_until(time_ns):
+            self._publish(self._chain.tick(now_ns), now_ns)
+
+    def _ticks_until(self, time_ns: int) -> range:
+        """The ticks before a message at a time: each multiple of the period since the last message, ns."""
+        last_ns, self.last_time_ns = self.last_time_ns, time_ns
+        if last_ns is None:
+            return range(0)
+        end_ns = min(time_ns, last_ns + _LONGEST_SILENCE_NS)
+        return range((last_ns // TICK_PERIOD_NS + 1) * TICK_PERIOD_NS, end_ns + 1, TICK_PERIOD_NS)
 
     def _publish(self, published: list[Published], time_ns: int) -> None:
         for topic, message in published:

@@ -20,6 +20,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ship_geometry import compiled_mounts
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, skew, wrap_two_pi
 
 Angle = float | FloatArray
@@ -127,40 +128,25 @@ def direction_change(direction: FloatArray, by_rotation: FloatArray) -> FloatArr
 
 
 SHIP, DEFORMATION, AXES, SHIP_TIME = slice(0, 3), slice(3, 6), slice(6, 13), slice(13, 14)
-"""Columns of :attr:`AxisChain.by_error`: the ship's error, the deformation, the axis errors, the ship's time."""
+"""The errors of the chain in one vector: rotation vector a of the ship's error in n, rad; rotation vector e of the
+deformation in d, rad; the errors of the axes in the order of :data:`NAMES`; and the ship's time: the sample of her
+attitude is valid so much later than it was taken to be, s."""
 
 CHAIN_STATES = {"ship.attitude": SHIP, "deformation": DEFORMATION, "axes": AXES, "ship.time_offset": SHIP_TIME}
 """States of a filter that turn the main axis, each with its columns and in their order."""
 
 
 @dataclass(frozen=True)
-class ChainErrors:
-    """What is wrong with the chain, as now known.
-
-    Attributes:
-        ship_n: rotation vector a of the ship's error in n, rad, shape (..., 3).
-        deformation_d: rotation vector e of the deformation in d, rad, shape (..., 3).
-        axes: errors of the theodolite's axes.
-        ship_time_s: the sample of the ship's attitude is valid so much later than it was taken to be.
-    """
-
-    ship_n: FloatArray
-    deformation_d: FloatArray
-    axes: AxisErrors
-    ship_time_s: float
-
-
-@dataclass(frozen=True)
 class AxisChain:
-    """The main axis at one moment, or at several.
+    """The main axis at one moment.
 
     Attributes:
-        rotation_nd: horizon from deck, corrected, shape (..., 3, 3).
-        rotation_dm: deck from main frame, deformation included, shape (..., 3, 3).
-        rotation_nm: horizon from main frame, shape (..., 3, 3).
-        by_error: rotation vector of the main frame in n per error, shape (..., 3, 14); the columns are
+        rotation_nd: horizon from deck, corrected, shape (3, 3).
+        rotation_dm: deck from main frame, deformation included, shape (3, 3).
+        rotation_nm: horizon from main frame, shape (3, 3).
+        by_error: rotation vector of the main frame in n per error, shape (3, 14); the columns are
             :data:`SHIP`, :data:`DEFORMATION`, :data:`AXES` and :data:`SHIP_TIME`.
-        by_encoder: the same per encoder angle (azimuth, elevation), shape (..., 3, 2).
+        by_encoder: the same per encoder angle (azimuth, elevation), shape (3, 2).
     """
 
     rotation_nd: FloatArray
@@ -171,32 +157,19 @@ class AxisChain:
 
 
 def axis_chain(
-    errors: ChainErrors, rotation_nd: FloatArray, rate_d: FloatArray, azimuth: Angle, elevation: Angle
+    errors: FloatArray, rotation_nd: FloatArray, rate_d: FloatArray, azimuth: float, elevation: float
 ) -> AxisChain:
-    """The main axis by a measured attitude of the ship and the encoders; leading axes broadcast.
+    """The main axis by a measured attitude of the ship and the encoders.
 
     Args:
-        errors: as now known.
-        rotation_nd: measured attitude of the deck at the moment, shape (..., 3, 3).
-        rate_d: its angular velocity, rad/s, shape (..., 3).
-        azimuth: of the encoder, rad, shape (...).
-        elevation: of the encoder, rad, shape (...).
+        errors: as now known, shape (14,).
+        rotation_nd: measured attitude of the deck at the moment, shape (3, 3).
+        rate_d: its angular velocity, rad/s, shape (3,).
+        azimuth: of the encoder, rad.
+        elevation: of the encoder, rad.
     """
-    if errors.ship_time_s != 0.0:
-        rotation_nd = rotation_nd @ exp_rotation(-errors.ship_time_s * rate_d)
-    rotation_nd = exp_rotation(errors.ship_n) @ rotation_nd
-    rotation_df = exp_rotation(errors.deformation_d)
-    by_ship, by_deformation = left_jacobian(errors.ship_n), left_jacobian(errors.deformation_d)
-    main = main_axis(errors.axes, azimuth, elevation)
-    rotation_dm = rotation_df @ main.rotation_dm
-    rotation_nm = rotation_nd @ rotation_dm
-    rotation_nf = rotation_nd @ rotation_df
-    by_error = np.empty((*rotation_nm.shape[:-1], SHIP_TIME.stop))
-    by_error[..., SHIP] = by_ship
-    by_error[..., DEFORMATION] = rotation_nd @ by_deformation
-    by_error[..., AXES] = rotation_nf @ main.by_error
-    by_error[..., SHIP_TIME] = -(rotation_nd @ rate_d[..., None])
-    return AxisChain(rotation_nd, rotation_dm, rotation_nm, by_error, rotation_nf @ main.by_encoder)
+    found = compiled_mounts.chains(errors[None], rotation_nd[None], rate_d[None], np.array([[azimuth, elevation]]))
+    return AxisChain(*(of_all[0] for of_all in found))
 
 
 def encoder_angles(

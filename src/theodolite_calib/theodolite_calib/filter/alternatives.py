@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ship_estimation import compiled_steps
 from ship_estimation.gates import chi_square_gate
 from ship_estimation.hypotheses import RowsCompared
 from ship_estimation.kalman import LinearMeasurement, StateModel, predict
@@ -223,12 +224,17 @@ class SourceRows:
         gain, nis = solved[:, :, :-1].swapaxes(-1, -2), np.einsum("hm,hm->h", residual, solved[:, :, -1])
         accepted = nis <= pattern.gates  # NaN is not
         gain[~accepted] = 0.0
-        # Joseph's form, (I - K H) P (I - K H)ᵀ + K R Kᵀ, without a product of large matrices.
-        kept = rows.parts[:, 0] - gain @ (h @ rows.parts[:, 0])
-        updated = kept - (kept @ h.T - gain @ noise) @ gain.swapaxes(-1, -2)
-        updated = updated + updated.swapaxes(-1, -2)
-        updated *= 0.5
-        mean = rows.mean + (gain @ residual[:, :, None])[:, :, 0]
+        learns_all = np.ones(rows.mean.shape, dtype=np.uint8)
+        corrections, updated = compiled_steps.updated(
+            np.ascontiguousarray(rows.parts[:, 0]),
+            h,
+            residual,
+            np.ascontiguousarray(gain),
+            learns_all,
+            ((_ONLY_SOURCE, noise),),
+            noise,
+        )
+        mean = rows.mean + corrections
         light_nis = np.einsum("hlk,hlk->hl", light_turn, light_turn)
         return replace(rows, mean=mean, parts=updated[:, None]), RowsSeen(accepted, light_nis, light_turn)
 

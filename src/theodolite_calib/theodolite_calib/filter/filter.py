@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ship_estimation.hypotheses import compare_rows
 from ship_estimation.ins import InsJump
-from ship_estimation.kalman import LinearMeasurement, innovation, predict, update
+from ship_estimation.kalman import LinearMeasurement, predict, update
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.chain.axes import NAMES
 from theodolite_calib.config import OpticalAxisConfig
@@ -87,6 +88,7 @@ class Comparison:
         measurement: residual in metres with its Jacobian and noise.
         covariance: of the residual, m², shape (2 N, 2 N).
         nis: normalised innovation squared.
+        angles_nis: share of it that no attitude of the telescope explains: of the angles between the lights.
         gain: of the optimal update, shape (n, 2 N).
     """
 
@@ -94,6 +96,7 @@ class Comparison:
     measurement: LinearMeasurement
     covariance: FloatArray
     nis: float
+    angles_nis: float
     gain: FloatArray
 
 
@@ -247,7 +250,11 @@ class CalibrationFilter:
         index: Callable[[str], int] = self.model.sources.index
         noise = {index(source): part for source, part in prediction.noise_by_source.items()}
         measurement = LinearMeasurement(residual, prediction.jacobian, noise)
-        return Comparison(prediction, measurement, *innovation(state.parts, measurement))
+        found = compare_rows(
+            state.mean[None], state.covariance[None], measurement, state.mean, prediction.by_attitude_n
+        )
+        (nis,), (turn,) = found.nis.tolist(), found.turn
+        return Comparison(prediction, measurement, found.covariance[0], nis, nis - float(turn @ turn), found.gain[0])
 
 
 def _reshaped(parts: FloatArray, covariance: FloatArray) -> FloatArray:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ship_estimation.gates import GateConfig, chi_square_gate, normalized_error_squared
+from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Comparison
@@ -21,8 +21,8 @@ from theodolite_calib.lights.telescope_attitude import AttitudePrior
 from theodolite_calib.measured.samples import Exposure, ExposureDecision
 from theodolite_calib.measured.sighting import Sighting
 
-_ATTITUDE_COLUMNS = 3
-"""Of the Jacobian by the telescope's rotation vector."""
+_ATTITUDE_COMPONENTS = 3
+"""So many components of the residuals an attitude of the telescope explains."""
 
 
 @dataclass(frozen=True)
@@ -64,16 +64,13 @@ class SightingJudge:
         return self._look_closer(state, sighting, exposure, comparison)
 
     def _passes(self, comparison: Comparison) -> bool:
-        residual, covariance = comparison.measurement.residual, comparison.covariance
+        probability, components = self._gate.probability, len(comparison.measurement.residual)
         # Written so that NaN fails.
-        if not comparison.nis <= chi_square_gate(self._gate.probability, len(residual)):
+        if not comparison.nis <= chi_square_gate(probability, components):
             return False
-        if len(residual) == 2:
+        if components == 2:
             return True
-        # Columns across those of the attitude's Jacobian: no attitude moves the residuals along them.
-        across = np.linalg.qr(comparison.prediction.by_attitude_n, mode="complete")[0][:, _ATTITUDE_COLUMNS:].T
-        chi2 = normalized_error_squared(across @ residual, across @ covariance @ across.T)
-        return bool(chi2 <= chi_square_gate(self._gate.probability, len(across)))
+        return comparison.angles_nis <= chi_square_gate(probability, components - _ATTITUDE_COMPONENTS)
 
     def _look_closer(
         self, state: CalibrationState, sighting: Sighting, exposure: Exposure, comparison: Comparison

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_estimation.kalman import StateBlock, StateModel, block, slow_error_later
+from ship_estimation.kalman import StateBlock, StateModel, block, lasting, slow_error_later
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.chain.axes import CHAIN_STATES
 from theodolite_calib.config import BeaconConfig, OpticalAxisConfig
@@ -133,11 +133,11 @@ def _light_blocks(id_: str, beacon: BeaconConfig, config: OpticalAxisConfig) -> 
 
 @dataclass(frozen=True)
 class ShipErrorStep:
-    """What happens to the ship's error at once, where its stated covariance changes by much.
+    """What happens to the ship's error at once, where its stated covariance changes by much; at one moment, or at N.
 
     Attributes:
-        kept: share of each component that is left, shape (3,).
-        new_n: covariance of what is new, rad², shape (3, 3).
+        kept: share of each component that is left, shape (3,) or (N, 3).
+        new_n: covariance of what is new, rad², shape (3, 3) or (N, 3, 3).
     """
 
     kept: FloatArray
@@ -172,9 +172,13 @@ class ShipErrorProcess:
 
         Args:
             error_n: before, shape (..., 3).
-            decay: of the process over the time, shape (..., 3).
+            decay: of the process over the time, shape (3,).
         """
         return decay * error_n if self._sigma is None else slow_error_later(error_n, decay, self._sigma)
+
+    def lasting(self, error_n: FloatArray) -> NDArray[np.bool_]:
+        """Which components of the error do not die out, shape (3,)."""
+        return np.zeros(3, dtype=bool) if self._sigma is None else lasting(error_n, self._sigma)
 
     def carried(
         self,
@@ -192,7 +196,7 @@ class ShipErrorProcess:
             mean: the state, shape (..., n).
             parts: shape (..., n_sources, n, n), decayed and without the noise of the ship's error; changed in place.
             columns: where the ship's error is in these two.
-            decay: of the error over the time, shape (..., 3).
+            decay: of the error over the time, shape (3,).
             steady_n: stated covariance that the error has followed, rad², shape (3, 3); None where none was stated.
             now_n: that is stated now; None where none is.
             source_index: of the ship's error in ``parts``; None where these are those of the filter.
@@ -214,19 +218,15 @@ def add_steady_noise(
         parts: shape (..., n_sources, n, n), decayed already.
         columns: where the ship's error is in them.
         source_index: of the ship's error.
-        decay: of the error over the time, shape (..., 3).
+        decay: of the error over the time, shape (3,).
         steady_n: the stated covariance, rad², shape (3, 3); None where none is stated.
     """
     if steady_n is not None:
-        noise = 1.0 - np.moveaxis(decay, -1, 0)[0] ** 2
-        parts[..., source_index, columns, columns] += np.asarray(noise)[..., None, None] * steady_n
+        parts[..., source_index, columns, columns] += (1.0 - decay[0] ** 2) * steady_n
 
 
 def ship_error_step(followed_n: FloatArray | None, now_n: FloatArray | None) -> ShipErrorStep | None:
     """The step from one stated covariance to another, rad², shape (3, 3) each; None where there is none.
-
-    Where the variance shrank, the share new / old of the old error is left: a Kalman update that reduced the variance
-    by as much would leave the same. Where the variance grew, all of the old error is left. The rest is new.
 
     Args:
         followed_n: that the error has followed; None where none was stated.
@@ -234,16 +234,36 @@ def ship_error_step(followed_n: FloatArray | None, now_n: FloatArray | None) -> 
     """
     if now_n is None:
         return None
+    steps = ship_error_steps(followed_n, now_n[None])
+    return None if steps is None else ShipErrorStep(steps.kept[0], steps.new_n[0])
+
+
+def ship_error_steps(followed_n: FloatArray | None, now_n: FloatArray) -> ShipErrorStep | None:
+    """The steps from one stated covariance to each of N others; None where there is none to any of them.
+
+    Where the variance shrank, the share new / old of the old error is left: a Kalman update that reduced the variance
+    by as much would leave the same. Where the variance grew, all of the old error is left. The rest is new.
+
+    Args:
+        followed_n: that the error has followed, rad², shape (3, 3); None where none was stated.
+        now_n: that is stated at each moment, shape (N, 3, 3).
+
+    Returns:
+        A step whose fields have a leading axis of N; where nothing happens all is left, and nothing is new.
+    """
     if followed_n is None:
         followed_n = np.zeros((3, 3))
-    old, new = np.diagonal(followed_n), np.diagonal(now_n)
-    if np.all(new <= _AT_ONCE * old) and np.all(old <= _AT_ONCE * new):
+    old, new = followed_n.diagonal(), now_n.diagonal(axis1=1, axis2=2)
+    near = np.logical_and(new <= _AT_ONCE * old, old <= _AT_ONCE * new)
+    if near.all():
         return None
+    stays = np.all(near, axis=1)
     kept = np.where(old > 0.0, np.minimum(new / np.where(old > 0.0, old, 1.0), 1.0), 1.0)
-    left_n = now_n - followed_n * np.outer(kept, kept)
+    left_n = now_n - followed_n * (kept[:, :, None] * kept[:, None, :])
     # Not every change of a matrix is such a step in each axis: a negative variance is taken for zero.
-    values, vectors = np.linalg.eigh(0.5 * (left_n + left_n.T))
-    return ShipErrorStep(kept, (vectors * np.maximum(values, 0.0)) @ vectors.T)
+    values, vectors = np.linalg.eigh(0.5 * (left_n + left_n.swapaxes(1, 2)))
+    new_n = (vectors * np.maximum(values, 0.0)[:, None]) @ vectors.swapaxes(1, 2)
+    return ShipErrorStep(np.where(stays[:, None], 1.0, kept), np.where(stays[:, None, None], 0.0, new_n))
 
 
 def with_step(

@@ -11,7 +11,7 @@ import numpy as np
 
 from ship_estimation.kalman import StateModel
 from ship_geometry.rotations import FloatArray, exp_rotation
-from theodolite_calib.chain.axes import CHAIN_STATES, SHIP_TIME, AxisChain, AxisErrors, ChainErrors, axis_chain
+from theodolite_calib.chain.axes import AXES, SHIP_TIME, AxisChain, axis_chain
 from theodolite_calib.chain.parallelism import telescope_from_main
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.model import (
@@ -21,9 +21,11 @@ from theodolite_calib.filter.model import (
     SOURCE_IMAGE,
     SOURCE_RTK,
     SOURCE_SHIP_NOISE,
+    chain_rows,
 )
 from theodolite_calib.lights.image import Camera, block_diagonal, predict_points
 from theodolite_calib.lights.line_of_sight import (
+    TERM_COLUMNS,
     LeverArm,
     Lights,
     LinesOfSight,
@@ -32,6 +34,11 @@ from theodolite_calib.lights.line_of_sight import (
     lines_of_sight,
 )
 from theodolite_calib.measured.sighting import Sighting
+
+_OWN_WIDTHS = {"rtk": 3, "lever": 3, "attitude": 3, "refraction": 1}
+"""Sizes of the states of one light."""
+
+_NO_COVARIANCE = np.zeros((3, 3))
 
 
 @dataclass(frozen=True)
@@ -72,18 +79,18 @@ class SightingModel:
 
     def __init__(self, config: OpticalAxisConfig, model: StateModel) -> None:
         self._config, self._model = config, model
-        self._axes = config.axes.values
+        self._turning = chain_rows(model)
+        self._configured_errors: FloatArray = np.zeros(SHIP_TIME.stop)
+        self._configured_errors[AXES] = config.axes.values
         self._parallelism = config.telescope.parallelism
         self._principal_point = config.telescope.principal_point_m
+        self._lights: dict[tuple[str, ...], _OfLights] = {}
 
-    def chain_errors(self, mean: FloatArray) -> ChainErrors:
-        """What a state says is wrong with the chain to the main axis."""
-        return ChainErrors(
-            ship_n=self._of(mean, "ship.attitude"),
-            deformation_d=self._of(mean, "deformation"),
-            axes=AxisErrors.from_vector(self._axes + self._of(mean, "axes")),
-            ship_time_s=float(self._of(mean, "ship.time_offset", 1)[0]),
-        )
+    def chain_errors(self, mean: FloatArray) -> FloatArray:
+        """What a state says is wrong with the chain to the main axis, in the order of its columns, shape (14,)."""
+        errors: FloatArray = self._configured_errors.copy()
+        errors[: len(self._turning)] += mean[self._turning]
+        return errors
 
     def parallelism(self, mean: FloatArray) -> FloatArray:
         """Angles of the main axis in the telescope, rad, shape (3,)."""
@@ -98,17 +105,19 @@ class SightingModel:
         ship, encoder = sighting.ship, sighting.encoder
         chain = axis_chain(self.chain_errors(mean), ship.rotation_nd, ship.rate_d, encoder.azimuth, encoder.elevation)
         rotation_nt, by_parallelism = telescope_from_main(self.parallelism(mean), chain.rotation_nm)
-        lines = self._lines(mean, sighting, chain)
+        known = self._of_lights(sighting.names)
+        lines = self._lines(mean, sighting, chain, known)
         camera = Camera(self.focal_length_m(mean), self._config.telescope.focal_length_sigma_m, self._principal_point)
         points = predict_points(camera, rotation_nt, lines.direction_n)
         # Each error of the lines of sight moves the points, m per unit, shape (N, 2, k).
-        by_term = {term.name: points.by_direction_n @ term.jacobian_n for term in lines.terms}
+        by_error = points.by_direction_n @ lines.jacobian_n
+        by_term = {name: by_error[..., columns] for name, columns in TERM_COLUMNS.items()}
         turn_n = self._turn_n(chain, by_parallelism)
         rows = 2 * len(sighting.names)
         by_attitude_n = points.by_attitude_n.reshape(rows, 3)
         jacobian = by_attitude_n @ turn_n
         jacobian[:, self._model.slices["focal_length"]] = points.by_focal_length.reshape(rows, 1)
-        self._add_lines(jacobian, by_term, sighting.names)
+        known.add_lines(jacobian, by_term)
         self._add_carried_lever(jacobian, by_term["ship_attitude"], chain)
         noise_n = {
             SOURCE_ENCODER: encoder.noise * (chain.by_encoder @ chain.by_encoder.T),
@@ -120,58 +129,39 @@ class SightingModel:
         residual = (sighting.image.point_m - points.point_m).reshape(rows)
         return Prediction(rotation_nt, turn_n, noise_n, camera, lines, residual, by_attitude_n, jacobian, noise)
 
-    def _lines(self, mean: FloatArray, sighting: Sighting, chain: AxisChain) -> LinesOfSight:
+    def _lines(self, mean: FloatArray, sighting: Sighting, chain: AxisChain, known: "_OfLights") -> LinesOfSight:
         """Lines of sight, with their errors taken out as far as they are known."""
-        config, names = self._config, sighting.names
-        beacons = [config.beacons[name] for name in names]
-
-        def own(state: str, width: int = 3) -> FloatArray:
-            return np.array([self._of(mean, f"light.{name}.{state}", width) for name in names])
-
-        refraction = config.air.coefficient + self._of(mean, "refraction", 1)
+        own, survey = known.own(mean), known.survey
         lights = Lights(
-            baseline_n=sighting.lights.baseline_n + own("rtk") + self._of(mean, "ship_antenna"),
+            baseline_n=sighting.lights.baseline_n + own["rtk"] + self._of(mean, "ship_antenna"),
             baseline_covariance_n=sighting.lights.baseline_covariance_n,
-            rotation_nb=exp_rotation(own("attitude")) @ sighting.lights.rotation_nb,
-            attitude_covariance_n=_drone_covariance(config, names),
+            rotation_nb=np.array([exp_rotation(turn) for turn in own["attitude"]]) @ sighting.lights.rotation_nb,
+            attitude_covariance_n=known.attitude_covariance_n,
         )
-        survey = Survey(
-            theodolite_lever=_lever(config.lever.vector_m + self._of(mean, "lever"), config.lever.sigma_m),
-            principal_point=_lever(
-                config.telescope.lens.vector_m + self._of(mean, "lens"), config.telescope.lens.sigma_m
-            ),
-            light_lever=LeverArm(
-                np.array([beacon.light.vector_m for beacon in beacons]) + own("lever"),
-                np.array([[beacon.light.sigma_m] * 3 for beacon in beacons]),
-            ),
-            rtk_base_sigma_m=np.full(3, config.ship_antenna.sigma_m),
-            rtk_bias_sigma_m=np.array([[beacon.rtk.bias_sigma_m] * 3 for beacon in beacons]),
-            refraction_coefficient=refraction + own("refraction", 1)[:, 0],
-            refraction_sigma=config.air.sigma,
-            refraction_light_sigma=np.full(len(names), config.air.light_sigma),
+        refraction = survey.refraction_coefficient + self._of(mean, "refraction", 1) + own["refraction"][:, 0]
+        now = Survey(
+            theodolite_lever=_moved(survey.theodolite_lever, self._of(mean, "lever")),
+            principal_point=_moved(survey.principal_point, self._of(mean, "lens")),
+            light_lever=_moved(survey.light_lever, own["lever"]),
+            rtk_base_sigma_m=survey.rtk_base_sigma_m,
+            rtk_bias_sigma_m=survey.rtk_bias_sigma_m,
+            refraction_coefficient=refraction,
+            refraction_sigma=survey.refraction_sigma,
+            refraction_light_sigma=survey.refraction_light_sigma,
         )
-        ship = Ship(chain.rotation_nd, np.zeros((3, 3)), chain.rotation_dm)
-        return lines_of_sight(lights, ship, survey)
+        return lines_of_sight(lights, Ship(chain.rotation_nd, _NO_COVARIANCE, chain.rotation_dm), now)
+
+    def _of_lights(self, names: tuple[str, ...]) -> "_OfLights":
+        """What is known of lights with these names before any sighting; made once for all sightings of them."""
+        if names not in self._lights:
+            self._lights[names] = _OfLights(self._config, self._model, names)
+        return self._lights[names]
 
     def _turn_n(self, chain: AxisChain, by_parallelism: FloatArray) -> FloatArray:
         turn_n = np.zeros((3, self._model.size))
-        for name, columns in CHAIN_STATES.items():
-            if name in self._model.slices:
-                turn_n[:, self._model.slices[name]] = chain.by_error[:, columns]
+        turn_n[:, self._turning] = chain.by_error[:, : len(self._turning)]
         turn_n[:, self._model.slices["parallelism"]] = by_parallelism
         return turn_n
-
-    def _add_lines(self, jacobian: FloatArray, by_term: dict[str, FloatArray], names: tuple[str, ...]) -> None:
-        """Add what the errors of the lines of sight do to the points."""
-        slices = self._model.slices
-        for term, by_error in by_term.items():
-            common = COMMON_TERMS.get(term, "")
-            if common in slices:
-                jacobian[:, slices[common]] += by_error.reshape(len(jacobian), -1)
-            for light, name in enumerate(names):
-                own = f"light.{name}.{OWN_TERMS.get(term, '')}"
-                if own in slices:
-                    jacobian[2 * light : 2 * light + 2, slices[own]] += by_error[light]
 
     def _add_carried_lever(self, jacobian: FloatArray, by_ship_turn: FloatArray, chain: AxisChain) -> None:
         """Add what a turn of the ship does to the points by carrying the theodolite round the antenna."""
@@ -186,16 +176,71 @@ class SightingModel:
         return mean[columns] if columns is not None else np.zeros(width)
 
 
-def _lever(vector_m: FloatArray, sigma_m: float) -> LeverArm:
-    return LeverArm(vector_m, np.full(3, sigma_m))
+class _OfLights:
+    """What the configuration says of N lights, and where their states are.
+
+    Args:
+        config: the node's parameters.
+        model: states of the filter.
+        names: of the lights.
+
+    Attributes:
+        survey: what was measured once, without what the states say of it.
+        attitude_covariance_n: of the attitudes of the drones, rad², shape (N, 3, 3).
+    """
+
+    def __init__(self, config: OpticalAxisConfig, model: StateModel, names: tuple[str, ...]) -> None:
+        beacons = [config.beacons[name] for name in names]
+        self.survey = Survey(
+            theodolite_lever=LeverArm(config.lever.vector_m, np.full(3, config.lever.sigma_m)),
+            principal_point=LeverArm(config.telescope.lens.vector_m, np.full(3, config.telescope.lens.sigma_m)),
+            light_lever=LeverArm(
+                np.array([beacon.light.vector_m for beacon in beacons]),
+                np.array([[beacon.light.sigma_m] * 3 for beacon in beacons]),
+            ),
+            rtk_base_sigma_m=np.full(3, config.ship_antenna.sigma_m),
+            rtk_bias_sigma_m=np.array([[beacon.rtk.bias_sigma_m] * 3 for beacon in beacons]),
+            refraction_coefficient=config.air.coefficient,
+            refraction_sigma=config.air.sigma,
+            refraction_light_sigma=np.full(len(names), config.air.light_sigma),
+        )
+        imus = [beacon.imu for beacon in beacons]
+        sigma = np.deg2rad([[imu.tilt_sigma_deg, imu.heading_sigma_deg, imu.tilt_sigma_deg] for imu in imus])
+        self.attitude_covariance_n: FloatArray = sigma[:, :, None] ** 2 * np.eye(3)
+        self._common = {term: model.slices[state] for term, state in COMMON_TERMS.items() if state in model.slices}
+        self._own = [
+            (term, light, model.slices[f"light.{name}.{state}"])
+            for term, state in OWN_TERMS.items()
+            for light, name in enumerate(names)
+            if f"light.{name}.{state}" in model.slices
+        ]
+        self._places = {
+            state: np.array([_places(model, f"light.{name}.{state}", width) for name in names])
+            for state, width in _OWN_WIDTHS.items()
+        }
+
+    def own(self, mean: FloatArray) -> dict[str, FloatArray]:
+        """What a state says of each light's own errors, by the name of the state, shape (N, 3) or (N, 1)."""
+        padded = np.append(mean, 0.0)
+        return {state: padded[places] for state, places in self._places.items()}
+
+    def add_lines(self, jacobian: FloatArray, by_term: dict[str, FloatArray]) -> None:
+        """Add what the errors of the lines of sight do to the points."""
+        for term, columns in self._common.items():
+            jacobian[:, columns] += by_term[term].reshape(len(jacobian), -1)
+        for term, light, columns in self._own:
+            jacobian[2 * light : 2 * light + 2, columns] += by_term[term][light]
 
 
-def _drone_covariance(config: OpticalAxisConfig, names: tuple[str, ...]) -> FloatArray:
-    """Covariance of the attitudes of drones, rad², shape (N, 3, 3)."""
-    imus = [config.beacons[name].imu for name in names]
-    sigma = np.deg2rad([[imu.tilt_sigma_deg, imu.heading_sigma_deg, imu.tilt_sigma_deg] for imu in imus])
-    covariance: FloatArray = sigma[:, :, None] ** 2 * np.eye(3)
-    return covariance
+def _places(model: StateModel, state: str, width: int) -> list[int]:
+    """Where a state of so many numbers is; where there is none, the place of a zero behind all states."""
+    columns = model.slices.get(state)
+    return [model.size] * width if columns is None else list(range(columns.start, columns.stop))
+
+
+def _moved(lever: LeverArm, error_m: FloatArray) -> LeverArm:
+    """A lever arm with what is known of its error taken out."""
+    return LeverArm(lever.vector_m + error_m, lever.sigma_m)
 
 
 def _own_noise(by_error: FloatArray, covariance: FloatArray) -> FloatArray:

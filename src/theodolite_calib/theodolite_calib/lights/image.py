@@ -14,8 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ship_geometry import compiled_lights
 from ship_geometry.exposure_mean import Nodes
-from ship_geometry.rotations import FloatArray, skew
+from ship_geometry.rotations import FloatArray
 
 
 @dataclass(frozen=True)
@@ -44,21 +45,6 @@ class Camera:
         forward = _in_front(direction_t)
         scale = -_per_light(self.focal_length_m) / forward
         return self.principal_point_m + scale[..., None] * direction_t[..., [2, 1]]
-
-    def point_by_direction(self, direction_t: FloatArray) -> FloatArray:
-        """Change of the detector point (m) with the vector ``direction_t``, shape (..., N, 2, 3); NaN behind."""
-        forward = _in_front(direction_t)
-        per_focal_length = -_per_light(self.focal_length_m) / forward
-        jacobian = np.zeros((*per_focal_length.shape, 2, 3))
-        jacobian[..., 0, 2] = per_focal_length
-        jacobian[..., 1, 1] = per_focal_length
-        jacobian[..., 0, 0] = -per_focal_length * direction_t[..., 2] / forward
-        jacobian[..., 1, 0] = -per_focal_length * direction_t[..., 1] / forward
-        return jacobian
-
-    def point_by_focal_length(self, direction_t: FloatArray) -> FloatArray:
-        """Change of the detector point with the focal length, m/m, shape (..., N, 2); with the principal point: 1."""
-        return -direction_t[..., [2, 1]] / _in_front(direction_t)[..., None]
 
     def direction_by_point(self, point_m: FloatArray) -> FloatArray:
         """Change of the direction with the detector point, rad/m, shape (..., N, 3, 2).
@@ -150,14 +136,28 @@ def predict_points(camera: Camera, rotation_nt: FloatArray, direction_n: FloatAr
         rotation_nt: horizon from telescope, shape (..., 3, 3).
         direction_n: unit vectors, shape (..., N, 3).
     """
-    direction_t = direction_n @ rotation_nt
-    by_direction_n = camera.point_by_direction(direction_t) @ np.swapaxes(rotation_nt, -1, -2)[..., None, :, :]
-    return PredictedPoints(
-        point_m=camera.points(direction_t),
-        by_attitude_n=by_direction_n @ skew(direction_n),
-        by_direction_n=by_direction_n,
-        by_focal_length=camera.point_by_focal_length(direction_t),
+    leading, count = direction_n.shape[:-2], direction_n.shape[-2]
+    principal_point_m = np.asarray(camera.principal_point_m, dtype=float)
+    found = compiled_lights.image_points(
+        flat(direction_n, leading, (count, 3)),
+        flat(rotation_nt, leading, (3, 3)),
+        flat(camera.focal_length_m, leading, ()),
+        flat(principal_point_m if principal_point_m.ndim == 1 else principal_point_m[..., 0, :], leading, (2,)),
     )
+    return PredictedPoints(*(of_all.reshape(*leading, *of_all.shape[1:]) for of_all in found))
+
+
+def flat(values: FloatArray | float, leading: tuple[int, ...], own: tuple[int, ...]) -> FloatArray:
+    """Values with the leading axes of all exposures, made one axis; those that are the same in all are repeated.
+
+    Args:
+        values: shape (..., *own), of which the leading axes broadcast.
+        leading: shape of the exposures; empty for one.
+        own: shape of what belongs to one exposure.
+    """
+    array: FloatArray = np.asarray(values, dtype=float)
+    whole = (*leading, *own)
+    return (array if array.shape == whole else np.broadcast_to(array, whole)).reshape(-1, *own)
 
 
 @dataclass(frozen=True)

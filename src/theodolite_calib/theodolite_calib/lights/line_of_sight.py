@@ -13,16 +13,16 @@ Each error is a named :class:`ErrorTerm` in its own natural axes, so that a filt
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from ship_geometry.rotations import FloatArray, skew
-from theodolite_calib.lights.image import block_diagonal, unit_vector_jacobian
+from ship_geometry import compiled_lights
+from ship_geometry.rotations import FloatArray
+from theodolite_calib.lights.image import block_diagonal, flat
 
 EARTH_RADIUS_M = 6_371_000.0
 """Mean radius; its error is negligible beside that of the refraction coefficient."""
-
-_UP = np.array([0.0, 1.0, 0.0])
 
 
 @dataclass(frozen=True)
@@ -129,6 +129,27 @@ class ErrorTerm:
         return block_diagonal(self.jacobian_n @ self.covariance @ np.swapaxes(self.jacobian_n, -1, -2))
 
 
+BASELINE, LEVER, PRINCIPAL_POINT, LIGHT_LEVER, SHIP_TURN, DRONE_TURN, REFRACTION = (
+    *(slice(start, start + 3) for start in range(0, 18, 3)),
+    slice(18, 19),
+)
+"""Columns of :attr:`LinesOfSight.jacobian_n`."""
+
+TERM_COLUMNS = {
+    "rtk_noise": BASELINE,
+    "rtk_bias": BASELINE,
+    "rtk_base": BASELINE,
+    "theodolite_lever": LEVER,
+    "principal_point": PRINCIPAL_POINT,
+    "light_lever": LIGHT_LEVER,
+    "ship_attitude": SHIP_TURN,
+    "drone_attitude": DRONE_TURN,
+    "refraction": REFRACTION,
+    "light_refraction": REFRACTION,
+}
+"""Error term → the columns by which it changes the directions."""
+
+
 @dataclass(frozen=True)
 class LinesOfSight:
     """Where the lights are seen.
@@ -136,49 +157,62 @@ class LinesOfSight:
     Attributes:
         direction_n: unit vectors from the telescope, refraction included, shape (..., N, 3).
         distance_m: to the lights, shape (..., N).
-        terms: the errors of the directions, independent of one another.
+        jacobian_n: change of the unit directions by the errors of :data:`TERM_COLUMNS`, rad per unit, shape
+            (..., N, 3, 19).
+        lights: as measured.
+        ship: at that moment.
+        survey: what was measured once.
     """
 
     direction_n: FloatArray
     distance_m: FloatArray
-    terms: tuple[ErrorTerm, ...]
+    jacobian_n: FloatArray
+    lights: Lights
+    ship: Ship
+    survey: Survey
+
+    @cached_property
+    def terms(self) -> tuple[ErrorTerm, ...]:
+        """The errors of the directions, independent of one another."""
+        lights, ship, survey = self.lights, self.ship, self.survey
+        own, common = False, True
+        white, slow = False, True
+
+        def term(name: str, source: str, is_common: bool, is_slow: bool, covariance: FloatArray) -> ErrorTerm:
+            jacobian_n = self.jacobian_n[..., TERM_COLUMNS[name]]
+            return ErrorTerm(name, source, is_common, is_slow, jacobian_n, covariance)
+
+        lever_m, lens_m = survey.theodolite_lever.sigma_m, survey.principal_point.sigma_m
+        return (
+            term("rtk_noise", "rtk", own, white, lights.baseline_covariance_n),
+            term("rtk_bias", "rtk", own, slow, _diagonal(survey.rtk_bias_sigma_m)),
+            term("rtk_base", "rtk", common, slow, _diagonal(survey.rtk_base_sigma_m)),
+            term("theodolite_lever", "lever_arms", common, slow, _diagonal(lever_m)),
+            term("principal_point", "lever_arms", common, slow, _diagonal(lens_m)),
+            term("light_lever", "lever_arms", own, slow, _diagonal(survey.light_lever.sigma_m)),
+            term("ship_attitude", "ship_attitude", common, slow, ship.attitude_covariance_n),
+            term("drone_attitude", "drone_attitude", own, slow, lights.attitude_covariance_n),
+            term("refraction", "refraction", common, slow, np.array([[survey.refraction_sigma**2]])),
+            term("light_refraction", "refraction", own, slow, _one_by_one(survey.refraction_light_sigma)),
+        )
 
 
 def lines_of_sight(lights: Lights, ship: Ship, survey: Survey) -> LinesOfSight:
     """Directions to the lights with their errors."""
-    rotation_nm = ship.rotation_nd @ ship.rotation_dm
-    lens_n = ship.rotation_nd @ survey.theodolite_lever.vector_m + rotation_nm @ survey.principal_point.vector_m
-    light_lever_n = (lights.rotation_nb @ survey.light_lever.vector_m[..., None])[..., 0]
-    path_n = lights.baseline_n + light_lever_n - lens_n[..., None, :]
-    distance_m = np.linalg.norm(path_n, axis=-1)
-    # A coefficient of 1 raises the light by so many metres.
-    raised_n = (distance_m**2 / (2.0 * EARTH_RADIUS_M))[..., None] * _UP
-    seen_n = path_n + np.asarray(survey.refraction_coefficient, dtype=float)[..., None] * raised_n
-
-    per_metre = unit_vector_jacobian(seen_n)
-    by_deck = per_metre @ ship.rotation_nd[..., None, :, :]
-    by_main = per_metre @ rotation_nm[..., None, :, :]
-    by_drone = per_metre @ lights.rotation_nb
-    by_ship_turn = per_metre @ skew(lens_n)[..., None, :, :]
-    by_drone_turn = -per_metre @ skew(light_lever_n)
-    by_refraction = per_metre @ raised_n[..., None]
-    own, common = False, True
-    white, slow = False, True
-    terms = (
-        ErrorTerm("rtk_noise", "rtk", own, white, per_metre, lights.baseline_covariance_n),
-        ErrorTerm("rtk_bias", "rtk", own, slow, per_metre, _diagonal(survey.rtk_bias_sigma_m)),
-        ErrorTerm("rtk_base", "rtk", common, slow, per_metre, _diagonal(survey.rtk_base_sigma_m)),
-        ErrorTerm("theodolite_lever", "lever_arms", common, slow, -by_deck, _diagonal(survey.theodolite_lever.sigma_m)),
-        ErrorTerm("principal_point", "lever_arms", common, slow, -by_main, _diagonal(survey.principal_point.sigma_m)),
-        ErrorTerm("light_lever", "lever_arms", own, slow, by_drone, _diagonal(survey.light_lever.sigma_m)),
-        ErrorTerm("ship_attitude", "ship_attitude", common, slow, by_ship_turn, ship.attitude_covariance_n),
-        ErrorTerm("drone_attitude", "drone_attitude", own, slow, by_drone_turn, lights.attitude_covariance_n),
-        ErrorTerm("refraction", "refraction", common, slow, by_refraction, np.array([[survey.refraction_sigma**2]])),
-        ErrorTerm(
-            "light_refraction", "refraction", own, slow, by_refraction, _one_by_one(survey.refraction_light_sigma)
-        ),
+    leading, count = lights.baseline_n.shape[:-2], lights.baseline_n.shape[-2]
+    found = compiled_lights.sight_lines(
+        flat(lights.baseline_n, leading, (count, 3)),
+        flat(lights.rotation_nb, leading, (count, 3, 3)),
+        flat(survey.light_lever.vector_m, leading, (count, 3)),
+        flat(ship.rotation_nd, leading, (3, 3)),
+        flat(ship.rotation_dm, leading, (3, 3)),
+        survey.theodolite_lever.vector_m,
+        survey.principal_point.vector_m,
+        flat(survey.refraction_coefficient, leading, (count,)),
+        EARTH_RADIUS_M,
     )
-    return LinesOfSight(seen_n / np.linalg.norm(seen_n, axis=-1, keepdims=True), distance_m, terms)
+    direction_n, distance_m, jacobian_n = (of_all.reshape(*leading, *of_all.shape[1:]) for of_all in found)
+    return LinesOfSight(direction_n, distance_m, jacobian_n, lights, ship, survey)
 
 
 def covariance_by_source(terms: Iterable[ErrorTerm]) -> dict[str, FloatArray]:

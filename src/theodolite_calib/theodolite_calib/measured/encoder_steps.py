@@ -35,6 +35,8 @@ _GONE, _GOES_ON = 0.5, 1.25
 """After a step in place the next reading is off by so many times as much as the first, at least and at most. The least
 that a motion can do that begins after the reading before the last is one and a half times."""
 
+_FULL_TURN = 2.0 * np.pi
+
 
 class EncoderStep(NamedTuple):
     """A step in place.
@@ -74,7 +76,8 @@ class _Off(NamedTuple):
     @property
     def far(self) -> bool:
         """Whether it is a step at first sight."""
-        return not float(np.max(np.abs(self.by))) <= self.bound_rad
+        azimuth, elevation = self.by.tolist()
+        return not (abs(azimuth) <= self.bound_rad and abs(elevation) <= self.bound_rad)
 
 
 class EncoderSteps:
@@ -129,13 +132,11 @@ class EncoderSteps:
         """How far a reading is from the cubic; None where there is none."""
         if len(self._before) < _LEAST:
             return None
-        since_ns = tuple(before_ns - time_ns for before_ns, _ in self._before)
-        weights = _weights(since_ns)
-        led = weights @ np.array([vector for _, vector in self._before])
-        gain = float(np.sqrt(1.0 + weights @ weights))
-        noise_rad = max(sigma_rad, float(np.sqrt(self._variance)))
-        bound_rad = gain * (_SIGMAS * noise_rad + ACROSS * np.sqrt(0.5) * coarseness_rad)
-        return _Off(time_ns, angles - led, gain, gain * noise_rad, float(bound_rad))
+        weights, gain = _weights(tuple([before_ns - time_ns for before_ns, _ in self._before]))
+        led = weights @ np.array([before.tolist() for _, before in self._before])
+        noise_rad = max(sigma_rad, math.sqrt(self._variance))
+        bound_rad = gain * (_SIGMAS * noise_rad + ACROSS * math.sqrt(0.5) * coarseness_rad)
+        return _Off(time_ns, angles - led, gain, gain * noise_rad, bound_rad)
 
     def _told(self, first: _Off, angles: FloatArray, off: _Off, now: FloatArray) -> EncoderStep | None:
         """What the reading after a step at first sight says of it; the readings are ``angles`` and ``now``."""
@@ -162,15 +163,18 @@ class EncoderSteps:
 
 
 @lru_cache(maxsize=64)
-def _weights(since_ns: tuple[int, ...]) -> FloatArray:
-    """Weights of values at some moments in the value at zero of the cubic through them, least squares."""
+def _weights(since_ns: tuple[int, ...]) -> tuple[FloatArray, float]:
+    """Weights of values at some moments in the value at zero of the cubic through them, by least squares.
+
+    The second is the sigma of a further value's distance from that one, per sigma of a value.
+    """
     seconds = np.array(since_ns) / SECOND_NS
     powers = np.vander(seconds / np.max(np.abs(seconds)), 4, increasing=True)
     weights: FloatArray = np.linalg.pinv(powers)[0]
-    return weights
+    return weights, float(np.sqrt(1.0 + weights @ weights))
 
 
 def short_way(angles: FloatArray) -> FloatArray:
     """Angles the short way round."""
-    wrapped: FloatArray = angles - 2.0 * np.pi * np.round(angles / (2.0 * np.pi))
+    wrapped: FloatArray = angles - _FULL_TURN * np.rint(angles / _FULL_TURN)
     return wrapped

@@ -245,9 +245,9 @@ class EncoderWatch:
         last, rate = self._last
         step = short_way(sample.vector - last.vector)
         interval_s = (sample.time_ns - last.time_ns) * 1e-9
-        if np.any(step):
+        if step.any():
             self._witnesses, self._still_since_ns, self._in_doubt_since_ns = {}, sample.time_ns, None
-        elif np.max(np.abs(rate)) * interval_s > _SIGMAS * self._sigma_rad and self._in_doubt_since_ns is None:
+        elif np.abs(rate).max() * interval_s > _SIGMAS * self._sigma_rad and self._in_doubt_since_ns is None:
             self._in_doubt_since_ns = sample.time_ns
         self._last = sample, step / interval_s
 

@@ -6,6 +6,7 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ship_estimation.outcome import Decision, Outcome, Status
 from ship_estimation.refusals import Refusal
@@ -13,6 +14,9 @@ from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.exposure_mean import Nodes, exposure_nodes
 from ship_geometry.rotations import FloatArray
 from ship_geometry.vector_track import VectorSample
+
+StampArray = NDArray[np.int64]
+"""Stamps, ns."""
 
 
 class Mode(enum.IntEnum):
@@ -37,6 +41,29 @@ class EncoderSample(VectorSample):
         """See :meth:`VectorSample.content`."""
         sigma: bytes = np.float64(self.sigma).tobytes()
         return super().content() + sigma
+
+
+@dataclass(frozen=True)
+class EncoderRun:
+    """N readings of the encoders, with what their watch says of them.
+
+    Attributes:
+        time_ns: in ascending order, shape (N,).
+        angles: azimuth and elevation, rad, shape (N, 2).
+        variance: of each of the two, by noise and doubt, rad², shape (N,).
+        doubt: why each is in doubt; empty where it is not.
+    """
+
+    time_ns: StampArray
+    angles: FloatArray
+    variance: FloatArray
+    doubt: list[str]
+
+    @classmethod
+    def of_one(cls, sample: EncoderSample, doubt: str = "", doubt_rad: float = 0.0) -> "EncoderRun":
+        """The run of one reading; the doubt is a standard deviation of each angle beside the noise."""
+        variance = np.array([sample.sigma**2 + doubt_rad**2])
+        return cls(np.array([sample.time_ns]), sample.vector[None], variance, [doubt])
 
 
 @dataclass(frozen=True)
@@ -164,7 +191,7 @@ class PointingEstimate:
         text: why it is not VALID.
         by_error_n: rotation vector of the main axis in n per error of the chain, shape (3, k).
         rotation_dm: deck from main frame, by the deck as tf2 gives it between two ship/attitude: with that deck it is
-            ``rotation_nm``, shape (3, 3); None where the pointing knows of no ship/attitude.
+            ``rotation_nm``, shape (3, 3); NaN where the pointing knows of no ship/attitude.
     """
 
     time_ns: int
@@ -177,9 +204,62 @@ class PointingEstimate:
     status: Status
     light_count: int
     state: Any = field(repr=False)
-    text: str = ""
-    by_error_n: FloatArray = field(default_factory=lambda: np.empty((3, 0)))
-    rotation_dm: FloatArray | None = None
+    text: str
+    by_error_n: FloatArray
+    rotation_dm: FloatArray
+
+
+@dataclass(frozen=True)
+class PointingRun:
+    """Where the main axis points at N moments, by one state; each field is that of :class:`PointingEstimate`.
+
+    Attributes:
+        time_ns: in ascending order, shape (N,).
+        rotation_nm: shape (N, 3, 3).
+        parts_n: shape (N, n_sources, 3, 3).
+        covariance_n: shape (N, 3, 3).
+        undisputed_n: shape (N, 3, 3).
+        rotation_nt: shape (N, 3, 3).
+        mode: shape (N,).
+        status: N of them.
+        light_count: shape (N,).
+        state: of the filter.
+        text: N of them.
+        by_error_n: shape (N, 3, k).
+        rotation_dm: shape (N, 3, 3).
+    """
+
+    time_ns: StampArray
+    rotation_nm: FloatArray
+    parts_n: FloatArray
+    covariance_n: FloatArray
+    undisputed_n: FloatArray
+    rotation_nt: FloatArray
+    mode: NDArray[np.int64]
+    status: list[Status]
+    light_count: NDArray[np.int64]
+    state: Any = field(repr=False)
+    text: list[str]
+    by_error_n: FloatArray
+    rotation_dm: FloatArray
+
+    def one(self, number: int) -> PointingEstimate:
+        """One of them."""
+        return PointingEstimate(
+            time_ns=int(self.time_ns[number]),
+            rotation_nm=self.rotation_nm[number],
+            parts_n=self.parts_n[number],
+            covariance_n=self.covariance_n[number],
+            undisputed_n=self.undisputed_n[number],
+            rotation_nt=self.rotation_nt[number],
+            mode=Mode(self.mode[number]),
+            status=self.status[number],
+            light_count=int(self.light_count[number]),
+            state=self.state,
+            text=self.text[number],
+            by_error_n=self.by_error_n[number],
+            rotation_dm=self.rotation_dm[number],
+        )
 
 
 PointingOutcome = Outcome[ExposureDecision, PointingEstimate]

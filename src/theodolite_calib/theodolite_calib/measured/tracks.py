@@ -32,16 +32,19 @@ _BEFORE_NS = SECOND_NS
 _CREPT_WITHIN_NS = 60 * SECOND_NS
 """So long back the ship's attitude is compared with its own rates where lights creep away from it."""
 
+_DROP_EVERY_NS = SECOND_NS // 10
+"""What is not needed any more is forgotten so often, not at each sample."""
+
 
 @dataclass(frozen=True)
 class ShipAt:
-    """The ship's attitude at one moment, or at several.
+    """The ship's attitude at one moment.
 
     Attributes:
-        rotation_nd: horizon from deck, shape (..., 3, 3).
-        rate_d: angular velocity in the deck frame, rad/s, shape (..., 3).
+        rotation_nd: horizon from deck, shape (3, 3).
+        rate_d: angular velocity in the deck frame, rad/s, shape (3,).
         slow_covariance_n: as in :class:`theodolite_calib.measured.samples.ShipSample`.
-        noise: variance of each component of what is new with each sample, and of interpolation, rad², shape (...).
+        noise: variance of each component of what is new with each sample, and of interpolation, rad².
         status: what the source says that it is worth; between two attitudes, of the lesser one.
         chord_nd: horizon from deck as tf2 gives it, which turns steadily from one ship/attitude to the next; None where
             the attitude is that of the INS alone.
@@ -50,24 +53,57 @@ class ShipAt:
     rotation_nd: FloatArray
     rate_d: FloatArray
     slow_covariance_n: FloatArray | None
-    noise: float | FloatArray
+    noise: float
     status: Status = Status.VALID
     chord_nd: FloatArray | None = None
 
 
 @dataclass(frozen=True)
-class EncoderAt:
-    """The encoders at one moment, or at several.
+class ShipRun:
+    """The ship's attitude at N moments; each field is that of :class:`ShipAt`.
 
     Attributes:
-        azimuth: rad, shape (...).
-        elevation: rad, shape (...).
-        noise: variance of each, that of interpolation included, rad², shape (...).
+        rotation_nd: shape (N, 3, 3).
+        rate_d: shape (N, 3).
+        slow_covariance_n: shape (N, 3, 3); None where the configuration states it.
+        noise: shape (N,).
+        status: N of them.
+        chord_nd: shape (N, 3, 3); None where the attitude is that of the INS alone.
     """
 
-    azimuth: float | FloatArray
-    elevation: float | FloatArray
-    noise: float | FloatArray
+    rotation_nd: FloatArray
+    rate_d: FloatArray
+    slow_covariance_n: FloatArray | None
+    noise: FloatArray
+    status: list[Status]
+    chord_nd: FloatArray | None
+
+    @classmethod
+    def of_one(cls, ship: ShipAt) -> "ShipRun":
+        """The run of one moment."""
+        return cls(
+            rotation_nd=ship.rotation_nd[None],
+            rate_d=ship.rate_d[None],
+            slow_covariance_n=None if ship.slow_covariance_n is None else ship.slow_covariance_n[None],
+            noise=np.array([ship.noise]),
+            status=[ship.status],
+            chord_nd=None if ship.chord_nd is None else ship.chord_nd[None],
+        )
+
+
+@dataclass(frozen=True)
+class EncoderAt:
+    """The encoders at one moment.
+
+    Attributes:
+        azimuth: rad.
+        elevation: rad.
+        noise: variance of each, that of interpolation included, rad².
+    """
+
+    azimuth: float
+    elevation: float
+    noise: float
 
 
 @dataclass(frozen=True)
@@ -114,6 +150,7 @@ class MeasuredTracks:
             id_: AttitudeTrack(_ns(b.imu.max_gap_s)) for id_, b in config.beacons.items() if np.any(b.light.vector_m)
         }
         self.encoder.keeps_ns, self.ship.keeps_ns = _LOOKED_BACK_NS + _BEFORE_NS, _CREPT_WITHIN_NS
+        self._dropped_until_ns = -_DROP_EVERY_NS
         self._all: list[SampleTrack[Any]] = [self.encoder, self.ship, *self.baselines.values(), *self.drones.values()]
         widest_gap_ns = max(track.max_gap_ns for track in self._all)
         self.reach_ns = widest_gap_ns + abs(self.ship_shift_ns) + _LONGEST_REACH_NS
@@ -125,8 +162,10 @@ class MeasuredTracks:
         self._ship_noise = (white_arcsec * ARCSEC) ** 2
 
     def drop_before(self, time_ns: int) -> None:
-        """Forget what no exposure at or after ``time_ns`` needs."""
-        keep_from_ns = time_ns - abs(self.ship_shift_ns)
+        """Forget what no exposure at or after ``time_ns`` needs; of the last moments nothing yet."""
+        if time_ns < self._dropped_until_ns + _DROP_EVERY_NS:
+            return
+        self._dropped_until_ns, keep_from_ns = time_ns, time_ns - abs(self.ship_shift_ns)
         for track in self._all:
             track.drop_before(keep_from_ns)
 
@@ -163,7 +202,7 @@ class MeasuredTracks:
         gain = attitude.noise_gain
         if over is not None:
             gain = self.ship.noise_gain_of_mean(over.moments(time_ns - self.ship_shift_ns))
-        noise = gain * self._ship_noise + float(np.trace(attitude.error_covariance_d))
+        noise = gain * self._ship_noise + float(attitude.error_covariance_d.trace())
         # An attitude between two is worth no more than either of them: the source may have jumped there.
         after = attitude.next_sample
         degraded = isinstance(after, ShipSample) and after.status is Status.DEGRADED
@@ -179,7 +218,7 @@ class MeasuredTracks:
             return None
         azimuth, elevation = angles.vector.tolist()
         gain = angles.noise_gain if over is None else self.encoder.noise_gain_of_mean(over.moments(time_ns))
-        noise = gain * sample.sigma**2 + float(np.trace(angles.error_covariance))
+        noise = gain * sample.sigma**2 + float(angles.error_covariance.trace())
         return EncoderAt(azimuth, elevation, noise)
 
     def streams_since(self, since_ns: int, until_ns: int) -> Streams | None:

@@ -45,7 +45,6 @@ from theodolite_calib.optical_axis.calibration import (
     prior_of,
     state_from_prior,
 )
-from theodolite_calib.optical_axis.integrity import integrity_of
 from theodolite_calib.optical_axis.output import PointingOutput, no_pointing
 
 _TOLD_TWICE = "encoders and ship both say different things of one moment: a clock has told a time twice"
@@ -203,7 +202,7 @@ class OpticalAxisCore:
 
     def integrity(self, estimate: PointingEstimate) -> IntegrityReport:
         """How far a pointing may be wrong although nothing says so."""
-        return integrity_of(self.filter, self.config, estimate)
+        return self._pointing.integrity(estimate)
 
     def sighting(self, exposure: Exposure) -> Sighting | None:
         """An exposure within ``lag_s`` with all that belongs to it; None where that is not there."""

@@ -1,15 +1,19 @@
-"""The pointing at an encoder reading: by the filter's state and the ship's attitude, with its covariance by source."""
+"""The pointing at readings of the encoders: by one state of the filter and the ship's attitude of their moments.
 
-from dataclasses import dataclass, replace
+One function says it for the one reading that a live node has at a time and for the many of a block.
+"""
+
+from typing import NamedTuple
 
 import numpy as np
 
 from ship_estimation.outcome import Status
-from ship_estimation.protection import above_limit, disputed
+from ship_estimation.protection import IntegrityReport, above_limit, disputed
+from ship_geometry import compiled_mounts
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
-from theodolite_calib.chain.axes import DEFORMATION, SHIP, ChainErrors, axis_chain
+from theodolite_calib.chain.axes import DEFORMATION, SHIP
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.alternatives import BEACON
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
@@ -20,27 +24,30 @@ from theodolite_calib.filter.model import (
     SOURCE_SHIP,
     SOURCE_SHIP_NOISE,
     chain_rows,
+    ship_error_steps,
 )
-from theodolite_calib.measured.samples import EncoderSample, Mode, PointingEstimate
-from theodolite_calib.measured.tracks import EncoderAt, ShipAt
-from theodolite_calib.optical_axis.integrity import QUANTITIES, integrity_of
+from theodolite_calib.measured.samples import EncoderRun, EncoderSample, Mode, PointingEstimate, PointingRun
+from theodolite_calib.measured.tracks import ShipAt, ShipRun
+from theodolite_calib.optical_axis.integrity import QUANTITIES, PointingLevels
+
+_NOTHING_HAPPENS = np.empty((0, 3)), np.empty((0, 3, 3))
+"""Of the ship's error: what is left at each moment, and what is new."""
+
+_TWO_LIGHTS, _ONE_LIGHT, _ENCODER = int(Mode.TWO_LIGHTS), int(Mode.ONE_LIGHT), int(Mode.ENCODER)
 
 
-@dataclass(frozen=True)
-class AxisAt:
-    """The axes at one moment, or at several.
+class AxesAt(NamedTuple):
+    """The axes at N moments.
 
     Attributes:
-        rotation_nm: horizon from main frame, shape (..., 3, 3).
-        parts_n: error covariance of the main axis by source, rotation vector in n, rad², shape (..., n_sources, 3, 3).
-        rotation_nt: horizon from telescope, shape (..., 3, 3).
-        by_error_n: rotation vector of the main axis in n per state that turns it, shape (..., 3, k).
+        rotation_nm: horizon from main frame, shape (N, 3, 3).
+        by_error_n: rotation vector of the main axis in n per state that turns it, shape (N, 3, k).
+        parts_n: error covariance of the main axis by source, rotation vector in n, rad², shape (N, n_sources, 3, 3).
     """
 
     rotation_nm: FloatArray
-    parts_n: FloatArray
-    rotation_nt: FloatArray
     by_error_n: FloatArray
+    parts_n: FloatArray
 
 
 class CorrectedAxis:
@@ -52,62 +59,63 @@ class CorrectedAxis:
     Args:
         filter_: the filter and its model.
         state: its state after the last sighting.
+
+    Attributes:
+        state: the same.
+        rotation_mt: main frame from telescope, shape (3, 3).
+        disputed: what the estimates without one source dispute of the states, shape (k, k).
     """
 
     def __init__(self, filter_: CalibrationFilter, state: CalibrationState) -> None:
         self.state = state
-        model, self._ship_error = filter_.model, filter_.ship_error
-        self._transition = model.transition
-        self._rows = chain_rows(model)
-        self._mean = state.mean[self._rows]
-        self._parts = state.parts[:, self._rows[:, None], self._rows]
-        self._disputed = disputed((state.alternatives.mean - state.mean)[:, self._rows], state.separation)
-        self._known = filter_.sightings.chain_errors(state.mean)
-        self._rotation_mt = rotation_from_angles(*filter_.sightings.parallelism(state.mean)).T
-        self._ship, self._deformation, self._encoder, self._ship_noise = (
+        model, rows = filter_.model, chain_rows(filter_.model)
+        ship, deformation = model.blocks["ship.attitude"], model.blocks["deformation"]
+        self._parts = np.ascontiguousarray(state.parts[:, rows[:, None], rows])
+        self._errors = filter_.sightings.chain_errors(state.mean)
+        self._lasting = np.zeros(DEFORMATION.stop, dtype=np.uint8)
+        self._lasting[SHIP] = filter_.ship_error.lasting(self._errors[SHIP])
+        self._time_s = np.concatenate([ship.time_s, deformation.time_s])
+        self._steady = np.array([np.diag(ship.sigma**2), np.diag(deformation.sigma**2)])
+        if state.ship_steady_n is not None:
+            self._steady[0] += state.ship_steady_n
+        self._sources = tuple(
             model.sources.index(source)
             for source in (SOURCE_SHIP, SOURCE_DEFORMATION, SOURCE_ENCODER, SOURCE_SHIP_NOISE)
         )
+        self.rotation_mt = rotation_from_angles(*filter_.sightings.parallelism(state.mean)).T.copy()
+        self.disputed = disputed((state.alternatives.mean - state.mean)[:, rows], state.separation)
 
-    def at(self, since_s: float | FloatArray, ship: ShipAt, encoder: EncoderAt) -> AxisAt:
-        """The axis at a moment at or after the state's.
+    def axes(self, ship: ShipRun, encoders: EncoderRun) -> AxesAt:
+        """The axes at N readings; before the state's moment they are as at it.
 
-        The result depends on the arguments and the state alone. The arguments may be stacks: the leading axes (...) of
-        ``since_s`` and of every number and array in ``ship`` and ``encoder`` are the same, but for
-        ``ship.slow_covariance_n``, which is one for the whole stack. A stack gives what the single calls give, but for
-        rounding (1e-15).
+        The result depends on the arguments and the state alone; one moment gives, to the last bit, what it gives among
+        others.
 
         Args:
-            since_s: time from the state to the moment, at least 0, s, shape (...).
-            ship: of that moment.
-            encoder: of that moment.
+            ship: of the moments of the readings.
+            encoders: the readings.
         """
-        mean, parts = self._carried(since_s, ship)
-        errors = ChainErrors(mean[..., SHIP], mean[..., DEFORMATION], self._known.axes, self._known.ship_time_s)
-        chain = axis_chain(errors, ship.rotation_nd, ship.rate_d, encoder.azimuth, encoder.elevation)
-        by_error = chain.by_error[..., None, :, : len(self._rows)]
-        parts_n = by_error @ parts @ np.swapaxes(by_error, -1, -2)
-        by_encoder = chain.by_encoder @ np.swapaxes(chain.by_encoder, -1, -2)
-        parts_n[..., self._encoder, :, :] += np.asarray(encoder.noise)[..., None, None] * by_encoder
-        parts_n[..., self._ship_noise, :, :] += np.asarray(ship.noise)[..., None, None] * np.eye(3)
-        return AxisAt(chain.rotation_nm, parts_n, chain.rotation_nm @ self._rotation_mt, by_error[..., 0, :, :])
-
-    def disputed_n(self, axis: AxisAt) -> FloatArray:
-        """What the estimates without one source dispute of one axis: covariance in n, rad², shape (3, 3)."""
-        disputed_n: FloatArray = axis.by_error_n @ self._disputed @ axis.by_error_n.T
-        return disputed_n
-
-    def _carried(self, since_s: float | FloatArray, ship: ShipAt) -> tuple[FloatArray, FloatArray]:
-        """Errors of the chain and their covariance by source, shapes (..., k), (..., n_sources, k, k)."""
-        whole_decay, whole_noise = self._transition(since_s)
-        decay, noise = whole_decay[..., self._rows], whole_noise[..., self._rows]
-        mean, parts = decay * self._mean, self._parts * (decay[..., None, :, None] * decay[..., None, None, :])
-        mean[..., SHIP] = self._ship_error.later(self._mean[SHIP], decay[..., SHIP])
-        for source, columns in ((self._ship, SHIP), (self._deformation, DEFORMATION)):
-            diagonal = np.einsum("...ii->...i", parts[..., source, columns, columns])
-            diagonal += noise[..., columns]
-        steady_n, now_n = self.state.ship_steady_n, ship.slow_covariance_n
-        return self._ship_error.carried(mean, parts, SHIP, decay[..., SHIP], steady_n, now_n)[:2]
+        since_ns = np.zeros(len(encoders.time_ns), dtype=np.int64)
+        if self.state.time_ns is not None:
+            since_ns = encoders.time_ns - self.state.time_ns
+        stated_n = ship.slow_covariance_n
+        step = None if stated_n is None else ship_error_steps(self.state.ship_steady_n, stated_n)
+        found = compiled_mounts.pointings(
+            since_ns,
+            ship.rotation_nd,
+            ship.rate_d,
+            ship.noise,
+            encoders.angles,
+            encoders.variance,
+            *(_NOTHING_HAPPENS if step is None else (step.kept, step.new_n)),
+            self._errors,
+            self._lasting,
+            self._time_s,
+            self._steady,
+            self._parts,
+            *self._sources,
+        )
+        return AxesAt(*found)
 
 
 class PointingOutput:
@@ -122,6 +130,7 @@ class PointingOutput:
         self._config, self._filter = config, filter_
         self._recent_ns = round(config.lights_recent_s * SECOND_NS)
         self._corrected: CorrectedAxis | None = None
+        self._levels: PointingLevels | None = None
         self._saved = filter_.model.sources.index(SOURCE_SAVED)
         self._disagreement = filter_.model.sources.index(SOURCE_SHIP)
 
@@ -137,40 +146,84 @@ class PointingOutput:
             doubt_rad: standard deviation of each angle by that, beside its noise.
             state: after the last exposure applied.
         """
+        return self.estimates(EncoderRun.of_one(sample, doubt, doubt_rad), ShipRun.of_one(ship), state).one(0)
+
+    def estimates(self, encoders: EncoderRun, ship: ShipRun, state: CalibrationState) -> PointingRun:
+        """The pointings at N readings; one reading gives, to the last bit, what it gives among others.
+
+        Args:
+            encoders: the readings, none before the state.
+            ship: of their moments.
+            state: after the last exposure applied before them.
+        """
         if self._corrected is None or self._corrected.state is not state:
             self._corrected = CorrectedAxis(self._filter, state)
-        recent = state.used_ns is not None and sample.time_ns - state.used_ns <= self._recent_ns
-        mode = Mode.ENCODER if not recent else Mode.ONE_LIGHT if state.light_count == 1 else Mode.TWO_LIGHTS
-        status, text = self._worth(state, mode, ship.status, doubt)
-        azimuth, elevation = sample.vector.tolist()
-        since_s = 0.0 if state.time_ns is None else max(sample.time_ns - state.time_ns, 0) * 1e-9
-        axis = self._corrected.at(since_s, ship, EncoderAt(azimuth, elevation, sample.sigma**2 + doubt_rad**2))
+        time_ns, axes = encoders.time_ns, self._corrected.axes(ship, encoders)
         if state.trust.conflict is not None:
-            axis.parts_n[self._disagreement] += state.trust.conflict.spread_n
-        undisputed_n = axis.parts_n.sum(axis=0)
-        if recent:  # Of where the axis points without lights the separations say nothing.
-            axis.parts_n[self._disagreement] += self._corrected.disputed_n(axis)
-        estimate = PointingEstimate(
-            time_ns=sample.time_ns,
-            rotation_nm=axis.rotation_nm,
-            parts_n=axis.parts_n,
-            covariance_n=axis.parts_n.sum(axis=0),
-            undisputed_n=undisputed_n,
-            rotation_nt=axis.rotation_nt if recent else np.full((3, 3), np.nan),
-            mode=mode,
-            status=status,
-            light_count=state.light_count if recent else 0,
-            state=state,
-            text=text,
-            by_error_n=axis.by_error_n,
-            rotation_dm=None if ship.chord_nd is None else ship.chord_nd.T @ axis.rotation_nm,
+            axes.parts_n[:, self._disagreement] += state.trust.conflict.spread_n
+        recent = np.zeros(len(time_ns), dtype=bool)
+        if state.used_ns is not None:
+            recent = time_ns - state.used_ns <= self._recent_ns
+        # Of where the axis points without lights the separations say nothing.
+        undisputed_n, covariance_n = compiled_mounts.totals(
+            axes.parts_n, axes.by_error_n, self._corrected.disputed, recent.view(np.uint8), self._disagreement
         )
-        if status is Status.DEGRADED or not self._config.integrity.alert_limit_arcsec:
-            return estimate
-        text = above_limit(integrity_of(self._filter, self._config, estimate), QUANTITIES)
-        return replace(estimate, status=Status.DEGRADED, text=text) if text else estimate
+        mode = np.where(recent, _ONE_LIGHT if state.light_count == 1 else _TWO_LIGHTS, _ENCODER)
+        worth = self._worths(state, mode.tolist(), ship.status, encoders.doubt)
+        rotation_nt = axes.rotation_nm @ self._corrected.rotation_mt
+        rotation_nt[~recent] = np.nan
+        if ship.chord_nd is None:
+            rotation_dm = np.full((len(time_ns), 3, 3), np.nan)
+        else:
+            rotation_dm = ship.chord_nd.swapaxes(1, 2) @ axes.rotation_nm
+        run = PointingRun(
+            time_ns=time_ns,
+            rotation_nm=axes.rotation_nm,
+            parts_n=axes.parts_n,
+            covariance_n=covariance_n,
+            undisputed_n=undisputed_n,
+            rotation_nt=rotation_nt,
+            mode=mode,
+            status=[status for status, _ in worth],
+            light_count=recent * state.light_count,
+            state=state,
+            text=[text for _, text in worth],
+            by_error_n=axes.by_error_n,
+            rotation_dm=rotation_dm,
+        )
+        if self._config.integrity.alert_limit_arcsec:
+            self._degrade_above_limit(run)
+        return run
 
-    def _worth(self, state: CalibrationState, mode: Mode, ship_status: Status, doubt: str) -> tuple[Status, str]:
+    def integrity(self, estimate: PointingEstimate) -> IntegrityReport:
+        """How far a pointing may be wrong although nothing says so."""
+        if self._levels is None or self._levels.state is not estimate.state:
+            self._levels = PointingLevels(self._filter, self._config, estimate.state)
+        return self._levels.of(estimate)
+
+    def _degrade_above_limit(self, run: PointingRun) -> None:
+        """Pointings that may be wrong by more than the alert limit are DEGRADED."""
+        for number, status in enumerate(run.status):
+            if status is not Status.DEGRADED:
+                text = above_limit(self.integrity(run.one(number)), QUANTITIES)
+                if text:
+                    run.status[number], run.text[number] = Status.DEGRADED, text
+
+    def _worths(
+        self, state: CalibrationState, modes: list[int], ship_statuses: list[Status], doubts: list[str]
+    ) -> list[tuple[Status, str]]:
+        """Status of each pointing, and why it is not VALID."""
+        known: dict[tuple[int, Status, str], tuple[Status, str]] = {}
+        worths = []
+        for kind in zip(modes, ship_statuses, doubts, strict=True):
+            worth = known.get(kind)
+            if worth is None:
+                worth = known[kind] = self._worth(state, *kind)
+            worths.append(worth)
+        return worths
+
+    def _worth(self, state: CalibrationState, mode: int, ship_status: Status, doubt: str) -> tuple[Status, str]:
+        """Status of a pointing, and why it is not VALID."""
         if doubt:
             return Status.DEGRADED, doubt
         if state.refusals:
@@ -179,13 +232,13 @@ class PointingOutput:
             return Status.DEGRADED, "lights have disagreed with the encoders and the ship's attitude: nobody knows why"
         for source, left_out in state.trust.left_out.items():
             unconfirmed = state.used_ns is None or state.used_ns < left_out.exclusion.since_ns
-            if mode is Mode.ENCODER or unconfirmed or not source.startswith(BEACON):
+            if mode == Mode.ENCODER or unconfirmed or not source.startswith(BEACON):
                 return Status.DEGRADED, f"{source} is excluded: {left_out.why}"
         if ship_status is Status.DEGRADED:
             return Status.DEGRADED, "the ship's attitude is DEGRADED"
         if state.used_ns is None and not np.any(state.parts[self._saved]):
             return Status.DEGRADED, "no light was ever seen and no calibration loaded: axis errors as configured"
-        if mode is Mode.ENCODER:
+        if mode == Mode.ENCODER:
             return Status.COASTING, "no lights: by encoders, axis errors and the ship's attitude"
         return Status.VALID, ""
 
@@ -193,6 +246,18 @@ class PointingOutput:
 def no_pointing(filter_: CalibrationFilter, state: CalibrationState, now_ns: int, text: str) -> PointingEstimate:
     """No pointing is claimed."""
     unknown = np.full((3, 3), np.nan)
-    parts_n = np.full((len(filter_.model.sources), 3, 3), np.nan)
-    nothing = unknown, parts_n, unknown, unknown, unknown
-    return PointingEstimate(now_ns, *nothing, Mode.ENCODER, Status.INVALID, 0, state, text)
+    return PointingEstimate(
+        time_ns=now_ns,
+        rotation_nm=unknown,
+        parts_n=np.full((len(filter_.model.sources), 3, 3), np.nan),
+        covariance_n=unknown,
+        undisputed_n=unknown,
+        rotation_nt=unknown,
+        mode=Mode.ENCODER,
+        status=Status.INVALID,
+        light_count=0,
+        state=state,
+        text=text,
+        by_error_n=np.full((3, len(chain_rows(filter_.model))), np.nan),
+        rotation_dm=unknown,
+    )

@@ -1,7 +1,7 @@
 """The node ``optical_axis``: which topic feeds which method of its core, what a pointing becomes, its diagnostics."""
 
 import functools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from operator import attrgetter
 from typing import Any, ClassVar
 
@@ -10,28 +10,18 @@ import numpy as np
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.outcome import Status
 from ship_estimation.refusals import Refusal
-from ship_geometry.frames import angle_covariance, angles_from_rotation
-from ship_geometry.ros_axes import (
-    enu_covariance,
-    flu_from_device_vector,
-    mounting_quaternion,
-    quaternion_from_rotation,
-)
+from ship_geometry.ros_axes import flu_from_device_vector
 from ship_geometry.rotations import ARCSEC
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.documents.saved_start import SavedStart
 from ship_node.edge.messages_out import (
     BUDGET_TYPE,
-    DECK_FRAME,
-    HORIZON_FRAME,
     INNOVATION_TYPE,
     INTEGRITY_TYPE,
     TF_TOPIC,
     TF_TYPE,
-    ZERO_VECTOR,
     DiagnosticStatus,
     Level,
-    error_budget,
     refused_input,
 )
 from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, ReportingAdapter, untimed
@@ -44,10 +34,17 @@ from theodolite_calib.optical_axis.core import OpticalAxisCore
 from theodolite_calib.optical_axis.integrity import QUANTITIES
 from theodolite_calib.ros import messages_in
 from theodolite_calib.ros.calibration_file import CALIBRATION_FILE
+from theodolite_calib.ros.pointing_messages import (
+    MAIN_FRAME,
+    POINTING_TOPIC,
+    POINTING_TYPE,
+    error_arcsec,
+    pointing_budget,
+    pointing_messages,
+)
 
-MAIN_FRAME = "theodolite_main"
 BASE_FRAME = "theodolite_base"
-POINTING_TOPIC, INTEGRITY_TOPIC = "theodolite/pointing", "theodolite/integrity"
+INTEGRITY_TOPIC = "theodolite/integrity"
 
 _IMU_TYPE = "sensor_msgs/msg/Imu"
 _SHIP = {
@@ -92,7 +89,7 @@ class OpticalAxisAdapter(ReportingAdapter):
     checked_by: ClassVar["attrgetter[tuple[Any, ...]]"] = attrgetter("status", "mode")
     directions: ClassVar["attrgetter[np.ndarray]"] = attrgetter("by_error_n")
     outputs: tuple[OutputTopic, ...] = (
-        OutputTopic(POINTING_TOPIC, "ship_msgs/msg/OpticalAxisPointing"),
+        OutputTopic(POINTING_TOPIC, POINTING_TYPE),
         OutputTopic("theodolite/calibration", "ship_msgs/msg/TheodoliteCalibration", latched=True),
         OutputTopic("theodolite/error_budget", BUDGET_TYPE),
         OutputTopic(innovation_topic, INNOVATION_TYPE),
@@ -162,78 +159,6 @@ class OpticalAxisAdapter(ReportingAdapter):
             *self.verdicts.statuses(),
             clock_status(self.core.filter.model, self.core.state.mean, {"ship": "ins"}),
         ]
-
-
-def pointing_messages(
-    factory: MessageFactory, lever: Mapping[str, float], estimate: PointingEstimate
-) -> list[Published]:
-    """What a pointing becomes: ship_msgs/OpticalAxisPointing, and the main frame on /tf.
-
-    Where no pointing is claimed the first is all NaN, and the second is not made.
-
-    Args:
-        factory: makes the messages.
-        lever: place of the theodolite in the deck, x forward, y left, z up, m.
-        estimate: the pointing.
-    """
-    azimuth, elevation, image_rotation = angles_from_rotation(estimate.rotation_nm).tolist()
-    telescope_azimuth, telescope_elevation, telescope_rotation = angles_from_rotation(estimate.rotation_nt).tolist()
-    angles_covariance = angle_covariance(estimate.covariance_n, azimuth, elevation)
-    if estimate.rotation_dm is not None:
-        parent, translation, quaternion = DECK_FRAME, lever, mounting_quaternion(estimate.rotation_dm)
-    else:
-        # The INS alone: its attitude is not that of the frame "deck", and nobody may publish that one at all.
-        parent, translation = HORIZON_FRAME, ZERO_VECTOR
-        quaternion = quaternion_from_rotation(estimate.rotation_nm)
-    message = factory.encoded(
-        "ship_msgs/msg/OpticalAxisPointing",
-        header={"stamp": estimate.time_ns, "frame_id": MAIN_FRAME},
-        azimuth=azimuth,
-        elevation=elevation,
-        image_rotation=image_rotation,
-        covariance=angles_covariance.ravel(),
-        rotation_covariance=enu_covariance(estimate.covariance_n).ravel(),
-        telescope_azimuth=telescope_azimuth,
-        telescope_elevation=telescope_elevation,
-        telescope_rotation=telescope_rotation,
-        mode=int(estimate.mode),
-        status=int(estimate.status),
-        light_count=estimate.light_count,
-    )
-    if estimate.status is Status.INVALID:
-        return [(POINTING_TOPIC, message)]
-    main = {
-        "header": {"stamp": estimate.time_ns, "frame_id": parent},
-        "child_frame_id": MAIN_FRAME,
-        "transform": {
-            "translation": translation,
-            "rotation": dict(zip("xyzw", quaternion.tolist(), strict=True)),
-        },
-    }
-    return [(POINTING_TOPIC, message), (TF_TOPIC, factory.encoded(TF_TYPE, transforms=[main]))]
-
-
-def pointing_budget(factory: MessageFactory, estimate: PointingEstimate, sources: Sequence[str]) -> Any:
-    """ship_msgs/ErrorBudget of a published pointing; ``sources`` name the parts of its covariance."""
-    parts_n, covariance_n = estimate.parts_n, estimate.covariance_n
-    return error_budget(factory, "optical_axis", estimate.time_ns, MAIN_FRAME, sources, parts_n, covariance_n)
-
-
-def error_arcsec(factory: MessageFactory, estimate: PointingEstimate) -> Any:
-    """ship_msgs/PointingErrorArcsec: predicted sigmas; an estimator never sees the truth, so errors are NaN."""
-    azimuth, elevation, _ = angles_from_rotation(estimate.rotation_nm)
-    sigma = np.sqrt(np.diagonal(angle_covariance(estimate.covariance_n, azimuth, elevation))) / ARCSEC
-    unknown = float("nan")
-    return factory.make(
-        "ship_msgs/msg/PointingErrorArcsec",
-        header={"stamp": estimate.time_ns, "frame_id": MAIN_FRAME},
-        sigma_azimuth_cos_elevation=float(sigma[0] * np.cos(elevation)),
-        sigma_elevation=float(sigma[1]),
-        sigma_image_rotation=float(sigma[2]),
-        error_azimuth_cos_elevation=unknown,
-        error_elevation=unknown,
-        error_image_rotation=unknown,
-    )
 
 
 def calibration_message(factory: MessageFactory, values: Calibration, now_ns: int) -> Any:

@@ -1,0 +1,112 @@
+"""Samples of an INS that are judged before their turn, and the attitudes that they become when all of them have come.
+
+Offline the samples of some time are there together. They are judged in one go. Then each has its turn among the other
+inputs, so that the filter's state at each sample is what it is live. At the end the attitudes of all are computed,
+those that rest on one state together.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from ship_attitude_star.measurements.samples import AttitudeOutcome, AttitudeRun, StampArray
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.output import CorrectedIns
+from ship_attitude_star.ship_attitude.state import FilterState
+from ship_estimation.ins_guard import Followed
+from ship_estimation.outcome import Status
+from ship_estimation.refusals import Refusal, failure
+from ship_geometry.attitude_track import AttitudeSample, RecentRates, SampleBlock, moved_block
+
+
+class _Stretch(NamedTuple):
+    """Samples that follow one another and whose attitudes rest on one state.
+
+    Attributes:
+        state: of the filter.
+        start: number of the first one.
+        stop: number behind the last one.
+        doubts: of each, why its attitude is DEGRADED whatever it rests on, or an empty text; None for no doubt at all.
+    """
+
+    state: FilterState
+    start: int
+    stop: int
+    doubts: list[str] | None
+
+
+@dataclass
+class InsAhead:
+    """The samples of a block that were judged ahead.
+
+    Attributes:
+        samples: those that go the usual way, from the first one on.
+        block: the same as arrays.
+        arrivals_ns: when each comes, in the time of waiting.
+        followed: what the guard said of them, and of one more where that does not go the usual way.
+        before: the samples before them.
+        taken: how many had their turn.
+        told: number of a sample, and what its turn led to besides an attitude, as far as nobody has asked for it.
+    """
+
+    samples: list[AttitudeSample]
+    block: SampleBlock
+    arrivals_ns: StampArray
+    followed: Followed
+    before: RecentRates
+    taken: int = 0
+    told: list[tuple[int, AttitudeOutcome]] = field(default_factory=list)
+    _stretches: list[_Stretch] = field(default_factory=list)
+
+    @property
+    def count(self) -> int:
+        """How many samples were judged, one that does not go the usual way included."""
+        return len(self.followed.by_rates)
+
+    @property
+    def usual(self) -> int:
+        """How many of them go the usual way."""
+        return len(self.samples)
+
+    def had_turn(self, state: FilterState, stop: int, doubts: list[str] | None) -> None:
+        """Samples up to one, not included, had their turn; arguments as in the attributes of a stretch."""
+        start, self.taken = self.taken, stop
+        last = self._stretches[-1] if self._stretches else None
+        if last is not None and last.state is state and last.doubts is None and doubts is None:
+            start = self._stretches.pop().start
+        self._stretches.append(_Stretch(state, start, stop, doubts))
+
+    def attitudes(
+        self,
+        corrected_by: Callable[[FilterState], CorrectedIns],
+        moved_s: Callable[[CorrectedIns], float],
+        config: ShipAttitudeConfig,
+    ) -> list[tuple[slice, AttitudeRun | Refusal]]:
+        """The attitudes of all samples that had their turn, in order, those of one state together.
+
+        Args:
+            corrected_by: INS attitudes corrected by a state.
+            moved_s: by so much a sample is moved then, s.
+            config: of the node.
+
+        Returns:
+            Numbers of the samples, and their attitudes, or why these could not be computed.
+        """
+        corrected = [corrected_by(stretch.state) for stretch in self._stretches]
+        counts = [stretch.stop - stretch.start for stretch in self._stretches]
+        moved = moved_block(self.before, self.block, np.repeat([moved_s(one) for one in corrected], counts))
+        found: list[tuple[slice, AttitudeRun | Refusal]] = []
+        for one, (_, start, stop, doubts) in zip(corrected, self._stretches, strict=True):
+            some = slice(start, stop)
+            try:
+                run = one.estimates(self.block.times_ns[some], *moved.some(some), config)
+            except Exception as error:
+                found.append((some, failure(error)))
+                continue
+            for number, doubt in enumerate(doubts or ()):
+                if doubt:
+                    run.status[number], run.text[number] = max(run.status[number], Status.DEGRADED), doubt
+            found.append((some, run))
+        return found

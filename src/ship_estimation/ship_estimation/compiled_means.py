@@ -1,0 +1,224 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+"""The running means of whitened turns, compiled: every measurement changes a few numbers of them.
+
+This is the one source of them. It is Python with C types for its numbers, compiled by Cython when the package is built.
+What is computed is told in :mod:`ship_estimation.running_means`; the same in plain numpy stands in the tests.
+"""
+
+import cython
+import numpy as np
+
+if not cython.compiled:
+    raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")
+
+from cython.cimports.libc.math import NAN, fabs, sqrt
+
+_COLUMNS = cython.declare(cython.Py_ssize_t, 5)
+_LASTING = cython.declare(cython.double, 1e-9)
+"""Of an error that lasts, so that one without noise has a covariance."""
+
+
+def _check(what: str, fits: bool) -> None:
+    """Refuse arrays whose shapes do not fit together: the loops look no more.
+
+    Raises:
+        ValueError: they do not.
+    """
+    if not fits:
+        raise ValueError(f"{what}: the shapes of the arrays do not fit together")
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+@cython.inline
+def _larger(worst: cython.double, value: cython.double) -> cython.double:
+    """The larger of two numbers; no number where one of them is none."""
+    return worst if worst != worst or value <= worst else value
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _average(
+    mean: cython.p_double, turn: cython.p_double, weights: cython.const[cython.double][::1]
+) -> cython.void:
+    """Take one turn more into the means, in place, shape (w, 5)."""
+    k: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    weight: cython.double
+    for k in range(weights.shape[0]):
+        weight = weights[k]
+        for i in range(3):
+            mean[i] = (1.0 - weight) * mean[i] + weight * turn[i]
+        mean[3] = (1.0 - weight) * mean[3] + weight
+        mean[4] = (1.0 - weight) * (1.0 - weight) * mean[4] + weight * weight
+        mean += _COLUMNS
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _chi2(mean: cython.p_double) -> cython.double:
+    """Chi² of a mean of independent turns."""
+    return (mean[0] * mean[0] + mean[1] * mean[1] + mean[2] * mean[2]) / mean[4]
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _chi2_beside(mean: cython.p_double, turn_noise: cython.const[cython.double][:, :]) -> cython.double:
+    """Chi² of a mean that a row sees against an error of its own that lasts: only the noise averages out.
+
+    The covariance of the mean is decomposed by Cholesky's factor; chi² is no number where it is none.
+    """
+    lasting: cython.double = mean[3] * mean[3]
+    factor = cython.declare(cython.double[9])
+    solved = cython.declare(cython.double[3])
+    total: cython.double = 0.0
+    left: cython.double
+    i: cython.int
+    j: cython.int
+    k: cython.int
+    for i in range(3):
+        for j in range(i + 1):
+            left = (mean[4] - lasting) * turn_noise[i, j]
+            if i == j:
+                left += lasting + _LASTING
+            for k in range(j):
+                left -= factor[3 * i + k] * factor[3 * j + k]
+            if i != j:
+                factor[3 * i + j] = left / factor[4 * j]
+                continue
+            if not left > 0.0:
+                return NAN
+            factor[4 * i] = sqrt(left)
+        solved[i] = mean[i]
+        for k in range(i):
+            solved[i] -= factor[3 * i + k] * solved[k]
+        solved[i] /= factor[4 * i]
+        total += solved[i] * solved[i]
+    return total
+
+
+def observed(
+    running: cython.const[cython.double][:, :, :, ::1],
+    excess: cython.const[cython.double][:, ::1],
+    refused: cython.const[cython.longlong][:, ::1],
+    heard_ns: cython.const[cython.longlong][::1],
+    contradicts_ns: cython.const[cython.longlong][::1],
+    sources: tuple,
+    turn: cython.const[cython.double][:, :, :],
+    accepted: cython.const[cython.uchar][:, :],
+    time_ns: cython.longlong,
+    weights: cython.const[cython.double][::1],
+    limit: cython.double,
+    largest: cython.double,
+    well: cython.double,
+    long_ago_ns: cython.longlong,
+    beside: cython.bint,
+    turn_noise: cython.const[cython.double][:, :],
+):
+    """The means after a measurement of each of several sources: the fields of ``Means``, in their order.
+
+    Args:
+        running: as in :class:`ship_estimation.running_means.Means`, shape (h, s, w, 5), as are the next four.
+        excess: shape (h, s).
+        refused: shape (h, s).
+        heard_ns: shape (s,).
+        contradicts_ns: shape (s,).
+        sources: index of each of l sources that measured.
+        turn: whitened, in every row, shape (h, l, 3).
+        accepted: whether the measurement passed the gate of each row, shape (h, l).
+        time_ns: its stamp.
+        weights: of one measurement in each mean, shape (w,).
+        limit: of chi².
+        largest: a turn counts as no larger.
+        well: share of the limit below which a source well agrees.
+        long_ago_ns: stamp of one that contradicts nothing.
+        beside: whether the first row does without the source.
+        turn_noise: in that case, the share of the noise in its turn, shape (3, 3).
+
+    Returns:
+        None where a turn is no number, or infinite.
+    """
+    rows: cython.Py_ssize_t = running.shape[0]
+    count: cython.Py_ssize_t = running.shape[1]
+    _check("running", running.shape[2] == weights.shape[0] and running.shape[3] == _COLUMNS)
+    _check("excess", excess.shape[0] == refused.shape[0] == rows and excess.shape[1] == refused.shape[1] == count)
+    _check("heard_ns", heard_ns.shape[0] == contradicts_ns.shape[0] == count)
+    _check("turn", turn.shape[0] == accepted.shape[0] == rows and turn.shape[2] == 3)
+    _check("sources", turn.shape[1] == accepted.shape[1] == len(sources))
+    _check("turn_noise", turn_noise.shape[0] == turn_noise.shape[1] == 3)
+    of_running, of_excess = np.empty((rows, count, weights.shape[0], _COLUMNS)), np.empty((rows, count))
+    of_refused = np.empty((rows, count), dtype=np.int64)
+    of_heard, of_contradicts = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
+    means: cython.double[:, :, :, ::1] = of_running
+    excesses: cython.double[:, ::1] = of_excess
+    refusals: cython.longlong[:, ::1] = of_refused
+    heard: cython.longlong[::1] = of_heard
+    contradicts: cython.longlong[::1] = of_contradicts
+    seen = cython.declare(cython.double[3])
+    mean: cython.p_double
+    size: cython.double
+    worst: cython.double
+    row: cython.Py_ssize_t
+    one: cython.Py_ssize_t
+    s: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    means[...] = running
+    excesses[...] = excess
+    refusals[...] = refused
+    heard[...] = heard_ns
+    contradicts[...] = contradicts_ns
+    for one in range(turn.shape[1]):
+        s = sources[one]
+        _check("sources", 0 <= s < count)
+        for row in range(rows):
+            size = sqrt(turn[row, one, 0] ** 2 + turn[row, one, 1] ** 2 + turn[row, one, 2] ** 2)
+            if not size < float("inf"):
+                return None
+            for i in range(3):
+                seen[i] = turn[row, one, i] * (largest / max(size, largest))
+            mean = cython.address(means[row, s, 0, 0])
+            _average(mean, seen, weights)
+            worst = 0.0
+            for k in range(weights.shape[0]):
+                if beside and row == 0:
+                    worst = _larger(worst, _chi2_beside(mean + k * _COLUMNS, turn_noise))
+                else:
+                    worst = _larger(worst, _chi2(mean + k * _COLUMNS))
+            excesses[row, s] = worst / limit
+            refusals[row, s] = 0 if accepted[row, one] else refusals[row, s] + 1
+        heard[s] = max(heard[s], time_ns)
+        # Written so that NaN does not agree.
+        if excesses[0, s] <= well and refusals[0, s] == 0:
+            contradicts[s] = long_ago_ns
+        elif contradicts[s] == long_ago_ns:
+            contradicts[s] = time_ns
+    return of_running, of_excess, of_refused, of_heard, of_contradicts
+
+
+def averaged(
+    running: cython.const[cython.double][:, ::1],
+    turn: cython.const[cython.double][:],
+    weights: cython.const[cython.double][::1],
+):
+    """The means of one row and source after one turn more, shape (w, 5)."""
+    _check("averaged", running.shape[0] == weights.shape[0] and running.shape[1] == _COLUMNS and turn.shape[0] == 3)
+    result = np.empty((weights.shape[0], _COLUMNS))
+    means: cython.double[:, ::1] = result
+    means[...] = running
+    seen = cython.declare(cython.double[3])
+    seen[0], seen[1], seen[2] = turn[0], turn[1], turn[2]
+    _average(cython.address(means[0, 0]), seen, weights)
+    return result
+
+
+def farthest(running: cython.const[cython.double][:, ::1]) -> cython.double:
+    """The component of a mean, shape (w, 5), that is farthest from zero in its own sigmas; no number where one is."""
+    _check("farthest", running.shape[1] == _COLUMNS)
+    worst: cython.double = 0.0
+    k: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    for k in range(running.shape[0]):
+        for i in range(3):
+            worst = _larger(worst, fabs(running[k, i]) / sqrt(running[k, 4]))
+    return worst

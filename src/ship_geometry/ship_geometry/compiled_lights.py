@@ -1,0 +1,207 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+"""Lines of sight to lights and their points in an image, compiled: of one exposure with N lights, and of many.
+
+This is the one source of them. It is Python with C types for its numbers, compiled by Cython when the package is built.
+What they mean is told in :mod:`theodolite_calib.lights`.
+"""
+
+import cython
+import numpy as np
+
+if not cython.compiled:
+    raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")
+
+from cython.cimports.libc.math import NAN, sqrt
+from cython.cimports.ship_geometry.compiled_rotations import _times
+
+from ship_geometry.compiled_rotations import _check
+
+_COLUMNS = cython.declare(cython.int, 19)
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _copied(matrix: cython.const[cython.double][:, :], out: cython.p_double) -> cython.void:
+    """The nine numbers of a 3 × 3 matrix row by row, however they lie."""
+    i: cython.int
+    j: cython.int
+    for i in range(3):
+        for j in range(3):
+            out[3 * i + j] = matrix[i, j]
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _by_frame(
+    row: cython.p_double, rotation: cython.p_double, sign: cython.double, out: cython.p_double
+) -> cython.void:
+    """A row times a rotation (3 × 3), with a sign."""
+    j: cython.int
+    for j in range(3):
+        out[j] = sign * (row[0] * rotation[j] + row[1] * rotation[3 + j] + row[2] * rotation[6 + j])
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _by_turn(row: cython.p_double, vector: cython.p_double, sign: cython.double, out: cython.p_double) -> cython.void:
+    """A row times [v x], with a sign: the cross product of the row with v."""
+    out[0] = sign * (row[1] * vector[2] - row[2] * vector[1])
+    out[1] = sign * (row[2] * vector[0] - row[0] * vector[2])
+    out[2] = sign * (row[0] * vector[1] - row[1] * vector[0])
+
+
+def sight_lines(
+    baselines: cython.const[cython.double][:, :, :],
+    drones: cython.const[cython.double][:, :, :, :],
+    light_levers: cython.const[cython.double][:, :, :],
+    ships: cython.const[cython.double][:, :, :],
+    mounts: cython.const[cython.double][:, :, :],
+    lever: cython.const[cython.double][:],
+    principal_point: cython.const[cython.double][:],
+    refraction: cython.const[cython.double][:, :],
+    earth_radius_m: cython.double,
+):
+    """Where N lights are seen from a telescope on a ship, in each of E exposures.
+
+    Args:
+        baselines: from the ship's antenna to the drones', in n (North, Up, East), m, shape (E, N, 3).
+        drones: attitudes of the drones (n from b), shape (E, N, 3, 3).
+        light_levers: from a drone's antenna to its light, in b, m, shape (E, N, 3).
+        ships: attitude of the ship (n from d), shape (E, 3, 3).
+        mounts: main frame of the mount (d from m), shape (E, 3, 3).
+        lever: from the ship's antenna to the mount, in d, m, shape (3,).
+        principal_point: of the lens from there, in m, m, shape (3,).
+        refraction: coefficient k of each way, shape (E, N).
+        earth_radius_m: by which a light is raised by k d²/2.
+
+    Returns:
+        Unit vectors in n, refraction included, shape (E, N, 3); distances, m, shape (E, N); and the change of the unit
+        vectors, rad per unit, shape (E, N, 3, 19), by errors of the baseline (n), of the lever (d), of the principal
+        point (m), of the light's lever (b), by a turn of the ship and one of the drone (rotation vectors in n), with
+        three columns each, and by the refraction with one.
+    """
+    epochs: cython.Py_ssize_t = baselines.shape[0]
+    count: cython.Py_ssize_t = baselines.shape[1]
+    _check("baselines", baselines.shape[2] == light_levers.shape[2] == 3)
+    _check("drones", drones.shape[0] == light_levers.shape[0] == refraction.shape[0] == epochs)
+    _check("drones", drones.shape[1] == light_levers.shape[1] == refraction.shape[1] == count)
+    _check("drones", drones.shape[2] == drones.shape[3] == 3)
+    _check("ships", ships.shape[0] == mounts.shape[0] == epochs)
+    _check("ships", ships.shape[1] == ships.shape[2] == mounts.shape[1] == mounts.shape[2] == 3)
+    _check("levers", lever.shape[0] == principal_point.shape[0] == 3)
+    of_directions, of_distances = np.empty((epochs, count, 3)), np.empty((epochs, count))
+    of_changes = np.empty((epochs, count, 3, _COLUMNS))
+    directions: cython.double[:, :, ::1] = of_directions
+    distances: cython.double[:, ::1] = of_distances
+    changes: cython.double[:, :, :, ::1] = of_changes
+    rotation_nd = cython.declare(cython.double[9])
+    rotation_dm = cython.declare(cython.double[9])
+    rotation_nm = cython.declare(cython.double[9])
+    rotation_nb = cython.declare(cython.double[9])
+    lens = cython.declare(cython.double[3])
+    light = cython.declare(cython.double[3])
+    seen = cython.declare(cython.double[3])
+    row = cython.declare(cython.double[3])
+    raised: cython.double
+    length: cython.double
+    out: cython.p_double
+    e: cython.Py_ssize_t
+    n: cython.Py_ssize_t
+    i: cython.int
+    j: cython.int
+    for e in range(epochs):
+        _copied(ships[e], rotation_nd)
+        _copied(mounts[e], rotation_dm)
+        _times(rotation_nd, rotation_dm, rotation_nm)
+        for i in range(3):
+            lens[i] = 0.0
+            for j in range(3):
+                lens[i] += rotation_nd[3 * i + j] * lever[j] + rotation_nm[3 * i + j] * principal_point[j]
+        for n in range(count):
+            _copied(drones[e, n], rotation_nb)
+            length = 0.0
+            for i in range(3):
+                light[i] = 0.0
+                for j in range(3):
+                    light[i] += rotation_nb[3 * i + j] * light_levers[e, n, j]
+                seen[i] = baselines[e, n, i] + light[i] - lens[i]
+                length += seen[i] * seen[i]
+            distances[e, n] = sqrt(length)
+            # A coefficient of 1 raises the light by so many metres.
+            raised = length / (2.0 * earth_radius_m)
+            seen[1] += refraction[e, n] * raised
+            length = sqrt(seen[0] * seen[0] + seen[1] * seen[1] + seen[2] * seen[2])
+            for i in range(3):
+                directions[e, n, i] = seen[i] / length
+            for i in range(3):
+                for j in range(3):
+                    row[j] = ((1.0 if i == j else 0.0) - directions[e, n, i] * directions[e, n, j]) / length
+                out = cython.address(changes[e, n, i, 0])
+                out[0], out[1], out[2] = row[0], row[1], row[2]
+                _by_frame(row, rotation_nd, -1.0, out + 3)
+                _by_frame(row, rotation_nm, -1.0, out + 6)
+                _by_frame(row, rotation_nb, 1.0, out + 9)
+                _by_turn(row, lens, 1.0, out + 12)
+                _by_turn(row, light, -1.0, out + 15)
+                out[18] = row[1] * raised
+    return of_directions, of_distances, of_changes
+
+
+def image_points(
+    directions: cython.const[cython.double][:, :, :],
+    telescopes: cython.const[cython.double][:, :, :],
+    focal_lengths_m: cython.const[cython.double][:],
+    principal_points_m: cython.const[cython.double][:, :],
+):
+    """Where N lights are found on the detector of a telescope, in each of E exposures; NaN behind the telescope.
+
+    Args:
+        directions: of the lights in n, shape (E, N, 3).
+        telescopes: attitudes (n from t: forward, up, right), shape (E, 3, 3).
+        focal_lengths_m: shape (E,).
+        principal_points_m: of the detector (x right, z up), shape (E, 2).
+
+    Returns:
+        Points, m, shape (E, N, 2); their change by the rotation vector of the telescope in n and by the directions,
+        m/rad, shape (E, N, 2, 3) each; and by the focal length, m/m, shape (E, N, 2).
+    """
+    epochs: cython.Py_ssize_t = directions.shape[0]
+    count: cython.Py_ssize_t = directions.shape[1]
+    _check("directions", directions.shape[2] == telescopes.shape[1] == telescopes.shape[2] == 3)
+    _check("telescopes", telescopes.shape[0] == focal_lengths_m.shape[0] == principal_points_m.shape[0] == epochs)
+    _check("principal points", principal_points_m.shape[1] == 2)
+    of_points, of_focal_lengths = np.empty((epochs, count, 2)), np.empty((epochs, count, 2))
+    of_attitudes, of_directions = np.empty((epochs, count, 2, 3)), np.empty((epochs, count, 2, 3))
+    points: cython.double[:, :, ::1] = of_points
+    by_focal_length: cython.double[:, :, ::1] = of_focal_lengths
+    by_attitude: cython.double[:, :, :, ::1] = of_attitudes
+    by_direction: cython.double[:, :, :, ::1] = of_directions
+    rotation_nt = cython.declare(cython.double[9])
+    seen_n = cython.declare(cython.double[3])
+    seen_t = cython.declare(cython.double[3])
+    across: cython.double
+    scale: cython.double
+    e: cython.Py_ssize_t
+    n: cython.Py_ssize_t
+    i: cython.int
+    k: cython.int
+    for e in range(epochs):
+        _copied(telescopes[e], rotation_nt)
+        for n in range(count):
+            for i in range(3):
+                seen_n[i] = directions[e, n, i]
+            _by_frame(seen_n, rotation_nt, 1.0, seen_t)
+            if not seen_t[0] > 0.0:
+                seen_t[0] = NAN
+            # The image is inverted: x by what is to the right, z by what is above.
+            for k in range(2):
+                across = seen_t[2 - k] / seen_t[0]
+                scale = -focal_lengths_m[e] / seen_t[0]
+                by_focal_length[e, n, k] = -across
+                points[e, n, k] = principal_points_m[e, k] - focal_lengths_m[e] * across
+                for i in range(3):
+                    by_direction[e, n, k, i] = scale * (rotation_nt[3 * i + 2 - k] - across * rotation_nt[3 * i])
+                _by_turn(
+                    cython.address(by_direction[e, n, k, 0]), seen_n, 1.0, cython.address(by_attitude[e, n, k, 0])
+                )
+    return of_points, of_attitudes, of_directions, of_focal_lengths

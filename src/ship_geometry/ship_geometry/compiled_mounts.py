@@ -1,0 +1,442 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+"""Where a mount with two axes points that stands on a ship, compiled: for one reading of its encoders, and for many.
+
+This is the one source of it. It is Python with C types for its numbers, compiled by Cython when the package is built.
+With R the measured attitude of the ship (horizon n from deck d) and ω her rate about her own axes, the main frame m of
+the mount (optical axis, up, right) is
+
+    R_nm = exp(a) R exp(-τ ω) · exp(e) · T Ry(A - g) Rx(I) Rz(-(E - h + f cos E)) Ry(-c),   T = exp((βy, 0, -βx))
+
+A and E are what the encoders read. The errors have this order everywhere: a (rotation vector in n), e (rotation vector
+in d), g, h, c, I, βx, βy, f, and τ in seconds. Those of the axes are told in :mod:`theodolite_calib.chain.axes`.
+"""
+
+import cython
+import numpy as np
+
+if not cython.compiled:
+    raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")
+
+from cython.cimports.libc.math import cos, exp, sin
+from cython.cimports.ship_geometry.compiled_rotations import _exponential, _jacobian, _times
+
+from ship_geometry.compiled_rotations import _check
+
+_ERRORS = cython.declare(cython.int, 14)
+_DYING = cython.declare(cython.int, 6)
+"""The first errors, a and e, may die out; the others are constants."""
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _axes(
+    errors: cython.p_double,
+    azimuth: cython.double,
+    elevation: cython.double,
+    rotation: cython.p_double,
+    by_error: cython.p_double,
+    by_encoder: cython.p_double,
+) -> cython.void:
+    """The main frame in the base of the mount, and its rotation vector there by error (3 × 7) and encoder (3 × 2).
+
+    The errors are those of the axes alone, from g on.
+    """
+    tilt = cython.declare(cython.double[3])
+    tilted = cython.declare(cython.double[9])
+    by_tilt = cython.declare(cython.double[9])
+    turn = cython.declare(cython.double[9])
+    turned = cython.declare(cython.double[9])
+    cosine: cython.double
+    sine: cython.double
+    ci: cython.double = cos(errors[3])
+    si: cython.double = sin(errors[3])
+    cc: cython.double = cos(errors[2])
+    sc: cython.double = sin(errors[2])
+    flexure: cython.double = errors[6]
+    raised: cython.double = elevation - errors[1] + flexure * cos(elevation)
+    i: cython.int
+    tilt[0], tilt[1], tilt[2] = errors[5], 0.0, -errors[4]
+    _exponential(tilt, tilted)
+    _jacobian(tilt, by_tilt)
+    # Ry(A - g) Rx(I), multiplied out.
+    cosine, sine = cos(azimuth - errors[0]), sin(azimuth - errors[0])
+    turn[0], turn[1], turn[2] = cosine, sine * si, -sine * ci
+    turn[3], turn[4], turn[5] = 0.0, ci, si
+    turn[6], turn[7], turn[8] = sine, -cosine * si, cosine * ci
+    _times(tilted, turn, turned)
+    # Rz(-(E - h + f cos E)) Ry(-c), multiplied out.
+    cosine, sine = cos(raised), sin(raised)
+    turn[0], turn[1], turn[2] = cosine * cc, -sine, cosine * sc
+    turn[3], turn[4], turn[5] = sine * cc, cosine, sine * sc
+    turn[6], turn[7], turn[8] = -sc, 0.0, cc
+    _times(turned, turn, rotation)
+    cosine, sine = cos(elevation), sin(elevation)
+    for i in range(3):
+        by_error[7 * i] = tilted[3 * i + 1]
+        by_error[7 * i + 1] = -turned[3 * i + 2]
+        by_error[7 * i + 2] = rotation[3 * i + 1]
+        by_error[7 * i + 3] = -turned[3 * i]
+        by_error[7 * i + 4] = -by_tilt[3 * i + 2]
+        by_error[7 * i + 5] = by_tilt[3 * i]
+        by_error[7 * i + 6] = cosine * turned[3 * i + 2]
+        by_encoder[2 * i] = -tilted[3 * i + 1]
+        by_encoder[2 * i + 1] = (1.0 - flexure * sine) * turned[3 * i + 2]
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _chain(
+    errors: cython.p_double,
+    measured: cython.p_double,
+    rate: cython.p_double,
+    azimuth: cython.double,
+    elevation: cython.double,
+    rotation_nd: cython.p_double,
+    rotation_dm: cython.p_double,
+    rotation_nm: cython.p_double,
+    by_error: cython.p_double,
+    by_encoder: cython.p_double,
+) -> cython.void:
+    """One moment of :func:`chains`."""
+    vector = cython.declare(cython.double[3])
+    turn = cython.declare(cython.double[9])
+    moved = cython.declare(cython.double[9])
+    bent = cython.declare(cython.double[9])
+    by_bending = cython.declare(cython.double[9])
+    rotation_nf = cython.declare(cython.double[9])
+    axes = cython.declare(cython.double[9])
+    by_axis = cython.declare(cython.double[21])
+    by_angle = cython.declare(cython.double[6])
+    i: cython.int
+    j: cython.int
+    for i in range(3):
+        vector[i] = -errors[13] * rate[i]
+    _exponential(vector, turn)
+    _times(measured, turn, moved)
+    _exponential(errors, turn)
+    _times(turn, moved, rotation_nd)
+    _exponential(errors + 3, bent)
+    _jacobian(errors + 3, turn)
+    _times(rotation_nd, turn, by_bending)
+    _times(rotation_nd, bent, rotation_nf)
+    _axes(errors + 6, azimuth, elevation, axes, by_axis, by_angle)
+    _times(bent, axes, rotation_dm)
+    _times(rotation_nd, rotation_dm, rotation_nm)
+    _jacobian(errors, turn)
+    for i in range(3):
+        for j in range(3):
+            by_error[14 * i + j] = turn[3 * i + j]
+            by_error[14 * i + 3 + j] = by_bending[3 * i + j]
+        for j in range(7):
+            by_error[14 * i + 6 + j] = (
+                rotation_nf[3 * i] * by_axis[j]
+                + rotation_nf[3 * i + 1] * by_axis[7 + j]
+                + rotation_nf[3 * i + 2] * by_axis[14 + j]
+            )
+        by_error[14 * i + 13] = -(
+            rotation_nd[3 * i] * rate[0] + rotation_nd[3 * i + 1] * rate[1] + rotation_nd[3 * i + 2] * rate[2]
+        )
+        for j in range(2):
+            by_encoder[2 * i + j] = (
+                rotation_nf[3 * i] * by_angle[j]
+                + rotation_nf[3 * i + 1] * by_angle[2 + j]
+                + rotation_nf[3 * i + 2] * by_angle[4 + j]
+            )
+
+
+def chains(
+    errors: cython.const[cython.double][:, ::1],
+    rotations: cython.const[cython.double][:, :, :],
+    rates: cython.const[cython.double][:, :],
+    angles: cython.const[cython.double][:, :],
+):
+    """The mount at N moments.
+
+    Args:
+        errors: as they are known at each moment, shape (N, 14).
+        rotations: measured attitudes of the ship, shape (N, 3, 3).
+        rates: her angular velocity about her own axes, rad/s, shape (N, 3).
+        angles: azimuth and elevation as the encoders read them, rad, shape (N, 2).
+
+    Returns:
+        The corrected attitude of the ship (n from d), the main frame in the deck with the bending e in it (d from m)
+        and in the horizon (n from m), shape (N, 3, 3) each; and the rotation vector of the main frame in n per error,
+        shape (N, 3, 14), and per encoder angle, shape (N, 3, 2).
+    """
+    count: cython.Py_ssize_t = errors.shape[0]
+    _check("moments", rotations.shape[0] == rates.shape[0] == angles.shape[0] == count)
+    _check("errors", errors.shape[1] == _ERRORS)
+    _check("rotations", rotations.shape[1] == rotations.shape[2] == rates.shape[1] == 3)
+    _check("angles", angles.shape[1] == 2)
+    of_nd, of_dm, of_nm = np.empty((count, 3, 3)), np.empty((count, 3, 3)), np.empty((count, 3, 3))
+    of_errors, of_encoders = np.empty((count, 3, _ERRORS)), np.empty((count, 3, 2))
+    rotation_nd: cython.double[:, :, ::1] = of_nd
+    rotation_dm: cython.double[:, :, ::1] = of_dm
+    rotation_nm: cython.double[:, :, ::1] = of_nm
+    by_error: cython.double[:, :, ::1] = of_errors
+    by_encoder: cython.double[:, :, ::1] = of_encoders
+    measured = cython.declare(cython.double[9])
+    rate = cython.declare(cython.double[3])
+    n: cython.Py_ssize_t
+    i: cython.int
+    j: cython.int
+    for n in range(count):
+        for i in range(3):
+            rate[i] = rates[n, i]
+            for j in range(3):
+                measured[3 * i + j] = rotations[n, i, j]
+        _chain(
+            cython.cast(cython.p_double, cython.address(errors[n, 0])),
+            measured,
+            rate,
+            angles[n, 0],
+            angles[n, 1],
+            cython.address(rotation_nd[n, 0, 0]),
+            cython.address(rotation_dm[n, 0, 0]),
+            cython.address(rotation_nm[n, 0, 0]),
+            cython.address(by_error[n, 0, 0]),
+            cython.address(by_encoder[n, 0, 0]),
+        )
+    return of_nd, of_dm, of_nm, of_errors, of_encoders
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _add_turned(
+    by_vector: cython.p_double, width: cython.Py_ssize_t, covariance: cython.p_double, out: cython.p_double
+) -> cython.void:
+    """Add to a covariance (3 × 3) that of a vector of three errors, each with a column of a matrix so wide."""
+    half = cython.declare(cython.double[3])
+    i: cython.int
+    j: cython.int
+    k: cython.int
+    for i in range(3):
+        for k in range(3):
+            half[k] = (
+                by_vector[width * i] * covariance[k]
+                + by_vector[width * i + 1] * covariance[3 + k]
+                + by_vector[width * i + 2] * covariance[6 + k]
+            )
+        for j in range(3):
+            out[3 * i + j] += (
+                half[0] * by_vector[width * j] + half[1] * by_vector[width * j + 1] + half[2] * by_vector[width * j + 2]
+            )
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _turned(
+    by_error: cython.p_double, parts: cython.p_double, size: cython.Py_ssize_t, out: cython.p_double
+) -> cython.void:
+    """J P Jᵀ with J of shape (3, size) and P symmetric, shape (size, size)."""
+    half = cython.declare(cython.double[14])
+    total: cython.double
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    for i in range(3):
+        for j in range(size):
+            half[j] = 0.0
+        for k in range(size):
+            for j in range(size):
+                half[j] += by_error[size * i + k] * parts[size * k + j]
+        for j in range(i, 3):
+            total = 0.0
+            for k in range(size):
+                total += half[k] * by_error[size * j + k]
+            out[3 * i + j] = out[3 * j + i] = total
+
+
+def pointings(
+    since_ns: cython.const[cython.longlong][:],
+    rotations: cython.const[cython.double][:, :, :],
+    rates: cython.const[cython.double][:, :],
+    ship_variances: cython.const[cython.double][:],
+    angles: cython.const[cython.double][:, :],
+    angle_variances: cython.const[cython.double][:],
+    kept: cython.const[cython.double][:, :],
+    new: cython.const[cython.double][:, :, :],
+    errors: cython.const[cython.double][::1],
+    lasting: cython.const[cython.uchar][::1],
+    time_s: cython.const[cython.double][::1],
+    steady: cython.const[cython.double][:, :, ::1],
+    parts: cython.const[cython.double][:, :, ::1],
+    ship: cython.Py_ssize_t,
+    bending: cython.Py_ssize_t,
+    encoder: cython.Py_ssize_t,
+    white: cython.Py_ssize_t,
+):
+    """The mount at N readings of its encoders, corrected by one estimate of its errors, with its covariance by source.
+
+    The errors a and e are Gauss–Markov processes, and e has the steady covariance to which it returns; that of a is the
+    steady one too, and a share of a may be gone and something new come at the moment itself.
+
+    Args:
+        since_ns: time since the estimate, shape (N,); less than none counts as none.
+        rotations: measured attitudes of the ship at the readings, shape (N, 3, 3).
+        rates: her angular velocity about her own axes, rad/s, shape (N, 3).
+        ship_variances: of a further error of each attitude, the same about all axes, rad², shape (N,).
+        angles: azimuth and elevation as the encoders read them, rad, shape (N, 2).
+        angle_variances: of the noise of each of the two, rad², shape (N,).
+        kept: share of a that is left at the moment, shape (N, 3), or (0, 3) where nothing happens at any.
+        new: covariance of what has come new of a, rad², shape (N, 3, 3), or (0, 3, 3).
+        errors: as estimated, shape (14,).
+        lasting: which of the first six do not die out in the mean, shape (6,).
+        time_s: correlation time of the first six, shape (6,).
+        steady: steady covariance of a and of e, rad², shape (2, 3, 3).
+        parts: covariance of the errors by source, with the first 13 or with all of them, shape (n_sources, k, k).
+        ship: index of the source of a.
+        bending: of e.
+        encoder: of the noise of the encoders.
+        white: of the further error of the attitudes.
+
+    Returns:
+        The main frame in the horizon, shape (N, 3, 3); its rotation vector in n per error at the moment, shape
+        (N, 3, k); and the covariance of that vector by source, rad², shape (N, n_sources, 3, 3).
+    """
+    count: cython.Py_ssize_t = since_ns.shape[0]
+    sources: cython.Py_ssize_t = parts.shape[0]
+    size: cython.Py_ssize_t = parts.shape[1]
+    _check("readings", rotations.shape[0] == rates.shape[0] == ship_variances.shape[0] == count)
+    _check("readings", angles.shape[0] == angle_variances.shape[0] == count)
+    _check("rotations", rotations.shape[1] == rotations.shape[2] == rates.shape[1] == 3)
+    _check("angles", angles.shape[1] == 2)
+    steps: cython.bint = kept.shape[0] > 0
+    _check("new", kept.shape[1] == new.shape[1] == new.shape[2] == 3)
+    _check("new", new.shape[0] == kept.shape[0] and (kept.shape[0] == count or not steps))
+    _check("errors", errors.shape[0] == _ERRORS and lasting.shape[0] == time_s.shape[0] == _DYING)
+    _check("steady", steady.shape[0] == 2 and steady.shape[1] == steady.shape[2] == 3)
+    _check("parts", parts.shape[2] == size and (size == _ERRORS - 1 or size == _ERRORS))
+    _check("sources", min(ship, bending, encoder, white) >= 0 and max(ship, bending, encoder, white) < sources)
+    of_rotations, of_errors = np.empty((count, 3, 3)), np.empty((count, 3, size))
+    of_parts = np.empty((count, sources, 3, 3))
+    rotation_nm: cython.double[:, :, ::1] = of_rotations
+    by_error: cython.double[:, :, ::1] = of_errors
+    out: cython.double[:, :, :, ::1] = of_parts
+    now = cython.declare(cython.double[14])
+    decay = cython.declare(cython.double[6])
+    measured = cython.declare(cython.double[9])
+    rate = cython.declare(cython.double[3])
+    rotation_nd = cython.declare(cython.double[9])
+    rotation_dm = cython.declare(cython.double[9])
+    by_all = cython.declare(cython.double[42])
+    by_encoder = cython.declare(cython.double[6])
+    carried = cython.declare(cython.double[42])
+    fresh = cython.declare(cython.double[9])
+    left = cython.declare(cython.double[3])
+    since_s: cython.double
+    n: cython.Py_ssize_t
+    s: cython.Py_ssize_t
+    i: cython.int
+    j: cython.int
+    for n in range(count):
+        since_s = 1e-9 * max(since_ns[n], 0)
+        for i in range(_ERRORS):
+            now[i] = errors[i]
+        for i in range(_DYING):
+            decay[i] = exp(-since_s / time_s[i])
+            if not lasting[i]:
+                now[i] *= decay[i]
+        for i in range(3):
+            left[i] = kept[n, i] if steps else 1.0
+            now[i] *= left[i]
+            rate[i] = rates[n, i]
+            for j in range(3):
+                measured[3 * i + j] = rotations[n, i, j]
+        _chain(
+            now,
+            measured,
+            rate,
+            angles[n, 0],
+            angles[n, 1],
+            rotation_nd,
+            rotation_dm,
+            cython.address(rotation_nm[n, 0, 0]),
+            by_all,
+            by_encoder,
+        )
+        for i in range(3):
+            for j in range(size):
+                by_error[n, i, j] = carried[size * i + j] = by_all[14 * i + j]
+            for j in range(_DYING):
+                carried[size * i + j] *= decay[j]
+            for j in range(3):
+                carried[size * i + j] *= left[j]
+        for s in range(sources):
+            _turned(
+                carried,
+                cython.cast(cython.p_double, cython.address(parts[s, 0, 0])),
+                size,
+                cython.address(out[n, s, 0, 0]),
+            )
+        for i in range(3):
+            for j in range(3):
+                fresh[3 * i + j] = (1.0 - decay[i] * decay[j]) * steady[0, i, j]
+                if steps:
+                    fresh[3 * i + j] = left[i] * fresh[3 * i + j] * left[j] + new[n, i, j]
+        _add_turned(by_all, 14, fresh, cython.address(out[n, ship, 0, 0]))
+        for i in range(3):
+            for j in range(3):
+                fresh[3 * i + j] = (1.0 - decay[3 + i] * decay[3 + j]) * steady[1, i, j]
+        _add_turned(cython.address(by_all[3]), 14, fresh, cython.address(out[n, bending, 0, 0]))
+        for i in range(3):
+            out[n, white, i, i] += ship_variances[n]
+            for j in range(3):
+                out[n, encoder, i, j] += angle_variances[n] * (
+                    by_encoder[2 * i] * by_encoder[2 * j] + by_encoder[2 * i + 1] * by_encoder[2 * j + 1]
+                )
+    return of_rotations, of_errors, of_parts
+
+
+def totals(
+    parts: cython.double[:, :, :, ::1],
+    by_error: cython.const[cython.double][:, :, ::1],
+    beside: cython.const[cython.double][:, ::1],
+    added: cython.const[cython.uchar][:],
+    source: cython.Py_ssize_t,
+):
+    """The sums of N covariances by source, before and after that of further errors is added to one source in place.
+
+    Args:
+        parts: covariance by source, shape (N, n_sources, 3, 3).
+        by_error: rotation vector per error, shape (N, 3, k).
+        beside: symmetric covariance of the further errors, shape (k, k).
+        added: to which of the N it is added, shape (N,).
+        source: index of the source.
+
+    Returns:
+        Shape (N, 3, 3) each.
+    """
+    count: cython.Py_ssize_t = parts.shape[0]
+    sources: cython.Py_ssize_t = parts.shape[1]
+    size: cython.Py_ssize_t = by_error.shape[2]
+    _check("covariances", parts.shape[2] == parts.shape[3] == by_error.shape[1] == 3)
+    _check("moments", by_error.shape[0] == added.shape[0] == count)
+    _check("beside", beside.shape[0] == beside.shape[1] == size and 0 < size <= _ERRORS)
+    _check("source", 0 <= source < sources)
+    of_before, of_after = np.empty((count, 3, 3)), np.empty((count, 3, 3))
+    before: cython.double[:, :, ::1] = of_before
+    after: cython.double[:, :, ::1] = of_after
+    further = cython.declare(cython.double[9])
+    n: cython.Py_ssize_t
+    s: cython.Py_ssize_t
+    i: cython.int
+    j: cython.int
+    for n in range(count):
+        for i in range(9):
+            further[i] = 0.0
+        if added[n]:
+            _turned(
+                cython.cast(cython.p_double, cython.address(by_error[n, 0, 0])),
+                cython.cast(cython.p_double, cython.address(beside[0, 0])),
+                size,
+                further,
+            )
+        for i in range(3):
+            for j in range(3):
+                before[n, i, j] = 0.0
+                for s in range(sources):
+                    before[n, i, j] += parts[n, s, i, j]
+                parts[n, source, i, j] += further[3 * i + j]
+                after[n, i, j] = before[n, i, j] + further[3 * i + j]
+    return of_before, of_after

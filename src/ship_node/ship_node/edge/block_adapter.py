@@ -1,0 +1,92 @@
+"""The adapter of a node whose core looks ahead: offline many messages of a topic are read and judged before their turn.
+
+What a message leads to is what it leads to by itself (:mod:`ship_node.edge.reporting_adapter`), to the last bit.
+"""
+
+from abc import abstractmethod
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from ship_bags.cdr_template import CdrRows
+from ship_estimation.refusals import Refusal
+from ship_node.edge.blocks import BlockPart, BlockTurn, PublishedRows, StampArray, parts_with_levels
+from ship_node.edge.messages_in import ReadMessage
+from ship_node.edge.reporting_adapter import ReportingAdapter
+
+
+class BlockAdapter(ReportingAdapter):
+    """An adapter that takes the messages of some topics in blocks, too; see :class:`ReportingAdapter`."""
+
+    def takes_blocks(self, topic: str) -> bool:
+        """Whether the messages of a topic can be given many at once."""
+        return self.feeds[topic].block is not None
+
+    @property
+    def quiet_until_ns(self) -> int:
+        """Time of waiting before which a tick does nothing, as long as blocks are taken as they come."""
+        if self.slow_due_ns is None or (self.saved is not None and self.saved.is_due):
+            return 0
+        if self.saved is None:
+            return self.slow_due_ns
+        return min(self.slow_due_ns, self.saved.next_look_ns(self.config.alignment_autosave_s))
+
+    def look_ahead(self, topic: str, messages: CdrRows, receive_ns: StampArray) -> BlockTurn | None:
+        """Read and judge the first messages of a block before their turn; None where the first is to be taken alone.
+
+        Until all of them had their turn no other message of the topic is handled. Estimates and levels, which no other
+        message asks for, are computed at the end (:meth:`end_ahead`).
+        """
+        block = self.feeds[topic].block
+        if block is None or (self.saved is not None and self.saved.is_due):
+            return None
+        reading = block.read(messages, receive_ns)
+        count = len(reading.samples.times_ns)
+        ahead = block.core.look_ahead(reading.samples, receive_ns[:count]) if count else None
+        return None if ahead is None else BlockTurn(topic, reading, receive_ns[: ahead.count], ahead)
+
+    def take_ahead(self, turn: BlockTurn, stop: int) -> list[BlockPart]:
+        """The messages of a block have their turn, up to one that is not included; what is to be published at once."""
+        block = self.feeds[turn.topic].block
+        assert block is not None
+        block.core.take_ahead(turn.ahead, min(stop, turn.ahead.usual))
+        told, turn.ahead.told[:] = list(turn.ahead.told), []
+        parts = []
+        for place, outcome in told:
+            now_ns = int(turn.receive_ns[place])
+            parts.append(BlockPart(place, self.published(outcome, now_ns, now_ns)))
+        return parts
+
+    def end_ahead(self, turn: BlockTurn) -> list[BlockPart]:
+        """All messages of a block had their turn: what they lead to besides."""
+        feed, usual, known = self.feeds[turn.topic], turn.ahead.usual, turn.reading.covariance_known
+        assert feed.block is not None
+        if usual:
+            times_ns = turn.reading.samples.times_ns[:usual]
+            self.health.took_block(turn.topic, turn.receive_ns[:usual], times_ns, known)
+        parts: list[BlockPart] = []
+        for some, found in feed.block.core.estimates_ahead(turn.ahead):
+            parts += self._parts(some, found, turn)
+        last = feed.block.core.end_ahead(turn.ahead)
+        if last is not None:
+            reading, now_ns = ReadMessage(turn.reading.samples.one(usual), known), int(turn.receive_ns[usual])
+            parts.append(BlockPart(usual, self.told(feed, reading, last, now_ns, now_ns)))
+        return parts
+
+    def _parts(self, some: slice, found: Any, turn: BlockTurn) -> Iterator[BlockPart]:
+        """What estimates of a block lead to, with the protection levels that are told before some of them."""
+        if isinstance(found, Refusal):
+            for place in range(some.start, some.stop):
+                time_ns = int(turn.reading.samples.times_ns[place])
+                yield BlockPart(place, [self.failed(self.main_topic, time_ns, found)])
+            return
+        if self.integrity_topic:
+            checked_by = list(zip(*self.checked_by(found), strict=True))
+            directions, levels_before = self.directions(found), self.levels_before
+            yield from parts_with_levels(some.start, found, self.told_levels, checked_by, directions, levels_before)
+        else:
+            yield BlockPart(some.start, [], found)
+        self.latest = self.budget_due = found.one(len(found.time_ns) - 1)
+
+    @abstractmethod
+    def block_messages(self, runs: Sequence[Any]) -> Iterator[PublishedRows]:
+        """What the outputs of several runs become, the messages of each in the order in which they are published."""

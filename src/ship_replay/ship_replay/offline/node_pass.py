@@ -1,0 +1,188 @@
+"""One node's way through the messages and ticks of some time, its inputs in blocks where they go the usual way.
+
+A node is given, moment by moment, what it is given one by one: what the nodes before it published, then the message of
+the bag or the tick. Only what does not depend on the others is done for the messages of a block together.
+"""
+
+from collections.abc import Mapping, Set
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ship_bags.cdr_template import CdrRows
+from ship_node.edge.adapter import TICK_PERIOD_NS, Adapter
+from ship_node.edge.block_adapter import BlockAdapter
+from ship_node.edge.blocks import BlockPart, BlockTurn, PublishedRows, StampArray
+from ship_node.edge.topics import Published
+
+_PATIENCE = 8
+"""Where a message does not go the usual way, so many after it are taken one by one."""
+
+
+@dataclass(slots=True)
+class Moment:
+    """A tick, or a message of the bag.
+
+    Attributes:
+        now_ns: the time.
+        topic: of the message, relative; empty for a tick.
+        message: decoded; None for a tick, and where it cannot be decoded.
+    """
+
+    now_ns: int
+    topic: str = ""
+    message: Any = None
+
+
+class TopicRows(NamedTuple):
+    """The messages of one topic among the moments, all laid out alike.
+
+    Attributes:
+        messages: the messages.
+        times_ns: when each came, shape (N,).
+        places: numbers of their moments, shape (N,).
+    """
+
+    messages: CdrRows
+    times_ns: StampArray
+    places: StampArray
+
+
+class EstimatesOfMoments(NamedTuple):
+    """Estimates, one at each of several moments; ``order`` is their place among what else was published there."""
+
+    topic: str
+    places: StampArray
+    order: int
+    estimates: Any
+
+
+class RowsOfMoments(NamedTuple):
+    """The messages of estimates on one topic, and the number of the moment and the order of each."""
+
+    rows: PublishedRows
+    places: StampArray
+    orders: StampArray
+
+
+@dataclass
+class Passed:
+    """What a node published.
+
+    Attributes:
+        single: number of the moment, order within it, and messages.
+        runs: estimates.
+        rows: the messages that these become.
+    """
+
+    single: list[tuple[int, int, list[Published]]] = field(default_factory=list)
+    runs: list[EstimatesOfMoments] = field(default_factory=list)
+    rows: list[RowsOfMoments] = field(default_factory=list)
+
+
+class NodePass:
+    """The way of one node.
+
+    Args:
+        adapter: the node.
+        taken: topics that it takes.
+        moments: in order.
+        rows: topic → its messages, of topics that some node may take in blocks; the others are decoded.
+        given: number of a moment → what the nodes before it published there, of topics that it takes.
+    """
+
+    def __init__(
+        self,
+        adapter: Adapter,
+        taken: Set[str],
+        moments: list[Moment],
+        rows: Mapping[str, TopicRows],
+        given: Mapping[int, list[Published]],
+    ) -> None:
+        self._adapter, self._taken, self._moments, self._given = adapter, taken, moments, given
+        self._rows, self._next = rows, dict.fromkeys(rows, 0)
+        # The same node, as one that takes blocks; None where it does not.
+        self._ahead = adapter if isinstance(adapter, BlockAdapter) else None
+        self._turn: BlockTurn | None = None
+        self._turn_places: StampArray = np.empty(0, dtype=np.int64)
+        self._arrived = self._patience = self._order = 0
+        self.passed = Passed()
+
+    def run(self) -> Passed:
+        """Go through all moments, then make the messages of the estimates."""
+        for place, moment in enumerate(self._moments):
+            for topic, message in self._given.get(place, ()):
+                self._handle(place, topic, message)
+            if not moment.topic:
+                self._tick(place, moment.now_ns)
+            elif moment.topic in self._taken:
+                if moment.topic in self._rows:
+                    self._arrive(place, moment)
+                elif moment.message is not None:
+                    self._handle(place, moment.topic, moment.message)
+        if self._ahead is not None and self.passed.runs:
+            self._make_messages(self._ahead, self.passed.runs)
+        return self.passed
+
+    def _make_messages(self, adapter: BlockAdapter, runs: list[EstimatesOfMoments]) -> None:
+        places = np.concatenate([run.places for run in runs])
+        orders = np.repeat([run.order for run in runs], [len(run.places) for run in runs])
+        for rows in adapter.block_messages([run.estimates for run in runs]):
+            self.passed.rows.append(RowsOfMoments(rows, places[rows.places], orders[rows.places]))
+
+    def _tick(self, place: int, now_ns: int) -> None:
+        # In the time of a block no tick does anything, or the block would end before it.
+        if self._turn is None:
+            self._publish(place, self._adapter.tick(now_ns))
+
+    def _handle(self, place: int, topic: str, message: Any) -> None:
+        if self._turn is not None:
+            assert self._ahead is not None
+            self._publish_parts(self._ahead.take_ahead(self._turn, self._arrived))
+        self._publish(place, self._adapter.handle(topic, message, self._moments[place].now_ns))
+
+    def _arrive(self, place: int, moment: Moment) -> None:
+        """A message that stands among rows."""
+        number = self._next[moment.topic]
+        self._next[moment.topic] += 1
+        if self._turn is None and self._ahead is not None and self._ahead.takes_blocks(moment.topic):
+            self._turn = self._begin(self._ahead, moment.topic, number)
+        if self._ahead is None or self._turn is None or self._turn.topic != moment.topic:
+            self._handle(place, moment.topic, self._rows[moment.topic].messages.message(number))
+            return
+        self._arrived += 1
+        if self._arrived == self._turn.ahead.count:
+            turn, self._turn = self._turn, None
+            self._publish_parts(self._ahead.take_ahead(turn, self._arrived))
+            self._publish_parts(self._ahead.end_ahead(turn))
+
+    def _begin(self, adapter: BlockAdapter, topic: str, number: int) -> BlockTurn | None:
+        """Begin a block with a message, where it goes the usual way."""
+        if self._patience:
+            self._patience -= 1
+            return None
+        rows, turn = self._rows[topic], None
+        # The first tick that is not quiet comes before the message logged with it.
+        tick_ns = -(-adapter.quiet_until_ns // TICK_PERIOD_NS) * TICK_PERIOD_NS
+        some = slice(number, int(np.searchsorted(rows.times_ns, tick_ns)))
+        if some.stop > some.start:
+            turn = adapter.look_ahead(topic, rows.messages.some(some), rows.times_ns[some])
+        if turn is None:
+            self._patience = _PATIENCE
+        self._turn_places, self._arrived = rows.places[some], 0
+        return turn
+
+    def _publish(self, place: int, published: list[Published]) -> None:
+        if published:
+            self.passed.single.append((place, self._order, published))
+            self._order += 1
+
+    def _publish_parts(self, parts: list[BlockPart]) -> None:
+        assert self._ahead is not None
+        for part in parts:
+            self._publish(int(self._turn_places[part.place]), part.published)
+            if part.estimates is not None:
+                places = self._turn_places[part.place : part.place + len(part.estimates.time_ns)]
+                self.passed.runs.append(EstimatesOfMoments(self._ahead.main_topic, places, self._order, part.estimates))
+                self._order += 1

@@ -1,0 +1,224 @@
+"""Peers: the ship's filter beside GTSAM's smoothers over the same measurements, and beside a step of filterpy.
+
+The peers are given what the filter works out in its step, each measurement linearised and weighed, and keep none of its
+budget by sources. Their time is that of taking a measurement and of telling the state and its covariance after it. They
+are not installed by ``make setup``: ``pip install gtsam filterpy`` brings them; without them their rows are left out.
+"""
+
+import importlib
+import time
+from types import ModuleType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bench_filter import run_of, ship_steps_us
+from bench_rows import Row, by_turns, median_ratio, median_us
+from ship_attitude_star.ship_attitude.model import ShipStateModel
+from ship_estimation.kalman import LinearMeasurement
+from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_replay.trials.monte_carlo import core_for, feed_attitude
+from ship_replay.trials.one_estimate import WithoutIntegrity
+from ship_simulation.run import SimulatedRun
+
+DURATION_S, ROUNDS = 60.0, 3
+LAG_S = 2.0
+MOST_OF_SMOOTHER = 0.1
+MOST_DIFFERENCE_ARCSEC = 0.05
+"""Of the INS's error, as it is estimated after each measurement."""
+
+_INS_ERROR = slice(0, 3)
+"""States that stand first in the filter, and in what a smoother knows of a moment."""
+
+
+class Measured(NamedTuple):
+    """A measurement as the filter has used it.
+
+    Attributes:
+        time_s: of the measurement, since the start.
+        linear: linearised at the state predicted to it.
+        at_mean: that state.
+        mean: the state after it.
+    """
+
+    time_s: float
+    linear: LinearMeasurement
+    at_mean: FloatArray
+    mean: FloatArray
+
+
+def peers_cost() -> list[Row]:
+    """The ship's filter and each peer that is installed, by turns."""
+    run = run_of("paper", DURATION_S)
+    rows: list[Row] = []
+    if (gtsam := _installed("gtsam")) is not None:
+        rows += _smoother_rows(gtsam, run)
+    if (filterpy := _installed("filterpy.kalman")) is not None:
+        rows += _filterpy_rows(filterpy, run)
+    return rows
+
+
+def _installed(module: str) -> ModuleType | None:
+    try:
+        return importlib.import_module(module)
+    except Exception as problem:
+        # Whatever a library of others raises where it does not fit this machine.
+        print(f"bench: peers: no rows of {module.partition('.')[0]}, which cannot be imported: {problem}")
+        return None
+
+
+def _smoother_rows(gtsam: ModuleType, run: SimulatedRun) -> list[Row]:
+    model, measured = _measured(run)
+    own, lag, whole = by_turns(
+        ROUNDS,
+        lambda: (float(np.mean(ship_steps_us(run, WithoutIntegrity))), 0.0),
+        lambda: _smoothed(gtsam, model, measured, LAG_S),
+        lambda: _smoothed(gtsam, model, measured, None),
+    )
+    own_us, lag_us, whole_us = ([cost_us for cost_us, _ in figures] for figures in (own, lag, whole))
+    of_lag = f"GTSAM's fixed lag of {LAG_S:g} s"
+    of_whole = f"GTSAM's iSAM2 over {DURATION_S:g} s"
+    return [
+        Row(f"step of the ship's filter over {len(measured)} measurements: mean", float(np.median(own_us)), "us"),
+        Row(f"the same measurements by {of_lag}: mean", float(np.median(lag_us)), "us"),
+        Row(f"the same measurements by {of_whole}: mean", float(np.median(whole_us)), "us"),
+        Row(f"ratio: ship's filter / {of_lag}", median_ratio(own_us, lag_us), "x", MOST_OF_SMOOTHER, of_lag),
+        Row(f"ratio: ship's filter / {of_whole}", median_ratio(own_us, whole_us), "x", None, of_whole),
+        Row(f"difference of the estimates by {of_lag}: greatest", lag[0][1], "arcsec", MOST_DIFFERENCE_ARCSEC),
+        Row(f"difference of the estimates by {of_whole}: greatest", whole[0][1], "arcsec", MOST_DIFFERENCE_ARCSEC),
+    ]
+
+
+def _measured(run: SimulatedRun) -> tuple[ShipStateModel, list[Measured]]:
+    """The model of the ship's filter, and all that the filter uses in a run."""
+    core = core_for(run.scenario)
+    core.filter = WithoutIntegrity(core.config)
+    core.reset()
+    step, linearised = core.filter.step, core.filter.linearisation.of
+    last: list[Any] = []
+    measured: list[Measured] = []
+
+    def kept(measurement: Any, mean: FloatArray, *others: Any) -> Any:
+        last[:] = mean.copy(), linearised(measurement, mean, *others)
+        return last[1]
+
+    def noted(state: Any, measurement: Any, *others: Any) -> Any:
+        result = step(state, measurement, *others)
+        if result is not None and result[1].accepted:
+            time_s = float(measurement.time_ns - run.ins.time_ns[0]) * 1e-9
+            measured.append(Measured(time_s, last[1].compared.linear, last[0], result[0].means[0]))
+        return result
+
+    core.filter.step, core.filter.linearisation.of = noted, kept  # type: ignore[method-assign]
+    feed_attitude(core, run)
+    return core.filter.model, measured
+
+
+def _smoothed(
+    gtsam: ModuleType, model: ShipStateModel, measured: list[Measured], lag_s: float | None
+) -> tuple[float, float]:
+    """Mean time for a measurement, us, and the greatest difference of the INS's error from the filter's, arcsec."""
+    smoother = _Smoother(gtsam, model, lag_s)
+    spent_s, means = 0.0, []
+    for one in measured:
+        begin_s = time.perf_counter()
+        mean, _ = smoother.take(one)
+        spent_s += time.perf_counter() - begin_s
+        means.append(mean[_INS_ERROR])
+    difference = np.abs(np.array(means) - [one.mean[_INS_ERROR] for one in measured]).max()
+    return spent_s / len(measured) * 1e6, float(difference) / ARCSEC
+
+
+class _Smoother:
+    """The filter's model as a graph of factors: a variable for each moment, and one for what does not change.
+
+    States that are known to be zero are left out.
+
+    Args:
+        gtsam: the library.
+        model: of the filter.
+        lag_s: moments that are older are marginalised; None where all are kept.
+    """
+
+    _CONSTANT = 0
+    """Key of what does not change; moments are numbered from 1."""
+
+    def __init__(self, gtsam: ModuleType, model: ShipStateModel, lag_s: float | None) -> None:
+        parameters = gtsam.ISAM2Params()
+        # The factors are linear already.
+        parameters.enableRelinearization = False
+        self._lags = lag_s is not None
+        self._smoother = gtsam.IncrementalFixedLagSmoother(lag_s, parameters) if lag_s else gtsam.ISAM2(parameters)
+        self._gtsam, self._model = gtsam, model
+        self._variance = model.initial_parts().sum(axis=0).diagonal()
+        decay, noise = model.transition(1.0)
+        constant = (decay == 1.0) & (noise == 0.0)
+        self._moving = np.flatnonzero(~constant & (self._variance > 0.0))
+        self._constant = np.flatnonzero(constant & (self._variance > 0.0))
+        self._moment, self._time_s = 0, 0.0
+
+    def take(self, measured: Measured) -> tuple[FloatArray, FloatArray]:
+        """The states of the moment after a measurement of it, and their covariance."""
+        graph, values = self._gtsam.NonlinearFactorGraph(), self._gtsam.Values()
+        if self._moment == 0:
+            for key, rows in ((self._CONSTANT, self._constant), (1, self._moving)):
+                values.insert(key, np.zeros(len(rows)))
+                graph.add(self._factor(np.zeros(len(rows)), {key: np.diag(self._variance[rows] ** -0.5)}))
+            self._moment = 1
+        elif measured.time_s != self._time_s:
+            decay, noise = self._model.transition(measured.time_s - self._time_s)
+            decay, weight = decay[self._moving], noise[self._moving] ** -0.5
+            before, self._moment = self._moment, self._moment + 1
+            values.insert(self._moment, np.zeros(len(weight)))
+            moves = {before: np.diag(-weight * decay), self._moment: np.diag(weight)}
+            graph.add(self._factor(np.zeros(len(weight)), moves))
+        self._time_s = measured.time_s
+        linear = measured.linear
+        weight = np.linalg.inv(np.linalg.cholesky(linear.noise))
+        by_state = weight @ linear.jacobian
+        found = weight @ linear.residual + by_state @ measured.at_mean
+        states = {self._moment: by_state[:, self._moving], self._CONSTANT: by_state[:, self._constant]}
+        graph.add(self._factor(found, states))
+        return self._after(graph, values)
+
+    def _factor(self, found: FloatArray, by_state: dict[int, FloatArray]) -> Any:
+        """The factor of ``found`` = sum of ``by_state`` times the states, with noise of one."""
+        terms = [term for pair in by_state.items() for term in pair]
+        noise = self._gtsam.noiseModel.Unit.Create(len(found))
+        at_zero = self._gtsam.Values()
+        for key, matrix in by_state.items():
+            at_zero.insert(key, np.zeros(matrix.shape[1]))
+        return self._gtsam.LinearContainerFactor(self._gtsam.JacobianFactor(*terms, found, noise), at_zero)
+
+    def _after(self, graph: Any, values: Any) -> tuple[FloatArray, FloatArray]:
+        if self._lags:
+            # What does not change is as new as the newest moment: it stays.
+            self._smoother.update(graph, values, {self._CONSTANT: self._time_s, self._moment: self._time_s})
+            known = self._smoother.getISAM2()
+        else:
+            self._smoother.update(graph, values)
+            known = self._smoother
+        return self._smoother.calculateEstimateVector(self._moment), known.marginalCovariance(self._moment)
+
+
+def _filterpy_rows(filterpy: ModuleType, run: SimulatedRun) -> list[Row]:
+    """The step of the ship's filter over prediction and update of as many states by three components in filterpy."""
+    model, measured = _measured(run)
+    linear = measured[-1].linear
+    peer = filterpy.KalmanFilter(dim_x=model.size, dim_z=len(linear.residual))
+    decay, noise = model.transition(measured[-1].time_s - measured[-3].time_s)
+    peer.F, peer.Q, peer.H, peer.R = np.diag(decay), np.diag(noise), linear.jacobian, linear.noise
+
+    def step() -> None:
+        peer.P = model.initial_parts().sum(axis=0)
+        peer.predict()
+        peer.update(linear.residual)
+
+    own_us, peer_us = by_turns(
+        ROUNDS, lambda: float(np.median(ship_steps_us(run, WithoutIntegrity))), lambda: median_us(step)
+    )
+    what = f"prediction and update of {model.size} states by filterpy"
+    return [
+        Row(f"{what}: median", float(np.median(peer_us)), "us"),
+        Row(f"ratio: step of the ship's filter / {what}", median_ratio(own_us, peer_us), "x", None, "filterpy"),
+    ]
