@@ -76,5 +76,5 @@ audit: setup ## known vulnerabilities of the pinned packages, and their licences
 
 clean: ## remove what was built; out/ with your files stays, and the wheels (rm -r .venv removes them)
 	@rm -rf build install log .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
-	@rm -f src/*/*/compiled_*.c src/*/*/compiled_*.so
+	@find src -name 'compiled_*.c' -delete -o -name 'compiled_*.so' -delete
 	@find src test tools -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true

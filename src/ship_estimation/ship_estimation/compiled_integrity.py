@@ -125,10 +125,17 @@ def apart(
 def separation_sigmas(
     variance: cython.const[cython.double][:, :],
     variance_0: cython.const[cython.double][:],
-    least_share: cython.double,
-    least_variance: cython.double,
+    share: cython.double,
+    tiny: cython.double,
 ):
-    """See :func:`ship_estimation.protection.separation_sigma`; the last two as in :func:`levels`."""
+    """See :func:`ship_estimation.protection.separation_sigma`.
+
+    Args:
+        variance: shape (h, n).
+        variance_0: shape (n,).
+        share: of the variance by all sources, that a distance has at least.
+        tiny: least variance of a distance.
+    """
     columns: cython.Py_ssize_t = variance.shape[1]
     _check("variance", variance_0.shape[0] == columns)
     of_sigma = np.empty((variance.shape[0], columns))
@@ -137,7 +144,7 @@ def separation_sigmas(
     i: cython.Py_ssize_t
     for row in range(variance.shape[0]):
         for i in range(columns):
-            sigma[row, i] = _separation_sigma(variance[row, i], variance_0[i], least_share, least_variance)
+            sigma[row, i] = _separation_sigma(variance[row, i], variance_0[i], share, tiny)
     return of_sigma
 
 
@@ -145,10 +152,10 @@ def separation_sigmas(
 @cython.exceptval(check=False)
 @cython.inline
 def _separation_sigma(
-    variance: cython.double, variance_0: cython.double, least_share: cython.double, least_variance: cython.double
+    variance: cython.double, variance_0: cython.double, share: cython.double, tiny: cython.double
 ) -> cython.double:
-    # Rounding may leave nothing of a small difference.
-    return sqrt(_larger(variance - variance_0, _larger(least_share * variance_0, least_variance)))
+    # Rounding may leave nothing of a small difference; a thousandth of the sigma is nothing to a level.
+    return sqrt(_larger(variance - variance_0, _larger(share * variance_0, tiny)))
 
 
 def levels(
@@ -159,8 +166,8 @@ def levels(
     right: cython.double,
     false_exclusion: cython.double,
     missed: cython.const[cython.double][:],
-    least_share: cython.double,
-    least_variance: cython.double,
+    share: cython.double,
+    tiny: cython.double,
 ):
     """The fields of :class:`ship_estimation.protection.Separation`, by the hypotheses in question.
 
@@ -172,8 +179,8 @@ def levels(
         right: and the next two: numbers of sigmas, as :class:`ship_estimation.protection.Factors` has them.
         false_exclusion: of a separation.
         missed: shape (h,).
-        least_share: the least variance of a distance, as a share of that of the component by all sources.
-        least_variance: the least variance of a distance.
+        share: of the variance by all sources, that a distance has at least.
+        tiny: least variance of a distance.
     """
     asked: cython.Py_ssize_t = rows.shape[0]
     _check("distance", distance.shape[0] == variance.shape[0] == missed.shape[0])
@@ -200,7 +207,7 @@ def levels(
         for i in range(3):
             # Without a source nothing is known better, but for one that was refused with it and is used without.
             grown = _larger(variance[row, i], variance_0[i])
-            apart = _separation_sigma(grown, variance_0[i], least_share, least_variance)
+            apart = _separation_sigma(grown, variance_0[i], share, tiny)
             value = false_exclusion * apart + missed[row] * sqrt(grown)
             level[i], of_row = _larger(level[i], value), _larger(of_row, value)
             statistic[k] = _larger(statistic[k], fabs(distance[row, i]) / apart)

@@ -200,7 +200,15 @@ def separation(
     """
     asked = np.arange(len(distance)) if rows is None else np.array(rows, dtype=np.intp)
     found = compiled_integrity.levels(
-        distance, variance, variance_0, asked, k.right, k.false_exclusion, k.missed, LEAST_SHARE, LEAST_VARIANCE_RAD2
+        distance,
+        variance,
+        variance_0,
+        asked,
+        k.right,
+        k.false_exclusion,
+        k.missed,
+        LEAST_SHARE,
+        LEAST_VARIANCE_RAD2,
     )
     return Separation(*found)
 

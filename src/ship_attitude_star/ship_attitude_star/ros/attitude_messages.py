@@ -4,8 +4,7 @@ One function says what stands in which field. Its values are numbers for the one
 time, and columns of numbers for the many of a block, which become rows of bytes together.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import chain
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,6 +20,16 @@ from ship_geometry.ros_axes import ENU_FROM_HORIZON, FLU_FROM_DEVICE, enu_covari
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.edge.blocks import PublishedRows
 from ship_node.edge.messages_out import DECK_FRAME, HORIZON_FRAME, TF_TOPIC, TF_TYPE, ZERO_VECTOR
+from ship_node.edge.output_numbers import (
+    Fields,
+    MessageFields,
+    as_columns,
+    as_numbers,
+    chosen,
+    encoded,
+    joined,
+    rows_by_kind,
+)
 from ship_node.edge.topics import Published
 
 ATTITUDE_TOPIC, ATTITUDE_TYPE = "ship/attitude", "ship_msgs/msg/ShipAttitude"
@@ -30,8 +39,6 @@ DEGREES_TOPIC, DEGREES_TYPE = "ship/attitude_deg", "ship_msgs/msg/AttitudeDeg"
 _ZEROS = (0.0,) * 9
 _NOT_GIVEN = (-1.0, *_ZEROS[1:])
 """Covariance that tells readers of sensor_msgs/Imu that nothing was measured."""
-
-Fields = Mapping[str, Any]
 
 
 class AttitudeNumbers(NamedTuple):
@@ -49,24 +56,11 @@ class AttitudeNumbers(NamedTuple):
     @classmethod
     def of(cls, runs: Sequence[AttitudeRun]) -> "AttitudeNumbers":
         """The numbers of several runs, one after another."""
-
-        def joined(name: str) -> Any:
-            values = [getattr(run, name) for run in runs]
-            if len(values) == 1:
-                return values[0]
-            return list(chain.from_iterable(values)) if isinstance(values[0], list) else np.concatenate(values)
-
-        return cls(*map(joined, cls._fields))
+        return cls(*(joined(runs, name) for name in cls._fields))
 
     def some(self, places: NDArray[np.int64]) -> "AttitudeNumbers":
         """Some of them."""
-        if len(places) == len(self.time_ns):
-            return self
-
-        def some(values: Any) -> Any:
-            return [values[place] for place in places] if isinstance(values, list) else values[places]
-
-        return AttitudeNumbers(*map(some, self))
+        return self if len(places) == len(self.time_ns) else AttitudeNumbers(*(chosen(each, places) for each in self))
 
 
 def attitude_messages(factory: MessageFactory, estimate: AttitudeEstimate) -> list[Published]:
@@ -75,36 +69,18 @@ def attitude_messages(factory: MessageFactory, estimate: AttitudeEstimate) -> li
     Where no attitude is claimed the first two are all NaN, and the others, which are for standard tools, are not made.
     """
     attitude = AttitudeNumbers.of([AttitudeRun.of_one(estimate)])
-    return [
-        (topic, factory.encoded(type_name, **fields)) for topic, type_name, fields in _messages(attitude, _numbers)
-    ]
+    return encoded(factory, _messages(attitude, as_numbers))
 
 
 def attitude_rows(factory: MessageFactory, attitudes: AttitudeNumbers) -> Iterator[PublishedRows]:
     """What N attitudes become; the messages of one are in the same order as by :func:`attitude_messages`."""
     known: list[bool] = np.all(np.isfinite(attitudes.rate_d), axis=1).tolist()
     claimed = [status is not Status.INVALID for status in attitudes.status]
-    # Alike are those whose messages have the same texts, and nothing left out.
-    kinds = list(zip(claimed, known, attitudes.sources, strict=True))
-    for kind in dict.fromkeys(kinds):
-        places = np.array([place for place, other in enumerate(kinds) if other == kind])
-        for topic, type_name, fields in _messages(attitudes.some(places), _columns):
-            yield PublishedRows(topic, factory.encoded_rows(type_name, len(places), **fields), places)
+    kinds = zip(claimed, known, attitudes.sources, strict=True)
+    return rows_by_kind(factory, kinds, lambda _, places: _messages(attitudes.some(places), as_columns))
 
 
-def _numbers(values: Any) -> Any:
-    """The numbers of the only attitude, of an array whose first axis counts attitudes."""
-    return values[0].tolist()
-
-
-def _columns(values: Any) -> Any:
-    """The numbers of all attitudes, by columns."""
-    return values.T
-
-
-def _messages(
-    attitudes: AttitudeNumbers, values_of: Callable[[Any], Any]
-) -> Iterator[tuple[str, str, Fields]]:
+def _messages(attitudes: AttitudeNumbers, values_of: Callable[[Any], Any]) -> MessageFields:
     """Topic, type and fields of each message of attitudes that are alike."""
     of_angles = angles(attitudes.rotation_nd)
     covariances = angle_covariances(attitudes.covariance_n, of_angles, SINGULAR_ELEVATION)

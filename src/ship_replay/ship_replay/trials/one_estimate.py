@@ -3,14 +3,13 @@
 ``make bench`` measures the cost. On a voyage without faults the outputs are the same.
 """
 
-from dataclasses import replace
 from typing import Any
 
 from ship_attitude_star.measurements.samples import AttitudeDecision
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.linearised import Linearised
-from ship_attitude_star.ship_attitude.state import FilterState
+from ship_attitude_star.ship_attitude.state import FilterState, changed
 from ship_estimation.kalman import innovation, update
 from ship_estimation.outcome import Measurement
 from ship_estimation.refusals import Reason
@@ -34,7 +33,7 @@ class WithoutIntegrity(ShipFilter):
         linear = found.compared.linear
         _, nis, gain = innovation(predicted.parts, linear)
         correction, parts = update(predicted.parts, linear, gain)
-        after = replace(predicted, means=predicted.means + correction, stack=parts)
+        after = changed(predicted, means=predicted.means + correction, stack=parts)
         decision = AttitudeDecision(measurement, Reason.NONE, True, nis=nis, ins_time_ns=found.ins_time_ns)
         return self._used(after, measurement), decision
 

@@ -22,6 +22,7 @@ from ship_estimation.kalman import LinearMeasurement, StateModel, predict
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.chain.axes import NAMES
 from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.filter import compiled_rows
 from theodolite_calib.filter.model import ShipErrorProcess
 
 BEACON = "beacon."
@@ -75,17 +76,16 @@ class _Pattern(NamedTuple):
 
     Attributes:
         sees: shape (h, m).
-        seen_by_both: shape (h, m, m).
         known: the components of other lights that are taken as known where a light is looked at: in the estimate by all
-            sources and in every row, shape (l, h + 1, m).
-        both_known: shape (l, h + 1, m, m).
+            sources and in every row, shape (l, h + 1, m). To a row of which the encoders or the ship are unknown a
+            light alone says nothing, but beside the others it does.
+        learns: all states of every row, shape (h, n).
         gates: of what each row sees, shape (h,).
     """
 
-    sees: NDArray[np.bool_]
-    seen_by_both: NDArray[np.bool_]
-    known: NDArray[np.bool_]
-    both_known: NDArray[np.bool_]
+    sees: NDArray[np.uint8]
+    known: NDArray[np.uint8]
+    learns: NDArray[np.uint8]
     gates: FloatArray
 
 
@@ -182,10 +182,9 @@ class SourceRows:
         known = sees & np.array(unknown_rows)[:, None] & others
         degrees = np.count_nonzero(sees[1:], axis=1).tolist()
         return _Pattern(
-            sees=sees[1:],
-            seen_by_both=sees[1:, :, None] & sees[1:, None, :],
-            known=known,
-            both_known=known[..., :, None] & known[..., None, :],
+            sees=sees[1:].astype(np.uint8),
+            known=known.astype(np.uint8),
+            learns=np.ones((len(self.sources), self._model.size), dtype=np.uint8),
             gates=np.array([chi_square_gate(probability, count) if count else np.inf for count in degrees]),
         )
 
@@ -208,31 +207,27 @@ class SourceRows:
             excluded: the sources that every row does without.
             probability: of the gate.
         """
-        h, noise = measurement.jacobian, measurement.noise
-        residual = measurement.residual - (rows.mean - first[0]) @ h.T
-        cross = rows.parts[:, 0] @ h.T
-        covariance = h @ cross + noise
-        all_residuals = np.concatenate([measurement.residual[None], residual])
-        all_covariances = np.concatenate([first[1][None], covariance])
-        pattern = self._pattern(names, frozenset(excluded), probability)
-        light_turn = _lights_seen(all_residuals, all_covariances, pattern)
-        # What a row does without has no part in it.
-        covariance = np.where(pattern.seen_by_both, covariance, np.eye(h.shape[0]))
-        residual, cross = residual * pattern.sees, cross * pattern.sees[:, None, :]
-        asked = np.concatenate([cross.swapaxes(-1, -2), residual[:, :, None]], axis=-1)
-        solved = np.linalg.solve(covariance, asked)
-        gain, nis = solved[:, :, :-1].swapaxes(-1, -2), np.einsum("hm,hm->h", residual, solved[:, :, -1])
+        pattern, parts = self._pattern(names, frozenset(excluded), probability), np.ascontiguousarray(rows.parts[:, 0])
+        residual, gain, nis, light_turn = compiled_rows.rows_seen(
+            rows.mean - first[0],
+            parts,
+            measurement.residual,
+            measurement.jacobian,
+            measurement.noise,
+            first[1],
+            pattern.sees,
+            pattern.known,
+        )
         accepted = nis <= pattern.gates  # NaN is not
         gain[~accepted] = 0.0
-        learns_all = np.ones(rows.mean.shape, dtype=np.uint8)
         corrections, updated = compiled_steps.updated(
-            np.ascontiguousarray(rows.parts[:, 0]),
-            h,
+            parts,
+            measurement.jacobian,
             residual,
-            np.ascontiguousarray(gain),
-            learns_all,
-            ((_ONLY_SOURCE, noise),),
-            noise,
+            gain,
+            pattern.learns,
+            ((_ONLY_SOURCE, measurement.noise),),
+            measurement.noise,
         )
         mean = rows.mean + corrections
         light_nis = np.einsum("hlk,hlk->hl", light_turn, light_turn)
@@ -244,32 +239,6 @@ def forget(parts: FloatArray, states: NDArray[np.intp], source_index: int, sigma
     parts[:, states, :] = 0.0
     parts[:, :, states] = 0.0
     parts[source_index, states, states] = sigma_rad**2
-
-
-def _lights_seen(residual: FloatArray, covariance: FloatArray, pattern: _Pattern) -> FloatArray:
-    """The residual of each light in every row, whitened; where the other lights are known, what they leave of it.
-
-    To a row of which the encoders or the ship are unknown a light alone says nothing, but beside the others it does.
-
-    Args:
-        residual: of all lights, two components each, shape (h, m).
-        covariance: of the residual, shape (h, m, m).
-        pattern: what is taken as known.
-
-    Returns:
-        Shape (h, l, 3).
-    """
-    count, size = residual.shape
-    # A leading axis of lights: shapes (l, h, m, m), (l, h, m, 2), (l, h, 2, m).
-    of_others = np.where(pattern.both_known, covariance, np.eye(size))
-    with_own = covariance.reshape(count, size, -1, 2).transpose(2, 0, 1, 3)
-    with_others = with_own * pattern.known[..., None]
-    weights = np.linalg.solve(of_others, with_others).swapaxes(-1, -2)
-    own = np.stack([covariance[:, first : first + 2, first : first + 2] for first in range(0, size, 2)])
-    left = residual.reshape(count, -1, 2).swapaxes(0, 1) - (weights @ residual[:, :, None])[..., 0]
-    turn = np.zeros((count, size // 2, 3))
-    turn[..., :2] = (_whitening(own - weights @ with_others) @ left[..., None])[..., 0].swapaxes(0, 1)
-    return turn
 
 
 def light_compared(residual: FloatArray, covariance: FloatArray, noise: FloatArray) -> RowsCompared:

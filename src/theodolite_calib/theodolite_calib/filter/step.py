@@ -18,7 +18,7 @@ from ship_estimation.protection import Factors, IntegrityConfig, factors, separa
 from ship_estimation.refusals import Reason, Refusal, singular_covariance
 from ship_geometry.rotations import FloatArray, exp_rotation
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.alternatives import BEACON, CHAIN, ENCODER, SHIP, light_compared
+from theodolite_calib.filter.alternatives import BEACON, CHAIN, ENCODER, SHIP, Alternatives, light_compared
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Comparison
 from theodolite_calib.filter.judgement import SightingJudge, focal_length_m
 from theodolite_calib.filter.model import chain_rows
@@ -157,8 +157,9 @@ class SightingStep:
         )
         time_ns = decision.measurement.time_ns
         trust = self._referee.observed(before.trust, names, seen, True, time_ns)
-        after = replace(after, alternatives=alternatives, trust=self._referee.agreed(trust, time_ns))
-        after = replace(after, separation=self._separation(after, compared))
+        separation = self._separation(after, alternatives, compared)
+        trusted = self._referee.agreed(trust, time_ns)
+        after = replace(after, alternatives=alternatives, trust=trusted, separation=separation)
         fault, source, explaining = self._referee.fault(after.trust, after.separation, time_ns)
         if fault and not trust.excluded:
             alike = self._referee.creep_alike(trust, time_ns)
@@ -225,15 +226,15 @@ class SightingStep:
         text = f"{decision.text}; excluded: {why}" if decision.text else f"excluded: {why}"
         return replace(state, refusals=0), replace(decision, text=text)
 
-    def _separation(self, state: CalibrationState, compared: Comparison) -> FloatArray:
+    def _separation(self, state: CalibrationState, rows: Alternatives, compared: Comparison) -> FloatArray:
         """Distance of each row from the estimate by all sources in the pointing, in sigmas, shape (h,)."""
-        rows, turning = state.alternatives, self._turning
+        turning = self._turning
         to_axes = compared.prediction.rotation_nt.T @ compared.prediction.turn_n[:, turning]
         apart = (rows.mean - state.mean)[:, turning] @ to_axes.T
         covariance = np.concatenate(
             [state.parts[:, turning[:, None], turning].sum(axis=0)[None], rows.parts[:, 0, turning[:, None], turning]]
         )
-        variance = np.sum(to_axes @ covariance * to_axes, axis=-1)
+        variance = (to_axes @ covariance * to_axes).sum(axis=-1)
         statistic: FloatArray = np.abs(apart / separation_sigma(variance[1:], variance[0])).max(axis=-1)
         return statistic
 

@@ -47,16 +47,15 @@ class PointingLevels:
         to_angles[0] *= math.cos(elevation)
         # What the estimates dispute is covered by the levels already. What a pointing adds to the error of the state,
         # as the noise of the encoders, is the same in every estimate.
-        state, by_error = self.state, to_angles @ estimate.by_error_n
         beside = apart(
             self._turning,
             to_angles,
-            by_error,
+            to_angles @ estimate.by_error_n,
             estimate.undisputed_n,
-            state.mean,
-            state.alternatives.mean,
-            state.parts,
-            state.alternatives.parts[:, 0],
+            self.state.mean,
+            self.state.alternatives.mean,
+            self.state.parts,
+            self.state.alternatives.parts[:, 0],
         )
         # Without lights nothing checks the encoders and the ship's attitude.
         in_doubt = self._in_dispute or estimate.mode is Mode.ENCODER or estimate.status is Status.INVALID

@@ -6,41 +6,34 @@ time, and columns of numbers for the many of a block, which become rows of bytes
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_bags.cdr_template import CdrRows
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.outcome import Status
 from ship_geometry.compiled_angles import angle_covariances, angles, quaternions
 from ship_geometry.frames import SINGULAR_ELEVATION, angle_covariance, angles_from_rotation
 from ship_geometry.ros_axes import ENU_FROM_HORIZON, FLU_FROM_DEVICE, enu_covariance
 from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_node.edge.blocks import PublishedRows
 from ship_node.edge.messages_out import DECK_FRAME, HORIZON_FRAME, TF_TOPIC, TF_TYPE, ZERO_VECTOR, error_budget
+from ship_node.edge.output_numbers import (
+    Fields,
+    MessageFields,
+    as_columns,
+    as_numbers,
+    chosen,
+    encoded,
+    joined,
+    rows_by_kind,
+)
 from ship_node.edge.topics import Published
 from theodolite_calib.measured.samples import PointingEstimate, PointingRun, StampArray
 
 MAIN_FRAME = "theodolite_main"
 POINTING_TOPIC, POINTING_TYPE = "theodolite/pointing", "ship_msgs/msg/OpticalAxisPointing"
-
-Fields = Mapping[str, Any]
-
-
-class PublishedRows(NamedTuple):
-    """The messages of one topic that some of N pointings become.
-
-    Attributes:
-        topic: the topic.
-        messages: in order.
-        places: which of the pointings each message is of.
-    """
-
-    topic: str
-    messages: CdrRows
-    places: NDArray[np.int64]
 
 
 class PointingNumbers(NamedTuple):
@@ -56,16 +49,9 @@ class PointingNumbers(NamedTuple):
     rotation_dm: FloatArray
 
     @classmethod
-    def of(cls, runs: list[PointingRun]) -> "PointingNumbers":
+    def of(cls, runs: Sequence[PointingRun]) -> "PointingNumbers":
         """The numbers of several runs, one after another."""
-
-        def joined(name: str) -> Any:
-            values = [getattr(run, name) for run in runs]
-            if len(values) == 1:
-                return values[0]
-            return list(chain.from_iterable(values)) if isinstance(values[0], list) else np.concatenate(values)
-
-        return cls(*map(joined, cls._fields))
+        return cls(*(joined(runs, name) for name in cls._fields))
 
     @classmethod
     def of_one(cls, estimate: PointingEstimate) -> "PointingNumbers":
@@ -83,13 +69,7 @@ class PointingNumbers(NamedTuple):
 
     def some(self, places: NDArray[np.int64]) -> "PointingNumbers":
         """Some of them."""
-        if len(places) == len(self.time_ns):
-            return self
-
-        def some(values: Any) -> Any:
-            return [values[place] for place in places] if isinstance(values, list) else values[places]
-
-        return PointingNumbers(*map(some, self))
+        return self if len(places) == len(self.time_ns) else PointingNumbers(*(chosen(each, places) for each in self))
 
 
 def pointing_messages(
@@ -105,10 +85,7 @@ def pointing_messages(
         estimate: the pointing.
     """
     pointing, in_deck = PointingNumbers.of_one(estimate), math.isfinite(estimate.rotation_dm[0, 0])
-    return [
-        (topic, factory.encoded(type_name, **fields))
-        for topic, type_name, fields in _messages(pointing, lever, in_deck, _numbers)
-    ]
+    return encoded(factory, _messages(pointing, lever, in_deck, as_numbers))
 
 
 def pointing_rows(
@@ -117,27 +94,15 @@ def pointing_rows(
     """What N pointings become; the messages of one are in the same order as by :func:`pointing_messages`."""
     in_deck: list[bool] = np.isfinite(pointings.rotation_dm[:, 0, 0]).tolist()
     claimed = [status is not Status.INVALID for status in pointings.status]
-    # Alike are those whose messages have the same texts, and nothing left out.
-    kinds = list(zip(claimed, in_deck, strict=True))
-    for kind in dict.fromkeys(kinds):
-        places = np.array([place for place, other in enumerate(kinds) if other == kind])
-        for topic, type_name, fields in _messages(pointings.some(places), lever, kind[1], _columns):
-            yield PublishedRows(topic, factory.encoded_rows(type_name, len(places), **fields), places)
-
-
-def _numbers(values: Any) -> Any:
-    """The numbers of the only pointing, of an array whose first axis counts pointings."""
-    return values[0].tolist()
-
-
-def _columns(values: Any) -> Any:
-    """The numbers of all pointings, by columns."""
-    return values.T
+    kinds = zip(claimed, in_deck, strict=True)
+    return rows_by_kind(
+        factory, kinds, lambda kind, places: _messages(pointings.some(places), lever, kind[1], as_columns)
+    )
 
 
 def _messages(
     pointings: PointingNumbers, lever: Fields, in_deck: bool, values_of: Callable[[Any], Any]
-) -> Iterator[tuple[str, str, Fields]]:
+) -> MessageFields:
     """Topic, type and fields of each message of pointings that are alike; ``in_deck`` where they know of the deck."""
     of_main = angles(pointings.rotation_nm)
     azimuth, elevation, image_rotation = values_of(of_main)

@@ -1,0 +1,243 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+"""What the estimates without one source each see of the lights of a sighting, compiled: it is many small matrices.
+
+This is the one source of it. It is Python with C types for its numbers, compiled by Cython when the package is built.
+What the rows and the numbers mean is told in :mod:`theodolite_calib.filter.alternatives`, where it is called.
+"""
+
+import cython
+import numpy as np
+
+if not cython.compiled:
+    raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")
+
+from cython.cimports.libc.math import sqrt
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _solved(
+    matrix: cython.p_double, size: cython.Py_ssize_t, asked: cython.p_double, columns: cython.Py_ssize_t
+) -> cython.bint:
+    """Replace what is asked (size × columns) by the inverse of a symmetric matrix, which is used up, times it.
+
+    By Cholesky's factor; False where the matrix is not positive definite, or NaN.
+    """
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    factor: cython.double
+    for i in range(size):
+        for j in range(i):
+            factor = matrix[i * size + j]
+            for k in range(j):
+                factor -= matrix[i * size + k] * matrix[j * size + k]
+            matrix[i * size + j] = factor / matrix[j * size + j]
+        factor = matrix[i * size + i]
+        for k in range(i):
+            factor -= matrix[i * size + k] * matrix[i * size + k]
+        if not factor > 0.0:
+            return False
+        matrix[i * size + i] = sqrt(factor)
+    for i in range(size):
+        for k in range(i):
+            factor = matrix[i * size + k]
+            for j in range(columns):
+                asked[i * columns + j] -= factor * asked[k * columns + j]
+        for j in range(columns):
+            asked[i * columns + j] /= matrix[i * size + i]
+    for i in range(size - 1, -1, -1):
+        for k in range(i + 1, size):
+            factor = matrix[k * size + i]
+            for j in range(columns):
+                asked[i * columns + j] -= factor * asked[k * columns + j]
+        for j in range(columns):
+            asked[i * columns + j] /= matrix[i * size + i]
+    return True
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _chosen(
+    chosen: cython.const[cython.uchar][:], covariance: cython.p_double, places: cython.p_int, out: cython.p_double
+) -> cython.int:
+    """How many components are chosen, where they are, and their covariance."""
+    size: cython.int = chosen.shape[0]
+    count: cython.int = 0
+    i: cython.int
+    j: cython.int
+    for i in range(size):
+        if chosen[i]:
+            places[count] = i
+            count += 1
+    for i in range(count):
+        for j in range(count):
+            out[i * count + j] = covariance[places[i] * size + places[j]]
+    return count
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _light(
+    light: cython.int,
+    known: cython.const[cython.uchar][:],
+    residual: cython.p_double,
+    covariance: cython.p_double,
+    places: cython.p_int,
+    scratch: cython.p_double,
+    turn: cython.p_double,
+) -> cython.bint:
+    """The residual of one light, whitened, where some components of others are known; False as by :func:`_solved`."""
+    size: cython.int = known.shape[0]
+    count: cython.int = _chosen(known, covariance, places, scratch)
+    # Of the known components: their covariance with the two of the light, and their residual.
+    asked: cython.p_double = scratch + count * count
+    left = cython.declare(cython.double[2])
+    own = cython.declare(cython.double[4])
+    area: cython.double
+    scale: cython.double
+    i: cython.int
+    j: cython.int
+    k: cython.int
+    for i in range(count):
+        for j in range(2):
+            asked[3 * i + j] = covariance[places[i] * size + 2 * light + j]
+        asked[3 * i + 2] = residual[places[i]]
+    if not _solved(scratch, count, asked, 3):
+        return False
+    for i in range(2):
+        left[i] = residual[2 * light + i]
+        for j in range(2):
+            own[2 * i + j] = covariance[(2 * light + i) * size + 2 * light + j]
+        for k in range(count):
+            for j in range(2):
+                own[2 * i + j] -= covariance[(2 * light + i) * size + places[k]] * asked[3 * k + j]
+            left[i] -= covariance[(2 * light + i) * size + places[k]] * asked[3 * k + 2]
+    # The inverse of the symmetric root of the covariance that is left.
+    area = sqrt(own[0] * own[3] - own[1] * own[1])
+    scale = 1.0 / (area * sqrt(own[0] + own[3] + 2.0 * area))
+    turn[0] = scale * ((own[3] + area) * left[0] - own[1] * left[1])
+    turn[1] = scale * ((own[0] + area) * left[1] - own[1] * left[0])
+    turn[2] = 0.0
+    return True
+
+
+def rows_seen(
+    distance: cython.const[cython.double][:, ::1],
+    parts: cython.const[cython.double][:, :, ::1],
+    residual: cython.const[cython.double][::1],
+    jacobian: cython.const[cython.double][:, ::1],
+    noise: cython.const[cython.double][:, ::1],
+    first: cython.const[cython.double][:, ::1],
+    sees: cython.const[cython.uchar][:, ::1],
+    known: cython.const[cython.uchar][:, :, ::1],
+):
+    """A sighting of l lights, with two of m components each, beside h rows of n states.
+
+    Args:
+        distance: of the states of each row from those by all sources, shape (h, n).
+        parts: covariance of each row, symmetric, shape (h, n, n).
+        residual: by all sources, shape (m,).
+        jacobian: of the residual, shape (m, n).
+        noise: covariance of the sighting itself, shape (m, m).
+        first: covariance of the residual by all sources, shape (m, m).
+        sees: which components each row sees, shape (h, m).
+        known: the components that are taken as known where a light is looked at, by all sources and in every row, shape
+            (l, h + 1, m).
+
+    Returns:
+        The residual of each row, zero where it does not see, shape (h, m); its optimal gain, shape (h, n, m), and
+        normalised innovation squared, shape (h,), by what it sees; and the residual of each light by all sources and in
+        every row, whitened, with a zero behind, shape (h + 1, l, 3).
+
+    Raises:
+        numpy.linalg.LinAlgError: a covariance is not positive definite.
+    """
+    rows: cython.Py_ssize_t = distance.shape[0]
+    n: cython.Py_ssize_t = distance.shape[1]
+    m: cython.Py_ssize_t = residual.shape[0]
+    lights: cython.Py_ssize_t = known.shape[0]
+    _check("rows", parts.shape[0] == sees.shape[0] == rows and known.shape[1] == rows + 1)
+    _check("states", parts.shape[1] == parts.shape[2] == jacobian.shape[1] == n)
+    _check("components", jacobian.shape[0] == sees.shape[1] == known.shape[2] == 2 * lights == m)
+    _check("noise", noise.shape[0] == noise.shape[1] == first.shape[0] == first.shape[1] == m)
+    of_residuals, of_gains = np.zeros((rows, m)), np.zeros((rows, n, m))
+    of_nis, of_turns = np.empty(rows), np.empty((rows + 1, lights, 3))
+    residuals: cython.double[:, ::1] = of_residuals
+    gains: cython.double[:, :, ::1] = of_gains
+    nis: cython.double[::1] = of_nis
+    turns: cython.double[:, :, ::1] = of_turns
+    places: cython.int[::1] = np.empty(max(m, 1), dtype=np.intc)
+    # In a row: the residual, its covariance and that with the states, a matrix that is used up, and what is asked.
+    room: cython.double[::1] = np.empty(m + m * m + m * n + m * m + m * max(n + 1, 3) + 1)
+    of_row: cython.p_double = cython.address(room[0])
+    covariance: cython.p_double = of_row + m
+    cross: cython.p_double = covariance + m * m
+    scratch: cython.p_double = cross + m * n
+    asked: cython.p_double
+    total: cython.double
+    count: cython.Py_ssize_t
+    row: cython.Py_ssize_t
+    light: cython.int
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    if m == 0:
+        of_nis[:] = 0.0
+        return of_residuals, of_gains, of_nis, of_turns
+    for row in range(-1, rows):
+        for i in range(m):
+            of_row[i] = residual[i]
+            for j in range(m):
+                covariance[i * m + j] = first[i, j] if row < 0 else noise[i, j]
+            if row < 0:
+                continue
+            for k in range(n):
+                cross[i * n + k] = 0.0
+            for j in range(n):
+                total = jacobian[i, j]
+                if total == 0.0:
+                    continue
+                of_row[i] -= total * distance[row, j]
+                for k in range(n):
+                    cross[i * n + k] += total * parts[row, j, k]
+            for j in range(m):
+                for k in range(n):
+                    covariance[i * m + j] += cross[i * n + k] * jacobian[j, k]
+        for light in range(lights):
+            if not _light(
+                light,
+                known[light, row + 1],
+                of_row,
+                covariance,
+                cython.address(places[0]),
+                scratch,
+                cython.address(turns[row + 1, light, 0]),
+            ):
+                raise np.linalg.LinAlgError("the covariance of lights is not positive definite")
+        if row < 0:
+            continue
+        count = _chosen(sees[row], covariance, cython.address(places[0]), scratch)
+        asked = scratch + count * count
+        for i in range(count):
+            for k in range(n):
+                asked[i * (n + 1) + k] = cross[places[i] * n + k]
+            asked[i * (n + 1) + n] = residuals[row, places[i]] = of_row[places[i]]
+        if not _solved(scratch, count, asked, n + 1):
+            raise np.linalg.LinAlgError("innovation covariance is not positive definite")
+        nis[row] = 0.0
+        for i in range(count):
+            for k in range(n):
+                gains[row, k, places[i]] = asked[i * (n + 1) + k]
+            nis[row] += of_row[places[i]] * asked[i * (n + 1) + n]
+    return of_residuals, of_gains, of_nis, of_turns
+
+
+def _check(what: str, fits: bool) -> None:
+    """Refuse arrays whose shapes do not fit together: the loops look no more.
+
+    Raises:
+        ValueError: they do not.
+    """
+    if not fits:
+        raise ValueError(f"{what}: the shapes of the arrays do not fit together")
