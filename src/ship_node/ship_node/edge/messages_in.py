@@ -184,7 +184,10 @@ def covariance_3x3(values: Sequence[float], what: str = "covariance") -> FloatAr
         Refused: NON_FINITE, or BAD_COVARIANCE where a variance is negative or the matrix is, beyond
             rounding, not symmetric or not positive semidefinite. Rounding itself is taken out.
     """
-    return _covariance_of_bytes(np.array(values, dtype=np.float64).tobytes(), what)
+    try:
+        return _covariance_of_bytes(np.array(values, dtype=np.float64).tobytes())
+    except Refused as refused:
+        raise Refused(refused.refusal.reason, f"{what} {refused.refusal.text}") from None
 
 
 def angular_covariance(values: Sequence[float], what: str) -> FloatArray | None:
@@ -203,29 +206,33 @@ def angular_covariance(values: Sequence[float], what: str) -> FloatArray | None:
 
 
 @lru_cache(maxsize=64)
-def _covariance_of_bytes(content: bytes, what: str) -> FloatArray | None:
-    """The same of nine doubles; remembered, because an INS says the same covariance a hundred times a second."""
+def _covariance_of_bytes(content: bytes) -> FloatArray | None:
+    """The same of nine doubles, refused without saying what they are.
+
+    It is remembered, because an INS says the same covariance a hundred times a second, and a star sensor all of whose
+    errors are independent says its covariance twice.
+    """
     numbers = struct.unpack("9d", content)
     if numbers[0] == -1.0 or not any(numbers):
         return None
     if not all(map(math.isfinite, numbers)):
-        raise Refused(Reason.NON_FINITE, f"{what} holds NaN or infinity")
+        raise Refused(Reason.NON_FINITE, "holds NaN or infinity")
     variances = numbers[::4]
     if min(variances) < 0.0:
-        raise Refused(Reason.BAD_COVARIANCE, f"{what} holds a negative variance: {min(variances):.6g}")
+        raise Refused(Reason.BAD_COVARIANCE, f"holds a negative variance: {min(variances):.6g}")
     # Measured in sigmas, so that a small axis is judged as strictly as a large one.
     first, second, third = map(math.sqrt, variances)
     limits = first * second, first * third, second * third
     above, below = (numbers[1], numbers[2], numbers[5]), (numbers[3], numbers[6], numbers[7])
     asymmetry = [abs(one - other) for one, other in zip(above, below, strict=True)]
     if not all(differs <= _COVARIANCE_TOLERANCE * limit for differs, limit in zip(asymmetry, limits, strict=True)):
-        raise Refused(Reason.BAD_COVARIANCE, f"{what} is not symmetric: elements differ by {max(asymmetry):.3g}")
+        raise Refused(Reason.BAD_COVARIANCE, f"is not symmetric: elements differ by {max(asymmetry):.3g}")
     xy, xz, yz = beside = [0.5 * one + 0.5 * other for one, other in zip(above, below, strict=True)]
     if not all(abs(one) <= limit * (1.0 + _COVARIANCE_TOLERANCE) for one, limit in zip(beside, limits, strict=True)):
-        raise Refused(Reason.BAD_COVARIANCE, f"{what} is not positive semidefinite: a correlation exceeds 1")
+        raise Refused(Reason.BAD_COVARIANCE, "is not positive semidefinite: a correlation exceeds 1")
     symmetric = np.array([[variances[0], xy, xz], [xy, variances[1], yz], [xz, yz, variances[2]]])
     if not _clearly_definite(beside, limits):
-        symmetric = _without_negative_variance(symmetric, np.array([first, second, third]), what)
+        symmetric = _without_negative_variance(symmetric, np.array([first, second, third]))
     symmetric.flags.writeable = False
     return symmetric
 
@@ -246,7 +253,7 @@ def _clearly_definite(beside: Sequence[float], limits: Sequence[float]) -> bool:
     return abs(a) < 1.0 and 1.0 + 2.0 * a * b * c - a * a - b * b - c * c > _CLEAR_DETERMINANT
 
 
-def _without_negative_variance(symmetric: FloatArray, sigma: FloatArray, what: str) -> FloatArray:
+def _without_negative_variance(symmetric: FloatArray, sigma: FloatArray) -> FloatArray:
     """A symmetric matrix, shape (3, 3), as a covariance by the eigenvalues of its correlations.
 
     Raises:
@@ -256,7 +263,7 @@ def _without_negative_variance(symmetric: FloatArray, sigma: FloatArray, what: s
     correlation = symmetric / np.where(limit > 0.0, limit, 1.0)
     eigenvalues, vectors = np.linalg.eigh(correlation)
     if eigenvalues[0] < -_COVARIANCE_TOLERANCE:
-        text = f"{what} is not positive semidefinite: eigenvalue {eigenvalues[0]:.3g} of correlations"
+        text = f"is not positive semidefinite: eigenvalue {eigenvalues[0]:.3g} of correlations"
         raise Refused(Reason.BAD_COVARIANCE, text)
     if eigenvalues[0] < 0.0:
         # Rounded numbers are let in, but no filter may meet a negative variance.
