@@ -222,7 +222,7 @@ def build_identity(wheels: str, prefix: str) -> str:
         if path.name in contents or path.suffix in (".msg", ".srv", ".action"):
             parts += [str(path.relative_to(ROOT)), path.read_bytes()]
         elif path.name.startswith("compiled_"):
-            parts += [path.read_bytes()] if path.suffix == ".py" else []  # beside it lies what is made of it
+            parts += [path.read_bytes()] if path.suffix in (".py", ".pxd") else []  # beside it lies what is made of it
         elif path.suffix not in (".py", ".pyc", ".pyi"):
             parts.append(str(path.relative_to(ROOT)))  # launch, parameter and resource files: setup.py lists them
     return digest(*parts)

@@ -16,17 +16,7 @@ if not cython.compiled:
     raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")
 
 from cython.cimports.libc.math import INFINITY, fabs, sqrt
-
-_JACOBI_SWEEPS = 12
-"""Of a symmetric 3 × 3 matrix five make the off-diagonal elements vanish to the last bit."""
-
-
-@cython.cfunc
-@cython.exceptval(check=False)
-@cython.inline
-def _larger(first: cython.double, second: cython.double) -> cython.double:
-    """The larger of two numbers; NaN where one of them is."""
-    return first if first > second or first != first else second
+from cython.cimports.ship_estimation.compiled_steps import _diagonalise, _larger
 
 
 @cython.cfunc
@@ -212,39 +202,13 @@ def least_eigenvalue(matrix: cython.const[cython.double][:, :]) -> cython.double
     """The least eigenvalue of a symmetric 3 × 3 matrix, by Jacobi's rotations; only the lower triangle is read."""
     check("matrix", matrix.shape[0] == matrix.shape[1] == 3)
     a = cython.declare(cython.double[9])
+    vectors = cython.declare(cython.double[9])
     p: cython.int
     q: cython.int
-    k: cython.int
-    off: cython.double
-    angle: cython.double
-    t: cython.double
-    c: cython.double
-    s: cython.double
-    first: cython.double
-    second: cython.double
     for p in range(3):
         for q in range(p + 1):
             a[3 * p + q] = a[3 * q + p] = matrix[p, q]
-    for _ in range(_JACOBI_SWEEPS):
-        if a[1] == 0.0 and a[2] == 0.0 and a[5] == 0.0:
-            break
-        for p in range(2):
-            for q in range(p + 1, 3):
-                off = a[3 * p + q]
-                if off == 0.0:
-                    continue
-                angle = (a[4 * q] - a[4 * p]) / (2.0 * off)
-                t = 1.0 / (fabs(angle) + sqrt(angle * angle + 1.0))
-                t = -t if angle < 0.0 else t
-                c = 1.0 / sqrt(t * t + 1.0)
-                s = t * c
-                a[4 * p] -= t * off
-                a[4 * q] += t * off
-                k = 3 - p - q
-                first, second = a[3 * k + p], a[3 * k + q]
-                a[3 * k + p] = a[3 * p + k] = c * first - s * second
-                a[3 * k + q] = a[3 * q + k] = s * first + c * second
-                a[3 * p + q] = a[3 * q + p] = 0.0
+    _diagonalise(a, vectors)
     return -_larger(-a[0], _larger(-a[4], -a[8]))
 
 

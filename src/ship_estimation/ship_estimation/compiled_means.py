@@ -14,18 +14,11 @@ if not cython.compiled:
     raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")
 
 from cython.cimports.libc.math import NAN, fabs, sqrt
+from cython.cimports.ship_estimation.compiled_steps import _larger
 
 _COLUMNS = cython.declare(cython.Py_ssize_t, 5)
 _LASTING = cython.declare(cython.double, 1e-9)
 """Of an error that lasts, so that one without noise has a covariance."""
-
-
-@cython.cfunc
-@cython.exceptval(check=False)
-@cython.inline
-def _larger(worst: cython.double, value: cython.double) -> cython.double:
-    """The larger of two numbers; no number where one of them is none."""
-    return worst if worst != worst or value <= worst else value
 
 
 @cython.cfunc

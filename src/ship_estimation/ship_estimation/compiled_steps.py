@@ -520,13 +520,8 @@ def _share_of_noise(
 
 @cython.cfunc
 @cython.exceptval(check=False)
-def _inverse_root(matrix: cython.p_double, root: cython.p_double) -> cython.void:
-    """The symmetric root of the inverse of an information matrix (3 × 3), which is used up; by Jacobi's rotations.
-
-    A direction without information counts for nothing, instead of for infinity.
-    """
-    vectors = cython.declare(cython.double[9])
-    scale = cython.declare(cython.double[3])
+def _diagonalise(matrix: cython.p_double, vectors: cython.p_double) -> cython.void:
+    """Make a symmetric 3 × 3 matrix diagonal by Jacobi's rotations; eigenvectors become the columns of the other."""
     p: cython.int
     q: cython.int
     k: cython.int
@@ -537,7 +532,6 @@ def _inverse_root(matrix: cython.p_double, root: cython.p_double) -> cython.void
     s: cython.double
     first: cython.double
     second: cython.double
-    largest: cython.double
     for k in range(9):
         vectors[k] = 1.0 if k % 4 == 0 else 0.0
     for _ in range(_JACOBI_SWEEPS):
@@ -564,6 +558,22 @@ def _inverse_root(matrix: cython.p_double, root: cython.p_double) -> cython.void
                     first, second = vectors[3 * k + p], vectors[3 * k + q]
                     vectors[3 * k + p] = c * first - s * second
                     vectors[3 * k + q] = s * first + c * second
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _inverse_root(matrix: cython.p_double, root: cython.p_double) -> cython.void:
+    """The symmetric root of the inverse of an information matrix (3 × 3), which is used up; by Jacobi's rotations.
+
+    A direction without information counts for nothing, instead of for infinity.
+    """
+    vectors = cython.declare(cython.double[9])
+    scale = cython.declare(cython.double[3])
+    p: cython.int
+    q: cython.int
+    k: cython.int
+    largest: cython.double
+    _diagonalise(matrix, vectors)
     largest = max(matrix[0], matrix[4], matrix[8])
     for k in range(3):
         scale[k] = 1.0 / sqrt(matrix[4 * k]) if matrix[4 * k] > 1e-9 * largest else 0.0

@@ -5,6 +5,7 @@ Whether that is well is judged in :mod:`ship_node.edge.input_health`.
 
 import itertools
 import math
+import statistics
 from collections import Counter, deque
 from collections.abc import Iterable
 from typing import Any
@@ -151,7 +152,7 @@ class InputRecord:
     @property
     def latency_s(self) -> float:
         """Median time from stamp to arrival of the accepted ones, NaN before one came."""
-        return float(np.median(self._latencies_ns)) * 1e-9 if self._latencies_ns else math.nan
+        return float(statistics.median(self._latencies_ns)) * 1e-9 if self._latencies_ns else math.nan
 
     def age_s(self, now_ns: int) -> float:
         """Time since the newest stamp accepted, NaN before one came."""
