@@ -12,7 +12,7 @@ from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.message_store import message_store, serialize
 from ship_bags.stamps import ns_from_stamp
 from ship_replay.commands.replay import main
-from ship_replay.offline.message_times import LogTimes, in_order_of_stamps
+from ship_replay.offline.message_times import Gaps, LogTimes, in_order_of_stamps
 from ship_replay.offline.replay import replay
 from ship_testing.hand_made_bags import START_NS, imu
 
@@ -99,3 +99,18 @@ def test_mend_22_messages_without_a_usable_stamp_keep_their_place():
 def test_mend_22_arrival_by_stamps_does_not_verify(bags, option, tmp_path, capsys):
     assert main([str(bags[0]), "--out", str(tmp_path / "o.mcap"), "--arrival", "stamps", option]) == 2
     assert "contradict each other" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("late", [0, 10, 3000])
+def test_times_noted_together_are_those_noted_one_by_one(late):
+    """``late``: by so many places times come out of order, also more than are put in order."""
+    rng = np.random.default_rng(late)
+    times_ns = np.cumsum(rng.integers(0, 20_000_000, 5000))
+    times_ns = times_ns[np.argsort(np.arange(5000) + rng.uniform(0, late, 5000), kind="stable")]
+    one, many = Gaps(), Gaps()
+    for time_ns in times_ns.tolist():
+        one.add(time_ns)
+    for part in np.split(times_ns, [1, 700, 4000]):
+        many.add_block(part)
+    for expected, found in zip(one.seconds(), many.seconds(), strict=True):
+        np.testing.assert_array_equal(found, expected)

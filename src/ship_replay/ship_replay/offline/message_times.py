@@ -89,7 +89,11 @@ class Gaps:
             self._take(heappop(self._waiting))
 
     def add_block(self, times_ns: np.ndarray) -> None:
-        """Note times in ascending order, as by :meth:`add`."""
+        """Note times, as by :meth:`add` of each."""
+        if np.any(np.diff(times_ns) < 0):
+            for time_ns in times_ns.tolist():
+                self.add(time_ns)
+            return
         ordered = sorted([*self._waiting, *times_ns.tolist()])
         taken, self._waiting = ordered[:-_REACH], ordered[-_REACH:]  # a list in order is a heap
         if not taken:
@@ -129,7 +133,7 @@ class MessageTimes:
             self.stamps.add(stamp_ns)
 
     def add_block(self, stamps_ns: np.ndarray, log_times_ns: np.ndarray) -> None:
-        """Note messages, stamps and log times in ascending order."""
+        """Note messages, as by :meth:`add` of each."""
         self.arrivals.add_block(log_times_ns)
         self.stamps.add_block(stamps_ns)
 
