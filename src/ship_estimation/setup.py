@@ -13,11 +13,11 @@ setup(
     ext_modules=cythonize(
         [
             Extension(
-                f"ship_estimation.{name}",
-                [f"ship_estimation/{name}.py"],
+                f"ship_estimation.compiled_{name}",
+                [f"ship_estimation/compiled_{name}.py"],
                 extra_compile_args=["-O3", "-ffp-contract=off"],
             )
-            for name in ("compiled_integrity", "compiled_means", "compiled_steps", "compiled_watch")
+            for name in ("integrity", "means", "steps", "watch")
         ],
         quiet=True,  # colcon reads what this file prints
     ),

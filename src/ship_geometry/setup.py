@@ -13,11 +13,11 @@ setup(
     ext_modules=cythonize(
         [
             Extension(
-                f"ship_geometry.{name}",
-                [f"ship_geometry/{name}.py"],
+                f"ship_geometry.compiled_{name}",
+                [f"ship_geometry/compiled_{name}.py"],
                 extra_compile_args=["-O3", "-ffp-contract=off"],
             )
-            for name in ("compiled_angles", "compiled_lights", "compiled_mounts", "compiled_rotations")
+            for name in ("angles", "lights", "mounts", "rotations", "shapes")
         ],
         quiet=True,  # colcon reads what this file prints
     ),

@@ -10,7 +10,7 @@ What is no number makes what rests on it no number.
 import cython
 import numpy as np
 
-from ship_geometry.array_shapes import check
+from ship_geometry.compiled_shapes import check
 
 if not cython.compiled:
     raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")

@@ -17,7 +17,7 @@ compilers make fast.
 import cython
 import numpy as np
 
-from ship_geometry.array_shapes import check
+from ship_geometry.compiled_shapes import check
 
 if not cython.compiled:
     raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")

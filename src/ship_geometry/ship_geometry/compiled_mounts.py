@@ -14,7 +14,7 @@ in d), g, h, c, I, βx, βy, f, and τ in seconds. Those of the axes are told in
 import cython
 import numpy as np
 
-from ship_geometry.array_shapes import check
+from ship_geometry.compiled_shapes import check
 
 if not cython.compiled:
     raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")

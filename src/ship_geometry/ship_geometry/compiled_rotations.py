@@ -9,7 +9,7 @@ What the functions compute is told where they are called; the same for whole arr
 import cython
 import numpy as np
 
-from ship_geometry.array_shapes import check
+from ship_geometry.compiled_shapes import check
 
 if not cython.compiled:
     raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")

@@ -26,7 +26,6 @@ from ship_node.edge.output_numbers import (
     as_columns,
     as_numbers,
     chosen,
-    encoded,
     joined,
     rows_by_kind,
 )
@@ -56,7 +55,7 @@ class AttitudeNumbers(NamedTuple):
     @classmethod
     def of(cls, runs: Sequence[AttitudeRun]) -> "AttitudeNumbers":
         """The numbers of several runs, one after another."""
-        return cls(*(joined(runs, name) for name in cls._fields))
+        return cls(*joined(runs, cls._fields))
 
     def some(self, places: NDArray[np.int64]) -> "AttitudeNumbers":
         """Some of them."""
@@ -69,7 +68,9 @@ def attitude_messages(factory: MessageFactory, estimate: AttitudeEstimate) -> li
     Where no attitude is claimed the first two are all NaN, and the others, which are for standard tools, are not made.
     """
     attitude = AttitudeNumbers.of([AttitudeRun.of_one(estimate)])
-    return encoded(factory, _messages(attitude, as_numbers))
+    return [
+        (topic, factory.encoded(type_name, **fields)) for topic, type_name, fields in _messages(attitude, as_numbers)
+    ]
 
 
 def attitude_rows(factory: MessageFactory, attitudes: AttitudeNumbers) -> Iterator[PublishedRows]:
@@ -80,19 +81,25 @@ def attitude_rows(factory: MessageFactory, attitudes: AttitudeNumbers) -> Iterat
     return rows_by_kind(factory, kinds, lambda _, places: _messages(attitudes.some(places), as_columns))
 
 
-def _messages(attitudes: AttitudeNumbers, values_of: Callable[[Any], Any]) -> MessageFields:
+def _messages(attitudes: AttitudeNumbers, values_of: Callable[..., list[Any]]) -> MessageFields:
     """Topic, type and fields of each message of attitudes that are alike."""
     of_angles = angles(attitudes.rotation_nd)
     covariances = angle_covariances(attitudes.covariance_n, of_angles, SINGULAR_ELEVATION)
-    heading, pitch, roll = values_of(of_angles)
-    (time_ns,) = values_of(attitudes.time_ns[:, None])
-    header = {"stamp": time_ns, "frame_id": DECK_FRAME}
-    (status,) = values_of(np.array(attitudes.status)[:, None])
     rotations = quaternions(ENU_FROM_HORIZON @ attitudes.rotation_nd @ FLU_FROM_DEVICE.T)
-    orientation = dict(zip("xyzw", values_of(rotations), strict=True))
-    rotation_covariance = values_of(enu_covariance(attitudes.covariance_n).reshape(-1, 9))
-    rate = dict(zip("xyz", values_of(flu_from_device_vector(attitudes.rate_d)), strict=True))
-    (horizon, star_age_s) = values_of(attitudes.horizon[:, None])[0], values_of(attitudes.star_age_s[:, None])[0]
+    time_ns, status, horizon, star_age_s = values_of(
+        attitudes.time_ns, np.array(attitudes.status), attitudes.horizon, attitudes.star_age_s
+    )
+    (heading, pitch, roll), degrees, quaternion, rates, covariance, rotation_covariance, arcsec_95 = values_of(
+        of_angles,
+        np.rad2deg(of_angles),
+        rotations,
+        flu_from_device_vector(attitudes.rate_d),
+        covariances.reshape(-1, 9),
+        enu_covariance(attitudes.covariance_n).reshape(-1, 9),
+        NORMAL_95 / ARCSEC * np.sqrt(covariances.diagonal(axis1=1, axis2=2)),
+    )
+    header = {"stamp": time_ns, "frame_id": DECK_FRAME}
+    orientation, rate = dict(zip("xyzw", quaternion, strict=True)), dict(zip("xyz", rates, strict=True))
     is_claimed = attitudes.status[0] is not Status.INVALID
     yield (
         ATTITUDE_TOPIC,
@@ -102,7 +109,7 @@ def _messages(attitudes: AttitudeNumbers, values_of: Callable[[Any], Any]) -> Me
             "heading": heading,
             "pitch": pitch,
             "roll": roll,
-            "covariance": values_of(covariances.reshape(-1, 9)),
+            "covariance": covariance,
             "orientation": orientation,
             "rotation_covariance": rotation_covariance,
             "angular_velocity": rate,
@@ -115,19 +122,13 @@ def _messages(attitudes: AttitudeNumbers, values_of: Callable[[Any], Any]) -> Me
     if is_claimed:
         rate_known = bool(np.isfinite(attitudes.rate_d[0]).all())
         yield IMU_TOPIC, IMU_TYPE, _as_imu(header, orientation, rotation_covariance, rate if rate_known else None)
-    heading_95, pitch_95, roll_95 = values_of(NORMAL_95 / ARCSEC * np.sqrt(covariances.diagonal(axis1=1, axis2=2)))
-    heading_deg, pitch_deg, roll_deg = values_of(np.rad2deg(of_angles))
     yield (
         DEGREES_TOPIC,
         DEGREES_TYPE,
         {
             "header": header,
-            "heading_deg": heading_deg,
-            "pitch_deg": pitch_deg,
-            "roll_deg": roll_deg,
-            "heading_95_arcsec": heading_95,
-            "pitch_95_arcsec": pitch_95,
-            "roll_95_arcsec": roll_95,
+            **dict(zip(("heading_deg", "pitch_deg", "roll_deg"), degrees, strict=True)),
+            **dict(zip(("heading_95_arcsec", "pitch_95_arcsec", "roll_95_arcsec"), arcsec_95, strict=True)),
             "status": status,
         },
     )

@@ -13,26 +13,25 @@ from numpy.typing import NDArray
 
 from ship_bags.message_factory import MessageFactory
 from ship_node.edge.blocks import PublishedRows
-from ship_node.edge.topics import Published
 
 Fields = Mapping[str, Any]
 MessageFields = Iterator[tuple[str, str, Fields]]
 """Topic, type and fields of each message that outputs become."""
 
 
-def joined(runs: Sequence[Any], name: str) -> Any:
-    """The values of a field of several runs of outputs, one run after another: an array, or a list.
+def joined(runs: Sequence[Any], names: Iterable[str]) -> list[Any]:
+    """The values of some fields of several runs of outputs, one run after another: arrays, or lists.
 
     Example:
         >>> from types import SimpleNamespace
         >>> runs = [SimpleNamespace(text=["a"], angle=np.zeros(1)), SimpleNamespace(text=["b"], angle=np.ones(2))]
-        >>> joined(runs, "text"), joined(runs, "angle")
-        (['a', 'b'], array([0., 1., 1.]))
+        >>> joined(runs, ["text", "angle"])
+        [['a', 'b'], array([0., 1., 1.])]
     """
-    values = [getattr(run, name) for run in runs]
-    if len(values) == 1:
-        return values[0]
-    return list(chain.from_iterable(values)) if isinstance(values[0], list) else np.concatenate(values)
+    if len(runs) == 1:
+        return [getattr(runs[0], name) for name in names]
+    columns = [[getattr(run, name) for run in runs] for name in names]
+    return [list(chain(*values)) if isinstance(values[0], list) else np.concatenate(values) for values in columns]
 
 
 def chosen(values: Any, places: NDArray[np.int64]) -> Any:
@@ -40,19 +39,14 @@ def chosen(values: Any, places: NDArray[np.int64]) -> Any:
     return [values[place] for place in places] if isinstance(values, list) else values[places]
 
 
-def as_numbers(values: Any) -> Any:
-    """The numbers of the only output, of an array whose first axis counts outputs."""
-    return values[0].tolist()
+def as_numbers(*arrays: Any) -> list[Any]:
+    """Of each array, whose first axis counts outputs, the numbers of the only output."""
+    return [values[0].tolist() for values in arrays]
 
 
-def as_columns(values: Any) -> Any:
-    """The numbers of all outputs, by columns."""
-    return values.T
-
-
-def encoded(factory: MessageFactory, messages: MessageFields) -> list[Published]:
-    """The messages of one output, on their way out."""
-    return [(topic, factory.encoded(type_name, **fields)) for topic, type_name, fields in messages]
+def as_columns(*arrays: Any) -> list[Any]:
+    """Of each array, whose first axis counts outputs, the numbers of all of them by columns."""
+    return [values.T for values in arrays]
 
 
 def rows_by_kind(

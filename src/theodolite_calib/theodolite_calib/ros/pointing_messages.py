@@ -25,7 +25,6 @@ from ship_node.edge.output_numbers import (
     as_columns,
     as_numbers,
     chosen,
-    encoded,
     joined,
     rows_by_kind,
 )
@@ -34,6 +33,7 @@ from theodolite_calib.measured.samples import PointingEstimate, PointingRun, Sta
 
 MAIN_FRAME = "theodolite_main"
 POINTING_TOPIC, POINTING_TYPE = "theodolite/pointing", "ship_msgs/msg/OpticalAxisPointing"
+_TELESCOPE_ANGLES = "telescope_azimuth", "telescope_elevation", "telescope_rotation"
 
 
 class PointingNumbers(NamedTuple):
@@ -51,7 +51,7 @@ class PointingNumbers(NamedTuple):
     @classmethod
     def of(cls, runs: Sequence[PointingRun]) -> "PointingNumbers":
         """The numbers of several runs, one after another."""
-        return cls(*(joined(runs, name) for name in cls._fields))
+        return cls(*joined(runs, cls._fields))
 
     @classmethod
     def of_one(cls, estimate: PointingEstimate) -> "PointingNumbers":
@@ -85,7 +85,10 @@ def pointing_messages(
         estimate: the pointing.
     """
     pointing, in_deck = PointingNumbers.of_one(estimate), math.isfinite(estimate.rotation_dm[0, 0])
-    return encoded(factory, _messages(pointing, lever, in_deck, as_numbers))
+    return [
+        (topic, factory.encoded(type_name, **fields))
+        for topic, type_name, fields in _messages(pointing, lever, in_deck, as_numbers)
+    ]
 
 
 def pointing_rows(
@@ -101,30 +104,29 @@ def pointing_rows(
 
 
 def _messages(
-    pointings: PointingNumbers, lever: Fields, in_deck: bool, values_of: Callable[[Any], Any]
+    pointings: PointingNumbers, lever: Fields, in_deck: bool, values_of: Callable[..., list[Any]]
 ) -> MessageFields:
     """Topic, type and fields of each message of pointings that are alike; ``in_deck`` where they know of the deck."""
     of_main = angles(pointings.rotation_nm)
-    azimuth, elevation, image_rotation = values_of(of_main)
-    telescope_azimuth, telescope_elevation, telescope_rotation = values_of(angles(pointings.rotation_nt))
     covariances = angle_covariances(pointings.covariance_n, of_main, SINGULAR_ELEVATION)
-    time_ns, mode, status, light_count = (
-        values_of(whole[:, None])[0]
-        for whole in (pointings.time_ns, pointings.mode, np.array(pointings.status), pointings.light_count)
+    time_ns, mode, status, light_count = values_of(
+        pointings.time_ns, pointings.mode, np.array(pointings.status), pointings.light_count
+    )
+    main_angles, telescope_angles, covariance, rotation_covariance = values_of(
+        of_main,
+        angles(pointings.rotation_nt),
+        covariances.reshape(-1, 9),
+        enu_covariance(pointings.covariance_n).reshape(-1, 9),
     )
     yield (
         POINTING_TOPIC,
         POINTING_TYPE,
         {
             "header": {"stamp": time_ns, "frame_id": MAIN_FRAME},
-            "azimuth": azimuth,
-            "elevation": elevation,
-            "image_rotation": image_rotation,
-            "covariance": values_of(covariances.reshape(-1, 9)),
-            "rotation_covariance": values_of(enu_covariance(pointings.covariance_n).reshape(-1, 9)),
-            "telescope_azimuth": telescope_azimuth,
-            "telescope_elevation": telescope_elevation,
-            "telescope_rotation": telescope_rotation,
+            **dict(zip(("azimuth", "elevation", "image_rotation"), main_angles, strict=True)),
+            "covariance": covariance,
+            "rotation_covariance": rotation_covariance,
+            **dict(zip(_TELESCOPE_ANGLES, telescope_angles, strict=True)),
             "mode": mode,
             "status": status,
             "light_count": light_count,
@@ -139,10 +141,11 @@ def _messages(
         # The INS alone: its attitude is not that of the frame "deck", and nobody may publish that one at all.
         parent, translation = HORIZON_FRAME, ZERO_VECTOR
         rotations = quaternions(ENU_FROM_HORIZON @ pointings.rotation_nm @ FLU_FROM_DEVICE.T)
+    (quaternion,) = values_of(rotations)
     main = {
         "header": {"stamp": time_ns, "frame_id": parent},
         "child_frame_id": MAIN_FRAME,
-        "transform": {"translation": translation, "rotation": dict(zip("xyzw", values_of(rotations), strict=True))},
+        "transform": {"translation": translation, "rotation": dict(zip("xyzw", quaternion, strict=True))},
     }
     yield TF_TOPIC, TF_TYPE, {"transforms": [main]}
 

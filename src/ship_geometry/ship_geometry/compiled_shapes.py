@@ -1,4 +1,10 @@
-"""Whether arrays fit together, asked before compiled loops that look at no bounds."""
+# cython: language_level=3
+"""Whether arrays fit together, asked by compiled loops, which look at no bounds; compiled as they are."""
+
+import cython
+
+if not cython.compiled:
+    raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")
 
 
 def check(what: str, fits: bool) -> None:
