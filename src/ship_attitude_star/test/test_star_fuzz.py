@@ -3,8 +3,8 @@
 import pickle
 
 import numpy as np
-from rclpy.serialization import serialize_message
 
+from ship_node.live.adapter_calls import message_bytes
 from ship_testing.adapter_runs import SECOND_NS, START_NS, stamp_of
 from ship_testing.garbage import paths, spoil
 from ship_testing.small_voyage import drive
@@ -34,7 +34,7 @@ def test_no_message_whatsoever_raises_or_does_damage() -> None:
                 tried += 1
             published += adapter.tick(arrival.receive_ns)
             for _, message in published:
-                serialize_message(message)
+                message_bytes(message)
     assert tried > 4000
     reasons = {message.topic: set(message.reasons) for message in adapter.health.messages(adapter.factory, START_NS)}
     assert reasons[FORE] | reasons[STARBOARD] >= {
