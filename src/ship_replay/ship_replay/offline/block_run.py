@@ -20,7 +20,7 @@ from ship_bags.topic_names import TRUTH_PREFIX
 from ship_node.edge.topics import Published
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.message_times import MessageTimes
-from ship_replay.offline.node_pass import Moment, NodePass, Passed, TopicRows
+from ship_replay.offline.node_pass import Moment, NodePass, Passed, TopicBlock
 from ship_replay.offline.ordered_output import ManySink, OrderedOutput
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 from ship_replay.offline.status_course import StatusCourse
@@ -86,7 +86,7 @@ class BlockRun(ReplayRun):
             of_moment += [None] * len(ticks_ns) + [record]
         return moments, of_moment
 
-    def _rows(self, moments: list[Moment], of_moment: list[BagRecord | None]) -> dict[str, TopicRows]:
+    def _rows(self, moments: list[Moment], of_moment: list[BagRecord | None]) -> dict[str, TopicBlock]:
         """The messages of topics that may be taken in blocks; all others are decoded."""
         blocks = self._chain.topics_in_blocks()
         places: dict[str, list[int]] = defaultdict(list)
@@ -101,7 +101,7 @@ class BlockRun(ReplayRun):
             messages = self._laid_out(records)
             if messages is not None:
                 times_ns = np.array([record.log_time_ns for record in records])
-                rows[topic] = TopicRows(messages, times_ns, np.array(of_topic))
+                rows[topic] = TopicBlock(messages, times_ns, np.array(of_topic))
                 continue
             for place, record in zip(of_topic, records, strict=True):
                 self._decode(moments[place], record)
@@ -128,7 +128,7 @@ class BlockRun(ReplayRun):
         return CdrRows(template, rows) if template.fitting(rows).all() else None
 
     def _note(
-        self, moments: list[Moment], of_moment: list[BagRecord | None], rows: dict[str, TopicRows]
+        self, moments: list[Moment], of_moment: list[BagRecord | None], rows: dict[str, TopicBlock]
     ) -> None:
         """Note which messages come, and when."""
         for topic, (messages, times_ns, _) in rows.items():

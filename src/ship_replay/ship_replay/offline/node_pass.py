@@ -35,7 +35,7 @@ class Moment:
     message: Any = None
 
 
-class TopicRows(NamedTuple):
+class TopicBlock(NamedTuple):
     """The messages of one topic among the moments, all laid out alike.
 
     Attributes:
@@ -97,7 +97,7 @@ class NodePass:
         adapter: Adapter,
         taken: Set[str],
         moments: list[Moment],
-        rows: Mapping[str, TopicRows],
+        rows: Mapping[str, TopicBlock],
         given: Mapping[int, list[Published]],
     ) -> None:
         self._adapter, self._taken, self._moments, self._given = adapter, taken, moments, given
