@@ -65,6 +65,7 @@ ONES = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
 REFUSED = {
     "no number in the quaternion": {"orientation": {**ONES, "x": NAN}},
     "infinite quaternion": {"orientation": {**ONES, "z": INF}},
+    "quaternion overflows": {"orientation": {**ONES, "y": 1e200}},
     "no quaternion": {"orientation": {**ONES, "w": 0.0}},
     "quaternion too long": {"orientation": {**ONES, "w": 1.02}},
     "no stamp": {"header": {"stamp": 0, "frame_id": "ins"}},

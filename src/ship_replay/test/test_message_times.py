@@ -114,3 +114,12 @@ def test_times_noted_together_are_those_noted_one_by_one(late):
         many.add_block(part)
     for expected, found in zip(one.seconds(), many.seconds(), strict=True):
         np.testing.assert_array_equal(found, expected)
+
+
+def test_of_messages_noted_together_one_without_a_stamp_is_left_out():
+    stamps_ns = np.array([START_NS, 0, START_NS + SECOND_NS])
+    log_times_ns = START_NS + np.array([2_000_000, 500_000_000, SECOND_NS + 2_000_000])
+    times = LogTimes()
+    times.add_block("ins/imu", stamps_ns, log_times_ns)
+    times.add_block("ins/imu", stamps_ns[1:2], log_times_ns[1:2])
+    assert (times.usual_ns(), times.held_up()) == (2_000_000, "")

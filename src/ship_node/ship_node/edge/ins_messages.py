@@ -68,7 +68,8 @@ def ins_block(messages: CdrRows, receive_ns: StampArray, config: InsInputConfig)
     quaternions = _columns(numbers, "orientation", "xyzw")
     rates_ros = _columns(numbers, "angular_velocity", "xyz")
     x, y, z, w = quaternions.T
-    norms = np.sqrt(x * x + y * y + z * z + w * w)
+    with np.errstate(over="ignore", invalid="ignore"):
+        norms = np.sqrt(x * x + y * y + z * z + w * w)
     covariances = numbers["orientation_covariance"].view(np.int64)
     # Written so that NaN is no good.
     good = (

@@ -221,8 +221,11 @@ class LogTimes:
         self._latest[topic] = max(self._latest.get(topic, (delay_ns, 0)), (delay_ns, record.log_time_ns))
 
     def add_block(self, topic: str, stamps_ns: np.ndarray, log_times_ns: np.ndarray) -> None:
-        """Note messages, each with a stamp."""
-        delays_ns = log_times_ns - stamps_ns
+        """Note messages, as by :meth:`add` of each."""
+        stamped = stamps_ns != 0
+        if not stamped.any():
+            return
+        log_times_ns, delays_ns = log_times_ns[stamped], (log_times_ns - stamps_ns)[stamped]
         counts = self._delays.setdefault(topic, Counter())
         lengths, numbers = np.unique(np.rint(delays_ns / _DELAY_RESOLUTION_NS), return_counts=True)
         for length, number in zip(lengths.tolist(), numbers.tolist(), strict=True):
