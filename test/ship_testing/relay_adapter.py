@@ -108,7 +108,7 @@ class RelayAdapter:
         self.ticks.append(now_ns if waiting_ns is None else waiting_ns)
         self.node_times.append(now_ns)
         statuses = self.health.statuses(now_ns, waiting_ns)
-        published = [(DIAGNOSTICS_TOPIC, diagnostic_array(self.factory, now_ns, self.node_name, statuses))]
+        published = [(DIAGNOSTICS_TOPIC, diagnostic_array(now_ns, self.node_name, statuses))]
         return published + [("input_health", m) for m in self.health.messages(self.factory, now_ns, waiting_ns)]
 
     def clock_jumped_back(self, now_ns: int) -> list[Published]:

@@ -4,6 +4,8 @@ The values of a message are taken apart into its numbers, which are packed, and 
 which decide by which template.
 """
 
+import functools
+import struct
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -14,6 +16,18 @@ from ship_bags.cdr_template import TEXT, CdrMessage, CdrRows, CdrTemplate, Defin
 STAMP = "builtin_interfaces/msg/Time"
 
 _NS_PER_S = 1_000_000_000
+
+
+@functools.lru_cache(maxsize=4096)
+def cdr_text(text: str) -> bytes:
+    r"""A text as it stands in a message from an offset divisible by four on, filled up to the next such.
+
+    Example:
+        >>> cdr_text("deck")
+        b'\x05\x00\x00\x00deck\x00\x00\x00\x00'
+    """
+    data = text.encode()
+    return struct.pack("<I", len(data) + 1) + data + bytes(4 - len(data) % 4)
 
 
 class CdrEncoder:

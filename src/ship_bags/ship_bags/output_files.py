@@ -8,7 +8,6 @@ so that nobody else's file is written. A part that a killed program left is take
 at this moment is not.
 """
 
-import csv
 import errno
 import fcntl
 import io
@@ -141,6 +140,8 @@ def named(problem: OSError, path: Path) -> OSError:
 
 def write_csv(path: Path, header: Iterable[str], rows: Iterable[Iterable[Any]]) -> Path:
     """Write a table; returns its path."""
+    import csv  # only tables need it
+
     table = io.StringIO()
     writer = csv.writer(table, lineterminator="\n")
     writer.writerow(header)

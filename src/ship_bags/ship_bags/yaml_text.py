@@ -1,5 +1,6 @@
 """YAML from files that may hold anything: a text that is too long, too deep or unfolds without end is refused."""
 
+import functools
 from typing import Any
 
 import yaml
@@ -32,6 +33,8 @@ class _DataLoader(yaml.SafeLoader):
 _DataLoader.add_constructor("tag:yaml.org,2002:int", _DataLoader.construct_yaml_int)
 
 
+# A node asks the same file twice while it starts: to check it before ROS reads it, and for the warnings about it.
+@functools.lru_cache(maxsize=1)
 def composed(name: str, text: str) -> yaml.Node | None:
     """The document of a text as nodes with their lines; None where it holds nothing.
 

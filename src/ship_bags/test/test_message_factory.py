@@ -5,7 +5,6 @@ import pytest
 
 from ship_bags.message_factory import RosidlFactory, message_class
 from ship_bags.stamps import make_header, ns_from_stamp, stamp_fields
-from ship_node.edge.messages_out import DIAGNOSTICS_TYPE, DiagnosticStatus, Level, diagnostic_array
 
 # Before 1970 too: nanosec must stay positive.
 TIMES_NS = [0, 1, 999_999_999, 1_400_000_000_123_456_789, -1]
@@ -61,13 +60,3 @@ def test_missing_and_unknown_fields_are_named():
 def test_unknown_message_is_an_import_error():
     with pytest.raises(ImportError, match="package ship_msgs has no msg ShipAltitude"):
         message_class("ship_msgs/msg/ShipAltitude")
-
-
-def test_diagnostics_carry_node_name_level_and_values():
-    status = DiagnosticStatus("input ins/imu", Level.ERROR, "silent", {"age [s]": "3"})
-    array = diagnostic_array(RosidlFactory(), 2_000_000_000, "ship_attitude", [status])
-    assert isinstance(array, message_class(DIAGNOSTICS_TYPE))
-    assert array.header.stamp.sec == 2
-    (made,) = array.status
-    assert (made.level, made.name, made.hardware_id) == (b"\x02", "ship_attitude: input ins/imu", "ship_attitude")
-    assert [(v.key, v.value) for v in made.values] == [("age [s]", "3")]

@@ -18,7 +18,6 @@ from ship_bags.message_store import (
     type_hash,
 )
 from ship_bags.stamps import make_header
-from ship_node.edge.messages_out import DiagnosticStatus, Level, diagnostic_array
 from ship_testing.hand_made_bags import FACTORY, START_NS, innovation, ship_attitude
 
 SHIP_TYPES = sorted(name for name in message_store().fielddefs if name.startswith("ship_msgs/"))
@@ -52,11 +51,7 @@ def budget(factory):
     )
 
 
-def diagnostics(factory):
-    return diagnostic_array(factory, START_NS, "node", [DiagnosticStatus("a", Level.WARN, "text", {"key": "value"})])
-
-
-@pytest.mark.parametrize("make", [health, budget, diagnostics])
+@pytest.mark.parametrize("make", [health, budget])
 def test_rclpy_and_we_read_each_other(make):
     """Not compared byte by byte: what the middleware leaves between fields is whatever was in its memory."""
     from rclpy.serialization import deserialize_message, serialize_message

@@ -6,9 +6,9 @@ are those predicted, :class:`Axis` whether their mean is zero and each independe
 that lie far off count little.
 """
 
+import itertools
 import math
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping
 from functools import cache, lru_cache
 from typing import Any, NamedTuple
 
@@ -19,6 +19,7 @@ from ship_estimation import compiled_integrity
 from ship_estimation.chi_square import normal_value_above, probability_above, value_above
 from ship_estimation.outcome import Decision
 from ship_estimation.refusals import Reason
+from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 LEAST_COUNT = 30
@@ -187,8 +188,11 @@ class InnovationTable:
 
     def take(self, innovations: Collection[Innovation]) -> None:
         """Add innovations; of those with one stamp the last one taken stays."""
-        self._make_room(innovations)
-        rows = np.concatenate([self._rows, self._as_rows(innovations)])
+        self._widen(innovations)
+        known = len(self._rows)
+        # Numpy's way to join two arrays with several fields takes twenty times as long.
+        rows = np.empty(known + len(innovations), dtype=self._rows.dtype)
+        rows[:known], rows[known:] = self._rows, self._as_rows(innovations)
         times_ns = rows["time_ns"]
         if not (times_ns[1:] > times_ns[:-1]).all():
             rows = rows[np.argsort(times_ns, kind="stable")]
@@ -201,10 +205,10 @@ class InnovationTable:
         first = int(np.searchsorted(self._rows["time_ns"], until_ns, side="right"))
         self._rows = self._rows[max(first, len(self._rows) - most) :]
 
-    def _make_room(self, innovations: Collection[Innovation]) -> None:
-        """Widen the table for axes that it does not have yet, and for more parts than any had."""
+    def _widen(self, innovations: Collection[Innovation]) -> None:
+        """Make room for axes that the table does not have yet, and for more parts than any had."""
         axes = tuple(dict.fromkeys([*self.axes, *(name for one in innovations for name in one.axes)]))
-        most_parts = max(self._most_parts, *(len(one.squares) for one in innovations), 0)
+        most_parts = max([self._most_parts, *(len(one.squares) for one in innovations)])
         if axes != self.axes or most_parts > self._most_parts:
             old, old_axes, old_parts = self._rows, len(self.axes), self._most_parts
             self.axes, self._most_parts = axes, most_parts
@@ -214,13 +218,14 @@ class InnovationTable:
             self._rows["axes"][:, :old_axes], self._rows["squares"][:, :old_parts] = old["axes"], old["squares"]
 
     def _as_rows(self, innovations: Collection[Innovation]) -> NDArray[np.void]:
-        rows = self._empty(len(innovations))
+        rows = np.empty(len(innovations), dtype=self._rows.dtype)
         for name in _SINGLE_NUMBERS:
             rows[name] = [getattr(one, name) for one in innovations]
-        axes, squares = rows["axes"], rows["squares"]
+        if self.axes:
+            rows["axes"] = [[one.axes.get(name, _NO_AXIS) for name in self.axes] for one in innovations]
+        squares = rows["squares"]
+        squares[:] = np.nan
         for place, one in enumerate(innovations):
-            for number, name in enumerate(self.axes):
-                axes[place, number] = one.axes.get(name, _NO_AXIS)
             squares[place, : len(one.squares)] = one.squares
         return rows
 
@@ -228,7 +233,8 @@ class InnovationTable:
         """So many rows of zeros, of which no axis and no part is known."""
         single = zip(_SINGLE_NUMBERS, ("i8", "i8", "f8", "i8", "f8", "?"), strict=True)
         several = [("axes", "f8", (len(self.axes), 2)), ("squares", "f8", (self._most_parts,))]
-        rows = np.zeros(count, dtype=[*single, *several])
+        # Aligned: numpy reads a column of numbers that stand anywhere in a slow way.
+        rows = np.zeros(count, dtype=np.dtype([*single, *several], align=True))
         rows["axes"] = rows["squares"] = np.nan
         return rows
 
@@ -308,32 +314,25 @@ def _expected_far(degrees: int) -> float:
     return probability_above(value_above(_FAR, degrees) / TOLERATED_FACTOR**2, degrees)
 
 
+@dataclass(frozen=True)
 class Axis:
     """The innovations along one axis, in order of time.
 
-    Args:
+    Attributes:
         name: of the axis.
-        normalised: in their sigmas, shape (n,).
         residual: in rad, shape (n,).
         lasting: variance, in squares of their sigmas, of what of the prediction's error is the same in all of them.
-
-    Attributes:
-        name: the same.
         bias_sigma: median of the innovations, in their sigmas.
+        spread: sigma of the innovations about their median, in predicted sigmas; at least 1.
         correlation: of each innovation with the one before, those that are far off clipped; 0 where all are the same.
     """
 
-    def __init__(self, name: str, normalised: FloatArray, residual: FloatArray, lasting: float) -> None:
-        self.name, self._residual, self._lasting = name, residual, lasting
-        self._count = len(normalised)
-        self.bias_sigma = _median(normalised)
-        around = normalised - self.bias_sigma
-        # Sigma of the innovations about their median, in predicted sigmas.
-        self._spread = max(1.0, _SIGMA_OF_SPREAD * _median(np.abs(around)))
-        limit = _CLIPPED_AT * self._spread
-        around = np.minimum(np.maximum(around, -limit), limit)
-        squares = float((around * around).sum())
-        self.correlation = float((around[1:] * around[:-1]).sum()) / squares if squares > 0.0 else 0.0
+    name: str
+    residual: FloatArray
+    lasting: float
+    bias_sigma: float
+    spread: float
+    correlation: float
 
     @property
     def is_biased(self) -> bool:
@@ -343,16 +342,16 @@ class Axis:
     @property
     def is_lasting(self) -> bool:
         """Whether the innovations are not independent of one another, although the prediction's errors are."""
-        most = max(TOLERATED_CORRELATION, _SIGMAS / math.sqrt(self._count))
-        return self._lasting == 0.0 and abs(self.correlation) > most
+        most = max(TOLERATED_CORRELATION, _SIGMAS / math.sqrt(len(self.residual)))
+        return self.lasting == 0.0 and abs(self.correlation) > most
 
     @property
     def bias_text(self) -> str:
         """The size of a bias, and what it may come from."""
         # In rad, as the sigma changes with the prediction's; the noise by successive differences, free of a drift.
-        half, bias = len(self._residual) // 2, float(np.median(self._residual))
-        change = float(np.median(self._residual[half:]) - np.median(self._residual[:half]))
-        noise = _SIGMA_OF_SPREAD * float(np.median(np.abs(np.diff(self._residual)))) / math.sqrt(2.0)
+        half, bias = len(self.residual) // 2, float(np.median(self.residual))
+        change = float(np.median(self.residual[half:]) - np.median(self.residual[:half]))
+        noise = _SIGMA_OF_SPREAD * float(np.median(np.abs(np.diff(self.residual)))) / math.sqrt(2.0)
         size = f"bias of {bias / ARCSEC:+.1f} arcsec in {self.name} ({self.bias_sigma:+.1f} sigma)"
         if abs(change) < max(_STEADY * abs(bias), _SIGMAS * _MEDIAN_SIGMA * noise * math.sqrt(4.0 / half)):
             return f"{size}, steady: look at installation and alignment"
@@ -375,8 +374,8 @@ class Axis:
     def _sigma_of_median(self) -> float:
         """Of the median of the innovations, in predicted sigmas: as of fewer where they are correlated."""
         alike = min(max(self.correlation, 0.0), _MOST_CORRELATED)
-        variance = (_MEDIAN_SIGMA * self._spread) ** 2 * (1.0 + alike) / (1.0 - alike) / self._count
-        return math.sqrt(variance + self._lasting)
+        variance = (_MEDIAN_SIGMA * self.spread) ** 2 * (1.0 + alike) / (1.0 - alike) / len(self.residual)
+        return math.sqrt(variance + self.lasting)
 
 
 def axes_of(table: InnovationTable) -> list[Axis]:
@@ -393,9 +392,33 @@ def axes_of(table: InnovationTable) -> list[Axis]:
     beside = ~table.column("is_used")
     lasting = float((1.0 - table.column("own_share")[beside]).max()) if beside.any() else 0.0
     along = [(name, table.along(name)) for name in table.axes]
-    return [Axis(name, both[:, 0], both[:, 1], lasting) for name, both in along if len(both) >= LEAST_COUNT]
+    enough = [(name, both) for name, both in along if len(both) >= LEAST_COUNT]
+    # Mostly all axes are there in each measurement: what has one length is judged in one go.
+    axes = []
+    for _, alike in itertools.groupby(enough, key=lambda one: len(one[1])):
+        names, both = zip(*alike, strict=True)
+        axes += _axes(names, np.array([one[:, 0] for one in both]), [one[:, 1] for one in both], lasting)
+    return axes
 
 
-def _median(values: FloatArray) -> float:
-    ordered, half = np.sort(values), len(values) // 2
-    return float(ordered[half]) if len(values) % 2 else 0.5 * (float(ordered[half - 1]) + float(ordered[half]))
+def _axes(
+    names: Iterable[str], normalised: FloatArray, residuals: Iterable[FloatArray], lasting: float
+) -> list[Axis]:
+    """Axes by their innovations in their sigmas, shape (k, n), and in rad, each of shape (n,)."""
+    bias_sigma = _medians(normalised)
+    around = normalised - bias_sigma[:, np.newaxis]
+    spread = np.maximum(1.0, _SIGMA_OF_SPREAD * _medians(np.abs(around)))
+    limit = (_CLIPPED_AT * spread)[:, np.newaxis]
+    around = np.minimum(np.maximum(around, -limit), limit)
+    squares = (around * around).sum(axis=1)
+    products = (around[:, 1:] * around[:, :-1]).sum(axis=1)
+    correlation = np.divide(products, squares, out=np.zeros(len(squares)), where=squares > 0.0)
+    found = zip(names, residuals, bias_sigma.tolist(), spread.tolist(), correlation.tolist(), strict=True)
+    return [Axis(name, residual, lasting, *figures) for name, residual, *figures in found]
+
+
+def _medians(values: FloatArray) -> FloatArray:
+    """Of each row."""
+    ordered, half = np.sort(values, axis=1), values.shape[1] // 2
+    medians: FloatArray = ordered[:, half] if values.shape[1] % 2 else 0.5 * (ordered[:, half - 1] + ordered[:, half])
+    return medians

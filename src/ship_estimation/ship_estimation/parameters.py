@@ -7,7 +7,6 @@ for the node, for ``check_config`` and for the documentation.
 """
 
 import dataclasses
-import difflib
 import math
 import re
 import types
@@ -16,6 +15,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Any, TypeVar
 
 from ship_geometry.input_error import InputError
+from ship_geometry.records import dataclass
 
 Config = TypeVar("Config")
 
@@ -35,7 +35,7 @@ class ParameterError(InputError):
         super().__init__(reason, parameters=parameters, value=value)
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class ParameterDescription:
     """What is known of one parameter, by its dotted name (``<id>`` stands for any key of a mapping)."""
 
@@ -204,6 +204,8 @@ def nest(flat: Mapping[str, Any]) -> dict[str, Any]:
 
 def _near(name: str, known: Iterable[str]) -> str:
     """The dotted name that was probably meant."""
+    import difflib  # only an error needs it
+
     near = difflib.get_close_matches(name, known, n=1)
     return f"did you mean '{near[0]}'?" if near else "ros2 param list tells them all"
 
@@ -217,6 +219,8 @@ def _expected(name: str, known: Collection[str]) -> str:
         >>> _expected("lagg_s", ["gate", "lag_s", "sky", *(f"other_{number}" for number in range(20))])
         "expected one of lag_s, sky, gate or 20 others; did you mean 'lag_s'?"
     """
+    import difflib  # only an error needs it
+
     near = difflib.get_close_matches(name, known, n=1)
     named, others = sorted(known), len(known) - _LIKEST
     if len(known) > _MOST_NAMED:

@@ -20,7 +20,7 @@ true but small (``TOLERATED_FACTOR``, ``TOLERATED_BIAS``, ``TOLERATED_CORRELATIO
 import enum
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 from ship_estimation.gates import mean_nees_band
@@ -36,6 +36,7 @@ from ship_estimation.innovations import (
 )
 from ship_estimation.kalman import StateModel
 from ship_estimation.outcome import Decision
+from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
@@ -129,7 +130,9 @@ class VerdictBook:
     def verdicts(self) -> dict[str, SourceVerdict]:
         """The verdict about each source, in the order of their names."""
         for source, innovations in self._fresh.items():
-            self._tables.setdefault(source, InnovationTable()).take(innovations)
+            if source not in self._tables:
+                self._tables[source] = InnovationTable()
+            self._tables[source].take(innovations)
         self._fresh.clear()
         until_ns, verdicts = self._newest_ns - round(WINDOW_S * SECOND_NS), {}
         for source, table in sorted(self._tables.items()):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ship_estimation.chi_square import value_above
-from ship_estimation.innovations import LEAST_COUNT, Axis, Innovation, InnovationTable, Parts, axes_of
+from ship_estimation.innovations import LEAST_COUNT, Innovation, InnovationTable, Parts, axes_of
 from ship_geometry.rotations import FloatArray
 
 
@@ -77,7 +77,11 @@ def factor(squares: FloatArray) -> float:
 def test_bias_and_correlation_are_those_of_numpy(count: int) -> None:
     rng = np.random.default_rng(count)
     values = 0.3 + rng.standard_normal(count) * rng.choice([1.0, 10.0], count)
-    found = Axis("up", values, values, 0.0)
+    table = table_of(
+        *[innovation(k, [1.0], axes={"right": (3.0, 3.0), "up": (value, value)}) for k, value in enumerate(values)]
+    )
+    right, found = axes_of(table)
+    assert (right.bias_sigma, right.correlation) == (3.0, 0.0)
     assert found.bias_sigma == np.median(values)
     spread = max(1.0, 1.4826 * float(np.median(np.abs(values - np.median(values)))))
     around = np.clip((values - np.median(values)) / spread, -3.0, 3.0)

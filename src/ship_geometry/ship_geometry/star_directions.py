@@ -11,14 +11,15 @@ ten seconds; it is several times faster, and within 0.1 mas as long as the Sun i
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
-import erfa
 import numpy as np
 
+from ship_geometry import late_erfa as erfa
 from ship_geometry.earth_orientation import EarthOrientation, EarthOrientationTable
 from ship_geometry.geodetic import GeodeticPosition, rotation_horizon_from_ecef
+from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS, JulianDate, TimeNs, julian_date, tt_julian_date
 

@@ -22,3 +22,16 @@ def test_functions_are_those_of_scipy(imports: str) -> None:
 def test_nothing_else_of_scipy_is_read() -> None:
     check = "import sys; from ship_geometry import lapack; assert 'scipy' not in sys.modules"
     subprocess.run([sys.executable, "-c", check], check=True, timeout=60)
+
+
+def test_lapack_and_erfa_are_read_by_the_first_who_asks() -> None:
+    check = """
+import sys
+from ship_geometry import lapack, late_erfa, geodetic, star_directions, wahba
+assert "erfa" not in sys.modules and "scipy.linalg._flapack" not in sys.modules
+lapack.dposv
+import erfa
+assert late_erfa.gd2gc is erfa.gd2gc and late_erfa.WGS84 == erfa.WGS84
+assert not hasattr(lapack, "dgemm") and not hasattr(late_erfa, "nothing")
+"""
+    subprocess.run([sys.executable, "-c", check], check=True, timeout=60)

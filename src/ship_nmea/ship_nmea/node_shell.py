@@ -209,4 +209,4 @@ class NmeaNode:
         self._status_log.see(statuses)
         statuses += [self.guard.status(), self._parameters.status()]
         now_ns, name = self.clock.now_ns(), self.node.get_name()
-        self._diagnostics.publish(diagnostic_array(self.factory, now_ns, name, statuses, self._full_name))
+        self._diagnostics.publish(diagnostic_array(now_ns, name, statuses, self._full_name).__cdr__)

@@ -234,7 +234,7 @@ def error_arcsec(factory: MessageFactory, estimate: AttitudeEstimate) -> Any:
 
 def alignment_state(factory: MessageFactory, alignment: Alignment, now_ns: int) -> Any:
     """ship_msgs/AlignmentState."""
-    return factory.make(
+    return factory.encoded(
         "ship_msgs/msg/AlignmentState",
         header={"stamp": now_ns, "frame_id": DECK_FRAME},
         names=list(alignment.names),
@@ -267,7 +267,7 @@ def installed_frames(factory: MessageFactory, rotations_dv: Mapping[str, np.ndar
                 "transform": {"translation": ZERO_VECTOR, "rotation": rotation},
             }
         )
-    return factory.make(TF_TYPE, transforms=transforms)
+    return factory.encoded(TF_TYPE, transforms=transforms)
 
 
 def start_warnings(config: ShipAttitudeConfig) -> tuple[str, ...]:

@@ -229,7 +229,8 @@ class AlertNode:
             DiagnosticStatus(f"functions/{branch.path}", Level(branch.level), branch.text)
             for branch in self._keeper.tree()
         ]
-        self._diagnostics.publish(diagnostic_array(self._factory, self._utc_ns(), _NAME, statuses, self._full_name))
+        message = diagnostic_array(self._utc_ns(), _NAME, statuses, self._full_name)
+        self._diagnostics.publish(message.__cdr__)
 
     def _utc_ns(self) -> int:
         """The suite's time; the machine's until the suite tells one."""

@@ -6,12 +6,12 @@ count all of them from 1. The log time is the node's time of the use, which may 
 waiting (:class:`ship_node.edge.adapter.Adapter`).
 """
 
-import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
 
 from ship_bags.errors import BadInput
+from ship_geometry.records import dataclass
 
 FORMAT = "2"
 """Version of this description."""
@@ -110,6 +110,8 @@ _NAMES = {kind: name for name, kind in _KINDS.items()}
 
 def event_text(event: Event) -> str:
     """The event as it lies in the box."""
+    import json  # only a node that keeps a box needs it
+
     # A value that was refused may be of any type, bytes too.
     return json.dumps({"event": _NAMES[type(event)], **asdict(event)}, default=repr)
 
@@ -120,6 +122,8 @@ def event_from_text(text: str) -> Event:
     Raises:
         BadInput: it is none.
     """
+    import json
+
     try:
         fields = json.loads(text)
         return _KINDS[fields.pop("event")](**fields)

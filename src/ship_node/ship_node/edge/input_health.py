@@ -2,9 +2,7 @@
 
 import math
 from collections.abc import Iterable
-from typing import Any
-
-import numpy as np
+from typing import Any, NamedTuple
 
 from ship_bags.message_factory import MessageFactory
 from ship_bags.stamps import duration_text
@@ -33,7 +31,26 @@ FUTURE_ERROR = 10
 _EXPECTED_REASONS = (Reason.GATE, Reason.REVISED)
 """Refusals that good data also meet now and then: only a run of them is worth a warning."""
 
+_EDGES = (*(f"up to {edge:g} s" for edge in LATE_EDGES_S), f"above {LATE_EDGES_S[-1]:g} s")
+
 _Verdict = tuple[Level, str]
+
+
+class _State(NamedTuple):
+    """How one topic does at a moment.
+
+    Attributes:
+        record: its book.
+        level, text: the worst that there is to say.
+        rate_hz, latency_s, age_s: as the book gives them.
+    """
+
+    record: InputRecord
+    level: Level
+    text: str
+    rate_hz: float
+    latency_s: float
+    age_s: float
 
 
 class InputHealthBook(InputRecords):
@@ -78,53 +95,48 @@ class InputHealthBook(InputRecords):
 
     def statuses(self, now_ns: int, waiting_ns: int | None = None) -> list[DiagnosticStatus]:
         """One diagnostic status per topic; without a time of waiting it is the node's."""
-        waiting_ns = self._now(now_ns if waiting_ns is None else waiting_ns)
-        return [self._status(record, now_ns, waiting_ns) for record in self.records.values()]
+        return [self._status(state) for state in self._states(now_ns, waiting_ns)]
 
     def messages(self, factory: MessageFactory, now_ns: int, waiting_ns: int | None = None) -> list[Any]:
         """One ship_msgs/InputHealth per topic; without a time of waiting it is the node's."""
+        return [_message(factory, state, now_ns) for state in self._states(now_ns, waiting_ns)]
+
+    def told(
+        self, factory: MessageFactory, now_ns: int, waiting_ns: int
+    ) -> tuple[list[Any], list[DiagnosticStatus]]:
+        """Messages and statuses of one moment."""
+        states = self._states(now_ns, waiting_ns)
+        return [_message(factory, state, now_ns) for state in states], [self._status(state) for state in states]
+
+    def _states(self, now_ns: int, waiting_ns: int | None) -> list[_State]:
         waiting_ns = self._now(now_ns if waiting_ns is None else waiting_ns)
-        return [self._message(factory, record, now_ns, waiting_ns) for record in self.records.values()]
+        return [self._state(record, now_ns, waiting_ns) for record in self.records.values()]
 
-    def _message(self, factory: MessageFactory, record: InputRecord, now_ns: int, waiting_ns: int) -> Any:
-        latency_s = record.latency_s
-        return factory.encoded(
-            "ship_msgs/msg/InputHealth",
-            header={"stamp": now_ns, "frame_id": ""},
-            topic=record.input.topic,
-            received=record.received,
-            accepted=record.accepted,
-            rejected=record.rejected,
-            rate_hz=record.rate_hz(waiting_ns),
-            latency_s=latency_s,
-            age_s=record.age_s(now_ns),
-            level=int(self._judge(record, latency_s, waiting_ns)[0]),
-            reasons=[reason.word for reason in record.reasons],
-            reason_counts=np.array(list(record.reasons.values()), dtype=np.uint64),
-        )
+    def _state(self, record: InputRecord, now_ns: int, waiting_ns: int) -> _State:
+        latency_s, rate_hz = record.latency_s, record.rate_hz(waiting_ns)
+        level, text = self._judge(record, latency_s, rate_hz, waiting_ns)
+        return _State(record, level, text, rate_hz, latency_s, record.age_s(now_ns))
 
-    def _status(self, record: InputRecord, now_ns: int, waiting_ns: int) -> DiagnosticStatus:
-        latency_s = record.latency_s
-        level, text = self._judge(record, latency_s, waiting_ns)
+    def _status(self, state: _State) -> DiagnosticStatus:
+        record = state.record
         values = {
             "received": str(record.received),
             "accepted": str(record.accepted),
             "rejected": str(record.rejected),
-            "rate [Hz]": f"{record.rate_hz(waiting_ns):.2f}",
-            "latency [s]": f"{latency_s:.3f}",
-            "age [s]": f"{record.age_s(now_ns):.3f}",
+            "rate [Hz]": f"{state.rate_hz:.2f}",
+            "latency [s]": f"{state.latency_s:.3f}",
+            "age [s]": f"{state.age_s:.3f}",
         }
         values |= {f"reason {reason.word}": str(count) for reason, count in record.reasons.items()}
-        edges = [f"up to {edge:g} s" for edge in LATE_EDGES_S] + [f"above {LATE_EDGES_S[-1]:g} s"]
-        values |= {f"late {edge}": str(n) for edge, n in zip(edges, record.late_delays, strict=True) if n}
+        values |= {f"late {edge}": str(n) for edge, n in zip(_EDGES, record.late_delays, strict=True) if n}
         topic = record.input.topic
         if topic in self._publishers:
             values["publishers"] = str(self._publishers[topic])
         if topic in self._lost:
             values["lost by the middleware"] = str(self._lost[topic])
-        return DiagnosticStatus(f"input {topic}", level, text, values)
+        return DiagnosticStatus(f"input {topic}", state.level, state.text, values)
 
-    def _judge(self, record: InputRecord, latency_s: float, waiting_ns: int) -> _Verdict:
+    def _judge(self, record: InputRecord, latency_s: float, rate_hz: float, waiting_ns: int) -> _Verdict:
         """The worst that there is to say; the earlier of equals."""
         verdicts = [
             *self._judge_connection(record, waiting_ns),
@@ -134,7 +146,7 @@ class InputHealthBook(InputRecords):
         ]
         if record.received == 0:
             verdicts.append((Level.OK, "no message yet"))
-        verdicts.append((Level.OK, f"{_rate_text(record, waiting_ns)}, latency {_latency_text(latency_s)}"))
+        verdicts.append((Level.OK, f"{_rate_text(record, rate_hz)}, latency {_latency_text(latency_s)}"))
         return max(verdicts, key=lambda verdict: verdict[0])
 
     def _age_text(self, latency_s: float) -> str:
@@ -162,6 +174,24 @@ class InputHealthBook(InputRecords):
         return verdicts
 
 
+def _message(factory: MessageFactory, state: _State, now_ns: int) -> Any:
+    record = state.record
+    return factory.encoded(
+        "ship_msgs/msg/InputHealth",
+        header={"stamp": now_ns, "frame_id": ""},
+        topic=record.input.topic,
+        received=record.received,
+        accepted=record.accepted,
+        rejected=record.rejected,
+        rate_hz=state.rate_hz,
+        latency_s=state.latency_s,
+        age_s=state.age_s,
+        level=int(state.level),
+        reasons=[reason.word for reason in record.reasons],
+        reason_counts=list(record.reasons.values()),
+    )
+
+
 def _judge_refusals(record: InputRecord, waiting_ns: int) -> list[_Verdict]:
     """Whether what comes can be used."""
     last = record.last_refusal
@@ -177,8 +207,7 @@ def _judge_refusals(record: InputRecord, waiting_ns: int) -> list[_Verdict]:
     return []
 
 
-def _rate_text(record: InputRecord, waiting_ns: int) -> str:
-    rate_hz = record.rate_hz(waiting_ns)
+def _rate_text(record: InputRecord, rate_hz: float) -> str:
     return f"messages: {record.received}" if math.isnan(rate_hz) else f"{rate_hz:.1f} Hz"
 
 

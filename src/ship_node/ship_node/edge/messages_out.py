@@ -1,16 +1,21 @@
 """Messages that every node gives alike: what became of its inputs, error budgets, how the node itself does."""
 
 import enum
+import struct
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import field
+from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from ship_bags.cdr_encoder import cdr_text
+from ship_bags.cdr_template import HEADER, CdrMessage
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.outcome import Decision
 from ship_estimation.protection import IntegrityConfig, IntegrityReport, IntegrityState
 from ship_estimation.refusals import Reason, Refusal, shortened
+from ship_geometry.records import dataclass
 from ship_geometry.ros_axes import enu_covariance
 from ship_geometry.rotations import ARCSEC, FloatArray
 
@@ -29,6 +34,8 @@ ZERO_VECTOR = dict.fromkeys("xyz", 0.0)
 """Fields of geometry_msgs/Vector3 for what is not known or not given: the place of a frame, an acceleration."""
 
 _NOTHING = np.empty(0)
+_SECOND_NS = 1_000_000_000
+_count = struct.Struct("<I").pack
 
 
 class Level(enum.IntEnum):
@@ -57,29 +64,56 @@ class DiagnosticStatus:
     values: Mapping[str, str] = field(default_factory=dict)
 
 
+class _ToldStatus(NamedTuple):
+    """A status as it stands in a diagnostic_msgs/DiagnosticArray, with the fields of the message."""
+
+    status: DiagnosticStatus
+    name: str
+    hardware_id: str
+
+    @property
+    def level(self) -> int:
+        return int(self.status.level)
+
+    @property
+    def message(self) -> str:
+        return self.status.message
+
+    @property
+    def values(self) -> list[SimpleNamespace]:
+        return [SimpleNamespace(key=key, value=value) for key, value in self.status.values.items()]
+
+
 def diagnostic_array(
-    factory: MessageFactory, now_ns: int, node: str, statuses: Iterable[DiagnosticStatus], full_name: str = ""
-) -> Any:
-    """A diagnostic_msgs/DiagnosticArray.
+    now_ns: int, node: str, statuses: Iterable[DiagnosticStatus], full_name: str = ""
+) -> CdrMessage:
+    """A diagnostic_msgs/DiagnosticArray as its bytes.
+
+    Its texts change from one to the next, so that no template would serve twice. All but the levels are texts and
+    counts, each of which stands at a multiple of four: they are put together one after another.
 
     Args:
-        factory: makes the messages.
         now_ns: time of the report.
         node: name of the node; each status is named ``"<node>: <name>"``.
         statuses: what there is to say.
         full_name: the node's name with its namespace, where it runs in one; it is the hardware_id then.
     """
-    told = [
-        {
-            "level": int(status.level),
-            "name": f"{node}: {status.name}",
-            "message": status.message,
-            "hardware_id": full_name or node,
-            "values": [{"key": key, "value": value} for key, value in status.values.items()],
-        }
-        for status in statuses
-    ]
-    return factory.make(DIAGNOSTICS_TYPE, header={"stamp": now_ns, "frame_id": ""}, status=told)
+    stamp, hardware_id = divmod(now_ns, _SECOND_NS), full_name or node
+    told = [_ToldStatus(status, f"{node}: {status.name}", hardware_id) for status in statuses]
+    data = bytearray(b"".join([HEADER, struct.pack("<iI", *stamp), cdr_text(""), _count(len(told))]))
+    end = len(data)
+    for status, name, _ in told:
+        # The level, a byte, stands right behind the last text, which is not filled up then.
+        data[end:] = bytes([status.level])
+        data += bytes(-len(data) % 4)
+        parts = [cdr_text(name), cdr_text(status.message), cdr_text(hardware_id), _count(len(status.values))]
+        for key, value in status.values.items():
+            parts += cdr_text(key), cdr_text(value)
+        data += b"".join(parts)
+        end = len(data) - (3 - len(value.encode()) % 4 if status.values else 0)
+    del data[end:]
+    header = SimpleNamespace(stamp=SimpleNamespace(sec=stamp[0], nanosec=stamp[1]), frame_id="")
+    return CdrMessage(DIAGNOSTICS_TYPE, bytes(data), {"header": lambda _: header, "status": lambda _: told})
 
 
 def judged_input(factory: MessageFactory, source: str, decision: Decision[Any]) -> Any:
@@ -171,7 +205,7 @@ def error_budget(
         parts_n: covariance by each of them, rotation vector in (North, Up, East), rad², shape (n_sources, 3, 3).
         covariance_n: their sum, rad², shape (3, 3).
     """
-    return factory.make(
+    return factory.encoded(
         BUDGET_TYPE,
         header={"stamp": time_ns, "frame_id": frame_id},
         quantity=quantity,

@@ -7,7 +7,6 @@ nodes add the table, what an estimate becomes, and diagnostics of their own.
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any, ClassVar
 
@@ -20,6 +19,7 @@ from ship_estimation.outcome import Status
 from ship_estimation.parameters import changed
 from ship_estimation.refusals import Reason, Refusal, failure
 from ship_estimation.told_levels import ToldLevels
+from ship_geometry.records import dataclass
 from ship_node.documents.saved_start import SavedStart
 from ship_node.edge import messages_out
 from ship_node.edge.adapter import ServiceResult
@@ -300,9 +300,10 @@ class ReportingAdapter(ABC):
     def _slow_topics(self, now_ns: int, waiting_ns: int) -> list[Published]:
         published = self.own_slow_topics(now_ns)
         self.budget_due = None  # no estimate has its budget told twice
-        published += [(INPUT_HEALTH_TOPIC, m) for m in self.health.messages(self.factory, now_ns, waiting_ns)]
-        statuses = [*self.health.statuses(now_ns, waiting_ns), *self.own_statuses(waiting_ns)]
-        array = messages_out.diagnostic_array(self.factory, now_ns, self.node_name, statuses)
+        messages, statuses = self.health.told(self.factory, now_ns, waiting_ns)
+        published += [(INPUT_HEALTH_TOPIC, message) for message in messages]
+        statuses += self.own_statuses(waiting_ns)
+        array = messages_out.diagnostic_array(now_ns, self.node_name, statuses)
         return [*published, (DIAGNOSTICS_TOPIC, array)]
 
     def levels_before(self, estimate: Any) -> list[Published]:

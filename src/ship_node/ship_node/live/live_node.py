@@ -266,7 +266,7 @@ class LiveNode:
         if self._box is not None:
             statuses.append(self._box.status())
         now_ns = self._clock.now_ns()
-        message = diagnostic_array(self._factory, now_ns, self.node.get_name(), statuses, self._full_name)
+        message = diagnostic_array(now_ns, self.node.get_name(), statuses, self._full_name)
         self._calls.publish([(DIAGNOSTICS_TOPIC, message)], now_ns)
 
 

@@ -5,7 +5,6 @@ namespaces or with wildcards (``/**``, ``/**/name``, ``/*/name``). A section wit
 alone, as in rcl; of several that fit, later ones override earlier ones.
 """
 
-import difflib
 import re
 from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
@@ -169,6 +168,8 @@ def _misfits(sections: list[Section], node: str) -> list[Section]:
 
 def _likeness(one: str, other: str) -> float:
     """Likeness of two names: 1 where only capitals and underscores differ, 0 where they share nothing."""
+    import difflib  # only an error needs it
+
     bare_one, bare_other = (name.replace("_", "").lower() for name in (one, other))
     return difflib.SequenceMatcher(None, bare_one, bare_other).ratio()
 

@@ -163,7 +163,7 @@ class OpticalAxisAdapter(ReportingAdapter):
 
 def calibration_message(factory: MessageFactory, values: Calibration, now_ns: int) -> Any:
     """ship_msgs/TheodoliteCalibration, stamped with the last sighting, or now where there was none."""
-    return factory.make(
+    return factory.encoded(
         "ship_msgs/msg/TheodoliteCalibration",
         header={"stamp": values.time_ns or now_ns, "frame_id": BASE_FRAME},
         names=list(values.names),
