@@ -5,7 +5,8 @@ Names of topics are relative to the namespace of the suite, as in the reference 
 
 import functools
 import re
-from dataclasses import dataclass
+
+from ship_geometry.records import dataclass
 
 MESSAGES = "ship_msgs/msg/"
 

@@ -6,8 +6,9 @@ draws must never let colour alone tell two things apart.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
+
+from ship_geometry.records import dataclass
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,9 @@
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
+from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, wrap_pi
 from ship_replay.report.night import Night
 from ship_replay.report.wording import duration, number, placed, utc
