@@ -69,7 +69,7 @@ class AdapterRun:
     def diagnostics(self, name: str, since_ns: int, until_ns: int) -> list[tuple[int, str]]:
         """(level, text) of one status in all reports of a time."""
         return [
-            (status.level[0], status.message)
+            (status.level, status.message)
             for ns, topic, report in self.published
             if topic == "/diagnostics" and since_ns <= ns <= until_ns
             for status in report.status

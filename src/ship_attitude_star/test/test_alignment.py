@@ -51,7 +51,7 @@ def alignment_text(adapter: ShipAttitudeAdapter, now_ns: int) -> tuple[int, str]
     published = adapter.tick(now_ns + 2 * 10**9)
     (report,) = [message for topic, message in published if topic == "/diagnostics"]
     (status,) = [status for status in report.status if status.name == "ship_attitude: alignment"]
-    return status.level[0], status.message
+    return status.level, status.message
 
 
 def test_what_was_saved_is_the_prior_of_the_next_voyage(saved: Path) -> None:

@@ -418,7 +418,7 @@ def status(run: Run, name: str) -> tuple[int, str, dict[str, str]]:
     """The last diagnostic status of a name."""
     report = [message for _, topic, message in run.published if topic == "/diagnostics"][-1]
     (found,) = [entry for entry in report.status if entry.name == f"star_attitude: {name}"]
-    return found.level[0], found.message, {value.key: value.value for value in found.values}
+    return found.level, found.message, {value.key: value.value for value in found.values}
 
 
 def test_mend_01_a_solution_of_long_ago_says_nothing_of_now() -> None:

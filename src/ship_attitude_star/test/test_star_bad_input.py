@@ -87,7 +87,7 @@ def assert_told_once(run: Run, topic: str, reason: str, text: str, receive_ns: i
     assert innovation.source == SOURCE[topic]
     assert text in innovation.reason_text
     levels = [
-        (entry.level[0], entry.message)
+        (entry.level, entry.message)
         for ns, name, report in run.published
         if name == "/diagnostics" and receive_ns <= ns <= receive_ns + 1.1 * SECOND_NS
         for entry in report.status

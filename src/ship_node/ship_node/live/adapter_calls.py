@@ -144,4 +144,4 @@ def _told_in_the_log(message: Any) -> Iterator[DiagnosticStatus]:
     for status in message.status:
         name = status.name.partition(": ")[2]
         if not name.startswith("input "):
-            yield DiagnosticStatus(name, Level(status.level[0]), status.message)
+            yield DiagnosticStatus(name, Level(status.level), status.message)

@@ -1,5 +1,6 @@
 """How the executable of a node begins: it can be ended in order before it has read its libraries."""
 
+import gc
 import importlib
 import os
 import signal
@@ -24,9 +25,14 @@ def start_node(module: str, adapter: str) -> NoReturn:
     for number in (signal.SIGINT, signal.SIGTERM):
         # Nothing runs yet that had to be closed; an exception could get lost in a library that is being read.
         signal.signal(number, lambda *_: os._exit(0))
+    # Nothing that is read here is ever given back: to look for it meanwhile would take a tenth of the time, and to look
+    # through it later would hold up an output now and then.
+    gc.disable()
     adapter_class = getattr(importlib.import_module(module), adapter)
     from ship_node.live.node_shell import run
 
+    gc.freeze()
+    gc.enable()
     if os.environ.pop(WAITS, "") and not os.read(sys.stdin.fileno(), 1):
         os._exit(0)  # who would have told it to begin is gone
     sys.exit(run(adapter_class))
