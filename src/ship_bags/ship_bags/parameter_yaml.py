@@ -6,6 +6,7 @@ Numbers are read as rcl reads them: ``1e-3`` is a number and ``1:30`` a text, un
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,6 @@ import yaml
 from ship_bags.errors import BadInput
 from ship_bags.yaml_text import composed
 from ship_geometry.input_error import InputError
-from ship_geometry.records import dataclass
 
 PARAMETERS_KEY = "ros__parameters"
 

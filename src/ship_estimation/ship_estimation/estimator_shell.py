@@ -25,12 +25,11 @@ system clock that is put right, are no silence.
 import bisect
 import functools
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
 from ship_estimation.outcome import Estimate, Judged, Measurement, Outcome
 from ship_estimation.refusals import Contradictions, Reason, Refusal, failure, same_stamp
-from ship_geometry.records import dataclass
 from ship_geometry.sample_track import SampleTrack
 from ship_geometry.time_scales import SECOND_NS
 

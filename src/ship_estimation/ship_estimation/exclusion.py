@@ -10,14 +10,13 @@ the others know how it is mounted now, be it as before or, after a knock, anew.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ship_estimation.hypotheses import RowsCompared
 from ship_estimation.running_means import LONG_AGO_NS, WELL, Means
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 

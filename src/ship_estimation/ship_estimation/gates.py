@@ -4,11 +4,12 @@ This module computes; the filters decide. Normalised errors and their bands foll
 §5.4.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ship_estimation.chi_square import value_above, value_below
 from ship_estimation.parameter_fields import parameter
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 
 

@@ -9,13 +9,14 @@ The first row has an error budget: its covariance is kept by error source. For t
 are kept in one stack: the n_sources parts of the first row, then the covariances of the h - 1 others.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from ship_estimation import compiled_steps
 from ship_estimation.kalman import LinearMeasurement
 from ship_estimation.protection import LEAST_SHARE, LEAST_VARIANCE_RAD2
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 
 

@@ -9,6 +9,7 @@ that lie far off count little.
 import itertools
 import math
 from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
 from functools import cache, lru_cache
 from typing import Any, NamedTuple
 
@@ -19,7 +20,6 @@ from ship_estimation import compiled_integrity
 from ship_estimation.chi_square import normal_value_above, probability_above, value_above
 from ship_estimation.outcome import Decision
 from ship_estimation.refusals import Reason
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 LEAST_COUNT = 30

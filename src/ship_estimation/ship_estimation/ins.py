@@ -1,6 +1,7 @@
 """What more than one estimator knows of an INS: its parameters, and a jump of its attitude that is believed."""
 
 import math
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -8,7 +9,6 @@ import numpy as np
 from ship_estimation.parameter_fields import arcsec, degrees, parameter
 from ship_estimation.value_guards import JUMP_SAMPLES, size
 from ship_geometry.frames import rotation_from_angles
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 
 _CLOCK_SIGMAS, _CLOCK_SHARE = 3.0, 0.1

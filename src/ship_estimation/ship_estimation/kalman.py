@@ -9,14 +9,13 @@ The steps themselves are compiled (:mod:`ship_estimation.compiled_steps`); here 
 """
 
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ship_estimation import compiled_steps
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 
 _BEYOND_SIGMAS = 5.0

@@ -6,13 +6,12 @@ estimator adds what is its own in a subclass.
 """
 
 import enum
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
 from ship_estimation.refusals import Reason, Refusal
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 
 

@@ -15,7 +15,6 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Any, TypeVar
 
 from ship_geometry.input_error import InputError
-from ship_geometry.records import dataclass
 
 Config = TypeVar("Config")
 
@@ -35,7 +34,7 @@ class ParameterError(InputError):
         super().__init__(reason, parameters=parameters, value=value)
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class ParameterDescription:
     """What is known of one parameter, by its dotted name (``<id>`` stands for any key of a mapping)."""
 

@@ -14,6 +14,7 @@ DOI 10.1109/TAES.2014.130739).
 import enum
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,7 +22,6 @@ from ship_estimation import compiled_integrity
 from ship_estimation.chi_square import normal_value_above
 from ship_estimation.parameter_fields import parameter, section
 from ship_estimation.parameters import ParameterError
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 TESTS_PER_H = 360

@@ -6,12 +6,12 @@ attitude. How the two differ tells what the rates are. Only motion can tell it: 
 
 import enum
 from collections import deque
+from dataclasses import dataclass
 
 import numpy as np
 
 from ship_estimation.integrated_rates import Integrated
 from ship_estimation.value_guards import size
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_geometry.time_scales import SECOND_NS
 

@@ -17,9 +17,9 @@ This module names the reasons. A measurement meets those who decide in this orde
 
 import enum
 from collections.abc import Iterable, Set
+from dataclasses import dataclass
 from typing import Protocol
 
-from ship_geometry.records import dataclass
 from ship_geometry.time_scales import SECOND_NS
 
 AGREES_AGAIN_AFTER_S = 10.0

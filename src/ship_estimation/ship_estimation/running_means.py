@@ -8,7 +8,7 @@ measurements and a creeping error later. Who is wrong, :mod:`ship_estimation.exc
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from ship_estimation import compiled_means
 from ship_estimation.gates import chi_square_gate
 from ship_estimation.protection import IntegrityConfig
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 
 MEANS_OVER = (3, 30, 300)

@@ -12,12 +12,12 @@ import enum
 import math
 from collections import deque
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from ship_estimation.witnesses import RECENT_NS, TurnWatch, Witness
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 JUMP_SAMPLES = 5

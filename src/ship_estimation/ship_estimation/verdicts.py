@@ -20,7 +20,7 @@ true but small (``TOLERATED_FACTOR``, ``TOLERATED_BIAS``, ``TOLERATED_CORRELATIO
 import enum
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Any
 
 from ship_estimation.gates import mean_nees_band
@@ -36,7 +36,6 @@ from ship_estimation.innovations import (
 )
 from ship_estimation.kalman import StateModel
 from ship_estimation.outcome import Decision
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 

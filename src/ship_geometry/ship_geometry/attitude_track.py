@@ -7,7 +7,7 @@ neighbouring samples. docs/explanation/interpolation.md states the error for a r
 
 import bisect
 import math
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from ship_geometry import compiled_rotations
 from ship_geometry.interpolation_error import ANY_DIRECTION, BESIDE, as_covariance, by_polynomial
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray, exp_rotation, log_rotation
 from ship_geometry.sample_track import RECENT, SampleTrack
 from ship_geometry.time_scales import SECOND_NS

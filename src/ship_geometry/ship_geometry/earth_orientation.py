@@ -6,13 +6,13 @@ to its issue and predictions for a year from there. Beyond, a reason is given in
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
 import astropy_iers_data
 import numpy as np
 
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import DAY_NS, UNIX_EPOCH_MJD, LeapSeconds, TimeNs, leap_seconds, utc_text
 

@@ -11,12 +11,11 @@ closer ones would give a p̈ that is mostly noise of the samples.
 """
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ship_geometry.attitude_track import AttitudeTrack
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 

@@ -5,10 +5,11 @@ ellipsoid normal, so a level instrument differs from it by the deflection of the
 All functions take arrays of positions.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ship_geometry import late_erfa as erfa
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 
 _WGS84_A_M, _WGS84_E2 = 6_378_137.0, 6.694379990141e-3

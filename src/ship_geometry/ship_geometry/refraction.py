@@ -5,13 +5,13 @@ There are two models. Both take the elevation without air, which the catalogue g
 ``almanac`` is [P15] (8)-(12) of the true zenith distance. Below its lowest elevation a model gives NaN.
 """
 
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 
 from ship_geometry import late_erfa as erfa
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 ModelName = Literal["erfa", "almanac"]

@@ -11,7 +11,7 @@ ten seconds; it is several times faster, and within 0.1 mas as long as the Sun i
 from __future__ import annotations
 
 import warnings
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,6 @@ import numpy as np
 from ship_geometry import late_erfa as erfa
 from ship_geometry.earth_orientation import EarthOrientation, EarthOrientationTable
 from ship_geometry.geodetic import GeodeticPosition, rotation_horizon_from_ecef
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS, JulianDate, TimeNs, julian_date, tt_julian_date
 

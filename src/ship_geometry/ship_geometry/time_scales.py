@@ -7,6 +7,7 @@ number of the 00:00:00 after it, and is taken for that.
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from datetime import datetime, timezone
 from functools import lru_cache
 from pathlib import Path
@@ -16,7 +17,6 @@ import astropy_iers_data
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 
 TimeNs = int | NDArray[np.int64]

@@ -1,11 +1,11 @@
 """Vectors between samples, such as baselines and encoder angles: cubics whose slopes are differences of neighbours."""
 
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
 
 from ship_geometry.interpolation_error import as_covariance, by_polynomial
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 from ship_geometry.sample_track import SampleTrack, hermite_weights
 

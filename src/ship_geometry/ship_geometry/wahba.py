@@ -8,12 +8,12 @@ All functions take leading dimensions: many attitudes at once, with the same num
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ship_geometry import lapack
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 
 WORST_SIGMA = np.deg2rad(1.0)

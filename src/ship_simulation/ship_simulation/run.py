@@ -1,8 +1,9 @@
 """One simulated voyage as arrays: what the devices say, when it arrives, and the truth. No ROS, no files."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.draws.noise import stamps, truth_index

@@ -6,9 +6,8 @@ what no source explains is an alert of an output. docs/explanation/alerts.md has
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 
-from ship_geometry.records import dataclass
 from ship_watch.alert_states import Condition
 from ship_watch.functions import ATTITUDE, POINTING, FunctionShown, functions, still
 from ship_watch.limits import InputLimits, Limits

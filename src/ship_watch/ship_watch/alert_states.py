@@ -8,8 +8,8 @@ needs to acknowledge it.
 import enum
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 
-from ship_geometry.records import dataclass
 from ship_watch.picture import Priority
 
 

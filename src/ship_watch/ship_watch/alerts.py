@@ -8,10 +8,10 @@ knows no clock: the caller gives a steady time, from which durations are counted
 import dataclasses
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from ship_bags.stamps import NS_PER_S
-from ship_geometry.records import dataclass
 from ship_watch.alert_states import ACTIVE, UNANSWERED, AlertEvent, AlertState, Condition, next_state
 from ship_watch.limits import AlertTimes
 from ship_watch.picture import AlertShown, Priority

@@ -6,10 +6,10 @@ and how the sources do that it rests on: the tree of `/diagnostics`, and what th
 
 import math
 import re
+from dataclasses import dataclass
 
 import numpy as np
 
-from ship_geometry.records import dataclass
 from ship_watch.limits import Limits
 from ship_watch.picture import AngleShown, Picture, Presence, Priority, Safety, SourceShown
 from ship_watch.states import OVER_THE_LIMIT

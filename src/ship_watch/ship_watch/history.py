@@ -7,14 +7,13 @@ point that it has.
 import math
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 from itertools import pairwise, takewhile
 from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 from ship_watch.picture import Safety
 

@@ -12,6 +12,7 @@ The alerts, the page, the terminal and the report hold the same values against t
 
 import difflib
 import re
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,6 @@ import numpy as np
 from ship_bags.parameter_yaml import read_plain
 from ship_estimation.parameter_fields import mapping_of, parameter, section
 from ship_estimation.parameters import ParameterError, build
-from ship_geometry.records import dataclass
 
 INPUT_KINDS = ("ins", "star", "reference", "lights", "encoder", "baselines", "ship_attitude", "gnss", "weather")
 """What sources are called: alone, or before the id of one of several, as in ``star.bow``."""

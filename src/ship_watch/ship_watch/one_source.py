@@ -1,11 +1,10 @@
 """One source: what was told of it, why it is out, and who is to blame for that."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from ship_estimation.refusals import Reason
-from ship_geometry.records import dataclass
 from ship_watch.picture import Presence, SourceShown, SourceStanding
 from ship_watch.reports import TopicReports
 from ship_watch.streak import NO_DISAGREEMENT, SHOWN_NS, Streak

@@ -1,5 +1,6 @@
 """The orientations that a suite publishes and a simulated bag knows the truth of, and their errors against it."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -7,7 +8,6 @@ import numpy as np
 from ship_bags.stamps import ns_from_stamp
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
-from ship_geometry.records import dataclass
 from ship_geometry.ros_axes import device_vector_from_ros
 from ship_geometry.rotations import ARCSEC, FloatArray, wrap_pi
 

@@ -7,10 +7,8 @@ times in integer ns. NaN means that there is no value; an infinite age, that not
 
 import enum
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Protocol
-
-from ship_geometry.records import dataclass
 
 ANGLES = ("heading", "pitch", "roll", "azimuth", "elevation")
 """The angles of a picture, in the order in which they are shown."""

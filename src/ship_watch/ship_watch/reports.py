@@ -2,10 +2,10 @@
 
 import math
 from collections import deque
+from dataclasses import dataclass
 from typing import Any
 
 from ship_bags.stamps import ns_from_stamp
-from ship_geometry.records import dataclass
 from ship_watch.picture import InputShown
 
 WINDOW_NS = 60_000_000_000

@@ -8,10 +8,10 @@ UNSAFE: every comparison is written so that NaN fails it.
 
 import math
 import re
+from dataclasses import dataclass
 
 from ship_estimation.outcome import Status
 from ship_estimation.protection import IntegrityState
-from ship_geometry.records import dataclass
 from ship_watch.picture import Safety, SourceStanding
 
 BRIEF_NS = 1_000_000_000

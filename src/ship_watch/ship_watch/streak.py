@@ -2,12 +2,12 @@
 
 import math
 from collections import deque
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ship_estimation.refusals import Reason
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC
 
 _LOOKED_AT = 5

@@ -5,8 +5,7 @@ Names of topics are relative to the namespace of the suite, as in the reference 
 
 import functools
 import re
-
-from ship_geometry.records import dataclass
+from dataclasses import dataclass
 
 MESSAGES = "ship_msgs/msg/"
 

@@ -1,5 +1,6 @@
 """Parameters of the ``optical_axis`` node. Each states its unit, range and meaning; names are dotted."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,6 @@ from ship_estimation.ins import GuardedInsConfig, InsErrorConfig
 from ship_estimation.parameter_fields import arcsec, autosave_period, mapping_of, parameter, section, stamp_age
 from ship_estimation.parameters import ParameterError
 from ship_estimation.protection import IntegrityConfig
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.chain.axes import NAMES
 

@@ -1,13 +1,13 @@
 """Words for the operator where a source keeps disagreeing with the INS: which of the two is wrong, where to look."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
 from ship_estimation.gates import chi_square_gate, normalized_error_squared
 from ship_geometry.frames import angles_from_rotation
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray, angle_between, wrap_pi
 
 _EXPLAINED_RAD: float = np.deg2rad(5.0)

@@ -7,13 +7,13 @@ copied there as it is.
 import dataclasses
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ship_estimation.parameter_fields import mapping_of, parameter, section
 from ship_estimation.parameters import ParameterError, build
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 LEAST_ELEVATION_DEG = 5.0

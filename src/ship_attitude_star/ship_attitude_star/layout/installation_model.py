@@ -11,6 +11,7 @@ stay.
 """
 
 import enum
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,7 +22,6 @@ from ship_geometry.frames import (
     rotation_from_angles,
     rotation_vector_from_angle_errors,
 )
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 
 SHIP_ANGLES = ("heading", "pitch", "roll")

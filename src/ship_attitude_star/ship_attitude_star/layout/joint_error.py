@@ -1,5 +1,7 @@
 """Errors of a whole layout: of all sensors joined, by source of error, and while one sensor is bolted anywhere."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ship_attitude_star.layout.config import LEAST_ELEVATION_DEG, LayoutStudyConfig
@@ -11,7 +13,6 @@ from ship_geometry.frames import (
     rotation_from_angles,
     rotation_vector_from_angle_errors,
 )
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 _AXES = ("forward", "up", "right")

@@ -4,7 +4,7 @@ Recommended are the azimuths with the least total error. The first sensor keeps 
 on a level ship only the differences in azimuth count, so keeping the first loses nothing.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,6 @@ from ship_attitude_star.layout.config import LEAST_ELEVATION_DEG, LayoutStudyCon
 from ship_attitude_star.layout.installation_model import Curve, all_curves
 from ship_attitude_star.layout.joint_error import ErrorMap, Layout, SourceError, error_map, total_arcsec
 from ship_estimation.parameters import ParameterError
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray, wrap_pi
 
 _STEP_DEG = 1.0

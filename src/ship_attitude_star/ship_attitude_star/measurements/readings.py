@@ -3,10 +3,10 @@
 The stars of an exposure have a struct of their own, :class:`ship_attitude_star.stars.exposure.StarExposure`.
 """
 
+from dataclasses import dataclass
 from typing import ClassVar
 
 from ship_geometry.geodetic import GeodeticPosition
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 
 

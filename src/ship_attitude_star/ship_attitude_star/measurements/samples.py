@@ -1,14 +1,13 @@
 """What goes into the ship-attitude core and what comes out: plain structs in radians, metres and nanoseconds."""
 
 import enum
-from dataclasses import field, fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ship_estimation.outcome import Decision, Measurement, Outcome, Status
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 
 StampArray = NDArray[np.int64]

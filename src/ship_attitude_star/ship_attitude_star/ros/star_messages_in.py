@@ -6,6 +6,7 @@ stars of the message are used.
 """
 
 from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,6 @@ from ship_attitude_star.stars.config import CameraConfig
 from ship_attitude_star.stars.exposure import ExposureLength, StarExposure
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.star_directions import StarPositions, fixed_stars
 from ship_node.edge.messages_in import ReadMessage, device_id, exposure_length_s, frame, stamp_ns

@@ -6,7 +6,7 @@ those that rest on one state together.
 """
 
 from collections.abc import Callable
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +19,6 @@ from ship_estimation.ins_guard import Followed
 from ship_estimation.outcome import Status
 from ship_estimation.refusals import Refusal, failure
 from ship_geometry.attitude_track import AttitudeSample, RecentRates, SampleBlock, moved_block
-from ship_geometry.records import dataclass
 
 
 class _Stretch(NamedTuple):

@@ -4,6 +4,8 @@ Two views of the same state: :class:`Alignment`, named values for people and for
 :class:`AlignmentPrior`, what the next voyage starts from.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
@@ -11,7 +13,6 @@ from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.model import SOURCE_SAVED_ALIGNMENT, Device
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, log_rotation, wrap_pi
 
 

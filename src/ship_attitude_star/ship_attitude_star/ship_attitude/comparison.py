@@ -8,7 +8,7 @@ of the filter: one sigma of such an error displaces v by g, and the predicted di
 """
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,6 @@ from ship_estimation.outcome import Measurement
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry import compiled_rotations
 from ship_geometry.attitude_track import InterpolatedAttitude
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, exp_rotation, left_jacobian, skew
 
 _TURNED_AS_DEVICE = np.eye(3)

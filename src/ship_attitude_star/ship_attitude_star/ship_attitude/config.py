@@ -1,5 +1,6 @@
 """Parameters of the ``ship_attitude`` node. Each states its unit, range and meaning; names are dotted."""
 
+from dataclasses import dataclass
 from functools import cached_property
 
 from ship_attitude_star.measurements.samples import SHARED_BY_MESSAGES, SHARED_BY_SKY
@@ -10,7 +11,6 @@ from ship_estimation.ins import InsErrorConfig, StarInsConfig
 from ship_estimation.parameter_fields import arcsec, autosave_period, degrees, mapping_of, parameter, section, stamp_age
 from ship_estimation.parameters import ParameterError
 from ship_estimation.protection import IntegrityConfig
-from ship_geometry.records import dataclass
 
 BY_INPUT = "by_input"
 """What the messages of a star sensor share follows from their kind."""

@@ -8,7 +8,7 @@ estimate that it leads to, until that stays (Gauss-Newton; the iterated Kalman f
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -29,7 +29,6 @@ from ship_estimation.refusals import Reason, Refusal, singular_covariance
 from ship_geometry import lapack
 from ship_geometry.attitude_track import AttitudeTrack, InterpolatedAttitude
 from ship_geometry.exposure_mean import turning_over
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray, exp_rotation, log_rotation
 from ship_geometry.time_scales import SECOND_NS
 

@@ -31,6 +31,8 @@ with c the common error of a star sensor, f its flexure, m the installation erro
 the turn of the sky that all star sensors share, a sum over its causes.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -39,7 +41,6 @@ from ship_attitude_star.ship_attitude.config import InsConfig, ReferenceConfig, 
 from ship_attitude_star.sky.config import SkyConfig
 from ship_estimation.kalman import StateBlock, StateModel, block
 from ship_geometry.frames import rotation_from_angles
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 SOURCE_INS = "ins_drift"

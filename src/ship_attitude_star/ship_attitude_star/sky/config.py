@@ -1,10 +1,11 @@
 """Parameters of the sky: refraction and air, how long fixes hold, and what of the sky a tracker has taken out."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ship_attitude_star.measurements.readings import FieldOfView
 from ship_estimation.parameter_fields import parameter
-from ship_geometry.records import dataclass
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,7 @@ arrival, the answers are the same.
 
 import bisect
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,7 +24,6 @@ from ship_geometry.geodetic import (
     horizon_radii_m,
     rotation_horizon_from_ecef,
 )
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 from ship_geometry.star_directions import Observer
 from ship_geometry.time_scales import SECOND_NS

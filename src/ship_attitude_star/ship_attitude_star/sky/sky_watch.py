@@ -6,7 +6,7 @@ not average: refraction, Earth rotation (UT1) and the ship's position. Each dire
 displacement by one standard deviation of each of them (docs/explanation/stars.md).
 """
 
-from dataclasses import field
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,6 @@ from ship_attitude_star.sky.surroundings import Air, Surroundings
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry import late_erfa as erfa
 from ship_geometry.earth_orientation import EarthOrientationTable, earth_orientation_table
-from ship_geometry.records import dataclass
 from ship_geometry.refraction import LOWEST_ELEVATION, ModelName, elevation_of, lifted, refraction, refraction_slopes
 from ship_geometry.rotations import ARCSEC, FloatArray, skew
 from ship_geometry.star_directions import RefreshedSky, StarPositions, fixed_stars

@@ -17,11 +17,10 @@ after it anew.
 
 import bisect
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Generic, Protocol, TypeVar
 
 from ship_estimation.refusals import Content, Reason, Refusal, same_stamp
-from ship_geometry.records import dataclass
 from ship_geometry.time_scales import SECOND_NS
 
 _SIGMAS = 5.0

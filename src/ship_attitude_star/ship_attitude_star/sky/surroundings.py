@@ -8,13 +8,13 @@ the order of arrival, the answers are the same.
 
 import math
 import struct
+from dataclasses import dataclass
 
 from ship_attitude_star.measurements.readings import AirReading, PositionFix, SkyInput
 from ship_attitude_star.sky.config import SkyConfig
 from ship_attitude_star.sky.place_by_fixes import Place, PlaceByFixes
 from ship_attitude_star.sky.stamped_values import JumpLimits, StampedValues
 from ship_estimation.refusals import Refusal
-from ship_geometry.records import dataclass
 from ship_geometry.refraction import Weather
 from ship_geometry.time_scales import SECOND_NS
 

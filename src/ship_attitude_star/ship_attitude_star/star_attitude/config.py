@@ -1,10 +1,11 @@
 """Parameters of the ``star_attitude`` node. Each states its unit, range and meaning; names are dotted."""
 
+from dataclasses import dataclass
+
 from ship_attitude_star.sky.config import SkyConfig
 from ship_attitude_star.stars.config import CameraConfig, MountingConfig, StarSensorsById
 from ship_estimation.ins import StarInsConfig
 from ship_estimation.parameter_fields import mapping_of, parameter, section, stamp_age
-from ship_geometry.records import dataclass
 
 
 @dataclass(frozen=True, kw_only=True)

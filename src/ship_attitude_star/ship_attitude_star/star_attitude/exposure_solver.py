@@ -1,7 +1,7 @@
 """Exposures against the sky: the attitude of one sensor, the attitude of the deck by several, and the stars refused."""
 
 from collections.abc import Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from itertools import accumulate
 
 import numpy as np
@@ -15,7 +15,6 @@ from ship_attitude_star.stars.fit import SightedStars, square_roots
 from ship_attitude_star.stars.selection import StarPrior
 from ship_attitude_star.stars.solution import SolutionStatus, StarSolution, no_attitude, solve_in_doubt_alone
 from ship_estimation.refusals import Reason, Refusal
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 
 _SAME_FRAME: FloatArray = np.eye(3)

@@ -4,9 +4,10 @@ Pixels are (u, v): u counts to the right and v down, as seen looking out of the 
 numbers at the centres of the pixels.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 
 _NEWTON_STEPS = 20

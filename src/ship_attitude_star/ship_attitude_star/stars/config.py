@@ -4,6 +4,7 @@ Both nodes of the package have these parameters for each of their sensors.
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -13,7 +14,6 @@ from ship_attitude_star.stars.camera import Distortion, StarCamera
 from ship_estimation.parameter_fields import arcsec, degrees, parameter
 from ship_estimation.parameters import ParameterError
 from ship_geometry.frames import rotation_from_angles
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 JOINT = "joint"

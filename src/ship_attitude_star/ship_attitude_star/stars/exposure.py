@@ -12,7 +12,7 @@ catalogue star within the gate; where a second star could be meant too, it stays
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -28,7 +28,6 @@ from ship_attitude_star.stars.identification import MAGNITUDE_TOLERANCE, WIDEST,
 from ship_attitude_star.stars.selection import LINEAR_RANGE, StarPrior
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.exposure_mean import Nodes, Turning, exposure_nodes
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.star_directions import StarPositions
 

@@ -14,6 +14,7 @@ information is the identity.
 """
 
 import math
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -21,7 +22,6 @@ from numpy.typing import NDArray
 
 from ship_estimation.chi_square import probability_above
 from ship_geometry import lapack, wahba
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray, exp_rotation, skew
 
 ATTITUDE = slice(0, 3)

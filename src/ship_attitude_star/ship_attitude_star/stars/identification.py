@@ -5,6 +5,8 @@ the prediction is wide such a turn is no small one: the likeliest one is searche
 pair of detection and star.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,7 +14,6 @@ from ship_attitude_star.sky.sky_watch import SkyMoment
 from ship_attitude_star.stars.chance import GATE_PROBABILITY
 from ship_attitude_star.stars.selection import StarPrior, across, distance
 from ship_estimation.gates import chi_square_gate
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray, angle_between, exp_rotation, left_jacobian, skew
 
 MAGNITUDE_TOLERANCE = 1.5

@@ -8,13 +8,14 @@ least three stars are needed to verify one another: two stars whose identities a
 case.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.stars.chance import MOST_BY_CHANCE, by_chance, surely_few
 from ship_attitude_star.stars.fit import Agreement, SightedStars, StarFit, StarJudgement, agreement, linearized
 from ship_geometry import wahba
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray, angle_between, left_jacobian, log_rotation, skew
 
 MEMBER_DISTANCE = 16.0

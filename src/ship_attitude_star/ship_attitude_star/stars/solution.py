@@ -6,7 +6,7 @@ the stars averages; the other errors are common to all stars, and do not.
 """
 
 import enum
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,6 @@ from ship_attitude_star.stars.fit import ATTITUDE, Agreement, SightedStars, agre
 from ship_attitude_star.stars.selection import FEWEST_VERIFIED, StarPrior, select
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.frames import SINGULAR_ELEVATION
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 
 SOLUTION_TERMS = ("star_noise", "installation", "refraction", "earth_rotation", "ship_position", "catalogue")

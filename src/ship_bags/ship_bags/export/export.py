@@ -6,7 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Collection, Iterator
 from contextlib import ExitStack, suppress
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from ship_bags.errors import BadInput
@@ -17,7 +17,6 @@ from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag, watched
 from ship_bags.output_files import check_file, check_folder
 from ship_bags.stamps import END_OF_TIME_NS, utc_text
 from ship_bags.topic_names import TRUTH_PREFIX
-from ship_geometry.records import dataclass
 
 FORMATS: dict[str, type[TableFile]] = {"csv": CsvFile, "parquet": ParquetFile, "netcdf": NetcdfFile}
 

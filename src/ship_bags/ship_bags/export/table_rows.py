@@ -7,7 +7,7 @@ None stands behind its end.
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain, count
 from typing import Any
@@ -33,7 +33,6 @@ from ship_bags.export.message_fields import (
 )
 from ship_bags.export.units import NANOSECONDS, Unit
 from ship_bags.stamps import ns_from_stamp
-from ship_geometry.records import dataclass
 
 LOG_TIME = "log_time_ns"
 STAMP = "stamp_ns"

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from rclpy.duration import Duration
@@ -16,7 +16,6 @@ from ship_bags.live.installed_types import installed_class
 from ship_bags.live.playback_clock import PlaybackClock
 from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag, watched
 from ship_bags.stamps import NS_PER_S
-from ship_geometry.records import dataclass
 
 CLOCK_PERIOD_NS = 10_000_000
 """Grid of bag time on which /clock goes out, ns: it is never further than this behind the message just sent."""

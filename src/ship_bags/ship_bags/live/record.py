@@ -2,6 +2,7 @@
 
 import time
 from collections import Counter, deque
+from dataclasses import dataclass
 
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import SingleThreadedExecutor
@@ -15,7 +16,6 @@ from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
 from ship_bags.mcap.folder import FolderWriter
 from ship_bags.message_store import use_installed_definition
 from ship_bags.stamps import NS_PER_S, utc_text
-from ship_geometry.records import dataclass
 
 _DISCOVERY_PERIOD_S = 0.1
 # Longest times to take what had arrived at the end, and to wait for answers: publishers that go on must not hold it up.

@@ -6,7 +6,7 @@ parameters are asked for by the nodes' own services and become a suite file in t
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Any
 
 from rcl_interfaces.srv import GetParameters, ListParameters
@@ -20,7 +20,6 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from ship_bags.mcap.bag_writer import qos_text
 from ship_bags.parameter_yaml import full_name, is_shell_parameter, sections_text
-from ship_geometry.records import dataclass
 
 DEPTH = 1000
 """Messages of a topic that may wait while the disk holds the recorder up: ten seconds at 100 Hz, one at 1 kHz."""

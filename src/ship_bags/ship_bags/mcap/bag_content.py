@@ -1,7 +1,7 @@
 """What a bag holds, counted message by message, so that it is true of a damaged bag too."""
 
 from collections.abc import Iterator
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from mcap.records import Message
@@ -12,7 +12,6 @@ from ship_bags.mcap.bag_file import McapFile
 from ship_bags.mcap.bag_reader import Bag, open_files
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.stamps import NS_PER_S
-from ship_geometry.records import dataclass
 
 
 @dataclass

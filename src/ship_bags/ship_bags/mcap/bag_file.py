@@ -7,7 +7,7 @@ was full — the records are walked through from the start up to the cut, past d
 import io
 import struct
 import zlib
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from mcap.opcode import Opcode
@@ -20,7 +20,6 @@ from ship_bags.mcap.chunk_content import COMPRESSIONS, DamagedChunk, parsed
 from ship_bags.mcap.mcap_writer import MAGIC
 from ship_bags.mcap.records import ChunkPlace, Gap, RecordFile, WalkedRecord, has_header, walk
 from ship_bags.stamps import utc_text
-from ship_geometry.records import dataclass
 
 _FOOTER = struct.Struct("<BQQQI8s")
 _CHUNK_TIMES = struct.Struct("<QQ")

@@ -6,6 +6,7 @@ The information file is read without trust and written whole; :class:`FolderWrit
 import os
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,7 +17,6 @@ from ship_bags.mcap.bag_writer import BagWriter, own_qos_text
 from ship_bags.message_store import type_hash
 from ship_bags.output_files import write_whole
 from ship_bags.yaml_text import plain_data
-from ship_geometry.records import dataclass
 
 INFORMATION_FILE = "metadata.yaml"
 _INFORMATION_KEY = "rosbag2_bagfile_information"

@@ -8,7 +8,7 @@ import os
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from mcap.reader import make_reader
@@ -21,7 +21,6 @@ from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_file import McapFile, open_mcap
 from ship_bags.mcap.folder import INFORMATION_FILE, FileInformation, TopicInformation, write_information
 from ship_bags.output_files import check_file, named, open_new
-from ship_geometry.records import dataclass
 
 _LIBRARY = "ship_bags record --recover"
 _NOTE = "recovered"

@@ -1,7 +1,7 @@
 """Turns ship logs into a bag: one attitude system as the INS, others as references, position and weather."""
 
 from collections.abc import Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import yaml
@@ -27,7 +27,6 @@ from ship_bags.nmea.instrument import (
 from ship_bags.nmea.instrument_line import WRONG_TIME, InstrumentLine
 from ship_bags.nmea.nmea_attitude import ATTITUDE_KINDS, LONGEST_GAP_S, AttitudeReader, LoggedAttitude, resampled
 from ship_bags.nmea.nmea_log import LogReport, read_log
-from ship_geometry.records import dataclass
 
 IMPORT_RECORD = "import_nmea"
 """Name of the metadata record, and with .yaml of the attachment, that mark an imported bag."""

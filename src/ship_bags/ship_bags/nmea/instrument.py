@@ -4,6 +4,7 @@ Attitude systems give sensor_msgs/Imu, receivers NavSatFix, weather stations tem
 """
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,6 @@ from ship_bags.nmea.nmea_attitude import AttitudeReader, LoggedAttitude
 from ship_bags.nmea.sentences import AUTONOMOUS, MetReading, number
 from ship_bags.stamps import NS_PER_S, make_header
 from ship_geometry.frames import rotation_from_angles
-from ship_geometry.records import dataclass
 from ship_geometry.ros_axes import flu_from_device_vector, quaternion_from_rotation
 from ship_geometry.rotations import FloatArray
 

@@ -4,12 +4,11 @@ Nothing is dropped silently: what is not used, not parsed or fails its checksum 
 """
 
 from collections import Counter
-from dataclasses import field
+from dataclasses import dataclass, field
 from datetime import datetime, timedelta, timezone
 from typing import Any
 
 from ship_bags.stamps import NS_PER_S
-from ship_geometry.records import dataclass
 
 WRONG_TIME = "instrument time"
 """Why a line is rejected whose time is further from the receive time than a network can hold it."""

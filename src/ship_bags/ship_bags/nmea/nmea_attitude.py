@@ -5,6 +5,7 @@ PASHR carries its own time of day.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import date, datetime, timezone
 
 import numpy as np
@@ -20,7 +21,6 @@ from ship_bags.nmea.instrument_line import (
 from ship_bags.nmea.sentences import number
 from ship_bags.stamps import NS_PER_S
 from ship_geometry.frames import rotation_from_angles
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 
 LONGEST_GAP_S = 3.0

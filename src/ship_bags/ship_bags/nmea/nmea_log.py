@@ -1,7 +1,7 @@
 """Reads ship logs: one record a line, ISO-8601 receive time (UTC), a space, the device's sentence (OpenRVDAS style)."""
 
 from collections.abc import Iterator
-from dataclasses import field
+from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from pathlib import Path
 
@@ -9,7 +9,6 @@ from ship_bags.errors import BadInput
 from ship_bags.nmea.instrument_line import InstrumentLine, LineReport, datetime_ns
 from ship_bags.nmea.sentences import NotOfInterest, Unusable, read_sentence
 from ship_bags.stamps import END_OF_TIME_NS, NS_PER_S
-from ship_geometry.records import dataclass
 
 _DAY_NS = 86_400 * NS_PER_S
 

@@ -6,12 +6,11 @@ which is not NMEA.
 
 import math
 import re
+from dataclasses import dataclass
 from decimal import Decimal
 from typing import Any
 
 import pynmea2
-
-from ship_geometry.records import dataclass
 
 BAD_CHECKSUM, UNPARSED = "checksum failed", "unparsed"
 UNKNOWN, VOID, OUT_OF_RANGE = "unknown sentence", "no values in it", "angle out of range"

@@ -3,12 +3,12 @@
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from enum import Enum
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE
 from ship_bags.errors import one_line
 from ship_estimation.parameter_rows import in_columns
-from ship_geometry.records import dataclass
 
 MOST_ROWS = 12
 """Of one check no more rows are shown than this; the others are counted."""

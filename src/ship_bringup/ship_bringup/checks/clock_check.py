@@ -8,9 +8,9 @@ import math
 import re
 import shutil
 import subprocess
+from dataclasses import dataclass
 
 from ship_bringup.checks.check_line import CheckLine, Result, rounded
-from ship_geometry.records import dataclass
 from ship_watch.limits import Limits
 
 TURN_DEG_PER_S = 5.0

@@ -8,11 +8,11 @@ saves a quarter to two thirds.
 
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from ship_bringup.checks.check_line import CheckLine, Result
 from ship_bringup.checks.network_look import HeardTopic
-from ship_geometry.records import dataclass
 from ship_node.edge.adapter import Adapter
 from ship_watch.limits import Limits
 

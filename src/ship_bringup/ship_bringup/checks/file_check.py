@@ -6,12 +6,12 @@ import re
 import stat
 import tempfile
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from ship_bags.parameter_yaml import BLACK_BOX_PARAMETER, read_sections
 from ship_bringup.checks.check_line import CheckLine, Result
 from ship_bringup.suite.plan import SAVED_FILES
-from ship_geometry.records import dataclass
 
 _CHECK = "files"
 _DEVICES = "/dev/"

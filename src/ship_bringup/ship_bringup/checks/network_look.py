@@ -8,7 +8,7 @@ import os
 import statistics
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -24,7 +24,6 @@ from ship_bags.message_factory import message_class
 from ship_bags.parameter_yaml import full_name
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_bringup.security.demand import ENCLAVE
-from ship_geometry.records import dataclass
 from ship_node.edge.topics import InputTopic
 
 NAME = "preflight"

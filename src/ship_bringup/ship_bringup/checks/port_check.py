@@ -11,12 +11,12 @@ import os
 import socket
 import stat
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ship_bags.parameter_yaml import full_name
 from ship_bringup.checks.check_line import CheckLine, Result
-from ship_geometry.records import dataclass
 from ship_node.parameters.parameter_file import read
 from ship_node.parameters.places import HeldPlace, PlaceKind, held_port
 

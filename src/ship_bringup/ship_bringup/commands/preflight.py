@@ -6,6 +6,7 @@ import os
 import shlex
 import sys
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,6 @@ from ship_bringup.security.demand import KEYSTORE, domain_of
 from ship_bringup.security.keystore import KeystoreUse
 from ship_bringup.security.rights import companions_of, heard_by_nmea, suite_rights
 from ship_bringup.suite.plan import without_saved_file
-from ship_geometry.records import dataclass
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.preflight.check_config import CheckedNode, Findings, check_file

@@ -7,6 +7,7 @@ ship has other enclaves, or another authority, or other subjects: each is told a
 import datetime
 import os
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -26,7 +27,6 @@ from ship_bringup.security.signed_xml import (
     read_signed,
     signature_fault,
 )
-from ship_geometry.records import dataclass
 
 ENCLAVES = "enclaves"
 _PUBLIC = "public"

@@ -7,7 +7,7 @@ each device, named by the first words of its topics, as ``sensors/star_fore``.
 import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -16,7 +16,6 @@ from ship_bags.errors import BadInput
 from ship_bags.parameter_yaml import full_name
 from ship_bags.topic_names import TRUTH_PREFIX
 from ship_estimation.parameters import describe
-from ship_geometry.records import dataclass
 from ship_node.edge.adapter import Adapter
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, TF_STATIC_TOPIC, TF_TOPIC
 from ship_node.parameters.companions import named_companions

@@ -12,11 +12,11 @@ import shutil
 import subprocess
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 from ship_bags.errors import BadInput
 from ship_bringup.security.policy_xml import FINGERPRINT
-from ship_geometry.records import dataclass
 
 _LARGEST_BYTES = 4_000_000
 _OPENSSL_S = 10.0

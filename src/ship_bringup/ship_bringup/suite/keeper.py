@@ -11,6 +11,7 @@ import socket
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from enum import Enum
 from types import FrameType
 
@@ -18,7 +19,6 @@ from ship_bags.command_line import EXIT_DONE
 from ship_bringup.suite.dds_ports import HeldPorts, ports_of
 from ship_bringup.suite.process import Process
 from ship_bringup.suite.restarts import Restarts, end_words, failure_of
-from ship_geometry.records import dataclass
 
 _END_SIGNALS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 _END_S = 10.0

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from ship_bags.errors import BadInput
@@ -13,7 +14,6 @@ from ship_bags.topic_names import TRUTH_PREFIX, likely_namespace, relative_topic
 from ship_bringup.security.rights import companions_of, suite_rights
 from ship_bringup.suite.enclaves import in_enclaves
 from ship_bringup.suite.keeper import Program, Role
-from ship_geometry.records import dataclass
 from ship_node.edge.messages_out import TF_STATIC_TOPIC, TF_TOPIC
 from ship_node.parameters.companions import COMPANIONS, Companion, named_companions
 from ship_node.parameters.parameter_file import unknown_sections

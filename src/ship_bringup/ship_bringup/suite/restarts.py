@@ -1,10 +1,9 @@
 """When a program of the suite that has ended is started again."""
 
 import signal
-from dataclasses import field
+from dataclasses import dataclass, field
 
 from ship_bags.command_line import EXIT_BAD_INPUT, EXIT_DONE, EXIT_INTERRUPTED
-from ship_geometry.records import dataclass
 
 STEADY_S = 60.0
 """A program that ran so long was well: what happened before does not count against it any more, s."""

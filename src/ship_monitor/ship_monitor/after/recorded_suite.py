@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,6 @@ from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import BagRecord, read_bag
 from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT
 from ship_bags.topic_names import TRUTH_PREFIX, relative_topics
-from ship_geometry.records import dataclass
 from ship_watch.topics import watched_topic
 
 OUTPUTS = ("ship/attitude", "theodolite/pointing")

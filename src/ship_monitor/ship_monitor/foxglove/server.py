@@ -7,13 +7,13 @@ client that is slow loses its oldest messages; it makes nobody wait and no memor
 import errno
 import logging
 import threading
+from dataclasses import dataclass
 from queue import SimpleQueue
 
 import foxglove
 from foxglove.websocket import ChannelView, Client, ServerListener
 
 from ship_bags.errors import BadInput
-from ship_geometry.records import dataclass
 
 _WAITING_MESSAGES = 1024
 """Messages that may wait for one client: a second of a whole suite. Beyond, its oldest are dropped."""

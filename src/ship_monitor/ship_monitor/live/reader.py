@@ -7,6 +7,7 @@ Python is woken.
 
 import time
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from rclpy.context import Context
@@ -19,7 +20,6 @@ from ship_bags.errors import BadInput
 from ship_bags.live.dds import prepare_dds
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_bags.topic_names import TRUTH_PREFIX, relative_topic
-from ship_geometry.records import dataclass
 from ship_monitor.live.raw_subscription import RawSubscription, are_latched
 
 ALERTS_TOPIC = "ship/alerts"

@@ -6,9 +6,8 @@ draws must never let colour alone tell two things apart.
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from types import MappingProxyType
-
-from ship_geometry.records import dataclass
 
 
 @dataclass(frozen=True)

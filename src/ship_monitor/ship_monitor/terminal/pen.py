@@ -6,11 +6,10 @@ terminal never reaches it.
 
 import enum
 import unicodedata
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from rich.cells import cell_len, set_cell_size
-
-from ship_geometry.records import dataclass
 
 _IN_ASCII = {"°": "deg", "″": '"', "±": "+-", "σ": "sigma", "→": "->", "…": "~", "²": "2", "×": "x"}
 _IN_ASCII |= dict.fromkeys("−—─·", "-")

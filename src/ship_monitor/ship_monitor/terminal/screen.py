@@ -5,8 +5,8 @@ there; where there are too few, one line says the worst.
 """
 
 import math
+from dataclasses import dataclass
 
-from ship_geometry.records import dataclass
 from ship_monitor.terminal.pen import Ink, Line, Look, Pen
 from ship_watch import words
 from ship_watch.picture import AlertShown, AngleShown, InputShown, Picture, Presence, Priority, Safety, SourceShown

@@ -2,11 +2,11 @@
 
 import ipaddress
 import os.path
+from dataclasses import dataclass
 
 from ship_bags.nmea.instrument import GNSS, GYRO, INS, INSTRUMENT_TIME, REFERENCE, WEATHER, InstrumentRole
 from ship_estimation.parameter_fields import mapping_of, parameter
 from ship_estimation.parameters import ParameterError
-from ship_geometry.records import dataclass
 from ship_node.parameters.places import ANY_ADDRESS, HeldPlace, PlaceKind, held_path, held_port, refuse_clashes
 
 UDP, TCP, SERIAL = "udp", "tcp", "serial"

@@ -6,9 +6,9 @@ checksum: half a heading, ``$GPHDT,21``, would be a heading as well.
 
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 from ship_bags.nmea.sentences import NotOfInterest, Sentence, Unusable, read_sentence
-from ship_geometry.records import dataclass
 from ship_nmea.line_splitter import LONGEST_LINE
 
 TOO_LONG, NOISE, HALF = "line too long", "binary noise", "half line or no checksum"

@@ -3,7 +3,7 @@
 import threading
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Any
 
 from ship_bags.message_factory import MessageFactory
@@ -12,7 +12,6 @@ from ship_bags.nmea.instrument_line import InstrumentLine, LineReport
 from ship_bags.nmea.nmea_attitude import NOT_LATER
 from ship_bags.nmea.sentences import NotOfInterest, Unusable
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
-from ship_geometry.records import dataclass
 from ship_nmea.instruments.config import ARRIVAL_TIME, NmeaSourceConfig
 from ship_nmea.instruments.lines import HeardText
 from ship_node.edge.messages_out import DiagnosticStatus, Level

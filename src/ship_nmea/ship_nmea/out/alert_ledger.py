@@ -5,10 +5,10 @@ import re
 import string
 import zlib
 from collections.abc import Container, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from ship_bags.stamps import ns_from_stamp
-from ship_geometry.records import dataclass
 from ship_nmea.sentences.alerts import (
     FIRST_IDENTIFIER,
     GREATEST_INSTANCE,

@@ -6,12 +6,12 @@ What the bridge acknowledges is passed on to the node that keeps the alerts; wha
 import time
 from collections import Counter, deque
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from rclpy.task import Future
 
 from ship_bags.stamps import NS_PER_S
-from ship_geometry.records import dataclass
 from ship_msgs.srv import AcknowledgeAlert
 from ship_nmea.node_shell import NmeaNode
 from ship_nmea.out.alert_ledger import AlertLedger

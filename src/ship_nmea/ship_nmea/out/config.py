@@ -2,10 +2,10 @@
 
 import ipaddress
 import re
+from dataclasses import dataclass
 
 from ship_estimation.parameter_fields import mapping_of, parameter
 from ship_estimation.parameters import ParameterError
-from ship_geometry.records import dataclass
 from ship_nmea.sentences.attitude import ATTITUDE_SENTENCES
 from ship_node.parameters.places import HeldPlace, PlaceKind, held_path, held_port, refuse_clashes
 

@@ -6,10 +6,10 @@ ARC. An alert is known there by a manufacturer's code, a number from 10000 on, a
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import pynmea2
 
-from ship_geometry.records import dataclass
 from ship_nmea.sentences.defined import ACN, ALC, ALF, ARC, HBT, LONGEST_BYTES, text_field, time_field
 
 FIRST_IDENTIFIER, LAST_IDENTIFIER = 10_000, 9_999_999

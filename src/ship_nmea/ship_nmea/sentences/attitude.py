@@ -8,6 +8,7 @@ void and the status says so: no sentence repeats an old value. Heave, which the 
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
@@ -15,7 +16,6 @@ import pynmea2
 
 from ship_bags.nmea.sentences import THS
 from ship_geometry.frames import SINGULAR_ELEVATION
-from ship_geometry.records import dataclass
 from ship_nmea.sentences.defined import time_field
 
 _NAN3 = (math.nan, math.nan, math.nan)

@@ -7,11 +7,10 @@ waiting (:class:`ship_node.edge.adapter.Adapter`).
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from ship_bags.errors import BadInput
-from ship_geometry.records import dataclass
 
 FORMAT = "2"
 """Version of this description."""

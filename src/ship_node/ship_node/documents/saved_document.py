@@ -8,6 +8,7 @@ format and version.
 import errno
 import os
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -19,7 +20,6 @@ from ship_bags.errors import BadInput
 from ship_bags.output_files import write_whole
 from ship_bags.stamps import END_OF_TIME_NS
 from ship_bags.yaml_text import plain_data
-from ship_geometry.records import dataclass
 
 LONGEST_FILE_BYTES = 16_000_000
 """A saved alignment or calibration has some ten thousand."""

@@ -7,6 +7,7 @@ made of these checks.
 import math
 import struct
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Generic, TypeVar
 
@@ -14,7 +15,6 @@ import numpy as np
 
 from ship_bags.stamps import duration_text
 from ship_estimation.refusals import Reason, Refusal, shortened
-from ship_geometry.records import dataclass
 from ship_geometry.ros_axes import rotation_from_quaternion
 from ship_geometry.rotations import FloatArray
 

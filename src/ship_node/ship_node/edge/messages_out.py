@@ -3,7 +3,7 @@
 import enum
 import struct
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -15,7 +15,6 @@ from ship_bags.message_factory import MessageFactory
 from ship_estimation.outcome import Decision
 from ship_estimation.protection import IntegrityConfig, IntegrityReport, IntegrityState
 from ship_estimation.refusals import Reason, Refusal, shortened
-from ship_geometry.records import dataclass
 from ship_geometry.ros_axes import enu_covariance
 from ship_geometry.rotations import ARCSEC, FloatArray
 

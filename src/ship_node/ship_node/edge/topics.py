@@ -1,8 +1,7 @@
 """What a node listens to and what it publishes, by relative topic names."""
 
+from dataclasses import dataclass
 from typing import Any
-
-from ship_geometry.records import dataclass
 
 Published = tuple[str, Any]
 """A message on its way out: (topic, message)."""

@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from ship_estimation.refusals import failure
-from ship_geometry.records import dataclass
 from ship_node.edge.adapter import Adapter
 from ship_node.edge.input_health import InputHealthBook
 from ship_node.edge.messages_out import DiagnosticStatus, Level
@@ -124,7 +123,7 @@ class Guard:
         self._logged_ns, self._not_logged = self._last_ns, 0
 
 
-@dataclass
+@dataclasses.dataclass
 class _Told:
     """What the log knows of a status: its level, and the texts of that level without their figures and examples."""
 

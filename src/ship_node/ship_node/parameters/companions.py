@@ -6,11 +6,11 @@ their package only where a file speaks of them.
 
 import importlib
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
 from ship_bags.parameter_yaml import full_name
-from ship_geometry.records import dataclass
 from ship_node.parameters.parameter_file import has_section
 
 

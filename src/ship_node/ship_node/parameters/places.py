@@ -3,11 +3,11 @@
 import ipaddress
 import os.path
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from enum import Enum
 from itertools import combinations
 
 from ship_estimation.parameters import ParameterError
-from ship_geometry.records import dataclass
 
 ANY_ADDRESS = "0.0.0.0"
 

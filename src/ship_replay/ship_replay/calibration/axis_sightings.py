@@ -6,7 +6,7 @@ axis. What lasts from exposure to exposure - the deck's deformation, the ship's 
 refraction - is in the offsets, so the table says what each such error may do to each sighting.
 """
 
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,6 @@ from ship_bags.message_store import RosbagsFactory
 from ship_bags.output_files import write_csv
 from ship_estimation.refusals import Reason
 from ship_geometry.frames import rotation_from_angles
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray, wrap_pi, wrap_two_pi
 from ship_node.edge.topics import Published
 from ship_replay.offline.adapter_chain import suite_chain

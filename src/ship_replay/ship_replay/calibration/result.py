@@ -13,13 +13,14 @@ and each is compared with what was known of it beforehand: by the prior, and of 
 configured, (C^T P0^-1 C + Sigma_ins^-1)^-1, which is what one look at constant heading gives.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ship_attitude_star.ship_attitude.alignment import Alignment, AlignmentPrior, alignment_of
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_bags.errors import BadInput
 from ship_geometry.frames import angle_errors_from_rotation_vector, rotation_from_angles
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray, left_jacobian, wrap_pi
 from ship_replay.calibration.session import InputCount, Session
 

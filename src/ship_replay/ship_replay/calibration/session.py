@@ -5,7 +5,7 @@ It is the filter of ``ship_attitude`` itself, fed as in a replay. No smoother fo
 """
 
 from collections.abc import Mapping
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,6 @@ from ship_bags.message_factory import MessageFactory
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import NS_PER_S
 from ship_estimation.refusals import Reason
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.edge.adapter import Adapter

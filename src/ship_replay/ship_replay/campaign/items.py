@@ -4,11 +4,11 @@ import hashlib
 import json
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ship_bags.errors import BadInput
-from ship_geometry.records import dataclass
 from ship_replay.offline.adapter_chain import nodes_of
 from ship_replay.offline.digests import code_sha256, content_sha256
 from ship_replay.offline.nodes import ADAPTERS

@@ -3,10 +3,10 @@
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from itertools import groupby
 from typing import Any
 
-from ship_geometry.records import dataclass
 from ship_replay.campaign.items import Item
 from ship_replay.campaign.results import Made
 from ship_replay.report.consistency import SigmaFit, mean_nees_fit, nees_band

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,6 @@ import yaml
 
 from ship_bags.errors import BadInput
 from ship_bags.yaml_text import composed, data_of
-from ship_geometry.records import dataclass
 
 SKIP_KEY = "skip_s"
 _LIMITS = ("min", "max")

@@ -8,7 +8,7 @@ import bisect
 import enum
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,6 @@ from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag
 from ship_bags.stamps import ns_from_stamp
 from ship_bags.topic_names import relative_topics
 from ship_estimation.outcome import Status
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_replay.evaluation.sources import Truth
 from ship_watch.orientations import ORIENTATIONS, Orientation

@@ -5,7 +5,7 @@ small rotation vector in the horizon frame, as its covariance is (ship_geometry'
 """
 
 from collections import Counter
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,6 @@ from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_estimation.gates import normalized_error_squared
 from ship_estimation.refusals import Reason
 from ship_geometry.frames import angle_covariance, angles_from_rotation
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_watch.orientations import Orientation
 

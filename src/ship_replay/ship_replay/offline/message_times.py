@@ -7,6 +7,7 @@ flood. By the stamps, every message arrives at its own time of validity, whateve
 import struct
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import dataclass
 from heapq import heappop, heappush
 from typing import Any
 
@@ -16,7 +17,6 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_bags.mcap.bag_reader import BagRecord
 from ship_bags.stamps import NS_PER_S, utc_text
 from ship_estimation.parameters import flatten
-from ship_geometry.records import dataclass
 from theodolite_calib.config import OpticalAxisConfig
 
 _MOST_OF_THE_TIME = 0.5

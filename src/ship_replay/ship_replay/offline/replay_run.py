@@ -2,14 +2,13 @@
 
 from collections import Counter
 from collections.abc import Container
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import BagRecord
 from ship_bags.stamps import NS_PER_S
 from ship_bags.topic_names import TRUTH_PREFIX
-from ship_geometry.records import dataclass
 from ship_node.edge.adapter import TICK_PERIOD_NS
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC
 from ship_node.edge.topics import Published

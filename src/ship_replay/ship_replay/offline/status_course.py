@@ -3,6 +3,7 @@
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import groupby
 from typing import Any, NamedTuple
 
@@ -11,7 +12,6 @@ import numpy as np
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_bags.stamps import NS_PER_S, ns_from_stamp, utc_text
 from ship_estimation.refusals import Reason
-from ship_geometry.records import dataclass
 from ship_node.edge.adapter import Adapter
 from ship_replay.offline.message_times import MessageTimes, exceeded
 from ship_watch.orientations import ORIENTATIONS

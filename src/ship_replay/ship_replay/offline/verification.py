@@ -4,7 +4,7 @@ import dataclasses
 import struct
 from collections import Counter, defaultdict, deque
 from collections.abc import Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,6 @@ from ship_bags.mcap.bag_reader import Bag
 from ship_bags.message_store import RosbagsFactory, message_store, serialize
 from ship_bags.stamps import ns_from_stamp, utc_text
 from ship_bags.topic_names import relative_topics
-from ship_geometry.records import dataclass
 from ship_node.edge.adapter import Adapter
 from ship_node.edge.messages_out import DIAGNOSTICS_TYPE
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain

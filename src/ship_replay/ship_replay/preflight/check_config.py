@@ -5,7 +5,7 @@ import dataclasses
 import itertools
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,6 @@ from ship_bags.message_store import RosbagsFactory
 from ship_bags.parameter_yaml import ParameterFile, anywhere, full_name
 from ship_bags.topic_names import relative_topics
 from ship_estimation.parameters import ParameterDescription, ParameterError, build, describe
-from ship_geometry.records import dataclass
 from ship_node.documents.saved_document import UNTOUCHED
 from ship_node.edge.adapter import Adapter
 from ship_node.parameters.companions import COMPANIONS, Companion, named_companions

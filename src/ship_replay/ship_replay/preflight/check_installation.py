@@ -2,6 +2,7 @@
 
 from bisect import bisect_left
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
@@ -13,7 +14,6 @@ from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, log_rotation
 from ship_replay.preflight.check_config import BagCheck
 from ship_replay.preflight.measured_mounting import MeasuredMounting, measured_mountings

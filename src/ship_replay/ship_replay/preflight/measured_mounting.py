@@ -2,7 +2,7 @@
 
 from bisect import bisect_left
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,6 @@ from ship_bags.mcap.bag_reader import Bag, BagRecord
 from ship_bags.stamps import NS_PER_S
 from ship_estimation.refusals import Refusal
 from ship_geometry.attitude_track import AttitudeTrack
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray, angle_between
 from ship_node.edge.ins_messages import ins_sample
 from ship_node.edge.messages_in import Refused

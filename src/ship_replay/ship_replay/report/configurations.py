@@ -1,13 +1,13 @@
 """How the configurations of two recordings differ: line by line as they were written, and parameter by parameter."""
 
 import difflib
+from dataclasses import dataclass
 from typing import Any
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_estimation.parameters import flatten
-from ship_geometry.records import dataclass
 from ship_replay.evaluation.evaluate import named_config
 from ship_replay.report.night import Night
 from theodolite_calib.config import OpticalAxisConfig

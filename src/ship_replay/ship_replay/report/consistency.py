@@ -6,11 +6,11 @@ minute is judged as the live page judges the last one, and the word is that of t
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import binom, chi2, norm
 
-from ship_geometry.records import dataclass
 from ship_replay.evaluation.evaluate import Evaluation
 from ship_replay.evaluation.statistics import AttitudeErrors, SourceInnovations
 from ship_watch.picture import NisVerdict

@@ -7,7 +7,7 @@ new in them is taken out again and again.
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,6 @@ from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag, watched
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_bags.topic_names import TRUTH_PREFIX, namespace_of_outputs, relative_topics
-from ship_geometry.records import dataclass
 from ship_replay.evaluation.sources import JOINT_SOLUTION
 from ship_replay.evaluation.statistics import reason_name
 from ship_replay.offline.digests import content_sha256

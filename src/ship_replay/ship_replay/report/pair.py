@@ -1,11 +1,11 @@
 """Two recordings side by side: both told, their outputs at equal stamps, and whether they stem from the same inputs."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT
-from ship_geometry.records import dataclass
 from ship_replay.evaluation.evaluate import evaluate
 from ship_replay.report.night import Night, read_night
 from ship_replay.report.published import OutputDifference, Published, differences, overlap_s, read_published, span

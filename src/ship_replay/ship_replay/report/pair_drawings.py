@@ -1,6 +1,7 @@
 """The figures of two recordings: on one axis of time, or beside each other on one scale."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -9,7 +10,6 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
 from ship_bags.stamps import NS_PER_S
 from ship_estimation.protection import NORMAL_95
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_replay.report.drawings import (
     MOST_POINTS,

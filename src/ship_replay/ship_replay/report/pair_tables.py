@@ -4,12 +4,12 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
 
 from ship_bags.stamps import NS_PER_S
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, wrap_pi
 from ship_replay.evaluation.statistics import AttitudeErrors
 from ship_replay.report.consistency import SigmaFit, consistency

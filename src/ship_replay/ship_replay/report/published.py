@@ -1,7 +1,7 @@
 """What two runs published at equal stamps, and how far it differs: to the last bit, or in arcsec."""
 
 import hashlib
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,6 @@ import numpy as np
 from ship_bags.mcap.bag_reader import BagRecord, read_bag
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_bags.topic_names import TRUTH_PREFIX, relative_topics
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray, wrap_pi
 from ship_watch.orientations import ORIENTATIONS, Orientation
 

@@ -3,9 +3,8 @@
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, wrap_pi
 from ship_replay.report.night import Night
 from ship_replay.report.wording import duration, number, placed, utc

@@ -3,6 +3,7 @@
 import contextlib
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
 from multiprocessing import active_children, get_context
 from pathlib import Path
 
@@ -10,7 +11,6 @@ from ship_bags.command_line import serve_a_command
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.topic_names import relative_topics
-from ship_geometry.records import dataclass
 from ship_replay.evaluation.evaluate import Evaluation, evaluate
 from ship_replay.report.night import Night, read_night
 from ship_watch.limits import Limits

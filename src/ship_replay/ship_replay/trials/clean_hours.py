@@ -9,7 +9,7 @@ import dataclasses
 import time
 import traceback
 from collections.abc import Iterator
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +20,6 @@ from ship_estimation.outcome import Status
 from ship_estimation.parameters import build
 from ship_estimation.protection import IntegrityReport
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_geometry.time_scales import SECOND_NS
 from ship_replay.trials.monte_carlo import attitude_outcomes, core_for, pointing_outcomes

@@ -19,11 +19,11 @@ A name is right where the source that it means (:mod:`ship_estimation.protection
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from ship_bags.stamps import NS_PER_S
-from ship_geometry.records import dataclass
 from ship_replay.trials.passage import Passage
 from ship_replay.trials.voyage_told import EXCLUSION, INTEGRITY, Claim, Sign, Told
 from ship_simulation.scenario.fault import Fault

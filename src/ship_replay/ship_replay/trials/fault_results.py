@@ -3,12 +3,12 @@
 import math
 from collections import defaultdict
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 
-from ship_geometry.records import dataclass
 from ship_replay.trials.fault_judge import BEYOND
 from ship_replay.trials.passage import MEASUREMENTS, UNSEEN_ROWS, UNTOLD_ROWS
 from ship_replay.trials.results_file import Result, ResultsFile

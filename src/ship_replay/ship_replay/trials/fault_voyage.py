@@ -5,6 +5,7 @@ import math
 import time
 import traceback
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,6 @@ from ship_bags.mcap.bag_reader import Bag, read_bag
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import NS_PER_S
 from ship_estimation.protection import IntegrityConfig
-from ship_geometry.records import dataclass
 from ship_replay.evaluation.sources import Truth
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain
 from ship_replay.offline.nodes import ADAPTERS

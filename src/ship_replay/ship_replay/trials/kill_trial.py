@@ -5,6 +5,7 @@ import random
 import signal
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from mcap.reader import make_reader
@@ -18,7 +19,6 @@ from ship_bags.live.ros_process import executable
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.recover import recover, recovered_path
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
-from ship_geometry.records import dataclass
 from ship_msgs.msg import ShipAttitude
 from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 from ship_replay.trials.live_run import LiveFailure

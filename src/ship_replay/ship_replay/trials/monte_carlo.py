@@ -5,6 +5,7 @@ within one run are correlated, those of different seeds are not.
 """
 
 from collections.abc import Container, Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,7 +20,6 @@ from ship_estimation.outcome import Measurement, Status
 from ship_estimation.parameters import build
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, exp_rotation, log_rotation
 from ship_simulation.run import SKY_SOURCES, SimulatedRun, simulate
 from ship_simulation.scenario.scenario import Scenario

@@ -5,12 +5,12 @@ it in the same words, and what was measured on both sides of it.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from ship_bags.stamps import NS_PER_S
 from ship_estimation.exclusion import HEARD_NS
-from ship_geometry.records import dataclass
 from ship_replay.trials.voyage_told import Told
 from ship_simulation.scenario.fault import Fault
 from ship_simulation.scenario.names import ENCODER_TOPIC, IMAGE_TOPIC

@@ -6,11 +6,11 @@ first; then input that is wrong by its form, which every topic may send.
 
 import re
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from ship_geometry.records import dataclass
 from ship_simulation.scenario.fault import Fault
 from ship_simulation.scenario.fault_file import numeric_fields
 from ship_simulation.scenario.names import FIRST_VALUE, can_happen

@@ -6,14 +6,13 @@ Three messages carry names: the innovations, the exclusions in ``ship/integrity`
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ship_bags.stamps import ns_from_stamp
 from ship_estimation.refusals import Reason
-from ship_geometry.records import dataclass
 from ship_replay.evaluation.sources import Truth
 from ship_watch.orientations import ORIENTATIONS, Orientation
 

@@ -6,11 +6,11 @@ is the estimators' own: the mean is a Gauss–Legendre sum over the true motion.
 
 import math
 import zlib
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.signal import lfilter
 
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.scenario.motion_scenario import Outage

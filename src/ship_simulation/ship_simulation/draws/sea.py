@@ -13,10 +13,10 @@ The answer of each angle is a damped resonance driven by the wave's slope as the
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 
 _GRAVITY = 9.80665

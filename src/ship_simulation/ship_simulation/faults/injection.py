@@ -3,6 +3,7 @@
 import heapq
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 
 from ship_bags.errors import BadInput
@@ -10,7 +11,6 @@ from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.stamps import ns_from_stamp
 from ship_bags.topic_names import TRUTH_PREFIX, relative_topics
-from ship_geometry.records import dataclass
 from ship_simulation.faults.faults import Delivery, spoilt
 from ship_simulation.faults.optics import Optics, optics_of_suite
 from ship_simulation.scenario.fault import Fault

@@ -1,7 +1,7 @@
 """The cameras through which a turn of a device moves what it sees, as a suite file describes them."""
 
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,6 @@ from ship_attitude_star.stars.config import CameraConfig
 from ship_bags.errors import BadInput
 from ship_bags.parameter_yaml import merged, read_sections
 from ship_estimation.parameters import ParameterError, build
-from ship_geometry.records import dataclass
 from ship_simulation.scenario.fault import Fault
 from ship_simulation.scenario.names import IMAGE, IMAGE_TOPIC, OBSERVATIONS
 from theodolite_calib.lights.image import Camera

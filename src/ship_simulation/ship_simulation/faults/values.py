@@ -6,13 +6,13 @@ A message's arrays may be shared with others, so they are replaced, not changed.
 import copy
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ship_attitude_star.sky.catalogue import hipparcos
 from ship_bags.stamps import END_OF_TIME_NS, ns_from_stamp, stamp_fields
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray, wrap_two_pi
 from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.faults.optics import Optics

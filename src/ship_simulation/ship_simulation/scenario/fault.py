@@ -5,11 +5,11 @@ A scenario lists faults, and so does the file that ``inject`` takes. :mod:`ship_
 
 import dataclasses
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from ship_estimation.parameter_fields import parameter
 from ship_estimation.parameters import ParameterError
-from ship_geometry.records import dataclass
 from ship_simulation.scenario.motion_scenario import DELAY, MOMENT
 
 _TO_THE_END_S = 1e6

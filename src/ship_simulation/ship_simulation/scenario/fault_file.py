@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,6 @@ from ship_bags.message_store import message_store
 from ship_bags.parameter_yaml import read_plain
 from ship_estimation.parameter_fields import mapping_of
 from ship_estimation.parameters import ParameterError, build
-from ship_geometry.records import dataclass
 from ship_simulation.scenario.fault import Fault, size_problems
 from ship_simulation.scenario.names import FIRST_VALUE, can_happen
 

@@ -1,9 +1,9 @@
 """The part of a scenario file that says how the ship moves, and the units and ranges that all parts share."""
 
+from dataclasses import dataclass
 from typing import Any
 
 from ship_estimation.parameter_fields import mapping_of, parameter, section
-from ship_geometry.records import dataclass
 
 ANGLE: dict[str, Any] = {"unit": "deg", "minimum": -360.0, "maximum": 360.0}
 SIGMA: dict[str, Any] = {"unit": "arcsec", "minimum": 0.0, "maximum": 360_000.0}

@@ -5,6 +5,7 @@ suite file in the bag tells the estimators (:mod:`ship_simulation.suite.suite`).
 """
 
 import re
+from dataclasses import dataclass
 from datetime import datetime, timezone
 from typing import Any
 
@@ -13,7 +14,6 @@ import numpy as np
 from ship_attitude_star.stars.config import CameraConfig
 from ship_estimation.parameter_fields import mapping_of, parameter, section
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.scenario.fault import Fault

@@ -3,11 +3,11 @@
 Vectors of devices are (forward, up, right). Places of drones are seen from the crossing of the theodolite's axes.
 """
 
+from dataclasses import dataclass
 from typing import Any
 
 from ship_estimation.parameter_fields import mapping_of, parameter, section
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
-from ship_geometry.records import dataclass
 from ship_simulation.scenario.motion_scenario import ANGLE, CORRELATION, DELAY, MOMENT, RATE, SIGMA, Outage
 
 _AXIS_ERROR: dict[str, Any] = {"unit": "arcsec", "minimum": -3600.0, "maximum": 3600.0}

@@ -5,11 +5,11 @@ together leave it.
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from ship_geometry.frames import rotation_from_angles
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.draws.noise import (

@@ -5,6 +5,7 @@ A carrier is exact: its rate is the derivative of its attitude, analytically.
 
 import functools
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -13,7 +14,6 @@ from scipy.spatial.transform import Rotation, RotationSpline
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag
 from ship_geometry.frames import rotation_from_angles, rotation_vector_from_angle_errors
-from ship_geometry.records import dataclass
 from ship_geometry.ros_axes import rotation_from_quaternion
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS

@@ -1,9 +1,10 @@
 """Where the ship truly is, and the fixes of its satellite receiver."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ship_geometry.geodetic import GeodeticPosition, horizon_radii_m
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.draws.noise import gauss_markov, random_stream, stamps

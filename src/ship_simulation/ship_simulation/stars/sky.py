@@ -6,6 +6,7 @@ moment; the path of the estimator, which is refreshed now and then, is not used 
 """
 
 import dataclasses
+from dataclasses import dataclass
 
 import erfa
 import numpy as np
@@ -13,7 +14,6 @@ import numpy as np
 from ship_attitude_star.sky.catalogue import StarCatalogue, hipparcos
 from ship_geometry.earth_orientation import EarthOrientation, earth_orientation_table
 from ship_geometry.geodetic import rotation_horizon_from_ecef
-from ship_geometry.records import dataclass
 from ship_geometry.refraction import ModelName, Weather, elevation_of, lifted, refraction
 from ship_geometry.rotations import FloatArray, exp_rotation
 from ship_geometry.star_directions import Observer, StarPositions, directions, fixed_stars

@@ -1,11 +1,12 @@
 """Which stars a sensor has in its field, where on the detector, and which of them it takes for one another."""
 
+from dataclasses import dataclass
+
 import erfa
 import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.stars.camera import StarCamera
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 from ship_simulation.scenario.scenario import Detector, StarSensor
 from ship_simulation.stars.sky import TrueSky

@@ -4,6 +4,7 @@ Sensors of the first kind give centroids with identities. Those of the second so
 trackers do.
 """
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,6 @@ from numpy.typing import NDArray
 
 from ship_attitude_star.sky.catalogue import UNKNOWN
 from ship_attitude_star.stars.camera import equivalent_sigma
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_geometry.star_directions import StarPositions, fixed_stars
 from ship_simulation.draws.noise import arrival_times, centroids, outside, random_stream

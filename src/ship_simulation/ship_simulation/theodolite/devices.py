@@ -1,8 +1,9 @@
 """What the devices about a theodolite say: its encoders, its telescope, satellite positioning, and the drones."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, wrap_two_pi
 from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.draws.noise import (

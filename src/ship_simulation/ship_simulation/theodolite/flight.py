@@ -5,11 +5,11 @@ over the ship's motion.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from ship_geometry.frames import rotation_from_angles
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 from ship_simulation.scenario.theodolite_scenario import Escort, Flight, Hover, Orbit, Programme, Waypoint
 from ship_simulation.ship.motion import HarmonicMotion

@@ -3,11 +3,12 @@
 Their constants are drawn once a run about what the scenario says is known. What the devices say is made from this.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ship_bags.errors import BadInput
 from ship_geometry.frames import rotation_from_angles
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_simulation.draws.noise import SlowError, outside, random_stream
 from ship_simulation.scenario.scenario import Scenario

@@ -16,12 +16,11 @@ tell whether both offsets have the wrong sign: all errors then have the wrong si
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.axis_fit.robust_fit import PRIOR_SIGMAS, AxisFit, fit
 from theodolite_calib.axis_fit.sightings import Sightings, directions

@@ -17,11 +17,11 @@ Huber, "Robust Statistics" (1981), ch. 7.
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.axis_fit.sightings import Sightings
 from theodolite_calib.chain.axes import NAMES, AxisErrors, main_axis_rotation

@@ -9,11 +9,11 @@ is infinite. Each of its values moves a sighting by the stated effect, so that t
 to 1 beforehand.
 """
 
+from dataclasses import dataclass
 from itertools import groupby
 
 import numpy as np
 
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, wrap_pi
 from theodolite_calib.chain.axes import AxisErrors, direction_change, encoder_angles, main_axis, main_axis_rotation
 

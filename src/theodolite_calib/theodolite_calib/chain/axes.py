@@ -15,13 +15,12 @@ leading axes of the results.
 """
 
 import math
-from dataclasses import astuple, fields
+from dataclasses import astuple, dataclass, fields
 from functools import cached_property
 
 import numpy as np
 
 from ship_geometry import compiled_mounts
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, skew, wrap_two_pi
 
 Angle = float | FloatArray

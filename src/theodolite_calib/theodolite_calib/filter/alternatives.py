@@ -9,7 +9,7 @@ The rows have no error budget: their covariance is one matrix, and a sighting ch
 """
 
 from collections.abc import Set
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +19,6 @@ from ship_estimation import compiled_steps
 from ship_estimation.gates import chi_square_gate
 from ship_estimation.hypotheses import RowsCompared
 from ship_estimation.kalman import LinearMeasurement, StateModel, predict
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.chain.axes import NAMES
 from theodolite_calib.config import OpticalAxisConfig

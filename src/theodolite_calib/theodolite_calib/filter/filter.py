@@ -5,14 +5,13 @@ can keep each of them and return to it.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ship_estimation.hypotheses import compare_rows
 from ship_estimation.ins import InsJump
 from ship_estimation.kalman import LinearMeasurement, predict, update
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.chain.axes import NAMES
 from theodolite_calib.config import OpticalAxisConfig

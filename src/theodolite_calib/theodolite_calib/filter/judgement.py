@@ -6,13 +6,12 @@ more closely (:mod:`theodolite_calib.lights.light_check`), so that the refusal s
 names are used with the right names, and one wrong light among three or more is left out.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.refusals import Reason, Refusal
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Comparison
 from theodolite_calib.lights.image import Camera

@@ -20,11 +20,12 @@ light.<id>.refraction (1)             further error of k on the way to this ligh
 =========================  =========  =================================================================================
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from ship_estimation.kalman import StateBlock, StateModel, block, lasting, slow_error_later
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.chain.axes import CHAIN_STATES
 from theodolite_calib.config import BeaconConfig, OpticalAxisConfig

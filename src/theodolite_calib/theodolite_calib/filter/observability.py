@@ -6,12 +6,11 @@ as in the filter, slow errors included. A combination that this covariance leave
 sightings leave open, however many of the same kind there are.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ship_estimation.kalman import LinearMeasurement, StateModel, block, innovation, predict, update
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.chain.axes import NAMES
 from theodolite_calib.filter.model import ShipErrorStep, add_steady_noise, with_step

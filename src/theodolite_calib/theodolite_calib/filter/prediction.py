@@ -5,10 +5,11 @@ The lights' points on the detector are predicted from the attitude of the telesc
 (:mod:`theodolite_calib.lights.line_of_sight`). From both the errors are taken out as far as they are now known.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ship_estimation.kalman import StateModel
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray, exp_rotation
 from theodolite_calib.chain.axes import AXES, SHIP_TIME, AxisChain, axis_chain
 from theodolite_calib.chain.parallelism import telescope_from_main

@@ -8,7 +8,7 @@ that what was refused would be refused again. A baseline that has jumped back ha
 """
 
 from collections.abc import Mapping, Set
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.hypotheses import RowsCompared
 from ship_estimation.protection import IntegrityConfig
 from ship_estimation.running_means import SEEN_BY_ROWS, WELL, Means, excess_limit, forgotten, no_means, observed
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.filter.alternatives import BEACON, CHAIN, ENCODER, SHIP, TELESCOPE, RowsSeen, SourceRows

@@ -10,13 +10,12 @@ Points have shape (..., N, 2) and directions (..., N, 3) for N lights of one exp
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ship_geometry import compiled_lights
 from ship_geometry.exposure_mean import Nodes
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 
 

@@ -5,6 +5,7 @@ two lights change names, the angle stays and the image turns by half a turn: onl
 tell that. An error of the principal point N' shifts all lights alike, and no check here can find it.
 """
 
+from dataclasses import dataclass
 from enum import Enum
 from itertools import combinations, permutations
 
@@ -12,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_estimation.gates import chi_square_gate, normalized_error_squared
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray, angle_between, log_rotation
 from theodolite_calib.lights.image import Camera, Image
 from theodolite_calib.lights.line_of_sight import LinesOfSight, covariance_by_source

@@ -12,12 +12,12 @@ Each error is a named :class:`ErrorTerm` in its own natural axes, so that a filt
 """
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from ship_geometry import compiled_lights
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.lights.image import block_diagonal, flat
 

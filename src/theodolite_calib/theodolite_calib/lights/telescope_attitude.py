@@ -12,12 +12,12 @@ error, with the gain K = (Hᵀ S⁻¹ H)⁻¹ Hᵀ S⁻¹, so the error budget i
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ship_geometry import wahba
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, log_rotation
 from theodolite_calib.lights.image import Camera, Image, block_diagonal, predict_points
 from theodolite_calib.lights.line_of_sight import LinesOfSight, covariance_by_source

@@ -7,10 +7,11 @@ solutions' own scatter about it is their noise where it is larger than what they
 a step rather than being taken for one.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ship_estimation.refusals import Reason, Refusal
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from ship_geometry.vector_track import VectorTrack

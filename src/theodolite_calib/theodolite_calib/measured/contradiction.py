@@ -10,12 +10,12 @@ What creeps makes no step. A ship that creeps leaves what its own rates lead to;
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from ship_estimation.outcome import Status
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray, log_rotation
 from ship_geometry.sample_track import Stamped
 from ship_geometry.time_scales import SECOND_NS

@@ -12,7 +12,7 @@ have moved and stopped between two readings, it is a slip.
 """
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -29,7 +29,6 @@ from ship_estimation.value_guards import (
     step_by_motion,
 )
 from ship_estimation.witnesses import Witness
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.vector_track import VectorTrack
 from theodolite_calib.measured.encoder_steps import EncoderStep, EncoderSteps, short_way

@@ -1,7 +1,7 @@
 """What goes into the optical-axis core and what comes out: plain structs in radians, metres and nanoseconds."""
 
 import enum
-from dataclasses import field
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -12,7 +12,6 @@ from ship_estimation.outcome import Decision, Outcome, Status
 from ship_estimation.refusals import Refusal
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.exposure_mean import Nodes, exposure_nodes
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 from ship_geometry.vector_track import VectorSample
 

@@ -1,13 +1,12 @@
 """A sighting: one exposure of lights with all that it is compared with, brought to the middle of the exposure."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.exposure_mean import Nodes
 from ship_geometry.frames import rotation_from_angles
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation

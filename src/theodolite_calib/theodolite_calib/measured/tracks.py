@@ -4,7 +4,7 @@ The encoders, the ship, the baseline to each drone and the attitude of each dron
 is interpolated at the moment asked for, and says how much noise it has there.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,6 @@ from ship_estimation.outcome import Status
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, Nodes, exposure_nodes
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import ARCSEC, FloatArray, skew
 from ship_geometry.sample_track import SampleTrack
 from ship_geometry.time_scales import SECOND_NS

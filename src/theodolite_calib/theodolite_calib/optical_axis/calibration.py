@@ -5,9 +5,10 @@
 then.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from ship_geometry.records import dataclass
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.chain.axes import NAMES
 from theodolite_calib.config import OpticalAxisConfig
