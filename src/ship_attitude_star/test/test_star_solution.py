@@ -8,9 +8,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import poisson
 
-from ship_attitude_star.stars.fit import SightedStars, StarJudgement, linearized, square_roots
+from ship_attitude_star.stars.fit import SightedStars, StarJudgement, linearized
 from ship_attitude_star.stars.selection import StarPrior, select
 from ship_attitude_star.stars.solution import SOLUTION_TERMS, SolutionStatus, solve_stars
+from ship_estimation.compiled_integrity import square_root
 from ship_estimation.gates import mean_nees_band, normalized_error_squared
 from ship_estimation.refusals import Reason
 from ship_geometry.rotations import ARCSEC, angle_between, exp_rotation, log_rotation
@@ -167,7 +168,7 @@ def error_with_prior(scene: Scene, error_n: np.ndarray) -> float | None:
     fit = linearized(scene.stars, prior.rotation_nb).with_prior(prior.covariance_n)
     judgement = fit.judge(members)
     # Its unknowns are numbers of standard deviation 1.
-    roots = square_roots(prior.covariance_n)
+    roots = square_root(prior.covariance_n)
     covariance_n = roots @ np.linalg.inv(judgement.constrained)[:3, :3] @ roots.T
     return float(normalized_error_squared(error_n - roots @ judgement.solution[:3], covariance_n))
 

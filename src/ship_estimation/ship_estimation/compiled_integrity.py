@@ -212,6 +212,25 @@ def least_eigenvalue(matrix: cython.const[cython.double][:, :]) -> cython.double
     return -_larger(-a[0], _larger(-a[4], -a[8]))
 
 
+def square_root(matrix: cython.const[cython.double][:, :]):
+    """L with L Lᵀ a covariance of the shape (3, 3), which may be singular; only its lower triangle is read."""
+    check("matrix", matrix.shape[0] == matrix.shape[1] == 3)
+    a = cython.declare(cython.double[9])
+    vectors = cython.declare(cython.double[9])
+    result = np.empty((3, 3))
+    root: cython.double[:, ::1] = result
+    p: cython.int
+    q: cython.int
+    for p in range(3):
+        for q in range(p + 1):
+            a[3 * p + q] = a[3 * q + p] = matrix[p, q]
+    _diagonalise(a, vectors)
+    for p in range(3):
+        for q in range(3):
+            root[p, q] = vectors[3 * p + q] * sqrt(_larger(a[4 * q], 0.0))
+    return result
+
+
 @cython.cfunc
 @cython.exceptval(check=False)
 def _whiten(matrix: cython.double[:, ::1], size: cython.Py_ssize_t) -> cython.bint:

@@ -14,6 +14,7 @@ if not cython.compiled:
     raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")
 
 from cython.cimports.libc.math import NAN, fabs, sqrt
+from cython.cimports.libc.string import memcpy
 from cython.cimports.ship_estimation.compiled_steps import _larger
 
 _COLUMNS = cython.declare(cython.Py_ssize_t, 5)
@@ -148,11 +149,15 @@ def observed(
     s: cython.Py_ssize_t
     k: cython.Py_ssize_t
     i: cython.Py_ssize_t
-    means[...] = running
-    excesses[...] = excess
-    refusals[...] = refused
-    heard[...] = heard_ns
-    contradicts[...] = contradicts_ns
+    if rows * count:
+        of_numbers: cython.size_t = rows * count * cython.sizeof(cython.double)
+        of_stamps: cython.size_t = count * cython.sizeof(cython.longlong)
+        of_means: cython.size_t = weights.shape[0] * _COLUMNS * of_numbers
+        memcpy(cython.address(means[0, 0, 0, 0]), cython.address(running[0, 0, 0, 0]), of_means)
+        memcpy(cython.address(excesses[0, 0]), cython.address(excess[0, 0]), of_numbers)
+        memcpy(cython.address(refusals[0, 0]), cython.address(refused[0, 0]), rows * of_stamps)
+        memcpy(cython.address(heard[0]), cython.address(heard_ns[0]), of_stamps)
+        memcpy(cython.address(contradicts[0]), cython.address(contradicts_ns[0]), of_stamps)
     for one in range(turn.shape[1]):
         s = sources[one]
         check("sources", 0 <= s < count)
@@ -186,24 +191,26 @@ def averaged(
     turn: cython.const[cython.double][:],
     weights: cython.const[cython.double][::1],
 ):
-    """The means of one row and source after one turn more, shape (w, 5)."""
+    """The means of one row and source after one turn more, shape (w, 5), and their farthest component.
+
+    It is the one that is farthest from zero in its own sigmas; no number where one is none.
+    """
     check("averaged", running.shape[0] == weights.shape[0] and running.shape[1] == _COLUMNS and turn.shape[0] == 3)
     result = np.empty((weights.shape[0], _COLUMNS))
     means: cython.double[:, ::1] = result
-    means[...] = running
+    if weights.shape[0]:
+        memcpy(
+            cython.address(means[0, 0]),
+            cython.address(running[0, 0]),
+            weights.shape[0] * _COLUMNS * cython.sizeof(cython.double),
+        )
     seen = cython.declare(cython.double[3])
     seen[0], seen[1], seen[2] = turn[0], turn[1], turn[2]
     _average(cython.address(means[0, 0]), seen, weights)
-    return result
-
-
-def farthest(running: cython.const[cython.double][:, ::1]) -> cython.double:
-    """The component of a mean, shape (w, 5), that is farthest from zero in its own sigmas; no number where one is."""
-    check("farthest", running.shape[1] == _COLUMNS)
     worst: cython.double = 0.0
     k: cython.Py_ssize_t
     i: cython.Py_ssize_t
-    for k in range(running.shape[0]):
+    for k in range(weights.shape[0]):
         for i in range(3):
-            worst = _larger(worst, fabs(running[k, i]) / sqrt(running[k, 4]))
-    return worst
+            worst = _larger(worst, fabs(means[k, i]) / sqrt(means[k, 4]))
+    return result, worst

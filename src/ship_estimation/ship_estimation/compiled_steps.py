@@ -320,27 +320,90 @@ def separations(
         least_variance: what it has at least.
     """
     rows: cython.Py_ssize_t = means.shape[0]
-    sources: cython.Py_ssize_t = stack.shape[0] - rows + 1
-    check("separations", sources >= 1 and stack.shape[1] == stack.shape[2] == means.shape[1])
-    check("states", first >= 0 and 0 <= count <= means.shape[1] - first)
     of_apart, of_statistic = np.empty((rows, count)), np.zeros(rows)
     apart: cython.double[:, ::1] = of_apart
     statistic: cython.double[::1] = of_statistic
     by_all: cython.double
-    variance: cython.double
     row: cython.Py_ssize_t
-    s: cython.Py_ssize_t
     i: cython.Py_ssize_t
+    _check_separations(means, stack, first, count)
     for i in range(first, first + count):
-        by_all = 0.0
-        for s in range(sources):
-            by_all += stack[s, i, i]
+        by_all = _variance_by_all(stack, rows, i)
         for row in range(rows):
-            variance = stack[sources + row - 1, i, i] - by_all if row else 0.0
-            variance = _larger(variance, _larger(least_share * by_all, least_variance))
             apart[row, i - first] = means[row, i] - means[0, i]
-            statistic[row] = _larger(statistic[row], fabs(apart[row, i - first]) / sqrt(variance))
+            statistic[row] = _larger(
+                statistic[row], _sigmas_apart(means, stack, row, i, by_all, least_share, least_variance)
+            )
     return of_apart, of_statistic
+
+
+def separated(
+    means: cython.const[cython.double][:, ::1],
+    stack: cython.const[cython.double][:, :, ::1],
+    first: cython.Py_ssize_t,
+    count: cython.Py_ssize_t,
+    least_share: cython.double,
+    least_variance: cython.double,
+    most_sigmas: cython.double,
+) -> cython.bint:
+    """Whether a row is farther from the first one than so many sigmas; arguments as in :func:`separations`."""
+    by_all: cython.double
+    row: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    _check_separations(means, stack, first, count)
+    for i in range(first, first + count):
+        by_all = _variance_by_all(stack, means.shape[0], i)
+        for row in range(means.shape[0]):
+            # Written so that NaN is far.
+            if not _sigmas_apart(means, stack, row, i, by_all, least_share, least_variance) <= most_sigmas:
+                return True
+    return False
+
+
+@cython.cfunc
+def _check_separations(
+    means: cython.const[cython.double][:, ::1],
+    stack: cython.const[cython.double][:, :, ::1],
+    first: cython.Py_ssize_t,
+    count: cython.Py_ssize_t,
+):
+    n: cython.Py_ssize_t = means.shape[1]
+    check("separations", stack.shape[0] >= means.shape[0] and stack.shape[1] == stack.shape[2] == n)
+    check("states", first >= 0 and 0 <= count <= n - first)
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+@cython.inline
+def _variance_by_all(
+    stack: cython.const[cython.double][:, :, ::1], rows: cython.Py_ssize_t, state: cython.Py_ssize_t
+) -> cython.double:
+    """The variance of a state in the first row."""
+    total: cython.double = 0.0
+    s: cython.Py_ssize_t
+    for s in range(stack.shape[0] - rows + 1):
+        total += stack[s, state, state]
+    return total
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+@cython.inline
+def _sigmas_apart(
+    means: cython.const[cython.double][:, ::1],
+    stack: cython.const[cython.double][:, :, ::1],
+    row: cython.Py_ssize_t,
+    state: cython.Py_ssize_t,
+    by_all: cython.double,
+    least_share: cython.double,
+    least_variance: cython.double,
+) -> cython.double:
+    """How far a row is from the first one in a state, in sigmas."""
+    variance: cython.double = 0.0
+    if row:
+        variance = stack[stack.shape[0] - means.shape[0] + row, state, state] - by_all
+    variance = _larger(variance, _larger(least_share * by_all, least_variance))
+    return fabs(means[row, state] - means[0, state]) / sqrt(variance)
 
 
 def row_covariances(stack: cython.const[cython.double][:, :, ::1], rows: cython.Py_ssize_t):

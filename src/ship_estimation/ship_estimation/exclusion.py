@@ -137,6 +137,18 @@ def find_fault(
     return Finding(fault=True, row=row, explaining=tuple(explaining))
 
 
+def agrees_with_all(means: Means, degraded_after: int) -> bool:
+    """Whether the first row agrees with every source, as :func:`find_fault` asks of those that it uses and has heard.
+
+    Example:
+        >>> from ship_estimation.running_means import no_means
+        >>> agrees_with_all(no_means(rows=3, sources=2), degraded_after=3)
+        True
+    """
+    by_source = zip(means.excess[0].tolist(), means.refused[0].tolist(), strict=True)
+    return all(excess <= 1.0 and refused < degraded_after for excess, refused in by_source)  # NaN does not agree
+
+
 def _first_row_agrees(means: Means, uses: NDArray[np.bool_], since_ns: int, degraded_after: int) -> bool:
     """Whether the first row agrees with all sources that it uses and that were heard since a moment."""
     by_source = zip(

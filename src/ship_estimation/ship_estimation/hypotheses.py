@@ -9,7 +9,7 @@ The first row has an error budget: its covariance is kept by error source. For t
 are kept in one stack: the n_sources parts of the first row, then the covariances of the h - 1 others.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,7 @@ from ship_estimation.protection import LEAST_SHARE, LEAST_VARIANCE_RAD2
 from ship_geometry.rotations import FloatArray
 
 
-@dataclass(frozen=True)
-class RowsCompared:
+class RowsCompared(NamedTuple):
     """A measurement of m components beside h rows of n states.
 
     Attributes:
@@ -104,6 +103,21 @@ def separations(means: FloatArray, stack: FloatArray, states: slice) -> tuple[Fl
         means, stack, first, end - first, LEAST_SHARE, LEAST_VARIANCE_RAD2
     )
     return found
+
+
+def stand_together(means: FloatArray, stack: FloatArray, states: slice, most_sigmas: float) -> bool:
+    """Whether no row is farther from the first one than so many sigmas, as :func:`separations` tells them.
+
+    Example:
+        >>> stack = np.array([1.0, 3.0, 13.0])[:, None, None]
+        >>> stand_together(np.array([[0.0], [6.0]]), stack, slice(0, 1), most_sigmas=1.9)
+        False
+    """
+    first, end, _ = states.indices(means.shape[1])
+    apart: bool = compiled_steps.separated(
+        means, stack, first, end - first, LEAST_SHARE, LEAST_VARIANCE_RAD2, most_sigmas
+    )
+    return not apart
 
 
 def promoted(stack: FloatArray, rows: int, row: int) -> FloatArray:

@@ -85,6 +85,7 @@ class StateModel:
         slices: which states they are.
         size: number of states, n.
         sources: of error, by name, in the order of the parts.
+        source_indices: where each source stands among them.
         source_of: index of the source that the noise of each state is booked to, shape (n,).
 
     Example:
@@ -106,6 +107,7 @@ class StateModel:
             start += b.sigma.size
         self.size = start
         self.sources = list(dict.fromkeys([b.source for b in blocks] + noise_sources))
+        self.source_indices = {source: index for index, source in enumerate(self.sources)}
         time_s = np.concatenate([b.time_s for b in blocks])
         # White noise decays to nothing in any time but 0, and without a division by zero.
         self._time_s = np.where(time_s == 0.0, _NO_TIME_S, time_s)
@@ -114,7 +116,7 @@ class StateModel:
         self._steady_variance = np.where(np.isfinite(self._time_s), sigma**2, 0.0)
         self._walk_variance = np.where(np.isfinite(self._time_s), 0.0, walk**2)
         self.source_of: NDArray[np.intp] = np.repeat(
-            [self.sources.index(b.source) for b in blocks], [b.sigma.size for b in blocks]
+            [self.source_indices[b.source] for b in blocks], [b.sigma.size for b in blocks]
         ).astype(np.intp)
         self._initial_variance = sigma**2
 

@@ -155,33 +155,22 @@ def observed(
     return replace(means, refused=refused)
 
 
-def averaged(running: FloatArray, turn: FloatArray) -> FloatArray:
-    """The columns of :attr:`Means.running` of one row and source after one turn more.
+def averaged(running: FloatArray, turn: FloatArray) -> tuple[FloatArray, float]:
+    """The columns of :attr:`Means.running` of one row and source after one turn more, and how far a mean is off.
+
+    That is the component of a mean, of all lengths, that is farthest from zero in its own sigmas.
 
     Args:
         running: before, shape (w, 5).
         turn: whitened, shape (3,).
 
     Example:
-        >>> print(averaged(NO_MEANS, np.array([0.0, 4.0, 1.0]))[0])
-        [0.   2.   0.5  0.5  0.25]
+        >>> running, sigmas = averaged(NO_MEANS, np.array([0.0, 4.0, 1.0]))
+        >>> print(running[0], round(sigmas, 6))
+        [0.   2.   0.5  0.5  0.25] 4.0
     """
-    after: FloatArray = compiled_means.averaged(running, turn, _WEIGHTS)
+    after: tuple[FloatArray, float] = compiled_means.averaged(running, turn, _WEIGHTS)
     return after
-
-
-def farthest_mean(running: FloatArray) -> float:
-    """How far the component of a mean that is farthest from zero is off, of the means over all lengths, in its sigmas.
-
-    Args:
-        running: of one row and source, with a measurement at least, shape (w, 5).
-
-    Example:
-        >>> print(round(farthest_mean(averaged(NO_MEANS, np.array([0.0, 4.0, 1.0]))), 6))
-        4.0
-    """
-    sigmas: float = compiled_means.farthest(running)
-    return sigmas
 
 
 def forgotten(means: Means, rows: Sequence[int] | slice, sources: Sequence[int] | slice) -> Means:

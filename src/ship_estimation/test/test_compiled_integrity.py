@@ -91,6 +91,14 @@ def test_the_least_eigenvalue_is_that_of_numpy(seed: int) -> None:
     assert abs(compiled_integrity.least_eigenvalue(matrix) - expected[0]) <= 1e-14 * expected[-1]
 
 
+@pytest.mark.parametrize("rank", [0, 1, 3])
+def test_a_square_root_of_a_covariance_times_itself_is_the_covariance(rank: int) -> None:
+    turns = np.random.default_rng(rank).normal(size=(3, rank))
+    covariance = turns @ turns.T
+    root = compiled_integrity.square_root(covariance)
+    np.testing.assert_allclose(root @ root.T, covariance, rtol=0, atol=1e-14 * max(covariance.max(), 1e-300))
+
+
 def test_the_least_eigenvalue_of_alike_and_of_unknown_variances() -> None:
     assert compiled_integrity.least_eigenvalue(4.0 * np.eye(3)) == 4.0
     assert compiled_integrity.least_eigenvalue(np.diag([3.0, -2.0, 5.0])) == -2.0

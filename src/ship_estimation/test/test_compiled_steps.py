@@ -120,7 +120,7 @@ def test_a_measurement_beside_all_rows_is_as_by_numpy(shape: tuple[int, int, int
     at_mean = means[-1] + 0.1
     found = compare_rows(means, stack, measured, at_mean, by_turn)
     expected = numpy_compared(means, covariances(stack, shape[3]), measured, at_mean, by_turn)
-    for name in vars(expected):
+    for name in expected._fields:
         equal(getattr(found, name), getattr(expected, name))
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ship_estimation.hypotheses import compare_rows, covariances, promoted, separations, update_rows
+from ship_estimation.hypotheses import compare_rows, covariances, promoted, separations, stand_together, update_rows
 from ship_estimation.kalman import LinearMeasurement, innovation, update
 from ship_estimation.protection import separation_sigma
 
@@ -117,3 +117,14 @@ def test_separations_are_those_of_their_sigmas(wrong: float) -> None:
     np.testing.assert_allclose(statistic, np.abs(expected / sigma).max(axis=-1), rtol=1e-13)
     with pytest.raises(ValueError, match="do not fit together"):
         separations(means[:, :4].copy(), stack, slice(1, 4))
+
+
+@pytest.mark.parametrize("moved", [0.0, 3.0, 8.0, np.nan])
+def test_rows_stand_together_where_no_separation_is_larger(moved: float) -> None:
+    rng = np.random.default_rng(7)
+    means, stack = rng.standard_normal((4, STATES)), _stack(rng, 4)
+    means[2, 3] += moved
+    _, sigmas = separations(means, stack, slice(2, 5))
+    for most_sigmas in (0.5 * np.max(sigmas), 1.001 * np.max(sigmas)):
+        expected = all(one <= most_sigmas for one in sigmas)  # NaN is far
+        assert stand_together(means, stack, slice(2, 5), most_sigmas) is expected

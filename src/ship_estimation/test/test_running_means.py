@@ -12,7 +12,6 @@ from ship_estimation.running_means import (
     WELL,
     Means,
     averaged,
-    farthest_mean,
     no_means,
     observed,
 )
@@ -103,10 +102,10 @@ def test_the_mean_that_is_farthest_off_is_that_of_numpy() -> None:
     rng, running, expected = np.random.default_rng(2), NO_MEANS, NO_MEANS
     for _ in range(50):
         turn = rng.normal(size=3)
-        running, expected = averaged(running, turn), numpy_averaged(expected, turn)
+        (running, farthest), expected = averaged(running, turn), numpy_averaged(expected, turn)
         np.testing.assert_allclose(running, expected, rtol=1e-13, atol=1e-15)
         sigmas = np.max(np.abs(running[:, :3]).max(axis=-1) / np.sqrt(running[:, 4]))
-        assert farthest_mean(running) == pytest.approx(sigmas, rel=1e-14)
+        assert farthest == pytest.approx(sigmas, rel=1e-14)
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
@@ -118,7 +117,7 @@ def test_shapes_that_do_not_fit_are_refused() -> None:
         lambda: observed(means, 0, turn, accepted[:2], 0, LIMIT),
         lambda: observed(means, 0, turn, accepted, 0, LIMIT, np.eye(2)),
         lambda: averaged(NO_MEANS[:2], np.zeros(3)),
-        lambda: farthest_mean(np.zeros((3, 4))),
+        lambda: averaged(np.zeros((3, 4)), np.zeros(3)),
     ]
     for call in calls:
         with pytest.raises(ValueError, match="do not fit together"):

@@ -9,6 +9,7 @@ of the filter: one sigma of such an error displaces v by g, and the predicted di
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from ship_attitude_star.measurements.samples import ATTITUDE_COMPONENTS, AttitudeMeasurement
 from ship_attitude_star.ship_attitude.model import SOURCE_INTERPOLATION, Device, ShipStateModel
 from ship_attitude_star.sky.sky_watch import SkyWatch
-from ship_attitude_star.stars.camera import tangent_basis
+from ship_attitude_star.stars import compiled_fit
 from ship_attitude_star.stars.chance import improbable_identity
 from ship_attitude_star.stars.exposure import StarExposure, visible_stars
 from ship_attitude_star.stars.fit import SightedStars
@@ -27,14 +28,13 @@ from ship_estimation.outcome import Measurement
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry import compiled_rotations
 from ship_geometry.attitude_track import InterpolatedAttitude
-from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, exp_rotation, left_jacobian, skew
+from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, exp_rotation, left_jacobian
 
 _TURNED_AS_DEVICE = np.eye(3)
 _TURNED_AS_DEVICE.flags.writeable = False
 
 
-@dataclass(frozen=True)
-class PredictedAttitude:
+class PredictedAttitude(NamedTuple):
     """A device's attitude as the state predicts it.
 
     Attributes:
@@ -54,8 +54,7 @@ class PredictedAttitude:
         return StarPrior(self.rotation_nv, self.rotation_nv @ prior_v @ self.rotation_nv.T)
 
 
-@dataclass(frozen=True)
-class Compared:
+class Compared(NamedTuple):
     """A measurement against its prediction.
 
     Attributes:
@@ -135,12 +134,12 @@ def compare(
     Returns:
         The refusal where it cannot be compared.
     """
-    index, between = model.sources.index, model.sources.index(SOURCE_INTERPOLATION)
+    index, between = model.source_indices, model.source_indices[SOURCE_INTERPOLATION]
     if isinstance(measurement, AttitudeMeasurement):
         residual, jacobian = _attitude_residual(measurement, predicted, model, mean)
         noise, interpolation = measurement.noise_v, predicted.interpolation_v
         return Compared(
-            linear=LinearMeasurement(residual, jacobian, {index(device.noise_source): noise, between: interpolation}),
+            linear=LinearMeasurement(residual, jacobian, {index[device.noise_source]: noise, between: interpolation}),
             by_turn=_TURNED_AS_DEVICE,
             components=ATTITUDE_COMPONENTS,
             rotation_nv=measurement.rotation_nv,
@@ -153,7 +152,7 @@ def compare(
     if isinstance(stars, Refusal):
         return stars
     interpolation = stars.by_turn @ predicted.interpolation_v @ stars.by_turn.T
-    noise_by_source = {index(device.noise_source): stars.noise, between: interpolation}
+    noise_by_source = {index[device.noise_source]: stars.noise, between: interpolation}
     return Compared(
         linear=LinearMeasurement(stars.residual, stars.jacobian, noise_by_source),
         by_turn=stars.by_turn,
@@ -242,8 +241,7 @@ def star_residuals(
         return Refusal(reason, _listed(f"none of {len(exposure)} stars can be used", refused))
     rows = model.sky_rows
     # The estimate of the shared errors moves the stars to where they are expected.
-    expected_n = stars.reference_n + stars.shared_n @ mean[rows]
-    expected_n /= np.linalg.norm(expected_n, axis=-1, keepdims=True)
+    expected_n = compiled_fit.expected(stars.reference_n, stars.shared_n, mean[rows])
     at_estimate = replace(stars, reference_n=expected_n)
     believed = _believed(stars, at_estimate, prior, None if expected is None else rotation_ns)
     if isinstance(believed, Refusal):
@@ -254,16 +252,13 @@ def star_residuals(
     if not members.any():
         return Refusal(Reason.MISIDENTIFIED, _listed(_contradiction(len(members)), refused))
     names = [seen.name(row) for row in np.flatnonzero(members).tolist()]
-    predicted_s = expected_n[members] @ rotation_ns
-    basis, about_star = tangent_basis(predicted_s), skew(predicted_s)
-    residual = np.einsum("kij,kj->ki", basis, stars.measured_b[members] - predicted_s)
-    by_turn = basis @ about_star
-    jacobian = by_turn @ to_sensor
-    jacobian[:, :, rows] = basis @ rotation_ns.T @ stars.shared_n[members]
+    residual, jacobian, by_turn, basis = compiled_fit.residuals(
+        stars.measured_b, expected_n, stars.shared_n, members.view(np.uint8), rotation_ns, to_sensor, rows.start
+    )
     return StarResiduals(
-        residual=residual.ravel(),
-        jacobian=jacobian.reshape(-1, jacobian.shape[-1]),
-        by_turn=by_turn.reshape(-1, 3),
+        residual=residual,
+        jacobian=jacobian,
+        by_turn=by_turn,
         noise=_noise(at_estimate, basis, members),
         components=tuple(f"{name} {axis}" for name in names for axis in ("up", "right")),
         refused=tuple(refused),
@@ -306,7 +301,10 @@ def _contradiction(count: int) -> str:
 
 def _noise(stars: SightedStars, basis: FloatArray, members: NDArray[np.bool_]) -> FloatArray:
     """Covariance of the residuals of the k members, along their basis (k, 2, 3), rad², shape (2 k, 2 k)."""
-    noise = np.diag(np.repeat(stars.white_sigma[members] ** 2, 2))
+    variance = np.repeat(stars.white_sigma[members] ** 2, 2)
+    noise = np.zeros((len(variance), len(variance)))
+    diagonal = noise.ravel()[:: len(variance) + 1]
+    diagonal[:] = variance
     if stars.smear_b is not None:
         smear = basis @ stars.smear_b[members] @ np.swapaxes(basis, -1, -2)
         for row, added in enumerate(smear):

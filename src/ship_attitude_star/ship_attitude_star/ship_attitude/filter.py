@@ -1,7 +1,6 @@
 """The error-state filter: one measurement in, one decision and the next state out. No time, no memory of its own."""
 
 from dataclasses import replace
-from types import MappingProxyType
 
 import numpy as np
 
@@ -199,7 +198,7 @@ class ShipFilter:
         # What a row has seen is judged as it was before it was opened.
         turn, turn_root = wider.turn.copy(), wider.turn_root.copy()
         turn[wrong], turn_root[wrong] = rows.turn[wrong], rows.turn_root[wrong]
-        return changed(predicted, stack=opened), replace(wider, turn=turn, turn_root=turn_root)
+        return changed(predicted, stack=opened), wider._replace(turn=turn, turn_root=turn_root)
 
     def _told(self, decision: AttitudeDecision, state: FilterState, text: str) -> AttitudeDecision:
         """The decision with what the verdict says; a source excluded by its own measurement is told at once."""
@@ -238,23 +237,21 @@ class ShipFilter:
         unconfirmed = state.unconfirmed
         if unconfirmed is not None and self.devices[source].is_star:
             unconfirmed = unconfirmed.after_agreement(measurement.time_ns)
-        return changed(
-            state,
-            refusals=MappingProxyType({**state.refusals, source: 0}),
-            used_ns=MappingProxyType({**state.used_ns, source: measurement.time_ns}),
-            unconfirmed=unconfirmed,
-        )
+        refusals = state.refusals if state.refusals.get(source) == 0 else with_entry(state.refusals, source, 0)
+        used_ns = with_entry(state.used_ns, source, measurement.time_ns)
+        return changed(state, refusals=refusals, used_ns=used_ns, unconfirmed=unconfirmed)
 
     def _with_common(self, state: FilterState, measurement: AttitudeMeasurement) -> FilterState:
         """The common error of this sensor's messages, as large as the message says."""
         stack, source, common_n = state.stack, measurement.source, measurement.common_n
+        is_none = not any(common_n.ravel().tolist())
         if source not in state.common_n:
-            if not common_n.any():
+            if is_none:
                 return state
             stack = stack.copy()
             common = self.model.slices[f"{source}.common"]
             add_error(stack, len(state.means), self._common_index, common, common_n)
-        elif common_n.tobytes() == state.common_n[source].tobytes() or not common_n.any():
+        elif is_none or common_n.tobytes() == state.common_n[source].tobytes():
             return state
         return changed(state, stack=stack, common_n=with_entry(state.common_n, source, common_n))
 

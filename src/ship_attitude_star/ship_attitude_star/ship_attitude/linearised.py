@@ -52,8 +52,7 @@ _MOST_STEPS = 20
 _AGAINST_SKY = (InertialAttitude, SolvedAttitude)
 
 
-@dataclass(frozen=True)
-class Linearised:
+class Linearised(NamedTuple):
     """A measurement as the filter uses it.
 
     Attributes:
@@ -275,7 +274,7 @@ class Linearisation:
                 return NotCompared(singular_covariance(), until_ns)
             step = float(np.linalg.norm(predicted.jacobian_v @ (reached - correction)))
             if step < _SMALL_TURN:
-                compared = replace(there, linear=linear, predicted_nv=expected.rotation_nv)
+                compared = there._replace(linear=linear, predicted_nv=expected.rotation_nv)
                 return Linearised(found.measurement, compared, paired.ins, found.paired_ns, until_ns)
             correction = reached
         text = f"no estimate settles between what is expected and what it says, after {_MOST_STEPS} steps"

@@ -41,6 +41,7 @@ class RowTable:
         pairs: those that leave out two.
         ins_rows: those where the INS is the one that is wrong.
         uses: which source each row uses where none is excluded, shape (h, s).
+        users: by source, which row uses it where none is excluded, shape (h,).
         own: by source, the states that belong to it alone, shape (n,).
         learns: by source, which states each row may learn of it where none is excluded, shape (h, n).
         k: numbers of sigmas of the protection levels.
@@ -63,6 +64,7 @@ class RowTable:
         self.ins_rows = tuple(row for row, names in enumerate(self.left_out, start=1) if INS in names)
         used = [[name not in names for name in self.sources] for names in ((), *self.left_out)]
         self.uses: NDArray[np.bool_] = np.array(used, dtype=bool)
+        self.users = {name: self.uses[:, index].copy() for index, name in enumerate(self.sources)}
         self.own = {name: _own_states(model, name) for name in self.sources}
         self.learns = {name: self.uses[:, index, None] | self.own[name] for index, name in enumerate(self.sources)}
         prior = config.integrity.prior_per_h

@@ -48,17 +48,30 @@ class Doubt:
     covariance_n: FloatArray
 
 
-@dataclass(frozen=True)
-class Apart:
+class Apart(NamedTuple):
     """How far a measurement was from what the others made expect.
 
     Attributes:
-        turn_v: rotation vector of the device in its own frame, rad, shape (3,).
-        turn_n: the same in the horizon frame.
+        whitened: the turn of the device, of unit covariance, shape (3,).
+        root: of its covariance, rad, shape (3, 3).
+        predicted_nv: the device as it was expected, horizon from device, shape (3, 3).
     """
 
-    turn_v: FloatArray
-    turn_n: FloatArray
+    whitened: FloatArray
+    root: FloatArray
+    predicted_nv: FloatArray
+
+    @property
+    def turn_v(self) -> FloatArray:
+        """Rotation vector of the device in its own frame, rad, shape (3,)."""
+        turn_v: FloatArray = self.root @ self.whitened
+        return turn_v
+
+    @property
+    def turn_n(self) -> FloatArray:
+        """The same in the horizon frame."""
+        turn_n: FloatArray = self.predicted_nv @ self.turn_v
+        return turn_n
 
 
 class Lately(NamedTuple):

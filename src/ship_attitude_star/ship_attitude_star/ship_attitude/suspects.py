@@ -21,11 +21,26 @@ from ship_attitude_star.ship_attitude.ins_at_fault import InsAtFault, distrusted
 from ship_attitude_star.ship_attitude.model import Device, ShipStateModel
 from ship_attitude_star.ship_attitude.row_table import INS, LEAST_FOR_PAIRS, RowTable
 from ship_attitude_star.ship_attitude.state import Apart, Doubt, FilterState, Lately, changed, with_entry, without
-from ship_estimation.exclusion import HEARD_NS, Exclusion, Finding, find_fault, must_agree_s, watched
-from ship_estimation.hypotheses import RowsCompared, add_error, promoted, separations, update_rows
+from ship_estimation.exclusion import (
+    HEARD_NS,
+    Exclusion,
+    Finding,
+    agrees_with_all,
+    find_fault,
+    must_agree_s,
+    watched,
+)
+from ship_estimation.hypotheses import (
+    RowsCompared,
+    add_error,
+    promoted,
+    separations,
+    stand_together,
+    update_rows,
+)
 from ship_estimation.outcome import Measurement
 from ship_estimation.protection import UNDISPUTED_SIGMAS, disputed
-from ship_estimation.running_means import NO_MEANS, averaged, farthest_mean, forgotten, no_means, observed
+from ship_estimation.running_means import NO_MEANS, averaged, forgotten, no_means, observed
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
@@ -63,6 +78,7 @@ class Suspects:
         self._indices = {name: index for index, name in enumerate(self._sources)}
         self.ins = InsAtFault(config, model, self.table)
         self._slow = model.slices["ins.attitude"]
+        self._undisputed = min(UNDISPUTED_SIGMAS, self.table.k.false_exclusion)
 
     def start(self, mean: FloatArray, parts: FloatArray) -> FilterState:
         """All rows at one state, before any measurement; shapes (n,) and (n_sources, n, n)."""
@@ -96,27 +112,30 @@ class Suspects:
             accepted: whether it passed the gate of each row, shape (h,).
         """
         source, index = measurement.source, self._indices[measurement.source]
-        used = self.uses(state)[:, index]
+        used = self.table.users[source] if not state.excluded else self.uses(state)[:, index]
         noise = None if used[0] else compared.turn_noise
         seen = observed(
             state.seen, index, compared.turn, accepted, measurement.time_ns, self.table.limit, noise
         )
         if state.seen.heard_ns[index] < measurement.time_ns - HEARD_NS:
             state, predicted = (self._heard_again(one, source, measurement.time_ns) for one in (state, predicted))
-        turn_v = compared.turn_root[0].dot(compared.turn[0])
-        apart = with_entry(state.apart, source, Apart(turn_v, measured.predicted_nv.dot(turn_v)))
+        last = Apart(compared.turn[0], compared.turn_root[0], measured.predicted_nv)
+        apart = with_entry(state.apart, source, last)
         exclusion = state.excluded.get(source)
         # A measurement that no row uses leaves all of them, to the last bit, as they are without it. Of an excluded
         # source nothing is used, but how it is mounted may be learnt anew.
         learnt = any((used & accepted).tolist()) if exclusion is None else exclusion.apart is None
         if not learnt:
             return changed(state, seen=seen, apart=apart)
-        learns = self.ins.learns(state, self._learns(state, source, used) & accepted[:, None])
+        learns = self._learns(state, source, used)
+        if not all(accepted.tolist()):
+            learns = learns & accepted[:, None]
+        learns = self.ins.learns(state, learns)
         corrections, stack = update_rows(predicted.stack, measured.linear, compared, learns)
         lately = state.lately
         if used[0] and accepted[0]:
-            running = averaged(lately[source].running if source in lately else NO_MEANS, compared.turn[0])
-            lately = with_entry(lately, source, Lately(running, farthest_mean(running)))
+            running = lately[source].running if source in lately else NO_MEANS
+            lately = with_entry(lately, source, Lately(*averaged(running, compared.turn[0])))
         means = predicted.means + corrections
         return changed(predicted, means=means, stack=stack, seen=seen, apart=apart, lately=lately)
 
@@ -153,6 +172,8 @@ class Suspects:
             ins_vouched: whether the INS's rates would have told a step of it.
             time_ns: stamp of the measurement.
         """
+        if self._nothing_disputed(state):
+            return state, ""
         state = self.ins.believed_again(state, time_ns)
         if source in state.excluded:
             state, text = self._watched(state, source, compared, time_ns)
@@ -196,6 +217,17 @@ class Suspects:
             excluded = {name: Exclusion(time_ns, apart=state.apart[name].turn_v) for name in contradicting}
             state = changed(state, excluded=MappingProxyType({**state.excluded, **excluded}))
         return self._in_doubt(state, apart_n, statistic, contradicting), ""
+
+    def _nothing_disputed(self, state: FilterState) -> bool:
+        """Whether all is as on most days: nobody is excluded, nothing contradicts anything, and nothing did before."""
+        if state.excluded or state.doubt is not None or state.disputed_n is not None:
+            return False
+        # NaN is not within.
+        return (
+            agrees_with_all(state.seen, self._degraded_after)
+            and all(one.sigmas <= UNDISPUTED_SIGMAS for one in state.lately.values())
+            and stand_together(state.means, state.stack, self._slow, self._undisputed)
+        )
 
     def _agreed(
         self, state: FilterState, in_use: list[str], apart_n: FloatArray, statistic: FloatArray

@@ -20,12 +20,16 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ship_attitude_star.stars import compiled_fit
 from ship_estimation.chi_square import probability_above
+from ship_estimation.compiled_integrity import square_root
 from ship_geometry import lapack, wahba
-from ship_geometry.rotations import FloatArray, exp_rotation, skew
+from ship_geometry.rotations import FloatArray, exp_rotation
 
 ATTITUDE = slice(0, 3)
 """Columns of δ among the unknowns; those of mounting errors and of turns come next, those of shared errors last."""
+
+_NO_TURNS = np.empty((0, 3, 0))
 
 
 @dataclass(frozen=True)
@@ -106,16 +110,23 @@ class StarFit:
         if expected_n is not None:
             displacement = displacement - jacobian[:, :, ATTITUDE] @ expected_n
         # δ is then counted in standard deviations, as the other unknowns are.
-        jacobian[:, :, ATTITUDE] = jacobian[:, :, ATTITUDE] @ square_roots(covariance_n)
+        jacobian[:, :, ATTITUDE] = jacobian[:, :, ATTITUDE] @ square_root(covariance_n)
         return StarFit(jacobian, displacement, self.residual_n, open=0)
 
-    def normal_equations(self, members: NDArray[np.bool_] | None = None) -> tuple[FloatArray, FloatArray]:
-        """Information of the members (all stars where none are named) without priors, (q, q), and right side, (q,)."""
-        jacobian, displacement = self.jacobian, self.displacement
-        if members is not None:
-            jacobian, displacement = jacobian[members], displacement[members]
-        rows = jacobian.reshape(-1, jacobian.shape[-1])
-        return rows.T @ rows, displacement.ravel() @ rows
+    def normal_equations(
+        self, members: NDArray[np.bool_] | None = None
+    ) -> tuple[FloatArray, FloatArray, float, int]:
+        """What the members (all stars where none are named) say of the unknowns, without priors.
+
+        Returns:
+            Information, shape (q, q), right side, shape (q,), sum of the squared displacements, and how many stars.
+        """
+        if members is None:
+            members = np.ones(len(self.displacement), dtype=bool)
+        found: tuple[FloatArray, FloatArray, float, int] = compiled_fit.normal_equations(
+            self.jacobian, self.displacement, members.view(np.uint8)
+        )
+        return found
 
     def judge(self, members: NDArray[np.bool_] | None = None) -> "StarJudgement":
         """The most likely unknowns by the members (all stars where none are named), and what they leave over.
@@ -123,17 +134,15 @@ class StarFit:
         Raises:
             numpy.linalg.LinAlgError: the members leave the attitude open.
         """
-        information, right_side = self.normal_equations(members)
-        displacement = self.displacement if members is None else self.displacement[members]
+        information, right_side, squares, count = self.normal_equations(members)
         constrained = information.copy()
         diagonal = constrained.ravel()[:: len(right_side) + 1]
         diagonal[self.open :] += 1.0
-        degrees = 2 * len(displacement) - self.open
+        degrees = 2 * count - self.open
         _, solution, failed = lapack.dposv(constrained, right_side)
         if failed:
             raise np.linalg.LinAlgError("stars that leave the attitude open cannot be judged")
-        flat = displacement.ravel()
-        chi_square = float(flat @ flat - right_side @ solution)
+        chi_square = squares - float(right_side @ solution)
         return StarJudgement(information, constrained, solution, chi_square, degrees)
 
     def gain_by_leaving_out(self, judgement: "StarJudgement", members: NDArray[np.bool_]) -> FloatArray:
@@ -177,31 +186,18 @@ class StarJudgement:
 
 def linearized(stars: SightedStars, rotation_nb: FloatArray) -> StarFit:
     """The stars linearised at an attitude (horizon from b), shape (3, 3), within a degree of the truth."""
-    count, sensors, shared = len(stars), len(stars.mounting_b), stars.shared_n.shape[-1]
-    turns = 0 if stars.turned_b is None else stars.turned_b.shape[-1]
-    mounting_columns = slice(ATTITUDE.stop, ATTITUDE.stop + 3 * sensors)
-    turn_columns = slice(mounting_columns.stop, mounting_columns.stop + turns)
-    shared_columns = slice(turn_columns.stop, turn_columns.stop + shared)
-    per_sigma = 1.0 / stars.white_sigma[:, None]
-    minus_per_sigma = -per_sigma
-    # δ × v per sigma, column by column of δ.
-    about_star = skew(stars.reference_n * minus_per_sigma)
-    jacobian = np.zeros((count, 3, shared_columns.stop))
-    jacobian[:, :, ATTITUDE] = about_star
-    if sensors:
-        # The mounting errors of all sensors side by side; of each star those of its own sensor count.
-        mounting_n = (rotation_nb @ stars.mounting_b).swapaxes(0, 1).reshape(3, 3 * sensors)
-        turned = (about_star.reshape(-1, 3) @ mounting_n).reshape(count, 3, sensors, 3)
-        own = stars.sensor[:, None] == np.arange(sensors)
-        blocks = jacobian[:, :, mounting_columns].reshape(count, 3, sensors, 3)
-        np.multiply(turned, own[:, None, :, None], out=blocks)
-    if stars.turned_b is not None:
-        jacobian[:, :, turn_columns] = about_star @ (rotation_nb @ stars.turned_b)[stars.sensor]
-    np.multiply(stars.shared_n, minus_per_sigma[..., None], out=jacobian[:, :, shared_columns])
-    residual_n = stars.reference_n - stars.measured_b @ rotation_nb.T
-    displacement = residual_n * per_sigma
+    jacobian, displacement, residual_n = compiled_fit.linearized(
+        stars.measured_b,
+        stars.reference_n,
+        stars.white_sigma,
+        stars.shared_n,
+        stars.sensor,
+        stars.mounting_b,
+        _NO_TURNS if stars.turned_b is None else stars.turned_b,
+        rotation_nb,
+    )
     if stars.smear_b is not None:
-        smear = rotation_nb @ (stars.smear_b * per_sigma[..., None] ** 2) @ rotation_nb.T
+        smear = rotation_nb @ (stars.smear_b / stars.white_sigma[:, None, None] ** 2) @ rotation_nb.T
         values, vectors = np.linalg.eigh(np.eye(3) + smear)
         whitened = vectors * (values[:, None, :] ** -0.5) @ np.swapaxes(vectors, -1, -2)
         jacobian, displacement = whitened @ jacobian, (whitened @ displacement[..., None])[..., 0]
@@ -235,7 +231,7 @@ def agreement(stars: SightedStars, members: NDArray[np.bool_] | None = None) -> 
     if stars.smear_b is None:
         return Agreement(solution.rotation_nd, solution.covariance_n, fit, fit.judge(members))
     # Wahba's problem has one sigma a star, also along a streak. From its solution one step leads to the best attitude.
-    information, right_side = fit.normal_equations(members)
+    information, right_side, _, _ = fit.normal_equations(members)
     covariance_n: FloatArray = np.asarray(np.linalg.inv(information[ATTITUDE, ATTITUDE]), dtype=float)
     rotation_nb = exp_rotation(covariance_n @ right_side[ATTITUDE]) @ solution.rotation_nd
     fit = linearized(stars, rotation_nb)

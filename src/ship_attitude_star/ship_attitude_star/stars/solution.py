@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from ship_attitude_star.sky.sky_watch import SHARED_TERMS
 from ship_attitude_star.stars.chance import improbable_identity
-from ship_attitude_star.stars.fit import ATTITUDE, Agreement, SightedStars, agreement, linearized, square_roots
+from ship_attitude_star.stars.fit import ATTITUDE, Agreement, SightedStars, agreement, linearized
 from ship_attitude_star.stars.selection import FEWEST_VERIFIED, StarPrior, select
+from ship_estimation.compiled_integrity import square_root
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.frames import SINGULAR_ELEVATION
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
@@ -172,7 +173,7 @@ def likely_attitude(stars: SightedStars, prior: StarPrior) -> FloatArray:
     for _ in range(_MOST_STEPS):
         expected_n, covariance_n = prior.seen_from(rotation_nb)
         sigmas = linearized(stars, rotation_nb).with_prior(covariance_n, expected_n).judge().solution[ATTITUDE]
-        turn_n = expected_n + square_roots(covariance_n) @ sigmas
+        turn_n = expected_n + square_root(covariance_n) @ sigmas
         rotation_nb = exp_rotation(turn_n) @ rotation_nb
         if np.linalg.norm(turn_n) < _SMALL_TURN:
             break

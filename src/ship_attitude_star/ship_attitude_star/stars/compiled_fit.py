@@ -1,0 +1,267 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+"""The arithmetic of single stars, compiled: an exposure has a handful of them, and numpy is made for many.
+
+This is the one source of it. It is Python with C types for its numbers, compiled by Cython when the package is built.
+What the functions compute is told where they are called, in :mod:`ship_attitude_star.stars.fit` and
+:mod:`ship_attitude_star.ship_attitude.comparison`; the same in plain numpy stands in the tests.
+"""
+
+import cython
+import numpy as np
+
+from ship_geometry.compiled_shapes import check
+
+if not cython.compiled:
+    raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")
+
+from cython.cimports.libc.math import hypot, sqrt
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+@cython.inline
+def _crossed(v: cython.p_double, w: cython.p_double, out: cython.p_double, step: cython.Py_ssize_t) -> cython.void:
+    """The vector v × w; its elements are written so many places apart."""
+    out[0] = v[1] * w[2] - v[2] * w[1]
+    out[step] = v[2] * w[0] - v[0] * w[2]
+    out[2 * step] = v[0] * w[1] - v[1] * w[0]
+
+
+def linearized(
+    measured_b: cython.const[cython.double][:, :],
+    reference_n: cython.const[cython.double][:, :],
+    sigma: cython.const[cython.double][:],
+    shared_n: cython.const[cython.double][:, :, :],
+    sensor: cython.const[cython.Py_ssize_t][:],
+    mounting_b: cython.const[cython.double][:, :, :],
+    turned_b: cython.const[cython.double][:, :, :],
+    rotation_nb: cython.const[cython.double][:, :],
+):
+    """The fields ``jacobian``, ``displacement`` and ``residual_n`` of a fit of stars that are no streaks.
+
+    Args:
+        measured_b: and the others as in :class:`ship_attitude_star.stars.fit.SightedStars`, of k stars.
+        reference_n: shape (k, 3).
+        sigma: of each star, catalogue and all, shape (k,).
+        shared_n: shape (k, 3, n_shared).
+        sensor: shape (k,).
+        mounting_b: shape (n_sensors, 3, 3), or (0, 3, 3).
+        turned_b: shape (n_sensors, 3, c), or (0, 3, 0).
+        rotation_nb: where the stars are linearised, shape (3, 3).
+    """
+    count: cython.Py_ssize_t = measured_b.shape[0]
+    mounted: cython.Py_ssize_t = 3 * mounting_b.shape[0]
+    turns: cython.Py_ssize_t = turned_b.shape[2]
+    shared: cython.Py_ssize_t = shared_n.shape[2]
+    check("stars", reference_n.shape[0] == sigma.shape[0] == shared_n.shape[0] == sensor.shape[0] == count)
+    check("vectors", measured_b.shape[1] == reference_n.shape[1] == shared_n.shape[1] == 3)
+    check("turns", mounting_b.shape[1] == mounting_b.shape[2] == turned_b.shape[1] == 3)
+    check("rotation_nb", rotation_nb.shape[0] == rotation_nb.shape[1] == 3)
+    of_jacobian = np.zeros((count, 3, 3 + mounted + turns + shared))
+    of_displacement, of_residual = np.empty((count, 3)), np.empty((count, 3))
+    jacobian: cython.double[:, :, ::1] = of_jacobian
+    displacement: cython.double[:, ::1] = of_displacement
+    residual: cython.double[:, ::1] = of_residual
+    width: cython.Py_ssize_t = jacobian.shape[2]
+    star = cython.declare(cython.double[3])
+    turn = cython.declare(cython.double[3])
+    axis: cython.double
+    per_sigma: cython.double
+    k: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    c: cython.Py_ssize_t
+    for k in range(count):
+        per_sigma = 1.0 / sigma[k]
+        for i in range(3):
+            star[i] = reference_n[k, i] * per_sigma
+            residual[k, i] = reference_n[k, i]
+            for j in range(3):
+                residual[k, i] -= rotation_nb[i, j] * measured_b[k, j]
+            displacement[k, i] = residual[k, i] * per_sigma
+            for c in range(shared):
+                jacobian[k, i, width - shared + c] = -shared_n[k, i, c] * per_sigma
+        # A turn δ moves the star by δ × v.
+        for c in range(3):
+            for i in range(3):
+                turn[i] = 1.0 if i == c else 0.0
+            _crossed(turn, star, cython.address(jacobian[k, 0, c]), width)
+        if not mounted and not turns:
+            continue
+        check("sensor", sensor[k] >= 0 and (not mounted or 3 * sensor[k] < mounted))
+        check("turned_b", not turns or sensor[k] < turned_b.shape[0])
+        for c in range(3 if mounted else 0):
+            for i in range(3):
+                axis = 0.0
+                for j in range(3):
+                    axis += rotation_nb[i, j] * mounting_b[sensor[k], j, c]
+                turn[i] = axis
+            _crossed(turn, star, cython.address(jacobian[k, 0, 3 + 3 * sensor[k] + c]), width)
+        for c in range(turns):
+            for i in range(3):
+                axis = 0.0
+                for j in range(3):
+                    axis += rotation_nb[i, j] * turned_b[sensor[k], j, c]
+                turn[i] = axis
+            _crossed(turn, star, cython.address(jacobian[k, 0, 3 + mounted + c]), width)
+    return of_jacobian, of_displacement, of_residual
+
+
+def normal_equations(
+    jacobian: cython.const[cython.double][:, :, :],
+    displacement: cython.const[cython.double][:, :],
+    members: cython.const[cython.uchar][:],
+):
+    """Information of some stars, shape (q, q), right side, shape (q,), sum of their squares and their number.
+
+    Args:
+        jacobian: shape (k, 3, q).
+        displacement: shape (k, 3).
+        members: which stars, shape (k,).
+    """
+    count: cython.Py_ssize_t = jacobian.shape[0]
+    q: cython.Py_ssize_t = jacobian.shape[2]
+    check("stars", displacement.shape[0] == members.shape[0] == count)
+    check("vectors", jacobian.shape[1] == displacement.shape[1] == 3)
+    of_information, of_right_side = np.zeros((q, q)), np.zeros(q)
+    information: cython.double[:, ::1] = of_information
+    right_side: cython.double[::1] = of_right_side
+    squares: cython.double = 0.0
+    number: cython.Py_ssize_t = 0
+    k: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    a: cython.Py_ssize_t
+    b: cython.Py_ssize_t
+    for k in range(count):
+        if not members[k]:
+            continue
+        number += 1
+        for i in range(3):
+            squares += displacement[k, i] * displacement[k, i]
+            for a in range(q):
+                right_side[a] += displacement[k, i] * jacobian[k, i, a]
+                for b in range(a, q):
+                    information[a, b] += jacobian[k, i, a] * jacobian[k, i, b]
+    for a in range(q):
+        for b in range(a):
+            information[a, b] = information[b, a]
+    return of_information, of_right_side, squares, number
+
+
+def expected(
+    reference_n: cython.const[cython.double][:, :],
+    shared_n: cython.const[cython.double][:, :, :],
+    estimate: cython.const[cython.double][:],
+):
+    """Where stars are expected once the errors that they share are estimated: unit vectors, shape (k, 3).
+
+    Args:
+        reference_n: where they stand, shape (k, 3).
+        shared_n: displacement by one sigma of each shared error, shape (k, 3, n_shared).
+        estimate: of these errors, sigmas, shape (n_shared,).
+    """
+    count: cython.Py_ssize_t = reference_n.shape[0]
+    check("stars", shared_n.shape[0] == count and reference_n.shape[1] == shared_n.shape[1] == 3)
+    check("estimate", estimate.shape[0] == shared_n.shape[2])
+    result = np.empty((count, 3))
+    out: cython.double[:, ::1] = result
+    length: cython.double
+    moved: cython.double
+    k: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    c: cython.Py_ssize_t
+    for k in range(count):
+        for i in range(3):
+            moved = 0.0
+            for c in range(shared_n.shape[2]):
+                moved += shared_n[k, i, c] * estimate[c]
+            out[k, i] = reference_n[k, i] + moved
+        length = sqrt(out[k, 0] * out[k, 0] + out[k, 1] * out[k, 1] + out[k, 2] * out[k, 2])
+        for i in range(3):
+            out[k, i] /= length
+    return result
+
+
+def residuals(
+    measured_s: cython.const[cython.double][:, :],
+    expected_n: cython.const[cython.double][:, :],
+    shared_n: cython.const[cython.double][:, :, :],
+    members: cython.const[cython.uchar][:],
+    rotation_ns: cython.const[cython.double][:, :],
+    to_sensor: cython.const[cython.double][:, :],
+    first: cython.Py_ssize_t,
+):
+    """Some stars beside the prediction of their sensor, up and right of each.
+
+    Args:
+        measured_s: directions, shape (k, 3).
+        expected_n: where they are expected in the sky, shape (k, 3).
+        shared_n: displacement by one sigma of each shared error, shape (k, 3, n_shared).
+        members: which of them, m, shape (k,).
+        rotation_ns: horizon from sensor as predicted, shape (3, 3).
+        to_sensor: its rotation vector in the sensor frame by the n states, shape (3, n).
+        first: of the states that are the shared errors.
+
+    Returns:
+        Measured minus expected direction, shape (2 m,), its derivative by the states, shape (2 m, n), and by a turn of
+        the sensor, shape (2 m, 3); and the two directions across each line of sight, shape (m, 2, 3).
+    """
+    n: cython.Py_ssize_t = to_sensor.shape[1]
+    shared: cython.Py_ssize_t = shared_n.shape[2]
+    count: cython.Py_ssize_t = measured_s.shape[0]
+    check("stars", expected_n.shape[0] == shared_n.shape[0] == members.shape[0] == count)
+    check("vectors", measured_s.shape[1] == expected_n.shape[1] == shared_n.shape[1] == to_sensor.shape[0] == 3)
+    check("rotation_ns", rotation_ns.shape[0] == rotation_ns.shape[1] == 3)
+    check("states", first >= 0 and first + shared <= n)
+    number: cython.Py_ssize_t = 0
+    k: cython.Py_ssize_t
+    for k in range(count):
+        number += 1 if members[k] else 0
+    of_residual, of_jacobian = np.empty(2 * number), np.zeros((2 * number, n))
+    of_turn, of_basis = np.empty((2 * number, 3)), np.empty((number, 2, 3))
+    residual: cython.double[::1] = of_residual
+    jacobian: cython.double[:, ::1] = of_jacobian
+    by_turn: cython.double[:, ::1] = of_turn
+    basis: cython.double[:, :, ::1] = of_basis
+    star = cython.declare(cython.double[3])
+    across_n = cython.declare(cython.double[3])
+    level: cython.double
+    total: cython.double
+    row: cython.Py_ssize_t = 0
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    c: cython.Py_ssize_t
+    for k in range(count):
+        if not members[k]:
+            continue
+        for i in range(3):
+            star[i] = 0.0
+            for j in range(3):
+                star[i] += expected_n[k, j] * rotation_ns[j, i]
+        level = hypot(star[0], star[2])
+        basis[row, 0, 0], basis[row, 0, 1], basis[row, 0, 2] = (
+            -star[1] * star[0] / level,
+            level,
+            -star[1] * star[2] / level,
+        )
+        basis[row, 1, 0], basis[row, 1, 1], basis[row, 1, 2] = -star[2] / level, 0.0, star[0] / level
+        for c in range(2):
+            total = 0.0
+            for i in range(3):
+                total += basis[row, c, i] * (measured_s[k, i] - star[i])
+                across_n[i] = 0.0
+                for j in range(3):
+                    across_n[i] += rotation_ns[i, j] * basis[row, c, j]
+            residual[2 * row + c] = total
+            # A turn ε of the sensor moves the star by p × ε, along b by (b × p) ε.
+            _crossed(cython.address(basis[row, c, 0]), star, cython.address(by_turn[2 * row + c, 0]), 1)
+            for j in range(n):
+                for i in range(3):
+                    jacobian[2 * row + c, j] += by_turn[2 * row + c, i] * to_sensor[i, j]
+            for j in range(shared):
+                total = 0.0
+                for i in range(3):
+                    total += across_n[i] * shared_n[k, i, j]
+                jacobian[2 * row + c, first + j] = total
+        row += 1
+    return of_residual, of_jacobian, of_turn, of_basis

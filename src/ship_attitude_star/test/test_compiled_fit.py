@@ -1,0 +1,117 @@
+"""The compiled arithmetic of single stars against the same formulas in plain numpy."""
+
+import numpy as np
+import pytest
+
+from ship_attitude_star.stars import compiled_fit
+from ship_attitude_star.stars.camera import tangent_basis
+from ship_attitude_star.stars.fit import SightedStars, linearized
+from ship_geometry.rotations import exp_rotation, skew
+
+STARS, SENSORS, TURNS, SHARED = 7, 2, 3, 4
+
+
+def equal(found: np.ndarray, expected: np.ndarray) -> None:
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13 * np.abs(expected).max())
+
+
+def seen(sensors: int, turns: int) -> SightedStars:
+    """Stars of some sensors, about where they are expected."""
+    rng = np.random.default_rng(1)
+    reference_n = rng.normal(size=(STARS, 3))
+    reference_n /= np.linalg.norm(reference_n, axis=-1, keepdims=True)
+    return SightedStars(
+        measured_b=reference_n @ exp_rotation(np.array([0.1, 0.2, 0.3])) + 1e-3 * rng.normal(size=(STARS, 3)),
+        reference_n=reference_n,
+        sigma=rng.uniform(1e-5, 2e-5, STARS),
+        position_sigma=rng.uniform(1e-6, 2e-6, STARS),
+        shared_n=1e-5 * rng.normal(size=(STARS, 3, SHARED)),
+        sensor=rng.integers(0, max(sensors, 1), STARS),
+        mounting_b=1e-4 * rng.normal(size=(sensors, 3, 3)),
+        turned_b=1e-5 * rng.normal(size=(max(sensors, 1), 3, turns)) if turns else None,
+    )
+
+
+@pytest.mark.parametrize(("sensors", "turns"), [(0, 0), (SENSORS, 0), (SENSORS, TURNS), (0, TURNS)])
+def test_stars_are_linearised_as_by_numpy(sensors: int, turns: int) -> None:
+    stars, rotation_nb = seen(sensors, turns), exp_rotation(np.array([0.1, 0.2, 0.3]))
+    fit = linearized(stars, rotation_nb)
+    per_sigma = 1.0 / stars.white_sigma[:, None, None]
+    about_star = -per_sigma * skew(stars.reference_n)
+    blocks = [about_star]
+    for sensor in range(sensors):
+        own = (stars.sensor == sensor)[:, None, None]
+        blocks.append(own * (about_star @ rotation_nb @ stars.mounting_b[sensor]))
+    if stars.turned_b is not None:
+        blocks.append(about_star @ rotation_nb @ stars.turned_b[stars.sensor])
+    residual_n = stars.reference_n - stars.measured_b @ rotation_nb.T
+    equal(fit.jacobian, np.concatenate([*blocks, -per_sigma * stars.shared_n], axis=-1))
+    equal(fit.residual_n, residual_n)
+    equal(fit.displacement, residual_n * per_sigma[..., 0])
+
+
+def test_normal_equations_are_those_of_the_members() -> None:
+    fit, members = linearized(seen(SENSORS, TURNS), np.eye(3)), np.arange(STARS) % 3 != 1
+    rows, flat = fit.jacobian[members].reshape(-1, fit.jacobian.shape[-1]), fit.displacement[members].ravel()
+    information, right_side, squares, count = fit.normal_equations(members)
+    equal(information, rows.T @ rows)
+    equal(right_side, flat @ rows)
+    assert squares == pytest.approx(flat @ flat, rel=1e-13)
+    assert count == np.count_nonzero(members)
+    _, _, squares, count = fit.normal_equations()
+    assert squares == pytest.approx(np.sum(fit.displacement**2), rel=1e-13)
+    assert count == STARS
+
+
+def test_residuals_of_stars_are_as_by_numpy() -> None:
+    stars, members = seen(0, 0), np.arange(STARS) % 4 != 2
+    rng = np.random.default_rng(2)
+    rotation_ns, to_sensor = exp_rotation(rng.normal(size=3)), rng.normal(size=(3, 9))
+    estimate = rng.normal(size=SHARED)
+    expected_n = stars.reference_n + stars.shared_n @ estimate
+    expected_n /= np.linalg.norm(expected_n, axis=-1, keepdims=True)
+    equal(compiled_fit.expected(stars.reference_n, stars.shared_n, estimate), expected_n)
+    found = compiled_fit.residuals(
+        stars.measured_b, expected_n, stars.shared_n, members.view(np.uint8), rotation_ns, to_sensor, 5
+    )
+    predicted_s = expected_n[members] @ rotation_ns
+    basis = tangent_basis(predicted_s)
+    by_turn = basis @ skew(predicted_s)
+    jacobian = by_turn @ to_sensor
+    jacobian[:, :, 5:] = basis @ rotation_ns.T @ stars.shared_n[members]
+    residual = np.einsum("kij,kj->ki", basis, stars.measured_b[members] - predicted_s)
+    for one, expected in zip(found, (residual.ravel(), jacobian, by_turn, basis), strict=True):
+        equal(one, expected.reshape(one.shape))
+
+
+def test_shapes_that_do_not_fit_are_refused() -> None:
+    """The loops look at no bounds."""
+    stars, none = seen(0, 0), np.empty((0, 3, 0))
+    arguments = (
+        stars.measured_b,
+        stars.reference_n,
+        stars.white_sigma,
+        stars.shared_n,
+        stars.sensor,
+        stars.mounting_b,
+        none,
+        np.eye(3),
+    )
+    for place in (0, 1, 2, 3, 4):
+        with pytest.raises(ValueError, match="do not fit together"):
+            compiled_fit.linearized(*arguments[:place], arguments[place][1:], *arguments[place + 1 :])
+    for place, wrong in ((5, np.zeros((1, 3, 2))), (6, np.zeros((1, 2, 1))), (7, np.eye(2))):
+        with pytest.raises(ValueError, match="do not fit together"):
+            compiled_fit.linearized(*arguments[:place], wrong, *arguments[place + 1 :])
+    of_another = [*arguments[:4], stars.sensor + 1, np.zeros((1, 3, 3)), none, np.eye(3)]
+    with pytest.raises(ValueError, match="sensor"):
+        compiled_fit.linearized(*of_another)
+    everyone = np.ones(STARS, dtype=np.uint8)
+    with pytest.raises(ValueError, match="stars"):
+        compiled_fit.normal_equations(np.zeros((STARS, 3, 7)), np.zeros((STARS, 3)), everyone[1:])
+    with pytest.raises(ValueError, match="estimate"):
+        compiled_fit.expected(stars.reference_n, stars.shared_n, np.zeros(SHARED + 1))
+    with pytest.raises(ValueError, match="states"):
+        compiled_fit.residuals(
+            stars.measured_b, stars.reference_n, stars.shared_n, everyone, np.eye(3), np.zeros((3, 9)), 6
+        )
