@@ -9,12 +9,12 @@ from scipy.spatial.transform import Rotation
 from ship_attitude_star.measurements.samples import AttitudeMeasurement
 from ship_attitude_star.ship_attitude.comparison import predict_attitude
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.corrected_ins import CorrectedIns, corrected_attitudes
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.model import devices
-from ship_attitude_star.ship_attitude.output import CorrectedIns
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_estimation.parameters import build
-from ship_geometry.attitude_track import InterpolatedAttitude
+from ship_geometry.attitude_track import InterpolatedAttitude, MovedBlock
 from ship_geometry.rotations import FloatArray, exp_rotation, log_rotation
 
 CONFIG = build(
@@ -118,7 +118,8 @@ def test_clock_offsets_have_the_signs_of_the_contract() -> None:
 def corrected_at_once(state: FilterState, ins: InterpolatedAttitude) -> tuple[FloatArray, FloatArray]:
     """The attitude at the moment of the state, and its covariance by source."""
     of_one = ins.rotation_nd[None], ins.rate_d[None], np.array([ins.noise_gain]), ins.error_covariance_d[None]
-    (rotation,), (parts,) = CorrectedIns(FILTER, state).attitudes(np.zeros(1), *of_one)
+    by = [CorrectedIns(FILTER, state)], np.zeros(1, dtype=np.intp)
+    (rotation,), (parts,) = corrected_attitudes(*by, np.zeros(1), MovedBlock(*of_one))
     return rotation, parts
 
 

@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 
 from ship_attitude_star.ros import ship_attitude_adapter
+from ship_attitude_star.ship_attitude.corrected_ins import CorrectedIns
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.ship_attitude.output import CorrectedIns
 from ship_attitude_star.star_attitude import core as star_core
 from ship_estimation.outcome import Status
 from ship_estimation.refusals import Reason

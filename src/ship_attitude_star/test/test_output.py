@@ -8,11 +8,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.corrected_ins import CorrectedIns, corrected_attitudes, estimates_by
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.ship_attitude.output import CorrectedIns
+from ship_attitude_star.ship_attitude.state import Doubt
+from ship_estimation.exclusion import Exclusion
 from ship_estimation.hypotheses import covariances
 from ship_estimation.ins import InsJump
+from ship_estimation.outcome import Status
 from ship_estimation.parameters import build
+from ship_geometry.attitude_track import MovedBlock
 from ship_geometry.rotations import ARCSEC
 
 FILTER = ShipFilter(
@@ -25,27 +29,61 @@ SAMPLES = 40
 def test_a_stack_of_samples_gives_what_the_single_calls_give(sigma_rad: float) -> None:
     rng = np.random.default_rng(7)
     initial = FILTER.initial_state()
-    root = rng.normal(scale=sigma_rad, size=initial.parts.shape)
-    mean = rng.normal(scale=sigma_rad, size=FILTER.model.size)
-    started = FILTER.suspects.start(mean, root @ root.transpose(0, 2, 1))
-    state = replace(started, time_ns=1_000_000_000)
-    corrected = CorrectedIns(FILTER, state)
+    corrected = []
+    for scale in (0.5, 1.0, 2.0):
+        root = rng.normal(scale=scale * sigma_rad, size=initial.parts.shape)
+        mean = rng.normal(scale=scale * sigma_rad, size=FILTER.model.size)
+        started = FILTER.suspects.start(mean, root @ root.transpose(0, 2, 1))
+        corrected.append(CorrectedIns(FILTER, replace(started, time_ns=1_000_000_000)))
+    by = rng.integers(len(corrected), size=SAMPLES)
     since_s = np.concatenate([[0.0], rng.uniform(0.0, 1e4, SAMPLES - 1)])
     lower = rng.normal(scale=1e-5, size=(SAMPLES, 3, 3))
-    ins = (
+    moved = MovedBlock(
         Rotation.random(SAMPLES, random_state=7).as_matrix(),
         rng.normal(scale=0.1, size=(SAMPLES, 3)),
         rng.uniform(0.3, 1.0, SAMPLES),
         lower @ lower.transpose(0, 2, 1),
     )
-    rotations, parts = corrected.attitudes(since_s, *ins)
+    rotations, parts = corrected_attitudes(corrected, by, since_s, moved)
     assert rotations.shape == (SAMPLES, 3, 3)
     assert parts.shape == (SAMPLES, len(FILTER.model.sources), 3, 3)
     for row in range(SAMPLES):
         alone = slice(row, row + 1)
-        rotation, of_one = corrected.attitudes(since_s[alone], *(values[alone] for values in ins))
+        own, first = [corrected[by[row]]], np.zeros(1, dtype=np.intp)
+        rotation, of_one = corrected_attitudes(own, first, since_s[alone], moved.some(alone))
         assert rotations[row].tobytes() == rotation.tobytes()
         assert parts[row].tobytes() == of_one.tobytes()
+
+
+def test_attitudes_of_several_states_are_those_of_each_alone() -> None:
+    """One as usual, in doubt, without the INS, in dispute, before any star, and one whose last star is long ago."""
+    initial, count, time_ns = FILTER.initial_state(), 4, 60_000_000_000
+    usual = replace(initial, time_ns=time_ns, used_ns=MappingProxyType({"star.fore": time_ns}))
+    states = [
+        usual,
+        replace(usual, doubt=Doubt("doubt", 1e-8 * np.eye(3))),
+        replace(usual, excluded=MappingProxyType({"ins": Exclusion(time_ns)})),
+        replace(usual, disputed_n=1e-9 * np.eye(3)),
+        initial,
+        usual,
+    ]
+    corrected, config = [CorrectedIns(FILTER, state) for state in states], ShipAttitudeConfig()
+    times_ns = time_ns + 2_000_000_000 * np.arange(count * len(states))
+    rotations, zeros = np.tile(np.eye(3), (len(times_ns), 1, 1)), np.zeros((len(times_ns), 3, 3))
+    moved = MovedBlock(rotations, np.zeros((len(times_ns), 3)), np.ones(len(times_ns)), zeros)
+    runs = estimates_by(corrected, [count] * len(states), times_ns, moved, config)
+    statuses = set()
+    for number, (run, one) in enumerate(zip(runs, corrected, strict=True)):
+        for place in range(count):
+            at = slice(count * number + place, count * number + place + 1)
+            (alone,) = estimates_by([one], [1], times_ns[at], moved.some(at), config)
+            assert repr(run.one(place)) == repr(alone.one(0))
+            assert run.covariance_parts_n[place].tobytes() == alone.covariance_parts_n[0].tobytes()
+            assert run.covariance_n[place].tobytes() == alone.covariance_n[0].tobytes()
+            assert run.undisputed_n[place].tobytes() == alone.undisputed_n[0].tobytes()
+            statuses.add(run.status[place])
+    assert np.all(runs[3].covariance_n != runs[3].undisputed_n, axis=0).diagonal().all()
+    assert statuses == {Status.VALID, Status.DEGRADED, Status.COASTING}
 
 
 def test_each_row_of_a_state_is_predicted_and_opened_as_if_it_were_alone() -> None:

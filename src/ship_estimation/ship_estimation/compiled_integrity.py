@@ -198,6 +198,46 @@ def levels(
     return of_statistic, of_level, dominant
 
 
+def covered(
+    times_ns: cython.const[cython.longlong][:],
+    covariances: cython.const[cython.double][:, :, :],
+    directions: cython.const[cython.double][:, :, :],
+    until_ns: cython.longlong,
+    greatest_variance: cython.double,
+    told: cython.const[cython.double][:, :],
+    most_turned: cython.double,
+) -> cython.Py_ssize_t:
+    """How many of N outputs, from the first one on, are covered by protection levels that were told before.
+
+    Args:
+        times_ns: stamps, shape (N,).
+        covariances: shape (N, 3, 3).
+        directions: in which the errors are measured, shape (N, k, l).
+        until_ns: levels cover what is before.
+        greatest_variance: trace of a covariance up to which they do.
+        told: the directions that they are of, shape (k, l).
+        most_turned: change of each number of the directions up to which they do.
+    """
+    count: cython.Py_ssize_t = times_ns.shape[0]
+    check("covariances", covariances.shape[0] == count and covariances.shape[1] == covariances.shape[2] == 3)
+    check("directions", directions.shape[0] == count and directions.shape[1] == told.shape[0])
+    check("told", directions.shape[2] == told.shape[1])
+    n: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    for n in range(count):
+        # NaN is within no bound.
+        if not times_ns[n] < until_ns:
+            return n
+        if not covariances[n, 0, 0] + covariances[n, 1, 1] + covariances[n, 2, 2] <= greatest_variance:
+            return n
+        for i in range(told.shape[0]):
+            for j in range(told.shape[1]):
+                if not fabs(directions[n, i, j] - told[i, j]) <= most_turned:
+                    return n
+    return count
+
+
 def least_eigenvalue(matrix: cython.const[cython.double][:, :]) -> cython.double:
     """The least eigenvalue of a symmetric 3 × 3 matrix, by Jacobi's rotations; only the lower triangle is read."""
     check("matrix", matrix.shape[0] == matrix.shape[1] == 3)

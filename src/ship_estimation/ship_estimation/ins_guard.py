@@ -11,21 +11,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-import numpy as np
-
 from ship_estimation.ins import GuardedInsConfig, InsJump, clock_step_s
 from ship_estimation.ins_leads import FASTEST_RAD_PER_S, Leads, SeenSample, moved_back, one_run, seconds_between
-from ship_estimation.integrated_rates import IntegratedRun, RateIntegrator, StepWatch
+from ship_estimation.integrated_rates import IntegratedRun, RateIntegrator, StampArray
 from ship_estimation.rate_guard import RateGuard, Rates
 from ship_estimation.rate_slopes import SlopeWatch
 from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.step_watch import StepWatch
 from ship_estimation.value_guards import JumpGuard, JumpVerdict, Match, StuckGuard, size
 from ship_estimation.witnesses import Witness
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, SampleBlock
 from ship_geometry.rotations import ARCSEC, FloatArray
-
-_PIECE = 64
-"""So many samples of a block are looked at together: after fewer than that something is learnt."""
 
 _STUCK = Refusal(Reason.STUCK, "orientation stands still while other sources move")
 
@@ -48,17 +44,42 @@ class JudgedIns(NamedTuple):
     rates_wrong_after_ns: int | None = None
 
 
-class Followed(NamedTuple):
+class Followed:
     """The samples of a block that were judged ahead.
 
     Attributes:
-        by_rates: at each of them the attitude by the rates alone, for the guards of other sources.
+        count: how many these are.
         last: what is to be done with the last of them where something is, because the attitude crept, or the rates
             turned out to be wrong with it.
     """
 
-    by_rates: list[Witness]
-    last: JudgedIns | None
+    def __init__(self) -> None:
+        self.count = 0
+        self.last: JudgedIns | None = None
+        self._pieces: list[_Piece] = []
+
+    def add(self, times_ns: StampArray, rotations: FloatArray, drift_rad_per_s: float) -> None:
+        """Further samples were judged: their stamps, their attitudes by the rates, shape (N, 3, 3), and their drift."""
+        self._pieces.append(_Piece(self.count, times_ns, rotations, drift_rad_per_s))
+        self.count += len(times_ns)
+
+    def by_rates(self, number: int) -> Witness:
+        """At one of them the attitude by the rates alone, for the guards of other sources."""
+        piece = self._pieces[-1]
+        for piece in reversed(self._pieces):
+            if piece.start <= number:
+                break
+        place = number - piece.start
+        return Witness(int(piece.times_ns[place]), piece.rotations[place], 0.0, piece.drift_rad_per_s)
+
+
+class _Piece(NamedTuple):
+    """Samples from a number on, and what :meth:`Followed.add` was told of them."""
+
+    start: int
+    times_ns: StampArray
+    rotations: FloatArray
+    drift_rad_per_s: float
 
 
 class InsGuard:
@@ -93,6 +114,8 @@ class InsGuard:
         self._smooth_since_taken = True
         # By so much attitudes contradicted the rates, and from which stamp on, when the rates lost their trust by it.
         self._disputed: InsJump | None = None
+        # How often a drift of the rates was learnt.
+        self._learnt = 0
         self.by_rates: Witness | None = None
         self.reconfigure(config)
 
@@ -151,18 +174,18 @@ class InsGuard:
             samples: later than all before, in the order of their stamps.
             block: the same as arrays.
         """
-        followed = Followed([], None)
+        followed = Followed()
         if not self.looks_ahead(samples[0].time_ns):
             return followed
         self._leads.told_rad = 0.0
         fresh = self._stuck.new_values(samples[0].time_ns, block.rotations_nd)
-        while len(followed.by_rates) < fresh and followed.last is None:
-            count = len(followed.by_rates)
-            some = slice(count, min(count + _PIECE, fresh))
-            by_rates, last = self._follow_rates(samples[some], block.some(some))
-            if not by_rates:
+        while followed.count < fresh and followed.last is None:
+            start = followed.count
+            rest = block.some(slice(start, fresh))
+            integrated = self._integrator.integrate_all(rest.times_ns, rest.rates_d)
+            self._follow_run(samples[start:fresh], rest, integrated, followed)
+            if followed.count == start:
                 break
-            followed = Followed(followed.by_rates + by_rates, last)
         return followed
 
     def arrive(self, values: FloatArray, followed: Followed, witnesses: Mapping[str, Witness]) -> None:
@@ -173,36 +196,51 @@ class InsGuard:
             followed: what :meth:`look_ahead` gave.
             witnesses: as in :meth:`judge`, at the last of them.
         """
-        by_rates = followed.by_rates[-1]
+        by_rates = followed.by_rates(followed.count - 1)
         # The guard of what stands still hears the rates as they were before they were judged with the last sample.
         self._stuck.follow(by_rates.time_ns, values, {**witnesses, "rate": by_rates})
         self.noise_rad = math.hypot(self._sigma_rad, self._stuck.coarseness_rad / math.sqrt(12.0))
         self.by_rates = by_rates if self._rates.usable else None
         self._smooth_since_taken = True
 
-    def _follow_rates(
-        self, samples: Sequence[AttitudeSample], block: SampleBlock
-    ) -> tuple[list[Witness], JudgedIns | None]:
+    def _follow_run(
+        self, samples: Sequence[AttitudeSample], block: SampleBlock, integrated: IntegratedRun, followed: Followed
+    ) -> None:
+        """Follow samples as far as their rates are integrated as before: until a drift of the rates is learnt."""
+        start, joined, drift_rad_per_s = 0, len(integrated.missed_rad), self._leads.drift.bound_rad_per_s
+        while start < joined and followed.last is None:
+            # With the sample at which that is due the rates are judged.
+            due = start + 1 + int(block.times_ns[start:joined].searchsorted(self._rates.due_ns))
+            some = slice(start, min(due, joined))
+            times_ns, learnt = block.times_ns[some], self._learnt
+            count, followed.last = self._follow(samples[some], block.some(some), integrated.some(some), due - start)
+            if count:
+                followed.add(times_ns[:count], integrated.rotations[start : start + count], drift_rad_per_s)
+            start += count
+            if not count or self._learnt != learnt:
+                return
+
+    def _follow(
+        self, samples: Sequence[AttitudeSample], block: SampleBlock, integrated: IntegratedRun, due: int
+    ) -> tuple[int, JudgedIns | None]:
         """Take the samples that lie on one line with those before, up to one with which something is learnt.
 
+        Args:
+            samples: that may be taken.
+            block: the same as arrays.
+            integrated: their attitudes by the rates.
+            due: with so many of them the rates are judged.
+
         Returns:
-            The attitude by the rates at each of them; and what is to be done with the last one where something is.
+            How many are taken; and what is to be done with the last one where something is.
         """
-        taken, integrated = self._taken, self._integrator.integrate_all(block.times_ns, block.rates_d)
-        joined = len(integrated.missed_rad)
-        if joined == 0 or taken is None or taken.integrated is None or integrated.run != taken.integrated.run:
-            return [], None
-        # With the sample at which that is due the rates are judged.
-        due = int(np.searchsorted(block.times_ns[:joined], self._rates.due_ns)) + 1
-        some = block.some(slice(min(due, joined)))
-        count = self._steps.follow(*some, integrated, self._leads.by_rates.noise_rad, self._stuck.coarseness_rad)
+        taken = self._taken
+        if taken is None or taken.integrated is None or integrated.run != taken.integrated.run:
+            return 0, None
+        count = self._steps.follow(*block, integrated, self._leads.by_rates.noise_rad, self._stuck.coarseness_rad)
         if count == 0:
-            return [], None
-        last, drift = samples[count - 1], self._leads.drift.bound_rad_per_s
-        by_rates = [
-            Witness(sample.time_ns, rotation, 0.0, drift)
-            for sample, rotation in zip(samples[:count], integrated.rotations[:count], strict=True)
-        ]
+            return 0, None
+        last = samples[count - 1]
         previous, self._taken = self._last_two(samples, integrated, taken, count)
         seen = self._taken
         self._integrator.take(last.time_ns, block.rates_d[count - 1], integrated.one(count - 1))
@@ -212,9 +250,9 @@ class InsGuard:
         self._previous = self._taken
         wrong_after_ns = self._judge_rates(previous, seen) if count == due else None
         if not jumps and wrong_after_ns is None:
-            return by_rates, None
+            return count, None
         sample = last if self._rates.usable else replace(last, rate_d=None)
-        return by_rates, JudgedIns(sample, _stepped(jumps), jumps, wrong_after_ns)
+        return count, JudgedIns(sample, _stepped(jumps), jumps, wrong_after_ns)
 
     @staticmethod
     def _last_two(
@@ -336,6 +374,7 @@ class InsGuard:
         learnt, self._steps.learnt = self._steps.learnt, None
         if learnt is None:
             return ()
+        self._learnt += 1
         self._integrator.take_out(self._leads.drift.learnt(learnt.drift_n, sample.rotation_nd))
         self._leads.by_rates.know(learnt.typical_rad)
         crept = self._slopes.crept(learnt.drift_n, learnt.seconds, learnt.turning)

@@ -9,6 +9,7 @@ import math
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ship_estimation import compiled_integrity
 from ship_estimation.protection import IntegrityReport
@@ -39,7 +40,7 @@ class ToldLevels:
         report: told last; None before.
         state: what the last output that was looked at rests on.
         checked_by: what decides beside it whether there is a level.
-        directions: in which the errors of that output are measured, as an array of cosines.
+        directions: in which the errors of that output are measured, as cosines, shape (k, l).
         until_ns: stamp from which levels are told again whatever they are.
         greatest_variance: trace of an output's covariance up to which the told levels cover it on the same state, rad².
         most_turned: change of each of its directions up to which they do.
@@ -65,8 +66,20 @@ class ToldLevels:
         self.report: IntegrityReport | None = None
         self.state: Any = None
         self.checked_by: tuple[Any, ...] = ()
-        self.directions: FloatArray = np.empty(0)
+        self.directions: FloatArray = np.empty((0, 0))
         self.until_ns, self.greatest_variance, self.most_turned = 0, 0.0, 0.0
+
+    def covered(self, times_ns: NDArray[np.int64], covariances_n: FloatArray, directions: FloatArray) -> int:
+        """How many of N outputs on the same state, from the first one on, the told levels cover for certain.
+
+        Args:
+            times_ns: stamps, shape (N,).
+            covariances_n: of their errors, rad², shape (N, 3, 3).
+            directions: of each as in the attributes, shape (N, k, l).
+        """
+        until, told = (self.until_ns, self.greatest_variance), (self.directions, self.most_turned)
+        count: int = compiled_integrity.covered(times_ns, covariances_n, directions, *until, *told)
+        return count
 
     def must_tell(self, output: LevelledEstimate, report: IntegrityReport, period_ns: int) -> bool:
         """Whether the levels of an output are to be told before it; they are the last told ones then.

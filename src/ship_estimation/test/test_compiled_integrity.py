@@ -159,3 +159,32 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
     for covariance, noise in ((np.eye(2), np.eye(1)), (np.eye(1), np.eye(2))):
         with pytest.raises(ValueError, match="shapes"):
             compiled_integrity.innovation(np.ones(1), covariance, noise, one, one, 1, 1)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_outputs_are_covered_up_to_the_first_one_beyond_a_bound(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    count, told = 12, rng.uniform(-1.0, 1.0, (3, 3))
+    times_ns, covariances = 100 * np.arange(count), rng.uniform(0.0, 1.0, (count, 3, 3))
+    directions = told + rng.uniform(-0.1, 0.1, (count, 3, 3))
+    if seed % 4 == 0:
+        covariances[rng.integers(count), 1, 1] = np.nan
+    until_ns, variance, turned = int(rng.integers(300, 1500)), rng.uniform(1.5, 3.0), rng.uniform(0.08, 0.101)
+    within = (
+        (times_ns < until_ns)
+        & (covariances.trace(axis1=1, axis2=2) <= variance)
+        & (np.abs(directions - told).max(axis=(1, 2)) <= turned)
+    )
+    expected = count if within.all() else int(np.argmin(within))
+    found = compiled_integrity.covered(times_ns, covariances, directions, until_ns, variance, told, turned)
+    assert found == expected
+    assert compiled_integrity.covered(times_ns, covariances, directions, 10**6, np.inf, told, np.inf) == (
+        count if seed % 4 else int(np.argmax(np.isnan(covariances.trace(axis1=1, axis2=2))))
+    )
+
+
+def test_outputs_of_other_shapes_are_refused() -> None:
+    one, three = np.zeros(1, dtype=np.int64), np.zeros((1, 3, 3))
+    for outputs in ((one, three[:, :2], three), (one, three, three[:, :2]), (one, three, three[..., :2])):
+        with pytest.raises(ValueError, match="shapes"):
+            compiled_integrity.covered(*outputs, 1, 1.0, np.zeros((3, 3)), 1.0)

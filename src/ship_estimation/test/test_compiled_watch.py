@@ -3,6 +3,8 @@
 "Equal" is 1e-13 relative; what many samples give together is what each gives alone, to the last bit.
 """
 
+import math
+
 import numpy as np
 import pytest
 
@@ -57,14 +59,36 @@ def test_from_what_is_not_joined_on_everything_is_missed(fault: str) -> None:
     assert np.isfinite(missed).tolist() == [True] * 20 + [False] * (COUNT - 20)
 
 
-def test_sizes_of_steps_are_those_of_numpy_and_the_same_alone() -> None:
+def test_sizes_of_steps_are_those_of_numpy() -> None:
     rng = np.random.default_rng(4)
-    weights, rows = rng.standard_normal((6, 30)), rng.standard_normal((30 + COUNT - 1, 3))
-    sizes = compiled_watch.step_sizes(weights, rows, COUNT)
-    steps = np.array([weights @ rows[n : n + 30] for n in range(COUNT)])
-    np.testing.assert_allclose(sizes, np.sum(steps * steps, axis=2), rtol=1e-12)
-    alone = [compiled_watch.step_sizes(weights, rows[n : n + 30], 1)[0] for n in range(COUNT)]
-    assert np.array(alone).tobytes() == sizes.tobytes()
+    weights, rows = rng.standard_normal((6, 30)), rng.standard_normal((30, 3))
+    steps = weights @ rows
+    np.testing.assert_allclose(compiled_watch.step_sizes(weights, rows), np.sum(steps * steps, axis=1), rtol=1e-12)
+
+
+@pytest.mark.parametrize(("learns", "first_rad"), [(40, math.inf), (40, 0.3), (100, math.inf), (300, 0.3)])
+def test_bounds_are_the_larger_of_noise_configured_and_learnt(learns: int, first_rad: float) -> None:
+    rng = np.random.default_rng(5)
+    weights, least, shares = rng.standard_normal((4, 30)), rng.uniform(0.1, 1.0, 4), rng.uniform(0.5, 2.0, 4)
+    high, bounds, scaled = rng.uniform(0.0, 0.1, 6) ** 8, np.empty(4), np.empty((4, 30))
+    judges = compiled_watch.set_bounds(weights, least, shares, high, learns, 0.01, 0.02, first_rad, bounds, scaled)
+    expected = np.maximum(least, 3.10 * high[:4] ** 0.125 * shares) + 0.01 + 0.02
+    if learns < 64:
+        expected[0] = max(expected[0], first_rad)
+    if learns < 250:
+        expected[1 if judges else 0 :] += 10.0
+    assert judges == (learns >= 64 or first_rad < math.inf)
+    np.testing.assert_allclose(bounds, expected, rtol=1e-13)
+    np.testing.assert_allclose(scaled, weights / expected[:, None], rtol=1e-13)
+
+
+@pytest.mark.parametrize("learns", [3, 4000])
+def test_what_is_learnt_is_a_mean_of_the_eighth_powers_of_steps(learns: int) -> None:
+    rng = np.random.default_rng(6)
+    sizes, bounds, high = rng.uniform(0.0, 1.0, (3, 4))
+    expected = high + ((sizes * bounds**2) ** 4 - high) / min(learns, 1500)
+    compiled_watch.learn(sizes, bounds, learns, high)
+    np.testing.assert_allclose(high, expected, rtol=1e-13)
 
 
 def test_arrays_that_do_not_fit_are_refused() -> None:
@@ -72,7 +96,6 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
     with pytest.raises(ValueError, match="rates"):
         compiled_watch.turns(times_ns, rate[1:], 0, rate[0], 0.0, np.zeros(3), SECOND_NS)
     with pytest.raises(ValueError, match="rows"):
-        compiled_watch.step_sizes(np.ones((2, 5)), np.ones((5, 3)), 2)
+        compiled_watch.step_sizes(np.ones((2, 5)), np.ones((4, 3)))
     with pytest.raises(ValueError, match="rates"):
         compiled_watch.missed_by_mean(np.zeros(2), np.zeros(3), 1.0)
-

@@ -624,35 +624,37 @@ def moved(
 
 
 def corrected(
+    by: cython.const[cython.Py_ssize_t][::1],
     since_s: cython.const[cython.double][::1],
     rotations: cython.const[cython.double][:, :, ::1],
     rates: cython.const[cython.double][:, ::1],
     noise_gains: cython.const[cython.double][::1],
     own_errors: cython.const[cython.double][:, :, ::1],
-    error: cython.const[cython.double][::1],
-    lasting: cython.const[cython.uchar][::1],
+    errors: cython.const[cython.double][:, ::1],
+    lasting: cython.const[cython.uchar][:, ::1],
     time_s: cython.const[cython.double][::1],
     steady_variance: cython.const[cython.double][::1],
     white_variance: cython.const[cython.double][::1],
-    parts: cython.const[cython.double][:, :, ::1],
+    parts: cython.const[cython.double][:, :, :, ::1],
     drift: cython.Py_ssize_t,
     white: cython.Py_ssize_t,
     own: cython.Py_ssize_t,
 ):
-    """Attitudes of N samples corrected by one estimate of their slow error and of their clock.
+    """Attitudes of N samples, each corrected by one of e estimates of their slow error and of their clock.
 
     Args:
+        by: which of the estimates corrects each sample, shape (N,).
         since_s: time since the estimate, shape (N,).
         rotations: of the samples, shape (N, 3, 3).
         rates: angular velocity about their own axes, rad/s, shape (N, 3).
         noise_gains: of the samples' white noise, shape (N,).
         own_errors: covariance of a further error of each about its own axes, rad², shape (N, 3, 3).
-        error: estimated slow error, rad, shape (3,).
-        lasting: which of it does not die out, shape (3,).
+        errors: estimated slow error, rad, shape (e, 3).
+        lasting: which of it does not die out, shape (e, 3).
         time_s: its correlation time, shape (3,).
         steady_variance: of it, rad², shape (3,).
         white_variance: of the samples, rad², shape (3,).
-        parts: covariance of the error and of the clock (rad, s) by source, shape (n_sources, 4, 4).
+        parts: covariance of the error and of the clock (rad, s) by source, shape (e, n_sources, 4, 4).
         drift: index of the source of the slow error.
         white: of the white noise.
         own: of the further error.
@@ -661,13 +663,14 @@ def corrected(
         Attitudes, shape (N, 3, 3), and the covariance of each by source, rad², shape (N, n_sources, 3, 3).
     """
     count: cython.Py_ssize_t = since_s.shape[0]
-    sources: cython.Py_ssize_t = parts.shape[0]
-    check("samples", rotations.shape[0] == rates.shape[0] == noise_gains.shape[0] == own_errors.shape[0] == count)
+    estimates: cython.Py_ssize_t = errors.shape[0]
+    sources: cython.Py_ssize_t = parts.shape[1]
+    check("samples", by.shape[0] == rotations.shape[0] == rates.shape[0] == noise_gains.shape[0] == count)
     check("rotations", rotations.shape[1] == rotations.shape[2] == rates.shape[1] == 3)
-    check("own_errors", own_errors.shape[1] == own_errors.shape[2] == 3)
-    check("error", error.shape[0] == lasting.shape[0] == time_s.shape[0] == steady_variance.shape[0] == 3)
-    check("white_variance", white_variance.shape[0] == 3)
-    check("parts", parts.shape[1] == parts.shape[2] == 4)
+    check("own_errors", own_errors.shape[0] == count and own_errors.shape[1] == own_errors.shape[2] == 3)
+    check("errors", errors.shape[1] == lasting.shape[1] == 3 and lasting.shape[0] == estimates)
+    check("variances", time_s.shape[0] == steady_variance.shape[0] == white_variance.shape[0] == 3)
+    check("parts", parts.shape[0] == estimates and parts.shape[2] == parts.shape[3] == 4)
     check("sources", 0 <= drift < sources and 0 <= white < sources and 0 <= own < sources)
     of_rotations, of_parts = np.empty((count, 3, 3)), np.empty((count, sources, 3, 3))
     attitudes: cython.double[:, :, ::1] = of_rotations
@@ -682,17 +685,19 @@ def corrected(
     decay: cython.double
     total: cython.double
     at: cython.p_double
+    e: cython.Py_ssize_t
     n: cython.Py_ssize_t
     s: cython.Py_ssize_t
     i: cython.int
     j: cython.int
     k: cython.int
     for n in range(count):
-        at = cython.address(attitudes[n, 0, 0])
+        at, e = cython.address(attitudes[n, 0, 0]), by[n]
+        check("estimates", 0 <= e < estimates)
         for i in range(3):
             decay = exp(-since_s[n] / time_s[i])
             fresh[i] = steady_variance[i] * (1.0 - decay * decay)
-            now[i] = error[i] if lasting[i] else decay * error[i]
+            now[i] = errors[e, i] if lasting[e, i] else decay * errors[e, i]
         _exponential(now, correction)
         _jacobian(now, by_error)
         _times(correction, cython.cast(cython.p_double, cython.address(rotations[n, 0, 0])), at)
@@ -707,7 +712,7 @@ def corrected(
                 for j in range(4):
                     total = 0.0
                     for k in range(4):
-                        total += by_state[4 * i + k] * parts[s, k, j]
+                        total += by_state[4 * i + k] * parts[e, s, k, j]
                     half[4 * i + j] = total
             for i in range(3):
                 for j in range(3):

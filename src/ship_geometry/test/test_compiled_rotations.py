@@ -182,26 +182,27 @@ def test_one_sample_is_moved_to_the_bit_as_among_others() -> None:
 
 
 def test_samples_are_corrected_as_by_numpy() -> None:
-    """Fifty samples by one estimate; the second component of its error lasts. Units of one, so that 1e-13 means all."""
+    """Fifty samples by five estimates; some components of their errors last. Units of one, so that 1e-13 means all."""
     rng = np.random.default_rng(RNG_SEED)
-    count, sources = 50, 4
+    count, sources, estimates = 50, 4, 5
+    by = rng.integers(estimates, size=count)
     since_s, rotations, rates = rng.uniform(0.0, 3.0, count), exp_rotation(vectors(count)), rng.normal(size=(count, 3))
     gains, roots = rng.uniform(0.5, 1.0, count), rng.standard_normal((count, 3, 3))
     own_errors = roots @ roots.transpose(0, 2, 1)
-    error, time_s, steady, white = 0.3 * rng.standard_normal(3), *rng.uniform(1.0, 2.0, (3, 3))
-    lasting = np.array([0, 1, 0], dtype=np.uint8)
-    parts = rng.standard_normal((sources, 4, 4))
-    parts = parts @ parts.transpose(0, 2, 1)
+    errors, time_s, steady, white = 0.3 * rng.standard_normal((estimates, 3)), *rng.uniform(1.0, 2.0, (3, 3))
+    lasting = rng.integers(2, size=(estimates, 3), dtype=np.uint8)
+    parts = rng.standard_normal((estimates, sources, 4, 4))
+    parts = parts @ parts.swapaxes(-1, -2)
     found = compiled_rotations.corrected(
-        since_s, rotations, rates, gains, own_errors, error, lasting, time_s, steady, white, parts, 0, 2, 3
+        by, since_s, rotations, rates, gains, own_errors, errors, lasting, time_s, steady, white, parts, 0, 2, 3
     )
     decay = np.exp(-since_s[:, None] / time_s)
-    now = np.where(lasting, error, decay * error)
+    now = np.where(lasting[by], errors[by], decay * errors[by])
     attitudes = exp_rotation(now) @ rotations
     by_error = left_jacobian(now)
     by_clock = -(attitudes @ rates[..., None])
     by_state = np.concatenate([by_error * decay[:, None], by_clock], axis=-1)[:, None]
-    expected = by_state @ parts @ by_state.swapaxes(-1, -2)
+    expected = by_state @ parts[by] @ by_state.swapaxes(-1, -2)
     drift = by_error * np.sqrt(steady * (1.0 - decay**2))[:, None]
     expected[:, 0] += drift @ drift.swapaxes(-1, -2)
     noise = exp_rotation(now) * np.sqrt(white * gains[:, None])[:, None]

@@ -1,7 +1,7 @@
 """What goes into the ship-attitude core and what comes out: plain structs in radians, metres and nanoseconds."""
 
 import enum
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -182,8 +182,20 @@ class AttitudeRun:
 
     def some(self, which: slice) -> "AttitudeRun":
         """Some of them."""
-        values = {item.name: getattr(self, item.name) for item in fields(self)}
-        return AttitudeRun(**{name: value if name == "state" else value[which] for name, value in values.items()})
+        return AttitudeRun(
+            time_ns=self.time_ns[which],
+            rotation_nd=self.rotation_nd[which],
+            covariance_parts_n=self.covariance_parts_n[which],
+            covariance_n=self.covariance_n[which],
+            undisputed_n=self.undisputed_n[which],
+            rate_d=self.rate_d[which],
+            status=self.status[which],
+            horizon=self.horizon[which],
+            sources=self.sources[which],
+            star_age_s=self.star_age_s[which],
+            state=self.state,
+            text=self.text[which],
+        )
 
     def one(self, number: int) -> AttitudeEstimate:
         """One of them."""

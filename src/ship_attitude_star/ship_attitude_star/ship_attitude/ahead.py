@@ -13,12 +13,12 @@ import numpy as np
 
 from ship_attitude_star.measurements.samples import AttitudeOutcome, AttitudeRun, StampArray
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.ship_attitude.output import CorrectedIns
+from ship_attitude_star.ship_attitude.corrected_ins import CorrectedIns, estimates_by
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_estimation.ins_guard import Followed
 from ship_estimation.outcome import Status
 from ship_estimation.refusals import Refusal, failure
-from ship_geometry.attitude_track import AttitudeSample, RecentRates, SampleBlock, moved_block
+from ship_geometry.attitude_track import AttitudeSample, MovedBlock, RecentRates, SampleBlock, moved_block
 
 
 class _Stretch(NamedTuple):
@@ -63,7 +63,7 @@ class InsAhead:
     @property
     def count(self) -> int:
         """How many samples were judged, one that does not go the usual way included."""
-        return len(self.followed.by_rates)
+        return self.followed.count
 
     @property
     def usual(self) -> int:
@@ -97,16 +97,29 @@ class InsAhead:
         corrected = [corrected_by(stretch.state) for stretch in self._stretches]
         counts = [stretch.stop - stretch.start for stretch in self._stretches]
         moved = moved_block(self.before, self.block, np.repeat([moved_s(one) for one in corrected], counts))
-        found: list[tuple[slice, AttitudeRun | Refusal]] = []
-        for one, (_, start, stop, doubts) in zip(corrected, self._stretches, strict=True):
-            some = slice(start, stop)
-            try:
-                run = one.estimates(self.block.times_ns[some], *moved.some(some), config)
-            except Exception as error:
-                found.append((some, failure(error)))
-                continue
-            for number, doubt in enumerate(doubts or ()):
-                if doubt:
+        try:
+            found: list[AttitudeRun | Refusal] = [*estimates_by(corrected, counts, self._times_ns, moved, config)]
+        except Exception:
+            # Which of them cannot be computed is found out one by one.
+            pairs = zip(corrected, self._stretches, strict=True)
+            found = [self._attitudes_of(one, stretch, moved, config) for one, stretch in pairs]
+        for stretch, run in zip(self._stretches, found, strict=True):
+            for number, doubt in enumerate(stretch.doubts or ()):
+                if doubt and isinstance(run, AttitudeRun):
                     run.status[number], run.text[number] = max(run.status[number], Status.DEGRADED), doubt
-            found.append((some, run))
-        return found
+        return [(slice(stretch.start, stretch.stop), run) for stretch, run in zip(self._stretches, found, strict=True)]
+
+    @property
+    def _times_ns(self) -> StampArray:
+        return self.block.times_ns[: self.taken]
+
+    def _attitudes_of(
+        self, corrected: CorrectedIns, stretch: _Stretch, moved: MovedBlock, config: ShipAttitudeConfig
+    ) -> AttitudeRun | Refusal:
+        """The attitudes of one stretch, or why these cannot be computed."""
+        some, count = slice(stretch.start, stretch.stop), stretch.stop - stretch.start
+        try:
+            (run,) = estimates_by([corrected], [count], self._times_ns[some], moved.some(some), config)
+        except Exception as error:
+            return failure(error)
+        return run

@@ -30,9 +30,10 @@ from ship_attitude_star.ship_attitude.alignment import (
     state_from_prior,
 )
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.corrected_ins import CorrectedIns
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.integrity import integrity_of
-from ship_attitude_star.ship_attitude.output import CorrectedIns, attitude_alone, estimate_from_star, no_estimate
+from ship_attitude_star.ship_attitude.output import attitude_alone, estimate_from_star, no_estimate
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_estimation.estimator_shell import EstimatorShell, Model
@@ -156,8 +157,8 @@ class ShipAttitudeCore:
             return None
         samples = block.samples()
         followed = self._guards.ins.look_ahead(samples, block)
-        usual = len(followed.by_rates) - (followed.last is not None)
-        return InsAhead(samples[:usual], block, arrivals_ns, followed, before) if followed.by_rates else None
+        usual = followed.count - (followed.last is not None)
+        return InsAhead(samples[:usual], block, arrivals_ns, followed, before) if followed.count else None
 
     def take_ahead(self, ahead: InsAhead, stop: int) -> None:
         """Samples that were judged ahead have their turn, up to one that is not included."""
@@ -178,11 +179,11 @@ class ShipAttitudeCore:
             ahead.had_turn(self._shell.state_now, end, doubts)
             self._ins_arrival_ns = int(ahead.arrivals_ns[end - 1])
             self._shell.was_put_out(ahead.samples[end - 1].time_ns, self._ins_arrival_ns, self._silence_ns)
-            self._guards.ins.by_rates = ahead.followed.by_rates[end - 1]
+            self._guards.ins.by_rates = ahead.followed.by_rates(end - 1)
 
     def end_ahead(self, ahead: InsAhead) -> AttitudeOutcome | None:
         """All samples that were judged ahead had their turn; what the one led to that did not go the usual way."""
-        values, last = ahead.block.rotations_nd[: len(ahead.followed.by_rates)], ahead.followed.last
+        values, last = ahead.block.rotations_nd[: ahead.followed.count], ahead.followed.last
         self._guards.ins.arrive(values, ahead.followed, self._guards.witnesses)
         if last is None:
             return None
@@ -325,7 +326,7 @@ class ShipAttitudeCore:
     def _corrected_by(self, state: FilterState) -> CorrectedIns:
         """INS attitudes corrected by a state, made once for all that rest on it."""
         if state is not self._corrected.state:
-            self._corrected = CorrectedIns(self.filter, state)
+            self._corrected = self._corrected.by(state)
         return self._corrected
 
     def _moved_s(self, corrected: CorrectedIns) -> float:

@@ -130,19 +130,11 @@ def parts_with_levels(
         directions: of each output, shape (N, 3, 3).
         levels_before: the levels of one output, where those told last do not cover it.
     """
-    variances, count = run.covariance_n.trace(axis1=1, axis2=2), len(run.time_ns)
-    start = 0
+    start, count = 0, len(run.time_ns)
     while start < count:
         yield BlockPart(place + start, levels_before(run.one(start)))
-        # Asked for each output, and so no more than this; NaN is within no bound.
-        covered = (
-            (run.time_ns[start:] < told.until_ns)
-            & (variances[start:] <= told.greatest_variance)
-            & (np.abs(directions[start:] - told.directions).max(axis=(1, 2)) <= told.most_turned)
-        )
-        covered[0] = True
-        end = count if covered.all() else start + int(np.argmin(covered))
-        other = next((number for number in range(start, end) if checked_by[number] != told.checked_by), end)
-        end = max(other, start + 1)
-        yield BlockPart(place + start, [], run.some(slice(start, end)))
+        rest = slice(start + 1, count)
+        end = start + 1 + told.covered(run.time_ns[rest], run.covariance_n[rest], directions[rest])
+        end = next((other for other in range(start + 1, end) if checked_by[other] != told.checked_by), end)
+        yield BlockPart(place + start, [], run if end - start == count else run.some(slice(start, end)))
         start = end

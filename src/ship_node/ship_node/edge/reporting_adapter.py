@@ -309,15 +309,11 @@ class ReportingAdapter(ABC):
     def levels_before(self, estimate: Any) -> list[Published]:
         """The protection levels of an output, where those told last do not cover it."""
         told, checked_by, directions = self.told_levels, self.checked_by(estimate), self.directions(estimate)
-        # Asked for each output, and so no more than this; NaN is within no bound.
-        if (
-            told.state is estimate.state
-            and told.checked_by == checked_by
-            and estimate.time_ns < told.until_ns
-            and estimate.covariance_n.trace() <= told.greatest_variance
-            and np.abs(directions - told.directions).max() <= told.most_turned
-        ):
-            return []
+        # Asked for each output, and so no more than this.
+        if told.state is estimate.state and told.checked_by == checked_by:
+            one = np.array([estimate.time_ns]), estimate.covariance_n[None], directions[None]
+            if told.covered(*one):
+                return []
         report, period_ns = self.core.integrity(estimate), round(self.config.slow_topics_period_s * _SECOND_NS)
         told.state, told.checked_by, told.directions = estimate.state, checked_by, directions
         if not told.must_tell(estimate, report, period_ns):

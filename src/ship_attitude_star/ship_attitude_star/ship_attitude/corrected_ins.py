@@ -1,0 +1,238 @@
+"""INS attitudes corrected by states of the filter: the published attitude, its covariance by source, its status."""
+
+import copy
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeRun, Horizon, StampArray
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.filter import ShipFilter
+from ship_attitude_star.ship_attitude.ins_at_fault import UNKNOWN_INS_RAD_PER_SQRT_S
+from ship_attitude_star.ship_attitude.integrity import QUANTITIES, integrity_of
+from ship_attitude_star.ship_attitude.model import SOURCE_INS_NOISE, SOURCE_INTERPOLATION
+from ship_attitude_star.ship_attitude.row_table import INS
+from ship_attitude_star.ship_attitude.state import FilterState
+from ship_estimation.kalman import lasting
+from ship_estimation.outcome import Status
+from ship_estimation.protection import above_limit
+from ship_geometry import compiled_rotations
+from ship_geometry.attitude_track import InterpolatedAttitude, MovedBlock
+from ship_geometry.rotations import FloatArray
+from ship_geometry.time_scales import SECOND_NS
+
+_ATTITUDE, _TIME_OFFSET = slice(0, 3), 3
+"""Columns of the states that correct an INS attitude: its slow error (north, up, east) and its time offset."""
+
+_NEVER_NS = np.iinfo(np.int64).max
+"""Later than every sample."""
+
+
+class CorrectedIns:
+    """What corrects INS attitudes by one filter state; made once per state, used at the INS's rate.
+
+    Only the INS's slow error and its time offset enter, so only those rows of the covariance are carried.
+
+    Args:
+        filter_: the filter and its model.
+        state: its state after the last measurement.
+
+    Attributes:
+        state: the same.
+        time_offset_s: estimated tau, on top of the configured constant, s.
+        since_ns: from when on the error grows and dies out: the moment of the state; later than all samples where it
+            has none.
+        newest_star_ns: stamp of the last star measurement used; None where there was none.
+        error_n: estimated slow error, rad, shape (3,).
+        lasting: which of it does not die out, shape (3,), uint8.
+        parts: covariance of the slow error and of the time offset by source, shape (n_sources, 4, 4).
+        of_filter: what is the same for all states: correlation time, steady variance and white variance, shape (3,)
+            each, and the indices of the sources of drift, white noise and interpolation.
+        drift_index: the first of these.
+    """
+
+    def __init__(self, filter_: ShipFilter, state: FilterState) -> None:
+        model, slow = filter_.model, filter_.model.blocks["ins.attitude"]
+        self.drift_index = model.sources.index(slow.source)
+        self.of_filter = (
+            slow.time_s,
+            slow.sigma**2,
+            model.blocks["ins.noise"].sigma ** 2,
+            self.drift_index,
+            model.sources.index(SOURCE_INS_NOISE),
+            model.sources.index(SOURCE_INTERPOLATION),
+        )
+        self._filter, self._slow_sigma = filter_, slow.sigma
+        self._rows = np.r_[model.rows("ins.attitude"), model.rows("ins.time_offset")]
+        self._rest_on(state)
+
+    def by(self, state: FilterState) -> "CorrectedIns":
+        """The same by another state of the filter."""
+        other = copy.copy(self)
+        other._rest_on(state)
+        return other
+
+    def _rest_on(self, state: FilterState) -> None:
+        rows, self.state = self._rows, state
+        mean = state.mean[rows]
+        self.error_n, self.time_offset_s = mean[_ATTITUDE], float(mean[_TIME_OFFSET])
+        self.lasting = lasting(self.error_n, self._slow_sigma).view(np.uint8)
+        self.parts: FloatArray = state.parts[:, rows[:, None], rows]
+        self.since_ns = _NEVER_NS if state.time_ns is None else state.time_ns
+        self.newest_star_ns = newest_star_ns(self._filter, state)
+
+    def estimate(self, time_ns: int, ins: InterpolatedAttitude, config: ShipAttitudeConfig) -> AttitudeEstimate:
+        """The attitude at the stamp of an INS sample, with its status."""
+        moved = ins.rotation_nd[None], ins.rate_d[None], np.array([ins.noise_gain]), ins.error_covariance_d[None]
+        (run,) = estimates_by([self], [1], np.array([time_ns]), MovedBlock(*moved), config)
+        return run.one(0)
+
+    def statuses(self, star_age_s: FloatArray, coasting_after_s: float) -> tuple[list[Status], list[str]]:
+        """Statuses of attitudes, and why they are DEGRADED.
+
+        Args:
+            star_age_s: time since the last star measurement used, in ascending order, shape (N,).
+            coasting_after_s: attitudes without a star for so long are no longer VALID.
+        """
+        count = len(star_age_s)
+        first, last = (self._worth(float(star_age_s[number]), coasting_after_s) for number in (0, -1))
+        if first == last:
+            return [first[0]] * count, [first[1]] * count
+        worth = [self._worth(age_s, coasting_after_s) for age_s in star_age_s.tolist()]
+        return [status for status, _ in worth], [text for _, text in worth]
+
+    def sources(self, time_ns: StampArray, recent_ns: int) -> list[tuple[str, ...]]:
+        """At each moment the INS, and the sources of which a measurement was used not long before."""
+
+        def at(moment_ns: int) -> tuple[str, ...]:
+            used = [source for source, used_ns in self.state.used_ns.items() if used_ns >= moment_ns - recent_ns]
+            return INS, *sorted(used)
+
+        first, last = at(int(time_ns[0])), at(int(time_ns[-1]))
+        # As time goes on sources can only be left out.
+        return [first] * len(time_ns) if first == last else [at(moment_ns) for moment_ns in time_ns.tolist()]
+
+    def degrade_above_limit(self, run: AttitudeRun, config: ShipAttitudeConfig) -> None:
+        """Attitudes that may be wrong by more than the alert limit are DEGRADED."""
+        for number, status in enumerate(run.status):
+            if status is not Status.DEGRADED:
+                text = above_limit(integrity_of(self._filter, config, run.one(number)), QUANTITIES)
+                if text:
+                    run.status[number], run.text[number] = Status.DEGRADED, text
+
+    def _worth(self, star_age_s: float, coasting_after_s: float) -> tuple[Status, str]:
+        """Status of an attitude, and why it is DEGRADED."""
+        if self.state.doubt is not None:
+            return Status.DEGRADED, self.state.doubt.text
+        if math.isnan(star_age_s):
+            return Status.DEGRADED, "INS alone, no star yet"
+        if self.state.unconfirmed is not None:
+            return Status.DEGRADED, self.state.unconfirmed.text
+        if star_age_s <= coasting_after_s:
+            return Status.VALID, ""
+        if INS in self.state.excluded:
+            return Status.DEGRADED, "no star is used, and the INS contradicted the stars"
+        return Status.COASTING, ""
+
+
+def corrected_attitudes(
+    corrected: Sequence[CorrectedIns], by: NDArray[np.intp], since_s: FloatArray, moved: MovedBlock
+) -> tuple[FloatArray, FloatArray]:
+    """Attitudes of N moments and their covariance by source, horizon frame, rad².
+
+    The result depends on the arguments alone; one moment gives, to the last bit, what it gives among others.
+
+    Args:
+        corrected: by states of one filter.
+        by: which of these corrects the INS's attitude of each moment, shape (N,).
+        since_s: time from the state to each moment, at least 0, s, shape (N,).
+        moved: the INS's attitudes of these moments: its samples moved by tau.
+
+    Returns:
+        Shapes (N, 3, 3) and (N, n_sources, 3, 3).
+    """
+    found: tuple[FloatArray, FloatArray] = compiled_rotations.corrected(
+        by,
+        since_s,
+        *moved,
+        np.array([one.error_n for one in corrected]),
+        np.array([one.lasting for one in corrected]),
+        *corrected[0].of_filter[:3],
+        np.array([one.parts for one in corrected]),
+        *corrected[0].of_filter[3:],
+    )
+    return found
+
+
+def estimates_by(
+    corrected: Sequence[CorrectedIns],
+    counts: Sequence[int],
+    time_ns: StampArray,
+    moved: MovedBlock,
+    config: ShipAttitudeConfig,
+) -> list[AttitudeRun]:
+    """The attitudes at the stamps of N INS samples, with their statuses, those that rest on one state in a run.
+
+    Args:
+        corrected: by states of one filter.
+        counts: to how many samples, one after another, each of these belongs; at least one.
+        time_ns: stamps, in ascending order, shape (N,).
+        moved: the samples, moved by tau.
+        config: of the node.
+    """
+    by = np.repeat(np.arange(len(counts), dtype=np.intp), counts)
+    since_ns = np.maximum(time_ns - np.array([one.since_ns for one in corrected])[by], 0)
+    rotation_nd, parts = corrected_attitudes(corrected, by, 1e-9 * since_ns.astype(np.float64), moved)
+    stops = np.cumsum(counts).tolist()
+    stretches = [slice(stop - count, stop) for stop, count in zip(stops, counts, strict=True)]
+    for one, some in zip(corrected, stretches, strict=True):
+        if one.state.doubt is not None:
+            parts[some, one.drift_index] += one.state.doubt.covariance_n
+        if INS in one.state.excluded:
+            unknown = UNKNOWN_INS_RAD_PER_SQRT_S**2 * since_ns[some] * 1e-9
+            parts[some, one.drift_index] += unknown[:, None, None] * np.eye(3)
+    covariance_n = undisputed_n = parts.sum(axis=1)
+    for one, some in zip(corrected, stretches, strict=True):
+        if one.state.disputed_n is not None:
+            parts[some, one.drift_index] += one.state.disputed_n
+            covariance_n = parts.sum(axis=1)
+    star_age_s = _star_ages_s(corrected, by, time_ns)
+    # NaN compares false: before the first star the horizon is the INS's own.
+    horizon = np.where(star_age_s <= config.ins.tilt_time_s, Horizon.GEODETIC, Horizon.GRAVITY)
+    recent_ns, runs = round(config.coasting_after_s * SECOND_NS), []
+    for one, some in zip(corrected, stretches, strict=True):
+        status, text = one.statuses(star_age_s[some], config.coasting_after_s)
+        run = AttitudeRun(
+            time_ns=time_ns[some],
+            rotation_nd=rotation_nd[some],
+            covariance_parts_n=parts[some],
+            covariance_n=covariance_n[some],
+            undisputed_n=undisputed_n[some],
+            rate_d=moved.rate_d[some],
+            status=status,
+            horizon=horizon[some],
+            sources=one.sources(time_ns[some], recent_ns),
+            star_age_s=star_age_s[some],
+            state=one.state,
+            text=text,
+        )
+        if config.integrity.alert_limit_arcsec:
+            one.degrade_above_limit(run, config)
+        runs.append(run)
+    return runs
+
+
+def _star_ages_s(corrected: Sequence[CorrectedIns], by: NDArray[np.intp], time_ns: StampArray) -> FloatArray:
+    """Time since the last star measurement used, of each moment; NaN where there was none."""
+    newest_ns = np.array([one.newest_star_ns or 0 for one in corrected])
+    none_yet = np.array([one.newest_star_ns is None for one in corrected])
+    ages_s: FloatArray = np.where(none_yet[by], np.nan, (time_ns - newest_ns[by]) / SECOND_NS)
+    return ages_s
+
+
+def newest_star_ns(filter_: ShipFilter, state: FilterState) -> int | None:
+    """Stamp of the last star measurement used; None where there was none."""
+    stars = (used_ns for source, used_ns in state.used_ns.items() if filter_.devices[source].is_star)
+    return max(stars, default=None)

@@ -1,0 +1,373 @@
+"""Steps of an INS's measured attitude against the attitude by its rates alone.
+
+Attitude and integrated rates of a healthy INS differ by a turn that drifts slowly: by the bias of the gyroscopes, by
+the Earth's turn where the rates hold it, by what integration misses. Over a second that is a straight line. A step of
+the attitude breaks the line, and shows at once where it is many times the noise of a sample; the mean of several
+samples after it against the line before shows a smaller one.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ship_estimation import compiled_watch
+from ship_estimation.integrated_rates import Integrated, IntegratedRun, StampArray
+from ship_estimation.line_steps import Period, StepPlan, doubling, located, step_plan
+from ship_estimation.value_guards import ACROSS, Match, size
+from ship_geometry import compiled_rotations
+from ship_geometry.attitude_track import AttitudeSample
+from ship_geometry.rotations import FloatArray, exp_rotation
+from ship_geometry.time_scales import SECOND_NS
+
+_BEFORE_S, _AFTER_S = (0.5, 0.25, 0.125), 0.2
+"""Samples of so long tell the line, the shorter the noisier the rates; of up to so long whether there was a step."""
+_LEAST_BEFORE, _LONGEST_PERIOD_NS = 16, SECOND_NS // 5
+"""At fewer than five samples a second the waves between two of them hide small steps, and nothing is looked for."""
+_GAP = 8
+"""The line does not lead over a gap of more than so many periods."""
+_SIGMAS = 7.3
+"""What noise of three axes exceeds once in 6e10 times; docs/explanation/when_inputs_fail.md says how often an hour."""
+_LAG_S = 0.0025
+"""Rates may lag behind the attitude by this much."""
+_LEARN_HZ = 25.0
+"""How often steps of no sample are learnt in a second."""
+_FAR_RAD = 1e-3
+"""Rotation vectors of this size still add like vectors, to a hundredth of an arcsecond."""
+_ROOM = 4
+"""Samples are kept in an array so many times as long as the line."""
+
+
+class FoundStep(NamedTuple):
+    """A step of the attitude that means before and after have told.
+
+    Attributes:
+        first_ns: stamp of the first sample that may lie after the step.
+        last_ns: stamp of the first sample that surely does.
+        step_n: rotation vector in the horizon frame, rad, shape (3,).
+        sigma_rad: its standard deviation about each axis.
+    """
+
+    first_ns: int
+    last_ns: int
+    step_n: FloatArray
+    sigma_rad: float
+
+
+class Learnt(NamedTuple):
+    """What samples on a line tell of their errors.
+
+    Attributes:
+        drift_n: how fast the attitude runs away from the rates, horizon frame, rad/s, shape (3,).
+        seconds: over how long.
+        turning: how fast the deck turned in that time, all in all, rad/s.
+        typical_rad: how far a sample is from the place where the one before leads, root mean square.
+    """
+
+    drift_n: FloatArray
+    seconds: float
+    turning: float
+    typical_rad: float
+
+
+class StepWatch:
+    """Watches the attitude of one INS against its own integrated rates.
+
+    It learns the period of the samples and how large a step their errors feign: by a high power, in which the rare
+    large ones count, as rounding makes them.
+
+    Args:
+        white_rad: noise of an attitude, each axis.
+        rate_sigma_rad_per_s: noise of a rate, each axis.
+
+    Attributes:
+        learnt: what the samples kept of late tell of their errors; None where nothing new is known.
+
+    >>> watch, turned = StepWatch(5e-6, 0.0), np.random.default_rng(1).normal(0.0, 5e-6, (1500, 3))
+    >>> turned[1400:] += [0.0, 3e-5, 0.0]
+    >>> for n, vector in enumerate(turned):
+    ...     sample = AttitudeSample(n * 10_000_000, exp_rotation(vector), np.zeros(3))
+    ...     fits = watch.look(sample, Integrated(np.eye(3), 0, 0.0), first_rad=1e-4, coarseness_rad=0.0)
+    ...     found = watch.keep()
+    ...     if found is not None:
+    ...         break
+    >>> found.first_ns // 10_000_000, 1400 <= n < 1420, (found.step_n * 1e5).round() + 0.0
+    (1400, True, array([0., 3., 0.]))
+    """
+
+    def __init__(self, white_rad: float, rate_sigma_rad_per_s: float) -> None:
+        self._period = Period()
+        self._white_rad, self._rate_sigma = white_rad, rate_sigma_rad_per_s
+        self._rows, self._rates, self._times = np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
+        self._full: StepPlan | None = None
+        self._learn_every = self._learns = self._since_learnt = 0
+        self._high = np.zeros(0)
+        self._first_rad = math.inf
+        self._coarseness_rad = self._missed_rad = self._missed_before_rad = self._feigned_rad = 0.0
+        self._run, self._last_ns = -1, 0
+        self._to_line: FloatArray | None = None
+        self.learnt: Learnt | None = None
+        self.restart()
+
+    def reconfigure(self, white_rad: float, rate_sigma_rad_per_s: float) -> None:
+        """Go on with another noise."""
+        if (white_rad, rate_sigma_rad_per_s) != (self._white_rad, self._rate_sigma):
+            self._white_rad, self._rate_sigma = white_rad, rate_sigma_rad_per_s
+            if self._period.ns:
+                self._make_plan()
+
+    def forget(self) -> None:
+        """Learn the errors of the samples anew: the rates, or how they are measured, have changed."""
+        self._learns = 0
+        self._high[:] = 0.0
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin a new line with the next sample: the attitude has stepped, or a line does not lead so far."""
+        self._end = self._newest = 0
+        self._to_line = None
+        self._plan: StepPlan | None = None
+        self._judges = False
+        self._pending: FloatArray | None = None
+        self._sizes = np.zeros(0)
+
+    @property
+    def smallest_rad(self) -> float:
+        """The smallest step that is told from noise; infinite where none is."""
+        return math.inf if self._plan is None else float(self._bounds[-1])
+
+    @property
+    def judges(self) -> bool:
+        """Whether samples are judged by a line as long as it is to be."""
+        return self._plan is not None and self._plan is self._full and self._judges
+
+    def look(
+        self,
+        sample: AttitudeSample,
+        integrated: Integrated,
+        first_rad: float,
+        coarseness_rad: float,
+    ) -> bool | None:
+        """Whether a sample lies on the line of those kept; None where that is not known, and NaN does not.
+
+        Args:
+            sample: with a rate; later than all kept.
+            integrated: the attitude by its rates.
+            first_rad: how far a good sample may be from the line as long as the watch has not learnt it itself.
+            coarseness_rad: steps in which the attitude is printed; zero where every value is new.
+        """
+        self._pending, time_ns = None, sample.time_ns
+        if self._full is None:
+            if 0 < self._period.seen(time_ns) <= _LONGEST_PERIOD_NS:
+                self._make_plan()
+            return None
+        if integrated.run != self._run or time_ns - self._last_ns > _GAP * self._period.ns:
+            self.restart()
+            self._run, self._missed_rad = integrated.run, integrated.missed_rad
+        if self._to_line is None:
+            self._to_line = integrated.rotation.dot(sample.rotation_nd.T)
+        missed_rad = integrated.missed_rad - self._missed_rad
+        # What integration misses alike in every step is a slope. A change of it feigns a step.
+        feigned_rad = abs(missed_rad - self._missed_before_rad)
+        self._missed_rad, self._missed_before_rad = integrated.missed_rad, missed_rad
+        self._now_ns = time_ns
+        self._first_rad, self._coarseness_rad = first_rad, coarseness_rad
+        self._newest, self._rates[self._end] = self._end, sample.rate_d
+        (row,) = compiled_rotations.differences(sample.rotation_nd[None], integrated.rotation[None], self._to_line)
+        self._rows[self._end] = self._pending = row
+        plan = self._plan
+        if plan is None:
+            return None
+        if feigned_rad > self._feigned_rad:
+            self._feigned_rad = 1.5 * feigned_rad
+            self._set_bounds(plan)
+        rows = self._rows[self._end + 1 - plan.length : self._end + 1]
+        self._sizes = compiled_watch.step_sizes(self._scaled, rows)
+        if not self._judges:
+            return None
+        # Where more than this sample alone speaks for a step, it began before, and this sample goes on after it.
+        own, *others = self._sizes.tolist()
+        return bool(own <= 1.0 or max(others, default=0.0) > own)
+
+    def match(self) -> Match:
+        """The sample that was looked at last, against the line."""
+        assert self._plan is not None
+        step = self._plan.weights[0].dot(self._rows[self._end + 1 - self._plan.length : self._end + 1])
+        return Match(step, float(self._bounds[0]), bool(self._sizes[0] <= 1.0))
+
+    def keep(self) -> FoundStep | None:
+        """Take the sample that was looked at last for a good one; the step that it makes known, if any."""
+        if self._pending is None:
+            return None
+        self._times[self._end] = self._last_ns = self._now_ns
+        self._end, self._pending = self._end + 1, None
+        plan = self._plan
+        if plan is not None and len(self._sizes) and not max(self._sizes.tolist()) <= 1.0 and not self._lags(plan):
+            found = self._found()
+            self.restart()
+            return found
+        self._since_learnt += 1
+        if self._since_learnt >= self._learn_every:
+            self._learn()
+        if self._end == len(self._rows):
+            self._shift()
+        return None
+
+    def follow(
+        self,
+        times_ns: StampArray,
+        rotations_nd: FloatArray,
+        rates_d: FloatArray,
+        integrated: IntegratedRun,
+        first_rad: float,
+        coarseness_rad: float,
+    ) -> int:
+        """Take the samples of a block, from the first one on, that lie on the line of those kept; returns how many.
+
+        Each is taken as by :meth:`look` and :meth:`keep`. The next one may be taken likewise, after what was learnt
+        with the last one; where none is taken the first one is for these: it may be off the line, or begin one.
+
+        Args:
+            times_ns: stamps, each later than all kept, shape (N,).
+            rotations_nd: attitudes, shape (N, 3, 3).
+            rates_d: rad/s, shape (N, 3).
+            integrated: the attitudes by the rates.
+            first_rad: and the next one as in :meth:`look`.
+            coarseness_rad: rad.
+        """
+        plan, end = self._plan, self._end
+        if plan is None or self._to_line is None or not self.judges or integrated.run != self._run:
+            return 0
+        self._first_rad, self._coarseness_rad = first_rad, coarseness_rad
+        some = slice(min(len(times_ns), len(self._rows) - end))
+        count, sizes, *learnt = compiled_watch.followed(
+            times_ns[some],
+            compiled_rotations.differences(rotations_nd[some], integrated.rotations[some], self._to_line),
+            integrated.missed_rad[some],
+            end,
+            self._last_ns,
+            _GAP * self._period.ns,
+            self._missed_rad,
+            self._missed_before_rad,
+            self._feigned_rad,
+            plan.weights,
+            self._least_rad,
+            self._shares,
+            ACROSS * coarseness_rad,
+            first_rad,
+            self._learn_every,
+            self._since_learnt,
+            self._learns,
+            self._rows,
+            self._high,
+            self._bounds,
+            self._scaled,
+        )
+        if count == 0:
+            return 0
+        self._missed_before_rad, self._feigned_rad, self._since_learnt, self._learns = learnt
+        self._sizes, self._missed_rad = sizes, float(integrated.missed_rad[count - 1])
+        self._rates[end : end + count], self._times[end : end + count] = rates_d[:count], times_ns[:count]
+        self._end, self._newest, self._pending = end + count, end + count - 1, None
+        self._last_ns = self._now_ns = int(times_ns[count - 1])
+        if self._end == len(self._rows):
+            self._shift()
+        return int(count)
+
+    def _lags(self, plan: StepPlan) -> bool:
+        """Whether rates that lag a little explain what looks like a step, as where a turn begins."""
+        steps = plan.weights.dot(self._rates[self._newest + 1 - plan.length : self._newest + 1])
+        feigned_rad = _LAG_S * np.sqrt(np.sum(steps * steps, axis=1))
+        return bool(np.all(np.sqrt(self._sizes) * self._bounds <= self._bounds + feigned_rad))
+
+    # -- what is learnt -------------------------------------------------------------------------------------
+
+    def _make_plan(self) -> None:
+        """Choose how long the line is by the period of the samples and their noise, and learn anew."""
+        per_s = SECOND_NS / self._period.ns
+        after = max(round(_AFTER_S * per_s), 1)
+        lengths = {max(round(seconds * per_s), _LEAST_BEFORE) + after for seconds in _BEFORE_S}
+        plans = [step_plan(length, doubling(after)) for length in sorted(lengths)]
+        self._full = min(plans, key=lambda plan: float(np.sum(self._sigmas(plan))))
+        self._rows, self._rates = np.zeros((2, _ROOM * self._full.length, 3))
+        self._times = np.zeros(len(self._rows), dtype=np.int64)
+        self._learn_every = max(round(per_s / _LEARN_HZ), 1)
+        self._high = np.zeros(len(self._full.counts))
+        self.forget()
+
+    def _learn(self) -> None:
+        """Learn how large the steps are that no sample made, and go over to a longer line where there is one."""
+        assert self._full is not None
+        self._since_learnt, full, before = 0, self._full, self._plan
+        if before is full:
+            self._learns += 1
+            compiled_watch.learn(self._sizes, self._bounds, self._learns, self._high)
+            if self._learns % compiled_watch.SET_EVERY == 0 or not self._judges:
+                self._feigned_rad *= compiled_watch.FORGET
+                self._set_bounds(full)
+            return
+        for share in (1, 2, 4):
+            length = full.length // share
+            if self._end >= length:
+                after = [count for count in full.counts if share == 1 or count <= length // 3]
+                self._go_over(full if share == 1 else step_plan(length, tuple(after) or (1,)))
+                return
+
+    def _go_over(self, plan: StepPlan) -> None:
+        """Judge by another line from now on."""
+        assert self._full is not None
+        self._plan = plan
+        self._least_rad = _SIGMAS * self._sigmas(plan)
+        self._shares = plan.white / self._full.white[: len(plan.white)]
+        self._bounds, self._scaled = np.empty(len(plan.white)), np.empty(plan.weights.shape)
+        self._set_bounds(plan)
+
+    def _set_bounds(self, plan: StepPlan) -> None:
+        """The largest steps that errors of good samples feign."""
+        self._judges = compiled_watch.set_bounds(
+            plan.weights,
+            self._least_rad,
+            self._shares,
+            self._high,
+            self._learns,
+            ACROSS * self._coarseness_rad,
+            self._feigned_rad,
+            self._first_rad,
+            self._bounds,
+            self._scaled,
+        )
+
+    def _sigmas(self, plan: StepPlan) -> FloatArray:
+        """Sigma of each step of a plan by the noise of attitudes and rates, each axis, rad."""
+        turn_rad = self._rate_sigma * self._period.ns * 1e-9
+        sigmas: FloatArray = np.hypot(self._white_rad * plan.white, turn_rad * plan.walk)
+        return sigmas
+
+    def _shift(self) -> None:
+        """Make room for further samples, and let the line start anew where it has led far."""
+        assert self._full is not None
+        keep, rows = self._full.length, self._rows
+        seconds = float(self._times[-1] - self._times[0]) * 1e-9 * (1.0 - 1.0 / _ROOM)
+        drift_n = (rows[-keep:].mean(axis=0) - rows[:keep].mean(axis=0)) / seconds
+        typical_rad = math.sqrt(float(np.mean(np.sum(np.diff(rows, axis=0) ** 2, axis=1))))
+        self.learnt = Learnt(drift_n, seconds, size(self._rates.mean(axis=0)), typical_rad)
+        for values in (rows, self._rates, self._times):
+            values[:keep] = values[-keep:].copy()
+        self._end = keep
+        if size(rows[keep - 1]) > _FAR_RAD:
+            assert self._to_line is not None
+            self._to_line = self._to_line.dot(exp_rotation(-rows[keep - 1]))
+            rows[:keep] -= rows[keep - 1].copy()
+
+    def _found(self) -> FoundStep:
+        """The step between the samples kept, as large as it is and at all moments at which it may have happened."""
+        assert self._plan is not None
+        worst = max(range(len(self._sizes)), key=self._sizes.tolist().__getitem__)
+        # By how much the samples are worse than their noise says.
+        excess = float(self._bounds[worst]) / (_SIGMAS * float(self._sigmas(self._plan)[worst]))
+        everywhere = step_plan(self._plan.length, tuple(range(1, self._plan.counts[-1] + 1)))
+        sigmas_rad = excess * self._sigmas(everywhere)
+        rows = self._rows[self._end - everywhere.length : self._end]
+        step_n, sigma_rad, counts = located(everywhere, rows, sigmas_rad)
+        first_ns, last_ns = (int(self._times[self._end - count]) for count in (max(counts), min(counts)))
+        return FoundStep(first_ns, last_ns, step_n, sigma_rad)

@@ -1,0 +1,95 @@
+"""The watch of an attitude against its rates: samples of a block against the same samples one by one.
+
+Whether it finds the steps that it must find is asked in test_integrated_rates.
+"""
+
+import copy
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ship_estimation.integrated_rates import Integrated, IntegratedRun
+from ship_estimation.step_watch import StepWatch
+from ship_geometry.attitude_track import AttitudeSample
+from ship_geometry.rotations import exp_rotation
+
+_RATE_NS, _SAMPLES = 10_000_000, 3000
+
+
+class Stream:
+    """Samples of an attitude that stands still, with noise, and the attitude by the rates, which drifts."""
+
+    def __init__(self, stepped_from: int, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        turned = rng.normal(0.0, 5e-6, (_SAMPLES, 3))
+        turned[stepped_from:] += [0.0, 4e-5, 0.0]
+        self.times_ns = np.arange(_SAMPLES) * _RATE_NS
+        self.rotations = np.array([exp_rotation(vector) for vector in turned])
+        drift = np.arange(_SAMPLES)[:, None] * np.array([1e-8, 0.0, 2e-8])
+        self.by_rates = np.array([exp_rotation(vector) for vector in drift])
+        self.rates = rng.normal(0.0, 1e-5, (_SAMPLES, 3))
+        # What the integration may miss grows unsteadily, so that the bounds must widen now and then.
+        self.missed = np.cumsum(rng.choice([1e-9, 5e-7], _SAMPLES, p=[0.99, 0.01]))
+
+    def look(self, watch: StepWatch, number: int) -> bool | None:
+        """Let the watch look at one sample."""
+        sample = AttitudeSample(int(self.times_ns[number]), self.rotations[number], self.rates[number])
+        integrated = Integrated(self.by_rates[number], 0, float(self.missed[number]))
+        return watch.look(sample, integrated, first_rad=1e-4, coarseness_rad=0.0)
+
+    def follow(self, watch: StepWatch, some: slice) -> int:
+        """Let the watch follow some samples together."""
+        integrated = IntegratedRun(self.by_rates[some], 0, self.missed[some])
+        return watch.follow(self.times_ns[some], self.rotations[some], self.rates[some], integrated, 1e-4, 0.0)
+
+
+def _state(watch: StepWatch) -> dict[str, Any]:
+    """All that the watch goes on from, without rows that nothing stands in any more."""
+    state = dict(vars(watch))
+    for name in ("_rows", "_rates", "_times"):
+        state[name] = state[name][: watch._end]
+    return {name: value.tobytes() if isinstance(value, np.ndarray) else value for name, value in state.items()} | {
+        "_period": watch._period.ns,
+        "learnt": repr(watch.learnt),
+        "_full": None,
+        "_plan": watch.smallest_rad,
+    }
+
+
+@pytest.mark.parametrize("block", [1, 7, 64, 500])
+def test_samples_followed_together_leave_what_they_leave_one_by_one(block: int) -> None:
+    stream, step = Stream(stepped_from=2000, seed=1), 2000
+    single = StepWatch(5e-6, 0.0)
+    for number in range(1000):
+        stream.look(single, number)
+        assert single.keep() is None
+    together, number = copy.deepcopy(single), 1000
+    while count := stream.follow(together, slice(number, number + block)):
+        for other in range(number, number + count):
+            assert stream.look(single, other)
+            assert single.keep() is None
+        assert _state(single) == _state(together)
+        number += count
+    # The first one that is off the line is for look().
+    assert step <= number < step + 20
+    assert stream.look(single, number) is not None
+    assert max(single._sizes) > 1.0
+
+
+def test_a_sample_that_is_no_number_is_not_followed() -> None:
+    stream, watch = Stream(stepped_from=_SAMPLES, seed=2), StepWatch(5e-6, 0.0)
+    for number in range(1000):
+        stream.look(watch, number)
+        watch.keep()
+    stream.rotations[1010] = np.nan
+    assert stream.follow(watch, slice(1000, 1100)) == 10
+
+
+def test_samples_after_a_gap_are_not_followed() -> None:
+    stream, watch = Stream(stepped_from=_SAMPLES, seed=3), StepWatch(5e-6, 0.0)
+    for number in range(1000):
+        stream.look(watch, number)
+        watch.keep()
+    stream.times_ns[1020:] += 9 * _RATE_NS
+    assert stream.follow(watch, slice(1000, 1100)) == 20
