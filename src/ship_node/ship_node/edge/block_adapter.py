@@ -5,25 +5,46 @@ What a message leads to is what it leads to by itself (:mod:`ship_node.edge.repo
 
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 from ship_bags.cdr_template import CdrRows
 from ship_estimation.refusals import Refusal
 from ship_node.edge.blocks import BlockPart, BlockTurn, PublishedRows, StampArray, parts_with_levels
 from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.reporting_adapter import ReportingAdapter
+from ship_node.edge.topics import Published
 
 
 class BlockAdapter(ReportingAdapter):
     """An adapter that takes the messages of some topics in blocks, too; see :class:`ReportingAdapter`."""
 
+    quiet_ticks: ClassVar[bool] = True
+    """Whether a tick among the messages of a block asks the core for nothing."""
+
     def takes_blocks(self, topic: str) -> bool:
         """Whether the messages of a topic can be given many at once."""
         return self.feeds[topic].block is not None
 
+    def reads_rows(self, topic: str) -> bool:
+        """Whether the messages of a topic can be read many at once, each of which is then taken by itself."""
+        return topic in self.feeds and self.feeds[topic].read_rows is not None
+
+    def read_rows(self, topic: str, messages: CdrRows, receive_ns: StampArray) -> Sequence[ReadMessage[Any] | None]:
+        """What is read of messages, for :meth:`handle_read`; None for each that is to be handled by itself."""
+        read = self.feeds[topic].read_rows
+        assert read is not None
+        return read(messages, receive_ns)
+
+    def handle_read(self, topic: str, reading: ReadMessage[Any], receive_ns: int) -> list[Published]:
+        """Take one message of an input topic that was read before its turn."""
+        if self.saved is not None and self.saved.is_due:
+            self.saved.start(receive_ns)
+        feed = self.feeds[topic]
+        return self.told(feed, reading, feed.take(reading.value, receive_ns), receive_ns, receive_ns)
+
     @property
     def quiet_until_ns(self) -> int:
-        """Time of waiting before which a tick does nothing, as long as blocks are taken as they come."""
+        """Time of waiting before which a tick asks nothing but the core, as long as blocks are taken as they come."""
         if self.slow_due_ns is None or (self.saved is not None and self.saved.is_due):
             return 0
         if self.saved is None:

@@ -4,7 +4,7 @@ A node is given, moment by moment, what it is given one by one: what the nodes b
 the bag or the tick. Only what does not depend on the others is done for the messages of a block together.
 """
 
-from collections.abc import Mapping, Set
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -14,6 +14,7 @@ from ship_bags.cdr_template import CdrRows
 from ship_node.edge.adapter import TICK_PERIOD_NS, Adapter
 from ship_node.edge.block_adapter import BlockAdapter
 from ship_node.edge.blocks import BlockPart, BlockTurn, PublishedRows, StampArray
+from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.topics import Published
 
 _PATIENCE = 8
@@ -47,6 +48,15 @@ class TopicBlock(NamedTuple):
     messages: CdrRows
     times_ns: StampArray
     places: StampArray
+
+
+def read_ahead(
+    adapter: Adapter, topic: str, messages: CdrRows, times_ns: StampArray
+) -> Sequence[ReadMessage[Any] | None]:
+    """What a node reads of messages before their turn; None for each that it reads then."""
+    if isinstance(adapter, BlockAdapter) and adapter.reads_rows(topic):
+        return adapter.read_rows(topic, messages, times_ns)
+    return [None] * len(times_ns)
 
 
 class EstimatesOfMoments(NamedTuple):
@@ -89,7 +99,8 @@ class NodePass:
         taken: topics that it takes.
         moments: in order.
         rows: topic → its messages, of topics that some node may take in blocks; the others are decoded.
-        given: number of a moment → what the nodes before it published there, of topics that it takes.
+        given: number of a moment → what the nodes before it published there, of topics that it takes: messages, and
+            what :func:`read_ahead` gave of such.
     """
 
     def __init__(
@@ -102,6 +113,11 @@ class NodePass:
     ) -> None:
         self._adapter, self._taken, self._moments, self._given = adapter, taken, moments, given
         self._rows, self._next = rows, dict.fromkeys(rows, 0)
+        self._read = {
+            topic: read_ahead(adapter, topic, block.messages, block.times_ns)
+            for topic, block in rows.items()
+            if topic in taken
+        }
         # The same node, as one that takes blocks; None where it does not.
         self._ahead = adapter if isinstance(adapter, BlockAdapter) else None
         self._turn: BlockTurn | None = None
@@ -132,15 +148,26 @@ class NodePass:
             self.passed.rows.append(RowsOfMoments(rows, places[rows.places], orders[rows.places]))
 
     def _tick(self, place: int, now_ns: int) -> None:
-        # In the time of a block no tick does anything, or the block would end before it.
-        if self._turn is None:
-            self._publish(place, self._adapter.tick(now_ns))
+        # In the time of a block a tick does nothing for the node itself, or the block would end before it.
+        if self._turn is not None and self._ahead is not None and self._ahead.quiet_ticks:
+            return
+        self._take_arrived()
+        self._publish(place, self._adapter.tick(now_ns))
 
-    def _handle(self, place: int, topic: str, message: Any) -> None:
+    def _take_arrived(self) -> None:
+        """Let the messages of a block that came have their turn, before another input has."""
         if self._turn is not None:
             assert self._ahead is not None
             self._publish_parts(self._ahead.take_ahead(self._turn, self._arrived))
-        self._publish(place, self._adapter.handle(topic, message, self._moments[place].now_ns))
+
+    def _handle(self, place: int, topic: str, message: Any) -> None:
+        self._take_arrived()
+        now_ns = self._moments[place].now_ns
+        if isinstance(message, ReadMessage):
+            assert self._ahead is not None
+            self._publish(place, self._ahead.handle_read(topic, message, now_ns))
+        else:
+            self._publish(place, self._adapter.handle(topic, message, now_ns))
 
     def _arrive(self, place: int, moment: Moment) -> None:
         """A message that stands among rows."""
@@ -149,7 +176,9 @@ class NodePass:
         if self._turn is None and self._ahead is not None and self._ahead.takes_blocks(moment.topic):
             self._turn = self._begin(self._ahead, moment.topic, number)
         if self._ahead is None or self._turn is None or self._turn.topic != moment.topic:
-            self._handle(place, moment.topic, self._rows[moment.topic].messages.message(number))
+            reading = self._read[moment.topic][number]
+            message = self._rows[moment.topic].messages.message(number) if reading is None else reading
+            self._handle(place, moment.topic, message)
             return
         self._arrived += 1
         if self._arrived == self._turn.ahead.count:
