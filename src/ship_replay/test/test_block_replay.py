@@ -28,6 +28,7 @@ from ship_replay.trials.fault_voyage import make_bag, taken_topics
 from ship_replay.trials.threats import OVERLAPPING, SINGLE, draw_faults
 from ship_simulation.draws.noise import random_stream
 from ship_simulation.faults.injection import Injection
+from theodolite_calib.optical_axis.output import PointingOutput
 
 SCENARIOS = Path(__file__).resolve().parents[3] / "bags" / "scenarios"
 NAMES = ["demo", "everything", "late_shuffled", "outage", "paper_stars", "sea_state_5", "theodolite", "three_sensors"]
@@ -155,3 +156,17 @@ def test_most_of_a_healthy_ins_is_taken_in_blocks(
     monkeypatch.setattr(core, "end_ahead", counted)
     _, summary = replayed(BlockRun, suite_bag, Injection(suite_bag, {}, 0))
     assert sum(taken) > 0.8 * summary.inputs["ins/imu"]
+
+
+def test_nearly_all_pointings_are_put_out_together(suite_bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    counts = []
+    of_due = PointingOutput.of_due
+
+    def counted(self: PointingOutput, due: Any) -> Any:
+        counts.append(len(due))
+        return of_due(self, due)
+
+    monkeypatch.setattr(PointingOutput, "of_due", counted)
+    _, summary = replayed(BlockRun, suite_bag, Injection(suite_bag, {}, 0))
+    assert sum(counts) > 0.8 * summary.inputs["theodolite/encoder"]
+    assert max(counts) > 10

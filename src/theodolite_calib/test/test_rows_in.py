@@ -100,10 +100,11 @@ def test_messages_read_together_are_those_read_alone(kind: str) -> None:
     changes += [{"header": {"stamp": stamp, "frame_id": FRAMES[kind]}} for stamp in STAMPS]
     changes += [{}] * (COUNT - len(changes))
     messages = [FACTORY.make(type_name, **{**fields(kind, n), **changed}) for n, changed in enumerate(changes)]
-    found = read_rows(rows(type_name, messages), receive_ns := START_NS + 10_000_000 * np.arange(COUNT))
-    for one, reading, now_ns in zip(messages, found, receive_ns.tolist(), strict=True):
+    block, receive_ns = rows(type_name, messages), START_NS + 10_000_000 * np.arange(COUNT)
+    found = read_rows(block, receive_ns)
+    for number, reading in enumerate(found):
         if reading is not None:
-            assert content(reading) == content(read(one, receive_ns=now_ns))
+            assert content(reading) == content(read(block.message(number), receive_ns=int(receive_ns[number])))
     assert sum(reading is not None for reading in found) > COUNT // 2
 
 

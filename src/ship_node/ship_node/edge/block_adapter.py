@@ -86,19 +86,24 @@ class BlockAdapter(ReportingAdapter):
             self.health.took_block(turn.topic, turn.receive_ns[:usual], times_ns, known)
         parts: list[BlockPart] = []
         for some, found in feed.block.core.estimates_ahead(turn.ahead):
-            parts += self._parts(some, found, turn)
+            parts += self.parts(some, found, turn.reading.samples.times_ns)
         last = feed.block.core.end_ahead(turn.ahead)
         if last is not None:
             reading, now_ns = ReadMessage(turn.reading.samples.one(usual), known), int(turn.receive_ns[usual])
             parts.append(BlockPart(usual, self.told(feed, reading, last, now_ns, now_ns)))
         return parts
 
-    def _parts(self, some: slice, found: Any, turn: BlockTurn) -> Iterator[BlockPart]:
-        """What estimates of a block lead to, with the protection levels that are told before some of them."""
+    def parts(self, some: slice, found: Any, times_ns: Sequence[int] | StampArray) -> Iterator[BlockPart]:
+        """What estimates lead to, with the protection levels that are told before some of them.
+
+        Args:
+            some: their places among all that are made together.
+            found: a run of them, or why they could not be computed.
+            times_ns: stamps of all that are made together.
+        """
         if isinstance(found, Refusal):
             for place in range(some.start, some.stop):
-                time_ns = int(turn.reading.samples.times_ns[place])
-                yield BlockPart(place, [self.failed(self.main_topic, time_ns, found)])
+                yield BlockPart(place, [self.failed(self.main_topic, int(times_ns[place]), found)])
             return
         if self.integrity_topic:
             checked_by = list(zip(*self.checked_by(found), strict=True))

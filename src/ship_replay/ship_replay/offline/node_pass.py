@@ -14,6 +14,7 @@ from ship_bags.cdr_template import CdrRows
 from ship_node.edge.adapter import TICK_PERIOD_NS, Adapter
 from ship_node.edge.block_adapter import BlockAdapter
 from ship_node.edge.blocks import BlockPart, BlockTurn, PublishedRows, StampArray
+from ship_node.edge.deferring_adapter import DeferringAdapter
 from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.topics import Published
 
@@ -60,11 +61,11 @@ def read_ahead(
 
 
 class EstimatesOfMoments(NamedTuple):
-    """Estimates, one at each of several moments; ``order`` is their place among what else was published there."""
+    """Estimates, one at each of several moments; ``orders`` are their places among what else was published there."""
 
     topic: str
     places: StampArray
-    order: int
+    orders: StampArray
     estimates: Any
 
 
@@ -123,6 +124,11 @@ class NodePass:
         self._turn: BlockTurn | None = None
         self._turn_places: StampArray = np.empty(0, dtype=np.int64)
         self._arrived = self._patience = self._order = 0
+        # The same node, as one whose outputs are put out together, and the moment and the order of each of these.
+        self._deferring = adapter if isinstance(adapter, DeferringAdapter) else None
+        self._promised: list[tuple[int, int]] = []
+        if self._deferring is not None:
+            self._deferring.defer()
         self.passed = Passed()
 
     def run(self) -> Passed:
@@ -137,13 +143,15 @@ class NodePass:
                     self._arrive(place, moment)
                 elif moment.message is not None:
                     self._handle(place, moment.topic, moment.message)
+        if self._deferring is not None and self._promised:
+            self._publish_promised(self._deferring)
         if self._ahead is not None and self.passed.runs:
             self._make_messages(self._ahead, self.passed.runs)
         return self.passed
 
     def _make_messages(self, adapter: BlockAdapter, runs: list[EstimatesOfMoments]) -> None:
         places = np.concatenate([run.places for run in runs])
-        orders = np.repeat([run.order for run in runs], [len(run.places) for run in runs])
+        orders = np.concatenate([run.orders for run in runs])
         for rows in adapter.block_messages([run.estimates for run in runs]):
             self.passed.rows.append(RowsOfMoments(rows, places[rows.places], orders[rows.places]))
 
@@ -206,6 +214,21 @@ class NodePass:
         if published:
             self.passed.single.append((place, self._order, published))
             self._order += 1
+        if self._deferring is not None:
+            while len(self._promised) < self._deferring.promised:
+                self._promised.append((place, self._order))
+                self._order += 2  # for what is published before it, and itself
+
+    def _publish_promised(self, adapter: DeferringAdapter) -> None:
+        """What the moments of this pass have led to and was put out together."""
+        places, orders = np.array(self._promised, dtype=np.int64).T
+        for part in adapter.take_parts():
+            if part.published:
+                self.passed.single.append((int(places[part.place]), int(orders[part.place]), part.published))
+            if part.estimates is not None:
+                some = slice(part.place, part.place + len(part.estimates.time_ns))
+                run = EstimatesOfMoments(adapter.main_topic, places[some], orders[some] + 1, part.estimates)
+                self.passed.runs.append(run)
 
     def _publish_parts(self, parts: list[BlockPart]) -> None:
         assert self._ahead is not None
@@ -213,5 +236,6 @@ class NodePass:
             self._publish(int(self._turn_places[part.place]), part.published)
             if part.estimates is not None:
                 places = self._turn_places[part.place : part.place + len(part.estimates.time_ns)]
-                self.passed.runs.append(EstimatesOfMoments(self._ahead.main_topic, places, self._order, part.estimates))
+                orders = np.full(len(places), self._order)
+                self.passed.runs.append(EstimatesOfMoments(self._ahead.main_topic, places, orders, part.estimates))
                 self._order += 1

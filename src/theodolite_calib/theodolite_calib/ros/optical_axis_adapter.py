@@ -14,8 +14,8 @@ from ship_geometry.ros_axes import flu_from_device_vector
 from ship_geometry.rotations import ARCSEC
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.documents.saved_start import SavedStart
-from ship_node.edge.block_adapter import BlockAdapter
 from ship_node.edge.blocks import PublishedRows
+from ship_node.edge.deferring_adapter import DeferringAdapter
 from ship_node.edge.messages_out import (
     BUDGET_TYPE,
     INNOVATION_TYPE,
@@ -70,7 +70,7 @@ _BY = {
 }
 
 
-class OpticalAxisAdapter(BlockAdapter):
+class OpticalAxisAdapter(DeferringAdapter):
     """The theodolite's optical axis from lights on drones, encoders and the ship's attitude, with its error budget.
 
     Args:
