@@ -1,5 +1,5 @@
 # The same lines stand in the setup.py of every package: colcon builds each package from its own file alone.
-# This one compiles a module besides.
+# This one compiles two modules besides.
 from Cython.Build import cythonize
 from setuptools import Extension, find_packages, setup
 
@@ -13,10 +13,11 @@ setup(
     ext_modules=cythonize(
         [
             Extension(
-                "theodolite_calib.filter.compiled_rows",
-                ["theodolite_calib/filter/compiled_rows.py"],
+                f"theodolite_calib.{name}",
+                [f"theodolite_calib/{name.replace('.', '/')}.py"],
                 extra_compile_args=["-O3", "-ffp-contract=off"],
             )
+            for name in ("filter.compiled_rows", "measured.compiled_cubics")
         ],
         quiet=True,  # colcon reads what this file prints
     ),

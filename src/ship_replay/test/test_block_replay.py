@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_attitude_star.ship_attitude.ahead import InsAhead
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
+from ship_attitude_star.star_attitude.core import StarCore
 from ship_bags.mcap.bag_reader import BagRecord, read_bag
 from ship_bags.message_store import RosbagsFactory, serialize
 from ship_bags.stamps import NS_PER_S
@@ -28,11 +28,12 @@ from ship_replay.trials.fault_voyage import make_bag, taken_topics
 from ship_replay.trials.threats import OVERLAPPING, SINGLE, draw_faults
 from ship_simulation.draws.noise import random_stream
 from ship_simulation.faults.injection import Injection
+from theodolite_calib.optical_axis.output import PointingOutput
 
 SCENARIOS = Path(__file__).resolve().parents[3] / "bags" / "scenarios"
 NAMES = ["demo", "everything", "late_shuffled", "outage", "paper_stars", "sea_state_5", "theodolite", "three_sensors"]
 FAULTED_BAGS = int(os.environ.get("FAULTED_BAGS", "6"))
-FAULT_SECONDS = 45.0
+FAULT_SECONDS, SUITE_SECONDS = 45.0, 30.0
 
 Published = dict[str, list[tuple[int, bytes]]]
 
@@ -105,34 +106,67 @@ def clean_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return make_bag(SCENARIOS / "demo.yaml", FAULT_SECONDS, 2, tmp_path_factory.mktemp("faulted") / "demo.mcap")
 
 
-@pytest.mark.parametrize("seed", range(FAULTED_BAGS))
-def test_faulted_bags(clean_bag: Path, seed: int) -> None:
+@pytest.fixture(scope="session")
+def suite_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """All nodes: star sensors whose stars are solved, and the theodolite by ship/attitude."""
+    path = tmp_path_factory.mktemp("faulted") / "everything.mcap"
+    return make_bag(SCENARIOS / "everything.yaml", SUITE_SECONDS, 2, path)
+
+
+def drawn_faults(bag_path: Path, seed: int) -> Injection:
     mode = (SINGLE, OVERLAPPING)[seed % 2]
-    with read_bag(clean_bag) as bag:
+    with read_bag(bag_path) as bag:
         rng = random_stream(seed, f"voyage.{mode}")
         length_s = ((bag.end_ns or 0) - (bag.start_ns or 0)) / NS_PER_S
         drawn = draw_faults(taken_topics(bag), length_s, mode, IntegrityConfig().return_after_s, rng)
-    faults = {f"f{number}": one.fault for number, one in enumerate(drawn)}
-    assert_equal(clean_bag, Injection(clean_bag, faults, seed))
+    return Injection(bag_path, {f"f{number}": one.fault for number, one in enumerate(drawn)}, seed)
+
+
+@pytest.mark.parametrize("seed", range(FAULTED_BAGS))
+def test_faulted_bags(clean_bag: Path, seed: int) -> None:
+    assert_equal(clean_bag, drawn_faults(clean_bag, seed))
+
+
+@pytest.mark.parametrize("seed", range(FAULTED_BAGS // 2))
+def test_faulted_bags_of_all_nodes(suite_bag: Path, seed: int) -> None:
+    assert_equal(suite_bag, drawn_faults(suite_bag, seed))
 
 
 @pytest.mark.parametrize("most", [7, 100])
+@pytest.mark.parametrize("bag", ["clean_bag", "suite_bag"])
 def test_where_blocks_end_makes_no_difference(
-    clean_bag: Path, most: int, monkeypatch: pytest.MonkeyPatch
+    bag: str, most: int, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
 ) -> None:
     monkeypatch.setattr(block_run, "_MOST", most)
-    assert_equal(clean_bag)
+    assert_equal(request.getfixturevalue(bag))
 
 
-def test_most_of_a_healthy_ins_is_taken_in_blocks(clean_bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("core", [ShipAttitudeCore, StarCore])
+def test_most_of_a_healthy_ins_is_taken_in_blocks(
+    suite_bag: Path, core: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Otherwise what is held against one by one would be one by one itself."""
     taken = []
-    end_ahead = ShipAttitudeCore.end_ahead
+    end_ahead = core.end_ahead
 
-    def counted(self: ShipAttitudeCore, ahead: InsAhead) -> Any:
+    def counted(self: Any, ahead: Any) -> Any:
         taken.append(ahead.usual)
         return end_ahead(self, ahead)
 
-    monkeypatch.setattr(ShipAttitudeCore, "end_ahead", counted)
-    _, summary = replayed(BlockRun, clean_bag, Injection(clean_bag, {}, 0))
-    assert sum(taken) > 0.9 * summary.inputs["ins/imu"]
+    monkeypatch.setattr(core, "end_ahead", counted)
+    _, summary = replayed(BlockRun, suite_bag, Injection(suite_bag, {}, 0))
+    assert sum(taken) > 0.8 * summary.inputs["ins/imu"]
+
+
+def test_nearly_all_pointings_are_put_out_together(suite_bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    counts = []
+    of_due = PointingOutput.of_due
+
+    def counted(self: PointingOutput, due: Any) -> Any:
+        counts.append(len(due))
+        return of_due(self, due)
+
+    monkeypatch.setattr(PointingOutput, "of_due", counted)
+    _, summary = replayed(BlockRun, suite_bag, Injection(suite_bag, {}, 0))
+    assert sum(counts) > 0.8 * summary.inputs["theodolite/encoder"]
+    assert max(counts) > 10

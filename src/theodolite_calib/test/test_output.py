@@ -2,6 +2,7 @@
 
 import functools
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,9 +17,9 @@ from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import chain_rows
 from theodolite_calib.filter.step import SightingStep
 from theodolite_calib.filter.trust import Conflict
-from theodolite_calib.measured.samples import EncoderRun, Exposure, Mode, PointingEstimate
-from theodolite_calib.measured.tracks import ShipRun
-from theodolite_calib.optical_axis.output import CorrectedAxis, PointingOutput
+from theodolite_calib.measured.samples import EncoderRun, EncoderSample, Exposure, Mode, PointingEstimate, PointingRun
+from theodolite_calib.measured.tracks import ShipAt, ShipRun
+from theodolite_calib.optical_axis.output import CorrectedAxis, DuePointing, PointingOutput
 
 TIMES_S = np.arange(0.0, 10.0)
 COUNT = 12
@@ -142,3 +143,38 @@ def test_what_depends_on_lights_is_there_while_they_are_recent(source: str) -> N
         assert np.isnan(run.rotation_dm).all()
     else:
         np.testing.assert_allclose(ship.chord_nd @ run.rotation_dm, run.rotation_nm, rtol=0.0, atol=1e-14)
+
+
+def test_pointings_that_are_due_are_those_put_out_at_once_and_one_that_fails_fails_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    settings, filter_, state = seen("ins/imu")
+    later, output = replace(state, refusals=1), PointingOutput(settings, filter_)
+    encoders, ship = readings("ins/imu", state)
+    due = [
+        DuePointing(
+            EncoderSample(int(encoders.time_ns[number]), encoders.angles[number], 1e-5),
+            ShipAt(ship.rotation_nd[number], ship.rate_d[number], None, ship.noise[number], ship.status[number]),
+            encoders.doubt[number],
+            1e-6,
+            state if number < 5 else later,
+        )
+        for number in range(9)
+    ]
+    runs = output.of_due(due)
+    assert [some for some, _ in runs] == [slice(0, 5), slice(5, 9)]
+    for some, run in runs:
+        assert isinstance(run, PointingRun)
+        for number, one in enumerate(due[some]):
+            assert_same_bits(run.one(number), output.estimate(one))
+    estimates, odd_ns = output.estimates, due[6].time_ns
+
+    def failing(encoders: EncoderRun, *rest: Any) -> PointingRun:
+        if odd_ns in encoders.time_ns:
+            raise ValueError("no number")
+        return estimates(encoders, *rest)
+
+    monkeypatch.setattr(output, "estimates", failing)
+    found = output.of_due(due)
+    assert [some for some, _ in found] == [slice(0, 5), *(slice(number, number + 1) for number in range(5, 9))]
+    assert [isinstance(run, PointingRun) for _, run in found] == [True, True, False, True, True]

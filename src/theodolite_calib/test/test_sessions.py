@@ -59,7 +59,7 @@ def axis_at(filter_: CalibrationFilter, state: CalibrationState, sighting: Sight
     """The main axis at the moment of a sighting by a state, with so much noise of the encoders, rad²."""
     angles = np.array([[sighting.encoder.azimuth, sighting.encoder.elevation]])
     reading = EncoderRun(np.array([sighting.time_ns]), angles, np.array([noise]), [""])
-    axes = CorrectedAxis(filter_, state).axes(ShipRun.of_one(sighting.ship), reading)
+    axes = CorrectedAxis(filter_, state).axes(ShipRun.of([sighting.ship]), reading)
     return AxisAt(axes.rotation_nm[0], axes.parts_n[0])
 
 

@@ -20,7 +20,9 @@ from ship_geometry.frames import angle_covariance, angles_from_rotation
 from ship_geometry.ros_axes import enu_covariance
 from ship_geometry.rotations import ARCSEC
 from ship_node.documents.saved_document import DISK, Files
-from ship_node.edge.ins_messages import ins_sample
+from ship_node.edge.block_adapter import BlockAdapter
+from ship_node.edge.blocks import BlockFeed, PublishedRows
+from ship_node.edge.ins_messages import ins_block, ins_sample
 from ship_node.edge.messages_out import (
     BUDGET_TYPE,
     DECK_FRAME,
@@ -30,7 +32,7 @@ from ship_node.edge.messages_out import (
     error_budget,
     refused_input,
 )
-from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, ReportingAdapter, untimed
+from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, untimed
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
 
 _STARS_TYPE = "ship_msgs/msg/StarObservationArray"
@@ -50,7 +52,7 @@ SILENT_NS = 10_000_000_000
 """A solution put out longer ago than this says nothing of now, ns."""
 
 
-class StarAttitudeAdapter(ReportingAdapter):
+class StarAttitudeAdapter(BlockAdapter):
     """Attitudes from the stars that star sensors see: of each sensor, and of the deck by all of them.
 
     Args:
@@ -65,6 +67,7 @@ class StarAttitudeAdapter(ReportingAdapter):
     main_topic: ClassVar[str] = f"star/{JOINT}/solution"
     innovation_topic: ClassVar[str] = "star/innovation"
     reset_text: ClassVar[str] = "all inputs are forgotten"
+    quiet_ticks: ClassVar[bool] = False
 
     def __init__(self, config: StarAttitudeConfig, factory: MessageFactory, files: Files = DISK) -> None:
         self._watch = installed_sky(config.sky)
@@ -102,11 +105,16 @@ class StarAttitudeAdapter(ReportingAdapter):
         if config.use_ins:
             ins = InputTopic("ins/imu", "sensor_msgs/msg/Imu", False, depth=1000)
             read_ins = functools.partial(ins_sample, config=config.ins)
-            yield Feed(ins, "ins", read_ins, untimed(core.add_ins))
+            block = BlockFeed(functools.partial(ins_block, config=config.ins), core)
+            yield Feed(ins, "ins", read_ins, untimed(core.add_ins), block=block)
 
     def _take_stars(self, seen: SeenStars, waiting_ns: int) -> StarOutcome:
         core: StarCore = self.core
         return core.add_exposure(seen.exposure, seen.refused, waiting_ns)
+
+    def block_messages(self, _runs: Sequence[Any]) -> Iterator[PublishedRows]:
+        """A sample of the INS leads to nothing that is published by itself."""
+        return iter(())
 
     # -- results of the core --------------------------------------------------------------------------------
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from ship_attitude_star.guards.stream_guards import StreamGuards
 from ship_attitude_star.measurements.readings import SkyInput
-from ship_attitude_star.measurements.samples import AttitudeMeasurement
+from ship_attitude_star.measurements.samples import AttitudeMeasurement, StampArray
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.star_attitude.config import JointConfig, ObservingSensorConfig, StarAttitudeConfig
 from ship_attitude_star.star_attitude.exposure_solver import (
@@ -26,7 +26,7 @@ from ship_attitude_star.star_attitude.exposure_solver import (
     solve_deck,
     solve_exposure,
 )
-from ship_attitude_star.star_attitude.ins_motion import InsMotion
+from ship_attitude_star.star_attitude.ins_motion import InsMotion, InsTurns
 from ship_attitude_star.stars.config import JOINT
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.solution import no_attitude
@@ -40,7 +40,7 @@ from ship_estimation.refusals import (
     failure,
     same_stamp,
 )
-from ship_geometry.attitude_track import AttitudeSample
+from ship_geometry.attitude_track import AttitudeSample, SampleBlock
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
@@ -180,6 +180,35 @@ class StarCore:
         self._arrivals.move_to(sample.time_ns)
         self._advance(outcome)
         return outcome
+
+    def look_ahead(self, block: SampleBlock, arrivals_ns: StampArray) -> InsTurns | None:
+        """Judge samples of the INS before their turn; see :meth:`InsMotion.look_ahead`."""
+        return self._ins.look_ahead(block, arrivals_ns, round(self._config.lag_s * SECOND_NS))
+
+    def take_ahead(self, turns: InsTurns, stop: int) -> None:
+        """Samples that were judged ahead have their turn, up to one that is not included."""
+        while turns.taken < stop:
+            # Where an exposure waits, it may be for this very sample. Groups that wait, wait for exposures.
+            end, outcome = turns.taken + 1 if self._waiting else stop, StarOutcome()
+            self._ins.take(turns, end)
+            self._arrivals.move_to(turns.samples[end - 1].time_ns)
+            self._advance(outcome)
+            if outcome.solved or outcome.not_joined:
+                turns.told.append((end - 1, outcome))
+
+    def end_ahead(self, turns: InsTurns) -> StarOutcome | None:
+        """All had their turn: the outcome of the last one where that does not go the usual way."""
+        refusal = self._ins.end(turns)
+        if turns.followed.last is None:
+            return None
+        outcome = StarOutcome(refusal)
+        self._arrivals.move_to(turns.followed.last.sample.time_ns)
+        self._advance(outcome)
+        return outcome
+
+    def estimates_ahead(self, _turns: InsTurns) -> list[tuple[slice, StarOutcome]]:
+        """Nothing is put out with a sample of the INS but what its turn led to."""
+        return []
 
     def add_surroundings(self, given: SkyInput) -> Refusal | None:
         """Take a position fix or a reading of the air; returns why it is not used."""

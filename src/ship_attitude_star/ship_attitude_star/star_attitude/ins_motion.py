@@ -10,23 +10,29 @@ ends meet, and the sum of both where they are samples apart. Several turns to on
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from ship_attitude_star.guards.stream_guards import StreamGuards
+from ship_attitude_star.measurements.samples import StampArray
+from ship_attitude_star.star_attitude.exposure_solver import StarOutcome
 from ship_attitude_star.stars.config import MountingConfig
 from ship_attitude_star.stars.exposure import StarExposure, at_middle
 from ship_attitude_star.stars.selection import StarPrior
 from ship_estimation.ins import InsJump, StarInsConfig
+from ship_estimation.ins_guard import Followed, JudgedIns
 from ship_estimation.refusals import Contradictions, Refusal, same_stamp
-from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, InterpolatedAttitude
+from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, InterpolatedAttitude, SampleBlock
 from ship_geometry.exposure_mean import turning_over
 from ship_geometry.interpolation_error import joint_covariance
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
 INS = "ins"
+
+_AHEAD_NS = SECOND_NS // 10
+"""No stamp that is used is further ahead of its arrival, by half of it."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +65,35 @@ class DeckTurns:
     covariance_d: FloatArray
 
 
+@dataclass
+class InsTurns:
+    """Samples of a block that were judged ahead, and have their turn among the other inputs.
+
+    Attributes:
+        samples: those that go the usual way, from the first one on.
+        values: attitudes of all that were judged, shape (N, 3, 3).
+        followed: what the guard said of them, and of one more where that does not go the usual way.
+        taken: how many had their turn.
+        told: number of a sample, and what its turn led to, as far as nobody has asked for it.
+    """
+
+    samples: list[AttitudeSample]
+    values: FloatArray
+    followed: Followed
+    taken: int = 0
+    told: list[tuple[int, StarOutcome]] = field(default_factory=list)
+
+    @property
+    def count(self) -> int:
+        """How many samples were judged, one that does not go the usual way included."""
+        return len(self.followed.by_rates)
+
+    @property
+    def usual(self) -> int:
+        """How many of them go the usual way."""
+        return len(self.samples)
+
+
 class InsMotion:
     """Attitudes of the deck by their stamps, with the INS's errors as configured.
 
@@ -86,7 +121,48 @@ class InsMotion:
 
     def add(self, sample: AttitudeSample) -> Refusal | None:
         """Take a sample; the refusal where it is not used."""
-        judged = self._guards.ins.judge(sample, self.track, self._guards.witnesses)
+        return self._use(self._guards.ins.judge(sample, self.track, self._guards.witnesses))
+
+    def look_ahead(self, block: SampleBlock, arrivals_ns: StampArray, lag_ns: int) -> InsTurns | None:
+        """Judge samples before their turn, from the first one on, as long as they go the usual way.
+
+        Until all of them had their turn (:meth:`take`, :meth:`end`) no other sample is taken.
+
+        Args:
+            block: samples with rates, in the order of their stamps.
+            arrivals_ns: when each comes, by the clock that judges stamps, shape (N,).
+            lag_ns: samples so late are not used.
+
+        Returns:
+            None where the first one is to be taken by itself.
+        """
+        newest, guard = self.track.newest, self._guards.ins
+        if newest is None or not guard.looks_ahead(int(block.times_ns[0])):
+            return None
+        # No sample after a gap, and none that may be late, whatever else has come before its turn.
+        steps_ns = np.diff(block.times_ns, prepend=newest.time_ns)
+        near = (steps_ns > 0) & (steps_ns <= self._max_gap_ns) & (block.times_ns >= arrivals_ns + _AHEAD_NS - lag_ns)
+        block = block.some(slice(len(near) if near.all() else int(np.argmin(near))))
+        if not len(block.times_ns):
+            return None
+        samples = block.samples()
+        followed = guard.look_ahead(samples, block)
+        count = len(followed.by_rates)
+        usual = samples[: count - (followed.last is not None)]
+        return InsTurns(usual, block.rotations_nd[:count], followed) if count else None
+
+    def take(self, turns: InsTurns, stop: int) -> None:
+        """Samples that were judged ahead have their turn, up to one that is not included."""
+        self.track.extend(turns.samples[turns.taken : stop])
+        turns.taken, self._guards.ins.by_rates = stop, turns.followed.by_rates[stop - 1]
+
+    def end(self, turns: InsTurns) -> Refusal | None:
+        """All samples that were judged ahead had their turn, but for one that does not go the usual way."""
+        self._guards.ins.arrive(turns.values, turns.followed, self._guards.witnesses)
+        return None if turns.followed.last is None else self._use(turns.followed.last)
+
+    def _use(self, judged: JudgedIns) -> Refusal | None:
+        """Use a sample that was judged; the refusal where it is not used."""
         if judged.rates_wrong_after_ns is not None:
             self.track.forget_rates(judged.rates_wrong_after_ns)
         for jump in judged.jumps:

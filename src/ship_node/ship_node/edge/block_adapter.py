@@ -5,25 +5,46 @@ What a message leads to is what it leads to by itself (:mod:`ship_node.edge.repo
 
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 from ship_bags.cdr_template import CdrRows
 from ship_estimation.refusals import Refusal
 from ship_node.edge.blocks import BlockPart, BlockTurn, PublishedRows, StampArray, parts_with_levels
 from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.reporting_adapter import ReportingAdapter
+from ship_node.edge.topics import Published
 
 
 class BlockAdapter(ReportingAdapter):
     """An adapter that takes the messages of some topics in blocks, too; see :class:`ReportingAdapter`."""
 
+    quiet_ticks: ClassVar[bool] = True
+    """Whether a tick among the messages of a block asks the core for nothing."""
+
     def takes_blocks(self, topic: str) -> bool:
         """Whether the messages of a topic can be given many at once."""
         return self.feeds[topic].block is not None
 
+    def reads_rows(self, topic: str) -> bool:
+        """Whether the messages of a topic can be read many at once, each of which is then taken by itself."""
+        return topic in self.feeds and self.feeds[topic].read_rows is not None
+
+    def read_rows(self, topic: str, messages: CdrRows, receive_ns: StampArray) -> Sequence[ReadMessage[Any] | None]:
+        """What is read of messages, for :meth:`handle_read`; None for each that is to be handled by itself."""
+        read = self.feeds[topic].read_rows
+        assert read is not None
+        return read(messages, receive_ns)
+
+    def handle_read(self, topic: str, reading: ReadMessage[Any], receive_ns: int) -> list[Published]:
+        """Take one message of an input topic that was read before its turn."""
+        if self.saved is not None and self.saved.is_due:
+            self.saved.start(receive_ns)
+        feed = self.feeds[topic]
+        return self.told(feed, reading, feed.take(reading.value, receive_ns), receive_ns, receive_ns)
+
     @property
     def quiet_until_ns(self) -> int:
-        """Time of waiting before which a tick does nothing, as long as blocks are taken as they come."""
+        """Time of waiting before which a tick asks nothing but the core, as long as blocks are taken as they come."""
         if self.slow_due_ns is None or (self.saved is not None and self.saved.is_due):
             return 0
         if self.saved is None:
@@ -65,19 +86,24 @@ class BlockAdapter(ReportingAdapter):
             self.health.took_block(turn.topic, turn.receive_ns[:usual], times_ns, known)
         parts: list[BlockPart] = []
         for some, found in feed.block.core.estimates_ahead(turn.ahead):
-            parts += self._parts(some, found, turn)
+            parts += self.parts(some, found, turn.reading.samples.times_ns)
         last = feed.block.core.end_ahead(turn.ahead)
         if last is not None:
             reading, now_ns = ReadMessage(turn.reading.samples.one(usual), known), int(turn.receive_ns[usual])
             parts.append(BlockPart(usual, self.told(feed, reading, last, now_ns, now_ns)))
         return parts
 
-    def _parts(self, some: slice, found: Any, turn: BlockTurn) -> Iterator[BlockPart]:
-        """What estimates of a block lead to, with the protection levels that are told before some of them."""
+    def parts(self, some: slice, found: Any, times_ns: Sequence[int] | StampArray) -> Iterator[BlockPart]:
+        """What estimates lead to, with the protection levels that are told before some of them.
+
+        Args:
+            some: their places among all that are made together.
+            found: a run of them, or why they could not be computed.
+            times_ns: stamps of all that are made together.
+        """
         if isinstance(found, Refusal):
             for place in range(some.start, some.stop):
-                time_ns = int(turn.reading.samples.times_ns[place])
-                yield BlockPart(place, [self.failed(self.main_topic, time_ns, found)])
+                yield BlockPart(place, [self.failed(self.main_topic, int(times_ns[place]), found)])
             return
         if self.integrity_topic:
             checked_by = list(zip(*self.checked_by(found), strict=True))

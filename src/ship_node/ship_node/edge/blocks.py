@@ -5,7 +5,7 @@ one is not as the others, the block ends before it, and it is taken by itself.
 """
 
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,26 +32,45 @@ class ReadBlock(NamedTuple):
     covariance_known: bool = True
 
 
-class AheadCore(Protocol):
-    """What a core has for samples of a block that it judges before their turn.
+class Ahead(Protocol):
+    """Samples of a block that a core has judged before their turn.
 
-    What :meth:`look_ahead` gives tells how many it is (``count``), how many of these go the usual way (``usual``), and
-    what their turns led to besides estimates (``told``: number of a sample, outcome).
+    Attributes:
+        told: number of a sample, and what its turn led to besides estimates, as far as nobody has asked for it.
     """
 
-    def look_ahead(self, samples: Any, arrivals_ns: StampArray) -> Any:
+    told: list[tuple[int, Any]]
+
+    @property
+    def count(self) -> int:
+        """How many samples were judged, one that does not go the usual way included."""
+        ...
+
+    @property
+    def usual(self) -> int:
+        """How many of them go the usual way."""
+        ...
+
+
+SamplesAhead = TypeVar("SamplesAhead", bound=Ahead)
+
+
+class AheadCore(Protocol[SamplesAhead]):
+    """What a core has for samples of a block that it judges before their turn."""
+
+    def look_ahead(self, samples: Any, arrivals_ns: StampArray) -> SamplesAhead | None:
         """Judge samples, from the first one on, as long as they go the usual way; None where the first does not."""
         ...
 
-    def take_ahead(self, ahead: Any, stop: int) -> None:
+    def take_ahead(self, ahead: SamplesAhead, stop: int) -> None:
         """Those that go the usual way have their turn, up to one that is not included."""
         ...
 
-    def end_ahead(self, ahead: Any) -> Any:
+    def end_ahead(self, ahead: SamplesAhead) -> Any:
         """All had their turn: the outcome of the last one where that does not go the usual way, or None."""
         ...
 
-    def estimates_ahead(self, ahead: Any) -> list[tuple[slice, Any]]:
+    def estimates_ahead(self, ahead: SamplesAhead) -> list[tuple[slice, Any]]:
         """Numbers of samples, and their estimates, which rest on one state, or why they could not be computed."""
         ...
 
@@ -65,7 +84,7 @@ class BlockFeed(NamedTuple):
     """
 
     read: Callable[[CdrRows, StampArray], ReadBlock]
-    core: AheadCore
+    core: AheadCore[Any]
 
 
 class BlockTurn(NamedTuple):
@@ -81,7 +100,7 @@ class BlockTurn(NamedTuple):
     topic: str
     reading: ReadBlock
     receive_ns: StampArray
-    ahead: Any
+    ahead: Ahead
 
 
 class BlockPart(NamedTuple):

@@ -10,11 +10,8 @@ from ship_geometry.attitude_track import AttitudeSample, SampleBlock
 from ship_geometry.ros_axes import device_vector_from_ros, rotation_from_quaternion
 from ship_geometry.rotations import FloatArray
 from ship_node.edge.blocks import ReadBlock, StampArray
+from ship_node.edge.columns_in import ship_rates, stamps, unit_quaternions
 from ship_node.edge.messages_in import (
-    FUTURE_TOLERANCE_NS,
-    LARGEST_RATE,
-    LEAST_QUATERNION_NORM,
-    QUATERNION_NORM_TOLERANCE,
     ReadMessage,
     Refused,
     covariance_3x3,
@@ -24,7 +21,6 @@ from ship_node.edge.messages_in import (
     unit_quaternion,
 )
 
-_NS_PER_S = 1_000_000_000
 _RATE_NOT_GIVEN = -1.0
 
 
@@ -64,33 +60,17 @@ def ins_block(messages: CdrRows, receive_ns: StampArray, config: InsInputConfig)
     except Refused:
         # The first one will be refused by itself.
         numbers, covariance = numbers[:0], None
-    times_ns = numbers["header.stamp.sec"].astype(np.int64) * _NS_PER_S + numbers["header.stamp.nanosec"]
-    quaternions = _columns(numbers, "orientation", "xyzw")
-    rates_ros = _columns(numbers, "angular_velocity", "xyz")
-    x, y, z, w = quaternions.T
-    with np.errstate(over="ignore", invalid="ignore"):
-        norms = np.sqrt(x * x + y * y + z * z + w * w)
+    times_ns, timely = stamps(numbers, receive_ns)
+    quaternions, of_norm_1 = unit_quaternions(numbers)
+    rates_ros, of_ship = ship_rates(numbers)
     covariances = numbers["orientation_covariance"].view(np.int64)
-    # Written so that NaN is no good.
-    good = (
-        (numbers["header.stamp.nanosec"] < _NS_PER_S)
-        & (times_ns > 0)
-        & (times_ns <= receive_ns[: len(numbers)] + FUTURE_TOLERANCE_NS)
-        & (norms >= LEAST_QUATERNION_NORM)
-        & (np.abs(norms - 1.0) <= QUATERNION_NORM_TOLERANCE)
-        & (covariances == covariances[:1]).all(axis=1)
-        & (numbers["angular_velocity_covariance"][:, 0] != _RATE_NOT_GIVEN)
-        & (np.abs(rates_ros) <= LARGEST_RATE).all(axis=1)
-    )
+    same_covariance = (covariances == covariances[:1]).all(axis=1)
+    rate_given = numbers["angular_velocity_covariance"][:, 0] != _RATE_NOT_GIVEN
+    good = timely & of_norm_1 & of_ship & same_covariance & rate_given
     count = len(good) if good.all() else int(np.argmin(good))
-    rotations_nd = _rotations_nd(quaternions[:count] / norms[:count, None], config)
+    rotations_nd = _rotations_nd(quaternions[:count], config)
     samples = SampleBlock(times_ns[:count], rotations_nd, _rates_d(rates_ros[:count], config))
     return ReadBlock(samples, covariance is not None)
-
-
-def _columns(numbers: np.ndarray, field: str, names: str) -> FloatArray:
-    """The numbers of a vector in all messages, shape (N, n)."""
-    return np.stack([numbers[f"{field}.{name}"] for name in names], axis=1)
 
 
 def _rotations_nd(quaternions: FloatArray, config: InsInputConfig) -> FloatArray:

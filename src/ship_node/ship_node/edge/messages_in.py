@@ -26,8 +26,8 @@ Value = TypeVar("Value")
 _SECOND_NS = 1_000_000_000
 LEAST_QUATERNION_NORM = 1e-6
 QUATERNION_NORM_TOLERANCE = 1e-2
-_COVARIANCE_TOLERANCE = 1e-6
-_CLEAR_DETERMINANT = 1e-9
+COVARIANCE_TOLERANCE = 1e-6
+CLEAR_DETERMINANT = 1e-9
 """Of correlations: nothing above it is due to rounding."""
 _LONGEST_ID = 64
 _LARGEST_VARIANCE = (2.0 * math.pi) ** 2
@@ -225,10 +225,10 @@ def _covariance_of_bytes(content: bytes) -> FloatArray | None:
     limits = first * second, first * third, second * third
     above, below = (numbers[1], numbers[2], numbers[5]), (numbers[3], numbers[6], numbers[7])
     asymmetry = [abs(one - other) for one, other in zip(above, below, strict=True)]
-    if not all(differs <= _COVARIANCE_TOLERANCE * limit for differs, limit in zip(asymmetry, limits, strict=True)):
+    if not all(differs <= COVARIANCE_TOLERANCE * limit for differs, limit in zip(asymmetry, limits, strict=True)):
         raise Refused(Reason.BAD_COVARIANCE, f"is not symmetric: elements differ by {max(asymmetry):.3g}")
     xy, xz, yz = beside = [0.5 * one + 0.5 * other for one, other in zip(above, below, strict=True)]
-    if not all(abs(one) <= limit * (1.0 + _COVARIANCE_TOLERANCE) for one, limit in zip(beside, limits, strict=True)):
+    if not all(abs(one) <= limit * (1.0 + COVARIANCE_TOLERANCE) for one, limit in zip(beside, limits, strict=True)):
         raise Refused(Reason.BAD_COVARIANCE, "is not positive semidefinite: a correlation exceeds 1")
     symmetric = np.array([[variances[0], xy, xz], [xy, variances[1], yz], [xz, yz, variances[2]]])
     if not _clearly_definite(beside, limits):
@@ -250,7 +250,7 @@ def _clearly_definite(beside: Sequence[float], limits: Sequence[float]) -> bool:
     if not min(limits) > 0.0:
         return False
     a, b, c = [one / limit for one, limit in zip(beside, limits, strict=True)]
-    return abs(a) < 1.0 and 1.0 + 2.0 * a * b * c - a * a - b * b - c * c > _CLEAR_DETERMINANT
+    return abs(a) < 1.0 and 1.0 + 2.0 * a * b * c - a * a - b * b - c * c > CLEAR_DETERMINANT
 
 
 def _without_negative_variance(symmetric: FloatArray, sigma: FloatArray) -> FloatArray:
@@ -262,7 +262,7 @@ def _without_negative_variance(symmetric: FloatArray, sigma: FloatArray) -> Floa
     limit = np.outer(sigma, sigma)
     correlation = symmetric / np.where(limit > 0.0, limit, 1.0)
     eigenvalues, vectors = np.linalg.eigh(correlation)
-    if eigenvalues[0] < -_COVARIANCE_TOLERANCE:
+    if eigenvalues[0] < -COVARIANCE_TOLERANCE:
         text = f"is not positive semidefinite: eigenvalue {eigenvalues[0]:.3g} of correlations"
         raise Refused(Reason.BAD_COVARIANCE, text)
     if eigenvalues[0] < 0.0:

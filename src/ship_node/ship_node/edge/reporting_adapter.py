@@ -6,13 +6,14 @@ nodes add the table, what an estimate becomes, and diagnostics of their own.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any, ClassVar
 
 import numpy as np
 
+from ship_bags.cdr_template import CdrRows
 from ship_bags.errors import BadInput
 from ship_bags.message_factory import MessageFactory
 from ship_bags.stamps import ns_from_stamp
@@ -23,7 +24,7 @@ from ship_estimation.told_levels import ToldLevels
 from ship_node.documents.saved_start import SavedStart
 from ship_node.edge import messages_out
 from ship_node.edge.adapter import ServiceResult
-from ship_node.edge.blocks import BlockFeed
+from ship_node.edge.blocks import BlockFeed, StampArray
 from ship_node.edge.input_health import InputHealthBook
 from ship_node.edge.messages_in import ReadMessage, Refused
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, DiagnosticStatus
@@ -54,6 +55,7 @@ class Feed:
         judged: whether a decision says later if the message was used; otherwise it is used unless refused at once.
         measured_by: what measurements call the device; empty where that is ``source``.
         block: the way of many messages at once (:mod:`ship_node.edge.block_adapter`); None where each is taken alone.
+        read_rows: the reader of many messages, and of when each came: None for each that ``read`` is to read by itself.
     """
 
     input: InputTopic
@@ -63,6 +65,7 @@ class Feed:
     judged: bool = False
     measured_by: str = ""
     block: BlockFeed | None = None
+    read_rows: Callable[[CdrRows, StampArray], Sequence[ReadMessage[Any] | None]] | None = None
 
 
 def untimed(take: Callable[[Any], Any]) -> Callable[[Any, int], Any]:

@@ -161,7 +161,7 @@ class AdapterChain:
             topic
             for adapter, taken in zip(self.adapters, self.taken, strict=True)
             for topic in taken & _names(self.inputs)
-            if isinstance(adapter, BlockAdapter) and adapter.takes_blocks(topic)
+            if isinstance(adapter, BlockAdapter) and (adapter.takes_blocks(topic) or adapter.reads_rows(topic))
         }
 
     def tick(self, now_ns: int) -> list[Published]:

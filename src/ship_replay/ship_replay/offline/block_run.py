@@ -17,10 +17,12 @@ from ship_bags.mcap.bag_reader import BagRecord
 from ship_bags.message_store import definition_in
 from ship_bags.stamps import NS_PER_S
 from ship_bags.topic_names import TRUTH_PREFIX
+from ship_node.edge.adapter import Adapter
+from ship_node.edge.blocks import StampArray
 from ship_node.edge.topics import Published
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.message_times import MessageTimes
-from ship_replay.offline.node_pass import Moment, NodePass, Passed, TopicBlock
+from ship_replay.offline.node_pass import Moment, NodePass, Passed, TopicBlock, read_ahead
 from ship_replay.offline.ordered_output import ManySink, OrderedOutput
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 from ship_replay.offline.status_course import StatusCourse
@@ -67,7 +69,7 @@ class BlockRun(ReplayRun):
         self._note(moments, of_moment, rows)
         passed: list[Passed] = []
         for adapter, taken in zip(self._chain.adapters, self._chain.taken, strict=True):
-            given = self._given(passed, taken) if self._chain.linked else {}
+            given = self._given(adapter, passed, taken, moments) if self._chain.linked else {}
             passed.append(NodePass(adapter, taken, moments, rows, given).run())
             self._add_rows(len(passed) - 1, passed[-1], moments)
         self._hand_on(moments, of_moment, passed)
@@ -143,17 +145,25 @@ class BlockRun(ReplayRun):
 
     # -- from node to node ----------------------------------------------------------------------------------
 
-    def _given(self, passed: list[Passed], taken: Container[str]) -> dict[int, list[Published]]:
-        """Number of a moment → what the nodes before published there, of some topics, in their order."""
+    def _given(
+        self, adapter: Adapter, passed: list[Passed], taken: Container[str], moments: list[Moment]
+    ) -> dict[int, list[Published]]:
+        """Number of a moment → what the nodes before published there, of some topics, in their order.
+
+        What the adapter can read many at once is read already.
+        """
         found: list[tuple[int, int, int, Published]] = []
         for node, one in enumerate(passed):
             for place, order, published in one.single:
                 found += [(place, node, order, message) for message in published if message[0] in taken]
             for rows, places, orders in one.rows:
                 if rows.topic in taken:
+                    readings = read_ahead(adapter, rows.topic, rows.messages, _times_ns(moments, places))
                     found += [
-                        (place, node, order, (rows.topic, rows.messages.message(number)))
-                        for number, (place, order) in enumerate(zip(places.tolist(), orders.tolist(), strict=True))
+                        (place, node, order, (rows.topic, rows.messages.message(number) if read is None else read))
+                        for number, (place, order, read) in enumerate(
+                            zip(places.tolist(), orders.tolist(), readings, strict=True)
+                        )
                     ]
         given: dict[int, list[Published]] = defaultdict(list)
         for place, _, _, message in sorted(found, key=lambda each: each[:3]):
@@ -163,8 +173,7 @@ class BlockRun(ReplayRun):
     def _add_rows(self, node: int, passed: Passed, moments: list[Moment]) -> None:
         """Let the messages that a node's estimates became go out."""
         for rows, places, orders in passed.rows:
-            log_times_ns = np.array([moments[place].now_ns for place in places.tolist()], dtype=np.int64)
-            self._output.add_rows(rows, places, (node << _NODE_BITS) + orders, log_times_ns)
+            self._output.add_rows(rows, places, (node << _NODE_BITS) + orders, _times_ns(moments, places))
             for errors in self._errors:
                 errors.add_rows(rows)
 
@@ -191,6 +200,11 @@ class BlockRun(ReplayRun):
                 if moment.topic.startswith(TRUTH_PREFIX):
                     self._copy_truth(moment.topic, record)
                 self._write_errors(moment.now_ns)
+
+
+def _times_ns(moments: list[Moment], places: StampArray) -> StampArray:
+    """When some moments are."""
+    return np.array([moments[place].now_ns for place in places.tolist()], dtype=np.int64)
 
 
 def _template(record: BagRecord) -> CdrTemplate | None:

@@ -4,7 +4,7 @@ A node is given, moment by moment, what it is given one by one: what the nodes b
 the bag or the tick. Only what does not depend on the others is done for the messages of a block together.
 """
 
-from collections.abc import Mapping, Set
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -14,6 +14,8 @@ from ship_bags.cdr_template import CdrRows
 from ship_node.edge.adapter import TICK_PERIOD_NS, Adapter
 from ship_node.edge.block_adapter import BlockAdapter
 from ship_node.edge.blocks import BlockPart, BlockTurn, PublishedRows, StampArray
+from ship_node.edge.deferring_adapter import DeferringAdapter
+from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.topics import Published
 
 _PATIENCE = 8
@@ -49,12 +51,21 @@ class TopicBlock(NamedTuple):
     places: StampArray
 
 
+def read_ahead(
+    adapter: Adapter, topic: str, messages: CdrRows, times_ns: StampArray
+) -> Sequence[ReadMessage[Any] | None]:
+    """What a node reads of messages before their turn; None for each that it reads then."""
+    if isinstance(adapter, BlockAdapter) and adapter.reads_rows(topic):
+        return adapter.read_rows(topic, messages, times_ns)
+    return [None] * len(times_ns)
+
+
 class EstimatesOfMoments(NamedTuple):
-    """Estimates, one at each of several moments; ``order`` is their place among what else was published there."""
+    """Estimates, one at each of several moments; ``orders`` are their places among what else was published there."""
 
     topic: str
     places: StampArray
-    order: int
+    orders: StampArray
     estimates: Any
 
 
@@ -89,7 +100,8 @@ class NodePass:
         taken: topics that it takes.
         moments: in order.
         rows: topic → its messages, of topics that some node may take in blocks; the others are decoded.
-        given: number of a moment → what the nodes before it published there, of topics that it takes.
+        given: number of a moment → what the nodes before it published there, of topics that it takes: messages, and
+            what :func:`read_ahead` gave of such.
     """
 
     def __init__(
@@ -102,11 +114,21 @@ class NodePass:
     ) -> None:
         self._adapter, self._taken, self._moments, self._given = adapter, taken, moments, given
         self._rows, self._next = rows, dict.fromkeys(rows, 0)
+        self._read = {
+            topic: read_ahead(adapter, topic, block.messages, block.times_ns)
+            for topic, block in rows.items()
+            if topic in taken
+        }
         # The same node, as one that takes blocks; None where it does not.
         self._ahead = adapter if isinstance(adapter, BlockAdapter) else None
         self._turn: BlockTurn | None = None
         self._turn_places: StampArray = np.empty(0, dtype=np.int64)
         self._arrived = self._patience = self._order = 0
+        # The same node, as one whose outputs are put out together, and the moment and the order of each of these.
+        self._deferring = adapter if isinstance(adapter, DeferringAdapter) else None
+        self._promised: list[tuple[int, int]] = []
+        if self._deferring is not None:
+            self._deferring.defer()
         self.passed = Passed()
 
     def run(self) -> Passed:
@@ -121,26 +143,39 @@ class NodePass:
                     self._arrive(place, moment)
                 elif moment.message is not None:
                     self._handle(place, moment.topic, moment.message)
+        if self._deferring is not None and self._promised:
+            self._publish_promised(self._deferring)
         if self._ahead is not None and self.passed.runs:
             self._make_messages(self._ahead, self.passed.runs)
         return self.passed
 
     def _make_messages(self, adapter: BlockAdapter, runs: list[EstimatesOfMoments]) -> None:
         places = np.concatenate([run.places for run in runs])
-        orders = np.repeat([run.order for run in runs], [len(run.places) for run in runs])
+        orders = np.concatenate([run.orders for run in runs])
         for rows in adapter.block_messages([run.estimates for run in runs]):
             self.passed.rows.append(RowsOfMoments(rows, places[rows.places], orders[rows.places]))
 
     def _tick(self, place: int, now_ns: int) -> None:
-        # In the time of a block no tick does anything, or the block would end before it.
-        if self._turn is None:
-            self._publish(place, self._adapter.tick(now_ns))
+        # In the time of a block a tick does nothing for the node itself, or the block would end before it.
+        if self._turn is not None and self._ahead is not None and self._ahead.quiet_ticks:
+            return
+        self._take_arrived()
+        self._publish(place, self._adapter.tick(now_ns))
 
-    def _handle(self, place: int, topic: str, message: Any) -> None:
+    def _take_arrived(self) -> None:
+        """Let the messages of a block that came have their turn, before another input has."""
         if self._turn is not None:
             assert self._ahead is not None
             self._publish_parts(self._ahead.take_ahead(self._turn, self._arrived))
-        self._publish(place, self._adapter.handle(topic, message, self._moments[place].now_ns))
+
+    def _handle(self, place: int, topic: str, message: Any) -> None:
+        self._take_arrived()
+        now_ns = self._moments[place].now_ns
+        if isinstance(message, ReadMessage):
+            assert self._ahead is not None
+            self._publish(place, self._ahead.handle_read(topic, message, now_ns))
+        else:
+            self._publish(place, self._adapter.handle(topic, message, now_ns))
 
     def _arrive(self, place: int, moment: Moment) -> None:
         """A message that stands among rows."""
@@ -149,7 +184,9 @@ class NodePass:
         if self._turn is None and self._ahead is not None and self._ahead.takes_blocks(moment.topic):
             self._turn = self._begin(self._ahead, moment.topic, number)
         if self._ahead is None or self._turn is None or self._turn.topic != moment.topic:
-            self._handle(place, moment.topic, self._rows[moment.topic].messages.message(number))
+            reading = self._read[moment.topic][number]
+            message = self._rows[moment.topic].messages.message(number) if reading is None else reading
+            self._handle(place, moment.topic, message)
             return
         self._arrived += 1
         if self._arrived == self._turn.ahead.count:
@@ -177,6 +214,21 @@ class NodePass:
         if published:
             self.passed.single.append((place, self._order, published))
             self._order += 1
+        if self._deferring is not None:
+            while len(self._promised) < self._deferring.promised:
+                self._promised.append((place, self._order))
+                self._order += 2  # for what is published before it, and itself
+
+    def _publish_promised(self, adapter: DeferringAdapter) -> None:
+        """What the moments of this pass have led to and was put out together."""
+        places, orders = np.array(self._promised, dtype=np.int64).T
+        for part in adapter.take_parts():
+            if part.published:
+                self.passed.single.append((int(places[part.place]), int(orders[part.place]), part.published))
+            if part.estimates is not None:
+                some = slice(part.place, part.place + len(part.estimates.time_ns))
+                run = EstimatesOfMoments(adapter.main_topic, places[some], orders[some] + 1, part.estimates)
+                self.passed.runs.append(run)
 
     def _publish_parts(self, parts: list[BlockPart]) -> None:
         assert self._ahead is not None
@@ -184,5 +236,6 @@ class NodePass:
             self._publish(int(self._turn_places[part.place]), part.published)
             if part.estimates is not None:
                 places = self._turn_places[part.place : part.place + len(part.estimates.time_ns)]
-                self.passed.runs.append(EstimatesOfMoments(self._ahead.main_topic, places, self._order, part.estimates))
+                orders = np.full(len(places), self._order)
+                self.passed.runs.append(EstimatesOfMoments(self._ahead.main_topic, places, orders, part.estimates))
                 self._order += 1

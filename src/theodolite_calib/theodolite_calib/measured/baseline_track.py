@@ -7,6 +7,7 @@ solutions' own scatter about it is their noise where it is larger than what they
 a step rather than being taken for one.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from ship_geometry.vector_track import VectorTrack
+from theodolite_calib.measured import compiled_cubics
 from theodolite_calib.measured.samples import BaselineSample
 
 _MOST, _BEFORE = 14, 5
@@ -98,21 +100,12 @@ class BaselineTrack(VectorTrack[BaselineSample]):
         samples = self._samples[first:end]
         position_m = np.array([sample.vector - samples[-1].vector for sample in samples])
         since = np.array([(stamp - self._times[end - 1]) / _LONGEST_NS for stamp in self._times[first:end]])
-        smooth = np.linalg.qr(np.vander(since, _CUBIC + 1))[0]
-        after = np.arange(count)[:, None] >= np.arange(_BEFORE, count)
-        left_m = position_m - smooth @ (smooth.T @ position_m)
-        steps = after - smooth @ (smooth.T @ after)
-        weight = np.sum(steps**2, axis=0)
-        jumps_m = steps.T @ left_m / weight[:, None]
-        explained = weight * np.sum(jumps_m**2, axis=1)
-        clearest = int(np.argmax(explained))
-        scatter = (float(np.sum(left_m**2)) - explained[clearest]) / degrees
-        stated = np.mean([np.trace(sample.covariance_n) for sample in samples]) / _COMPONENTS
-        sigma_m = float(np.sqrt(max(stated, scatter, 0.0) / weight[clearest]))
-        jump_m = jumps_m[clearest]
-        if not np.linalg.norm(jump_m) > _SIGMAS * sigma_m:
+        place, jump_m, weight, squares = compiled_cubics.clearest_step(since, position_m, _BEFORE)
+        stated = sum(sample.covariance_n.trace() for sample in samples) / (count * _COMPONENTS)
+        sigma_m = math.sqrt(max(stated, squares / degrees, 0.0) / weight)
+        if not math.hypot(*jump_m.tolist()) > _SIGMAS * sigma_m:
             return None
-        return BaselineJump(samples[_BEFORE + clearest].time_ns, jump_m, sigma_m)
+        return BaselineJump(samples[place].time_ns, jump_m, sigma_m)
 
     def _joined(self, left: int) -> bool:
         both_good = self._samples[left].refusal is None and self._samples[left + 1].refusal is None

@@ -17,6 +17,7 @@ import numpy as np
 from ship_estimation.value_guards import ACROSS
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
+from theodolite_calib.measured import compiled_cubics
 
 _FITTED = 12
 """A cubic is laid through so many readings."""
@@ -169,9 +170,8 @@ def _weights(since_ns: tuple[int, ...]) -> tuple[FloatArray, float]:
     The second is the sigma of a further value's distance from that one, per sigma of a value.
     """
     seconds = np.array(since_ns) / SECOND_NS
-    powers = np.vander(seconds / np.max(np.abs(seconds)), 4, increasing=True)
-    weights: FloatArray = np.linalg.pinv(powers)[0]
-    return weights, float(np.sqrt(1.0 + weights @ weights))
+    weights = compiled_cubics.weights_at_zero(seconds / np.max(np.abs(seconds)))
+    return weights, math.sqrt(1.0 + weights @ weights)
 
 
 def short_way(angles: FloatArray) -> FloatArray:

@@ -1,6 +1,7 @@
 """What goes into the optical-axis core and what comes out: plain structs in radians, metres and nanoseconds."""
 
 import enum
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
@@ -60,10 +61,11 @@ class EncoderRun:
     doubt: list[str]
 
     @classmethod
-    def of_one(cls, sample: EncoderSample, doubt: str = "", doubt_rad: float = 0.0) -> "EncoderRun":
-        """The run of one reading; the doubt is a standard deviation of each angle beside the noise."""
-        variance = np.array([sample.sigma**2 + doubt_rad**2])
-        return cls(np.array([sample.time_ns]), sample.vector[None], variance, [doubt])
+    def of(cls, samples: Sequence[EncoderSample], doubts: Sequence[str], doubts_rad: Sequence[float]) -> "EncoderRun":
+        """The run of some readings; the last is a standard deviation of each angle beside the noise."""
+        variances = [sample.sigma**2 + doubt_rad**2 for sample, doubt_rad in zip(samples, doubts_rad, strict=True)]
+        times_ns = np.array([sample.time_ns for sample in samples])
+        return cls(times_ns, np.array([sample.vector for sample in samples]), np.array(variances), list(doubts))
 
 
 @dataclass(frozen=True)
@@ -242,6 +244,11 @@ class PointingRun:
     text: list[str]
     by_error_n: FloatArray
     rotation_dm: FloatArray
+
+    def some(self, which: slice) -> "PointingRun":
+        """Some of them."""
+        values = {name: value if name == "state" else value[which] for name, value in vars(self).items()}
+        return PointingRun(**values)
 
     def one(self, number: int) -> PointingEstimate:
         """One of them."""

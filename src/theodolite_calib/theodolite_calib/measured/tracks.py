@@ -4,6 +4,7 @@ The encoders, the ship, the baseline to each drone and the attitude of each dron
 is interpolated at the moment asked for, and says how much noise it has there.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -79,15 +80,17 @@ class ShipRun:
     chord_nd: FloatArray | None
 
     @classmethod
-    def of_one(cls, ship: ShipAt) -> "ShipRun":
-        """The run of one moment."""
+    def of(cls, ships: Sequence[ShipAt]) -> "ShipRun":
+        """The run of some moments, all of one source, whose covariances are stated by the same."""
+        slow_n = [ship.slow_covariance_n for ship in ships if ship.slow_covariance_n is not None]
+        chords_nd = [ship.chord_nd for ship in ships if ship.chord_nd is not None]
         return cls(
-            rotation_nd=ship.rotation_nd[None],
-            rate_d=ship.rate_d[None],
-            slow_covariance_n=None if ship.slow_covariance_n is None else ship.slow_covariance_n[None],
-            noise=np.array([ship.noise]),
-            status=[ship.status],
-            chord_nd=None if ship.chord_nd is None else ship.chord_nd[None],
+            rotation_nd=np.array([ship.rotation_nd for ship in ships]),
+            rate_d=np.array([ship.rate_d for ship in ships]),
+            slow_covariance_n=np.array(slow_n) if slow_n else None,
+            noise=np.array([ship.noise for ship in ships]),
+            status=[ship.status for ship in ships],
+            chord_nd=np.array(chords_nd) if chords_nd else None,
         )
 
 

@@ -7,7 +7,6 @@ readings that wait for the ship's attitude. A pointing is put out at the stamp o
 as the ship's attitude of that moment is there.
 """
 
-import functools
 import math
 from collections import deque
 from dataclasses import replace
@@ -33,6 +32,7 @@ from theodolite_calib.measured.samples import (
     ExposureDecision,
     PointingEstimate,
     PointingOutcome,
+    PointingRun,
     ShipSample,
 )
 from theodolite_calib.measured.ship_watch import ShipWatch
@@ -45,7 +45,7 @@ from theodolite_calib.optical_axis.calibration import (
     prior_of,
     state_from_prior,
 )
-from theodolite_calib.optical_axis.output import PointingOutput, no_pointing
+from theodolite_calib.optical_axis.output import DuePointing, PointingOutput, no_pointing
 
 _TOLD_TWICE = "encoders and ship both say different things of one moment: a clock has told a time twice"
 
@@ -63,9 +63,14 @@ class OpticalAxisCore:
 
     Args:
         config: the node's parameters.
+
+    Attributes:
+        due: offline, the pointings that are put out together when somebody asks for them; None where each is put out
+            at once.
     """
 
     def __init__(self, config: OpticalAxisConfig) -> None:
+        self.due: list[DuePointing] | None = None
         self._start: tuple[CalibrationPrior, int] | None = None
         self._take_models(config)
         model: Model[CalibrationState, Exposure, ExposureDecision, Jump] = Model(
@@ -190,6 +195,11 @@ class OpticalAxisCore:
         self._shell.say_invalid(outcome, waiting_ns, lambda: no_pointing(self.filter, self.state, now_ns, missing))
         return outcome
 
+    def estimates_due(self) -> list[tuple[slice, PointingRun | Refusal]]:
+        """The pointings that are due, as numbers among them and runs; see :meth:`PointingOutput.of_due`."""
+        due, self.due = self.due or [], []
+        return self._pointing.of_due(due)
+
     def calibration(self) -> Calibration:
         """What the filter now knows of axis errors, focal length and deformation."""
         return calibration_of(self.filter, self.config, self.state)
@@ -308,8 +318,16 @@ class OpticalAxisCore:
             doubt = doubt or self._ship_watch.doubt(sample.time_ns) or self._contradiction(sample.time_ns)
             ship = self._tracks.ship_at(sample.time_ns)
             if ship is not None:
-                estimate = functools.partial(self._pointing.estimate, sample, ship, doubt, doubt_rad)
-                self._shell.put_out(outcome, sample.time_ns, waiting_ns, estimate)
+                due = DuePointing(sample, ship, doubt, doubt_rad, self._shell.state_now)
+                self._put_out(outcome, due, waiting_ns)
+
+    def _put_out(self, outcome: PointingOutcome, due: DuePointing, waiting_ns: int) -> None:
+        """Put out a pointing at once, or with others when somebody asks for them."""
+        if self.due is None:
+            self._shell.put_out(outcome, due.time_ns, waiting_ns, lambda _state: self._pointing.estimate(due))
+        elif self._shell.follows(due.time_ns):
+            self.due.append(due)
+            self._shell.was_put_out(due.time_ns, waiting_ns)
 
     def _watch_time(self) -> None:
         """Compare lights anew where a refusal has shown that encoders and ship tell a time twice."""

@@ -3,12 +3,15 @@
 One function says it for the one reading that a live node has at a time and for the many of a block.
 """
 
+from collections.abc import Sequence
+from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
 
 from ship_estimation.outcome import Status
 from ship_estimation.protection import IntegrityReport, above_limit, disputed
+from ship_estimation.refusals import Refusal, failure
 from ship_geometry import compiled_mounts
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
@@ -118,6 +121,29 @@ class CorrectedAxis:
         return AxesAt(*found)
 
 
+class DuePointing(NamedTuple):
+    """What the pointing at a reading of the encoders rests on.
+
+    Attributes:
+        sample: the reading.
+        ship: of its moment.
+        doubt: why the encoders are in doubt; empty where they are not.
+        doubt_rad: standard deviation of each angle by that, beside its noise.
+        state: of the filter, after the last exposure applied.
+    """
+
+    sample: EncoderSample
+    ship: ShipAt
+    doubt: str
+    doubt_rad: float
+    state: CalibrationState
+
+    @property
+    def time_ns(self) -> int:
+        """Stamp of the reading."""
+        return self.sample.time_ns
+
+
 class PointingOutput:
     """Makes the pointings by a filter's states: what is claimed at a reading depends on its arguments alone.
 
@@ -134,19 +160,33 @@ class PointingOutput:
         self._saved = filter_.model.sources.index(SOURCE_SAVED)
         self._disagreement = filter_.model.sources.index(SOURCE_SHIP)
 
-    def estimate(
-        self, sample: EncoderSample, ship: ShipAt, doubt: str, doubt_rad: float, state: CalibrationState
-    ) -> PointingEstimate:
-        """The pointing at a reading.
+    def of_due(self, due: Sequence[DuePointing]) -> list[tuple[slice, PointingRun | Refusal]]:
+        """Numbers of pointings that are due, and these, which rest on one state, or why they could not be computed."""
+        found: list[tuple[slice, PointingRun | Refusal]] = []
+        for _, group in groupby(due, key=lambda one: (id(one.state), one.ship.slow_covariance_n is None)):
+            alike, start = list(group), found[-1][0].stop if found else 0
+            run = self._run_or_failure(alike)
+            if isinstance(run, PointingRun):
+                found.append((slice(start, start + len(alike)), run))
+            else:
+                # Each by itself, so that those that can be computed are put out.
+                alone = enumerate(map(self._run_or_failure, ([one] for one in alike)), start)
+                found += [(slice(number, number + 1), one) for number, one in alone]
+        return found
 
-        Args:
-            sample: the reading.
-            ship: of its moment.
-            doubt: why the encoders are in doubt; empty where they are not.
-            doubt_rad: standard deviation of each angle by that, beside its noise.
-            state: after the last exposure applied.
-        """
-        return self.estimates(EncoderRun.of_one(sample, doubt, doubt_rad), ShipRun.of_one(ship), state).one(0)
+    def _run_or_failure(self, due: Sequence[DuePointing]) -> PointingRun | Refusal:
+        try:
+            return self._run_of(due)
+        except Exception as error:
+            return failure(error)
+
+    def estimate(self, due: DuePointing) -> PointingEstimate:
+        """The pointing at one reading."""
+        return self._run_of([due]).one(0)
+
+    def _run_of(self, due: Sequence[DuePointing]) -> PointingRun:
+        samples, ships, doubts, doubts_rad, states = zip(*due, strict=True)
+        return self.estimates(EncoderRun.of(samples, doubts, doubts_rad), ShipRun.of(ships), states[0])
 
     def estimates(self, encoders: EncoderRun, ship: ShipRun, state: CalibrationState) -> PointingRun:
         """The pointings at N readings; one reading gives, to the last bit, what it gives among others.

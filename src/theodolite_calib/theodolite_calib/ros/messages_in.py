@@ -40,9 +40,9 @@ from theodolite_calib.measured.samples import BaselineSample, EncoderSample, Exp
 MOST_LIGHTS = 100
 """Of one image; what comes after them is not looked at, so that no message can hold up the node."""
 
-_ENCODER_INVALID = 1
+ENCODER_INVALID = 1
 _FIXES = ("NONE", "SINGLE", "DGNSS", "FLOAT", "FIXED")
-_LARGEST_VARIANCE = (2.0 * np.pi) ** 2
+LARGEST_VARIANCE = (2.0 * np.pi) ** 2
 _LARGEST_DETECTOR_M = 0.5
 """No detector is larger: more are millimetres or pixels."""
 _LONGEST_BASELINE_M = 1e5
@@ -57,7 +57,7 @@ def encoder(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMes
     """
     time_ns = stamp_ns(message.header, receive_ns)
     frame(message.header.frame_id, config.encoder.frame_id)
-    if message.status == _ENCODER_INVALID:
+    if message.status == ENCODER_INVALID:
         raise Refused(Reason.GAP, "the encoder itself reports a fault")
     finite_numbers("azimuth, elevation", message.azimuth, message.elevation)
     sigma = sigma_given(message.sigma, 2.0 * np.pi)
@@ -84,7 +84,10 @@ def ship_attitude(message: Any, config: OpticalAxisConfig, receive_ns: int) -> R
     # NaN: the source knows no rate.
     rate_known = not all(math.isnan(value) for value in (rate.x, rate.y, rate.z))
     rate_d = device_vector_from_ros(ship_rate(rate)) if rate_known else None
-    slow_n = _ins_covariance(config) if total_n is None else _without_white(total_n, config.ship.white_sigma_arcsec)
+    if total_n is None:
+        slow_n = _ins_covariance(config)
+    else:
+        (slow_n,) = without_white(total_n[None], config.ship.white_sigma_arcsec)
     sample = ShipSample(time_ns, rotation_nd, rate_d, slow_n, Status(message.status))
     return ReadMessage(sample, total_n is not None)
 
@@ -204,16 +207,17 @@ def _ship_covariance(message: Any, rotation_nd: FloatArray) -> FloatArray | None
         heading, pitch, _ = angles_from_rotation(rotation_nd)
         total_n = rotation_vector_covariance(angles, heading, pitch)
     largest = float(np.max(np.diagonal(total_n)))
-    if largest > _LARGEST_VARIANCE:
+    if largest > LARGEST_VARIANCE:
         raise Refused(Reason.BAD_COVARIANCE, f"a variance of {largest:.3g} rad² is a sigma of more than a full turn")
     return total_n
 
 
-def _without_white(total_n: FloatArray, white_sigma_arcsec: float) -> FloatArray:
-    """What is left of a covariance when the noise of each sample is taken out; nothing of it negative."""
+def without_white(total_n: FloatArray, white_sigma_arcsec: float) -> FloatArray:
+    """What is left of covariances when the noise of each sample is taken out; nothing of it negative, (N, 3, 3)."""
     values, vectors = np.linalg.eigh(total_n)
-    left: FloatArray = (vectors * np.maximum(values - (white_sigma_arcsec * ARCSEC) ** 2, 0.0)) @ vectors.T
-    return left
+    left = np.maximum(values - (white_sigma_arcsec * ARCSEC) ** 2, 0.0)
+    slow_n: FloatArray = (vectors * left[:, None, :]) @ vectors.swapaxes(1, 2)
+    return slow_n
 
 
 def _ins_covariance(config: OpticalAxisConfig) -> FloatArray:

@@ -1,7 +1,7 @@
 """The node ``optical_axis``: which topic feeds which method of its core, what a pointing becomes, its diagnostics."""
 
 import functools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from operator import attrgetter
 from typing import Any, ClassVar
 
@@ -14,6 +14,8 @@ from ship_geometry.ros_axes import flu_from_device_vector
 from ship_geometry.rotations import ARCSEC
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.documents.saved_start import SavedStart
+from ship_node.edge.blocks import PublishedRows
+from ship_node.edge.deferring_adapter import DeferringAdapter
 from ship_node.edge.messages_out import (
     BUDGET_TYPE,
     INNOVATION_TYPE,
@@ -24,23 +26,25 @@ from ship_node.edge.messages_out import (
     Level,
     refused_input,
 )
-from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, ReportingAdapter, untimed
+from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, untimed
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
 from ship_node.edge.verdict_report import clock_status
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.measured.samples import Exposure, Mode, PointingEstimate
+from theodolite_calib.measured.samples import Exposure, Mode, PointingEstimate, PointingRun
 from theodolite_calib.optical_axis.calibration import Calibration
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 from theodolite_calib.optical_axis.integrity import QUANTITIES
-from theodolite_calib.ros import messages_in
+from theodolite_calib.ros import messages_in, rows_in
 from theodolite_calib.ros.calibration_file import CALIBRATION_FILE
 from theodolite_calib.ros.pointing_messages import (
     MAIN_FRAME,
     POINTING_TOPIC,
     POINTING_TYPE,
+    PointingNumbers,
     error_arcsec,
     pointing_budget,
     pointing_messages,
+    pointing_rows,
 )
 
 BASE_FRAME = "theodolite_base"
@@ -66,7 +70,7 @@ _BY = {
 }
 
 
-class OpticalAxisAdapter(ReportingAdapter):
+class OpticalAxisAdapter(DeferringAdapter):
     """The theodolite's optical axis from lights on drones, encoders and the ship's attitude, with its error budget.
 
     Args:
@@ -109,17 +113,21 @@ class OpticalAxisAdapter(ReportingAdapter):
             to_save=core.calibration_to_save,
             nothing="no light was used yet: there is no calibration to save",
         )
-        lever = dict(zip("xyz", flu_from_device_vector(config.lever.vector_m).tolist(), strict=True))
-        super().__init__(config, core, factory, functools.partial(pointing_messages, factory, lever), saved)
+        self._lever = dict(zip("xyz", flu_from_device_vector(config.lever.vector_m).tolist(), strict=True))
+        super().__init__(config, core, factory, functools.partial(pointing_messages, factory, self._lever), saved)
 
     def table(self, config: OpticalAxisConfig) -> Iterator[Feed]:
         """Which topic feeds which method of the core."""
         core: OpticalAxisCore = self.core
         encoder = InputTopic("theodolite/encoder", "ship_msgs/msg/TheodoliteEncoder", required=True, depth=1000)
-        yield Feed(encoder, "encoder", functools.partial(messages_in.encoder, config=config), core.add_encoder)
+        read_encoder = functools.partial(messages_in.encoder, config=config)
+        read_encoders = functools.partial(rows_in.encoders, config=config)
+        yield Feed(encoder, "encoder", read_encoder, core.add_encoder, read_rows=read_encoders)
         type_name, read_ship = _SHIP[config.ship.source]
         ship = InputTopic(config.ship.source, type_name, required=True, depth=1000)
-        yield Feed(ship, "ship", functools.partial(read_ship, config=config), core.add_ship)
+        by_ins = config.ship.source == "ins/imu"
+        read_ships = None if by_ins else functools.partial(rows_in.ship_attitudes, config=config)
+        yield Feed(ship, "ship", functools.partial(read_ship, config=config), core.add_ship, read_rows=read_ships)
         image = InputTopic("theodolite/beacons", "ship_msgs/msg/BeaconImage", required=False, depth=1000)
         read_image, take_image = functools.partial(messages_in.exposure, config=config), untimed(core.add_exposure)
         yield Feed(image, "lights", read_image, take_image, judged=True, measured_by=Exposure.source)
@@ -131,7 +139,13 @@ class OpticalAxisAdapter(ReportingAdapter):
         for id_, beacon in config.beacons.items():
             topic = InputTopic(f"beacon/{id_}/imu", _IMU_TYPE, required=False, depth=1000)
             read_imu = functools.partial(messages_in.drone_attitude, beacon=beacon)
-            yield Feed(topic, f"drone.{id_}", read_imu, untimed(functools.partial(core.add_drone_attitude, id_)))
+            read_imus = functools.partial(rows_in.drone_attitudes, beacon=beacon)
+            take = untimed(functools.partial(core.add_drone_attitude, id_))
+            yield Feed(topic, f"drone.{id_}", read_imu, take, read_rows=read_imus)
+
+    def block_messages(self, runs: Sequence[PointingRun]) -> Iterator[PublishedRows]:
+        """See :meth:`BlockAdapter.block_messages`."""
+        return pointing_rows(self.factory, self._lever, PointingNumbers.of(runs))
 
     def left_out_message(self, source: str, time_ns: int, name: str, refusal: Refusal) -> Any:
         """ship_msgs/Innovation of a light that had no part in its exposure, under the name of the light."""

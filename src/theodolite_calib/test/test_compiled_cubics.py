@@ -1,0 +1,49 @@
+"""Cubics by least squares, compiled, against numpy's pseudoinverse and QR; "equal" is 1e-11 of about one."""
+
+import numpy as np
+import pytest
+
+from theodolite_calib.measured import compiled_cubics
+
+BEFORE = 5
+
+
+def moments(count: int) -> np.ndarray:
+    steps = np.random.default_rng(count).uniform(0.8, 1.2, count)
+    return -np.cumsum(steps)[::-1] / steps.sum()
+
+
+@pytest.mark.parametrize("count", [4, 7, 12])
+def test_weights_at_zero(count: int) -> None:
+    since = moments(count)
+    expected = np.linalg.pinv(np.vander(since, 4, increasing=True))[0]
+    found = compiled_cubics.weights_at_zero(since)
+    np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-11 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("step_m", [0.0, 0.3])
+@pytest.mark.parametrize("count", [8, 14])
+def test_the_clearest_step(count: int, step_m: float) -> None:
+    rng, since = np.random.default_rng(3), moments(count)
+    values = np.vander(since, 4) @ rng.standard_normal((4, 3)) + 0.01 * rng.standard_normal((count, 3))
+    values[6:] += step_m
+    smooth = np.linalg.qr(np.vander(since, 4))[0]
+    after = np.arange(count)[:, None] >= np.arange(BEFORE, count)
+    left, steps = (one - smooth @ (smooth.T @ one) for one in (values, after))
+    weight = np.sum(steps**2, axis=0)
+    jumps = steps.T @ left / weight[:, None]
+    explained = weight * np.sum(jumps**2, axis=1)
+    best = int(np.argmax(explained))
+    place, jump, of_place, squares = compiled_cubics.clearest_step(since, values, BEFORE)
+    assert place == BEFORE + best
+    assert not step_m or place == 6
+    np.testing.assert_allclose(jump, jumps[best], rtol=1e-11, atol=1e-12)
+    np.testing.assert_allclose([of_place, squares], [weight[best], np.sum(left**2) - explained[best]], rtol=1e-11)
+
+
+def test_what_does_not_fit_is_refused() -> None:
+    for count, rows in ((8, 7), (5, 5)):
+        with pytest.raises(ValueError, match="vectors"):
+            compiled_cubics.clearest_step(moments(count), np.zeros((rows, 3)), BEFORE)
+    with pytest.raises(ValueError, match="moments"):
+        compiled_cubics.weights_at_zero(moments(3))

@@ -1,0 +1,83 @@
+"""From the messages of a block to the core's structs: those that are read in the usual way, all of them at once.
+
+Each becomes, to the last bit, what :mod:`theodolite_calib.ros.messages_in` makes of it. None stands for one that is to
+be read there by itself.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from ship_bags.cdr_template import CdrRows
+from ship_estimation.outcome import Status
+from ship_geometry.attitude_track import AttitudeSample
+from ship_geometry.ros_axes import device_vector_from_ros, horizon_covariance, rotation_from_quaternion
+from ship_geometry.rotations import ARCSEC
+from ship_node.edge.blocks import StampArray
+from ship_node.edge.columns_in import Good, covariances_3x3, ship_rates, stamps, unit_quaternions
+from ship_node.edge.messages_in import ReadMessage
+from theodolite_calib.config import BeaconConfig, OpticalAxisConfig
+from theodolite_calib.measured.samples import EncoderSample, ShipSample
+from theodolite_calib.ros.messages_in import ENCODER_INVALID, LARGEST_VARIANCE, without_white
+
+ReadRows = list[ReadMessage[Any] | None]
+
+
+def encoders(messages: CdrRows, receive_ns: StampArray, config: OpticalAxisConfig) -> ReadRows:
+    """``theodolite/encoder``; see :func:`theodolite_calib.ros.messages_in.encoder`."""
+    numbers = messages.numbers
+    times_ns, good = stamps(numbers, receive_ns)
+    angles = np.stack([numbers["azimuth"], numbers["elevation"]], axis=1)
+    sigma = numbers["sigma"].astype(np.float64)
+    unknown = np.isnan(sigma) | (sigma == 0.0)
+    good &= (numbers["status"] != ENCODER_INVALID) & np.isfinite(angles).all(axis=1)
+    good &= unknown | ((sigma > 0.0) & (sigma <= 2.0 * np.pi))
+    sigma[unknown] = config.encoder.sigma_arcsec * ARCSEC
+
+    def samples() -> Iterator[ReadMessage[Any]]:
+        read = map(EncoderSample, times_ns[good].tolist(), angles[good], sigma[good].tolist())
+        return map(ReadMessage, read, (~unknown[good]).tolist())
+
+    return _read(messages, config.encoder.frame_id, good, samples)
+
+
+def ship_attitudes(messages: CdrRows, receive_ns: StampArray, config: OpticalAxisConfig) -> ReadRows:
+    """``ship/attitude`` with rates and covariances; see :func:`theodolite_calib.ros.messages_in.ship_attitude`."""
+    numbers = messages.numbers
+    times_ns, timely = stamps(numbers, receive_ns)
+    quaternions, of_norm_1 = unit_quaternions(numbers)
+    rates_ros, of_ship = ship_rates(numbers)
+    covariances_enu, positive = covariances_3x3(numbers["rotation_covariance"])
+    good = timely & of_norm_1 & of_ship & positive & (numbers["status"] < int(Status.INVALID))
+    good &= (np.diagonal(covariances_enu, axis1=1, axis2=2) <= LARGEST_VARIANCE).all(axis=1)
+
+    def samples() -> Iterator[ReadMessage[Any]]:
+        rotations_nd = rotation_from_quaternion(quaternions[good])
+        rates_d = device_vector_from_ros(rates_ros[good])
+        slow_n = without_white(horizon_covariance(covariances_enu[good]), config.ship.white_sigma_arcsec)
+        status = map(Status, numbers["status"][good].tolist())
+        return map(ReadMessage, map(ShipSample, times_ns[good].tolist(), rotations_nd, rates_d, slow_n, status))
+
+    return _read(messages, config.ship.frame_id, good, samples)
+
+
+def drone_attitudes(messages: CdrRows, receive_ns: StampArray, beacon: BeaconConfig) -> ReadRows:
+    """``beacon/<id>/imu``; see :func:`theodolite_calib.ros.messages_in.drone_attitude`."""
+    times_ns, timely = stamps(messages.numbers, receive_ns)
+    quaternions, of_norm_1 = unit_quaternions(messages.numbers)
+    good = timely & of_norm_1
+
+    def samples() -> Iterator[ReadMessage[Any]]:
+        rotations_nb = rotation_from_quaternion(quaternions[good], beacon.imu.convention)
+        return map(ReadMessage, map(AttitudeSample, times_ns[good].tolist(), rotations_nb))
+
+    return _read(messages, beacon.imu.frame_id, good, samples)
+
+
+def _read(messages: CdrRows, frame_id: str, good: Good, samples: Callable[[], Iterator[ReadMessage[Any]]]) -> ReadRows:
+    """What was read of those messages that are good; none of another frame is, and all have the same one."""
+    if frame_id and messages.message(0).header.frame_id != frame_id:
+        return [None] * len(good)
+    read = samples()
+    return [next(read) if passed else None for passed in good.tolist()]
