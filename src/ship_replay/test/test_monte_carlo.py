@@ -22,7 +22,7 @@ OBSERVATIONS = "star/fore/observations"
 def entries_of(run, topic):
     """(message, log time) of one topic, through the bytes of a bag."""
     store = message_store()
-    found = [(message, log) for name, message, log in messages(run, RosbagsFactory()) if name == topic]
+    found = [(message, log) for name, message, log in messages([run], RosbagsFactory()) if name == topic]
     return [(store.deserialize_cdr(serialize(message), message.__msgtype__), log) for message, log in found]
 
 
