@@ -14,6 +14,8 @@ PYTEST_ARGS ?=
 
 VOYAGES ?= 1000
 HOURS ?= 100
+LIVE_HOURS ?= 24
+BAG_HOURS ?= 1 10 100
 FAULT_ARGS ?=
 PORT ?= 5006
 
@@ -43,7 +45,7 @@ bags: setup ## the bags in bags/, from their scenarios
 bench: setup ## speed, as ratios within one run
 	@$(RUN) python tools/bench.py
 
-campaign: setup ## many seeds, consistency of the estimates
+campaign: setup ## many seeds, long voyages; LIVE_HOURS=2 BAG_HOURS="1 10" for shorter ones
 	@$(RUN) python tools/campaign.py
 	@$(RUN) python tools/pointing_campaign.py
 	@$(RUN) FUZZED_MESSAGES=100000 pytest -q -s test/test_fuzzed_messages.py
@@ -54,6 +56,8 @@ campaign: setup ## many seeds, consistency of the estimates
 	@$(RUN) TEN_MINUTES=6 pytest -q -s src/ship_estimation/test/test_integrated_rates.py -k noise_alone
 	@$(RUN) SKY_SEEDS=12 pytest -q -s test/test_star_level_filter.py
 	@$(RUN) STAR_SCENES=10000 STAR_EPOCHS=10000 pytest -q -s src/ship_attitude_star/test/test_star_solution.py
+	@$(RUN) python tools/long_bags.py --hours $(BAG_HOURS)
+	@$(RUN) python tools/live_memory.py --hours $(LIVE_HOURS)
 
 faults: setup ## voyages with faults: told, attributed, within the protection level; VOYAGES=40 for few
 	@$(RUN) python tools/faults.py --voyages $(VOYAGES) $(FAULT_ARGS)

@@ -15,7 +15,6 @@ from ship_replay.evaluation.sources import Truth
 from ship_replay.evaluation.statistics import reason_name
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
-from ship_simulation.run import simulate
 from ship_simulation.scenario.motion_scenario import Outage
 from ship_simulation.scenario.scenario import Fault, FusedAttitude, Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
@@ -43,7 +42,7 @@ def with_windows(name: str) -> Scenario:
 
 def replayed(scenario: Scenario, folder: Path, seed: int = 1) -> tuple[Path, dict[str, dict[str, int]]]:
     """The replayed bag, and what was refused or noted by topic and reason."""
-    write_bag(simulate(scenario, seed), folder / "in.mcap", b"")
+    write_bag(scenario, seed, folder / "in.mcap", b"")
     summary = replay(folder / "in.mcap", folder / "out.mcap", ADAPTERS)
     assert summary.problems == []
     topics = {*summary.refused, *summary.noted}

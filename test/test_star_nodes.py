@@ -181,7 +181,7 @@ def joint_nees(seeds: int, exposure_s: float = 0.0, believed_psf_px: float | Non
     for seed in range(seeds):
         adapter, truth, joint = StarAttitudeAdapter(config, RosbagsFactory()), {}, []
         topics = {topic.topic for topic in adapter.inputs}
-        for topic, message, log_time_ns in messages(simulate(scenario, seed), RosbagsFactory()):
+        for topic, message, log_time_ns in messages([simulate(scenario, seed)], RosbagsFactory()):
             if topic == "truth/attitude":
                 rotation_nd = rotation_from_angles(message.heading, message.pitch, message.roll)
                 truth[ns_from_stamp(message.header.stamp)] = rotation_nd

@@ -22,7 +22,6 @@ from ship_bags.stamps import NS_PER_S
 from ship_estimation.parameters import build
 from ship_node.live.adapter_calls import message_bytes
 from ship_node.live.node_clock import TickGrid
-from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.simulate_command import write_bag
@@ -62,7 +61,7 @@ def _arrivals(scenario: Scenario) -> list[BagRecord]:
     """The messages of a voyage in order of arrival."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "voyage.mcap"
-        write_bag(simulate(scenario, 1), path, b"")
+        write_bag(scenario, 1, path, b"")
         with read_bag(path) as bag:
             return list(bag.records())
 

@@ -14,7 +14,6 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from bench_rows import Row, by_turns, median_ratio, own_cpu_s
 from ship_replay.commands.replay import ADAPTERS
 from ship_replay.offline.replay import replay
-from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.simulate_command import write_bag
 
@@ -116,7 +115,7 @@ def _duration_s(bag: Path) -> float:
 
 def _voyage(scenario: str, duration_s: float, folder: Path) -> Path:
     path, bag = SCENARIOS / f"{scenario}.yaml", folder / f"{scenario}.mcap"
-    write_bag(simulate(dataclasses.replace(load_scenario(path), duration_s=duration_s), 1), bag, path.read_bytes())
+    write_bag(dataclasses.replace(load_scenario(path), duration_s=duration_s), 1, bag, path.read_bytes())
     return bag
 
 

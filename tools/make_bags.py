@@ -8,7 +8,6 @@ import hashlib
 from pathlib import Path
 
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
-from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.simulate_command import write_bag
 
@@ -30,7 +29,7 @@ def _make(options: argparse.Namespace) -> int:
     for name, seed in SEEDS.items():
         path = options.out / f"{name}.mcap"
         scenario_path = FOLDER / "scenarios" / f"{name}.yaml"
-        count = write_bag(simulate(load_scenario(scenario_path), seed), path, scenario_path.read_bytes())
+        count = write_bag(load_scenario(scenario_path), seed, path, scenario_path.read_bytes())
         print(f"{path}: {count} messages, {path.stat().st_size / 1e6:.2f} MB, seed {seed}")
         lines.append(f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}\n")
     (options.out / SUMS).write_text("".join(lines), encoding="utf-8")

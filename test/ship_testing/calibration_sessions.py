@@ -76,7 +76,7 @@ def write_session(
     with BagWriter(path) as bag:
         if suite is not None:
             bag.add_attachment(SUITE_ATTACHMENT, suite(suite_yaml(scenario)))
-        for topic, message, log_time_ns in messages(run, RosbagsFactory()):
+        for topic, message, log_time_ns in messages([run], RosbagsFactory()):
             if topic not in leave_out:
                 bag.write(topic, message, log_time_ns)
     return run

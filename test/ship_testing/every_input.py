@@ -83,7 +83,7 @@ def voyage_of(node: str, given: Scenario) -> Voyage:
         return adapter_class(config, FACTORY)
 
     heard = {feed.topic for feed in new_adapter().inputs}
-    logged = list(messages(simulate(given, _SEED), FACTORY))
+    logged = list(messages([simulate(given, _SEED)], FACTORY))
     arrivals = tuple(Arrival(topic, message, log_ns) for topic, message, log_ns in logged if topic in heard)
     kind = "truth/pointing" if node.startswith("optical_axis") else "truth/attitude"
     return Voyage(new_adapter, arrivals, {log_ns: message for topic, message, log_ns in logged if topic == kind})

@@ -1,8 +1,10 @@
 """Bags as they come: in order, split, overlapping, cut, damaged, or no bags at all."""
 
+import gc
 import io
 import random
 import struct
+import tracemalloc
 
 import pytest
 import yaml
@@ -455,3 +457,20 @@ class TestBadInput:
     def test_metadata_that_is_none(self, tmp_path):
         (tmp_path / "metadata.yaml").write_text("- a list\n")
         self.refused(tmp_path, "not the information file of a rosbag2 bag")
+
+
+def test_a_chunk_of_a_long_bag_takes_little_memory(tmp_path):
+    count = 2000
+    path = write_numbered(tmp_path / "long.mcap", range(8 * count), topics="abcdefgh", chunk_size=300)
+    read_bag(path).close()
+    gc.collect()
+    tracemalloc.start()
+    try:
+        before, _ = tracemalloc.get_traced_memory()
+        with read_bag(path) as bag:
+            held, _ = tracemalloc.get_traced_memory()
+            assert sum(1 for _ in bag.records({"a"})) == count
+    finally:
+        tracemalloc.stop()
+    # Neither the bytes at which the index of each channel begins nor a set of channels for each chunk.
+    assert held - before < 300 * count

@@ -1,6 +1,7 @@
 """What trials feed into a core is what an adapter reads in the messages of the same run."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,19 +11,22 @@ from ship_attitude_star.ros.star_messages_in import star_exposure as read_exposu
 from ship_attitude_star.sky.catalogue import hipparcos
 from ship_attitude_star.sky.config import SkyConfig
 from ship_bags.message_store import RosbagsFactory, message_store, serialize
-from ship_replay.trials.monte_carlo import sky_input, star_exposure
+from ship_geometry.attitude_track import AttitudeSample
+from ship_replay.trials.monte_carlo import attitude_outcomes, core_for, measurement_of, sky_input, star_exposure
 from ship_simulation.messages.to_messages import messages
 from ship_simulation.run import SKY_SOURCES, simulate
 from ship_simulation.scenario.motion_scenario import Outage
+from ship_simulation.scenario.scenario_file import load_scenario
 from ship_testing.paper_stars import paper_stars, with_position, with_sensor
 
+SCENARIOS = Path(__file__).resolve().parents[3] / "bags" / "scenarios"
 OBSERVATIONS = "star/fore/observations"
 
 
 def entries_of(run, topic):
     """(message, log time) of one topic, through the bytes of a bag."""
     store = message_store()
-    found = [(message, log) for name, message, log in messages(run, RosbagsFactory()) if name == topic]
+    found = [(message, log) for name, message, log in messages([run], RosbagsFactory()) if name == topic]
     return [(store.deserialize_cdr(serialize(message), message.__msgtype__), log) for message, log in found]
 
 
@@ -86,3 +90,42 @@ def test_fixes_and_weather_are_read_as_the_run_holds_them():
             assert (found.time_ns, found.position) == (held.time_ns, held.position)
         else:
             assert found == dataclasses.replace(held, value=pytest.approx(held.value, rel=1e-15))
+
+
+def one_by_one(core, run, wanted_ns):
+    """The outcomes of a run whose INS samples are given to the core one after another."""
+    for _, source, index in run.arrivals():
+        if source == "ins":
+            time_ns = int(run.ins.time_ns[index])
+            sample = AttitudeSample(time_ns, run.ins.rotation_nd[index], run.ins.rate_d[index])
+            yield core.add_ins(sample, estimate=time_ns in wanted_ns)
+        elif source in SKY_SOURCES:
+            yield core.add_sky_input(sky_input(run, source, index))
+        else:
+            yield core.add_measurement(measurement_of(run, source, index))
+
+
+@pytest.mark.parametrize("name", ["paper", "late_shuffled", "everything"])
+def test_samples_of_the_ins_judged_in_blocks_lead_to_what_they_lead_to_one_by_one(name):
+    scenario = dataclasses.replace(load_scenario(SCENARIOS / f"{name}.yaml"), duration_s=40.0)
+    run = simulate(scenario, seed=1)
+    wanted_ns = set(run.ins.time_ns[[700, 701, 1500, -1]].tolist())
+    cores = core_for(scenario), core_for(scenario)
+    found, expected = (
+        list(outcomes(core, run, wanted_ns))
+        for outcomes, core in zip((attitude_outcomes, one_by_one), cores, strict=True)
+    )
+    for attribute in ("estimates", "decisions", "refusal"):
+        told = [[getattr(outcome, attribute) for outcome in some] for some in (found, expected)]
+        one, other = ([each for each in some if each] for some in told)
+        assert len(one) == len(other)
+        if attribute == "estimates":
+            for (mine,), (theirs,) in zip(one, other, strict=True):
+                assert mine.time_ns == theirs.time_ns
+                np.testing.assert_array_equal(mine.rotation_nd, theirs.rotation_nd)
+                np.testing.assert_array_equal(mine.covariance_n, theirs.covariance_n)
+        if attribute == "decisions":
+            assert [[(d.accepted, d.nis) for d in each] for each in one] == [
+                [(d.accepted, d.nis) for d in each] for each in other
+            ]
+    np.testing.assert_array_equal(cores[0].state.mean, cores[1].state.mean)

@@ -1,12 +1,17 @@
-"""One simulated voyage as arrays: what the devices say, when it arrives, and the truth. No ROS, no files."""
+"""One simulated voyage as arrays: what the devices say, when it arrives, and the truth. No ROS, no files.
 
+A voyage comes as a whole, or in stretches one after another; the samples are the same.
+"""
+
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
-from ship_simulation.draws.noise import stamps, truth_index
+from ship_simulation.draws.noise import truth_index
+from ship_simulation.draws.stretch import STRETCH_S, Draws, Stretch, stretches_of
 from ship_simulation.scenario.scenario import Scenario, start_of
 from ship_simulation.ship.attitude_device import (
     DeviceSamples,
@@ -69,7 +74,7 @@ class VoyageTruth:
 
 @dataclass(frozen=True)
 class SimulatedRun:
-    """A scenario with one draw of its random parts.
+    """A scenario with one draw of its random parts: the samples of a stretch of it, or of the whole voyage.
 
     The weather station says at the stamps ``weather_ns``, shape (n,), what the scenario's ``weather`` says.
     ``fused`` and ``theodolite`` are None where the scenario has none.
@@ -77,7 +82,7 @@ class SimulatedRun:
 
     scenario: Scenario
     seed: int
-    start_ns: int
+    stretch: Stretch
     ins: InsSamples
     stars: dict[str, StarSamples]
     references: dict[str, DeviceSamples]
@@ -86,6 +91,11 @@ class SimulatedRun:
     fused: FusedSamples | None
     theodolite: TheodoliteRun | None
     truth: VoyageTruth
+
+    @property
+    def start_ns(self) -> int:
+        """The start of the voyage."""
+        return self.stretch.start_ns
 
     def arrivals(self) -> list[tuple[int, str, int]]:
         """(log time, source, index of the sample) of each input of ``ship_attitude``, in order of arrival.
@@ -125,42 +135,75 @@ def simulate(scenario: Scenario, seed: int) -> SimulatedRun:
     Raises:
         BadInput: the recorded motion cannot be used, or the theodolite cannot look where it should.
     """
-    start_ns = start_of(scenario.start_utc)
-    carrier = carrier_of(scenario.carrier, seed)
-    ins, ins_truth = simulate_ins(scenario, carrier, start_ns, seed)
-    track = ShipTrack(scenario.position, start_ns)
-    sky = draw_sky(scenario, track, seed) if scenario.needs_sky else None
-    stars, star_truth, sightings_truth = _simulate_stars(scenario, carrier, sky, start_ns, seed)
-    references = {
-        key: simulate_reference(key, scenario, carrier, ins_truth.time_offset_s, start_ns, seed)
-        for key in scenario.references
-    }
-    index = truth_index(ins.time_ns, start_ns)
-    since_start_s = (ins.time_ns[index] - start_ns) / SECOND_NS
-    truth = VoyageTruth(
-        ins_index=index,
-        rotation_nd=carrier.attitude(since_start_s),
-        rate_d=carrier.body_rate(since_start_s),
-        ins=ins_truth,
-        stars=star_truth,
-        sightings=sightings_truth,
-        references={key: device_truth for key, (_, device_truth) in references.items()},
-        track=track,
-        sky=sky,
-    )
-    return SimulatedRun(
-        scenario=scenario,
-        seed=seed,
-        start_ns=start_ns,
-        ins=ins,
-        stars=stars,
-        references={key: samples for key, (samples, _) in references.items()},
-        fixes=simulate_fixes(scenario, track, seed),
-        weather_ns=stamps(start_ns, scenario.weather.rate_hz, 0.0, scenario.duration_s),
-        fused=simulate_fused_attitude(scenario, carrier, start_ns, seed) if scenario.fused_attitude.written else None,
-        theodolite=simulate_theodolite(scenario, carrier, start_ns, seed) if scenario.theodolite.aboard else None,
-        truth=truth,
-    )
+    voyage = _Voyage(scenario, seed)
+    return voyage.samples(Stretch(voyage.track.start_ns, scenario.duration_s))
+
+
+def simulate_stretches(scenario: Scenario, seed: int, length_s: int = STRETCH_S) -> Iterator[SimulatedRun]:
+    """Draw the same voyage in stretches, whose memory does not grow with it.
+
+    Args:
+        scenario: what is simulated.
+        seed: of all its random parts.
+        length_s: of the stretches, an even number of seconds.
+
+    Raises:
+        BadInput: as :func:`simulate`.
+    """
+    voyage = _Voyage(scenario, seed)
+    for stretch in stretches_of(voyage.track.start_ns, scenario.duration_s, length_s):
+        yield voyage.samples(stretch)
+
+
+class _Voyage:
+    """What is drawn once for a voyage, and what goes on from stretch to stretch."""
+
+    def __init__(self, scenario: Scenario, seed: int) -> None:
+        self.scenario = scenario
+        self.track = ShipTrack(scenario.position, start_of(scenario.start_utc))
+        self._draws = Draws(seed)
+        self._carrier = carrier_of(scenario.carrier, seed)
+        # A motion that ends too early is refused before the first sample.
+        self._carrier.attitude(np.array([0.0, scenario.duration_s]))
+        self._sky = draw_sky(scenario, self.track, seed) if scenario.needs_sky else None
+
+    def samples(self, stretch: Stretch) -> SimulatedRun:
+        """The samples of the next stretch."""
+        scenario, carrier, draws, seed = self.scenario, self._carrier, self._draws, self._draws.seed
+        draws.begin(stretch)
+        ins, ins_truth = simulate_ins(scenario, carrier, stretch, draws)
+        stars, star_truth, sightings_truth = _simulate_stars(scenario, carrier, self._sky, stretch, draws)
+        references = {
+            key: simulate_reference(key, scenario, carrier, ins_truth.time_offset_s, stretch, draws)
+            for key in scenario.references
+        }
+        index = truth_index(ins.time_ns, stretch.start_ns, stretch.holds_last(scenario.ins.rate_hz, 0.0))
+        since_start_s = (ins.time_ns[index] - stretch.start_ns) / SECOND_NS
+        truth = VoyageTruth(
+            ins_index=index,
+            rotation_nd=carrier.attitude(since_start_s),
+            rate_d=carrier.body_rate(since_start_s),
+            ins=ins_truth,
+            stars=star_truth,
+            sightings=sightings_truth,
+            references={key: device_truth for key, (_, device_truth) in references.items()},
+            track=self.track,
+            sky=self._sky,
+        )
+        fused, aboard = scenario.fused_attitude.written, scenario.theodolite.aboard
+        return SimulatedRun(
+            scenario=scenario,
+            seed=seed,
+            stretch=stretch,
+            ins=ins,
+            stars=stars,
+            references={key: samples for key, (samples, _) in references.items()},
+            fixes=simulate_fixes(scenario, self.track, stretch, draws),
+            weather_ns=stretch.stamps(scenario.weather.rate_hz, 0.0),
+            fused=simulate_fused_attitude(scenario, carrier, stretch, draws) if fused else None,
+            theodolite=simulate_theodolite(scenario, carrier, stretch, draws) if aboard else None,
+            truth=truth,
+        )
 
 
 def _in_order(sources: dict[str, np.ndarray]) -> list[tuple[int, str, int]]:
@@ -175,19 +218,19 @@ def _in_order(sources: dict[str, np.ndarray]) -> list[tuple[int, str, int]]:
 
 
 def _simulate_stars(
-    scenario: Scenario, carrier: Carrier, sky: TrueSky | None, start_ns: int, seed: int
+    scenario: Scenario, carrier: Carrier, sky: TrueSky | None, stretch: Stretch, draws: Draws
 ) -> tuple[dict[str, StarSamples], dict[str, DeviceTruth], dict[str, SightingsTruth]]:
     """Samples of each star sensor, their mounting, and what the single stars are."""
     samples: dict[str, StarSamples] = {}
     mounted: dict[str, DeviceTruth] = {}
     sightings: dict[str, SightingsTruth] = {}
     for key, config in scenario.star_sensors.items():
-        motion = motion_of_star_sensor(key, scenario, carrier, start_ns, seed)
+        motion = motion_of_star_sensor(key, scenario, carrier, stretch, draws)
         mounted[key] = motion.truth
         if sky is None or config.output == "horizon_attitude":
-            samples[key] = simulate_star_sensor(key, scenario, motion, seed)
+            samples[key] = simulate_star_sensor(key, scenario, motion, draws)
         elif config.output == "observations":
-            samples[key], sightings[key] = simulate_sightings(key, scenario, motion, sky, seed)
+            samples[key], sightings[key] = simulate_sightings(key, scenario, motion, sky, draws)
         else:
-            samples[key] = simulate_inertial_sensor(key, scenario, motion, sky, seed)
+            samples[key] = simulate_inertial_sensor(key, scenario, motion, sky, draws)
     return samples, mounted, sightings

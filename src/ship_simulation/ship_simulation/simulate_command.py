@@ -11,9 +11,9 @@ from ship_bags.output_files import add_force, check_file
 from ship_estimation.parameter_rows import key_rows
 from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.messages.to_messages import messages
-from ship_simulation.run import SimulatedRun, simulate
+from ship_simulation.run import simulate_stretches
 from ship_simulation.scenario.fault import kind_rows
-from ship_simulation.scenario.scenario import Scenario
+from ship_simulation.scenario.scenario import Scenario, start_of
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import suite_yaml
 
@@ -70,24 +70,25 @@ def seed_of(text: str) -> int:
 def _run(options: argparse.Namespace) -> int:
     check_file(options.out, options.force)
     scenario = load_scenario(options.scenario, recording=options.carrier)
-    run = simulate(scenario, options.seed)
-    count = write_bag(run, options.out, options.scenario.read_bytes())
+    count = write_bag(scenario, options.seed, options.out, options.scenario.read_bytes())
     print(f"{options.out}: {count} messages, {scenario.duration_s:g} s, seed {options.seed}")
     return EXIT_DONE
 
 
-def write_bag(run: SimulatedRun, path: Path, scenario_text: bytes) -> int:
-    """Write a run as bag; returns the number of its messages.
+def write_bag(scenario: Scenario, seed: int, path: Path, scenario_text: bytes) -> int:
+    """Simulate a voyage into a bag; returns the number of its messages.
 
     Raises:
-        BadInput: the file cannot be written.
+        BadInput: the voyage cannot be simulated, or the file cannot be written.
     """
-    end_ns = run.start_ns + round(run.scenario.duration_s * SECOND_NS)
-    entries = with_bar(messages(run, RosbagsFactory()), path.name, run.start_ns, end_ns, lambda entry: entry[2])
+    runs = simulate_stretches(scenario, seed)
+    start_ns = start_of(scenario.start_utc)
+    end_ns = start_ns + round(scenario.duration_s * SECOND_NS)
+    entries = with_bar(messages(runs, RosbagsFactory()), path.name, start_ns, end_ns, lambda entry: entry[2])
     with BagWriter(path) as bag:
         bag.add_attachment(SCENARIO_ATTACHMENT, scenario_text)
-        bag.add_attachment(SUITE_ATTACHMENT, suite_yaml(run.scenario))
-        bag.add_metadata("simulation", {"seed": str(run.seed)})
+        bag.add_attachment(SUITE_ATTACHMENT, suite_yaml(scenario))
+        bag.add_metadata("simulation", {"seed": str(seed)})
         for topic, message, log_time_ns in entries:
             bag.write(topic, message, log_time_ns)
         return bag.message_count

@@ -9,7 +9,6 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.message_store import message_store
 from ship_bags.stamps import NS_PER_S
 from ship_simulation.faults.injection import Injection
-from ship_simulation.run import simulate
 from ship_simulation.scenario.fault import KINDS, Fault, size_problems
 from ship_simulation.scenario.fault_file import fault_problems
 from ship_simulation.scenario.names import COVARIANCES, FIRST_VALUE, can_happen
@@ -65,7 +64,7 @@ def bag(tmp_path_factory):
     fused = dataclasses.replace(scenario.fused_attitude, written=True)
     scenario = dataclasses.replace(scenario, duration_s=2.0, fused_attitude=fused)
     path = tmp_path_factory.mktemp("bag") / "everything.mcap"
-    write_bag(simulate(scenario, 3), path, b"scenario: here\n")
+    write_bag(scenario, 3, path, b"scenario: here\n")
     return path
 
 

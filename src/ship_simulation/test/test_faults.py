@@ -23,7 +23,7 @@ def entries_under(faults, topic):
     scenario = load_scenario(PAPER)
     ins = dataclasses.replace(scenario.ins, rate_hz=20.0)
     run = simulate(dataclasses.replace(scenario, duration_s=3.0, ins=ins, faults=faults), seed=1)
-    return [(message, log) for name, message, log in messages(run, RosbagsFactory()) if name == topic]
+    return [(message, log) for name, message, log in messages([run], RosbagsFactory()) if name == topic]
 
 
 def quaternion(message):

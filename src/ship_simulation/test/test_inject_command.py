@@ -18,7 +18,6 @@ from ship_geometry.ros_axes import celestial_rotation_from_quaternion, rotation_
 from ship_geometry.rotations import ARCSEC, angle_between, log_rotation
 from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.inject_command import main
-from ship_simulation.run import simulate
 from ship_simulation.scenario.fault import KINDS
 from ship_simulation.scenario.fault_file import field_steps, numeric_fields
 from ship_simulation.scenario.scenario_file import load_scenario
@@ -39,7 +38,7 @@ def bag(tmp_path_factory):
     fused = dataclasses.replace(scenario.fused_attitude, written=True)
     scenario = dataclasses.replace(scenario, duration_s=LENGTH_S, fused_attitude=fused)
     path = tmp_path_factory.mktemp("bag") / "everything.mcap"
-    write_bag(simulate(scenario, 3), path, b"scenario: here\n")
+    write_bag(scenario, 3, path, b"scenario: here\n")
     return path
 
 

@@ -5,7 +5,8 @@ import pytest
 
 from ship_estimation.gates import sigma_ratio_band
 from ship_geometry.time_scales import SECOND_NS
-from ship_simulation.draws.noise import arrival_times, gauss_markov, random_stream, stamps
+from ship_simulation.draws.noise import GaussMarkov, SlowError, arrival_times, random_stream
+from ship_simulation.draws.stretch import Draws, Stretch, stretches_of
 from ship_simulation.scenario.scenario import start_of
 
 
@@ -18,7 +19,7 @@ def assert_sigma(values, sigma):
 def test_gauss_markov_is_steady_from_the_start_and_forgets_as_it_should():
     count = 4000
     sigma, time_s = np.full(count, 5.0), np.full(count, 20.0)
-    process = gauss_markov(random_stream(1, "test"), 41, 1.0, sigma, time_s)
+    process = GaussMarkov(random_stream(1, "test"), 1.0, sigma, time_s).take(41)
     for moment in (0, 1, 20, 40):
         assert_sigma(process[moment], 5.0)
     # What is left of x(0) at x(20 s) is exp(-1) of it; the rest is independent of it.
@@ -41,9 +42,43 @@ def test_arrivals_are_late_by_latency_and_a_uniform_part():
 
 
 def test_stamps_of_a_rate_that_does_not_divide_the_second_do_not_drift():
-    time_ns = stamps(0, 30.0, 0.01, 1000.0)
+    time_ns = Stretch(0, 1000.0).stamps(30.0, 0.01)
     assert time_ns[30_000 - 1] == 10_000_000 + round(29_999 * SECOND_NS / 30)
     assert time_ns.size == 30_000
+
+
+@pytest.mark.parametrize(("rate_hz", "phase_s"), [(30.0, 0.01), (7.0, 0.0), (0.03, 12.0), (1.0, 0.5), (0.001, 0.0)])
+def test_stretches_hold_each_stamp_once_and_know_the_last(rate_hz, phase_s):
+    whole = Stretch(5, 101.5).stamps(rate_hz, phase_s)
+    parts = list(stretches_of(5, 101.5, 4))
+    np.testing.assert_array_equal(np.concatenate([part.stamps(rate_hz, phase_s) for part in parts]), whole)
+    assert len(whole) == parts[0].count(rate_hz, phase_s)
+    holders = [part for part in parts if part.holds_last(rate_hz, phase_s)]
+    assert [part.stamps(rate_hz, phase_s)[-1] for part in holders] == [whole[-1]]
+
+
+def test_processes_and_streams_go_on_where_they_were_left():
+    sigma, time_s = np.array([1.0, 3.0]), np.array([5.0, 50.0])
+    whole = GaussMarkov(random_stream(1, "a"), 0.5, sigma, time_s).take(100)
+    draws = Draws(1)
+    parts = [draws.gauss_markov("a", count, 0.5, sigma, time_s) for count in (0, 1, 60, 0, 39)]
+    np.testing.assert_array_equal(np.concatenate(parts), whole)
+    numbers = random_stream(1, "b").standard_normal(9000)
+    assert draws.stream("b", after=5000).standard_normal() == numbers[5000]
+    assert [draws.stream("b").standard_normal() for _ in range(3)] == numbers[:3].tolist()
+
+
+def test_a_slow_error_forgets_nothing_that_is_still_asked_for():
+    moments_s = np.linspace(0.0, 400.0, 1001)
+    whole = SlowError(random_stream(1, "test"), 390.0, np.array([1.0, 2.0]), 6.0)
+    forgetful = SlowError(random_stream(1, "test"), 390.0, np.array([1.0, 2.0]), 6.0)
+    expected = whole.at(moments_s)
+    for first in range(0, 1001, 77):
+        part = slice(first, first + 77)
+        forgetful.forget(moments_s[first] - 1.0)
+        np.testing.assert_array_equal(forgetful.at(moments_s[part]), expected[part])
+    with pytest.raises(ValueError, match="forgotten"):
+        forgetful.at(np.array([3.0]))
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,7 @@ def short_run(duration_s=3.0, **changes):
 
 
 def entries_of(run, topic):
-    return [(message, log) for name, message, log in messages(run, RosbagsFactory()) if name == topic]
+    return [(message, log) for name, message, log in messages([run], RosbagsFactory()) if name == topic]
 
 
 def quaternion(message):
@@ -43,7 +43,7 @@ def vector(value):
 
 def test_entries_come_in_order_of_log_time_with_every_topic():
     run = short_run(references={"gyro": Reference()})
-    entries = list(messages(run, RosbagsFactory()))
+    entries = list(messages([run], RosbagsFactory()))
     logs = [log for _, _, log in entries]
     assert logs == sorted(logs)
     counts = {topic: sum(name == topic for name, _, _ in entries) for topic, _, _ in entries}

@@ -22,7 +22,7 @@ OBSERVATIONS, INERTIAL = "star/fore/observations", "star/fore/inertial_attitude"
 def entries_of(run, topic):
     """(message, log time) of one topic, through the bytes of a bag."""
     store = message_store()
-    found = [(message, log) for name, message, log in messages(run, RosbagsFactory()) if name == topic]
+    found = [(message, log) for name, message, log in messages([run], RosbagsFactory()) if name == topic]
     return [(store.deserialize_cdr(serialize(message), message.__msgtype__), log) for message, log in found]
 
 
@@ -123,5 +123,5 @@ def test_messages_are_dropped_delayed_repeated_and_frozen(topic):
 def test_a_bag_of_stars_repeats_to_the_byte(tmp_path):
     scenario = with_sensor(paper_stars(duration_s=3.0), false_stars=1.0, swapped_probability=0.3)
     for name in ("first", "second"):
-        write_bag(simulate(scenario, 7), tmp_path / name, b"")
+        write_bag(scenario, 7, tmp_path / name, b"")
     assert (tmp_path / "first").read_bytes() == (tmp_path / "second").read_bytes()

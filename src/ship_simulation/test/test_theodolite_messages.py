@@ -29,11 +29,11 @@ def run():
 
 
 def entries_of(run, topic):
-    return [(message, log) for name, message, log in messages(run, RosbagsFactory()) if name == topic]
+    return [(message, log) for name, message, log in messages([run], RosbagsFactory()) if name == topic]
 
 
 def test_every_topic_is_there_in_order_of_arrival(run):
-    entries = list(messages(run, RosbagsFactory()))
+    entries = list(messages([run], RosbagsFactory()))
     assert [log for _, _, log in entries] == sorted(log for _, _, log in entries)
     counts = {topic: sum(name == topic for name, _, _ in entries) for topic, _, _ in entries}
     drones = {f"beacon/{key}/{what}": 31 for key in "ab" for what in ("baseline", "imu")}

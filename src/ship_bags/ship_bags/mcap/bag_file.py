@@ -11,9 +11,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from mcap.opcode import Opcode
-from mcap.reader import SeekingReader
-from mcap.records import Attachment, Channel, Message, Metadata, Schema
-from mcap.summary import Summary
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    ChunkIndex,
+    Footer,
+    McapRecord,
+    Message,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+)
+from mcap.stream_reader import StreamReader
 
 from ship_bags.errors import BadInput
 from ship_bags.mcap.chunk_content import COMPRESSIONS, DamagedChunk, parsed
@@ -33,6 +44,7 @@ _CHECKSUM = struct.Struct("<I")
 """With which the summary and the body of an attachment end."""
 
 _LOOSE_MESSAGES_PER_PLACE = 5000
+_BLOCK_BYTES = 1 << 20
 
 
 @dataclass
@@ -99,67 +111,114 @@ def open_mcap(path: Path) -> McapFile:
     return file
 
 
-def _summary(file: McapFile) -> Summary | None:
-    """The file's summary where it is there, whole, and lists every chunk."""
-    if not _has_whole_footer(file):
-        return None
-    file.data.stream.seek(0)
-    try:
-        summary = SeekingReader(file.data.stream).get_summary()
-    except Exception:
-        # The parser may fail in any way over damaged bytes; the file is then walked through instead.
-        return None
-    return summary if summary is not None and _is_complete(summary) else None
+@dataclass
+class _Summary:
+    """What the summary of a file tells; of each chunk no more than its place, for long bags have many.
 
-
-def _is_complete(summary: Summary) -> bool:
-    """Whether a summary alone tells all channels, their schemas and all places of messages."""
-    statistics = summary.statistics
-    if statistics is None or statistics.channel_count != len(summary.channels):
-        return False
-    if any(channel.schema_id and channel.schema_id not in summary.schemas for channel in summary.channels.values()):
-        return False
-    if statistics.chunk_count != len(summary.chunk_indexes):
-        return False
-    return statistics.message_count == 0 or statistics.chunk_count > 0
-
-
-def _has_whole_footer(file: McapFile) -> bool:
-    """Whether the file ended in a footer whose checksum over the summary is right, when it was opened.
-
-    Of a file that is still being written all places are counted from its start: its end is elsewhere a moment later.
+    Attributes:
+        places: of the chunks, in the order of the summary.
+        compressions: of the chunks.
+        attachments: bytes at which they begin.
+        metadata: likewise.
     """
-    if file.data.size < len(MAGIC) + _FOOTER.size:
-        return False
-    file.data.stream.seek(file.data.size - _FOOTER.size)
-    footer = file.data.stream.read(_FOOTER.size)
-    if len(footer) < _FOOTER.size:
-        return False
-    opcode, _, summary_start, _, checksum, magic = _FOOTER.unpack(footer)
-    if opcode != Opcode.FOOTER or magic != MAGIC or not 0 < summary_start < file.data.size:
-        return False
-    file.data.stream.seek(summary_start)
-    summary = file.data.stream.read(file.data.size - summary_start - _CHECKSUM.size - len(MAGIC))
-    return checksum in (0, zlib.crc32(summary))
 
+    statistics: Statistics | None = None
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    places: list[ChunkPlace] = field(default_factory=list)
+    compressions: set[str] = field(default_factory=set)
+    attachments: list[int] = field(default_factory=list)
+    metadata: list[int] = field(default_factory=list)
+    _channels_met: dict[frozenset[int], frozenset[int]] = field(default_factory=dict)
 
-def _take_summary(file: McapFile, summary: Summary) -> None:
-    compressions = {index.compression for index in summary.chunk_indexes}
-    if compressions and compressions.isdisjoint(COMPRESSIONS):
-        raise BadInput(f"compression {min(compressions)!r} is unknown: expected zstd, lz4 or none", file=file.path)
-    file.schemas.update(summary.schemas)
-    file.channels.update(summary.channels)
-    for index in sorted(summary.chunk_indexes, key=lambda index: index.chunk_start_offset):
+    def take(self, record: McapRecord) -> None:
+        """Note a record of the summary."""
+        match record:
+            case Statistics():
+                self.statistics = record
+            case Schema():
+                self.schemas[record.id] = record
+            case Channel():
+                self.channels[record.id] = record
+            case ChunkIndex():
+                self._take_chunk(record)
+            case AttachmentIndex():
+                self.attachments.append(record.offset)
+            case MetadataIndex():
+                self.metadata.append(record.offset)
+
+    def _take_chunk(self, index: ChunkIndex) -> None:
+        self.compressions.add(index.compression)
+        channels = frozenset(index.message_index_offsets)
+        # Most chunks hold messages of the same channels.
+        channels = self._channels_met.setdefault(channels, channels)
         place = ChunkPlace(
             index.chunk_start_offset,
             index.chunk_length,
             index.message_start_time,
             index.message_end_time,
-            channels=frozenset(index.message_index_offsets) or None,  # a writer may leave the index out
+            channels=channels or None,  # a writer may leave the index out
         )
-        file.chunks.append(place)
-    offsets = [index.offset for index in summary.attachment_indexes]
-    for offset in offsets + [index.offset for index in summary.metadata_indexes]:
+        self.places.append(place)
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether it alone tells all channels, their schemas and all places of messages."""
+        told = self.statistics
+        if told is None or told.channel_count != len(self.channels):
+            return False
+        if any(channel.schema_id and channel.schema_id not in self.schemas for channel in self.channels.values()):
+            return False
+        return told.chunk_count == len(self.places) and (told.message_count == 0 or told.chunk_count > 0)
+
+
+def _summary(file: McapFile) -> _Summary | None:
+    """The file's summary where it is there, whole, and lists every chunk."""
+    start = _summary_start(file)
+    if start is None:
+        return None
+    summary = _Summary()
+    file.data.stream.seek(start)
+    try:
+        for record in StreamReader(file.data.stream, skip_magic=True).records:
+            summary.take(record)
+            if isinstance(record, Footer):
+                break
+    except Exception:
+        # The parser may fail in any way over damaged bytes; the file is then walked through instead.
+        return None
+    return summary if summary.is_complete else None
+
+
+def _summary_start(file: McapFile) -> int | None:
+    """Where the summary begins; None unless the file ended in a footer with its right checksum, when it was opened.
+
+    Of a file that is still being written all places are counted from its start: its end is elsewhere a moment later.
+    """
+    if file.data.size < len(MAGIC) + _FOOTER.size:
+        return None
+    file.data.stream.seek(file.data.size - _FOOTER.size)
+    footer = file.data.stream.read(_FOOTER.size)
+    if len(footer) < _FOOTER.size:
+        return None
+    opcode, _, start, _, checksum, magic = _FOOTER.unpack(footer)
+    if opcode != Opcode.FOOTER or magic != MAGIC or not 0 < start < file.data.size:
+        return None
+    file.data.stream.seek(start)
+    found, left = 0, file.data.size - start - _CHECKSUM.size - len(MAGIC)
+    while left > 0 and (block := file.data.stream.read(min(left, _BLOCK_BYTES))):
+        found, left = zlib.crc32(block, found), left - len(block)
+    return start if checksum in (0, found) else None
+
+
+def _take_summary(file: McapFile, summary: _Summary) -> None:
+    if summary.compressions and summary.compressions.isdisjoint(COMPRESSIONS):
+        unknown = min(summary.compressions)
+        raise BadInput(f"compression {unknown!r} is unknown: expected zstd, lz4 or none", file=file.path)
+    file.schemas.update(summary.schemas)
+    file.channels.update(summary.channels)
+    file.chunks.extend(sorted(summary.places, key=lambda place: place.offset))
+    for offset in summary.attachments + summary.metadata:
         record = file.data.record_at(offset)
         if record is None:
             file.problems.append(f"{file.path.name}: the attachment or metadata at byte {offset} is damaged")

@@ -220,7 +220,7 @@ class Bag:
 
     def _places(self, channels: list[dict[int, str]] | None) -> list[_BagPlace]:
         """The places of the messages of some channels, None means all, by the time at which they begin."""
-        in_bag_order = [(number, place) for number, file in enumerate(self._files) for place in file.chunks]
+        in_bag_order = ((number, place) for number, file in enumerate(self._files) for place in file.chunks)
         places = [
             _BagPlace(order, number, place)
             for order, (number, place) in enumerate(in_bag_order)

@@ -34,7 +34,7 @@ _RESTART = re.compile(rb"[\x06\x07\x09\x0c\x0f].{5}\x00\x00\x00", re.DOTALL)
 _WINDOW_BYTES = 1 << 20
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class ChunkPlace:
     """Where messages lie in a file: one chunk, or a run of messages outside any chunk.
 

@@ -15,7 +15,6 @@ from ship_replay.offline.digests import code_sha256
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
 from ship_replay.offline.replay_run import ReplaySummary
-from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.simulate_command import write_bag
 
@@ -65,7 +64,7 @@ def _made(item: Item, folder: Path) -> Result:
     bag, out = item.source.path, folder / "out.mcap"
     if item.seed is not None:
         bag = folder / "in.mcap"
-        write_bag(simulate(load_scenario(item.source.path), item.seed), bag, item.source.path.read_bytes())
+        write_bag(load_scenario(item.source.path), item.seed, bag, item.source.path.read_bytes())
     config = None if item.parameters is None else item.parameters.path
     summary = replay(bag, out, ADAPTERS, config, item.namespace)
     return _told(evaluate(out, bag, item.skip_s, item.namespace), summary)

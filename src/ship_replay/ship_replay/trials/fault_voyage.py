@@ -27,7 +27,6 @@ from ship_replay.trials.threats import OVERLAPPING, SINGLE, DrawnFault, draw_fau
 from ship_replay.trials.voyage_told import Told, VoyageSink
 from ship_simulation.draws.noise import random_stream
 from ship_simulation.faults.injection import Injection
-from ship_simulation.run import simulate
 from ship_simulation.scenario.names import IMAGE_TOPIC
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.simulate_command import write_bag
@@ -68,7 +67,7 @@ def make_bag(scenario_path: Path, duration_s: float, seed: int, path: Path) -> P
         path.parent.mkdir(parents=True, exist_ok=True)
         scenario = load_scenario(scenario_path)
         scenario = dataclasses.replace(scenario, duration_s=min(duration_s, scenario.duration_s))
-        write_bag(simulate(scenario, seed), path, scenario_path.read_bytes())
+        write_bag(scenario, seed, path, scenario_path.read_bytes())
     return path
 
 

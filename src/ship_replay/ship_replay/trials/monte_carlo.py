@@ -11,6 +11,7 @@ import numpy as np
 
 from ship_attitude_star.measurements.readings import AirReading, InertialAttitude, PositionFix, SkyInput
 from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMeasurement, AttitudeOutcome
+from ship_attitude_star.ship_attitude.ahead import InsAhead
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.sky.sky_watch import installed_sky
@@ -18,7 +19,7 @@ from ship_attitude_star.stars.exposure import ExposureLength, StarExposure
 from ship_estimation.gates import normalized_error_squared
 from ship_estimation.outcome import Measurement, Status
 from ship_estimation.parameters import build
-from ship_geometry.attitude_track import AttitudeSample
+from ship_geometry.attitude_track import AttitudeSample, SampleBlock
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, exp_rotation, log_rotation
 from ship_simulation.run import SKY_SOURCES, SimulatedRun, simulate
@@ -39,6 +40,9 @@ from theodolite_calib.measured.samples import (
     ShipSample,
 )
 from theodolite_calib.optical_axis.core import OpticalAxisCore
+
+_JUDGED_AT_ONCE = 256
+"""Samples of the INS at most."""
 
 
 @dataclass(frozen=True)
@@ -96,15 +100,59 @@ def attitude_outcomes(
     core: ShipAttitudeCore, run: SimulatedRun, wanted_ns: Container[int]
 ) -> Iterator[AttitudeOutcome]:
     """What a core makes of each arrival of a run; attitudes are asked for at the wanted stamps of INS samples alone."""
+    ins = _InsTurns(core, run, wanted_ns)
     for _, source, index in run.arrivals():
         if source == "ins":
-            time_ns = int(run.ins.time_ns[index])
-            sample = AttitudeSample(time_ns, run.ins.rotation_nd[index], run.ins.rate_d[index])
-            yield core.add_ins(sample, estimate=time_ns in wanted_ns)
-        elif source in SKY_SOURCES:
+            yield from ins.arrive(index)
+            continue
+        yield from ins.take_turns()
+        if source in SKY_SOURCES:
             yield core.add_sky_input(sky_input(run, source, index))
         else:
-            yield core.add_measurement(_measurement(run, source, index))
+            yield core.add_measurement(measurement_of(run, source, index))
+
+
+class _InsTurns:
+    """The samples of the INS, judged in blocks before their turn as a replay judges them, up to one that is wanted.
+
+    Args:
+        core: takes them.
+        run: whose samples they are.
+        wanted_ns: stamps at which an attitude is asked for.
+    """
+
+    def __init__(self, core: ShipAttitudeCore, run: SimulatedRun, wanted_ns: Container[int]) -> None:
+        ins = run.ins
+        self._core, self._block = core, SampleBlock(ins.time_ns, ins.rotation_nd, ins.rate_d)
+        wanted = [row for row, time_ns in enumerate(ins.time_ns.tolist()) if time_ns in wanted_ns]
+        self._wanted = np.array([*wanted, ins.time_ns.size])
+        self._in_order = bool(np.all(np.diff(ins.log_time_ns) >= 0))
+        self._ahead: InsAhead | None = None
+        self._arrived = 0
+
+    def arrive(self, index: int) -> Iterator[AttitudeOutcome]:
+        """A sample has arrived."""
+        if self._ahead is None:
+            next_wanted = int(self._wanted[np.searchsorted(self._wanted, index)])
+            block = self._block.some(slice(index, min(next_wanted, index + _JUDGED_AT_ONCE)))
+            if self._in_order and len(block.times_ns):
+                self._ahead, self._arrived = self._core.look_ahead(block, block.times_ns), 0
+            if self._ahead is None:
+                yield self._core.add_ins(self._block.one(index), estimate=index == next_wanted)
+                return
+        self._arrived += 1
+        if self._arrived == self._ahead.count:
+            yield from self.take_turns()
+            last, self._ahead = self._core.end_ahead(self._ahead), None
+            if last is not None:
+                yield last
+
+    def take_turns(self) -> Iterator[AttitudeOutcome]:
+        """Those that have arrived have their turn."""
+        if self._ahead is not None:
+            self._core.take_ahead(self._ahead, min(self._arrived, self._ahead.usual))
+            yield from (outcome for _, outcome in self._ahead.told)
+            self._ahead.told.clear()
 
 
 def sky_input(run: SimulatedRun, source: str, index: int) -> SkyInput:
@@ -121,7 +169,8 @@ def sky_input(run: SimulatedRun, source: str, index: int) -> SkyInput:
     return AirReading(source, int(run.weather_ns[index]), values[source], None)
 
 
-def _measurement(run: SimulatedRun, source: str, index: int) -> Measurement:
+def measurement_of(run: SimulatedRun, source: str, index: int) -> Measurement:
+    """What a star sensor or another attitude system tells, as the estimator takes it."""
     kind, _, name = source.partition(".")
     device = run.stars[name] if kind == "star" else run.references[name]
     if isinstance(device, StarSightings):

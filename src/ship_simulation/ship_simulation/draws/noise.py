@@ -32,31 +32,42 @@ def random_stream(seed: int, component: str) -> np.random.Generator:
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(key,))))
 
 
-def gauss_markov(
-    rng: np.random.Generator, count: int, period_s: float, sigma: FloatArray, time_s: FloatArray
-) -> FloatArray:
-    """First-order Gauss–Markov processes in their steady state, each sampled exactly, shape (count, n).
+class GaussMarkov:
+    """First-order Gauss–Markov processes in their steady state, each sampled exactly.
 
     Args:
         rng: source of the noise.
-        count: number of samples.
         period_s: time from sample to sample.
         sigma: steady standard deviation of each process, shape (n,).
         time_s: correlation time of each process, shape (n,).
     """
-    decay = np.exp(-period_s / np.asarray(time_s, dtype=float))
-    # 1 - decay² without cancellation.
-    innovation = np.sqrt(-np.expm1(-2.0 * period_s / np.asarray(time_s, dtype=float)))
-    noise = rng.standard_normal((count, len(sigma)))
-    noise[1:] *= innovation
-    samples = [lfilter([1.0], [1.0, -decay[i]], noise[:, i]) for i in range(len(sigma))]
-    return np.stack(samples, axis=-1) * sigma
+
+    def __init__(self, rng: np.random.Generator, period_s: float, sigma: FloatArray, time_s: FloatArray) -> None:
+        self._rng = rng
+        self._sigma = sigma
+        self._decay = np.exp(-period_s / np.asarray(time_s, dtype=float))
+        # 1 - decay² without cancellation.
+        self._innovation = np.sqrt(-np.expm1(-2.0 * period_s / np.asarray(time_s, dtype=float)))
+        self._begun = False
+        self._carried = np.zeros((len(sigma), 1))
+
+    def take(self, count: int) -> FloatArray:
+        """The next samples, shape (count, n)."""
+        noise = self._rng.standard_normal((count, len(self._sigma)))
+        noise[0 if self._begun else 1 :] *= self._innovation
+        samples = np.empty_like(noise)
+        if count:
+            self._begun = True
+            for i, decay in enumerate(self._decay):
+                samples[:, i], self._carried[i] = lfilter([1.0], [1.0, -decay], noise[:, i], zi=self._carried[i])
+        return samples * self._sigma
 
 
 class SlowError:
     """Gauss–Markov processes with one correlation time, whose values can be asked at any moment.
 
-    The processes are drawn on a grid far finer than the correlation time. Between the grid's moments they are straight.
+    The processes are drawn on a grid far finer than the correlation time, up to the latest moment asked for. Between
+    the grid's moments they are straight.
 
     Args:
         rng: source of the noise.
@@ -66,22 +77,36 @@ class SlowError:
     """
 
     def __init__(self, rng: np.random.Generator, duration_s: float, sigma: FloatArray, time_s: float) -> None:
-        period_s = min(_LONGEST_STEP_S, time_s / _LEAST_STEPS)
-        count = int(np.ceil(duration_s / period_s)) + 1
-        self._moments_s = period_s * np.arange(count)
-        self._values = gauss_markov(rng, count, period_s, sigma, np.full(len(sigma), time_s))
+        self._period_s = min(_LONGEST_STEP_S, time_s / _LEAST_STEPS)
+        self._count = int(np.ceil(duration_s / self._period_s)) + 1
+        self._process = GaussMarkov(rng, self._period_s, sigma, np.full(len(sigma), time_s))
+        self._first = 0
+        self._values = self._process.take(1)
 
     def at(self, t_s: FloatArray) -> FloatArray:
-        """The processes at moments, shape (k, n)."""
-        return np.stack([np.interp(t_s, self._moments_s, column) for column in self._values.T], axis=-1)
+        """The processes at moments, shape (k, n).
 
+        Raises:
+            ValueError: a moment lies before what was forgotten.
+        """
+        if np.size(t_s):
+            self._reach(float(np.max(t_s)))
+        moments_s = self._period_s * np.arange(self._first, self._first + len(self._values))
+        if self._first and np.any(t_s < moments_s[0]):
+            raise ValueError(f"the slow error before {moments_s[0]:.1f} s is forgotten")
+        return np.stack([np.interp(t_s, moments_s, column) for column in self._values.T], axis=-1)
 
-def stamps(start_ns: int, rate_hz: float, phase_s: float, duration_s: float) -> np.ndarray:
-    """Stamps of regular samples from ``start + phase`` to ``start + duration`` inclusive, ns, shape (n,)."""
-    # A hair over, so that a duration of whole periods includes its end in spite of rounding.
-    count = int(np.floor((duration_s - phase_s) * rate_hz + 1e-6)) + 1
-    offsets_ns = np.rint((phase_s + np.arange(max(count, 0)) / rate_hz) * SECOND_NS)
-    return start_ns + offsets_ns.astype(np.int64)
+    def forget(self, before_s: float) -> None:
+        """No moment before this is asked for any more."""
+        first = min(int(before_s / self._period_s), self._first + len(self._values) - 1)
+        if first > self._first:
+            self._values, self._first = self._values[first - self._first :].copy(), first
+
+    def _reach(self, t_s: float) -> None:
+        wanted = min(int(t_s / self._period_s) + 2, self._count)
+        more = wanted - (self._first + len(self._values))
+        if more > 0:
+            self._values = np.concatenate([self._values, self._process.take(more)])
 
 
 def arrival_times(stamp_ns: np.ndarray, latency_s: float, jitter_s: float, rng: np.random.Generator) -> np.ndarray:
@@ -98,19 +123,19 @@ def outside(since_start_s: FloatArray, outages: dict[str, Outage]) -> np.ndarray
     return keep
 
 
-def truth_index(time_ns: np.ndarray, start_ns: int) -> np.ndarray:
-    """The first sample in each tenth of a second, and the last of all, shape (m,)."""
-    return _first_in_each(round(SECOND_NS / TRUTH_RATE_HZ), time_ns, start_ns)
+def truth_index(time_ns: np.ndarray, start_ns: int, ends: bool = True) -> np.ndarray:
+    """The first sample in each tenth of a second, and the last of all where the samples end here, shape (m,)."""
+    return _first_in_each(round(SECOND_NS / TRUTH_RATE_HZ), time_ns, start_ns, ends)
 
 
-def once_a_second(time_ns: np.ndarray, start_ns: int) -> np.ndarray:
-    """The first sample in each second, and the last of all, shape (m,)."""
-    return _first_in_each(SECOND_NS, time_ns, start_ns)
+def once_a_second(time_ns: np.ndarray, start_ns: int, ends: bool = True) -> np.ndarray:
+    """The first sample in each second, and the last of all where the samples end here, shape (m,)."""
+    return _first_in_each(SECOND_NS, time_ns, start_ns, ends)
 
 
-def _first_in_each(period_ns: int, time_ns: np.ndarray, start_ns: int) -> np.ndarray:
+def _first_in_each(period_ns: int, time_ns: np.ndarray, start_ns: int, ends: bool) -> np.ndarray:
     first = np.flatnonzero(np.diff((time_ns - start_ns) // period_ns, prepend=-1))
-    return np.union1d(first, time_ns.size - 1)
+    return np.union1d(first, time_ns.size - 1) if ends else first
 
 
 @dataclass(frozen=True)

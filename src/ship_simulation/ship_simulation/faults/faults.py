@@ -22,6 +22,9 @@ from ship_simulation.scenario.fault import Fault
 _REPETITION_AFTER_NS = 1_000_000
 _LONGEST_PERIOD_NS = SECOND_NS
 
+PASSED = object()
+"""In place of a message, without a stamp: whatever is still to come arrives later. It hits nothing and passes."""
+
 
 @dataclass(slots=True)
 class Delivery:
@@ -150,10 +153,15 @@ def _conflict(deliveries: Deliveries, window: _Window) -> Deliveries:
     queue = _Queue()
     waiting: Delivery | None = None
     for delivery in deliveries:
-        if waiting is not None:
-            queue.put(_with_values(waiting, delivery))
-        queue.put(delivery)
-        waiting = _again(delivery, delivery.log_time_ns) if window.hits(delivery) else None
+        if delivery.message is PASSED:
+            # What waits is still to come.
+            delivery.log_time_ns = delivery.log_time_ns if waiting is None else waiting.log_time_ns
+            queue.put(delivery)
+        else:
+            if waiting is not None:
+                queue.put(_with_values(waiting, delivery))
+            queue.put(delivery)
+            waiting = _again(delivery, delivery.log_time_ns) if window.hits(delivery) else None
         yield from queue.ready(delivery.log_time_ns)
     yield from queue.ready(None)
 
@@ -186,7 +194,7 @@ def _flood(deliveries: Deliveries, window: _Window) -> Deliveries:
                 stamp.sec, stamp.nanosec = stamp_fields((delivery.stamp_ns or 0) - back_ns)
                 other.data = None
                 queue.put(other)
-        last_ns = now_ns
+        last_ns = last_ns if delivery.message is PASSED else now_ns
         yield from queue.ready(now_ns)
     yield from queue.ready(None)
 

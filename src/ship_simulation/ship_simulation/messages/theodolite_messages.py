@@ -167,12 +167,14 @@ def true_pointings(run: TheodoliteRun, factory: MessageFactory) -> Iterator[tupl
         )
 
 
-def true_calibrations(run: TheodoliteRun, start_ns: int, factory: MessageFactory) -> Iterator[tuple[int, Any]]:
-    """(stamp, TheodoliteCalibration) once a second at stamps of the truth, and at the last."""
+def true_calibrations(
+    run: TheodoliteRun, start_ns: int, ends: bool, factory: MessageFactory
+) -> Iterator[tuple[int, Any]]:
+    """(stamp, TheodoliteCalibration) once a second at stamps of the truth, and at the last where they end here."""
     truth, time_ns = run.truth, run.encoder.time_ns[run.truth.encoder_index]
     constants = truth.scene.theodolite
     constant = [*constants.axis_errors.vector(), constants.focal_length_m, *constants.parallelism]
-    for row in once_a_second(time_ns, start_ns).tolist():
+    for row in once_a_second(time_ns, start_ns, ends).tolist():
         stamp_ns = int(time_ns[row])
         yield (
             stamp_ns,

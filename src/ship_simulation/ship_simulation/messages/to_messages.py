@@ -1,7 +1,8 @@
 """A simulated run as messages in the order of their arrival, with the faults of the scenario."""
 
 import heapq
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from ship_bags.stamps import make_header
 from ship_geometry.frames import angles_from_rotation
 from ship_geometry.rotations import wrap_pi
 from ship_simulation.draws.noise import once_a_second
-from ship_simulation.faults.faults import Delivery, spoilt
+from ship_simulation.faults.faults import PASSED, Delivery, spoilt
 from ship_simulation.faults.optics import Optics, telescope_camera
 from ship_simulation.messages.ship_messages import (
     Maker,
@@ -36,20 +37,41 @@ LogEntry = tuple[str, Any, int]
 """(topic, message, log time in ns)."""
 
 
-def messages(run: SimulatedRun, factory: MessageFactory) -> Iterator[LogEntry]:
-    """All messages of a run in order of log time; the truth is logged at its stamps."""
-    types = simulated_topics(run.scenario)
-    streams = [
-        _logged_at_stamp(TRUTH_ALIGNMENT, truth_alignments(run, factory)),
-        _logged_at_stamp(TRUTH_ATTITUDE, truth_attitudes(run, factory)),
-    ]
+def messages(runs: Iterable[SimulatedRun], factory: MessageFactory) -> Iterator[LogEntry]:
+    """All messages of a voyage's stretches in order of log time; the truth is logged at its stamps."""
+    topics: dict[str, _Topic] = {}
+    held: dict[str, list[LogEntry]] = {}
+    for run in runs:
+        streams = dict(_truths(run, factory))
+        for topic, (time_ns, log_time_ns, maker) in _sources(run, factory).items():
+            if topic not in topics:
+                topics[topic] = _Topic(run, topic)
+            streams[topic] = topics[topic].delivered(run, time_ns, log_time_ns, maker)
+        streams = {topic: chain(held.get(topic, ()), stream) for topic, stream in streams.items()}
+        if run.stretch.ends:
+            yield from _in_order(streams)
+            return
+        held = {topic: list(stream) for topic, stream in streams.items()}
+        until_ns = min(run.stretch.end_ns - 1, *(topic.passed_ns for topic in topics.values()))
+        yield from _in_order({topic: [e for e in entries if e[2] <= until_ns] for topic, entries in held.items()})
+        held = {topic: [entry for entry in entries if entry[2] > until_ns] for topic, entries in held.items()}
+
+
+def _in_order(streams: Mapping[str, Iterable[LogEntry]]) -> Iterator[LogEntry]:
+    """By log time; those of one moment in the order of the topics."""
+    return heapq.merge(*streams.values(), key=lambda entry: entry[2])
+
+
+def _truths(run: SimulatedRun, factory: MessageFactory) -> Iterator[tuple[str, Iterator[LogEntry]]]:
+    """Topic and messages of the truth."""
+    yield TRUTH_ALIGNMENT, _logged_at_stamp(TRUTH_ALIGNMENT, truth_alignments(run, factory))
+    yield TRUTH_ATTITUDE, _logged_at_stamp(TRUTH_ATTITUDE, truth_attitudes(run, factory))
     if run.theodolite is not None:
-        calibrations = true_calibrations(run.theodolite, run.start_ns, factory)
-        streams.append(_logged_at_stamp(TRUTH_CALIBRATION, calibrations))
-        streams.append(_logged_at_stamp(TRUTH_POINTING, true_pointings(run.theodolite, factory)))
-    for topic, (time_ns, log_time_ns, maker) in _sources(run, factory).items():
-        streams.append(_delivered(run, topic, types[topic], time_ns, log_time_ns, maker))
-    return heapq.merge(*streams, key=lambda entry: entry[2])
+        encoder = run.scenario.theodolite.encoder
+        ends = run.stretch.holds_last(encoder.rate_hz, encoder.phase_s)
+        calibrations = true_calibrations(run.theodolite, run.start_ns, ends, factory)
+        yield TRUTH_CALIBRATION, _logged_at_stamp(TRUTH_CALIBRATION, calibrations)
+        yield TRUTH_POINTING, _logged_at_stamp(TRUTH_POINTING, true_pointings(run.theodolite, factory))
 
 
 def _sources(run: SimulatedRun, factory: MessageFactory) -> dict[str, tuple[np.ndarray, np.ndarray, Maker]]:
@@ -83,14 +105,60 @@ def _logged_at_stamp(topic: str, stamped: Iterator[tuple[int, Any]]) -> Iterator
         yield topic, message, time_ns
 
 
-def _delivered(
-    run: SimulatedRun, topic: str, type_name: str, time_ns: np.ndarray, log_time_ns: np.ndarray, maker: Maker
-) -> Iterator[LogEntry]:
-    faults = {name: fault for name, fault in run.scenario.faults.items() if fault.topic == topic}
-    order = map(int, np.argsort(log_time_ns, kind="stable"))
-    made = (Delivery(maker(i, i), int(log_time_ns[i]), int(time_ns[i]), i) for i in order)
-    for delivery in spoilt(made, type_name, faults, run.start_ns, run.seed, _optics(run.scenario)):
-        yield topic, delivery.message, delivery.log_time_ns
+class _Topic:
+    """The messages of a topic from stretch to stretch: those that arrive after their stretch wait for the next.
+
+    Args:
+        run: a stretch of the voyage.
+        topic: its name.
+
+    Attributes:
+        passed_ns: what has not been delivered yet arrives later than this.
+    """
+
+    def __init__(self, run: SimulatedRun, topic: str) -> None:
+        self.passed_ns = run.start_ns
+        self._topic = topic
+        self._waiting: list[Delivery] = []
+        self._coming: Iterator[Delivery] = iter(())
+        faults = {name: fault for name, fault in run.scenario.faults.items() if fault.topic == topic}
+        type_name = simulated_topics(run.scenario)[topic]
+        self._spoilt = spoilt(self._arriving(), type_name, faults, run.start_ns, run.seed, _optics(run.scenario))
+
+    def delivered(
+        self, run: SimulatedRun, time_ns: np.ndarray, log_time_ns: np.ndarray, maker: Maker
+    ) -> Iterator[LogEntry]:
+        """What arrives in a stretch, in order of arrival."""
+        self._coming = self._of_stretch(run, time_ns, log_time_ns, maker)
+        for delivery in self._spoilt:
+            if delivery.message is PASSED:
+                self.passed_ns = delivery.log_time_ns
+                return
+            yield self._topic, delivery.message, delivery.log_time_ns
+
+    def _arriving(self) -> Iterator[Delivery]:
+        """What arrives in all stretches; after each one but the last comes PASSED."""
+        passed = True
+        while passed:
+            passed = False
+            for delivery in self._coming:
+                passed = delivery.message is PASSED
+                yield delivery
+
+    def _of_stretch(
+        self, run: SimulatedRun, time_ns: np.ndarray, log_time_ns: np.ndarray, maker: Maker
+    ) -> Iterator[Delivery]:
+        order = np.argsort(log_time_ns, kind="stable").tolist()
+        made = (Delivery(maker(i, i), int(log_time_ns[i]), int(time_ns[i]), i) for i in order)
+        waited, self._waiting = self._waiting, []
+        # Of those that arrive at the same moment, the one with the earlier stamp comes first.
+        for delivery in heapq.merge(waited, made, key=lambda delivery: delivery.log_time_ns):
+            if delivery.log_time_ns < run.stretch.end_ns:
+                yield delivery
+            else:
+                self._waiting.append(delivery)
+        if not run.stretch.ends:
+            yield Delivery(PASSED, int(run.stretch.end_ns) - 1, None, 0)
 
 
 def _optics(scenario: Scenario) -> Optics:
@@ -115,9 +183,10 @@ def truth_attitudes(run: SimulatedRun, factory: MessageFactory) -> Iterator[tupl
 
 
 def truth_alignments(run: SimulatedRun, factory: MessageFactory) -> Iterator[tuple[int, Any]]:
-    """(stamp, AlignmentState) once a second at stamps of the truth, and at the last."""
+    """(stamp, AlignmentState) once a second at stamps of the truth, and at the last of the voyage."""
     index = run.truth.ins_index
-    chosen = index[once_a_second(run.ins.time_ns[index], run.start_ns)]
+    ends = run.stretch.holds_last(run.scenario.ins.rate_hz, 0.0)
+    chosen = index[once_a_second(run.ins.time_ns[index], run.start_ns, ends)]
     constant = _constant_values(run)
     names = ["ins.north", "ins.up", "ins.east", *constant]
     units = ["s" if name.endswith("time_offset") else "rad" for name in names]

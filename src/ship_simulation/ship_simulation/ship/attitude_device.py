@@ -14,14 +14,12 @@ from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.draws.noise import (
     ExposureTimes,
-    SlowError,
     arrival_times,
     exposure_times,
-    gauss_markov,
     outside,
     random_stream,
-    stamps,
 )
+from ship_simulation.draws.stretch import Draws, Stretch
 from ship_simulation.scenario.scenario import Reference, Scenario, StarSensor
 from ship_simulation.ship.motion import Carrier
 
@@ -59,34 +57,36 @@ class InsTruth:
     time_offset_s: float
 
 
-def simulate_ins(scenario: Scenario, carrier: Carrier, start_ns: int, seed: int) -> tuple[InsSamples, InsTruth]:
+def simulate_ins(
+    scenario: Scenario, carrier: Carrier, stretch: Stretch, draws: Draws
+) -> tuple[InsSamples, InsTruth]:
     """Samples by R_true(s + tau) = exp(a) exp(w) R_ins(s), with the true rate of s + tau."""
     config = scenario.ins
-    time_ns = stamps(start_ns, config.rate_hz, 0.0, scenario.duration_s)
+    time_ns = stretch.stamps(config.rate_hz, 0.0)
     truth = InsTruth(
-        attitude_error_n=gauss_markov(
-            random_stream(seed, "ins.attitude_error"),
+        attitude_error_n=draws.gauss_markov(
+            "ins.attitude_error",
             time_ns.size,
             1.0 / config.rate_hz,
             sigma=ARCSEC * np.array([config.tilt_sigma_arcsec, config.heading_sigma_arcsec, config.tilt_sigma_arcsec]),
             time_s=np.array([config.tilt_time_s, config.heading_time_s, config.tilt_time_s]),
         ),
         time_offset_s=config.time_offset_s
-        + config.time_offset_sigma_s * random_stream(seed, "ins.time_offset").standard_normal(),
+        + config.time_offset_sigma_s * random_stream(draws.seed, "ins.time_offset").standard_normal(),
     )
-    valid_s = (time_ns - start_ns) / SECOND_NS + truth.time_offset_s
-    white_n = random_stream(seed, "ins.white").standard_normal((time_ns.size, 3)) * config.white_sigma_arcsec * ARCSEC
+    valid_s = (time_ns - stretch.start_ns) / SECOND_NS + truth.time_offset_s
+    white_n = draws.stream("ins.white").standard_normal((time_ns.size, 3)) * config.white_sigma_arcsec * ARCSEC
     true_nd = carrier.attitude(valid_s)
     samples = InsSamples(
         time_ns=time_ns,
-        log_time_ns=arrival_times(time_ns, config.latency_s, config.jitter_s, random_stream(seed, "ins.arrival")),
+        log_time_ns=arrival_times(time_ns, config.latency_s, config.jitter_s, draws.stream("ins.arrival")),
         rotation_nd=exp_rotation(-white_n) @ exp_rotation(-truth.attitude_error_n) @ true_nd,
-        rate_d=carrier.body_rate(valid_s) + _rate_errors(scenario, true_nd, seed),
+        rate_d=carrier.body_rate(valid_s) + _rate_errors(scenario, true_nd, draws),
     )
     return samples, truth
 
 
-def _rate_errors(scenario: Scenario, true_nd: FloatArray, seed: int) -> FloatArray:
+def _rate_errors(scenario: Scenario, true_nd: FloatArray, draws: Draws) -> FloatArray:
     """What the INS's angular rates hold beside the turn of the deck in the horizon, rad/s, shape (n, 3).
 
     Noise, a slow error of the gyroscopes, and the Earth's own turn where the INS does not take it out.
@@ -94,14 +94,14 @@ def _rate_errors(scenario: Scenario, true_nd: FloatArray, seed: int) -> FloatArr
     Args:
         scenario: the INS, and the latitude.
         true_nd: true attitude of the deck at each sample, shape (n, 3, 3).
-        seed: of the run.
+        draws: of the run.
     """
     config, count = scenario.ins, len(true_nd)
-    noise = random_stream(seed, "ins.rate").standard_normal((count, 3))
+    noise = draws.stream("ins.rate").standard_normal((count, 3))
     errors: FloatArray = config.rate_sigma_arcsec_per_s * ARCSEC * noise
     if config.rate_bias_sigma_arcsec_per_s:
-        errors += gauss_markov(
-            random_stream(seed, "ins.rate_bias"),
+        errors += draws.gauss_markov(
+            "ins.rate_bias",
             count,
             1.0 / config.rate_hz,
             sigma=np.full(3, config.rate_bias_sigma_arcsec_per_s * ARCSEC),
@@ -173,7 +173,7 @@ class MountedMotion:
 
 
 def motion_of_star_sensor(
-    sensor_id: str, scenario: Scenario, carrier: Carrier, start_ns: int, seed: int
+    sensor_id: str, scenario: Scenario, carrier: Carrier, stretch: Stretch, draws: Draws
 ) -> MountedMotion:
     """Where a star sensor looks: R_star(t) = exp(c) R_true(t + offset) exp(f) R0 exp(m)."""
     config, name = scenario.star_sensors[sensor_id], f"star.{sensor_id}"
@@ -183,14 +183,14 @@ def motion_of_star_sensor(
         config.installation_sigma_up_arcsec,
         config.installation_sigma_right_arcsec,
     ]
-    truth = _draw_truth(name, seed, nominal_dv, sigma_installation, config)
-    time_ns = stamps(start_ns, config.rate_hz, config.phase_s, scenario.duration_s)
-    since_start_s = (time_ns - start_ns) / SECOND_NS
+    truth = _draw_truth(name, draws.seed, nominal_dv, sigma_installation, config)
+    time_ns = stretch.stamps(config.rate_hz, config.phase_s)
+    since_start_s = (time_ns - stretch.start_ns) / SECOND_NS
     flexure_d = _slow_error(
-        name + ".flexure", seed, time_ns.size, config.rate_hz, config.flexure_sigma_arcsec, config.flexure_time_s
+        name + ".flexure", draws, time_ns.size, config.rate_hz, config.flexure_sigma_arcsec, config.flexure_time_s
     )
     common_n = _slow_error(
-        name + ".common", seed, time_ns.size, config.rate_hz, config.common_sigma_arcsec, config.common_time_s
+        name + ".common", draws, time_ns.size, config.rate_hz, config.common_sigma_arcsec, config.common_time_s
     )
     valid_s = since_start_s + truth.time_offset_s
     times = exposure_times(config.exposure_s)
@@ -211,12 +211,12 @@ def motion_of_star_sensor(
     )
 
 
-def simulate_star_sensor(sensor_id: str, scenario: Scenario, motion: MountedMotion, seed: int) -> DeviceSamples:
+def simulate_star_sensor(sensor_id: str, scenario: Scenario, motion: MountedMotion, draws: Draws) -> DeviceSamples:
     """Horizon attitudes by R_star(t) exp(n)."""
     config = scenario.star_sensors[sensor_id]
     common_sigma = config.common_sigma_arcsec * ARCSEC
     samples = _samples(
-        f"star.{sensor_id}", seed, motion.time_ns, motion.rotation_nv, sigma_of_attitudes(config), common_sigma, config
+        f"star.{sensor_id}", draws, motion.time_ns, motion.rotation_nv, sigma_of_attitudes(config), common_sigma, config
     )
     return _kept(samples, outside(motion.since_start_s, config.outages))
 
@@ -227,17 +227,17 @@ def sigma_of_attitudes(config: StarSensor) -> FloatArray:
 
 
 def simulate_reference(
-    name: str, scenario: Scenario, carrier: Carrier, ins_time_offset_s: float, start_ns: int, seed: int
+    name: str, scenario: Scenario, carrier: Carrier, ins_time_offset_s: float, stretch: Stretch, draws: Draws
 ) -> tuple[DeviceSamples, DeviceTruth]:
     """Samples by R_ref(t) = R_true(t - offset + tau) C exp(n), C the turn from INS axes to the reference's."""
     config = scenario.references[name]
     nominal_dv = rotation_from_angles(*np.deg2rad([config.heading_deg, config.pitch_deg, config.roll_deg]))
-    truth = _draw_truth(f"reference.{name}", seed, nominal_dv, [config.installation_sigma_arcsec] * 3, config)
+    truth = _draw_truth(f"reference.{name}", draws.seed, nominal_dv, [config.installation_sigma_arcsec] * 3, config)
     sigma_v = ARCSEC * np.array([config.sigma_roll_arcsec, config.sigma_heading_arcsec, config.sigma_pitch_arcsec])
-    time_ns = stamps(start_ns, config.rate_hz, config.phase_s, scenario.duration_s)
-    valid_s = (time_ns - start_ns) / SECOND_NS - truth.time_offset_s + ins_time_offset_s
+    time_ns = stretch.stamps(config.rate_hz, config.phase_s)
+    valid_s = (time_ns - stretch.start_ns) / SECOND_NS - truth.time_offset_s + ins_time_offset_s
     clean_nv = carrier.attitude(valid_s) @ truth.rotation_dv
-    return _samples(f"reference.{name}", seed, time_ns, clean_nv, sigma_v, 0.0, config), truth
+    return _samples(f"reference.{name}", draws, time_ns, clean_nv, sigma_v, 0.0, config), truth
 
 
 def _draw_truth(
@@ -252,15 +252,17 @@ def _draw_truth(
     )
 
 
-def _slow_error(name: str, seed: int, count: int, rate_hz: float, sigma_arcsec: float, time_s: float) -> FloatArray:
+def _slow_error(
+    name: str, draws: Draws, count: int, rate_hz: float, sigma_arcsec: float, time_s: float
+) -> FloatArray:
     """A Gauss–Markov rotation vector with equal axes, rad, shape (count, 3)."""
     sigma = np.full(3, sigma_arcsec * ARCSEC)
-    return gauss_markov(random_stream(seed, name), count, 1.0 / rate_hz, sigma, np.full(3, time_s))
+    return draws.gauss_markov(name, count, 1.0 / rate_hz, sigma, np.full(3, time_s))
 
 
 def _samples(
     name: str,
-    seed: int,
+    draws: Draws,
     time_ns: np.ndarray,
     clean_nv: FloatArray,
     sigma_v: FloatArray,
@@ -268,8 +270,8 @@ def _samples(
     config: StarSensor | Reference,
 ) -> DeviceSamples:
     """Samples of true attitudes, with the white noise of the device put on."""
-    noise_v = sigma_v * random_stream(seed, name + ".white").standard_normal((time_ns.size, 3))
-    arrival = random_stream(seed, name + ".arrival")
+    noise_v = sigma_v * draws.stream(name + ".white").standard_normal((time_ns.size, 3))
+    arrival = draws.stream(name + ".arrival")
     return DeviceSamples(
         time_ns=time_ns,
         log_time_ns=arrival_times(time_ns, config.latency_s, config.jitter_s, arrival),
@@ -304,16 +306,16 @@ class FusedSamples:
     covariance_n: FloatArray
 
 
-def simulate_fused_attitude(scenario: Scenario, carrier: Carrier, start_ns: int, seed: int) -> FusedSamples:
+def simulate_fused_attitude(scenario: Scenario, carrier: Carrier, stretch: Stretch, draws: Draws) -> FusedSamples:
     """Samples by R_true(t) = exp(e) exp(w) R_fused(t), e Gauss–Markov, w white."""
     config = scenario.fused_attitude
-    time_ns = stamps(start_ns, config.rate_hz, config.phase_s, scenario.duration_s)
-    since_start_s = (time_ns - start_ns) / SECOND_NS
+    time_ns = stretch.stamps(config.rate_hz, config.phase_s)
+    since_start_s = (time_ns - stretch.start_ns) / SECOND_NS
     sigma = ARCSEC * np.array([config.tilt_sigma_arcsec, config.heading_sigma_arcsec, config.tilt_sigma_arcsec])
-    error = SlowError(random_stream(seed, "fused.error"), scenario.duration_s, sigma, config.time_s)
+    error = draws.slow_error("fused.error", scenario.duration_s, sigma, config.time_s)
     white_sigma = config.white_sigma_arcsec * ARCSEC
-    white_n = white_sigma * random_stream(seed, "fused.white").standard_normal((time_ns.size, 3))
-    arrival = random_stream(seed, "fused.arrival")
+    white_n = white_sigma * draws.stream("fused.white").standard_normal((time_ns.size, 3))
+    arrival = draws.stream("fused.arrival")
     return FusedSamples(
         time_ns=time_ns,
         log_time_ns=arrival_times(time_ns, config.latency_s, config.jitter_s, arrival),

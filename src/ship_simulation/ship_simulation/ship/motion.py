@@ -24,7 +24,8 @@ from ship_simulation.scenario.motion_scenario import CarrierMotion, Recording, S
 _HEADING = 0
 """Place of the heading among (heading, pitch, roll)."""
 
-# Rows of the table of wave components made at one time: bounds the memory of long runs.
+# Rows of the table of wave components made at one time: bounds the memory of long runs. A product of fewer rows is
+# filled up to so many, for it may differ in the last bit from that of more: what is true at a moment hangs on no other.
 _ROWS_AT_ONCE = 4096
 
 _IMU = "sensor_msgs/msg/Imu"
@@ -137,7 +138,10 @@ class HarmonicMotion:
         for first in range(0, flat.shape[0], _ROWS_AT_ONCE):
             rows = slice(first, first + _ROWS_AT_ONCE)
             angle = flat[rows] * self.angular_frequency
-            summed[rows] = np.cos(angle) @ phasor.real - np.sin(angle) @ phasor.imag
+            waves = np.zeros((2, _ROWS_AT_ONCE, self.angular_frequency.size))
+            waves[0, : len(angle)], waves[1, : len(angle)] = np.cos(angle), np.sin(angle)
+            whole = waves[0] @ phasor.real - waves[1] @ phasor.imag
+            summed[rows] = whole[: len(angle)]
         return summed.reshape(*t_s.shape, phasor.shape[1])
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from ship_geometry.geodetic import GeodeticPosition, horizon_radii_m
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
-from ship_simulation.draws.noise import gauss_markov, random_stream, stamps
+from ship_simulation.draws.stretch import Draws, Stretch
 from ship_simulation.scenario.scenario import Position, Scenario
 
 _EARTH_RADIUS_M = 6_371_000.0
@@ -85,15 +85,13 @@ class FixSamples:
         return GeodeticPosition(float(latitude), float(longitude), float(self.height_m[index]))
 
 
-def simulate_fixes(scenario: Scenario, track: ShipTrack, seed: int) -> FixSamples:
+def simulate_fixes(scenario: Scenario, track: ShipTrack, stretch: Stretch, draws: Draws) -> FixSamples:
     """Fixes along the track, each with a white and a slow error."""
     place = scenario.position
-    time_ns = stamps(track.start_ns, place.rate_hz, 0.0, scenario.duration_s)
-    white_m = place.sigma_m * random_stream(seed, "gnss.white").standard_normal((time_ns.size, 3))
-    slow = random_stream(seed, "gnss.slow")
-    slow_m = gauss_markov(
-        slow, time_ns.size, 1.0 / place.rate_hz, np.full(3, place.slow_sigma_m), np.full(3, place.slow_time_s)
-    )
+    time_ns = stretch.stamps(place.rate_hz, 0.0)
+    white_m = place.sigma_m * draws.stream("gnss.white").standard_normal((time_ns.size, 3))
+    sigma_m, time_s = np.full(3, place.slow_sigma_m), np.full(3, place.slow_time_s)
+    slow_m = draws.gauss_markov("gnss.slow", time_ns.size, 1.0 / place.rate_hz, sigma_m, time_s)
     # In this order: north, east, up.
     error_m = white_m + slow_m
     north_deg, east_deg = np.rad2deg(error_m[:, :2] / _EARTH_RADIUS_M).T

@@ -11,8 +11,8 @@ from ship_geometry.rotations import FloatArray
 from ship_simulation.scenario.scenario import Detector, StarSensor
 from ship_simulation.stars.sky import TrueSky
 
-# Candidates are chosen once for exposures within this time, so that they are few.
-_BLOCK_S = 2.0
+# Candidates are chosen once for exposures within this time after the start, so that they are few.
+_BLOCK_S = 2
 # What moves a star from its place of J2000.0 to where it is seen: aberration, refraction, two centuries of motion, and
 # the Earth's rotation within a block.
 _MARGIN = np.deg2rad(0.5)
@@ -37,7 +37,9 @@ class FieldStars:
     pixel: FloatArray
 
 
-def stars_in_field(sensor: StarSensor, sky: TrueSky, rotation_nv: FloatArray, valid_ns: np.ndarray) -> FieldStars:
+def stars_in_field(
+    sensor: StarSensor, sky: TrueSky, rotation_nv: FloatArray, valid_ns: np.ndarray, since_start_s: FloatArray
+) -> FieldStars:
     """The brightest stars in the field of each exposure.
 
     Args:
@@ -45,6 +47,7 @@ def stars_in_field(sensor: StarSensor, sky: TrueSky, rotation_nv: FloatArray, va
         sky: the true one.
         rotation_nv: horizon from sensor at each exposure, shape (n, 3, 3).
         valid_ns: their moments, shape (n,).
+        since_start_s: their stamps after the start, increasing, shape (n,).
     """
     camera = sensor.camera.camera("camera")
     bright = sky.catalogue.brighter_than(sensor.magnitude_limit)
@@ -53,9 +56,9 @@ def stars_in_field(sensor: StarSensor, sky: TrueSky, rotation_nv: FloatArray, va
     place_c = erfa.s2c(places.right_ascension, places.declination)
     least_cosine = np.cos(_radius(camera, sensor.camera) + _MARGIN)
     parts = []
-    block = max(int(_BLOCK_S * sensor.rate_hz), 1)
-    for start in range(0, valid_ns.size, block):
-        exposures = slice(start, start + block)
+    starts = np.flatnonzero(np.diff(since_start_s // _BLOCK_S, prepend=-1.0))
+    for start, end in zip(starts, [*starts[1:], valid_ns.size], strict=True):
+        exposures = slice(start, end)
         boresight_c = rotation_nv[exposures, :, 0] @ sky.rotation_horizon_from_icrs(valid_ns[start])
         near = np.any(boresight_c @ place_c.T > least_cosine, axis=0)
         candidates = bright[near]
@@ -99,10 +102,12 @@ def swapped_identities(
     """
     claimed: Rows = rows.copy()
     _, first, count = np.unique(exposure, return_index=True, return_counts=True)
-    chosen = (rng.random(first.size) < probability) & (count >= 2)
+    swap, one, other = rng.random((first.size, 3)).T
+    chosen = (swap < probability) & (count >= 2)
+    first, count = first[chosen], count[chosen]
     # Two different stars of each: the second is counted on from the first.
-    one = rng.integers(0, count[chosen])
-    other = (one + rng.integers(1, count[chosen])) % count[chosen]
-    one, other = first[chosen] + one, first[chosen] + other
+    one = (one[chosen] * count).astype(np.int64)
+    other = (one + 1 + (other[chosen] * (count - 1)).astype(np.int64)) % count
+    one, other = first + one, first + other
     claimed[one], claimed[other] = rows[other], rows[one]
     return claimed

@@ -14,7 +14,8 @@ from ship_attitude_star.sky.catalogue import UNKNOWN
 from ship_attitude_star.stars.camera import equivalent_sigma
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_geometry.star_directions import StarPositions, fixed_stars
-from ship_simulation.draws.noise import arrival_times, centroids, outside, random_stream
+from ship_simulation.draws.noise import arrival_times, centroids, outside
+from ship_simulation.draws.stretch import Draws
 from ship_simulation.scenario.scenario import Scenario, StarSensor
 from ship_simulation.ship.attitude_device import MountedMotion, sigma_of_attitudes
 from ship_simulation.stars.sky import TrueSky, place_of_date, year_of
@@ -100,15 +101,15 @@ class SightingsTruth:
 
 
 def simulate_sightings(
-    sensor_id: str, scenario: Scenario, motion: MountedMotion, sky: TrueSky, seed: int
+    sensor_id: str, scenario: Scenario, motion: MountedMotion, sky: TrueSky, draws: Draws
 ) -> tuple[StarSightings, SightingsTruth]:
     """All exposures of a sensor. They are empty while the Sun is up, and in outages."""
     config, source = scenario.star_sensors[sensor_id], f"star.{sensor_id}"
     dark = sky.sun_elevation(motion.valid_ns) < np.deg2rad(config.sun_limit_deg)
     seeing = dark & outside(motion.since_start_s, config.outages)
-    true = _true_spots(source, config, motion, sky, seeing, seed)
-    spots = _as_read_out([true, _false_spots(source, config, sky, seeing, seed)])
-    arrival = random_stream(seed, source + ".arrival")
+    true = _true_spots(source, config, motion, sky, seeing, draws)
+    spots = _as_read_out([true, _false_spots(source, config, sky, seeing, draws)])
+    arrival = draws.stream(source + ".arrival")
     # What the fields of a message can hold.
     sigma_px = float(np.float32(config.camera.centroid_sigma_px))
     hip, positions, position_sigma = _identities(config, sky, spots.claimed)
@@ -153,19 +154,21 @@ class _Spots:
 
 
 def _true_spots(
-    source: str, config: StarSensor, motion: MountedMotion, sky: TrueSky, seeing: NDArray[np.bool_], seed: int
+    source: str, config: StarSensor, motion: MountedMotion, sky: TrueSky, seeing: NDArray[np.bool_], draws: Draws
 ) -> _Spots:
     """Stars with errors in their centroids and magnitudes; some are taken for one another."""
-    field = stars_in_field(config, sky, motion.rotation_nv[seeing], motion.valid_ns[seeing])
+    field = stars_in_field(
+        config, sky, motion.rotation_nv[seeing], motion.valid_ns[seeing], motion.since_start_s[seeing]
+    )
     exposure = np.flatnonzero(seeing)[field.exposure]
     # Where each star goes on the detector; the sky stands still meanwhile.
     way = field.pixel[None]
     if config.exposure_s > 0.0:
         place_n = (motion.rotation_nv[exposure] @ field.direction_s[..., None])[..., 0]
         way = config.camera.camera(source).pixels(np.einsum("mkji,kj->mki", motion.passing_nv[:, exposure], place_n))
-    noise_px = random_stream(seed, source + ".centroid").standard_normal(field.pixel.shape)
-    magnitude_noise = random_stream(seed, source + ".magnitude").standard_normal(field.row.size)
-    swaps = random_stream(seed, source + ".swaps")
+    noise_px = draws.stream(source + ".centroid").standard_normal(field.pixel.shape)
+    magnitude_noise = draws.stream(source + ".magnitude").standard_normal(field.row.size)
+    swaps = draws.stream(source + ".swaps")
     return _Spots(
         exposure=exposure,
         row=field.row,
@@ -178,20 +181,20 @@ def _true_spots(
     )
 
 
-def _false_spots(source: str, config: StarSensor, sky: TrueSky, seeing: NDArray[np.bool_], seed: int) -> _Spots:
+def _false_spots(source: str, config: StarSensor, sky: TrueSky, seeing: NDArray[np.bool_], draws: Draws) -> _Spots:
     """Spots anywhere on the detector, each taken for a star anywhere in the sky."""
-    rng = random_stream(seed, source + ".false_stars")
-    count = rng.poisson(config.false_stars, seeing.size) * seeing
+    name = source + ".false_stars"
+    count = draws.stream(name).poisson(config.false_stars, seeing.size) * seeing
     total = int(count.sum())
     bright = sky.catalogue.brighter_than(config.magnitude_limit)
     least, greatest = config.camera.edges_px
     return _Spots(
         exposure=np.repeat(np.arange(seeing.size), count),
         row=np.full(total, UNKNOWN),
-        claimed=rng.choice(bright, total),
+        claimed=draws.stream(name + ".claimed").choice(bright, total),
         direction_s=np.full((total, 3), np.nan),
-        pixel=rng.uniform(least, greatest, (total, 2)),
-        magnitude=sky.catalogue.magnitude[rng.choice(bright, total)],
+        pixel=draws.stream(name + ".pixel").uniform(least, greatest, (total, 2)),
+        magnitude=sky.catalogue.magnitude[draws.stream(name + ".magnitude").choice(bright, total)],
     )
 
 
@@ -233,7 +236,7 @@ class InertialSamples:
 
 
 def simulate_inertial_sensor(
-    sensor_id: str, scenario: Scenario, motion: MountedMotion, sky: TrueSky, seed: int
+    sensor_id: str, scenario: Scenario, motion: MountedMotion, sky: TrueSky, draws: Draws
 ) -> InertialSamples:
     """Samples by R_cv = R_nc^T L^T R_star exp(n), L the lift by the air at the boresight.
 
@@ -243,8 +246,8 @@ def simulate_inertial_sensor(
     """
     config, name = scenario.star_sensors[sensor_id], f"star.{sensor_id}"
     sigma_v = sigma_of_attitudes(config)
-    noise_v = sigma_v * random_stream(seed, name + ".white").standard_normal((motion.time_ns.size, 3))
-    arrival = random_stream(seed, name + ".arrival")
+    noise_v = sigma_v * draws.stream(name + ".white").standard_normal((motion.time_ns.size, 3))
+    arrival = draws.stream(name + ".arrival")
     log_time_ns = arrival_times(motion.time_ns, config.latency_s, config.jitter_s, arrival)
     rotation_nc = sky.rotation_horizon_from_icrs(motion.valid_ns)
     rotation_nv = np.swapaxes(sky.lift(motion.rotation_nv[..., 0]), -1, -2) @ motion.rotation_nv

@@ -12,9 +12,8 @@ from ship_simulation.draws.noise import (
     centroids,
     exposure_times,
     outside,
-    random_stream,
-    stamps,
 )
+from ship_simulation.draws.stretch import Draws, Stretch
 from ship_simulation.scenario.theodolite_scenario import Encoder, Telescope
 from ship_simulation.theodolite.scene import MountState, Scene, TrueLight
 from theodolite_calib.lights.image import Camera
@@ -42,11 +41,14 @@ class EncoderSamples:
     sigma: float
 
 
-def read_encoders(config: Encoder, mount: MountState, time_ns: np.ndarray, seed: int) -> EncoderSamples:
-    """Readings of the mount at the stamps ``time_ns``, with their noise."""
+def read_encoders(config: Encoder, mount: MountState, stretch: Stretch, draws: Draws) -> EncoderSamples:
+    """Readings of the mount at the stamps of the encoders, with their noise."""
+    time_ns = stretch.stamps(config.rate_hz, config.phase_s)
     sigma = config.sigma_arcsec * ARCSEC
-    noise = sigma * random_stream(seed, "theodolite.encoder").standard_normal((2, time_ns.size))
-    arrival = random_stream(seed, "theodolite.encoder.arrival")
+    # The numbers of the elevation come after all those of the azimuth.
+    starts = (0, stretch.count(config.rate_hz, config.phase_s))
+    noise = [sigma * draws.stream("theodolite.encoder", start).standard_normal(time_ns.size) for start in starts]
+    arrival = draws.stream("theodolite.encoder.arrival")
     return EncoderSamples(
         time_ns=time_ns,
         log_time_ns=arrival_times(time_ns, config.latency_s, config.jitter_s, arrival),
@@ -86,16 +88,16 @@ class ImageSamples:
         return [(self.beacon_ids[self.light[row]], self.point_m[row]) for row in rows]
 
 
-def expose(config: Telescope, scene: Scene, start_ns: int, duration_s: float, seed: int) -> ImageSamples:
-    """All exposures of a run, also those without lights."""
-    time_ns = stamps(start_ns, config.rate_hz, config.phase_s, duration_s)
-    t_s = (time_ns - start_ns) / SECOND_NS
-    noise = random_stream(seed, "theodolite.detection").standard_normal((time_ns.size, len(scene.lights), 2))
+def expose(config: Telescope, scene: Scene, stretch: Stretch, draws: Draws) -> ImageSamples:
+    """The exposures of a stretch, also those without lights."""
+    time_ns = stretch.stamps(config.rate_hz, config.phase_s)
+    t_s = (time_ns - stretch.start_ns) / SECOND_NS
+    noise = draws.stream("theodolite.detection").standard_normal((time_ns.size, len(scene.lights), 2))
     times = exposure_times(config.exposure_s)
     way_m = np.array([points_on_detector(config, scene, t_s + t, scene.mount(t_s + t)) for t in times.since_middle_s])
     point_m = centroids(times, way_m, config.psf_sigma_m, config.sigma_m, noise)
     seen = in_view(config, scene, t_s, point_m)
-    arrival = random_stream(seed, "theodolite.telescope.arrival")
+    arrival = draws.stream("theodolite.telescope.arrival")
     return ImageSamples(
         time_ns=time_ns,
         log_time_ns=arrival_times(time_ns, config.latency_s, config.jitter_s, arrival),
@@ -142,24 +144,24 @@ class BaselineSamples:
 
 
 def solve_baselines(
-    beacon_id: str, scene: Scene, ship_antenna: SlowError, start_ns: int, duration_s: float, seed: int
+    beacon_id: str, scene: Scene, ship_antenna: SlowError, stretch: Stretch, draws: Draws
 ) -> BaselineSamples:
     """Solutions with white noise, with a slow error of their own, and with the error of the ship's antenna."""
     light, name = scene.lights[beacon_id], f"beacon.{beacon_id}.rtk"
     config = light.config.rtk
-    time_ns = stamps(start_ns, config.rate_hz, config.phase_s, duration_s)
-    t_s = (time_ns - start_ns) / SECOND_NS
-    bias = _slow(name + ".bias", duration_s, config.bias_sigma_m, config.bias_time_s, seed)
-    unfixed = _slow(name + ".float", duration_s, config.float_sigma_m, config.float_time_s, seed)
+    time_ns = stretch.stamps(config.rate_hz, config.phase_s)
+    t_s = (time_ns - stretch.start_ns) / SECOND_NS
+    bias = _slow(name + ".bias", stretch, config.bias_sigma_m, config.bias_time_s, draws)
+    unfixed = _slow(name + ".float", stretch, config.float_sigma_m, config.float_time_s, draws)
     is_float = ~outside(t_s, config.float_times)
-    white_n = config.sigma_m * random_stream(seed, name + ".white").standard_normal((time_ns.size, 3))
+    white_n = config.sigma_m * draws.stream(name + ".white").standard_normal((time_ns.size, 3))
     error_n = white_n + bias.at(t_s) + ship_antenna.at(t_s) + is_float[:, None] * unfixed.at(t_s)
     true_n = light.path(t_s) + scene.carrier.attitude(t_s) @ scene.theodolite.lever_d
     variance = config.sigma_m**2 + is_float * config.float_sigma_m**2
     # NaN where there is no solution.
     unsolved = ~outside(t_s, config.no_solution_times)
     blank = np.where(unsolved, np.nan, 1.0)
-    arrival = random_stream(seed, name + ".arrival")
+    arrival = draws.stream(name + ".arrival")
     log_time_ns = arrival_times(time_ns, config.latency_s, config.jitter_s, arrival)
     sent = (t_s < light.config.leaves_s) & outside(t_s, config.outages)
     return BaselineSamples(
@@ -171,8 +173,8 @@ def solve_baselines(
     )
 
 
-def _slow(name: str, duration_s: float, sigma_m: float, time_s: float, seed: int) -> SlowError:
-    return SlowError(random_stream(seed, name), duration_s, np.full(3, sigma_m), time_s)
+def _slow(name: str, stretch: Stretch, sigma_m: float, time_s: float, draws: Draws) -> SlowError:
+    return draws.slow_error(name, stretch.duration_s, np.full(3, sigma_m), time_s)
 
 
 @dataclass(frozen=True)
@@ -195,17 +197,17 @@ class DroneSamples:
 
 
 def simulate_drone_attitude(
-    beacon_id: str, light: TrueLight, start_ns: int, duration_s: float, seed: int
+    beacon_id: str, light: TrueLight, stretch: Stretch, draws: Draws
 ) -> DroneSamples:
     """Samples by R_true(t) = exp(e) exp(w) R_drone(t), e Gauss–Markov, until the drone leaves."""
     config, name = light.config.imu, f"beacon.{beacon_id}.imu"
-    time_ns = stamps(start_ns, config.rate_hz, config.phase_s, duration_s)
-    t_s = (time_ns - start_ns) / SECOND_NS
+    time_ns = stretch.stamps(config.rate_hz, config.phase_s)
+    t_s = (time_ns - stretch.start_ns) / SECOND_NS
     sigma = np.deg2rad([config.tilt_sigma_deg, config.heading_sigma_deg, config.tilt_sigma_deg])
     white_sigma = np.deg2rad(config.white_sigma_deg)
-    slow = SlowError(random_stream(seed, name + ".slow"), duration_s, sigma, config.time_s)
-    white_n = white_sigma * random_stream(seed, name + ".white").standard_normal((time_ns.size, 3))
-    arrival = random_stream(seed, name + ".arrival")
+    slow = draws.slow_error(name + ".slow", stretch.duration_s, sigma, config.time_s)
+    white_n = white_sigma * draws.stream(name + ".white").standard_normal((time_ns.size, 3))
+    arrival = draws.stream(name + ".arrival")
     log_time_ns = arrival_times(time_ns, config.latency_s, config.jitter_s, arrival)
     there = t_s < light.config.leaves_s
     measured = exp_rotation(-white_n) @ exp_rotation(-slow.at(t_s)) @ light.attitude.attitude(t_s)

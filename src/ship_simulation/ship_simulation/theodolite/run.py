@@ -6,7 +6,8 @@ import numpy as np
 
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
-from ship_simulation.draws.noise import SlowError, random_stream, stamps, truth_index
+from ship_simulation.draws.noise import truth_index
+from ship_simulation.draws.stretch import Draws, Stretch
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.ship.motion import Carrier
 from ship_simulation.theodolite.devices import (
@@ -55,39 +56,36 @@ class TheodoliteRun:
     truth: PointingTruth
 
 
-def simulate_theodolite(scenario: Scenario, carrier: Carrier, start_ns: int, seed: int) -> TheodoliteRun:
-    """Draw the theodolite's part of a voyage.
+def simulate_theodolite(scenario: Scenario, carrier: Carrier, stretch: Stretch, draws: Draws) -> TheodoliteRun:
+    """The theodolite's part of a stretch.
 
     Raises:
         BadInput: the theodolite would have to look along its vertical axis.
     """
-    config, duration_s = scenario.theodolite, scenario.duration_s
-    scene = draw_scene(scenario, carrier, seed)
+    config = scenario.theodolite
+    scene = draw_scene(scenario, carrier, draws)
     antenna = config.ship_antenna
-    ship_antenna = SlowError(
-        random_stream(seed, "theodolite.ship_antenna"), duration_s, np.full(3, antenna.sigma_m), antenna.time_s
+    ship_antenna = draws.slow_error(
+        "theodolite.ship_antenna", stretch.duration_s, np.full(3, antenna.sigma_m), antenna.time_s
     )
-    time_ns = stamps(start_ns, config.encoder.rate_hz, config.encoder.phase_s, duration_s)
-    mount = scene.mount((time_ns - start_ns) / SECOND_NS)
+    time_ns = stretch.stamps(config.encoder.rate_hz, config.encoder.phase_s)
+    mount = scene.mount((time_ns - stretch.start_ns) / SECOND_NS)
     return TheodoliteRun(
-        encoder=read_encoders(config.encoder, mount, time_ns, seed),
-        images=expose(config.telescope, scene, start_ns, duration_s, seed),
-        baselines={
-            key: solve_baselines(key, scene, ship_antenna, start_ns, duration_s, seed) for key in scene.lights
-        },
-        drones={
-            key: simulate_drone_attitude(key, light, start_ns, duration_s, seed) for key, light in scene.lights.items()
-        },
-        truth=_truth(scenario, scene, mount, time_ns, start_ns),
+        encoder=read_encoders(config.encoder, mount, stretch, draws),
+        images=expose(config.telescope, scene, stretch, draws),
+        baselines={key: solve_baselines(key, scene, ship_antenna, stretch, draws) for key in scene.lights},
+        drones={key: simulate_drone_attitude(key, light, stretch, draws) for key, light in scene.lights.items()},
+        truth=_truth(scenario, scene, mount, time_ns, stretch),
     )
 
 
 def _truth(
-    scenario: Scenario, scene: Scene, mount: MountState, time_ns: np.ndarray, start_ns: int
+    scenario: Scenario, scene: Scene, mount: MountState, time_ns: np.ndarray, stretch: Stretch
 ) -> PointingTruth:
-    index = truth_index(time_ns, start_ns)
+    encoder = scenario.theodolite.encoder
+    index = truth_index(time_ns, stretch.start_ns, stretch.holds_last(encoder.rate_hz, encoder.phase_s))
     chosen = MountState(*(getattr(mount, field)[index] for field in vars(mount)))
-    t_s = (time_ns[index] - start_ns) / SECOND_NS
+    t_s = (time_ns[index] - stretch.start_ns) / SECOND_NS
     telescope = scenario.theodolite.telescope
     point_m = points_on_detector(telescope, scene, t_s, chosen)
     return PointingTruth(

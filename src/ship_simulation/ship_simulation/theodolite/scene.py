@@ -11,6 +11,7 @@ from ship_bags.errors import BadInput
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_simulation.draws.noise import SlowError, outside, random_stream
+from ship_simulation.draws.stretch import Draws
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.theodolite_scenario import Axes, Beacon, Lever, Telescope, Theodolite
 from ship_simulation.ship.motion import Carrier
@@ -195,17 +196,17 @@ def _raised(path_n: FloatArray, coefficient: FloatArray) -> FloatArray:
     return direction(np.arctan2(east_m, north_m), elevation)
 
 
-def draw_scene(scenario: Scenario, carrier: Carrier, seed: int) -> Scene:
+def draw_scene(scenario: Scenario, carrier: Carrier, draws: Draws) -> Scene:
     """What is true in one run of a scenario."""
-    config, duration_s = scenario.theodolite, scenario.duration_s
+    config, duration_s, seed = scenario.theodolite, scenario.duration_s, draws.seed
     lights = {
         key: TrueLight(
             config=beacon,
             path=flight_path(beacon.flight, config.programme),
             attitude=swaying(beacon.flight, random_stream(seed, f"beacon.{key}.sway")),
             lever_b=draw_lever(beacon.light, f"beacon.{key}.light", seed),
-            refraction=SlowError(
-                random_stream(seed, f"beacon.{key}.refraction"),
+            refraction=draws.slow_error(
+                f"beacon.{key}.refraction",
                 duration_s,
                 np.array([config.air.light_sigma]),
                 config.air.time_s,
@@ -216,8 +217,8 @@ def draw_scene(scenario: Scenario, carrier: Carrier, seed: int) -> Scene:
     return Scene(
         carrier=carrier,
         theodolite=draw_theodolite(config, seed),
-        deformation=SlowError(
-            random_stream(seed, "theodolite.deformation"),
+        deformation=draws.slow_error(
+            "theodolite.deformation",
             duration_s,
             np.full(3, np.deg2rad(config.deformation.sigma_arcsec / 3600.0)),
             config.deformation.time_s,
@@ -228,8 +229,8 @@ def draw_scene(scenario: Scenario, carrier: Carrier, seed: int) -> Scene:
             gone_s=max((light.config.leaves_s for light in lights.values()), default=0.0),
         ),
         lights=lights,
-        refraction=SlowError(
-            random_stream(seed, "theodolite.refraction"), duration_s, np.array([config.air.sigma]), config.air.time_s
+        refraction=draws.slow_error(
+            "theodolite.refraction", duration_s, np.array([config.air.sigma]), config.air.time_s
         ),
         coefficient=config.air.coefficient,
     )

@@ -1,0 +1,69 @@
+"""A voyage in stretches is the voyage as a whole, to the last byte of its bag."""
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+from ship_bags.message_store import RosbagsFactory, serialize
+from ship_simulation.messages.to_messages import messages
+from ship_simulation.run import simulate, simulate_stretches
+from ship_simulation.scenario.fault import Fault
+from ship_simulation.scenario.motion_scenario import Outage
+from ship_simulation.scenario.scenario_file import load_scenario
+
+SCENARIOS = Path(__file__).resolve().parents[3] / "bags" / "scenarios"
+
+FAULTS = {
+    "again": Fault("gnss/fix", "duplicate", 1.0, 9.0),
+    "crossed": Fault("star/bow/horizon_attitude", "conflict", 1.5, 6.5),
+    "flooded": Fault("theodolite/encoder", "flood", 3.2, 5.0, times=3, spread_s=0.5),
+    "held": Fault("beacon/a/imu", "freeze", 1.0, 5.0),
+    "late": Fault("ins/imu", "delay", 1.0, 4.5, delay_s=3.0),
+    "lost": Fault("beacon/b/baseline", "drop", 0.0, 1e6),
+    "shuffled": Fault("reference/gyro/imu", "reorder", 0.0, 9.0, delay_s=2.5),
+}
+
+
+def everything(**changes):
+    """All devices, late and out of order, spots that are no stars, wrong identities, a sensor without stars."""
+    found = load_scenario(SCENARIOS / "everything.yaml")
+    stars = dict(found.star_sensors)
+    stars["bow"] = dataclasses.replace(stars["bow"], jitter_s=1.3)
+    stars["starboard"] = dataclasses.replace(
+        stars["starboard"], false_stars=1.5, swapped_probability=0.4, exposure_s=0.05, jitter_s=0.5
+    )
+    stars["port"] = dataclasses.replace(stars["port"], outages={"clouds": Outage(0.0, 8.5)})
+    ins = dataclasses.replace(found.ins, jitter_s=0.1, rate_bias_sigma_arcsec_per_s=1.0)
+    fused = dataclasses.replace(found.fused_attitude, written=True, jitter_s=0.02)
+    changes = {"duration_s": 11.3, "star_sensors": stars, "ins": ins, "fused_attitude": fused} | changes
+    return dataclasses.replace(found, **changes)
+
+
+def logged(runs):
+    return [(topic, serialize(message), log_ns) for topic, message, log_ns in messages(runs, RosbagsFactory())]
+
+
+@pytest.mark.parametrize("length_s", [2, 4, 6])
+@pytest.mark.parametrize("faults", [{}, FAULTS], ids=["clean", "faults"])
+def test_messages_do_not_depend_on_the_stretches(length_s, faults):
+    scenario = everything(faults=faults)
+    expected = logged([simulate(scenario, 3)])
+    assert [entry[2] for entry in expected] == sorted(entry[2] for entry in expected)
+    assert logged(simulate_stretches(scenario, 3, length_s)) == expected
+
+
+def test_messages_of_a_sea_do_not_depend_on_the_stretches():
+    scenario = dataclasses.replace(load_scenario(SCENARIOS / "sea_state_5.yaml"), duration_s=9.0)
+    assert logged(simulate_stretches(scenario, 3, 2)) == logged([simulate(scenario, 3)])
+
+
+def test_a_rare_sample_is_the_last_of_the_truth_wherever_it_is():
+    ins = dataclasses.replace(everything().ins, rate_hz=0.3)
+    scenario = everything(ins=ins)
+    assert logged(simulate_stretches(scenario, 3, 2)) == logged([simulate(scenario, 3)])
+
+
+def test_a_stretch_holds_no_more_than_its_samples():
+    sizes = [run.ins.time_ns.size for run in simulate_stretches(everything(), 3, 4)]
+    assert sizes == [200, 200, 166]
