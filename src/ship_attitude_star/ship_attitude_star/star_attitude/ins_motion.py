@@ -86,7 +86,7 @@ class InsTurns:
     @property
     def count(self) -> int:
         """How many samples were judged, one that does not go the usual way included."""
-        return len(self.followed.by_rates)
+        return self.followed.count
 
     @property
     def usual(self) -> int:
@@ -147,14 +147,14 @@ class InsMotion:
             return None
         samples = block.samples()
         followed = guard.look_ahead(samples, block)
-        count = len(followed.by_rates)
+        count = followed.count
         usual = samples[: count - (followed.last is not None)]
         return InsTurns(usual, block.rotations_nd[:count], followed) if count else None
 
     def take(self, turns: InsTurns, stop: int) -> None:
         """Samples that were judged ahead have their turn, up to one that is not included."""
         self.track.extend(turns.samples[turns.taken : stop])
-        turns.taken, self._guards.ins.by_rates = stop, turns.followed.by_rates[stop - 1]
+        turns.taken, self._guards.ins.by_rates = stop, turns.followed.by_rates(stop - 1)
 
     def end(self, turns: InsTurns) -> Refusal | None:
         """All samples that were judged ahead had their turn, but for one that does not go the usual way."""
