@@ -28,6 +28,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ship_estimation.outcome import Estimate, Judged, Measurement, Outcome
 from ship_estimation.refusals import Contradictions, Reason, Refusal, failure, same_stamp
 from ship_geometry.sample_track import SampleTrack
@@ -66,6 +69,28 @@ class LagWindow:
         """Data of this stamp were taken."""
         self.newest_ns = max(self.newest_ns, time_ns)
         self.oldest_ns = self.newest_ns - self._lag_ns
+
+
+_MOST_AHEAD_NS = SECOND_NS // 10
+"""No stamp that is used is further ahead of its arrival, by half of it."""
+
+
+def surely_in_time(
+    times_ns: NDArray[np.int64], arrivals_ns: NDArray[np.int64], lag_s: float
+) -> NDArray[np.bool_]:
+    """Which data cannot come too late, whatever other data come before their turn, shape (N,).
+
+    Args:
+        times_ns: their stamps, shape (N,).
+        arrivals_ns: when each comes, by the clock that judges stamps, shape (N,).
+        lag_s: how late data may come.
+
+    Example:
+        >>> surely_in_time(np.zeros(2), np.array([1_000_000_000, 1_950_000_000]), lag_s=2.0)
+        array([ True, False])
+    """
+    in_time: NDArray[np.bool_] = times_ns >= arrivals_ns + _MOST_AHEAD_NS - round(lag_s * SECOND_NS)
+    return in_time
 
 
 MOST_REPEATS_PER_S = 400

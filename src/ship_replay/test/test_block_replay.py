@@ -101,6 +101,16 @@ def test_scenarios(tmp_path: Path, name: str) -> None:
     assert_equal(make_bag(SCENARIOS / f"{name}.yaml", 25.0, 1, tmp_path / f"{name}.mcap"))
 
 
+@pytest.mark.parametrize("latency_s", [2.15, 2.25])
+def test_an_ins_that_comes_about_lag_s_after_the_stars(tmp_path: Path, latency_s: float) -> None:
+    """Where the newest star attitude is more than ``lag_s`` ahead, a sample that follows the one before is late."""
+    text = (SCENARIOS / "demo.yaml").read_text()
+    assert text.count("ins:\n  rate_hz") == 1
+    scenario = tmp_path / "late_ins.yaml"
+    scenario.write_text(text.replace("ins:\n", f"ins:\n  latency_s: {latency_s}\n"))
+    assert_equal(make_bag(scenario, 25.0, 1, tmp_path / "late_ins.mcap"))
+
+
 @pytest.fixture(scope="session")
 def clean_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return make_bag(SCENARIOS / "demo.yaml", FAULT_SECONDS, 2, tmp_path_factory.mktemp("faulted") / "demo.mcap")

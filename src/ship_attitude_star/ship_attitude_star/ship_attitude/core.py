@@ -36,7 +36,7 @@ from ship_attitude_star.ship_attitude.integrity import integrity_of
 from ship_attitude_star.ship_attitude.output import attitude_alone, estimate_from_star, no_estimate
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.sky.sky_watch import SkyWatch
-from ship_estimation.estimator_shell import EstimatorShell, Model
+from ship_estimation.estimator_shell import EstimatorShell, Model, surely_in_time
 from ship_estimation.ins import InsJump
 from ship_estimation.ins_guard import JudgedIns
 from ship_estimation.outcome import Measurement, Status
@@ -148,10 +148,11 @@ class ShipAttitudeCore:
             return None
         if not (newest.time_ns < first_ns and self._shell.follows(first_ns)):
             return None
-        # No sample after a gap, and none before which a tick says that the INS is silent.
+        # No sample after a gap, none before which a tick says that the INS is silent, and none that may come too late.
         steps_ns = np.diff(block.times_ns, prepend=newest.time_ns)
         waits_ns = np.diff(arrivals_ns, prepend=self._ins_arrival_ns)
         near = (steps_ns <= self._max_gap_ns) & (waits_ns >= 0) & (waits_ns <= min(self._silence_ns, SECOND_NS))
+        near &= surely_in_time(block.times_ns, arrivals_ns, self.config.lag_s)
         block = block.some(slice(len(near) if near.all() else int(np.argmin(near))))
         if not len(block.times_ns):
             return None

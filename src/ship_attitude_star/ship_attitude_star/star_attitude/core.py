@@ -183,7 +183,7 @@ class StarCore:
 
     def look_ahead(self, block: SampleBlock, arrivals_ns: StampArray) -> InsTurns | None:
         """Judge samples of the INS before their turn; see :meth:`InsMotion.look_ahead`."""
-        return self._ins.look_ahead(block, arrivals_ns, round(self._config.lag_s * SECOND_NS))
+        return self._ins.look_ahead(block, arrivals_ns, self._config.lag_s)
 
     def take_ahead(self, turns: InsTurns, stop: int) -> None:
         """Samples that were judged ahead have their turn, up to one that is not included."""

@@ -20,6 +20,7 @@ from ship_attitude_star.star_attitude.exposure_solver import StarOutcome
 from ship_attitude_star.stars.config import MountingConfig
 from ship_attitude_star.stars.exposure import StarExposure, at_middle
 from ship_attitude_star.stars.selection import StarPrior
+from ship_estimation.estimator_shell import surely_in_time
 from ship_estimation.ins import InsJump, StarInsConfig
 from ship_estimation.ins_guard import Followed, JudgedIns
 from ship_estimation.refusals import Contradictions, Refusal, same_stamp
@@ -30,9 +31,6 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
 INS = "ins"
-
-_AHEAD_NS = SECOND_NS // 10
-"""No stamp that is used is further ahead of its arrival, by half of it."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +121,7 @@ class InsMotion:
         """Take a sample; the refusal where it is not used."""
         return self._use(self._guards.ins.judge(sample, self.track, self._guards.witnesses))
 
-    def look_ahead(self, block: SampleBlock, arrivals_ns: StampArray, lag_ns: int) -> InsTurns | None:
+    def look_ahead(self, block: SampleBlock, arrivals_ns: StampArray, lag_s: float) -> InsTurns | None:
         """Judge samples before their turn, from the first one on, as long as they go the usual way.
 
         Until all of them had their turn (:meth:`take`, :meth:`end`) no other sample is taken.
@@ -131,7 +129,7 @@ class InsMotion:
         Args:
             block: samples with rates, in the order of their stamps.
             arrivals_ns: when each comes, by the clock that judges stamps, shape (N,).
-            lag_ns: samples so late are not used.
+            lag_s: samples so late are not used.
 
         Returns:
             None where the first one is to be taken by itself.
@@ -141,7 +139,7 @@ class InsMotion:
             return None
         # No sample after a gap, and none that may be late, whatever else has come before its turn.
         steps_ns = np.diff(block.times_ns, prepend=newest.time_ns)
-        near = (steps_ns > 0) & (steps_ns <= self._max_gap_ns) & (block.times_ns >= arrivals_ns + _AHEAD_NS - lag_ns)
+        near = (steps_ns > 0) & (steps_ns <= self._max_gap_ns) & surely_in_time(block.times_ns, arrivals_ns, lag_s)
         block = block.some(slice(len(near) if near.all() else int(np.argmin(near))))
         if not len(block.times_ns):
             return None
