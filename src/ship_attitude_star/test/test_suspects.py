@@ -22,6 +22,7 @@ from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMe
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.filter import ShipFilter
+from ship_attitude_star.ship_attitude.suspects import Suspects
 from ship_estimation.hypotheses import covariances
 from ship_estimation.ins import InsJump
 from ship_estimation.outcome import Status
@@ -516,6 +517,32 @@ def test_what_was_knocked_while_no_star_was_seen_is_not_laid_to_the_ins(seed: in
     sailed = without_stars(Lie("star.port", size_arcsec * UP * ARCSEC, 50.0), 42.0, 60.0, 75.0, seed)
     assert "ins" not in {name for _, names in sailed.excluded for name in names}
     assert_honest(sailed)
+
+
+@pytest.mark.parametrize(
+    "lies",
+    [
+        (),
+        (Lie("star.bow", 40.0 * ARCSEC * UP, 12.0, 20.0),),
+        (Lie("star.bow", 0.5 * ARCSEC * UP, 10.0, per_s=True), Lie("ins", 300.0 * ARCSEC * UP, 15.0)),
+        (Lie("star.aft", np.full(3, 60.0 * ARCSEC), 14.0), Lie("star.port", 90.0 * ARCSEC * UP, 18.0, 25.0)),
+    ],
+)
+def test_a_day_without_dispute_is_what_looking_at_every_row_says(
+    lies: tuple[Lie, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told = sailed_with(*lies, seconds=40.0)
+    asked = []
+    monkeypatch.setattr(Suspects, "_nothing_disputed", lambda *_: bool(asked.append(None)))
+    BEFORE_LIES.clear()
+    looked = sailed_with(*lies, seconds=40.0)
+    assert asked
+    assert (looked.excluded, looked.reasons) == (told.excluded, told.reasons)
+    for one, other in zip(looked.estimates, told.estimates, strict=True):
+        assert (one.status, one.text) == (other.status, other.text)
+        np.testing.assert_array_equal(one.rotation_nd, other.rotation_nd)
+        np.testing.assert_array_equal(one.covariance_n, other.covariance_n)
+    BEFORE_LIES.clear()
 
 
 def test_while_all_is_right_sources_seldom_dispute() -> None:

@@ -58,6 +58,11 @@ class Followed:
         self.last: JudgedIns | None = None
         self._pieces: list[_Piece] = []
 
+    @property
+    def usual(self) -> int:
+        """How many of them go the usual way, from the first one on."""
+        return self.count - (self.last is not None)
+
     def add(self, times_ns: StampArray, rotations: FloatArray, drift_rad_per_s: float) -> None:
         """Further samples were judged: their stamps, their attitudes by the rates, shape (N, 3, 3), and their drift."""
         self._pieces.append(_Piece(self.count, times_ns, rotations, drift_rad_per_s))

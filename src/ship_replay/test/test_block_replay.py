@@ -160,7 +160,7 @@ def test_most_of_a_healthy_ins_is_taken_in_blocks(
     end_ahead = core.end_ahead
 
     def counted(self: Any, ahead: Any) -> Any:
-        taken.append(ahead.usual)
+        taken.append(ahead.followed.usual)
         return end_ahead(self, ahead)
 
     monkeypatch.setattr(core, "end_ahead", counted)

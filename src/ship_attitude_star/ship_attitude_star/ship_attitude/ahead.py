@@ -60,16 +60,6 @@ class InsAhead:
     told: list[tuple[int, AttitudeOutcome]] = field(default_factory=list)
     _stretches: list[_Stretch] = field(default_factory=list)
 
-    @property
-    def count(self) -> int:
-        """How many samples were judged, one that does not go the usual way included."""
-        return self.followed.count
-
-    @property
-    def usual(self) -> int:
-        """How many of them go the usual way."""
-        return len(self.samples)
-
     def had_turn(self, state: FilterState, stop: int, doubts: list[str] | None) -> None:
         """Samples up to one, not included, had their turn; arguments as in the attributes of a stretch."""
         start, self.taken = self.taken, stop

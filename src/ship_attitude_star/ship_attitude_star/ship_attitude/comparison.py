@@ -301,10 +301,7 @@ def _contradiction(count: int) -> str:
 
 def _noise(stars: SightedStars, basis: FloatArray, members: NDArray[np.bool_]) -> FloatArray:
     """Covariance of the residuals of the k members, along their basis (k, 2, 3), rad², shape (2 k, 2 k)."""
-    variance = np.repeat(stars.white_sigma[members] ** 2, 2)
-    noise = np.zeros((len(variance), len(variance)))
-    diagonal = noise.ravel()[:: len(variance) + 1]
-    diagonal[:] = variance
+    noise = np.diag(np.repeat(stars.white_sigma[members] ** 2, 2))
     if stars.smear_b is not None:
         smear = basis @ stars.smear_b[members] @ np.swapaxes(basis, -1, -2)
         for row, added in enumerate(smear):

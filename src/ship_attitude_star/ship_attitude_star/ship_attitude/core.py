@@ -158,8 +158,9 @@ class ShipAttitudeCore:
             return None
         samples = block.samples()
         followed = self._guards.ins.look_ahead(samples, block)
-        usual = followed.count - (followed.last is not None)
-        return InsAhead(samples[:usual], block, arrivals_ns, followed, before) if followed.count else None
+        if not followed.count:
+            return None
+        return InsAhead(samples[: followed.usual], block, arrivals_ns, followed, before)
 
     def take_ahead(self, ahead: InsAhead, stop: int) -> None:
         """Samples that were judged ahead have their turn, up to one that is not included."""

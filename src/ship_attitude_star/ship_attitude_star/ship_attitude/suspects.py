@@ -127,10 +127,7 @@ class Suspects:
         learnt = any((used & accepted).tolist()) if exclusion is None else exclusion.apart is None
         if not learnt:
             return changed(state, seen=seen, apart=apart)
-        learns = self._learns(state, source, used)
-        if not all(accepted.tolist()):
-            learns = learns & accepted[:, None]
-        learns = self.ins.learns(state, learns)
+        learns = self.ins.learns(state, self._learns(state, source, used) & accepted[:, None])
         corrections, stack = update_rows(predicted.stack, measured.linear, compared, learns)
         lately = state.lately
         if used[0] and accepted[0]:

@@ -81,16 +81,6 @@ class InsTurns:
     taken: int = 0
     told: list[tuple[int, StarOutcome]] = field(default_factory=list)
 
-    @property
-    def count(self) -> int:
-        """How many samples were judged, one that does not go the usual way included."""
-        return self.followed.count
-
-    @property
-    def usual(self) -> int:
-        """How many of them go the usual way."""
-        return len(self.samples)
-
 
 class InsMotion:
     """Attitudes of the deck by their stamps, with the INS's errors as configured.
@@ -145,9 +135,9 @@ class InsMotion:
             return None
         samples = block.samples()
         followed = guard.look_ahead(samples, block)
-        count = followed.count
-        usual = samples[: count - (followed.last is not None)]
-        return InsTurns(usual, block.rotations_nd[:count], followed) if count else None
+        if not followed.count:
+            return None
+        return InsTurns(samples[: followed.usual], block.rotations_nd[: followed.count], followed)
 
     def take(self, turns: InsTurns, stop: int) -> None:
         """Samples that were judged ahead have their turn, up to one that is not included."""

@@ -38,6 +38,11 @@ _MOST_STAMPS = 200
 _DISCOVERY_S = 2.0
 """Discovery on one machine takes 0.06 s to 1.6 s: listening begins after this."""
 
+_UNNAMED = "_NODE_NAME_UNKNOWN_"
+"""Of a publisher that was met before its node was."""
+_NAMES_S = 5.0
+"""So long a node is waited for that has been met by a publisher of its; one that is no ROS node never gets a name."""
+
 
 @dataclass(frozen=True)
 class Publisher:
@@ -108,6 +113,7 @@ def look_at_network(
         with command_node(NAME, arguments) as node, _spinning(node) as spin:
             ears = [_Ear(node, topic) for topic in inputs]
             spin(_DISCOVERY_S)
+            _await_names(node, outputs, spin)
             for ear in ears:
                 ear.begin()
             spin(listen_s)
@@ -180,6 +186,13 @@ def _spinning(node: Node) -> Iterator[Callable[[float], None]]:
         yield spin
     finally:
         executor.shutdown()
+
+
+def _await_names(node: Node, topics: Sequence[str], spin: Callable[[float], None]) -> None:
+    """Wait until the nodes that publish some topics are known by name, or for as long as that may take."""
+    end_s = time.monotonic() + _NAMES_S
+    while any(_UNNAMED in name for topic in topics for name in _nodes_of(node, topic)) and time.monotonic() < end_s:
+        spin(0.1)
 
 
 def _publishers(node: Node, topic: str) -> tuple[Publisher, ...]:

@@ -63,13 +63,13 @@ class BlockAdapter(ReportingAdapter):
         reading = block.read(messages, receive_ns)
         count = len(reading.samples.times_ns)
         ahead = block.core.look_ahead(reading.samples, receive_ns[:count]) if count else None
-        return None if ahead is None else BlockTurn(topic, reading, receive_ns[: ahead.count], ahead)
+        return None if ahead is None else BlockTurn(topic, reading, receive_ns[: ahead.followed.count], ahead)
 
     def take_ahead(self, turn: BlockTurn, stop: int) -> list[BlockPart]:
         """The messages of a block have their turn, up to one that is not included; what is to be published at once."""
         block = self.feeds[turn.topic].block
         assert block is not None
-        block.core.take_ahead(turn.ahead, min(stop, turn.ahead.usual))
+        block.core.take_ahead(turn.ahead, min(stop, turn.ahead.followed.usual))
         told, turn.ahead.told[:] = list(turn.ahead.told), []
         parts = []
         for place, outcome in told:
@@ -79,7 +79,7 @@ class BlockAdapter(ReportingAdapter):
 
     def end_ahead(self, turn: BlockTurn) -> list[BlockPart]:
         """All messages of a block had their turn: what they lead to besides."""
-        feed, usual, known = self.feeds[turn.topic], turn.ahead.usual, turn.reading.covariance_known
+        feed, usual, known = self.feeds[turn.topic], turn.ahead.followed.usual, turn.reading.covariance_known
         assert feed.block is not None
         if usual:
             times_ns = turn.reading.samples.times_ns[:usual]

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_bags.cdr_template import CdrRows
+from ship_estimation.ins_guard import Followed
 from ship_estimation.told_levels import ToldLevels
 from ship_geometry.rotations import FloatArray
 from ship_node.edge.topics import Published
@@ -36,20 +37,12 @@ class Ahead(Protocol):
     """Samples of a block that a core has judged before their turn.
 
     Attributes:
+        followed: what the guard said of them.
         told: number of a sample, and what its turn led to besides estimates, as far as nobody has asked for it.
     """
 
+    followed: Followed
     told: list[tuple[int, Any]]
-
-    @property
-    def count(self) -> int:
-        """How many samples were judged, one that does not go the usual way included."""
-        ...
-
-    @property
-    def usual(self) -> int:
-        """How many of them go the usual way."""
-        ...
 
 
 SamplesAhead = TypeVar("SamplesAhead", bound=Ahead)

@@ -189,7 +189,7 @@ class NodePass:
             self._handle(place, moment.topic, message)
             return
         self._arrived += 1
-        if self._arrived == self._turn.ahead.count:
+        if self._arrived == self._turn.ahead.followed.count:
             turn, self._turn = self._turn, None
             self._publish_parts(self._ahead.take_ahead(turn, self._arrived))
             self._publish_parts(self._ahead.end_ahead(turn))
