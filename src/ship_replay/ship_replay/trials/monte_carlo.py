@@ -141,7 +141,7 @@ class _InsTurns:
                 yield self._core.add_ins(self._block.one(index), estimate=index == next_wanted)
                 return
         self._arrived += 1
-        if self._arrived == self._ahead.count:
+        if self._arrived == self._ahead.followed.count:
             yield from self.take_turns()
             last, self._ahead = self._core.end_ahead(self._ahead), None
             if last is not None:
@@ -150,7 +150,7 @@ class _InsTurns:
     def take_turns(self) -> Iterator[AttitudeOutcome]:
         """Those that have arrived have their turn."""
         if self._ahead is not None:
-            self._core.take_ahead(self._ahead, min(self._arrived, self._ahead.usual))
+            self._core.take_ahead(self._ahead, min(self._arrived, self._ahead.followed.usual))
             yield from (outcome for _, outcome in self._ahead.told)
             self._ahead.told.clear()
 
