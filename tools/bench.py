@@ -20,7 +20,7 @@ import numpy as np
 
 from bench_behind_star import behind_star_cost
 from bench_black_box import black_box_cost
-from bench_campaign import campaign_workers
+from bench_campaign import campaign_workers, monte_carlo_cost
 from bench_filter import integrity_cost, step_cost
 from bench_live import live_cost
 from bench_messages import message_cost
@@ -50,6 +50,7 @@ BENCHMARKS: dict[str, Callable[[], list[Row]]] = {
     "integrity": integrity_cost,
     "peers": peers_cost,
     "monitor": monitor_cost,
+    "monte_carlo": monte_carlo_cost,
     "campaign": campaign_workers,
 }
 

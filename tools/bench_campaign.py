@@ -1,27 +1,40 @@
-"""A campaign by two workers over the same by one."""
+"""A campaign by two workers over the same by one; and a Monte Carlo, which asks whether a filter is honest."""
 
+import dataclasses
 import tempfile
 import time
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from bench_rows import Row, by_turns
+import numpy as np
+
+from bench_rows import WITH_INTEGRITY, Row, by_turns, own_cpu_s
 from ship_replay.campaign.items import items_of
 from ship_replay.campaign.one_item import make
 from ship_replay.campaign.processes import in_processes
+from ship_replay.trials.monte_carlo import final_error
+from ship_simulation.scenario.scenario_file import load_scenario
 
-SCENARIO = Path(__file__).resolve().parents[1] / "bags" / "scenarios" / "demo.yaml"
+SCENARIOS = Path(__file__).resolve().parents[1] / "bags" / "scenarios"
 ROUNDS = 3
 MOST_WORKERS_RATIO = 1.0 / 1.8
 """On two processors that have nothing else to do."""
+
+MONTE_CARLO_RUNS, MONTE_CARLO_RUN_S, MONTE_CARLO_INS_HZ = 200, 600.0, 20.0
+"""Of the ship's attitude by two star sensors; the runs of a seed each, as the campaigns ask them."""
+
+RUNS_MEASURED = 4
+MOST_MONTE_CARLO_S = 60.0 * WITH_INTEGRITY
+"""On two processors, simulation included."""
 
 
 def campaign_workers() -> list[Row]:
     """Wall time of six voyages of ten seconds, by turns; the least of several, as what else runs only adds."""
     with tempfile.TemporaryDirectory() as name:
         scenario = Path(name) / "voyage.yaml"
-        text = SCENARIO.read_text(encoding="utf-8")
+        text = (SCENARIOS / "demo.yaml").read_text(encoding="utf-8")
         scenario.write_text(text.replace("duration_s: 120.0", "duration_s: 10.0"), encoding="utf-8")
         items = items_of([scenario], [], range(6))
         _wall_s(items[:1], 1)  # starts the server of processes
@@ -31,6 +44,21 @@ def campaign_workers() -> list[Row]:
         Row("campaign of six voyages, one worker: least wall time", one_s, "s"),
         Row("the same with two workers", two_s, "s"),
         Row("ratio: two workers / one", two_s / one_s, "x", MOST_WORKERS_RATIO, "one worker"),
+    ]
+
+
+def monte_carlo_cost() -> list[Row]:
+    """Processor time of some of the runs of a Monte Carlo, and of all of them shared by two processors."""
+    paper = load_scenario(SCENARIOS / "paper.yaml")
+    ins = dataclasses.replace(paper.ins, rate_hz=MONTE_CARLO_INS_HZ)
+    scenario = dataclasses.replace(paper, ins=ins, duration_s=MONTE_CARLO_RUN_S)
+    final_error(dataclasses.replace(scenario, duration_s=20.0), 0)  # reads the modules and the tables
+    run_s = [own_cpu_s(partial(final_error, scenario, seed)) for seed in range(RUNS_MEASURED)]
+    both_s = 0.5 * MONTE_CARLO_RUNS * float(np.mean(run_s))
+    what = f"Monte Carlo, {MONTE_CARLO_RUNS} runs of {MONTE_CARLO_RUN_S:g} s"
+    return [
+        Row(f"{what}: a run, processor time: mean", float(np.mean(run_s)), "s"),
+        Row(f"{what} on two processors", both_s, "s", MOST_MONTE_CARLO_S),
     ]
 
 

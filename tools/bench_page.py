@@ -14,7 +14,9 @@ PAGE = ROOT / "docs" / "reference" / "performance.md"
 HEAD = """# Performance
 
 How fast the suite is, as `make bench` measures it. Seconds and microseconds belong to the machine; ratios, both sides
-measured by turns in one run, hold for others. A row with a bound that is not met is work that is still to be done.
+measured by turns in one run, hold for others. The bounds are those of issue 10; the nodes and the replay always keep
+the estimates without each source beside the one by all (integrity), which may cost 1.6 times as much: that factor is in
+the bounds of what they do. Why a bound is not met, [profiles](../explanation/where_time_goes.md) tell.
 
 Measured on {date}: {processor}, {cores}, Python {python}, numpy {numpy};
 load {load} in the mean of 15 minutes. On a busy machine times that pass are too long, and ratios of them uncertain;

@@ -11,6 +11,10 @@ import numpy as np
 
 Figure = TypeVar("Figure")
 
+WITH_INTEGRITY = 1.6
+"""So many times more than issue 10 asks may a step, an output or a replay cost with integrity: the estimates without
+each source beside the one by all. The nodes and the replay always keep them."""
+
 
 @dataclass(frozen=True)
 class Row:

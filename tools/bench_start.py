@@ -26,6 +26,7 @@ SUITE = Path(__file__).resolve().parents[1] / "examples" / "theodolite.yaml"
 IMPORT_ROUNDS = 4
 START_ROUNDS = 3
 MOST_IMPORT_RATIO = 2.0
+MOST_START_S = 0.6
 _START_S = 60.0
 _LOOK_S = 0.002
 
@@ -77,7 +78,9 @@ def start_cost() -> list[Row]:
     yardstick = "a node of rclpy with one subscription"
     rows = []
     for name, figures in started.items():
-        rows.append(Row(f"exec of {name} to its subscription: median", float(np.median(figures, axis=0)[0]), "s"))
+        most_s = MOST_START_S if name in _NODES else None
+        median_s = float(np.median(figures, axis=0)[0])
+        rows.append(Row(f"exec of {name} to its subscription: median", median_s, "s", most_s))
     for name in _NODES:
         ratio = median_ratio([cpu_s for _, cpu_s in started[name]], [cpu_s for _, cpu_s in started["a bare node"]])
         rows.append(Row(f"ratio: the same in processor time, {name} / a bare node", ratio, "x", None, yardstick))
