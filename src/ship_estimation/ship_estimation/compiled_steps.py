@@ -197,17 +197,32 @@ def carried(
     result = np.empty((stacks.shape[0], matrices, n, n))
     out: cython.double[:, :, :, ::1] = result
     stack: cython.Py_ssize_t
+    for stack in range(stacks.shape[0]):
+        _carry(stacks[stack], sources, decay, noise, source_of, out[stack])
+    return result
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _carry(
+    stack: cython.const[cython.double][:, :, ::1],
+    sources: cython.Py_ssize_t,
+    decay: cython.const[cython.double][::1],
+    noise: cython.const[cython.double][::1],
+    source_of: cython.const[cython.Py_ssize_t][::1],
+    out: cython.double[:, :, ::1],
+) -> cython.void:
+    """The covariances of one stack after a diagonal transition."""
+    n: cython.Py_ssize_t = stack.shape[1]
     s: cython.Py_ssize_t
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
-    for stack in range(stacks.shape[0]):
-        for s in range(matrices):
-            for i in range(n):
-                for j in range(n):
-                    out[stack, s, i, j] = stacks[stack, s, i, j] * (decay[i] * decay[j])
-                if s >= sources or source_of[i] == s:
-                    out[stack, s, i, i] += noise[i]
-    return result
+    for s in range(stack.shape[0]):
+        for i in range(n):
+            for j in range(n):
+                out[s, i, j] = stack[s, i, j] * (decay[i] * decay[j])
+            if s >= sources or source_of[i] == s:
+                out[s, i, i] += noise[i]
 
 
 def transition(
@@ -222,42 +237,74 @@ def transition(
     of_decay, of_noise = np.empty(n), np.empty(n)
     decay: cython.double[::1] = of_decay
     noise: cython.double[::1] = of_noise
-    i: cython.Py_ssize_t
-    for i in range(n):
-        decay[i] = exp(-dt_s / time_s[i])
-        noise[i] = steady_variance[i] * (1.0 - decay[i] * decay[i]) + walk_variance[i] * dt_s
+    _pass(dt_s, time_s, steady_variance, walk_variance, decay, noise)
     return of_decay, of_noise
 
 
-def decayed(
+@cython.cfunc
+@cython.exceptval(check=False)
+def _pass(
+    dt_s: cython.double,
+    time_s: cython.const[cython.double][::1],
+    steady_variance: cython.const[cython.double][::1],
+    walk_variance: cython.const[cython.double][::1],
+    decay: cython.double[::1],
+    noise: cython.double[::1],
+) -> cython.void:
+    """Write what time leaves of each state, and the variance that comes new."""
+    i: cython.Py_ssize_t
+    for i in range(time_s.shape[0]):
+        decay[i] = exp(-dt_s / time_s[i])
+        noise[i] = steady_variance[i] * (1.0 - decay[i] * decay[i]) + walk_variance[i] * dt_s
+
+
+def later(
+    dt_s: cython.double,
     means: cython.const[cython.double][:, ::1],
-    decay: cython.const[cython.double][::1],
+    stack: cython.const[cython.double][:, :, ::1],
+    time_s: cython.const[cython.double][::1],
+    steady_variance: cython.const[cython.double][::1],
+    walk_variance: cython.const[cython.double][::1],
+    source_of: cython.const[cython.Py_ssize_t][::1],
     first: cython.Py_ssize_t,
     sigma: cython.const[cython.double][::1],
     beyond: cython.double,
 ):
-    """States after some time, shape (h, n): what is left of them.
+    """What time leaves of each state, and all rows after it: shapes (n,), (h, n) and (n_sources + h - 1, n, n).
 
     Args:
+        dt_s: the time.
         means: before, shape (h, n).
-        decay: what is left of each, shape (n,).
+        stack: before, shape (n_sources + h - 1, n, n).
+        time_s: correlation time of each state, shape (n,).
+        steady_variance: of a state that dies out, shape (n,).
+        walk_variance: per second, of a state that walks, shape (n,).
+        source_of: index of the source to which the noise of each state is booked, shape (n,).
         first: of k states that stay as they are where they are too large.
         sigma: of these, shape (k,).
         beyond: how many sigmas are too large.
     """
+    rows: cython.Py_ssize_t = means.shape[0]
     n: cython.Py_ssize_t = means.shape[1]
-    check("decayed", decay.shape[0] == n and 0 <= first <= n - sigma.shape[0])
-    result = np.empty((means.shape[0], n))
-    out: cython.double[:, ::1] = result
+    check("model", time_s.shape[0] == steady_variance.shape[0] == walk_variance.shape[0] == source_of.shape[0] == n)
+    check("stack", stack.shape[0] >= rows and stack.shape[1] == stack.shape[2] == n)
+    check("slow", 0 <= first <= n - sigma.shape[0])
+    of_decay, of_means, of_stack = np.empty(n), np.empty((rows, n)), np.empty((stack.shape[0], n, n))
+    decay: cython.double[::1] = of_decay
+    moved: cython.double[:, ::1] = of_means
+    out: cython.double[:, :, ::1] = of_stack
+    noise: cython.double[::1] = np.empty(n)
     row: cython.Py_ssize_t
     i: cython.Py_ssize_t
-    for row in range(means.shape[0]):
+    _pass(dt_s, time_s, steady_variance, walk_variance, decay, noise)
+    _carry(stack, stack.shape[0] - rows + 1, decay, noise, source_of, out)
+    for row in range(rows):
         for i in range(n):
-            out[row, i] = decay[i] * means[row, i]
+            moved[row, i] = decay[i] * means[row, i]
         for i in range(sigma.shape[0]):
             if fabs(means[row, first + i]) > beyond * sigma[i]:
-                out[row, first + i] = means[row, first + i]
-    return result
+                moved[row, first + i] = means[row, first + i]
+    return of_decay, of_means, of_stack
 
 
 def add_error(
@@ -417,6 +464,16 @@ def row_covariances(stack: cython.const[cython.double][:, :, ::1], rows: cython.
     _sum(start, sources, size, cython.address(out[0, 0, 0]))
     if rows > 1:
         memcpy(cython.address(out[1, 0, 0]), start + sources * size, (rows - 1) * size * cython.sizeof(cython.double))
+    return result
+
+
+def total(stack: cython.const[cython.double][:, :, ::1], sources: cython.Py_ssize_t):
+    """The sum of the parts of the first row, shape (n, n)."""
+    check("total", 1 <= sources <= stack.shape[0])
+    result = np.empty((stack.shape[1], stack.shape[2]))
+    out: cython.double[:, ::1] = result
+    start: cython.p_double = cython.cast(cython.p_double, cython.address(stack[0, 0, 0]))
+    _sum(start, sources, stack.shape[1] * stack.shape[2], cython.address(out[0, 0]))
     return result
 
 
@@ -701,6 +758,9 @@ def updated(
         _thin_factor(own, h, states, chosen, scratch)
         # The first row has all parts, each other one a covariance of its own.
         for s in range(sources + row - 1 if row else 0, sources + row if row else sources):
+            if _is_zero(cython.address(stack[s, 0, 0]), n * n):
+                memset(cython.address(out[s, 0, 0]), 0, n * n * cython.sizeof(cython.double))
+                continue
             _both_sides(
                 cython.cast(cython.p_double, cython.address(stack[s, 0, 0])),
                 n,
@@ -722,6 +782,16 @@ def updated(
             for j in range(i):
                 out[s, i, j] = out[s, j, i]
     return corrections, result
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _is_zero(numbers: cython.pointer(cython.const[cython.double]), count: cython.Py_ssize_t) -> cython.bint:
+    """Whether all numbers are zero: those of a source that has no part in any state yet."""
+    i: cython.Py_ssize_t = 0
+    while i < count and numbers[i] == 0.0:
+        i += 1
+    return i == count
 
 
 @cython.cfunc

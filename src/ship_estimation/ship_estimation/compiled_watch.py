@@ -137,6 +137,25 @@ def _sizes_of_steps(
         sizes[p] = x * x + y * y + z * z
 
 
+def farthest(before: cython.const[cython.double][:, :], value: cython.const[cython.double][:, :]) -> cython.double:
+    """The length of the longest row of a change, both of shape (k, d); no number where a row has none."""
+    check("farthest", before.shape[0] == value.shape[0] and before.shape[1] == value.shape[1])
+    longest: cython.double = 0.0
+    square: cython.double
+    row: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    for row in range(value.shape[0]):
+        square = 0.0
+        for i in range(value.shape[1]):
+            square += (value[row, i] - before[row, i]) * (value[row, i] - before[row, i])
+        # Written so that NaN stays.
+        if not square <= longest:
+            longest = square
+        if longest != longest:
+            break
+    return sqrt(longest)
+
+
 def step_sizes(weights: cython.const[cython.double][:, :], rows: cython.const[cython.double][:, :]):
     """Squares of the steps in a window over rows.
 

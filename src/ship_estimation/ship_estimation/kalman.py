@@ -149,25 +149,38 @@ class StateModel:
         decay = np.exp(-dt_s / self._time_s)
         return decay, self._steady_variance * (1.0 - decay * decay) + self._walk_variance * dt_s
 
+    def later(
+        self, dt_s: float, means: FloatArray, stack: FloatArray, slow: str
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """What some time leaves of each state, shape (n,), and the estimates and covariances of all rows after it.
 
-def states_later(means: FloatArray, decay: FloatArray, slow: slice, sigma: FloatArray) -> FloatArray:
-    """Estimated states after some time, shape (h, n): they die out as told; of some see :func:`slow_error_later`.
+        Args:
+            dt_s: the time, not negative.
+            means: estimates of h rows, shape (h, n); those of a slow error become as :func:`slow_error_later` tells.
+            stack: their covariances (:mod:`ship_estimation.hypotheses`), shape (n_sources + h - 1, n, n).
+            slow: name of the block of that slow error.
 
-    Args:
-        means: before, shape (h, n).
-        decay: what is left of each, shape (n,).
-        slow: the states of a slow error, k of them.
-        sigma: of that error, shape (k,).
+        Example:
+            Half an hour later the error of 8 is 3; the jump of 3600 stays:
 
-    Example:
-        The last two are a slow error of the sigma 10, and the last one is a jump of a degree:
-
-        >>> means, sigma = np.array([[4.0, 8.0, 3600.0]]), np.array([10.0, 10.0])
-        >>> print(states_later(means, np.array([0.0, 0.5, 0.5]), slice(1, 3), sigma))
-        [[   0.    4. 3600.]]
-    """
-    later: FloatArray = compiled_steps.decayed(means, decay, slow.start, sigma, _BEYOND_SIGMAS)
-    return later
+            >>> model = StateModel([block("ins", [10.0, 10.0], "ins_drift", time_s=1800.0)], noise_sources=[])
+            >>> _, means, stack = model.later(1800.0, np.array([[8.0, 3600.0]]), 4.0 * np.eye(2)[None], "ins")
+            >>> print(means.round(), stack[0].diagonal().round())
+            [[   3. 3600.]] [87. 87.]
+        """
+        found: tuple[FloatArray, FloatArray, FloatArray] = compiled_steps.later(
+            dt_s,
+            means,
+            np.ascontiguousarray(stack),
+            self._time_s,
+            self._steady_variance,
+            self._walk_variance,
+            self.source_of,
+            self.slices[slow].start,
+            self.blocks[slow].sigma,
+            _BEYOND_SIGMAS,
+        )
+        return found
 
 
 def slow_error_later(error: FloatArray, decay: FloatArray, sigma: FloatArray) -> FloatArray:

@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ship_estimation import compiled_watch
 from ship_estimation.witnesses import RECENT_NS, TurnWatch, Witness
 from ship_geometry.rotations import ARCSEC, FloatArray
 
@@ -153,10 +154,10 @@ class StuckGuard:
         """Learn the resolution from a change of the value."""
         if before.shape == value.shape:
             # Of rotations and of directions alike: the farthest that one of the axes, or stars, has turned.
-            rows = (value - before).tolist()
-            sizes = [math.sqrt(sum(number * number for number in row)) for row in (rows if value.ndim > 1 else [rows])]
-            if math.isfinite(sum(sizes)):
-                self._steps.append(max(sizes))
+            rows = (-1, value.shape[-1])
+            farthest = compiled_watch.farthest(before.reshape(rows), value.reshape(rows))
+            if math.isfinite(farthest):
+                self._steps.append(farthest)
                 self._resolution_rad = min(self._steps)
 
 

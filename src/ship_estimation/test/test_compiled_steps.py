@@ -9,7 +9,7 @@ import pytest
 
 from ship_estimation import compiled_steps
 from ship_estimation.hypotheses import RowsCompared, add_error, compare_rows, covariances, update_rows
-from ship_estimation.kalman import LinearMeasurement, StateModel, block, predict, slow_error_later, states_later
+from ship_estimation.kalman import LinearMeasurement, StateModel, block, predict, slow_error_later
 
 SHAPES = [(1, 1, 1, 1), (4, 2, 2, 1), (19, 3, 7, 1), (19, 3, 7, 4), (23, 16, 7, 4), (9, 24, 3, 3)]
 """States, residuals, sources, rows: the paper's ship alone and with its rows, single stars, more residuals than states.
@@ -78,7 +78,9 @@ def test_a_stack_is_carried_as_by_numpy(shape: tuple[int, int, int, int]) -> Non
     for state, source in enumerate(source_of):
         expected[[source, *range(sources, len(stack))], state, state] += noise[state]
     equal(predict(stack, decay, noise, source_of, rows), expected)
-    equal(covariances(stack, rows), np.concatenate([stack[:sources].sum(axis=0)[None], stack[sources:]]))
+    total = stack[:sources].sum(axis=0)
+    equal(covariances(stack, rows), np.concatenate([total[None], stack[sources:]]))
+    np.testing.assert_array_equal(compiled_steps.total(stack, sources), covariances(stack, rows)[0])
 
 
 @pytest.mark.parametrize("dt_s", [1e-9, 0.2, 3600.0])
@@ -88,11 +90,15 @@ def test_a_moment_later_the_states_are_as_many_moments_later_are_by_numpy(dt_s: 
     model = StateModel([slow, white, block("walking", [5.0], "a", walk=0.1)], noise_sources=[])
     for found, expected in zip(model.transition(dt_s), model.transition(np.array([dt_s])), strict=True):
         equal(found, expected[0])
-    (decay, _), states = model.transition(dt_s), model.slices["slow"]
-    means = np.random.default_rng(4).normal(scale=20.0, size=(9, 4))
+    (decay, noise), states = model.transition(dt_s), model.slices["slow"]
+    rng = np.random.default_rng(4)
+    means, roots = rng.normal(scale=20.0, size=(9, 4)), rng.normal(size=(10, 4, 4))
+    stack = roots @ roots.transpose(0, 2, 1)
     expected = decay * means
     expected[:, states] = slow_error_later(means[:, states], decay[states], slow.sigma)
-    np.testing.assert_array_equal(states_later(means, decay, states, slow.sigma), expected)
+    found = model.later(dt_s, means, stack, "slow")
+    for one, other in zip(found, (decay, expected, predict(stack, decay, noise, model.source_of, rows=9)), strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.parametrize("row", [None, 1, 2])
@@ -128,6 +134,8 @@ def test_a_measurement_beside_all_rows_is_as_by_numpy(shape: tuple[int, int, int
 @pytest.mark.parametrize("share", [0.0, 0.7, 1.0])
 def test_what_each_row_learns_is_as_by_numpy(shape: tuple[int, int, int, int], share: float) -> None:
     stack, means, measured, by_turn = case(shape)
+    if shape[2] > 1:
+        stack[0] = 0.0  # a source that only this measurement gives a part
     compared = compare_rows(means, stack, measured, means[0], by_turn)
     learns = np.random.default_rng(3).uniform(size=means.shape) < share
     corrections, updated = update_rows(stack, measured, compared, learns)
@@ -190,7 +198,9 @@ def test_shapes_that_do_not_fit_are_refused() -> None:
     for call in (compiled_steps.variance_along, lambda *of: compiled_steps.spread(np.ones((3, 6)), *reversed(of))):
         with pytest.raises(ValueError, match="do not fit together"):
             call(np.ones(5), np.eye(6))
-    with pytest.raises(ValueError, match="decayed"):
-        states_later(np.ones((2, 6)), np.ones(6), slice(4, 7), np.ones(3))
+    model = StateModel([block("slow", [1.0] * 6, "a", time_s=1.0)], noise_sources=[])
+    for wrong in ((means[:, :5].copy(), stack), (means, stack[:1]), (means, stack[:, :5, :5])):
+        with pytest.raises(ValueError, match="do not fit together"):
+            model.later(1.0, *wrong, "slow")
     with pytest.raises(ValueError, match="carried"):
         predict(stack, np.ones(5), np.ones(6), np.zeros(6, dtype=np.intp), 2)

@@ -99,3 +99,13 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
         compiled_watch.step_sizes(np.ones((2, 5)), np.ones((4, 3)))
     with pytest.raises(ValueError, match="rates"):
         compiled_watch.missed_by_mean(np.zeros(2), np.zeros(3), 1.0)
+
+
+def test_the_farthest_that_a_row_has_moved_is_as_by_numpy() -> None:
+    before, value = np.random.default_rng(8).normal(size=(2, 7, 3))
+    found = compiled_watch.farthest(before, value)
+    np.testing.assert_allclose(found, np.linalg.norm(value - before, axis=1).max(), rtol=1e-15)
+    value[3, 1] = np.nan
+    assert np.isnan(compiled_watch.farthest(before, value))
+    with pytest.raises(ValueError, match="do not fit together"):
+        compiled_watch.farthest(before[:3], value)

@@ -50,7 +50,7 @@ class StreamGuards:
         value, sigmas, stands_still = watched
         # An exposure that shows no star may be followed by another one, also on a moving ship.
         if len(value) > 0:
-            sigma_rad = float(np.max(sigmas))
+            sigma_rad = float(sigmas.max())
             witnesses = {name: witness for name, witness in self.witnesses.items() if name != source}
             ins, by_rates = track.last_before(time_ns), self.ins.by_rates
             if ins is not None:

@@ -17,7 +17,6 @@ from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.hypotheses import RowsCompared, add_error, compare_rows
 from ship_estimation.ins import InsJump
-from ship_estimation.kalman import predict, states_later
 from ship_estimation.outcome import Measurement
 from ship_estimation.refusals import Reason, Refusal, singular_covariance
 from ship_estimation.unconfirmed import Unconfirmed
@@ -56,14 +55,11 @@ class ShipFilter:
         if time_ns <= state.time_ns:
             return state
         dt_s = (time_ns - state.time_ns) * 1e-9
-        decay, noise = self.model.transition(dt_s)
-        rows, slow = len(state.means), self.model.slices["ins.attitude"]
-        stack = predict(state.stack, decay, noise, self.model.source_of, rows)
+        decay, means, stack = self.model.later(dt_s, state.means, state.stack, "ins.attitude")
         for source, steady in state.common_n.items():
             common = self.model.slices[f"{source}.common"]
             fresh = 1.0 - decay.item(common.start) ** 2
-            add_error(stack, rows, self._common_index, common, fresh * steady)
-        means = states_later(state.means, decay, slow, self.model.blocks["ins.attitude"].sigma)
+            add_error(stack, len(means), self._common_index, common, fresh * steady)
         self.suspects.ins.carried(state, stack, dt_s)
         return changed(state, time_ns=time_ns, means=means, stack=stack)
 

@@ -155,7 +155,7 @@ class FilterState:
     @property
     def covariance(self) -> FloatArray:
         """Their covariance, shape (n, n)."""
-        total: FloatArray = compiled_steps.row_covariances(self.stack, len(self.means))[0]
+        total: FloatArray = compiled_steps.total(self.stack, len(self.stack) - len(self.means) + 1)
         return total
 
 
