@@ -14,7 +14,9 @@ SINGULAR_ELEVATION = np.deg2rad(89.9)
 """Beyond this elevation (rad) azimuth and roll can no longer be told apart, and their covariance is NaN."""
 
 
-def rotation_from_angles(azimuth: FloatArray, elevation: FloatArray, roll: FloatArray) -> FloatArray:
+def rotation_from_angles(
+    azimuth: float | FloatArray, elevation: float | FloatArray, roll: float | FloatArray
+) -> FloatArray:
     """Rotation "parent from device", shape (..., 3, 3): Ry(A) Rz(-E) Rx(-roll), multiplied out.
 
     Example:
@@ -65,7 +67,7 @@ def angles_from_rotation(rotation: FloatArray) -> FloatArray:
     return np.stack([azimuth, elevation, np.arctan2(sine, cosine)], axis=-1)
 
 
-def rotation_vector_from_angle_errors(azimuth: FloatArray, elevation: FloatArray) -> FloatArray:
+def rotation_vector_from_angle_errors(azimuth: float | FloatArray, elevation: float | FloatArray) -> FloatArray:
     """Matrix B, shape (..., 3, 3): ``delta = B @ [dA, dE, droll]`` in the parent frame.
 
     Example:
@@ -133,7 +135,7 @@ def angle_covariance(covariance_parent: FloatArray, azimuth: FloatArray, elevati
 
 
 def rotation_vector_covariance(
-    covariance_angles: FloatArray, azimuth: FloatArray, elevation: FloatArray
+    covariance_angles: FloatArray, azimuth: float | FloatArray, elevation: float | FloatArray
 ) -> FloatArray:
     """Covariance of the rotation vector in the parent frame, rad², from that of (azimuth, elevation, roll).
 

@@ -85,12 +85,14 @@ class AxisSightings:
         chosen = self.chosen
         slow = [key for key in self._slow_errors() if self._moves(key, chosen)]
         names = [slow_column(side, *key) for key in slow for side in (0, 1)]
-        rows = ([number, stamp, *self._cells(self.rows[stamp], slow)] for number, stamp in enumerate(chosen, start=1))
         # Angles in degrees want more decimals than a table in arcseconds; so does the time.
         write_csv(
             path,
             [LABEL_COLUMN, TIME_COLUMN, *COLUMNS, *names],
-            ((number, f"{stamp // 10**9}.{stamp % 10**9:09d}", *cells) for number, stamp, *cells in rows),
+            (
+                (number, f"{stamp // 10**9}.{stamp % 10**9:09d}", *self._cells(self.rows[stamp], slow))
+                for number, stamp in enumerate(chosen, start=1)
+            ),
         )
 
     def take(self, core: OpticalAxisCore, decision: ExposureDecision) -> None:

@@ -122,7 +122,8 @@ def _apart(whitened: FloatArray, scale: FloatArray, basis: FloatArray) -> list[J
 
 def _variances(parts: FloatArray, functional: FloatArray) -> FloatArray:
     """Variance of a linear combination by source of error, shape (n_sources,)."""
-    return np.einsum("i,kij,j->k", functional, parts, functional)
+    variances: FloatArray = np.einsum("i,kij,j->k", functional, parts, functional)
+    return variances
 
 
 def verdict(ratio: float) -> str:

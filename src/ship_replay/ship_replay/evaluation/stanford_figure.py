@@ -142,8 +142,8 @@ def _draw_counts(
     mesh = axes.pcolormesh(*edges, np.ma.masked_equal(counts.T, 0), cmap=colours, norm=norm, zorder=2)
     axes.figure.colorbar(mesh, ax=axes, label="epochs", pad=0.02)
     cells = np.nonzero(np.histogram2d(error[misled], level[misled], bins=edges)[0])
-    centres = [np.sqrt(edge[:-1] * edge[1:])[cell] for edge, cell in zip(edges, cells, strict=True)]
-    axes.scatter(*centres, s=36, marker="o", facecolor=_MISLED_COLOUR, edgecolor="black", linewidth=1.2, zorder=5)
+    x, y = (np.sqrt(edge[:-1] * edge[1:])[cell] for edge, cell in zip(edges, cells, strict=True))
+    axes.scatter(x, y, s=36, marker="o", facecolor=_MISLED_COLOUR, edgecolor="black", linewidth=1.2, zorder=5)
 
 
 def _name_regions(

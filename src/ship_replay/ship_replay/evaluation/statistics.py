@@ -148,7 +148,8 @@ def _is_covariance(matrices: FloatArray) -> np.ndarray:
     """Which of the matrices, shape (n, 3, 3), are finite and positive definite; shape (n,)."""
     finite = np.all(np.isfinite(matrices), axis=(-2, -1))
     eigenvalues = np.linalg.eigvalsh(np.where(finite[:, None, None], matrices, 0.0))
-    return finite & (eigenvalues[:, 0] > 0.0)
+    positive: np.ndarray = finite & (eigenvalues[:, 0] > 0.0)
+    return positive
 
 
 def _root_mean_square(values: FloatArray) -> float:

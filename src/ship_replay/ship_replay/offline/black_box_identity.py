@@ -89,7 +89,8 @@ def check_topics(bag: Bag, adapter: Adapter, notes: list[str], other_config: boo
     Raises:
         BadInput: names the topic; with another configuration this is said in ``notes`` instead.
     """
-    expected = {topic.topic: topic.type_name for topic in (*adapter.inputs, *adapter.outputs)}
+    expected = {topic.topic: topic.type_name for topic in adapter.inputs}
+    expected |= {topic.topic: topic.type_name for topic in adapter.outputs}
     for topic, type_name in sorted(bag.topics.items()):
         if topic == EVENTS_TOPIC or type_name in ASIDE or expected.get(topic) == type_name:
             continue

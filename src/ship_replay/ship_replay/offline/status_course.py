@@ -54,7 +54,7 @@ class _Run(NamedTuple):
     first_ns: int
     last_ns: int
     word: str
-    count: int
+    outputs: int
 
 
 class StatusCourse:
@@ -88,7 +88,7 @@ class StatusCourse:
         self.counts[word] += count
         if self._runs and self._runs[-1].word == word:
             last = self._runs[-1]
-            self._runs[-1] = last._replace(last_ns=max(last.last_ns, last_ns), count=last.count + count)
+            self._runs[-1] = last._replace(last_ns=max(last.last_ns, last_ns), outputs=last.outputs + count)
         else:
             self._runs.append(_Run(first_ns, last_ns, word, count))
 
@@ -115,7 +115,7 @@ class StatusCourse:
         starts_ns = [group[0].first_ns for group in groups]
         ends_ns = [*starts_ns[1:], max((run.last_ns for run in self._runs), default=0)]
         return [
-            Span(group[0].word, start_ns, end_ns, sum(run.count for run in group))
+            Span(group[0].word, start_ns, end_ns, sum(run.outputs for run in group))
             for group, start_ns, end_ns in zip(groups, starts_ns, ends_ns, strict=False)
         ]
 

@@ -138,7 +138,8 @@ def check_file(
 
 
 def _expected(adapter_classes: Sequence[type[Adapter]]) -> str:
-    names = ", ".join(f"'{anywhere(kind.node_name)}'" for kind in (*adapter_classes, *COMPANIONS))
+    nodes = [kind.node_name for kind in adapter_classes] + [companion.node_name for companion in COMPANIONS]
+    names = ", ".join(f"'{anywhere(node)}'" for node in nodes)
     return f"expected one of {names} or '/**'"
 
 

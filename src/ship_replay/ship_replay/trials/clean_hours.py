@@ -22,7 +22,7 @@ from ship_estimation.protection import IntegrityReport
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_geometry.time_scales import SECOND_NS
-from ship_replay.trials.monte_carlo import attitude_outcomes, core_for, pointing_outcomes
+from ship_replay.trials.monte_carlo import attitude_outcomes, core_for, pointing_outcomes, theodolite_of
 from ship_replay.trials.results_file import Result
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.scenario import Scenario
@@ -200,7 +200,8 @@ def _once_a_second(run: SimulatedRun, rows: dict[int, int]) -> set[int]:
 
 def _sail_theodolite(run: SimulatedRun, watched: Watched) -> None:
     core = OpticalAxisCore(build(OpticalAxisConfig, optical_axis_configuration(run.scenario)))
-    truth, encoder_ns = run.theodolite.truth, run.theodolite.encoder.time_ns
+    theodolite = theodolite_of(run)
+    truth, encoder_ns = theodolite.truth, theodolite.encoder.time_ns
     rows = {int(encoder_ns[index]): row for row, index in enumerate(truth.encoder_index)}
     wanted = _once_a_second(run, rows)
     for outcome in pointing_outcomes(core, run):

@@ -90,12 +90,12 @@ def pair_rows(results: Sequence[Result]) -> list[Row]:
                 # What is claimed after the later beginning is the pair's.
                 pairs[key[0], key[1]].append(max(first, second, key=lambda fault: float(fault["start_s"])))
     rows = [
-        (f"{pair[0]} + {pair[1]}", len(faults), *(_most(faults, name) for name in _PAIR_VALUES))
+        (f"{pair[0]} + {pair[1]}", len(faults), [_most(faults, name) for name in _PAIR_VALUES])
         for pair, faults in pairs.items()
     ]
     # The longest wrong claim first, then the largest; no number last.
-    rows.sort(key=lambda row: (*(1.0 if math.isnan(value) else -value for value in row[2:]), row[0]))
-    return [(pair, str(count), *map(_number, values)) for pair, count, *values in rows]
+    rows.sort(key=lambda row: (*(1.0 if math.isnan(value) else -value for value in row[2]), row[0]))
+    return [(pair, str(count), *map(_number, values)) for pair, count, values in rows]
 
 
 @dataclass(frozen=True)

@@ -174,8 +174,7 @@ class _Quiet(AdapterChain):
         try:
             return super().handle(topic, message, receive_ns)
         except Exception as error:
-            error.add_note(f"on a message of {topic}")
-            raise
+            raise RuntimeError(f"on a message of {topic}") from error
 
 
 @lru_cache(maxsize=8)

@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 from rcl_interfaces.srv import GetParameters
 
@@ -143,7 +144,7 @@ class LiveRun:
         text = suite_text(bag, None)
         self._suite_path = self._folder / "suite.yaml"
         self._suite_path.write_text(text, encoding="utf-8")
-        config = load_config(adapter_class.config_type, self._suite_path, adapter_class.node_name)
+        config: Any = load_config(adapter_class.config_type, self._suite_path, adapter_class.node_name)
         adapter = adapter_class(config, RosbagsFactory())
         self._inputs = list(match_inputs(bag, adapter, namespace="").values())
         names = relative_topics(bag.topics)

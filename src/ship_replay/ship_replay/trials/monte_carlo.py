@@ -24,8 +24,10 @@ from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, exp_rotation, log_rotation
 from ship_simulation.run import SKY_SOURCES, SimulatedRun, simulate
 from ship_simulation.scenario.scenario import Scenario
+from ship_simulation.ship.attitude_device import FusedSamples
 from ship_simulation.stars.star_sightings import InertialSamples, StarSightings
 from ship_simulation.suite.suite import optical_axis_configuration, suite_configuration
+from ship_simulation.theodolite.run import TheodoliteRun
 from ship_simulation.theodolite.scene import axis_errors_of
 from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config import OpticalAxisConfig
@@ -184,6 +186,7 @@ def measurement_of(run: SimulatedRun, source: str, index: int) -> Measurement:
 def star_exposure(run: SimulatedRun, sensor_id: str, index: int) -> StarExposure:
     """One exposure of a sensor that gives single stars, as the estimator takes it."""
     sightings, config = run.stars[sensor_id], run.scenario.star_sensors[sensor_id]
+    assert isinstance(sightings, StarSightings)
     source, exposure_s = f"star.{sensor_id}", float(np.float32(config.exposure_s))
     length = None
     if exposure_s:
@@ -219,13 +222,15 @@ class PointingErrors:
     @property
     def on_sky(self) -> FloatArray:
         """Error of the axis, an angle on the sky, rad, shape (k,)."""
-        return np.linalg.norm(np.cross(self.error_n, self.axis_n), axis=-1)
+        angle: FloatArray = np.linalg.norm(np.cross(self.error_n, self.axis_n), axis=-1)
+        return angle
 
     @property
     def sigma_on_sky(self) -> FloatArray:
         """The claimed standard deviation of that angle (root mean square over directions), rad, shape (k,)."""
         along = np.einsum("ki,kij,kj->k", self.axis_n, self.covariance_n, self.axis_n)
-        return np.sqrt(np.trace(self.covariance_n, axis1=-2, axis2=-1) - along)
+        sigma: FloatArray = np.sqrt(np.trace(self.covariance_n, axis1=-2, axis2=-1) - along)
+        return sigma
 
 
 def pointing_errors(scenario: Scenario, seed: int) -> PointingErrors:
@@ -233,8 +238,9 @@ def pointing_errors(scenario: Scenario, seed: int) -> PointingErrors:
     run = simulate(scenario, seed)
     core = OpticalAxisCore(build(OpticalAxisConfig, optical_axis_configuration(scenario)))
     estimates, sightings, refused = feed_pointing(core, run)
-    truth, start_ns = run.theodolite.truth, run.start_ns
-    rows = {int(stamp): row for row, stamp in enumerate(run.theodolite.encoder.time_ns[truth.encoder_index])}
+    theodolite, start_ns = theodolite_of(run), run.start_ns
+    truth = theodolite.truth
+    rows = {int(stamp): row for row, stamp in enumerate(theodolite.encoder.time_ns[truth.encoder_index])}
     kept = [found for found in estimates if found.time_ns in rows and found.status is not Status.INVALID]
     kept_rows = [rows[found.time_ns] for found in kept]
     true_nm = truth.mount.rotation_nm[kept_rows]
@@ -251,9 +257,20 @@ def pointing_errors(scenario: Scenario, seed: int) -> PointingErrors:
     )
 
 
+def theodolite_of(run: SimulatedRun) -> TheodoliteRun:
+    """The theodolite's part of a run.
+
+    Raises:
+        ValueError: its scenario has none.
+    """
+    if run.theodolite is None:
+        raise ValueError("the scenario has no theodolite")
+    return run.theodolite
+
+
 def _ins_encoder(run: SimulatedRun) -> FloatArray:
     """Error of the axis by INS and encoders alone at the stamps of the truth, rad; noise of the INS left out."""
-    theodolite, ins = run.theodolite, run.truth.ins
+    theodolite, ins = theodolite_of(run), run.truth.ins
     index, mount = theodolite.truth.encoder_index, theodolite.truth.mount
     time_ns = theodolite.encoder.time_ns[index]
     since_s, moments_s = (run.ins.time_ns - run.start_ns) * 1e-9, (time_ns - run.start_ns) * 1e-9
@@ -285,9 +302,9 @@ def pointing_outcomes(core: OpticalAxisCore, run: SimulatedRun) -> Iterator[Poin
 def give_pointing(core: OpticalAxisCore, run: SimulatedRun, source: str, index: int) -> PointingOutcome:
     """Give a core one arrival of a run, as :meth:`SimulatedRun.pointing_arrivals` names it."""
     kind, _, name = source.partition(".")
-    theodolite = run.theodolite
-    if kind == "fused":
-        return core.add_ship(_ship_sample(run, index))
+    if kind == "fused" and run.fused is not None:
+        return core.add_ship(_ship_sample(run, run.fused, index))
+    theodolite = theodolite_of(run)
     if kind == "encoder":
         readings = theodolite.encoder
         angles = np.array([readings.azimuth[index], readings.elevation[index]])
@@ -309,8 +326,7 @@ def give_pointing(core: OpticalAxisCore, run: SimulatedRun, source: str, index: 
     return PointingOutcome()
 
 
-def _ship_sample(run: SimulatedRun, index: int) -> ShipSample:
-    fused = run.fused
+def _ship_sample(run: SimulatedRun, fused: FusedSamples, index: int) -> ShipSample:
     white = run.scenario.fused_attitude.white_sigma_arcsec * ARCSEC
     slow_covariance_n = fused.covariance_n - white**2 * np.eye(3)
     return ShipSample(int(fused.time_ns[index]), fused.rotation_nd[index], fused.rate_d[index], slow_covariance_n)

@@ -56,7 +56,7 @@ class Threat:
         """The largest size in sigmas of one measurement; None where the threat is no step."""
         if self.sigma is None:
             return None
-        return max(abs(sizes[name]) / sigma for name, sigma in self.sigma.items() if name in sizes)
+        return max(float(abs(sizes[name])) / sigma for name, sigma in self.sigma.items() if name in sizes)
 
 
 def _size(names: tuple[str, ...], least: float, most: float) -> Draw:
