@@ -147,7 +147,7 @@ def ship_crept(ship: list[ShipSample], longest_gap_ns: int, sigma_rad: float) ->
 
 
 def _attitudes(ship: list[ShipSample]) -> tuple[FloatArray, FloatArray]:
-    """Attitudes and rates of samples that all have them: horizon from deck (k, 3, 3), and in the deck, rad/s, (k, 3)."""
+    """Horizon from deck, shape (k, 3, 3), and rates in the deck, rad/s, (k, 3), of samples that all have them."""
     return np.array([sample.rotation_nd for sample in ship]), np.array([sample.rate_d for sample in ship])
 
 
