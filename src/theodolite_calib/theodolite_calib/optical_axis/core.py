@@ -9,6 +9,7 @@ as the ship's attitude of that moment is there.
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -160,6 +161,10 @@ class OpticalAxisCore:
             self._watch_time()
         self._publish(outcome, sample.time_ns if arrival_ns is None else arrival_ns)
         return outcome
+
+    def expect_ships(self, samples: Sequence[ShipSample]) -> None:
+        """Attitudes of the ship, with rates and covariances, that come next as far as is known now."""
+        self._ship_watch.expect(samples)
 
     def add_baseline(self, beacon_id: str, sample: BaselineSample) -> PointingOutcome:
         """A baseline to a drone. One that must not be used is refused, and no exposure waits for a better one."""
