@@ -163,7 +163,7 @@ class InsGuard:
 
     @property
     def least_step_rad(self) -> float:
-        """While samples go the usual way, one with which the source may have stepped by no more is judged as others are."""
+        """While samples go the usual way, one with which the source may have stepped by no more is judged as others."""
         return self._steps.least_rad
 
     def looks_ahead(self, time_ns: int) -> bool:

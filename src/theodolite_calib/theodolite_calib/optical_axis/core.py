@@ -73,6 +73,7 @@ class OpticalAxisCore:
     def __init__(self, config: OpticalAxisConfig) -> None:
         self.due: list[DuePointing] | None = None
         self._start: tuple[CalibrationPrior, int] | None = None
+        self._calibration: tuple[CalibrationState, Calibration] | None = None
         self._take_models(config)
         model: Model[CalibrationState, Exposure, ExposureDecision, Jump] = Model(
             step=self._step,
@@ -206,8 +207,10 @@ class OpticalAxisCore:
         return self._pointing.of_due(due)
 
     def calibration(self) -> Calibration:
-        """What the filter now knows of axis errors, focal length and deformation."""
-        return calibration_of(self.filter, self.config, self.state)
+        """What the filter now knows of axis errors, focal length and deformation; several topics tell of it."""
+        if self._calibration is None or self._calibration[0] is not self.state:
+            self._calibration = self.state, calibration_of(self.filter, self.config, self.state)
+        return self._calibration[1]
 
     def calibration_to_save(self) -> CalibrationPrior | None:
         """The part of it that the next session can start from; None where nothing was ever sighted."""
@@ -235,6 +238,7 @@ class OpticalAxisCore:
         self.filter = CalibrationFilter(config)
         self._step_to = SightingStep(config, self.filter, self._streams_since, self._ship_crept)
         self._pointing = PointingOutput(config, self.filter)
+        self._calibration = None
 
     def _add(self, source: str, track: SampleTrack[Any], sample: Any) -> PointingOutcome:
         outcome = PointingOutcome(self._shell.window.late(sample.time_ns))
