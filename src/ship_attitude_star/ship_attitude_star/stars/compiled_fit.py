@@ -278,10 +278,10 @@ def covariances(
     """Covariance of an attitude by terms, and the part of its noise that comes with errors of some stars.
 
     Args:
-        white_n: of the attitude by what differs from star to star, rad², shape (3, 3); by this alone stars are weighted.
+        white_n: of the attitude by what differs from star to star, rad², shape (3, 3); by this stars are weighted.
         information: of all unknowns by the stars, shape (q, q); the attitude has the first three.
         jacobian: of the stars, shape (k, 3, q).
-        share: of each star's white error that comes with these errors, 0 for a star that is not used, shape (k,).
+        share: of each star's white error that comes with these errors, 0 for a star without a part, shape (k,).
         term_of: to which term each of the other unknowns belongs, counted in sigmas, shape (q - 3,).
         terms: how many terms there are.
 

@@ -130,8 +130,10 @@ class StarFit:
         Raises:
             numpy.linalg.LinAlgError: the members leave the attitude open.
         """
-        *found, count = compiled_fit.judged(self.jacobian, self.displacement, self._chosen(members), self.open)
-        return StarJudgement(*found, 2 * count - self.open)
+        information, constrained, solution, chi_square, count = compiled_fit.judged(
+            self.jacobian, self.displacement, self._chosen(members), self.open
+        )
+        return StarJudgement(information, constrained, solution, chi_square, 2 * count - self.open)
 
     def _chosen(self, members: NDArray[np.bool_] | None) -> NDArray[np.uint8]:
         """The members as the compiled loops take them; all stars where none are named."""
