@@ -256,7 +256,9 @@ def _repeated(identity: Hashable, pixel: list[float], seen: dict[Hashable, list[
 def _either(
     listed: NDArray[np.bool_], of_catalogue: StarPositions, given: StarPositions, kept: NDArray[np.intp]
 ) -> StarPositions:
-    """Positions of the stars of some rows: of the catalogue where they are listed, else as given."""
+    """Positions of the stars of some rows: of the catalogue where they are listed, as mostly all are, else as given."""
+    if listed.all():
+        return of_catalogue[kept]
     columns = [
         np.where(listed, getattr(of_catalogue, name), getattr(given, name))[kept]
         for name in StarPositions.__dataclass_fields__
