@@ -199,16 +199,15 @@ class SkyWatch:
 
     def at(self, time_ns: int) -> SkyMoment | Refusal:
         """The sky at a moment, or why no star can be placed then: NO_EARTH_ORIENTATION or NO_FIX."""
+        found, known = self.surroundings.at(time_ns), self._moments.get(time_ns)
+        if known is not None and not isinstance(found, Refusal) and known.place is found[0] and known.air is found[1]:
+            return known
         reason = self._table.reason_against(time_ns)
         if reason is not None:
             return Refusal(Reason.NO_EARTH_ORIENTATION, reason)
-        found = self.surroundings.at(time_ns)
         if isinstance(found, Refusal):
             return found
         place, air = found
-        known = self._moments.get(time_ns)
-        if known is not None and known.place is place and known.air is air:
-            return known
         moment = self._moments[time_ns] = SkyMoment(
             time_ns=time_ns,
             place=place,
