@@ -57,9 +57,8 @@ def _lifted(direction: cython.p_double, angle: cython.double, out: cython.p_doub
     out[1] = direction[1] * cos(angle) + horizontal * sin(angle)
 
 
-@cython.ccall
-def fits(coefficients: cython.const[cython.double][:, ::1], sigmas: cython.const[cython.double][::1]):
-    """Refuse numbers of a model that are not those of one."""
+def _fits(coefficients, sigmas) -> None:
+    """Refuse numbers that are not those of a model; the loops look at no bounds."""
     check("model", coefficients.shape[0] == 2 and coefficients.shape[1] == sigmas.shape[0] == 3)
 
 
@@ -82,7 +81,7 @@ def bent(
     Returns:
         The angle, rad, and its derivatives, shape (k, 3); standard deviation of the model itself, rad, shape (k,).
     """
-    fits(coefficients, sigmas)
+    _fits(coefficients, sigmas)
     count: cython.Py_ssize_t = elevation.shape[0]
     of_angles, of_sigma = np.empty((count, 3)), np.empty(count)
     angles: cython.double[:, ::1] = of_angles
@@ -133,7 +132,7 @@ def seen(
         Unit vectors with air, shape (k, 3); their displacement by one sigma of refraction and by each of the turns,
         rad, shape (k, 3, 1 + m); the elevations without air, rad, shape (k,).
     """
-    fits(coefficients, sigmas)
+    _fits(coefficients, sigmas)
     count: cython.Py_ssize_t = without_air_n.shape[0]
     turns: cython.Py_ssize_t = turns_n.shape[0]
     check("vectors", without_air_n.shape[1] == turns_n.shape[1] == 3)
