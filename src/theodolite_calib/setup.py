@@ -1,5 +1,5 @@
 # The same lines stand in the setup.py of every package: colcon builds each package from its own file alone.
-# This one compiles two modules besides.
+# This one compiles three modules besides.
 from Cython.Build import cythonize
 from setuptools import Extension, find_packages, setup
 
@@ -17,7 +17,7 @@ setup(
                 [f"theodolite_calib/{name.replace('.', '/')}.py"],
                 extra_compile_args=["-O3", "-ffp-contract=off"],
             )
-            for name in ("filter.compiled_rows", "measured.compiled_cubics")
+            for name in ("filter.compiled_points", "filter.compiled_rows", "measured.compiled_cubics")
         ],
         quiet=True,  # colcon reads what this file prints
     ),

@@ -5,7 +5,7 @@ import pytest
 
 from ship_attitude_star.stars import compiled_fit
 from ship_attitude_star.stars.camera import tangent_basis
-from ship_attitude_star.stars.fit import SightedStars, linearized
+from ship_attitude_star.stars.fit import SightedStars, StarFit, linearized
 from ship_geometry.rotations import exp_rotation, skew
 
 STARS, SENSORS, TURNS, SHARED = 7, 2, 3, 4
@@ -53,14 +53,66 @@ def test_stars_are_linearised_as_by_numpy(sensors: int, turns: int) -> None:
 def test_normal_equations_are_those_of_the_members() -> None:
     fit, members = linearized(seen(SENSORS, TURNS), np.eye(3)), np.arange(STARS) % 3 != 1
     rows, flat = fit.jacobian[members].reshape(-1, fit.jacobian.shape[-1]), fit.displacement[members].ravel()
-    information, right_side, squares, count = fit.normal_equations(members)
+    information, right_side = fit.normal_equations(members)
     equal(information, rows.T @ rows)
     equal(right_side, flat @ rows)
-    assert squares == pytest.approx(flat @ flat, rel=1e-13)
-    assert count == np.count_nonzero(members)
-    _, _, squares, count = fit.normal_equations()
-    assert squares == pytest.approx(np.sum(fit.displacement**2), rel=1e-13)
-    assert count == STARS
+    equal(fit.normal_equations()[1], fit.displacement.ravel() @ fit.jacobian.reshape(STARS * 3, -1))
+
+
+@pytest.mark.parametrize("open_", [0, 3])
+def test_stars_are_judged_as_by_numpy(open_: int) -> None:
+    fit, members = linearized(seen(SENSORS, TURNS), np.eye(3)), np.arange(STARS) % 3 != 1
+    rows, flat = fit.jacobian[members].reshape(-1, fit.jacobian.shape[-1]), fit.displacement[members].ravel()
+    # Unknowns counted in sigmas are of about one.
+    unit = np.where(np.arange(rows.shape[1]) < 3, 1e5, 1.0)
+    rows, fit = rows / unit, StarFit(fit.jacobian / unit, fit.displacement, fit.residual_n, open_)
+    judgement = fit.judge(members)
+    prior = np.diag((np.arange(rows.shape[1]) >= open_).astype(float))
+    expected = np.linalg.solve(rows.T @ rows + prior, flat @ rows)
+    equal(judgement.information, rows.T @ rows)
+    equal(judgement.constrained, rows.T @ rows + prior)
+    np.testing.assert_allclose(judgement.solution, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
+    left = flat - rows @ expected
+    assert judgement.chi_square == pytest.approx(left @ left + expected @ prior @ expected, rel=1e-9)
+    assert judgement.degrees == 2 * np.count_nonzero(members) - open_
+
+
+def test_stars_that_leave_the_attitude_open_are_not_judged() -> None:
+    fit = linearized(seen(0, 0), np.eye(3))
+    with pytest.raises(np.linalg.LinAlgError):
+        fit.judge(np.zeros(STARS, dtype=bool))
+    with pytest.raises(np.linalg.LinAlgError):
+        StarFit(np.full_like(fit.jacobian, np.nan), fit.displacement, fit.residual_n).judge()
+
+
+def test_with_a_prediction_the_attitude_is_counted_in_its_sigmas() -> None:
+    fit, rng = linearized(seen(SENSORS, 0), np.eye(3)), np.random.default_rng(3)
+    root, turn_n = rng.normal(size=(3, 3)), 1e-4 * rng.normal(size=3)
+    covariance_n = root @ root.T
+    for expected_n in (None, turn_n):
+        found = fit.with_prior(covariance_n, expected_n)
+        of_attitude = fit.jacobian[:, :, :3]
+        equal(found.jacobian[:, :, 3:], fit.jacobian[:, :, 3:])
+        counted = found.jacobian[:, :, :3]
+        # Any root will do: what is told of the attitude is the same.
+        equal(counted @ counted.swapaxes(1, 2), of_attitude @ covariance_n @ of_attitude.swapaxes(1, 2))
+        equal(found.displacement, fit.displacement - (0.0 if expected_n is None else of_attitude @ expected_n))
+        assert found.open == 0
+
+
+def test_covariances_by_term_are_as_by_numpy() -> None:
+    rng, unknowns = np.random.default_rng(4), 12
+    jacobian, root = rng.normal(size=(STARS, 3, unknowns)), rng.normal(size=(3, 3))
+    white_n, share = root @ root.T, rng.uniform(0.0, 1.0, STARS) * (np.arange(STARS) != 2)
+    information = np.einsum("kia,kib->ab", jacobian, jacobian)
+    term_of = np.array([1, 1, 1, 1, 1, 2, 3, 4, 4])
+    parts, shares = compiled_fit.covariances(white_n, information, jacobian, share, term_of, 6)
+    turns = white_n @ information[:3, 3:]
+    for term in range(6):
+        own = turns[:, term_of == term]
+        np.testing.assert_allclose(parts[term], own @ own.T, rtol=1e-12, atol=0.0)
+    rows = (jacobian[:, :, :3] * share[:, None, None]).reshape(-1, 3) @ white_n
+    np.testing.assert_allclose(shares, rows.T @ rows, rtol=1e-12)
 
 
 def test_residuals_of_stars_are_as_by_numpy() -> None:
@@ -109,6 +161,17 @@ def test_shapes_that_do_not_fit_are_refused() -> None:
     everyone = np.ones(STARS, dtype=np.uint8)
     with pytest.raises(ValueError, match="stars"):
         compiled_fit.normal_equations(np.zeros((STARS, 3, 7)), np.zeros((STARS, 3)), everyone[1:])
+    with pytest.raises(ValueError, match="stars"):
+        compiled_fit.judged(np.zeros((STARS, 3, 7)), np.zeros((STARS - 1, 3)), everyone, 3)
+    with pytest.raises(ValueError, match="vectors"):
+        compiled_fit.judged(np.zeros((STARS, 2, 7)), np.zeros((STARS, 3)), everyone, 3)
+    with pytest.raises(ValueError, match="vectors"):
+        compiled_fit.predicted(np.zeros((STARS, 3, 7)), np.zeros((STARS, 3)), np.eye(2), np.zeros(3))
+    for term_of in (np.zeros(5, dtype=np.intp), np.full(4, 2)):
+        with pytest.raises(ValueError, match=r"unknowns|terms"):
+            compiled_fit.covariances(
+                np.eye(3), np.eye(7), np.zeros((STARS, 3, 7)), np.zeros(STARS), term_of, 2
+            )
     with pytest.raises(ValueError, match="estimate"):
         compiled_fit.expected(stars.reference_n, stars.shared_n, np.zeros(SHARED + 1))
     with pytest.raises(ValueError, match="states"):

@@ -161,6 +161,11 @@ class InsGuard:
             return judged
         return judged._replace(sample=replace(sample, rate_d=None))
 
+    @property
+    def least_step_rad(self) -> float:
+        """While samples go the usual way, one with which the source may have stepped by no more is judged as others."""
+        return self._steps.least_rad
+
     def looks_ahead(self, time_ns: int) -> bool:
         """Whether a sample may go the usual way: rates are proven, a line leads to it, and nothing is in question."""
         taken = self._taken

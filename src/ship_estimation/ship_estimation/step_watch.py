@@ -137,6 +137,11 @@ class StepWatch:
         return math.inf if self._plan is None else float(self._bounds[-1])
 
     @property
+    def least_rad(self) -> float:
+        """No smaller step is told from noise as long as the line is not another one; infinite where there is none."""
+        return math.inf if self._plan is None else float(self._least_rad[-1])
+
+    @property
     def judges(self) -> bool:
         """Whether samples are judged by a line as long as it is to be."""
         return self._plan is not None and self._plan is self._full and self._judges

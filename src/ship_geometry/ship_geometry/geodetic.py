@@ -5,6 +5,7 @@ ellipsoid normal, so a level instrument differs from it by the deflection of the
 All functions take arrays of positions.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,18 +66,17 @@ def rotation_horizon_from_ecef(latitude: FloatArray | float, longitude: FloatArr
         >>> print(pole_n.round(4))  # North, Up, East
         [0.7071 0.7071 0.    ]
     """
-    latitude, longitude = np.broadcast_arrays(np.asarray(latitude, float), np.asarray(longitude, float))
-    sin_lat, cos_lat, sin_lon, cos_lon = np.sin(latitude), np.cos(latitude), np.sin(longitude), np.cos(longitude)
-    rotation = np.zeros((*latitude.shape, 3, 3))
-    rotation[..., 0, 0] = -sin_lat * cos_lon
-    rotation[..., 0, 1] = -sin_lat * sin_lon
-    rotation[..., 0, 2] = cos_lat
-    rotation[..., 1, 0] = cos_lat * cos_lon
-    rotation[..., 1, 1] = cos_lat * sin_lon
-    rotation[..., 1, 2] = sin_lat
-    rotation[..., 2, 0] = -sin_lon
-    rotation[..., 2, 1] = cos_lon
-    return rotation
+    single = isinstance(latitude, float) and isinstance(longitude, float)
+    # A live node has single places: these take several times longer through arrays.
+    sine, cosine = (math.sin, math.cos) if single else (np.sin, np.cos)
+    sin_lat, cos_lat, sin_lon, cos_lon = sine(latitude), cosine(latitude), sine(longitude), cosine(longitude)
+    north = -sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat
+    up = cos_lat * cos_lon, cos_lat * sin_lon, sin_lat
+    east = -sin_lon, cos_lon, 0.0
+    if single:
+        return np.array([north, up, east])
+    elements = np.broadcast_arrays(*north, *up, *east)
+    return np.stack(elements, axis=-1).reshape(*elements[0].shape, 3, 3)
 
 
 def horizon_radii_m(position: GeodeticPosition) -> tuple[FloatArray, FloatArray]:

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ship_geometry import compiled_polynomials
 from ship_geometry.rotations import FloatArray
 
 MOST_SAMPLES = 5
@@ -84,21 +85,6 @@ def joint_covariance(errors: FloatArray, interval: NDArray[np.int64]) -> FloatAr
     return covariance
 
 
-def divided_differences(nodes: FloatArray, values: FloatArray) -> FloatArray:
-    """Coefficients of Newton's polynomial through ``values``, shape (n, k), at ``nodes``, shape (n,); shape (n, k).
-
-    Example:
-        >>> nodes = np.array([0.0, 1.0, 3.0])
-        >>> print(divided_differences(nodes, (nodes**2)[:, None]).ravel())  # t² = 0 + 1 (t - 0) + 1 (t - 0) (t - 1)
-        [0. 1. 1.]
-    """
-    coefficients = np.array(values)
-    for order in range(1, len(nodes)):
-        steps = nodes[order:] - nodes[:-order]
-        coefficients[order:] = (coefficients[order:] - coefficients[order - 1 : -1]) / steps[:, None]
-    return coefficients
-
-
 def by_polynomial(nodes: FloatArray, values: FloatArray, at: float, found: FloatArray) -> tuple[FloatArray, ...]:
     """Errors of a value that was interpolated between two samples, told by the polynomial through all samples around.
 
@@ -123,9 +109,7 @@ def by_polynomial(nodes: FloatArray, values: FloatArray, at: float, found: Float
     if len(nodes) == 2:
         # No other sample is there: as if the whole change could begin, or end, within the interval.
         return (0.5 * at * (1.0 - at) * (values[1] - values[0]),)
-    coefficients = divided_differences(nodes, values)
-    products = np.cumprod(np.append(1.0, at - nodes[:-1]))
-    terms = coefficients * products[:, None]
-    error = terms.sum(axis=0) - found
     # The last term stands for those left out: for a share of the next one, and with fewer samples for one like itself.
-    return error, (BESIDE if len(nodes) == MOST_SAMPLES else 1.0) * terms[-1]
+    beside = BESIDE if len(nodes) == MOST_SAMPLES else 1.0
+    error, left_out = compiled_polynomials.errors_by_polynomial(nodes, values, at, found, beside)
+    return error, left_out

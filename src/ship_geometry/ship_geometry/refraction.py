@@ -7,10 +7,11 @@ There are two models. Both take the elevation without air, which the catalogue g
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
+from ship_geometry import compiled_refraction
 from ship_geometry import late_erfa as erfa
 from ship_geometry.rotations import ARCSEC, FloatArray
 
@@ -23,14 +24,17 @@ LOWEST_ELEVATION: dict[ModelName, float] = {"erfa": np.deg2rad(5.0), "almanac": 
 _STEP_HPA, _STEP_K = 1.0, 1.0
 _TINY = 1e-300
 
-_NORTH_AND_EAST = slice(None, None, 2)
-"""The level components of a direction (North, Up, East)."""
-
 # Error of the models in standard air. The description of refco has a table: 0.03″ up to 70° of zenith distance, 0.57″
 # at 80°; it grows like the first term left out, tan⁵ z. The almanac's model knows neither humidity nor colour of
 # the light, and differs from erfa by 0.7 %.
-_ERFA_SIGMA, _ERFA_SIGMA_TAN5 = 0.03 * ARCSEC, 1e-4 * ARCSEC
-_ALMANAC_SIGMA_FRACTION = 0.007
+_MODEL_SIGMAS: dict[ModelName, FloatArray] = {
+    "erfa": np.array([0.03 * ARCSEC, 1e-4 * ARCSEC, 0.0]),
+    "almanac": np.array([0.0, 0.0, 0.007]),
+}
+"""Each model's own standard deviation: everywhere, per tan⁵ z, and as a share of the angle."""
+
+for _of_model in _MODEL_SIGMAS.values():
+    _of_model.flags.writeable = False
 
 
 @dataclass(frozen=True)
@@ -103,20 +107,57 @@ def refraction(
         almanac 59.34 arcsec
     """
     elevation = np.asarray(elevation, dtype=float)
-    tan_z = 1.0 / np.tan(np.where(elevation >= LOWEST_ELEVATION[model], elevation, np.nan))
-    tan2_z = tan_z * tan_z
-    linear, cubic = _coefficients(model, weather, wavelength_um)
-    # The last axis: the angle, its derivative by pressure and its derivative by temperature.
-    angles = (linear + cubic * tan2_z[..., None]) * tan_z[..., None]
-    if model == "erfa":
-        # A and B belong to the observed zenith distance. One step of Newton's method leads there from the true one, as
-        # in ERFA's atioq. In the derivatives the small change of this divisor is left out.
-        angles /= (1.0 + (linear[0] + 3.0 * cubic[0] * tan2_z) * (1.0 + tan2_z))[..., None]
-        model_sigma = _ERFA_SIGMA + _ERFA_SIGMA_TAN5 * tan2_z * tan2_z * tan_z
-    else:
-        model_sigma = _ALMANAC_SIGMA_FRACTION * angles[..., 0]
-    angle, per_hpa, per_kelvin = (angles[..., column] for column in range(3))
-    return Refraction(angle, per_hpa, per_kelvin, model_sigma)
+    angles, model_sigma = compiled_refraction.bent(
+        np.ascontiguousarray(elevation).reshape(-1), *_of_air(model, weather, wavelength_um)
+    )
+    angle, per_hpa, per_kelvin = (column.reshape(elevation.shape) for column in angles.T)
+    return Refraction(angle, per_hpa, per_kelvin, model_sigma.reshape(elevation.shape))
+
+
+class SeenStars(NamedTuple):
+    """Stars as they are seen through the air.
+
+    Attributes:
+        direction_n: unit vectors (North, Up, East), shape (k, 3); NaN below the model's lowest elevation.
+        shared_n: their displacement by one sigma of refraction, and by each of m turns of the sky, rad, shape
+            (k, 3, 1 + m).
+        elevation: without air, rad, shape (k,).
+    """
+
+    direction_n: FloatArray
+    shared_n: FloatArray
+    elevation: FloatArray
+
+
+def seen_through_air(
+    model: ModelName,
+    without_air_n: FloatArray,
+    weather: Weather,
+    wavelength_um: float,
+    weather_sigma: tuple[float, float],
+    turns_n: FloatArray,
+) -> SeenStars:
+    """A handful of stars through the air, with what the errors that they share do to them: all in one go.
+
+    Args:
+        model: ``"erfa"`` or ``"almanac"``.
+        without_air_n: unit vectors (North, Up, East), shape (k, 3).
+        weather: the air at the ship.
+        wavelength_um: of the light the sensor sees; the almanac's model does not know it.
+        weather_sigma: standard deviation of the pressure, hPa, and of the temperature, K.
+        turns_n: turns of the whole sky, rotation vectors, rad, shape (m, 3).
+
+    Example:
+        A star at 45° in the north is lifted by 58″, give or take 1.0″ where the temperature is known to 5 K:
+
+        >>> north_up_n = np.array([[1.0, 1.0, 0.0]]) / np.sqrt(2.0)
+        >>> seen = seen_through_air("erfa", north_up_n, Weather(1013.25, 10.0), 0.55, (0.0, 5.0), np.empty((0, 3)))
+        >>> lifted_by = elevation_of(seen.direction_n)[0] - seen.elevation[0]
+        >>> print(f"{lifted_by / ARCSEC:.0f} {np.linalg.norm(seen.shared_n[0, :, 0]) / ARCSEC:.1f}")
+        58 1.0
+    """
+    of_air = _of_air(model, weather, wavelength_um)
+    return SeenStars(*compiled_refraction.seen(without_air_n, *of_air, *weather_sigma, turns_n))
 
 
 def refraction_slopes(
@@ -140,17 +181,21 @@ def refraction_slopes(
         -2.0 arcsec per degree
     """
     t = 1.0 / np.tan(elevation) if elevation >= LOWEST_ELEVATION[model] else np.nan
-    linear, cubic = (float(coefficients[0]) for coefficients in _coefficients(model, weather, wavelength_um))
+    linear, cubic = _of_air(model, weather, wavelength_um)[0][:, 0].tolist()
     steep = 1.0 + t * t
     by_tan = linear + 3.0 * cubic * t * t
     return -by_tan * steep, 2.0 * t * steep * (by_tan + 3.0 * cubic * steep)
 
 
 @lru_cache(maxsize=8)
-def _coefficients(model: ModelName, weather: Weather, wavelength_um: float) -> tuple[FloatArray, FloatArray]:
-    """Coefficients of tan z and of tan³ z, shape (3,) each: value (rad), derivative by hPa, derivative by K.
+def _of_air(model: ModelName, weather: Weather, wavelength_um: float) -> tuple[FloatArray, float, bool, FloatArray]:
+    """What :func:`ship_geometry.compiled_refraction.bent` is told of a model in the air of a moment.
 
     The last ones are kept, because the weather changes far less often than the sky.
+
+    Returns:
+        Coefficients of tan z and of tan³ z, shape (2, 3): value (rad), derivative by hPa, derivative by K; lowest
+        elevation; whether they belong to the observed zenith distance; standard deviations of the model.
     """
     # Five kinds of weather: as given, more and less pressure, higher and lower temperature.
     given, more_pressure, less_pressure, warmer, colder = range(5)
@@ -164,8 +209,8 @@ def _coefficients(model: ModelName, weather: Weather, wavelength_um: float) -> t
         both = np.array([[60.0978], [-0.0669]]) * ARCSEC * factor
     per_hpa = (both[:, more_pressure] - both[:, less_pressure]) / (2.0 * _STEP_HPA)
     per_kelvin = (both[:, warmer] - both[:, colder]) / (2.0 * _STEP_K)
-    linear, cubic = np.stack([both[:, given], per_hpa, per_kelvin], axis=1)
-    return linear, cubic
+    coefficients = np.stack([both[:, given], per_hpa, per_kelvin], axis=1)
+    return coefficients, LOWEST_ELEVATION[model], model == "erfa", _MODEL_SIGMAS[model]
 
 
 def lifted(direction_n: FloatArray, angle: FloatArray) -> FloatArray:
@@ -183,14 +228,12 @@ def lifted(direction_n: FloatArray, angle: FloatArray) -> FloatArray:
         >>> print(np.rad2deg(elevation_of(lifted(direction_n, 100.0 * ARCSEC))).round(5))
         30.02778
     """
-    up, horizontal = direction_n[..., 1], np.hypot(direction_n[..., 0], direction_n[..., 2])
-    cosine, sine = np.cos(angle), np.sin(angle)
-    result = np.empty(np.broadcast_shapes(direction_n.shape, (*cosine.shape, 3)))
-    # At the zenith itself there is no azimuth to turn in, and no refraction.
-    stretch = (cosine - sine * up / np.maximum(horizontal, _TINY))[..., None]
-    result[..., _NORTH_AND_EAST] = direction_n[..., _NORTH_AND_EAST] * stretch
-    result[..., 1] = up * cosine + horizontal * sine
-    return result
+    shape = np.broadcast_shapes(direction_n.shape, (*np.shape(angle), 3))
+    result: FloatArray = compiled_refraction.lifted(
+        np.ascontiguousarray(np.broadcast_to(direction_n, shape), dtype=float).reshape(-1, 3),
+        np.ascontiguousarray(np.broadcast_to(angle, shape[:-1]), dtype=float).reshape(-1),
+    )
+    return result.reshape(shape)
 
 
 def lifting_axis(direction_n: FloatArray) -> FloatArray:

@@ -133,7 +133,10 @@ class SampleTrack(Generic[Sample]):
     def drop_before(self, time_ns: int) -> None:
         """Forget what is not needed to interpolate at or after ``time_ns``, or to move the newest sample."""
         # Three samples before the moment stay: the start of its interval, and two that tell the interpolation's error.
-        keep_from = min(bisect.bisect_right(self._times, time_ns - self.keeps_ns) - 3, self._recent_from())
+        keep_from = bisect.bisect_right(self._times, time_ns - self.keeps_ns) - 3
+        if keep_from <= 0:
+            return
+        keep_from = min(keep_from, self._recent_from())
         if keep_from > 0:
             del self._times[:keep_from]
             del self._samples[:keep_from]

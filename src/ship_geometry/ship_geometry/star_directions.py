@@ -69,7 +69,9 @@ def fixed_stars(right_ascension: FloatArray, declination: FloatArray) -> StarPos
         >>> print(float(vega.parallax_arcsec))
         0.0
     """
-    alpha, delta = np.broadcast_arrays(np.asarray(right_ascension, float), np.asarray(declination, float))
+    alpha, delta = np.asarray(right_ascension, float), np.asarray(declination, float)
+    if alpha.shape != delta.shape:
+        alpha, delta = np.broadcast_arrays(alpha, delta)
     none = np.zeros(alpha.shape)
     return StarPositions(alpha, delta, none, none, none)
 

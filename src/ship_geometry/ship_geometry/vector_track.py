@@ -5,7 +5,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from ship_geometry.interpolation_error import as_covariance, by_polynomial
+from ship_geometry import compiled_polynomials
+from ship_geometry.interpolation_error import ANY_DIRECTION, BESIDE, MOST_SAMPLES
 from ship_geometry.rotations import FloatArray
 from ship_geometry.sample_track import SampleTrack, hermite_weights
 
@@ -34,18 +35,12 @@ class InterpolatedVector:
     Attributes:
         vector: shape (k,). A periodic component may differ from its principal value by whole periods.
         noise_gain: variance of the result per variance of the samples' independent noise.
-        errors: estimates of the interpolation's own error, for
-            :func:`ship_geometry.interpolation_error.as_covariance`, shape (k,) each.
+        error_covariance: of the interpolation's own error, estimated from the samples around, shape (k, k).
     """
 
     vector: FloatArray
     noise_gain: float
-    errors: tuple[FloatArray, ...] = ()
-
-    @property
-    def error_covariance(self) -> FloatArray:
-        """Covariance of the interpolation's own error, shape (k, k)."""
-        return as_covariance(self.errors) if self.errors else np.zeros((self.vector.size, self.vector.size))
+    error_covariance: FloatArray
 
 
 Sample = TypeVar("Sample", bound=VectorSample)
@@ -78,21 +73,25 @@ class VectorTrack(SampleTrack[Sample]):
         if interval is None:
             return None
         left, fraction = interval
-        first = self._samples[left].vector
         if fraction == 0.0:
-            return InterpolatedVector(first, 1.0)
-        _, slope0, value1, slope1 = hermite_weights(fraction)
-        change = slope0 * self._slope(left, left) + value1 * self._change(left, left + 1)
-        change += slope1 * self._slope(left + 1, left)
-        around = self._around(left)
-        values = np.array([self._change(left, index) for index in around])
-        errors = by_polynomial(self._fractions(around, left), values, fraction, change)
-        return InterpolatedVector(first + change, self._noise_gain(left, fraction), errors)
-
-    def _slope(self, index: int, left: int) -> FloatArray:
-        """Rate of change at a sample, over the time of the interval that begins at ``left``."""
-        before, after = self._neighbours(index)
-        return self._change(before, after) * (self._seconds(left, left + 1) / self._seconds(before, after))
+            vector = self._samples[left].vector
+            return InterpolatedVector(vector, 1.0, np.zeros((vector.size, vector.size)))
+        first = left
+        while first > max(left - 2, 0) and self._joined(first - 1):
+            first -= 1
+        last = left + 2 if left + 2 < len(self._samples) and self._joined(left + 1) else left + 1
+        around = slice(first, last + 1)
+        found = compiled_polynomials.between(
+            np.array(self._times[around]),
+            np.array([sample.vector for sample in self._samples[around]]),
+            left - first,
+            time_ns,
+            self._period,
+            *hermite_weights(fraction),
+            BESIDE if last + 1 - first == MOST_SAMPLES else 1.0,
+            ANY_DIRECTION,
+        )
+        return InterpolatedVector(*found)
 
     def _change(self, first: int, second: int) -> FloatArray:
         """Change from one sample to another, summed over the steps between them, each step the short way round."""

@@ -5,6 +5,7 @@ Only attributes of messages are read, so any message class will do. A message th
 stars of the message are used.
 """
 
+import math
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -29,7 +30,9 @@ MOST_STARS = 100
 _GIVEN_DIRECTION_SIGMA = 0.05 * ARCSEC
 """Error of a direction that a message gives, rad per axis: as of a catalogue star whose motion is known."""
 
-_FARTHEST_OFF_AXIS = np.deg2rad(60.0)
+_LEAST_FORWARD = math.cos(math.radians(60.0))
+"""Cosine of the angle to the boresight, of the farthest that a camera can see."""
+
 _LARGEST_PIXEL = 1e6
 _LEAST_SIGMA_PX, _LARGEST_SIGMA_PX = 1e-4, 100.0
 _ANGLE_TOLERANCE = 1e-9
@@ -171,25 +174,17 @@ def _refusals(
     told: _Told, directions_s: FloatArray, entries: CatalogueEntries, catalogue: StarCatalogue
 ) -> list[Refusal | None]:
     """Why each star is not used, in the order of the rows; None where it is used."""
-    seen: dict[Hashable, FloatArray] = {}
-    refusals = []
-    for row, (hip, sigma_px, right_ascension, declination) in enumerate(
-        zip(
-            told.hip.tolist(),
-            told.sigma_px.tolist(),
-            told.right_ascension.tolist(),
-            told.declination.tolist(),
-            strict=True,
-        )
-    ):
-        refusals.append(
-            _pixel_refusal(told.pixels[row], directions_s[row])
-            or _sigma_refusal(sigma_px)
-            or _number_refusal(hip, int(entries.rows[row]), catalogue)
-            or _place_refusal(hip, right_ascension, declination)
-            or _repeated(_identity(hip, right_ascension, declination), told.pixels[row], seen)
-        )
-    return refusals
+    seen: dict[Hashable, list[float]] = {}
+    columns = told.pixels, directions_s[:, 0], told.sigma_px, told.hip, entries.rows, told.right_ascension
+    stars = zip(*(column.tolist() for column in (*columns, told.declination)), strict=True)
+    return [
+        _pixel_refusal(pixel, forward)
+        or _sigma_refusal(sigma_px)
+        or _number_refusal(hip, row, catalogue)
+        or _place_refusal(hip, right_ascension, declination)
+        or _repeated(_identity(hip, right_ascension, declination), pixel, seen)
+        for pixel, forward, sigma_px, hip, row, right_ascension, declination in stars
+    ]
 
 
 def _left_out(
@@ -207,13 +202,14 @@ def _left_out(
     )
 
 
-def _pixel_refusal(pixel: FloatArray, direction_s: FloatArray) -> Refusal | None:
+def _pixel_refusal(pixel: list[float], forward: float) -> Refusal | None:
+    finite = math.isfinite(pixel[0]) and math.isfinite(pixel[1])
+    if finite and forward > _LEAST_FORWARD:
+        return None
     where = f"pixel ({pixel[0]:.6g}, {pixel[1]:.6g})"
-    if not np.all(np.isfinite(pixel)):
+    if not finite:
         return Refusal(Reason.NON_FINITE, where)
-    if not direction_s[0] > np.cos(_FARTHEST_OFF_AXIS):
-        return Refusal(Reason.UNITS, f"{where} is nowhere in this camera's field: expected pixels from its corner")
-    return None
+    return Refusal(Reason.UNITS, f"{where} is nowhere in this camera's field: expected pixels from its corner")
 
 
 def _sigma_refusal(sigma_px: float) -> Refusal | None:
@@ -231,10 +227,10 @@ def _number_refusal(hip: int, row: int, catalogue: StarCatalogue) -> Refusal | N
 
 def _place_refusal(hip: int, right_ascension: float, declination: float) -> Refusal | None:
     """Why the place of a star without number cannot be used."""
-    if hip != 0 or (np.isnan(right_ascension) and np.isnan(declination)):
+    if hip != 0 or (math.isnan(right_ascension) and math.isnan(declination)):
         return None
     where = f"right ascension {right_ascension:.6g}, declination {declination:.6g}"
-    if not np.isfinite(right_ascension) or not np.isfinite(declination):
+    if not math.isfinite(right_ascension) or not math.isfinite(declination):
         return Refusal(Reason.NON_FINITE, f"{where}: expected both, or NaN for both")
     if abs(right_ascension) > 2 * np.pi + _ANGLE_TOLERANCE or abs(declination) > np.pi / 2 + _ANGLE_TOLERANCE:
         return Refusal(Reason.UNITS, f"{where} cannot be radians: degrees?")
@@ -245,23 +241,24 @@ def _identity(hip: int, right_ascension: float, declination: float) -> Hashable:
     """What makes two stars of a message the same; None where it is not known yet."""
     if hip != 0:
         return hip
-    return None if np.isnan(right_ascension) else (float(right_ascension), float(declination))
+    return None if math.isnan(right_ascension) else (right_ascension, declination)
 
 
-def _repeated(identity: Hashable, pixel: FloatArray, seen: dict[Hashable, FloatArray]) -> Refusal | None:
+def _repeated(identity: Hashable, pixel: list[float], seen: dict[Hashable, list[float]]) -> Refusal | None:
     """No star counts twice: of two that are said to be the same one, the first is used."""
     first = pixel if identity is None else seen.setdefault(identity, pixel)
     if first is pixel:
         return None
-    same = np.array_equal(first, pixel)
     text = f"the same star twice in one exposure, first at pixel ({first[0]:.6g}, {first[1]:.6g})"
-    return Refusal(Reason.DUPLICATE if same else Reason.CONFLICT, text)
+    return Refusal(Reason.DUPLICATE if first == pixel else Reason.CONFLICT, text)
 
 
 def _either(
     listed: NDArray[np.bool_], of_catalogue: StarPositions, given: StarPositions, kept: NDArray[np.intp]
 ) -> StarPositions:
-    """Positions of the stars of some rows: of the catalogue where they are listed, else as given."""
+    """Positions of the stars of some rows: of the catalogue where they are listed, as mostly all are, else as given."""
+    if listed.all():
+        return of_catalogue[kept]
     columns = [
         np.where(listed, getattr(of_catalogue, name), getattr(given, name))[kept]
         for name in StarPositions.__dataclass_fields__

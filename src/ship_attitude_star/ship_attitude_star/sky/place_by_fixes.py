@@ -236,5 +236,6 @@ def _place(
     position = geodetic_from_ecef(ecef_m)
     rotation = rotation_horizon_from_ecef(position.latitude, position.longitude)
     covariance_m2 = rotation @ covariance_ecef_m2 @ rotation.T
-    covariance_m2 += np.diag([drift_m**2, 0.0, drift_m**2])
+    covariance_m2[0, 0] += drift_m**2
+    covariance_m2[2, 2] += drift_m**2
     return Place(Observer(position, rotation @ velocity_ecef), covariance_m2, age_s, horizon_radii_m(position))

@@ -6,6 +6,7 @@ not average: refraction, Earth rotation (UT1) and the ship's position. Each dire
 displacement by one standard deviation of each of them (docs/explanation/stars.md).
 """
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,20 +19,18 @@ from ship_attitude_star.sky.surroundings import Air, Surroundings
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry import late_erfa as erfa
 from ship_geometry.earth_orientation import EarthOrientationTable, earth_orientation_table
-from ship_geometry.refraction import LOWEST_ELEVATION, ModelName, elevation_of, lifted, refraction, refraction_slopes
-from ship_geometry.rotations import ARCSEC, FloatArray, skew
+from ship_geometry.refraction import LOWEST_ELEVATION, ModelName, refraction, refraction_slopes, seen_through_air
+from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.star_directions import RefreshedSky, StarPositions, fixed_stars
 
 SHARED_TERMS = ("refraction", "earth_rotation", "ship_position", "ship_position")
 """Error source of each column of :attr:`ApparentStars.shared_n`.
 
-The ship's position has two columns, one for each of the independent errors of :func:`_position_turns`.
+The ship's position has two columns, one for each of the independent errors of :func:`_turns`.
 """
 
 EARTH_ROTATION_RATE = 15.041 * ARCSEC
 """Angle by which the sky turns in a second of UT1, rad."""
-
-_TINY = 1e-300
 
 _MOMENTS_KEPT = 256
 _STARS_KEPT = 4
@@ -121,17 +120,10 @@ class SkyMoment:
 
     def _apparent(self, stars: StarPositions) -> ApparentStars:
         without_air = self.refreshed.directions(stars, self.time_ns, self.place.observer)
-        ut1_sigma_s = self.refreshed.orientation(self.time_ns).ut1_sigma_s
-        elevation = elevation_of(without_air)
-        bent = refraction(self.model, elevation, self.air.weather, self.wavelength_um)
-        direction_n = lifted(without_air, bent.angle)
-        bent_sigma = bent.sigma(self.air.pressure_sigma_hpa, self.air.temperature_sigma_k)
-        shared_n = np.empty((*direction_n.shape, len(SHARED_TERMS)))
-        shared_n[..., 0] = _upward(direction_n) * bent_sigma[..., None]
-        # turn × direction for all three turns in one product.
-        across = skew(_turns(self.place, ut1_sigma_s)).transpose(2, 1, 0).reshape(3, 9)
-        shared_n[..., 1:] = (direction_n @ across).reshape(*direction_n.shape, 3)
-        return ApparentStars(direction_n, shared_n, elevation, np.isfinite(bent_sigma))
+        air = self.air
+        weather_sigma = air.pressure_sigma_hpa, air.temperature_sigma_k
+        seen = seen_through_air(self.model, without_air, air.weather, self.wavelength_um, weather_sigma, self.turns())
+        return ApparentStars(seen.direction_n, seen.shared_n, seen.elevation, np.isfinite(seen.direction_n[:, 1]))
 
     def too_low(self, elevation: float) -> Refusal:
         """The refusal of a star at an elevation (rad, without air) where the refraction model does not hold."""
@@ -172,7 +164,7 @@ class SkyMoment:
 
     def turns(self) -> FloatArray:
         """Turn of the whole sky by one sigma of each of SHARED_TERMS but refraction: rotation vectors, rad, (3, 3)."""
-        return _turns(self.place, self.refreshed.orientation(self.time_ns).ut1_sigma_s)
+        return _turns(self.place, float(self.refreshed.orientation(self.time_ns).ut1_sigma_s))
 
 
 class SkyWatch:
@@ -207,16 +199,15 @@ class SkyWatch:
 
     def at(self, time_ns: int) -> SkyMoment | Refusal:
         """The sky at a moment, or why no star can be placed then: NO_EARTH_ORIENTATION or NO_FIX."""
+        found, known = self.surroundings.at(time_ns), self._moments.get(time_ns)
+        if known is not None and not isinstance(found, Refusal) and known.place is found[0] and known.air is found[1]:
+            return known
         reason = self._table.reason_against(time_ns)
         if reason is not None:
             return Refusal(Reason.NO_EARTH_ORIENTATION, reason)
-        found = self.surroundings.at(time_ns)
         if isinstance(found, Refusal):
             return found
         place, air = found
-        known = self._moments.get(time_ns)
-        if known is not None and known.place is place and known.air is air:
-            return known
         moment = self._moments[time_ns] = SkyMoment(
             time_ns=time_ns,
             place=place,
@@ -236,38 +227,26 @@ def installed_sky(config: SkyConfig) -> SkyWatch:
     return SkyWatch(config, earth_orientation_table(), hipparcos())
 
 
-def _turns(place: Place, ut1_sigma_s: FloatArray) -> FloatArray:
-    """Turn of the sky in the horizon frame by one sigma of UT1 and of position, rotation vectors, rad, shape (3, 3)."""
-    turns_n = np.empty((3, 3))
-    latitude = place.observer.position.latitude
-    turn = EARTH_ROTATION_RATE * ut1_sigma_s
-    turns_n[0] = turn * np.cos(latitude), turn * np.sin(latitude), 0.0
-    turns_n[1:] = _position_turns(place)
-    return turns_n
-
-
-def _position_turns(place: Place) -> FloatArray:
-    """Turn of the sky in the horizon frame by one sigma of each of two independent errors of position, rad, (2, 3).
+def _turns(place: Place, ut1_sigma_s: float) -> FloatArray:
+    """Turn of the sky in the horizon frame by one sigma of UT1 and of position, rotation vectors, rad, shape (3, 3).
 
     A ship that is farther north than assumed sees the sky turned about East. A ship that is farther east sees it turned
-    about the Earth's axis. 31 m make 1″. The first error is that of north with the part of east that goes with it, the
-    second is the rest of east, so that a filter may keep the two as separate states.
+    about the Earth's axis. 31 m make 1″. The first error of position is that of north with the part of east that goes
+    with it, the second is the rest of east, so that a filter may keep the two as separate states.
     """
-    position, covariance_m2 = place.observer.position, place.covariance_m2
-    radius_north_m, radius_east_m = place.horizon_radii_m
+    covariance_m2, latitude = place.covariance_m2, float(place.observer.position.latitude)
+    radius_north_m, radius_east_m = map(float, place.horizon_radii_m)
+    turn = EARTH_ROTATION_RATE * ut1_sigma_s
+    north_m = math.sqrt(max(float(covariance_m2[0, 0]), 0.0))
+    east_with_north_m = float(covariance_m2[0, 2]) / north_m if north_m > 0.0 else 0.0
+    east_m = math.sqrt(max(float(covariance_m2[2, 2]) - east_with_north_m**2, 0.0))
     # The horizon turns by +latitude about -East and by +longitude about the pole, the sky in it the other way.
-    per_north = np.array([0.0, 0.0, 1.0]) / radius_north_m
-    per_east = -np.array([1.0, np.tan(position.latitude), 0.0]) / radius_east_m
-    north_m = np.sqrt(max(covariance_m2[0, 0], 0.0))
-    east_with_north_m = covariance_m2[0, 2] / north_m if north_m > 0.0 else 0.0
-    east_m = np.sqrt(max(covariance_m2[2, 2] - east_with_north_m**2, 0.0))
-    return np.stack([north_m * per_north + east_with_north_m * per_east, east_m * per_east])
-
-
-def _upward(direction_n: FloatArray) -> FloatArray:
-    """Unit vectors across directions (N, U, E), in which the elevation grows, shape (..., 3)."""
-    horizontal = np.hypot(direction_n[..., 0], direction_n[..., 2])
-    # At the zenith the elevation grows in no direction: the vector is then short instead of NaN.
-    upward = direction_n * (-direction_n[..., 1] / np.maximum(horizontal, _TINY))[..., None]
-    upward[..., 1] = horizontal
-    return upward
+    by_north, with_north, by_east = north_m / radius_north_m, east_with_north_m / radius_east_m, east_m / radius_east_m
+    tangent = math.tan(latitude)
+    return np.array(
+        [
+            [turn * math.cos(latitude), turn * math.sin(latitude), 0.0],
+            [-with_north, -with_north * tangent, by_north],
+            [-by_east, -by_east * tangent, 0.0],
+        ]
+    )

@@ -214,7 +214,7 @@ def _in_deck(
         sigma=np.concatenate([s.sigma for s in stars]),
         position_sigma=np.concatenate([s.position_sigma for s in stars]),
         shared_n=np.concatenate([s.shared_n for s in stars]),
-        sensor=np.array([index for index, s in enumerate(stars) for _ in range(len(s))], dtype=np.intp),
+        sensor=np.repeat(np.arange(len(stars), dtype=np.intp), [len(s) for s in stars]),
         mounting_b=mounting_b,
         smear_b=_smear_in_deck(stars, group),
         turned_b=_turned_in_deck(group, turn_covariance_d),

@@ -107,35 +107,25 @@ def linearized(
     return of_jacobian, of_displacement, of_residual
 
 
-def normal_equations(
+@cython.cfunc
+@cython.exceptval(check=False)
+def _normal(
     jacobian: cython.const[cython.double][:, :, :],
     displacement: cython.const[cython.double][:, :],
     members: cython.const[cython.uchar][:],
-):
-    """Information of some stars, shape (q, q), right side, shape (q,), sum of their squares and their number.
-
-    Args:
-        jacobian: shape (k, 3, q).
-        displacement: shape (k, 3).
-        members: which stars, shape (k,).
-    """
-    count: cython.Py_ssize_t = jacobian.shape[0]
+    information: cython.double[:, ::1],
+    right_side: cython.double[::1],
+) -> cython.double:
+    """Add what some stars say of the unknowns to zeros; returns the sum of their squares."""
     q: cython.Py_ssize_t = jacobian.shape[2]
-    check("stars", displacement.shape[0] == members.shape[0] == count)
-    check("vectors", jacobian.shape[1] == displacement.shape[1] == 3)
-    of_information, of_right_side = np.zeros((q, q)), np.zeros(q)
-    information: cython.double[:, ::1] = of_information
-    right_side: cython.double[::1] = of_right_side
     squares: cython.double = 0.0
-    number: cython.Py_ssize_t = 0
     k: cython.Py_ssize_t
     i: cython.Py_ssize_t
     a: cython.Py_ssize_t
     b: cython.Py_ssize_t
-    for k in range(count):
+    for k in range(jacobian.shape[0]):
         if not members[k]:
             continue
-        number += 1
         for i in range(3):
             squares += displacement[k, i] * displacement[k, i]
             for a in range(q):
@@ -145,7 +135,201 @@ def normal_equations(
     for a in range(q):
         for b in range(a):
             information[a, b] = information[b, a]
-    return of_information, of_right_side, squares, number
+    return squares
+
+
+def _fits(jacobian, displacement, members) -> None:
+    """Refuse stars whose arrays do not fit together; the loops look at no bounds."""
+    check("stars", displacement.shape[0] == members.shape[0] == jacobian.shape[0])
+    check("vectors", jacobian.shape[1] == displacement.shape[1] == 3)
+
+
+def normal_equations(
+    jacobian: cython.const[cython.double][:, :, :],
+    displacement: cython.const[cython.double][:, :],
+    members: cython.const[cython.uchar][:],
+):
+    """Information of some stars, shape (q, q), and right side, shape (q,).
+
+    Args:
+        jacobian: shape (k, 3, q).
+        displacement: shape (k, 3).
+        members: which stars, shape (k,).
+    """
+    _fits(jacobian, displacement, members)
+    information, right_side = np.zeros((jacobian.shape[2], jacobian.shape[2])), np.zeros(jacobian.shape[2])
+    _normal(jacobian, displacement, members, information, right_side)
+    return information, right_side
+
+
+def judged(
+    jacobian: cython.const[cython.double][:, :, :],
+    displacement: cython.const[cython.double][:, :],
+    members: cython.const[cython.uchar][:],
+    open_: cython.Py_ssize_t,
+):
+    """The most likely unknowns by some stars.
+
+    Args:
+        jacobian: and the next two as in :func:`normal_equations`.
+        displacement: likewise.
+        members: likewise.
+        open_: so many unknowns, the first ones, are without any prior; that of the others is the identity.
+
+    Returns:
+        Information by the stars alone and with the priors, shape (q, q) each; the unknowns, shape (q,); what they leave
+        over of the squares, of the priors too; and the number of stars.
+
+    Raises:
+        numpy.linalg.LinAlgError: the stars leave the unknowns open.
+    """
+    _fits(jacobian, displacement, members)
+    q: cython.Py_ssize_t = jacobian.shape[2]
+    of_information, of_right_side, of_solution = np.zeros((q, q)), np.zeros(q), np.empty(q)
+    information: cython.double[:, ::1] = of_information
+    right_side: cython.double[::1] = of_right_side
+    solution: cython.double[::1] = of_solution
+    squares: cython.double = _normal(jacobian, displacement, members, information, right_side)
+    of_constrained = of_information.copy()
+    constrained: cython.double[:, ::1] = of_constrained
+    lower: cython.double[:, ::1] = np.empty((q, q))
+    total: cython.double
+    count: cython.Py_ssize_t = 0
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    c: cython.Py_ssize_t
+    for i in range(members.shape[0]):
+        count += 1 if members[i] else 0
+    for i in range(open_, q):
+        constrained[i, i] += 1.0
+    # Cholesky's factor, and with each row of it the solution of the first half.
+    for i in range(q):
+        for j in range(i + 1):
+            total = constrained[i, j]
+            for c in range(j):
+                total -= lower[i, c] * lower[j, c]
+            if j < i:
+                lower[i, j] = total / lower[j, j]
+            elif total > 0.0:
+                lower[i, i] = sqrt(total)
+            else:
+                raise np.linalg.LinAlgError("stars that leave the attitude open cannot be judged")
+        total = right_side[i]
+        for c in range(i):
+            total -= lower[i, c] * solution[c]
+        solution[i] = total / lower[i, i]
+    for i in range(q - 1, -1, -1):
+        total = solution[i]
+        for c in range(i + 1, q):
+            total -= lower[c, i] * solution[c]
+        solution[i] = total / lower[i, i]
+    for i in range(q):
+        squares -= right_side[i] * solution[i]
+    return of_information, of_constrained, of_solution, squares, count
+
+
+def predicted(
+    jacobian: cython.const[cython.double][:, :, :],
+    displacement: cython.const[cython.double][:, :],
+    root_n: cython.const[cython.double][:, :],
+    expected_n: cython.const[cython.double][:],
+):
+    """Jacobian and displacement with the attitude counted in standard deviations of its prediction.
+
+    Args:
+        jacobian: shape (k, 3, q); the attitude has the first three columns.
+        displacement: shape (k, 3).
+        root_n: a root of the prediction's covariance, rad, shape (3, 3).
+        expected_n: the turn that was predicted, rad, shape (3,).
+    """
+    count: cython.Py_ssize_t = jacobian.shape[0]
+    q: cython.Py_ssize_t = jacobian.shape[2]
+    check("stars", displacement.shape[0] == count and q >= 3)
+    check("vectors", jacobian.shape[1] == displacement.shape[1] == root_n.shape[0] == root_n.shape[1] == 3)
+    check("expected_n", expected_n.shape[0] == 3)
+    of_jacobian, of_displacement = np.empty((count, 3, q)), np.empty((count, 3))
+    counted: cython.double[:, :, ::1] = of_jacobian
+    left: cython.double[:, ::1] = of_displacement
+    k: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    c: cython.Py_ssize_t
+    for k in range(count):
+        for i in range(3):
+            left[k, i] = displacement[k, i]
+            for c in range(3):
+                left[k, i] -= jacobian[k, i, c] * expected_n[c]
+                counted[k, i, c] = 0.0
+                for j in range(3):
+                    counted[k, i, c] += jacobian[k, i, j] * root_n[j, c]
+            for c in range(3, q):
+                counted[k, i, c] = jacobian[k, i, c]
+    return of_jacobian, of_displacement
+
+
+def covariances(
+    white_n: cython.const[cython.double][:, :],
+    information: cython.const[cython.double][:, :],
+    jacobian: cython.const[cython.double][:, :, :],
+    share: cython.const[cython.double][:],
+    term_of: cython.const[cython.Py_ssize_t][:],
+    terms: cython.Py_ssize_t,
+):
+    """Covariance of an attitude by terms, and the part of its noise that comes with errors of some stars.
+
+    Args:
+        white_n: of the attitude by what differs from star to star, rad², shape (3, 3); by this stars are weighted.
+        information: of all unknowns by the stars, shape (q, q); the attitude has the first three.
+        jacobian: of the stars, shape (k, 3, q).
+        share: of each star's white error that comes with these errors, 0 for a star without a part, shape (k,).
+        term_of: to which term each of the other unknowns belongs, counted in sigmas, shape (q - 3,).
+        terms: how many terms there are.
+
+    Returns:
+        Rad², shape (terms, 3, 3), and shape (3, 3).
+    """
+    q: cython.Py_ssize_t = information.shape[0]
+    check("unknowns", information.shape[1] == jacobian.shape[2] == term_of.shape[0] + 3 == q)
+    check("vectors", white_n.shape[0] == white_n.shape[1] == jacobian.shape[1] == 3)
+    check("stars", share.shape[0] == jacobian.shape[0])
+    of_terms, of_shares = np.zeros((terms, 3, 3)), np.empty((3, 3))
+    parts: cython.double[:, :, ::1] = of_terms
+    shares: cython.double[:, ::1] = of_shares
+    turn = cython.declare(cython.double[3])
+    told = cython.declare(cython.double[9])
+    half = cython.declare(cython.double[9])
+    k: cython.Py_ssize_t
+    c: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    for c in range(q - 3):
+        check("terms", 0 <= term_of[c] < terms)
+        # The turn of the attitude by one sigma of the unknown.
+        for i in range(3):
+            turn[i] = 0.0
+            for j in range(3):
+                turn[i] += white_n[i, j] * information[j, 3 + c]
+        for i in range(3):
+            for j in range(3):
+                parts[term_of[c], i, j] += turn[i] * turn[j]
+    for i in range(9):
+        told[i] = half[i] = 0.0
+    for k in range(share.shape[0]):
+        for c in range(3):
+            for i in range(3):
+                for j in range(3):
+                    told[3 * i + j] += share[k] * share[k] * jacobian[k, c, i] * jacobian[k, c, j]
+    for i in range(3):
+        for j in range(3):
+            for c in range(3):
+                half[3 * i + j] += told[3 * i + c] * white_n[c, j]
+    for i in range(3):
+        for j in range(i + 1):
+            shares[i, j] = 0.0
+            for c in range(3):
+                shares[i, j] += white_n[i, c] * half[3 * c + j]
+            shares[j, i] = shares[i, j]
+    return of_terms, of_shares
 
 
 def expected(

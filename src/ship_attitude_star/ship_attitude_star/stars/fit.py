@@ -23,13 +23,13 @@ from numpy.typing import NDArray
 from ship_attitude_star.stars import compiled_fit
 from ship_estimation.chi_square import probability_above
 from ship_estimation.compiled_integrity import square_root
-from ship_geometry import lapack, wahba
+from ship_geometry import wahba
 from ship_geometry.rotations import FloatArray, exp_rotation
 
 ATTITUDE = slice(0, 3)
 """Columns of δ among the unknowns; those of mounting errors and of turns come next, those of shared errors last."""
 
-_NO_TURNS = np.empty((0, 3, 0))
+_NO_TURN, _NO_TURNS = np.zeros(3), np.empty((0, 3, 0))
 
 
 @dataclass(frozen=True)
@@ -106,25 +106,21 @@ class StarFit:
             expected_n: the δ that was predicted, rad, shape (3,), where the stars are linearised elsewhere than at the
                 prediction; None where there.
         """
-        jacobian, displacement = self.jacobian.copy(), self.displacement
-        if expected_n is not None:
-            displacement = displacement - jacobian[:, :, ATTITUDE] @ expected_n
         # δ is then counted in standard deviations, as the other unknowns are.
-        jacobian[:, :, ATTITUDE] = jacobian[:, :, ATTITUDE] @ square_root(covariance_n)
+        turn_n = _NO_TURN if expected_n is None else expected_n
+        jacobian, displacement = compiled_fit.predicted(
+            self.jacobian, self.displacement, square_root(covariance_n), turn_n
+        )
         return StarFit(jacobian, displacement, self.residual_n, open=0)
 
-    def normal_equations(
-        self, members: NDArray[np.bool_] | None = None
-    ) -> tuple[FloatArray, FloatArray, float, int]:
+    def normal_equations(self, members: NDArray[np.bool_] | None = None) -> tuple[FloatArray, FloatArray]:
         """What the members (all stars where none are named) say of the unknowns, without priors.
 
         Returns:
-            Information, shape (q, q), right side, shape (q,), sum of the squared displacements, and how many stars.
+            Information, shape (q, q), and right side, shape (q,).
         """
-        if members is None:
-            members = np.ones(len(self.displacement), dtype=bool)
-        found: tuple[FloatArray, FloatArray, float, int] = compiled_fit.normal_equations(
-            self.jacobian, self.displacement, members.view(np.uint8)
+        found: tuple[FloatArray, FloatArray] = compiled_fit.normal_equations(
+            self.jacobian, self.displacement, self._chosen(members)
         )
         return found
 
@@ -134,16 +130,14 @@ class StarFit:
         Raises:
             numpy.linalg.LinAlgError: the members leave the attitude open.
         """
-        information, right_side, squares, count = self.normal_equations(members)
-        constrained = information.copy()
-        diagonal = constrained.ravel()[:: len(right_side) + 1]
-        diagonal[self.open :] += 1.0
-        degrees = 2 * count - self.open
-        _, solution, failed = lapack.dposv(constrained, right_side)
-        if failed:
-            raise np.linalg.LinAlgError("stars that leave the attitude open cannot be judged")
-        chi_square = squares - float(right_side @ solution)
-        return StarJudgement(information, constrained, solution, chi_square, degrees)
+        information, constrained, solution, chi_square, count = compiled_fit.judged(
+            self.jacobian, self.displacement, self._chosen(members), self.open
+        )
+        return StarJudgement(information, constrained, solution, chi_square, 2 * count - self.open)
+
+    def _chosen(self, members: NDArray[np.bool_] | None) -> NDArray[np.uint8]:
+        """The members as the compiled loops take them; all stars where none are named."""
+        return np.ones(len(self.displacement), dtype=np.uint8) if members is None else members.view(np.uint8)
 
     def gain_by_leaving_out(self, judgement: "StarJudgement", members: NDArray[np.bool_]) -> FloatArray:
         """By how much chi² falls when one of the members is left out, for each of them, shape (n_members,).
@@ -231,7 +225,7 @@ def agreement(stars: SightedStars, members: NDArray[np.bool_] | None = None) -> 
     if stars.smear_b is None:
         return Agreement(solution.rotation_nd, solution.covariance_n, fit, fit.judge(members))
     # Wahba's problem has one sigma a star, also along a streak. From its solution one step leads to the best attitude.
-    information, right_side, _, _ = fit.normal_equations(members)
+    information, right_side = fit.normal_equations(members)
     covariance_n: FloatArray = np.asarray(np.linalg.inv(information[ATTITUDE, ATTITUDE]), dtype=float)
     rotation_nb = exp_rotation(covariance_n @ right_side[ATTITUDE]) @ solution.rotation_nd
     fit = linearized(stars, rotation_nb)

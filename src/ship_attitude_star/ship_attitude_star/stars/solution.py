@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.sky.sky_watch import SHARED_TERMS
+from ship_attitude_star.stars import compiled_fit
 from ship_attitude_star.stars.chance import improbable_identity
 from ship_attitude_star.stars.fit import ATTITUDE, Agreement, SightedStars, agreement, linearized
 from ship_attitude_star.stars.selection import FEWEST_VERIFIED, StarPrior, select
@@ -26,12 +27,8 @@ SOLUTION_TERMS = ("star_noise", "installation", "refraction", "earth_rotation", 
 _STAR_NOISE, _INSTALLATION, _CATALOGUE = (
     SOLUTION_TERMS.index(term) for term in ("star_noise", "installation", "catalogue")
 )
-_SHARED_COLUMNS = {
-    index: slice(SHARED_TERMS.index(term), SHARED_TERMS.index(term) + SHARED_TERMS.count(term))
-    for index, term in enumerate(SOLUTION_TERMS)
-    if term in SHARED_TERMS
-}
-"""By index of a term, its columns among the shared errors."""
+_TERMS_OF_SHARED = np.array([SOLUTION_TERMS.index(term) for term in SHARED_TERMS], dtype=np.intp)
+"""Index of the term to which each of the shared errors belongs."""
 
 _SINGULAR_UP = float(np.sin(SINGULAR_ELEVATION))
 """Up component of the forward axis from which on azimuth and roll cannot be told from one another."""
@@ -196,21 +193,19 @@ def _status(count: int, prior: StarPrior | None, rotation_nb: FloatArray) -> Sol
 
 def _parts(stars: SightedStars, found: Agreement, members: NDArray[np.bool_]) -> FloatArray:
     """Covariance of the attitude by SOLUTION_TERMS, shape (6, 3, 3)."""
-    # The stars are weighted by their white errors alone. These columns are the turns of the attitude by one sigma of
-    # each other error.
-    by_sigma = found.white_covariance_n @ found.judgement.information[ATTITUDE, ATTITUDE.stop :]
-    mounting = by_sigma[:, : -len(SHARED_TERMS)]
-    shared = by_sigma[:, -len(SHARED_TERMS) :]
-    parts = np.empty((len(SOLUTION_TERMS), 3, 3))
-    parts[_INSTALLATION] = mounting @ mounting.T
-    for index, columns in _SHARED_COLUMNS.items():
-        parts[index] = shared[:, columns] @ shared[:, columns].T
     share = stars.position_sigma / stars.white_sigma
     share[~members] = 0.0
-    by_catalogue = (found.fit.jacobian[:, :, ATTITUDE] * share[:, None, None]).reshape(-1, 3) @ found.white_covariance_n
-    parts[_CATALOGUE] = by_catalogue.T @ by_catalogue
-    parts[_STAR_NOISE] = found.white_covariance_n - parts[_CATALOGUE]
-    return parts
+    information = found.judgement.information
+    # Errors of mounting and of turns stand before the shared ones.
+    installed = len(information) - ATTITUDE.stop - len(SHARED_TERMS)
+    term_of = np.concatenate([np.full(installed, _INSTALLATION), _TERMS_OF_SHARED])
+    parts, by_catalogue = compiled_fit.covariances(
+        found.white_covariance_n, information, found.fit.jacobian, share, term_of, len(SOLUTION_TERMS)
+    )
+    parts[_CATALOGUE] = by_catalogue
+    parts[_STAR_NOISE] = found.white_covariance_n - by_catalogue
+    solved: FloatArray = parts
+    return solved
 
 
 def _rejected(residual_n: FloatArray, sigma: FloatArray, members: NDArray[np.bool_]) -> dict[int, Refusal]:

@@ -8,12 +8,14 @@ The lights' points on the detector are predicted from the attitude of the telesc
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ship_estimation.kalman import StateModel
 from ship_geometry.rotations import FloatArray, exp_rotation
 from theodolite_calib.chain.axes import AXES, SHIP_TIME, AxisChain, axis_chain
 from theodolite_calib.chain.parallelism import telescope_from_main
 from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.filter import compiled_points
 from theodolite_calib.filter.model import (
     COMMON_TERMS,
     OWN_TERMS,
@@ -23,8 +25,10 @@ from theodolite_calib.filter.model import (
     SOURCE_SHIP_NOISE,
     chain_rows,
 )
-from theodolite_calib.lights.image import Camera, block_diagonal, predict_points
+from theodolite_calib.lights.image import Camera, predict_points
 from theodolite_calib.lights.line_of_sight import (
+    BASELINE,
+    SHIP_TURN,
     TERM_COLUMNS,
     LeverArm,
     Lights,
@@ -38,7 +42,10 @@ from theodolite_calib.measured.sighting import Sighting
 _OWN_WIDTHS = {"rtk": 3, "lever": 3, "attitude": 3, "refraction": 1}
 """Sizes of the states of one light."""
 
-_NO_COVARIANCE = np.zeros((3, 3))
+_NO_COVARIANCE, _UNIT = np.zeros((3, 3)), np.eye(3)
+
+_EVERY_LIGHT = -1
+"""In the place of a light: an error that moves all of them."""
 
 
 @dataclass(frozen=True)
@@ -109,23 +116,28 @@ class SightingModel:
         lines = self._lines(mean, sighting, chain, known)
         camera = Camera(self.focal_length_m(mean), self._config.telescope.focal_length_sigma_m, self._principal_point)
         points = predict_points(camera, rotation_nt, lines.direction_n)
-        # Each error of the lines of sight moves the points, m per unit, shape (N, 2, k).
-        by_error = points.by_direction_n @ lines.jacobian_n
-        by_term = {name: by_error[..., columns] for name, columns in TERM_COLUMNS.items()}
         turn_n = self._turn_n(chain, by_parallelism)
         rows = 2 * len(sighting.names)
         by_attitude_n = points.by_attitude_n.reshape(rows, 3)
-        jacobian = by_attitude_n @ turn_n
-        jacobian[:, self._model.slices["focal_length"]] = points.by_focal_length.reshape(rows, 1)
-        known.add_lines(jacobian, by_term)
-        self._add_carried_lever(jacobian, by_term["ship_attitude"], chain)
-        noise_n = {
-            SOURCE_ENCODER: encoder.noise * (chain.by_encoder @ chain.by_encoder.T),
-            SOURCE_SHIP_NOISE: ship.noise * np.eye(3),
+        jacobian, by_error = compiled_points.by_states(
+            points.by_attitude_n,
+            points.by_direction_n,
+            points.by_focal_length,
+            lines.jacobian_n,
+            turn_n,
+            self._model.slices["focal_length"].start,
+            known.places,
+        )
+        self._add_ships_time(jacobian, by_error[..., SHIP_TURN], chain)
+        parts_n = np.array([encoder.noise * (chain.by_encoder @ chain.by_encoder.T), ship.noise * _UNIT])
+        of_encoder, of_ship = compiled_points.by_turns(by_attitude_n, parts_n)
+        noise = {
+            SOURCE_ENCODER: of_encoder,
+            SOURCE_SHIP_NOISE: of_ship,
+            SOURCE_IMAGE: sighting.image.covariance_m2,
+            SOURCE_RTK: compiled_points.of_each(by_error[..., BASELINE], sighting.lights.baseline_covariance_n),
         }
-        noise = {source: by_attitude_n @ part @ by_attitude_n.T for source, part in noise_n.items()}
-        noise[SOURCE_IMAGE] = sighting.image.covariance_m2
-        noise[SOURCE_RTK] = _own_noise(by_term["rtk_noise"], sighting.lights.baseline_covariance_n)
+        noise_n = {SOURCE_ENCODER: parts_n[0], SOURCE_SHIP_NOISE: parts_n[1]}
         residual = (sighting.image.point_m - points.point_m).reshape(rows)
         return Prediction(rotation_nt, turn_n, noise_n, camera, lines, residual, by_attitude_n, jacobian, noise)
 
@@ -163,11 +175,10 @@ class SightingModel:
         turn_n[:, self._model.slices["parallelism"]] = by_parallelism
         return turn_n
 
-    def _add_carried_lever(self, jacobian: FloatArray, by_ship_turn: FloatArray, chain: AxisChain) -> None:
-        """Add what a turn of the ship does to the points by carrying the theodolite round the antenna."""
-        by_turn = by_ship_turn.reshape(len(jacobian), 3)
-        jacobian[:, self._model.slices["ship.attitude"]] += by_turn
+    def _add_ships_time(self, jacobian: FloatArray, by_ship_turn: FloatArray, chain: AxisChain) -> None:
+        """Add what the ship's time does to the points by carrying the theodolite round the antenna."""
         if "ship.time_offset" in self._model.slices:
+            by_turn = by_ship_turn.reshape(len(jacobian), 3)
             jacobian[:, self._model.slices["ship.time_offset"]] += by_turn @ chain.by_error[:, SHIP_TIME]
 
     def _of(self, mean: FloatArray, name: str, width: int = 3) -> FloatArray:
@@ -187,6 +198,8 @@ class _OfLights:
     Attributes:
         survey: what was measured once, without what the states say of it.
         attitude_covariance_n: of the attitudes of the drones, rad², shape (N, 3, 3).
+        places: which state moves which light by which error of the lines of sight, as
+            :func:`theodolite_calib.filter.compiled_points.by_states` takes them, shape (e, 3).
     """
 
     def __init__(self, config: OpticalAxisConfig, model: StateModel, names: tuple[str, ...]) -> None:
@@ -207,14 +220,24 @@ class _OfLights:
         imus = [beacon.imu for beacon in beacons]
         sigma = np.deg2rad([[imu.tilt_sigma_deg, imu.heading_sigma_deg, imu.tilt_sigma_deg] for imu in imus])
         self.attitude_covariance_n: FloatArray = sigma[:, :, None] ** 2 * np.eye(3)
-        self._common = {term: model.slices[state] for term, state in COMMON_TERMS.items() if state in model.slices}
-        self._own = [
-            (term, light, model.slices[f"light.{name}.{state}"])
+        # A turn of the ship moves the points by carrying the theodolite round the antenna, too.
+        common = {**COMMON_TERMS, "ship_attitude": "ship.attitude"}
+        moved = [(_EVERY_LIGHT, term, state) for term, state in common.items()]
+        moved += [
+            (light, term, f"light.{name}.{state}")
             for term, state in OWN_TERMS.items()
             for light, name in enumerate(names)
-            if f"light.{name}.{state}" in model.slices
         ]
-        self._places = {
+        self.places: NDArray[np.intp] = np.array(
+            [
+                (light, column, row)
+                for light, term, state in moved
+                if state in model.slices
+                for column, row in zip(_range(TERM_COLUMNS[term]), _range(model.slices[state]), strict=True)
+            ],
+            dtype=np.intp,
+        )
+        self._own_places = {
             state: np.array([_places(model, f"light.{name}.{state}", width) for name in names])
             for state, width in _OWN_WIDTHS.items()
         }
@@ -222,14 +245,7 @@ class _OfLights:
     def own(self, mean: FloatArray) -> dict[str, FloatArray]:
         """What a state says of each light's own errors, by the name of the state, shape (N, 3) or (N, 1)."""
         padded = np.append(mean, 0.0)
-        return {state: padded[places] for state, places in self._places.items()}
-
-    def add_lines(self, jacobian: FloatArray, by_term: dict[str, FloatArray]) -> None:
-        """Add what the errors of the lines of sight do to the points."""
-        for term, columns in self._common.items():
-            jacobian[:, columns] += by_term[term].reshape(len(jacobian), -1)
-        for term, light, columns in self._own:
-            jacobian[2 * light : 2 * light + 2, columns] += by_term[term][light]
+        return {state: padded[places] for state, places in self._own_places.items()}
 
 
 def _places(model: StateModel, state: str, width: int) -> list[int]:
@@ -243,6 +259,6 @@ def _moved(lever: LeverArm, error_m: FloatArray) -> LeverArm:
     return LeverArm(lever.vector_m + error_m, lever.sigma_m)
 
 
-def _own_noise(by_error: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Covariance of the points by an error that each light has anew, m², shape (2 N, 2 N)."""
-    return block_diagonal(by_error @ covariance @ np.swapaxes(by_error, -1, -2))
+def _range(columns: slice) -> range:
+    """The numbers of some columns."""
+    return range(columns.start, columns.stop)

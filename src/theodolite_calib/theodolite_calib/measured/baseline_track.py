@@ -98,10 +98,10 @@ class BaselineTrack(VectorTrack[BaselineSample]):
         if degrees < _LEAST_DEGREES:
             return None
         samples = self._samples[first:end]
-        position_m = np.array([sample.vector - samples[-1].vector for sample in samples])
-        since = np.array([(stamp - self._times[end - 1]) / _LONGEST_NS for stamp in self._times[first:end]])
+        position_m = np.array([sample.vector for sample in samples]) - samples[-1].vector
+        since = (np.array(self._times[first:end]) - self._times[end - 1]) / _LONGEST_NS
         place, jump_m, weight, squares = compiled_cubics.clearest_step(since, position_m, _BEFORE)
-        stated = sum(sample.covariance_n.trace() for sample in samples) / (count * _COMPONENTS)
+        stated = sum(sample.variance_m2 for sample in samples) / (count * _COMPONENTS)
         sigma_m = math.sqrt(max(stated, squares / degrees, 0.0) / weight)
         if not math.hypot(*jump_m.tolist()) > _SIGMAS * sigma_m:
             return None

@@ -133,22 +133,27 @@ def ship_crept(ship: list[ShipSample], longest_gap_ns: int, sigma_rad: float) ->
         return None
     places = (seconds / _MEAN_OVER_S).astype(int)
     count = np.bincount(places)
-    left_n = _left_by_rates(told, seconds)
+    rotation_nd, rate_d = _attitudes(told)
+    left_n = _left_by_rates(rotation_nd, rate_d, seconds)
     means_n = np.stack([np.bincount(places, axis_n) for axis_n in left_n.T], axis=1) / count[:, None]
     apart_rad = float(np.max(np.ptp(means_n, axis=0)))
-    stated = [float(np.trace(one.slow_covariance_n)) for one in told if one.slow_covariance_n is not None]
-    may_rad = _TOLD_SIGMAS * float(np.sqrt(np.ptp(stated))) if stated else 0.0
-    coarse_n = _left_by_rates(told[::2], seconds[::2])
+    stated_n = np.array([one.slow_covariance_n for one in told if one.slow_covariance_n is not None])
+    may_rad = _TOLD_SIGMAS * float(np.sqrt(np.ptp(stated_n.trace(axis1=1, axis2=2)))) if len(stated_n) else 0.0
+    coarse_n = _left_by_rates(rotation_nd[::2], rate_d[::2], seconds[::2])
     may_rad += _BY_TRAPEZOIDS * float(np.max(np.ptp(left_n[::2] - coarse_n, axis=0)))
     if apart_rad > _CREPT_SIGMAS * sigma_rad + may_rad:
         return True
     return False if apart_rad < _STEADY_SIGMAS * sigma_rad else None  # NaN is neither
 
 
-def _left_by_rates(ship: list[ShipSample], seconds: FloatArray) -> FloatArray:
-    """What the rates of attitudes, which all have them, leave of these: rotation vectors in n, rad, shape (k, 3)."""
-    rotation_nd = np.array([sample.rotation_nd for sample in ship])
-    rate_n = (rotation_nd @ np.array([sample.rate_d for sample in ship])[..., None])[..., 0]
+def _attitudes(ship: list[ShipSample]) -> tuple[FloatArray, FloatArray]:
+    """Horizon from deck, shape (k, 3, 3), and rates in the deck, rad/s, (k, 3), of samples that all have them."""
+    return np.array([sample.rotation_nd for sample in ship]), np.array([sample.rate_d for sample in ship])
+
+
+def _left_by_rates(rotation_nd: FloatArray, rate_d: FloatArray, seconds: FloatArray) -> FloatArray:
+    """What the rates of attitudes leave of these: rotation vectors in n, rad, shape (k, 3)."""
+    rate_n = (rotation_nd @ rate_d[..., None])[..., 0]
     turns_n = log_rotation(rotation_nd[1:] @ rotation_nd[:-1].swapaxes(-1, -2))
     turns_n = turns_n - 0.5 * (rate_n[1:] + rate_n[:-1]) * np.diff(seconds)[:, None]
     return np.vstack([np.zeros(3), np.cumsum(turns_n, axis=0)])
@@ -158,7 +163,7 @@ def _ships_step(ship: list[ShipSample], since_ns: int, sigma_rad: float) -> Larg
     """The largest step of the ship's attitude, by its own rates where all samples have them."""
     seconds = _seconds(ship, since_ns)
     if all(sample.rate_d is not None for sample in ship):
-        return _largest_step(seconds, _left_by_rates(ship, seconds), sigma_rad, _BY_RATES)
+        return _largest_step(seconds, _left_by_rates(*_attitudes(ship), seconds), sigma_rad, _BY_RATES)
     rotation_nd = np.array([sample.rotation_nd for sample in ship])
     turns_n = log_rotation(rotation_nd[1:] @ rotation_nd[:-1].swapaxes(-1, -2))
     turned_n = np.vstack([np.zeros(3), np.cumsum(turns_n, axis=0)])

@@ -100,6 +100,11 @@ class BaselineSample(VectorSample):
     covariance_n: FloatArray
     refusal: Refusal | None = None
 
+    @cached_property
+    def variance_m2(self) -> float:
+        """Of all three components together; each sample is asked for it by several exposures."""
+        return float(self.covariance_n.trace())
+
     def content(self) -> bytes:
         """See :meth:`VectorSample.content`."""
         return super().content() + self.covariance_n.tobytes() + repr(self.refusal).encode()

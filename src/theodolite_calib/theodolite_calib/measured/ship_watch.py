@@ -4,12 +4,10 @@ The rates that come with its attitudes judge these and are judged by them, be th
 ``ship/attitude``. The rates of the INS alone go no further: the pointing then rests on the attitudes alone.
 """
 
-import math
-
-import numpy as np
+from collections.abc import Sequence
 
 from ship_estimation.ins import GuardedInsConfig
-from ship_estimation.ins_guard import InsGuard, JudgedIns
+from ship_estimation.ins_guard import JudgedIns
 from ship_estimation.rate_guard import Rates
 from ship_estimation.refusals import same_stamp
 from ship_estimation.unconfirmed import Unconfirmed
@@ -17,10 +15,8 @@ from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.measured.guard_ahead import GuardAhead, told_step_rad
 from theodolite_calib.measured.samples import ShipSample
-
-_SIGMAS = 5.0
-"""So many sigmas of what it states of its covariance the source may step."""
 
 
 class ShipWatch:
@@ -37,7 +33,7 @@ class ShipWatch:
     def __init__(self, config: OpticalAxisConfig, shift_ns: int) -> None:
         self._source = "the INS" if config.ship.source == "ins/imu" else "the ship's attitude"
         watched = _watched(config)
-        self._guard, self._shift_ns = InsGuard(watched), shift_ns
+        self._guard, self._shift_ns = GuardAhead(watched), shift_ns
         # The samples used, with their rates: a sample that comes after later ones is judged by these.
         self._used = AttitudeTrack(round(watched.max_gap_s * SECOND_NS))
         self._stated: FloatArray | None = None
@@ -52,10 +48,14 @@ class ShipWatch:
         """Whether the rates are measured: then no step of some sigmas of a sample passes unseen."""
         return self._guard.rates is Rates.MEASURED
 
+    def expect(self, samples: Sequence[ShipSample]) -> None:
+        """These attitudes, with rates and covariances, come next, as far as is known now."""
+        self._guard.expect(samples)
+
     def judge(self, sample: ShipSample, oldest_ns: int) -> JudgedIns:
         """What is to be done with a sample; none before ``oldest_ns`` will come."""
         self._used.drop_before(oldest_ns)
-        judged = self._guard.judge(sample, self._used, {}, self._told_rad(sample))
+        judged = self._guard.judge(sample, self._used, told_step_rad(sample.slow_covariance_n, self._stated))
         if judged.rates_wrong_after_ns is not None:
             self._used.forget_rates(judged.rates_wrong_after_ns)
         if judged.jumps:
@@ -78,12 +78,6 @@ class ShipWatch:
         """Why the attitude of a moment is in doubt; empty where it is not."""
         jumped = self._unconfirmed
         return jumped.text if jumped is not None and time_ns > jumped.since_ns else ""
-
-    def _told_rad(self, sample: ShipSample) -> float:
-        """How far the source may have stepped with a sample by what it states of its covariance."""
-        if self._stated is None or sample.slow_covariance_n is None:
-            return 0.0
-        return _SIGMAS * math.sqrt(abs(float(np.trace(sample.slow_covariance_n - self._stated))))
 
 
 def _watched(config: OpticalAxisConfig) -> GuardedInsConfig:

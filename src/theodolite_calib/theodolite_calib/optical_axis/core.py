@@ -9,6 +9,7 @@ as the ship's attitude of that moment is there.
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -72,6 +73,7 @@ class OpticalAxisCore:
     def __init__(self, config: OpticalAxisConfig) -> None:
         self.due: list[DuePointing] | None = None
         self._start: tuple[CalibrationPrior, int] | None = None
+        self._calibration: tuple[CalibrationState, Calibration] | None = None
         self._take_models(config)
         model: Model[CalibrationState, Exposure, ExposureDecision, Jump] = Model(
             step=self._step,
@@ -161,6 +163,10 @@ class OpticalAxisCore:
         self._publish(outcome, sample.time_ns if arrival_ns is None else arrival_ns)
         return outcome
 
+    def expect_ships(self, samples: Sequence[ShipSample]) -> None:
+        """Attitudes of the ship, with rates and covariances, that come next as far as is known now."""
+        self._ship_watch.expect(samples)
+
     def add_baseline(self, beacon_id: str, sample: BaselineSample) -> PointingOutcome:
         """A baseline to a drone. One that must not be used is refused, and no exposure waits for a better one."""
         outcome = self._add(f"baseline.{beacon_id}", self._tracks.baselines[beacon_id], sample)
@@ -201,8 +207,10 @@ class OpticalAxisCore:
         return self._pointing.of_due(due)
 
     def calibration(self) -> Calibration:
-        """What the filter now knows of axis errors, focal length and deformation."""
-        return calibration_of(self.filter, self.config, self.state)
+        """What the filter now knows of axis errors, focal length and deformation; several topics tell of it."""
+        if self._calibration is None or self._calibration[0] is not self.state:
+            self._calibration = self.state, calibration_of(self.filter, self.config, self.state)
+        return self._calibration[1]
 
     def calibration_to_save(self) -> CalibrationPrior | None:
         """The part of it that the next session can start from; None where nothing was ever sighted."""
@@ -230,6 +238,7 @@ class OpticalAxisCore:
         self.filter = CalibrationFilter(config)
         self._step_to = SightingStep(config, self.filter, self._streams_since, self._ship_crept)
         self._pointing = PointingOutput(config, self.filter)
+        self._calibration = None
 
     def _add(self, source: str, track: SampleTrack[Any], sample: Any) -> PointingOutcome:
         outcome = PointingOutcome(self._shell.window.late(sample.time_ns))

@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ship_bags.cdr_template import CdrRows
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.outcome import Status
 from ship_estimation.refusals import Refusal
@@ -14,8 +15,9 @@ from ship_geometry.ros_axes import flu_from_device_vector
 from ship_geometry.rotations import ARCSEC
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.documents.saved_start import SavedStart
-from ship_node.edge.blocks import PublishedRows
+from ship_node.edge.blocks import PublishedRows, StampArray
 from ship_node.edge.deferring_adapter import DeferringAdapter
+from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.messages_out import (
     BUDGET_TYPE,
     INNOVATION_TYPE,
@@ -126,7 +128,7 @@ class OpticalAxisAdapter(DeferringAdapter):
         type_name, read_ship = _SHIP[config.ship.source]
         ship = InputTopic(config.ship.source, type_name, required=True, depth=1000)
         by_ins = config.ship.source == "ins/imu"
-        read_ships = None if by_ins else functools.partial(rows_in.ship_attitudes, config=config)
+        read_ships = None if by_ins else functools.partial(self._read_ships, config=config)
         yield Feed(ship, "ship", functools.partial(read_ship, config=config), core.add_ship, read_rows=read_ships)
         image = InputTopic("theodolite/beacons", "ship_msgs/msg/BeaconImage", required=False, depth=1000)
         read_image, take_image = functools.partial(messages_in.exposure, config=config), untimed(core.add_exposure)
@@ -142,6 +144,14 @@ class OpticalAxisAdapter(DeferringAdapter):
             read_imus = functools.partial(rows_in.drone_attitudes, beacon=beacon)
             take = untimed(functools.partial(core.add_drone_attitude, id_))
             yield Feed(topic, f"drone.{id_}", read_imu, take, read_rows=read_imus)
+
+    def _read_ships(
+        self, messages: CdrRows, receive_ns: StampArray, config: OpticalAxisConfig
+    ) -> Sequence[ReadMessage[Any] | None]:
+        """Attitudes of the ship, of which the core is told before their turn."""
+        readings = rows_in.ship_attitudes(messages, receive_ns, config)
+        self.core.expect_ships([reading.value for reading in readings if reading is not None])
+        return readings
 
     def block_messages(self, runs: Sequence[PointingRun]) -> Iterator[PublishedRows]:
         """See :meth:`BlockAdapter.block_messages`."""

@@ -1,0 +1,254 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+"""Values between a few samples, by a cubic, and how far it is off by the polynomial through all of them, compiled.
+
+This is the one source of it. It is Python with C types for its numbers, compiled by Cython when the package is built.
+What the functions compute is told where they are called, in :mod:`ship_geometry.interpolation_error` and
+:mod:`ship_geometry.vector_track`; the same in plain numpy stands in the tests.
+"""
+
+import cython
+import numpy as np
+
+from ship_geometry.compiled_shapes import check
+from ship_geometry.rotations import FloatArray
+
+if not cython.compiled:
+    raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")
+
+from cython.cimports.libc.math import INFINITY, rint
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _off(
+    nodes: cython.p_double,
+    values: cython.p_double,
+    count: cython.Py_ssize_t,
+    width: cython.Py_ssize_t,
+    at: cython.double,
+    found: cython.p_double,
+    beside: cython.double,
+    out: cython.p_double,
+) -> cython.void:
+    """How far a value is off by Newton's polynomial through some, which are used up; and what that lacks, after it."""
+    order: cython.Py_ssize_t
+    row: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    product: cython.double = 1.0
+    term: cython.double = 0.0
+    for order in range(1, count):
+        for row in range(count - 1, order - 1, -1):
+            for i in range(width):
+                values[row * width + i] = (values[row * width + i] - values[(row - 1) * width + i]) / (
+                    nodes[row] - nodes[row - order]
+                )
+    for i in range(width):
+        out[i] = 0.0
+    for row in range(count):
+        for i in range(width):
+            term = values[row * width + i] * product
+            out[i] += term
+            out[width + i] = beside * term
+        product *= at - nodes[row]
+    for i in range(width):
+        out[i] -= found[i]
+
+
+def errors_by_polynomial(
+    nodes: cython.const[cython.double][:],
+    values: cython.const[cython.double][:, :],
+    at: cython.double,
+    found: cython.const[cython.double][:],
+    beside: cython.double,
+) -> FloatArray:
+    """What :func:`ship_geometry.interpolation_error.by_polynomial` tells of three samples or more, shape (2, k).
+
+    Args:
+        nodes: where the samples are, shape (n,), n at most 8.
+        values: the samples, shape (n, k).
+        at: where the value is.
+        found: the value, shape (k,).
+        beside: share of the last term that stands for those left out.
+    """
+    count: cython.Py_ssize_t = values.shape[0]
+    width: cython.Py_ssize_t = values.shape[1]
+    check("samples", nodes.shape[0] == count and 1 < count <= 8)  # as many as the room below holds
+    check("values", found.shape[0] == width)
+    # Behind the samples the value itself.
+    room: cython.double[::1] = np.empty((count + 1) * width + 1)
+    places = cython.declare(cython.double[8])
+    errors = np.empty((2, width))
+    out: cython.double[:, ::1] = errors
+    row: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    if width == 0:
+        return errors
+    for row in range(count):
+        places[row] = nodes[row]
+        for i in range(width):
+            room[row * width + i] = values[row, i]
+    for i in range(width):
+        room[count * width + i] = found[i]
+    _off(
+        places,
+        cython.address(room[0]),
+        count,
+        width,
+        at,
+        cython.address(room[count * width]),
+        beside,
+        cython.address(out[0, 0]),
+    )
+    return errors
+
+
+def between(
+    times_ns: cython.const[cython.longlong][:],
+    vectors: cython.const[cython.double][:, :],
+    left: cython.Py_ssize_t,
+    time_ns: cython.longlong,
+    period: cython.double,
+    value0: cython.double,
+    slope0: cython.double,
+    value1: cython.double,
+    slope1: cython.double,
+    beside: cython.double,
+    any_direction: cython.double,
+):
+    """The vector between two of a few neighbours that are joined to one another.
+
+    Args:
+        times_ns: stamps of the neighbours: two at most before the interval, one at most behind it, shape (n,).
+        vectors: the samples, shape (n, k).
+        left: number of the sample at which the interval begins.
+        time_ns: the moment.
+        period: after which all components repeat; infinite for lengths.
+        value0: and the next three as :func:`ship_geometry.sample_track.hermite_weights` gives them.
+        slope0: likewise.
+        value1: likewise.
+        slope1: likewise.
+        beside: and the next as the numbers of :mod:`ship_geometry.interpolation_error`, for these samples.
+        any_direction: likewise.
+
+    Returns:
+        The vector, shape (k,), its variance per variance of the samples' noise, and the covariance of its own error,
+        shape (k, k).
+    """
+    count: cython.Py_ssize_t = vectors.shape[0]
+    width: cython.Py_ssize_t = vectors.shape[1]
+    check("samples", times_ns.shape[0] == count and 0 <= left <= 2 and left + 1 < count <= left + 3)
+    interval_ns: cython.longlong = times_ns[left + 1] - times_ns[left]
+    fraction: cython.double = cython.cast(cython.double, time_ns - times_ns[left]) / interval_ns
+    # The change from the sample at the beginning of the interval to each: its two ends, the one before, the one behind,
+    # the second before, as far as there are.
+    around = cython.declare(cython.Py_ssize_t[5])
+    nodes = cython.declare(cython.double[5])
+    rows: cython.Py_ssize_t = 2
+    around[0], around[1] = left, left + 1
+    before: cython.Py_ssize_t = left - 1 if left > 0 else left
+    after: cython.Py_ssize_t = left + 2 if left + 2 < count else left + 1
+    if left > 0:
+        around[rows] = left - 1
+        rows += 1
+    if left + 2 < count:
+        around[rows] = left + 2
+        rows += 1
+    if left > 1:
+        around[rows] = left - 2
+        rows += 1
+    vector, covariance = np.empty(width), np.empty((width, width))
+    result: cython.double[::1] = vector
+    out: cython.double[:, ::1] = covariance
+    room: cython.double[::1] = np.zeros(8 * width + 1)
+    changes: cython.p_double = cython.address(room[0])
+    change: cython.p_double = changes + rows * width
+    errors: cython.p_double = change + width
+    slope_before: cython.double
+    slope_after: cython.double
+    squares: cython.double = 0.0
+    row: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    for row in range(rows):
+        nodes[row] = cython.cast(cython.double, times_ns[around[row]] - times_ns[left]) / interval_ns
+        for i in range(width):
+            changes[row * width + i] = _change(vectors, left, around[row], i, period)
+    for i in range(width):
+        slope_before = _change(vectors, before, left + 1, i, period) * _share(times_ns, left, before, left + 1)
+        slope_after = _change(vectors, left, after, i, period) * _share(times_ns, left, left, after)
+        change[i] = slope0 * slope_before + value1 * changes[width + i] + slope1 * slope_after
+        result[i] = vectors[left, i] + change[i]
+    if rows == 2:
+        # No other sample is there: as if the whole change could begin, or end, within the interval.
+        for i in range(width):
+            errors[i] = 0.5 * fraction * (1.0 - fraction) * changes[width + i]
+    else:
+        _off(nodes, changes, rows, width, fraction, change, beside, errors)
+    for i in range(2 * width):
+        squares += errors[i] * errors[i]
+    for i in range(width):
+        for j in range(width):
+            out[i, j] = errors[i] * errors[j] + errors[width + i] * errors[width + j]
+        out[i, i] += any_direction * any_direction * squares
+    return vector, _noise_gain(times_ns, left, before, after, value0, slope0, value1, slope1), covariance
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _change(
+    vectors: cython.const[cython.double][:, :],
+    first: cython.Py_ssize_t,
+    last: cython.Py_ssize_t,
+    component: cython.Py_ssize_t,
+    period: cython.double,
+) -> cython.double:
+    """Change of a component from one sample to another, each step the short way round."""
+    change: cython.double = 0.0
+    step: cython.double
+    i: cython.Py_ssize_t
+    for i in range(min(first, last), max(first, last)):
+        step = vectors[i + 1, component] - vectors[i, component]
+        change += step if period == INFINITY else step - period * rint(step / period)
+    return -change if last < first else change
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _share(
+    times_ns: cython.const[cython.longlong][:],
+    left: cython.Py_ssize_t,
+    before: cython.Py_ssize_t,
+    after: cython.Py_ssize_t,
+) -> cython.double:
+    """Length of the interval over the time between two samples."""
+    return cython.cast(cython.double, times_ns[left + 1] - times_ns[left]) / (times_ns[after] - times_ns[before])
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _noise_gain(
+    times_ns: cython.const[cython.longlong][:],
+    left: cython.Py_ssize_t,
+    before: cython.Py_ssize_t,
+    after: cython.Py_ssize_t,
+    value0: cython.double,
+    slope0: cython.double,
+    value1: cython.double,
+    slope1: cython.double,
+) -> cython.double:
+    """Sum of the squares of the weights of the samples."""
+    share0: cython.double = slope0 * _share(times_ns, left, before, left + 1)
+    share1: cython.double = slope1 * _share(times_ns, left, left, after)
+    weight0: cython.double = value0 - share1
+    weight1: cython.double = value1 + share0
+    outer0: cython.double = 0.0
+    outer1: cython.double = 0.0
+    if before == left:
+        weight0 -= share0
+    else:
+        outer0 = -share0
+    if after == left + 1:
+        weight1 += share1
+    else:
+        outer1 = share1
+    return weight0 * weight0 + weight1 * weight1 + outer0 * outer0 + outer1 * outer1

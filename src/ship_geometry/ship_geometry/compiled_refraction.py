@@ -1,0 +1,165 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+"""Refraction of a handful of stars, compiled: how far the air lifts them, and where they are then seen.
+
+This is the one source of it. It is Python with C types for its numbers, compiled by Cython when the package is built.
+What the functions compute is told where they are called, in :mod:`ship_geometry.refraction`; the same in plain numpy
+stands in the tests.
+"""
+
+import cython
+import numpy as np
+
+from ship_geometry.compiled_shapes import check
+from ship_geometry.rotations import FloatArray
+
+if not cython.compiled:
+    raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")
+
+from cython.cimports.libc.math import NAN, atan2, cos, hypot, sin, tan
+
+_TINY = cython.declare(cython.double, 1e-300)
+"""At the zenith itself there is no azimuth to turn in, and no refraction."""
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _bent(
+    elevation: cython.double,
+    coefficients: cython.const[cython.double][:, ::1],
+    lowest: cython.double,
+    of_observed: cython.bint,
+    sigmas: cython.const[cython.double][::1],
+    angles: cython.p_double,
+) -> cython.double:
+    """Write the angle and its derivatives by pressure and temperature; returns the standard deviation of the model."""
+    tan_z: cython.double = 1.0 / tan(elevation) if elevation >= lowest else NAN
+    tan2_z: cython.double = tan_z * tan_z
+    divisor: cython.double
+    i: cython.int
+    for i in range(3):
+        angles[i] = (coefficients[0, i] + coefficients[1, i] * tan2_z) * tan_z
+    if of_observed:
+        # A and B belong to the observed zenith distance. One step of Newton's method leads there from the true one, as
+        # in ERFA's atioq. In the derivatives the small change of this divisor is left out.
+        divisor = 1.0 + (coefficients[0, 0] + 3.0 * coefficients[1, 0] * tan2_z) * (1.0 + tan2_z)
+        for i in range(3):
+            angles[i] /= divisor
+    return sigmas[0] + sigmas[1] * tan2_z * tan2_z * tan_z + sigmas[2] * angles[0]
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _lifted(direction: cython.p_double, angle: cython.double, out: cython.p_double) -> cython.void:
+    """A direction (North, Up, East) turned upwards by an angle."""
+    horizontal: cython.double = hypot(direction[0], direction[2])
+    stretch: cython.double = cos(angle) - sin(angle) * direction[1] / max(horizontal, _TINY)
+    out[0], out[2] = direction[0] * stretch, direction[2] * stretch
+    out[1] = direction[1] * cos(angle) + horizontal * sin(angle)
+
+
+def _fits(coefficients, sigmas) -> None:
+    """Refuse numbers that are not those of a model; the loops look at no bounds."""
+    check("model", coefficients.shape[0] == 2 and coefficients.shape[1] == sigmas.shape[0] == 3)
+
+
+def bent(
+    elevation: cython.const[cython.double][::1],
+    coefficients: cython.const[cython.double][:, ::1],
+    lowest: cython.double,
+    of_observed: cython.bint,
+    sigmas: cython.const[cython.double][::1],
+) -> tuple[FloatArray, FloatArray]:
+    """Refraction at k elevations.
+
+    Args:
+        elevation: without air, rad, shape (k,).
+        coefficients: of tan z and of tan³ z, each with its derivatives by pressure and temperature, shape (2, 3).
+        lowest: elevation of the model, rad; below it all is NaN.
+        of_observed: whether the coefficients belong to the zenith distance with air.
+        sigmas: of the model: rad, rad per tan⁵ z, and per angle, shape (3,).
+
+    Returns:
+        The angle, rad, and its derivatives, shape (k, 3); standard deviation of the model itself, rad, shape (k,).
+    """
+    _fits(coefficients, sigmas)
+    count: cython.Py_ssize_t = elevation.shape[0]
+    of_angles, of_sigma = np.empty((count, 3)), np.empty(count)
+    angles: cython.double[:, ::1] = of_angles
+    sigma: cython.double[::1] = of_sigma
+    k: cython.Py_ssize_t
+    for k in range(count):
+        sigma[k] = _bent(elevation[k], coefficients, lowest, of_observed, sigmas, cython.address(angles[k, 0]))
+    return of_angles, of_sigma
+
+
+def lifted(direction_n: cython.const[cython.double][:, ::1], angle: cython.const[cython.double][::1]) -> FloatArray:
+    """Directions (North, Up, East), shape (k, 3), turned upwards by angles, rad, shape (k,)."""
+    count: cython.Py_ssize_t = angle.shape[0]
+    check("directions", direction_n.shape[0] == count and direction_n.shape[1] == 3)
+    result = np.empty((count, 3))
+    out: cython.double[:, ::1] = result
+    star = cython.declare(cython.double[3])
+    k: cython.Py_ssize_t
+    for k in range(count):
+        star[0], star[1], star[2] = direction_n[k, 0], direction_n[k, 1], direction_n[k, 2]
+        _lifted(star, angle[k], cython.address(out[k, 0]))
+    return result
+
+
+def seen(
+    without_air_n: cython.const[cython.double][:, ::1],
+    coefficients: cython.const[cython.double][:, ::1],
+    lowest: cython.double,
+    of_observed: cython.bint,
+    sigmas: cython.const[cython.double][::1],
+    pressure_sigma: cython.double,
+    temperature_sigma: cython.double,
+    turns_n: cython.const[cython.double][:, ::1],
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Stars as they are seen through the air, k of them, and what the errors that they share do to them.
+
+    Args:
+        without_air_n: unit vectors (North, Up, East), shape (k, 3).
+        coefficients: and the next as in :func:`bent`.
+        lowest: likewise.
+        of_observed: likewise.
+        sigmas: likewise.
+        pressure_sigma: of the air, hPa.
+        temperature_sigma: of the air, K.
+        turns_n: turns of the whole sky, rotation vectors, rad, shape (m, 3).
+
+    Returns:
+        Unit vectors with air, shape (k, 3); their displacement by one sigma of refraction and by each of the turns,
+        rad, shape (k, 3, 1 + m); the elevations without air, rad, shape (k,).
+    """
+    _fits(coefficients, sigmas)
+    count: cython.Py_ssize_t = without_air_n.shape[0]
+    turns: cython.Py_ssize_t = turns_n.shape[0]
+    check("vectors", without_air_n.shape[1] == turns_n.shape[1] == 3)
+    of_direction, of_shared, of_elevation = np.empty((count, 3)), np.empty((count, 3, 1 + turns)), np.empty(count)
+    direction: cython.double[:, ::1] = of_direction
+    shared: cython.double[:, :, ::1] = of_shared
+    elevation: cython.double[::1] = of_elevation
+    star = cython.declare(cython.double[3])
+    angles = cython.declare(cython.double[3])
+    sigma: cython.double
+    level: cython.double
+    upward: cython.double
+    k: cython.Py_ssize_t
+    c: cython.Py_ssize_t
+    for k in range(count):
+        star[0], star[1], star[2] = without_air_n[k, 0], without_air_n[k, 1], without_air_n[k, 2]
+        elevation[k] = atan2(star[1], hypot(star[0], star[2]))
+        sigma = _bent(elevation[k], coefficients, lowest, of_observed, sigmas, angles)
+        sigma = hypot(hypot(angles[1] * pressure_sigma, angles[2] * temperature_sigma), sigma)
+        _lifted(star, angles[0], cython.address(direction[k, 0]))
+        star[0], star[1], star[2] = direction[k, 0], direction[k, 1], direction[k, 2]
+        # Across the direction, where the elevation grows. At the zenith it grows nowhere: that is short instead of NaN.
+        level = hypot(star[0], star[2])
+        upward = -star[1] / max(level, _TINY) * sigma
+        shared[k, 0, 0], shared[k, 1, 0], shared[k, 2, 0] = star[0] * upward, level * sigma, star[2] * upward
+        for c in range(turns):
+            shared[k, 0, 1 + c] = turns_n[c, 1] * star[2] - turns_n[c, 2] * star[1]
+            shared[k, 1, 1 + c] = turns_n[c, 2] * star[0] - turns_n[c, 0] * star[2]
+            shared[k, 2, 1 + c] = turns_n[c, 0] * star[1] - turns_n[c, 1] * star[0]
+    return of_direction, of_shared, of_elevation

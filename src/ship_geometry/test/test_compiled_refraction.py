@@ -1,0 +1,93 @@
+"""Refraction, compiled, against the same by numpy: angles, directions, and what shared errors do to these."""
+
+import numpy as np
+import pytest
+
+from ship_geometry import compiled_refraction
+from ship_geometry.refraction import LOWEST_ELEVATION, ModelName, Weather, lifted, refraction, seen_through_air
+from ship_geometry.rotations import ARCSEC, FloatArray
+
+RNG_SEED = 6
+LINEAR, CUBIC = np.array([2.9e-4, 2.8e-7, -1.0e-6]), np.array([-3.2e-7, -3.0e-10, 1.2e-9])
+SIGMAS = {"erfa": np.array([0.03, 1e-4, 0.0]) * ARCSEC, "almanac": np.array([0.0, 0.0, 0.007])}
+MODELS: list[ModelName] = ["erfa", "almanac"]
+
+
+def equal(found: FloatArray, expected: FloatArray) -> None:
+    np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-16)
+
+
+def by_numpy(model: ModelName, elevation: FloatArray, linear: FloatArray, cubic: FloatArray) -> tuple[FloatArray, ...]:
+    tan_z = 1.0 / np.tan(np.where(elevation >= LOWEST_ELEVATION[model], elevation, np.nan))
+    angles = (linear + cubic * tan_z[:, None] ** 2) * tan_z[:, None]
+    if model == "erfa":
+        angles /= (1.0 + (linear[0] + 3.0 * cubic[0] * tan_z**2) * (1.0 + tan_z**2))[:, None]
+        return angles, ARCSEC * (0.03 + 1e-4 * tan_z**5)
+    return angles, 0.007 * angles[:, 0]
+
+
+def some_stars() -> FloatArray:
+    """Low and high ones, one below the horizon."""
+    rng, elevation = np.random.default_rng(RNG_SEED), np.deg2rad([-20.0, 4.0, 6.0, 13.0, 15.0, 45.0, 89.9])
+    azimuth = rng.uniform(0.0, 2.0 * np.pi, len(elevation))
+    level = np.cos(elevation)
+    return np.stack([level * np.cos(azimuth), np.sin(elevation), level * np.sin(azimuth)], axis=-1)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_angles_are_those_by_numpy(model: ModelName) -> None:
+    elevation = np.deg2rad(np.linspace(-10.0, 90.0, 41))
+    of_air = np.stack([LINEAR, CUBIC]), LOWEST_ELEVATION[model], model == "erfa", SIGMAS[model]
+    angles, sigma = compiled_refraction.bent(elevation, *of_air)
+    expected_angles, expected_sigma = by_numpy(model, elevation, LINEAR, CUBIC)
+    equal(angles, expected_angles)
+    equal(sigma, expected_sigma)
+    assert np.isnan(sigma).any()
+    assert np.isfinite(sigma).any()
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_seen_stars_are_lifted_and_displaced_as_by_numpy(model: ModelName) -> None:
+    stars, turns_n = some_stars(), np.random.default_rng(RNG_SEED).standard_normal((3, 3))
+    weather, (by_hpa, by_kelvin) = Weather(1002.0, 17.0), (3.0, 2.0)
+    seen = seen_through_air(model, stars, weather, 0.55, (by_hpa, by_kelvin), turns_n)
+    elevation = np.arctan2(stars[:, 1], np.hypot(stars[:, 0], stars[:, 2]))
+    equal(seen.elevation, elevation)
+    bent = refraction(model, elevation, weather)
+    raised, azimuth = elevation + bent.angle, np.arctan2(stars[:, 2], stars[:, 0])
+    level = np.cos(raised)
+    expected_n = np.stack([level * np.cos(azimuth), np.sin(raised), level * np.sin(azimuth)], axis=-1)
+    np.testing.assert_allclose(seen.direction_n, expected_n, rtol=0.0, atol=1e-15)
+    upward_n = np.stack([-np.sin(raised) * np.cos(azimuth), level, -np.sin(raised) * np.sin(azimuth)], axis=-1)
+    shared_n = np.concatenate(
+        [(upward_n * bent.sigma(by_hpa, by_kelvin)[:, None])[None], np.cross(turns_n[:, None], expected_n)]
+    )
+    np.testing.assert_allclose(seen.shared_n, np.moveaxis(shared_n, 0, -1), rtol=0.0, atol=1e-14)
+    low = elevation < LOWEST_ELEVATION[model]
+    assert np.isnan(seen.direction_n[low]).all()
+    assert np.isfinite(seen.direction_n[~low]).all()
+
+
+def test_one_direction_may_be_lifted_by_several_angles_and_several_by_one() -> None:
+    stars, angles = some_stars(), np.linspace(0.0, 1e-3, 7)
+    equal(lifted(stars, angles), np.stack([lifted(star, angle) for star, angle in zip(stars, angles, strict=True)]))
+    equal(lifted(stars[3], angles), lifted(np.broadcast_to(stars[3], (7, 3)), angles))
+    equal(lifted(stars, np.asarray(1e-3)), lifted(stars, np.full(7, 1e-3)))
+
+
+def test_shapes_that_do_not_fit_are_refused() -> None:
+    """The loops look at no bounds."""
+    stars, coefficients, sigmas, turns = some_stars(), np.stack([LINEAR, CUBIC]), SIGMAS["erfa"], np.zeros((3, 3))
+    for arguments in (
+        (stars[:, :2].copy(), coefficients, sigmas, turns),
+        (stars, coefficients[:1], sigmas, turns),
+        (stars, coefficients, sigmas[:2], turns),
+        (stars, coefficients, sigmas, turns[:, :2].copy()),
+    ):
+        vectors, of_model, of_sigmas, turned = arguments
+        with pytest.raises(ValueError, match="do not fit together"):
+            compiled_refraction.seen(vectors, of_model, 0.1, True, of_sigmas, 1.0, 1.0, turned)
+    with pytest.raises(ValueError, match="do not fit together"):
+        compiled_refraction.bent(stars[:, 1].copy(), coefficients[:1], 0.1, True, sigmas)
+    with pytest.raises(ValueError, match="do not fit together"):
+        compiled_refraction.lifted(stars, np.zeros(3))

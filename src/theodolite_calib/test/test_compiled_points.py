@@ -1,0 +1,75 @@
+"""How points of lights depend on states, compiled, against the same by numpy."""
+
+import numpy as np
+import pytest
+
+from ship_geometry.rotations import FloatArray
+from theodolite_calib.filter import compiled_points
+from theodolite_calib.lights.image import block_diagonal
+
+RNG_SEED = 5
+LIGHTS, STATES, ERRORS, FOCAL_LENGTH = 3, 11, 7, 4
+PLACES = np.array([[-1, 0, 2], [-1, 1, 3], [0, 0, 9], [2, 6, 9], [1, 5, 10]])
+
+
+def equal(found: FloatArray, expected: FloatArray) -> None:
+    np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-14)
+
+
+def drawn(*shape: int) -> FloatArray:
+    return np.random.default_rng([RNG_SEED, *shape]).standard_normal(shape)
+
+
+def arguments() -> list[FloatArray]:
+    shapes = (LIGHTS, 2, 3), (LIGHTS, 2, 3), (LIGHTS, 2), (LIGHTS, 3, ERRORS), (3, STATES)
+    return [drawn(number, *shape)[number - 1] for number, shape in enumerate(shapes, start=1)]
+
+
+def test_points_move_by_states_as_by_numpy() -> None:
+    by_attitude, by_direction, by_focal_length, lines, turn_n = arguments()
+    jacobian, by_error = compiled_points.by_states(*arguments(), FOCAL_LENGTH, PLACES)
+    expected = by_attitude.reshape(-1, 3) @ turn_n
+    expected[:, FOCAL_LENGTH] = by_focal_length.ravel()
+    equal(by_error, by_direction @ lines)
+    for light, error, state in PLACES.tolist():
+        for row in range(LIGHTS) if light < 0 else [light]:
+            expected[2 * row : 2 * row + 2, state] += (by_direction @ lines)[row, :, error]
+    equal(jacobian, expected)
+
+
+@pytest.mark.parametrize("lights", [1, 2, 5])
+def test_covariances_of_points_are_as_by_numpy(lights: int) -> None:
+    rows, turns = drawn(2 * lights, 3), drawn(2, 3, 3)
+    equal(compiled_points.by_turns(rows, turns), rows @ turns @ rows.T)
+    by_error, roots = drawn(lights, 2, 5), drawn(lights, 3, 3)
+    own = roots @ roots.swapaxes(1, 2)
+    equal(
+        compiled_points.of_each(by_error, own),
+        block_diagonal(by_error[..., :3] @ own @ by_error[..., :3].swapaxes(1, 2)),
+    )
+
+
+@pytest.mark.parametrize("number", range(5))
+def test_shapes_that_do_not_fit_are_refused(number: int) -> None:
+    """The loops look at no bounds."""
+    wrong = arguments()
+    wrong[number] = wrong[number][:-1].copy()
+    with pytest.raises(ValueError, match="do not fit together"):
+        compiled_points.by_states(*wrong, FOCAL_LENGTH, PLACES)
+
+
+@pytest.mark.parametrize("place", [[LIGHTS, 0, 0], [-2, 0, 0], [0, ERRORS, 0], [0, -1, 0], [0, 0, STATES], [0, 0, -1]])
+def test_places_that_are_not_there_are_refused(place: list[int]) -> None:
+    with pytest.raises(ValueError, match="do not fit together"):
+        compiled_points.by_states(*arguments(), FOCAL_LENGTH, np.array([place]))
+    with pytest.raises(ValueError, match="do not fit together"):
+        compiled_points.by_states(*arguments(), STATES, PLACES)
+
+
+def test_covariances_that_do_not_fit_are_refused() -> None:
+    with pytest.raises(ValueError, match="do not fit together"):
+        compiled_points.by_turns(drawn(4, 2), drawn(2, 3, 3))
+    with pytest.raises(ValueError, match="do not fit together"):
+        compiled_points.of_each(drawn(2, 2, 2), drawn(2, 3, 3))
+    with pytest.raises(ValueError, match="do not fit together"):
+        compiled_points.of_each(drawn(3, 2, 3), drawn(2, 3, 3))

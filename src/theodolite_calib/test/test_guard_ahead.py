@@ -1,0 +1,145 @@
+"""What is said of the ship's attitudes does not depend on whether the guard was told of them before, rightly or not."""
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ship_estimation.ins import GuardedInsConfig
+from ship_estimation.ins_guard import InsGuard, JudgedIns
+from ship_geometry.attitude_track import AttitudeTrack
+from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
+from theodolite_calib.measured.guard_ahead import GuardAhead, told_step_rad
+from theodolite_calib.measured.samples import ShipSample
+
+CONFIG = GuardedInsConfig(white_sigma_arcsec=2.0)
+RATE_HZ, SECONDS = 50, 30
+STEP_NS = 1_000_000_000 // RATE_HZ
+COUNT = RATE_HZ * SECONDS
+BLOCK = 170
+RNG_SEED = 8
+
+
+def rolling(time_s: float) -> FloatArray:
+    return exp_rotation(np.array([0.1 * np.sin(0.8 * time_s), 0.02 * time_s, 0.05 * np.sin(1.1 * time_s + 0.4)]))
+
+
+def voyage(jump_at: int | None = None, wrong_rates_from: int | None = None) -> list[ShipSample]:
+    """A ship that rolls; the covariance that it states shrinks every two seconds, and grows fast in each third time."""
+    rng, samples = np.random.default_rng(RNG_SEED), []
+    for k in range(COUNT):
+        time_s = k / RATE_HZ
+        rotation_nd, h_s = rolling(time_s), 1e-4
+        turned = rolling(time_s - h_s).T @ rolling(time_s + h_s)
+        rate_d = np.array([turned[2, 1], turned[0, 2], turned[1, 0]]) / (2.0 * h_s)
+        if wrong_rates_from is not None and k >= wrong_rates_from:
+            rate_d = 3.0 * rate_d
+        if jump_at is not None and k >= jump_at:
+            rotation_nd = exp_rotation([0.0, 0.01, 0.0]) @ rotation_nd
+        rotation_nd = rotation_nd @ exp_rotation(2.0 * ARCSEC * rng.standard_normal(3))
+        period, since = divmod(k, 2 * RATE_HZ)
+        sigma_rad = (10.0 + (1e-4 if period % 3 else 0.02) * since) * ARCSEC
+        samples.append(ShipSample(k * STEP_NS, rotation_nd, rate_d, sigma_rad**2 * np.eye(3)))
+    return samples
+
+
+class Run:
+    """A guard, told of nothing, or of whole blocks, and what it says of samples as the watch over them asks it."""
+
+    def __init__(self, guard: GuardAhead | InsGuard) -> None:
+        self.guard, self.said = guard, []
+        self._used, self._stated = AttitudeTrack(500_000_000), None
+
+    def take(self, samples: Iterable[ShipSample]) -> None:
+        for sample in samples:
+            told_rad = told_step_rad(sample.slow_covariance_n, self._stated)
+            judged = self._judged(sample, told_rad)
+            self.said.append((said(judged), self.guard.rates))
+            if judged.refusal is None and (self._used.newest is None or sample.time_ns > self._used.newest.time_ns):
+                self._stated = sample.slow_covariance_n
+                self._used.insert(judged.sample)
+
+    def _judged(self, sample: ShipSample, told_rad: float) -> JudgedIns:
+        if isinstance(self.guard, InsGuard):
+            return self.guard.judge(sample, self._used, {}, told_rad)
+        return self.guard.judge(sample, self._used, told_rad)
+
+
+def said(judged: JudgedIns) -> tuple[Any, ...]:
+    """All that a judgement says, comparable to the bit."""
+    jumps = tuple((jump.time_ns, jump.jump_n.tolist(), jump.sigma_rad, jump.creeps) for jump in judged.jumps)
+    return judged.sample.content(), judged.refusal, jumps, judged.rates_wrong_after_ns
+
+
+def one_by_one(samples: Sequence[ShipSample]) -> list[Any]:
+    run = Run(InsGuard(CONFIG))
+    run.take(samples)
+    return run.said
+
+
+VOYAGES = {
+    "calm": voyage(),
+    "jump": voyage(jump_at=1100),
+    "wrong rates": voyage(wrong_rates_from=900),
+}
+
+
+@pytest.mark.parametrize("name", VOYAGES)
+def test_told_of_all_it_says_the_same_of_each(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    ahead, looked = [], InsGuard.look_ahead
+
+    def counted(guard: InsGuard, *arguments: Any) -> Any:
+        followed = looked(guard, *arguments)
+        ahead.append(followed.count)
+        return followed
+
+    monkeypatch.setattr(InsGuard, "look_ahead", counted)
+    run, samples = Run(GuardAhead(CONFIG)), VOYAGES[name]
+    for start in range(0, COUNT, BLOCK):
+        run.guard.expect(samples[start : start + BLOCK])
+        run.take(samples[start : start + BLOCK])
+    assert run.said == one_by_one(samples)
+    assert sum(ahead) > COUNT // 3
+    if name != "calm":
+        assert any(one[0][1] is not None or one[0][3] is not None for one in run.said)
+
+
+@pytest.mark.parametrize("name", VOYAGES)
+def test_told_of_what_does_not_come_so_it_says_the_same(name: str) -> None:
+    """Every block lacks one of its samples, has one twice, or comes in another order from somewhere on."""
+    run, samples, came = Run(GuardAhead(CONFIG)), VOYAGES[name], []
+    for number, start in enumerate(range(0, COUNT, BLOCK)):
+        block = samples[start : start + BLOCK]
+        middle = len(block) // 2
+        coming = [
+            block[:middle] + block[middle + 1 :],
+            block[:middle] + block[middle - 1 :],
+            [*block[:middle], block[middle + 1], block[middle], *block[middle + 2 :]],
+        ][number % 3]
+        run.guard.expect(block)
+        run.take(coming)
+        came += coming
+    assert run.said == one_by_one(came)
+
+
+def test_told_in_several_parts_or_too_early_it_says_the_same() -> None:
+    run, samples = Run(GuardAhead(CONFIG)), VOYAGES["calm"]
+    run.take(samples[:600])
+    run.guard.expect(samples[600:700])
+    run.guard.expect(samples[700:900])
+    run.take(samples[600:800])
+    run.guard.expect(samples[900:1000])  # a hundred of the last ones have not come yet
+    run.take(samples[800:])
+    assert run.said == one_by_one(samples)
+
+
+def test_another_noise_among_samples_that_were_judged_ahead_holds_from_there_on() -> None:
+    run, plain, samples = Run(GuardAhead(CONFIG)), Run(InsGuard(CONFIG)), VOYAGES["calm"]
+    louder = GuardedInsConfig(white_sigma_arcsec=20.0)
+    run.guard.expect(samples)
+    for some in (slice(0, 1000), slice(1000, COUNT)):
+        for one in (run, plain):
+            one.take(samples[some])
+            one.guard.reconfigure(louder)
+    assert run.said == plain.said

@@ -1,0 +1,129 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+"""How the points of lights depend on the states of the filter, compiled: it is many small products.
+
+This is the one source of it. It is Python with C types for its numbers, compiled by Cython when the package is built.
+It knows no state's name; where it is called, in :mod:`theodolite_calib.filter.prediction`, the states have theirs.
+"""
+
+import cython
+import numpy as np
+
+from ship_geometry.compiled_shapes import check
+
+if not cython.compiled:
+    raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")
+
+
+def by_states(
+    by_attitude: cython.const[cython.double][:, :, ::1],
+    by_direction: cython.const[cython.double][:, :, ::1],
+    by_focal_length: cython.const[cython.double][:, ::1],
+    lines: cython.const[cython.double][:, :, ::1],
+    turn_n: cython.const[cython.double][:, ::1],
+    focal_length: cython.Py_ssize_t,
+    places: cython.const[cython.Py_ssize_t][:, ::1],
+):
+    """The change of the points of N lights by n states.
+
+    Args:
+        by_attitude: of the points by a turn of the telescope, rotation vector in n, m/rad, shape (N, 2, 3).
+        by_direction: of the points by the directions of the lights in n, m/rad, shape (N, 2, 3).
+        by_focal_length: m/m, shape (N, 2).
+        lines: of the directions by c errors of the lines of sight, rad per unit, shape (N, 3, c).
+        turn_n: of the telescope by the states, rotation vector in n, shape (3, n).
+        focal_length: which state that is.
+        places: which state moves which light by which error, as light, error and state; -1 stands for all lights, shape
+            (e, 3).
+
+    Returns:
+        Shape (2 N, n), m per unit; and the change by the errors of the lines of sight, shape (N, 2, c).
+    """
+    count: cython.Py_ssize_t = by_attitude.shape[0]
+    errors: cython.Py_ssize_t = lines.shape[2]
+    n: cython.Py_ssize_t = turn_n.shape[1]
+    check("lights", by_direction.shape[0] == by_focal_length.shape[0] == lines.shape[0] == count)
+    check("points", by_attitude.shape[1] == by_direction.shape[1] == by_focal_length.shape[1] == 2)
+    check("vectors", by_attitude.shape[2] == by_direction.shape[2] == lines.shape[1] == turn_n.shape[0] == 3)
+    check("states", 0 <= focal_length < n and places.shape[1] == 3)
+    of_states, of_errors = np.empty((2 * count, n)), np.empty((count, 2, errors))
+    jacobian: cython.double[:, ::1] = of_states
+    by_error: cython.double[:, :, ::1] = of_errors
+    total: cython.double
+    light: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    c: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    for i in range(places.shape[0]):
+        check("places", -1 <= places[i, 0] < count and 0 <= places[i, 1] < errors and 0 <= places[i, 2] < n)
+    for light in range(count):
+        for k in range(2):
+            for c in range(n):
+                total = 0.0
+                for i in range(3):
+                    total += by_attitude[light, k, i] * turn_n[i, c]
+                jacobian[2 * light + k, c] = total
+            jacobian[2 * light + k, focal_length] = by_focal_length[light, k]
+            for c in range(errors):
+                total = 0.0
+                for i in range(3):
+                    total += by_direction[light, k, i] * lines[light, i, c]
+                by_error[light, k, c] = total
+            for i in range(places.shape[0]):
+                if places[i, 0] == light or places[i, 0] < 0:
+                    jacobian[2 * light + k, places[i, 2]] += by_error[light, k, places[i, 1]]
+    return of_states, of_errors
+
+
+def by_turns(rows: cython.const[cython.double][:, :], covariances: cython.const[cython.double][:, :, :]):
+    """Covariances of m numbers by those of turns, shape (p, m, m).
+
+    Args:
+        rows: of the numbers by a turn, shape (m, 3).
+        covariances: of turns, shape (p, 3, 3).
+    """
+    m: cython.Py_ssize_t = rows.shape[0]
+    check("turns", rows.shape[1] == covariances.shape[1] == covariances.shape[2] == 3)
+    result = np.empty((covariances.shape[0], m, m))
+    out: cython.double[:, :, ::1] = result
+    half = cython.declare(cython.double[3])
+    p: cython.Py_ssize_t
+    a: cython.Py_ssize_t
+    b: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    for p in range(covariances.shape[0]):
+        for a in range(m):
+            for i in range(3):
+                half[i] = rows[a, 0] * covariances[p, 0, i]
+                half[i] += rows[a, 1] * covariances[p, 1, i]
+                half[i] += rows[a, 2] * covariances[p, 2, i]
+            for b in range(m):
+                out[p, a, b] = half[0] * rows[b, 0] + half[1] * rows[b, 1] + half[2] * rows[b, 2]
+    return result
+
+
+def of_each(by_error: cython.const[cython.double][:, :, :], covariance: cython.const[cython.double][:, :, :]):
+    """Covariance of the points of N lights by an error that each has by itself, shape (2 N, 2 N).
+
+    Args:
+        by_error: of the points, of which the first three columns count, shape (N, 2, 3 or more).
+        covariance: of the errors, shape (N, 3, 3).
+    """
+    count: cython.Py_ssize_t = covariance.shape[0]
+    check("lights", by_error.shape[0] == count and by_error.shape[1] == 2 and by_error.shape[2] >= 3)
+    check("errors", covariance.shape[1] == covariance.shape[2] == 3)
+    result = np.zeros((2 * count, 2 * count))
+    out: cython.double[:, ::1] = result
+    light: cython.Py_ssize_t
+    a: cython.Py_ssize_t
+    b: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    for light in range(count):
+        for a in range(2):
+            for b in range(2):
+                for i in range(3):
+                    for j in range(3):
+                        out[2 * light + a, 2 * light + b] += (
+                            by_error[light, a, i] * covariance[light, i, j] * by_error[light, b, j]
+                        )
+    return result
