@@ -111,45 +111,6 @@ def test_the_least_eigenvalue_of_alike_and_of_unknown_variances() -> None:
         assert np.isnan(compiled_integrity.least_eigenvalue(matrix))
 
 
-@pytest.mark.parametrize(("parts", "axes"), [(1, 3), (1, 1), (8, 2), (2, 3)])
-def test_what_an_innovation_says_is_what_numpy_says(parts: int, axes: int) -> None:
-    rng, size = np.random.default_rng(parts), parts * axes
-    noise = covariances(rng, size)
-    covariance, residual = noise + covariances(rng, size), 1e-5 * rng.standard_normal(size)
-    part_of, axis_of = np.divmod(np.arange(size), axes)
-    squares, own_share, along = compiled_integrity.innovation(
-        residual, covariance, noise, part_of, axis_of, parts, axes
-    )
-    for part in range(parts):
-        rows = np.flatnonzero(part_of == part)
-        expected = residual[rows] @ np.linalg.solve(covariance[np.ix_(rows, rows)], residual[rows])
-        assert squares[part] == pytest.approx(expected, rel=1e-9)  # as well as numpy solves it
-    assert own_share == pytest.approx(np.trace(np.linalg.solve(covariance, noise)) / size, rel=1e-9)
-    sigma = np.sqrt(np.diagonal(covariance))
-    correlation = covariance / np.outer(sigma, sigma)
-    for axis in range(axes):
-        rows = np.flatnonzero(axis_of == axis)
-        mean = np.sum(residual[rows] / sigma[rows]) / np.sqrt(np.sum(correlation[np.ix_(rows, rows)]))
-        np.testing.assert_allclose(along[axis], [mean, np.mean(residual[rows])], rtol=1e-12)
-
-
-def test_an_innovation_of_well_conditioned_numbers_is_that_of_numpy_to_rounding() -> None:
-    rng = np.random.default_rng(7)
-    noise = np.diag(rng.uniform(1.0, 4.0, 6))
-    covariance, residual, every = noise + 0.1, rng.standard_normal(6), np.arange(6)
-    squares, own_share, _ = compiled_integrity.innovation(residual, covariance, noise, 0 * every, every, 1, 6)
-    assert squares[0] == pytest.approx(residual @ np.linalg.solve(covariance, residual), rel=1e-13)
-    assert own_share == pytest.approx(np.trace(np.linalg.solve(covariance, noise)) / 6.0, rel=1e-13)
-
-
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -1.0])
-def test_what_is_no_covariance_or_no_number_says_nothing(bad: float) -> None:
-    one, every = np.array([0]), np.eye(1)
-    assert compiled_integrity.innovation(np.ones(1), bad * every, every, one, one, 1, 1) is None
-    if not np.isfinite(bad):
-        assert compiled_integrity.innovation(np.array([bad]), every, every, one, one, 1, 1) is None
-
-
 def test_arrays_that_do_not_fit_are_refused() -> None:
     k = Factors(6.0, 5.0, np.full(2, 2.0))
     with pytest.raises(ValueError, match="left_out"):
@@ -160,10 +121,6 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
         separated(np.zeros((2, 3)), np.ones((2, 3)), np.ones(3), k, rows=[2])
     with pytest.raises(ValueError, match="matrix"):
         compiled_integrity.least_eigenvalue(np.eye(2))
-    one = np.array([0])
-    for covariance, noise in ((np.eye(2), np.eye(1)), (np.eye(1), np.eye(2))):
-        with pytest.raises(ValueError, match="shapes"):
-            compiled_integrity.innovation(np.ones(1), covariance, noise, one, one, 1, 1)
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -87,7 +87,7 @@ def rotation_vector_from_angle_errors(azimuth: FloatArray, elevation: FloatArray
     return matrix
 
 
-def angle_errors_from_rotation_vector(azimuth: FloatArray, elevation: FloatArray) -> FloatArray:
+def angle_errors_from_rotation_vector(azimuth: FloatArray | float, elevation: FloatArray | float) -> FloatArray:
     """Inverse of B, shape (..., 3, 3); NaN beyond :data:`SINGULAR_ELEVATION`.
 
     Example:
@@ -97,8 +97,8 @@ def angle_errors_from_rotation_vector(azimuth: FloatArray, elevation: FloatArray
         >>> print((matrix @ [20.0, 0.0, 0.0]).round(1))  # azimuth, elevation, roll, in arcseconds
         [34.6  0.  40. ]
     """
-    if np.ndim(azimuth) == 0 and np.ndim(elevation) == 0:
-        errors: FloatArray = compiled_angles.angle_errors(float(azimuth), float(elevation), SINGULAR_ELEVATION)
+    if isinstance(azimuth, float) and isinstance(elevation, float):
+        errors: FloatArray = compiled_angles.angle_errors(azimuth, elevation, SINGULAR_ELEVATION)
         return errors
     azimuth, elevation = np.broadcast_arrays(np.asarray(azimuth, float), np.asarray(elevation, float))
     ca, sa = np.cos(azimuth), np.sin(azimuth)
@@ -132,9 +132,7 @@ def angle_covariance(covariance_parent: FloatArray, azimuth: FloatArray, elevati
     return transport @ covariance_parent @ np.swapaxes(transport, -1, -2)
 
 
-def rotation_vector_covariance(
-    covariance_angles: FloatArray, azimuth: FloatArray, elevation: FloatArray
-) -> FloatArray:
+def rotation_vector_covariance(covariance_angles: FloatArray, azimuth: FloatArray, elevation: FloatArray) -> FloatArray:
     """Covariance of the rotation vector in the parent frame, rad², from that of (azimuth, elevation, roll).
 
     Example:
