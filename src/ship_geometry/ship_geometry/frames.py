@@ -14,7 +14,9 @@ SINGULAR_ELEVATION = np.deg2rad(89.9)
 """Beyond this elevation (rad) azimuth and roll can no longer be told apart, and their covariance is NaN."""
 
 
-def rotation_from_angles(azimuth: FloatArray, elevation: FloatArray, roll: FloatArray) -> FloatArray:
+def rotation_from_angles(
+    azimuth: FloatArray | float, elevation: FloatArray | float, roll: FloatArray | float
+) -> FloatArray:
     """Rotation "parent from device", shape (..., 3, 3): Ry(A) Rz(-E) Rx(-roll), multiplied out.
 
     Example:
@@ -24,6 +26,9 @@ def rotation_from_angles(azimuth: FloatArray, elevation: FloatArray, roll: Float
         >>> print(rotation_nd[:, 0].round(4))
         [0.     0.0872 0.9962]
     """
+    if isinstance(azimuth, float) and isinstance(elevation, float) and isinstance(roll, float):
+        of_one: FloatArray = compiled_angles.rotations(np.array([[azimuth, elevation, roll]]))[0]
+        return of_one
     ca, sa = np.cos(azimuth), np.sin(azimuth)
     ce, se = np.cos(elevation), np.sin(elevation)
     cr, sr = np.cos(roll), np.sin(roll)

@@ -5,9 +5,13 @@ of those that pass is, to the last bit, what is given there. The others are read
 same. Every comparison is written so that NaN is no good.
 """
 
+from collections.abc import Callable, Iterator
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
+from ship_bags.cdr_template import CdrRows
 from ship_geometry.rotations import FloatArray
 from ship_node.edge.blocks import StampArray
 from ship_node.edge.messages_in import (
@@ -15,8 +19,10 @@ from ship_node.edge.messages_in import (
     COVARIANCE_TOLERANCE,
     FUTURE_TOLERANCE_NS,
     LARGEST_RATE,
+    LARGEST_VARIANCE,
     LEAST_QUATERNION_NORM,
     QUATERNION_NORM_TOLERANCE,
+    ReadMessage,
 )
 
 _NS_PER_S = 1_000_000_000
@@ -25,6 +31,26 @@ _ABOVE, _BELOW = [1, 2, 5], [3, 6, 7]
 
 Good = NDArray[np.bool_]
 """Of each message whether it passes, shape (N,)."""
+
+ReadRows = list[ReadMessage[Any] | None]
+"""What was read of each message; None where it is to be read by itself."""
+
+
+def read_of_good(
+    messages: CdrRows, frame_id: str, good: Good, read: Callable[[], Iterator[ReadMessage[Any] | None]]
+) -> ReadRows:
+    """What was read of those messages that are good; none of another frame is, and all have the same one.
+
+    Args:
+        messages: the messages.
+        frame_id: that they must have; empty for any.
+        good: which of them are.
+        read: reads these.
+    """
+    if frame_id and messages.message(0).header.frame_id != frame_id:
+        return [None] * len(good)
+    readings = read()
+    return [next(readings) if passed else None for passed in good.tolist()]
 
 
 def columns(numbers: np.ndarray, field: str, names: str) -> FloatArray:
@@ -75,3 +101,9 @@ def covariances_3x3(values: FloatArray) -> tuple[FloatArray, Good]:
     symmetric = values.copy()
     symmetric[:, _ABOVE] = symmetric[:, _BELOW] = beside
     return symmetric.reshape(-1, 3, 3), good
+
+
+def angular_covariances(values: FloatArray) -> tuple[FloatArray, Good]:
+    """The same of angles or of rotation vectors, rad²."""
+    covariances, good = covariances_3x3(values)
+    return covariances, good & (values[:, ::4] <= LARGEST_VARIANCE).all(axis=1)
