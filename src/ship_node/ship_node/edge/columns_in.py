@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_bags.cdr_template import CdrRows
+from ship_bags.stamps import NS_PER_S, stamps_of_rows
 from ship_geometry.rotations import FloatArray
 from ship_node.edge.blocks import StampArray
 from ship_node.edge.messages_in import (
@@ -25,7 +26,6 @@ from ship_node.edge.messages_in import (
     ReadMessage,
 )
 
-_NS_PER_S = 1_000_000_000
 _ABOVE, _BELOW = [1, 2, 5], [3, 6, 7]
 """The elements beside the diagonal of a matrix of nine numbers."""
 
@@ -60,8 +60,7 @@ def columns(numbers: np.ndarray, field: str, names: str) -> FloatArray:
 
 def stamps(numbers: np.ndarray, receive_ns: StampArray) -> tuple[StampArray, Good]:
     """The stamps, ns, shape (N,)."""
-    times_ns = numbers["header.stamp.sec"].astype(np.int64) * _NS_PER_S + numbers["header.stamp.nanosec"]
-    good = numbers["header.stamp.nanosec"] < _NS_PER_S
+    times_ns, good = stamps_of_rows(numbers), numbers["header.stamp.nanosec"] < NS_PER_S
     return times_ns, good & (times_ns > 0) & (times_ns <= receive_ns[: len(numbers)] + FUTURE_TOLERANCE_NS)
 
 
