@@ -3,6 +3,7 @@
 "Equal" is 1e-13 relative; what many samples give together is what each gives alone, to the last bit.
 """
 
+import itertools
 import math
 
 import numpy as np
@@ -99,3 +100,17 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
         compiled_watch.step_sizes(np.ones((2, 5)), np.ones((4, 3)))
     with pytest.raises(ValueError, match="rates"):
         compiled_watch.missed_by_mean(np.zeros(2), np.zeros(3), 1.0)
+
+
+@pytest.mark.parametrize("rows", [1, 3, 8])
+def test_changes_are_those_of_numpy_and_each_is_the_same_alone(rows: int) -> None:
+    values = np.random.default_rng(rows).standard_normal((COUNT + 1, rows, 3))
+    values[7, 0, 1] = np.nan
+    found = compiled_watch.changes(values[0], values[1:])
+    expected = np.linalg.norm(np.diff(values, axis=0), axis=2).max(axis=1)
+    np.testing.assert_allclose(found, expected, rtol=1e-13)
+    assert np.isnan(found).tolist() == [number in (6, 7) for number in range(COUNT)]
+    alone = [compiled_watch.changes(before, value[None])[0] for before, value in itertools.pairwise(values)]
+    np.testing.assert_array_equal(alone, found)
+    with pytest.raises(ValueError, match="values"):
+        compiled_watch.changes(values[0, :, :2], values)

@@ -1,6 +1,6 @@
 """The guards that watch the streams of all inputs of one run, in the order of their stamps."""
 
-import numpy as np
+import math
 
 from ship_attitude_star.measurements.readings import InertialAttitude
 from ship_attitude_star.measurements.samples import AttitudeMeasurement
@@ -47,10 +47,10 @@ class StreamGuards:
         watched = _watched(measurement)
         if watched is None:
             return None
-        value, sigmas, stands_still = watched
+        value, variances, stands_still = watched
         # An exposure that shows no star may be followed by another one, also on a moving ship.
         if len(value) > 0:
-            sigma_rad = float(np.max(sigmas))
+            sigma_rad = math.sqrt(variances.max())
             witnesses = {name: witness for name, witness in self.witnesses.items() if name != source}
             ins, by_rates = track.last_before(time_ns), self.ins.by_rates
             if ins is not None:
@@ -68,21 +68,20 @@ class StreamGuards:
 
     def used(self, attitude: AttitudeMeasurement) -> None:
         """Take an attitude that was not refused: from now on it tells the other guards how the ship moves."""
-        sigma_rad = float(np.sqrt(np.max(np.diagonal(attitude.noise_v))))
+        sigma_rad = math.sqrt(attitude.noise_v.diagonal().max())
         self.witnesses[attitude.source] = Witness(attitude.time_ns, attitude.rotation_nv, sigma_rad)
 
 
 def _watched(measurement: Measurement) -> tuple[FloatArray, FloatArray, str] | None:
-    """What must not stand still on a moving ship, the noise of its parts in rad, and what is said where it does.
+    """What must not stand still on a moving ship, the variances of its parts (rad²), and what is said where it does.
 
     None where a measurement is of a kind that may stand still.
     """
     if isinstance(measurement, StarExposure):
-        return measurement.directions_s, measurement.sigma, "stars stand still on the detector"
+        return measurement.directions_s, measurement.sigma**2, "stars stand still on the detector"
     if isinstance(measurement, InertialAttitude):
         # Against the stars even a ship at rest turns.
-        sigmas = np.sqrt(np.diagonal(measurement.noise_s))
-        return measurement.rotation_cs, sigmas, "attitude against the stars stands still"
+        return measurement.rotation_cs, measurement.noise_s.diagonal(), "attitude against the stars stands still"
     if isinstance(measurement, AttitudeMeasurement):
-        return measurement.rotation_nv, np.sqrt(np.diagonal(measurement.noise_v)), "attitude stands still"
+        return measurement.rotation_nv, measurement.noise_v.diagonal(), "attitude stands still"
     return None
