@@ -205,7 +205,11 @@ class BlockRun(ReplayRun):
                 single[place].append(((node << _NODE_BITS) + order, published))
             for run in one.runs:
                 runs[int(run.places[0])].append((run.topic, run.estimates))
+        copied = {place for place, moment in enumerate(moments) if moment.topic.startswith(TRUTH_PREFIX)}
+        waits = self._errors_wait
         for place, (moment, record) in enumerate(zip(moments, of_moment, strict=True)):
+            if not waits and place not in single and place not in runs and place not in copied:
+                continue
             for topic, estimates in runs.get(place, ()):
                 course = self._summary.statuses.setdefault(topic, StatusCourse())
                 course.add_run(estimates.status, estimates.time_ns)
@@ -214,9 +218,10 @@ class BlockRun(ReplayRun):
                 self._publish(published, moment.now_ns)
             self._output.place = place, _BEHIND_ALL
             if record is not None:
-                if moment.topic.startswith(TRUTH_PREFIX):
+                if place in copied:
                     self._copy_truth(moment.topic, record, truth.get(place))
                 self._write_errors(moment.now_ns)
+            waits = self._errors_wait
 
 
 def _times_ns(moments: list[Moment], places: StampArray) -> StampArray:

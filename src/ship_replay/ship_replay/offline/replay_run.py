@@ -162,6 +162,11 @@ class ReplayRun:
                 errors.add_attitude(message)
         return False
 
+    @property
+    def _errors_wait(self) -> bool:
+        """Whether a message waits for the truth."""
+        return any(errors.waits for errors in self._errors)
+
     def _write_errors(self, now_ns: int | None) -> None:
         for errors in self._errors:
             for log_time_ns, message in errors.filled(now_ns):

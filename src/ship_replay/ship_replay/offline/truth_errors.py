@@ -45,9 +45,14 @@ class TruthErrors:
             stamps_ns, angles = stamps_of_rows(numbers), self.orientation.angles_of_rows(numbers)
             self._attitudes.update(zip(stamps_ns.tolist(), angles, strict=True))
 
+    @property
+    def waits(self) -> bool:
+        """Whether an error message waits for the truth."""
+        return bool(self._waiting)
+
     def is_ready(self, now_ns: int | None) -> bool:
         """Whether an error message waits that :meth:`filled` would give back."""
-        if not self._waiting:
+        if not self.waits:
             return False
         log_time_ns, message = self._waiting[0]
         patient = now_ns is not None and now_ns - log_time_ns < _PATIENCE_NS
