@@ -10,7 +10,7 @@ import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cache, lru_cache
-from itertools import chain
+from itertools import chain, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -201,9 +201,10 @@ class InnovationTable:
     def take(self, innovations: Collection[Innovation]) -> None:
         """Add innovations; of those with one stamp the last one taken stays."""
         self._widen(innovations)
-        times_ns = np.concatenate([self.times_ns, np.array([one.time_ns for one in innovations], dtype=np.int64)])
+        added_ns = [one.time_ns for one in innovations]
+        times_ns = np.concatenate([self.times_ns, np.array(added_ns, dtype=np.int64)])
         numbers = np.concatenate([self.numbers, self._rows(innovations)])
-        if not (times_ns[1:] > times_ns[:-1]).all():
+        if not all(before < after for before, after in pairwise([*self.times_ns[-1:].tolist(), *added_ns])):
             order = np.argsort(times_ns, kind="stable")
             order = order[np.append(np.diff(times_ns[order]) > 0, True)]
             times_ns, numbers = times_ns[order], numbers[order]
