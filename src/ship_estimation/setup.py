@@ -17,7 +17,7 @@ setup(
                 [f"ship_estimation/compiled_{name}.py"],
                 extra_compile_args=["-O3", "-ffp-contract=off"],
             )
-            for name in ("integrity", "means", "steps", "watch")
+            for name in ("innovations", "integrity", "means", "steps", "watch")
         ],
         quiet=True,  # colcon reads what this file prints
     ),

@@ -127,6 +127,8 @@ def _step(field: FieldType, definitions: Definitions, many: bool) -> _Step | Non
             numbers.append(np.transpose(values))
         elif add_element is None:
             numbers.extend(values.tolist() if isinstance(values, np.ndarray) else values)
+        elif field.element == TEXT:
+            variables.extend(values)
         else:
             for value in values:
                 add_element(value, numbers, variables)

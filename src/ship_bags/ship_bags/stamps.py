@@ -5,6 +5,9 @@ import re
 from datetime import datetime, timezone
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ship_bags.message_factory import MessageFactory
 
 NS_PER_S = 1_000_000_000
@@ -26,6 +29,13 @@ _UNITS = (
 def ns_from_stamp(stamp: Any) -> int:
     """Nanoseconds of a builtin_interfaces/Time."""
     return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
+
+
+def stamps_of_rows(numbers: np.ndarray) -> NDArray[np.int64]:
+    """The stamps of the headers of messages that are rows (:class:`ship_bags.cdr_template.CdrRows`), ns, shape (N,)."""
+    whole_ns = numbers["header.stamp.sec"].astype(np.int64) * NS_PER_S
+    times_ns: NDArray[np.int64] = whole_ns + numbers["header.stamp.nanosec"]
+    return times_ns
 
 
 def stamp_fields(ns: int) -> tuple[int, int]:

@@ -1,10 +1,10 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""The arithmetic of integrity, compiled: protection levels of an output, and what one innovation says of its source.
+"""The arithmetic of integrity, compiled: protection levels of an output, and what those told last cover.
 
 This is the one source of it. It is Python with C types for its numbers, compiled by Cython when the package is built.
-What the functions compute is told where they are called, in :mod:`ship_estimation.protection`,
-:mod:`ship_estimation.told_levels` and :mod:`ship_estimation.innovations`; the same in plain numpy stands in the tests.
-What is no number makes what rests on it no number.
+What the functions compute is told where they are called, in :mod:`ship_estimation.protection` and
+:mod:`ship_estimation.told_levels`; the same in plain numpy stands in the tests. What is no number makes what rests on
+it no number.
 """
 
 import cython
@@ -36,7 +36,7 @@ def _form(
     return total
 
 
-def apart(
+def separation(
     states: cython.const[cython.Py_ssize_t][:],
     to_components: cython.const[cython.double][:, :],
     by_states: cython.const[cython.double][:, :],
@@ -45,8 +45,14 @@ def apart(
     means: cython.const[cython.double][:, :],
     parts: cython.const[cython.double][:, :, :],
     left_out: cython.const[cython.double][:, :, :],
+    rows: cython.const[cython.Py_ssize_t][:],
+    right: cython.double,
+    false_exclusion: cython.double,
+    missed: cython.const[cython.double][:],
+    share: cython.double,
+    tiny: cython.double,
 ):
-    """The components of an output by estimates that leave something out, beside those by all sources.
+    """The fields of :class:`ship_estimation.protection.Separation`, by the hypotheses in question.
 
     Args:
         states: that make the components, shape (n,).
@@ -57,26 +63,36 @@ def apart(
         means: without some, shape (h, m).
         parts: whose sum is the covariance of all states by all sources, shape (p, m, m).
         left_out: that without some, shape (h, m, m).
-
-    Returns:
-        The fields ``distance``, ``variance``, ``variance_0`` and ``widest`` of
-        :class:`ship_estimation.protection.Hypotheses`.
+        rows: in question.
+        right: and the next two: numbers of sigmas, as :class:`ship_estimation.protection.Factors` has them.
+        false_exclusion: of a separation.
+        missed: shape (h,).
+        share: of the variance by all sources, that a distance has at least.
+        tiny: least variance of a distance.
     """
     n: cython.Py_ssize_t = states.shape[0]
     m: cython.Py_ssize_t = mean.shape[0]
-    rows: cython.Py_ssize_t = means.shape[0]
+    hypotheses: cython.Py_ssize_t = means.shape[0]
+    asked: cython.Py_ssize_t = rows.shape[0]
     check("components", to_components.shape[0] == to_components.shape[1] == by_states.shape[0] == 3)
     check("covariance", covariance.shape[0] == covariance.shape[1] == 3 and by_states.shape[1] == n)
-    check("means", means.shape[1] == parts.shape[1] == parts.shape[2] == m and left_out.shape[0] == rows)
-    check("left_out", left_out.shape[1] == left_out.shape[2] == m)
-    of_distance, of_variance = np.empty((rows, 3)), np.empty((rows, 3))
-    of_variance_0, of_widest = np.empty(3), np.empty(rows)
-    distance: cython.double[:, ::1] = of_distance
-    variance: cython.double[:, ::1] = of_variance
-    variance_0: cython.double[::1] = of_variance_0
-    widest: cython.double[::1] = of_widest
-    all_sources: cython.double[:, ::1] = np.zeros((n, n))
-    grown: cython.double[:, ::1] = np.empty((n, n))
+    check("means", means.shape[1] == parts.shape[1] == parts.shape[2] == m and left_out.shape[0] == hypotheses)
+    check("left_out", left_out.shape[1] == left_out.shape[2] == m and missed.shape[0] == hypotheses)
+    of_statistic, of_level = np.empty(asked), np.empty(3)
+    statistic: cython.double[::1] = of_statistic
+    level: cython.double[::1] = of_level
+    # Of the states by all sources, and what it grows by without some.
+    covariances: cython.double[:, :, ::1] = np.zeros((2, n, n))
+    variance_0 = cython.declare(cython.double[3])
+    dominant: cython.Py_ssize_t = -1
+    largest: cython.double = 0.0
+    widest: cython.double = 0.0
+    of_row: cython.double
+    distance: cython.double
+    grown: cython.double
+    sigma: cython.double
+    value: cython.double
+    k: cython.Py_ssize_t
     row: cython.Py_ssize_t
     part: cython.Py_ssize_t
     i: cython.Py_ssize_t
@@ -85,23 +101,34 @@ def apart(
         check("states", 0 <= states[i] < m)
     for i in range(3):
         variance_0[i] = _form(to_components[i], covariance, to_components[i])
+        level[i] = right * sqrt(variance_0[i])
+        largest = _larger(largest, level[i])
     for part in range(parts.shape[0]):
         for i in range(n):
             for j in range(n):
-                all_sources[i, j] += parts[part, states[i], states[j]]
-    for row in range(rows):
-        widest[row] = 0.0
+                covariances[0, i, j] += parts[part, states[i], states[j]]
+    for k in range(asked):
+        row = rows[k]
+        check("rows", 0 <= row < hypotheses)
         for i in range(n):
-            widest[row] = _larger(widest[row], left_out[row, states[i], states[i]])
+            widest = _larger(widest, left_out[row, states[i], states[i]])
             for j in range(n):
-                grown[i, j] = left_out[row, states[i], states[j]] - all_sources[i, j]
+                covariances[1, i, j] = left_out[row, states[i], states[j]] - covariances[0, i, j]
+        of_row = statistic[k] = 0.0
         for i in range(3):
-            # What an output adds to the error of the states is the same in every estimate.
-            variance[row, i] = variance_0[i] + _form(by_states[i], grown, by_states[i])
-            distance[row, i] = 0.0
+            distance = 0.0
             for j in range(n):
-                distance[row, i] += by_states[i, j] * (means[row, states[j]] - mean[states[j]])
-    return of_distance, of_variance, of_variance_0, of_widest
+                distance += by_states[i, j] * (means[row, states[j]] - mean[states[j]])
+            # What an output adds to the error of the states is the same in every estimate. Without a source nothing is
+            # known better, but for one that was refused with it and is used without.
+            grown = _larger(variance_0[i] + _form(by_states[i], covariances[1], by_states[i]), variance_0[i])
+            sigma = _separation_sigma(grown, variance_0[i], share, tiny)
+            value = false_exclusion * sigma + missed[row] * sqrt(grown)
+            level[i], of_row = _larger(level[i], value), _larger(of_row, value)
+            statistic[k] = _larger(statistic[k], fabs(distance) / sigma)
+        if of_row > largest or (of_row != of_row and largest == largest):
+            dominant, largest = k, of_row
+    return of_statistic, of_level, dominant, sqrt(widest)
 
 
 def separation_sigmas(
@@ -140,62 +167,58 @@ def _separation_sigma(
     return sqrt(_larger(variance - variance_0, _larger(share * variance_0, tiny)))
 
 
-def levels(
-    distance: cython.const[cython.double][:, :],
-    variance: cython.const[cython.double][:, :],
-    variance_0: cython.const[cython.double][:],
-    rows: cython.const[cython.Py_ssize_t][:],
-    right: cython.double,
-    false_exclusion: cython.double,
-    missed: cython.const[cython.double][:],
-    share: cython.double,
+def coverage(
+    level: cython.const[cython.double][:],
+    told: cython.const[cython.double][:],
+    covariance: cython.const[cython.double][:, :],
+    entering: cython.double,
+    most_growth: cython.double,
     tiny: cython.double,
 ):
-    """The fields of :class:`ship_estimation.protection.Separation`, by the hypotheses in question.
+    """How far levels that were told cover those of an output, and of those after it on the same state.
 
     Args:
-        distance: of three components, shape (h, 3).
-        variance: without some sources, shape (h, 3).
-        variance_0: by all sources, shape (3,).
-        rows: in question.
-        right: and the next two: numbers of sigmas, as :class:`ship_estimation.protection.Factors` has them.
-        false_exclusion: of a separation.
-        missed: shape (h,).
-        share: of the variance by all sources, that a distance has at least.
-        tiny: least variance of a distance.
+        level: of the output, shape (3,).
+        told: shape (3,).
+        covariance: of the error of the output, shape (3, 3).
+        entering: by how much a level grows, at most, where the directions turn, rad.
+        most_growth: so many times the told levels its own may be.
+        tiny: least number that something is divided by.
+
+    Returns:
+        Whether they cover the output, and the fields ``greatest_variance`` and ``most_turned`` of
+        :class:`ship_estimation.told_levels.ToldLevels` where they are the levels told last.
     """
-    asked: cython.Py_ssize_t = rows.shape[0]
-    check("distance", distance.shape[0] == variance.shape[0] == missed.shape[0])
-    check("variance", distance.shape[1] == variance.shape[1] == variance_0.shape[0] == 3)
-    of_statistic, of_level = np.empty(asked), np.empty(3)
-    statistic: cython.double[::1] = of_statistic
-    level: cython.double[::1] = of_level
-    dominant: cython.Py_ssize_t = -1
-    largest: cython.double = 0.0
-    of_row: cython.double
-    apart: cython.double
-    grown: cython.double
-    value: cython.double
-    k: cython.Py_ssize_t
-    row: cython.Py_ssize_t
-    i: cython.Py_ssize_t
+    check("levels", level.shape[0] == told.shape[0] == 3)
+    check("covariance", covariance.shape[0] == covariance.shape[1] == 3)
+    covers: cython.bint = True
+    known: cython.bint = True
+    unknown: cython.bint = True
+    least: cython.double = INFINITY
+    growth: cython.double = INFINITY
+    room: cython.double
+    trace: cython.double
+    i: cython.int
     for i in range(3):
-        level[i] = right * sqrt(variance_0[i])
-        largest = _larger(largest, level[i])
-    for k in range(asked):
-        row = rows[k]
-        check("rows", 0 <= row < distance.shape[0])
-        of_row = statistic[k] = 0.0
-        for i in range(3):
-            # Without a source nothing is known better, but for one that was refused with it and is used without.
-            grown = _larger(variance[row, i], variance_0[i])
-            apart = _separation_sigma(grown, variance_0[i], share, tiny)
-            value = false_exclusion * apart + missed[row] * sqrt(grown)
-            level[i], of_row = _larger(level[i], value), _larger(of_row, value)
-            statistic[k] = _larger(statistic[k], fabs(distance[row, i]) / apart)
-        if of_row > largest or (of_row != of_row and largest == largest):
-            dominant, largest = k, of_row
-    return of_statistic, of_level, dominant
+        # Levels that are no numbers are those of the state UNAVAILABLE, which was told.
+        unknown = unknown and level[i] != level[i] and told[i] != told[i]
+        covers = covers and level[i] <= most_growth * told[i]
+        known = known and fabs(level[i]) < INFINITY
+        least = min(least, level[i])
+    covers = covers or unknown
+    if not known:
+        return covers, INFINITY, INFINITY
+    for i in range(3):
+        growth = -_larger(-growth, -most_growth * told[i] / level[i])
+    room = 0.5 * (growth - 1.0)
+    trace = covariance[0, 0] + covariance[1, 1] + covariance[2, 2]
+    # What is added to a covariance adds at most its trace to the variance of any angle, and a level grows no faster
+    # than the sigma. A turn brings something of the errors that make the angles into the one with the smallest level.
+    return (
+        covers,
+        trace + least_eigenvalue(covariance) * ((1.0 + room) * (1.0 + room) - 1.0),
+        room * least / _larger(entering, tiny),
+    )
 
 
 def covered(
@@ -238,6 +261,7 @@ def covered(
     return count
 
 
+@cython.ccall
 def least_eigenvalue(matrix: cython.const[cython.double][:, :]) -> cython.double:
     """The least eigenvalue of a symmetric 3 × 3 matrix, by Jacobi's rotations; only the lower triangle is read."""
     check("matrix", matrix.shape[0] == matrix.shape[1] == 3)
@@ -269,137 +293,3 @@ def square_root(matrix: cython.const[cython.double][:, :]):
         for q in range(3):
             root[p, q] = vectors[3 * p + q] * sqrt(_larger(a[4 * q], 0.0))
     return result
-
-
-@cython.cfunc
-@cython.exceptval(check=False)
-def _whiten(matrix: cython.double[:, ::1], size: cython.Py_ssize_t) -> cython.bint:
-    """Replace the lower triangle of a covariance by the inverse of its Cholesky factor.
-
-    Returns:
-        False where the matrix is not positive definite, or NaN.
-    """
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    k: cython.Py_ssize_t
-    total: cython.double
-    for i in range(size):
-        for j in range(i + 1):
-            total = matrix[i, j]
-            for k in range(j):
-                total -= matrix[i, k] * matrix[j, k]
-            if j < i:
-                matrix[i, j] = total / matrix[j, j]
-            elif total > 0.0:
-                matrix[i, i] = sqrt(total)
-            else:
-                return False
-    for j in range(size):
-        matrix[j, j] = 1.0 / matrix[j, j]
-        for i in range(j + 1, size):
-            total = 0.0
-            for k in range(j, i):
-                total -= matrix[i, k] * matrix[k, j]
-            matrix[i, j] = total / matrix[i, i]
-    return True
-
-
-def innovation(
-    residual: cython.const[cython.double][:],
-    covariance: cython.const[cython.double][:, :],
-    noise: cython.const[cython.double][:, :],
-    part_of: cython.const[cython.Py_ssize_t][:],
-    axis_of: cython.const[cython.Py_ssize_t][:],
-    parts: cython.Py_ssize_t,
-    axes: cython.Py_ssize_t,
-):
-    """What a residual says of its source.
-
-    Args:
-        residual: shape (m,).
-        covariance: predicted, shape (m, m).
-        noise: the measurement's own part of it, shape (m, m).
-        part_of: which part each component belongs to, shape (m,).
-        axis_of: along which axis it lies, shape (m,).
-        parts: how many there are.
-        axes: how many there are.
-
-    Returns:
-        Of each part its normalised square, the own share, and of each axis the mean in its sigma and in rad, as
-        :class:`ship_estimation.innovations.Innovation` has them; None where
-        one of the numbers is none, or the covariance is not positive definite.
-    """
-    m: cython.Py_ssize_t = residual.shape[0]
-    check("covariance", covariance.shape[0] == covariance.shape[1] == m)
-    check("components", part_of.shape[0] == axis_of.shape[0] == m)
-    of_squares, of_axes = np.empty(parts), np.empty((axes, 2))
-    square: cython.double[::1] = of_squares
-    along: cython.double[:, ::1] = of_axes
-    white: cython.double[:, ::1] = np.empty((m, m))
-    chosen: cython.Py_ssize_t[::1] = np.empty(m, dtype=np.intp)
-    own: cython.double = 0.0
-    total: cython.double
-    in_rad: cython.double
-    alike: cython.double
-    row: cython.double
-    count: cython.Py_ssize_t
-    group: cython.Py_ssize_t
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    k: cython.Py_ssize_t
-    for i in range(m):
-        if not fabs(residual[i]) < INFINITY:
-            return None
-        for j in range(m):
-            if not fabs(covariance[i, j]) < INFINITY:
-                return None
-            white[i, j] = covariance[i, j]
-    if not _whiten(white, m):
-        return None
-    check("noise", noise.shape[0] == noise.shape[1] == m)
-    for k in range(m):
-        for i in range(k + 1):
-            row = 0.0
-            for j in range(k + 1):
-                row += noise[i, j] * white[k, j]
-            own += white[k, i] * row
-    for group in range(axes):
-        count = _members(axis_of, group, chosen)
-        total = in_rad = alike = 0.0
-        for i in range(count):
-            total += residual[chosen[i]] / sqrt(covariance[chosen[i], chosen[i]])
-            in_rad += residual[chosen[i]]
-            for j in range(count):
-                alike += covariance[chosen[i], chosen[j]] / (
-                    sqrt(covariance[chosen[i], chosen[i]]) * sqrt(covariance[chosen[j], chosen[j]])
-                )
-        along[group, 0], along[group, 1] = total / sqrt(alike), in_rad / count
-    for group in range(parts):
-        count = _members(part_of, group, chosen)
-        if count < m or parts > 1:
-            for i in range(count):
-                for j in range(count):
-                    white[i, j] = covariance[chosen[i], chosen[j]]
-            _whiten(white, count)  # a block of what is positive definite is so too
-        square[group] = 0.0
-        for i in range(count):
-            row = 0.0
-            for j in range(i + 1):
-                row += white[i, j] * residual[chosen[j]]
-            square[group] += row * row
-    return of_squares, own / m, of_axes
-
-
-@cython.cfunc
-@cython.exceptval(check=False)
-def _members(
-    group_of: cython.const[cython.Py_ssize_t][:], group: cython.Py_ssize_t, chosen: cython.Py_ssize_t[::1]
-) -> cython.Py_ssize_t:
-    """Number of the components of a group; their places are written."""
-    count: cython.Py_ssize_t = 0
-    i: cython.Py_ssize_t
-    for i in range(group_of.shape[0]):
-        if group_of[i] == group:
-            chosen[count] = i
-            count += 1
-    return count

@@ -1,10 +1,10 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""The arithmetic of watching an INS against its own rates, compiled: for one sample, and for the many of a block.
+"""The arithmetic of watching streams, an INS against its own rates, compiled: for one value, and for many of a block.
 
 This is the one source of it. It is Python with C types for its numbers, compiled by Cython when the package is built.
-What the functions compute is told where they are called, in :mod:`ship_estimation.integrated_rates` and
-:mod:`ship_estimation.step_watch`; the same in plain numpy stands in the tests. What a sample gives does not depend on
-how many others are given with it.
+What the functions compute is told where they are called, in :mod:`ship_estimation.integrated_rates`,
+:mod:`ship_estimation.step_watch` and :mod:`ship_estimation.value_guards`; the same in plain numpy stands in the tests.
+What a sample gives does not depend on how many others are given with it.
 """
 
 import cython
@@ -135,25 +135,6 @@ def _sizes_of_steps(
             y += weights[p, m] * rows[first + m, 1]
             z += weights[p, m] * rows[first + m, 2]
         sizes[p] = x * x + y * y + z * z
-
-
-def farthest(before: cython.const[cython.double][:, :], value: cython.const[cython.double][:, :]) -> cython.double:
-    """The length of the longest row of a change, both of shape (k, d); no number where a row has none."""
-    check("farthest", before.shape[0] == value.shape[0] and before.shape[1] == value.shape[1])
-    longest: cython.double = 0.0
-    square: cython.double
-    row: cython.Py_ssize_t
-    i: cython.Py_ssize_t
-    for row in range(value.shape[0]):
-        square = 0.0
-        for i in range(value.shape[1]):
-            square += (value[row, i] - before[row, i]) * (value[row, i] - before[row, i])
-        # Written so that NaN stays.
-        if not square <= longest:
-            longest = square
-        if longest != longest:
-            break
-    return sqrt(longest)
 
 
 def step_sizes(weights: cython.const[cython.double][:, :], rows: cython.const[cython.double][:, :]):
@@ -379,3 +360,32 @@ def followed(
                 _set(weights, least_rad, shares, high, learns, coarse_rad, feigned_rad, first_rad, bounds, scaled)
         taken += 1
     return taken, of_sizes[(taken - 1) & 1], last_feigned_rad, feigned_rad, since_learnt, learns
+
+
+def changes(before: cython.const[cython.double][:, :], values: cython.const[cython.double][:, :, :]):
+    """How far each of N values is from the one before it: the largest length of a row's change, a list.
+
+    Args:
+        before: the value before the first one, shape (k, l).
+        values: shape (N, k, l).
+    """
+    check("values", values.shape[1] == before.shape[0] and values.shape[2] == before.shape[1])
+    largest: cython.double
+    square: cython.double
+    change: cython.double
+    n: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    found = []
+    for n in range(values.shape[0]):
+        largest = 0.0
+        for i in range(values.shape[1]):
+            square = 0.0
+            for j in range(values.shape[2]):
+                change = values[n, i, j] - (values[n - 1, i, j] if n else before[i, j])
+                square += change * change
+            # What is no number stays none.
+            if not square <= largest and largest == largest:
+                largest = square
+        found.append(sqrt(largest))
+    return found

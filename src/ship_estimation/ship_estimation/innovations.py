@@ -6,17 +6,17 @@ are those predicted, :class:`Axis` whether their mean is zero and each independe
 that lie far off count little.
 """
 
-import itertools
 import math
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cache, lru_cache
+from itertools import chain, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_estimation import compiled_integrity
+from ship_estimation import compiled_innovations
 from ship_estimation.chi_square import normal_value_above, probability_above, value_above
 from ship_estimation.outcome import Decision
 from ship_estimation.refusals import Reason
@@ -55,8 +55,7 @@ _SIGMA_OF_SPREAD = 1.4826
 """Sigma of normal values over the median of their distances from their median."""
 
 
-@dataclass(frozen=True)
-class Innovation:
+class Innovation(NamedTuple):
     """One measurement as it is judged.
 
     Attributes:
@@ -103,7 +102,7 @@ def innovation_of(decision: Decision[Any]) -> Innovation | None:
     if len(decision.covariance) != len(decision.residual):
         return None  # its covariance is not known
     groups = _grouped(decision.components)
-    found = compiled_integrity.innovation(decision.residual, decision.covariance, decision.noise, *groups[:4])
+    found = compiled_innovations.innovation(decision.residual, decision.covariance, decision.noise, *groups[:4])
     if found is None:
         return None  # what is no number, or no covariance, says nothing
     squares, own_share, along = found
@@ -150,93 +149,92 @@ def _grouped(components: tuple[str, ...]) -> _Groups:
     return _Groups(part_of, axis_of, len(parts), len(axes), axes, int(np.count_nonzero(part_of == 0)))
 
 
-_SINGLE_NUMBERS = ("time_ns", "degrees", "nis", "components", "own_share", "is_used")
-"""Fields of :class:`Innovation` that are columns of an :class:`InnovationTable` as they are."""
+_SINGLE_NUMBERS = 5
+"""Columns of an :class:`InnovationTable` before those of the axes."""
 _NO_AXIS = (math.nan, math.nan)
 
 
 class InnovationTable:
     """Innovations of one source in order of time, one of each stamp.
 
+    Attributes:
+        axes: names of the axes that any of them has.
+        times_ns: stamps, shape (n,).
+        numbers: of each the degrees, the normalised square, the number of components, the own share and whether it is
+            used; then for each axis what was measured along it, in sigmas and in rad; then the squares of its parts.
+            What it does not have is NaN. Shape (n, c).
+
     Example:
         >>> table = InnovationTable()
         >>> one = Innovation(7, np.array([4.0]), degrees=1, nis=4.0, components=1, own_share=1.0,
         ...                  is_used=True, axes={"up": (2.0, 6.0 * ARCSEC)})
         >>> table.take([one, one])
-        >>> print(len(table), table.column("squares"), table.along("up")[:, 0])
+        >>> print(len(table), table.squares, table.along("up")[:, 0])
         1 [[4.]] [2.]
     """
 
     def __init__(self) -> None:
         self.axes: tuple[str, ...] = ()
-        self._most_parts = 0
-        self._rows = self._empty(0)
+        self.times_ns: NDArray[np.int64] = np.empty(0, dtype=np.int64)
+        self.numbers: FloatArray = np.empty((0, _SINGLE_NUMBERS))
 
     def __len__(self) -> int:
-        return len(self._rows)
+        return len(self.times_ns)
 
-    def column(self, name: str) -> NDArray[Any]:
-        """A field of all innovations, shape (n,); the squares of their parts have the shape (n, p), filled with NaN."""
-        column: NDArray[Any] = self._rows[name]
-        return column
+    @property
+    def squares(self) -> FloatArray:
+        """Of the parts of each innovation, filled with NaN, shape (n, p)."""
+        squares: FloatArray = self.numbers[:, self.first_square :]
+        return squares
+
+    @property
+    def first_square(self) -> int:
+        """Column of the first of them."""
+        return _SINGLE_NUMBERS + 2 * len(self.axes)
 
     def along(self, axis: str) -> FloatArray:
         """What was measured along an axis, in sigmas and in rad, shape (k, 2), of the k innovations that have it."""
-        along: FloatArray = self._rows["axes"][:, self.axes.index(axis)]
-        known = ~np.isnan(along[:, 0])
-        return along if known.all() else along[known]
+        start = _SINGLE_NUMBERS + 2 * self.axes.index(axis)
+        along: FloatArray = self.numbers[:, start : start + 2]
+        return along[~np.isnan(along[:, 0])]
 
     def take(self, innovations: Collection[Innovation]) -> None:
         """Add innovations; of those with one stamp the last one taken stays."""
         self._widen(innovations)
-        known = len(self._rows)
-        # Numpy's way to join two arrays with several fields takes twenty times as long.
-        rows = np.empty(known + len(innovations), dtype=self._rows.dtype)
-        rows[:known], rows[known:] = self._rows, self._as_rows(innovations)
-        times_ns = rows["time_ns"]
-        if not (times_ns[1:] > times_ns[:-1]).all():
-            rows = rows[np.argsort(times_ns, kind="stable")]
-            times_ns = rows["time_ns"]
-            rows = rows[np.append(times_ns[1:] > times_ns[:-1], True)]
-        self._rows = rows
+        added_ns = [one.time_ns for one in innovations]
+        times_ns = np.concatenate([self.times_ns, np.array(added_ns, dtype=np.int64)])
+        numbers = np.concatenate([self.numbers, self._rows(innovations)])
+        if not all(before < after for before, after in pairwise([*self.times_ns[-1:].tolist(), *added_ns])):
+            order = np.argsort(times_ns, kind="stable")
+            order = order[np.append(np.diff(times_ns[order]) > 0, True)]
+            times_ns, numbers = times_ns[order], numbers[order]
+        self.times_ns, self.numbers = times_ns, numbers
 
     def forget(self, until_ns: int, most: int) -> None:
         """Forget those up to a stamp, and of the others all but the newest."""
-        first = int(np.searchsorted(self._rows["time_ns"], until_ns, side="right"))
-        self._rows = self._rows[max(first, len(self._rows) - most) :]
+        first = max(int(self.times_ns.searchsorted(until_ns, side="right")), len(self) - most)
+        if first > 0:
+            self.times_ns, self.numbers = self.times_ns[first:], self.numbers[first:]
 
     def _widen(self, innovations: Collection[Innovation]) -> None:
         """Make room for axes that the table does not have yet, and for more parts than any had."""
-        axes = tuple(dict.fromkeys([*self.axes, *(name for one in innovations for name in one.axes)]))
-        most_parts = max([self._most_parts, *(len(one.squares) for one in innovations)])
-        if axes != self.axes or most_parts > self._most_parts:
-            old, old_axes, old_parts = self._rows, len(self.axes), self._most_parts
-            self.axes, self._most_parts = axes, most_parts
-            self._rows = self._empty(len(old))
-            for name in _SINGLE_NUMBERS:
-                self._rows[name] = old[name]
-            self._rows["axes"][:, :old_axes], self._rows["squares"][:, :old_parts] = old["axes"], old["squares"]
+        axes = tuple(dict.fromkeys(chain(self.axes, *(one.axes for one in innovations))))
+        known = self.squares
+        parts = max(known.shape[1], *(len(one.squares) for one in innovations))
+        if axes != self.axes or parts > known.shape[1]:
+            old, first_square, self.axes = self.numbers, self.first_square, axes
+            self.numbers = np.full((len(old), self.first_square + parts), np.nan)
+            self.numbers[:, :first_square] = old[:, :first_square]
+            self.squares[:, : known.shape[1]] = known
 
-    def _as_rows(self, innovations: Collection[Innovation]) -> NDArray[np.void]:
-        rows = np.empty(len(innovations), dtype=self._rows.dtype)
-        for name in _SINGLE_NUMBERS:
-            rows[name] = [getattr(one, name) for one in innovations]
-        if self.axes:
-            rows["axes"] = [[one.axes.get(name, _NO_AXIS) for name in self.axes] for one in innovations]
-        squares = rows["squares"]
-        squares[:] = np.nan
-        for place, one in enumerate(innovations):
-            squares[place, : len(one.squares)] = one.squares
-        return rows
-
-    def _empty(self, count: int) -> NDArray[np.void]:
-        """So many rows of zeros, of which no axis and no part is known."""
-        single = zip(_SINGLE_NUMBERS, ("i8", "i8", "f8", "i8", "f8", "?"), strict=True)
-        several = [("axes", "f8", (len(self.axes), 2)), ("squares", "f8", (self._most_parts,))]
-        # Aligned: numpy reads a column of numbers that stand anywhere in a slow way.
-        rows = np.zeros(count, dtype=np.dtype([*single, *several], align=True))
-        rows["axes"] = rows["squares"] = np.nan
-        return rows
+    def _rows(self, innovations: Collection[Innovation]) -> FloatArray:
+        """Innovations as they stand in the table, shape (n, c)."""
+        width, rows = self.numbers.shape[1], []
+        for one in innovations:
+            row = [one.degrees, one.nis, one.components, one.own_share, one.is_used]
+            row += [*chain(*(one.axes.get(name, _NO_AXIS) for name in self.axes)), *one.squares.tolist()]
+            rows.append(row + [math.nan] * (width - len(row)))
+        return np.array(rows, dtype=np.float64)
 
 
 class Parts:
@@ -247,19 +245,18 @@ class Parts:
     Attributes:
         factor: true sigma of the source over the stated one; NaN where too few tell.
         far_share: share of the parts that lie far off, or were left out; NaN likewise.
+        components: of all residuals.
+        nis: mean normalised square of a component; NaN where there is none.
     """
 
     def __init__(self, table: InnovationTable) -> None:
-        own_share = table.column("own_share")
-        telling = own_share >= _LEAST_OWN_SHARE
-        count = int(np.count_nonzero(telling))
-        self._degrees = int(table.column("degrees")[telling].max(initial=0)) or 1
-        self._own_share = float(own_share[telling].sum()) / count if count else math.nan
-        # In order, so that each share of them is a number of places; what fills the table is NaN and comes last.
-        squares = np.sort(table.column("squares")[telling], axis=None)
-        self._squares = squares[: np.searchsorted(squares, np.inf, side="right")]
-        self._count, self._least_far = len(self._squares), value_above(_FAR, self._degrees)
-        self._near = int(np.searchsorted(self._squares, self._least_far, side="right"))
+        # In order, so that each share of them is a number of places.
+        self._squares, degrees, self._own_share, nis, self.components = compiled_innovations.sizes(
+            table.numbers, table.first_square, _LEAST_OWN_SHARE
+        )
+        self.nis = nis / self.components if self.components else math.nan
+        self._degrees, self._count = degrees or 1, len(self._squares)
+        self._near = int(self._squares.searchsorted(value_above(_FAR, self._degrees), side="right"))
         self.far_share = 1.0 - self._near / self._count if self._count >= LEAST_COUNT else math.nan
         by_all, by_near = self._factor(self._count), self._factor(self._near)
         self._bulk_factor = by_all if math.isnan(by_near) else by_near
@@ -304,7 +301,7 @@ class Parts:
 
     def _excess(self, count: int) -> float:
         """Of the least squares those above the predicted median, beyond half of them, in sigmas of that number."""
-        below = min(int(np.searchsorted(self._squares, value_above(0.5, self._degrees), side="right")), count)
+        below = min(int(self._squares.searchsorted(value_above(0.5, self._degrees), side="right")), count)
         return (count - 2 * below) / math.sqrt(count)
 
 
@@ -320,7 +317,7 @@ class Axis:
 
     Attributes:
         name: of the axis.
-        residual: in rad, shape (n,).
+        count: how many there are.
         lasting: variance, in squares of their sigmas, of what of the prediction's error is the same in all of them.
         bias_sigma: median of the innovations, in their sigmas.
         spread: sigma of the innovations about their median, in predicted sigmas; at least 1.
@@ -328,7 +325,7 @@ class Axis:
     """
 
     name: str
-    residual: FloatArray
+    count: int
     lasting: float
     bias_sigma: float
     spread: float
@@ -342,16 +339,15 @@ class Axis:
     @property
     def is_lasting(self) -> bool:
         """Whether the innovations are not independent of one another, although the prediction's errors are."""
-        most = max(TOLERATED_CORRELATION, _SIGMAS / math.sqrt(len(self.residual)))
+        most = max(TOLERATED_CORRELATION, _SIGMAS / math.sqrt(self.count))
         return self.lasting == 0.0 and abs(self.correlation) > most
 
-    @property
-    def bias_text(self) -> str:
-        """The size of a bias, and what it may come from."""
+    def bias_text(self, residual: FloatArray) -> str:
+        """The size of a bias, and what it may come from, by what was measured along the axis, rad, shape (n,)."""
         # In rad, as the sigma changes with the prediction's; the noise by successive differences, free of a drift.
-        half, bias = len(self.residual) // 2, float(np.median(self.residual))
-        change = float(np.median(self.residual[half:]) - np.median(self.residual[:half]))
-        noise = _SIGMA_OF_SPREAD * float(np.median(np.abs(np.diff(self.residual)))) / math.sqrt(2.0)
+        half, bias = len(residual) // 2, float(np.median(residual))
+        change = float(np.median(residual[half:]) - np.median(residual[:half]))
+        noise = _SIGMA_OF_SPREAD * float(np.median(np.abs(np.diff(residual)))) / math.sqrt(2.0)
         size = f"bias of {bias / ARCSEC:+.1f} arcsec in {self.name} ({self.bias_sigma:+.1f} sigma)"
         if abs(change) < max(_STEADY * abs(bias), _SIGMAS * _MEDIAN_SIGMA * noise * math.sqrt(4.0 / half)):
             return f"{size}, steady: look at installation and alignment"
@@ -374,7 +370,7 @@ class Axis:
     def _sigma_of_median(self) -> float:
         """Of the median of the innovations, in predicted sigmas: as of fewer where they are correlated."""
         alike = min(max(self.correlation, 0.0), _MOST_CORRELATED)
-        variance = (_MEDIAN_SIGMA * self.spread) ** 2 * (1.0 + alike) / (1.0 - alike) / len(self.residual)
+        variance = (_MEDIAN_SIGMA * self.spread) ** 2 * (1.0 + alike) / (1.0 - alike) / self.count
         return math.sqrt(variance + self.lasting)
 
 
@@ -389,36 +385,11 @@ def axes_of(table: InnovationTable) -> list[Axis]:
         >>> print(up.name, up.bias_sigma, up.is_biased)
         up 2.0 True
     """
-    beside = ~table.column("is_used")
-    lasting = float((1.0 - table.column("own_share")[beside]).max()) if beside.any() else 0.0
-    along = [(name, table.along(name)) for name in table.axes]
-    enough = [(name, both) for name, both in along if len(both) >= LEAST_COUNT]
-    # Mostly all axes are there in each measurement: what has one length is judged in one go.
-    axes = []
-    for _, alike in itertools.groupby(enough, key=lambda one: len(one[1])):
-        names, both = zip(*alike, strict=True)
-        axes += _axes(names, np.array([one[:, 0] for one in both]), [one[:, 1] for one in both], lasting)
-    return axes
-
-
-def _axes(
-    names: Iterable[str], normalised: FloatArray, residuals: Iterable[FloatArray], lasting: float
-) -> list[Axis]:
-    """Axes by their innovations in their sigmas, shape (k, n), and in rad, each of shape (n,)."""
-    bias_sigma = _medians(normalised)
-    around = normalised - bias_sigma[:, np.newaxis]
-    spread = np.maximum(1.0, _SIGMA_OF_SPREAD * _medians(np.abs(around)))
-    limit = (_CLIPPED_AT * spread)[:, np.newaxis]
-    around = np.minimum(np.maximum(around, -limit), limit)
-    squares = (around * around).sum(axis=1)
-    products = (around[:, 1:] * around[:, :-1]).sum(axis=1)
-    correlation = np.divide(products, squares, out=np.zeros(len(squares)), where=squares > 0.0)
-    found = zip(names, residuals, bias_sigma.tolist(), spread.tolist(), correlation.tolist(), strict=True)
-    return [Axis(name, residual, lasting, *figures) for name, residual, *figures in found]
-
-
-def _medians(values: FloatArray) -> FloatArray:
-    """Of each row."""
-    ordered, half = np.sort(values, axis=1), values.shape[1] // 2
-    medians: FloatArray = ordered[:, half] if values.shape[1] % 2 else 0.5 * (ordered[:, half - 1] + ordered[:, half])
-    return medians
+    figures, lasting = compiled_innovations.along_axes(
+        table.numbers, len(table.axes), LEAST_COUNT, _SIGMA_OF_SPREAD, _CLIPPED_AT
+    )
+    return [
+        Axis(name, int(count), lasting, *statistics)
+        for name, (count, *statistics) in zip(table.axes, figures.tolist(), strict=True)
+        if count >= LEAST_COUNT
+    ]

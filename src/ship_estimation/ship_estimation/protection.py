@@ -13,10 +13,12 @@ DOI 10.1109/TAES.2014.130739).
 
 import enum
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ship_estimation import compiled_integrity
 from ship_estimation.chi_square import normal_value_above
@@ -37,6 +39,8 @@ LEAST_SHARE, LEAST_VARIANCE_RAD2 = 1e-6, 1e-24
 that is taken for exact nothing is apart by more than rounding."""
 UNDISPUTED_SIGMAS = 3.0
 """Estimates without one source that are no further from that by all are as near as they are when all is right."""
+_NO_LEVEL = np.full(_COMPONENTS, np.nan)
+_NO_LEVEL.flags.writeable = False
 _MOST_PROBABLE_MISS = 0.5
 """A level never lies below the threshold itself, however improbable the fault is."""
 
@@ -163,47 +167,62 @@ def factors(config: IntegrityConfig, priors_per_h: Sequence[float]) -> Factors:
     )
 
 
-@dataclass(frozen=True)
-class Separation:
-    """An estimate beside those that leave one source out each; h hypotheses, three components.
+class Separation(NamedTuple):
+    """An output beside those that leave one source out each; h hypotheses in question, three components.
 
     Attributes:
         statistic: largest |d_i| / σ(d_i) over the components, shape (h,).
         level: protection level of each component, shape (3,).
         dominant: which hypothesis makes the largest level; -1 for that of all sources.
+        widest: largest sigma of a state that makes the components, in any hypothesis.
     """
 
     statistic: FloatArray
     level: FloatArray
     dominant: int
+    widest: float
 
 
 def separation(
-    distance: FloatArray, variance: FloatArray, variance_0: FloatArray, k: Factors, rows: Sequence[int] | None = None
+    k: Factors,
+    rows: NDArray[np.intp],
+    states: NDArray[np.intp],
+    by_output: tuple[FloatArray, FloatArray, FloatArray],
+    mean: FloatArray,
+    means: FloatArray,
+    parts: FloatArray,
+    left_out: FloatArray,
 ) -> Separation:
-    """The separations of the estimates without one source from the estimate by all, and the protection levels.
+    """The separations of the outputs without one source from that by all, and the protection levels.
 
     Args:
-        distance: components of the estimate without each source minus those by all, shape (h, 3).
-        variance: of the components without each source, rad², shape (h, 3).
-        variance_0: of those by all sources, shape (3,).
-        k: numbers of sigmas.
-        rows: which hypotheses are in question, and told of; None for all.
+        k: numbers of sigmas of h hypotheses.
+        rows: which of them are in question, and told of.
+        states: that make the components, shape (n,).
+        by_output: the components by the errors of the output, shape (3, 3); by these states, shape (3, n); the
+            covariance of the errors of the output, by all sources, shape (3, 3).
+        mean: of all states by all sources, shape (m,).
+        means: without one source each, shape (h, m).
+        parts: whose sum is the covariance of all states by all sources, shape (p, m, m).
+        left_out: that without one source each, shape (h, m, m).
 
     Example:
         A source is left out; the estimate moves by 4″, and its sigma grows from 1.8″ to 3″, in each component alike:
 
-        >>> k = Factors(right=6.0, false_exclusion=5.0, missed=np.array([2.0]))
-        >>> found = separation(np.full((1, 3), 4.0), np.full((1, 3), 9.0), np.full(3, 3.24), k)
-        >>> print(found.statistic.round(2), found.level.round(1), found.dominant)
-        [1.67] [18. 18. 18.] 0
+        >>> k, every = Factors(right=6.0, false_exclusion=5.0, missed=np.array([2.0])), np.eye(3)
+        >>> found = separation(k, np.array([0]), np.arange(3), (every, every, 3.24 * every), np.zeros(3),
+        ...                    np.full((1, 3), 4.0), 3.24 * every[None], 9.0 * every[None])
+        >>> print(found.statistic.round(2), found.level.round(1), found.dominant, found.widest)
+        [1.67] [18. 18. 18.] 0 3.0
     """
-    asked = np.arange(len(distance)) if rows is None else np.array(rows, dtype=np.intp)
-    found = compiled_integrity.levels(
-        distance,
-        variance,
-        variance_0,
-        asked,
+    found = compiled_integrity.separation(
+        states,
+        *by_output,
+        mean,
+        means,
+        parts,
+        left_out,
+        rows,
         k.right,
         k.false_exclusion,
         k.missed,
@@ -272,8 +291,7 @@ class IntegrityState(enum.IntEnum):
     NO_LIMIT = 3
 
 
-@dataclass(frozen=True)
-class IntegrityReport:
+class IntegrityReport(NamedTuple):
     """How far an output may be wrong although nothing says so, and who is excluded; h hypotheses.
 
     Attributes:
@@ -300,33 +318,13 @@ class IntegrityReport:
     widest: float
 
 
-@dataclass(frozen=True)
-class Hypotheses:
-    """The estimates without some sources, h in all, beside that by all sources, in the components of an output.
-
-    Attributes:
-        names: what each does without.
-        k: numbers of sigmas.
-        distance: as in :func:`separation`.
-        variance: the same.
-        variance_0: the same.
-        widest: largest variance of a state that makes the components, in each estimate, rad², shape (h,).
-    """
-
-    names: Sequence[str]
-    k: Factors
-    distance: FloatArray
-    variance: FloatArray
-    variance_0: FloatArray
-    widest: FloatArray
-
-
 def integrity_report(
     time_ns: int,
     config: IntegrityConfig,
-    hypotheses: Hypotheses,
-    rows: Sequence[int],
-    excluded: Mapping[str, int],
+    k: Factors,
+    names: tuple[str, ...],
+    found: Separation,
+    excluded: tuple[tuple[str, int], ...],
     checked: bool,
 ) -> IntegrityReport:
     """What is to be said of an output.
@@ -334,27 +332,24 @@ def integrity_report(
     Args:
         time_ns: its stamp.
         config: with the alert limits.
-        hypotheses: the estimates without some sources.
-        rows: which of them are in question; not those without a source that is excluded in any case.
-        excluded: the sources that are excluded → since which stamp.
+        k: numbers of sigmas.
+        names: of the hypotheses in question; not those without a source that is excluded in any case.
+        found: the output beside those of these hypotheses.
+        excluded: the sources that are excluded, and since which stamp.
         checked: whether the sources in use are enough to check one another; else there is no level, nor is there one
             where a separation is beyond the threshold.
 
     Example:
         >>> limits = IntegrityConfig(alert_limit_arcsec=(24.0, 24.0, 24.0))
-        >>> k, one = Factors(right=6.0, false_exclusion=5.0, missed=np.array([2.0])), np.full(3, ARCSEC**2)
-        >>> beside = Hypotheses(["star.bow"], k, np.full((1, 3), 4.0 * ARCSEC), 9.0 * one[None], 3.24 * one, one[:1])
-        >>> told = integrity_report(0, limits, beside, rows=[0], excluded={}, checked=True)
+        >>> k = Factors(right=6.0, false_exclusion=5.0, missed=np.array([2.0]))
+        >>> found = Separation(np.array([1.67]), np.full(3, 18.0 * ARCSEC), 0, 3.0 * ARCSEC)
+        >>> told = integrity_report(0, limits, k, ("star.bow",), found, excluded=(), checked=True)
         >>> print(told.state.name, told.dominant, (told.level / ARCSEC).round(1))
         MET star.bow [18. 18. 18.]
     """
-    k, names = hypotheses.k, tuple([hypotheses.names[row] for row in rows])
-    found = Separation(np.empty(0), np.full(_COMPONENTS, np.nan), -1)
-    if rows:
-        found = separation(hypotheses.distance, hypotheses.variance, hypotheses.variance_0, k, rows)
     # A level counts on separations within the threshold; NaN is not within it.
     checked = checked and all(statistic <= k.false_exclusion for statistic in found.statistic.tolist())
-    level = found.level if checked else np.full(_COMPONENTS, np.nan)
+    level = found.level if checked and names else _NO_LEVEL
     state = IntegrityState.UNAVAILABLE
     if checked and not config.alert_limit_arcsec:
         state = IntegrityState.NO_LIMIT
@@ -368,9 +363,9 @@ def integrity_report(
         hypotheses=names,
         statistic=found.statistic,
         threshold=k.false_exclusion,
-        excluded=tuple(sorted(excluded.items())),
+        excluded=excluded,
         dominant=names[found.dominant] if checked and found.dominant >= 0 else "",
-        widest=math.sqrt(max(hypotheses.widest[row] for row in rows)) if rows else 0.0,
+        widest=found.widest,
     )
 
 

@@ -5,6 +5,7 @@ attitude. How the two differ tells what the rates are. Only motion can tell it: 
 """
 
 import enum
+import math
 from collections import deque
 from dataclasses import dataclass
 
@@ -126,7 +127,7 @@ class RateGuard:
         attitude = log_rotation(start.rotation_nd.T @ rotation_nd)
         rate = log_rotation(start.integrated.rotation.T @ integrated.rotation)
         turn, difference = max(size(attitude), size(rate)), size(attitude - rate)
-        piece_sigma_rad = float(np.hypot(sigma_rad, step_sigma_rad * np.sqrt(number - start.number)))
+        piece_sigma_rad = math.hypot(sigma_rad, step_sigma_rad * math.sqrt(number - start.number))
         if self.rates is Rates.UNPROVEN:
             piece_sigma_rad = max(piece_sigma_rad, self._FIRST_SIGMA_RAD)
         clear = turn > self._CLEAR_SIGMAS * piece_sigma_rad + self._SLOWEST_RAD_PER_S * lasted_ns * 1e-9

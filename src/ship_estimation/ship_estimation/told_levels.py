@@ -5,7 +5,6 @@ period, and before an output that the last told ones do not cover: its own are l
 source is excluded.
 """
 
-import math
 from typing import Any, Protocol
 
 import numpy as np
@@ -89,29 +88,25 @@ class ToldLevels:
             report: its levels.
             period_ns: so often they are told in any case.
         """
-        due = output.time_ns >= self.until_ns or not self._covers(report)
-        if due:
-            self.report, self.until_ns = report, output.time_ns + period_ns
-        assert self.report is not None
-        self.greatest_variance = self.most_turned = np.inf
-        own = report.level.tolist()
-        if all(map(math.isfinite, own)):
-            growth = [MOST_GROWTH * told / level for told, level in zip(self.report.level.tolist(), own, strict=True)]
-            room = 0.5 * (min(growth) - 1.0)
-            # What is added to a covariance adds at most its trace to the variance of any angle, and a level grows no
-            # faster than the sigma.
-            least = compiled_integrity.least_eigenvalue(output.covariance_n)
-            self.greatest_variance = float(output.covariance_n.trace()) + least * ((1.0 + room) ** 2 - 1.0)
-            # A turn brings something of the errors that make the angles into the one with the smallest level.
-            entering = _SIGMAS * report.threshold * report.widest
-            self.most_turned = room * min(own) / max(entering, _TINY)
-        return due
-
-    def _covers(self, report: IntegrityReport) -> bool:
         told = self.report
-        if told is None or (told.state, told.excluded) != (report.state, report.excluded):
-            return False
-        # Levels that are no numbers are those of the state UNAVAILABLE, which was told.
-        pairs = list(zip(report.level.tolist(), told.level.tolist(), strict=True))
-        both_unknown = all(math.isnan(own) and math.isnan(before) for own, before in pairs)
-        return both_unknown or all(own <= MOST_GROWTH * before for own, before in pairs)
+        if told is not None and output.time_ns < self.until_ns and _as_told(report, told):
+            covers, self.greatest_variance, self.most_turned = _coverage(output, report, told)
+            if covers:
+                return False
+        self.report, self.until_ns = report, output.time_ns + period_ns
+        _, self.greatest_variance, self.most_turned = _coverage(output, report, report)
+        return True
+
+
+def _as_told(report: IntegrityReport, told: IntegrityReport) -> bool:
+    """Whether a report differs from that told last in numbers alone."""
+    return report.state is told.state and report.excluded == told.excluded
+
+
+def _coverage(output: LevelledEstimate, report: IntegrityReport, told: IntegrityReport) -> tuple[bool, float, float]:
+    """Whether told levels cover those of an output, and up to which variance and turn they cover those after it."""
+    entering = _SIGMAS * report.threshold * report.widest
+    found: tuple[bool, float, float] = compiled_integrity.coverage(
+        report.level, told.level, output.covariance_n, entering, MOST_GROWTH, _TINY
+    )
+    return found

@@ -124,12 +124,9 @@ class StuckGuard:
             witnesses: as in :meth:`observe`, at the last one.
         """
         assert self._held is not None
-        steps = np.diff(values[-_STEPS - 1 :], axis=0)
-        if len(values) <= _STEPS:
-            steps = np.concatenate([values[:1] - self._held.value, steps])
-        sizes = np.sqrt(np.sum(steps * steps, axis=2)).max(axis=1)
-        self._steps.extend(sizes[np.isfinite(sizes)].tolist())
-        self._resolution_rad = min(self._steps)
+        newest = values[-_STEPS:]
+        before = values[-_STEPS - 1] if len(values) > _STEPS else self._held.value
+        self._learn(before, newest)
         self._repeated.extend([False] * min(len(values), _STEPS))
         self.coarseness_rad, self.repeated = 0.0, False
         self._held = _Held(values[-1], time_ns, dict(witnesses))
@@ -145,20 +142,18 @@ class StuckGuard:
                 self._former, self._left_ns = before, time_ns
             else:
                 self._repeated.append(before.repeats > 0)
-                self._learn(before.value, value)
+                if before.value.shape == value.shape:
+                    self._learn(np.atleast_2d(before.value), value.reshape(1, -1, value.shape[-1]))
                 self.coarseness_rad = self._resolution_rad if any(self._repeated) or not self._steps else 0.0
         self._held = _Held(value, time_ns, dict(witnesses))
         return self._held
 
-    def _learn(self, before: FloatArray, value: FloatArray) -> None:
-        """Learn the resolution from a change of the value."""
-        if before.shape == value.shape:
-            # Of rotations and of directions alike: the farthest that one of the axes, or stars, has turned.
-            rows = (-1, value.shape[-1])
-            farthest = compiled_watch.farthest(before.reshape(rows), value.reshape(rows))
-            if math.isfinite(farthest):
-                self._steps.append(farthest)
-                self._resolution_rad = min(self._steps)
+    def _learn(self, before: FloatArray, values: FloatArray) -> None:
+        """Learn the resolution from the changes of values, shape (N, k, l), the first one from that before, (k, l)."""
+        # Of rotations and of directions alike: the farthest that one of the axes, or stars, has turned.
+        self._steps.extend(filter(math.isfinite, compiled_watch.changes(before, values)))
+        if self._steps:
+            self._resolution_rad = min(self._steps)
 
 
 @dataclass

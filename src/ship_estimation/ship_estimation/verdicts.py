@@ -176,14 +176,13 @@ def _verdict(table: InnovationTable) -> SourceVerdict:
     if count < LEAST_COUNT:
         return SourceVerdict(VerdictKind.UNKNOWN, f"too few measurements to judge: {count} of {LEAST_COUNT}", count)
     parts, axes = Parts(table), axes_of(table)
-    components = int(table.column("components").sum())
-    kind, text = _finding(parts, axes)
+    kind, text = _finding(table, parts, axes)
     return SourceVerdict(
         kind=kind,
         text=f"{text}; {count} measurements",
         count=count,
-        nis=float(table.column("nis").sum()) / components if components else math.nan,
-        nis_band=mean_nees_band(components, 1, 1.0 - FALSE_VERDICT) if components else None,
+        nis=parts.nis,
+        nis_band=mean_nees_band(parts.components, 1, 1.0 - FALSE_VERDICT) if parts.components else None,
         factor=parts.factor,
         far_share=parts.far_share,
         bias_sigma={axis.name: axis.bias_sigma for axis in axes},
@@ -191,11 +190,11 @@ def _verdict(table: InnovationTable) -> SourceVerdict:
     )
 
 
-def _finding(parts: "Parts", axes: Iterable["Axis"]) -> tuple[VerdictKind, str]:
+def _finding(table: InnovationTable, parts: Parts, axes: Iterable[Axis]) -> tuple[VerdictKind, str]:
     """What weighs most. A bias makes a sigma look wrong, and a wrong sigma makes parts lie far off."""
     biased = max((axis for axis in axes if axis.is_biased), key=lambda axis: abs(axis.bias_sigma), default=None)
     if biased is not None:
-        return VerdictKind.BIASED, biased.bias_text
+        return VerdictKind.BIASED, biased.bias_text(table.along(biased.name)[:, 1])
     if parts.is_optimistic:
         return VerdictKind.OPTIMISTIC, f"sigma optimistic by {parts.factor:.1f}: the noise is understated"
     if parts.is_misidentified:

@@ -9,6 +9,7 @@ import pytest
 from ship_estimation import compiled_integrity
 from ship_estimation.protection import Factors, separation, separation_sigma
 from ship_geometry.rotations import FloatArray
+from ship_testing.separations import separated
 
 STATES = 7
 SOURCES = 3
@@ -34,24 +35,26 @@ def separation_of_numpy(distance: FloatArray, variance: FloatArray, variance_0: 
 
 
 @pytest.mark.parametrize("hypotheses", [1, 3, 10])
-def test_components_apart_are_those_of_numpy(hypotheses: int) -> None:
+def test_separations_and_levels_by_states_are_those_of_numpy(hypotheses: int) -> None:
     rng = np.random.default_rng(1)
     to_components, by_states = rng.standard_normal((2, 3, 3))
     covariance, parts = covariances(rng, 3), covariances(rng, SOURCES, STATES)
     left_out, mean = covariances(rng, hypotheses, STATES), 1e-5 * rng.standard_normal(STATES)
+    # Without a source as much worse known as two sources make it, so that differences are as exact as what they are of.
+    left_out += 10.0 * parts.sum(axis=0)
     means = mean + 1e-6 * rng.standard_normal((hypotheses, STATES))
-    distance, variance, variance_0, widest = compiled_integrity.apart(
-        CHOSEN, to_components, by_states, covariance, mean, means, parts, left_out
-    )
+    k, asked = Factors(6.0, 5.1, rng.uniform(0.0, 3.0, hypotheses)), np.arange(hypotheses)[::2]
+    by_output = to_components, by_states, covariance
+    found = separation(k, asked, CHOSEN, by_output, mean, means, parts, left_out)
     first, beside = parts.sum(axis=0)[np.ix_(CHOSEN, CHOSEN)], left_out[:, CHOSEN[:, None], CHOSEN]
     of_all = to_components @ covariance @ to_components.T
-    without = of_all + by_states @ (beside - first) @ by_states.T
-    np.testing.assert_allclose(variance_0, np.diagonal(of_all), rtol=1e-13)
-    apart_by_numpy = (means - mean)[:, CHOSEN] @ by_states.T
-    np.testing.assert_allclose(distance, apart_by_numpy, rtol=1e-13, atol=1e-13 * np.abs(apart_by_numpy).max())
-    expected = np.diagonal(without, axis1=-2, axis2=-1)
-    np.testing.assert_allclose(variance, expected, rtol=1e-13, atol=1e-13 * np.abs(expected).max())
-    np.testing.assert_array_equal(widest, np.diagonal(beside, axis1=-2, axis2=-1).max(axis=-1))
+    without = np.diagonal(of_all + by_states @ (beside - first) @ by_states.T, axis1=-2, axis2=-1)
+    distance, in_question = (means - mean)[:, CHOSEN] @ by_states.T, Factors(6.0, 5.1, k.missed[asked])
+    statistic, level, dominant = separation_of_numpy(distance[asked], without[asked], np.diagonal(of_all), in_question)
+    np.testing.assert_allclose(found.statistic, statistic, rtol=1e-12)
+    np.testing.assert_allclose(found.level, level, rtol=1e-13)
+    assert found.dominant == dominant
+    assert found.widest == pytest.approx(np.sqrt(np.diagonal(beside[asked], axis1=-2, axis2=-1).max()), rel=1e-15)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -63,7 +66,7 @@ def test_separations_and_levels_are_those_of_numpy(seed: int) -> None:
     variance = variance_0 * rng.choice([0.9, 1.0, 1.0 + 1e-9, 1.3, 4.0], (count, 3))
     distance = 1e-5 * rng.standard_normal((count, 3))
     for rows in ([*range(count)], [*range(count)][::2]):
-        found = separation(distance, variance, variance_0, k, rows)
+        found = separated(distance, variance, variance_0, k, rows)
         in_question = Factors(k.right, k.false_exclusion, k.missed[rows])
         statistic, level, dominant = separation_of_numpy(distance[rows], variance[rows], variance_0, in_question)
         np.testing.assert_allclose(found.statistic, statistic, rtol=1e-13)
@@ -78,10 +81,10 @@ def test_what_is_no_number_is_no_level_and_no_separation(place: str) -> None:
     k, numbers = Factors(6.0, 5.0, np.full(2, 2.0)), {"distance": np.ones((2, 3)), "variance": np.full((2, 3), 9.0)}
     numbers["variance_0"] = np.full(3, 4.0)
     numbers[place][..., 1] = np.nan
-    found = separation(numbers["distance"], numbers["variance"], numbers["variance_0"], k)
+    found = separated(numbers["distance"], numbers["variance"], numbers["variance_0"], k)
     assert np.isnan(found.statistic).all()
     assert not (found.statistic <= k.false_exclusion).any()
-    assert np.isfinite(found.level).tolist() == [True, place == "distance", True]
+    assert np.isfinite(found.level).tolist() == [place == "distance"] * 3
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -108,57 +111,16 @@ def test_the_least_eigenvalue_of_alike_and_of_unknown_variances() -> None:
         assert np.isnan(compiled_integrity.least_eigenvalue(matrix))
 
 
-@pytest.mark.parametrize(("parts", "axes"), [(1, 3), (1, 1), (8, 2), (2, 3)])
-def test_what_an_innovation_says_is_what_numpy_says(parts: int, axes: int) -> None:
-    rng, size = np.random.default_rng(parts), parts * axes
-    noise = covariances(rng, size)
-    covariance, residual = noise + covariances(rng, size), 1e-5 * rng.standard_normal(size)
-    part_of, axis_of = np.divmod(np.arange(size), axes)
-    squares, own_share, along = compiled_integrity.innovation(
-        residual, covariance, noise, part_of, axis_of, parts, axes
-    )
-    for part in range(parts):
-        rows = np.flatnonzero(part_of == part)
-        expected = residual[rows] @ np.linalg.solve(covariance[np.ix_(rows, rows)], residual[rows])
-        assert squares[part] == pytest.approx(expected, rel=1e-9)  # as well as numpy solves it
-    assert own_share == pytest.approx(np.trace(np.linalg.solve(covariance, noise)) / size, rel=1e-9)
-    sigma = np.sqrt(np.diagonal(covariance))
-    correlation = covariance / np.outer(sigma, sigma)
-    for axis in range(axes):
-        rows = np.flatnonzero(axis_of == axis)
-        mean = np.sum(residual[rows] / sigma[rows]) / np.sqrt(np.sum(correlation[np.ix_(rows, rows)]))
-        np.testing.assert_allclose(along[axis], [mean, np.mean(residual[rows])], rtol=1e-12)
-
-
-def test_an_innovation_of_well_conditioned_numbers_is_that_of_numpy_to_rounding() -> None:
-    rng = np.random.default_rng(7)
-    noise = np.diag(rng.uniform(1.0, 4.0, 6))
-    covariance, residual, every = noise + 0.1, rng.standard_normal(6), np.arange(6)
-    squares, own_share, _ = compiled_integrity.innovation(residual, covariance, noise, 0 * every, every, 1, 6)
-    assert squares[0] == pytest.approx(residual @ np.linalg.solve(covariance, residual), rel=1e-13)
-    assert own_share == pytest.approx(np.trace(np.linalg.solve(covariance, noise)) / 6.0, rel=1e-13)
-
-
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -1.0])
-def test_what_is_no_covariance_or_no_number_says_nothing(bad: float) -> None:
-    one, every = np.array([0]), np.eye(1)
-    assert compiled_integrity.innovation(np.ones(1), bad * every, every, one, one, 1, 1) is None
-    if not np.isfinite(bad):
-        assert compiled_integrity.innovation(np.array([bad]), every, every, one, one, 1, 1) is None
-
-
 def test_arrays_that_do_not_fit_are_refused() -> None:
     k = Factors(6.0, 5.0, np.full(2, 2.0))
-    with pytest.raises(ValueError, match="variance"):
-        separation(np.zeros((2, 3)), np.ones((2, 2)), np.ones(3), k)
+    with pytest.raises(ValueError, match="left_out"):
+        separated(np.zeros((2, 3)), np.ones((2, 3)), np.ones(3), Factors(6.0, 5.0, np.full(3, 2.0)))
+    with pytest.raises(ValueError, match="means"):
+        separated(np.zeros((2, 4)), np.ones((2, 3)), np.ones(3), k)
     with pytest.raises(ValueError, match="rows"):
-        separation(np.zeros((2, 3)), np.ones((2, 3)), np.ones(3), k, rows=[2])
+        separated(np.zeros((2, 3)), np.ones((2, 3)), np.ones(3), k, rows=[2])
     with pytest.raises(ValueError, match="matrix"):
         compiled_integrity.least_eigenvalue(np.eye(2))
-    one = np.array([0])
-    for covariance, noise in ((np.eye(2), np.eye(1)), (np.eye(1), np.eye(2))):
-        with pytest.raises(ValueError, match="shapes"):
-            compiled_integrity.innovation(np.ones(1), covariance, noise, one, one, 1, 1)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -188,3 +150,29 @@ def test_outputs_of_other_shapes_are_refused() -> None:
     for outputs in ((one, three[:, :2], three), (one, three, three[:, :2]), (one, three, three[..., :2])):
         with pytest.raises(ValueError, match="shapes"):
             compiled_integrity.covered(*outputs, 1, 1.0, np.zeros((3, 3)), 1.0)
+
+
+def coverage_of_numpy(level: FloatArray, told: FloatArray, covariance: FloatArray, entering: float):
+    """Whether told levels cover those of an output, and up to which variance and turn they cover those after it."""
+    covers = bool(np.all(level <= 1.05 * told) or np.all(np.isnan(level) & np.isnan(told)))
+    if not np.isfinite(level).all():
+        return covers, np.inf, np.inf
+    room = 0.5 * (np.min(1.05 * told / level) - 1.0)
+    variance = covariance.trace() + np.linalg.eigvalsh(covariance)[0] * ((1.0 + room) ** 2 - 1.0)
+    return covers, variance, room * level.min() / max(entering, 1e-12)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_what_told_levels_cover_is_what_numpy_says(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    level, covariance = rng.uniform(1e-5, 1e-4, 3), covariances(rng, 3)
+    told = level * rng.uniform(0.93, 1.1, 3)
+    if seed % 5 == 0:
+        level[seed % 3] = np.nan
+    if seed % 10 == 0:
+        level[:] = told[:] = np.nan
+    entering = 0.0 if seed % 7 == 0 else 1e-4
+    found = compiled_integrity.coverage(level, told, covariance, entering, 1.05, 1e-12)
+    expected = coverage_of_numpy(level, told, covariance, entering)
+    assert found[0] is expected[0]
+    np.testing.assert_allclose(found[1:], expected[1:], rtol=1e-11)

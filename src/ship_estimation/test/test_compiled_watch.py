@@ -3,6 +3,7 @@
 "Equal" is 1e-13 relative; what many samples give together is what each gives alone, to the last bit.
 """
 
+import itertools
 import math
 
 import numpy as np
@@ -101,11 +102,15 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
         compiled_watch.missed_by_mean(np.zeros(2), np.zeros(3), 1.0)
 
 
-def test_the_farthest_that_a_row_has_moved_is_as_by_numpy() -> None:
-    before, value = np.random.default_rng(8).normal(size=(2, 7, 3))
-    found = compiled_watch.farthest(before, value)
-    np.testing.assert_allclose(found, np.linalg.norm(value - before, axis=1).max(), rtol=1e-15)
-    value[3, 1] = np.nan
-    assert np.isnan(compiled_watch.farthest(before, value))
-    with pytest.raises(ValueError, match="do not fit together"):
-        compiled_watch.farthest(before[:3], value)
+@pytest.mark.parametrize("rows", [1, 3, 8])
+def test_changes_are_those_of_numpy_and_each_is_the_same_alone(rows: int) -> None:
+    values = np.random.default_rng(rows).standard_normal((COUNT + 1, rows, 3))
+    values[7, 0, 1] = np.nan
+    found = compiled_watch.changes(values[0], values[1:])
+    expected = np.linalg.norm(np.diff(values, axis=0), axis=2).max(axis=1)
+    np.testing.assert_allclose(found, expected, rtol=1e-13)
+    assert np.isnan(found).tolist() == [number in (6, 7) for number in range(COUNT)]
+    alone = [compiled_watch.changes(before, value[None])[0] for before, value in itertools.pairwise(values)]
+    np.testing.assert_array_equal(alone, found)
+    with pytest.raises(ValueError, match="values"):
+        compiled_watch.changes(values[0, :, :2], values)

@@ -24,15 +24,15 @@ def table_of(*innovations: Innovation) -> InnovationTable:
 def test_innovations_stand_in_order_of_time_and_the_last_of_a_stamp_counts() -> None:
     table = table_of(innovation(3, [3.0]), innovation(1, [1.0]), innovation(3, [33.0]))
     table.take([innovation(2, [2.0]), innovation(1, [11.0])])
-    assert table.column("time_ns").tolist() == [1, 2, 3]
-    assert table.column("squares").tolist() == [[11.0], [2.0], [33.0]]
+    assert table.times_ns.tolist() == [1, 2, 3]
+    assert table.squares.tolist() == [[11.0], [2.0], [33.0]]
 
 
 def test_a_table_grows_with_parts_and_axes_and_keeps_what_it_has() -> None:
     table = table_of(innovation(1, [1.0]))
     table.take([innovation(2, [2.0, 22.0], axes={"right": (5.0, 6.0)}), innovation(3, [np.inf], axes={})])
     assert table.axes == ("up", "right")
-    np.testing.assert_array_equal(table.column("squares"), [[1.0, np.nan], [2.0, 22.0], [np.inf, np.nan]])
+    np.testing.assert_array_equal(table.squares, [[1.0, np.nan], [2.0, 22.0], [np.inf, np.nan]])
     assert table.along("up").tolist() == [[1.0, 2.0]]
     assert table.along("right").tolist() == [[5.0, 6.0]]
 
@@ -40,9 +40,9 @@ def test_a_table_grows_with_parts_and_axes_and_keeps_what_it_has() -> None:
 def test_what_is_old_and_what_is_too_many_is_forgotten() -> None:
     table = table_of(*[innovation(time_ns, [0.0]) for time_ns in range(10)])
     table.forget(until_ns=3, most=100)
-    assert table.column("time_ns").tolist() == [4, 5, 6, 7, 8, 9]
+    assert table.times_ns.tolist() == [4, 5, 6, 7, 8, 9]
     table.forget(until_ns=3, most=2)
-    assert table.column("time_ns").tolist() == [8, 9]
+    assert table.times_ns.tolist() == [8, 9]
 
 
 @pytest.mark.parametrize("far", [0, 20, 60])

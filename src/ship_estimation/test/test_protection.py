@@ -11,16 +11,15 @@ from ship_estimation.parameters import ParameterError, build
 from ship_estimation.protection import (
     TESTS_PER_H,
     Factors,
-    Hypotheses,
     IntegrityConfig,
     IntegrityState,
     disputed,
     factors,
     integrity_report,
     prior_of_all,
-    separation,
 )
 from ship_geometry.rotations import ARCSEC
+from ship_testing.separations import separated
 
 
 def test_factors_keep_the_configured_probabilities():
@@ -46,7 +45,7 @@ def test_a_fault_that_is_not_told_stays_within_the_level():
             measured.mean(axis=0),
             np.array([np.delete(measured, i, 0).mean(axis=0) for i in range(3)]),
         )
-        found = separation(left_out - estimate_0, np.full((3, 3), 4.5), np.full(3, 3.0), k)
+        found = separated(left_out - estimate_0, np.full((3, 3), 4.5), np.full(3, 3.0), k)
         told = found.statistic.max() > k.false_exclusion
         misled += not told and bool(np.any(np.abs(estimate_0) > found.level))
     assert misled == 0
@@ -69,7 +68,7 @@ def misled_by_two_faults(sensors, bias, pairs, draws=300, seed=5):
         measured[:2] += bias
         estimate = measured.mean(axis=0)
         distance = np.array([measured[row].mean(axis=0) for row in uses]) - estimate
-        found = separation(distance, variances, np.full(3, 9.0 / sensors), k)
+        found = separated(distance, variances, np.full(3, 9.0 / sensors), k)
         told = not found.statistic.max() <= k.false_exclusion
         misled += not told and bool(np.any(np.abs(estimate) > found.level))
     return misled / draws
@@ -107,10 +106,10 @@ def test_a_threat_less_probable_than_its_share_adds_nothing_to_the_threshold():
 def test_the_largest_hypothesis_dominates():
     k = Factors(right=6.0, false_exclusion=5.0, missed=np.array([2.0, 2.0]))
     left_out = np.array([[4.0] * 3, [9.0] * 3])
-    found = separation(np.zeros((2, 3)), left_out, np.full(3, 3.0), k)
+    found = separated(np.zeros((2, 3)), left_out, np.full(3, 3.0), k)
     assert found.dominant == 1
     np.testing.assert_allclose(found.level, 5.0 * np.sqrt(6.0) + 2.0 * 3.0)
-    nothing = separation(np.zeros((2, 3)), np.full((2, 3), 3.0), np.full(3, 3.0), k)
+    nothing = separated(np.zeros((2, 3)), np.full((2, 3), 3.0), np.full(3, 3.0), k)
     assert nothing.dominant == -1
 
 
@@ -136,8 +135,8 @@ def test_there_is_no_level_where_a_separation_is_beyond_its_threshold(statistic)
     for beyond, state in ((5.0, IntegrityState.NO_LIMIT), (statistic, IntegrityState.UNAVAILABLE)):
         # Without a source the sigma is 2 instead of the square root of 3: the distance has a sigma of 1.
         distance = np.array([[0.5] * 3, [beyond] * 3])
-        beside = Hypotheses(["star.bow", "ins"], k, distance, np.full((2, 3), 4.0), np.full(3, 3.0), np.ones(2))
-        told = integrity_report(0, IntegrityConfig(), beside, [0, 1], {}, checked=True)
+        found = separated(distance, np.full((2, 3), 4.0), np.full(3, 3.0), k)
+        told = integrity_report(0, IntegrityConfig(), k, ("star.bow", "ins"), found, (), checked=True)
         assert told.state is state
         np.testing.assert_allclose(told.statistic, [0.5, beyond])
         assert np.isfinite(told.level).all() == (state is IntegrityState.NO_LIMIT)
@@ -147,11 +146,21 @@ def test_a_source_that_is_excluded_has_no_part_in_the_level():
     """Its row stands apart by a hundred sigmas, and would make the largest level."""
     k = Factors(right=6.0, false_exclusion=5.12, missed=np.array([2.0, 2.0]))
     distance, variance = np.array([[100.0] * 3, [0.5] * 3]), np.array([[9.0] * 3, [4.0] * 3])
-    beside = Hypotheses(["star.bow", "ins"], k, distance, variance, np.full(3, 3.0), variance[:, 0])
-    told = integrity_report(7, IntegrityConfig(), beside, [1], {"star.bow": 5}, checked=True)
+    found = separated(distance, variance, np.full(3, 3.0), k, rows=[1])
+    told = integrity_report(7, IntegrityConfig(), k, ("ins",), found, (("star.bow", 5),), checked=True)
     assert told.widest == 2.0
     assert (told.hypotheses, told.excluded, told.dominant) == (("ins",), (("star.bow", 5),), "")
     np.testing.assert_allclose(told.level, 6.0 * np.sqrt(3.0))
+
+
+def test_with_no_hypothesis_in_question_there_is_no_level_and_no_limit_is_met():
+    k, nobody = Factors(right=6.0, false_exclusion=5.0, missed=np.array([2.0])), []
+    found = separated(np.zeros((1, 3)), np.full((1, 3), 9.0), np.full(3, 3.0), k, rows=nobody)
+    for limit, state in (((), IntegrityState.NO_LIMIT), ((1e6,) * 3, IntegrityState.EXCEEDED)):
+        config = IntegrityConfig(alert_limit_arcsec=limit)
+        told = integrity_report(0, config, k, (), found, (), checked=True)
+        assert (told.state, told.widest, told.dominant) == (state, 0.0, "")
+        assert np.isnan(told.level).all()
 
 
 def test_what_rows_dispute_begins_at_three_sigmas_and_no_row_without_a_number_hides_another():

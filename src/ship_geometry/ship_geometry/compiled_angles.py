@@ -45,6 +45,29 @@ def angles(rotations: cython.const[cython.double][:, :, :]):
     return of_angles
 
 
+def rotations(of_angles: cython.const[cython.double][:, :]):
+    """Rotations "parent from device", shape (N, 3, 3), of azimuth, elevation and roll (rad), shape (N, 3)."""
+    check("angles", of_angles.shape[1] == 3)
+    count: cython.Py_ssize_t = of_angles.shape[0]
+    of_rotations = np.empty((count, 3, 3))
+    out: cython.double[:, :, ::1] = of_rotations
+    ca: cython.double
+    sa: cython.double
+    ce: cython.double
+    se: cython.double
+    cr: cython.double
+    sr: cython.double
+    n: cython.Py_ssize_t
+    for n in range(count):
+        ca, sa = cos(of_angles[n, 0]), sin(of_angles[n, 0])
+        ce, se = cos(of_angles[n, 1]), sin(of_angles[n, 1])
+        cr, sr = cos(of_angles[n, 2]), sin(of_angles[n, 2])
+        out[n, 0, 0], out[n, 0, 1], out[n, 0, 2] = ca * ce, -ca * se * cr - sa * sr, ca * se * sr - sa * cr
+        out[n, 1, 0], out[n, 1, 1], out[n, 1, 2] = se, ce * cr, -ce * sr
+        out[n, 2, 0], out[n, 2, 1], out[n, 2, 2] = sa * ce, -sa * se * cr + ca * sr, sa * se * sr + ca * cr
+    return of_rotations
+
+
 @cython.cfunc
 @cython.exceptval(check=False)
 def _by_rotation_vector(

@@ -26,6 +26,9 @@ def rotation_from_angles(
         >>> print(rotation_nd[:, 0].round(4))
         [0.     0.0872 0.9962]
     """
+    if isinstance(azimuth, float) and isinstance(elevation, float) and isinstance(roll, float):
+        of_one: FloatArray = compiled_angles.rotations(np.array([[azimuth, elevation, roll]]))[0]
+        return of_one
     ca, sa = np.cos(azimuth), np.sin(azimuth)
     ce, se = np.cos(elevation), np.sin(elevation)
     cr, sr = np.cos(roll), np.sin(roll)
@@ -89,7 +92,7 @@ def rotation_vector_from_angle_errors(azimuth: float | FloatArray, elevation: fl
     return matrix
 
 
-def angle_errors_from_rotation_vector(azimuth: FloatArray, elevation: FloatArray) -> FloatArray:
+def angle_errors_from_rotation_vector(azimuth: FloatArray | float, elevation: FloatArray | float) -> FloatArray:
     """Inverse of B, shape (..., 3, 3); NaN beyond :data:`SINGULAR_ELEVATION`.
 
     Example:
@@ -99,8 +102,8 @@ def angle_errors_from_rotation_vector(azimuth: FloatArray, elevation: FloatArray
         >>> print((matrix @ [20.0, 0.0, 0.0]).round(1))  # azimuth, elevation, roll, in arcseconds
         [34.6  0.  40. ]
     """
-    if np.ndim(azimuth) == 0 and np.ndim(elevation) == 0:
-        errors: FloatArray = compiled_angles.angle_errors(float(azimuth), float(elevation), SINGULAR_ELEVATION)
+    if isinstance(azimuth, float) and isinstance(elevation, float):
+        errors: FloatArray = compiled_angles.angle_errors(azimuth, elevation, SINGULAR_ELEVATION)
         return errors
     azimuth, elevation = np.broadcast_arrays(np.asarray(azimuth, float), np.asarray(elevation, float))
     ca, sa = np.cos(azimuth), np.sin(azimuth)

@@ -41,6 +41,15 @@ def test_angles_are_those_of_arrays() -> None:
     equal(compiled_angles.angles(rotations()), angles_from_rotation(rotations()))
 
 
+def test_rotations_by_angles_are_those_of_arrays_and_lead_back() -> None:
+    angles = np.random.default_rng(RNG_SEED).uniform([0.0, -1.5, -3.0], [6.28, 1.5, 3.0], (200, 3))
+    found = compiled_angles.rotations(angles)
+    equal(found, rotation_from_angles(*angles.T))
+    equal(compiled_angles.angles(found), angles)
+    for rotation, (azimuth, elevation, roll) in zip(found, angles, strict=True):
+        np.testing.assert_array_equal(rotation_from_angles(azimuth, elevation, roll), rotation)
+
+
 def test_an_azimuth_is_below_a_full_turn_and_zero_has_no_sign() -> None:
     for azimuth in (0.0, -0.0, -1e-300, -1e-17):
         found = compiled_angles.angles(rotation_from_angles(azimuth, 0.0, 0.0)[None])[0, 0]
@@ -79,6 +88,7 @@ def test_one_attitude_gives_to_the_bit_what_it_gives_among_others() -> None:
     angles = compiled_angles.angles(rotations())
     calls = [
         (compiled_angles.angles, (rotations(),), ()),
+        (compiled_angles.rotations, (angles,), ()),
         (compiled_angles.quaternions, (rotations(),), ()),
         (compiled_angles.rotations_of, (compiled_angles.quaternions(rotations()),), ()),
         (compiled_angles.angle_covariances, (covariances, angles), (SINGULAR_ELEVATION,)),
@@ -94,6 +104,7 @@ def test_shapes_that_do_not_fit_are_refused() -> None:
     """The loops look at no bounds."""
     calls = [
         lambda: compiled_angles.angles(np.zeros((2, 2, 3))),
+        lambda: compiled_angles.rotations(np.zeros((2, 4))),
         lambda: compiled_angles.quaternions(np.zeros((2, 3, 2))),
         lambda: compiled_angles.rotations_of(np.zeros((2, 3))),
         lambda: compiled_angles.angle_covariances(np.zeros((2, 3, 3)), np.zeros((3, 3)), 1.5),

@@ -140,7 +140,7 @@ def test_errors_are_filled_in_at_stamps_and_between_them():
         filler.add_error(error_message(stamp_ns), stamp_ns)
     assert filler.filled(stamps_ns[0]) == []
     for _, message in found:
-        filler.add_truth(message)
+        filler.add_truth(POINTING.sample(message))
     ready = [message for _, message in filler.filled(None)]
     values = np.array([[getattr(message, f"error_{channel}") for channel in POINTING.channels] for message in ready])
     cosines = np.array([np.cos(np.arcsin(truth[1, 0])) for truth in truths])

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_bags.cdr_template import CdrRows, CdrTemplate
-from ship_bags.message_store import RosbagsFactory, definition_in, message_store, serialize
+from ship_bags.message_store import RosbagsFactory
 from ship_node.edge.messages_in import ReadMessage, Refused
+from ship_testing.rows_read import rows
 from ship_testing.small_session import config
 from theodolite_calib.ros import messages_in, rows_in
 
@@ -117,10 +117,3 @@ def test_what_is_refused_alone_is_not_read_together(kind: str) -> None:
             read(message, receive_ns=START_NS)
         except Refused:
             assert read_rows(rows(type_name, [message]), np.array([START_NS])) == [None]
-
-
-def rows(type_name: str, messages: list[Any]) -> CdrRows:
-    data = [bytes(serialize(one)) for one in messages]
-    definitions = functools.partial(definition_in, message_store())
-    template = CdrTemplate.of_message(type_name, definitions, data[0])
-    return CdrRows(template, np.frombuffer(b"".join(data), dtype=np.uint8).reshape(len(data), -1))

@@ -47,9 +47,10 @@ from ship_node.edge.topics import InputTopic
 
 Measured = TypeVar("Measured", bound=Measurement)
 
-_STAR_INVALID = 3
+STAR_INVALID = 3
+LARGEST_ELEVATION, LARGEST_ANGLE = 0.5 * np.pi + 1e-9, 2.0 * np.pi + 1e-9
+"""Of a star sensor, and of its azimuth and its roll, rad."""
 _COVARIANCE_TOLERANCE = 1e-6
-_ANGLE_TOLERANCE = 1e-9
 
 _NO_FIX = -1
 _COVARIANCE_UNKNOWN = 0
@@ -67,12 +68,12 @@ def star_measurement(
     """
     time_ns = stamp_ns(message.header, receive_ns)
     frame(message.header.frame_id, config.frame_id)
-    if message.status == _STAR_INVALID:
+    if message.status == STAR_INVALID:
         raise Refused(Reason.TOO_FEW_STARS, "the sensor itself says INVALID")
     finite_numbers("azimuth, elevation, roll", message.azimuth, message.elevation, message.roll)
     azimuth, elevation, roll = message.azimuth, message.elevation, message.roll
     # Angles in degrees give themselves away where they exceed what radians can be.
-    if abs(elevation) > np.pi / 2 + _ANGLE_TOLERANCE or max(abs(azimuth), abs(roll)) > 2 * np.pi + _ANGLE_TOLERANCE:
+    if abs(elevation) > LARGEST_ELEVATION or max(abs(azimuth), abs(roll)) > LARGEST_ANGLE:
         angles = f"azimuth {azimuth:.6g}, elevation {elevation:.6g}, roll {roll:.6g}"
         raise Refused(Reason.UNITS, f"{angles} cannot be radians: degrees?")
     total_enu = angular_covariance(message.rotation_covariance, "rotation_covariance")
@@ -89,11 +90,36 @@ def star_measurement(
         told = AttitudeMeasurement(f"star.{sensor_id}", time_ns, rotation_ns, noise_s, covariance_known=False)
         return _read(_sharing(told, config.sharing, noise_told=True))
     noise_n = total_n if noise_enu is None else horizon_covariance(noise_enu)
+    noise_told = noise_enu is not None
+    return attitude_read(f"star.{sensor_id}", time_ns, rotation_ns, total_n, noise_n, config.sharing, noise_told)
+
+
+def attitude_read(
+    source: str,
+    time_ns: int,
+    rotation_ns: FloatArray,
+    total_n: FloatArray,
+    noise_n: FloatArray,
+    sharing: str,
+    noise_told: bool = True,
+) -> ReadMessage[AttitudeMeasurement]:
+    """The attitude of a star sensor by the numbers of its message.
+
+    Args:
+        source: who measured.
+        time_ns: when.
+        rotation_ns: horizon from sensor, shape (3, 3).
+        total_n: covariance of its error, rotation vector in the horizon frame, rad², shape (3, 3).
+        noise_n: what of it is independent from epoch to epoch.
+        sharing: as configured for the sensor.
+        noise_told: whether the message tells the two apart.
+
+    Raises:
+        Refused: the noise is larger than the total.
+    """
     noise_s = rotation_ns.T @ noise_n @ rotation_ns
-    told = AttitudeMeasurement(
-        f"star.{sensor_id}", time_ns, rotation_ns, noise_s, _common_covariance(total_n, noise_n)
-    )
-    return _read(_sharing(told, config.sharing, noise_told=noise_enu is not None))
+    told = AttitudeMeasurement(source, time_ns, rotation_ns, noise_s, _common_covariance(total_n, noise_n))
+    return _read(_sharing(told, sharing, noise_told))
 
 
 def _sharing(told: AttitudeMeasurement, sharing: str, noise_told: bool) -> AttitudeMeasurement:

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeRun
-from ship_attitude_star.ros import messages_in, star_messages_in
+from ship_attitude_star.ros import messages_in, rows_in, star_messages_in
 from ship_attitude_star.ros.alignment_file import ALIGNMENT_FILE
 from ship_attitude_star.ros.attitude_messages import (
     ATTITUDE_TOPIC,
@@ -39,6 +39,7 @@ from ship_node.documents.saved_document import DISK, Files
 from ship_node.documents.saved_start import SavedStart
 from ship_node.edge.block_adapter import BlockAdapter
 from ship_node.edge.blocks import BlockFeed, PublishedRows
+from ship_node.edge.columns_in import ReadRows
 from ship_node.edge.ins_messages import ins_block, ins_sample
 from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.messages_out import (
@@ -150,7 +151,8 @@ class ShipAttitudeAdapter(BlockAdapter):
         yield Feed(ins, "ins", functools.partial(ins_sample, config=config.ins), core.add_ins, block=block)
         for id_, star in config.star_sensors.items():
             topic = InputTopic(f"star/{id_}/{star.input}", _STAR_TYPES[star.input], False, depth=1000, named=True)
-            yield Feed(topic, f"star.{id_}", self._star_reader(id_, star), core.add_measurement, judged=True)
+            read, read_rows = self._star_readers(id_, star)
+            yield Feed(topic, f"star.{id_}", read, core.add_measurement, judged=True, read_rows=read_rows)
         for name, reference in config.references.items():
             topic = InputTopic(f"reference/{name}/imu", IMU_TYPE, False, depth=1000, named=True)
             read = functools.partial(messages_in.reference_measurement, name=name, config=reference)
@@ -158,11 +160,13 @@ class ShipAttitudeAdapter(BlockAdapter):
         if self._watch is not None:
             yield from messages_in.surroundings_feeds(config.sky, untimed(core.add_sky_input))
 
-    def _star_reader(self, id_: str, star: StarSensorConfig) -> Callable[..., ReadMessage[Any]]:
-        """What reads the messages of a star sensor: they are single stars, or an attitude to one of two skies."""
+    def _star_readers(
+        self, id_: str, star: StarSensorConfig
+    ) -> tuple[Callable[..., ReadMessage[Any]], Callable[..., ReadRows] | None]:
+        """What reads the messages of a star sensor, and many at once; they are single stars, or an attitude."""
         if star.input == "observations":
             assert self._watch is not None
-            return functools.partial(
+            exposure = functools.partial(
                 star_messages_in.star_exposure,
                 sensor_id=id_,
                 frame_id=star.frame_id,
@@ -170,9 +174,11 @@ class ShipAttitudeAdapter(BlockAdapter):
                 camera_config=star.camera,
                 catalogue=self._watch.catalogue,
             )
-        inertial = star.input == "inertial_attitude"
-        read = messages_in.inertial_attitude if inertial else messages_in.star_measurement
-        return functools.partial(read, sensor_id=id_, config=star)
+            return exposure, None
+        if star.input == "inertial_attitude":
+            return functools.partial(messages_in.inertial_attitude, sensor_id=id_, config=star), None
+        read = functools.partial(messages_in.star_measurement, sensor_id=id_, config=star)
+        return read, functools.partial(rows_in.star_attitudes, sensor_id=id_, config=star)
 
     def block_messages(self, runs: Sequence[AttitudeRun]) -> Iterator[PublishedRows]:
         """See :meth:`BlockAdapter.block_messages`."""

@@ -7,17 +7,12 @@ another one without each of its sources; :mod:`ship_estimation.protection` makes
 from ship_attitude_star.measurements.samples import AttitudeEstimate
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.ship_attitude.state import FilterState
-from ship_estimation.compiled_integrity import apart
 from ship_estimation.outcome import Status
-from ship_estimation.protection import Hypotheses, IntegrityReport, integrity_report
+from ship_estimation.protection import IntegrityReport, integrity_report, separation
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
 
 QUANTITIES = ("heading", "pitch", "roll")
 """What the levels bound."""
-
-_LEAST_SOURCES = 2
-"""Beside the INS: with fewer nothing checks the one that there is."""
 
 
 def integrity_of(filter_: ShipFilter, config: ShipAttitudeConfig, estimate: AttitudeEstimate) -> IntegrityReport:
@@ -28,33 +23,23 @@ def integrity_of(filter_: ShipFilter, config: ShipAttitudeConfig, estimate: Atti
         config: its configuration.
         estimate: the attitude, which rests on a state of the filter.
     """
-    state, table = estimate.state, filter_.suspects.table
-    others = [name for name in estimate.sources if name in filter_.devices and name not in state.excluded]
-    rows = [row - 1 for row in table.singles if table.names[row - 1] not in state.excluded]
-    rows += [row - 1 for row in table.pairs_in_question(others, state.excluded)]
-    heading, pitch, _ = angles_from_rotation(estimate.rotation_nd)
-    to_angles = angle_errors_from_rotation_vector(heading, pitch)
-    parts = len(state.stack) - len(state.means) + 1
+    state, suspects = estimate.state, filter_.suspects
+    asked = suspects.table.asked(estimate.sources, state.excluded)
+    heading, pitch, _ = angles_from_rotation(estimate.rotation_nd).tolist()
+    to_angles, parts = angle_errors_from_rotation_vector(heading, pitch), len(state.stack) - len(state.means) + 1
     # What the rows dispute is covered by the levels already. What an attitude adds to the error of the state, as the
     # noise of the INS, is the same in every row.
-    beside = apart(
+    found = separation(
+        suspects.table.k,
+        asked.hypotheses,
         filter_.model.rows("ins.attitude"),
-        to_angles,
-        to_angles,
-        estimate.undisputed_n,
+        (to_angles, to_angles, estimate.undisputed_n),
         state.mean,
         state.means[1:],
         state.stack[:parts],
         state.stack[parts:],
     )
-    excluded = {name: exclusion.since_ns for name, exclusion in state.excluded.items()}
-    checked = _checked(filter_, state, estimate, others)
-    hypotheses = Hypotheses(table.names, table.k, *beside)
-    return integrity_report(estimate.time_ns, config.integrity, hypotheses, rows, excluded, checked)
-
-
-def _checked(filter_: ShipFilter, state: FilterState, estimate: AttitudeEstimate, others: list[str]) -> bool:
-    """Whether the sources beside the INS that an attitude rests on check one another."""
-    by_stars = any(filter_.devices[source].is_star for source in others)
+    excluded = tuple(sorted((name, exclusion.since_ns) for name, exclusion in state.excluded.items()))
     in_dispute = state.doubt is not None or state.jumped or estimate.status is Status.INVALID
-    return by_stars and len(others) >= _LEAST_SOURCES and not in_dispute
+    checked = asked.check_one_another and not in_dispute
+    return integrity_report(estimate.time_ns, config.integrity, suspects.table.k, asked.names, found, excluded, checked)

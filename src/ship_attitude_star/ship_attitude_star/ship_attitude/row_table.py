@@ -8,6 +8,7 @@ but that source.
 
 import itertools
 from collections.abc import Collection, Mapping
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,24 @@ INS = "ins"
 
 LEAST_FOR_PAIRS = 3
 """Sources beside the INS: without two of them one is left that the INS checks; without one and the INS, two."""
+
+
+_LEAST_CHECKED = 2
+"""Beside the INS: with fewer nothing checks the one that there is."""
+
+
+class Asked(NamedTuple):
+    """What an attitude that rests on some sources is held against.
+
+    Attributes:
+        hypotheses: numbers of those in question, shape (h,); the first one is that of the second row.
+        names: theirs.
+        check_one_another: whether its sources beside the INS do.
+    """
+
+    hypotheses: NDArray[np.intp]
+    names: tuple[str, ...]
+    check_one_another: bool
 
 
 class RowTable:
@@ -72,6 +91,8 @@ class RowTable:
         prior_per_h[INS] = prior.ins
         priors_per_h = [prior_of_all([prior_per_h[name] for name in names]) for names in self.left_out]
         self.k: Factors = factors(config.integrity, priors_per_h)
+        self._stars = frozenset(name for name, one in devices.items() if one.is_star)
+        self._asked: dict[tuple[tuple[str, ...], tuple[str, ...]], Asked] = {}
         self.limit = excess_limit(config.integrity, len(self.sources)) if self.sources else np.inf
 
     def pairs_in_question(self, in_use: Collection[str], excluded: Collection[str]) -> list[int]:
@@ -87,6 +108,26 @@ class RowTable:
             return []
         everyone = {INS, *in_use}
         return [row for row in self.pairs if everyone.issuperset(self.left_out[row - 1])]
+
+    def asked(self, sources: tuple[str, ...], excluded: Collection[str]) -> Asked:
+        """What an attitude is held against; remembered, as most attitudes rest on the same sources.
+
+        Args:
+            sources: that it rests on, with the INS.
+            excluded: sources, or the INS, that no row uses.
+        """
+        key = sources, tuple(excluded)
+        if key not in self._asked:
+            self._asked[key] = self._held_against(sources, excluded)
+        return self._asked[key]
+
+    def _held_against(self, sources: Collection[str], excluded: Collection[str]) -> Asked:
+        others = [name for name in sources if name in self.sources and name not in excluded]
+        hypotheses = [row - 1 for row in self.singles if self.names[row - 1] not in excluded]
+        hypotheses += [row - 1 for row in self.pairs_in_question(others, excluded)]
+        names = tuple(self.names[number] for number in hypotheses)
+        check_one_another = len(others) >= _LEAST_CHECKED and not self._stars.isdisjoint(others)
+        return Asked(np.array(hypotheses, dtype=np.intp), names, check_one_another)
 
     def _check_number(self, most: int) -> None:
         if self.rows > most:

@@ -5,9 +5,14 @@ of those that pass is, to the last bit, what is given there. The others are read
 same. Every comparison is written so that NaN is no good.
 """
 
+from collections.abc import Callable, Iterator
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
+from ship_bags.cdr_template import CdrRows
+from ship_bags.stamps import NS_PER_S, stamps_of_rows
 from ship_geometry.rotations import FloatArray
 from ship_node.edge.blocks import StampArray
 from ship_node.edge.messages_in import (
@@ -15,16 +20,37 @@ from ship_node.edge.messages_in import (
     COVARIANCE_TOLERANCE,
     FUTURE_TOLERANCE_NS,
     LARGEST_RATE,
+    LARGEST_VARIANCE,
     LEAST_QUATERNION_NORM,
     QUATERNION_NORM_TOLERANCE,
+    ReadMessage,
 )
 
-_NS_PER_S = 1_000_000_000
 _ABOVE, _BELOW = [1, 2, 5], [3, 6, 7]
 """The elements beside the diagonal of a matrix of nine numbers."""
 
 Good = NDArray[np.bool_]
 """Of each message whether it passes, shape (N,)."""
+
+ReadRows = list[ReadMessage[Any] | None]
+"""What was read of each message; None where it is to be read by itself."""
+
+
+def read_of_good(
+    messages: CdrRows, frame_id: str, good: Good, read: Callable[[], Iterator[ReadMessage[Any] | None]]
+) -> ReadRows:
+    """What was read of those messages that are good; none of another frame is, and all have the same one.
+
+    Args:
+        messages: the messages.
+        frame_id: that they must have; empty for any.
+        good: which of them are.
+        read: reads these.
+    """
+    if frame_id and messages.message(0).header.frame_id != frame_id:
+        return [None] * len(good)
+    readings = read()
+    return [next(readings) if passed else None for passed in good.tolist()]
 
 
 def columns(numbers: np.ndarray, field: str, names: str) -> FloatArray:
@@ -34,8 +60,7 @@ def columns(numbers: np.ndarray, field: str, names: str) -> FloatArray:
 
 def stamps(numbers: np.ndarray, receive_ns: StampArray) -> tuple[StampArray, Good]:
     """The stamps, ns, shape (N,)."""
-    times_ns = numbers["header.stamp.sec"].astype(np.int64) * _NS_PER_S + numbers["header.stamp.nanosec"]
-    good = numbers["header.stamp.nanosec"] < _NS_PER_S
+    times_ns, good = stamps_of_rows(numbers), numbers["header.stamp.nanosec"] < NS_PER_S
     return times_ns, good & (times_ns > 0) & (times_ns <= receive_ns[: len(numbers)] + FUTURE_TOLERANCE_NS)
 
 
@@ -75,3 +100,9 @@ def covariances_3x3(values: FloatArray) -> tuple[FloatArray, Good]:
     symmetric = values.copy()
     symmetric[:, _ABOVE] = symmetric[:, _BELOW] = beside
     return symmetric.reshape(-1, 3, 3), good
+
+
+def angular_covariances(values: FloatArray) -> tuple[FloatArray, Good]:
+    """The same of angles or of rotation vectors, rad²."""
+    covariances, good = covariances_3x3(values)
+    return covariances, good & (values[:, ::4] <= LARGEST_VARIANCE).all(axis=1)

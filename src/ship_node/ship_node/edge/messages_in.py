@@ -30,7 +30,8 @@ COVARIANCE_TOLERANCE = 1e-6
 CLEAR_DETERMINANT = 1e-9
 """Of correlations: nothing above it is due to rounding."""
 _LONGEST_ID = 64
-_LARGEST_VARIANCE = (2.0 * math.pi) ** 2
+LARGEST_VARIANCE = (2.0 * math.pi) ** 2
+"""Of an angle, rad²: no sigma is more than a full turn."""
 
 LARGEST_RATE = 100.0
 """No ship turns like this, rad/s; far above what degrees per second would give, which are found by their ratio."""
@@ -199,7 +200,7 @@ def angular_covariance(values: Sequence[float], what: str) -> FloatArray | None:
     covariance = covariance_3x3(values, what)
     if covariance is not None:
         largest = max(covariance.diagonal().tolist())
-        if not largest <= _LARGEST_VARIANCE:
+        if not largest <= LARGEST_VARIANCE:
             text = f"{what}: a variance of {largest:.3g} rad² is a sigma of more than a full turn"
             raise Refused(Reason.BAD_COVARIANCE, text)
     return covariance

@@ -6,7 +6,7 @@ any of it.
 """
 
 from collections import defaultdict
-from collections.abc import Container
+from collections.abc import Container, Mapping
 from typing import Any
 
 import numpy as np
@@ -15,8 +15,9 @@ from ship_bags.cdr_template import CdrRows, CdrTemplate
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import BagRecord
 from ship_bags.message_store import definition_in
-from ship_bags.stamps import NS_PER_S
+from ship_bags.stamps import stamps_of_rows
 from ship_bags.topic_names import TRUTH_PREFIX
+from ship_geometry.attitude_track import AttitudeSample
 from ship_node.edge.adapter import Adapter
 from ship_node.edge.blocks import StampArray
 from ship_node.edge.topics import Published
@@ -72,7 +73,7 @@ class BlockRun(ReplayRun):
             given = self._given(adapter, passed, taken, moments) if self._chain.linked else {}
             passed.append(NodePass(adapter, taken, moments, rows, given).run())
             self._add_rows(len(passed) - 1, passed[-1], moments)
-        self._hand_on(moments, of_moment, passed)
+        self._hand_on(moments, of_moment, passed, self._truth(moments, of_moment))
         self._output.flush()
 
     # -- what goes in ---------------------------------------------------------------------------------------
@@ -109,6 +110,17 @@ class BlockRun(ReplayRun):
                 self._decode(moments[place], record)
         return rows
 
+    def _truth(self, moments: list[Moment], of_moment: list[BagRecord | None]) -> dict[int, AttitudeSample | None]:
+        """Number of a moment → what the message of the truth there says, where that is read many at once."""
+        found: dict[int, AttitudeSample | None] = {}
+        for errors in self._errors:
+            truth_topic = errors.orientation.truth_topic
+            places = [place for place, moment in enumerate(moments) if moment.topic == truth_topic]
+            messages = self._laid_out([record for place in places if (record := of_moment[place]) is not None])
+            if messages is not None:
+                found |= zip(places, errors.orientation.samples(messages), strict=True)
+        return found
+
     def _decode(self, moment: Moment, record: BagRecord) -> None:
         try:
             moment.message = record.decode()
@@ -117,8 +129,10 @@ class BlockRun(ReplayRun):
 
     def _laid_out(self, records: list[BagRecord]) -> CdrRows | None:
         """Messages as rows; None where they are few, laid out in different ways, or in one unknown."""
+        if len(records) < _LEAST:
+            return None
         first, length = records[0], len(records[0].data)
-        if len(records) < _LEAST or any(len(record.data) != length for record in records):
+        if any(len(record.data) != length for record in records):
             return None
         kind = first.topic, length
         if kind not in self._templates:
@@ -129,13 +143,10 @@ class BlockRun(ReplayRun):
         rows = np.frombuffer(b"".join([record.data for record in records]), dtype=np.uint8).reshape(len(records), -1)
         return CdrRows(template, rows) if template.fitting(rows).all() else None
 
-    def _note(
-        self, moments: list[Moment], of_moment: list[BagRecord | None], rows: dict[str, TopicBlock]
-    ) -> None:
+    def _note(self, moments: list[Moment], of_moment: list[BagRecord | None], rows: dict[str, TopicBlock]) -> None:
         """Note which messages come, and when."""
         for topic, (messages, times_ns, _) in rows.items():
-            numbers = messages.numbers
-            stamps_ns = numbers["header.stamp.sec"].astype(np.int64) * NS_PER_S + numbers["header.stamp.nanosec"]
+            stamps_ns = stamps_of_rows(messages.numbers)
             self._summary.inputs[topic] += len(times_ns)
             self._summary.times.setdefault(topic, MessageTimes()).add_block(stamps_ns, times_ns)
             self._summary.log_times.add_block(topic, stamps_ns, times_ns)
@@ -179,7 +190,13 @@ class BlockRun(ReplayRun):
 
     # -- what goes out --------------------------------------------------------------------------------------
 
-    def _hand_on(self, moments: list[Moment], of_moment: list[BagRecord | None], passed: list[Passed]) -> None:
+    def _hand_on(
+        self,
+        moments: list[Moment],
+        of_moment: list[BagRecord | None],
+        passed: list[Passed],
+        truth: Mapping[int, AttitudeSample | None],
+    ) -> None:
         """Hand on what was published, moment by moment, with the truth and the errors against it."""
         single: dict[int, list[tuple[int, list[Published]]]] = defaultdict(list)
         runs: dict[int, list[tuple[str, Any]]] = defaultdict(list)
@@ -188,7 +205,11 @@ class BlockRun(ReplayRun):
                 single[place].append(((node << _NODE_BITS) + order, published))
             for run in one.runs:
                 runs[int(run.places[0])].append((run.topic, run.estimates))
+        copied = {place for place, moment in enumerate(moments) if moment.topic.startswith(TRUTH_PREFIX)}
+        waits = self._errors_wait
         for place, (moment, record) in enumerate(zip(moments, of_moment, strict=True)):
+            if not waits and place not in single and place not in runs and place not in copied:
+                continue
             for topic, estimates in runs.get(place, ()):
                 course = self._summary.statuses.setdefault(topic, StatusCourse())
                 course.add_run(estimates.status, estimates.time_ns)
@@ -197,9 +218,10 @@ class BlockRun(ReplayRun):
                 self._publish(published, moment.now_ns)
             self._output.place = place, _BEHIND_ALL
             if record is not None:
-                if moment.topic.startswith(TRUTH_PREFIX):
-                    self._copy_truth(moment.topic, record)
+                if place in copied:
+                    self._copy_truth(moment.topic, record, truth.get(place))
                 self._write_errors(moment.now_ns)
+            waits = self._errors_wait
 
 
 def _times_ns(moments: list[Moment], places: StampArray) -> StampArray:

@@ -9,6 +9,7 @@ from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import BagRecord
 from ship_bags.stamps import NS_PER_S
 from ship_bags.topic_names import TRUTH_PREFIX
+from ship_geometry.attitude_track import AttitudeSample
 from ship_node.edge.adapter import TICK_PERIOD_NS
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC
 from ship_node.edge.topics import Published
@@ -108,12 +109,13 @@ class ReplayRun:
             self._hand_over(topic, record)
         self._write_errors(record.log_time_ns)
 
-    def _copy_truth(self, topic: str, record: BagRecord) -> None:
+    def _copy_truth(self, topic: str, record: BagRecord, read: AttitudeSample | None = None) -> None:
+        """Copy a message of the truth, of which what was read may be known already."""
         self._writer.write_raw(topic, record.type_name, record.data, record.log_time_ns)
         self._summary.outputs[topic] += 1
         for errors in self._errors:
             if topic == errors.orientation.truth_topic:
-                errors.add_truth(record.decode())
+                errors.add_truth(errors.orientation.sample(record.decode()) if read is None else read)
 
     def _hand_over(self, topic: str, record: BagRecord) -> None:
         try:
@@ -159,6 +161,11 @@ class ReplayRun:
             if topic == errors.orientation.topic:
                 errors.add_attitude(message)
         return False
+
+    @property
+    def _errors_wait(self) -> bool:
+        """Whether a message waits for the truth."""
+        return any(errors.waits for errors in self._errors)
 
     def _write_errors(self, now_ns: int | None) -> None:
         for errors in self._errors:

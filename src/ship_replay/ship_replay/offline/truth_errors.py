@@ -6,10 +6,8 @@ A replay fills them into ``ship/error_arcsec`` and its like; an estimator never 
 from collections import deque
 from typing import Any
 
-import numpy as np
-
-from ship_bags.stamps import NS_PER_S, ns_from_stamp
-from ship_geometry.attitude_track import AttitudeTrack
+from ship_bags.stamps import ns_from_stamp, stamps_of_rows
+from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
 from ship_geometry.rotations import FloatArray
 from ship_node.edge.blocks import PublishedRows
 from ship_watch.orientations import Orientation
@@ -31,9 +29,8 @@ class TruthErrors:
         self._attitudes: dict[int, FloatArray] = {}
         self._waiting: deque[tuple[int, Any]] = deque()
 
-    def add_truth(self, message: Any) -> None:
-        """A message of the truth; one without an orientation is left out."""
-        sample = self.orientation.sample(message)
+    def add_truth(self, sample: AttitudeSample | None) -> None:
+        """What a message of the truth says; one without an orientation says nothing."""
         if sample is not None:
             self._truth.insert(sample)
 
@@ -45,13 +42,17 @@ class TruthErrors:
         """Messages as published; only those of the orientation count."""
         if rows.topic == self.orientation.topic:
             numbers = rows.messages.numbers
-            stamps_ns = numbers["header.stamp.sec"].astype(np.int64) * NS_PER_S + numbers["header.stamp.nanosec"]
-            angles = np.stack([numbers[name] for name in self.orientation.angles], axis=1)
+            stamps_ns, angles = stamps_of_rows(numbers), self.orientation.angles_of_rows(numbers)
             self._attitudes.update(zip(stamps_ns.tolist(), angles, strict=True))
+
+    @property
+    def waits(self) -> bool:
+        """Whether an error message waits for the truth."""
+        return bool(self._waiting)
 
     def is_ready(self, now_ns: int | None) -> bool:
         """Whether an error message waits that :meth:`filled` would give back."""
-        if not self._waiting:
+        if not self.waits:
             return False
         log_time_ns, message = self._waiting[0]
         patient = now_ns is not None and now_ns - log_time_ns < _PATIENCE_NS

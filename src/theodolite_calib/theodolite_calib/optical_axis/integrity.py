@@ -6,9 +6,10 @@ another one without it; :mod:`ship_estimation.protection` makes levels of that.
 
 import math
 
-from ship_estimation.compiled_integrity import apart
+import numpy as np
+
 from ship_estimation.outcome import Status
-from ship_estimation.protection import Hypotheses, IntegrityReport, integrity_report
+from ship_estimation.protection import IntegrityReport, integrity_report, separation
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
@@ -34,10 +35,13 @@ class PointingLevels:
 
     def __init__(self, filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState) -> None:
         self.state, self._config = state, config.integrity
-        self._sources, self._k = filter_.rows.sources, hypothesis_factors(config.integrity, filter_.rows.sources)
+        sources = filter_.rows.sources
+        self._k = hypothesis_factors(config.integrity, sources)
         self._turning = chain_rows(filter_.model)
-        self._excluded = {name: told.exclusion.since_ns for name, told in state.trust.left_out.items()}
-        self._rows = [row for row, name in enumerate(self._sources) if name not in self._excluded]
+        excluded = {name: told.exclusion.since_ns for name, told in state.trust.left_out.items()}
+        self._rows = np.array([row for row, name in enumerate(sources) if name not in excluded], dtype=np.intp)
+        self._names = tuple([sources[row] for row in self._rows])
+        self._excluded = tuple(sorted(excluded.items()))
         self._in_dispute = state.trust.conflict is not None or state.refusals > 0
 
     def of(self, estimate: PointingEstimate) -> IntegrityReport:
@@ -47,11 +51,11 @@ class PointingLevels:
         to_angles[0] *= math.cos(elevation)
         # What the estimates dispute is covered by the levels already. What a pointing adds to the error of the state,
         # as the noise of the encoders, is the same in every estimate.
-        beside = apart(
+        found = separation(
+            self._k,
+            self._rows,
             self._turning,
-            to_angles,
-            to_angles @ estimate.by_error_n,
-            estimate.undisputed_n,
+            (to_angles, to_angles @ estimate.by_error_n, estimate.undisputed_n),
             self.state.mean,
             self.state.alternatives.mean,
             self.state.parts,
@@ -59,9 +63,8 @@ class PointingLevels:
         )
         # Without lights nothing checks the encoders and the ship's attitude.
         in_doubt = self._in_dispute or estimate.mode is Mode.ENCODER or estimate.status is Status.INVALID
-        hypotheses = Hypotheses(self._sources, self._k, *beside)
         return integrity_report(
-            estimate.time_ns, self._config, hypotheses, self._rows, self._excluded, checked=not in_doubt
+            estimate.time_ns, self._config, self._k, self._names, found, self._excluded, checked=not in_doubt
         )
 
 

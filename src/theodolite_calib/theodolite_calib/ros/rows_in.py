@@ -4,7 +4,7 @@ Each becomes, to the last bit, what :mod:`theodolite_calib.ros.messages_in` make
 be read there by itself.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -15,13 +15,18 @@ from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.ros_axes import device_vector_from_ros, horizon_covariance, rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC
 from ship_node.edge.blocks import StampArray
-from ship_node.edge.columns_in import Good, covariances_3x3, ship_rates, stamps, unit_quaternions
+from ship_node.edge.columns_in import (
+    ReadRows,
+    covariances_3x3,
+    read_of_good,
+    ship_rates,
+    stamps,
+    unit_quaternions,
+)
 from ship_node.edge.messages_in import ReadMessage
 from theodolite_calib.config import BeaconConfig, OpticalAxisConfig
 from theodolite_calib.measured.samples import EncoderSample, ShipSample
 from theodolite_calib.ros.messages_in import ENCODER_INVALID, LARGEST_VARIANCE, without_white
-
-ReadRows = list[ReadMessage[Any] | None]
 
 
 def encoders(messages: CdrRows, receive_ns: StampArray, config: OpticalAxisConfig) -> ReadRows:
@@ -39,7 +44,7 @@ def encoders(messages: CdrRows, receive_ns: StampArray, config: OpticalAxisConfi
         read = map(EncoderSample, times_ns[good].tolist(), angles[good], sigma[good].tolist())
         return map(ReadMessage, read, (~unknown[good]).tolist())
 
-    return _read(messages, config.encoder.frame_id, good, samples)
+    return read_of_good(messages, config.encoder.frame_id, good, samples)
 
 
 def ship_attitudes(messages: CdrRows, receive_ns: StampArray, config: OpticalAxisConfig) -> ReadRows:
@@ -59,7 +64,7 @@ def ship_attitudes(messages: CdrRows, receive_ns: StampArray, config: OpticalAxi
         status = map(Status, numbers["status"][good].tolist())
         return map(ReadMessage, map(ShipSample, times_ns[good].tolist(), rotations_nd, rates_d, slow_n, status))
 
-    return _read(messages, config.ship.frame_id, good, samples)
+    return read_of_good(messages, config.ship.frame_id, good, samples)
 
 
 def drone_attitudes(messages: CdrRows, receive_ns: StampArray, beacon: BeaconConfig) -> ReadRows:
@@ -72,12 +77,4 @@ def drone_attitudes(messages: CdrRows, receive_ns: StampArray, beacon: BeaconCon
         rotations_nb = rotation_from_quaternion(quaternions[good], beacon.imu.convention)
         return map(ReadMessage, map(AttitudeSample, times_ns[good].tolist(), rotations_nb))
 
-    return _read(messages, beacon.imu.frame_id, good, samples)
-
-
-def _read(messages: CdrRows, frame_id: str, good: Good, samples: Callable[[], Iterator[ReadMessage[Any]]]) -> ReadRows:
-    """What was read of those messages that are good; none of another frame is, and all have the same one."""
-    if frame_id and messages.message(0).header.frame_id != frame_id:
-        return [None] * len(good)
-    read = samples()
-    return [next(read) if passed else None for passed in good.tolist()]
+    return read_of_good(messages, beacon.imu.frame_id, good, samples)

@@ -1,0 +1,49 @@
+"""From the messages of a block to the core's structs: those that are read in the usual way, all of them at once.
+
+Each becomes, to the last bit, what :mod:`ship_attitude_star.ros.messages_in` makes of it. None stands for one that is
+to be read there by itself.
+"""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from ship_attitude_star.ros.messages_in import LARGEST_ANGLE, LARGEST_ELEVATION, STAR_INVALID, attitude_read
+from ship_attitude_star.ship_attitude.config import StarSensorConfig
+from ship_bags.cdr_template import CdrRows
+from ship_geometry import compiled_angles
+from ship_geometry.ros_axes import horizon_covariance
+from ship_geometry.rotations import FloatArray
+from ship_node.edge.blocks import StampArray
+from ship_node.edge.columns_in import ReadRows, angular_covariances, read_of_good, stamps
+from ship_node.edge.messages_in import ReadMessage, Refused
+
+
+def star_attitudes(messages: CdrRows, receive_ns: StampArray, sensor_id: str, config: StarSensorConfig) -> ReadRows:
+    """``star/<sensor>/horizon_attitude`` or ``.../solution`` with both covariances of the rotation vector.
+
+    See :func:`ship_attitude_star.ros.messages_in.star_measurement`.
+    """
+    numbers = messages.numbers
+    times_ns, timely = stamps(numbers, receive_ns)
+    angles = np.stack([numbers["azimuth"], numbers["elevation"], numbers["roll"]], axis=1)
+    totals_enu, total_known = angular_covariances(numbers["rotation_covariance"])
+    noises_enu, noise_known = angular_covariances(numbers["noise_covariance"])
+    good = timely & total_known & noise_known & (numbers["status"] != STAR_INVALID)
+    good &= (np.abs(angles) <= [LARGEST_ANGLE, LARGEST_ELEVATION, LARGEST_ANGLE]).all(axis=1)
+
+    def attitude(
+        time_ns: int, rotation_ns: FloatArray, total_n: FloatArray, noise_n: FloatArray
+    ) -> ReadMessage[Any] | None:
+        try:
+            return attitude_read(f"star.{sensor_id}", time_ns, rotation_ns, total_n, noise_n, config.sharing)
+        except Refused:
+            return None
+
+    def attitudes() -> Iterator[ReadMessage[Any] | None]:
+        rotations_ns = compiled_angles.rotations(angles[good])
+        covariances_n = horizon_covariance(totals_enu[good]), horizon_covariance(noises_enu[good])
+        return map(attitude, times_ns[good].tolist(), rotations_ns, *covariances_n)
+
+    return read_of_good(messages, config.frame_id, good, attitudes)

@@ -1,0 +1,272 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+"""What innovations say of their source, compiled: one of them, and many.
+
+This is the one source of it. It is Python with C types for its numbers, compiled by Cython when the package is built.
+What the functions compute is told in :mod:`ship_estimation.innovations`; the same in plain numpy stands in the tests.
+"""
+
+import cython
+import numpy as np
+
+from ship_geometry.compiled_shapes import check
+
+if not cython.compiled:
+    raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")
+
+from cython.cimports.libc.math import INFINITY, NAN, fabs, sqrt
+from cython.cimports.ship_estimation.compiled_steps import _larger
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _whiten(matrix: cython.double[:, ::1], size: cython.Py_ssize_t) -> cython.bint:
+    """Replace the lower triangle of a covariance by the inverse of its Cholesky factor.
+
+    Returns:
+        False where the matrix is not positive definite, or NaN.
+    """
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    total: cython.double
+    for i in range(size):
+        for j in range(i + 1):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= matrix[i, k] * matrix[j, k]
+            if j < i:
+                matrix[i, j] = total / matrix[j, j]
+            elif total > 0.0:
+                matrix[i, i] = sqrt(total)
+            else:
+                return False
+    for j in range(size):
+        matrix[j, j] = 1.0 / matrix[j, j]
+        for i in range(j + 1, size):
+            total = 0.0
+            for k in range(j, i):
+                total -= matrix[i, k] * matrix[k, j]
+            matrix[i, j] = total / matrix[i, i]
+    return True
+
+
+def innovation(
+    residual: cython.const[cython.double][:],
+    covariance: cython.const[cython.double][:, :],
+    noise: cython.const[cython.double][:, :],
+    part_of: cython.const[cython.Py_ssize_t][:],
+    axis_of: cython.const[cython.Py_ssize_t][:],
+    parts: cython.Py_ssize_t,
+    axes: cython.Py_ssize_t,
+):
+    """What a residual says of its source.
+
+    Args:
+        residual: shape (m,).
+        covariance: predicted, shape (m, m).
+        noise: the measurement's own part of it, shape (m, m).
+        part_of: which part each component belongs to, shape (m,).
+        axis_of: along which axis it lies, shape (m,).
+        parts: how many there are.
+        axes: how many there are.
+
+    Returns:
+        Of each part its normalised square, the own share, and of each axis the mean in its sigma and in rad, as
+        :class:`ship_estimation.innovations.Innovation` has them; None where
+        one of the numbers is none, or the covariance is not positive definite.
+    """
+    m: cython.Py_ssize_t = residual.shape[0]
+    check("covariance", covariance.shape[0] == covariance.shape[1] == m)
+    check("components", part_of.shape[0] == axis_of.shape[0] == m)
+    of_squares, of_axes = np.empty(parts), np.empty((axes, 2))
+    square: cython.double[::1] = of_squares
+    along: cython.double[:, ::1] = of_axes
+    white: cython.double[:, ::1] = np.empty((m, m))
+    chosen: cython.Py_ssize_t[::1] = np.empty(m, dtype=np.intp)
+    own: cython.double = 0.0
+    total: cython.double
+    in_rad: cython.double
+    alike: cython.double
+    row: cython.double
+    count: cython.Py_ssize_t
+    group: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    for i in range(m):
+        if not fabs(residual[i]) < INFINITY:
+            return None
+        for j in range(m):
+            if not fabs(covariance[i, j]) < INFINITY:
+                return None
+            white[i, j] = covariance[i, j]
+    if not _whiten(white, m):
+        return None
+    check("noise", noise.shape[0] == noise.shape[1] == m)
+    for k in range(m):
+        for i in range(k + 1):
+            row = 0.0
+            for j in range(k + 1):
+                row += noise[i, j] * white[k, j]
+            own += white[k, i] * row
+    for group in range(axes):
+        count = _members(axis_of, group, chosen)
+        total = in_rad = alike = 0.0
+        for i in range(count):
+            total += residual[chosen[i]] / sqrt(covariance[chosen[i], chosen[i]])
+            in_rad += residual[chosen[i]]
+            for j in range(count):
+                alike += covariance[chosen[i], chosen[j]] / (
+                    sqrt(covariance[chosen[i], chosen[i]]) * sqrt(covariance[chosen[j], chosen[j]])
+                )
+        along[group, 0], along[group, 1] = total / sqrt(alike), in_rad / count
+    for group in range(parts):
+        count = _members(part_of, group, chosen)
+        if count < m or parts > 1:
+            for i in range(count):
+                for j in range(count):
+                    white[i, j] = covariance[chosen[i], chosen[j]]
+            _whiten(white, count)  # a block of what is positive definite is so too
+        square[group] = 0.0
+        for i in range(count):
+            row = 0.0
+            for j in range(i + 1):
+                row += white[i, j] * residual[chosen[j]]
+            square[group] += row * row
+    return of_squares, own / m, of_axes
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _members(
+    group_of: cython.const[cython.Py_ssize_t][:], group: cython.Py_ssize_t, chosen: cython.Py_ssize_t[::1]
+) -> cython.Py_ssize_t:
+    """Number of the components of a group; their places are written."""
+    count: cython.Py_ssize_t = 0
+    i: cython.Py_ssize_t
+    for i in range(group_of.shape[0]):
+        if group_of[i] == group:
+            chosen[count] = i
+            count += 1
+    return count
+
+
+def sizes(numbers: cython.const[cython.double][:, :], first: cython.Py_ssize_t, least_own_share: cython.double):
+    """How large the parts of many measurements are.
+
+    Args:
+        numbers: of n innovations, shape (n, c); the columns are those of
+            :class:`ship_estimation.innovations.InnovationTable`.
+        first: column of the first square; those after it are squares too.
+        least_own_share: innovations of which the own share is less are not looked at.
+
+    Returns:
+        The squares of those looked at in ascending order, shape (k,); their largest number of degrees; their mean own
+        share, NaN where there are none; the sums of the normalised squares and of the components of all.
+    """
+    check("columns", 5 <= first <= numbers.shape[1])
+    of_squares = np.empty(numbers.shape[0] * (numbers.shape[1] - first))
+    square: cython.double[::1] = of_squares
+    filled: cython.Py_ssize_t = 0
+    telling: cython.Py_ssize_t = 0
+    degrees: cython.double = 0.0
+    own_share: cython.double = 0.0
+    nis: cython.double = 0.0
+    components: cython.double = 0.0
+    n: cython.Py_ssize_t
+    part: cython.Py_ssize_t
+    for n in range(numbers.shape[0]):
+        nis += numbers[n, 1]
+        components += numbers[n, 2]
+        if not numbers[n, 3] >= least_own_share:
+            continue
+        telling += 1
+        degrees = max(degrees, numbers[n, 0])
+        own_share += numbers[n, 3]
+        for part in range(first, numbers.shape[1]):
+            # What fills the table is no number.
+            if numbers[n, part] == numbers[n, part]:
+                square[filled] = numbers[n, part]
+                filled += 1
+    kept = of_squares[:filled]
+    kept.sort()
+    return kept, int(degrees), own_share / telling if telling else NAN, nis, int(components)
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _median(ordered: cython.double[:], count: cython.Py_ssize_t) -> cython.double:
+    """Of the first numbers, which are in ascending order."""
+    half: cython.Py_ssize_t = count // 2
+    return ordered[half] if count % 2 else 0.5 * (ordered[half - 1] + ordered[half])
+
+
+def along_axes(
+    numbers: cython.const[cython.double][:, :],
+    axes: cython.Py_ssize_t,
+    least: cython.Py_ssize_t,
+    sigma_of_spread: cython.double,
+    clipped_at: cython.double,
+):
+    """Where the mean of innovations lies, and how long they last.
+
+    Args:
+        numbers: as in :func:`sizes`, in order of time.
+        axes: how many there are.
+        least: axes along which fewer were measured are not looked at.
+        sigma_of_spread: sigma of normal values over the median of their distances from their median.
+        clipped_at: innovations count as no farther from the median, in sigmas of their spread.
+
+    Returns:
+        Of each axis how many innovations have it, and its bias, spread and correlation as in
+        :class:`ship_estimation.innovations.Axis`, NaN where too few have it, shape (axes, 4); and what lasts of the
+        prediction's error.
+    """
+    count: cython.Py_ssize_t = numbers.shape[0]
+    check("columns", 5 + 2 * axes <= numbers.shape[1] and least > 0)
+    figures = np.full((axes, 4), NAN)
+    of_values, of_ordered = np.empty((axes, count)), np.full((axes, count), NAN)
+    found: cython.double[:, ::1] = figures
+    value: cython.double[:, ::1] = of_values
+    ordered: cython.double[:, ::1] = of_ordered
+    lasting: cython.double = -INFINITY
+    limit: cython.double
+    squares: cython.double
+    products: cython.double
+    axis: cython.Py_ssize_t
+    known: cython.Py_ssize_t
+    n: cython.Py_ssize_t
+    for n in range(count):
+        if numbers[n, 4] == 0.0:
+            lasting = _larger(lasting, 1.0 - numbers[n, 3])
+    for axis in range(axes):
+        known = 0
+        for n in range(count):
+            if numbers[n, 5 + 2 * axis] == numbers[n, 5 + 2 * axis]:
+                value[axis, known] = ordered[axis, known] = numbers[n, 5 + 2 * axis]
+                known += 1
+        found[axis, 0] = known
+    of_ordered.sort(axis=1)  # what is no number comes last
+    for axis in range(axes):
+        known = int(found[axis, 0])
+        if known < least:
+            continue
+        found[axis, 1] = _median(ordered[axis], known)
+        for n in range(known):
+            value[axis, n] -= found[axis, 1]
+            ordered[axis, n] = fabs(value[axis, n])
+    of_ordered.sort(axis=1)
+    for axis in range(axes):
+        known = int(found[axis, 0])
+        if known < least:
+            continue
+        found[axis, 2] = max(1.0, sigma_of_spread * _median(ordered[axis], known))
+        limit = clipped_at * found[axis, 2]
+        squares = products = 0.0
+        for n in range(known):
+            value[axis, n] = min(max(value[axis, n], -limit), limit)
+            squares += value[axis, n] * value[axis, n]
+            if n:
+                products += value[axis, n] * value[axis, n - 1]
+        found[axis, 3] = products / squares if squares > 0.0 else 0.0
+    return figures, lasting if lasting > -INFINITY else 0.0

@@ -1,0 +1,27 @@
+"""Separations and levels of components that stand alone: each is a state itself."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ship_estimation.protection import Factors, Separation, separation
+from ship_geometry.rotations import FloatArray
+
+
+def separated(
+    distance: FloatArray, variance: FloatArray, variance_0: FloatArray, k: Factors, rows: Sequence[int] | None = None
+) -> Separation:
+    """The separations of estimates without one source from that by all, and the levels.
+
+    Args:
+        distance: of three components, shape (h, 3).
+        variance: without each source, shape (h, 3).
+        variance_0: by all sources, shape (3,).
+        k: numbers of sigmas.
+        rows: which hypotheses are in question; None for all.
+    """
+    asked = np.arange(len(distance)) if rows is None else np.array(rows, dtype=np.intp)
+    components, of_all = np.eye(3), np.diag(variance_0)
+    left_out = variance[:, :, None] * components
+    by_output = components, components, of_all
+    return separation(k, asked, np.arange(3), by_output, np.zeros(3), distance, of_all[None], left_out)
