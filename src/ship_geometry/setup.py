@@ -17,7 +17,7 @@ setup(
                 [f"ship_geometry/compiled_{name}.py"],
                 extra_compile_args=["-O3", "-ffp-contract=off"],
             )
-            for name in ("angles", "lights", "mounts", "polynomials", "refraction", "rotations", "shapes")
+            for name in ("angles", "lights", "mounts", "polynomials", "refraction", "rotations", "shapes", "tables")
         ],
         quiet=True,  # colcon reads what this file prints
     ),

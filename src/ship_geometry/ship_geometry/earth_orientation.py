@@ -14,14 +14,25 @@ import astropy_iers_data
 import numpy as np
 
 from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_geometry.text_tables import numbers, read_lines
 from ship_geometry.time_scales import DAY_NS, UNIX_EPOCH_MJD, LeapSeconds, TimeNs, leap_seconds, utc_text
 
 # Columns (first, last; counted from 1) of finals2000A, as its ReadMe gives them; B where A is replaced by Bulletin B.
-_MJD = 8, 15
-_POLE_X, _POLE_X_SIGMA, _POLE_Y, _POLE_Y_SIGMA = (19, 27), (28, 36), (38, 46), (47, 55)
-_UT1_FLAG, _UT1, _UT1_SIGMA = (58, 58), (59, 68), (69, 78)
-_POLE_X_B, _POLE_Y_B, _UT1_B = (135, 144), (145, 154), (155, 165)
 _RECORD_LENGTH = 188
+_UT1_FLAG = 58
+_MEASURED, _PREDICTED = b"IP"
+_COLUMNS = {
+    "mjd": (8, 15),
+    "pole_x": (19, 27),
+    "pole_x_sigma": (28, 36),
+    "pole_y": (38, 46),
+    "pole_y_sigma": (47, 55),
+    "ut1": (59, 68),
+    "ut1_sigma": (69, 78),
+    "pole_x_b": (135, 144),
+    "pole_y_b": (145, 154),
+    "ut1_b": (155, 165),
+}
 
 # Between the daily values: linear interpolation of UT1 − TAI (18 µs), tides within the day (30 µs), and the difference
 # between Bulletins A and B (30 µs since 2000, six times A's own error). Together 0.7 mas.
@@ -166,24 +177,22 @@ def read_finals2000a(path: Path, leaps: LeapSeconds) -> EarthOrientationTable:
         >>> print(utc_text(table.first_ns))
         1973-01-02 00:00:00 UTC
     """
-    raw = path.read_bytes()
-    if not raw or len(raw) % _RECORD_LENGTH or raw[_RECORD_LENGTH - 1 : _RECORD_LENGTH] != b"\n":
-        raise ValueError(f"{path}: not in the form of finals2000A.all: lines of {_RECORD_LENGTH - 1} characters each")
-    characters = np.frombuffer(raw, dtype="S1").reshape(-1, _RECORD_LENGTH)
-    flag = characters[:, _UT1_FLAG[0] - 1]
-    filled = characters[(flag == b"I") | (flag == b"P")]
-    measured = flag[(flag == b"I") | (flag == b"P")] == b"I"
     try:
-        mjd = _numbers(filled, _MJD)
-        ut1_minus_utc_s = _better(_numbers(filled, _UT1_B), _numbers(filled, _UT1))
+        lines = read_lines(path, _RECORD_LENGTH)
+        flag = lines[:, _UT1_FLAG - 1]
+        has_ut1 = (flag == _MEASURED) | (flag == _PREDICTED)
+        measured = flag[has_ut1] == _MEASURED
+        read = dict(zip(_COLUMNS, numbers(lines[has_ut1], *_COLUMNS.values()), strict=True))
+        mjd = read["mjd"]
+        since_1970_ns = (mjd.astype(np.int64) - UNIX_EPOCH_MJD) * DAY_NS
         table = EarthOrientationTable(
             source=path.name,
             mjd=mjd,
-            ut1_minus_tai_s=ut1_minus_utc_s - leaps.at((mjd.astype(np.int64) - UNIX_EPOCH_MJD) * DAY_NS),
-            ut1_sigma_s=_numbers(filled, _UT1_SIGMA),
-            pole_x=_better(_numbers(filled, _POLE_X_B), _numbers(filled, _POLE_X)) * ARCSEC,
-            pole_y=_better(_numbers(filled, _POLE_Y_B), _numbers(filled, _POLE_Y)) * ARCSEC,
-            pole_sigma=np.maximum(_numbers(filled, _POLE_X_SIGMA), _numbers(filled, _POLE_Y_SIGMA)) * ARCSEC,
+            ut1_minus_tai_s=_better(read["ut1_b"], read["ut1"]) - leaps.at(since_1970_ns),
+            ut1_sigma_s=read["ut1_sigma"],
+            pole_x=_better(read["pole_x_b"], read["pole_x"]) * ARCSEC,
+            pole_y=_better(read["pole_y_b"], read["pole_y"]) * ARCSEC,
+            pole_sigma=np.maximum(read["pole_x_sigma"], read["pole_y_sigma"]) * ARCSEC,
             measured_until_mjd=float(mjd[measured][-1]),
             leap_seconds=leaps,
         )
@@ -193,14 +202,6 @@ def read_finals2000a(path: Path, leaps: LeapSeconds) -> EarthOrientationTable:
     if not np.all(np.isfinite(values)) or not np.all(np.diff(table.mjd) == 1.0):
         raise ValueError(f"{path}: days or values are missing: get the file anew")
     return table
-
-
-def _numbers(characters: np.ndarray, columns: tuple[int, int]) -> FloatArray:
-    """The numbers in some columns; NaN where they are blank."""
-    first, last = columns
-    text = np.ascontiguousarray(characters[:, first - 1 : last]).view(f"S{last - first + 1}")[:, 0]
-    stripped = np.char.strip(text)
-    return np.where(stripped == b"", b"nan", stripped).astype(float)
 
 
 def _better(final: FloatArray, rapid: FloatArray) -> FloatArray:

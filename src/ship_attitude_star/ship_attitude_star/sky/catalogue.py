@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.star_directions import StarPositions, stars_from_epoch
+from ship_geometry.text_tables import numbers, read_lines
 
 EPOCH_YEAR = 1991.25
 """Julian year of the positions in the catalogue."""
@@ -27,16 +28,19 @@ _J2000_NS = 946_728_000 * 1_000_000_000
 # Columns (first, last; counted from 1) of hip2.dat, as the catalogue's ReadMe gives them. The proper motion in right
 # ascension is multiplied by cos δ there.
 _RECORD_LENGTH = 277
-_HIP, _RIGHT_ASCENSION, _DECLINATION, _PARALLAX = (1, 6), (16, 28), (30, 42), (44, 50)
-_PM_ALPHA_COS_DELTA, _PM_DELTA = (52, 59), (61, 68)
-_ALPHA_SIGMA, _DELTA_SIGMA, _PM_ALPHA_SIGMA, _PM_DELTA_SIGMA = (70, 75), (77, 82), (91, 96), (98, 103)
-_MAGNITUDE = 130, 136
-_LAST_COLUMN = 136
-
-_BLANK, _MINUS, _POINT, _ZERO = b" -.0"
-_TEN = 10
-_MOST_DIGITS = 15
-"""Whole numbers of so many digits are exact as floating-point numbers, and so are the powers of ten."""
+_COLUMNS = {
+    "hip": (1, 6),
+    "right_ascension": (16, 28),
+    "declination": (30, 42),
+    "parallax": (44, 50),
+    "pm_alpha_cos_delta": (52, 59),
+    "pm_delta": (61, 68),
+    "alpha_sigma": (70, 75),
+    "delta_sigma": (77, 82),
+    "pm_alpha_sigma": (91, 96),
+    "pm_delta_sigma": (98, 103),
+    "magnitude": (130, 136),
+}
 
 
 @dataclass(frozen=True)
@@ -126,72 +130,29 @@ def read_hipparcos2(path: Path) -> StarCatalogue:
     Raises:
         ValueError: names the file and what does not fit.
     """
-    raw = path.read_bytes()
-    if not raw or len(raw) % _RECORD_LENGTH or raw[_RECORD_LENGTH - 1 : _RECORD_LENGTH] != b"\n":
-        raise ValueError(f"{path}: not in the form of hip2.dat: lines of {_RECORD_LENGTH - 1} characters each")
-    records = np.frombuffer(raw, dtype=np.uint8).reshape(-1, _RECORD_LENGTH)
-    characters = np.ascontiguousarray(records[:, :_LAST_COLUMN].T)
-
-    def column(columns: tuple[int, int], unit: float = 1.0) -> FloatArray:
-        first, last = columns
-        return _numbers(characters[first - 1 : last]) * unit
-
     try:
-        declination = column(_DECLINATION)
+        columns = numbers(read_lines(path, _RECORD_LENGTH), *_COLUMNS.values())
+        if np.isnan(columns).any():
+            raise ValueError("a number is missing")
+        read = dict(zip(_COLUMNS, columns, strict=True))
         at_epoch = StarPositions(
-            right_ascension=column(_RIGHT_ASCENSION),
-            declination=declination,
+            right_ascension=read["right_ascension"],
+            declination=read["declination"],
             # ERFA wants dα/dt itself.
-            pm_right_ascension=column(_PM_ALPHA_COS_DELTA, _MAS) / np.cos(declination),
-            pm_declination=column(_PM_DELTA, _MAS),
-            parallax_arcsec=column(_PARALLAX, 1e-3),
+            pm_right_ascension=read["pm_alpha_cos_delta"] * _MAS / np.cos(read["declination"]),
+            pm_declination=read["pm_delta"] * _MAS,
+            parallax_arcsec=read["parallax"] * 1e-3,
         )
         catalogue = StarCatalogue(
-            hip=column(_HIP).astype(np.int64),
+            hip=read["hip"].astype(np.int64),
             at_epoch=at_epoch,
             at_j2000=stars_from_epoch(at_epoch, EPOCH_YEAR),
-            magnitude=column(_MAGNITUDE),
-            position_sigma=np.maximum(column(_ALPHA_SIGMA, _MAS), column(_DELTA_SIGMA, _MAS)),
-            pm_sigma=np.maximum(column(_PM_ALPHA_SIGMA, _MAS), column(_PM_DELTA_SIGMA, _MAS)),
+            magnitude=read["magnitude"],
+            position_sigma=np.maximum(read["alpha_sigma"] * _MAS, read["delta_sigma"] * _MAS),
+            pm_sigma=np.maximum(read["pm_alpha_sigma"] * _MAS, read["pm_delta_sigma"] * _MAS),
         )
     except ValueError as error:
         raise ValueError(f"{path}: not in the form of hip2.dat: {error}") from error
     if np.any(np.diff(catalogue.hip) <= 0):
         raise ValueError(f"{path}: HIP numbers do not increase: get the file anew")
     return catalogue
-
-
-def _numbers(characters: NDArray[np.uint8]) -> FloatArray:
-    """The numbers in a column of a table, shape (n,), each to the last bit what ``float`` makes of its text.
-
-    Where the digits stand at the same places in all rows, they are added up as whole numbers, and divided once by a
-    power of ten: that is rounded as ``float`` rounds, in a tenth of the time.
-
-    Args:
-        characters: shape (width, n).
-
-    Raises:
-        ValueError: a text is no number.
-    """
-    width = len(characters)
-    is_point = characters[:, 0] == _POINT
-    digits = characters[~is_point] - np.uint8(_ZERO)
-    is_digit, is_sign = digits < _TEN, characters == _MINUS
-    is_filled = characters == _POINT
-    is_filled[~is_point] = is_digit
-    # Blanks, perhaps a sign, then digits to the end, with one point among them or none.
-    is_plain = (
-        width <= _MOST_DIGITS
-        and np.count_nonzero(is_point) <= 1
-        and np.all(characters[is_point] == _POINT)
-        and is_filled[-1].all()
-        and np.all(is_filled[:-1] <= is_filled[1:])
-        and np.all(is_sign[:-1] <= is_filled[1:])
-        and np.all(is_filled | is_sign | (characters == _BLANK))
-        and is_digit.any(axis=0).all()
-    )
-    if not is_plain:
-        return np.ascontiguousarray(characters.T).view(f"S{width}")[:, 0].astype(float)
-    whole = 10.0 ** np.arange(len(digits))[::-1] @ np.where(is_digit, digits, 0)
-    number: FloatArray = whole / 10.0 ** (width - 1 - np.argmax(is_point) if is_point.any() else 0)
-    return np.where(is_sign.any(axis=0), -number, number)

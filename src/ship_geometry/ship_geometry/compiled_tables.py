@@ -1,0 +1,90 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+"""The numbers in the columns of a text table, read by one compiled loop.
+
+What is read is told in :mod:`ship_geometry.text_tables`. It is Python with C types, compiled when the package is built.
+"""
+
+import cython
+import numpy as np
+
+from ship_geometry.compiled_shapes import check
+
+if not cython.compiled:
+    raise ImportError(f"{__name__} is not compiled: run make setup, or colcon build")
+
+from cython.cimports.libc.math import NAN
+
+_BLANK = cython.declare(cython.uchar, 32)
+_MINUS = cython.declare(cython.uchar, 45)
+_POINT = cython.declare(cython.uchar, 46)
+_ZERO = cython.declare(cython.uchar, 48)
+_MOST_DIGITS = cython.declare(cython.int, 15)
+"""Whole numbers of so many digits are exact as floating-point numbers, and so are the powers of ten."""
+
+
+def plain_numbers(records: cython.const[cython.uchar][:, :], columns: cython.const[cython.Py_ssize_t][:, :]):
+    """The numbers in columns of n lines, shape (c, n), NaN where they are blank; and whether each is plain.
+
+    A plain number has blanks, perhaps a minus, then digits with one point among them or none, and perhaps blanks. Its
+    digits are a whole number that is divided once by a power of ten: that is rounded as ``float`` rounds. What is not
+    plain is zero.
+
+    Args:
+        records: the lines, shape (n, length).
+        columns: the first and the last character of each, counted from 1, shape (c, 2).
+    """
+    of_numbers = np.zeros((columns.shape[0], records.shape[0]))
+    of_plain = np.zeros((columns.shape[0], records.shape[0]), dtype=bool)
+    numbers: cython.double[:, ::1] = of_numbers
+    plain: cython.uchar[:, ::1] = of_plain.view(np.uint8)
+    row: cython.Py_ssize_t
+    c: cython.Py_ssize_t
+    check("columns", columns.shape[1] == 2)
+    for c in range(columns.shape[0]):
+        check("columns", 1 <= columns[c, 0] <= columns[c, 1] <= records.shape[1])
+    for row in range(records.shape[0]):
+        for c in range(columns.shape[0]):
+            plain[c, row] = _read(records, row, columns[c, 0] - 1, columns[c, 1], cython.address(numbers[c, row]))
+    return of_numbers, of_plain
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _read(
+    records: cython.const[cython.uchar][:, :],
+    row: cython.Py_ssize_t,
+    at: cython.Py_ssize_t,
+    end: cython.Py_ssize_t,
+    number: cython.p_double,
+) -> cython.bint:
+    """Read the number between two characters of a line; False where it is not plain."""
+    whole: cython.double = 0.0
+    power: cython.double = 1.0
+    digits: cython.int = 0
+    negative: cython.bint
+    pointed: cython.bint = False
+    character: cython.uchar
+    while at < end and records[row, at] == _BLANK:
+        at += 1
+    if at == end:
+        number[0] = NAN
+        return True
+    negative = records[row, at] == _MINUS
+    at += negative
+    while at < end:
+        character = records[row, at]
+        if _ZERO <= character <= _ZERO + 9:
+            whole = 10.0 * whole + (character - _ZERO)
+            power = 10.0 * power if pointed else power
+            digits += 1
+        elif character == _POINT and not pointed:
+            pointed = True
+        else:
+            break
+        at += 1
+    while at < end and records[row, at] == _BLANK:
+        at += 1
+    if at < end or not 0 < digits <= _MOST_DIGITS:
+        return False
+    number[0] = (-whole if negative else whole) / power
+    return True

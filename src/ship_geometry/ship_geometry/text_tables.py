@@ -1,0 +1,44 @@
+"""Tables as text whose lines are equally long, with columns at fixed places: a star catalogue, Earth orientation."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ship_geometry import compiled_tables
+from ship_geometry.rotations import FloatArray
+
+Columns = tuple[int, int]
+"""First and last column of a number, counted from 1, as a catalogue's ReadMe gives them."""
+
+
+def read_lines(path: Path, length: int) -> NDArray[np.uint8]:
+    """The characters of a file, shape (lines, length); each line ends with its newline.
+
+    Raises:
+        ValueError: the lines are not so long, or there are none.
+    """
+    raw = path.read_bytes()
+    if not raw or len(raw) % length or raw[length - 1 : length] != b"\n":
+        raise ValueError(f"lines of {length - 1} characters each are expected")
+    return np.frombuffer(raw, dtype=np.uint8).reshape(-1, length)
+
+
+def numbers(lines: NDArray[np.uint8], *columns: Columns) -> FloatArray:
+    r"""The numbers in some columns, shape (columns, lines), each to the last bit what ``float`` makes; NaN where blank.
+
+    Raises:
+        ValueError: a text is no number.
+
+    Example:
+        >>> lines = np.frombuffer(b"  1.50 -7\n -0.25   \n", dtype=np.uint8).reshape(-1, 10)
+        >>> print(numbers(lines, (1, 6), (7, 9)))
+        [[ 1.5  -0.25]
+         [-7.     nan]]
+    """
+    found: FloatArray
+    found, plain = compiled_tables.plain_numbers(lines, np.array(columns, dtype=np.intp))
+    for column, row in np.argwhere(~plain).tolist():
+        first, last = columns[column]
+        found[column, row] = float(bytes(lines[row, first - 1 : last]))
+    return found
