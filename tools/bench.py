@@ -2,6 +2,7 @@
 
 Each benchmark is a function in BENCHMARKS that returns rows; a row with a bound decides the exit code. Processor times
 are in s. The rows are kept as JSON, from which ``python tools/bench_page.py`` writes docs/reference/performance.md.
+Those of other benchmarks of the same day and machine stay there with ``--only``.
 Exit code 0 done; 1 a bound was not met or a process failed; 2 bad usage.
 """
 
@@ -81,9 +82,21 @@ def _bench(options: argparse.Namespace) -> int:
             print(row.line, flush=True)
             met = met and row.met
         done += [{"benchmark": name} | dataclasses.asdict(row) for row in rows]
+    circumstances = _circumstances()
+    rows = _beside(done, circumstances, options.json) if options.only else done
     options.json.parent.mkdir(parents=True, exist_ok=True)
-    options.json.write_text(json.dumps(_circumstances() | {"rows": done}, indent=1) + "\n", encoding="utf-8")
+    options.json.write_text(json.dumps(circumstances | {"rows": rows}, indent=1) + "\n", encoding="utf-8")
     return EXIT_DONE if met else EXIT_BOUND_NOT_MET
+
+
+def _beside(done: list[dict[str, Any]], circumstances: dict[str, Any], file: Path) -> list[dict[str, Any]]:
+    """Rows measured now, and those of other benchmarks in a file of the same day and machine, in their order."""
+    kept = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {"rows": []}
+    if any(kept.get(name) != circumstances[name] for name in circumstances if name != "load"):
+        return done
+    anew = {row["benchmark"] for row in done}
+    rows = done + [row for row in kept["rows"] if row["benchmark"] not in anew]
+    return sorted(rows, key=lambda row: list(BENCHMARKS).index(row["benchmark"]))
 
 
 def _circumstances() -> dict[str, Any]:

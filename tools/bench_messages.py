@@ -2,15 +2,17 @@
 
 from typing import Any
 
+import numpy as np
 from rclpy.serialization import deserialize_message, serialize_message
 
-from bench_rows import Row, median_us
+from bench_rows import Row, by_turns, median_ratio, median_us
 from ship_bags.cdr_reader import CdrReader
 from ship_bags.message_factory import RosidlFactory, message_class
 from ship_bags.message_store import RosbagsFactory, message_store, serialize
 from ship_estimation.ins import InsInputConfig
 from ship_node.edge.ins_messages import ins_sample
 
+ROUNDS = 5
 MOST_TEMPLATE_RATIO = 0.5
 MOST_READ_RATIO = 0.85
 """Of bytes to the same by message objects: made, and read and checked."""
@@ -37,17 +39,21 @@ def message_cost() -> list[Row]:
     def sample_of(message: Any) -> None:
         ins_sample(message, config, 1_800_000_000_000_000_000)
 
-    encoded_us = median_us(lambda: live.encoded(_IMU_TYPE, **fields))
-    rosbags_us = median_us(lambda: serialize(offline.make(_IMU_TYPE, **fields)))
-    rclpy_us = median_us(lambda: serialize_message(live.make(_IMU_TYPE, **fields)))
-    read_us = median_us(lambda: sample_of(reader.message(data)))
-    read_rosbags_us = median_us(lambda: sample_of(store.deserialize_cdr(data, _IMU_TYPE)))
-    read_rclpy_us = median_us(lambda: sample_of(deserialize_message(data, kind)))
+    made_us, by_rosbags_us, by_rclpy_us, read_us, read_by_rosbags_us, read_by_rclpy_us = by_turns(
+        ROUNDS,
+        lambda: median_us(lambda: live.encoded(_IMU_TYPE, **fields)),
+        lambda: median_us(lambda: serialize(offline.make(_IMU_TYPE, **fields))),
+        lambda: median_us(lambda: serialize_message(live.make(_IMU_TYPE, **fields))),
+        lambda: median_us(lambda: sample_of(reader.message(data))),
+        lambda: median_us(lambda: sample_of(store.deserialize_cdr(data, _IMU_TYPE))),
+        lambda: median_us(lambda: sample_of(deserialize_message(data, kind))),
+    )
+    read_by_rosbags, read_by_rclpy = median_ratio(read_us, read_by_rosbags_us), median_ratio(read_us, read_by_rclpy_us)
     return [
-        Row("Imu made as bytes by its template: median", encoded_us, "us"),
-        Row("ratio: by its template / by rosbags", encoded_us / rosbags_us, "x", MOST_TEMPLATE_RATIO),
-        Row("ratio: by its template / by rclpy", encoded_us / rclpy_us, "x", MOST_TEMPLATE_RATIO),
-        Row("Imu read into a sample by its template: median", read_us, "us"),
-        Row("ratio: read by its template / by rosbags", read_us / read_rosbags_us, "x"),
-        Row("ratio: read by its template / by rclpy", read_us / read_rclpy_us, "x", MOST_READ_RATIO),
+        Row("Imu made as bytes by its template: median", float(np.median(made_us)), "us"),
+        Row("ratio: by its template / by rosbags", median_ratio(made_us, by_rosbags_us), "x", MOST_TEMPLATE_RATIO),
+        Row("ratio: by its template / by rclpy", median_ratio(made_us, by_rclpy_us), "x", MOST_TEMPLATE_RATIO),
+        Row("Imu read into a sample by its template: median", float(np.median(read_us)), "us"),
+        Row("ratio: read by its template / by rosbags", read_by_rosbags, "x"),
+        Row("ratio: read by its template / by rclpy", read_by_rclpy, "x", MOST_READ_RATIO),
     ]
