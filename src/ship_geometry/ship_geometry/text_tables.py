@@ -13,10 +13,18 @@ Columns = tuple[int, int]
 
 
 def read_lines(path: Path, length: int) -> NDArray[np.uint8]:
-    """The characters of a file, shape (lines, length); each line ends with its newline.
+    r"""The characters of a file, shape (lines, length); each line ends with its newline.
 
     Raises:
         ValueError: the lines are not so long, or there are none.
+
+    Example:
+        >>> import tempfile
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     table = Path(folder) / "table.dat"
+        ...     _ = table.write_text("1.50\n2.25\n")
+        ...     read_lines(table, length=5).shape
+        (2, 5)
     """
     raw = path.read_bytes()
     if not raw or len(raw) % length or raw[length - 1 : length] != b"\n":
