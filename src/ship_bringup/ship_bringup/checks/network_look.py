@@ -113,10 +113,10 @@ def look_at_network(
         with command_node(NAME, arguments) as node, _spinning(node) as spin:
             ears = [_Ear(node, topic) for topic in inputs]
             spin(_DISCOVERY_S)
-            _await_names(node, outputs, spin)
             for ear in ears:
                 ear.begin()
             spin(listen_s)
+            _await_names(node, [*outputs, *(topic.topic for topic in inputs)])
             return NetworkState(
                 rmw=get_rmw_implementation_identifier(),
                 nodes=_others(node),
@@ -188,11 +188,14 @@ def _spinning(node: Node) -> Iterator[Callable[[float], None]]:
         executor.shutdown()
 
 
-def _await_names(node: Node, topics: Sequence[str], spin: Callable[[float], None]) -> None:
-    """Wait until the nodes that publish some topics are known by name, or for as long as that may take."""
+def _await_names(node: Node, topics: Sequence[str]) -> None:
+    """Wait until the nodes that publish some topics are known by name, or for as long as that may take.
+
+    Discovery goes on by itself. Callbacks are not served meanwhile: what comes is not counted any more.
+    """
     end_s = time.monotonic() + _NAMES_S
     while any(_UNNAMED in name for topic in topics for name in _nodes_of(node, topic)) and time.monotonic() < end_s:
-        spin(0.1)
+        time.sleep(0.1)
 
 
 def _publishers(node: Node, topic: str) -> tuple[Publisher, ...]:
