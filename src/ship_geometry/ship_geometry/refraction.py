@@ -114,7 +114,7 @@ def refraction(
     return Refraction(angle, per_hpa, per_kelvin, model_sigma.reshape(elevation.shape))
 
 
-class SeenStars(NamedTuple):
+class StarsThroughAir(NamedTuple):
     """Stars as they are seen through the air.
 
     Attributes:
@@ -136,7 +136,7 @@ def seen_through_air(
     wavelength_um: float,
     weather_sigma: tuple[float, float],
     turns_n: FloatArray,
-) -> SeenStars:
+) -> StarsThroughAir:
     """A handful of stars through the air, with what the errors that they share do to them: all in one go.
 
     Args:
@@ -157,7 +157,7 @@ def seen_through_air(
         58 1.0
     """
     of_air = _of_air(model, weather, wavelength_um)
-    return SeenStars(*compiled_refraction.seen(without_air_n, *of_air, *weather_sigma, turns_n))
+    return StarsThroughAir(*compiled_refraction.seen(without_air_n, *of_air, *weather_sigma, turns_n))
 
 
 def refraction_slopes(

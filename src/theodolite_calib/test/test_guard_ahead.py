@@ -143,3 +143,15 @@ def test_another_noise_among_samples_that_were_judged_ahead_holds_from_there_on(
             one.take(samples[some])
             one.guard.reconfigure(louder)
     assert run.said == plain.said
+
+
+def test_a_step_of_which_the_source_says_no_number_is_judged_by_itself() -> None:
+    guard, used, samples = GuardAhead(CONFIG), AttitudeTrack(500_000_000), voyage()
+    at = 6 * RATE_HZ
+    for sample in samples[:at]:
+        used.insert(guard.judge(sample, used, 0.0).sample)
+    guard.expect(samples[at : at + BLOCK])
+    guard.judge(samples[at], used, np.nan)
+    assert guard._followed is None
+    guard.judge(samples[at + 1], used, 0.0)
+    assert guard._followed is not None

@@ -100,7 +100,8 @@ class GuardAhead:
             self._patience -= 1
             return
         times_ns, least_rad = self._block.times_ns, self._guard.least_step_rad
-        if not self._guard.looks_ahead(int(times_ns[place])) or told_rad > least_rad:
+        # Written so that NaN is judged by itself.
+        if not (self._guard.looks_ahead(int(times_ns[place])) and told_rad <= least_rad):
             return
         # Not beyond a gap, nor where the source may have stepped by what is told from noise.
         steps_ns = np.diff(times_ns[place:])
