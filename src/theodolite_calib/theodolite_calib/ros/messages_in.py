@@ -19,6 +19,7 @@ from ship_geometry.ros_axes import (
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.edge.ins_messages import ins_sample
 from ship_node.edge.messages_in import (
+    LARGEST_VARIANCE,
     ReadMessage,
     Refused,
     covariance_3x3,
@@ -42,7 +43,6 @@ MOST_LIGHTS = 100
 
 ENCODER_INVALID = 1
 _FIXES = ("NONE", "SINGLE", "DGNSS", "FLOAT", "FIXED")
-LARGEST_VARIANCE = (2.0 * np.pi) ** 2
 _LARGEST_DETECTOR_M = 0.5
 """No detector is larger: more are millimetres or pixels."""
 _LONGEST_BASELINE_M = 1e5
@@ -207,7 +207,7 @@ def _ship_covariance(message: Any, rotation_nd: FloatArray) -> FloatArray | None
         heading, pitch, _ = angles_from_rotation(rotation_nd)
         total_n = rotation_vector_covariance(angles, heading, pitch)
     largest = float(np.max(np.diagonal(total_n)))
-    if largest > LARGEST_VARIANCE:
+    if not largest <= LARGEST_VARIANCE:
         raise Refused(Reason.BAD_COVARIANCE, f"a variance of {largest:.3g} rad² is a sigma of more than a full turn")
     return total_n
 

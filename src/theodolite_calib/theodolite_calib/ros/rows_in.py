@@ -17,7 +17,7 @@ from ship_geometry.rotations import ARCSEC
 from ship_node.edge.blocks import StampArray
 from ship_node.edge.columns_in import (
     ReadRows,
-    covariances_3x3,
+    angular_covariances,
     read_of_good,
     ship_rates,
     stamps,
@@ -26,7 +26,7 @@ from ship_node.edge.columns_in import (
 from ship_node.edge.messages_in import ReadMessage
 from theodolite_calib.config import BeaconConfig, OpticalAxisConfig
 from theodolite_calib.measured.samples import EncoderSample, ShipSample
-from theodolite_calib.ros.messages_in import ENCODER_INVALID, LARGEST_VARIANCE, without_white
+from theodolite_calib.ros.messages_in import ENCODER_INVALID, without_white
 
 
 def encoders(messages: CdrRows, receive_ns: StampArray, config: OpticalAxisConfig) -> ReadRows:
@@ -53,9 +53,8 @@ def ship_attitudes(messages: CdrRows, receive_ns: StampArray, config: OpticalAxi
     times_ns, timely = stamps(numbers, receive_ns)
     quaternions, of_norm_1 = unit_quaternions(numbers)
     rates_ros, of_ship = ship_rates(numbers)
-    covariances_enu, positive = covariances_3x3(numbers["rotation_covariance"])
+    covariances_enu, positive = angular_covariances(numbers["rotation_covariance"])
     good = timely & of_norm_1 & of_ship & positive & (numbers["status"] < int(Status.INVALID))
-    good &= (np.diagonal(covariances_enu, axis1=1, axis2=2) <= LARGEST_VARIANCE).all(axis=1)
 
     def samples() -> Iterator[ReadMessage[Any]]:
         rotations_nd = rotation_from_quaternion(quaternions[good])
