@@ -4,6 +4,7 @@ This is the only check that needs ROS. It subscribes as the nodes will and publi
 """
 
 import contextlib
+import math
 import os
 import statistics
 import time
@@ -37,6 +38,11 @@ _MOST_STAMPS = 200
 
 _DISCOVERY_S = 2.0
 """Discovery on one machine takes 0.06 s to 1.6 s: listening begins after this."""
+_FIRST_MESSAGE_S = 8.0
+"""So long after that a topic with a publisher may be silent: on a busy machine discovery takes longer."""
+
+_ENOUGH_S = 0.1
+"""So often it is asked whether enough has come."""
 
 _UNNAMED = "_NODE_NAME_UNKNOWN_"
 """Of a publisher that was met before its node was."""
@@ -104,23 +110,26 @@ def look_at_network(
         inputs: from outside.
         outputs: relative names of topics that the suite itself gives.
         namespace: of the suite, without its outer slashes.
-        listen_s: how long, s.
+        listen_s: how long a topic is listened to from its first message on, s.
     """
     if is_demanded(os.environ):
         os.environ.setdefault(ENCLAVE, full_name(NAME, namespace))
     arguments = ["--ros-args", "-r", f"__ns:=/{namespace}"] if namespace else []
     try:
         with command_node(NAME, arguments) as node, _spinning(node) as spin:
-            ears = [_Ear(node, topic) for topic in inputs]
-            spin(_DISCOVERY_S)
+            ears = [_Ear(node, topic, listen_s) for topic in inputs]
+            spin(_DISCOVERY_S, _never)
             for ear in ears:
                 ear.begin()
-            spin(listen_s)
+            spin(listen_s, _never)
+            # A topic that has a publisher and is silent may be one that is not linked to us yet.
+            spin(_FIRST_MESSAGE_S, lambda: all(ear.has_begun or not ear.publishers() for ear in ears))
+            spin(listen_s, lambda: all(ear.is_done or not ear.has_begun for ear in ears))
             _await_names(node, [*outputs, *(topic.topic for topic in inputs)])
             return NetworkState(
                 rmw=get_rmw_implementation_identifier(),
                 nodes=_others(node),
-                heard=tuple(ear.heard(listen_s) for ear in ears),
+                heard=tuple(ear.heard() for ear in ears),
                 given={topic: names for topic in outputs if (names := _nodes_of(node, topic))},
                 has_clock=any(node.count_publishers(name) for name in ("/clock", full_name("clock", namespace))),
             )
@@ -129,13 +138,12 @@ def look_at_network(
 
 
 class _Ear:
-    """One subscription, and what came by it."""
+    """One subscription, and what came by it in the time from its first message on."""
 
-    def __init__(self, node: Node, topic: InputTopic) -> None:
-        self._node, self._topic = node, topic
+    def __init__(self, node: Node, topic: InputTopic, listen_s: float) -> None:
+        self._node, self._topic, self._listen_s = node, topic, listen_s
         self._kind = message_class(topic.type_name)
-        self._count = self._bytes = 0
-        self._newest: list[tuple[bytes, int]] = []
+        self.begin()
         qos = QoSProfile(
             depth=_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
         )
@@ -143,23 +151,42 @@ class _Ear:
             self._kind, topic.topic, self._take, qos, raw=True
         )
 
-    def begin(self) -> None:
-        """Count from now on."""
-        self._count = self._bytes = 0
-        self._newest.clear()
+    @property
+    def has_begun(self) -> bool:
+        """Whether a message has come since :meth:`begin`."""
+        return self._count > 0
 
-    def heard(self, listened_s: float) -> HeardTopic:
+    @property
+    def is_done(self) -> bool:
+        """Whether the time from its first message on is over."""
+        return time.monotonic() >= self._end_s
+
+    def begin(self) -> None:
+        """Count from the next message on."""
+        self._count = self._bytes = 0
+        self._end_s = math.inf
+        self._newest: list[tuple[bytes, int]] = []
+
+    def publishers(self) -> tuple[Publisher, ...]:
+        """Who publishes the topic now."""
+        return _publishers(self._node, self._topic.topic)
+
+    def heard(self) -> HeardTopic:
         """What came since :meth:`begin`."""
         return HeardTopic(
             input=self._topic,
-            publishers=_publishers(self._node, self._topic.topic),
-            rate_hz=self._count / listened_s,
+            publishers=self.publishers(),
+            rate_hz=self._count / self._listen_s,
             message_bytes=self._bytes / max(self._count, 1),
             count=self._count,
             age_s=self._age_s(),
         )
 
     def _take(self, data: bytes) -> None:
+        if self.is_done:
+            return
+        if not self.has_begun:
+            self._end_s = time.monotonic() + self._listen_s
         self._count += 1
         self._bytes += len(data)
         self._newest.append((data, time.time_ns()))
@@ -172,20 +199,24 @@ class _Ear:
 
 
 @contextlib.contextmanager
-def _spinning(node: Node) -> Iterator[Callable[[float], None]]:
-    """A function that serves the callbacks of a node for so many seconds."""
+def _spinning(node: Node) -> Iterator[Callable[[float, Callable[[], bool]], None]]:
+    """A function that serves the callbacks of a node for so many seconds, or until something is so."""
     executor = SingleThreadedExecutor(context=node.context)
     executor.add_node(node)
 
-    def spin(seconds: float) -> None:
+    def spin(seconds: float, is_enough: Callable[[], bool]) -> None:
         end_s = time.monotonic() + seconds
-        while (left_s := end_s - time.monotonic()) > 0.0:
-            executor.spin_once(timeout_sec=left_s)
+        while (left_s := end_s - time.monotonic()) > 0.0 and not is_enough():
+            executor.spin_once(timeout_sec=min(left_s, _ENOUGH_S))
 
     try:
         yield spin
     finally:
         executor.shutdown()
+
+
+def _never() -> bool:
+    return False
 
 
 def _await_names(node: Node, topics: Sequence[str]) -> None:
