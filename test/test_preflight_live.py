@@ -74,6 +74,21 @@ def test_a_ship_that_is_ready(tmp_path, domain):
     assert ("domain", "OK", "rmw_fastrtps_cpp; sensors: /observer") in rows
 
 
+def test_a_sensor_that_speaks_late_is_waited_for(tmp_path, domain):
+    environment = live_environment(domain, tmp_path)
+    with GraphObserver(domain) as observer:
+        publish(observer.node, "/demo/ins/imu", Imu, 50.0)
+        for sensor in ("fore", "starboard"):
+            # A message each five seconds, of which two of discovery and one of listening hold none three times in five.
+            publish(observer.node, f"/demo/star/{sensor}/horizon_attitude", StarHorizonAttitude, 0.2)
+        code, rows, told = preflight(observer, environment, EXAMPLE, "--namespace", "demo", "--listen", "1")
+    assert (code, told) == (0, "")
+    sensors = [found for check, result, found in rows if (check, result) == ("sensors", "OK")]
+    assert [found.partition(",")[0] for found in sensors if found.startswith("star/")] == [
+        f"star/{sensor}/horizon_attitude: one message from /observer" for sensor in ("fore", "starboard")
+    ]
+
+
 def test_faults_come_together_and_all_are_told(tmp_path, domain):
     environment = live_environment(domain, tmp_path) | {"ROS_SECURITY_KEYSTORE": str(tmp_path)}
     path = tmp_path / "suite.yaml"

@@ -66,7 +66,7 @@ class HeardTopic:
     Attributes:
         input: the topic.
         publishers: who publishes it.
-        rate_hz: messages a second.
+        rate_hz: messages a second, by those after the first; 0 where only one came.
         message_bytes: mean length of a message; 0 without any.
         count: messages.
         age_s: median of receipt minus stamp, negative for stamps of the future; None where none bore a stamp.
@@ -176,7 +176,7 @@ class _Ear:
         return HeardTopic(
             input=self._topic,
             publishers=self.publishers(),
-            rate_hz=self._count / self._listen_s,
+            rate_hz=max(self._count - 1, 0) / self._listen_s,
             message_bytes=self._bytes / max(self._count, 1),
             count=self._count,
             age_s=self._age_s(),
