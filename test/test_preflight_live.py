@@ -29,11 +29,16 @@ def domain(monkeypatch):
     return free_domain_id()
 
 
-def publish(node, topic, kind, rate_hz, ahead_s=0.0, qos=10):
-    """Publish messages of one kind, stamped by the clock, or so far ahead of it."""
+def publish(node, topic, kind, rate_hz, ahead_s=0.0, qos=10, silent_s=0.0):
+    """Publish messages of one kind, stamped by the clock or so far ahead of it; silent for a while once linked."""
     publisher = node.create_publisher(kind, topic, qos)
+    linked_s = []
 
     def send():
+        if not linked_s and publisher.get_subscription_count():
+            linked_s.append(time.monotonic())
+        if silent_s and not (linked_s and time.monotonic() >= linked_s[0] + silent_s):
+            return
         message = kind()
         time_ns = time.time_ns() + round(ahead_s * NS_PER_S)
         message.header.stamp.sec, message.header.stamp.nanosec = stamp_fields(time_ns)
@@ -75,18 +80,15 @@ def test_a_ship_that_is_ready(tmp_path, domain):
 
 
 def test_a_sensor_that_speaks_late_is_waited_for(tmp_path, domain):
+    """Discovery of two seconds and listening of one are over when it begins, five seconds after it was linked."""
     environment = live_environment(domain, tmp_path)
     with GraphObserver(domain) as observer:
         publish(observer.node, "/demo/ins/imu", Imu, 50.0)
         for sensor in ("fore", "starboard"):
-            # A message each five seconds, of which two of discovery and one of listening hold none three times in five.
-            publish(observer.node, f"/demo/star/{sensor}/horizon_attitude", StarHorizonAttitude, 0.2)
+            publish(observer.node, f"/demo/star/{sensor}/horizon_attitude", StarHorizonAttitude, 5.0, silent_s=5.0)
         code, rows, told = preflight(observer, environment, EXAMPLE, "--namespace", "demo", "--listen", "1")
     assert (code, told) == (0, "")
-    sensors = [found for check, result, found in rows if (check, result) == ("sensors", "OK")]
-    assert [found.partition(",")[0] for found in sensors if found.startswith("star/")] == [
-        f"star/{sensor}/horizon_attitude: one message from /observer" for sensor in ("fore", "starboard")
-    ]
+    assert len([found for check, result, found in rows if (check, result) == ("sensors", "OK")]) == 3
 
 
 def test_faults_come_together_and_all_are_told(tmp_path, domain):

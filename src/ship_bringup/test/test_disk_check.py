@@ -1,5 +1,6 @@
 """What a night writes, held against bags and boxes that were written, and against the room on the disk."""
 
+import dataclasses
 import re
 from pathlib import Path
 
@@ -81,6 +82,8 @@ def test_what_was_not_heard_counts_as_is_usual():
     assert 0.5 < unheard.record / full.record < 2.0
     silent = [HeardTopic(InputTopic("ins/imu", "sensor_msgs/msg/Imu", True, 1))]
     assert night_bytes(chain.adapters, silent) == unheard
+    one_message = [dataclasses.replace(silent[0], count=1, message_bytes=316.0)]
+    assert night_bytes(chain.adapters, one_message) == unheard
 
 
 def test_a_faster_ins_needs_more():

@@ -1,12 +1,13 @@
 """What was heard of each sensor, judged: one thing wrong at a time."""
 
 import dataclasses
+import math
 from types import MappingProxyType
 
 import pytest
 
 from ship_bringup.checks.check_line import Result
-from ship_bringup.checks.network_look import STRONGER, HeardTopic, NetworkState, Publisher
+from ship_bringup.checks.network_look import STRONGER, HeardTopic, NetworkState, Publisher, heard_rate_hz
 from ship_bringup.checks.sensor_check import asked_qualities, judge_sensors
 from ship_node.edge.topics import InputTopic
 from ship_watch.limits import InputLimits, Limits
@@ -35,6 +36,7 @@ def test_a_good_sensor():
      ({"publishers": (Publisher("/d", "std_msgs/msg/String"),)}, "/d publishes std_msgs/msg/String, expected " + IMU),
      ({"count": 0}, "/ins_driver publishes it, and no message came"),
      ({"rate_hz": 89.9}, "expected 90 Hz at least"),
+     ({"count": 1, "rate_hz": 0.0}, "one message from /ins_driver: expected 90 Hz at least"),
      ({"rate_hz": float("nan")}, "expected 90 Hz at least"),
      ({"age_s": -0.051}, "stamps 0.051 s in the future"),
      ({"age_s": 10.1}, "stamps 10.100 s old"),
@@ -45,6 +47,20 @@ def test_a_sensor_that_the_suite_cannot_use_fails(changes, told):
     result, found = judged(**changes)
     assert result is Result.FAIL
     assert told in found
+
+
+def test_one_message_of_a_slow_sensor_is_told_as_one():
+    told = "ins/imu: one message from /ins_driver, stamps 0.012 s old"
+    assert judged(limits=Limits(), count=1, rate_hz=0.0) == (Result.OK, told)
+
+
+@pytest.mark.parametrize(
+    ("count", "span_s", "rate_hz"),
+    [(0, math.nan, 0.0), (1, 0.0, 0.0), (10, 4.5, 2.0), (11, 4.99, 10.0 / 4.99), (3, 0.5, 0.6), (4, 0.0, 0.8)],
+)
+def test_a_rate_is_that_of_the_intervals_and_no_more_than_came_in_all(count, span_s, rate_hz):
+    """In five seconds: 2 Hz, a last message just in time or not, three and then silence, a burst."""
+    assert heard_rate_hz(count, span_s, listened_s=5.0) == pytest.approx(rate_hz)
 
 
 @pytest.mark.parametrize(

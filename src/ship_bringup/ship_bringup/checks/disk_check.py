@@ -74,7 +74,7 @@ def night_bytes(adapters: Sequence[Adapter], heard: Sequence[HeardTopic]) -> Nig
         adapters: of its nodes.
         heard: inputs as they were heard; of those that were not, what is usual counts.
     """
-    streams = {each.input.topic: (each.rate_hz, each.message_bytes) for each in heard if each.count}
+    streams = {each.input.topic: (each.rate_hz, each.message_bytes) for each in heard if each.rate_hz > 0.0}
     given_inside = {topic.topic for adapter in adapters for topic in adapter.outputs}
     outside = {topic.topic for adapter in adapters for topic in adapter.inputs} - given_inside
     taken = [sum(_stream_bytes(topic.topic, streams) for topic in adapter.inputs) for adapter in adapters]

@@ -37,12 +37,12 @@ _MOST_STAMPS = 200
 """Of each topic the stamps of the newest messages, so many, are compared with the clock."""
 
 _DISCOVERY_S = 2.0
-"""Discovery on one machine takes 0.06 s to 1.6 s: listening begins after this."""
+"""Discovery on one machine takes 0.06 s to 1.6 s: who is there is known after this."""
 _FIRST_MESSAGE_S = 8.0
-"""So long after that a topic with a publisher may be silent: on a busy machine discovery takes longer."""
+"""So long a topic with a publisher is waited for that has been silent: on a busy machine it is linked to us later."""
 
 _ENOUGH_S = 0.1
-"""So often it is asked whether enough has come."""
+"""So often a look asks whether enough has come."""
 
 _UNNAMED = "_NODE_NAME_UNKNOWN_"
 """Of a publisher that was met before its node was."""
@@ -66,7 +66,7 @@ class HeardTopic:
     Attributes:
         input: the topic.
         publishers: who publishes it.
-        rate_hz: messages a second, by those after the first; 0 where only one came.
+        rate_hz: messages a second, as :func:`heard_rate_hz` tells; 0 with fewer than two.
         message_bytes: mean length of a message; 0 without any.
         count: messages.
         age_s: median of receipt minus stamp, negative for stamps of the future; None where none bore a stamp.
@@ -118,11 +118,7 @@ def look_at_network(
     try:
         with command_node(NAME, arguments) as node, _spinning(node) as spin:
             ears = [_Ear(node, topic, listen_s) for topic in inputs]
-            spin(_DISCOVERY_S, _never)
-            for ear in ears:
-                ear.begin()
-            spin(listen_s, _never)
-            # A topic that has a publisher and is silent may be one that is not linked to us yet.
+            spin(_DISCOVERY_S + listen_s, lambda: False)
             spin(_FIRST_MESSAGE_S, lambda: all(ear.has_begun or not ear.publishers() for ear in ears))
             spin(listen_s, lambda: all(ear.is_done or not ear.has_begun for ear in ears))
             _await_names(node, [*outputs, *(topic.topic for topic in inputs)])
@@ -137,13 +133,29 @@ def look_at_network(
         return NetworkState(failure=str(problem))
 
 
+def heard_rate_hz(count: int, span_s: float, listened_s: float) -> float:
+    """Messages a second: one in each mean interval between them, and no more than came in all the time.
+
+    Args:
+        count: how many came.
+        span_s: from the first to the last, s.
+        listened_s: from the first on, s.
+    """
+    if count < 2:
+        return 0.0
+    in_all_hz = count / listened_s
+    return min((count - 1) / span_s, in_all_hz) if span_s > 0.0 else in_all_hz
+
+
 class _Ear:
     """One subscription, and what came by it in the time from its first message on."""
 
     def __init__(self, node: Node, topic: InputTopic, listen_s: float) -> None:
         self._node, self._topic, self._listen_s = node, topic, listen_s
         self._kind = message_class(topic.type_name)
-        self.begin()
+        self._count = self._bytes = 0
+        self._first_s = self._last_s = math.inf
+        self._newest: list[tuple[bytes, int]] = []
         qos = QoSProfile(
             depth=_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
         )
@@ -153,30 +165,24 @@ class _Ear:
 
     @property
     def has_begun(self) -> bool:
-        """Whether a message has come since :meth:`begin`."""
+        """Whether a message has come."""
         return self._count > 0
 
     @property
     def is_done(self) -> bool:
         """Whether the time from its first message on is over."""
-        return time.monotonic() >= self._end_s
-
-    def begin(self) -> None:
-        """Count from the next message on."""
-        self._count = self._bytes = 0
-        self._end_s = math.inf
-        self._newest: list[tuple[bytes, int]] = []
+        return time.monotonic() >= self._first_s + self._listen_s
 
     def publishers(self) -> tuple[Publisher, ...]:
         """Who publishes the topic now."""
         return _publishers(self._node, self._topic.topic)
 
     def heard(self) -> HeardTopic:
-        """What came since :meth:`begin`."""
+        """What came."""
         return HeardTopic(
             input=self._topic,
             publishers=self.publishers(),
-            rate_hz=max(self._count - 1, 0) / self._listen_s,
+            rate_hz=heard_rate_hz(self._count, self._last_s - self._first_s, self._listen_s),
             message_bytes=self._bytes / max(self._count, 1),
             count=self._count,
             age_s=self._age_s(),
@@ -185,8 +191,9 @@ class _Ear:
     def _take(self, data: bytes) -> None:
         if self.is_done:
             return
+        self._last_s = time.monotonic()
         if not self.has_begun:
-            self._end_s = time.monotonic() + self._listen_s
+            self._first_s = self._last_s
         self._count += 1
         self._bytes += len(data)
         self._newest.append((data, time.time_ns()))
@@ -213,10 +220,6 @@ def _spinning(node: Node) -> Iterator[Callable[[float, Callable[[], bool]], None
         yield spin
     finally:
         executor.shutdown()
-
-
-def _never() -> bool:
-    return False
 
 
 def _await_names(node: Node, topics: Sequence[str]) -> None:

@@ -100,10 +100,11 @@ def _judged(
         return Result.FAIL, found, f"let the driver offer it, or leave out {settings}"
     if not heard.count:
         return needed, f"{who} publishes it, and no message came", "is the device on? for slow ones: a longer --listen"
-    found = f"{heard.rate_hz:.3g} Hz from {who}" if heard.rate_hz > 0.0 else f"one message from {who}"
+    found = f"{heard.rate_hz:.3g} Hz from {who}" if heard.count > 1 else f"one message from {who}"
     least_hz = limits.of_input(source_of_topic(topic)).rate_hz
     if not heard.rate_hz >= least_hz:
-        return Result.FAIL, f"{found}: expected {least_hz:g} Hz at least", "look at the device and the network"
+        advice = "look at the device and the network; for slow ones: a longer --listen"
+        return Result.FAIL, f"{found}: expected {least_hz:g} Hz at least", advice
     if heard.age_s is not None:
         found += f", stamps {_age_words(heard.age_s)}"
         if not -limits.machine.clock_offset_s <= heard.age_s <= MAX_AGE_S:

@@ -104,7 +104,7 @@ def _parser() -> CommandParser:
         "--days", type=positive, default=_DAYS, metavar="D", help=f"certificates must last so many days ({_DAYS:g})"
     )
     parser.add_argument(
-        "--listen", type=positive, default=_LISTEN_S, metavar="S", help=f"listen to the sensors for S s ({_LISTEN_S:g})"
+        "--listen", type=positive, default=_LISTEN_S, metavar="S", help=f"listen to each sensor for S s ({_LISTEN_S:g})"
     )
     return parser
 
@@ -163,7 +163,7 @@ def _network(suite: _Suite, settings: Sequence[CheckLine]) -> NetworkState:
         if line.result is Result.FAIL:
             return NetworkState(failure=line.found)
     if sys.stderr.isatty():
-        print(f"preflight: listens to the sensors for {suite.options.listen:g} s", file=sys.stderr)
+        print(f"preflight: listens to each sensor for {suite.options.listen:g} s", file=sys.stderr)
     # Topics as /diagnostics are everybody's.
     given = [topic.topic for topic in suite.chain.outputs if not topic.topic.startswith("/")]
     return look_at_network(suite.chain.inputs, given, suite.options.namespace, suite.options.listen)
