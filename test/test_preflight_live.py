@@ -59,6 +59,11 @@ def preflight(observer, environment, *arguments):
     return process.returncode, row.findall(said), told
 
 
+def failed(rows):
+    """The checks that failed, and what each found."""
+    return [f"{check}: {found}" for check, result, found in rows if result == "FAIL"]
+
+
 def test_a_ship_that_is_ready(tmp_path, domain):
     environment = live_environment(domain, tmp_path)
     with GraphObserver(domain) as observer:
@@ -67,8 +72,7 @@ def test_a_ship_that_is_ready(tmp_path, domain):
         for sensor in ("fore", "starboard"):
             publish(observer.node, f"/demo/star/{sensor}/horizon_attitude", StarHorizonAttitude, 5.0)
         code, rows, told = preflight(observer, environment, EXAMPLE, "--namespace", "demo", "--listen", "2")
-    assert (code, told) == (0, "")
-    assert not [row for row in rows if row[1] == "FAIL"]
+    assert (code, told, failed(rows)) == (0, "", [])
     sensors = [found for check, result, found in rows if (check, result) == ("sensors", "OK")]
     assert len(sensors) == 3
     rates_hz = {found.split(":")[0]: float(re.search(r": ([\d.]+) Hz", found)[1]) for found in sensors}
@@ -80,14 +84,14 @@ def test_a_ship_that_is_ready(tmp_path, domain):
 
 
 def test_a_sensor_that_speaks_late_is_waited_for(tmp_path, domain):
-    """Discovery of two seconds and listening of one are over when it begins, five seconds after it was linked."""
+    """Discovery of two seconds and listening of one are over when it begins: it was linked three and a half before."""
     environment = live_environment(domain, tmp_path)
     with GraphObserver(domain) as observer:
         publish(observer.node, "/demo/ins/imu", Imu, 50.0)
         for sensor in ("fore", "starboard"):
-            publish(observer.node, f"/demo/star/{sensor}/horizon_attitude", StarHorizonAttitude, 5.0, silent_s=5.0)
+            publish(observer.node, f"/demo/star/{sensor}/horizon_attitude", StarHorizonAttitude, 5.0, silent_s=3.5)
         code, rows, told = preflight(observer, environment, EXAMPLE, "--namespace", "demo", "--listen", "1")
-    assert (code, told) == (0, "")
+    assert (code, told, failed(rows)) == (0, "", [])
     assert len([found for check, result, found in rows if (check, result) == ("sensors", "OK")]) == 3
 
 
@@ -108,7 +112,7 @@ def test_faults_come_together_and_all_are_told(tmp_path, domain):
         code, rows, told = preflight(
             observer, environment, path, "--limits", limits, "--listen", "1", "--hours", "1e7", "--box", "/proc/boxes"
         )
-    failed = [f"{check}: {found}" for check, result, found in rows if result == "FAIL"]
+    lines = failed(rows)
     assert (code, told) == (1, "")
     for expected in (
         rf"parameters: {re.escape(str(path))}:\d+: parameter 'lag_s'",
@@ -123,7 +127,7 @@ def test_faults_come_together_and_all_are_told(tmp_path, domain):
         r"sensors: star/fore/horizon_attitude: /observer does not offer reliable, asked for by qos_overrides in the ",
         r"sensors: star/starboard/horizon_attitude: nobody publishes it",
     ):
-        assert any(re.match(expected, line) for line in failed), (expected, failed)
+        assert any(re.match(expected, line) for line in lines), (expected, lines)
 
 
 NMEA = """
@@ -145,9 +149,8 @@ def test_an_ins_that_nobody_has_heard_is_not_ready_though_nmea_in_will_read_it(t
         code, rows, _ = preflight(observer, environment, path, "--namespace", "demo", "--listen", "1")
         by_hand.destroy_node()
     assert ("parameters", "OK", f"{path}: good for ship_attitude, nmea_in") in rows
-    failed = [(check, found) for check, result, found in rows if result == "FAIL"]
-    unheard = "ins/imu: not heard: nobody publishes it before nmea_in runs, which the suite starts"
-    assert (code, failed) == (1, [("sensors", unheard)])
+    unheard = "sensors: ins/imu: not heard: nobody publishes it before nmea_in runs, which the suite starts"
+    assert (code, failed(rows)) == (1, [unheard])
     assert ("domain", "WARN", "/demo/nmea_in is running already") in rows
 
 

@@ -38,8 +38,9 @@ _MOST_STAMPS = 200
 
 _DISCOVERY_S = 2.0
 """Discovery on one machine takes 0.06 s to 1.6 s: who is there is known after this."""
-_FIRST_MESSAGE_S = 8.0
-"""So long a topic with a publisher is waited for that has been silent: on a busy machine it is linked to us later."""
+_FIRST_MESSAGE_S = 12.0
+"""So long a topic is waited for that has been silent, though somebody publishes it or the suite needs it: on a busy
+machine who is there is found later, and linked to us later still."""
 
 _ENOUGH_S = 0.1
 """So often a look asks whether enough has come."""
@@ -119,7 +120,7 @@ def look_at_network(
         with command_node(NAME, arguments) as node, _spinning(node) as spin:
             ears = [_Ear(node, topic, listen_s) for topic in inputs]
             spin(_DISCOVERY_S + listen_s, lambda: False)
-            spin(_FIRST_MESSAGE_S, lambda: all(ear.has_begun or not ear.publishers() for ear in ears))
+            spin(_FIRST_MESSAGE_S, lambda: not any(ear.is_awaited for ear in ears))
             spin(listen_s, lambda: all(ear.is_done or not ear.has_begun for ear in ears))
             _await_names(node, [*outputs, *(topic.topic for topic in inputs)])
             return NetworkState(
@@ -167,6 +168,11 @@ class _Ear:
     def has_begun(self) -> bool:
         """Whether a message has come."""
         return self._count > 0
+
+    @property
+    def is_awaited(self) -> bool:
+        """Whether no message has come of a topic that somebody publishes or the suite needs."""
+        return not self.has_begun and bool(self._topic.required or self._topic.named or self.publishers())
 
     @property
     def is_done(self) -> bool:
