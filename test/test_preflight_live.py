@@ -3,6 +3,7 @@
 import re
 import subprocess
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -30,21 +31,37 @@ def domain(monkeypatch):
 
 
 def publish(node, topic, kind, rate_hz, ahead_s=0.0, qos=10, silent_s=0.0):
-    """Publish messages of one kind, stamped by the clock or so far ahead of it; silent for a while once linked."""
+    """A publisher of messages of a kind, stamped by the clock or so far ahead of it; silent for a while once linked."""
     publisher = node.create_publisher(kind, topic, qos)
-    linked_s = []
 
     def send():
-        if not linked_s and publisher.get_subscription_count():
-            linked_s.append(time.monotonic())
-        if silent_s and not (linked_s and time.monotonic() >= linked_s[0] + silent_s):
-            return
         message = kind()
         time_ns = time.time_ns() + round(ahead_s * NS_PER_S)
         message.header.stamp.sec, message.header.stamp.nanosec = stamp_fields(time_ns)
         publisher.publish(message)
 
-    node.create_timer(1.0 / rate_hz, send)
+    def begin():
+        node.create_timer(1.0 / rate_hz, send)
+
+    if silent_s:
+        after_link(node, publisher, silent_s, begin)
+    else:
+        begin()
+    return publisher
+
+
+def after_link(node, publisher, delay_s, act):
+    """Do something once, so long after somebody's subscription was linked to a publisher."""
+    linked_s = []
+
+    def look():
+        if not linked_s and publisher.get_subscription_count():
+            linked_s.append(time.monotonic())
+        if linked_s and time.monotonic() >= linked_s[0] + delay_s:
+            timer.cancel()
+            act()
+
+    timer = node.create_timer(0.1, look)
 
 
 def preflight(observer, environment, *arguments):
@@ -83,13 +100,19 @@ def test_a_ship_that_is_ready(tmp_path, domain):
     assert ("domain", "OK", "rmw_fastrtps_cpp; sensors: /observer") in rows
 
 
-def test_a_sensor_that_speaks_late_is_waited_for(tmp_path, domain):
-    """Discovery of two seconds and listening of one are over when it begins: it was linked three and a half before."""
-    environment = live_environment(domain, tmp_path)
+@pytest.mark.parametrize("are_there", [True, False])
+def test_sensors_that_speak_late_or_come_late_are_waited_for(are_there, tmp_path, domain):
+    """Discovery of four seconds and listening of one are over when they speak, or are there at all."""
+    environment, late_s = live_environment(domain, tmp_path), 5.5
     with GraphObserver(domain) as observer:
-        publish(observer.node, "/demo/ins/imu", Imu, 50.0)
+        imu = publish(observer.node, "/demo/ins/imu", Imu, 50.0)
         for sensor in ("fore", "starboard"):
-            publish(observer.node, f"/demo/star/{sensor}/horizon_attitude", StarHorizonAttitude, 5.0, silent_s=3.5)
+            topic = f"/demo/star/{sensor}/horizon_attitude"
+            star = partial(publish, observer.node, topic, StarHorizonAttitude, 5.0)
+            if are_there:
+                star(silent_s=late_s)
+            else:
+                after_link(observer.node, imu, late_s, star)
         code, rows, told = preflight(observer, environment, EXAMPLE, "--namespace", "demo", "--listen", "1")
     assert (code, told, failed(rows)) == (0, "", [])
     assert len([found for check, result, found in rows if (check, result) == ("sensors", "OK")]) == 3

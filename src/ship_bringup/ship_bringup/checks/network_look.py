@@ -36,11 +36,12 @@ _DEPTH = 200
 _MOST_STAMPS = 200
 """Of each topic the stamps of the newest messages, so many, are compared with the clock."""
 
-_DISCOVERY_S = 2.0
-"""Discovery on one machine takes 0.06 s to 1.6 s: who is there is known after this."""
+_DISCOVERY_S = 4.0
+"""Who is there is known after this: discovery on one machine takes 0.06 s to 1.6 s, and where the first announcements
+of a participant are lost, 3 s more until its next."""
 _FIRST_MESSAGE_S = 12.0
 """So long a topic is waited for that has been silent, though somebody publishes it or the suite needs it: on a busy
-machine who is there is found later, and linked to us later still."""
+machine it is found late, and linked to us later still."""
 
 _ENOUGH_S = 0.1
 """So often a look asks whether enough has come."""
