@@ -51,7 +51,7 @@ def publish(node, topic, kind, rate_hz, ahead_s=0.0, qos=10, silent_s=0.0):
 
 
 def after_link(node, publisher, delay_s, act):
-    """Do something once, so long after somebody's subscription was linked to a publisher."""
+    """Call `act` once, `delay_s` after the first subscription was linked to the publisher."""
     linked_s = []
 
     def look():
@@ -102,7 +102,7 @@ def test_a_ship_that_is_ready(tmp_path, domain):
 
 @pytest.mark.parametrize("are_there", [True, False])
 def test_sensors_that_speak_late_or_come_late_are_waited_for(are_there, tmp_path, domain):
-    """Discovery of four seconds and listening of one are over when they speak, or are there at all."""
+    """They speak, or are there at all, only after discovery (4 s) and listening (1 s) are over."""
     environment, late_s = live_environment(domain, tmp_path), 5.5
     with GraphObserver(domain) as observer:
         imu = publish(observer.node, "/demo/ins/imu", Imu, 50.0)

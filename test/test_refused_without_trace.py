@@ -21,6 +21,7 @@ from ship_testing.adapter_runs import (
     without_refused,
 )
 from ship_testing.every_input import NODES, clean_run, topics, voyage
+from ship_testing.message_values import type_name_of
 
 Change = Callable[[Arrival], Arrival]
 
@@ -58,7 +59,7 @@ def another_frame(arrival: Arrival) -> Arrival:
 
 
 def infinite(arrival: Arrival) -> Arrival:
-    *parents, leaf = FIRST_NUMBER[type_of(arrival)].split(".")
+    *parents, leaf = FIRST_NUMBER[type_name_of(arrival.message)].split(".")
 
     def put(message: Any) -> None:
         for name in parents:
@@ -70,11 +71,6 @@ def infinite(arrival: Arrival) -> Arrival:
 
 def again(after_s: float) -> Change:
     return lambda arrival: changed_copy(arrival, lambda message: None, arrival.receive_ns + round(after_s * SECOND_NS))
-
-
-def type_of(arrival: Arrival) -> str:
-    kind = type(arrival.message)
-    return f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
 
 
 def bad_quaternion(arrival: Arrival) -> Arrival:

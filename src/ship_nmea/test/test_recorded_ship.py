@@ -4,14 +4,14 @@ from datetime import datetime, timezone
 from pathlib import Path
 
 import pytest
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.serialization import deserialize_message
 
 from ship_bags.commands.import_nmea import main as import_nmea
 from ship_bags.mcap.bag_reader import read_bag
-from ship_bags.message_store import message_store, serialize
 from ship_bags.nmea.instrument_line import datetime_ns
 from ship_bags.stamps import NS_PER_S
 from ship_testing.listening_node import free_port
+from ship_testing.message_values import value_bytes
 
 LOGS = Path(__file__).parents[4] / "shared" / "data" / "nbp1406"
 FILES = {"seapath": "seap", "s330": "s330", "gyro": "gyr1", "mast": "mwx1"}
@@ -36,13 +36,6 @@ def excerpt(source):
         hours, minutes, seconds = (float(part) for part in line.partition(" ")[0][11:-1].split(":"))
         lines.append((3600.0 * hours + 60.0 * minutes + seconds, line))
     return [(time_s, line) for time_s, line in lines if time_s < EXCERPT_S]
-
-
-def bits(message):
-    """The values of a message to the last bit; what rclpy leaves between them is whatever was in its memory."""
-    kind = type(message)
-    type_name = f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
-    return serialize(message_store().deserialize_cdr(serialize_message(message), type_name))
 
 
 @pytest.fixture
@@ -91,5 +84,5 @@ def test_the_recorded_ship_sent_live_gives_what_the_import_gives(listening, impo
         if topic in ARRIVAL_STAMPED:
             for message in (*heard, *wanted):
                 message.header.stamp.sec = message.header.stamp.nanosec = 0
-        assert [bits(message) for message in heard] == [bits(message) for message in wanted]
+        assert [value_bytes(message) for message in heard] == [value_bytes(message) for message in wanted]
     assert node.exceptions() == "no exception"

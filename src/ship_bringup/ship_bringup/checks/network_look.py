@@ -37,14 +37,14 @@ _MOST_STAMPS = 200
 """Of each topic the stamps of the newest messages, so many, are compared with the clock."""
 
 _DISCOVERY_S = 4.0
-"""Who is there is known after this: discovery on one machine takes 0.06 s to 1.6 s, and where the first announcements
-of a participant are lost, 3 s more until its next."""
+"""Discovery on one machine takes 0.06 s to 1.6 s. Where the first announcements of a participant are lost, the next
+comes after 3 s more."""
 _FIRST_MESSAGE_S = 12.0
-"""So long a topic is waited for that has been silent, though somebody publishes it or the suite needs it: on a busy
-machine it is found late, and linked to us later still."""
+"""A topic that the suite needs and that has been silent is waited for so much longer: a busy machine may find its
+publisher late, and link it to us later still."""
 
 _ENOUGH_S = 0.1
-"""So often a look asks whether enough has come."""
+"""A look asks this often whether enough has come."""
 
 _UNNAMED = "_NODE_NAME_UNKNOWN_"
 """Of a publisher that was met before its node was."""
@@ -122,7 +122,8 @@ def look_at_network(
             ears = [_Ear(node, topic, listen_s) for topic in inputs]
             spin(_DISCOVERY_S + listen_s, lambda: False)
             spin(_FIRST_MESSAGE_S, lambda: not any(ear.is_awaited for ear in ears))
-            spin(listen_s, lambda: all(ear.is_done or not ear.has_begun for ear in ears))
+            # One that nobody waited for may begin meanwhile, each once.
+            spin(len(ears) * listen_s, lambda: all(ear.is_done or not ear.has_begun for ear in ears))
             _await_names(node, [*outputs, *(topic.topic for topic in inputs)])
             return NetworkState(
                 rmw=get_rmw_implementation_identifier(),
@@ -136,7 +137,7 @@ def look_at_network(
 
 
 def heard_rate_hz(count: int, span_s: float, listened_s: float) -> float:
-    """Messages a second: one in each mean interval between them, and no more than came in all the time.
+    """Messages a second, by the mean interval between them; never more than came in the whole time.
 
     Args:
         count: how many came.
@@ -172,23 +173,19 @@ class _Ear:
 
     @property
     def is_awaited(self) -> bool:
-        """Whether no message has come of a topic that somebody publishes or the suite needs."""
-        return not self.has_begun and bool(self._topic.required or self._topic.named or self.publishers())
+        """Whether no message has come of a topic that the suite needs."""
+        return not self.has_begun and (self._topic.required or self._topic.named)
 
     @property
     def is_done(self) -> bool:
         """Whether the time from its first message on is over."""
         return time.monotonic() >= self._first_s + self._listen_s
 
-    def publishers(self) -> tuple[Publisher, ...]:
-        """Who publishes the topic now."""
-        return _publishers(self._node, self._topic.topic)
-
     def heard(self) -> HeardTopic:
         """What came."""
         return HeardTopic(
             input=self._topic,
-            publishers=self.publishers(),
+            publishers=_publishers(self._node, self._topic.topic),
             rate_hz=heard_rate_hz(self._count, self._last_s - self._first_s, self._listen_s),
             message_bytes=self._bytes / max(self._count, 1),
             count=self._count,
