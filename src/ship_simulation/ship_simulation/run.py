@@ -25,6 +25,7 @@ from ship_simulation.ship.attitude_device import (
     simulate_reference,
     simulate_star_sensor,
 )
+from ship_simulation.ship.deflection import Deflection, DeflectionSamples, simulate_deflections
 from ship_simulation.ship.motion import Carrier, carrier_of
 from ship_simulation.ship.ship_track import FixSamples, ShipTrack, simulate_fixes
 from ship_simulation.stars.sky import TrueSky, draw_sky
@@ -39,6 +40,9 @@ from ship_simulation.theodolite.run import TheodoliteRun, simulate_theodolite
 
 SKY_SOURCES = ("fix", "pressure", "temperature", "humidity")
 """Sources of a run whose star sensors look at the real sky, besides the measurements."""
+
+DEFLECTION_SOURCE = "deflection"
+"""Source of a run in which a topic tells the deflection of the vertical."""
 
 StarSamples = DeviceSamples | StarSightings | InertialSamples
 """Horizon attitudes, single stars, or attitudes among the stars."""
@@ -58,6 +62,7 @@ class VoyageTruth:
         sightings: of each sensor that gives single stars, which stars they are.
         references: mounting and timing of each other attitude system.
         track: where the ship is.
+        deflection: of the vertical, at those stamps, rad, shape (m, 2).
         sky: the sky over it; None where no sensor looks at it.
     """
 
@@ -69,6 +74,7 @@ class VoyageTruth:
     sightings: dict[str, SightingsTruth]
     references: dict[str, DeviceTruth]
     track: ShipTrack
+    deflection: FloatArray
     sky: TrueSky | None
 
 
@@ -77,7 +83,7 @@ class SimulatedRun:
     """A scenario with one draw of its random parts: the samples of a stretch of it, or of the whole voyage.
 
     The weather station says at the stamps ``weather_ns``, shape (n,), what the scenario's ``weather`` says.
-    ``fused`` and ``theodolite`` are None where the scenario has none.
+    ``fused``, ``deflections`` and ``theodolite`` are None where the scenario has none.
     """
 
     scenario: Scenario
@@ -89,6 +95,7 @@ class SimulatedRun:
     fixes: FixSamples
     weather_ns: np.ndarray
     fused: FusedSamples | None
+    deflections: DeflectionSamples | None
     theodolite: TheodoliteRun | None
     truth: VoyageTruth
 
@@ -101,14 +108,19 @@ class SimulatedRun:
         """(log time, source, index of the sample) of each input of ``ship_attitude``, in order of arrival.
 
         A source is ``ins``, ``star.<id>`` or ``reference.<name>``, or, where a star sensor looks at the real sky, one
-        of SKY_SOURCES. Samples that arrive at the same nanosecond come in this order of sources, then by stamp.
+        of SKY_SOURCES; of these the fix alone, and DEFLECTION_SOURCE, where the suite is told of gravity. Samples that
+        arrive at the same nanosecond come in this order of sources, then by stamp.
         """
         sources = {"ins": self.ins.log_time_ns}
         sources |= {f"star.{key}": samples.log_time_ns for key, samples in self.stars.items()}
         sources |= {f"reference.{key}": samples.log_time_ns for key, samples in self.references.items()}
+        fix, *weather = SKY_SOURCES
+        if self.scenario.needs_sky or self.scenario.gravity.told != "none":
+            sources[fix] = self.fixes.log_time_ns
         if self.scenario.needs_sky:
-            fix, *weather = SKY_SOURCES
-            sources |= {fix: self.fixes.log_time_ns, **dict.fromkeys(weather, self.weather_ns)}
+            sources |= dict.fromkeys(weather, self.weather_ns)
+        if self.deflections is not None:
+            sources[DEFLECTION_SOURCE] = self.deflections.time_ns
         return _in_order(sources)
 
     def pointing_arrivals(self) -> list[tuple[int, str, int]]:
@@ -165,16 +177,18 @@ class _Voyage:
         self._carrier = carrier_of(scenario.carrier, seed)
         # A motion that ends too early is refused before the first sample.
         self._carrier.attitude(np.array([0.0, scenario.duration_s]))
+        self._deflection = Deflection(scenario, self.track, self._draws)
         self._sky = draw_sky(scenario, self.track, seed) if scenario.needs_sky else None
 
     def samples(self, stretch: Stretch) -> SimulatedRun:
         """The samples of the next stretch."""
         scenario, carrier, draws, seed = self.scenario, self._carrier, self._draws, self._draws.seed
         draws.begin(stretch)
-        ins, ins_truth = simulate_ins(scenario, carrier, stretch, draws)
+        deflection = self._deflection
+        ins, ins_truth = simulate_ins(scenario, carrier, stretch, draws, deflection)
         stars, star_truth, sightings_truth = _simulate_stars(scenario, carrier, self._sky, stretch, draws)
         references = {
-            key: simulate_reference(key, scenario, carrier, ins_truth.time_offset_s, stretch, draws)
+            key: simulate_reference(key, scenario, carrier, ins_truth.time_offset_s, stretch, draws, deflection)
             for key in scenario.references
         }
         index = truth_index(ins.time_ns, stretch.start_ns, stretch.holds_last(scenario.ins.rate_hz, 0.0))
@@ -188,6 +202,7 @@ class _Voyage:
             sightings=sightings_truth,
             references={key: device_truth for key, (_, device_truth) in references.items()},
             track=self.track,
+            deflection=deflection.at(since_start_s),
             sky=self._sky,
         )
         fused, aboard = scenario.fused_attitude.written, scenario.theodolite.aboard
@@ -201,6 +216,7 @@ class _Voyage:
             fixes=simulate_fixes(scenario, self.track, stretch, draws),
             weather_ns=stretch.stamps(scenario.weather.rate_hz, 0.0),
             fused=simulate_fused_attitude(scenario, carrier, stretch, draws) if fused else None,
+            deflections=simulate_deflections(scenario, stretch) if scenario.gravity.told == "topic" else None,
             theodolite=simulate_theodolite(scenario, carrier, stretch, draws) if aboard else None,
             truth=truth,
         )

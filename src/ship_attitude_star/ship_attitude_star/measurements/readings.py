@@ -95,3 +95,24 @@ class AirReading:
 
 SkyInput = PositionFix | AirReading
 """An input on which the sky over the ship depends."""
+
+
+@dataclass(frozen=True)
+class DeflectionReading:
+    """The deflection of the vertical at the ship, by somebody who knows the gravity field.
+
+    Attributes:
+        time_ns: stamp.
+        deflection: (xi, eta), northward and eastward components of gravity's zenith, rad, shape (2,).
+        covariance: of its error, rad², shape (2, 2); None where the message gives none.
+    """
+
+    source: ClassVar[str] = "gravity/deflection"
+
+    time_ns: int
+    deflection: FloatArray
+    covariance: FloatArray | None = None
+
+    def content(self) -> bytes:
+        """All values as bytes: equal for a repeated message, and an order for conflicting ones."""
+        return self.deflection.tobytes() + (b"" if self.covariance is None else self.covariance.tobytes())

@@ -27,6 +27,9 @@ SHARED_BY_SKY = "sky"
 SHARED_BY_MESSAGES = "message"
 """Names the error that several messages have in common, of which nothing is known but its size."""
 
+SHARED_BY_GRAVITY = "gravity"
+"""Names the deflection of the vertical, by which all systems that level themselves differ from the geodetic horizon."""
+
 
 @dataclass(frozen=True)
 class AttitudeMeasurement:
@@ -42,7 +45,8 @@ class AttitudeMeasurement:
         shared_n: turn of the sky, as the horizon has it, by one sigma of each error that star sensors share, rad, shape
             (3, n); None where the message knows of none.
         shared_by: which errors these are: SHARED_BY_SKY, n = 4
-            (:data:`ship_attitude_star.sky.sky_watch.SHARED_TERMS`), or SHARED_BY_MESSAGES, n = 3.
+            (:data:`ship_attitude_star.sky.sky_watch.SHARED_TERMS`), SHARED_BY_MESSAGES, n = 3, or SHARED_BY_GRAVITY,
+            n = 2, of which the unit is the radian.
     """
 
     source: str

@@ -11,7 +11,13 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ship_attitude_star.measurements.readings import AirReading, InertialAttitude, PositionFix, SkyInput
+from ship_attitude_star.measurements.readings import (
+    AirReading,
+    DeflectionReading,
+    InertialAttitude,
+    PositionFix,
+    SkyInput,
+)
 from ship_attitude_star.measurements.samples import (
     SHARED_BY_MESSAGES,
     SHARED_BY_SKY,
@@ -56,6 +62,7 @@ _NO_FIX = -1
 _COVARIANCE_UNKNOWN = 0
 _LARGEST_POSITION_SIGMA_M = 1e5
 _LARGEST_HEIGHT_M = 20_000.0
+_LARGEST_DEFLECTION = 300.0 * ARCSEC
 
 
 def star_measurement(
@@ -282,9 +289,40 @@ def surroundings_reader(topic: str, config: SkyConfig) -> Callable[..., ReadMess
 
 def surroundings_feeds(config: SkyConfig, take: Callable[[Any, int], Any]) -> Iterator[Feed]:
     """The rows of an adapter's table by which the place and the air reach the core; ``take`` is its method."""
-    for topic, type_name in SURROUNDINGS.items():
-        read = surroundings_reader(topic, config)
-        yield Feed(InputTopic(topic, type_name, required=topic == "gnss/fix", depth=100), topic, read, take)
+    for topic in SURROUNDINGS:
+        yield _surroundings_feed(topic, config, take)
+
+
+def place_feed(config: SkyConfig, take: Callable[[Any, int], Any]) -> Feed:
+    """The row by which the place alone reaches the core, where no sensor needs the air."""
+    return _surroundings_feed("gnss/fix", config, take)
+
+
+def _surroundings_feed(topic: str, config: SkyConfig, take: Callable[[Any, int], Any]) -> Feed:
+    needed = InputTopic(topic, SURROUNDINGS[topic], required=topic == "gnss/fix", depth=100)
+    return Feed(needed, topic, surroundings_reader(topic, config), take)
+
+
+def deflection(message: Any, receive_ns: int) -> ReadMessage[DeflectionReading]:
+    """``gravity/deflection`` → the deflection of the vertical at the ship.
+
+    Raises:
+        Refused: with the reason.
+    """
+    time_ns = stamp_ns(message.header, receive_ns)
+    finite_numbers("xi, eta", message.xi, message.eta)
+    largest = max(abs(message.xi), abs(message.eta))
+    if not largest <= _LARGEST_DEFLECTION:
+        text = f"xi {message.xi:.4g}, eta {message.eta:.4g}: expected radians, 0.0015 (300 arcsec) at most"
+        raise Refused(Reason.UNITS, text)
+    covariance = np.asarray(message.covariance, dtype=float).reshape(2, 2)
+    if not covariance.any():
+        return ReadMessage(DeflectionReading(time_ns, np.array([message.xi, message.eta])), False)
+    # Written so that NaN fails.
+    is_symmetric = bool(np.all(np.abs(covariance - covariance.T) <= 1e-6 * np.abs(np.trace(covariance))))
+    if not (is_symmetric and np.linalg.eigvalsh(covariance)[0] > 0.0):
+        raise Refused(Reason.BAD_COVARIANCE, "covariance of (xi, eta): not symmetric and positive, or no number")
+    return ReadMessage(DeflectionReading(time_ns, np.array([message.xi, message.eta]), covariance), True)
 
 
 def _read(measurement: Measured) -> ReadMessage[Measured]:

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ship_attitude_star.measurements.readings import DeflectionReading
 from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeRun
 from ship_attitude_star.ros import messages_in, rows_in, star_messages_in
 from ship_attitude_star.ros.alignment_file import ALIGNMENT_FILE
@@ -27,6 +28,7 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig, StarSens
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.integrity import QUANTITIES
 from ship_attitude_star.sky.sky_watch import installed_sky
+from ship_attitude_star.vertical.config import TOPIC
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.outcome import Status
 from ship_estimation.rate_guard import Rates
@@ -61,6 +63,7 @@ from ship_node.edge.topics import InputTopic, OutputTopic, Published
 from ship_node.edge.verdict_report import clock_status
 
 INTEGRITY_TOPIC = "ship/integrity"
+DEFLECTION_TOPIC, DEFLECTION_TYPE = "ship/deflection", "ship_msgs/msg/Deflection"
 
 _STAR_TYPES = {
     "horizon_attitude": "ship_msgs/msg/StarHorizonAttitude",
@@ -120,6 +123,7 @@ class ShipAttitudeAdapter(BlockAdapter):
         OutputTopic(INTEGRITY_TOPIC, INTEGRITY_TYPE),
         OutputTopic(innovation_topic, INNOVATION_TYPE),
         OutputTopic("ship/error_arcsec", "ship_msgs/msg/AttitudeErrorArcsec"),
+        OutputTopic(DEFLECTION_TOPIC, DEFLECTION_TYPE),
         *OWN_OUTPUTS,
     )
 
@@ -159,6 +163,11 @@ class ShipAttitudeAdapter(BlockAdapter):
             yield Feed(topic, f"reference.{name}", read, core.add_measurement, judged=True)
         if self._watch is not None:
             yield from messages_in.surroundings_feeds(config.sky, untimed(core.add_sky_input))
+        elif config.gravity.is_modelled:
+            yield messages_in.place_feed(config.sky, untimed(core.add_sky_input))
+        if config.gravity.deflection == TOPIC:
+            given = InputTopic("gravity/deflection", DEFLECTION_TYPE, False, depth=100)
+            yield Feed(given, "gravity/deflection", messages_in.deflection, untimed(core.add_deflection))
 
     def _star_readers(
         self, id_: str, star: StarSensorConfig
@@ -198,6 +207,8 @@ class ShipAttitudeAdapter(BlockAdapter):
         }
         if installed:
             published.append((TF_STATIC_TOPIC, installed_frames(factory, installed, now_ns)))
+        if estimate is not None and self.core.vertical is not None:
+            published.append((DEFLECTION_TOPIC, deflection_message(factory, self.core.deflection(estimate.time_ns))))
         return [*published, ("ship/alignment", alignment_state(factory, self.core.alignment(), now_ns))]
 
     def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
@@ -208,6 +219,7 @@ class ShipAttitudeAdapter(BlockAdapter):
             attitude_status(self.latest, self.clock_jumps, self.start_warnings),
             DiagnosticStatus("alignment", Level.WARN if told else Level.OK, text),
             DiagnosticStatus("ins rates", *_RATES[self.core.rates]),
+            *vertical_statuses(self.core, self.latest),
             *self.integrity_statuses(),
             *self.conflict_statuses(),
             *self.verdicts.statuses(),
@@ -219,6 +231,32 @@ def attitude_budget(factory: MessageFactory, estimate: AttitudeEstimate, sources
     """ship_msgs/ErrorBudget of a published attitude; ``sources`` name the parts of its covariance."""
     parts_n, covariance_n = estimate.covariance_parts_n, estimate.covariance_n
     return error_budget(factory, "ship_attitude", estimate.time_ns, DECK_FRAME, sources, parts_n, covariance_n)
+
+
+def deflection_message(factory: MessageFactory, known: DeflectionReading) -> Any:
+    """ship_msgs/Deflection of what is known of the deflection."""
+    assert known.covariance is not None
+    return factory.make(
+        DEFLECTION_TYPE,
+        header={"stamp": known.time_ns, "frame_id": HORIZON_FRAME},
+        xi=float(known.deflection[0]),
+        eta=float(known.deflection[1]),
+        covariance=known.covariance.ravel(),
+    )
+
+
+def vertical_statuses(core: ShipAttitudeCore, latest: AttitudeEstimate | None) -> list[DiagnosticStatus]:
+    """What is known of the vertical at the last attitude; nothing where the deflection is not modelled."""
+    if core.vertical is None or latest is None or latest.status is Status.INVALID:
+        return []
+    known, lacking = core.deflection(latest.time_ns), core.vertical.told(latest.time_ns)
+    assert known is not None
+    assert known.covariance is not None
+    values_arcsec = [*known.deflection / ARCSEC, *np.sqrt(known.covariance.diagonal()) / ARCSEC]
+    names = ("xi (arcsec)", "eta (arcsec)", "sigma of xi (arcsec)", "sigma of eta (arcsec)")
+    values = {name: f"{value:.1f}" for name, value in zip(names, values_arcsec, strict=True)}
+    text = lacking or "the deflection of the vertical is known, or estimated"
+    return [DiagnosticStatus("vertical", Level.WARN if lacking else Level.OK, text, values)]
 
 
 def error_arcsec(factory: MessageFactory, estimate: AttitudeEstimate) -> Any:

@@ -6,11 +6,14 @@ from functools import cached_property
 from ship_attitude_star.measurements.samples import SHARED_BY_MESSAGES, SHARED_BY_SKY
 from ship_attitude_star.sky.config import InertialConfig, SkyConfig
 from ship_attitude_star.stars.config import CameraConfig, MountingConfig, StarSensorsById
+from ship_attitude_star.vertical.config import GravityConfig
 from ship_estimation.gates import GateConfig
 from ship_estimation.ins import InsErrorConfig, StarInsConfig
 from ship_estimation.parameter_fields import arcsec, autosave_period, degrees, mapping_of, parameter, section, stamp_age
 from ship_estimation.parameters import ParameterError
 from ship_estimation.protection import IntegrityConfig
+
+GEODETIC, GRAVITY = "geodetic", "gravity"
 
 BY_INPUT = "by_input"
 """What the messages of a star sensor share follows from their kind."""
@@ -160,6 +163,12 @@ class ShipAttitudeConfig(StarSensorsById):
     """All parameters of ``ship_attitude``."""
 
     ins: InsConfig = section(InsConfig)
+    gravity: GravityConfig = section(GravityConfig)
+    horizon: str = parameter(
+        GEODETIC,
+        doc="what the published attitude is against: the ellipsoid's horizon, or gravity's (needs gravity.deflection)",
+        choices=(GEODETIC, GRAVITY),
+    )
     star_sensors: dict[str, StarSensorConfig] = mapping_of("star sensors by id")
     references: dict[str, ReferenceConfig] = mapping_of("other attitude systems by name")
     gate: GateConfig = section(GateConfig)
@@ -188,6 +197,9 @@ class ShipAttitudeConfig(StarSensorsById):
             ParameterError: names the parameter.
         """
         super().__post_init__()
+        if self.horizon == GRAVITY and not self.gravity.is_modelled:
+            text = "parameter 'horizon' is gravity, and gravity.deflection none: nothing tells the two horizons apart"
+            raise ParameterError(text, "horizon")
         for id_, star in self.star_sensors.items():
             if star.shared != BY_INPUT and star.input not in _SOLVED_BEFORE:
                 name = f"star_sensors.{id_}.shared"

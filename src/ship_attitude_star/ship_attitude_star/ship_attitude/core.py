@@ -6,12 +6,13 @@ measurement is applied and which output may follow. What belongs to the ship's a
 of the INS and of the star sensors, and who carries the attitude when the INS is gone.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from ship_attitude_star.guards.stream_guards import StreamGuards
-from ship_attitude_star.measurements.readings import SkyInput
+from ship_attitude_star.measurements.readings import DeflectionReading, PositionFix, SkyInput
 from ship_attitude_star.measurements.samples import (
     AttitudeDecision,
     AttitudeEstimate,
@@ -36,6 +37,7 @@ from ship_attitude_star.ship_attitude.integrity import integrity_of
 from ship_attitude_star.ship_attitude.output import attitude_alone, estimate_from_star, no_estimate
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.vertical.vertical_track import VerticalTrack
 from ship_estimation.estimator_shell import EstimatorShell, Model, surely_in_time
 from ship_estimation.ins import InsJump
 from ship_estimation.ins_guard import JudgedIns
@@ -62,7 +64,8 @@ class ShipAttitudeCore:
     def __init__(self, config: ShipAttitudeConfig, watch: SkyWatch | None = None) -> None:
         self.config = config
         self._watch = watch
-        self.filter = ShipFilter(config)
+        self.vertical = VerticalTrack(config.gravity, config.sky) if config.gravity.is_modelled else None
+        self.filter = ShipFilter(config, self.vertical)
         self._start: tuple[AlignmentPrior, int] | None = None
         self._silence_ns = round(config.ins.silence_s * SECOND_NS)
         self._max_gap_ns = round(config.ins.max_gap_s * SECOND_NS)
@@ -99,19 +102,21 @@ class ShipAttitudeCore:
         """Forget all measurements. After a jump of the clock, outputs may start again at earlier times."""
         initial, _ = self._initial()
         self._shell.reset(initial, clock_jumped)
-        self._corrected = CorrectedIns(self.filter, initial)
+        self._corrected = CorrectedIns(self.filter, initial, self.config.horizon)
         self._track = AttitudeTrack(self._max_gap_ns)
         self._guards = StreamGuards(self.config.ins)
         self._ins_arrival_ns: int | None = None
         self._newest_star: tuple[Measurement, int] | None = None
         if self._watch is not None:
             self._watch.reset()
+        if self.vertical is not None:
+            self.vertical.reset()
 
     def reconfigure(self, config: ShipAttitudeConfig) -> None:
         """Go on with other noise and gates; geometry and the set of devices stay."""
         self.config = config
-        self.filter = ShipFilter(config)
-        self._corrected = CorrectedIns(self.filter, self.state)
+        self.filter = ShipFilter(config, self.vertical)
+        self._corrected = CorrectedIns(self.filter, self.state, config.horizon)
         self._guards.ins.reconfigure(config.ins)
 
     def add_ins(self, sample: AttitudeSample, arrival_ns: int | None = None, estimate: bool = True) -> AttitudeOutcome:
@@ -141,7 +146,8 @@ class ShipAttitudeCore:
             None where the first one is to be taken by itself.
         """
         first_ns = int(block.times_ns[0])
-        if not self._guards.ins.looks_ahead(first_ns):
+        # What is known of the vertical at a sample may change with the fixes that come before the block ends.
+        if self.vertical is not None or not self._guards.ins.looks_ahead(first_ns):
             return None
         newest, before = self._track.newest, self._track.recent_rates()
         if newest is None or before is None or self._ins_arrival_ns is None:
@@ -228,17 +234,28 @@ class ShipAttitudeCore:
 
     def add_sky_input(self, sky_input: SkyInput) -> AttitudeOutcome:
         """Where the ship is, or the air around it; what was compared with another sky is compared anew."""
-        assert self._watch is not None
-        outcome = AttitudeOutcome(self._watch.surroundings.refusal(sky_input))
-        self._shell.contradictions.note(sky_input.source, sky_input.time_ns, outcome.refusal)
-        changed_after_ns = self._watch.surroundings.insert(sky_input)
-        if changed_after_ns is not None:
-            self._shell.rewind_where(
-                lambda decision: decision.measurement.time_ns > changed_after_ns
-                # An attitude that is nothing but itself is compared without the sky; a SolvedAttitude is not.
-                and type(decision.measurement) is not AttitudeMeasurement
-            )
-            self._shell.apply(outcome)
+        outcome = AttitudeOutcome()
+        if self._watch is not None:
+            outcome.refusal = self._watch.surroundings.refusal(sky_input)
+            self._shell.contradictions.note(sky_input.source, sky_input.time_ns, outcome.refusal)
+            changed_after_ns = self._watch.surroundings.insert(sky_input)
+            # An attitude that is nothing but itself is compared without the sky; a SolvedAttitude is not.
+            self._compare_anew(changed_after_ns, lambda used: type(used) is not AttitudeMeasurement)
+        if self.vertical is not None and isinstance(sky_input, PositionFix):
+            if self._watch is None:
+                outcome.refusal = self.vertical.refusal(sky_input)
+                self._shell.contradictions.note(sky_input.source, sky_input.time_ns, outcome.refusal)
+            self._compare_anew(self.vertical.insert(sky_input), lambda _used: True)
+        self._shell.apply(outcome)
+        return outcome
+
+    def add_deflection(self, reading: DeflectionReading) -> AttitudeOutcome:
+        """The deflection of the vertical at the ship; what came after its stamp is carried there anew."""
+        assert self.vertical is not None
+        outcome = AttitudeOutcome(self.vertical.refusal(reading))
+        self._shell.contradictions.note(reading.source, reading.time_ns, outcome.refusal)
+        self._compare_anew(self.vertical.insert(reading), lambda _used: True)
+        self._shell.apply(outcome)
         return outcome
 
     def add_measurement(self, measurement: Measurement, arrival_ns: int | None = None) -> AttitudeOutcome:
@@ -281,6 +298,13 @@ class ShipAttitudeCore:
         """Rotation "deck from star sensor" as the filter now has it, shape (3, 3)."""
         return installed(self.filter, self.state, f"star.{id_}")
 
+    def deflection(self, time_ns: int) -> DeflectionReading | None:
+        """The deflection of the vertical at a moment, as given and estimated; None where it is no state."""
+        if self.vertical is None:
+            return None
+        errors = self._corrected_by(self.state).errors([time_ns])
+        return DeflectionReading(time_ns, errors.deflection[0], errors.deflection_covariance[0])
+
     def integrity(self, estimate: AttitudeEstimate) -> IntegrityReport:
         """How far an attitude may be wrong although nothing says so, and who is excluded."""
         return integrity_of(self.filter, self.config, estimate)
@@ -316,6 +340,15 @@ class ShipAttitudeCore:
         self._track.drop_before(time_ns - self._stamp_reach_ns)
         if self._watch is not None:
             self._watch.surroundings.drop_before(time_ns)
+        if self.vertical is not None:
+            self.vertical.drop_before(time_ns)
+
+    def _compare_anew(self, changed_after_ns: int | None, affects: Callable[[Measurement], bool]) -> None:
+        """Have the measurements after a moment that something affects compared anew; None for no moment."""
+        if changed_after_ns is not None:
+            self._shell.rewind_where(
+                lambda decision: decision.measurement.time_ns > changed_after_ns and affects(decision.measurement)
+            )
 
     # -- outputs --------------------------------------------------------------------------------------------
 
@@ -365,7 +398,9 @@ class ShipAttitudeCore:
         def by_star(_state: FilterState) -> AttitudeEstimate | None:
             untold = np.deg2rad(self.config.ins.untold_acceleration_deg_per_s2)
             attitude = attitude_alone(measurement, self._watch, float(untold))
-            return None if attitude is None else estimate_from_star(self.filter, self.state, attitude)
+            return None if attitude is None else estimate_from_star(
+                self.filter, self.state, attitude, self.config.horizon
+            )
 
         self._shell.put_out(outcome, measurement.time_ns, waiting_ns, by_star)
 

@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeRun, Horizon, StampArray
-from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.config import GEODETIC, GRAVITY, ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.ins_at_fault import UNKNOWN_INS_RAD_PER_SQRT_S
 from ship_attitude_star.ship_attitude.integrity import QUANTITIES, integrity_of
-from ship_attitude_star.ship_attitude.model import SOURCE_INS_NOISE, SOURCE_INTERPOLATION
+from ship_attitude_star.ship_attitude.model import SOURCE_DEFLECTION, SOURCE_INS_NOISE, SOURCE_INTERPOLATION
+from ship_attitude_star.ship_attitude.on_gravity import InsErrors, OnGravity
 from ship_attitude_star.ship_attitude.row_table import INS
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_estimation.kalman import lasting
@@ -38,6 +39,7 @@ class CorrectedIns:
     Args:
         filter_: the filter and its model.
         state: its state after the last measurement.
+        horizon: that the attitude is told against, as configured.
 
     Attributes:
         state: the same.
@@ -47,14 +49,16 @@ class CorrectedIns:
         newest_star_ns: stamp of the last star measurement used; None where there was none.
         error_n: estimated slow error, rad, shape (3,).
         lasting: which of it does not die out, shape (3,), uint8.
-        parts: covariance of the slow error and of the time offset by source, shape (n_sources, 4, 4).
+        parts: covariance of the slow error and of the time offset by source, shape (n_sources, 4, 4); with the
+            deflection of the vertical behind them, where that is a state, (n_sources, 6, 6).
         of_filter: what is the same for all states: correlation time, steady variance and white variance, shape (3,)
             each, and the indices of the sources of drift, white noise and interpolation.
         drift_index: the first of these.
+        on_gravity: what carries the error where the deflection of the vertical is a state; None where it is none.
     """
 
-    def __init__(self, filter_: ShipFilter, state: FilterState) -> None:
-        model, slow = filter_.model, filter_.model.blocks["ins.attitude"]
+    def __init__(self, filter_: ShipFilter, state: FilterState, horizon: str = GEODETIC) -> None:
+        model, slow = filter_.model, filter_.model.slow
         self.drift_index = model.sources.index(slow.source)
         self.of_filter = (
             slow.time_s,
@@ -65,7 +69,13 @@ class CorrectedIns:
             model.sources.index(SOURCE_INTERPOLATION),
         )
         self._filter, self._slow_sigma = filter_, slow.sigma
-        self._rows = np.r_[model.rows("ins.attitude"), model.rows("ins.time_offset")]
+        self.on_gravity: OnGravity | None = None
+        if filter_.vertical is not None:
+            assert model.ins_process is not None
+            sources = self.drift_index, model.sources.index(SOURCE_DEFLECTION)
+            self.on_gravity = OnGravity(model.ins_process, filter_.vertical, sources, horizon == GRAVITY)
+        attitude, deflection = np.split(model.process_rows, [3])
+        self._rows = np.concatenate([attitude, model.rows("ins.time_offset"), deflection])
         self._rest_on(state)
 
     def by(self, state: FilterState) -> "CorrectedIns":
@@ -76,12 +86,20 @@ class CorrectedIns:
 
     def _rest_on(self, state: FilterState) -> None:
         rows, self.state = self._rows, state
-        mean = state.mean[rows]
+        mean = self._mean = state.mean[rows]
         self.error_n, self.time_offset_s = mean[_ATTITUDE], float(mean[_TIME_OFFSET])
         self.lasting = lasting(self.error_n, self._slow_sigma).view(np.uint8)
         self.parts: FloatArray = state.parts[:, rows[:, None], rows]
         self.since_ns = _NEVER_NS if state.time_ns is None else state.time_ns
         self.newest_star_ns = newest_star_ns(self._filter, state)
+
+    def errors(self, times_ns: Sequence[int]) -> InsErrors:
+        """The INS's error at some moments, where the deflection of the vertical is a state."""
+        assert self.on_gravity is not None
+        since_ns = self.state.time_ns
+        # A sample that comes after its measurements counts as of the moment of the state.
+        moments_ns = times_ns if since_ns is None else [max(time_ns, since_ns) for time_ns in times_ns]
+        return self.on_gravity.errors(since_ns, self.state.vertical, self._mean, self.parts, moments_ns)
 
     def estimate(self, time_ns: int, ins: InterpolatedAttitude, config: ShipAttitudeConfig) -> AttitudeEstimate:
         """The attitude at the stamp of an INS sample, with its status."""
@@ -166,6 +184,28 @@ def corrected_attitudes(
     return found
 
 
+def _attitudes_on_gravity(
+    corrected: Sequence[CorrectedIns], stretches: Sequence[slice], time_ns: StampArray, moved: MovedBlock
+) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    """As :func:`corrected_attitudes`, where the deflection of the vertical is a state; each moment has its own error.
+
+    Returns:
+        Also whether the vertical is known at each moment without a star, shape (N,).
+    """
+    errors = [one.errors(time_ns[some].tolist()) for one, some in zip(corrected, stretches, strict=True)]
+    rotation_nd, parts = compiled_rotations.corrected(
+        np.arange(len(time_ns), dtype=np.intp),
+        np.zeros(len(time_ns)),
+        *moved,
+        np.concatenate([one.error_n for one in errors]),
+        np.ones((len(time_ns), 3), dtype=np.uint8),
+        *corrected[0].of_filter[:3],
+        np.concatenate([one.parts for one in errors]),
+        *corrected[0].of_filter[3:],
+    )
+    return rotation_nd, parts, np.concatenate([one.vertical_known for one in errors])
+
+
 def estimates_by(
     corrected: Sequence[CorrectedIns],
     counts: Sequence[int],
@@ -184,9 +224,13 @@ def estimates_by(
     """
     by = np.repeat(np.arange(len(counts), dtype=np.intp), counts)
     since_ns = np.maximum(time_ns - np.array([one.since_ns for one in corrected])[by], 0)
-    rotation_nd, parts = corrected_attitudes(corrected, by, 1e-9 * since_ns.astype(np.float64), moved)
     stops = np.cumsum(counts).tolist()
     stretches = [slice(stop - count, stop) for stop, count in zip(stops, counts, strict=True)]
+    if corrected[0].on_gravity is None:
+        rotation_nd, parts = corrected_attitudes(corrected, by, 1e-9 * since_ns.astype(np.float64), moved)
+        vertical_known = np.zeros(len(time_ns), dtype=bool)
+    else:
+        rotation_nd, parts, vertical_known = _attitudes_on_gravity(corrected, stretches, time_ns, moved)
     for one, some in zip(corrected, stretches, strict=True):
         if one.state.doubt is not None:
             parts[some, one.drift_index] += one.state.doubt.covariance_n
@@ -199,8 +243,9 @@ def estimates_by(
             parts[some, one.drift_index] += one.state.disputed_n
             covariance_n = parts.sum(axis=1)
     star_age_s = _star_ages_s(corrected, by, time_ns)
-    # NaN compares false: before the first star the horizon is the INS's own.
-    horizon = np.where(star_age_s <= config.ins.tilt_time_s, Horizon.GEODETIC, Horizon.GRAVITY)
+    # NaN compares false: before the first star the horizon is the INS's own, where nothing tells how that differs.
+    is_geodetic = (star_age_s <= config.ins.tilt_time_s) | vertical_known
+    horizon = np.where(is_geodetic & (config.horizon == GEODETIC), Horizon.GEODETIC, Horizon.GRAVITY)
     recent_ns, runs = round(config.coasting_after_s * SECOND_NS), []
     for one, some in zip(corrected, stretches, strict=True):
         status, text = one.statuses(star_age_s[some], config.coasting_after_s)

@@ -9,11 +9,19 @@ from ship_attitude_star.measurements.samples import AttitudeDecision, AttitudeMe
 from ship_attitude_star.ship_attitude.comparison import Compared
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.linearised import Linearisation, Linearised, NotCompared
-from ship_attitude_star.ship_attitude.model import SOURCE_INS, SOURCE_STAR_COMMON, Device, ShipStateModel, devices
+from ship_attitude_star.ship_attitude.model import (
+    SOURCE_DEFLECTION,
+    SOURCE_INS,
+    SOURCE_STAR_COMMON,
+    Device,
+    ShipStateModel,
+    devices,
+)
 from ship_attitude_star.ship_attitude.row_table import INS
 from ship_attitude_star.ship_attitude.state import FilterState, changed, with_entry, without
 from ship_attitude_star.ship_attitude.suspects import Suspects
 from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.vertical.vertical_track import VerticalHere, VerticalTrack
 from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.hypotheses import RowsCompared, add_error, compare_rows
 from ship_estimation.ins import InsJump
@@ -21,7 +29,7 @@ from ship_estimation.outcome import Measurement
 from ship_estimation.refusals import Reason, Refusal, singular_covariance
 from ship_estimation.unconfirmed import Unconfirmed
 from ship_geometry.attitude_track import AttitudeTrack
-from ship_geometry.rotations import log_rotation
+from ship_geometry.rotations import FloatArray, log_rotation
 from ship_geometry.time_scales import SECOND_NS
 
 _CLOCK_SIGMAS = 8.0
@@ -33,15 +41,17 @@ class ShipFilter:
 
     Args:
         config: the node's configuration.
+        vertical: the vertical under way; None where the configuration models no deflection of it.
     """
 
-    def __init__(self, config: ShipAttitudeConfig) -> None:
-        self.model = ShipStateModel(config)
+    def __init__(self, config: ShipAttitudeConfig, vertical: VerticalTrack | None = None) -> None:
+        self.model, self.vertical = ShipStateModel(config), vertical
         self.devices: dict[str, Device] = devices(config)
-        self.linearisation = Linearisation(self.model, self.devices)
+        self.linearisation = Linearisation(self.model, self.devices, vertical)
         self.suspects = Suspects(config, self.model, self.devices)
         self._gate: GateConfig = config.gate
         self._ins_index = self.model.sources.index(SOURCE_INS)
+        self._deflection_index = self.model.source_indices.get(SOURCE_DEFLECTION, -1)
         self._common_index = self.model.sources.index(SOURCE_STAR_COMMON) if config.star_sensors else -1
 
     def initial_state(self) -> FilterState:
@@ -51,17 +61,53 @@ class ShipFilter:
     def predicted(self, state: FilterState, time_ns: int) -> FilterState:
         """The state carried to a later moment."""
         if state.time_ns is None:
-            return changed(state, time_ns=time_ns)
+            return self._begun(state, time_ns)
         if time_ns <= state.time_ns:
             return state
         dt_s = (time_ns - state.time_ns) * 1e-9
         decay, means, stack = self.model.later(dt_s, state.means, state.stack, "ins.attitude")
+        here = None if self.vertical is None else self.vertical.at(time_ns)
+        if here is not None:
+            self._carry_ins(state, means, stack, dt_s, here)
         for source, steady in state.common_n.items():
             common = self.model.slices[f"{source}.common"]
             fresh = 1.0 - decay.item(common.start) ** 2
             add_error(stack, len(means), self._common_index, common, fresh * steady)
         self.suspects.ins.carried(state, stack, dt_s)
-        return changed(state, time_ns=time_ns, means=means, stack=stack)
+        return changed(state, time_ns=time_ns, means=means, stack=stack, vertical=here)
+
+    def _begun(self, state: FilterState, time_ns: int) -> FilterState:
+        """The state at its first moment."""
+        if self.vertical is None:
+            return changed(state, time_ns=time_ns)
+        assert self.model.ins_process is not None
+        here = self.vertical.at(time_ns)
+        mean, covariance = self.model.ins_process.begun(here)
+        means, stack = state.means.copy(), state.stack.copy()
+        means[:, self.model.process_rows] += mean
+        self._add_to_process(stack, len(means), self._deflection_index, covariance)
+        return changed(state, time_ns=time_ns, means=means, stack=stack, vertical=here)
+
+    def _carry_ins(
+        self, state: FilterState, means: FloatArray, stack: FloatArray, dt_s: float, here: VerticalHere
+    ) -> None:
+        """Carry the INS's error with the deflection of the vertical from the moment of a state on, in place."""
+        process, rows, before = self.model.ins_process, self.model.process_rows, state.vertical
+        assert process is not None
+        assert before is not None
+        carried = process.carried(np.array([dt_s]), before, [here])
+        means[:, rows] = process.means(means[:, rows], before, carried)[0]
+        (transition,) = carried.transition
+        stack[:, rows] = transition @ stack[:, rows]
+        stack[:, :, rows] = stack[:, :, rows] @ transition.T
+        self._add_to_process(stack, len(means), self._ins_index, carried.ins_noise[0])
+        self._add_to_process(stack, len(means), self._deflection_index, carried.deflection_noise[0])
+
+    def _add_to_process(self, stack: FloatArray, count: int, part: int, covariance: FloatArray) -> None:
+        """Add an error of the states of the INS's process to all rows, in place."""
+        rows, everywhere = self.model.process_rows, np.zeros((self.model.size, self.model.size))
+        everywhere[rows[:, None], rows] = covariance
+        add_error(stack, count, part, slice(None), everywhere)
 
     def opened(self, state: FilterState, jump: InsJump) -> FilterState:
         """The state after a jump of the INS: its slow error may be as large as that.

@@ -4,12 +4,17 @@ The rows of the filter's state (:mod:`ship_attitude_star.ship_attitude.suspects`
 another one without each of its sources; :mod:`ship_estimation.protection` makes levels of that.
 """
 
+import numpy as np
+
 from ship_attitude_star.measurements.samples import AttitudeEstimate
-from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.config import GEODETIC, ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
+from ship_attitude_star.ship_attitude.ins_process import own_from_whole
+from ship_attitude_star.ship_attitude.state import FilterState
 from ship_estimation.outcome import Status
 from ship_estimation.protection import IntegrityReport, integrity_report, separation
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
+from ship_geometry.rotations import FloatArray
 
 QUANTITIES = ("heading", "pitch", "roll")
 """What the levels bound."""
@@ -27,6 +32,7 @@ def integrity_of(filter_: ShipFilter, config: ShipAttitudeConfig, estimate: Atti
     asked = suspects.table.asked(estimate.sources, state.excluded)
     heading, pitch, _ = angles_from_rotation(estimate.rotation_nd).tolist()
     to_angles, parts = angle_errors_from_rotation_vector(heading, pitch), len(state.stack) - len(state.means) + 1
+    means, stack = against_horizon(filter_, config, state, estimate.time_ns)
     # What the rows dispute is covered by the levels already. What an attitude adds to the error of the state, as the
     # noise of the INS, is the same in every row.
     found = separation(
@@ -34,12 +40,23 @@ def integrity_of(filter_: ShipFilter, config: ShipAttitudeConfig, estimate: Atti
         asked.hypotheses,
         filter_.model.rows("ins.attitude"),
         (to_angles, to_angles, estimate.undisputed_n),
-        state.mean,
-        state.means[1:],
-        state.stack[:parts],
-        state.stack[parts:],
+        means[0],
+        means[1:],
+        stack[:parts],
+        stack[parts:],
     )
     excluded = tuple(sorted((name, exclusion.since_ns) for name, exclusion in state.excluded.items()))
     in_dispute = state.doubt is not None or state.jumped or estimate.status is Status.INVALID
     checked = asked.check_one_another and not in_dispute
     return integrity_report(estimate.time_ns, config.integrity, suspects.table.k, asked.names, found, excluded, checked)
+
+
+def against_horizon(
+    filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState, time_ns: int
+) -> tuple[FloatArray, FloatArray]:
+    """Means and covariances of all rows, the INS's error in them being against the horizon that is published."""
+    if config.horizon == GEODETIC or filter_.vertical is None:
+        return state.means, state.stack
+    rows, to_own = filter_.model.process_rows, np.eye(filter_.model.size)
+    to_own[rows[:3, None], rows] = own_from_whole(filter_.vertical.at(time_ns))
+    return state.means @ to_own.T, to_own @ state.stack @ to_own.T

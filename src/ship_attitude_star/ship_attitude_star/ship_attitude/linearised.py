@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ship_attitude_star.measurements.readings import InertialAttitude
-from ship_attitude_star.measurements.samples import SolvedAttitude
+from ship_attitude_star.measurements.samples import SHARED_BY_GRAVITY, AttitudeMeasurement, SolvedAttitude
 from ship_attitude_star.ship_attitude.comparison import Compared, PredictedAttitude, compare, predict_attitude
 from ship_attitude_star.ship_attitude.model import Device, ShipStateModel
 from ship_attitude_star.sky.sky_watch import SkyWatch
@@ -22,6 +22,7 @@ from ship_attitude_star.sky.tracker_attitude import in_horizon
 from ship_attitude_star.stars.exposure import StarExposure, at_middle, visible_stars
 from ship_attitude_star.stars.selection import LINEAR_RANGE
 from ship_attitude_star.stars.solution import likely_attitude
+from ship_attitude_star.vertical.vertical_track import VerticalTrack
 from ship_estimation import compiled_steps
 from ship_estimation.kalman import LinearMeasurement
 from ship_estimation.outcome import Measurement
@@ -132,10 +133,13 @@ class Linearisation:
     Args:
         model: what the states are.
         devices: by name.
+        vertical: the vertical under way; None where no deflection of it is modelled.
     """
 
-    def __init__(self, model: ShipStateModel, devices: Mapping[str, Device]) -> None:
-        self._model, self._devices = model, devices
+    def __init__(
+        self, model: ShipStateModel, devices: Mapping[str, Device], vertical: VerticalTrack | None = None
+    ) -> None:
+        self._model, self._devices, self._vertical = model, devices, vertical
         # The derivative of the offset of each device's clock by the state, shape (n,).
         self._offsets = {name: np.zeros(model.size) for name in devices}
         for name, chain in model.chains.items():
@@ -235,6 +239,10 @@ class Linearisation:
             if isinstance(turned, Refusal):
                 return NotCompared(turned, ins_time_ns)
             measurement = turned
+        elif self._vertical is not None and isinstance(measurement, AttitudeMeasurement) and not task.device.is_star:
+            # Another attitude system levels itself on gravity, as the INS does.
+            turn = self._vertical.at(measurement.time_ns).turn
+            measurement = replace(measurement, shared_n=turn, shared_by=SHARED_BY_GRAVITY)
         elif isinstance(measurement, StarExposure) and measurement.length is not None:
             turning = turning_over(track, ins_time_ns, measurement.length.nodes)
             if turning is None:

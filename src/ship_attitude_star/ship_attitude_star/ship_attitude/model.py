@@ -6,6 +6,8 @@ docs/explanation/filter.md tells the model.
 state                           frame    meaning
 ==============================  =======  ====================================================================
 ins.attitude (3)                horizon  slow error a: R_true = exp(a) exp(w) R_ins
+gravity.deflection (2)                   deflection of the vertical, which is part of a then; only where
+                                         gravity.deflection is not none (ins_process)
 ins.noise (3)                   horizon  white error w of the INS at the moment of the measurement
 ins.time_offset (1)                      tau: an INS sample is valid at its stamp + tau
 star.<id>.installation (3)      sensor   m: R(sensor -> deck) = R(A0, E0, roll0) exp(m)
@@ -36,8 +38,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.measurements.samples import SHARED_BY_MESSAGES, SHARED_BY_SKY
+from ship_attitude_star.measurements.samples import SHARED_BY_GRAVITY, SHARED_BY_MESSAGES, SHARED_BY_SKY
 from ship_attitude_star.ship_attitude.config import InsConfig, ReferenceConfig, ShipAttitudeConfig, StarSensorConfig
+from ship_attitude_star.ship_attitude.ins_process import InsOnGravity
 from ship_attitude_star.sky.config import SkyConfig
 from ship_estimation.kalman import StateBlock, StateModel, block
 from ship_geometry.frames import rotation_from_angles
@@ -45,6 +48,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 
 SOURCE_INS = "ins_drift"
 SOURCE_INS_NOISE = "ins_noise"
+SOURCE_DEFLECTION = "deflection"
 SOURCE_INS_TIME = "ins_time_offset"
 SOURCE_INTERPOLATION = "interpolation"
 SOURCE_INSTALLATION = "installation"
@@ -115,10 +119,19 @@ class ShipStateModel(StateModel):
         sky_rows: where the states are that all stars share, in the order of SHARED_TERMS; empty where no sensor's
             messages rest on the sky over the ship.
         shared_rows: where the states are that attitudes share, by :attr:`AttitudeMeasurement.shared_by`.
+        slow: sigma and correlation time of the INS's own slow error.
+        ins_process: how the INS's error goes on with the deflection of the vertical; None where that is no state.
+        process_rows: where the states of that process are, shape (5,), or (3,) without it.
     """
 
     def __init__(self, config: ShipAttitudeConfig) -> None:
         blocks = _ins_blocks(config.ins)
+        self.slow, self.ins_process = blocks[0], None
+        if config.gravity.is_modelled:
+            # The process carries both; by themselves they stay as they are.
+            blocks[0] = block("ins.attitude", self.slow.sigma, SOURCE_INS)
+            blocks.append(block("gravity.deflection", [0.0, 0.0], SOURCE_DEFLECTION))
+            self.ins_process = InsOnGravity(self.slow, config.gravity.correlation_length_m)
         for id_, star in config.star_sensors.items():
             blocks += _star_blocks(f"star.{id_}", star)
         looks_at_sky = any(star.looks_at_sky for star in config.star_sensors.values())
@@ -140,10 +153,14 @@ class ShipStateModel(StateModel):
         self.sky_rows = slice(0, 0)
         if looks_at_sky:
             self.sky_rows = slice(self.slices["sky.refraction"].start, self.slices["sky.position"].stop)
+        self.process_rows = self.rows("ins.attitude")
+        if self.ins_process is not None:
+            self.process_rows = np.r_[self.process_rows, self.rows("gravity.deflection")]
         self.chains = {name: self._chain(device) for name, device in devices(config).items()}
         self.shared_rows = {
             SHARED_BY_SKY: self.sky_rows,
             SHARED_BY_MESSAGES: self.slices.get("sky.common", slice(0, 0)),
+            SHARED_BY_GRAVITY: self.slices.get("gravity.deflection", slice(0, 0)),
         }
 
     def _chain(self, device: Device) -> DeviceChain:

@@ -11,6 +11,7 @@ from ship_attitude_star.measurements.samples import (
     Horizon,
     SolvedAttitude,
 )
+from ship_attitude_star.ship_attitude.config import GEODETIC, GRAVITY
 from ship_attitude_star.ship_attitude.corrected_ins import newest_star_ns
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.state import FilterState
@@ -66,7 +67,7 @@ def _by_stars(exposure: StarExposure, watch: SkyWatch, untold_acceleration: floa
 
 
 def estimate_from_star(
-    filter_: ShipFilter, state: FilterState, measurement: AttitudeMeasurement
+    filter_: ShipFilter, state: FilterState, measurement: AttitudeMeasurement, horizon: str = GEODETIC
 ) -> AttitudeEstimate:
     """With the INS gone, the attitude of one star sensor alone: its measurement and its installation."""
     model, device = filter_.model, filter_.devices[measurement.source]
@@ -79,6 +80,12 @@ def estimate_from_star(
         # Unknown now, and soon independent of what it was: only its covariance matters.
         rows = np.r_[rows, model.rows(f"{device.name}.flexure")]
         jacobian = np.hstack([jacobian, rotation_nd])
+    to_gravity = horizon == GRAVITY and filter_.vertical is not None
+    if to_gravity:
+        assert filter_.vertical is not None
+        turn, deflection = filter_.vertical.at(measurement.time_ns).turn, model.rows("gravity.deflection")
+        rotation_nd = exp_rotation(-turn @ state.mean[deflection]) @ rotation_nd
+        rows, jacobian = np.r_[rows, deflection], np.hstack([jacobian, -turn])
     parts = jacobian @ state.parts[:, rows[:, None], rows] @ jacobian.T
     parts[model.sources.index(device.noise_source)] += to_horizon @ measurement.noise_v @ to_horizon.T
     common = model.blocks[f"{device.name}.common"].source
@@ -92,7 +99,7 @@ def estimate_from_star(
         undisputed_n=covariance_n,
         rate_d=np.full(3, np.nan),
         status=Status.DEGRADED,
-        horizon=Horizon.GEODETIC,
+        horizon=Horizon.GRAVITY if to_gravity else Horizon.GEODETIC,
         sources=(measurement.source,),
         star_age_s=0.0,
         state=state,

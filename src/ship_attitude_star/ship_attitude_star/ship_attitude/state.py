@@ -9,6 +9,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from ship_attitude_star.guards.hints import Departure
+from ship_attitude_star.vertical.vertical_track import VerticalHere
 from ship_estimation import compiled_steps
 from ship_estimation.exclusion import HEARD_NS, Exclusion
 from ship_estimation.running_means import Means
@@ -110,6 +111,7 @@ class FilterState:
         unconfirmed: a jump of the INS, or what may be one, that stars have not confirmed yet; None for none.
         departures: by source, its last measurement refused.
         jumped_ns: the INS's stamp just before its last jump that the state is open for; None where there was none.
+        vertical: at the moment of the state; None where no deflection of it is modelled.
     """
 
     time_ns: int | None
@@ -129,6 +131,7 @@ class FilterState:
     departures: MappingProxyType[str, Departure] = field(default_factory=lambda: MappingProxyType({}))
     jumped_ns: int | None = None
     disputed_n: FloatArray | None = None
+    vertical: VerticalHere | None = None
 
     @property
     def mean(self) -> FloatArray:

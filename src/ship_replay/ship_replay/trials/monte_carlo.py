@@ -9,7 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_attitude_star.measurements.readings import AirReading, InertialAttitude, PositionFix, SkyInput
+from ship_attitude_star.measurements.readings import (
+    AirReading,
+    DeflectionReading,
+    InertialAttitude,
+    PositionFix,
+    SkyInput,
+)
 from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMeasurement, AttitudeOutcome
 from ship_attitude_star.ship_attitude.ahead import InsAhead
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
@@ -22,7 +28,7 @@ from ship_estimation.parameters import build
 from ship_geometry.attitude_track import AttitudeSample, SampleBlock
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, exp_rotation, log_rotation
-from ship_simulation.run import SKY_SOURCES, SimulatedRun, simulate
+from ship_simulation.run import DEFLECTION_SOURCE, SKY_SOURCES, SimulatedRun, simulate
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.ship.attitude_device import FusedSamples
 from ship_simulation.stars.star_sightings import InertialSamples, StarSightings
@@ -110,6 +116,8 @@ def attitude_outcomes(
         yield from ins.take_turns()
         if source in SKY_SOURCES:
             yield core.add_sky_input(sky_input(run, source, index))
+        elif source == DEFLECTION_SOURCE:
+            yield core.add_deflection(deflection_reading(run, index))
         else:
             yield core.add_measurement(measurement_of(run, source, index))
 
@@ -155,6 +163,14 @@ class _InsTurns:
             self._core.take_ahead(self._ahead, min(self._arrived, self._ahead.followed.usual))
             yield from (outcome for _, outcome in self._ahead.told)
             self._ahead.told.clear()
+
+
+def deflection_reading(run: SimulatedRun, index: int) -> DeflectionReading:
+    """What a topic tells of the deflection of the vertical."""
+    told = run.deflections
+    assert told is not None
+    covariance = told.covariance if told.covariance.any() else None
+    return DeflectionReading(int(told.time_ns[index]), told.deflection[index], covariance)
 
 
 def sky_input(run: SimulatedRun, source: str, index: int) -> SkyInput:

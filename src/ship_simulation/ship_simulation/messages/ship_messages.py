@@ -17,7 +17,7 @@ from ship_geometry.frames import angle_covariance, angles_from_rotation
 from ship_geometry.ros_axes import enu_covariance, flu_from_device_vector, quaternion_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_simulation.messages.rows import BLOCK_ROWS, Rows
-from ship_simulation.scenario.names import DECK_FRAME, IMU, INS_FRAME, SHIP_ATTITUDE
+from ship_simulation.scenario.names import DECK_FRAME, DEFLECTION, IMU, INS_FRAME, SHIP_ATTITUDE
 from ship_simulation.scenario.scenario import Ins, WeatherStation
 from ship_simulation.ship.attitude_device import DeviceSamples, FusedSamples, InsSamples
 from ship_simulation.ship.ship_track import FixSamples
@@ -184,6 +184,19 @@ def fix_maker(fixes: FixSamples, factory: MessageFactory) -> Maker:
             position_covariance=covariance,
             position_covariance_type=_DIAGONAL_KNOWN,
         )
+
+    return make
+
+
+def deflection_maker(
+    time_ns: np.ndarray, deflection: FloatArray, covariance: FloatArray, factory: MessageFactory
+) -> Maker:
+    """Maker of Deflection, of shape (n, 2) at n stamps, with the covariance of each, shape (2, 2)."""
+
+    def make(stamp: int, value: int) -> object:
+        header = make_header(factory, int(time_ns[stamp]), "gravity")
+        xi, eta = deflection[value].tolist()
+        return factory.make(DEFLECTION, header=header, xi=xi, eta=eta, covariance=covariance.ravel())
 
     return make
 

@@ -16,6 +16,7 @@ from ship_simulation.faults.faults import PASSED, Delivery, spoilt
 from ship_simulation.faults.optics import Optics, telescope_camera
 from ship_simulation.messages.ship_messages import (
     Maker,
+    deflection_maker,
     fix_maker,
     fused_maker,
     ins_maker,
@@ -26,11 +27,12 @@ from ship_simulation.messages.ship_messages import (
 from ship_simulation.messages.star_messages import inertial_maker, observations_maker, star_maker
 from ship_simulation.messages.theodolite_messages import theodolite_sources, true_calibrations, true_pointings
 from ship_simulation.run import SimulatedRun
-from ship_simulation.scenario.names import DECK_FRAME, FUSED_TOPIC, simulated_topics
+from ship_simulation.scenario.names import DECK_FRAME, DEFLECTION_TOPIC, FUSED_TOPIC, simulated_topics
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.stars.star_sightings import InertialSamples, StarSightings
 
 TRUTH_ATTITUDE, TRUTH_ALIGNMENT = "truth/attitude", "truth/alignment"
+TRUTH_DEFLECTION = "truth/deflection"
 TRUTH_POINTING, TRUTH_CALIBRATION = "truth/pointing", "truth/calibration"
 
 LogEntry = tuple[str, Any, int]
@@ -66,6 +68,8 @@ def _truths(run: SimulatedRun, factory: MessageFactory) -> Iterator[tuple[str, I
     """Topic and messages of the truth."""
     yield TRUTH_ALIGNMENT, _logged_at_stamp(TRUTH_ALIGNMENT, truth_alignments(run, factory))
     yield TRUTH_ATTITUDE, _logged_at_stamp(TRUTH_ATTITUDE, truth_attitudes(run, factory))
+    if not run.scenario.gravity.is_level:
+        yield TRUTH_DEFLECTION, _logged_at_stamp(TRUTH_DEFLECTION, truth_deflections(run, factory))
     if run.theodolite is not None:
         encoder = run.scenario.theodolite.encoder
         ends = run.stretch.holds_last(encoder.rate_hz, encoder.phase_s)
@@ -93,6 +97,10 @@ def _sources(run: SimulatedRun, factory: MessageFactory) -> dict[str, tuple[np.n
     sources["gnss/fix"] = run.fixes.time_ns, run.fixes.log_time_ns, fix_maker(run.fixes, factory)
     for topic, maker in weather_makers(run.weather_ns, scenario.weather, factory).items():
         sources[topic] = run.weather_ns, run.weather_ns, maker
+    if run.deflections is not None:
+        told = run.deflections
+        maker = deflection_maker(told.time_ns, told.deflection, told.covariance, factory)
+        sources[DEFLECTION_TOPIC] = told.time_ns, told.time_ns, maker
     if run.fused is not None:
         sources[FUSED_TOPIC] = run.fused.time_ns, run.fused.log_time_ns, fused_maker(run.fused, factory)
     if run.theodolite is not None:
@@ -180,6 +188,15 @@ def truth_attitudes(run: SimulatedRun, factory: MessageFactory) -> Iterator[tupl
     make = true_attitude_maker(time_ns, run.truth.rotation_nd, run.truth.rate_d, factory)
     for row, stamp_ns in enumerate(map(int, time_ns)):
         yield stamp_ns, make(row, row)
+
+
+def truth_deflections(run: SimulatedRun, factory: MessageFactory) -> Iterator[tuple[int, Any]]:
+    """(stamp, Deflection) once a second at stamps of the truth, and at the last of the voyage."""
+    time_ns = run.ins.time_ns[run.truth.ins_index]
+    make = deflection_maker(time_ns, run.truth.deflection, np.zeros((2, 2)), factory)
+    ends = run.stretch.holds_last(run.scenario.ins.rate_hz, 0.0)
+    for row in once_a_second(time_ns, run.start_ns, ends).tolist():
+        yield int(time_ns[row]), make(row, row)
 
 
 def truth_alignments(run: SimulatedRun, factory: MessageFactory) -> Iterator[tuple[int, Any]]:

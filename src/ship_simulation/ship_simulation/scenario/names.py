@@ -14,11 +14,14 @@ ENCODER = "ship_msgs/msg/TheodoliteEncoder"
 IMAGE = "ship_msgs/msg/BeaconImage"
 BASELINE = "ship_msgs/msg/RtkBaseline"
 
+DEFLECTION = "ship_msgs/msg/Deflection"
+
 FIX = "sensor_msgs/msg/NavSatFix"
 PRESSURE, TEMPERATURE = "sensor_msgs/msg/FluidPressure", "sensor_msgs/msg/Temperature"
 HUMIDITY = "sensor_msgs/msg/RelativeHumidity"
 
 FUSED_TOPIC = "ship/attitude"
+DEFLECTION_TOPIC = "gravity/deflection"
 ENCODER_TOPIC, IMAGE_TOPIC = "theodolite/encoder", "theodolite/beacons"
 
 INS_FRAME, DECK_FRAME = "ins", "deck"
@@ -48,6 +51,7 @@ FIRST_VALUE = {
     PRESSURE: "fluid_pressure",
     TEMPERATURE: "temperature",
     HUMIDITY: "relative_humidity",
+    DEFLECTION: "xi",
 }
 """Message type → the field that NaN is put into where a fault names none."""
 
@@ -88,6 +92,8 @@ def simulated_topics(scenario: Scenario) -> dict[str, str]:
     }
     if scenario.fused_attitude.written:
         topics[FUSED_TOPIC] = SHIP_ATTITUDE
+    if scenario.gravity.told == "topic":
+        topics[DEFLECTION_TOPIC] = DEFLECTION
     if scenario.theodolite.aboard:
         topics |= {ENCODER_TOPIC: ENCODER, IMAGE_TOPIC: IMAGE}
         topics |= {baseline_topic(key): BASELINE for key in scenario.beacons}

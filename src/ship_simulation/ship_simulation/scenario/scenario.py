@@ -20,6 +20,7 @@ from ship_simulation.scenario.fault import Fault
 from ship_simulation.scenario.motion_scenario import (
     ANGLE,
     CORRELATION,
+    DEFLECTION,
     DELAY,
     MOMENT,
     RATE,
@@ -191,6 +192,43 @@ class Position:
     rate_hz: float = parameter(1.0, doc="fixes per second", **RATE)
 
 
+DEFLECTION_TOLD = ("none", "unknown", "constant", "table", "topic")
+"""What the suite is told of the deflection: the choices of its parameter ``gravity.deflection``."""
+
+
+@dataclass(frozen=True)
+class Gravity:
+    """The deflection of the vertical along the way: a part that maps know, and one, drawn, that they do not.
+
+    Whatever levels itself, the INS and references, follows gravity.
+    """
+
+    xi_arcsec: float = parameter(0.0, doc="deflection northward at the start, as maps know it", **DEFLECTION)
+    eta_arcsec: float = parameter(0.0, doc="deflection eastward at the start, as maps know it", **DEFLECTION)
+    change_xi_arcsec: float = parameter(0.0, doc="change of the northward deflection on the way", **DEFLECTION)
+    change_eta_arcsec: float = parameter(0.0, doc="change of the eastward deflection on the way", **DEFLECTION)
+    change_start_m: float = parameter(0.0, doc="where on the way the change begins", unit="m", minimum=0.0, maximum=1e7)
+    change_length_m: float = parameter(
+        50_000.0, doc="over what way it changes, as half a wave of a cosine", unit="m", minimum=100.0, maximum=1e7
+    )
+    sigma_arcsec: float = parameter(0.0, doc="deflection that no map knows, each component", **SIGMA)
+    correlation_length_m: float = parameter(
+        30_000.0, doc="way on which that changes", unit="m", minimum=100.0, maximum=1e6
+    )
+    told: str = parameter("none", doc="what the suite is told of what maps know", choices=DEFLECTION_TOLD)
+    told_unknown_sigma_arcsec: float = parameter(
+        7.7, doc="what the suite takes the deflection for where it is not told, each component", **SIGMA
+    )
+    table_step_m: float = parameter(2000.0, doc="way between rows of the table", unit="m", minimum=10.0, maximum=1e5)
+    rate_hz: float = parameter(0.1, doc="messages per second where a topic tells it", **RATE)
+
+    @property
+    def is_level(self) -> bool:
+        """Whether gravity is everywhere normal to the ellipsoid, and the suite is told nothing of it."""
+        knows = (self.xi_arcsec, self.eta_arcsec, self.change_xi_arcsec, self.change_eta_arcsec)
+        return not any((*knows, self.sigma_arcsec)) and self.told == "none"
+
+
 @dataclass(frozen=True)
 class WeatherStation:
     """What the weather station says, how wrong it is, and how the air bends light."""
@@ -223,6 +261,7 @@ class Scenario:
     theodolite: Theodolite = section(Theodolite)
     beacons: dict[str, Beacon] = mapping_of("drones with lights by id")
     position: Position = section(Position)
+    gravity: Gravity = section(Gravity)
     weather: WeatherStation = section(WeatherStation)
     earth_rotation_sigma_s: float = parameter(
         0.0, doc="error of UT1 - UTC; 0: that of the table of Earth orientation", unit="s", minimum=0.0, maximum=1.0

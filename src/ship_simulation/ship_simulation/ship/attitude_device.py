@@ -21,6 +21,7 @@ from ship_simulation.draws.noise import (
 )
 from ship_simulation.draws.stretch import Draws, Stretch
 from ship_simulation.scenario.scenario import Reference, Scenario, StarSensor
+from ship_simulation.ship.deflection import Deflection
 from ship_simulation.ship.motion import Carrier
 
 _EARTH_RATE = 7.292115e-5
@@ -49,7 +50,8 @@ class InsTruth:
     """The errors of the INS that last from sample to sample.
 
     Attributes:
-        attitude_error_n: slow error a at each sample (north, up, east), rad, shape (n, 3).
+        attitude_error_n: slow error a at each sample (north, up, east), what gravity makes of it included, rad, shape
+            (n, 3).
         time_offset_s: a sample is valid at its stamp plus this.
     """
 
@@ -58,19 +60,25 @@ class InsTruth:
 
 
 def simulate_ins(
-    scenario: Scenario, carrier: Carrier, stretch: Stretch, draws: Draws
+    scenario: Scenario, carrier: Carrier, stretch: Stretch, draws: Draws, deflection: Deflection
 ) -> tuple[InsSamples, InsTruth]:
-    """Samples by R_true(s + tau) = exp(a) exp(w) R_ins(s), with the true rate of s + tau."""
+    """Samples by R_true(s + tau) = exp(a) exp(w) R_ins(s), with the true rate of s + tau.
+
+    The slow error a is the INS's own, which is drawn, and, as it levels itself on gravity, the deflection's turn.
+    """
     config = scenario.ins
     time_ns = stretch.stamps(config.rate_hz, 0.0)
+    slow_n = draws.gauss_markov(
+        "ins.attitude_error",
+        time_ns.size,
+        1.0 / config.rate_hz,
+        sigma=ARCSEC * np.array([config.tilt_sigma_arcsec, config.heading_sigma_arcsec, config.tilt_sigma_arcsec]),
+        time_s=np.array([config.tilt_time_s, config.heading_time_s, config.tilt_time_s]),
+    )
+    if not scenario.gravity.is_level:
+        slow_n = slow_n + deflection.turn_n((time_ns - stretch.start_ns) / SECOND_NS)
     truth = InsTruth(
-        attitude_error_n=draws.gauss_markov(
-            "ins.attitude_error",
-            time_ns.size,
-            1.0 / config.rate_hz,
-            sigma=ARCSEC * np.array([config.tilt_sigma_arcsec, config.heading_sigma_arcsec, config.tilt_sigma_arcsec]),
-            time_s=np.array([config.tilt_time_s, config.heading_time_s, config.tilt_time_s]),
-        ),
+        attitude_error_n=slow_n,
         time_offset_s=config.time_offset_s
         + config.time_offset_sigma_s * random_stream(draws.seed, "ins.time_offset").standard_normal(),
     )
@@ -227,9 +235,18 @@ def sigma_of_attitudes(config: StarSensor) -> FloatArray:
 
 
 def simulate_reference(
-    name: str, scenario: Scenario, carrier: Carrier, ins_time_offset_s: float, stretch: Stretch, draws: Draws
+    name: str,
+    scenario: Scenario,
+    carrier: Carrier,
+    ins_time_offset_s: float,
+    stretch: Stretch,
+    draws: Draws,
+    deflection: Deflection,
 ) -> tuple[DeviceSamples, DeviceTruth]:
-    """Samples by R_ref(t) = R_true(t - offset + tau) C exp(n), C the turn from INS axes to the reference's."""
+    """Samples by R_ref(t) = R_true(t - offset + tau) C exp(n), C the turn from INS axes to the reference's.
+
+    It levels itself on gravity: R_true is that against gravity's horizon.
+    """
     config = scenario.references[name]
     nominal_dv = rotation_from_angles(*np.deg2rad([config.heading_deg, config.pitch_deg, config.roll_deg]))
     truth = _draw_truth(f"reference.{name}", draws.seed, nominal_dv, [config.installation_sigma_arcsec] * 3, config)
@@ -237,6 +254,8 @@ def simulate_reference(
     time_ns = stretch.stamps(config.rate_hz, config.phase_s)
     valid_s = (time_ns - stretch.start_ns) / SECOND_NS - truth.time_offset_s + ins_time_offset_s
     clean_nv = carrier.attitude(valid_s) @ truth.rotation_dv
+    if not scenario.gravity.is_level:
+        clean_nv = exp_rotation(-deflection.turn_n(np.maximum(valid_s, 0.0))) @ clean_nv
     return _samples(f"reference.{name}", draws, time_ns, clean_nv, sigma_v, 0.0, config), truth
 
 

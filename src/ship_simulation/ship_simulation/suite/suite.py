@@ -23,6 +23,7 @@ from ship_simulation.scenario.names import (
 )
 from ship_simulation.scenario.scenario import Detector, Scenario, StarSensor
 from ship_simulation.scenario.theodolite_scenario import Beacon, Telescope
+from ship_simulation.ship.deflection import deflection_table
 from theodolite_calib.chain.axes import NAMES
 
 _INS = (
@@ -116,6 +117,8 @@ def suite_yaml(scenario: Scenario) -> str:
 def suite_configuration(scenario: Scenario) -> dict[str, Any]:
     """Parameters of ``ship_attitude`` as nested mapping."""
     configuration: dict[str, Any] = {"ins": {"frame_id": INS_FRAME, **_told(scenario.ins, _INS), **_rates(scenario)}}
+    if scenario.gravity.told != "none":
+        configuration["gravity"] = _gravity(scenario)
     if scenario.star_sensors:
         configuration["star_sensors"] = {
             key: {"frame_id": star_frame(key), **_input(sensor), **_told(sensor, _STAR_SENSOR)}
@@ -128,6 +131,20 @@ def suite_configuration(scenario: Scenario) -> dict[str, Any]:
             key: {"frame_id": key, **_told(reference, _REFERENCE)} for key, reference in scenario.references.items()
         }
     return configuration
+
+
+def _gravity(scenario: Scenario) -> dict[str, Any]:
+    """What the suite is told of the deflection of the vertical."""
+    gravity = scenario.gravity
+    told: dict[str, Any] = {
+        "deflection": gravity.told,
+        "sigma_arcsec": gravity.sigma_arcsec,
+        "unknown_sigma_arcsec": gravity.told_unknown_sigma_arcsec,
+        "correlation_length_m": gravity.correlation_length_m,
+    }
+    if gravity.told == "constant":
+        return told | _told(gravity, ("xi_arcsec", "eta_arcsec"))
+    return told | deflection_table(scenario) if gravity.told == "table" else told
 
 
 def star_attitude_configuration(scenario: Scenario) -> dict[str, Any]:

@@ -1,0 +1,86 @@
+"""Parameters of the deflection of the vertical: where it is known from, how well, and how fast it changes."""
+
+import math
+from dataclasses import dataclass
+
+from ship_estimation.parameter_fields import arcsec, parameter
+from ship_estimation.parameters import ParameterError
+
+NONE, UNKNOWN, CONSTANT, TABLE, TOPIC = "none", "unknown", "constant", "table", "topic"
+
+_TABLE_COLUMNS = ("table_latitude_deg", "table_longitude_deg", "table_xi_arcsec", "table_eta_arcsec")
+
+
+def _component_arcsec(doc: str) -> float:
+    found: float = parameter(0.0, doc=doc, unit="arcsec", minimum=-300.0, maximum=300.0)
+    return found
+
+
+def _column(doc: str, unit: str, most: float) -> tuple[float, ...]:
+    found: tuple[float, ...] = parameter((), doc=doc, unit=unit, minimum=-most, maximum=most)
+    return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class GravityConfig:
+    """The deflection of the vertical, which an INS that levels itself on gravity has in its tilt.
+
+    The components are those of gravity's zenith: xi northward, eta eastward.
+    """
+
+    deflection: str = parameter(
+        NONE,
+        doc="where the deflection is known from; unknown: estimated alone; none: part of the INS's own slow error",
+        choices=(NONE, UNKNOWN, CONSTANT, TABLE, TOPIC),
+    )
+    xi_arcsec: float = _component_arcsec("the constant deflection, northward")
+    eta_arcsec: float = _component_arcsec("the constant deflection, eastward")
+    table_latitude_deg: tuple[float, ...] = _column("latitudes of the table's rows, along the track", "deg", 90.0)
+    table_longitude_deg: tuple[float, ...] = _column("longitudes of the table's rows", "deg", 360.0)
+    table_xi_arcsec: tuple[float, ...] = _column("deflections of the table's rows, northward", "arcsec", 300.0)
+    table_eta_arcsec: tuple[float, ...] = _column("deflections of the table's rows, eastward", "arcsec", 300.0)
+    table_reach_m: float = parameter(
+        10_000.0,
+        doc="beyond this from the table's track, and between rows further apart, the table tells nothing",
+        unit="m",
+        minimum=1.0,
+        maximum=1e6,
+    )
+    sigma_arcsec: float = arcsec(2.0, doc="error of the deflection that is given, each component")
+    unknown_sigma_arcsec: float = arcsec(7.7, doc="the deflection where none is given, each component")
+    correlation_length_m: float = parameter(
+        30_000.0,
+        doc="way over ground on which either of the two changes",
+        unit="m",
+        minimum=100.0,
+        maximum=1e6,
+    )
+    max_age_s: float = parameter(
+        600.0, doc="a message on gravity/deflection tells nothing after this", unit="s", minimum=1.0, maximum=1e6
+    )
+
+    @property
+    def is_modelled(self) -> bool:
+        """Whether the deflection is told apart from the INS's own error."""
+        return self.deflection != NONE
+
+    def __post_init__(self) -> None:
+        """Check what belongs together.
+
+        Raises:
+            ParameterError: names the parameter.
+        """
+        rows = len(self.table_latitude_deg)
+        for name in _TABLE_COLUMNS:
+            column = getattr(self, name)
+            if len(column) != rows:
+                text = f"parameter 'gravity.{name}' has {len(column)} values, table_latitude_deg has {rows}"
+                raise ParameterError(f"{text}: give one of each for every row", f"gravity.{name}")
+            if not all(math.isfinite(value) for value in column):
+                raise ParameterError(f"parameter 'gravity.{name}' holds a value that is no number", f"gravity.{name}")
+        if self.deflection == TABLE and rows < 2:
+            text = f"parameter 'gravity.table_latitude_deg' has {rows} rows, and gravity.deflection is 'table'"
+            raise ParameterError(f"{text}: give two rows or more", "gravity.table_latitude_deg")
+        if self.is_modelled and not self.unknown_sigma_arcsec > 0.0:
+            name = "gravity.unknown_sigma_arcsec"
+            raise ParameterError(f"parameter '{name}' must be more than 0: no deflection is known to be none", name)

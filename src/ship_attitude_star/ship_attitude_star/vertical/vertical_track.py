@@ -1,0 +1,266 @@
+"""What is known of the vertical at any moment of a voyage: the deflection that is given, and the way over ground.
+
+A moment is answered as the last even second before it. So the answers change in small steps, 0.02″ of a deflection that
+changes by 60″ in 50 km at 20 kn; and whatever the order of arrival, they are the same.
+"""
+
+import bisect
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ship_attitude_star.measurements.readings import DeflectionReading, PositionFix
+from ship_attitude_star.sky.config import SkyConfig
+from ship_attitude_star.sky.place_by_fixes import Place, PlaceByFixes
+from ship_attitude_star.vertical.config import CONSTANT, TABLE, GravityConfig
+from ship_attitude_star.vertical.deflection_table import DeflectionTable
+from ship_estimation.refusals import Reason, Refusal, same_stamp
+from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_geometry.time_scales import SECOND_NS
+
+_STEP_NS = 2 * SECOND_NS
+"""Time between two moments at which place and deflection are asked for."""
+
+_MOVED_M = 100.0
+"""The ship has moved once she is so far away: what is less may be the noise of fixes, which would add up at anchor."""
+
+_MOST_STEPS = 50_000
+"""Steps that are made up for after a gap, a day; after a longer one the way is taken to begin anew."""
+
+_MOST_MESSAGES = 10_000
+"""Messages that are kept."""
+
+
+class VerticalHere(NamedTuple):
+    """The vertical at one moment.
+
+    Attributes:
+        along_m: way over ground since any begin.
+        tan_latitude: of the ship's place; 0 where no place is known.
+        given: the deflection (xi, eta) that is known, rad, shape (2,); None where none is.
+        covariance: of the error of what is given, or of the deflection itself, rad², shape (2, 2).
+    """
+
+    along_m: float
+    tan_latitude: float
+    given: FloatArray | None
+    covariance: FloatArray
+
+    @property
+    def turn(self) -> FloatArray:
+        """The rotation vector of the geodetic horizon against that of gravity by (xi, eta), shape (3, 2).
+
+        R_geodetic = exp(turn @ (xi, eta)) R_gravity, about (North, Up, East); a gyrocompass errs by eta tan L.
+        """
+        return np.array([[0.0, 1.0], [0.0, self.tan_latitude], [-1.0, 0.0]])
+
+
+class _Knot(NamedTuple):
+    """The vertical at an even second.
+
+    Attributes:
+        here: what is known.
+        anchor: where the ship was when she had moved last; None where no place was known yet.
+        speed_m_per_s: over ground, by the last place known.
+        place: at that moment; None where no fix is near enough in time.
+    """
+
+    here: VerticalHere
+    anchor: Place | None
+    speed_m_per_s: float
+    place: Place | None
+
+
+class VerticalTrack:
+    """Position fixes and deflections in, the vertical at any moment out.
+
+    Args:
+        config: where the deflection is known from.
+        sky: how long a fix holds.
+
+    Attributes:
+        unknown_variance: of a component of the deflection where none is given, rad².
+    """
+
+    def __init__(self, config: GravityConfig, sky: SkyConfig) -> None:
+        self._config, self._sky = config, sky
+        self._table = DeflectionTable(config) if config.deflection == TABLE else None
+        self._given_covariance = (config.sigma_arcsec * ARCSEC) ** 2 * np.eye(2)
+        self.unknown_variance = (config.unknown_sigma_arcsec * ARCSEC) ** 2
+        self._unknown_covariance = self.unknown_variance * np.eye(2)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self._place = PlaceByFixes(self._sky)
+        self._messages: list[DeflectionReading] = []
+        self._stamps: list[int] = []
+        self._knots: dict[int, _Knot] = {}
+        self._newest_step: int | None = None
+
+    # -- inputs ---------------------------------------------------------------------------------------------
+
+    def refusal(self, given: "PositionFix | DeflectionReading") -> Refusal | None:
+        """Why an input is not used, or not as it came; to be asked before :meth:`insert`."""
+        if isinstance(given, PositionFix):
+            return self._place.refusal(given)
+        index = bisect.bisect_left(self._stamps, given.time_ns)
+        if index < len(self._stamps) and self._stamps[index] == given.time_ns:
+            return same_stamp(self._messages[index], given)[1]
+        if index == 0 and len(self._stamps) >= _MOST_MESSAGES:
+            return Refusal(Reason.LATE, "its stamp lies before what is remembered of its own source")
+        return None
+
+    def insert(self, given: "PositionFix | DeflectionReading") -> int | None:
+        """Take an input; returns the moment (ns) after which answers may have changed, None for nothing."""
+        changed_after_ns = self._place.insert(given) if isinstance(given, PositionFix) else self._put(given)
+        if changed_after_ns is None:
+            return None
+        return self._forget_knots_after(changed_after_ns)
+
+    def drop_before(self, time_ns: int) -> None:
+        """Forget what is not needed for moments at or after ``time_ns``; no earlier ones may be asked for any more."""
+        oldest = time_ns // _STEP_NS
+        if self._newest_step is not None:
+            # Later knots rest on it, and not on what is forgotten.
+            self._knot(max(oldest, self._newest_step))
+        self._place.drop_before(oldest * _STEP_NS)
+        # They are in the order of time: a knot is made after the one before it.
+        for step in list(self._knots):
+            if step >= oldest:
+                break
+            del self._knots[step]
+        passed = bisect.bisect_right(self._stamps, oldest * _STEP_NS) - 1
+        if passed > 0:
+            del self._stamps[:passed], self._messages[:passed]
+
+    # -- answers --------------------------------------------------------------------------------------------
+
+    def at(self, time_ns: int) -> VerticalHere:
+        """The vertical at a moment; within an even second the same object, as long as no input has changed it."""
+        return self._knot(time_ns // _STEP_NS).here
+
+    def told(self, time_ns: int) -> str:
+        """Why no deflection is known at a moment, for people; empty where one is, or where none is ever given."""
+        knot = self._knot(time_ns // _STEP_NS)
+        if knot.here.given is not None or self._config.deflection in (CONSTANT, "unknown"):
+            return ""
+        if self._table is None:
+            return f"no message on gravity/deflection within max_age_s = {self._config.max_age_s:g}"
+        if knot.place is None:
+            return "no position fix: what the table says here is not known"
+        away_km = 1e-3 * self._table.away_m(knot.place.observer.position)
+        return f"the table has no row for the ship's place: the nearest is {away_km:.0f} km away (gravity.table_…)"
+
+    def _knot(self, step: int) -> _Knot:
+        found = self._knots.get(step)
+        if found is not None:
+            return found
+        newest = self._newest_step
+        if newest is None or step - newest > _MOST_STEPS:
+            return self._keep(step, self._first(step))
+        if step < newest:
+            # Before the first that was ever asked for, or forgotten.
+            return self._first(step)
+        knot = self._knots[newest]
+        for later in range(newest + 1, step + 1):
+            knot = self._keep(later, self._next(knot, later))
+        return knot
+
+    def _keep(self, step: int, knot: _Knot) -> _Knot:
+        self._knots[step], self._newest_step = knot, step
+        return knot
+
+    def _first(self, step: int) -> _Knot:
+        """The vertical where the way begins."""
+        place = self._place_at(step)
+        speed = 0.0 if place is None else _speed(place)
+        return _Knot(self._here(step, 0.0, place, 0.0), place, speed, place)
+
+    def _next(self, before: _Knot, step: int) -> _Knot:
+        """The vertical one step later."""
+        place, along_m, latitude = self._place_at(step), before.here.along_m, before.here.tan_latitude
+        if place is None:
+            # Nobody tells where she sails: as far as she was fast.
+            along_m += before.speed_m_per_s * _STEP_NS / SECOND_NS
+            return _Knot(self._here(step, along_m, None, latitude), before.anchor, before.speed_m_per_s, None)
+        if before.anchor is None:
+            return _Knot(self._here(step, along_m, place, latitude), place, _speed(place), place)
+        moved_m = _away_m(before.anchor, place)
+        has_moved = moved_m >= _MOVED_M
+        if has_moved and before.place is not None:
+            along_m += moved_m
+        anchor = place if has_moved or before.place is None else before.anchor
+        return _Knot(self._here(step, along_m, place, latitude), anchor, _speed(place), place)
+
+    def _here(self, step: int, along_m: float, place: Place | None, tan_latitude: float) -> VerticalHere:
+        """What is known at an even second."""
+        if place is not None:
+            tan_latitude = math.tan(float(place.observer.position.latitude))
+        given = self._given(step, place)
+        if given is None:
+            return VerticalHere(along_m, tan_latitude, None, self._unknown_covariance)
+        return VerticalHere(along_m, tan_latitude, *given)
+
+    def _given(self, step: int, place: Place | None) -> tuple[FloatArray, FloatArray] | None:
+        """The deflection that is given, and the covariance of its error; None for nothing."""
+        config = self._config
+        if config.deflection == CONSTANT:
+            return ARCSEC * np.array([config.xi_arcsec, config.eta_arcsec]), self._given_covariance
+        if self._table is not None:
+            deflection = None if place is None else self._table.at(place.observer.position)
+            return None if deflection is None else (deflection, self._given_covariance)
+        last = bisect.bisect_right(self._stamps, step * _STEP_NS) - 1
+        if last < 0 or step * _STEP_NS - self._stamps[last] > config.max_age_s * SECOND_NS:
+            return None
+        message = self._messages[last]
+        covariance = self._given_covariance if message.covariance is None else message.covariance
+        return message.deflection, covariance
+
+    def _place_at(self, step: int) -> Place | None:
+        place = self._place.at(step * _STEP_NS)
+        return None if isinstance(place, Refusal) else place
+
+    # ---------------------------------------------------------------------------------------------------------
+
+    def _put(self, message: DeflectionReading) -> int | None:
+        """Put a message in its place; of two with the same stamp the one whose bytes sort first is kept."""
+        index = bisect.bisect_left(self._stamps, message.time_ns)
+        if index < len(self._stamps) and self._stamps[index] == message.time_ns:
+            if self._messages[index].content() <= message.content():
+                return None
+            self._messages[index] = message
+        elif index == 0 and len(self._stamps) >= _MOST_MESSAGES:
+            return None
+        else:
+            self._stamps.insert(index, message.time_ns)
+            self._messages.insert(index, message)
+            if len(self._stamps) > _MOST_MESSAGES:
+                del self._stamps[0], self._messages[0]
+        return message.time_ns - 1
+
+    def _forget_knots_after(self, time_ns: int) -> int | None:
+        """Forget the answers after a moment; returns the moment after which they are gone, None where none is."""
+        gone = [step for step in self._knots if step * _STEP_NS > time_ns]
+        for step in gone:
+            del self._knots[step]
+        if not gone:
+            return None
+        self._newest_step = max(self._knots, default=None)
+        return min(gone) * _STEP_NS - 1
+
+
+def _speed(place: Place) -> float:
+    """Speed over ground, m/s."""
+    north, _, east = place.observer.velocity_n_m_per_s.tolist()
+    return math.hypot(north, east)
+
+
+def _away_m(earlier: Place, later: Place) -> float:
+    """Way over ground between two places that are near to one another, m."""
+    radius_north_m, radius_east_m = earlier.horizon_radii_m
+    here, there = earlier.observer.position, later.observer.position
+    east = math.remainder(float(there.longitude - here.longitude), 2.0 * math.pi)
+    north_m = float((there.latitude - here.latitude) * radius_north_m)
+    return math.hypot(north_m, float(east * math.cos(here.latitude) * radius_east_m))

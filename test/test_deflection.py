@@ -1,0 +1,235 @@
+"""The deflection of the vertical: an INS follows gravity, stars know the ellipsoid; through clouds, alongside, by both.
+
+The scenario is ``deflection.yaml``, without waves and with fewer samples: none of that changes what is tested. The
+bands are of 99.9 %, from chi-square, by the number of seeds.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ship_attitude_star.measurements.samples import AttitudeEstimate, Horizon
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
+from ship_estimation.gates import mean_nees_band, normalized_error_squared
+from ship_estimation.outcome import Status
+from ship_estimation.parameters import ParameterError, build
+from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
+from ship_replay.trials.monte_carlo import attitude_outcomes
+from ship_simulation.run import SimulatedRun, simulate
+from ship_simulation.scenario.motion_scenario import AngleMotion, CarrierMotion, Outage
+from ship_simulation.scenario.scenario import Gravity, Reference, Scenario
+from ship_simulation.scenario.scenario_file import load_scenario
+from ship_simulation.suite.suite import suite_configuration
+
+SCENARIO = Path(__file__).parents[1] / "bags" / "scenarios" / "deflection.yaml"
+SEEDS = 6
+STILL = CarrierMotion(
+    kind="sinusoids", heading=AngleMotion(mean_deg=5.0), pitch=AngleMotion(mean_deg=0.5), roll=AngleMotion(mean_deg=2.0)
+)
+
+
+def voyage(gravity: Gravity | None = None, **changes: Any) -> Scenario:
+    """The scenario with fewer samples, and with other things changed."""
+    whole = load_scenario(SCENARIO)
+    sensors = {id_: replace(one, rate_hz=0.1, phase_s=0.0) for id_, one in whole.star_sensors.items()}
+    ins = replace(whole.ins, rate_hz=1.0, time_offset_sigma_s=0.0)
+    thin = replace(whole, carrier=STILL, ins=ins, star_sensors=sensors, gravity=gravity or whole.gravity)
+    return replace(thin, **changes)
+
+
+def core_of(scenario: Scenario, **parameters: Any) -> ShipAttitudeCore:
+    told = suite_configuration(scenario)
+    return ShipAttitudeCore(build(ShipAttitudeConfig, {**told, **parameters}))
+
+
+def last_estimate(core: ShipAttitudeCore, run: SimulatedRun) -> AttitudeEstimate:
+    (estimate,) = (
+        estimate
+        for outcome in attitude_outcomes(core, run, {int(run.ins.time_ns[-1])})
+        for estimate in outcome.estimates[-1:]
+        if estimate.time_ns == run.ins.time_ns[-1]
+    )
+    return estimate
+
+
+def error_n(run: SimulatedRun, estimate: AttitudeEstimate) -> np.ndarray:
+    return log_rotation(run.truth.rotation_nd[-1] @ estimate.rotation_nd.T)
+
+
+def cleared(scenario: Scenario) -> Scenario:
+    """The same without clouds."""
+    return replace(scenario, star_sensors={id_: replace(one, outages={}) for id_, one in scenario.star_sensors.items()})
+
+
+def test_with_the_table_eighty_minutes_of_cloud_cost_three_arcseconds_more() -> None:
+    # Issue: the tilt's RMS with the table at most 3 arcseconds more, in squares, than the same seed without deflection.
+    # What comes more is the error of the one less that of the other: what the table does not know.
+    more = []
+    for seed in range(SEEDS):
+        errors = []
+        for gravity, expected in ((None, Horizon.GEODETIC), (Gravity(), Horizon.GRAVITY)):
+            scenario = voyage(gravity)
+            run = simulate(scenario, seed)
+            estimate = last_estimate(core_of(scenario), run)
+            errors.append(error_n(run, estimate)[[0, 2]])
+            assert (estimate.horizon, estimate.status) == (expected, Status.COASTING)
+        more.append(errors[0] - errors[1])
+    assert np.sqrt(np.mean(np.square(more))) < 3.0 * ARCSEC
+
+
+@pytest.mark.parametrize("told", ["table", "unknown"])
+def test_what_is_said_of_the_attitude_is_honest(told: str) -> None:
+    # Without the table the deflection is drawn as the filter takes it to be: 20 arcseconds over 30 km.
+    unknown = Gravity(sigma_arcsec=20.0, told="unknown", told_unknown_sigma_arcsec=20.0)
+    gravity = unknown if told == "unknown" else voyage().gravity
+    nees = []
+    for seed in range(SEEDS):
+        scenario = voyage(gravity)
+        run = simulate(scenario, 100 + seed)
+        estimate = last_estimate(core_of(scenario), run)
+        nees.append(float(normalized_error_squared(error_n(run, estimate), estimate.covariance_n)))
+    low, high = mean_nees_band(SEEDS, 3)
+    assert low < np.mean(nees) < high
+
+
+def test_alongside_an_hour_of_stars_tells_the_deflection() -> None:
+    # Issue: at most 1.5 arcseconds in an hour where the INS's tilt is 1 arcsecond.
+    squares = []
+    for seed in range(SEEDS):
+        scenario = cleared(voyage(Gravity(sigma_arcsec=7.7, told="unknown"), duration_s=3600.0))
+        position, ins = replace(scenario.position, speed_m_per_s=0.0), replace(scenario.ins, tilt_sigma_arcsec=1.0)
+        scenario = replace(scenario, position=position, ins=ins)
+        run, core = simulate(scenario, 200 + seed), core_of(scenario)
+        told = core.deflection(last_estimate(core, run).time_ns)
+        assert told is not None
+        assert told.covariance is not None
+        assert np.all(np.sqrt(told.covariance.diagonal()) < 1.5 * ARCSEC)
+        squares.append(float(normalized_error_squared(told.deflection - run.truth.deflection[-1], told.covariance)))
+    low, high = mean_nees_band(SEEDS, 2)
+    assert low < np.mean(squares) < high
+
+
+def test_gravitys_horizon_differs_by_the_deflection_and_is_as_honest() -> None:
+    nees = []
+    for seed in range(SEEDS):
+        scenario = cleared(voyage(duration_s=2400.0))
+        run = simulate(scenario, 300 + seed)
+        estimates = [last_estimate(core_of(scenario, horizon=horizon), run) for horizon in ("geodetic", "gravity")]
+        geodetic, gravity = estimates
+        assert (geodetic.horizon, gravity.horizon) == (Horizon.GEODETIC, Horizon.GRAVITY)
+        xi, eta = run.truth.deflection[-1]
+        latitude_deg, _ = run.truth.track.degrees(run.ins.time_ns[-1:])
+        turn_n = np.array([eta, eta * np.tan(np.deg2rad(latitude_deg[0])), -xi])
+        true_nd = exp_rotation(-turn_n) @ run.truth.rotation_nd[-1]
+        error = log_rotation(true_nd @ gravity.rotation_nd.T)
+        nees.append(float(normalized_error_squared(error, gravity.covariance_n)))
+        # The deflection itself, but for the arcsecond that the table does not know.
+        between_n = log_rotation(geodetic.rotation_nd @ gravity.rotation_nd.T)
+        np.testing.assert_allclose(between_n[[0, 2]], turn_n[[0, 2]], atol=4.0 * ARCSEC)
+        np.testing.assert_allclose(gravity.covariance_parts_n.sum(axis=0), gravity.covariance_n, rtol=1e-9)
+    low, high = mean_nees_band(SEEDS, 3)
+    assert low < np.mean(nees) < high
+
+
+def test_a_topic_tells_what_the_table_does() -> None:
+    scenario = cleared(voyage(duration_s=2400.0))
+    by_topic = replace(scenario, gravity=replace(scenario.gravity, told="topic"))
+    table, topic = (
+        last_estimate(core_of(one), simulate(one, 400)) for one in (scenario, by_topic)
+    )
+    # The topic comes each ten seconds, on which the deflection changes by 0.3 arcseconds at most.
+    np.testing.assert_allclose(topic.covariance_n, table.covariance_n, rtol=1e-3)
+    assert np.linalg.norm(log_rotation(topic.rotation_nd @ table.rotation_nd.T)) < 0.3 * ARCSEC
+
+
+def test_another_attitude_system_follows_gravity_too() -> None:
+    # A reference that were compared against the ellipsoid would contradict the stars by 51 arcseconds.
+    scenario = cleared(voyage(Gravity(xi_arcsec=-51.0, told="constant", sigma_arcsec=1.0), duration_s=600.0))
+    reference = Reference(
+        installation_sigma_arcsec=1.0,
+        sigma_roll_arcsec=2.0,
+        sigma_pitch_arcsec=2.0,
+        sigma_heading_arcsec=2.0,
+        time_offset_sigma_s=0.0,
+    )
+    scenario = replace(scenario, references={"second": reference})
+    run = simulate(scenario, 7)
+    decisions = [d for outcome in attitude_outcomes(core_of(scenario), run, ()) for d in outcome.decisions]
+    used = [d for d in decisions if d.measurement.source == "reference.second"]
+    assert len(used) > 500
+    assert sum(not d.accepted for d in used) <= 2
+
+
+def test_an_ins_alone_is_geodetic_where_the_deflection_is_given() -> None:
+    for gravity, expected in (
+        (Gravity(xi_arcsec=20.0, told="constant"), Horizon.GEODETIC),
+        (Gravity(sigma_arcsec=7.7, told="unknown"), Horizon.GRAVITY),
+        (Gravity(xi_arcsec=20.0), Horizon.GRAVITY),
+    ):
+        scenario = voyage(gravity, star_sensors={}, duration_s=10.0)
+        estimate = last_estimate(core_of(scenario), simulate(scenario, 1))
+        assert (estimate.horizon, estimate.status) == (expected, Status.DEGRADED)
+
+
+def test_a_table_with_a_gap_under_the_ship_is_named_and_the_covariance_grows() -> None:
+    # The rows between 28 and 46 km are missing; after an hour the ship is in the middle, under clouds since 20 minutes.
+    scenario = voyage(duration_s=3600.0)
+    config = suite_configuration(scenario)
+    gravity = config["gravity"]
+    keep = [index for index in range(len(gravity["table_xi_arcsec"])) if not 13 < index < 24]
+    for column in [name for name in gravity if name.startswith("table_")]:
+        gravity[column] = [gravity[column][index] for index in keep]
+    core = ShipAttitudeCore(build(ShipAttitudeConfig, {**config, "gravity": {**gravity, "table_reach_m": 5000.0}}))
+    run = simulate(scenario, 5)
+    estimate = last_estimate(core, run)
+    assert core.vertical is not None
+    assert "the table has no row" in core.vertical.told(estimate.time_ns)
+    whole = last_estimate(core_of(scenario), run)
+    assert estimate.covariance_n[2, 2] > whole.covariance_n[2, 2] + (3.0 * ARCSEC) ** 2
+    assert estimate.status is Status.COASTING
+
+
+def test_fixes_in_another_order_end_in_the_same() -> None:
+    scenario = voyage(duration_s=300.0)
+    run = simulate(scenario, 9)
+    ends = []
+    for late_s in (0.0, 1.5):
+        core = core_of(scenario)
+        fixes = replace(run.fixes, time_ns=run.fixes.time_ns)
+        delayed = [
+            (time_ns + (round(late_s * 1e9) if source == "fix" else 0), source, index)
+            for time_ns, source, index in run.arrivals()
+        ]
+        changed = _Rearranged(replace(run, fixes=fixes), sorted(delayed, key=lambda one: one[0]))
+        for _ in attitude_outcomes(core, changed, ()):
+            pass
+        ends.append(core.state)
+    np.testing.assert_array_equal(ends[0].means, ends[1].means)
+    np.testing.assert_array_equal(ends[0].stack, ends[1].stack)
+
+
+class _Rearranged:
+    """A run whose inputs arrive in another order."""
+
+    def __init__(self, run: SimulatedRun, arrivals: list[tuple[int, str, int]]) -> None:
+        self._run, self._arrivals = run, arrivals
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._run, name)
+
+    def arrivals(self) -> list[tuple[int, str, int]]:
+        return self._arrivals
+
+
+def test_gravitys_horizon_needs_the_deflection() -> None:
+    with pytest.raises(ParameterError, match=r"gravity\.deflection is none"):
+        build(ShipAttitudeConfig, {"horizon": "gravity"})
+
+
+def test_outage_of_the_scenario_is_eighty_minutes() -> None:
+    scenario = load_scenario(SCENARIO)
+    assert {star.outages["clouds"] for star in scenario.star_sensors.values()} == {Outage(1200.0, 6000.0)}
