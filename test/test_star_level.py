@@ -19,7 +19,7 @@ from ship_attitude_star.stars.solution import SolutionStatus, solve_stars
 from ship_estimation.gates import mean_nees_band, normalized_error_squared
 from ship_estimation.parameters import build
 from ship_geometry.frames import rotation_from_angles
-from ship_geometry.rotations import ARCSEC, log_rotation
+from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_replay.trials.monte_carlo import sky_input, star_exposure
 from ship_simulation.run import SKY_SOURCES, SimulatedRun, simulate
 from ship_simulation.scenario.scenario import Scenario
@@ -68,10 +68,26 @@ def sighted(exposures: dict[str, StarExposure], watch: SkyWatch, configuration: 
     return SightedStars(*(np.concatenate(columns) for columns in zip(*parts, strict=True)), np.array(mounting_b))
 
 
-def normalised_errors(scenario: Scenario, told: Scenario | None = None) -> list[float]:
-    """NEES of the joint solution, a seed each; with the configuration of another scenario where one is given."""
-    configuration = build(ShipAttitudeConfig, suite_configuration(told or scenario))
-    values = []
+def normalised_errors(scenario: Scenario, told: Scenario | None = None, **sky: float) -> list[float]:
+    """NEES of the joint solution, a seed each."""
+    return each_nees(*joint_errors(scenario, told, **sky))
+
+
+def each_nees(errors_n: FloatArray, covariances_n: FloatArray) -> list[float]:
+    return [float(normalized_error_squared(*pair)) for pair in zip(errors_n, covariances_n, strict=True)]
+
+
+def joint_errors(scenario: Scenario, told: Scenario | None = None, **sky: float) -> tuple[FloatArray, FloatArray]:
+    """Errors of the joint solution and their covariances, a seed each, shapes (n, 3) and (n, 3, 3).
+
+    Args:
+        scenario: what is sailed.
+        told: whose configuration the estimator has; that of ``scenario`` where None.
+        sky: parameters of the sky, changed in it.
+    """
+    suite = suite_configuration(told or scenario)
+    configuration = build(ShipAttitudeConfig, {**suite, "sky": {**suite["sky"], **sky}})
+    errors_n, covariances_n = [], []
     for seed in range(SEEDS):
         run = simulate(scenario, seed)
         exposures = {id_: star_exposure(run, id_, 0) for id_ in run.stars}
@@ -79,8 +95,9 @@ def normalised_errors(scenario: Scenario, told: Scenario | None = None) -> list[
         assert solution.status is SolutionStatus.VALID
         # The sensors have no time offset: the truth at the first stamp is theirs.
         error_n = log_rotation(run.truth.rotation_nd[0] @ solution.rotation_nb.T)
-        values.append(float(normalized_error_squared(error_n, solution.covariance_n)))
-    return values
+        errors_n.append(error_n)
+        covariances_n.append(solution.covariance_n)
+    return np.array(errors_n), np.array(covariances_n)
 
 
 BASE = one_epoch()
@@ -101,6 +118,39 @@ def test_errors_that_nobody_was_told_of_are_found_out() -> None:
     """The bands can fail: the weather's large errors with the configuration of the usual ones."""
     values = normalised_errors(one_epoch(**LARGE_ERRORS["weather"]), told=BASE)
     assert np.mean(values) > mean_nees_band(SEEDS, degrees=3)[1]
+
+
+def low(model: str) -> Scenario:
+    """Both sensors look low: most of their stars stand at 5° to 11°. The air bends light as a model says."""
+    sensors = {id_: replace(sensor, elevation_deg=7.0) for id_, sensor in BASE.star_sensors.items()}
+    return replace(BASE, star_sensors=sensors, weather=replace(BASE.weather, refraction_model=model))
+
+
+def test_low_stars_by_erfa_are_as_good_as_they_say_and_by_traced_rays_better() -> None:
+    """The true air bends by traced rays. What erfa's formula is off by there is a sigma of it and a little more.
+
+    That is the same in each seed, so that its NEES is no mean over what its sigma states: only above is a bound.
+    """
+    truth = low("ray_trace")
+    low_bound, high_bound = mean_nees_band(SEEDS, degrees=3)
+    by_formula, by_rays = (joint_errors(truth, told) for told in (low("erfa"), truth))
+    nees = [float(np.mean(each_nees(*found))) for found in (by_formula, by_rays)]
+    rms = [np.sqrt(np.mean(errors_n[:, [0, 2]] ** 2)) / ARCSEC for errors_n, _ in (by_formula, by_rays)]
+    print(f"erfa: NEES {nees[0]:.2f}, tilt {rms[0]:.2f}″; ray_trace: NEES {nees[1]:.2f}, tilt {rms[1]:.2f}″")
+    assert nees[0] < high_bound
+    assert low_bound < nees[1] < high_bound
+    assert rms[1] < rms[0]
+
+
+def test_an_error_of_the_clock_is_told_beside_that_of_ut1() -> None:
+    """The Earth has turned by 0.2 s more or less than the stamps say: 3″, as when all clocks are wrong by so much."""
+    late = one_epoch(earth_rotation_sigma_s=0.2)
+    low_bound, high_bound = mean_nees_band(SEEDS, degrees=3)
+    told = normalised_errors(late, utc_sigma_s=0.2)
+    untold = normalised_errors(late)
+    print(f"NEES {np.mean(told):.2f} told, {np.mean(untold):.2f} untold")
+    assert low_bound < np.mean(told) < high_bound
+    assert np.mean(untold) > high_bound
 
 
 def test_a_tracker_against_the_icrs_is_turned_to_the_horizon_as_it_really_stands() -> None:

@@ -96,6 +96,15 @@ def test_the_budget_names_what_stars_share() -> None:
     np.testing.assert_allclose(sum(parts.values()), np.array(budget.total).reshape(3, 3), rtol=1e-9)
 
 
+def test_where_the_clocks_are_not_trusted_their_error_is_a_state_with_a_part_of_its_own() -> None:
+    budget = sail(voyage(), sky={"utc_sigma_s": 0.1}).messages("ship/error_budget")[-1]
+    assert "utc" not in clean_run().messages("ship/error_budget")[-1].sources
+    parts = dict(zip(budget.sources, np.array(budget.covariances).reshape(-1, 3, 3), strict=True))
+    np.testing.assert_allclose(sum(parts.values()), np.array(budget.total).reshape(3, 3), rtol=1e-9)
+    # 1.504″ about the Earth's axis. The INS, which knows no clock, takes off a little of it.
+    assert 1.2 < np.sqrt(np.trace(parts["utc"])) / ARCSEC < 1.505
+
+
 @pytest.mark.parametrize(("topic", "change", "reason", "text"), [c[1:] for c in DROPPED], ids=[c[0] for c in DROPPED])
 def test_a_bad_message_is_told_and_changes_nothing(topic: str, change: Change, reason: str, text: str) -> None:
     run = sail(replaced(voyage(), index_at(voyage(), topic, MOMENT_S), change))

@@ -330,6 +330,17 @@ def test_the_budget_is_the_covariance_of_the_joint_solution_by_source() -> None:
         np.testing.assert_array_equal(budget.total, joint[stamp_of(budget)].rotation_covariance)
 
 
+def test_where_the_clocks_are_not_trusted_the_budget_has_their_part_and_all_else_is_the_same() -> None:
+    found = sail(voyage(), sky__utc_sigma_s=0.1).messages("star/joint/error_budget")
+    for budget, without in zip(found, clean_run().messages("star/joint/error_budget"), strict=True):
+        assert budget.sources == [*without.sources, "utc"]
+        parts = np.reshape(budget.covariances, (7, 9))
+        np.testing.assert_allclose(parts.sum(axis=0), budget.total, rtol=1e-9)
+        np.testing.assert_allclose(parts[:-1], np.reshape(without.covariances, (6, 9)), rtol=1e-6, atol=1e-18)
+        # 0.1 s of 15.04″ about the Earth's axis, whatever stars were seen.
+        assert np.sqrt(np.trace(parts[-1].reshape(3, 3))) / ARCSEC == pytest.approx(1.504, rel=1e-3)
+
+
 def test_old_budgets_are_not_repeated() -> None:
     run = drive(new_adapter(), voyage(), until_ns=START_NS + 10 * SECOND_NS)
     assert len(run.messages("star/joint/error_budget")) == 3

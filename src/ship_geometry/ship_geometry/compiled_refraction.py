@@ -26,6 +26,7 @@ _TINY = cython.declare(cython.double, 1e-300)
 def _bent(
     elevation: cython.double,
     coefficients: cython.const[cython.double][:, ::1],
+    curvature: cython.double,
     lowest: cython.double,
     of_observed: cython.bint,
     sigmas: cython.const[cython.double][::1],
@@ -35,12 +36,17 @@ def _bent(
     tan_z: cython.double = 1.0 / tan(elevation) if elevation >= lowest else NAN
     tan2_z: cython.double = tan_z * tan_z
     divisor: cython.double
+    x: cython.double = tan2_z / (1.0 + curvature * tan2_z)
     i: cython.int
+    power: cython.Py_ssize_t
     for i in range(3):
-        angles[i] = (coefficients[0, i] + coefficients[1, i] * tan2_z) * tan_z
+        angles[i] = coefficients[coefficients.shape[0] - 1, i]
+        for power in range(coefficients.shape[0] - 2, -1, -1):
+            angles[i] = coefficients[power, i] + angles[i] * x
+        angles[i] *= tan_z
     if of_observed:
-        # A and B belong to the observed zenith distance. One step of Newton's method leads there from the true one, as
-        # in ERFA's atioq. In the derivatives the small change of this divisor is left out.
+        # A and B, two coefficients, belong to the observed zenith distance. One step of Newton's method leads there
+        # from the true one, as in ERFA's atioq. In the derivatives the small change of this divisor is left out.
         divisor = 1.0 + (coefficients[0, 0] + 3.0 * coefficients[1, 0] * tan2_z) * (1.0 + tan2_z)
         for i in range(3):
             angles[i] /= divisor
@@ -57,14 +63,17 @@ def _lifted(direction: cython.p_double, angle: cython.double, out: cython.p_doub
     out[1] = direction[1] * cos(angle) + horizontal * sin(angle)
 
 
-def _fits(coefficients, sigmas) -> None:
+def _fits(coefficients, of_observed, sigmas) -> None:
     """Refuse numbers that are not those of a model; the loops look at no bounds."""
-    check("model", coefficients.shape[0] == 2 and coefficients.shape[1] == sigmas.shape[0] == 3)
+    terms = coefficients.shape[0]
+    check("model", terms == 2 or (terms > 2 and not of_observed))
+    check("model", coefficients.shape[1] == sigmas.shape[0] == 3)
 
 
 def bent(
     elevation: cython.const[cython.double][::1],
     coefficients: cython.const[cython.double][:, ::1],
+    curvature: cython.double,
     lowest: cython.double,
     of_observed: cython.bint,
     sigmas: cython.const[cython.double][::1],
@@ -73,22 +82,26 @@ def bent(
 
     Args:
         elevation: without air, rad, shape (k,).
-        coefficients: of tan z and of tan³ z, each with its derivatives by pressure and temperature, shape (2, 3).
+        coefficients: cᵢ of tan z Σ cᵢ xⁱ with x = tan² z/(1 + c tan² z), each with its derivatives by pressure and
+            temperature, shape (t, 3).
+        curvature: c; with 0 they are those of tan z, tan³ z, tan⁵ z ….
         lowest: elevation of the model, rad; below it all is NaN.
-        of_observed: whether the coefficients belong to the zenith distance with air.
+        of_observed: whether the coefficients, two of them, belong to the zenith distance with air.
         sigmas: of the model: rad, rad per tan⁵ z, and per angle, shape (3,).
 
     Returns:
         The angle, rad, and its derivatives, shape (k, 3); standard deviation of the model itself, rad, shape (k,).
     """
-    _fits(coefficients, sigmas)
+    _fits(coefficients, of_observed, sigmas)
     count: cython.Py_ssize_t = elevation.shape[0]
     of_angles, of_sigma = np.empty((count, 3)), np.empty(count)
     angles: cython.double[:, ::1] = of_angles
     sigma: cython.double[::1] = of_sigma
+    out: cython.p_double
     k: cython.Py_ssize_t
     for k in range(count):
-        sigma[k] = _bent(elevation[k], coefficients, lowest, of_observed, sigmas, cython.address(angles[k, 0]))
+        out = cython.address(angles[k, 0])
+        sigma[k] = _bent(elevation[k], coefficients, curvature, lowest, of_observed, sigmas, out)
     return of_angles, of_sigma
 
 
@@ -109,6 +122,7 @@ def lifted(direction_n: cython.const[cython.double][:, ::1], angle: cython.const
 def seen(
     without_air_n: cython.const[cython.double][:, ::1],
     coefficients: cython.const[cython.double][:, ::1],
+    curvature: cython.double,
     lowest: cython.double,
     of_observed: cython.bint,
     sigmas: cython.const[cython.double][::1],
@@ -121,6 +135,7 @@ def seen(
     Args:
         without_air_n: unit vectors (North, Up, East), shape (k, 3).
         coefficients: and the next as in :func:`bent`.
+        curvature: likewise.
         lowest: likewise.
         of_observed: likewise.
         sigmas: likewise.
@@ -132,7 +147,7 @@ def seen(
         Unit vectors with air, shape (k, 3); their displacement by one sigma of refraction and by each of the turns,
         rad, shape (k, 3, 1 + m); the elevations without air, rad, shape (k,).
     """
-    _fits(coefficients, sigmas)
+    _fits(coefficients, of_observed, sigmas)
     count: cython.Py_ssize_t = without_air_n.shape[0]
     turns: cython.Py_ssize_t = turns_n.shape[0]
     check("vectors", without_air_n.shape[1] == turns_n.shape[1] == 3)
@@ -150,7 +165,7 @@ def seen(
     for k in range(count):
         star[0], star[1], star[2] = without_air_n[k, 0], without_air_n[k, 1], without_air_n[k, 2]
         elevation[k] = atan2(star[1], hypot(star[0], star[2]))
-        sigma = _bent(elevation[k], coefficients, lowest, of_observed, sigmas, angles)
+        sigma = _bent(elevation[k], coefficients, curvature, lowest, of_observed, sigmas, angles)
         sigma = hypot(hypot(angles[1] * pressure_sigma, angles[2] * temperature_sigma), sigma)
         _lifted(star, angles[0], cython.address(direction[k, 0]))
         star[0], star[1], star[2] = direction[k, 0], direction[k, 1], direction[k, 2]

@@ -1,23 +1,33 @@
 """Refraction of starlight by the air: how much higher a star is seen than it stands, and what the weather does to it.
 
-There are two models. Both take the elevation without air, which the catalogue gives, so no prior attitude is needed
+There are three models. All take the elevation without air, which the catalogue gives, so no prior attitude is needed
 ([P15] §3). ``erfa`` is A tan z + B tan³ z of the observed zenith distance, with A and B of ERFA's ``refco``.
-``almanac`` is [P15] (8)-(12) of the true zenith distance. Below its lowest elevation a model gives NaN.
+``almanac`` is [P15] (8)-(12) of the true zenith distance. ``ray_trace`` is what :mod:`ship_geometry.ray_trace` finds,
+expanded in the true zenith distance once for each weather, with tan⁵ z and beyond. Below its lowest elevation a model
+gives NaN.
 """
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
 from ship_geometry import compiled_refraction
 from ship_geometry import late_erfa as erfa
+from ship_geometry.ray_trace import traced_refraction
 from ship_geometry.rotations import ARCSEC, FloatArray
 
-ModelName = Literal["erfa", "almanac"]
+ModelName = Literal["erfa", "almanac", "ray_trace"]
 
-LOWEST_ELEVATION: dict[ModelName, float] = {"erfa": np.deg2rad(5.0), "almanac": np.deg2rad(14.0)}
+MODELS: tuple[ModelName, ...] = get_args(ModelName)
+"""All models, the default first."""
+
+LOWEST_ELEVATION: dict[ModelName, float] = {
+    "erfa": np.deg2rad(5.0),
+    "almanac": np.deg2rad(14.0),
+    "ray_trace": np.deg2rad(5.0),
+}
 """Lowest elevation (rad, without air) at which each model holds; stars below it cannot be used."""
 
 # Steps of the numerical derivatives by pressure and temperature; over them refraction is as good as linear.
@@ -27,11 +37,23 @@ _TINY = 1e-300
 # Error of the models in standard air. The description of refco has a table: 0.03″ up to 70° of zenith distance, 0.57″
 # at 80°; it grows like the first term left out, tan⁵ z. The almanac's model knows neither humidity nor colour of
 # the light, and differs from erfa by 0.7 %.
+# A traced ray errs by what no instrument aboard tells of the air above her. At 5°, 10° and 45° these are, by tracing
+# again: lapse rate ±1.5 K/km 0.54″, 0.03″, 0; tropopause at 8 or 16 km 0.27″, 0.02″, 0; gravity at the pole or the
+# equator 0.17″, 0.03″, 0. A pressure that changes by 1 hPa in 100 km, as in a wind of 10 m/s, bends by ∫ ∂n/∂x dh over
+# sin² E: 0.62″, 0.16″, 0.01″. The refractivity is agreed upon to 0.02 %. Together it is less than the numbers here say.
 _MODEL_SIGMAS: dict[ModelName, FloatArray] = {
     "erfa": np.array([0.03 * ARCSEC, 1e-4 * ARCSEC, 0.0]),
     "almanac": np.array([0.0, 0.0, 0.007]),
+    "ray_trace": np.array([0.0, 5e-6 * ARCSEC, 6e-4]),
 }
 """Each model's own standard deviation: everywhere, per tan⁵ z, and as a share of the angle."""
+
+# Rays are expanded as tan z Σ cᵢ xⁱ with x = tan² z/(1 + c tan² z), z without air. With c = 0 it is the series in
+# tan z, tan³ z, tan⁵ z …, which converges slowly where sight goes far through curved air. The c of curved air is 2 H/R,
+# H the height in which it thins by e; with about that, seven terms are rays to 2e-4″ down to 5° in any weather.
+_TERMS, _CURVATURE = 7, 0.003
+_LOWEST_RAY = np.deg2rad(85.0)
+_SAMPLE_ANGLES = np.pi * (np.arange(_TERMS) + 0.5) / _TERMS
 
 for _of_model in _MODEL_SIGMAS.values():
     _of_model.flags.writeable = False
@@ -94,17 +116,18 @@ def refraction(
     """Refraction of stars at elevations without air.
 
     Args:
-        model: ``"erfa"`` or ``"almanac"``.
+        model: one of MODELS.
         elevation: rad, shape (...).
         weather: the air at the ship.
         wavelength_um: of the light the sensor sees; the almanac's model does not know it.
 
     Example:
         >>> weather = Weather(pressure_hpa=1008.3, temperature_c=28.2)
-        >>> for model in ("erfa", "almanac"):
+        >>> for model in MODELS:
         ...     print(model, f"{refraction(model, np.deg2rad(42.2207), weather).angle / ARCSEC:.2f} arcsec")
         erfa 59.74 arcsec
         almanac 59.34 arcsec
+        ray_trace 59.73 arcsec
     """
     elevation = np.asarray(elevation, dtype=float)
     angles, model_sigma = compiled_refraction.bent(
@@ -140,7 +163,7 @@ def seen_through_air(
     """A handful of stars through the air, with what the errors that they share do to them: all in one go.
 
     Args:
-        model: ``"erfa"`` or ``"almanac"``.
+        model: one of MODELS.
         without_air_n: unit vectors (North, Up, East), shape (k, 3).
         weather: the air at the ship.
         wavelength_um: of the light the sensor sees; the almanac's model does not know it.
@@ -165,10 +188,11 @@ def refraction_slopes(
 ) -> tuple[float, float]:
     """First and second derivative of refraction by elevation, rad/rad and rad/rad²; NaN below the lowest elevation.
 
-    They are good to 0.1 %: the small difference between observed and true zenith distance is left out.
+    Those of ``erfa`` are good to 0.1 % over sin² E, because the small difference between its observed zenith distance
+    and the true one is left out; the others are exact.
 
     Args:
-        model: ``"erfa"`` or ``"almanac"``.
+        model: one of MODELS.
         elevation: rad, without air.
         weather: the air at the ship.
         wavelength_um: of the light the sensor sees; the almanac's model does not know it.
@@ -181,36 +205,67 @@ def refraction_slopes(
         -2.0 arcsec per degree
     """
     t = 1.0 / np.tan(elevation) if elevation >= LOWEST_ELEVATION[model] else np.nan
-    linear, cubic = _of_air(model, weather, wavelength_um)[0][:, 0].tolist()
-    steep = 1.0 + t * t
-    by_tan = linear + 3.0 * cubic * t * t
-    return -by_tan * steep, 2.0 * t * steep * (by_tan + 3.0 * cubic * steep)
+    coefficients, curvature, *_ = _of_air(model, weather, wavelength_um)
+    stretch, steep = 1.0 + curvature * t * t, 1.0 + t * t
+    # First derivative by tan z, and half of the second over tan z, term by term from the last.
+    by_tan = bend = 0.0
+    for power in range(len(coefficients) - 1, -1, -1):
+        share = 1.0 + 2.0 * power / stretch
+        of_term = coefficients.item(power, 0)
+        by_tan = share * of_term + by_tan * t * t / stretch
+        if power:
+            of_bend = power * (share - 2.0 * curvature * t * t / stretch) * of_term / stretch**2
+            bend = of_bend + bend * t * t / stretch
+    return -by_tan * steep, 2.0 * t * steep * (by_tan + bend * steep)
 
 
 @lru_cache(maxsize=8)
-def _of_air(model: ModelName, weather: Weather, wavelength_um: float) -> tuple[FloatArray, float, bool, FloatArray]:
+def _of_air(
+    model: ModelName, weather: Weather, wavelength_um: float
+) -> tuple[FloatArray, float, float, bool, FloatArray]:
     """What :func:`ship_geometry.compiled_refraction.bent` is told of a model in the air of a moment.
 
     The last ones are kept, because the weather changes far less often than the sky.
 
     Returns:
-        Coefficients of tan z and of tan³ z, shape (2, 3): value (rad), derivative by hPa, derivative by K; lowest
-        elevation; whether they belong to the observed zenith distance; standard deviations of the model.
+        Coefficients of the powers of x, shape (t, 3): value (rad), derivative by hPa, derivative by K; the curvature c
+        in x; lowest elevation; whether they belong to the observed zenith distance; standard deviations of the model.
     """
     # Five kinds of weather: as given, more and less pressure, higher and lower temperature.
     given, more_pressure, less_pressure, warmer, colder = range(5)
     pressures_hpa = weather.pressure_hpa + _STEP_HPA * np.array([0.0, 1.0, -1.0, 0.0, 0.0])
     temperatures_c = weather.temperature_c + _STEP_K * np.array([0.0, 0.0, 0.0, 1.0, -1.0])
+    curvature = 0.0
     if model == "erfa":
-        both = np.stack(erfa.refco(pressures_hpa, temperatures_c, weather.relative_humidity, wavelength_um))
-    else:
+        each = np.stack(erfa.refco(pressures_hpa, temperatures_c, weather.relative_humidity, wavelength_um))
+    elif model == "almanac":
         # [P15] (8) for 0 °C and 1013.25 hPa, times 1 + αA + B of (9)-(11) with α = 1.
         factor = pressures_hpa / 1013.25 - 0.00383 * temperatures_c / (1.0 + 0.00367 * temperatures_c)
-        both = np.array([[60.0978], [-0.0669]]) * ARCSEC * factor
-    per_hpa = (both[:, more_pressure] - both[:, less_pressure]) / (2.0 * _STEP_HPA)
-    per_kelvin = (both[:, warmer] - both[:, colder]) / (2.0 * _STEP_K)
-    coefficients = np.stack([both[:, given], per_hpa, per_kelvin], axis=1)
-    return coefficients, LOWEST_ELEVATION[model], model == "erfa", _MODEL_SIGMAS[model]
+        each = np.array([[60.0978], [-0.0669]]) * ARCSEC * factor
+    else:
+        each = _expanded_rays(pressures_hpa, temperatures_c, weather.relative_humidity, wavelength_um)
+        curvature = _CURVATURE
+    per_hpa = (each[:, more_pressure] - each[:, less_pressure]) / (2.0 * _STEP_HPA)
+    per_kelvin = (each[:, warmer] - each[:, colder]) / (2.0 * _STEP_K)
+    coefficients = np.stack([each[:, given], per_hpa, per_kelvin], axis=1)
+    return coefficients, curvature, LOWEST_ELEVATION[model], model == "erfa", _MODEL_SIGMAS[model]
+
+
+def _expanded_rays(
+    pressures_hpa: FloatArray, temperatures_c: FloatArray, relative_humidity: float, wavelength_um: float
+) -> FloatArray:
+    """Coefficients of traced refraction in w kinds of weather, shape (_TERMS, w).
+
+    As many rays are traced as there are terms, at the zeros of a Chebyshev polynomial, and the terms go through them.
+    """
+    lowest = np.tan(_LOWEST_RAY) ** 2
+    sampled = 0.5 * (1.0 + np.cos(_SAMPLE_ANGLES)) * lowest / (1.0 + _CURVATURE * lowest)
+    seen = np.arctan(np.sqrt(sampled / (1.0 - _CURVATURE * sampled)))
+    angles = traced_refraction(seen, pressures_hpa, temperatures_c, relative_humidity, wavelength_um)
+    tangents = np.tan(seen + angles)
+    powers = (tangents**2 / (1.0 + _CURVATURE * tangents**2))[..., None] ** np.arange(_TERMS)
+    coefficients: FloatArray = np.linalg.solve(powers, (angles / tangents)[..., None])[..., 0].T
+    return coefficients
 
 
 def lifted(direction_n: FloatArray, angle: FloatArray) -> FloatArray:

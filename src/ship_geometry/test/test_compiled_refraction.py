@@ -4,26 +4,35 @@ import numpy as np
 import pytest
 
 from ship_geometry import compiled_refraction
-from ship_geometry.refraction import LOWEST_ELEVATION, ModelName, Weather, lifted, refraction, seen_through_air
+from ship_geometry.refraction import LOWEST_ELEVATION, MODELS, ModelName, Weather, lifted, refraction, seen_through_air
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 RNG_SEED = 6
 LINEAR, CUBIC = np.array([2.9e-4, 2.8e-7, -1.0e-6]), np.array([-3.2e-7, -3.0e-10, 1.2e-9])
-SIGMAS = {"erfa": np.array([0.03, 1e-4, 0.0]) * ARCSEC, "almanac": np.array([0.0, 0.0, 0.007])}
-MODELS: list[ModelName] = ["erfa", "almanac"]
+TWO_TERMS = np.stack([LINEAR, CUBIC])
+FOUR_TERMS = np.stack([LINEAR, CUBIC, 2e-2 * LINEAR**2, -4e-5 * LINEAR**2])
+TERMS = {"erfa": TWO_TERMS, "almanac": TWO_TERMS, "ray_trace": FOUR_TERMS}
+CURVATURES = {"erfa": 0.0, "almanac": 0.0, "ray_trace": 0.003}
+SIGMAS = {
+    "erfa": np.array([0.03, 1e-4, 0.0]) * ARCSEC,
+    "almanac": np.array([0.0, 0.0, 0.007]),
+    "ray_trace": np.array([0.0, 5e-6 * ARCSEC, 6e-4]),
+}
 
 
 def equal(found: FloatArray, expected: FloatArray) -> None:
     np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-16)
 
 
-def by_numpy(model: ModelName, elevation: FloatArray, linear: FloatArray, cubic: FloatArray) -> tuple[FloatArray, ...]:
+def by_numpy(model: ModelName, elevation: FloatArray) -> tuple[FloatArray, ...]:
     tan_z = 1.0 / np.tan(np.where(elevation >= LOWEST_ELEVATION[model], elevation, np.nan))
-    angles = (linear + cubic * tan_z[:, None] ** 2) * tan_z[:, None]
+    terms = TERMS[model]
+    powers = (tan_z**2 / (1.0 + CURVATURES[model] * tan_z**2))[:, None] ** np.arange(len(terms))
+    angles = (powers @ terms) * tan_z[:, None]
     if model == "erfa":
-        angles /= (1.0 + (linear[0] + 3.0 * cubic[0] * tan_z**2) * (1.0 + tan_z**2))[:, None]
-        return angles, ARCSEC * (0.03 + 1e-4 * tan_z**5)
-    return angles, 0.007 * angles[:, 0]
+        angles /= (1.0 + (LINEAR[0] + 3.0 * CUBIC[0] * tan_z**2) * (1.0 + tan_z**2))[:, None]
+    everywhere, per_tan5, share = SIGMAS[model]
+    return angles, everywhere + per_tan5 * tan_z**5 + share * angles[:, 0]
 
 
 def some_stars() -> FloatArray:
@@ -37,9 +46,9 @@ def some_stars() -> FloatArray:
 @pytest.mark.parametrize("model", MODELS)
 def test_angles_are_those_by_numpy(model: ModelName) -> None:
     elevation = np.deg2rad(np.linspace(-10.0, 90.0, 41))
-    of_air = np.stack([LINEAR, CUBIC]), LOWEST_ELEVATION[model], model == "erfa", SIGMAS[model]
+    of_air = TERMS[model], CURVATURES[model], LOWEST_ELEVATION[model], model == "erfa", SIGMAS[model]
     angles, sigma = compiled_refraction.bent(elevation, *of_air)
-    expected_angles, expected_sigma = by_numpy(model, elevation, LINEAR, CUBIC)
+    expected_angles, expected_sigma = by_numpy(model, elevation)
     equal(angles, expected_angles)
     equal(sigma, expected_sigma)
     assert np.isnan(sigma).any()
@@ -77,17 +86,18 @@ def test_one_direction_may_be_lifted_by_several_angles_and_several_by_one() -> N
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
     """The loops look at no bounds."""
-    stars, coefficients, sigmas, turns = some_stars(), np.stack([LINEAR, CUBIC]), SIGMAS["erfa"], np.zeros((3, 3))
+    stars, coefficients, sigmas, turns = some_stars(), TWO_TERMS, SIGMAS["erfa"], np.zeros((3, 3))
     for arguments in (
         (stars[:, :2].copy(), coefficients, sigmas, turns),
         (stars, coefficients[:1], sigmas, turns),
+        (stars, FOUR_TERMS, sigmas, turns),
         (stars, coefficients, sigmas[:2], turns),
         (stars, coefficients, sigmas, turns[:, :2].copy()),
     ):
         vectors, of_model, of_sigmas, turned = arguments
         with pytest.raises(ValueError, match="do not fit together"):
-            compiled_refraction.seen(vectors, of_model, 0.1, True, of_sigmas, 1.0, 1.0, turned)
+            compiled_refraction.seen(vectors, of_model, 0.0, 0.1, True, of_sigmas, 1.0, 1.0, turned)
     with pytest.raises(ValueError, match="do not fit together"):
-        compiled_refraction.bent(stars[:, 1].copy(), coefficients[:1], 0.1, True, sigmas)
+        compiled_refraction.bent(stars[:, 1].copy(), coefficients[:1], 0.0, 0.1, True, sigmas)
     with pytest.raises(ValueError, match="do not fit together"):
         compiled_refraction.lifted(stars, np.zeros(3))

@@ -212,7 +212,8 @@ def star_horizon_attitude(factory: MessageFactory, solved: Solved, frame_id: str
 def solution_budget(factory: MessageFactory, solved: Solved) -> Any:
     """ship_msgs/ErrorBudget of a joint solution."""
     parts_n, covariance_n = solved.solution.parts_n, solved.solution.covariance_n
-    return error_budget(factory, f"star_{JOINT}", solved.time_ns, DECK_FRAME, SOLUTION_TERMS, parts_n, covariance_n)
+    terms = SOLUTION_TERMS[: len(parts_n)]
+    return error_budget(factory, f"star_{JOINT}", solved.time_ns, DECK_FRAME, terms, parts_n, covariance_n)
 
 
 def refused_star(factory: MessageFactory, star: RefusedStar) -> Any:

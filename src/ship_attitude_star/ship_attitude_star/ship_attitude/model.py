@@ -18,6 +18,7 @@ sky.refraction (1)                       error of refraction, in its own sigmas;
                                          messages of a sensor rest on the sky over the ship
 sky.earth_rotation (1)                   error of UT1, in its own sigmas
 sky.position (2)                         error of the ship's position, in its own sigmas
+sky.utc (1)                              error of UTC, in its own sigmas; only where it has a sigma
 sky.common (3)                           what messages have in common, in sigmas; only where a sensor is
                                          configured so
 reference.<name>.installation   device   as for a star sensor, from the INS's deck axes
@@ -42,6 +43,7 @@ from ship_attitude_star.measurements.samples import SHARED_BY_GRAVITY, SHARED_BY
 from ship_attitude_star.ship_attitude.config import InsConfig, ReferenceConfig, ShipAttitudeConfig, StarSensorConfig
 from ship_attitude_star.ship_attitude.ins_process import InsOnGravity
 from ship_attitude_star.sky.config import SkyConfig
+from ship_attitude_star.sky.sky_watch import UTC
 from ship_estimation.kalman import StateBlock, StateModel, block
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
@@ -59,6 +61,7 @@ SOURCE_FLEXURE = "flexure"
 SOURCE_REFRACTION = "refraction"
 SOURCE_EARTH_ROTATION = "earth_rotation"
 SOURCE_POSITION = "ship_position"
+SOURCE_UTC = UTC
 SOURCE_REFERENCE = "reference_installation"
 SOURCE_REFERENCE_NOISE = "reference_noise"
 SOURCE_REFERENCE_SLOW = "reference_slow_error"
@@ -152,7 +155,8 @@ class ShipStateModel(StateModel):
         super().__init__(blocks, noise_sources)
         self.sky_rows = slice(0, 0)
         if looks_at_sky:
-            self.sky_rows = slice(self.slices["sky.refraction"].start, self.slices["sky.position"].stop)
+            of_sky = [self.slices[of_cause.name] for of_cause in _sky_blocks(config.sky)]
+            self.sky_rows = slice(of_sky[0].start, of_sky[-1].stop)
         self.process_rows = self.rows("ins.attitude")
         if self.ins_process is not None:
             self.process_rows = np.r_[self.process_rows, self.rows("gravity.deflection")]
@@ -254,13 +258,17 @@ def _star_blocks(name: str, star: StarSensorConfig) -> list[StateBlock]:
 def _sky_blocks(sky: SkyConfig) -> list[StateBlock]:
     """What all stars share, in the order of SHARED_TERMS.
 
-    Each exposure says how large its sigma is, so the states count in sigmas. UT1 errs the same for days.
+    Each exposure says how large its sigma is, so the states count in sigmas. UT1 errs the same for days, and so
+    may a clock that nothing sets.
     """
-    return [
+    blocks = [
         block("sky.refraction", [1.0], SOURCE_REFRACTION, time_s=sky.refraction_time_s),
         block("sky.earth_rotation", [1.0], SOURCE_EARTH_ROTATION),
         block("sky.position", [1.0, 1.0], SOURCE_POSITION, time_s=sky.position_time_s),
     ]
+    if sky.utc_sigma_s > 0.0:
+        blocks.append(block("sky.utc", [1.0], SOURCE_UTC))
+    return blocks
 
 
 def _reference_blocks(name: str, reference: ReferenceConfig) -> list[StateBlock]:

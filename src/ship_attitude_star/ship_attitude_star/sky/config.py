@@ -6,6 +6,7 @@ import numpy as np
 
 from ship_attitude_star.measurements.readings import FieldOfView
 from ship_estimation.parameter_fields import parameter
+from ship_geometry.refraction import MODELS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -13,7 +14,9 @@ class SkyConfig:
     """From the catalogue to the horizon: the air and the ship's place, how well and for how long they are known."""
 
     refraction_model: str = parameter(
-        "erfa", doc="refraction: ERFA's refco, or the almanac's formula of [P15]", choices=("erfa", "almanac")
+        "erfa",
+        doc="refraction: ERFA's refco, the almanac's formula of [P15], or rays traced through a standard atmosphere",
+        choices=MODELS,
     )
     wavelength_um: float = parameter(
         0.55, doc="effective wavelength of the sensors' light", unit="um", minimum=0.3, maximum=2.0
@@ -42,6 +45,13 @@ class SkyConfig:
     )
     refraction_time_s: float = parameter(
         3600.0, doc="correlation time of the error of refraction", unit="s", minimum=1.0, maximum=1e7
+    )
+    utc_sigma_s: float = parameter(
+        0.0,
+        doc="error of UTC, by which all stamps are wrong alike: 15″ a second; 0: clocks set by GNSS are far better",
+        unit="s",
+        minimum=0.0,
+        maximum=10.0,
     )
     magnitude_limit: float = parameter(
         7.0, doc="faintest star (Hp) that a detection without an identity may be", minimum=-2.0, maximum=15.0

@@ -4,10 +4,14 @@
 :class:`SkyMoment`, which places stars in the horizon frame (North, Up, East), with air. The errors that stars share do
 not average: refraction, Earth rotation (UT1) and the ship's position. Each direction therefore comes with its
 displacement by one standard deviation of each of them (docs/explanation/stars.md).
+
+An error of UTC turns the sky as one of UT1 does. It is a term of its own, because its cause is another: where the
+clocks are taken to be right (``sky.utc_sigma_s`` 0), there is no such term.
 """
 
 import math
 from dataclasses import dataclass, field
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +27,9 @@ from ship_geometry.refraction import LOWEST_ELEVATION, ModelName, refraction, re
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.star_directions import RefreshedSky, StarPositions, fixed_stars
 
-SHARED_TERMS = ("refraction", "earth_rotation", "ship_position", "ship_position")
-"""Error source of each column of :attr:`ApparentStars.shared_n`.
+UTC = "utc"
+SHARED_TERMS = ("refraction", "earth_rotation", "ship_position", "ship_position", UTC)
+"""Error source of each column of :attr:`ApparentStars.shared_n`; the last is missing where UTC is taken to be right.
 
 The ship's position has two columns, one for each of the independent errors of :func:`_turns`.
 """
@@ -43,7 +48,7 @@ class ApparentStars:
 
     Attributes:
         direction_n: unit vectors with refraction, shape (k, 3); NaN below the lowest elevation.
-        shared_n: displacement of each direction by one sigma of each of SHARED_TERMS, rad, shape (k, 3, 4).
+        shared_n: displacement of each direction by one sigma of each of SHARED_TERMS, rad, shape (k, 3, n_shared).
         elevation: without air, rad, shape (k,).
         visible: False where a star is lower than the refraction model holds, shape (k,).
     """
@@ -92,6 +97,7 @@ class SkyMoment:
         refreshed: directions of stars without air.
         model: refraction model.
         wavelength_um: effective wavelength of the sensors' light.
+        utc_sigma_s: error of the clocks that all stamps come from.
         bright: stars that a detection may be.
     """
 
@@ -101,6 +107,7 @@ class SkyMoment:
     refreshed: RefreshedSky
     model: ModelName
     wavelength_um: float
+    utc_sigma_s: float
     bright: BrightStars
     _kept: dict[int, tuple[StarPositions, ApparentStars]] = field(default_factory=dict, repr=False, compare=False)
 
@@ -163,8 +170,8 @@ class SkyMoment:
         return displacement
 
     def turns(self) -> FloatArray:
-        """Turn of the whole sky by one sigma of each of SHARED_TERMS but refraction: rotation vectors, rad, (3, 3)."""
-        return _turns(self.place, float(self.refreshed.orientation(self.time_ns).ut1_sigma_s))
+        """Turn of the whole sky by one sigma of each of SHARED_TERMS but refraction: rotation vectors, rad, (n, 3)."""
+        return _turns(self.place, float(self.refreshed.orientation(self.time_ns).ut1_sigma_s), self.utc_sigma_s)
 
 
 class SkyWatch:
@@ -182,7 +189,8 @@ class SkyWatch:
 
     def __init__(self, config: SkyConfig, table: EarthOrientationTable, catalogue: StarCatalogue) -> None:
         self._config = config
-        self._model: ModelName = "almanac" if config.refraction_model == "almanac" else "erfa"
+        # The parameter has no other choices.
+        self._model = cast(ModelName, config.refraction_model)
         self._table = table
         self._refreshed = RefreshedSky(table)
         self.catalogue = catalogue
@@ -215,6 +223,7 @@ class SkyWatch:
             refreshed=self._refreshed,
             model=self._model,
             wavelength_um=self._config.wavelength_um,
+            utc_sigma_s=self._config.utc_sigma_s,
             bright=self._bright,
         )
         if len(self._moments) > _MOMENTS_KEPT:
@@ -227,8 +236,8 @@ def installed_sky(config: SkyConfig) -> SkyWatch:
     return SkyWatch(config, earth_orientation_table(), hipparcos())
 
 
-def _turns(place: Place, ut1_sigma_s: float) -> FloatArray:
-    """Turn of the sky in the horizon frame by one sigma of UT1 and of position, rotation vectors, rad, shape (3, 3).
+def _turns(place: Place, ut1_sigma_s: float, utc_sigma_s: float) -> FloatArray:
+    """Turn of the sky in the horizon frame by one sigma of UT1, position and UTC, rotation vectors, rad, shape (n, 3).
 
     A ship that is farther north than assumed sees the sky turned about East. A ship that is farther east sees it turned
     about the Earth's axis. 31 m make 1″. The first error of position is that of north with the part of east that goes
@@ -236,17 +245,22 @@ def _turns(place: Place, ut1_sigma_s: float) -> FloatArray:
     """
     covariance_m2, latitude = place.covariance_m2, float(place.observer.position.latitude)
     radius_north_m, radius_east_m = map(float, place.horizon_radii_m)
-    turn = EARTH_ROTATION_RATE * ut1_sigma_s
     north_m = math.sqrt(max(float(covariance_m2[0, 0]), 0.0))
     east_with_north_m = float(covariance_m2[0, 2]) / north_m if north_m > 0.0 else 0.0
     east_m = math.sqrt(max(float(covariance_m2[2, 2]) - east_with_north_m**2, 0.0))
     # The horizon turns by +latitude about -East and by +longitude about the pole, the sky in it the other way.
     by_north, with_north, by_east = north_m / radius_north_m, east_with_north_m / radius_east_m, east_m / radius_east_m
     tangent = math.tan(latitude)
-    return np.array(
-        [
-            [turn * math.cos(latitude), turn * math.sin(latitude), 0.0],
-            [-with_north, -with_north * tangent, by_north],
-            [-by_east, -by_east * tangent, 0.0],
-        ]
-    )
+    turns = [
+        _about_the_axis(EARTH_ROTATION_RATE * ut1_sigma_s, latitude),
+        [-with_north, -with_north * tangent, by_north],
+        [-by_east, -by_east * tangent, 0.0],
+    ]
+    if utc_sigma_s > 0.0:
+        turns.append(_about_the_axis(EARTH_ROTATION_RATE * utc_sigma_s, latitude))
+    return np.array(turns)
+
+
+def _about_the_axis(turn: float, latitude: float) -> list[float]:
+    """Rotation vector (North, Up, East) of a turn about the Earth's axis, rad."""
+    return [turn * math.cos(latitude), turn * math.sin(latitude), 0.0]

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.sky.sky_watch import SHARED_TERMS
+from ship_attitude_star.sky.sky_watch import SHARED_TERMS, UTC
 from ship_attitude_star.stars import compiled_fit
 from ship_attitude_star.stars.chance import improbable_identity
 from ship_attitude_star.stars.fit import ATTITUDE, Agreement, SightedStars, agreement, linearized
@@ -21,8 +21,11 @@ from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.frames import SINGULAR_ELEVATION
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 
-SOLUTION_TERMS = ("star_noise", "installation", "refraction", "earth_rotation", "ship_position", "catalogue")
-"""Error sources of :attr:`StarSolution.parts_n`, in order. Only star_noise is independent from epoch to epoch."""
+SOLUTION_TERMS = ("star_noise", "installation", "refraction", "earth_rotation", "ship_position", "catalogue", UTC)
+"""Error sources of :attr:`StarSolution.parts_n`, in order. Only star_noise is independent from epoch to epoch.
+
+The last is missing where UTC is taken to be right: the stars then have no column of it.
+"""
 
 _STAR_NOISE, _INSTALLATION, _CATALOGUE = (
     SOLUTION_TERMS.index(term) for term in ("star_noise", "installation", "catalogue")
@@ -55,7 +58,7 @@ class StarSolution:
         status: INVALID where there is none.
         refusal: why it is INVALID; None where it is not.
         rotation_nb: horizon from b, shape (3, 3); NaN where INVALID.
-        parts_n: covariance by SOLUTION_TERMS, rotation vector in the horizon frame, rad², shape (6, 3, 3).
+        parts_n: covariance by SOLUTION_TERMS, rotation vector in the horizon frame, rad², shape (n_terms, 3, 3).
         members: True for each star used, shape (k,).
         residual_n: reference minus measured direction of each star, used or not, rad, shape (k, 3); NaN where INVALID.
         rejected: by row, stars that were not used because they are not what they were taken for.
@@ -192,15 +195,17 @@ def _status(count: int, prior: StarPrior | None, rotation_nb: FloatArray) -> Sol
 
 
 def _parts(stars: SightedStars, found: Agreement, members: NDArray[np.bool_]) -> FloatArray:
-    """Covariance of the attitude by SOLUTION_TERMS, shape (6, 3, 3)."""
+    """Covariance of the attitude by SOLUTION_TERMS, shape (n_terms, 3, 3)."""
     share = stars.position_sigma / stars.white_sigma
     share[~members] = 0.0
     information = found.judgement.information
     # Errors of mounting and of turns stand before the shared ones.
-    installed = len(information) - ATTITUDE.stop - len(SHARED_TERMS)
-    term_of = np.concatenate([np.full(installed, _INSTALLATION), _TERMS_OF_SHARED])
+    shared = stars.shared_n.shape[-1]
+    installed = len(information) - ATTITUDE.stop - shared
+    term_of = np.concatenate([np.full(installed, _INSTALLATION), _TERMS_OF_SHARED[:shared]])
+    terms = len(SOLUTION_TERMS) - (len(SHARED_TERMS) - shared)
     parts, by_catalogue = compiled_fit.covariances(
-        found.white_covariance_n, information, found.fit.jacobian, share, term_of, len(SOLUTION_TERMS)
+        found.white_covariance_n, information, found.fit.jacobian, share, term_of, terms
     )
     parts[_CATALOGUE] = by_catalogue
     parts[_STAR_NOISE] = found.white_covariance_n - by_catalogue

@@ -14,6 +14,7 @@ import numpy as np
 from ship_attitude_star.stars.config import CameraConfig
 from ship_estimation.parameter_fields import mapping_of, parameter, section
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
+from ship_geometry.refraction import MODELS
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.scenario.fault import Fault
@@ -242,7 +243,7 @@ class WeatherStation:
     temperature_sigma_k: float = parameter(
         1.0, doc="error of the temperature told", unit="K", minimum=0.0, maximum=50.0
     )
-    refraction_model: str = parameter("erfa", doc="model of refraction", choices=("erfa", "almanac"))
+    refraction_model: str = parameter("erfa", doc="model of refraction", choices=MODELS)
     rate_hz: float = parameter(0.5, doc="messages per second", **RATE)
 
 

@@ -7,6 +7,7 @@ moment; the path of the estimator, which is refreshed now and then, is not used 
 
 import dataclasses
 from dataclasses import dataclass
+from typing import cast
 
 import erfa
 import numpy as np
@@ -106,7 +107,7 @@ def draw_sky(scenario: Scenario, track: ShipTrack, seed: int) -> TrueSky:
     catalogue = hipparcos()
     return TrueSky(
         track=track,
-        model="almanac" if scenario.weather.refraction_model == "almanac" else "erfa",
+        model=cast(ModelName, scenario.weather.refraction_model),
         weather=_true_air(scenario.weather, seed),
         ut1_error_s=ut1_sigma_s * random_stream(seed, "sky.earth_rotation").standard_normal(),
         catalogue=catalogue,

@@ -1,0 +1,149 @@
+"""Refraction by tracing rays through a model of the air, which holds lower than a formula of two terms.
+
+The air is that of Hohenkerk and Sinclair (NAO Technical Note 63, 1985), which the Explanatory Supplement to the
+Astronomical Almanac (1992, §3.281) has taken up:
+
+- Surfaces of equal density are spheres about the Earth's centre, of radius 6 378 120 m at sea level.
+- Up to the tropopause at 11 km the temperature falls by 6.5 K/km from what the thermometer says; above it stays.
+- Air and vapour are ideal gases at rest under gravity, which is that of a latitude and the same at all heights.
+- The vapour's pressure goes as the 18.36th power of the temperature up to the tropopause, and is left out above. At
+  the ground it is the relative humidity times that of saturation (Gill, Atmosphere-Ocean Dynamics, 1982).
+- Dry air refracts as the International Association of Geodesy resolved in 1999 (Birmingham, Resolution 3), vapour less
+  than the dry air in whose place it stands: 11.2684e-6 K/hPa.
+
+Along a ray n r sin z is the same everywhere, with n the index of refraction, r the distance from the Earth's centre and
+z the zenith distance. The refraction is therefore ∫ tan z (-dn)/n from the observer upwards. Down to 5° the
+integrand is smooth enough for Gauss's rules with ten points in the troposphere (Legendre) and ten above it (Laguerre):
+they are good to 1e-6″. The upper ones reach to the end of the air; the Technical Note stops at 80 km, which is 0.003″
+less at 80°.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ship_geometry.rotations import FloatArray
+
+_GAS_CONSTANT = 8314.32
+_DRY_MASS, _VAPOUR_MASS = 28.9644, 18.0152
+_EARTH_RADIUS_M = 6_378_120.0
+_VAPOUR_POWER = 18.36
+_VAPOUR_DEFECT_K_PER_HPA = 11.2684e-6
+_ZERO_C_K = 273.15
+
+_LOWER_NODES, _LOWER_WEIGHTS = np.polynomial.legendre.leggauss(10)
+_UPPER_NODES, _UPPER_WEIGHTS = np.polynomial.laguerre.laggauss(10)
+
+
+@dataclass(frozen=True)
+class Atmosphere:
+    """What a barometer and a thermometer do not tell of the air. The defaults are those of the Technical Note.
+
+    Attributes:
+        lapse_k_per_m: by which the temperature falls with the height up to the tropopause, above 0.
+        tropopause_m: height of the tropopause over the sea.
+        latitude: of the observer, rad; it tells gravity.
+        height_m: of the observer over the sea, below the tropopause.
+    """
+
+    lapse_k_per_m: float = 0.0065
+    tropopause_m: float = 11_000.0
+    latitude: float = 0.25 * np.pi
+    height_m: float = 0.0
+
+    @property
+    def gravity(self) -> float:
+        """Of the middle of the air above, m/s²."""
+        return float(9.784 * (1.0 - 0.0026 * np.cos(2.0 * self.latitude) - 2.8e-7 * self.height_m))
+
+
+STANDARD = Atmosphere()
+
+
+def traced_refraction(
+    observed_zenith_distance: FloatArray,
+    pressure_hpa: FloatArray,
+    temperature_c: FloatArray,
+    relative_humidity: float,
+    wavelength_um: float,
+    atmosphere: Atmosphere = STANDARD,
+) -> FloatArray:
+    """Refraction of stars at zenith distances as they are seen, in several kinds of weather, rad.
+
+    Args:
+        observed_zenith_distance: with air, rad, shape (k,); up to 86°, lower the rays need more points.
+        pressure_hpa: at the observer, shape (w,).
+        temperature_c: at the observer, shape (w,).
+        relative_humidity: 0 to 1.
+        wavelength_um: of the light.
+        atmosphere: the air above.
+
+    Returns:
+        Shape (w, k).
+
+    Example:
+        A star that is seen 5° high is lifted by 9.65′ at 15 °C, and by 9.8′ at 10 °C:
+
+        >>> pressures_hpa, temperatures_c = np.full(2, 1013.25), np.array([15.0, 10.0])
+        >>> traced = traced_refraction(np.deg2rad([85.0]), pressures_hpa, temperatures_c, 0.5, 0.55)
+        >>> print((np.rad2deg(traced[:, 0]) * 60.0).round(2))
+        [9.65 9.85]
+    """
+    kelvin = temperature_c + _ZERO_C_K
+    per_scale_k_per_m = atmosphere.gravity * _DRY_MASS / _GAS_CONSTANT
+    power = per_scale_k_per_m / atmosphere.lapse_k_per_m
+    vapour_hpa = _vapour_pressure(pressure_hpa, temperature_c, relative_humidity)
+    # Vapour is lighter than air. What it weighs less goes as the vapour's power, and the air's part makes up for it.
+    lighter_hpa = vapour_hpa * (1.0 - _VAPOUR_MASS / _DRY_MASS) * power / (_VAPOUR_POWER - power)
+    dry = _dry_refractivity(wavelength_um)
+    of_air = (dry * (pressure_hpa + lighter_hpa) / kelvin)[:, None]
+    of_vapour = ((dry * lighter_hpa + _VAPOUR_DEFECT_K_PER_HPA * vapour_hpa) / kelvin)[:, None]
+    heights_m, refractivity, falls = _points(atmosphere, kelvin[:, None], of_air, of_vapour, per_scale_k_per_m)
+    index, observer_m = 1.0 + refractivity, _EARTH_RADIUS_M + atmosphere.height_m
+    narrowing = (1.0 + of_air - of_vapour) * observer_m / (index * (observer_m + heights_m))
+    sines = narrowing[:, None, :] * np.sin(observed_zenith_distance)[:, None]
+    traced: FloatArray = np.einsum("wki,wi->wk", sines / np.sqrt(1.0 - sines * sines), falls / index)
+    return traced
+
+
+def _points(
+    atmosphere: Atmosphere, kelvin: FloatArray, of_air: FloatArray, of_vapour: FloatArray, per_scale_k_per_m: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Height over the observer in m, n - 1, and the weighted fall of n: at the points of both rules, shape (w, i) each.
+
+    Args:
+        atmosphere: the air above.
+        kelvin: at the observer, shape (w, 1).
+        of_air: n - 1 of the air at the observer, shape (w, 1).
+        of_vapour: what vapour takes off from it, shape (w, 1).
+        per_scale_k_per_m: temperature over the height in which an isothermal air thins by e.
+    """
+    thickness_m = atmosphere.tropopause_m - atmosphere.height_m
+    power, cooling_per_m = per_scale_k_per_m / atmosphere.lapse_k_per_m, atmosphere.lapse_k_per_m / kelvin
+    lower_m = 0.5 * thickness_m * (1.0 + _LOWER_NODES)
+    # Temperature over that at the observer; the tropopause is the last point.
+    warmth = 1.0 - cooling_per_m * np.append(lower_m, thickness_m)
+    air, vapour = of_air * warmth ** (power - 1.0), of_vapour * warmth ** (_VAPOUR_POWER - 1.0)
+    lower, top = (air - vapour)[:, :-1], (air - vapour)[:, -1:]
+    falls_per_m = cooling_per_m * ((power - 1.0) * air - (_VAPOUR_POWER - 1.0) * vapour)[:, :-1] / warmth[:, :-1]
+    upper_m = thickness_m + _UPPER_NODES * kelvin * warmth[:, -1:] / per_scale_k_per_m
+    return (
+        np.concatenate([np.broadcast_to(lower_m, lower.shape), upper_m], axis=-1),
+        np.concatenate([lower, top * np.exp(-_UPPER_NODES)], axis=-1),
+        np.concatenate([0.5 * thickness_m * falls_per_m * _LOWER_WEIGHTS, top * _UPPER_WEIGHTS], axis=-1),
+    )
+
+
+def _vapour_pressure(pressure_hpa: FloatArray, temperature_c: FloatArray, relative_humidity: float) -> FloatArray:
+    """Pressure of the water vapour at the observer, hPa."""
+    over_water = 10.0 ** ((0.7859 + 0.03477 * temperature_c) / (1.0 + 0.00412 * temperature_c))
+    saturated = over_water * (1.0 + pressure_hpa * (4.5e-6 + 6e-10 * temperature_c**2))
+    vapour_share = saturated / pressure_hpa
+    vapour_hpa: FloatArray = relative_humidity * saturated / (1.0 - (1.0 - relative_humidity) * vapour_share)
+    return vapour_hpa
+
+
+def _dry_refractivity(wavelength_um: float) -> float:
+    """Refractivity n - 1 of dry air times its temperature over its pressure, K/hPa."""
+    per_square = 1.0 / wavelength_um**2
+    return (287.6155 + 1.62887 * per_square + 0.01360 * per_square**2) * 1e-6 * _ZERO_C_K / 1013.25
