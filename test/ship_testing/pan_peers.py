@@ -1,0 +1,141 @@
+"""The methods that [P15] is measured against, as its §1 tells of them: what star vectors are compared with.
+
+Its [6] joins two boresights: each sensor solves its own attitude, and the ship's comes from where the two look. Its [5]
+puts refraction on what was observed: an attitude without air, the elevations by it, the observed vectors lowered, and
+so again. Directions are ERFA's one-call chain, attitudes are scipy's; of the suite only the tables of the catalogue and
+of Earth orientation are used.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime, timezone
+
+import erfa
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ship_geometry.earth_orientation import earth_orientation_table
+from ship_geometry.geodetic import GeodeticPosition
+from ship_geometry.refraction import Weather
+from ship_geometry.rotations import FloatArray
+from ship_geometry.star_directions import StarPositions
+
+FEWEST_STARS = 4
+"""[P15] §1: a sensor finds its boresight by four identified stars or more."""
+
+FEWEST_BY_GEOMETRY = 2
+"""With one star the turn about it is open."""
+
+CONVERGED_RAD = np.deg2rad(0.001 / 3600.0)
+MOST_ROUNDS = 20
+WAVELENGTH_UM = 0.55
+
+
+@dataclass(frozen=True)
+class SensorView:
+    """What a sensor sees.
+
+    Attributes:
+        measured_s: directions in the sensor frame (forward, up, right), shape (k, 3).
+        stars: which stars they are, J2000.0.
+        rotation_ds: nominal mounting, deck from sensor, shape (3, 3).
+    """
+
+    measured_s: FloatArray
+    stars: StarPositions
+    rotation_ds: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.measured_s)
+
+
+@dataclass(frozen=True)
+class ErfaSky:
+    """The sky over a ship at rest, by what she is told of time, place and air; without air where that is None."""
+
+    time_ns: int
+    position: GeodeticPosition
+    weather: Weather | None
+
+    def directions(self, stars: StarPositions) -> FloatArray:
+        """Unit vectors (North, Up, East), shape (k, 3)."""
+        moment = datetime.fromtimestamp(self.time_ns // 1_000_000_000, tz=timezone.utc)
+        seconds = moment.second + (self.time_ns % 1_000_000_000) * 1e-9
+        utc = erfa.dtf2d("UTC", moment.year, moment.month, moment.day, moment.hour, moment.minute, seconds)
+        told, place = earth_orientation_table().at(self.time_ns), self.position
+        azimuth, zenith, *_ = erfa.atco13(
+            stars.right_ascension, stars.declination, stars.pm_right_ascension, stars.pm_declination,
+            stars.parallax_arcsec, 0.0, *utc, told.ut1_minus_utc_s, place.longitude, place.latitude, place.height_m,
+            told.pole_x, told.pole_y, *self._air(),
+        )  # fmt: skip
+        return np.stack([np.cos(azimuth) * np.sin(zenith), np.cos(zenith), np.sin(azimuth) * np.sin(zenith)], axis=-1)
+
+    def without_air(self) -> "ErfaSky":
+        """The same with no air in it."""
+        return replace(self, weather=None)
+
+    def lowered(self, seen_n: FloatArray) -> FloatArray:
+        """Directions that were seen through the air as they would be without it, shape (k, 3)."""
+        tangent = np.hypot(seen_n[:, 0], seen_n[:, 2]) / seen_n[:, 1]
+        first, third = erfa.refco(*self._air())
+        zenith = np.arctan(tangent) + first * tangent + third * tangent**3
+        flat = seen_n[:, [0, 2]] / np.hypot(seen_n[:, 0], seen_n[:, 2])[:, None] * np.sin(zenith)[:, None]
+        return np.stack([flat[:, 0], np.cos(zenith), flat[:, 1]], axis=-1)
+
+    def _air(self) -> tuple[float, float, float, float]:
+        air = self.weather
+        if air is None:
+            return 0.0, 0.0, 0.0, WAVELENGTH_UM
+        return air.pressure_hpa, air.temperature_c, air.relative_humidity, WAVELENGTH_UM
+
+
+def refraction_on_reference(view: SensorView, sky: ErfaSky, fewest: int = FEWEST_STARS) -> FloatArray | None:
+    """Horizon from sensor by the stars of one sensor, refraction on the reference; None with too few stars."""
+    return _wahba(sky.directions(view.stars), view.measured_s) if len(view) >= fewest else None
+
+
+def refraction_on_observed(
+    view: SensorView, sky: ErfaSky, fewest: int = FEWEST_STARS
+) -> tuple[FloatArray, int] | None:
+    """[5]: horizon from sensor by the stars of one sensor, refraction taken off what was observed.
+
+    Returns:
+        The attitude, and in how many rounds after the first attitude it came to rest; None with too few stars.
+    """
+    if len(view) < fewest:
+        return None
+    reference_n = sky.without_air().directions(view.stars)
+    rotation_ns = _wahba(reference_n, view.measured_s)
+    for round_ in range(1, MOST_ROUNDS + 1):
+        before_ns = rotation_ns
+        lowered_s = sky.lowered(view.measured_s @ before_ns.T) @ before_ns
+        rotation_ns = _wahba(reference_n, lowered_s)
+        if Rotation.from_matrix(rotation_ns @ before_ns.T).magnitude() < CONVERGED_RAD:
+            return rotation_ns, round_
+    return None
+
+
+def joined_boresights(rotation_ns: Sequence[FloatArray], rotation_ds: Sequence[FloatArray]) -> FloatArray:
+    """[6]: horizon from deck by where the boresights of two sensors look and how they are bolted on."""
+    return _wahba(np.array([one[:, 0] for one in rotation_ns]), np.array([one[:, 0] for one in rotation_ds]))
+
+
+def two_boresights(views: Sequence[SensorView], sky: ErfaSky, fewest: int = FEWEST_STARS) -> FloatArray | None:
+    """[6], refraction on the reference: horizon from deck; None where a sensor has too few stars."""
+    found = [refraction_on_reference(view, sky, fewest) for view in views]
+    solved = [one for one in found if one is not None]
+    return joined_boresights(solved, [view.rotation_ds for view in views]) if len(solved) == len(views) else None
+
+
+def two_boresights_by_iteration(
+    views: Sequence[SensorView], sky: ErfaSky, fewest: int = FEWEST_STARS
+) -> FloatArray | None:
+    """[5] and [6] together, which is what was done before [P15]: None where a sensor has too few stars."""
+    found = [refraction_on_observed(view, sky, fewest) for view in views]
+    solved = [one[0] for one in found if one is not None]
+    return joined_boresights(solved, [view.rotation_ds for view in views]) if len(solved) == len(views) else None
+
+
+def _wahba(reference_n: FloatArray, measured: FloatArray) -> FloatArray:
+    rotation, _ = Rotation.align_vectors(reference_n, measured)
+    return np.asarray(rotation.as_matrix(), dtype=float)
