@@ -19,7 +19,7 @@ BAG_HOURS ?= 1 10 100
 FAULT_ARGS ?=
 PORT ?= 5006
 
-.PHONY: help setup test lint demo watch bags bench campaign faults hours kills stanford bundle audit clean
+.PHONY: help setup test lint demo watch bags bench campaign faults hours kills reproduction stanford bundle audit clean
 
 help: ## this list
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -67,6 +67,9 @@ hours: setup ## a hundred hours without faults: false exclusions, availability, 
 
 stanford: setup ## errors against protection levels, a million epochs: docs/figures/stanford*.png
 	@$(RUN) python tools/stanford.py
+
+reproduction: setup ## what the papers print and what comes out here: docs/reproduction.md and its pictures
+	@$(RUN) PYTHONPATH=test:$$PYTHONPATH python -m tools.reproduction
 
 kills: setup ## kill -9 of recorder and node at random moments: what is lost
 	@$(RUN) python tools/kill_campaign.py
