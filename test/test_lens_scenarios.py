@@ -23,6 +23,8 @@ from theodolite_calib.lights.line_of_sight import LeverArm, Lights, Ship, Survey
 from theodolite_calib.lights.telescope_attitude import solve
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 
+pytestmark = pytest.mark.slow
+
 SEEDS = 12
 CONSTANT_ARCSEC = 0.06 * np.sqrt(2.0 / 3.0) / 2000.0 / ARCSEC
 NAMES = ("lens_surveyed", "lens_unsurveyed")
