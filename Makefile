@@ -20,6 +20,7 @@ FAULT_ARGS ?=
 PORT ?= 5006
 
 .PHONY: help setup test lint demo watch bags bench campaign faults hours kills stanford availability bundle audit clean
+.PHONY: help setup test lint demo watch bags bench campaign faults hours kills reproduction stanford bundle audit clean
 
 help: ## this list
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -71,6 +72,8 @@ stanford: setup ## errors against protection levels, a million epochs: docs/figu
 availability: setup ## stars under clouds beside other methods, and stars minus INS alongside: docs/explanation/availability.md
 	@$(RUN) python tools/availability.py
 	@$(RUN) python tools/mooring.py
+reproduction: setup ## what the papers print and what comes out here: docs/reproduction.md and its pictures
+	@$(RUN) PYTHONPATH=test:$$PYTHONPATH python -m tools.reproduction
 
 kills: setup ## kill -9 of recorder and node at random moments: what is lost
 	@$(RUN) python tools/kill_campaign.py

@@ -131,15 +131,26 @@ def project(camera: Camera, focal_length_m: FloatArray, direction_t: FloatArray)
     return np.stack([x, z], axis=-1) + camera.principal_point_m
 
 
-def paper_epochs(truth: Truth, seed: int, common_refraction: bool = False) -> Epochs:
+def paper_epochs(
+    truth: Truth,
+    seed: int,
+    common_refraction: bool = False,
+    baseline_sigma_m: float = BASELINE_M,
+    untold_lens_m: FloatArray = NONE,
+    focal_length_sigma_m: float = FOCAL_LENGTH_SIGMA_M,
+) -> Epochs:
     """The paper's errors, drawn for each epoch.
 
     Args:
         truth: with one leading dimension, the epochs.
         seed: of the errors.
         common_refraction: one error of refraction for both lights, that which makes 2" at the telescope's elevation.
+        baseline_sigma_m: error of each baseline, each axis.
+        untold_lens_m: what the survey of N' missed: true, and not in the survey of the epochs, main frame.
+        focal_length_sigma_m: error of the focal length, new at each epoch.
     """
-    epochs = error_free(truth, seed=seed)
+    true_lens = replace(SURVEY.principal_point, vector_m=SURVEY.principal_point.vector_m + untold_lens_m)
+    epochs = replace(error_free(truth, replace(SURVEY, principal_point=true_lens), seed=seed), survey=SURVEY)
     rng = np.random.default_rng(seed)
     leading, count = truth.rotation_nt.shape[:-2], truth.direction_n.shape[-2]
     scale = per_coefficient(truth)
@@ -152,14 +163,14 @@ def paper_epochs(truth: Truth, seed: int, common_refraction: bool = False) -> Ep
         light_sigma = REFRACTION / scale
         coefficient = 0.13 + light_sigma * rng.standard_normal((*leading, count))
         survey = replace(epochs.survey, refraction_light_sigma=light_sigma)
-    focal_length_m = FOCAL_LENGTH_M + FOCAL_LENGTH_SIGMA_M * rng.standard_normal(leading)
+    focal_length_m = FOCAL_LENGTH_M + focal_length_sigma_m * rng.standard_normal(leading)
     seen_n = raised(truth.direction_n, coefficient * scale)
     point_m = project(epochs.camera, focal_length_m, seen_n @ truth.rotation_nt)
     point_m += DETECTION_M * rng.standard_normal(point_m.shape)
     lights = replace(
         epochs.lights,
-        baseline_n=epochs.lights.baseline_n + BASELINE_M * rng.standard_normal((*leading, count, 3)),
-        baseline_covariance_n=np.broadcast_to(BASELINE_M**2 * np.eye(3), (*leading, count, 3, 3)),
+        baseline_n=epochs.lights.baseline_n + baseline_sigma_m * rng.standard_normal((*leading, count, 3)),
+        baseline_covariance_n=np.broadcast_to(baseline_sigma_m**2 * np.eye(3), (*leading, count, 3, 3)),
     )
     image = replace(epochs.image, point_m=point_m)
     return replace(epochs, focal_length_m=focal_length_m, image=image, lights=lights, survey=survey)

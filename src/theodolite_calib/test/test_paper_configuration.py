@@ -1,6 +1,8 @@
 """[W18]'s configuration, 10 000 epochs: the paper's method and the default one against models.md §5."""
 
+from dataclasses import replace
 from functools import cache
+from itertools import product
 
 import numpy as np
 import pytest
@@ -76,6 +78,69 @@ def test_the_papers_method(elevation_deg, rotation_deg):
     assert rms(error) == pytest.approx(4.28, abs=0.1)
     assert error.mean() == pytest.approx(3.75, abs=0.1)
     assert error.std() == pytest.approx(2.02, abs=0.1)
+
+
+def untold_lens_errors_arcsec(direction: FloatArray, elevation_deg: float = 30.0, epochs: int = EPOCHS) -> FloatArray:
+    """The paper's method with 60 mm of N' in a direction of the main frame that nobody surveyed, 2.7 cm as a norm."""
+    drawn = paper_epochs(
+        truth_of(np.full(epochs, AZIMUTH_DEG), elevation_deg, 0.0),
+        seed=5,
+        baseline_sigma_m=0.027 / np.sqrt(3.0),
+        untold_lens_m=0.06 * direction / np.linalg.norm(direction),
+    )
+    rotation_nt = mean_of_two_triads(drawn.lines().direction_n, drawn.camera.directions(drawn.image.point_m))
+    return axis_error_arcsec(drawn, rotation_nt)
+
+
+@pytest.mark.parametrize("elevation_deg", ELEVATIONS_DEG)
+def test_the_papers_method_with_the_lens_left_in(elevation_deg):
+    error = untold_lens_errors_arcsec(np.ones(3), elevation_deg, 4 * EPOCHS)
+    # models.md §5: 5.91", 1.88", 6.20"; printed are 5.90", 1.71", 6.15".
+    assert error.mean() == pytest.approx(5.91, abs=0.04)
+    assert error.std() == pytest.approx(1.88, abs=0.04)
+    assert rms(error) == pytest.approx(6.20, abs=0.04)
+
+
+def test_of_fourteen_directions_equal_parts_fit_the_print_best():
+    """Along the axes and midway between them; the opposite of a direction has the same errors."""
+    directions = [np.array(each) for each in product((-1.0, 0.0, 1.0), repeat=3) if np.count_nonzero(each) in (1, 3)]
+    assert len(directions) == 14
+    found = [untold_lens_errors_arcsec(direction) for direction in directions]
+    off = [np.hypot(error.mean() - 5.90, error.std() - 1.71) for error in found]
+    right, up = directions[int(np.argmin(off))][[2, 1]]
+    assert right == up != 0.0
+    # None of them has the printed spread.
+    assert min(error.std() for error in found) > 1.71
+
+
+def test_no_zero_mean_errors_in_a_plane_have_the_printed_mean_and_spread():
+    """Printed: 5.90/1.71 = 3.45. Normal errors have at most sqrt(pi/(4 - pi)) = 1.913, alike in all directions."""
+    alike = np.sqrt(np.pi / (4.0 - np.pi))
+    assert alike == pytest.approx(1.913, abs=5e-4)
+    drawn = np.random.default_rng(18).standard_normal((400_000, 2))
+    ratios = []
+    for narrower in (1.0, 0.7, 0.3, 0.0):
+        sizes = np.hypot(drawn[:, 0], narrower * drawn[:, 1])
+        ratios.append(sizes.mean() / sizes.std())
+    assert ratios[0] == pytest.approx(alike, abs=0.01)
+    assert ratios == sorted(ratios, reverse=True)
+    # The paper's method on its own model, with N' surveyed.
+    epochs, _ = solved(30.0, 0.0)
+    error = axis_error_arcsec(
+        epochs, mean_of_two_triads(epochs.lines().direction_n, epochs.camera.directions(epochs.image.point_m))
+    )
+    assert error.mean() / error.std() < alike
+    assert 5.90 / 1.71 > 3.4
+
+
+def test_a_wrong_focal_length_has_twice_its_spread():
+    drawn = paper_epochs(truth_of(np.full(EPOCHS, AZIMUTH_DEG), 30.0, 0.0), seed=5, focal_length_sigma_m=0.0)
+    camera = replace(drawn.camera, focal_length_m=drawn.camera.focal_length_m + 1e-4)
+    error = axis_error_arcsec(
+        drawn, mean_of_two_triads(drawn.lines().direction_n, camera.directions(drawn.image.point_m))
+    )
+    # models.md §5: 2.0.
+    assert error.mean() / error.std() == pytest.approx(2.0, abs=0.06)
 
 
 def test_angles_of_the_papers_method():

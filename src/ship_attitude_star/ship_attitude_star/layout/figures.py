@@ -37,9 +37,13 @@ def _figures(study: LayoutStudy) -> Iterator[tuple[str, Figure]]:
     yield "azimuth", _scan_figure(study)
     for number, moved in enumerate(study.maps):
         yield f"map_{moved.sensor}", _map_figure(moved, study.layout, number)
+    yield from sweep_figures(study.curves)
+
+
+def sweep_figures(curves: list[Curve]) -> Iterator[tuple[str, Figure]]:
+    """The six figures of [Z14] by name, each in both readings, of the curves of all of them."""
     for sweep in SWEEPS:
-        curves = [curve for curve in study.curves if curve.sweep is sweep]
-        yield f"figure_{sweep.number}", _sweep_figure(sweep, curves)
+        yield f"figure_{sweep.number}", _sweep_figure(sweep, [curve for curve in curves if curve.sweep is sweep])
 
 
 _NEAR = 0.15

@@ -35,6 +35,15 @@ class Lever:
 
 
 @dataclass(frozen=True)
+class UntoldVector:
+    """What a survey missed, in the axes of the device that carries it: true, and told to nobody."""
+
+    forward_m: float = parameter(0.0, doc="component along forward that nobody surveyed", **_METRES)
+    up_m: float = parameter(0.0, doc="component along up that nobody surveyed", **_METRES)
+    right_m: float = parameter(0.0, doc="component along right that nobody surveyed", **_METRES)
+
+
+@dataclass(frozen=True)
 class Encoder:
     """The encoders of the two axes."""
 
@@ -110,6 +119,7 @@ class Telescope:
     rotation_arcsec: float = parameter(0.0, doc="of the main image in the telescope, as known", **_PARALLELISM)
     rotation_sigma_arcsec: float = parameter(0.0, doc="its error", **SIGMA)
     lens: Lever = section(Lever)
+    lens_untold: UntoldVector = section(UntoldVector)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_simulation.draws.noise import SlowError, outside, random_stream
 from ship_simulation.draws.stretch import Draws
 from ship_simulation.scenario.scenario import Scenario
-from ship_simulation.scenario.theodolite_scenario import Axes, Beacon, Lever, Telescope, Theodolite
+from ship_simulation.scenario.theodolite_scenario import Axes, Beacon, Lever, Telescope, Theodolite, UntoldVector
 from ship_simulation.ship.motion import Carrier
 from ship_simulation.theodolite.flight import Aim, FlightPath, direction, flight_path, swaying
 from theodolite_calib.chain.axes import NAMES, AxisErrors, encoder_angles, main_axis_rotation
@@ -49,7 +49,7 @@ def draw_theodolite(config: Theodolite, seed: int) -> TrueTheodolite:
         parallelism=known + sigma * random_stream(seed, "theodolite.parallelism").standard_normal(3),
         focal_length_m=telescope.focal_length_m + telescope.focal_length_sigma_m * focal_error,
         lever_d=draw_lever(config.lever, "theodolite.lever", seed),
-        lens_m=draw_lever(telescope.lens, "theodolite.lens", seed),
+        lens_m=draw_lever(telescope.lens, "theodolite.lens", seed) + untold(telescope.lens_untold),
     )
 
 
@@ -70,6 +70,11 @@ def parallelism_of(telescope: Telescope) -> tuple[FloatArray, FloatArray]:
 def surveyed(lever: Lever) -> FloatArray:
     """The surveyed vector, m, shape (3,)."""
     return np.array([lever.forward_m, lever.up_m, lever.right_m])
+
+
+def untold(vector: UntoldVector) -> FloatArray:
+    """What the survey of a vector missed, m, shape (3,)."""
+    return np.array([vector.forward_m, vector.up_m, vector.right_m])
 
 
 def draw_lever(lever: Lever, name: str, seed: int) -> FloatArray:

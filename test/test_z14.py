@@ -1,0 +1,126 @@
+"""[Z14]'s fifteen conclusions and thirty-one factors against the exact model, in both readings of its installation."""
+
+import numpy as np
+import pytest
+
+from ship_attitude_star.layout.installation_model import InstallationReading, ship_rotation
+from ship_geometry.frames import angles_from_rotation
+from ship_geometry.rotations import wrap_pi
+from tools.papers.z14 import upright_attitudes
+from tools.papers.z14_conclusions import (
+    CONCLUSIONS,
+    HEADING,
+    PITCH,
+    ROLL,
+    curve_arcsec,
+    falls,
+    falls_then_grows,
+    grows,
+    oscillates,
+)
+from tools.papers.z14_factors import (
+    ANGLES,
+    FACTORS,
+    exact_jacobian,
+    jacobian_of_factors,
+    largest_difference,
+    random_attitudes,
+)
+
+PAPER, PHYSICAL = InstallationReading.PAPER, InstallationReading.PHYSICAL
+HOLD_PHYSICALLY = {"3.1 (2)", "3.2 (1)", "3.2 (4)", "3.3 (1)", "3.3 (3)"}
+MISPRINTED, LOST = {12}, {16, 17, 23}
+
+
+@pytest.mark.parametrize("conclusion", CONCLUSIONS, ids=lambda each: each.holds.__name__)
+def test_a_conclusion_holds_where_the_page_says_so(conclusion):
+    assert conclusion.holds(PAPER)
+    assert conclusion.holds(PHYSICAL) == (conclusion.place in HOLD_PHYSICALLY)
+
+
+def test_there_are_as_many_conclusions_as_in_the_paper():
+    counts = {"3.1": 4, "3.2": 7, "3.3": 4}
+    places = [f"{section} ({number})" for section, count in counts.items() for number in range(1, count + 1)]
+    assert [conclusion.place for conclusion in CONCLUSIONS] == places
+    assert len({conclusion.holds for conclusion in CONCLUSIONS}) == 15
+    assert all(conclusion.remark for conclusion in CONCLUSIONS if conclusion.place not in HOLD_PHYSICALLY)
+
+
+def test_what_a_trend_is():
+    up, there_and_back = np.array([1.0, 3.0, 2.5, 9.0]), np.array([9.0, 1.0, 9.0])
+    assert grows(up, 0.6)
+    assert not grows(up, 0.4)
+    assert not grows(np.array([1.0, 1.5]), 0.6)
+    assert falls(up[::-1], 0.6)
+    assert not falls(up, 0.6)
+    assert falls_then_grows(there_and_back, 1.0)
+    assert not falls_then_grows(up, 0.6)
+    assert not falls_then_grows(np.array([9.0, 1.0, 1.5]), 1.0)
+    assert oscillates(there_and_back - np.array([0.0, 0.9, 0.0]))
+    assert not oscillates(np.array([9.0, 9.0, 9.0]))
+    bad = np.array([1.0, np.nan, 9.0])
+    assert not grows(bad, 8.0)
+    assert not falls(bad, 8.0)
+    assert not oscillates(bad)
+
+
+def test_numbers_that_the_remarks_name():
+    """Physically: figure 3 and 6 abeam, figure 5 ahead, figure 6 astern; and figure 3 abeam in the paper's reading."""
+    assert curve_arcsec(3, 90.0, PAPER)[0, HEADING] == pytest.approx(141.42, abs=0.005)
+    abeam = curve_arcsec(3, 90.0, PHYSICAL)
+    np.testing.assert_allclose(abeam, np.tile([141.42, 0.0, 100.0], (91, 1)), atol=0.005)
+    np.testing.assert_allclose(curve_arcsec(5, 0.0, PHYSICAL)[[0, -1], HEADING], [273.0, 44.6], atol=0.05)
+    for azimuth_deg in (90.0, 270.0):
+        both = curve_arcsec(6, azimuth_deg, PHYSICAL)
+        assert np.ptp(both[:, [HEADING, ROLL]], axis=0).max() < 2.0
+        assert both[:, PITCH].max() < 4.001
+    astern = curve_arcsec(6, 180.0, PHYSICAL)[:, ROLL]
+    assert int(np.argmin(astern)) == 86
+    assert astern[-1] - astern.min() == pytest.approx(3.0, abs=0.5)
+
+
+@pytest.mark.parametrize("factor", FACTORS, ids=lambda factor: f"{factor.number}_{factor.symbol}")
+def test_a_factor_is_the_exact_one_or_an_erratum(factor):
+    difference = largest_difference(factor, random_attitudes(1000))
+    if factor.number in LOST:
+        assert np.isnan(difference)
+    elif factor.number in MISPRINTED:
+        assert difference > 1.0
+    else:
+        assert difference < 1e-13
+
+
+def test_every_factor_is_there():
+    assert [factor.number for factor in FACTORS] == list(range(8, 39))
+
+
+DERIVATIVES = [factor for factor in FACTORS if factor.by]
+
+
+@pytest.mark.parametrize("factor", DERIVATIVES, ids=lambda factor: f"{factor.number}_{factor.symbol}")
+def test_what_a_factor_has_to_be_is_the_derivative(factor):
+    """By central differences of the rotation's element."""
+    angles, step = random_attitudes(200), 1e-5
+    moved = step * np.eye(6)[ANGLES.index(factor.by)]
+    row, column = {"N_K": (2, 0), "D_K": (0, 0), "S": (1, 0), "N_θ": (1, 2), "D_θ": (1, 1)}[factor.element]
+    ends = [ship_rotation(each[:, :3], each[:, 3:], PAPER)[:, row, column] for each in (angles + moved, angles - moved)]
+    sign = factor.sign * (-1.0 if factor.element == "N_θ" else 1.0)
+    np.testing.assert_allclose(factor.exact(angles), sign * (ends[0] - ends[1]) / (2.0 * step), atol=1e-9)
+
+
+def test_the_factors_joined_are_the_exact_jacobian_in_the_papers_reading_alone():
+    angles = upright_attitudes(PHYSICAL)
+    assert len(angles) > 900
+    joined = jacobian_of_factors(angles)
+    np.testing.assert_allclose(joined, exact_jacobian(angles, PAPER), atol=1e-12)
+    assert np.max(np.abs(joined - exact_jacobian(angles, PHYSICAL))) > 1.0
+
+
+def test_the_factors_joined_are_differences_of_the_ships_angles():
+    angles, step = upright_attitudes(PAPER), 1e-6
+    joined = jacobian_of_factors(angles)
+    for column in range(6):
+        moved = step * np.eye(6)[column]
+        rotations = (ship_rotation(each[:, :3], each[:, 3:], PAPER) for each in (angles + moved, angles - moved))
+        ends = [angles_from_rotation(rotation) for rotation in rotations]
+        np.testing.assert_allclose(joined[:, :, column], wrap_pi(ends[0] - ends[1]) / (2.0 * step), atol=1e-6)

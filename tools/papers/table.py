@@ -1,0 +1,34 @@
+"""Rows and tables of the page of reproduction."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Row:
+    """One value that a paper prints.
+
+    Attributes:
+        what: the value, and where the paper prints it.
+        printed: as the paper prints it.
+        ours: as computed here.
+        why: why they differ; empty where they agree.
+    """
+
+    what: str
+    printed: str
+    ours: str
+    why: str = ""
+
+
+def rows_table(rows: Iterable[Row]) -> str:
+    """A table of Markdown: value printed, ours, why different."""
+    cells = ((row.what, row.printed, row.ours, row.why or "agrees") for row in rows)
+    return table(("", "printed", "ours", "why different"), cells)
+
+
+def table(header: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """A table of Markdown."""
+    names = list(header)
+    lines = [names, ["---"] * len(names), *(list(row) for row in rows)]
+    return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)

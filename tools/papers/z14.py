@@ -1,0 +1,148 @@
+"""[Z14]: the rows, tables and pictures about the error model of a star sensor's installation."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ship_attitude_star.layout.installation_model import SWEEPS, InstallationReading, ship_rotation
+from ship_geometry.rotations import FloatArray
+from tools.papers.table import Row, rows_table, table
+from tools.papers.z14_conclusions import ABEAM, AHEAD_ASTERN, CONCLUSIONS, HEADING, PITCH, curve_arcsec, of_star_roll
+from tools.papers.z14_factors import (
+    ANGLES,
+    FACTORS,
+    SUBSCRIPTS,
+    exact_jacobian,
+    jacobian_of_factors,
+    largest_difference,
+    random_attitudes,
+)
+
+PAPER, PHYSICAL = InstallationReading.PAPER, InstallationReading.PHYSICAL
+EXACT = 1e-12
+"""Differences below this are rounding."""
+ATTITUDES = 1000
+_GREATEST_PITCH = np.deg2rad(85.0)
+
+
+def section(folder: str) -> str:
+    """The part of the page about this paper; ``folder`` has its pictures."""
+    pictures = "".join(
+        f"![Figure {sweep.number} of [Z14]: errors over {sweep.symbol}]({folder}/z14_figure_{sweep.number}.png)\n\n"
+        for sweep in SWEEPS
+    )
+    readings = ("", "says", "the paper's reading", "physical reading", "where it does not hold")
+    conclusions, factors = (
+        table(readings, _conclusions()),
+        table(("", "factor", "has to be", "largest difference", ""), _factors()),
+    )
+    return f"""## [Z14]: error model of a star sensor's installation
+
+Two readings all along ([errata](explanation/errata.md)): *the paper's*, which takes R(A0, E0, γ0) as sensor from deck
+in its factors and figures, and *the physical one*, which is its own (4) and what the suite uses. As 235°, Es 45°,
+γs 90°, E0 35°, γ0 0 unless swept.
+
+{rows_table(_printed())}
+### Its fifteen conclusions
+
+Each is a question to the exact model, asked in both readings by a test of its name
+([`z14_conclusions.py`](../tools/papers/z14_conclusions.py)). Sizes of errors count, without their signs.
+
+{conclusions}
+All hold in the paper's reading: its text is true of its figures. {_holding(PHYSICAL)} of {len(CONCLUSIONS)} hold
+physically.
+
+### Its six figures
+
+In each the physical reading above, the paper's below. [`layout_study`](how-to/mount_a_sensor.md) draws them for any
+operating point.
+
+{pictures}### Its factors (8)–(38)
+
+Each factor as printed against what it has to be by the suite's exact Jacobian, in the paper's own reading, at
+{ATTITUDES} random attitudes: largest difference. N and D are the elements of R whose quotient is the tangent of the
+heading (K) and of the roll (θ), S is the sine of the pitch.
+
+{factors}
+{_factors_in_words()}
+
+Joined by (5)–(7), the printed factors are the suite's Jacobian in the paper's reading {_joined(PAPER)}; in the
+physical reading a derivative differs by up to {_joined(PHYSICAL)}.
+"""
+
+
+def _printed() -> Iterator[Row]:
+    turn_deg = np.arange(0.0, 360.0, 0.1)
+    paper, physical = (of_star_roll(reading, A0=turn_deg) for reading in (PAPER, PHYSICAL))
+    azimuth_deg = turn_deg[int(np.argmax(paper[:1800, HEADING]))]
+    yield Row(
+        "largest error of the ship's attitude for Δγs = 100″, over A0",
+        "112″",
+        f"{paper[:, HEADING].max():.2f}″ of heading at A0 = {azimuth_deg:.0f}°; "
+        f"physically {physical[:, HEADING].max():.2f}″",
+        "the paper's figures take the installation untransposed",
+    )
+    abeam = curve_arcsec(3, ABEAM[0], PAPER)
+    yield Row(
+        "the same over E0, figure 3",
+        "112″ at most",
+        f"{abeam[:, HEADING].max():.2f}″ of heading at E0 = {int(np.argmax(abeam[:, HEADING]))}°, A0 = 90°",
+        "the 112″ are those at E0 = 35°",
+    )
+    ahead = curve_arcsec(3, AHEAD_ASTERN[0], PAPER)
+    yield Row(
+        "heading and pitch ahead, figure 3",
+        "grow with E0",
+        f"0 to {ahead[-1, HEADING]:.2f}″, 0 to {ahead[-1, PITCH]:.2f}″",
+    )
+
+
+def _conclusions() -> Iterator[tuple[str, ...]]:
+    for conclusion in CONCLUSIONS:
+        held = [conclusion.holds(reading) for reading in (PAPER, PHYSICAL)]
+        told = ("holds" if each else "**does not**" for each in held)
+        yield conclusion.place, conclusion.words, *told, conclusion.remark
+
+
+def _holding(reading: InstallationReading) -> int:
+    return sum(conclusion.holds(reading) for conclusion in CONCLUSIONS)
+
+
+def _factors() -> Iterator[tuple[str, ...]]:
+    angles = random_attitudes(ATTITUDES)
+    for factor in FACTORS:
+        difference = largest_difference(factor, angles)
+        shown = "–" if np.isnan(difference) else f"{difference:.2f}" if difference > EXACT else "none"
+        yield f"({factor.number})", factor.symbol, factor.meaning, shown, factor.remark
+
+
+def _factors_in_words() -> str:
+    differences = [largest_difference(factor, random_attitudes(ATTITUDES)) for factor in FACTORS]
+    lost = sum(factor.printed is None for factor in FACTORS)
+    wrong = [f"({f.number})" for f, each in zip(FACTORS, differences, strict=True) if each > EXACT]
+    completed = sum(factor.remark == SUBSCRIPTS for factor in FACTORS)
+    right = len(FACTORS) - lost - len(wrong)
+    return (
+        f"Of {len(FACTORS)} factors {right} are exact in the paper's reading, {completed} of them with subscripts "
+        f"that had to be put\nback; {', '.join(wrong)} is misprinted; {lost} are lost in the text that we have."
+    )
+
+
+def _joined(reading: InstallationReading) -> str:
+    """Largest difference of the printed factors, joined, from the exact Jacobian, where the ship is not on end."""
+    angles = upright_attitudes(reading)
+    difference = float(np.max(np.abs(jacobian_of_factors(angles) - exact_jacobian(angles, reading))))
+    return f"{difference:.0f}" if difference > EXACT else "to rounding"
+
+
+def upright_attitudes(reading: InstallationReading) -> FloatArray:
+    """Random attitudes at which the ship's pitch is below 85° in a reading and in the paper's, shape (n, 6)."""
+    angles = random_attitudes(ATTITUDES)
+    pitches = [_pitch(angles, each) for each in (reading, PAPER)]
+    upright: FloatArray = angles[np.max(np.abs(pitches), axis=0) < _GREATEST_PITCH]
+    assert upright.shape[-1] == len(ANGLES)
+    return upright
+
+
+def _pitch(angles: FloatArray, reading: InstallationReading) -> FloatArray:
+    return np.arcsin(np.clip(ship_rotation(angles[:, :3], angles[:, 3:], reading)[:, 1, 0], -1.0, 1.0))

@@ -1,0 +1,267 @@
+"""[Z14]'s fifteen conclusions, each as a question to the exact model: does it hold, in which reading?
+
+The questions are asked at the paper's operating point, and over the sweeps of its six figures. What a conclusion says
+of one layout is asked there. Sizes of errors count, without their signs. In the figures of one error (1 to 3) a trend
+must not turn back at all. In those of all six (4 to 6) the four small ones, 3" + 3" + 1" + 1", are added with their
+signs to the two that make the trend: it may turn back by their sum.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ship_attitude_star.layout.config import OperatingPoint
+from ship_attitude_star.layout.installation_model import (
+    CURVE_AZIMUTHS_DEG,
+    InstallationReading,
+    all_curves,
+    linearise,
+    point_angles_deg,
+)
+from ship_geometry.rotations import FloatArray
+from tools.papers.z14_factors import ANGLES, exact_jacobian, random_attitudes
+
+POINT = OperatingPoint()
+HEADING, PITCH, ROLL = range(3)
+AHEAD_ASTERN, ABEAM = (0.0, 180.0), (90.0, 270.0)
+_ROUNDING_ARCSEC = 1e-9
+_SMALL_ERRORS_ARCSEC = 8.0
+
+
+@dataclass(frozen=True)
+class Conclusion:
+    """One conclusion of the paper.
+
+    Attributes:
+        place: section and number in the paper.
+        words: what it says, in our words.
+        holds: whether it holds in a reading.
+        remark: on where it does not.
+    """
+
+    place: str
+    words: str
+    holds: Callable[[InstallationReading], bool]
+    remark: str = ""
+
+
+def curve_arcsec(figure: int, azimuth_deg: float | None, reading: InstallationReading) -> FloatArray:
+    """Sizes of the errors of heading, pitch, roll in a figure, shape (n, 3)."""
+    (curve,) = (
+        curve
+        for curve in all_curves(POINT)
+        if (curve.sweep.number, curve.azimuth_deg, curve.reading) == (figure, azimuth_deg, reading)
+    )
+    return np.abs(curve.errors_arcsec)
+
+
+def of_star_roll(reading: InstallationReading, **swept_deg: FloatArray | float) -> FloatArray:
+    """Sizes of heading, pitch, roll by 100" about the boresight, with angles of the operating point changed, (n, 3)."""
+    count = max(np.size(values) for values in swept_deg.values())
+    angles_deg = np.tile(point_angles_deg(POINT, 0.0), (count, 1))
+    for name, values in swept_deg.items():
+        angles_deg[:, ANGLES.index(name)] = values
+    angles = np.deg2rad(angles_deg)
+    return np.abs(100.0 * linearise(angles[:, :3], angles[:, 3:], reading).star[:, :, 2])
+
+
+def grows(sizes: FloatArray, turn_back_arcsec: float) -> bool:
+    """Whether sizes end larger than they began, and never turn back by more than this."""
+    turned_back = np.max(np.maximum.accumulate(sizes) - sizes)
+    return bool(turned_back <= turn_back_arcsec and sizes[-1] - sizes[0] > turn_back_arcsec)
+
+
+def falls(sizes: FloatArray, turn_back_arcsec: float) -> bool:
+    """Whether sizes end smaller than they began, and never turn back by more than this."""
+    return grows(sizes[::-1], turn_back_arcsec)
+
+
+def falls_then_grows(sizes: FloatArray, turn_back_arcsec: float) -> bool:
+    """Whether sizes fall to a least one between the ends, and grow from there."""
+    least = int(np.argmin(sizes))
+    return falls(sizes[: least + 1], turn_back_arcsec) and grows(sizes[least:], turn_back_arcsec)
+
+
+def oscillates(sizes: FloatArray) -> bool:
+    """Whether sizes over a whole turn come back to where they began, and rise and fall between."""
+    return bool(np.ptp(sizes) > _SMALL_ERRORS_ARCSEC and abs(sizes[-1] - sizes[0]) < _ROUNDING_ARCSEC)
+
+
+# -- section 3.1: an error of 100" about the boresight alone ------------------------------------------------------
+
+
+def peak_of_heading_is_112(reading: InstallationReading) -> bool:
+    """Over all installation azimuths."""
+    peak = np.max(of_star_roll(reading, A0=np.arange(0.0, 360.0, 0.1))[:, HEADING])
+    return bool(np.round(peak) == 112.0)
+
+
+def flat_over_star_azimuth(reading: InstallationReading) -> bool:
+    """In figure 1."""
+    return all(
+        np.ptp(curve_arcsec(1, azimuth_deg, reading), axis=0).max() < _ROUNDING_ARCSEC
+        for azimuth_deg in CURVE_AZIMUTHS_DEG
+    )
+
+
+def oscillates_over_es_roll_s_a0(reading: InstallationReading) -> bool:
+    """Over a whole turn of Es, of γs and of A0, at each of the four azimuths of the figures."""
+    turn_deg = np.arange(0.0, 361.0) + 0.25  # the ship on end at none of them
+    by_a0 = of_star_roll(reading, A0=turn_deg)
+    swept = [of_star_roll(reading, **{name: turn_deg, "A0": a0}) for name in ("Es", "γs") for a0 in CURVE_AZIMUTHS_DEG]
+    return all(oscillates(sizes[:, angle]) for sizes in (by_a0, *swept) for angle in range(3))
+
+
+def ahead_roll_and_abeam_heading(reading: InstallationReading) -> bool:
+    """At E0 = 35° roll is worst ahead and astern, heading abeam; with the trends of figure 3 over E0."""
+    ahead = [curve_arcsec(3, azimuth_deg, reading) for azimuth_deg in AHEAD_ASTERN]
+    abeam = [curve_arcsec(3, azimuth_deg, reading) for azimuth_deg in ABEAM]
+    trends = [grows(sizes[:, angle], _ROUNDING_ARCSEC) for sizes in ahead for angle in (HEADING, PITCH)]
+    trends += [grows(sizes[:, PITCH], _ROUNDING_ARCSEC) for sizes in abeam]
+    trends += [falls(sizes[:, angle], _ROUNDING_ARCSEC) for sizes in abeam for angle in (HEADING, ROLL)]
+    return worst_is(ROLL, AHEAD_ASTERN, reading) and worst_is(HEADING, ABEAM, reading) and all(trends)
+
+
+def worst_is(angle: int, azimuths_deg: tuple[float, ...], reading: InstallationReading) -> bool:
+    """Whether an angle of the ship is the worst one at E0 = 35°, at each of these azimuths."""
+    return all(int(np.argmax(sizes)) == angle for sizes in of_star_roll(reading, A0=np.array(azimuths_deg)))
+
+
+# -- section 3.2: all six errors ----------------------------------------------------------------------------------
+
+
+def oscillates_over_installation_azimuth(reading: InstallationReading) -> bool:
+    """In figure 4."""
+    return all(oscillates(curve_arcsec(4, None, reading)[:, angle]) for angle in range(3))
+
+
+def flat_over_installation_roll(reading: InstallationReading) -> bool:
+    """In figure 5."""
+    return all(
+        np.ptp(curve_arcsec(5, azimuth_deg, reading), axis=0).max() < _ROUNDING_ARCSEC
+        for azimuth_deg in CURVE_AZIMUTHS_DEG
+    )
+
+
+def pitch_grows_with_elevation(reading: InstallationReading) -> bool:
+    """In figure 6, at all four azimuths."""
+    return all(_trend(grows, azimuth_deg, PITCH, reading) for azimuth_deg in CURVE_AZIMUTHS_DEG)
+
+
+def ahead_heading_grows_roll_falls(reading: InstallationReading) -> bool:
+    """In figure 6, A0 = 0."""
+    return _trend(grows, 0.0, HEADING, reading) and _trend(falls, 0.0, ROLL, reading)
+
+
+def to_starboard_heading_and_roll_fall(reading: InstallationReading) -> bool:
+    """In figure 6, A0 = 90°."""
+    return _trend(falls, 90.0, HEADING, reading) and _trend(falls, 90.0, ROLL, reading)
+
+
+def astern_heading_grows_roll_falls_then_grows(reading: InstallationReading) -> bool:
+    """In figure 6, A0 = 180°."""
+    return _trend(grows, 180.0, HEADING, reading) and _trend(falls_then_grows, 180.0, ROLL, reading)
+
+
+def to_port_heading_falls_roll_falls_then_grows(reading: InstallationReading) -> bool:
+    """In figure 6, A0 = 270°."""
+    return _trend(falls, 270.0, HEADING, reading) and _trend(falls_then_grows, 270.0, ROLL, reading)
+
+
+def _trend(
+    kind: Callable[[FloatArray, float], bool], azimuth_deg: float, angle: int, reading: InstallationReading
+) -> bool:
+    return kind(curve_arcsec(6, azimuth_deg, reading)[:, angle], _SMALL_ERRORS_ARCSEC)
+
+
+# -- section 3.3: the whole ---------------------------------------------------------------------------------------
+
+
+def star_azimuth_moves_heading_alone(reading: InstallationReading) -> bool:
+    """At random attitudes, by a factor of one; and nothing depends on As."""
+    return _moves_alone("As", HEADING, reading)
+
+
+def installation_roll_moves_roll_alone(reading: InstallationReading) -> bool:
+    """At random attitudes, by a factor of one; and nothing depends on γ0."""
+    return _moves_alone("γ0", ROLL, reading)
+
+
+def _moves_alone(name: str, angle: int, reading: InstallationReading) -> bool:
+    angles = random_attitudes(200)
+    moved = angles.copy()
+    moved[:, ANGLES.index(name)] += 1.0
+    factors, of_moved = (exact_jacobian(each, reading) for each in (angles, moved))
+    steady = np.isfinite(factors[:, 0, 0]) & np.isfinite(of_moved[:, 0, 0])
+    is_one = np.allclose(factors[steady, :, ANGLES.index(name)], np.eye(3)[angle], atol=1e-9)
+    return bool(is_one and np.allclose(factors[steady], of_moved[steady], rtol=1e-6, atol=1e-9))
+
+
+def along_the_keel_roll_abeam_heading(reading: InstallationReading) -> bool:
+    """At the operating point, E0 = 35°."""
+    return worst_is(ROLL, AHEAD_ASTERN, reading) and worst_is(HEADING, ABEAM, reading)
+
+
+def pitch_grows_and_the_others_depend_on_the_layout(reading: InstallationReading) -> bool:
+    """In figure 6: the pitch at all azimuths alike, heading and roll at one so and at another so."""
+    courses = [curve_arcsec(6, azimuth_deg, reading) for azimuth_deg in CURVE_AZIMUTHS_DEG]
+    gains = np.array([course[-1] - course[0] for course in courses])
+    differ = bool(np.all(np.ptp(gains[:, [HEADING, ROLL]], axis=0) > _SMALL_ERRORS_ARCSEC))
+    return pitch_grows_with_elevation(reading) and differ
+
+
+CONCLUSIONS = (
+    Conclusion(
+        "3.1 (1)", "an error of 100″ about the boresight costs up to 112″ of heading", peak_of_heading_is_112,
+        "185.75″ by (4); and the paper's own figure 3 begins abeam with 141″",
+    ),
+    Conclusion("3.1 (2)", "nothing depends on As", flat_over_star_azimuth),
+    Conclusion(
+        "3.1 (3)", "all errors oscillate over Es, γs and A0", oscillates_over_es_roll_s_a0,
+        "by (4) a sensor abeam gives no error of pitch at all at γs = 90°, whatever Es",
+    ),
+    Conclusion(
+        "3.1 (4)",
+        "ahead and astern roll is worst, heading and pitch grow with E0; abeam heading is worst, pitch grows with E0, "
+        "heading and roll fall", ahead_roll_and_abeam_heading,
+        "by (4) nothing depends on E0 abeam: heading 141″, pitch 0, roll 100″",
+    ),
+    Conclusion("3.2 (1)", "all errors oscillate over A0", oscillates_over_installation_azimuth),
+    Conclusion(
+        "3.2 (2)", "nothing depends on γ0", flat_over_installation_roll,
+        "by (4) the deck turns with γ0 under a sensor that is held: heading ahead goes from 273″ to −45″",
+    ),
+    Conclusion(
+        "3.2 (3)", "pitch grows with E0", pitch_grows_with_elevation,
+        "by (4) so ahead and astern; abeam it stays below 4″",
+    ),
+    Conclusion("3.2 (4)", "ahead heading grows with E0, roll falls", ahead_heading_grows_roll_falls),
+    Conclusion(
+        "3.2 (5)", "to starboard heading and roll fall with E0", to_starboard_heading_and_roll_fall,
+        "by (4) neither changes by more than 2″",
+    ),
+    Conclusion(
+        "3.2 (6)", "astern heading grows with E0, roll falls and then grows",
+        astern_heading_grows_roll_falls_then_grows,
+        "by (4) roll falls to nothing at 86° and grows by 3″ from there, which is within the small errors",
+    ),
+    Conclusion(
+        "3.2 (7)", "to port heading falls with E0, roll falls and then grows",
+        to_port_heading_falls_roll_falls_then_grows, "by (4) neither changes by more than 2″",
+    ),
+    Conclusion("3.3 (1)", "ΔAs moves heading alone, by one; nothing depends on As", star_azimuth_moves_heading_alone),
+    Conclusion(
+        "3.3 (2)", "Δγ0 moves roll alone, by one; nothing depends on γ0", installation_roll_moves_roll_alone,
+        "by (4) Δγ0 acts as −Δγs",
+    ),
+    Conclusion(
+        "3.3 (3)", "Δγs costs roll most along the keel, heading most abeam", along_the_keel_roll_abeam_heading,
+        "of this example, whose ship lies far from level; on a level ship a sensor abeam costs sin E0 of heading and "
+        "cos E0 of *pitch*",
+    ),
+    Conclusion(
+        "3.3 (4)", "pitch grows with E0, heading and roll depend on the layout",
+        pitch_grows_and_the_others_depend_on_the_layout, "see 3.2 (3)",
+    ),
+)  # fmt: skip
