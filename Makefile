@@ -19,8 +19,7 @@ BAG_HOURS ?= 1 10 100
 FAULT_ARGS ?=
 PORT ?= 5006
 
-.PHONY: help setup test lint demo watch bags bench campaign faults hours kills stanford availability bundle audit clean
-.PHONY: help setup test lint demo watch bags bench campaign faults hours kills reproduction stanford bundle audit clean
+.PHONY: help setup test lint demo watch bags bench campaign faults hours kills reproduction stanford availability bundle audit clean
 
 help: ## this list
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -72,6 +71,7 @@ stanford: setup ## errors against protection levels, a million epochs: docs/figu
 availability: setup ## stars under clouds beside other methods, and stars minus INS alongside: docs/explanation/availability.md
 	@$(RUN) python tools/availability.py
 	@$(RUN) python tools/mooring.py
+
 reproduction: setup ## what the papers print and what comes out here: docs/reproduction.md and its pictures
 	@$(RUN) PYTHONPATH=test:$$PYTHONPATH python -m tools.reproduction
 

@@ -49,8 +49,9 @@ The 2.8″ of elevation that are left in the first row are not explained.
 
 The text that we have lost tables 1 and 2 (the sensors; the stars that they identified, five in one and three in the
 other), the vectors and matrices of the example, and the curves of figure 4 with the numbers under it: attitudes by the
-two sensors compared with those of a strapdown INS with laser gyros, the ship moored. Nothing printed is left to compare
-with.
+two sensors compared with those of a strapdown INS with laser gyros, the ship moored. Nothing printed is left to be
+compared. What such a trial looks like here, by the scenario `mooring`, and how often there is an attitude beside the
+methods that the paper replaces, tells [availability](explanation/availability.md).
 """
 
 

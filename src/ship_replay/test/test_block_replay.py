@@ -31,7 +31,10 @@ from ship_simulation.faults.injection import Injection
 from theodolite_calib.optical_axis.output import PointingOutput
 
 SCENARIOS = Path(__file__).resolve().parents[3] / "bags" / "scenarios"
-NAMES = ["demo", "everything", "late_shuffled", "outage", "paper_stars", "sea_state_5", "theodolite", "three_sensors"]
+NAMES = [
+    "deflection", "demo", "everything", "late_shuffled", "outage", "paper_stars", "sea_state_5", "theodolite",
+    "three_sensors",
+]  # fmt: skip
 FAULTED_BAGS = int(os.environ.get("FAULTED_BAGS", "6"))
 FAULT_SECONDS, SUITE_SECONDS = 45.0, 30.0
 
