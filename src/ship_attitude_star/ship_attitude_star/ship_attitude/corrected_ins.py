@@ -228,7 +228,7 @@ def estimates_by(
     stretches = [slice(stop - count, stop) for stop, count in zip(stops, counts, strict=True)]
     if corrected[0].on_gravity is None:
         rotation_nd, parts = corrected_attitudes(corrected, by, 1e-9 * since_ns.astype(np.float64), moved)
-        vertical_known = np.zeros(len(time_ns), dtype=bool)
+        vertical_known = None
     else:
         rotation_nd, parts, vertical_known = _attitudes_on_gravity(corrected, stretches, time_ns, moved)
     for one, some in zip(corrected, stretches, strict=True):
@@ -243,9 +243,7 @@ def estimates_by(
             parts[some, one.drift_index] += one.state.disputed_n
             covariance_n = parts.sum(axis=1)
     star_age_s = _star_ages_s(corrected, by, time_ns)
-    # NaN compares false: before the first star the horizon is the INS's own, where nothing tells how that differs.
-    is_geodetic = (star_age_s <= config.ins.tilt_time_s) | vertical_known
-    horizon = np.where(is_geodetic & (config.horizon == GEODETIC), Horizon.GEODETIC, Horizon.GRAVITY)
+    horizon = _horizons(star_age_s, vertical_known, config)
     recent_ns, runs = round(config.coasting_after_s * SECOND_NS), []
     for one, some in zip(corrected, stretches, strict=True):
         status, text = one.statuses(star_age_s[some], config.coasting_after_s)
@@ -267,6 +265,17 @@ def estimates_by(
             one.degrade_above_limit(run, config)
         runs.append(run)
     return runs
+
+
+def _horizons(
+    star_age_s: FloatArray, vertical_known: NDArray[np.bool_] | None, config: ShipAttitudeConfig
+) -> NDArray[np.int64]:
+    """What "up" means in each of N attitudes, shape (N,)."""
+    # NaN compares false: before the first star the horizon is the INS's own, unless it is known how that differs.
+    is_geodetic = star_age_s <= config.ins.tilt_time_s
+    if vertical_known is not None:
+        is_geodetic = (is_geodetic | vertical_known) & (config.horizon == GEODETIC)
+    return np.where(is_geodetic, Horizon.GEODETIC, Horizon.GRAVITY)
 
 
 def _star_ages_s(corrected: Sequence[CorrectedIns], by: NDArray[np.intp], time_ns: StampArray) -> FloatArray:
