@@ -16,6 +16,8 @@ from theodolite_calib.chain.axes import NAMES
 _LONGEST_M = 200.0
 """No ship has a longer lever: a larger number is in millimetres, or another mistake."""
 
+_SHORTEST_FOCAL_LENGTH_M = 0.001
+
 
 def _axis_error(doc: str) -> Any:
     """The value of an axis error that is known beforehand; zero points beyond a degree are for ``fit_axes``."""
@@ -196,8 +198,55 @@ class TelescopeConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
+class MainDetectorConfig:
+    """The detector in the main tube, on which targets are seen; none where it has no focal length."""
+
+    frame_id: str = parameter("", doc="frame_id that theodolite/target must carry; empty accepts any")
+    focal_length_m: float = parameter(
+        0.0,
+        doc="focal length of the main tube, in metres; 0: there is no main detector, its images are refused",
+        unit="m",
+        minimum=0.0,
+        maximum=100.0,
+    )
+    focal_length_sigma_m: float = parameter(0.0, doc="its uncertainty", unit="m", minimum=0.0, maximum=1.0)
+    principal_x_m: float = parameter(
+        0.0, doc="detector point of the main axis, along right", unit="m", minimum=-0.5, maximum=0.5
+    )
+    principal_z_m: float = parameter(
+        0.0, doc="detector point of the main axis, along up", unit="m", minimum=-0.5, maximum=0.5
+    )
+    principal_sigma_m: float = parameter(
+        0.0, doc="uncertainty of that point, each axis", unit="m", minimum=0.0, maximum=0.1
+    )
+    sigma_m: float = parameter(
+        1e-6,
+        doc="error of x and of z of a target's image where the message gives none",
+        unit="m",
+        minimum=1e-9,
+        maximum=0.001,
+        live=True,
+    )
+    rotation_sigma_arcsec: float = arcsec(0.0, doc="uncertainty of detector_rotation as the message gives it")
+
+    def __post_init__(self) -> None:
+        if 0.0 < self.focal_length_m < _SHORTEST_FOCAL_LENGTH_M:
+            raise ParameterError(
+                f"parameter 'main_detector.focal_length_m' = {self.focal_length_m:g}: expected metres, "
+                f"{_SHORTEST_FOCAL_LENGTH_M:g} at least, or 0 where there is no main detector",
+                "main_detector.focal_length_m",
+                value=self.focal_length_m,
+            )
+
+    @property
+    def principal_point_m(self) -> FloatArray:
+        """Detector point of the main axis, shape (2,)."""
+        return np.array([self.principal_x_m, self.principal_z_m])
+
+
+@dataclass(frozen=True, kw_only=True)
 class AirConfig:
-    """The coefficient k of terrestrial refraction on the way to the lights."""
+    """The coefficient k of terrestrial refraction on the way to the lights, and to a target with a range."""
 
     coefficient: float = parameter(0.13, doc="k near the sea", minimum=-5.0, maximum=5.0)
     sigma: float = parameter(0.06, doc="error of k, the same for all lights", minimum=0.0, maximum=5.0)
@@ -274,6 +323,7 @@ class OpticalAxisConfig:
     deformation: DeformationConfig = section(DeformationConfig)
     lever: LeverConfig = section(LeverConfig)
     telescope: TelescopeConfig = section(TelescopeConfig)
+    main_detector: MainDetectorConfig = section(MainDetectorConfig)
     air: AirConfig = section(AirConfig)
     ship_antenna: ShipAntennaConfig = section(ShipAntennaConfig)
     beacons: dict[str, BeaconConfig] = mapping_of("drones with a light, by beacon_id")

@@ -164,6 +164,80 @@ class Exposure:
 
 
 @dataclass(frozen=True)
+class TargetSample:
+    """One image of a target on the main detector.
+
+    Attributes:
+        time_ns: middle of the exposure.
+        target_id: its name.
+        point_m: (x right, z up), shape (2,).
+        sigma_m: standard deviation of x and of z.
+        exposure_s: how long it lasted; 0 where the message does not say.
+        detector_rotation: of the detector against the main frame, right side down, rad.
+        range_m: from the theodolite's centre; NaN where it is not known.
+        range_sigma_m: its standard deviation; NaN where it is not known.
+    """
+
+    source: ClassVar[str] = "target"
+    covariance_known: ClassVar[bool] = True
+    """As of :class:`Exposure`."""
+
+    time_ns: int
+    target_id: str
+    point_m: FloatArray
+    sigma_m: float
+    exposure_s: float
+    detector_rotation: float
+    range_m: float
+    range_sigma_m: float
+
+    @cached_property
+    def nodes(self) -> Nodes | None:
+        """Moments over which a mean over the exposure is formed; None where its length is not known."""
+        return exposure_nodes(self.exposure_s) if self.exposure_s > 0.0 else None
+
+    @property
+    def reach_ns(self) -> int:
+        """So far from the middle of the exposure the turn of the main frame must be known."""
+        return 0 if self.nodes is None else self.nodes.reach_ns
+
+    @property
+    def has_range(self) -> bool:
+        """Whether range and sigma are both known."""
+        return self.range_m > 0.0 and self.range_sigma_m > 0.0
+
+    def content(self) -> bytes:
+        """All values as bytes: equal for a repeated message, and an order for conflicting ones."""
+        numbers = self.sigma_m, self.exposure_s, self.detector_rotation, self.range_m, self.range_sigma_m
+        return self.target_id.encode() + self.point_m.tobytes() + np.array(numbers).tobytes()
+
+
+@dataclass(frozen=True)
+class TargetEstimate:
+    """Where a target is seen at the moment of its image; NaN where no direction is claimed, or no range is known.
+
+    Attributes:
+        time_ns: of the image.
+        target_id: the target.
+        direction_n: unit vector in which it is seen, from the theodolite's centre, shape (3,).
+        covariance_n: of its total error, zero along it, shape (3, 3).
+        position_n: from the ship's antenna, m, shape (3,).
+        position_covariance_n: of its total error, m², shape (3, 3).
+        status: what it is worth.
+        text: why it is not VALID.
+    """
+
+    time_ns: int
+    target_id: str
+    direction_n: FloatArray
+    covariance_n: FloatArray
+    position_n: FloatArray
+    position_covariance_n: FloatArray
+    status: Status
+    text: str
+
+
+@dataclass(frozen=True)
 class ExposureDecision(Decision[Exposure]):
     """What became of an exposure.
 
@@ -274,5 +348,14 @@ class PointingRun:
         )
 
 
-PointingOutcome = Outcome[ExposureDecision, PointingEstimate]
-"""What one input of the optical-axis core led to."""
+@dataclass
+class PointingOutcome(Outcome[Any, PointingEstimate]):
+    """What one input of the optical-axis core led to.
+
+    Decisions are about exposures of lights and about images of targets.
+
+    Attributes:
+        targets: directions of targets; INVALID for each image to which no pointing belongs, which a decision refuses.
+    """
+
+    targets: list[TargetEstimate] = field(default_factory=list)

@@ -181,8 +181,11 @@ class MeasuredTracks:
             drone = self.drones.get(light.beacon_id)
             if drone is not None and not drone.covers(exposure.time_ns):
                 return True
-        end_ns = exposure.time_ns + exposure.reach_ns
-        return not (self.encoder.covers(end_ns) and self.ship.covers(end_ns - self.ship_shift_ns))
+        return not self.covers_mount(exposure.time_ns + exposure.reach_ns)
+
+    def covers_mount(self, time_ns: int) -> bool:
+        """Whether no data still to come, in order, can change encoders and ship at a moment."""
+        return self.encoder.covers(time_ns) and self.ship.covers(time_ns - self.ship_shift_ns)
 
     @property
     def ship_covered_until_ns(self) -> int | None:

@@ -35,6 +35,7 @@ from theodolite_calib.measured.samples import (
     PointingOutcome,
     PointingRun,
     ShipSample,
+    TargetSample,
 )
 from theodolite_calib.measured.ship_watch import ShipWatch
 from theodolite_calib.measured.sighting import Sighting, SightingAssembler
@@ -47,6 +48,7 @@ from theodolite_calib.optical_axis.calibration import (
     state_from_prior,
 )
 from theodolite_calib.optical_axis.output import DuePointing, PointingOutput, no_pointing
+from theodolite_calib.optical_axis.targets import TargetAnswers
 
 _TOLD_TWICE = "encoders and ship both say different things of one moment: a clock has told a time twice"
 
@@ -108,6 +110,7 @@ class OpticalAxisCore:
         self._sightings = SightingAssembler(self.config, self._tracks)
         self._watch = EncoderWatch(*_encoder_limits(self.config))
         self._ship_watch = ShipWatch(self.config, self._tracks.ship_shift_ns)
+        self._targets = TargetAnswers(self.config, self.filter, self._pointing, self._tracks)
         self._waiting: deque[_WaitingReading] = deque()
         self._encoder_arrival_ns: int | None = None
         self._told_twice: tuple[int, int] | None = None
@@ -121,6 +124,7 @@ class OpticalAxisCore:
         self._sightings = SightingAssembler(config, self._tracks)
         self._watch.reconfigure(*_encoder_limits(config))
         self._ship_watch.reconfigure(config)
+        self._targets.reconfigure(config, self.filter, self._pointing)
 
     def add_encoder(self, sample: EncoderSample, arrival_ns: int | None = None) -> PointingOutcome:
         """A reading of the encoders; the pointing of its moment follows.
@@ -186,6 +190,18 @@ class OpticalAxisCore:
             self._shell.add(exposure, outcome)
         return outcome
 
+    def add_target(self, sample: TargetSample, arrival_ns: int | None = None) -> PointingOutcome:
+        """An image of a target, answered at once or when the pointing of its moment was put out.
+
+        It moves neither the state nor the window: all pointings are what they are without it.
+        """
+        outcome = PointingOutcome(self._shell.window.late(sample.time_ns))
+        if outcome.refusal is None:
+            waiting_ns = sample.time_ns if arrival_ns is None else arrival_ns
+            self._targets.add(sample, waiting_ns, outcome)
+            self._answer_targets(outcome, waiting_ns)
+        return outcome
+
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> PointingOutcome:
         """Says INVALID, once a second, when no pointing was put out for a second, whatever came in.
 
@@ -199,6 +215,7 @@ class OpticalAxisCore:
         silent = self._encoder_arrival_ns is None or waiting_ns - self._encoder_arrival_ns > SECOND_NS
         missing = "no usable reading of the encoders" if silent else f"no attitude on {self.config.ship.source}"
         self._shell.say_invalid(outcome, waiting_ns, lambda: no_pointing(self.filter, self.state, now_ns, missing))
+        self._answer_targets(outcome, waiting_ns)
         return outcome
 
     def estimates_due(self) -> list[tuple[slice, PointingRun | Refusal]]:
@@ -317,9 +334,15 @@ class OpticalAxisCore:
     # -- outputs --------------------------------------------------------------------------------------------
 
     def _publish(self, outcome: PointingOutcome, waiting_ns: int) -> None:
-        """The pointings of readings whose moment the ship's attitude now covers, or never will."""
-        if not self._waiting:
-            return
+        """The pointings of readings whose moment the ship covers now, or never will, and targets that await them."""
+        if self._waiting:
+            self._publish_waiting(outcome, waiting_ns)
+        self._answer_targets(outcome, waiting_ns)
+
+    def _answer_targets(self, outcome: PointingOutcome, waiting_ns: int) -> None:
+        self._targets.answer(outcome, waiting_ns, self._shell.window.oldest_ns, lambda: self._shell.state_now)
+
+    def _publish_waiting(self, outcome: PointingOutcome, waiting_ns: int) -> None:
         covered_ns, too_old_ns = self._ship_covered_until_ns, self._shell.window.oldest_ns - 1
         until_ns = too_old_ns if covered_ns is None else max(covered_ns, too_old_ns)
         while self._waiting and self._waiting[0].sample.time_ns <= until_ns:
@@ -333,10 +356,16 @@ class OpticalAxisCore:
     def _put_out(self, outcome: PointingOutcome, due: DuePointing, waiting_ns: int) -> None:
         """Put out a pointing at once, or with others when somebody asks for them."""
         if self.due is None:
+            follows = self._shell.follows(due.time_ns)
             self._shell.put_out(outcome, due.time_ns, waiting_ns, lambda _state: self._pointing.estimate(due))
+            if not (follows and not self._shell.follows(due.time_ns)):
+                return
         elif self._shell.follows(due.time_ns):
             self.due.append(due)
             self._shell.was_put_out(due.time_ns, waiting_ns)
+        else:
+            return
+        self._targets.was_put_out(due, self._shell.window.oldest_ns)
 
     def _watch_time(self) -> None:
         """Compare lights anew where a refusal has shown that encoders and ship tell a time twice."""

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ship_estimation.outcome import Status
-from ship_estimation.refusals import Reason, Refusal
+from ship_estimation.refusals import Reason, Refusal, shortened
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
 from ship_geometry.frames import angles_from_rotation, rotation_vector_covariance
@@ -36,7 +36,14 @@ from ship_node.edge.messages_in import (
     unit_quaternion,
 )
 from theodolite_calib.config import BeaconConfig, OpticalAxisConfig
-from theodolite_calib.measured.samples import BaselineSample, EncoderSample, Exposure, SeenLight, ShipSample
+from theodolite_calib.measured.samples import (
+    BaselineSample,
+    EncoderSample,
+    Exposure,
+    SeenLight,
+    ShipSample,
+    TargetSample,
+)
 
 MOST_LIGHTS = 100
 """Of one image; what comes after them is not looked at, so that no message can hold up the node."""
@@ -47,6 +54,10 @@ _LARGEST_DETECTOR_M = 0.5
 """No detector is larger: more are millimetres or pixels."""
 _LONGEST_BASELINE_M = 1e5
 """No light is seen from further away."""
+_LONGEST_TARGET_ID = 100
+"""Characters of a target's name; what comes after them is cut."""
+_LONGEST_RANGE_M = 1e6
+"""No target is seen from further away through the air; what is not in it, as a satellite, has no range here."""
 
 
 def encoder(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMessage[EncoderSample]:
@@ -170,6 +181,47 @@ def exposure(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMe
         refused.append((message.beacons[MOST_LIGHTS].beacon_id, Refusal(Reason.OVERFLOW, text)))
     ordered = tuple(lights[name] for name in sorted(lights))
     return ReadMessage(Exposure(time_ns, ordered, exposure_s), known, tuple(refused), empty=not lights)
+
+
+def target(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMessage[TargetSample]:
+    """``theodolite/target`` → image of a target on the main detector.
+
+    Raises:
+        Refused: with the reason.
+    """
+    time_ns, detector = stamp_ns(message.header, receive_ns), config.main_detector
+    if detector.focal_length_m == 0.0:
+        text = f"main detector {quoted_id(message.header.frame_id)} is unknown: main_detector.focal_length_m is not set"
+        raise Refused(Reason.UNKNOWN_SENSOR, text)
+    frame(message.header.frame_id, detector.frame_id)
+    exposure_s = exposure_length_s(message.exposure_s, LONGEST_EXPOSURE_S)
+    finite_numbers("x, z, detector_rotation", message.x, message.z, message.detector_rotation)
+    if max(abs(message.x), abs(message.z)) > _LARGEST_DETECTOR_M:
+        raise Refused(Reason.UNITS, f"x {message.x:.6g}, z {message.z:.6g}: expected metres on the detector")
+    if abs(message.detector_rotation) > 2.0 * np.pi:
+        raise Refused(Reason.UNITS, f"detector_rotation {message.detector_rotation:.6g}: expected radians")
+    sigma = sigma_given(message.sigma, _LARGEST_DETECTOR_M)
+    sample = TargetSample(
+        time_ns=time_ns,
+        target_id=shortened(message.target_id, _LONGEST_TARGET_ID),
+        point_m=np.array([message.x, message.z]),
+        sigma_m=sigma or detector.sigma_m,
+        exposure_s=exposure_s,
+        detector_rotation=float(message.detector_rotation),
+        range_m=_length(message.range, "range"),
+        range_sigma_m=_length(message.range_sigma, "range_sigma"),
+    )
+    return ReadMessage(sample, sigma is not None)
+
+
+def _length(value: float, what: str) -> float:
+    """A length above zero, m; NaN where it is not given, which NaN means."""
+    if math.isnan(value):
+        return math.nan
+    finite_numbers(what, value)
+    if not 0.0 < value <= _LONGEST_RANGE_M:
+        raise Refused(Reason.UNITS, f"{what} is {value:.6g}: expected metres above 0, {_LONGEST_RANGE_M:g} at most")
+    return float(value)
 
 
 def _light_or_refusal(sighting: Any, names: list[str], config: OpticalAxisConfig) -> tuple[SeenLight, bool] | Refusal:

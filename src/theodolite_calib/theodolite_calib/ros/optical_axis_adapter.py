@@ -32,7 +32,7 @@ from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, untimed
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
 from ship_node.edge.verdict_report import clock_status
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.measured.samples import Exposure, Mode, PointingEstimate, PointingRun
+from theodolite_calib.measured.samples import Exposure, Mode, PointingEstimate, PointingOutcome, PointingRun
 from theodolite_calib.optical_axis.calibration import Calibration
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 from theodolite_calib.optical_axis.integrity import QUANTITIES
@@ -48,9 +48,11 @@ from theodolite_calib.ros.pointing_messages import (
     pointing_messages,
     pointing_rows,
 )
+from theodolite_calib.ros.target_messages import TARGET_TOPIC, TARGET_TYPE, target_message
 
 BASE_FRAME = "theodolite_base"
 INTEGRITY_TOPIC = "theodolite/integrity"
+TARGET_IMAGE_TOPIC = "theodolite/target"
 
 _IMU_TYPE = "sensor_msgs/msg/Imu"
 _SHIP = {
@@ -101,6 +103,7 @@ class OpticalAxisAdapter(DeferringAdapter):
         OutputTopic(innovation_topic, INNOVATION_TYPE),
         OutputTopic(INTEGRITY_TOPIC, INTEGRITY_TYPE),
         OutputTopic("theodolite/error_arcsec", "ship_msgs/msg/PointingErrorArcsec"),
+        OutputTopic(TARGET_TOPIC, TARGET_TYPE),
         OutputTopic(TF_TOPIC, TF_TYPE),
         *OWN_OUTPUTS,
     )
@@ -133,6 +136,8 @@ class OpticalAxisAdapter(DeferringAdapter):
         image = InputTopic("theodolite/beacons", "ship_msgs/msg/BeaconImage", required=False, depth=1000)
         read_image, take_image = functools.partial(messages_in.exposure, config=config), untimed(core.add_exposure)
         yield Feed(image, "lights", read_image, take_image, judged=True, measured_by=Exposure.source)
+        target = InputTopic(TARGET_IMAGE_TOPIC, "ship_msgs/msg/TargetImage", required=False, depth=1000)
+        yield Feed(target, "target", functools.partial(messages_in.target, config=config), core.add_target, judged=True)
         for id_, beacon in config.beacons.items():
             topic = InputTopic(f"beacon/{id_}/baseline", "ship_msgs/msg/RtkBaseline", required=False, depth=1000)
             read_baseline = functools.partial(messages_in.baseline, beacon=beacon, least_fix=config.least_fix)
@@ -152,6 +157,18 @@ class OpticalAxisAdapter(DeferringAdapter):
         readings = rows_in.ship_attitudes(messages, receive_ns, config)
         self.core.expect_ships([reading.value for reading in readings if reading is not None])
         return readings
+
+    def published(self, outcome: PointingOutcome, now_ns: int, waiting_ns: int) -> list[Published]:
+        """See :class:`DeferringAdapter`; the directions of targets come first.
+
+        A direction is the answer to its image, with nothing compared: there is no innovation of it.
+        """
+        published: list[Published] = []
+        for target in outcome.targets:
+            if target.status is not Status.INVALID:
+                self.health.accepted(TARGET_IMAGE_TOPIC, target.time_ns, now_ns)
+            published.append((TARGET_TOPIC, target_message(self.factory, target)))
+        return published + super().published(outcome, now_ns, waiting_ns)
 
     def block_messages(self, runs: Sequence[PointingRun]) -> Iterator[PublishedRows]:
         """See :meth:`BlockAdapter.block_messages`."""

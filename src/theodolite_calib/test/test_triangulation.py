@@ -1,0 +1,128 @@
+"""A place by several theodolites: errors as the covariance says, sets that do not fit, lines that meet nowhere.
+
+Places and directions are made by pyerfa's own routines and by formulas of this file.
+"""
+
+import functools
+from dataclasses import replace
+
+import erfa
+import numpy as np
+import pytest
+
+from ship_estimation.gates import mean_nees_band, normalized_error_squared
+from ship_estimation.refusals import Reason, Refusal
+from ship_geometry.geodetic import GeodeticPosition
+from ship_geometry.rotations import ARCSEC
+from theodolite_calib.target.triangulation import Air, Station, StationDirection, TriangulatedPlace, triangulated
+
+ORIGIN = GeodeticPosition(np.deg2rad(31.945213), np.deg2rad(120.293086), 20.0)
+AIR = Air(0.13, 0.06)
+SIGMA, PLACE_SIGMA_M, DRAWS = 3.0 * ARCSEC, 0.01, 1000
+EARTH_RADIUS_M = 6_371_000.0
+
+
+def axes_at(longitude: float, latitude: float) -> np.ndarray:
+    """North, Up, East in ECEF, as rows."""
+    up = np.array([np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)])
+    east = np.array([-np.sin(longitude), np.cos(longitude), 0.0])
+    return np.array([np.cross(up, east), up, east])
+
+
+ORIGIN_M = erfa.gd2gc(1, ORIGIN.longitude, ORIGIN.latitude, ORIGIN.height_m)
+AXES = axes_at(ORIGIN.longitude, ORIGIN.latitude)
+
+
+def station(name: str, place_n: np.ndarray) -> Station:
+    longitude, latitude, height_m = erfa.gc2gd(1, ORIGIN_M + place_n @ AXES)
+    return Station(name, GeodeticPosition(float(latitude), float(longitude), float(height_m)), PLACE_SIGMA_M)
+
+
+def seen(at: Station, true_foot_m: np.ndarray, target_m: np.ndarray, coefficient: float) -> np.ndarray:
+    """The direction (North, Up, East of the station) in which a target in ECEF is seen, raised by the air."""
+    north, up, east = axes_at(at.place.longitude, at.place.latitude) @ (target_m - true_foot_m)
+    horizontal_m = np.hypot(north, east)
+    elevation = np.arctan2(up, horizontal_m) + coefficient * horizontal_m / (2.0 * EARTH_RADIUS_M)
+    azimuth = np.arctan2(east, north)
+    return np.array([np.cos(azimuth) * np.cos(elevation), np.sin(elevation), np.sin(azimuth) * np.cos(elevation)])
+
+
+def drawn(seed: int, noise: float = 1.0, spread_m: float = 50.0, distance_m: float = 2000.0):
+    """Three theodolites in a row, a target at random around them, and the place of the target from the origin."""
+    rng = np.random.default_rng(seed)
+    azimuth, elevation = rng.uniform(0.0, 2.0 * np.pi), np.deg2rad(rng.uniform(-0.5, 60.0))
+    line = np.array([np.cos(elevation) * np.cos(azimuth), np.sin(elevation), np.cos(elevation) * np.sin(azimuth)])
+    target_n = distance_m * line
+    coefficient = AIR.coefficient + noise * AIR.sigma * rng.standard_normal()
+    directions = []
+    for number in range(3):
+        at = station(f"t{number}", np.array([(number - 1) * spread_m, 2.0 * number, 5.0 * number]))
+        foot_m = erfa.gd2gc(1, at.place.longitude, at.place.latitude, at.place.height_m)
+        true_foot_m = foot_m + noise * PLACE_SIGMA_M * rng.standard_normal(3)
+        direction_n = seen(at, true_foot_m, ORIGIN_M + target_n @ AXES, coefficient)
+        across = np.linalg.svd(direction_n[None])[2][1:]
+        measured_n = direction_n + noise * SIGMA * rng.standard_normal(2) @ across
+        measured_n /= np.linalg.norm(measured_n)
+        directions.append(StationDirection(at, measured_n, SIGMA**2 * across.T @ across))
+    return directions, target_n
+
+
+def found(directions, **changes) -> TriangulatedPlace:
+    place = triangulated(ORIGIN, directions, changes.get("air", AIR))
+    assert isinstance(place, TriangulatedPlace)
+    return place
+
+
+@pytest.mark.parametrize(("spread_m", "distance_m"), [(50.0, 2000.0), (5000.0, 20_000.0)])
+def test_without_errors_the_place_is_exact_on_the_curved_earth(spread_m: float, distance_m: float) -> None:
+    for seed in range(20):
+        directions, target_n = drawn(seed, noise=0.0, spread_m=spread_m, distance_m=distance_m)
+        place = found(directions)
+        # Raised along the angle here, along Up there: they part by the square of 4" to 42".
+        np.testing.assert_allclose(place.position_n, target_n, atol=1e-3 * distance_m / 2000.0)
+        assert place.refusal is None
+
+
+@functools.cache
+def errors() -> tuple[np.ndarray, np.ndarray, float]:
+    nees, chi_square, refused = [], [], 0
+    for seed in range(DRAWS):
+        directions, target_n = drawn(seed)
+        place = found(directions)
+        nees.append(normalized_error_squared(target_n - place.position_n, place.covariance_n))
+        chi_square.append(place.chi_square)
+        refused += place.refusal is not None
+    return np.array(nees), np.array(chi_square), refused
+
+
+def test_three_theodolites_50_m_apart_know_a_target_at_2_km_as_their_covariance_says() -> None:
+    nees, chi_square, refused = errors()
+    low, high = mean_nees_band(DRAWS, 3)
+    assert low < nees.mean() < high
+    low, high = mean_nees_band(DRAWS, 3)  # six residuals, three of them spent on the place
+    assert low < chi_square.mean() < high
+    assert refused <= 6  # one in a thousand: more has a probability of 1e-4 (Poisson of mean 1)
+
+
+def test_a_direction_that_is_wrong_makes_the_set_refused() -> None:
+    directions, _ = drawn(3)
+    wrong = directions[1].direction_n + 60.0 * ARCSEC * np.array([0.0, 1.0, 0.0])
+    place = found([directions[0], replace(directions[1], direction_n=wrong / np.linalg.norm(wrong)), directions[2]])
+    assert place.chi_square > place.gate
+    assert place.refusal is not None
+    assert place.refusal.reason is Reason.GATE
+
+
+@pytest.mark.parametrize("kind", ["one", "parallel", "behind", "nan"])
+def test_what_gives_no_place_is_told(kind: str) -> None:
+    directions, _ = drawn(4, noise=0.0)
+    given = {
+        "one": directions[:1],
+        "parallel": [replace(each, direction_n=directions[0].direction_n) for each in directions],
+        "behind": [replace(each, direction_n=-each.direction_n) for each in directions],
+        "nan": [replace(directions[0], direction_n=np.full(3, np.nan)), *directions[1:]],
+    }[kind]
+    told = triangulated(ORIGIN, given, AIR)
+    assert isinstance(told, Refusal)
+    expected = {"one": "two or more", "parallel": "parallel", "behind": "behind t0", "nan": "NaN"}
+    assert expected[kind] in told.text

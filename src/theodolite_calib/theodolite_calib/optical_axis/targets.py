@@ -1,0 +1,303 @@
+"""The direction of a target at the middle of its exposure: by the main axis of that moment, between two readings.
+
+A direction rests on what was put out: the pointings at the readings before and after it. It is worth no more than the
+lesser of these two, and no more than the pointing at its own moment, which is computed as they are.
+"""
+
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+
+from ship_estimation.outcome import Decision, Status
+from ship_estimation.refusals import Reason, Refusal, failure
+from ship_geometry.rotations import ARCSEC, FloatArray, skew
+from ship_geometry.time_scales import SECOND_NS
+from theodolite_calib.chain.axes import AXES, SHIP, AxisErrors, axis_chain, main_axis_rotation
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
+from theodolite_calib.filter.model import chain_rows
+from theodolite_calib.measured.samples import (
+    EncoderSample,
+    PointingEstimate,
+    PointingOutcome,
+    TargetEstimate,
+    TargetSample,
+)
+from theodolite_calib.measured.tracks import MeasuredTracks
+from theodolite_calib.optical_axis.output import DuePointing, PointingOutput
+from theodolite_calib.target.direction import (
+    MainDetector,
+    SeenDirection,
+    ranged_place,
+    rotation_main_from_detector,
+    seen_direction,
+)
+from theodolite_calib.target.waiting import WaitingTargets
+
+
+class TargetAnswers:
+    """The images of targets of one run, each answered once: by a direction, or by INVALID and a refusal.
+
+    Args:
+        config: the node's parameters.
+        filter_: the filter of that configuration.
+        pointing: makes the pointings.
+        tracks: what was measured.
+    """
+
+    def __init__(
+        self, config: OpticalAxisConfig, filter_: CalibrationFilter, pointing: PointingOutput, tracks: MeasuredTracks
+    ) -> None:
+        self._waiting = WaitingTargets()
+        self._put_out: deque[DuePointing] = deque()
+        self._tracks = tracks
+        self.reconfigure(config, filter_, pointing)
+
+    def reconfigure(self, config: OpticalAxisConfig, filter_: CalibrationFilter, pointing: PointingOutput) -> None:
+        """Go on with other noise."""
+        self._config, self._pointing = config, pointing
+        self._directions = TargetOutput(config, filter_)
+        self._axes = AxisErrors.from_vector(config.axes.values)
+
+    def add(self, sample: TargetSample, waiting_ns: int, outcome: PointingOutcome) -> None:
+        """Take an image that is not late."""
+        outcome.refusal = self._waiting.add(sample, waiting_ns)
+        for overflowing in self._waiting.overflowing():
+            text = "too many images of targets wait for the pointing: the oldest is refused"
+            outcome.decisions.append(_refused(overflowing, Refusal(Reason.OVERFLOW, text)))
+
+    def was_put_out(self, due: DuePointing, oldest_ns: int) -> None:
+        """A pointing went out; images may come for moments from ``oldest_ns`` on."""
+        self._put_out.append(due)
+        # The last one before that moment stays: it is the one before the first image that may come.
+        while len(self._put_out) > 1 and self._put_out[1].time_ns <= oldest_ns:
+            self._put_out.popleft()
+
+    def answer(
+        self, outcome: PointingOutcome, waiting_ns: int, oldest_ns: int, state: Callable[[], CalibrationState]
+    ) -> None:
+        """Answer the images whose pointing is known now, or never will be.
+
+        Args:
+            outcome: takes the directions, and the refusals.
+            waiting_ns: the time of waiting.
+            oldest_ns: data before it can no longer come.
+            state: of the filter now, for outputs.
+        """
+        if not len(self._waiting):
+            return
+        patience_ns = max(SECOND_NS, round(self._config.lag_s * SECOND_NS))
+        for sample, came_ns in self._waiting.waiting():
+            given_up = sample.time_ns < oldest_ns or waiting_ns - came_ns > patience_ns
+            if given_up or self._is_covered(sample):
+                self._waiting.answered(sample)
+                self._answer(sample, outcome, state())
+
+    def _is_covered(self, sample: TargetSample) -> bool:
+        """Whether no data still to come change what the direction rests on, and a pointing after it was put out."""
+        if not (self._put_out and self._put_out[-1].time_ns >= sample.time_ns):
+            return False
+        return self._tracks.covers_mount(sample.time_ns + sample.reach_ns)
+
+    def _answer(self, sample: TargetSample, outcome: PointingOutcome, state: CalibrationState) -> None:
+        try:
+            found = self._direction(sample, state)
+        except Exception as error:
+            outcome.failures.append((sample.time_ns, failure(error)))
+            found = failure(error)
+        if isinstance(found, Refusal):
+            outcome.decisions.append(_refused(sample, found))
+            found = no_direction(sample, found.text)
+        outcome.targets.append(found)
+
+    def _direction(self, sample: TargetSample, state: CalibrationState) -> TargetEstimate | Refusal:
+        """The direction of a target, or why there is no pointing for it."""
+        beside = self._beside(sample.time_ns)
+        tracks, nodes = self._tracks, sample.nodes
+        ship, encoder = tracks.ship_at(sample.time_ns), tracks.encoder_at(sample.time_ns)
+        if encoder is None:
+            return Refusal(Reason.GAP, "no encoder readings on both sides of it")
+        if ship is None:
+            return Refusal(Reason.GAP, "no attitudes of the ship on both sides of it")
+        if beside is None:
+            return Refusal(Reason.GAP, "no pointing was put out on both sides of it")
+        point_m = sample.point_m
+        if nodes is not None:
+            turned_nm = self._turned([time_ns for time_ns, _ in nodes.moments(sample.time_ns)])
+            if turned_nm is None:
+                text = f"no encoder readings or attitudes of the ship over its exposure of {sample.exposure_s:g} s"
+                return Refusal(Reason.GAP, text)
+            way_m = self._directions.way_m(sample, turned_nm, turned_nm[nodes.offset_ns.index(0)])
+            point_m = point_m - (nodes.mean(way_m) - point_m)
+            # The point is the mean over the exposure, so the noise of encoders and ship is that of their means.
+            ship, encoder = tracks.ship_at(sample.time_ns, nodes), tracks.encoder_at(sample.time_ns, nodes)
+            assert ship is not None  # as at the nodes
+            assert encoder is not None
+        angles = np.array([encoder.azimuth, encoder.elevation])
+        reading = EncoderSample(sample.time_ns, angles, float(np.sqrt(encoder.noise)))
+        doubts = [due.doubt for due in beside if due.doubt]
+        doubt_rad = max(due.doubt_rad for due in beside)
+        due = DuePointing(reading, ship, doubts[-1] if doubts else "", doubt_rad, state)
+        pointing = self._pointing.estimate(due)
+        status, text = max(
+            [(each.status, each.text) for each in (pointing, *map(self._pointing.estimate, beside))],
+            key=lambda worth: worth[0],
+        )
+        doubt = self._waiting.doubt(sample.time_ns)
+        if doubt and status is not Status.DEGRADED:
+            status, text = Status.DEGRADED, doubt
+        return self._directions.estimate(sample, point_m, due, pointing, status, text)
+
+    def _beside(self, time_ns: int) -> tuple[DuePointing, DuePointing] | None:
+        """The last pointing that was put out up to a moment, and the first from then on; None where one is missing."""
+        before = [due for due in self._put_out if due.time_ns <= time_ns]
+        after = [due for due in self._put_out if due.time_ns >= time_ns]
+        if not (before and after):
+            return None
+        apart_ns = after[0].time_ns - before[-1].time_ns
+        return (before[-1], after[0]) if apart_ns <= self._tracks.encoder.max_gap_ns else None
+
+    def _turned(self, moments_ns: list[int]) -> FloatArray | None:
+        """Horizon from main frame at moments, as configured, shape (m, 3, 3); None where it is not known."""
+        ships, encoders = map(self._tracks.ship_at, moments_ns), map(self._tracks.encoder_at, moments_ns)
+        turned = [
+            ship.rotation_nd @ main_axis_rotation(self._axes, encoder.azimuth, encoder.elevation)
+            for ship, encoder in zip(ships, encoders, strict=True)
+            if ship is not None and encoder is not None
+        ]
+        return np.array(turned) if len(turned) == len(moments_ns) else None
+
+
+class TargetOutput:
+    """Makes the directions of targets by the pointing at the middle of their exposure.
+
+    Args:
+        config: the node's parameters.
+        filter_: the filter of that configuration.
+    """
+
+    def __init__(self, config: OpticalAxisConfig, filter_: CalibrationFilter) -> None:
+        self._config, self._filter = config, filter_
+        detector = config.main_detector
+        self._detector = MainDetector(
+            detector.focal_length_m,
+            detector.principal_point_m,
+            detector.focal_length_sigma_m,
+            detector.principal_sigma_m,
+            detector.rotation_sigma_arcsec * ARCSEC,
+        )
+
+    def way_m(self, sample: TargetSample, turned_nm: FloatArray, middle_nm: FloatArray) -> FloatArray:
+        """Where a target that keeps its direction is on the detector while the main frame turns, m, shape (m, 2).
+
+        A target whose direction turns steadily leaves the same mean, but for the product of its turn and the mount's.
+
+        Args:
+            sample: its image.
+            turned_nm: horizon from main frame at m moments, shape (m, 3, 3).
+            middle_nm: the same at the middle, where the target is where it was found, shape (3, 3).
+        """
+        camera = self._detector.camera
+        rotation_mv = rotation_main_from_detector(sample.detector_rotation)
+        seen_n = middle_nm @ rotation_mv @ camera.directions(sample.point_m[None])[0]
+        return camera.points(seen_n @ (turned_nm @ rotation_mv))
+
+    def estimate(
+        self,
+        sample: TargetSample,
+        point_m: FloatArray,
+        due: DuePointing,
+        pointing: PointingEstimate,
+        status: Status,
+        text: str,
+    ) -> TargetEstimate:
+        """The direction of a target.
+
+        Args:
+            sample: its image.
+            point_m: where it stood on the detector at the middle of the exposure, shape (2,).
+            due: what the pointing of that moment rests on.
+            pointing: of that moment.
+            status: what it is worth.
+            text: why it is not VALID.
+        """
+        seen = seen_direction(
+            self._detector, point_m, sample.sigma_m, sample.detector_rotation, pointing.rotation_nm
+        )
+        unknown = np.full(3, np.nan), np.full((3, 3), np.nan)
+        position_n, position_covariance_n = self._position(sample, due, pointing, seen) if sample.has_range else unknown
+        return TargetEstimate(
+            time_ns=sample.time_ns,
+            target_id=sample.target_id,
+            direction_n=seen.direction_n,
+            covariance_n=seen.covariance_n(pointing.covariance_n),
+            position_n=position_n,
+            position_covariance_n=position_covariance_n,
+            status=status,
+            text=text,
+        )
+
+    def _position(
+        self, sample: TargetSample, due: DuePointing, pointing: PointingEstimate, seen: SeenDirection
+    ) -> tuple[FloatArray, FloatArray]:
+        """Place of a target from the ship's antenna, m, and its covariance, m².
+
+        Ship, lever and air are in the pointing already, so its states and those of the place have one covariance.
+        """
+        model, ship = self._filter.model, due.ship
+        state = self._filter.predicted(pointing.state, sample.time_ns, ship.slow_covariance_n)
+        errors = self._filter.sightings.chain_errors(state.mean)
+        chain = axis_chain(errors, ship.rotation_nd, ship.rate_d, *due.sample.vector.tolist())
+        lever_m, coefficient = self._config.lever.vector_m, self._config.air.coefficient
+        if "lever" in model.slices:
+            lever_m = lever_m + state.mean[model.slices["lever"]]
+        if "refraction" in model.slices:
+            coefficient += float(state.mean[model.slices["refraction"]][0])
+        lever_n = chain.rotation_nd @ lever_m
+        place = ranged_place(seen.direction_n, sample.range_m, coefficient)
+
+        by_turn_n, lever_by_turn_n = place.by_direction_n @ seen.by_turn_n, -skew(lever_n)
+        turning = chain_rows(model)
+        by_state_n = np.zeros((3, model.size))
+        by_state_n[:, turning] = by_turn_n @ pointing.by_error_n
+        # The ship's error and her time turn the lever; the deformation and the axes behind it do not.
+        of_ship = np.r_[SHIP, AXES.stop : len(turning)]
+        by_state_n[:, turning[of_ship]] += lever_by_turn_n @ pointing.by_error_n[:, of_ship]
+        if "lever" in model.slices:
+            by_state_n[:, model.slices["lever"]] = chain.rotation_nd
+        if "refraction" in model.slices:
+            by_state_n[:, model.slices["refraction"]] = place.by_coefficient_n[:, None]
+
+        # What the pointing has beside the states: the noise of encoders and ship, doubt and dispute.
+        of_states_n = pointing.by_error_n @ state.covariance[np.ix_(turning, turning)] @ pointing.by_error_n.T
+        beside_n = pointing.covariance_n - of_states_n
+        by_ship_noise_n = by_turn_n + lever_by_turn_n
+        covariance_n = (
+            by_state_n @ state.covariance @ by_state_n.T
+            + by_turn_n @ beside_n @ by_turn_n.T
+            + ship.noise * (by_ship_noise_n @ by_ship_noise_n.T - by_turn_n @ by_turn_n.T)
+            + place.by_direction_n @ seen.image_covariance_n @ place.by_direction_n.T
+            + sample.range_sigma_m**2 * np.outer(place.by_range_n, place.by_range_n)
+            + self._config.air.light_sigma**2 * np.outer(place.by_coefficient_n, place.by_coefficient_n)
+        )
+        return lever_n + place.path_n, 0.5 * (covariance_n + covariance_n.T)
+
+
+def no_direction(sample: TargetSample, text: str) -> TargetEstimate:
+    """No direction is claimed."""
+    unknown, unknown_covariance = np.full(3, np.nan), np.full((3, 3), np.nan)
+    return TargetEstimate(
+        time_ns=sample.time_ns,
+        target_id=sample.target_id,
+        direction_n=unknown,
+        covariance_n=unknown_covariance,
+        position_n=unknown,
+        position_covariance_n=unknown_covariance,
+        status=Status.INVALID,
+        text=text,
+    )
+
+
+def _refused(sample: TargetSample, refusal: Refusal) -> Decision[TargetSample]:
+    return Decision(sample, refusal.reason, text=refusal.text)

@@ -1,0 +1,36 @@
+"""What the direction of a target becomes: ship_msgs/TargetDirection, East, North, Up."""
+
+from collections.abc import Callable
+from typing import Any
+
+from ship_bags.message_factory import MessageFactory
+from ship_geometry.ros_axes import ENU_FROM_HORIZON, enu_covariance
+from ship_geometry.rotations import FloatArray
+from ship_node.edge.messages_out import HORIZON_FRAME
+from theodolite_calib.measured.samples import TargetEstimate
+from theodolite_calib.target.direction import direction_angles
+
+TARGET_TOPIC, TARGET_TYPE = "theodolite/target_direction", "ship_msgs/msg/TargetDirection"
+
+
+def target_message(factory: MessageFactory, estimate: TargetEstimate, frame_id: str = HORIZON_FRAME) -> Any:
+    """ship_msgs/TargetDirection of one image; all numbers are NaN where no direction is claimed."""
+    (azimuth, elevation), covariance = direction_angles(estimate.direction_n, estimate.covariance_n)
+    make: Callable[..., Any] = factory.make
+    return make(
+        TARGET_TYPE,
+        header={"stamp": estimate.time_ns, "frame_id": frame_id},
+        target_id=estimate.target_id,
+        azimuth=float(azimuth),
+        elevation=float(elevation),
+        covariance=covariance.ravel(),
+        direction=_enu(estimate.direction_n),
+        direction_covariance=enu_covariance(estimate.covariance_n).ravel(),
+        position=_enu(estimate.position_n),
+        position_covariance=enu_covariance(estimate.position_covariance_n).ravel(),
+        status=int(estimate.status),
+    )
+
+
+def _enu(vector_n: FloatArray) -> dict[str, float]:
+    return dict(zip("xyz", (ENU_FROM_HORIZON @ vector_n).tolist(), strict=True))
