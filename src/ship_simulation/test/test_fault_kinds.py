@@ -26,6 +26,7 @@ TOPICS = {
     "theodolite/beacons": "ship_msgs/msg/BeaconImage",
     "beacon/a/baseline": "ship_msgs/msg/RtkBaseline",
     "gnss/fix": "sensor_msgs/msg/NavSatFix",
+    "gravity/deflection": "ship_msgs/msg/Deflection",
     "met/pressure": "sensor_msgs/msg/FluidPressure",
     "met/temperature": "sensor_msgs/msg/Temperature",
     "met/humidity": "sensor_msgs/msg/RelativeHumidity",
@@ -53,8 +54,10 @@ SIZES = {
 
 START_S, END_S = 0.0, 1.5
 
-UNCHANGED = {("freeze", "met/pressure"), ("freeze", "met/temperature"), ("freeze", "met/humidity")}
-"""The simulated weather stands still anyway."""
+UNCHANGED = {
+    ("freeze", topic) for topic in ("met/pressure", "met/temperature", "met/humidity", "gravity/deflection")
+}
+"""The simulated weather, and the deflection at anchor, stand still anyway."""
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +65,8 @@ def bag(tmp_path_factory):
     """Two seconds with every device, and the fused attitude besides."""
     scenario = load_scenario(ROOT / "bags" / "scenarios" / "everything.yaml")
     fused = dataclasses.replace(scenario.fused_attitude, written=True)
-    scenario = dataclasses.replace(scenario, duration_s=2.0, fused_attitude=fused)
+    gravity = dataclasses.replace(scenario.gravity, told="topic", rate_hz=5.0, xi_arcsec=5.0, sigma_arcsec=1.0)
+    scenario = dataclasses.replace(scenario, duration_s=2.0, fused_attitude=fused, gravity=gravity)
     path = tmp_path_factory.mktemp("bag") / "everything.mcap"
     write_bag(scenario, 3, path, b"scenario: here\n")
     return path

@@ -36,9 +36,6 @@ from ship_simulation.scenario.names import (
 
 _OTHER = "_other"
 
-_SECOND_VARIANCE = 4
-"""Its place in a covariance of nine elements. In the place of the first a negative number means "not given" to ROS."""
-
 _FIXED = 4
 """RtkBaseline.FIXED."""
 
@@ -146,10 +143,13 @@ def _units(spoiler: Spoiler, message: Any, since_s: float) -> None:
 
 def _covariance(spoiler: Spoiler, message: Any, since_s: float) -> None:
     for name in COVARIANCES[spoiler.type_name]:
-        spoilt = np.zeros(9)
+        given = np.asarray(getattr(message, name), dtype=float)
+        spoilt = np.zeros(given.size)
         if spoiler.fault.kind == "covariance_negative":
-            spoilt[:] = getattr(message, name)
-            spoilt[_SECOND_VARIANCE] = -abs(spoilt[_SECOND_VARIANCE])
+            spoilt[:] = given
+            # The second variance: in the place of the first a negative number means "not given" to ROS.
+            second = math.isqrt(given.size) + 1
+            spoilt[second] = -abs(spoilt[second])
         setattr(message, name, spoilt)
 
 

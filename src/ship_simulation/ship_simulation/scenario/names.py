@@ -35,8 +35,9 @@ COVARIANCES = {
     SHIP_ATTITUDE: ("covariance", "rotation_covariance"),
     BASELINE: ("covariance",),
     FIX: ("position_covariance",),
+    DEFLECTION: ("covariance",),
 }
-"""Message type → its fields that are covariances of what the nodes take from it, 3 × 3 each."""
+"""Message type → its fields that are covariances of what the nodes take from it, square matrices row by row."""
 
 FIRST_VALUE = {
     IMU: "orientation.x",

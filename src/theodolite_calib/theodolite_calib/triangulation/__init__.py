@@ -1,0 +1,4 @@
+"""The command ``triangulate``: what several theodolites recorded of a target, and the places that follow from it.
+
+Knows bags and the room ``target``, no filter and no node.
+"""

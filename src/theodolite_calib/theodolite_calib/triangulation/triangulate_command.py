@@ -1,0 +1,113 @@
+"""``triangulate``: the places of a target by what several theodolites recorded."""
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
+from ship_bags.errors import BadInput
+from ship_bags.output_files import add_force, check_file, write_csv
+from ship_bags.parameter_yaml import read_plain
+from ship_bags.stamps import utc_text
+from ship_estimation.outcome import Status
+from ship_estimation.parameters import ParameterError, build
+from theodolite_calib.triangulation.config import TriangulationConfig
+from theodolite_calib.triangulation.recorded import PlacedTarget, placed_targets, read_directions
+
+COLUMNS = (
+    *("utc", "east_m", "north_m", "up_m", "sigma_east_m", "sigma_north_m", "sigma_up_m"),
+    *("cov_east_north_m2", "cov_east_up_m2", "cov_north_up_m2", "chi_square", "gate", "fits", "status", "stations"),
+)
+"""Of the table that is written."""
+
+_EAST_NORTH_UP = [2, 0, 1]
+"""Order of these among (North, Up, East)."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point."""
+    return run_command(_parser(), _run, arguments)
+
+
+def _parser() -> CommandParser:
+    parser = CommandParser(
+        prog="triangulate",
+        example="./ros2run theodolite_calib triangulate stations.yaml --target buoy --out places.csv",
+        description="Places of a target [m, East, North, Up from a stated origin] with their covariance [m^2], by the "
+        "directions to it (theodolite/target_direction) that two or more theodolites recorded, at each stamp of the "
+        "first one.",
+        epilog="the file, angles in degrees, lengths in metres:\n"
+        "  origin: {latitude_deg: 31.9452, longitude_deg: 120.2931, height_m: 20.0}\n"
+        "  stations:\n"
+        "    east: {bag: east.mcap, latitude_deg: 31.9452, longitude_deg: 120.2931, height_m: 21.0, sigma_m: 0.05}\n"
+        "    west: {bag: west.mcap, topic: /west/theodolite/target_direction, latitude_deg: ...}\n"
+        "  refraction: {coefficient: 0.13, sigma: 0.06}   of light on its way (k), the default\n"
+        "  max_gap_s: 1.0, gate_probability: 0.999        the defaults\n"
+        "columns written: " + ", ".join(COLUMNS) + "\n"
+        "status: the worst of the directions used (valid, coasting, degraded); fits: 1 where they fit one another\n"
+        "exit code: 0 written; 1 written, but some sets of directions do not fit one another; 2 bad input or usage; "
+        "130 interrupted",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("stations", type=Path, metavar="STATIONS.yaml", help="theodolites, their places and bags")
+    parser.add_argument("--target", required=True, metavar="ID", help="target_id of the directions")
+    parser.add_argument("--out", type=Path, required=True, metavar="PLACES.csv", help="table to write")
+    add_force(parser)
+    return parser
+
+
+def _run(options: argparse.Namespace) -> int:
+    check_file(options.out, options.force)
+    config = _configuration(options.stations)
+    recorded = read_directions(options.stations.parent, config, options.target)
+    placed = list(placed_targets(config, recorded))
+    if not placed:
+        names = ", ".join(config.stations)
+        text = f"no place of '{options.target}': at no stamp of the first of {names} did another see it and meet it"
+        raise BadInput(f"{text} (max_gap_s = {config.max_gap_s:g})", file=options.stations)
+    write_csv(options.out, COLUMNS, _rows(placed))
+    misfits = sum(one.place.refusal is not None for one in placed)
+    sigma_m = np.sqrt(np.median([np.trace(one.place.covariance_n) for one in placed]))
+    sys.stdout.write(
+        f"{options.out}: {len(placed)} places of '{options.target}', error {sigma_m:.3g} m (1 sigma in space, median), "
+        f"{misfits} whose directions do not fit one another\n"
+    )
+    return EXIT_BOUND_NOT_MET if misfits else EXIT_DONE
+
+
+def _configuration(path: Path) -> TriangulationConfig:
+    """The checked file.
+
+    Raises:
+        BadInput: names file, line, key, value and what was expected.
+    """
+    file = read_plain(path)
+    try:
+        config = build(TriangulationConfig, file.values)
+    except ParameterError as problem:
+        raise file.error(problem) from problem
+    if len(config.stations) < 2:
+        raise BadInput(f"'stations' has {len(config.stations)}: a place takes two theodolites or more", file=path)
+    return config
+
+
+def _rows(placed: Sequence[PlacedTarget]) -> Iterator[list[str | float | int]]:
+    """The rows of the table."""
+    for one in placed:
+        place = one.place.position_n[_EAST_NORTH_UP]
+        covariance = one.place.covariance_n[np.ix_(_EAST_NORTH_UP, _EAST_NORTH_UP)]
+        lengths_m = [*place, *np.sqrt(covariance.diagonal())]
+        products_m2 = [covariance[0, 1], covariance[0, 2], covariance[1, 2]]
+        yield [
+            utc_text(one.time_ns),
+            *(f"{length_m:.4f}" for length_m in lengths_m),
+            *(f"{product_m2:.6g}" for product_m2 in products_m2),
+            f"{one.place.chi_square:.2f}",
+            f"{one.place.gate:.2f}",
+            int(one.place.refusal is None),
+            Status(one.status).name.lower(),
+            " ".join(one.stations),
+        ]
