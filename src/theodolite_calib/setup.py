@@ -35,8 +35,8 @@ setup(
     entry_points={
         "console_scripts": [
             "fit_axes = theodolite_calib.axis_fit.fit_axes_command:main",
-            "triangulate = theodolite_calib.triangulation.triangulate_command:main",
             "optical_axis = theodolite_calib.ros.nodes:optical_axis",
+            "triangulate = theodolite_calib.triangulation.triangulate_command:main",
         ],
     },
 )
