@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ship_attitude_star.layout.config import LEAST_ELEVATION_DEG, LayoutStudyConfig
 from ship_attitude_star.layout.installation_model import Curve, all_curves
 from ship_attitude_star.layout.joint_error import ErrorMap, Layout, SourceError, error_map, total_arcsec
+from ship_attitude_star.layout.optics import LEAST_STARS, OpticsOverSky, over_sky
 from ship_estimation.parameters import ParameterError
 from ship_geometry.rotations import FloatArray, wrap_pi
 
@@ -58,6 +59,7 @@ class LayoutStudy:
         maps: the error of ``layout`` while each sensor is bolted anywhere.
         budget: the joint error of ``layout`` by source.
         curves: the curves of the six figures of [Z14].
+        optics: what the optics of sensors give over the sky, by the sensors' names.
     """
 
     config: LayoutStudyConfig
@@ -70,14 +72,17 @@ class LayoutStudy:
     maps: list[ErrorMap]
     budget: list[SourceError]
     curves: list[Curve]
+    optics: dict[str, OpticsOverSky]
 
 
 def study(config: LayoutStudyConfig) -> LayoutStudy:
     """All numbers of a study.
 
     Raises:
-        ParameterError: with the ship's pitch and roll a sensor looks too low.
+        ParameterError: with the ship's pitch and roll a sensor looks too low, or its optics see too few stars.
     """
+    optics = {name: over_sky(of_sensor) for name, of_sensor in config.optics.items()}
+    config = _with_noise_of(config, optics)
     layout = Layout.from_config(config)
     for name, elevation_deg in zip(layout.names, layout.horizon_elevations_deg(), strict=True):
         if elevation_deg < LEAST_ELEVATION_DEG - 1e-9:
@@ -99,7 +104,31 @@ def study(config: LayoutStudyConfig) -> LayoutStudy:
         maps=[error_map(layout, number) for number in range(count)],
         budget=layout.budget(),
         curves=all_curves(config.figures),
+        optics=optics,
     )
+
+
+def _with_noise_of(config: LayoutStudyConfig, optics: dict[str, OpticsOverSky]) -> LayoutStudyConfig:
+    """The study in which each sensor that has optics has the noise that they give.
+
+    Raises:
+        ParameterError: in more of the sky than allowed there are too few stars.
+    """
+    sensors = dict(config.sensors)
+    for name, found in optics.items():
+        if not np.isfinite(found.held_arcsec).all():
+            raise ParameterError(
+                f"parameter 'optics.{name}.magnitude_limit': in {100.0 * found.share_without():.0f} % of the sky the "
+                f"field of {found.field_deg[0]:.1f} x {found.field_deg[1]:.1f} deg holds fewer than {LEAST_STARS} "
+                f"stars, more than sky_share = {config.optics[name].sky_share:g} allows: expected fainter stars or a "
+                "wider field",
+                f"optics.{name}.magnitude_limit",
+            )
+        forward, up, right = (float(sigma) for sigma in found.held_arcsec)
+        sensors[name] = replace(
+            sensors[name], sigma_forward_arcsec=forward, sigma_up_arcsec=up, sigma_right_arcsec=right
+        )
+    return replace(config, sensors=sensors)
 
 
 def recommended(layout: Layout) -> Layout:
