@@ -8,8 +8,8 @@ C. C. Liebe, "Accuracy performance of star trackers: a tutorial", IEEE Transacti
 
 0.3825 is the *mean* distance of a star from the middle of a square field, in sides; what counts is its root mean
 square, 1/√6 = 0.4082, so with many stars the second formula is 7 % larger than the attitude's covariance. With
-few stars the covariance is larger, because the stars are turned about their own middle. The layout study takes the covariance of the
-stars that the catalogue has, and shows Liebe's figures beside it.
+few stars the covariance is larger, because the stars are turned about their own middle. The layout study
+takes the covariance of the stars that the catalogue has, and shows Liebe's figures beside it.
 
 The magnitude limit is given, not derived from aperture and exposure: with them alone, without the brightness of the
 sky, the noise of the read-out and the streaks of a rolling ship, any limit would be a guess.

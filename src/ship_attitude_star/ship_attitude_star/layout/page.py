@@ -128,7 +128,7 @@ def _optics_text(study: LayoutStudy) -> str:
         "<p>The noise of these sensors follows from their optics and the stars that Hipparcos-2 has in the field: mean "
         "number of stars, and the number at most found in so many percent of the sky; noise held in the share of the "
         "sky asked for, and by Liebe's formulas with the mean number (C. C. Liebe, Accuracy performance of star "
-        "trackers, 2002). The magnitude limit is as given. Noise of the places of stars alone: lens errors are not in it.</p>"
+        "trackers, 2002). The magnitude limit is as given. Lens errors are not in it.</p>"
         f'<div class="table">{_table(header, rows)}</div>'
     )
 
