@@ -104,6 +104,25 @@ class Optics:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Mask:
+    """What stands in the way: a polygon, its edges straight in azimuth and elevation of the deck."""
+
+    azimuths_deg: tuple[float, ...] = parameter(
+        doc="of the corners, from the bow; below 0 or over 360 across the bow",
+        unit="deg",
+        minimum=-360.0,
+        maximum=720.0,
+    )
+    elevations_deg: tuple[float, ...] = parameter(
+        doc="of the corners, over the deck", unit="deg", minimum=-90.0, maximum=90.0
+    )
+
+    def corners_deg(self) -> FloatArray:
+        """Azimuth and elevation of the corners, shape (k, 2)."""
+        return np.column_stack([self.azimuths_deg, self.elevations_deg])
+
+
+@dataclass(frozen=True, kw_only=True)
 class CommonErrors:
     """Errors that all sensors share; more sensors do not average them away."""
 
@@ -145,6 +164,11 @@ class LayoutStudyConfig:
     ship_roll_deg: float = _angle(0.0, doc="roll of the ship, starboard down", limit_deg=60.0)
     sensors: dict[str, LayoutSensor] = mapping_of("the star sensors of the layout, by name")
     optics: dict[str, Optics] = mapping_of("optics by the name of their sensor, in place of its three noises")
+    masks: dict[str, Mask] = mapping_of("what stands in the way, by name")
+    field_of_view_deg: float = parameter(
+        20.0, doc="side of the square field of sensors without optics, clear of masks", unit="deg", minimum=0.0,
+        maximum=120.0,
+    )  # fmt: skip
     common: CommonErrors = section(CommonErrors)
     figures: OperatingPoint = section(OperatingPoint)
 
@@ -165,6 +189,7 @@ def study_config(values: Mapping[str, Any]) -> LayoutStudyConfig:
                 value=name,
             )
     _check_optics(config, values)
+    _check_masks(config)
     # The sensors stay in the order of the file: the first one keeps its azimuth.
     return dataclasses.replace(config, sensors={name: config.sensors[name] for name in values["sensors"]})
 
@@ -188,3 +213,19 @@ def _check_optics(config: LayoutStudyConfig, values: Mapping[str, Any]) -> None:
                     f"parameter 'sensors.{name}.{key}': the noise follows from optics.{name}: take one of them out",
                     f"sensors.{name}.{key}",
                 )
+
+
+def _check_masks(config: LayoutStudyConfig) -> None:
+    """Each mask is a polygon.
+
+    Raises:
+        ParameterError: it has too few corners, or not as many azimuths as elevations.
+    """
+    for name, mask in config.masks.items():
+        count = len(mask.azimuths_deg)
+        if count < 3 or count != len(mask.elevations_deg):
+            raise ParameterError(
+                f"parameter 'masks.{name}': {count} azimuths and {len(mask.elevations_deg)} elevations are no polygon: "
+                "expected as many of both, three at least",
+                f"masks.{name}",
+            )
