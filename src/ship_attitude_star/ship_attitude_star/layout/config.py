@@ -75,6 +75,54 @@ class LayoutSensor:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Optics:
+    """The optics of a sensor, from which the noise about its axes follows."""
+
+    focal_length_m: float = parameter(doc="focal length", unit="m", minimum=1e-3, maximum=10.0)
+    pixel_pitch_m: float = parameter(doc="from pixel to pixel", unit="m", minimum=1e-7, maximum=1e-3)
+    width_px: int = parameter(doc="columns of the detector", unit="px", minimum=16, maximum=100_000)
+    height_px: int = parameter(doc="rows of the detector", unit="px", minimum=16, maximum=100_000)
+    centroid_sigma_px: float = parameter(
+        0.1, doc="noise of a star's place on the detector, each axis", unit="px", minimum=1e-4, maximum=10.0
+    )
+    magnitude_limit: float = parameter(
+        doc="faintest star that it sees in an exposure, Hp; beyond 7.3 the catalogue is not complete",
+        minimum=1.0,
+        maximum=9.0,
+    )
+    sky_share: float = parameter(
+        0.95, doc="share of the sky in which the sensor is at least so good", minimum=0.5, maximum=0.999
+    )
+
+    def half_field(self) -> FloatArray:
+        """Tangents of half the field of view to the right and up, shape (2,)."""
+        return np.array([self.width_px, self.height_px]) * self.pixel_pitch_m / (2.0 * self.focal_length_m)
+
+    def star_sigma(self) -> float:
+        """Noise of the direction of a star near the boresight, per axis, rad."""
+        return self.centroid_sigma_px * self.pixel_pitch_m / self.focal_length_m
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mask:
+    """What stands in the way: a polygon, its edges straight in azimuth and elevation of the deck."""
+
+    azimuths_deg: tuple[float, ...] = parameter(
+        doc="of the corners, from the bow; below 0 or over 360 across the bow",
+        unit="deg",
+        minimum=-360.0,
+        maximum=720.0,
+    )
+    elevations_deg: tuple[float, ...] = parameter(
+        doc="of the corners, over the deck", unit="deg", minimum=-90.0, maximum=90.0
+    )
+
+    def corners_deg(self) -> FloatArray:
+        """Azimuth and elevation of the corners, shape (k, 2)."""
+        return np.column_stack([self.azimuths_deg, self.elevations_deg])
+
+
+@dataclass(frozen=True, kw_only=True)
 class CommonErrors:
     """Errors that all sensors share; more sensors do not average them away."""
 
@@ -115,6 +163,12 @@ class LayoutStudyConfig:
     ship_pitch_deg: float = _angle(0.0, doc="pitch of the ship, bow up", limit_deg=45.0)
     ship_roll_deg: float = _angle(0.0, doc="roll of the ship, starboard down", limit_deg=60.0)
     sensors: dict[str, LayoutSensor] = mapping_of("the star sensors of the layout, by name")
+    optics: dict[str, Optics] = mapping_of("optics by the name of their sensor, in place of its three noises")
+    masks: dict[str, Mask] = mapping_of("what stands in the way, by name")
+    field_of_view_deg: float = parameter(
+        20.0, doc="side of the square field of sensors without optics, clear of masks", unit="deg", minimum=0.0,
+        maximum=120.0,
+    )  # fmt: skip
     common: CommonErrors = section(CommonErrors)
     figures: OperatingPoint = section(OperatingPoint)
 
@@ -134,5 +188,44 @@ def study_config(values: Mapping[str, Any]) -> LayoutStudyConfig:
                 f"sensors.{name}",
                 value=name,
             )
+    _check_optics(config, values)
+    _check_masks(config)
     # The sensors stay in the order of the file: the first one keeps its azimuth.
     return dataclasses.replace(config, sensors={name: config.sensors[name] for name in values["sensors"]})
+
+
+def _check_optics(config: LayoutStudyConfig, values: Mapping[str, Any]) -> None:
+    """Optics belong to a sensor whose noise is not given besides.
+
+    Raises:
+        ParameterError: they do not.
+    """
+    for name in config.optics:
+        if name not in config.sensors:
+            raise ParameterError(
+                f"parameter 'optics.{name}': there is no sensor '{name}': expected one of {', '.join(config.sensors)}",
+                f"optics.{name}",
+                value=name,
+            )
+        for key in ("sigma_forward_arcsec", "sigma_up_arcsec", "sigma_right_arcsec"):
+            if key in values["sensors"][name]:
+                raise ParameterError(
+                    f"parameter 'sensors.{name}.{key}': the noise follows from optics.{name}: take one of them out",
+                    f"sensors.{name}.{key}",
+                )
+
+
+def _check_masks(config: LayoutStudyConfig) -> None:
+    """Each mask is a polygon.
+
+    Raises:
+        ParameterError: it has too few corners, or not as many azimuths as elevations.
+    """
+    for name, mask in config.masks.items():
+        count = len(mask.azimuths_deg)
+        if count < 3 or count != len(mask.elevations_deg):
+            raise ParameterError(
+                f"parameter 'masks.{name}': {count} azimuths and {len(mask.elevations_deg)} elevations are no polygon: "
+                "expected as many of both, three at least",
+                f"masks.{name}",
+            )

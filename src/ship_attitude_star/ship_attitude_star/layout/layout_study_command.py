@@ -18,6 +18,7 @@ from ship_attitude_star.layout.installation_model import (
     source_errors_arcsec,
 )
 from ship_attitude_star.layout.joint_error import total_arcsec
+from ship_attitude_star.layout.optics import PERCENTILES
 from ship_attitude_star.layout.study import LayoutStudy, study
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.output_files import add_force, check_folder, write_csv, write_whole
@@ -56,7 +57,8 @@ def _parser() -> CommandParser:
         prog="layout_study",
         example="./ros2run ship_attitude_star layout_study layout.yaml --out study",
         description="Study where star sensors are bolted: errors [arcsec, 1 sigma] of heading, pitch and roll of all "
-        "sensors together, by source of error and over all directions [deg], recommended azimuths [deg], and the six "
+        "sensors together, by source of error and over all directions [deg], recommended azimuths [deg], noise of "
+        "sensors by their optics [m, px] and the stars of the catalogue over the sky, and the six "
         "figures of [Z14] in both readings of its installation angles. Writes layout_study.html (one file with "
         "everything), PNG and CSV.",
         epilog=f"keys of LAYOUT.yaml, nested at the dots (<id>: any name):\n{_keys()}\n\n"
@@ -109,7 +111,8 @@ def written(config: LayoutStudyConfig) -> list[str]:
     """Names of all files written."""
     figures = ["layout", "azimuth", *(f"map_{sensor}" for sensor in config.sensors)]
     figures += [f"figure_{sweep.number}" for sweep in SWEEPS]
-    return [PAGE, *TABLES, *(f"{figure}.png" for figure in figures)]
+    tables = [*TABLES, OPTICS_TABLE] if config.optics else TABLES
+    return [PAGE, *tables, *(f"{figure}.png" for figure in figures)]
 
 
 def _summary(computed: LayoutStudy, page: Path) -> str:
@@ -127,6 +130,12 @@ def _summary(computed: LayoutStudy, page: Path) -> str:
     )
     if several:
         lines.append(f"recommended azimuths [deg from the bow]: {azimuths}")
+    for name, found in computed.optics.items():
+        forward, up, right = found.held_arcsec
+        lines.append(
+            f"optics of {name}: {found.stars.mean():.1f} stars in the mean, {found.fewest_stars()[5]:.0f} or fewer in "
+            f"5 % of the sky; about forward, up, right {forward:.2f}, {up:.2f}, {right:.2f} arcsec"
+        )
     return "\n".join([*lines, f"page: {page}"]) + "\n"
 
 
@@ -137,7 +146,9 @@ TABLES = (
     *("layout.csv", "error_budget.csv", "error_map.csv", "azimuth_scan.csv"),
     *("sources_at_operating_point.csv", "figures_1_to_6.csv"),
 )
-"""Names of all files written."""
+"""Names of the tables that every study has."""
+OPTICS_TABLE = "optics.csv"
+"""Name of the table of a study with optics."""
 
 
 def write_tables(study: LayoutStudy, folder: Path) -> list[Path]:
@@ -157,6 +168,8 @@ def write_tables(study: LayoutStudy, folder: Path) -> list[Path]:
             _curves(study),
         ),
     }
+    if study.optics:
+        tables[OPTICS_TABLE] = (_OPTICS, _optics(study))
     return [write_csv(folder / name, header, rows) for name, (header, rows) in tables.items()]
 
 
@@ -169,6 +182,20 @@ def _layouts(study: LayoutStudy) -> Iterator[tuple[Any, ...]]:
         sigmas = study.best.of_sensor(number).sigmas_arcsec()
         yield "recommended", f"{name} alone", *angles[:2], *sigmas, total_arcsec(sigmas)
     yield "recommended", "joint", "", "", *study.best_arcsec, total_arcsec(study.best_arcsec)
+
+
+_OPTICS = (
+    *("sensor", "field_width_deg", "field_height_deg", "star_sigma_arcsec", "mean_stars"),
+    *(f"stars_{percent}_percent" for percent in PERCENTILES),
+    *(f"sigma_{axis}_arcsec" for axis in ("forward", "up", "right")),
+    *(f"liebe_{axis}_arcsec" for axis in ("forward", "up", "right")),
+)
+
+
+def _optics(study: LayoutStudy) -> Iterator[tuple[Any, ...]]:
+    for name, found in study.optics.items():
+        stars = (float(found.stars.mean()), *found.fewest_stars().values())
+        yield name, *found.field_deg, found.star_sigma_arcsec, *stars, *found.held_arcsec, *found.liebe_arcsec
 
 
 def _budget(study: LayoutStudy) -> Iterator[tuple[Any, ...]]:

@@ -18,6 +18,7 @@ from ship_attitude_star.layout.installation_model import (
     source_errors_arcsec,
 )
 from ship_attitude_star.layout.joint_error import total_arcsec
+from ship_attitude_star.layout.optics import PERCENTILES
 from ship_attitude_star.layout.study import AzimuthScan, LayoutStudy
 from ship_geometry.rotations import FloatArray
 
@@ -50,6 +51,7 @@ def page_text(study: LayoutStudy, figures: Mapping[str, Path], title: str) -> st
         azimuth_figure=_image(figures["azimuth"], "Joint error over the azimuth of a sensor"),
         maps="\n".join(_image(figures[f"map_{name}"], f"Joint error over {name}") for name in study.layout.names),
         sensor_table=_sensor_table(study),
+        optics=_optics_text(study),
         budget_table=_budget_table(study),
         point=_operating_point(study),
         source_tables="\n".join(_source_table(study, reading) for reading in InstallationReading),
@@ -106,6 +108,29 @@ def _sensor_table(study: LayoutStudy) -> str:
         )
         rows.append([name, *(" / ".join(f"{sigma:g}" for sigma in sigmas) for sigmas in (noise, installation))])
     return _table(header, rows)
+
+
+def _optics_text(study: LayoutStudy) -> str:
+    """What the optics give over the sky, and Liebe's figures beside; nothing where no optics are given."""
+    if not study.optics:
+        return ""
+    rows = []
+    for name, found in study.optics.items():
+        stars = [f"{count:.0f}" for count in found.fewest_stars().values()]
+        field = f"{found.field_deg[0]:.1f}° × {found.field_deg[1]:.1f}°"
+        sigmas = [" / ".join(_arcsec(triple)) for triple in (found.held_arcsec, found.liebe_arcsec)]
+        share = f"{100.0 * study.config.optics[name].sky_share:g} %"
+        star = f"{found.star_sigma_arcsec:.2f}"
+        rows.append([name, field, star, f"{found.stars.mean():.1f}", *stars, share, *sigmas])
+    header = ["sensor", "field", "one star [″]", "stars, mean", *(f"in {percent} %" for percent in PERCENTILES)]
+    header += ["held in", "about boresight / up / right [″]", "by Liebe [″]"]
+    return (
+        "<p>The noise of these sensors follows from their optics and the stars that Hipparcos-2 has in the field: mean "
+        "number of stars, and the number at most found in so many percent of the sky; noise held in the share of the "
+        "sky asked for, and by Liebe's formulas with the mean number (C. C. Liebe, Accuracy performance of star "
+        "trackers, 2002). The magnitude limit is as given. Lens errors are not in it.</p>"
+        f'<div class="table">{_table(header, rows)}</div>'
+    )
 
 
 def _budget_table(study: LayoutStudy) -> str:

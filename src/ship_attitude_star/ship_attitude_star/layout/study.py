@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from ship_attitude_star.layout.config import LEAST_ELEVATION_DEG, LayoutStudyConfig
 from ship_attitude_star.layout.installation_model import Curve, all_curves
 from ship_attitude_star.layout.joint_error import ErrorMap, Layout, SourceError, error_map, total_arcsec
+from ship_attitude_star.layout.masks import Obstructions
+from ship_attitude_star.layout.optics import LEAST_STARS, OpticsOverSky, over_sky
 from ship_estimation.parameters import ParameterError
 from ship_geometry.rotations import FloatArray, wrap_pi
 
@@ -58,6 +60,7 @@ class LayoutStudy:
         maps: the error of ``layout`` while each sensor is bolted anywhere.
         budget: the joint error of ``layout`` by source.
         curves: the curves of the six figures of [Z14].
+        optics: what the optics of sensors give over the sky, by the sensors' names.
     """
 
     config: LayoutStudyConfig
@@ -70,14 +73,17 @@ class LayoutStudy:
     maps: list[ErrorMap]
     budget: list[SourceError]
     curves: list[Curve]
+    optics: dict[str, OpticsOverSky]
 
 
 def study(config: LayoutStudyConfig) -> LayoutStudy:
     """All numbers of a study.
 
     Raises:
-        ParameterError: with the ship's pitch and roll a sensor looks too low.
+        ParameterError: with the ship's pitch and roll a sensor looks too low, or its optics see too few stars.
     """
+    optics = {name: over_sky(of_sensor) for name, of_sensor in config.optics.items()}
+    config = _with_noise_of(config, optics)
     layout = Layout.from_config(config)
     for name, elevation_deg in zip(layout.names, layout.horizon_elevations_deg(), strict=True):
         if elevation_deg < LEAST_ELEVATION_DEG - 1e-9:
@@ -86,7 +92,8 @@ def study(config: LayoutStudyConfig) -> LayoutStudy:
                 f"{elevation_deg:.1f} deg over the horizon, expected at least {LEAST_ELEVATION_DEG:g} deg",
                 f"sensors.{name}.elevation_deg",
             )
-    best = recommended(layout)
+    obstructions = _checked_sights(config, layout)
+    best = recommended(layout, obstructions)
     count = len(layout.names)
     return LayoutStudy(
         config=config,
@@ -95,15 +102,71 @@ def study(config: LayoutStudyConfig) -> LayoutStudy:
         joint_arcsec=layout.sigmas_arcsec(),
         best=best,
         best_arcsec=best.sigmas_arcsec(),
-        scans=[scan(best, number) for number in range(min(1, count - 1), count)],
+        scans=[scan(best, number, obstructions) for number in range(min(1, count - 1), count)],
         maps=[error_map(layout, number) for number in range(count)],
         budget=layout.budget(),
         curves=all_curves(config.figures),
+        optics=optics,
     )
 
 
-def recommended(layout: Layout) -> Layout:
-    """The layout with the azimuths that give the least total error; the first sensor keeps its own.
+def _with_noise_of(config: LayoutStudyConfig, optics: dict[str, OpticsOverSky]) -> LayoutStudyConfig:
+    """The study in which each sensor that has optics has the noise that they give.
+
+    Raises:
+        ParameterError: in more of the sky than allowed there are too few stars.
+    """
+    sensors = dict(config.sensors)
+    for name, found in optics.items():
+        if not np.isfinite(found.held_arcsec).all():
+            raise ParameterError(
+                f"parameter 'optics.{name}.magnitude_limit': in {100.0 * found.share_without():.0f} % of the sky the "
+                f"field of {found.field_deg[0]:.1f} x {found.field_deg[1]:.1f} deg holds fewer than {LEAST_STARS} "
+                f"stars, more than sky_share = {config.optics[name].sky_share:g} allows: expected fainter stars or a "
+                "wider field",
+                f"optics.{name}.magnitude_limit",
+            )
+        forward, up, right = (float(sigma) for sigma in found.held_arcsec)
+        sensors[name] = replace(
+            sensors[name], sigma_forward_arcsec=forward, sigma_up_arcsec=up, sigma_right_arcsec=right
+        )
+    return replace(config, sensors=sensors)
+
+
+def _checked_sights(config: LayoutStudyConfig, layout: Layout) -> Obstructions | None:
+    """What stands in the way, if anything does; not in the field of a sensor as given.
+
+    Raises:
+        ParameterError: one does; names it, or the masks that leave the sensor no azimuth at its elevation.
+    """
+    if not config.masks:
+        return None
+    half = np.tan(np.deg2rad(config.field_of_view_deg) / 2.0)
+    optics = config.optics
+    half_fields = [optics[name].half_field() if name in optics else np.full(2, half) for name in layout.names]
+    obstructions = Obstructions.from_masks(config.masks, np.array(half_fields))
+    for number, name in enumerate(layout.names):
+        reaching = obstructions.in_view(number, layout.angles[number])
+        if not reaching:
+            continue
+        turned = np.tile(layout.angles[number], (72, 1))
+        turned[:, 0] = np.deg2rad(np.arange(0.0, 360.0, 5.0))
+        clear_deg = np.rad2deg(turned[obstructions.clear(number, turned), 0])
+        away = np.abs(wrap_pi(np.deg2rad(clear_deg) - layout.angles[number, 0]))
+        instead = (
+            f"the nearest clear azimuth at this elevation is {clear_deg[int(np.argmin(away))]:.0f} deg"
+            if clear_deg.size
+            else f"the masks {', '.join(config.masks)} leave no azimuth at this elevation clear"
+        )
+        raise ParameterError(
+            f"parameter 'sensors.{name}.azimuth_deg': {', '.join(reaching)} stands in the field of view: {instead}",
+            f"sensors.{name}.azimuth_deg",
+        )
+    return obstructions
+
+
+def recommended(layout: Layout, obstructions: Obstructions | None = None) -> Layout:
+    """The layout with the clear azimuths that give the least total error; the first sensor keeps its own.
 
     The search descends from the given azimuths and from sensors spread evenly over half and over the whole circle.
     """
@@ -113,29 +176,33 @@ def recommended(layout: Layout) -> Layout:
     starts += [first + np.arange(count) * circle / count for circle in (np.pi, 2.0 * np.pi)]
     layouts = [_with_azimuths(layout, azimuths) for azimuths in starts]
     # On a heeled ship a sensor of the other two starts may look into the sea, where no error is finite.
-    candidates = [_descended(start) for start in layouts if np.isfinite(start.sigmas_arcsec()).all()]
+    candidates = [_descended(start, obstructions) for start in layouts if np.isfinite(start.sigmas_arcsec()).all()]
     # Of nearly equal layouts the first is taken: it comes from the given azimuths and has the least to rebuild.
     totals = np.array([total_arcsec(candidate.sigmas_arcsec()) for candidate in candidates])
     return candidates[int(np.argmax(totals <= totals.min() * (1.0 + _NEARLY_SAME)))]
 
 
-def scan(layout: Layout, number: int) -> AzimuthScan:
-    """The error while the sensor of that number is turned through all azimuths."""
+def scan(layout: Layout, number: int, obstructions: Obstructions | None = None) -> AzimuthScan:
+    """The error while the sensor of that number is turned through all azimuths; NaN where a mask is in its field."""
     azimuths_deg = np.arange(0.0, 360.0, _STEP_DEG)
     angles = np.tile(layout.angles, (azimuths_deg.size, 1, 1))
     angles[:, number, 0] = np.deg2rad(azimuths_deg)
     sigmas = layout.sigmas_arcsec(angles)
+    if obstructions is not None:
+        clear = obstructions.clear(number, angles[:, number])
+        # A gap between masks may be narrower than the steps: then nothing is hidden.
+        sigmas[~clear & clear.any()] = np.nan
     good = total_arcsec(sigmas) <= np.nanmin(total_arcsec(sigmas)) * (1.0 + _ALLOWED_LOSS)
     own = round(np.rad2deg(layout.angles[number, 0]) / _STEP_DEG) % azimuths_deg.size
     return AzimuthScan(layout.names[number], azimuths_deg, sigmas, _run_around(good, own, azimuths_deg))
 
 
-def _descended(layout: Layout) -> Layout:
+def _descended(layout: Layout, obstructions: Obstructions | None) -> Layout:
     """Each sensor but the first turned to its best azimuth in its turn, until none moves."""
     for _ in range(_MOST_ROUNDS):
         before = layout.angles[:, 0].copy()
         for number in range(1, len(layout.names)):
-            scanned = scan(layout, number)
+            scanned = scan(layout, number, obstructions)
             totals = total_arcsec(scanned.sigmas_arcsec)
             best = scanned.azimuths_deg[totals <= np.nanmin(totals) * (1.0 + _SAME)]
             away = np.abs(wrap_pi(np.deg2rad(best) - layout.angles[number, 0]))

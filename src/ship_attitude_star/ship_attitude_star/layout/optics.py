@@ -1,0 +1,156 @@
+"""From the optics of a star sensor to the noise of its attitude, by the real stars and by Liebe's formulas.
+
+C. C. Liebe, "Accuracy performance of star trackers: a tutorial", IEEE Transactions on Aerospace and Electronic Systems
+38(2), 2002, gives for N stars in a square field:
+
+    across the boresight    field · centroid / (pixels · √N)
+    about the boresight     atan(centroid / (0.3825 · pixels)) / √N
+
+0.3825 is the *mean* distance of a star from the middle of a square field, in sides; what counts is its root mean
+square, 1/√6 = 0.4082, so with many stars the second formula is 7 % larger than the attitude's covariance. With
+few stars the covariance is larger, because the stars are turned about their own middle. The layout study
+takes the covariance of the stars that the catalogue has, and shows Liebe's figures beside it.
+
+The magnitude limit is given, not derived from aperture and exposure: with them alone, without the brightness of the
+sky, the noise of the read-out and the streaks of a rolling ship, any limit would be a guess.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from ship_attitude_star.layout.config import Optics
+from ship_attitude_star.sky.catalogue import hipparcos
+from ship_geometry.rotations import FloatArray
+
+LEAST_STARS = 2
+"""Fewer stars give no attitude."""
+
+PERCENTILES = (1, 5, 10, 50)
+"""Shares of the sky, in percent, whose largest number of stars in the field is told."""
+
+_DIRECTIONS = 1000
+_SEED = 20020401
+_AT_ONCE = 100
+_MEAN_DISTANCE = 0.3825
+
+
+@dataclass(frozen=True)
+class OpticsOverSky:
+    """What optics give over the whole sky.
+
+    Attributes:
+        field_deg: width and height of the field of view.
+        star_sigma_arcsec: noise of the direction of one star, per axis.
+        stars: number of stars in the field for each of many directions and rolls drawn evenly, shape (n,).
+        sigmas_arcsec: sigma about (forward, up, right) for each of them, shape (n, 3); infinite with too few stars.
+        held_arcsec: sigma about (forward, up, right) that is held in the share of the sky asked for, shape (3,).
+        liebe_arcsec: sigma about (forward, up, right) by Liebe's formulas with the mean number of stars, shape (3,).
+    """
+
+    field_deg: tuple[float, float]
+    star_sigma_arcsec: float
+    stars: FloatArray
+    sigmas_arcsec: FloatArray
+    held_arcsec: FloatArray
+    liebe_arcsec: FloatArray
+
+    def fewest_stars(self) -> dict[int, float]:
+        """Number of stars that is not reached in so many percent of the sky, by the percent."""
+        return {percent: float(np.percentile(self.stars, percent, method="lower")) for percent in PERCENTILES}
+
+    def share_without(self) -> float:
+        """Share of the sky in which there are too few stars for an attitude."""
+        return float(np.mean(self.stars < LEAST_STARS))
+
+
+def over_sky(optics: Optics) -> OpticsOverSky:
+    """The stars in the field and the noise of the attitude over the sky, by the Hipparcos-2 catalogue.
+
+    Directions and rolls are drawn with a fixed seed.
+    """
+    sigma = optics.star_sigma()
+    fields = list(_fields(optics))
+    stars = np.array([float(len(seen)) for seen in fields])
+    sigmas = np.array([attitude_sigmas(seen, sigma) for seen in fields])
+    # Of infinite values the quantile between two would be no number: the upper one of the two is taken.
+    held = np.quantile(sigmas, optics.sky_share, axis=0, method="higher")
+    arcsec = np.rad2deg(1.0) * 3600.0
+    width, height = np.rad2deg(2.0 * np.arctan(optics.half_field()))
+    return OpticsOverSky(
+        field_deg=(float(width), float(height)),
+        star_sigma_arcsec=sigma * arcsec,
+        stars=stars,
+        sigmas_arcsec=sigmas * arcsec,
+        held_arcsec=held * arcsec,
+        liebe_arcsec=liebe_sigmas(optics, float(stars.mean())) * arcsec,
+    )
+
+
+def liebe_sigmas(optics: Optics, stars: float) -> FloatArray:
+    """Sigma about (forward, up, right) by Liebe's formulas, shape (3,), rad.
+
+    Args:
+        optics: of the sensor; the pixels of Liebe's square field are the root of columns times rows.
+        stars: number of stars in the field.
+    """
+    with np.errstate(divide="ignore"):
+        fewer = np.sqrt(np.float64(1.0) / stars)
+    pixels = np.sqrt(float(optics.width_px * optics.height_px))
+    about = np.arctan(optics.centroid_sigma_px / (_MEAN_DISTANCE * pixels))
+    # A turn about the up axis moves stars along the rows.
+    width, height = 2.0 * np.arctan(optics.half_field())
+    about_up = width * optics.centroid_sigma_px / optics.width_px
+    about_right = height * optics.centroid_sigma_px / optics.height_px
+    sigmas: FloatArray = np.array([about, about_up, about_right]) * fewer
+    return sigmas
+
+
+def attitude_sigmas(stars_s: FloatArray, sigma: float) -> FloatArray:
+    """Sigma about (forward, up, right) of the attitude by some stars, shape (3,), rad; infinite with fewer than two.
+
+    The covariance is that of the best attitude, (Σ σ⁻² (I − v vᵀ))⁻¹.
+
+    Args:
+        stars_s: unit vectors of the stars in the sensor frame, shape (k, 3).
+        sigma: noise of each direction, per axis, rad.
+    """
+    if len(stars_s) < LEAST_STARS:
+        return np.full(3, np.inf)
+    information = len(stars_s) * np.eye(3) - stars_s.T @ stars_s
+    sigmas: FloatArray = sigma * np.sqrt(np.diagonal(np.linalg.inv(information)))
+    return sigmas
+
+
+def _fields(optics: Optics) -> Iterator[FloatArray]:
+    """The stars in the field for each direction drawn: unit vectors in the sensor frame, each of shape (k, 3)."""
+    stars = _stars_up_to(optics.magnitude_limit)
+    half = optics.half_field()
+    rotations_sc = _drawn_rotations()
+    for first in range(0, _DIRECTIONS, _AT_ONCE):
+        turned = np.einsum("nij,kj->nki", rotations_sc[first : first + _AT_ONCE], stars)
+        inside = (turned[..., 0] > 0.0) & (np.abs(turned[..., 2]) <= half[0] * turned[..., 0])
+        inside &= np.abs(turned[..., 1]) <= half[1] * turned[..., 0]
+        for seen, of_field in zip(turned, inside, strict=True):
+            yield seen[of_field]
+
+
+@lru_cache(maxsize=4)
+def _stars_up_to(magnitude: float) -> FloatArray:
+    """Unit vectors of the stars up to a magnitude, shape (k, 3)."""
+    catalogue = hipparcos()
+    rows = catalogue.brighter_than(magnitude)
+    # Their motion since the epoch is nothing against a field of view.
+    alpha, delta = catalogue.at_epoch.right_ascension[rows], catalogue.at_epoch.declination[rows]
+    return np.stack([np.cos(delta) * np.cos(alpha), np.cos(delta) * np.sin(alpha), np.sin(delta)], axis=-1)
+
+
+def _drawn_rotations() -> FloatArray:
+    """Rotations drawn evenly over all attitudes, shape (n, 3, 3): orthogonal factors of normal matrices."""
+    factors, triangles = np.linalg.qr(np.random.default_rng(_SEED).standard_normal((_DIRECTIONS, 3, 3)))
+    # With a positive diagonal of the triangle the factor is drawn evenly (Mezzadri, 2007); then mirrors are turned.
+    factors *= np.sign(np.diagonal(triangles, axis1=-2, axis2=-1))[:, None, :]
+    factors[:, :, 0] *= np.linalg.det(factors)[:, None]
+    return factors
