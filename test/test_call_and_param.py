@@ -89,6 +89,16 @@ def test_parameters_are_listed_with_units_read_and_set(environment):
     assert re.match(r"  gate\.probability\* +0\.999 ", asked(environment, "param", NODE, "gate.probability")[1])
 
 
+def test_a_source_is_taken_out_and_back(environment):
+    assert asked(environment, "param", NODE, "sources_off", "star.fore") == (0, "sources_off = star.fore, was []\n", "")
+    assert asked(environment, "param", NODE, "sources_off", "[]") == (0, "sources_off = [], was star.fore\n", "")
+    code, _, told = asked(environment, "param", NODE, "sources_off", "fore")
+    assert code == 1
+    assert told.startswith("param: refused: parameter 'sources_off': there is no source 'fore': expected some of star.")
+    code, _, told = asked(environment, "param", NODE, "sources_off", "ins")
+    assert (code, "stop what publishes ins/imu" in told) == (1, True)
+
+
 def test_what_the_node_refuses_is_said_in_its_words(environment):
     code, _, told = asked(environment, "param", NODE, "gate.probability", "7")
     assert (code, told.count("\n")) == (1, 1)
@@ -109,6 +119,7 @@ def test_what_the_node_refuses_is_said_in_its_words(environment):
         (ParameterValue(type=ParameterType.PARAMETER_STRING, string_value="a,b c"), "a,b c"),
         (ParameterValue(type=ParameterType.PARAMETER_DOUBLE_ARRAY, double_array_value=[1.0, 2.5]), "1.0,2.5"),
         (ParameterValue(type=ParameterType.PARAMETER_STRING_ARRAY, string_array_value=["a", "b"]), "a,b"),
+        (ParameterValue(type=ParameterType.PARAMETER_STRING_ARRAY), "[]"),
     ],
 )
 def test_a_value_is_written_as_it_is_read(value, text):

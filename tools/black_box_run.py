@@ -1,6 +1,7 @@
 """A long live run with everything that a watch may do, and its black boxes replayed to the last bit.
 
-Two parameter changes and a refused one, a save, a reset and a load; then the node starts anew with its saved alignment.
+Four parameter changes, a star sensor taken out and back among them, and a refused one, a save, a reset and a load;
+then the node starts anew with its saved alignment.
 Exit code 0 all boxes verified; 1 one was not, or a process failed; 2 bad input or usage.
 """
 
@@ -102,13 +103,13 @@ def call(run: LiveRun, kind: Any, name: str, request: Any) -> Any:
     return answer.result()
 
 
-def set_parameter(run: LiveRun, name: str, value: float) -> Any:
+def set_parameter(run: LiveRun, name: str, value: float | list[str]) -> Any:
     """What the node says to a live change."""
     request = SetParametersAtomically.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
     return call(run, SetParametersAtomically, "set_parameters_atomically", request).result
 
 
-def _changed(name: str, value: float, wanted: bool) -> Callable[[LiveRun], None]:
+def _changed(name: str, value: float | list[str], wanted: bool) -> Callable[[LiveRun], None]:
     def act(run: LiveRun) -> None:
         result = set_parameter(run, name, value)
         if result.successful != wanted:
@@ -128,8 +129,10 @@ def _served(name: str) -> Callable[[LiveRun], None]:
 
 _ACTIONS: tuple[Action, ...] = (
     (0.20, _changed("gate.probability", 0.99, wanted=True)),
+    (0.25, _changed("sources_off", ["star.fore"], wanted=True)),
     (0.30, _changed("gate.probability", 0.1, wanted=False)),
     (0.40, _changed("ins.white_sigma_arcsec", 2.0, wanted=True)),
+    (0.45, _changed("sources_off", [], wanted=True)),
     (0.50, _served("save_alignment")),
     (0.60, _served("reset")),
     (0.80, _served("load_alignment")),

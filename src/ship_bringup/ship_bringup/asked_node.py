@@ -25,6 +25,9 @@ _MOST_LISTED = 12
 """Of more names than this only the nearest is told, so that it is not lost among them."""
 _TIMEOUT_S = 5.0
 
+_NOTHING = "[]"
+"""An empty list."""
+
 
 def asking_parser(prog: str, example: str, description: str, epilog: str) -> CommandParser:
     """The parser of a command that asks a node: it takes the node's ``node`` and the ``timeout`` of its answers.
@@ -169,7 +172,7 @@ def unknown(what: str, name: str, known: Collection[str]) -> str:
 
 
 def value_from_text(text: str, like: ParameterValue) -> ParameterValue:
-    """A value of the same type as another one; lists have commas between their elements.
+    """A value of the same type as another one; lists have commas between their elements, empty ones are [] or nothing.
 
     Raises:
         ValueError: the text is no such value; says what was expected.
@@ -184,9 +187,9 @@ def value_from_text(text: str, like: ParameterValue) -> ParameterValue:
     elif kind == ParameterType.PARAMETER_STRING:
         value.string_value = text
     elif kind == ParameterType.PARAMETER_DOUBLE_ARRAY:
-        value.double_array_value = [_number(float, part, "numbers with commas between") for part in text.split(",")]
+        value.double_array_value = [_number(float, part, "numbers with commas between") for part in _parts(text)]
     elif kind == ParameterType.PARAMETER_STRING_ARRAY:
-        value.string_array_value = text.split(",")
+        value.string_array_value = _parts(text)
     else:
         raise ValueError("a value that this command can set: number, text, true or false")
     return value
@@ -201,7 +204,11 @@ def text_of(value: ParameterValue) -> str:
         return plain or "''"
     if plain is None or isinstance(plain, (int, float)):
         return str(plain)
-    return ",".join(str(part) for part in plain)
+    return ",".join(str(part) for part in plain) or _NOTHING
+
+
+def _parts(text: str) -> list[str]:
+    return [] if text in ("", _NOTHING) else text.split(",")
 
 
 def _switch(text: str) -> bool:

@@ -113,6 +113,24 @@ def autosave_period() -> Any:
     )
 
 
+def sources_off() -> Any:
+    """The live parameter ``sources_off`` of an estimator: the sources that people have taken out.
+
+    Example:
+        >>> @dataclasses.dataclass(frozen=True)
+        ... class Node:
+        ...     sources_off: tuple[str, ...] = sources_off()
+        >>> Node().sources_off
+        ()
+    """
+    return parameter(
+        (),
+        doc="sources, by their names in innovations and health, that are taken out: their messages are read and"
+        " counted, and not used",
+        live=True,
+    )
+
+
 def mapping_of(doc: str) -> Any:
     """A field of type ``dict[str, Dataclass]``, empty by default.
 

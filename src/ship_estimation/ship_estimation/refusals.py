@@ -3,6 +3,7 @@
 This module names the reasons. A measurement meets those who decide in this order:
 
 1. the reader of its message (``ros/`` of each estimator, with the checks of ``ship_node/edge/messages_in``): fields;
+   and the adapter (``ship_node/edge/reporting_adapter``), where people have taken the source out: OFF;
 2. :class:`ship_estimation.estimator_shell.LagWindow`: LATE;
 3. the guards, which look at one stream by itself: :mod:`ship_estimation.ins_guard` at an INS, ``guards/`` at star
    sensors and references, ``theodolite_calib/measured/encoder_watch`` at encoders: STUCK, UNITS, and GATE for one
@@ -75,6 +76,7 @@ class Reason(enum.IntEnum):
     FAILED = 29
     EXCLUDED = 30
     JUMP = 31
+    OFF = 32
 
     @property
     def word(self) -> str:

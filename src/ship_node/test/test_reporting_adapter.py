@@ -12,7 +12,8 @@ import pytest
 
 from ship_bags.message_factory import RosidlFactory
 from ship_estimation.outcome import Decision, Outcome, Status
-from ship_estimation.parameter_fields import autosave_period, parameter
+from ship_estimation.parameter_fields import autosave_period, parameter, sources_off
+from ship_estimation.parameters import ParameterError
 from ship_estimation.refusals import Reason, Refusal
 from ship_node.documents.saved_document import DISK, SavedFormat, section, stamp_ns
 from ship_node.documents.saved_start import SavedStart
@@ -29,6 +30,7 @@ FAST, JUDGED = "fast", "judged"
 
 @dataclass(frozen=True)
 class TinyConfig:
+    sources_off: tuple[str, ...] = sources_off()
     max_age_s: float = parameter(10.0, doc="age", unit="s", minimum=0.1, maximum=100.0)
     alignment_autosave_s: float = autosave_period()
     slow_topics_period_s: float = parameter(1.0, doc="period", unit="s", minimum=0.1, maximum=10.0, live=True)
@@ -74,6 +76,7 @@ def read(message: Any, receive_ns: int, scale: int = 1) -> ReadMessage[Value]:
 class TinyAdapter(ReportingAdapter):
     node_name, config_type, services = "tiny", TinyConfig, ("reset", "save_alignment", "load_alignment")
     main_topic, innovation_topic = "tiny/value", "tiny/innovation"
+    always_in = ("fast",)
     slow_fails = False
 
     def table(self, config: TinyConfig) -> Iterator[Feed]:
@@ -236,3 +239,58 @@ def test_a_saved_document_is_given_to_the_core_as_soon_as_there_is_a_time(tmp_pa
     assert answer == (True, f"alignment loaded from {path}; of another voyage")
     for with_or_without in (later, TinyAdapter(TinyConfig(), TinyCore(), FACTORY)):
         assert with_or_without.service("explode", NOW_NS) == (False, "tiny has no service 'explode'")
+
+
+def off_text(adapter: TinyAdapter) -> list[tuple[int, str]]:
+    """What the diagnostics say of sources that are off."""
+    adapter.slow_due_ns = None
+    (array,) = [m for topic, m in adapter.tick(NOW_NS) if topic == "/diagnostics"]
+    return [(status.level, status.message) for status in array.status if "sources off" in status.name]
+
+
+def test_a_source_that_is_off_is_read_and_counted_and_the_core_never_hears_of_it(adapter: TinyAdapter) -> None:
+    adapter.set_parameters({"sources_off": ["device", "device"]})
+    (config,) = adapter.core.calls
+    assert config is adapter.config
+    assert config.sources_off == ("device", "device")
+    for number in range(30):
+        ((topic, told),) = adapter.handle(JUDGED, message(left_out=("polaris",)), NOW_NS + number * S // 10)
+        assert (topic, told.source, told.reason, told.accepted) == ("tiny/innovation", "device", Reason.OFF, False)
+    ((_, unread),) = adapter.handle(JUDGED, message(bad=Reason.UNITS), NOW_NS + 3 * S)
+    assert unread.reason == Reason.UNITS
+    assert adapter.core.calls == [config]
+    assert health(adapter, JUDGED) == (31, 0, 31, {"units": 31, "off": 30})
+    assert off_text(adapter) == [(1, "taken out by sources_off: device")]
+
+
+def test_what_people_took_out_is_no_run_of_refusals(adapter: TinyAdapter) -> None:
+    adapter.set_parameters({"sources_off": ["device"]})
+    for number in range(30):
+        adapter.handle(JUDGED, message(), NOW_NS + number * S // 10)
+    (status,) = [s for s in adapter.health.statuses(NOW_NS + 3 * S) if s.name == f"input {JUDGED}"]
+    assert (status.level, status.message) == (Level.WARN, "refused, off: taken out by sources_off")
+
+
+def test_a_source_taken_back_is_used_from_its_next_message(adapter: TinyAdapter) -> None:
+    adapter.set_parameters({"sources_off": ["device"]})
+    adapter.handle(JUDGED, message(), NOW_NS)
+    adapter.set_parameters({"sources_off": []})
+    adapter.core.calls.clear()
+    assert adapter.handle(JUDGED, message(), NOW_NS + S) == []
+    assert adapter.core.calls == [(Value(NOW_NS), NOW_NS + S)]
+    assert off_text(adapter) == []
+
+
+@pytest.mark.parametrize(
+    ("source", "said"), [("camera", "expected some of device"), ("fast", "'fast' cannot be taken out")]
+)
+def test_a_source_that_cannot_be_taken_out_is_refused_live_and_at_the_start(
+    adapter: TinyAdapter, source: str, said: str
+) -> None:
+    adapter.set_parameters({"sources_off": ["device"]})
+    before, calls = adapter.config, list(adapter.core.calls)
+    with pytest.raises(ParameterError, match=said):
+        adapter.set_parameters({"sources_off": [source]})
+    assert (adapter.config, adapter.core.calls, adapter.is_off(JUDGED)) == (before, calls, True)
+    with pytest.raises(ParameterError, match=said):
+        TinyAdapter(TinyConfig(sources_off=(source,)), TinyCore(), FACTORY)

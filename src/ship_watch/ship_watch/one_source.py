@@ -186,6 +186,8 @@ def _refusal_text(source: str, name: str, streak: Streak) -> str:
         return "invalid"
     if streak.reason is Reason.EXCLUDED:
         return "excluded"
+    if streak.reason is Reason.OFF:
+        return "taken out"
     if not streak.refused:
         return _with_member(f"{streak.accepted_again} accepted again", name)
     told = streak.reason not in (Reason.GATE, Reason.NONE)

@@ -7,7 +7,15 @@ import numpy as np
 
 from ship_estimation.gates import GateConfig
 from ship_estimation.ins import GuardedInsConfig, InsErrorConfig
-from ship_estimation.parameter_fields import arcsec, autosave_period, mapping_of, parameter, section, stamp_age
+from ship_estimation.parameter_fields import (
+    arcsec,
+    autosave_period,
+    mapping_of,
+    parameter,
+    section,
+    sources_off,
+    stamp_age,
+)
 from ship_estimation.parameters import ParameterError
 from ship_estimation.protection import IntegrityConfig
 from ship_geometry.rotations import ARCSEC, FloatArray
@@ -343,6 +351,7 @@ class OpticalAxisConfig:
         maximum=3600.0,
         live=True,
     )
+    sources_off: tuple[str, ...] = sources_off()
     max_age_s: float = stamp_age()
     slow_topics_period_s: float = parameter(
         1.0, doc="period of budget, calibration, error and health topics", unit="s", minimum=0.1, maximum=60.0

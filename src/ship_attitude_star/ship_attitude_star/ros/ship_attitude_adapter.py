@@ -110,6 +110,7 @@ class ShipAttitudeAdapter(BlockAdapter):
     innovation_topic: ClassVar[str] = "ship/innovation"
     integrity_topic: ClassVar[str] = INTEGRITY_TOPIC
     quantities: ClassVar[tuple[str, ...]] = QUANTITIES
+    always_in: ClassVar[tuple[str, ...]] = ("ins",)
     checked_by: ClassVar["attrgetter[tuple[Any, ...]]"] = attrgetter("status", "sources")
     directions: ClassVar["attrgetter[np.ndarray]"] = attrgetter("rotation_nd")
     outputs: tuple[OutputTopic, ...] = (

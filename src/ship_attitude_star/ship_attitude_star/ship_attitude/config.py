@@ -9,7 +9,16 @@ from ship_attitude_star.stars.config import CameraConfig, MountingConfig, StarSe
 from ship_attitude_star.vertical.config import GravityConfig
 from ship_estimation.gates import GateConfig
 from ship_estimation.ins import InsErrorConfig, StarInsConfig
-from ship_estimation.parameter_fields import arcsec, autosave_period, degrees, mapping_of, parameter, section, stamp_age
+from ship_estimation.parameter_fields import (
+    arcsec,
+    autosave_period,
+    degrees,
+    mapping_of,
+    parameter,
+    section,
+    sources_off,
+    stamp_age,
+)
 from ship_estimation.parameters import ParameterError
 from ship_estimation.protection import IntegrityConfig
 
@@ -180,6 +189,7 @@ class ShipAttitudeConfig(StarSensorsById):
     coasting_after_s: float = parameter(
         2.0, doc="without stars for this long the status is COASTING", unit="s", minimum=0.1, maximum=3600.0, live=True
     )
+    sources_off: tuple[str, ...] = sources_off()
     max_age_s: float = stamp_age()
     slow_topics_period_s: float = parameter(
         1.0, doc="period of budget, alignment, error and health topics", unit="s", minimum=0.1, maximum=60.0

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from ship_attitude_star.sky.config import SkyConfig
 from ship_attitude_star.stars.config import CameraConfig, MountingConfig, StarSensorsById
 from ship_estimation.ins import StarInsConfig
-from ship_estimation.parameter_fields import mapping_of, parameter, section, stamp_age
+from ship_estimation.parameter_fields import mapping_of, parameter, section, sources_off, stamp_age
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +64,7 @@ class StarAttitudeConfig(StarSensorsById):
     lag_s: float = parameter(
         2.0, doc="exposures later than this behind the newest data are not used", unit="s", minimum=0.0, maximum=600.0
     )
+    sources_off: tuple[str, ...] = sources_off()
     max_age_s: float = stamp_age()
     slow_topics_period_s: float = parameter(
         1.0, doc="period of budget and health topics", unit="s", minimum=0.1, maximum=60.0

@@ -23,7 +23,7 @@ class BlockAdapter(ReportingAdapter):
 
     def takes_blocks(self, topic: str) -> bool:
         """Whether the messages of a topic can be given many at once."""
-        return self.feeds[topic].block is not None
+        return self.feeds[topic].block is not None and not self.is_off(topic)
 
     def reads_rows(self, topic: str) -> bool:
         """Whether the messages of a topic can be read many at once, each of which is then taken by itself."""
@@ -37,9 +37,11 @@ class BlockAdapter(ReportingAdapter):
 
     def handle_read(self, topic: str, reading: ReadMessage[Any], receive_ns: int) -> list[Published]:
         """Take one message of an input topic that was read before its turn."""
+        feed = self.feeds[topic]
+        if self.is_off(topic):
+            return self.set_aside(feed, reading, receive_ns, receive_ns)
         if self.saved is not None and self.saved.is_due:
             self.saved.start(receive_ns)
-        feed = self.feeds[topic]
         return self.told(feed, reading, feed.take(reading.value, receive_ns), receive_ns, receive_ns)
 
     @property

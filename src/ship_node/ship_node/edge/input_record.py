@@ -37,7 +37,7 @@ class InputRecord:
         reasons: how often each reason was met, in order of first appearance.
         noted: of these, with messages that were used all the same.
         late_delays: late messages per bin of :data:`LATE_EDGES_S`, and above.
-        refused_in_a_row: messages refused since the last accepted one.
+        refused_in_a_row: messages refused since the last accepted one, those of a source that is taken out aside.
         future_in_a_row: likewise, stamped in the future.
         last_refusal_ns: when the last message was refused, in the time of waiting; None where none was.
         last_refusal: why; None where none was.
@@ -113,7 +113,8 @@ class InputRecord:
         """A message was refused; the delay of a late one goes into the histogram."""
         self.rejected += 1
         self.reasons[refusal.reason] += 1
-        self.refused_in_a_row += 1
+        # A source that people have taken out may be as good as ever: that is no run of refusals.
+        self.refused_in_a_row += refusal.reason is not Reason.OFF
         self.future_in_a_row = self.future_in_a_row + 1 if refusal.reason is Reason.FUTURE else 0
         self.last_refusal_ns, self.last_refusal = waiting_ns, refusal
         if refusal.reason is Reason.LATE and stamp_ns is not None:

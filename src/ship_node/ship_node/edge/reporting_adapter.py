@@ -18,7 +18,7 @@ from ship_bags.errors import BadInput
 from ship_bags.message_factory import MessageFactory
 from ship_bags.stamps import ns_from_stamp
 from ship_estimation.outcome import Status
-from ship_estimation.parameters import changed
+from ship_estimation.parameters import ParameterError, changed
 from ship_estimation.refusals import Reason, Refusal, failure
 from ship_estimation.told_levels import ToldLevels
 from ship_node.documents.saved_start import SavedStart
@@ -38,6 +38,7 @@ OWN_OUTPUTS = (
 )
 """What every node gives of itself."""
 
+_TAKEN_OUT = Refusal(Reason.OFF, "taken out by sources_off")
 _SLOW_TOPICS = "slow topics"
 _SECOND_NS = 1_000_000_000
 
@@ -83,6 +84,9 @@ class ReportingAdapter(ABC):
         estimate_messages: what an estimate of the core becomes.
         saved: the saved document that the core starts from; None where the node has none.
 
+    Raises:
+        ParameterError: ``sources_off`` names a source that there is not, or that cannot be taken out.
+
     Attributes:
         config: the parameters now.
         core: the estimator.
@@ -110,6 +114,8 @@ class ReportingAdapter(ABC):
     directions: ClassVar["attrgetter[np.ndarray]"]
     """Of an output: what turns the errors of that state into those of its angles."""
     integrity_frame: ClassVar[str] = messages_out.DECK_FRAME
+    always_in: ClassVar[tuple[str, ...]] = ()
+    """Sources without which there is no output: they cannot be taken out."""
     reset_text: ClassVar[str] = "the filter starts anew"
     start_warnings: tuple[str, ...] = ()
 
@@ -124,6 +130,7 @@ class ReportingAdapter(ABC):
         self.config, self.core, self.factory = config, core, factory
         self._estimate_messages, self.saved = estimate_messages, saved
         self._bind()
+        self._topics_off = self._without(config)
         self.inputs: tuple[InputTopic, ...] = tuple(feed.input for feed in self.feeds.values())
         self.health = InputHealthBook(self.inputs, config.max_age_s)
         self.notices: list[str] = [] if saved is None else saved.notices
@@ -159,11 +166,15 @@ class ReportingAdapter(ABC):
     def handle(self, topic: str, message: Any, receive_ns: int, waiting_ns: int | None = None) -> list[Published]:
         """Take one message of an input topic."""
         waiting_ns = receive_ns if waiting_ns is None else waiting_ns
-        if self.saved is not None and self.saved.is_due:
-            self.saved.start(receive_ns)
         feed = self.feeds[topic]
+        is_off = self.is_off(topic)
+        # As without its topic, a source that is off begins nothing.
+        if self.saved is not None and self.saved.is_due and not is_off:
+            self.saved.start(receive_ns)
         try:
             reading = feed.read(message, receive_ns=receive_ns)
+            if is_off:
+                return self.set_aside(feed, reading, receive_ns, waiting_ns)
             outcome = None if reading.empty else feed.take(reading.value, waiting_ns)
         except Refused as refused:
             known = refused.refusal.reason is not Reason.BAD_STAMP
@@ -190,6 +201,15 @@ class ReportingAdapter(ABC):
         if refusal is not None:
             published.append(self.refused(feed.source, time_ns, refusal))
         return published if outcome is None else published + self.published(outcome, receive_ns, waiting_ns)
+
+    def is_off(self, topic: str) -> bool:
+        """Whether people have taken out the source behind a topic."""
+        return topic in self._topics_off
+
+    def set_aside(self, feed: Feed, reading: ReadMessage[Any], receive_ns: int, waiting_ns: int) -> list[Published]:
+        """What is said of a message that was read, of a source that is taken out."""
+        self.health.took(feed.input.topic, waiting_ns, receive_ns, reading, _TAKEN_OUT, used=False)
+        return [self.refused(feed.source, reading.value.time_ns, _TAKEN_OUT)]
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
         """Do what depends on waiting; once a period, the slow topics."""
@@ -237,7 +257,9 @@ class ReportingAdapter(ABC):
         Raises:
             ParameterError: nothing was changed; the text says why.
         """
-        self.config = changed(self.config, changes)
+        config = changed(self.config, changes)
+        self._topics_off = self._without(config)
+        self.config = config
         self.core.reconfigure(self.config)
         self._bind()
 
@@ -291,6 +313,33 @@ class ReportingAdapter(ABC):
         self.feeds = {feed.input.topic: feed for feed in self.table(self.config)}
         self._measured_by = {feed.measured_by or feed.source: feed for feed in self.feeds.values()}
 
+    def _without(self, config: Any) -> frozenset[str]:
+        """The topics whose sources a configuration takes out.
+
+        Raises:
+            ParameterError: there is no such source, or it cannot be taken out.
+        """
+        topics = {feed.source: topic for topic, feed in self.feeds.items()}
+        for source in config.sources_off:
+            if source in self.always_in:
+                reason = (
+                    f"'{source}' cannot be taken out: without it there is no output. To try that, stop what publishes "
+                    f"{topics[source]}; to use another device, remap {topics[source]} at the start"
+                )
+            elif source not in topics:
+                names = ", ".join(name for name in topics if name not in self.always_in)
+                reason = f"there is no source {source!r}: expected some of {names}"
+            else:
+                continue
+            raise ParameterError(f"parameter 'sources_off': {reason}", "sources_off", value=config.sources_off)
+        return frozenset(topics[source] for source in config.sources_off)
+
+    def _off_statuses(self) -> list[DiagnosticStatus]:
+        """One status with the sources that people have taken out; none where all take part."""
+        names = [feed.source for topic, feed in self.feeds.items() if topic in self._topics_off]
+        text = f"taken out by sources_off: {', '.join(names)}"
+        return [DiagnosticStatus("sources off", messages_out.Level.WARN, text)] if names else []
+
     def _save_by_itself(self, waiting_ns: int) -> None:
         """Save what the core has learned, once a period, while it is sure of it."""
         if self.saved is None or not self.saved.is_time(waiting_ns, self.config.alignment_autosave_s):
@@ -305,7 +354,7 @@ class ReportingAdapter(ABC):
         self.budget_due = None  # no estimate has its budget told twice
         messages, statuses = self.health.told(self.factory, now_ns, waiting_ns)
         published += [(INPUT_HEALTH_TOPIC, message) for message in messages]
-        statuses += self.own_statuses(waiting_ns)
+        statuses += [*self.own_statuses(waiting_ns), *self._off_statuses()]
         array = messages_out.diagnostic_array(now_ns, self.node_name, statuses)
         return [*published, (DIAGNOSTICS_TOPIC, array)]
 

@@ -2,6 +2,7 @@
 
 import re
 import sys
+import typing
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -30,6 +31,9 @@ USE_SIM_TIME = "use_sim_time"
 
 _BLACK_BOX_DOC = "file (.mcap) or folder that takes everything the node uses and gives; empty for none"
 _RELIABLE_INPUTS_DOC = "inputs are reliable: what is lost on the way is sent again, and what is newer waits for it"
+
+_LISTS = {(str,): Parameter.Type.STRING_ARRAY, (float,): Parameter.Type.DOUBLE_ARRAY}
+"""The type of a list by that of its elements."""
 
 _LEAST_INTEGER, _GREATEST_INTEGER = -(2**63), 2**63 - 1
 
@@ -78,7 +82,7 @@ class NodeParameters:
         self._descriptions = _descriptions(flatten(self.config), config_type)
         for name, value in flatten(self.config).items():
             # The override is in the value already, as a float where the file had an integer.
-            node.declare_parameter(name, value, _descriptor(self._descriptions[name]), ignore_override=True)
+            _declare(node, name, value, self._descriptions[name])
 
     def give_changes_to(
         self, calls: AdapterCalls, now_ns: Callable[[], int], before_change: Callable[[], None]
@@ -109,6 +113,7 @@ class NodeParameters:
     ) -> SetParametersResult:
         """Take a request, or refuse it with a reason that log, diagnostics and black box keep."""
         self._before_change()
+        parameters = [self._retyped(parameter) for parameter in parameters]
         asked = {p.name: _plain(p.value) for p in parameters}
         self._adapter_was_asked = False
         try:
@@ -130,6 +135,14 @@ class NodeParameters:
             if not self._adapter_was_asked:
                 self._calls.note_refusal(asked, result.reason, self._now_ns())
         return result
+
+    def _retyped(self, parameter: Parameter) -> Parameter:
+        """An empty list as one of the parameter's own elements: what sends it cannot know of what it is a list."""
+        description = self._descriptions.get(parameter.name)
+        if description is None or _plain(parameter.value) != []:
+            return parameter
+        kind = _LISTS.get(typing.get_args(description.kind)[:1])
+        return parameter if kind is None else Parameter(parameter.name, kind, [])
 
     def _is_of_the_shell(self, name: str) -> bool:
         return name not in self._descriptions and self._node.has_parameter(name)
@@ -168,6 +181,18 @@ def _declared(node: Node, name: str, default: Any, description: str) -> Any:
     except InvalidParameterTypeException as error:
         reason = f"parameter '{name}' must be of type {type(default).__name__}: {error}"
         raise BadInput(reason, parameters=(name,)) from error
+
+
+def _declare(node: Node, name: str, value: Any, description: ParameterDescription) -> None:
+    """Declare a parameter of the configuration."""
+    descriptor = _descriptor(description)
+    kind = _LISTS.get(typing.get_args(description.kind)[:1]) if value == [] and description.live else None
+    if kind is None:
+        node.declare_parameter(name, value, descriptor, ignore_override=True)
+        return
+    # An empty list alone would be one of bytes to rclpy, and could never be anything else.
+    node.declare_parameter(name, kind, descriptor, ignore_override=True)
+    node.set_parameters([Parameter(name, kind, value)])
 
 
 def _plain(value: Any) -> Any:

@@ -94,6 +94,7 @@ class OpticalAxisAdapter(DeferringAdapter):
     integrity_topic: ClassVar[str] = INTEGRITY_TOPIC
     integrity_frame: ClassVar[str] = MAIN_FRAME
     quantities: ClassVar[tuple[str, ...]] = QUANTITIES
+    always_in: ClassVar[tuple[str, ...]] = ("encoder", "ship")
     checked_by: ClassVar["attrgetter[tuple[Any, ...]]"] = attrgetter("status", "mode")
     directions: ClassVar["attrgetter[np.ndarray]"] = attrgetter("by_error_n")
     outputs: tuple[OutputTopic, ...] = (

@@ -1,0 +1,127 @@
+"""A source that ``sources_off`` takes out changes what a bag without its topic changes, to the last bit.
+
+Health, diagnostics and the innovations that name the source tell of its messages, and they alone may differ. What is
+expected is a replay of the same bag without the topic, by the same code without the parameter.
+"""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
+from ship_bags.message_store import RosbagsFactory, message_store, serialize
+from ship_estimation.refusals import Reason
+from ship_replay.offline.adapter_chain import suite_chain
+from ship_replay.offline.block_run import BlockRun
+from ship_replay.offline.nodes import ADAPTERS
+from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
+from ship_testing.places import ROOT
+
+DEMO, THEODOLITE = ROOT / "bags" / "demo.mcap", ROOT / "bags" / "theodolite.mcap"
+OF_ITSELF = {"/diagnostics", "input_health"}
+INNOVATIONS = {"ship/innovation", "theodolite/innovation", "star/innovation"}
+LENGTH_NS = 25_000_000_000
+
+Told = dict[str, list[tuple[int, bytes]]]
+CASES = [
+    (DEMO, "ship_attitude", "star.fore", "star/fore/horizon_attitude"),
+    (DEMO, "ship_attitude", "star.starboard", "star/starboard/horizon_attitude"),
+    (THEODOLITE, "optical_axis", "lights", "theodolite/beacons"),
+    (THEODOLITE, "optical_axis", "baseline.a", "beacon/a/baseline"),
+    (THEODOLITE, "optical_axis", "drone.b", "beacon/b/imu"),
+]
+
+
+class Kept:
+    """A sink that keeps what it is given: topic → log time and bytes of each message."""
+
+    def __init__(self) -> None:
+        self.published: Told = defaultdict(list)
+
+    def write(self, topic: str, message: Any, log_time_ns: int) -> None:
+        self.write_raw(topic, "", serialize(message), log_time_ns)
+
+    def write_raw(self, topic: str, _type_name: str, data: bytes, log_time_ns: int) -> None:
+        self.published[topic].append((log_time_ns, bytes(data)))
+
+    def write_many(
+        self, topics: Sequence[tuple[str, str]], of_topic: np.ndarray, data: Sequence[bytes], log_times_ns: np.ndarray
+    ) -> None:
+        for number, content, time_ns in zip(of_topic.tolist(), data, log_times_ns.tolist(), strict=True):
+            self.published[topics[number][0]].append((time_ns, bytes(content)))
+
+
+def replayed(run_class: type[ReplayRun], bag_path: Path, config_path: Path | None, without: str = "") -> Told:
+    """What the nodes say of the beginning of a bag, one topic left out."""
+    with read_bag(bag_path) as bag:
+        chain, _ = suite_chain(bag, ADAPTERS, RosbagsFactory(), config_path)
+        taken, sink = {topic.topic for topic in chain.inputs} - {without}, Kept()
+        run = run_class(chain, sink, ReplaySummary(), truth_topics=set())
+        assert bag.start_ns is not None
+        for record in bag.records():
+            if record.log_time_ns > bag.start_ns + LENGTH_NS:
+                break
+            if record.topic in taken:
+                run.take(record.topic, record)
+        run.finish()
+    return sink.published
+
+
+def suite_without(bag_path: Path, node: str, source: str, folder: Path) -> Path:
+    """The bag's suite file with a source taken out."""
+    with read_bag(bag_path) as bag:
+        suite = yaml.safe_load(bag.attachments[SUITE_ATTACHMENT])
+    suite[f"/**/{node}"]["ros__parameters"]["sources_off"] = [source]
+    path = folder / "suite.yaml"
+    path.write_text(yaml.safe_dump(suite))
+    return path
+
+
+def estimates(told: Told, source: str) -> tuple[Told, int]:
+    """All that is said but health, diagnostics and that the source is off; and how often that is said."""
+    kept, count = {}, 0
+    for topic, messages in told.items():
+        if topic not in OF_ITSELF:
+            kept[topic] = list(messages)
+        if topic in INNOVATIONS:
+            is_off = [is_told_off(data, source) for _, data in messages]
+            count += sum(is_off)
+            kept[topic] = [message for message, off in zip(messages, is_off, strict=True) if not off]
+    return {topic: messages for topic, messages in kept.items() if messages}, count
+
+
+def is_told_off(data: bytes, source: str) -> bool:
+    innovation = message_store().deserialize_cdr(data, "ship_msgs/msg/Innovation")
+    off = innovation.reason == Reason.OFF
+    assert not off or (innovation.source, innovation.accepted) == (source, False)
+    return bool(off)
+
+
+@pytest.mark.parametrize("run_class", [ReplayRun, BlockRun])
+@pytest.mark.parametrize(("bag_path", "node", "source", "topic"), CASES, ids=[case[2] for case in CASES])
+def test_off_from_the_start_is_as_without_the_topic(
+    run_class: type[ReplayRun], bag_path: Path, node: str, source: str, topic: str, tmp_path: Path
+) -> None:
+    off, told = estimates(replayed(run_class, bag_path, suite_without(bag_path, node, source, tmp_path)), source)
+    without, untold = estimates(replayed(run_class, bag_path, None, without=topic), source)
+    assert untold == 0
+    assert told > 20
+    assert {topic: len(messages) for topic, messages in off.items()} == {
+        topic: len(messages) for topic, messages in without.items()
+    }
+    assert off == without
+    assert off != estimates(replayed(run_class, bag_path, None), source)[0]
+
+
+@pytest.mark.parametrize(("bag_path", "node", "source", "_topic"), CASES[1:3], ids=[case[2] for case in CASES[1:3]])
+def test_blocks_say_what_is_said_one_by_one(
+    bag_path: Path, node: str, source: str, _topic: str, tmp_path: Path
+) -> None:
+    suite = suite_without(bag_path, node, source, tmp_path)
+    assert replayed(BlockRun, bag_path, suite) == replayed(ReplayRun, bag_path, suite)
