@@ -118,7 +118,7 @@ def _scan_figure(study: LayoutStudy) -> Figure:
     for turned, axes in zip(study.scans, grid[:, 0], strict=True):
         _draw_scan(axes, turned, study)
     if len(study.layout.names) > 1:
-        figure.suptitle(f"Sensor “{study.layout.names[0]}” keeps its azimuth: only differences count")
+        figure.suptitle(f"Sensor “{study.layout.names[0]}” keeps its azimuth")
     handles, labels = grid[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     return figure
