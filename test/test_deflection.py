@@ -226,7 +226,7 @@ class _Rearranged:
 
 
 def test_gravitys_horizon_needs_the_deflection() -> None:
-    with pytest.raises(ParameterError, match=r"gravity\.deflection is none"):
+    with pytest.raises(ParameterError, match=r"'horizon' is gravity, and gravity\.deflection none"):
         build(ShipAttitudeConfig, {"horizon": "gravity"})
 
 

@@ -67,7 +67,11 @@ def command_node(name: str, ros_arguments: list[str], use_sim_time: bool = False
     rclpy.init(args=ros_arguments, signal_handler_options=SignalHandlerOptions.NO)
     try:
         overrides = [Parameter("use_sim_time", value=True)] if use_sim_time else []
-        yield rclpy.create_node(name, parameter_overrides=overrides)
+        node = rclpy.create_node(name, parameter_overrides=overrides)
+        try:
+            yield node
+        finally:
+            node.destroy_node()
     finally:
         rclpy.try_shutdown()
 

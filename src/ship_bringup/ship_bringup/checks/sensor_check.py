@@ -86,7 +86,8 @@ def _judged(
     heard: HeardTopic, limits: Limits, lags_s: Mapping[str, float], asked: Mapping[str, str]
 ) -> tuple[Result, str, str]:
     topic = heard.input.topic
-    needed = Result.FAIL if heard.input.required or heard.input.named else Result.WARN
+    asked_for = Result.FAIL if heard.input.required or heard.input.named else Result.WARN
+    needed = Result.NOT_CHECKED if heard.input.at_times else asked_for
     if not heard.publishers:
         return needed, "nobody publishes it", "start its driver, or remap its topic to this name"
     of_type = [each for each in heard.publishers if each.type_name == heard.input.type_name]

@@ -169,7 +169,7 @@ class InputHealthBook(InputRecords):
                 hint += ": nobody publishes it" if publishers == 0 else ""
             if record.input.required:
                 verdicts.append((Level.ERROR, f"required: {hint}"))
-            elif publishers or record.input.named:
+            elif (publishers and not record.input.at_times) or record.input.named:
                 verdicts.append((Level.WARN, hint))
         return verdicts
 
@@ -217,7 +217,7 @@ def _latency_text(latency_s: float) -> str:
 
 def _judge_silence(record: InputRecord, waiting_ns: int) -> list[_Verdict]:
     """Whether it still comes."""
-    if record.last_arrival_ns is None:
+    if record.last_arrival_ns is None or record.input.at_times:
         return []
     silence_ns = waiting_ns - record.last_arrival_ns
     expected_ns = max(LEAST_SILENCE_NS, SILENT_PERIODS * record.mean_period_ns)

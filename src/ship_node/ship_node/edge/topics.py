@@ -17,6 +17,7 @@ class InputTopic:
         required: whether the node is of no use without it.
         depth: messages that may wait for the node: a second of data.
         named: whether the configuration names the device behind it, so that its silence from the start is a fault.
+        at_times: whether it comes only when there is something to tell, so that its silence tells nothing.
     """
 
     topic: str
@@ -24,6 +25,7 @@ class InputTopic:
     required: bool
     depth: int
     named: bool = False
+    at_times: bool = False
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,7 @@ def _check_presence(check: BagCheck, present: Collection[str]) -> None:
     absent: dict[str, list[tuple[CheckedNode, bool]]] = {}
     for node in check.nodes:
         for topic in node.adapter.inputs:
-            if topic.topic not in present:
+            if topic.topic not in present and not topic.at_times:
                 absent.setdefault(topic.topic, []).append((node, topic.required))
     for name, takers in absent.items():
         needing = [node.adapter.node_name for node, required in takers if required]

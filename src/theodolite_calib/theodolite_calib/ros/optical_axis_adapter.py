@@ -137,7 +137,9 @@ class OpticalAxisAdapter(DeferringAdapter):
         image = InputTopic("theodolite/beacons", "ship_msgs/msg/BeaconImage", required=False, depth=1000)
         read_image, take_image = functools.partial(messages_in.exposure, config=config), untimed(core.add_exposure)
         yield Feed(image, "lights", read_image, take_image, judged=True, measured_by=Exposure.source)
-        target = InputTopic(TARGET_IMAGE_TOPIC, "ship_msgs/msg/TargetImage", required=False, depth=1000)
+        target = InputTopic(
+            TARGET_IMAGE_TOPIC, "ship_msgs/msg/TargetImage", required=False, depth=1000, at_times=True
+        )
         yield Feed(target, "target", functools.partial(messages_in.target, config=config), core.add_target, judged=True)
         for id_, beacon in config.beacons.items():
             topic = InputTopic(f"beacon/{id_}/baseline", "ship_msgs/msg/RtkBaseline", required=False, depth=1000)
