@@ -163,6 +163,11 @@ class TimeOrderedLog(Generic[State, Item, Verdict]):
         self._repeats = _Allowance(MOST_REPEATS_PER_S)
 
     @property
+    def base(self) -> State:
+        """The state before the first measurement of the window: none before it is asked for any more."""
+        return self._base
+
+    @property
     def is_behind(self) -> bool:
         """Whether the next measurement to apply was applied before, and waits only because of the bounds."""
         return self.waiting > 0 and self._entries[self._applied].decision is not None
@@ -462,6 +467,11 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         self.window.move_to(time_ns)
         self.apply(outcome)
         self._close()
+
+    @property
+    def oldest_state(self) -> State:
+        """The earliest state from which anything may still be carried on."""
+        return self._log.base
 
     def _close(self) -> None:
         """Close the window: what is older than it can no longer be revised."""

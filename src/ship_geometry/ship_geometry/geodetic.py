@@ -16,6 +16,12 @@ from ship_geometry.rotations import FloatArray
 _WGS84_A_M, _WGS84_E2 = 6_378_137.0, 6.694379990141e-3
 """Semi-major axis and squared first eccentricity of WGS 84 (NIMA TR8350.2)."""
 
+EARTH_RATE_RAD_PER_S = 7.292115e-5
+"""Turn of the Earth against the stars (WGS 84)."""
+
+_GRAVITY_AT_EQUATOR, _SOMIGLIANA = 9.7803253359, 1.931852652458e-3
+"""Normal gravity at the equator, m/s², and the constant of Somigliana's formula (WGS 84)."""
+
 
 @dataclass(frozen=True)
 class GeodeticPosition:
@@ -77,6 +83,17 @@ def rotation_horizon_from_ecef(latitude: FloatArray | float, longitude: FloatArr
         return np.array([north, up, east])
     elements = np.broadcast_arrays(*north, *up, *east)
     return np.stack(elements, axis=-1).reshape(*elements[0].shape, 3, 3)
+
+
+def normal_gravity(latitude: float) -> float:
+    """Gravity on the ellipsoid, m/s² (Somigliana's formula, WGS 84: NGA.STND.0036, 4.1).
+
+    Example:
+        >>> print(f"{normal_gravity(0.0):.4f} {normal_gravity(0.5 * math.pi):.4f}")
+        9.7803 9.8322
+    """
+    square = math.sin(latitude) ** 2
+    return _GRAVITY_AT_EQUATOR * (1.0 + _SOMIGLIANA * square) / math.sqrt(1.0 - _WGS84_E2 * square)
 
 
 def horizon_radii_m(position: GeodeticPosition) -> tuple[FloatArray, FloatArray]:

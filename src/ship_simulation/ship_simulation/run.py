@@ -115,7 +115,7 @@ class SimulatedRun:
         sources |= {f"star.{key}": samples.log_time_ns for key, samples in self.stars.items()}
         sources |= {f"reference.{key}": samples.log_time_ns for key, samples in self.references.items()}
         fix, *weather = SKY_SOURCES
-        if self.scenario.needs_sky or self.scenario.gravity.told != "none":
+        if self.scenario.needs_place:
             sources[fix] = self.fixes.log_time_ns
         if self.scenario.needs_sky:
             sources |= dict.fromkeys(weather, self.weather_ns)

@@ -164,7 +164,7 @@ class ShipAttitudeAdapter(BlockAdapter):
             yield Feed(topic, f"reference.{name}", read, core.add_measurement, judged=True)
         if self._watch is not None:
             yield from messages_in.surroundings_feeds(config.sky, untimed(core.add_sky_input))
-        elif config.gravity.is_modelled:
+        elif config.follows_vertical:
             yield messages_in.place_feed(config.sky, untimed(core.add_sky_input))
         if config.gravity.deflection == TOPIC:
             given = InputTopic("gravity/deflection", DEFLECTION_TYPE, False, depth=100)
@@ -208,7 +208,7 @@ class ShipAttitudeAdapter(BlockAdapter):
         }
         if installed:
             published.append((TF_STATIC_TOPIC, installed_frames(factory, installed, now_ns)))
-        if estimate is not None and self.core.vertical is not None:
+        if estimate is not None and self.config.gravity.is_modelled:
             published.append((DEFLECTION_TOPIC, deflection_message(factory, self.core.deflection(estimate.time_ns))))
         return [*published, ("ship/alignment", alignment_state(factory, self.core.alignment(), now_ns))]
 
@@ -247,11 +247,13 @@ def deflection_message(factory: MessageFactory, known: DeflectionReading) -> Any
 
 
 def vertical_statuses(core: ShipAttitudeCore, latest: AttitudeEstimate | None) -> list[DiagnosticStatus]:
-    """What is known of the vertical at the last attitude; nothing where the deflection is not modelled."""
+    """What is known of the vertical at the last attitude; nothing where nobody asks for it."""
     if core.vertical is None or latest is None or latest.status is Status.INVALID:
         return []
     known, lacking = core.deflection(latest.time_ns), core.vertical.told(latest.time_ns)
-    assert known is not None
+    if known is None:
+        text = lacking or "the latitude is known, by which the INS's error oscillates"
+        return [DiagnosticStatus("vertical", Level.WARN if lacking else Level.OK, text)]
     assert known.covariance is not None
     values_arcsec = [*known.deflection / ARCSEC, *np.sqrt(known.covariance.diagonal()) / ARCSEC]
     names = ("xi (arcsec)", "eta (arcsec)", "sigma of xi (arcsec)", "sigma of eta (arcsec)")

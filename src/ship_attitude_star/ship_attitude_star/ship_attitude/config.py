@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from functools import cached_property
 
+from ship_attitude_star.ins_errors.config import GAUSS_MARKOV, SCHULER, SchulerConfig
 from ship_attitude_star.measurements.samples import SHARED_BY_MESSAGES, SHARED_BY_SKY
 from ship_attitude_star.sky.config import InertialConfig, SkyConfig
 from ship_attitude_star.stars.config import CameraConfig, MountingConfig, StarSensorsById
@@ -35,6 +36,13 @@ _SOLVED_BEFORE = ("solution", "horizon_attitude")
 class InsConfig(StarInsConfig, InsErrorConfig):
     """The inertial navigation system."""
 
+    model: str = parameter(
+        GAUSS_MARKOV,
+        doc="how its error goes on: it dies out (tilt_time_s, heading_time_s), or oscillates as free sensors do, which"
+        " needs gnss/fix for the latitude (schuler)",
+        choices=(GAUSS_MARKOV, SCHULER),
+    )
+    schuler: SchulerConfig = section(SchulerConfig)
     silence_s: float = parameter(
         1.0,
         doc="without samples that can be used for this long the INS counts as gone",
@@ -199,6 +207,11 @@ class ShipAttitudeConfig(StarSensorsById):
     alignment_max_age_d: float = parameter(
         30.0, doc="an alignment older than this is a wider prior", unit="d", minimum=0.0, maximum=36500.0
     )
+
+    @property
+    def follows_vertical(self) -> bool:
+        """Whether the INS's error goes on with the ship's place."""
+        return self.gravity.is_modelled or self.ins.model == SCHULER
 
     def __post_init__(self) -> None:
         """Check what belongs together.

@@ -64,7 +64,9 @@ class ShipAttitudeCore:
     def __init__(self, config: ShipAttitudeConfig, watch: SkyWatch | None = None) -> None:
         self.config = config
         self._watch = watch
-        self.vertical = VerticalTrack(config.gravity, config.sky) if config.gravity.is_modelled else None
+        self.vertical: VerticalTrack | None = None
+        if config.follows_vertical:
+            self.vertical = VerticalTrack(config.gravity, config.sky)
         self.filter = ShipFilter(config, self.vertical)
         self._start: tuple[AlignmentPrior, int] | None = None
         self._silence_ns = round(config.ins.silence_s * SECOND_NS)
@@ -300,7 +302,7 @@ class ShipAttitudeCore:
 
     def deflection(self, time_ns: int) -> DeflectionReading | None:
         """The deflection of the vertical at a moment, as given and estimated; None where it is no state."""
-        if self.vertical is None:
+        if self.vertical is None or not self.config.gravity.is_modelled:
             return None
         errors = self._corrected_by(self.state).errors([time_ns])
         return DeflectionReading(time_ns, errors.deflection[0], errors.deflection_covariance[0])
@@ -341,7 +343,8 @@ class ShipAttitudeCore:
         if self._watch is not None:
             self._watch.surroundings.drop_before(time_ns)
         if self.vertical is not None:
-            self.vertical.drop_before(time_ns)
+            asked_since_ns = self._shell.oldest_state.time_ns
+            self.vertical.drop_before(time_ns, time_ns if asked_since_ns is None else min(time_ns, asked_since_ns))
 
     def _compare_anew(self, changed_after_ns: int | None, affects: Callable[[Measurement], bool]) -> None:
         """Have the measurements after a moment that something affects compared anew; None for no moment."""

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ship_attitude_star.ins_errors.on_gravity import InsErrors, OnGravity
 from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeRun, Horizon, StampArray
 from ship_attitude_star.ship_attitude.config import GEODETIC, GRAVITY, ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.ins_at_fault import UNKNOWN_INS_RAD_PER_SQRT_S
 from ship_attitude_star.ship_attitude.integrity import QUANTITIES, integrity_of
 from ship_attitude_star.ship_attitude.model import SOURCE_DEFLECTION, SOURCE_INS_NOISE, SOURCE_INTERPOLATION
-from ship_attitude_star.ship_attitude.on_gravity import InsErrors, OnGravity
 from ship_attitude_star.ship_attitude.row_table import INS
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_estimation.kalman import lasting
@@ -72,10 +72,13 @@ class CorrectedIns:
         self.on_gravity: OnGravity | None = None
         if filter_.vertical is not None:
             assert model.ins_process is not None
-            sources = self.drift_index, model.sources.index(SOURCE_DEFLECTION)
-            self.on_gravity = OnGravity(model.ins_process, filter_.vertical, sources, horizon == GRAVITY)
-        attitude, deflection = np.split(model.process_rows, [3])
-        self._rows = np.concatenate([attitude, model.rows("ins.time_offset"), deflection])
+            sources = self.drift_index, model.source_indices.get(SOURCE_DEFLECTION, self.drift_index)
+            models_deflection = SOURCE_DEFLECTION in model.source_indices
+            self.on_gravity = OnGravity(
+                model.ins_process, filter_.vertical, sources, models_deflection, horizon == GRAVITY
+            )
+        attitude, others = np.split(model.process_rows, [3])
+        self._rows = np.concatenate([attitude, model.rows("ins.time_offset"), others])
         self._rest_on(state)
 
     def by(self, state: FilterState) -> "CorrectedIns":

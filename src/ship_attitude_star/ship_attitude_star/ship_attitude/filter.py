@@ -21,7 +21,7 @@ from ship_attitude_star.ship_attitude.row_table import INS
 from ship_attitude_star.ship_attitude.state import FilterState, changed, with_entry, without
 from ship_attitude_star.ship_attitude.suspects import Suspects
 from ship_attitude_star.sky.sky_watch import SkyWatch
-from ship_attitude_star.vertical.vertical_track import VerticalHere, VerticalTrack
+from ship_attitude_star.vertical.vertical_track import VerticalTrack
 from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.hypotheses import RowsCompared, add_error, compare_rows
 from ship_estimation.ins import InsJump
@@ -41,17 +41,18 @@ class ShipFilter:
 
     Args:
         config: the node's configuration.
-        vertical: the vertical under way; None where the configuration models no deflection of it.
+        vertical: the vertical under way; None where the configuration has no process that asks for it.
     """
 
     def __init__(self, config: ShipAttitudeConfig, vertical: VerticalTrack | None = None) -> None:
         self.model, self.vertical = ShipStateModel(config), vertical
         self.devices: dict[str, Device] = devices(config)
-        self.linearisation = Linearisation(self.model, self.devices, vertical)
+        of_gravity = vertical if config.gravity.is_modelled else None
+        self.linearisation = Linearisation(self.model, self.devices, of_gravity)
         self.suspects = Suspects(config, self.model, self.devices)
         self._gate: GateConfig = config.gate
         self._ins_index = self.model.sources.index(SOURCE_INS)
-        self._deflection_index = self.model.source_indices.get(SOURCE_DEFLECTION, -1)
+        self._deflection_index = self.model.source_indices.get(SOURCE_DEFLECTION, self._ins_index)
         self._common_index = self.model.sources.index(SOURCE_STAR_COMMON) if config.star_sensors else -1
 
     def initial_state(self) -> FilterState:
@@ -68,7 +69,7 @@ class ShipFilter:
         decay, means, stack = self.model.later(dt_s, state.means, state.stack, "ins.attitude")
         here = None if self.vertical is None else self.vertical.at(time_ns)
         if here is not None:
-            self._carry_ins(state, means, stack, dt_s, here)
+            self._carry_ins(state, means, stack, time_ns)
         for source, steady in state.common_n.items():
             common = self.model.slices[f"{source}.common"]
             fresh = 1.0 - decay.item(common.start) ** 2
@@ -88,14 +89,14 @@ class ShipFilter:
         self._add_to_process(stack, len(means), self._deflection_index, covariance)
         return changed(state, time_ns=time_ns, means=means, stack=stack, vertical=here)
 
-    def _carry_ins(
-        self, state: FilterState, means: FloatArray, stack: FloatArray, dt_s: float, here: VerticalHere
-    ) -> None:
-        """Carry the INS's error with the deflection of the vertical from the moment of a state on, in place."""
+    def _carry_ins(self, state: FilterState, means: FloatArray, stack: FloatArray, time_ns: int) -> None:
+        """Carry the states of the INS's process from the moment of a state to a later one, in place."""
         process, rows, before = self.model.ins_process, self.model.process_rows, state.vertical
         assert process is not None
         assert before is not None
-        carried = process.carried(np.array([dt_s]), before, [here])
+        assert state.time_ns is not None
+        assert self.vertical is not None
+        carried = process.carried(state.time_ns, before, [time_ns], self.vertical)
         means[:, rows] = process.means(means[:, rows], before, carried)[0]
         (transition,) = carried.transition
         stack[:, rows] = transition @ stack[:, rows]

@@ -6,10 +6,10 @@ another one without each of its sources; :mod:`ship_estimation.protection` makes
 
 import numpy as np
 
+from ship_attitude_star.ins_errors.process import own_from_whole
 from ship_attitude_star.measurements.samples import AttitudeEstimate
 from ship_attitude_star.ship_attitude.config import GEODETIC, ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.ship_attitude.ins_process import own_from_whole
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_estimation.outcome import Status
 from ship_estimation.protection import IntegrityReport, integrity_report, separation
@@ -57,6 +57,7 @@ def against_horizon(
     """Means and covariances of all rows, the INS's error in them being against the horizon that is published."""
     if config.horizon == GEODETIC or filter_.vertical is None:
         return state.means, state.stack
-    rows, to_own = filter_.model.process_rows, np.eye(filter_.model.size)
+    # Gravity's horizon needs the deflection, which stands next to the INS's attitude.
+    rows, to_own = filter_.model.process_rows[:5], np.eye(filter_.model.size)
     to_own[rows[:3, None], rows] = own_from_whole(filter_.vertical.at(time_ns))
     return state.means @ to_own.T, to_own @ state.stack @ to_own.T

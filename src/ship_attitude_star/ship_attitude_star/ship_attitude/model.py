@@ -7,7 +7,11 @@ state                           frame    meaning
 ==============================  =======  ====================================================================
 ins.attitude (3)                horizon  slow error a: R_true = exp(a) exp(w) R_ins
 gravity.deflection (2)                   deflection of the vertical, which is part of a then; only where
-                                         gravity.deflection is not none (ins_process)
+                                         gravity.deflection is not none (ins_on_gravity)
+ins.velocity (2)                horizon  error of the INS's velocity (North, East), m/s; this and the next two only
+                                         where ins.model is schuler (schuler)
+ins.gyro_drift (3)              horizon  drift of its gyroscopes, rad/s
+ins.accelerometer_bias (2)      horizon  bias of its accelerometers (North, East), m/s²
 ins.noise (3)                   horizon  white error w of the INS at the moment of the measurement
 ins.time_offset (1)                      tau: an INS sample is valid at its stamp + tau
 star.<id>.installation (3)      sensor   m: R(sensor -> deck) = R(A0, E0, roll0) exp(m)
@@ -39,9 +43,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ship_attitude_star.ins_errors.config import SCHULER, SchulerConfig
+from ship_attitude_star.ins_errors.ins_on_gravity import InsOnGravity
+from ship_attitude_star.ins_errors.process import InsProcess
+from ship_attitude_star.ins_errors.schuler import SchulerIns
 from ship_attitude_star.measurements.samples import SHARED_BY_GRAVITY, SHARED_BY_MESSAGES, SHARED_BY_SKY
 from ship_attitude_star.ship_attitude.config import InsConfig, ReferenceConfig, ShipAttitudeConfig, StarSensorConfig
-from ship_attitude_star.ship_attitude.ins_process import InsOnGravity
 from ship_attitude_star.sky.config import SkyConfig
 from ship_attitude_star.sky.sky_watch import UTC
 from ship_estimation.kalman import StateBlock, StateModel, block
@@ -123,18 +130,20 @@ class ShipStateModel(StateModel):
             messages rest on the sky over the ship.
         shared_rows: where the states are that attitudes share, by :attr:`AttitudeMeasurement.shared_by`.
         slow: sigma and correlation time of the INS's own slow error.
-        ins_process: how the INS's error goes on with the deflection of the vertical; None where that is no state.
-        process_rows: where the states of that process are, shape (5,), or (3,) without it.
+        ins_process: how the INS's error goes on; None where it just dies out, each axis by itself.
+        process_rows: where the states of that process are; those of ``ins.attitude`` without one.
     """
 
     def __init__(self, config: ShipAttitudeConfig) -> None:
         blocks = _ins_blocks(config.ins)
-        self.slow, self.ins_process = blocks[0], None
-        if config.gravity.is_modelled:
-            # The process carries both; by themselves they stay as they are.
+        self.slow, self.ins_process = blocks[0], _ins_process(config, blocks[0])
+        if self.ins_process is not None:
+            # The process carries them; by themselves they stay as they are.
             blocks[0] = block("ins.attitude", self.slow.sigma, SOURCE_INS)
+        if config.gravity.is_modelled:
             blocks.append(block("gravity.deflection", [0.0, 0.0], SOURCE_DEFLECTION))
-            self.ins_process = InsOnGravity(self.slow, config.gravity.correlation_length_m)
+        if config.ins.model == SCHULER:
+            blocks += _schuler_blocks(config.ins.schuler)
         for id_, star in config.star_sensors.items():
             blocks += _star_blocks(f"star.{id_}", star)
         looks_at_sky = any(star.looks_at_sky for star in config.star_sensors.values())
@@ -157,9 +166,8 @@ class ShipStateModel(StateModel):
         if looks_at_sky:
             of_sky = [self.slices[of_cause.name] for of_cause in _sky_blocks(config.sky)]
             self.sky_rows = slice(of_sky[0].start, of_sky[-1].stop)
-        self.process_rows = self.rows("ins.attitude")
-        if self.ins_process is not None:
-            self.process_rows = np.r_[self.process_rows, self.rows("gravity.deflection")]
+        carried = ("ins.attitude",) if self.ins_process is None else self.ins_process.blocks
+        self.process_rows = np.concatenate([self.rows(name) for name in carried])
         self.chains = {name: self._chain(device) for name, device in devices(config).items()}
         self.shared_rows = {
             SHARED_BY_SKY: self.sky_rows,
@@ -221,6 +229,22 @@ def _reference_device(name: str, reference: ReferenceConfig) -> Device:
         noise_source=SOURCE_REFERENCE_NOISE,
         is_star=False,
     )
+
+
+def _ins_process(config: ShipAttitudeConfig, slow: StateBlock) -> InsProcess | None:
+    """How the INS's error goes on; None where it just dies out, each axis by itself."""
+    length_m = config.gravity.correlation_length_m if config.gravity.is_modelled else None
+    if config.ins.model == SCHULER:
+        return SchulerIns(config.ins.schuler, slow.sigma, length_m)
+    return None if length_m is None else InsOnGravity(slow, length_m)
+
+
+def _schuler_blocks(schuler: SchulerConfig) -> list[StateBlock]:
+    return [
+        block("ins.velocity", [schuler.velocity_sigma_m_per_s] * 2, SOURCE_INS),
+        block("ins.gyro_drift", [schuler.gyro_drift] * 3, SOURCE_INS),
+        block("ins.accelerometer_bias", [schuler.accelerometer_bias_sigma_m_per_s2] * 2, SOURCE_INS),
+    ]
 
 
 def _ins_blocks(ins: InsConfig) -> list[StateBlock]:

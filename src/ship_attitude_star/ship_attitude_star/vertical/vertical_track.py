@@ -13,13 +13,13 @@ import numpy as np
 from ship_attitude_star.measurements.readings import DeflectionReading, PositionFix
 from ship_attitude_star.sky.config import SkyConfig
 from ship_attitude_star.sky.place_by_fixes import Place, PlaceByFixes
-from ship_attitude_star.vertical.config import CONSTANT, TABLE, GravityConfig
+from ship_attitude_star.vertical.config import CONSTANT, NONE, TABLE, GravityConfig
 from ship_attitude_star.vertical.deflection_table import DeflectionTable
 from ship_estimation.refusals import Reason, Refusal, same_stamp
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
-_STEP_NS = 2 * SECOND_NS
+STEP_NS = 2 * SECOND_NS
 """Time between two moments at which place and deflection are asked for."""
 
 _MOVED_M = 100.0
@@ -37,13 +37,15 @@ class VerticalHere(NamedTuple):
 
     Attributes:
         along_m: way over ground since any begin.
-        tan_latitude: of the ship's place; 0 where no place is known.
+        latitude: of the ship's place, rad; 0 where no place is known.
+        velocity_m_per_s: of the ship over ground, northward and eastward; 0 where no place is known.
         given: the deflection (xi, eta) that is known, rad, shape (2,); None where none is.
         covariance: of the error of what is given, or of the deflection itself, rad², shape (2, 2).
     """
 
     along_m: float
-    tan_latitude: float
+    latitude: float
+    velocity_m_per_s: tuple[float, float]
     given: FloatArray | None
     covariance: FloatArray
 
@@ -53,7 +55,11 @@ class VerticalHere(NamedTuple):
 
         R_geodetic = exp(turn @ (xi, eta)) R_gravity, about (North, Up, East); a gyrocompass errs by eta tan L.
         """
-        return np.array([[0.0, 1.0], [0.0, self.tan_latitude], [-1.0, 0.0]])
+        return np.array([[0.0, 1.0], [0.0, math.tan(self.latitude)], [-1.0, 0.0]])
+
+
+_NOWHERE = VerticalHere(0.0, 0.0, (0.0, 0.0), None, np.zeros((2, 2)))
+"""What is known before the first position fix."""
 
 
 class _Knot(NamedTuple):
@@ -62,13 +68,11 @@ class _Knot(NamedTuple):
     Attributes:
         here: what is known.
         anchor: where the ship was when she had moved last; None where no place was known yet.
-        speed_m_per_s: over ground, by the last place known.
         place: at that moment; None where no fix is near enough in time.
     """
 
     here: VerticalHere
     anchor: Place | None
-    speed_m_per_s: float
     place: Place | None
 
 
@@ -119,19 +123,22 @@ class VerticalTrack:
             return None
         return self._forget_knots_after(changed_after_ns)
 
-    def drop_before(self, time_ns: int) -> None:
-        """Forget what is not needed for moments at or after ``time_ns``; no earlier ones may be asked for any more."""
-        oldest = time_ns // _STEP_NS
+    def drop_before(self, time_ns: int, asked_since_ns: int) -> None:
+        """Forget what no answer needs any more.
+
+        Args:
+            time_ns: no input before this changes anything.
+            asked_since_ns: no earlier moment is asked for.
+        """
+        settled, oldest = time_ns // STEP_NS, asked_since_ns // STEP_NS
         if self._newest_step is not None:
             # Later knots rest on it, and not on what is forgotten.
-            self._knot(max(oldest, self._newest_step))
-        self._place.drop_before(oldest * _STEP_NS)
+            self._knot(max(settled, self._newest_step))
+        self._place.drop_before(settled * STEP_NS)
         # They are in the order of time: a knot is made after the one before it.
-        for step in list(self._knots):
-            if step >= oldest:
-                break
-            del self._knots[step]
-        passed = bisect.bisect_right(self._stamps, oldest * _STEP_NS) - 1
+        while self._knots and ((first := next(iter(self._knots))) < oldest or len(self._knots) > _MOST_STEPS):
+            del self._knots[first]
+        passed = bisect.bisect_right(self._stamps, settled * STEP_NS) - 1
         if passed > 0:
             del self._stamps[:passed], self._messages[:passed]
 
@@ -139,11 +146,14 @@ class VerticalTrack:
 
     def at(self, time_ns: int) -> VerticalHere:
         """The vertical at a moment; within an even second the same object, as long as no input has changed it."""
-        return self._knot(time_ns // _STEP_NS).here
+        return self._knot(time_ns // STEP_NS).here
 
     def told(self, time_ns: int) -> str:
-        """Why no deflection is known at a moment, for people; empty where one is, or where none is ever given."""
-        knot = self._knot(time_ns // _STEP_NS)
+        """What is lacking at a moment, for people; empty where all is known, or no deflection is ever given."""
+        knot = self._knot(time_ns // STEP_NS)
+        if self._config.deflection == NONE:
+            lacking = "no position fix: the INS's error oscillates as at another latitude"
+            return "" if knot.place is not None else lacking
         if knot.here.given is not None or self._config.deflection in (CONSTANT, "unknown"):
             return ""
         if self._table is None:
@@ -175,33 +185,33 @@ class VerticalTrack:
     def _first(self, step: int) -> _Knot:
         """The vertical where the way begins."""
         place = self._place_at(step)
-        speed = 0.0 if place is None else _speed(place)
-        return _Knot(self._here(step, 0.0, place, 0.0), place, speed, place)
+        return _Knot(self._here(step, 0.0, place, _NOWHERE), place, place)
 
     def _next(self, before: _Knot, step: int) -> _Knot:
         """The vertical one step later."""
-        place, along_m, latitude = self._place_at(step), before.here.along_m, before.here.tan_latitude
+        place, along_m = self._place_at(step), before.here.along_m
         if place is None:
             # Nobody tells where she sails: as far as she was fast.
-            along_m += before.speed_m_per_s * _STEP_NS / SECOND_NS
-            return _Knot(self._here(step, along_m, None, latitude), before.anchor, before.speed_m_per_s, None)
+            along_m += math.hypot(*before.here.velocity_m_per_s) * STEP_NS / SECOND_NS
+            return _Knot(self._here(step, along_m, None, before.here), before.anchor, None)
         if before.anchor is None:
-            return _Knot(self._here(step, along_m, place, latitude), place, _speed(place), place)
+            return _Knot(self._here(step, along_m, place, before.here), place, place)
         moved_m = _away_m(before.anchor, place)
         has_moved = moved_m >= _MOVED_M
         if has_moved and before.place is not None:
             along_m += moved_m
         anchor = place if has_moved or before.place is None else before.anchor
-        return _Knot(self._here(step, along_m, place, latitude), anchor, _speed(place), place)
+        return _Knot(self._here(step, along_m, place, before.here), anchor, place)
 
-    def _here(self, step: int, along_m: float, place: Place | None, tan_latitude: float) -> VerticalHere:
-        """What is known at an even second."""
+    def _here(self, step: int, along_m: float, place: Place | None, before: VerticalHere) -> VerticalHere:
+        """What is known at an even second; where no place is known latitude and velocity are those of before."""
+        latitude, velocity = before.latitude, before.velocity_m_per_s
         if place is not None:
-            tan_latitude = math.tan(float(place.observer.position.latitude))
-        given = self._given(step, place)
-        if given is None:
-            return VerticalHere(along_m, tan_latitude, None, self._unknown_covariance)
-        return VerticalHere(along_m, tan_latitude, *given)
+            latitude = float(place.observer.position.latitude)
+            north, _, east = place.observer.velocity_n_m_per_s.tolist()
+            velocity = north, east
+        given, covariance = self._given(step, place) or (None, self._unknown_covariance)
+        return VerticalHere(along_m, latitude, velocity, given, covariance)
 
     def _given(self, step: int, place: Place | None) -> tuple[FloatArray, FloatArray] | None:
         """The deflection that is given, and the covariance of its error; None for nothing."""
@@ -211,15 +221,15 @@ class VerticalTrack:
         if self._table is not None:
             deflection = None if place is None else self._table.at(place.observer.position)
             return None if deflection is None else (deflection, self._given_covariance)
-        last = bisect.bisect_right(self._stamps, step * _STEP_NS) - 1
-        if last < 0 or step * _STEP_NS - self._stamps[last] > config.max_age_s * SECOND_NS:
+        last = bisect.bisect_right(self._stamps, step * STEP_NS) - 1
+        if last < 0 or step * STEP_NS - self._stamps[last] > config.max_age_s * SECOND_NS:
             return None
         message = self._messages[last]
         covariance = self._given_covariance if message.covariance is None else message.covariance
         return message.deflection, covariance
 
     def _place_at(self, step: int) -> Place | None:
-        place = self._place.at(step * _STEP_NS)
+        place = self._place.at(step * STEP_NS)
         return None if isinstance(place, Refusal) else place
 
     # ---------------------------------------------------------------------------------------------------------
@@ -242,19 +252,13 @@ class VerticalTrack:
 
     def _forget_knots_after(self, time_ns: int) -> int | None:
         """Forget the answers after a moment; returns the moment after which they are gone, None where none is."""
-        gone = [step for step in self._knots if step * _STEP_NS > time_ns]
+        gone = [step for step in self._knots if step * STEP_NS > time_ns]
         for step in gone:
             del self._knots[step]
         if not gone:
             return None
         self._newest_step = max(self._knots, default=None)
-        return min(gone) * _STEP_NS - 1
-
-
-def _speed(place: Place) -> float:
-    """Speed over ground, m/s."""
-    north, _, east = place.observer.velocity_n_m_per_s.tolist()
-    return math.hypot(north, east)
+        return min(gone) * STEP_NS - 1
 
 
 def _away_m(earlier: Place, later: Place) -> float:

@@ -4,9 +4,11 @@ Whatever the stretches, the numbers are the same: each random stream and each sl
 before left it, and what is drawn once for a voyage comes from the seed alone.
 """
 
+import functools
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Protocol, TypeVar, cast
 
 import numpy as np
 
@@ -85,6 +87,16 @@ def stretches_of(start_ns: int, duration_s: float, length_s: int) -> Iterator[St
         yield Stretch(start_ns, duration_s, begin_s, begin_s + length_s if number < last else math.inf)
 
 
+class Lasting(Protocol):
+    """Something drawn that goes on through a voyage."""
+
+    def forget(self, before_s: float) -> None:
+        """No moment before this is asked for any more."""
+
+
+LastingT = TypeVar("LastingT", bound=Lasting)
+
+
 class Draws:
     """The random parts of one voyage that go on from stretch to stretch.
 
@@ -96,7 +108,7 @@ class Draws:
         self.seed = seed
         self._streams: dict[tuple[str, int], np.random.Generator] = {}
         self._processes: dict[str, GaussMarkov] = {}
-        self._slow: dict[str, SlowError] = {}
+        self._lasting: dict[str, Lasting] = {}
 
     def stream(self, component: str, after: int = 0) -> np.random.Generator:
         """The random stream of a component; it begins after so many standard normal numbers of it."""
@@ -117,11 +129,16 @@ class Draws:
 
     def slow_error(self, component: str, duration_s: float, sigma: FloatArray, time_s: float) -> SlowError:
         """A component's slow error, the same one whenever it is asked for."""
-        if component not in self._slow:
-            self._slow[component] = SlowError(random_stream(self.seed, component), duration_s, sigma, time_s)
-        return self._slow[component]
+        make = functools.partial(SlowError, duration_s=duration_s, sigma=sigma, time_s=time_s)
+        return self.lasting(component, make)
+
+    def lasting(self, component: str, make: Callable[[np.random.Generator], LastingT]) -> LastingT:
+        """What a component draws with a random stream of its own, the same one whenever it is asked for."""
+        if component not in self._lasting:
+            self._lasting[component] = make(random_stream(self.seed, component))
+        return cast(LastingT, self._lasting[component])
 
     def begin(self, stretch: Stretch) -> None:
         """Forget what a stretch and those after it do not ask for."""
-        for slow in self._slow.values():
-            slow.forget(stretch.begin_s - _ASKED_BACK_S)
+        for lasting in self._lasting.values():
+            lasting.forget(stretch.begin_s - _ASKED_BACK_S)

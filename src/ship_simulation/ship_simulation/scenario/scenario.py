@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ship_attitude_star.ins_errors.config import GAUSS_MARKOV, SCHULER, SchulerConfig
 from ship_attitude_star.stars.config import CameraConfig
 from ship_estimation.parameter_fields import mapping_of, parameter, section
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
@@ -40,6 +41,12 @@ _OFFSET_SIGMA: dict[str, Any] = {"unit": "s", "minimum": 0.0, "maximum": 1.0}
 class Ins:
     """The inertial navigation system."""
 
+    model: str = parameter(
+        GAUSS_MARKOV,
+        doc="how its error goes on: it dies out (tilt_time_s, heading_time_s), or oscillates as free sensors do",
+        choices=(GAUSS_MARKOV, SCHULER),
+    )
+    schuler: SchulerConfig = section(SchulerConfig)
     rate_hz: float = parameter(100.0, doc="samples per second", **RATE)
     latency_s: float = parameter(0.002, doc="from stamp to arrival", **DELAY)
     jitter_s: float = parameter(0.0, doc="further delay, uniform between 0 and this", **DELAY)
@@ -273,6 +280,11 @@ class Scenario:
     def needs_sky(self) -> bool:
         """Whether a star sensor looks at the real sky."""
         return any(sensor.output != "horizon_attitude" for sensor in self.star_sensors.values())
+
+    @property
+    def needs_place(self) -> bool:
+        """Whether the suite must know where the ship is."""
+        return self.needs_sky or self.gravity.told != "none" or self.ins.model == SCHULER
 
 
 def start_of(start_utc: str) -> int:

@@ -4,12 +4,15 @@ The INS, star sensors that solve for the horizon, other attitude systems, and th
 together leave it.
 """
 
+import functools
 import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from ship_attitude_star.ins_errors.config import SCHULER
 from ship_geometry.frames import rotation_from_angles
+from ship_geometry.geodetic import EARTH_RATE_RAD_PER_S
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.draws.noise import (
@@ -23,9 +26,7 @@ from ship_simulation.draws.stretch import Draws, Stretch
 from ship_simulation.scenario.scenario import Reference, Scenario, StarSensor
 from ship_simulation.ship.deflection import Deflection
 from ship_simulation.ship.motion import Carrier
-
-_EARTH_RATE = 7.292115e-5
-"""Turn of the Earth against the stars, rad/s (WGS 84)."""
+from ship_simulation.ship.schuler import SchulerError
 
 
 @dataclass(frozen=True)
@@ -62,23 +63,11 @@ class InsTruth:
 def simulate_ins(
     scenario: Scenario, carrier: Carrier, stretch: Stretch, draws: Draws, deflection: Deflection
 ) -> tuple[InsSamples, InsTruth]:
-    """Samples by R_true(s + tau) = exp(a) exp(w) R_ins(s), with the true rate of s + tau.
-
-    The slow error a is the INS's own, which is drawn, and, as it levels itself on gravity, the deflection's turn.
-    """
+    """Samples by R_true(s + tau) = exp(a) exp(w) R_ins(s), with the true rate of s + tau; a is the slow error."""
     config = scenario.ins
     time_ns = stretch.stamps(config.rate_hz, 0.0)
-    slow_n = draws.gauss_markov(
-        "ins.attitude_error",
-        time_ns.size,
-        1.0 / config.rate_hz,
-        sigma=ARCSEC * np.array([config.tilt_sigma_arcsec, config.heading_sigma_arcsec, config.tilt_sigma_arcsec]),
-        time_s=np.array([config.tilt_time_s, config.heading_time_s, config.tilt_time_s]),
-    )
-    if not scenario.gravity.is_level:
-        slow_n = slow_n + deflection.turn_n((time_ns - stretch.start_ns) / SECOND_NS)
     truth = InsTruth(
-        attitude_error_n=slow_n,
+        attitude_error_n=_slow_error_of_ins(scenario, stretch, draws, deflection),
         time_offset_s=config.time_offset_s
         + config.time_offset_sigma_s * random_stream(draws.seed, "ins.time_offset").standard_normal(),
     )
@@ -92,6 +81,20 @@ def simulate_ins(
         rate_d=carrier.body_rate(valid_s) + _rate_errors(scenario, true_nd, draws),
     )
     return samples, truth
+
+
+def _slow_error_of_ins(scenario: Scenario, stretch: Stretch, draws: Draws, deflection: Deflection) -> FloatArray:
+    """The INS's own slow error, which is drawn, and what the deflection makes of it, as it levels itself on gravity."""
+    config, gravity = scenario.ins, None if scenario.gravity.is_level else deflection
+    time_ns = stretch.stamps(config.rate_hz, 0.0)
+    since_start_s = (time_ns - stretch.start_ns) / SECOND_NS
+    sigma = ARCSEC * np.array([config.tilt_sigma_arcsec, config.heading_sigma_arcsec, config.tilt_sigma_arcsec])
+    if config.model == SCHULER:
+        make = functools.partial(SchulerError, scenario=scenario, sigma=sigma, deflection=gravity)
+        return draws.lasting("ins.schuler", make).at(since_start_s)
+    time_s = np.array([config.tilt_time_s, config.heading_time_s, config.tilt_time_s])
+    slow_n = draws.gauss_markov("ins.attitude_error", time_ns.size, 1.0 / config.rate_hz, sigma, time_s)
+    return slow_n if gravity is None else slow_n + gravity.turn_n(since_start_s)
 
 
 def _rate_errors(scenario: Scenario, true_nd: FloatArray, draws: Draws) -> FloatArray:
@@ -117,7 +120,7 @@ def _rate_errors(scenario: Scenario, true_nd: FloatArray, draws: Draws) -> Float
         )
     if config.rate_has_earth_rate:
         latitude = math.radians(scenario.position.latitude_deg)
-        earth_n = _EARTH_RATE * np.array([math.cos(latitude), math.sin(latitude), 0.0])
+        earth_n = EARTH_RATE_RAD_PER_S * np.array([math.cos(latitude), math.sin(latitude), 0.0])
         errors += earth_n @ true_nd
     return errors
 

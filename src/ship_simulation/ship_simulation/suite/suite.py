@@ -5,10 +5,12 @@ device; a test loads the file of each scenario into the nodes' own configuration
 """
 
 import math
+from dataclasses import asdict
 from typing import Any
 
 import yaml
 
+from ship_attitude_star.ins_errors.config import SCHULER
 from ship_bags.parameter_yaml import PARAMETERS_KEY, anywhere
 from ship_simulation.scenario.names import (
     ANTENNA_FRAME,
@@ -117,6 +119,8 @@ def suite_yaml(scenario: Scenario) -> str:
 def suite_configuration(scenario: Scenario) -> dict[str, Any]:
     """Parameters of ``ship_attitude`` as nested mapping."""
     configuration: dict[str, Any] = {"ins": {"frame_id": INS_FRAME, **_told(scenario.ins, _INS), **_rates(scenario)}}
+    if scenario.ins.model == SCHULER:
+        configuration["ins"] |= {"model": SCHULER, "schuler": asdict(scenario.ins.schuler)}
     if scenario.gravity.told != "none":
         configuration["gravity"] = _gravity(scenario)
     if scenario.star_sensors:

@@ -13,34 +13,17 @@ The noise of d is such that its error keeps the covariance that :attr:`VerticalH
 vertical.md).
 """
 
-from typing import NamedTuple
+from collections.abc import Sequence
 
 import numpy as np
 
-from ship_attitude_star.vertical.vertical_track import VerticalHere
+from ship_attitude_star.ins_errors.process import DEFLECTION, WHOLE, Carried, deflection_change
+from ship_attitude_star.vertical.vertical_track import VerticalHere, VerticalTrack
 from ship_estimation.kalman import StateBlock, lasting
 from ship_geometry.rotations import FloatArray
+from ship_geometry.time_scales import SECOND_NS
 
-_WHOLE, _DEFLECTION = slice(0, 3), slice(3, 5)
-"""The states of the process: the whole error of the INS's attitude (north, up, east), then the deflection (xi, eta)."""
-
-SIZE = 5
-
-
-class Carried(NamedTuple):
-    """What a time and a way make of the states of the process, at N moments; all shapes with (N,) in front.
-
-    Attributes:
-        transition: of the states, shape (5, 5).
-        shift: added to them, shape (5,).
-        ins_noise: covariance of the INS's own new error, shape (5, 5).
-        deflection_noise: covariance of the deflection's new error, shape (5, 5).
-    """
-
-    transition: FloatArray
-    shift: FloatArray
-    ins_noise: FloatArray
-    deflection_noise: FloatArray
+_SIZE = 5
 
 
 class InsOnGravity:
@@ -51,62 +34,48 @@ class InsOnGravity:
         length_m: correlation length of the deflection over ground.
     """
 
+    blocks: tuple[str, ...] = ("ins.attitude", "gravity.deflection")
+    size = _SIZE
+
     def __init__(self, slow: StateBlock, length_m: float) -> None:
         self._time_s, self._sigma, self._length_m = slow.time_s, slow.sigma, length_m
 
     def begun(self, here: VerticalHere) -> tuple[FloatArray, FloatArray]:
-        """The states where nothing was measured yet, shape (5,), and the covariance of the deflection, (5, 5)."""
+        """See :class:`InsProcess`."""
         given = np.zeros(2) if here.given is None else here.given
         moved_by = _moved_by_deflection(here)
         return moved_by @ given, moved_by @ here.covariance @ moved_by.T
 
-    def carried(self, dt_s: FloatArray, before: VerticalHere, after: list[VerticalHere]) -> Carried:
-        """What time and way make of the states.
-
-        Args:
-            dt_s: time to each of N moments, not negative, shape (N,).
-            before: the vertical at the beginning.
-            after: the vertical at each of the moments.
-        """
+    def carried(
+        self, since_ns: int, before: VerticalHere, times_ns: Sequence[int], vertical: VerticalTrack
+    ) -> Carried:
+        """See :class:`InsProcess`."""
         # Moments within an even second share one vertical.
-        kinds, of = _kinds(after)
+        kinds, of = _kinds([vertical.at(time_ns) for time_ns in times_ns])
         along = [self._along(before, here) for here in kinds]
         turn, left, shift, fresh = (np.array(column)[of] for column in zip(*along, strict=True))
-        decay = np.exp(-np.asarray(dt_s)[:, None] / self._time_s)
-        transition = np.zeros((len(of), SIZE, SIZE))
+        dt_s = np.array([(time_ns - since_ns) / SECOND_NS for time_ns in times_ns])
+        decay = np.exp(-dt_s[:, None] / self._time_s)
+        transition = np.zeros((len(of), _SIZE, _SIZE))
         transition[:, range(3), range(3)] = decay
-        transition[:, _WHOLE, _DEFLECTION] = turn * left[:, None, None] - decay[:, :, None] * turn
+        transition[:, WHOLE, DEFLECTION] = turn * left[:, None, None] - decay[:, :, None] * turn
         transition[:, (3, 4), (3, 4)] = left[:, None]
-        ins_noise = np.zeros((len(of), SIZE, SIZE))
+        ins_noise = np.zeros((len(of), _SIZE, _SIZE))
         ins_noise[:, range(3), range(3)] = self._sigma**2 * (1.0 - decay * decay)
         return Carried(transition, shift, ins_noise, fresh)
 
     def means(self, means: FloatArray, before: VerticalHere, carried: Carried) -> FloatArray:
-        """The states of h rows, shape (h, 5), at N moments, shape (N, h, 5).
-
-        An error of the INS far beyond its sigma, as after a jump, does not die out (:func:`lasting`).
-        """
+        """See :class:`InsProcess`."""
         after: FloatArray = means @ np.swapaxes(carried.transition, -1, -2) + carried.shift[:, None]
-        own = means[:, _WHOLE] - means[:, _DEFLECTION] @ before.turn.T
+        own = means[:, WHOLE] - means[:, DEFLECTION] @ before.turn.T
         stays = lasting(own, self._sigma)
-        after[..., _WHOLE] = np.where(stays, means[:, _WHOLE], after[..., _WHOLE])
+        after[..., WHOLE] = np.where(stays, means[:, WHOLE], after[..., WHOLE])
         return after
 
     def _along(self, before: VerticalHere, here: VerticalHere) -> tuple[FloatArray, float, FloatArray, FloatArray]:
         """Turn, what is left of the deflection, what is added to the states, and the covariance of what comes new."""
-        way_m = max(here.along_m - before.along_m, 0.0)
-        left = float(np.exp(-way_m / self._length_m))
-        moved_by, shift = _moved_by_deflection(here), np.zeros(SIZE)
-        if here.given is not None:
-            # What is given for the first time changes nothing at once: the estimate goes there with the way.
-            given_before = here.given if before.given is None else before.given
-            shift = moved_by @ (here.given - left * given_before)
-        return here.turn, left, shift, (1.0 - left * left) * moved_by @ here.covariance @ moved_by.T
-
-
-def own_from_whole(here: VerticalHere) -> FloatArray:
-    """Matrix that takes the states of the process to the INS's own error against gravity's horizon, shape (3, 5)."""
-    return np.hstack([np.eye(3), -here.turn])
+        change, moved_by = deflection_change(before, here, self._length_m), _moved_by_deflection(here)
+        return here.turn, change.left, moved_by @ change.moved, moved_by @ change.fresh @ moved_by.T
 
 
 def _moved_by_deflection(here: VerticalHere) -> FloatArray:

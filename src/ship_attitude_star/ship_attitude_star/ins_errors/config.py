@@ -1,0 +1,62 @@
+"""Parameters of an INS whose error oscillates as that of free gyroscopes and accelerometers does."""
+
+import math
+from dataclasses import dataclass
+
+from ship_estimation.parameter_fields import parameter
+
+GAUSS_MARKOV, SCHULER = "gauss_markov", "schuler"
+
+_SQRT_HOUR = 60.0
+_HOUR_S = 3600.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class SchulerConfig:
+    """The sensors of an INS, by which its tilt and its velocity go wrong; used where ins.model is schuler."""
+
+    velocity_sigma_m_per_s: float = parameter(
+        0.3, doc="error of the INS's own velocity at the start, each axis", unit="m/s", minimum=0.0, maximum=100.0
+    )
+    gyro_drift_sigma_deg_per_h: float = parameter(
+        0.002, doc="drift of the gyroscopes, each axis", unit="deg/h", minimum=0.0, maximum=100.0
+    )
+    gyro_drift_time_s: float = parameter(
+        36_000.0, doc="correlation time of that drift", unit="s", minimum=1.0, maximum=1e7
+    )
+    angle_walk_deg_per_sqrt_h: float = parameter(
+        0.0003, doc="random walk of the attitude by noise of the gyroscopes", unit="deg/sqrt(h)",
+        minimum=0.0, maximum=10.0,
+    )  # fmt: skip
+    accelerometer_bias_sigma_m_per_s2: float = parameter(
+        1e-4, doc="bias of the accelerometers, each axis; 1e-4 tilts by 2 arcsec", unit="m/s2", minimum=0.0, maximum=1.0
+    )
+    accelerometer_bias_time_s: float = parameter(
+        36_000.0, doc="correlation time of that bias", unit="s", minimum=1.0, maximum=1e7
+    )
+    velocity_walk_m_per_s_per_sqrt_h: float = parameter(
+        0.003, doc="random walk of the velocity by noise of the accelerometers", unit="m/s/sqrt(h)",
+        minimum=0.0, maximum=100.0,
+    )  # fmt: skip
+    damping_time_s: float = parameter(
+        0.0,
+        doc="time in which position aiding takes out an error of the velocity; 0: nothing damps it",
+        unit="s",
+        minimum=0.0,
+        maximum=1e7,
+    )
+
+    @property
+    def gyro_drift(self) -> float:
+        """Sigma of the gyroscopes' drift, rad/s."""
+        return math.radians(self.gyro_drift_sigma_deg_per_h) / _HOUR_S
+
+    @property
+    def angle_walk(self) -> float:
+        """Random walk of the attitude, rad/√s."""
+        return math.radians(self.angle_walk_deg_per_sqrt_h) / _SQRT_HOUR
+
+    @property
+    def velocity_walk(self) -> float:
+        """Random walk of the velocity, m/s/√s."""
+        return self.velocity_walk_m_per_s_per_sqrt_h / _SQRT_HOUR

@@ -1,0 +1,123 @@
+"""The error of the INS at moments after a state of the filter, where a process of its own carries it."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ship_attitude_star.ins_errors.process import DEFLECTION, InsProcess, own_from_whole
+from ship_attitude_star.vertical.vertical_track import VerticalHere, VerticalTrack
+from ship_geometry.rotations import FloatArray
+
+_CLOCK = 3
+"""Where the INS's time offset stands among the states that correct it; before and after it are those of its process."""
+
+_DEFLECTION = slice(4, 6)
+"""The deflection of the vertical among them, where it is modelled."""
+
+
+class InsErrors(NamedTuple):
+    """The INS's error at N moments, against the horizon that was asked for.
+
+    Attributes:
+        error_n: of the attitude (north, up, east), rad, shape (N, 3).
+        parts: covariance of it and of the time offset by source, shape (N, n_sources, 4, 4).
+        deflection: (xi, eta), rad, shape (N, 2); no columns where it is not modelled.
+        deflection_covariance: of it, rad², shape (N, 2, 2), or (N, 0, 0).
+        vertical_known: whether the deflection is given, or known better than half of what it may be where none is,
+            shape (N,).
+    """
+
+    error_n: FloatArray
+    parts: FloatArray
+    deflection: FloatArray
+    deflection_covariance: FloatArray
+    vertical_known: NDArray[np.bool_]
+
+
+class OnGravity:
+    """What carries the states that correct the INS: its attitude error, its time offset, the rest of its process.
+
+    Args:
+        process: of the INS's error.
+        vertical: the vertical under way.
+        sources: indices of the error sources of the INS and of the deflection; the same twice where that is not
+            modelled.
+        models_deflection: whether the process carries the deflection.
+        to_gravity: whether the attitude is told against gravity's horizon, which needs the deflection.
+    """
+
+    def __init__(
+        self,
+        process: InsProcess,
+        vertical: VerticalTrack,
+        sources: tuple[int, int],
+        models_deflection: bool,
+        to_gravity: bool,
+    ) -> None:
+        self._process, self._vertical, self._to_gravity = process, vertical, to_gravity
+        self._ins, self._deflection = sources
+        self._models_deflection, self._unknown_variance = models_deflection, vertical.unknown_variance
+        self._of_process = np.delete(np.arange(process.size + 1), _CLOCK)
+
+    def errors(
+        self,
+        since_ns: int | None,
+        before: VerticalHere | None,
+        mean: FloatArray,
+        parts: FloatArray,
+        times_ns: Sequence[int],
+    ) -> InsErrors:
+        """The INS's error at some moments.
+
+        Args:
+            since_ns: the moment of the state; None before the first measurement.
+            before: the vertical at that moment; None likewise.
+            mean: of the n states that correct the INS, shape (n,).
+            parts: their covariance by source, shape (n_sources, n, n).
+            times_ns: the moments, none before that of the state, in ascending order, N of them.
+        """
+        verticals = [self._vertical.at(time_ns) for time_ns in times_ns]
+        count, size = len(times_ns), len(mean)
+        of_process = np.tile(mean[self._of_process], (count, 1))
+        transition, noise = np.tile(np.eye(size), (count, 1, 1)), np.zeros((count, len(parts), size, size))
+        rows, columns = np.ix_(self._of_process, self._of_process)
+        if since_ns is None or before is None:
+            # Nothing was measured: at each moment the state would begin anew.
+            begun = [self._process.begun(here) for here in verticals]
+            of_process += [shift for shift, _ in begun]
+            noise[:, self._deflection, rows, columns] = [covariance for _, covariance in begun]
+        else:
+            carried = self._process.carried(since_ns, before, times_ns, self._vertical)
+            of_process = self._process.means(mean[None, self._of_process], before, carried)[:, 0]
+            transition[:, rows, columns] = carried.transition
+            noise[:, self._ins, rows, columns] += carried.ins_noise
+            noise[:, self._deflection, rows, columns] += carried.deflection_noise
+        after = transition[:, None] @ parts @ np.swapaxes(transition, -1, -2)[:, None] + noise
+        told, of_deflection = self._told(verticals), after[:, :, _DEFLECTION, _DEFLECTION].sum(axis=1)
+        to_four = np.zeros((count, 4, size))
+        to_four[:, :3, self._of_process], to_four[:, 3, _CLOCK] = told, 1.0
+        return InsErrors(
+            error_n=(told @ of_process[:, :, None])[..., 0],
+            parts=np.ascontiguousarray(to_four[:, None] @ after @ np.swapaxes(to_four, -1, -2)[:, None]),
+            deflection=of_process[:, DEFLECTION] if self._models_deflection else np.empty((count, 0)),
+            deflection_covariance=of_deflection if self._models_deflection else np.empty((count, 0, 0)),
+            vertical_known=self._known(of_deflection, verticals),
+        )
+
+    def _known(self, covariance: FloatArray, verticals: Sequence[VerticalHere]) -> NDArray[np.bool_]:
+        """Whether the deflection is given, or known better than half of what it may be where none is, shape (N,)."""
+        if not self._models_deflection:
+            return np.zeros(len(verticals), dtype=bool)
+        # Written so that NaN is not known.
+        known: NDArray[np.bool_] = np.array([here.given is not None for here in verticals])
+        known |= 4.0 * np.trace(covariance, axis1=1, axis2=2) <= 2.0 * self._unknown_variance
+        return known
+
+    def _told(self, verticals: Sequence[VerticalHere]) -> FloatArray:
+        """What is told of the states of the process: the error against the horizon asked for, shape (N, 3, n)."""
+        size = self._process.size
+        if not self._to_gravity:
+            return np.tile(np.eye(3, size), (len(verticals), 1, 1))
+        return np.array([np.pad(own_from_whole(here), ((0, 0), (0, size - 5))) for here in verticals])

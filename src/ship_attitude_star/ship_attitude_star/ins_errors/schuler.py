@@ -1,0 +1,245 @@
+"""How the error of an INS goes on that is left to its own gyroscopes and accelerometers: the Schuler oscillation.
+
+A wrong tilt lets gravity look like an acceleration, which makes a wrong velocity, which turns the horizon that the INS
+computes: a pendulum of 84.4 min. With u the whole error of the attitude (R_true = exp(u) R_ins), v that of the
+velocity, e the drift of the gyroscopes, b the bias of the accelerometers and (xi, eta) the deflection of the vertical,
+about (North, Up, East):
+
+    du/dt = u x w + (v_E / R_E, v_E tan L / R_E, -v_N / R_N) - e
+    dv_N/dt =  g u_E + g xi  + b_N - (2 W sin L + V_E tan L / R_E) v_E - v_N / T
+    dv_E/dt = -g u_N + g eta + b_E + (2 W sin L + V_E tan L / R_E) v_N - v_E / T
+
+W is the Earth's rate, w the turn of the horizon by it and by the ship's own velocity V, L the latitude, R_N and R_E the
+radii of curvature, T the time in which position aiding damps the velocity. The term in w couples the three tilts within
+24 h, the one in 2 W sin L turns the plane of the pendulum (Foucault). e and b are Gauss-Markov; white noise comes to u
+and v besides. They stand in the horizon's axes, as those of an INS whose sensors are turned by gimbals or by a motor:
+they do not turn with the hull. Errors of the position are left out: a ship knows hers.
+
+The equations are those of the phi-angle error model (Titterton and Weston, Strapdown Inertial Navigation Technology,
+ch. 12; models.md §8) with the position known.
+"""
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ship_attitude_star.ins_errors.config import SchulerConfig
+from ship_attitude_star.ins_errors.process import DEFLECTION, WHOLE, Carried, deflection_change
+from ship_attitude_star.vertical.vertical_track import STEP_NS, VerticalHere, VerticalTrack
+from ship_estimation.kalman import lasting
+from ship_geometry.geodetic import EARTH_RATE_RAD_PER_S, GeodeticPosition, horizon_radii_m, normal_gravity
+from ship_geometry.rotations import FloatArray
+from ship_geometry.time_scales import SECOND_NS
+
+_VELOCITY, _DRIFT, _BIAS = slice(5, 7), slice(7, 10), slice(10, 12)
+_ALL = 12
+
+_TERMS = 4
+"""Of the power series over a step of 2 s; the next one is 1e-14 of the first."""
+
+_REMEMBERED = 64
+"""Steps before the newest one that are remembered: a late fix changes the last few."""
+
+
+class _Knot(NamedTuple):
+    """The way up to an even second.
+
+    Attributes:
+        step: number of it.
+        here: the vertical from there on.
+        carried: what the way up to there made of the states, of one moment, without its axis.
+    """
+
+    step: int
+    here: VerticalHere
+    carried: Carried
+
+
+class _Way(NamedTuple):
+    """The way from a moment on.
+
+    Attributes:
+        since_ns: that moment.
+        before: the vertical there.
+        knots: the last even seconds of it.
+    """
+
+    since_ns: int
+    before: VerticalHere
+    knots: deque[_Knot]
+
+
+class _Step(NamedTuple):
+    """The motion of the states while the vertical stays as it is, as the terms of a power series in the time.
+
+    Attributes:
+        transition: shape (5, n, n).
+        noise: of the covariance of what comes new, shape (5, n, n), the first of them zero.
+    """
+
+    transition: FloatArray
+    noise: FloatArray
+
+
+class SchulerIns:
+    """The process of the INS's attitude, velocity, gyroscopes and accelerometers, and of the deflection where modelled.
+
+    Args:
+        config: of the INS's sensors.
+        sigma: of its attitude where nothing was measured yet, about (North, Up, East), rad, shape (3,).
+        length_m: correlation length of the deflection over ground; None where that is not modelled.
+    """
+
+    def __init__(self, config: SchulerConfig, sigma: FloatArray, length_m: float | None) -> None:
+        self._config, self._sigma, self._length_m = config, sigma, length_m
+        of_gravity = () if length_m is None else ("gravity.deflection",)
+        self.blocks = ("ins.attitude", *of_gravity, "ins.velocity", "ins.gyro_drift", "ins.accelerometer_bias")
+        self._kept = np.delete(np.arange(_ALL), DEFLECTION) if length_m is None else np.arange(_ALL)
+        self.size = len(self._kept)
+        self._density = _noise_density(config)[self._kept]
+        self._of_here: tuple[VerticalHere, _Step] | None = None
+        self._way: _Way | None = None
+
+    def begun(self, here: VerticalHere) -> tuple[FloatArray, FloatArray]:
+        """See :class:`InsProcess`; the INS has levelled itself on gravity by then."""
+        mean, covariance = np.zeros(self.size), np.zeros((self.size, self.size))
+        if self._length_m is not None:
+            moved_by = np.vstack([here.turn, np.eye(2)])
+            mean[:5] = moved_by @ (np.zeros(2) if here.given is None else here.given)
+            covariance[:5, :5] = moved_by @ here.covariance @ moved_by.T
+        return mean, covariance
+
+    def carried(
+        self, since_ns: int, before: VerticalHere, times_ns: Sequence[int], vertical: VerticalTrack
+    ) -> Carried:
+        """See :class:`InsProcess`."""
+        found = []
+        for time_ns in times_ns:
+            knot = self._knot_before(since_ns, before, time_ns, vertical)
+            since_knot_ns = time_ns - max(since_ns, knot.step * STEP_NS)
+            found.append(self._while_still(knot.carried, knot.here, since_knot_ns))
+        return Carried(*(np.array(column) for column in zip(*found, strict=True)))
+
+    def means(self, means: FloatArray, before: VerticalHere, carried: Carried) -> FloatArray:
+        """See :class:`InsProcess`."""
+        own = means[:, WHOLE]
+        if self._length_m is not None:
+            own = own - means[:, DEFLECTION] @ before.turn.T
+        stays = np.zeros_like(means)
+        stays[:, WHOLE] = np.where(lasting(own, self._sigma), means[:, WHOLE], 0.0)
+        after: FloatArray = (means - stays) @ np.swapaxes(carried.transition, -1, -2) + carried.shift[:, None] + stays
+        return after
+
+    # -- the way ------------------------------------------------------------------------------------------------
+
+    def _knot_before(self, since_ns: int, before: VerticalHere, time_ns: int, vertical: VerticalTrack) -> _Knot:
+        """The last even second before a moment, or the beginning where that is later, with the way up to it.
+
+        The way up to the moment asked for last is remembered. What it was is known by the vertical at its end: whatever
+        changes the vertical at one step makes all later ones anew.
+        """
+        last = time_ns // STEP_NS
+        if self._way is None or self._way.since_ns != since_ns or self._way.before is not before:
+            self._way = _Way(since_ns, before, deque(maxlen=_REMEMBERED))
+        knots = self._way.knots
+        while knots and (knots[-1].step > last or knots[-1].here is not vertical.at(knots[-1].step * STEP_NS)):
+            knots.pop()
+        if not knots:
+            nothing = np.zeros((self.size, self.size))
+            still = Carried(np.eye(self.size), np.zeros(self.size), nothing, nothing)
+            # Within the first step the vertical stays what it was at the state's own moment.
+            first = _Knot(since_ns // STEP_NS, before, still)
+            if first.step >= last:
+                return first
+            knots.append(self._next(first, since_ns, vertical))
+        while knots[-1].step < last:
+            knots.append(self._next(knots[-1], since_ns, vertical))
+        return knots[-1]
+
+    def _next(self, knot: _Knot, since_ns: int, vertical: VerticalTrack) -> _Knot:
+        """The way up to the next even second, the change of the deflection there included."""
+        step = knot.step + 1
+        end_ns = step * STEP_NS
+        there = self._while_still(knot.carried, knot.here, end_ns - max(since_ns, knot.step * STEP_NS))
+        here = vertical.at(end_ns)
+        return _Knot(step, here, self._with_change(there, knot.here, here))
+
+    def _while_still(self, way: Carried, here: VerticalHere, time_ns: int) -> Carried:
+        """The way and a time after it, of one step at most, in which the vertical stays as it is."""
+        motion, powers = self._motion(here), (time_ns / SECOND_NS) ** np.arange(_TERMS + 1.0)
+        transition, noise = np.tensordot(powers, motion.transition, 1), np.tensordot(powers, motion.noise, 1)
+        return Carried(
+            transition @ way.transition,
+            transition @ way.shift,
+            transition @ way.ins_noise @ transition.T + noise,
+            transition @ way.deflection_noise @ transition.T,
+        )
+
+    def _with_change(self, way: Carried, before: VerticalHere, here: VerticalHere) -> Carried:
+        """The way and a change of the deflection at its end, which by itself does not move the INS."""
+        if self._length_m is None:
+            return way
+        change = deflection_change(before, here, self._length_m)
+        left = np.ones(self.size)
+        left[DEFLECTION] = change.left
+        shift, fresh = left * way.shift, left[:, None] * way.deflection_noise * left
+        shift[DEFLECTION] += change.moved
+        fresh[DEFLECTION, DEFLECTION] += change.fresh
+        return Carried(left[:, None] * way.transition, shift, left[:, None] * way.ins_noise * left, fresh)
+
+    # -- the motion -----------------------------------------------------------------------------------------------
+
+    def _motion(self, here: VerticalHere) -> _Step:
+        """The motion at a place; that of the place asked for last is remembered."""
+        if self._of_here is None or self._of_here[0] is not here:
+            rates = self.rates(here)
+            transition, noise = [np.eye(self.size)], [np.zeros((self.size, self.size)), np.diag(self._density)]
+            for term in range(1, _TERMS + 1):
+                transition.append(rates @ transition[-1] / term)
+            for term in range(2, _TERMS + 1):
+                noise.append((rates @ noise[-1] + noise[-1] @ rates.T) / term)
+            self._of_here = here, _Step(np.array(transition), np.array(noise))
+        return self._of_here[1]
+
+    def rates(self, here: VerticalHere) -> FloatArray:
+        """By what each state changes the others in a second at a place, shape (n, n)."""
+        config, latitude, (north_m_per_s, east_m_per_s) = self._config, here.latitude, here.velocity_m_per_s
+        radius_north_m, radius_east_m = map(float, horizon_radii_m(GeodeticPosition(latitude, 0.0, 0.0)))
+        gravity, tangent = normal_gravity(latitude), math.tan(latitude)
+        turn_north = EARTH_RATE_RAD_PER_S * math.cos(latitude) + east_m_per_s / radius_east_m
+        turn_up = EARTH_RATE_RAD_PER_S * math.sin(latitude) + east_m_per_s * tangent / radius_east_m
+        turn_east = -north_m_per_s / radius_north_m
+        coriolis = EARTH_RATE_RAD_PER_S * math.sin(latitude) + turn_up
+        rates = np.zeros((_ALL, _ALL))
+        rates[WHOLE, WHOLE] = [
+            [0.0, turn_east, -turn_up],
+            [-turn_east, 0.0, turn_north],
+            [turn_up, -turn_north, 0.0],
+        ]
+        rates[WHOLE, _VELOCITY] = [
+            [0.0, 1.0 / radius_east_m],
+            [0.0, tangent / radius_east_m],
+            [-1.0 / radius_north_m, 0.0],
+        ]
+        rates[WHOLE, _DRIFT] = -np.eye(3)
+        rates[_VELOCITY, WHOLE] = [[0.0, 0.0, gravity], [-gravity, 0.0, 0.0]]
+        rates[_VELOCITY, DEFLECTION] = gravity * np.eye(2)
+        damped = 1.0 / config.damping_time_s if config.damping_time_s else 0.0
+        rates[_VELOCITY, _VELOCITY] = [[-damped, -coriolis], [coriolis, -damped]]
+        rates[_VELOCITY, _BIAS] = np.eye(2)
+        rates[_DRIFT, _DRIFT] = -np.eye(3) / config.gyro_drift_time_s
+        rates[_BIAS, _BIAS] = -np.eye(2) / config.accelerometer_bias_time_s
+        return rates[np.ix_(self._kept, self._kept)]
+
+
+def _noise_density(config: SchulerConfig) -> FloatArray:
+    """Variance of what comes new to each state in a second, shape (12,)."""
+    density = np.zeros(_ALL)
+    density[WHOLE] = config.angle_walk**2
+    density[_VELOCITY] = config.velocity_walk**2
+    density[_DRIFT] = 2.0 * config.gyro_drift**2 / config.gyro_drift_time_s
+    density[_BIAS] = 2.0 * config.accelerometer_bias_sigma_m_per_s2**2 / config.accelerometer_bias_time_s
+    return density

@@ -1,0 +1,180 @@
+"""The Schuler oscillation of the INS's error: against scipy's matrix exponential, and against an INS that is computed.
+
+The INS of the second kind is not linearised and shares no line with the process: its attitude and velocity are
+integrated from what gyroscopes and accelerometers measure, by scipy.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+from ship_attitude_star.ins_errors.config import SchulerConfig
+from ship_attitude_star.ins_errors.schuler import SchulerIns
+from ship_attitude_star.measurements.readings import PositionFix
+from ship_attitude_star.sky.config import SkyConfig
+from ship_attitude_star.vertical.config import GravityConfig
+from ship_attitude_star.vertical.vertical_track import VerticalTrack
+from ship_geometry.geodetic import EARTH_RATE_RAD_PER_S, GeodeticPosition, horizon_radii_m, normal_gravity
+from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
+
+LATITUDE = math.radians(40.0)
+START_NS = 1_700_000_000_000_000_000
+CONFIG = SchulerConfig(damping_time_s=0.0)
+SIGMA = np.array([10.0, 72.0, 10.0]) * ARCSEC
+LENGTH_M = 30_000.0
+BLOCKS = ("ins.attitude", "gravity.deflection", "ins.velocity", "ins.gyro_drift", "ins.accelerometer_bias")
+
+
+def ns(second: float) -> int:
+    return START_NS + round(second * 1e9)
+
+
+def at_anchor(seconds: int, **gravity: object) -> VerticalTrack:
+    """A ship that lies at one place, with a fix each second."""
+    track = VerticalTrack(GravityConfig(**gravity), SkyConfig())
+    for second in range(-10, seconds + 1):
+        place = GeodeticPosition(LATITUDE, math.radians(-66.0), 20.0)
+        track.insert(PositionFix(ns(second), place, np.diag([0.01, 0.04, 0.01])))
+    return track
+
+
+def process(config: SchulerConfig = CONFIG, length_m: float | None = LENGTH_M) -> SchulerIns:
+    return SchulerIns(config, SIGMA, length_m)
+
+
+@pytest.mark.parametrize("damping_time_s", [0.0, 1800.0])
+def test_two_hours_are_the_matrix_exponential(damping_time_s: float) -> None:
+    # Van Loan's integral of the noise, by scipy's expm, over the whole time at once.
+    vertical = at_anchor(60, deflection="constant", xi_arcsec=20.0, sigma_arcsec=2.0)
+    ins = process(replace(CONFIG, damping_time_s=damping_time_s))
+    here, dt_s = vertical.at(ns(1.0)), 7200.7
+    carried = ins.carried(ns(1.0), here, [ns(1.0 + dt_s)], vertical)
+    rates = ins.rates(here)
+    np.testing.assert_allclose(carried.transition[0], expm(rates * dt_s), rtol=1e-8, atol=1e-10)
+    config = CONFIG
+    density = np.diag(
+        [config.angle_walk**2] * 3
+        + [0.0] * 2
+        + [config.velocity_walk**2] * 2
+        + [2.0 * config.gyro_drift**2 / config.gyro_drift_time_s] * 3
+        + [2.0 * config.accelerometer_bias_sigma_m_per_s2**2 / config.accelerometer_bias_time_s] * 2
+    )
+    scale = np.diag(1.0 / np.r_[np.full(5, ARCSEC), 0.01, 0.01, np.full(3, 1e-8), 1e-5, 1e-5])
+    noise = np.zeros((12, 12))
+    # In steps, as the integral over hours at once is lost in the rounding of exp(-F t).
+    step = expm(60.0 * np.block([[-rates, density], [np.zeros((12, 12)), rates.T]]))
+    transition = step[12:, 12:].T
+    fresh = transition @ step[:12, 12:]
+    for _ in range(120):
+        noise = transition @ noise @ transition.T + fresh
+    exact = ins.carried(ns(1.0), here, [ns(7201.0)], vertical).ins_noise[0]
+    np.testing.assert_allclose(scale @ exact @ scale, scale @ noise @ scale, rtol=1e-6, atol=1e-6)
+
+
+def test_undamped_period_is_that_of_schuler() -> None:
+    # Foucault's turn of its plane, W sin L, makes two frequencies of it, as far below as above; and a day of the Earth.
+    here = at_anchor(5).at(ns(1.0))
+    rates = process(length_m=None).rates(here)
+    found = np.linalg.eigvals(rates).imag
+    day, slow, fast = np.sort(found[found > 1e-9])
+    assert 2.0 * np.pi / (0.5 * (slow + fast)) / 60.0 == pytest.approx(84.4, abs=0.1)
+    assert 0.5 * (fast - slow) == pytest.approx(EARTH_RATE_RAD_PER_S * math.sin(LATITUDE), rel=0.01)
+    assert 2.0 * np.pi / day / 3600.0 == pytest.approx(23.93, rel=0.01)
+
+
+@pytest.mark.parametrize("sailing", [(0.0, 0.0), (8.0, -6.0)])
+def test_an_ins_that_is_computed_goes_wrong_as_the_process_says(sailing: tuple[float, float]) -> None:
+    ins, hours = process(), 1.5
+    state = np.zeros(12)
+    state[:3] = np.array([8.0, 40.0, -12.0]) * ARCSEC
+    state[3:5] = np.array([15.0, -9.0]) * ARCSEC
+    state[5:7] = 0.2, -0.1
+    state[7:10] = np.array([0.004, -0.01, 0.006]) * math.pi / 180.0 / 3600.0
+    state[10:] = 1e-4, -5e-5
+    rates = ins.rates(at_anchor(5).at(ns(1.0))._replace(velocity_m_per_s=sailing))
+    # Constant drift and bias: those of the process decay within ten hours.
+    rates[7:, 7:] = 0.0
+    said = expm(3600.0 * hours * rates) @ state
+    turn, velocity = computed_ins(state, sailing, 3600.0 * hours)
+    # What is left is of second order: 40 arcseconds times 60, and what cos L makes of a heading's error.
+    np.testing.assert_allclose(turn / ARCSEC, said[:3] / ARCSEC, atol=0.1)
+    np.testing.assert_allclose(velocity, said[5:7], atol=0.002)
+
+
+def computed_ins(state: np.ndarray, sailing: tuple[float, float], duration_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """Errors of an INS (turn from its horizon to the true one, velocity) that integrates what its sensors measure.
+
+    The ship holds her latitude and her velocity, as far as the Earth's figure is concerned, and her deck is the true
+    horizon, so that the INS's attitude is what its error is.
+    """
+    meridian_m, across_m = (float(one) for one in horizon_radii_m(GeodeticPosition(LATITUDE, 0.0, 0.0)))
+    gravity, (xi, eta) = normal_gravity(LATITUDE), state[3:5]
+    earth = EARTH_RATE_RAD_PER_S * np.array([math.cos(LATITUDE), math.sin(LATITUDE), 0.0])
+
+    def over_ground(velocity: np.ndarray) -> np.ndarray:
+        return np.array(
+            [velocity[2] / across_m, velocity[2] * math.tan(LATITUDE) / across_m, -velocity[0] / meridian_m]
+        )
+
+    true_velocity = np.array([sailing[0], 0.0, sailing[1]])
+    true_turn = earth + over_ground(true_velocity)
+    true_gravity = gravity * np.array([-xi, -1.0, -eta])
+    felt = np.cross(2.0 * earth + over_ground(true_velocity), true_velocity) - true_gravity
+    # Sensors stand in the axes of the INS's own horizon.
+    drift, bias = state[7:10], np.array([state[10], 0.0, state[11]])
+
+    def change(_time_s: float, x: np.ndarray) -> np.ndarray:
+        rotation, velocity = x[:9].reshape(3, 3), np.array([x[9], 0.0, x[10]])
+        measured_turn = true_turn + rotation.T @ drift
+        measured_force = felt + rotation.T @ bias
+        turn = earth + over_ground(velocity)
+        force = rotation @ measured_force + np.array([0.0, -gravity, 0.0])
+        force -= np.cross(2.0 * earth + over_ground(velocity), velocity)
+        new = rotation @ skew(measured_turn) - skew(turn) @ rotation
+        return np.r_[new.ravel(), force[0], force[2]]
+
+    begin = np.r_[exp_rotation(-state[:3]).ravel(), true_velocity[[0, 2]] + state[5:7]]
+    end = solve_ivp(change, (0.0, duration_s), begin, method="DOP853", rtol=1e-11, atol=1e-14).y[:, -1]
+    return log_rotation(end[:9].reshape(3, 3).T), end[9:] - true_velocity[[0, 2]]
+
+
+def skew(vector: np.ndarray) -> np.ndarray:
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def test_how_it_is_asked_does_not_matter() -> None:
+    gravity = {"deflection": "constant", "xi_arcsec": 20.0, "sigma_arcsec": 2.0}
+    vertical = at_anchor(400, **gravity)
+    before, end_s = vertical.at(ns(1.3)), 301.7
+    at_once = process().carried(ns(1.3), before, [ns(end_s)], vertical)
+    asked, more = process(), 0.0
+    for more in (1.4, 50.0, 299.9, 120.0, 301.0, end_s):
+        last = asked.carried(ns(1.3), before, [ns(more)], vertical)
+        asked.carried(ns(more), vertical.at(ns(more)), [ns(more + 3.0)], vertical)
+    for one, other in zip(at_once, last, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_a_deflection_under_way_drives_the_oscillation() -> None:
+    # The way from 0 to 60 arcseconds, then still: the tilt swings about the new plumb line, twice as far at most.
+    ins = process()
+    vertical = at_anchor(5, deflection="constant", sigma_arcsec=0.0)
+    here = vertical.at(ns(1.0))
+    state = np.zeros(12)
+    state[3] = 60.0 * ARCSEC
+    half_period_s = 0.5 * 84.4 * 60.0
+    carried = ins.carried(ns(1.0), here, [ns(1.0 + half_period_s)], vertical)
+    (after,) = ins.means(state[None], here, carried)[0]
+    assert after[2] / ARCSEC == pytest.approx(-120.0, abs=2.0)
+    assert after[3] == state[3]
+
+
+def test_blocks_are_named_in_the_order_of_the_states() -> None:
+    assert process().blocks == BLOCKS
+    assert process(length_m=None).blocks == tuple(name for name in BLOCKS if name != "gravity.deflection")
+    assert (process().size, process(length_m=None).size) == (12, 10)

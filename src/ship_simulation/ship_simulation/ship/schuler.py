@@ -1,0 +1,133 @@
+"""The error of a simulated INS that is left to its own gyroscopes and accelerometers.
+
+It is drawn second by second. Each second is exact: scipy's matrix exponential of the equations of motion, and of the
+covariance of what the noise adds in it (C. F. Van Loan, Computing integrals involving the matrix exponential, 1978).
+The equations stand here as they are, and not by way of the estimator's.
+"""
+
+import math
+
+import numpy as np
+from scipy.linalg import expm
+
+from ship_geometry.geodetic import EARTH_RATE_RAD_PER_S, GeodeticPosition, horizon_radii_m, normal_gravity
+from ship_geometry.rotations import FloatArray
+from ship_geometry.time_scales import SECOND_NS
+from ship_simulation.scenario.scenario import Scenario, start_of
+from ship_simulation.ship.deflection import Deflection
+from ship_simulation.ship.ship_track import ShipTrack
+
+_STEP_S = 1.0
+_STEPS_AT_A_PLACE = 300
+"""Five minutes, in which a ship changes her latitude by a few miles."""
+
+_STATES = 10
+"""Attitude (north, up, east), velocity (north, east), drift of the gyroscopes (3), bias of the accelerometers (2)."""
+
+
+class SchulerError:
+    """The error of the INS's attitude, drawn up to the latest moment asked for; straight between whole seconds.
+
+    Args:
+        rng: source of all that is drawn.
+        scenario: the INS, and how the ship sails.
+        sigma: of the attitude at the start, about (North, Up, East), rad, shape (3,).
+        deflection: of the vertical; None where gravity is everywhere normal to the ellipsoid.
+    """
+
+    def __init__(
+        self, rng: np.random.Generator, scenario: Scenario, sigma: FloatArray, deflection: Deflection | None
+    ) -> None:
+        self._rng, self._config, self._deflection = rng, scenario.ins.schuler, deflection
+        self._track = ShipTrack(scenario.position, start_of(scenario.start_utc))
+        course = math.radians(scenario.position.course_deg)
+        speed = scenario.position.speed_m_per_s
+        self._velocity = speed * math.cos(course), speed * math.sin(course)
+        config = self._config
+        start = np.concatenate(
+            [
+                sigma,
+                np.full(2, config.velocity_sigma_m_per_s),
+                np.full(3, config.gyro_drift),
+                np.full(2, config.accelerometer_bias_sigma_m_per_s2),
+            ]
+        )
+        self._state = start * rng.standard_normal(_STATES)
+        if deflection is not None:
+            self._state[:3] += deflection.turn_n(np.zeros(1))[0]
+        self._first = 0
+        self._values = self._state[None, :3]
+        self._step: tuple[FloatArray, FloatArray, FloatArray]
+
+    def at(self, since_start_s: FloatArray) -> FloatArray:
+        """The error at some moments, rad, shape (n, 3)."""
+        if np.size(since_start_s):
+            self._reach(math.ceil(float(np.max(since_start_s)) / _STEP_S))
+        moments_s = _STEP_S * (self._first + np.arange(len(self._values)))
+        return np.stack([np.interp(since_start_s, moments_s, column) for column in self._values.T], axis=-1)
+
+    def forget(self, before_s: float) -> None:
+        """No moment before this is asked for any more."""
+        first = min(math.floor(before_s / _STEP_S), self._first + len(self._values) - 1)
+        if first > self._first:
+            self._values, self._first = self._values[first - self._first :].copy(), first
+
+    def _reach(self, last: int) -> None:
+        done = self._first + len(self._values) - 1
+        pulls = np.zeros((max(last - done, 0), 2))
+        if self._deflection is not None and len(pulls):
+            pulls = self._deflection.at(_STEP_S * np.arange(done + 0.5, last, dtype=np.float64))
+        more = []
+        for number, pull in zip(range(done, last), pulls, strict=True):
+            if number % _STEPS_AT_A_PLACE == 0:
+                self._step = self._step_at(number * _STEP_S)
+            transition, by_deflection, root = self._step
+            fresh = root @ self._rng.standard_normal(_STATES)
+            self._state = transition @ self._state + by_deflection @ pull + fresh
+            more.append(self._state[:3])
+        if more:
+            self._values = np.concatenate([self._values, more])
+
+    def _step_at(self, since_start_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """What a second makes of the states, what a deflection adds in it, and a root of the noise's covariance."""
+        latitude_deg, _ = self._track.degrees(
+            np.array([self._track.start_ns + round(since_start_s * SECOND_NS)])
+        )
+        latitude = math.radians(float(latitude_deg[0]))
+        rates = np.column_stack([self._rates(column, latitude) for column in np.eye(_STATES + 2)])
+        whole = np.vstack([rates, np.zeros((2, _STATES + 2))])
+        moved = expm(_STEP_S * whole)
+        own, config = rates[:, :_STATES], self._config
+        density = np.diag(
+            [config.angle_walk**2] * 3
+            + [config.velocity_walk**2] * 2
+            + [2.0 * config.gyro_drift**2 / config.gyro_drift_time_s] * 3
+            + [2.0 * config.accelerometer_bias_sigma_m_per_s2**2 / config.accelerometer_bias_time_s] * 2
+        )
+        van_loan = expm(_STEP_S * np.block([[-own, density], [np.zeros_like(own), own.T]]))
+        transition = moved[:_STATES, :_STATES]
+        covariance = transition @ van_loan[:_STATES, _STATES:]
+        values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+        return transition, moved[:_STATES, _STATES:], vectors * np.sqrt(np.maximum(values, 0.0))
+
+    def _rates(self, state: FloatArray, latitude: float) -> FloatArray:
+        """By what the states change in a second, with the deflection (xi, eta) at their end; linear in all."""
+        tilt, (north, east), drift, (bias_north, bias_east) = state[:3], state[3:5], state[5:8], state[8:10]
+        xi, eta = state[10:]
+        meridian_m, across_m = horizon_radii_m(GeodeticPosition(latitude, 0.0, 0.0))
+        gravity, tangent = normal_gravity(latitude), math.tan(latitude)
+        of_earth = EARTH_RATE_RAD_PER_S * np.array([math.cos(latitude), math.sin(latitude), 0.0])
+        per_m = np.array([[0.0, 1.0 / across_m], [0.0, tangent / across_m], [-1.0 / meridian_m, 0.0]])
+        over_ground, wrong_turn = per_m @ self._velocity, per_m @ [north, east]
+        # (North, Up, East) are right-handed; the specific force is gravity's reaction, upward and along the deflection.
+        force = np.cross([0.0, gravity, 0.0], tilt) + gravity * np.array([xi, 0.0, eta])
+        turned = np.cross(2.0 * of_earth + over_ground, [north, 0.0, east])
+        damped = 1.0 / self._config.damping_time_s if self._config.damping_time_s else 0.0
+        return np.concatenate(
+            [
+                np.cross(tilt, of_earth + over_ground) + wrong_turn - drift,
+                [force[0] + bias_north - turned[0] - damped * north, force[2] + bias_east - turned[2] - damped * east],
+                -drift / self._config.gyro_drift_time_s,
+                np.array([-bias_north, -bias_east]) / self._config.accelerometer_bias_time_s,
+            ]
+        )
