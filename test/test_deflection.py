@@ -37,7 +37,9 @@ def voyage(gravity: Gravity | None = None, **changes: Any) -> Scenario:
     whole = load_scenario(SCENARIO)
     sensors = {id_: replace(one, rate_hz=0.1, phase_s=0.0) for id_, one in whole.star_sensors.items()}
     ins = replace(whole.ins, rate_hz=1.0, time_offset_sigma_s=0.0)
-    thin = replace(whole, carrier=STILL, ins=ins, star_sensors=sensors, gravity=gravity or whole.gravity)
+    position = replace(whole.position, rate_hz=0.1)
+    gravity = gravity or whole.gravity
+    thin = replace(whole, carrier=STILL, ins=ins, star_sensors=sensors, position=position, gravity=gravity)
     return replace(thin, **changes)
 
 

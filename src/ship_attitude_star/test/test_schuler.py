@@ -26,7 +26,14 @@ START_NS = 1_700_000_000_000_000_000
 CONFIG = SchulerConfig(damping_time_s=0.0)
 SIGMA = np.array([10.0, 72.0, 10.0]) * ARCSEC
 LENGTH_M = 30_000.0
-BLOCKS = ("ins.attitude", "gravity.deflection", "ins.velocity", "ins.gyro_drift", "ins.accelerometer_bias")
+BLOCKS = (
+    "ins.attitude",
+    "gravity.deflection",
+    "ins.velocity",
+    "ins.latitude",
+    "ins.gyro_drift",
+    "ins.accelerometer_bias",
+)
 
 
 def ns(second: float) -> int:
@@ -60,15 +67,16 @@ def test_two_hours_are_the_matrix_exponential(damping_time_s: float) -> None:
         [config.angle_walk**2] * 3
         + [0.0] * 2
         + [config.velocity_walk**2] * 2
+        + [0.0]
         + [2.0 * config.gyro_drift**2 / config.gyro_drift_time_s] * 3
         + [2.0 * config.accelerometer_bias_sigma_m_per_s2**2 / config.accelerometer_bias_time_s] * 2
     )
-    scale = np.diag(1.0 / np.r_[np.full(5, ARCSEC), 0.01, 0.01, np.full(3, 1e-8), 1e-5, 1e-5])
-    noise = np.zeros((12, 12))
+    scale = np.diag(1.0 / np.r_[np.full(5, ARCSEC), 0.01, 0.01, 1e-5, np.full(3, 1e-8), 1e-5, 1e-5])
+    noise = np.zeros((13, 13))
     # In steps, as the integral over hours at once is lost in the rounding of exp(-F t).
-    step = expm(60.0 * np.block([[-rates, density], [np.zeros((12, 12)), rates.T]]))
-    transition = step[12:, 12:].T
-    fresh = transition @ step[:12, 12:]
+    step = expm(60.0 * np.block([[-rates, density], [np.zeros((13, 13)), rates.T]]))
+    transition = step[13:, 13:].T
+    fresh = transition @ step[:13, 13:]
     for _ in range(120):
         noise = transition @ noise @ transition.T + fresh
     exact = ins.carried(ns(1.0), here, [ns(7201.0)], vertical).ins_noise[0]
@@ -76,7 +84,7 @@ def test_two_hours_are_the_matrix_exponential(damping_time_s: float) -> None:
 
 
 def test_undamped_period_is_that_of_schuler() -> None:
-    # Foucault's turn of its plane, W sin L, makes two frequencies of it, as far below as above; and a day of the Earth.
+    # Foucault's turn of its plane, W sin L, makes two frequencies of it, as far below as above; and there is the day.
     here = at_anchor(5).at(ns(1.0))
     rates = process(length_m=None).rates(here)
     found = np.linalg.eigvals(rates).imag
@@ -89,15 +97,16 @@ def test_undamped_period_is_that_of_schuler() -> None:
 @pytest.mark.parametrize("sailing", [(0.0, 0.0), (8.0, -6.0)])
 def test_an_ins_that_is_computed_goes_wrong_as_the_process_says(sailing: tuple[float, float]) -> None:
     ins, hours = process(), 1.5
-    state = np.zeros(12)
+    state = np.zeros(13)
     state[:3] = np.array([8.0, 40.0, -12.0]) * ARCSEC
     state[3:5] = np.array([15.0, -9.0]) * ARCSEC
     state[5:7] = 0.2, -0.1
-    state[7:10] = np.array([0.004, -0.01, 0.006]) * math.pi / 180.0 / 3600.0
-    state[10:] = 1e-4, -5e-5
+    state[7] = 2e-4
+    state[8:11] = np.array([0.004, -0.01, 0.006]) * math.pi / 180.0 / 3600.0
+    state[11:] = 1e-4, -5e-5
     rates = ins.rates(at_anchor(5).at(ns(1.0))._replace(velocity_m_per_s=sailing))
     # Constant drift and bias: those of the process decay within ten hours.
-    rates[7:, 7:] = 0.0
+    rates[8:, 8:] = 0.0
     said = expm(3600.0 * hours * rates) @ state
     turn, velocity = computed_ins(state, sailing, 3600.0 * hours)
     # What is left is of second order: 40 arcseconds times 60, and what cos L makes of a heading's error.
@@ -113,33 +122,37 @@ def computed_ins(state: np.ndarray, sailing: tuple[float, float], duration_s: fl
     """
     meridian_m, across_m = (float(one) for one in horizon_radii_m(GeodeticPosition(LATITUDE, 0.0, 0.0)))
     gravity, (xi, eta) = normal_gravity(LATITUDE), state[3:5]
-    earth = EARTH_RATE_RAD_PER_S * np.array([math.cos(LATITUDE), math.sin(LATITUDE), 0.0])
 
-    def over_ground(velocity: np.ndarray) -> np.ndarray:
+    def earth(latitude: float) -> np.ndarray:
+        return EARTH_RATE_RAD_PER_S * np.array([math.cos(latitude), math.sin(latitude), 0.0])
+
+    def over_ground(velocity: np.ndarray, latitude: float) -> np.ndarray:
         return np.array(
-            [velocity[2] / across_m, velocity[2] * math.tan(LATITUDE) / across_m, -velocity[0] / meridian_m]
+            [velocity[2] / across_m, velocity[2] * math.tan(latitude) / across_m, -velocity[0] / meridian_m]
         )
 
     true_velocity = np.array([sailing[0], 0.0, sailing[1]])
-    true_turn = earth + over_ground(true_velocity)
+    true_turn = earth(LATITUDE) + over_ground(true_velocity, LATITUDE)
     true_gravity = gravity * np.array([-xi, -1.0, -eta])
-    felt = np.cross(2.0 * earth + over_ground(true_velocity), true_velocity) - true_gravity
+    felt = np.cross(earth(LATITUDE) + true_turn, true_velocity) - true_gravity
     # Sensors stand in the axes of the INS's own horizon.
-    drift, bias = state[7:10], np.array([state[10], 0.0, state[11]])
+    drift, bias = state[8:11], np.array([state[11], 0.0, state[12]])
 
     def change(_time_s: float, x: np.ndarray) -> np.ndarray:
-        rotation, velocity = x[:9].reshape(3, 3), np.array([x[9], 0.0, x[10]])
+        rotation, velocity, error_of_latitude = x[:9].reshape(3, 3), np.array([x[9], 0.0, x[10]]), x[11]
         measured_turn = true_turn + rotation.T @ drift
         measured_force = felt + rotation.T @ bias
-        turn = earth + over_ground(velocity)
+        own_latitude = LATITUDE + error_of_latitude
+        turn = earth(own_latitude) + over_ground(velocity, own_latitude)
         force = rotation @ measured_force + np.array([0.0, -gravity, 0.0])
-        force -= np.cross(2.0 * earth + over_ground(velocity), velocity)
+        force -= np.cross(earth(own_latitude) + turn, velocity)
         new = rotation @ skew(measured_turn) - skew(turn) @ rotation
-        return np.r_[new.ravel(), force[0], force[2]]
+        # The ship holds her latitude; what the INS adds to that is its error.
+        return np.r_[new.ravel(), force[0], force[2], (velocity[0] - true_velocity[0]) / meridian_m]
 
-    begin = np.r_[exp_rotation(-state[:3]).ravel(), true_velocity[[0, 2]] + state[5:7]]
+    begin = np.r_[exp_rotation(-state[:3]).ravel(), true_velocity[[0, 2]] + state[5:7], state[7]]
     end = solve_ivp(change, (0.0, duration_s), begin, method="DOP853", rtol=1e-11, atol=1e-14).y[:, -1]
-    return log_rotation(end[:9].reshape(3, 3).T), end[9:] - true_velocity[[0, 2]]
+    return log_rotation(end[:9].reshape(3, 3).T), end[9:11] - true_velocity[[0, 2]]
 
 
 def skew(vector: np.ndarray) -> np.ndarray:
@@ -165,7 +178,7 @@ def test_a_deflection_under_way_drives_the_oscillation() -> None:
     ins = process()
     vertical = at_anchor(5, deflection="constant", sigma_arcsec=0.0)
     here = vertical.at(ns(1.0))
-    state = np.zeros(12)
+    state = np.zeros(13)
     state[3] = 60.0 * ARCSEC
     half_period_s = 0.5 * 84.4 * 60.0
     carried = ins.carried(ns(1.0), here, [ns(1.0 + half_period_s)], vertical)
@@ -177,4 +190,4 @@ def test_a_deflection_under_way_drives_the_oscillation() -> None:
 def test_blocks_are_named_in_the_order_of_the_states() -> None:
     assert process().blocks == BLOCKS
     assert process(length_m=None).blocks == tuple(name for name in BLOCKS if name != "gravity.deflection")
-    assert (process().size, process(length_m=None).size) == (12, 10)
+    assert (process().size, process(length_m=None).size) == (13, 11)

@@ -9,6 +9,7 @@ GAUSS_MARKOV, SCHULER = "gauss_markov", "schuler"
 
 _SQRT_HOUR = 60.0
 _HOUR_S = 3600.0
+_RADIUS_M = 6_371_000.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,6 +19,10 @@ class SchulerConfig:
     velocity_sigma_m_per_s: float = parameter(
         0.3, doc="error of the INS's own velocity at the start, each axis", unit="m/s", minimum=0.0, maximum=100.0
     )
+    position_sigma_m: float = parameter(
+        100.0, doc="error of the INS's own latitude at the start, where nothing damps it", unit="m",
+        minimum=0.0, maximum=1e6,
+    )  # fmt: skip
     gyro_drift_sigma_deg_per_h: float = parameter(
         0.002, doc="drift of the gyroscopes, each axis", unit="deg/h", minimum=0.0, maximum=100.0
     )
@@ -40,11 +45,21 @@ class SchulerConfig:
     )  # fmt: skip
     damping_time_s: float = parameter(
         0.0,
-        doc="time in which position aiding takes out an error of the velocity; 0: nothing damps it",
+        doc="time in which position aiding takes out an error of the velocity; 0: none, its latitude is its own",
         unit="s",
         minimum=0.0,
         maximum=1e7,
     )
+
+    @property
+    def is_free(self) -> bool:
+        """Whether the INS finds its velocity and its latitude by itself."""
+        return self.damping_time_s == 0.0
+
+    @property
+    def latitude_sigma(self) -> float:
+        """Sigma of its latitude at the start, rad."""
+        return self.position_sigma_m / _RADIUS_M if self.is_free else 0.0
 
     @property
     def gyro_drift(self) -> float:

@@ -36,6 +36,7 @@ class InsOnGravity:
 
     blocks: tuple[str, ...] = ("ins.attitude", "gravity.deflection")
     size = _SIZE
+    needs_latitude = False
 
     def __init__(self, slow: StateBlock, length_m: float) -> None:
         self._time_s, self._sigma, self._length_m = slow.time_s, slow.sigma, length_m

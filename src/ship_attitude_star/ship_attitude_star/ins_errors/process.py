@@ -38,10 +38,12 @@ class InsProcess(Protocol):
     Attributes:
         blocks: names of the blocks of states that it carries, in its own order; ``ins.attitude`` is the first.
         size: how many states these are.
+        needs_latitude: whether it says nothing that is true before the first position fix.
     """
 
     blocks: tuple[str, ...]
     size: int
+    needs_latitude: bool
 
     def begun(self, here: VerticalHere) -> tuple[FloatArray, FloatArray]:
         """The states where nothing was measured yet, shape (n,), and their covariance by the deflection, (n, n)."""

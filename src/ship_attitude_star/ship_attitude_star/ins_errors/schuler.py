@@ -2,21 +2,22 @@
 
 A wrong tilt lets gravity look like an acceleration, which makes a wrong velocity, which turns the horizon that the INS
 computes: a pendulum of 84.4 min. With u the whole error of the attitude (R_true = exp(u) R_ins), v that of the
-velocity, e the drift of the gyroscopes, b the bias of the accelerometers and (xi, eta) the deflection of the vertical,
-about (North, Up, East):
+velocity, l that of the latitude, e the drift of the gyroscopes, b the bias of the accelerometers and (xi, eta) the
+deflection of the vertical, about (North, Up, East):
 
-    du/dt = u x w + (v_E / R_E, v_E tan L / R_E, -v_N / R_N) - e
-    dv_N/dt =  g u_E + g xi  + b_N - (2 W sin L + V_E tan L / R_E) v_E - v_N / T
-    dv_E/dt = -g u_N + g eta + b_E + (2 W sin L + V_E tan L / R_E) v_N - v_E / T
+    du/dt = u x w + (v_E / R_E, v_E tan L / R_E, -v_N / R_N) + (-W sin L, W cos L + V_E / (R_E cos² L), 0) l - e
+    dv_N/dt =  g u_E + g xi  + b_N - (2 W sin L + V_E tan L / R_E) v_E - c V_E l - v_N / T
+    dv_E/dt = -g u_N + g eta + b_E + (2 W sin L + V_E tan L / R_E) v_N + c V_N l - v_E / T
+    dl/dt = v_N / R_N                                                 with c = 2 W cos L + V_E / (R_E cos² L)
 
 W is the Earth's rate, w the turn of the horizon by it and by the ship's own velocity V, L the latitude, R_N and R_E the
-radii of curvature, T the time in which position aiding damps the velocity. The term in w couples the three tilts within
-24 h, the one in 2 W sin L turns the plane of the pendulum (Foucault). e and b are Gauss-Markov; white noise comes to u
-and v besides. They stand in the horizon's axes, as those of an INS whose sensors are turned by gimbals or by a motor:
-they do not turn with the hull. Errors of the position are left out: a ship knows hers.
+radii of curvature. The term in 2 W sin L turns the plane of the pendulum (Foucault); l, the INS's own latitude, makes a
+period of 24 h with the three tilts. T is the time in which position aiding damps the velocity; such an INS knows its
+latitude, l is zero. e and b are Gauss-Markov; white noise comes to u and v besides. They stand in the horizon's axes,
+as those of an INS whose sensors are turned by gimbals or by a motor: they do not turn with the hull.
 
 The equations are those of the phi-angle error model (Titterton and Weston, Strapdown Inertial Navigation Technology,
-ch. 12; models.md §8) with the position known.
+ch. 12; models.md §8).
 """
 
 import math
@@ -34,8 +35,8 @@ from ship_geometry.geodetic import EARTH_RATE_RAD_PER_S, GeodeticPosition, horiz
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
-_VELOCITY, _DRIFT, _BIAS = slice(5, 7), slice(7, 10), slice(10, 12)
-_ALL = 12
+_VELOCITY, _LATITUDE, _DRIFT, _BIAS = slice(5, 7), 7, slice(8, 11), slice(11, 13)
+_ALL = 13
 
 _TERMS = 4
 """Of the power series over a step of 2 s; the next one is 1e-14 of the first."""
@@ -85,7 +86,7 @@ class _Step(NamedTuple):
 
 
 class SchulerIns:
-    """The process of the INS's attitude, velocity, gyroscopes and accelerometers, and of the deflection where modelled.
+    """The process of the INS's attitude, velocity, latitude and sensors, and of the deflection where it is modelled.
 
     Args:
         config: of the INS's sensors.
@@ -93,10 +94,13 @@ class SchulerIns:
         length_m: correlation length of the deflection over ground; None where that is not modelled.
     """
 
+    needs_latitude = True
+
     def __init__(self, config: SchulerConfig, sigma: FloatArray, length_m: float | None) -> None:
         self._config, self._sigma, self._length_m = config, sigma, length_m
         of_gravity = () if length_m is None else ("gravity.deflection",)
-        self.blocks = ("ins.attitude", *of_gravity, "ins.velocity", "ins.gyro_drift", "ins.accelerometer_bias")
+        of_sensors = "ins.gyro_drift", "ins.accelerometer_bias"
+        self.blocks = ("ins.attitude", *of_gravity, "ins.velocity", "ins.latitude", *of_sensors)
         self._kept = np.delete(np.arange(_ALL), DEFLECTION) if length_m is None else np.arange(_ALL)
         self.size = len(self._kept)
         self._density = _noise_density(config)[self._kept]
@@ -206,13 +210,18 @@ class SchulerIns:
 
     def rates(self, here: VerticalHere) -> FloatArray:
         """By what each state changes the others in a second at a place, shape (n, n)."""
-        config, latitude, (north_m_per_s, east_m_per_s) = self._config, here.latitude, here.velocity_m_per_s
+        config, (north_m_per_s, east_m_per_s) = self._config, here.velocity_m_per_s
+        latitude = 0.0 if math.isnan(here.latitude) else here.latitude
         radius_north_m, radius_east_m = map(float, horizon_radii_m(GeodeticPosition(latitude, 0.0, 0.0)))
         gravity, tangent = normal_gravity(latitude), math.tan(latitude)
         turn_north = EARTH_RATE_RAD_PER_S * math.cos(latitude) + east_m_per_s / radius_east_m
         turn_up = EARTH_RATE_RAD_PER_S * math.sin(latitude) + east_m_per_s * tangent / radius_east_m
         turn_east = -north_m_per_s / radius_north_m
         coriolis = EARTH_RATE_RAD_PER_S * math.sin(latitude) + turn_up
+        up_by_latitude = EARTH_RATE_RAD_PER_S * math.cos(latitude) + east_m_per_s / (
+            radius_east_m * math.cos(latitude) ** 2
+        )
+        coriolis_by_latitude = EARTH_RATE_RAD_PER_S * math.cos(latitude) + up_by_latitude
         rates = np.zeros((_ALL, _ALL))
         rates[WHOLE, WHOLE] = [
             [0.0, turn_east, -turn_up],
@@ -224,10 +233,16 @@ class SchulerIns:
             [0.0, tangent / radius_east_m],
             [-1.0 / radius_north_m, 0.0],
         ]
+        rates[WHOLE, _LATITUDE] = [-EARTH_RATE_RAD_PER_S * math.sin(latitude), up_by_latitude, 0.0]
         rates[WHOLE, _DRIFT] = -np.eye(3)
         rates[_VELOCITY, WHOLE] = [[0.0, 0.0, gravity], [-gravity, 0.0, 0.0]]
         rates[_VELOCITY, DEFLECTION] = gravity * np.eye(2)
-        damped = 1.0 / config.damping_time_s if config.damping_time_s else 0.0
+        rates[_VELOCITY, _LATITUDE] = [-coriolis_by_latitude * east_m_per_s, coriolis_by_latitude * north_m_per_s]
+        damped = 0.0
+        if config.is_free:
+            rates[_LATITUDE, _VELOCITY] = 1.0 / radius_north_m, 0.0
+        else:
+            damped = 1.0 / config.damping_time_s
         rates[_VELOCITY, _VELOCITY] = [[-damped, -coriolis], [coriolis, -damped]]
         rates[_VELOCITY, _BIAS] = np.eye(2)
         rates[_DRIFT, _DRIFT] = -np.eye(3) / config.gyro_drift_time_s
@@ -236,7 +251,7 @@ class SchulerIns:
 
 
 def _noise_density(config: SchulerConfig) -> FloatArray:
-    """Variance of what comes new to each state in a second, shape (12,)."""
+    """Variance of what comes new to each state in a second, shape (13,)."""
     density = np.zeros(_ALL)
     density[WHOLE] = config.angle_walk**2
     density[_VELOCITY] = config.velocity_walk**2

@@ -8,8 +8,9 @@ state                           frame    meaning
 ins.attitude (3)                horizon  slow error a: R_true = exp(a) exp(w) R_ins
 gravity.deflection (2)                   deflection of the vertical, which is part of a then; only where
                                          gravity.deflection is not none (ins_on_gravity)
-ins.velocity (2)                horizon  error of the INS's velocity (North, East), m/s; this and the next two only
+ins.velocity (2)                horizon  error of the INS's velocity (North, East), m/s; this and the next three only
                                          where ins.model is schuler (schuler)
+ins.latitude (1)                         error of its own latitude, rad
 ins.gyro_drift (3)              horizon  drift of its gyroscopes, rad/s
 ins.accelerometer_bias (2)      horizon  bias of its accelerometers (North, East), m/s²
 ins.noise (3)                   horizon  white error w of the INS at the moment of the measurement
@@ -242,6 +243,7 @@ def _ins_process(config: ShipAttitudeConfig, slow: StateBlock) -> InsProcess | N
 def _schuler_blocks(schuler: SchulerConfig) -> list[StateBlock]:
     return [
         block("ins.velocity", [schuler.velocity_sigma_m_per_s] * 2, SOURCE_INS),
+        block("ins.latitude", [schuler.latitude_sigma], SOURCE_INS),
         block("ins.gyro_drift", [schuler.gyro_drift] * 3, SOURCE_INS),
         block("ins.accelerometer_bias", [schuler.accelerometer_bias_sigma_m_per_s2] * 2, SOURCE_INS),
     ]

@@ -37,8 +37,8 @@ class VerticalHere(NamedTuple):
 
     Attributes:
         along_m: way over ground since any begin.
-        latitude: of the ship's place, rad; 0 where no place is known.
-        velocity_m_per_s: of the ship over ground, northward and eastward; 0 where no place is known.
+        latitude: of the ship's place, rad; NaN before the first fix.
+        velocity_m_per_s: of the ship over ground, northward and eastward; 0 before the first fix.
         given: the deflection (xi, eta) that is known, rad, shape (2,); None where none is.
         covariance: of the error of what is given, or of the deflection itself, rad², shape (2, 2).
     """
@@ -55,10 +55,10 @@ class VerticalHere(NamedTuple):
 
         R_geodetic = exp(turn @ (xi, eta)) R_gravity, about (North, Up, East); a gyrocompass errs by eta tan L.
         """
-        return np.array([[0.0, 1.0], [0.0, math.tan(self.latitude)], [-1.0, 0.0]])
+        return np.array([[0.0, 1.0], [0.0, 0.0 if math.isnan(self.latitude) else math.tan(self.latitude)], [-1.0, 0.0]])
 
 
-_NOWHERE = VerticalHere(0.0, 0.0, (0.0, 0.0), None, np.zeros((2, 2)))
+_NOWHERE = VerticalHere(0.0, math.nan, (0.0, 0.0), None, np.zeros((2, 2)))
 """What is known before the first position fix."""
 
 

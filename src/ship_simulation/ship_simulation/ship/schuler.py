@@ -21,8 +21,9 @@ _STEP_S = 1.0
 _STEPS_AT_A_PLACE = 300
 """Five minutes, in which a ship changes her latitude by a few miles."""
 
-_STATES = 10
-"""Attitude (north, up, east), velocity (north, east), drift of the gyroscopes (3), bias of the accelerometers (2)."""
+_STATES = 11
+"""Attitude (north, up, east), velocity (north, east), latitude, drift of the gyroscopes (3), bias of the accelerometers
+(2)."""
 
 
 class SchulerError:
@@ -48,6 +49,7 @@ class SchulerError:
             [
                 sigma,
                 np.full(2, config.velocity_sigma_m_per_s),
+                [config.latitude_sigma],
                 np.full(3, config.gyro_drift),
                 np.full(2, config.accelerometer_bias_sigma_m_per_s2),
             ]
@@ -101,6 +103,7 @@ class SchulerError:
         density = np.diag(
             [config.angle_walk**2] * 3
             + [config.velocity_walk**2] * 2
+            + [0.0]
             + [2.0 * config.gyro_drift**2 / config.gyro_drift_time_s] * 3
             + [2.0 * config.accelerometer_bias_sigma_m_per_s2**2 / config.accelerometer_bias_time_s] * 2
         )
@@ -112,21 +115,28 @@ class SchulerError:
 
     def _rates(self, state: FloatArray, latitude: float) -> FloatArray:
         """By what the states change in a second, with the deflection (xi, eta) at their end; linear in all."""
-        tilt, (north, east), drift, (bias_north, bias_east) = state[:3], state[3:5], state[5:8], state[8:10]
-        xi, eta = state[10:]
+        tilt, (north, east), own_latitude, drift = state[:3], state[3:5], state[5], state[6:9]
+        (bias_north, bias_east), (xi, eta) = state[9:11], state[11:]
         meridian_m, across_m = horizon_radii_m(GeodeticPosition(latitude, 0.0, 0.0))
         gravity, tangent = normal_gravity(latitude), math.tan(latitude)
         of_earth = EARTH_RATE_RAD_PER_S * np.array([math.cos(latitude), math.sin(latitude), 0.0])
         per_m = np.array([[0.0, 1.0 / across_m], [0.0, tangent / across_m], [-1.0 / meridian_m, 0.0]])
         over_ground, wrong_turn = per_m @ self._velocity, per_m @ [north, east]
+        # What a wrong latitude makes of the Earth's turn and of tan L.
+        wrong_earth = own_latitude * EARTH_RATE_RAD_PER_S * np.array([-math.sin(latitude), math.cos(latitude), 0.0])
+        wrong_way = np.array([0.0, own_latitude * self._velocity[1] / (across_m * math.cos(latitude) ** 2), 0.0])
+        sailing = np.array([self._velocity[0], 0.0, self._velocity[1]])
         # (North, Up, East) are right-handed; the specific force is gravity's reaction, upward and along the deflection.
         force = np.cross([0.0, gravity, 0.0], tilt) + gravity * np.array([xi, 0.0, eta])
         turned = np.cross(2.0 * of_earth + over_ground, [north, 0.0, east])
-        damped = 1.0 / self._config.damping_time_s if self._config.damping_time_s else 0.0
+        turned += np.cross(2.0 * wrong_earth + wrong_way, sailing)
+        free = self._config.is_free
+        damped = 0.0 if free else 1.0 / self._config.damping_time_s
         return np.concatenate(
             [
-                np.cross(tilt, of_earth + over_ground) + wrong_turn - drift,
+                np.cross(tilt, of_earth + over_ground) + wrong_turn + wrong_earth + wrong_way - drift,
                 [force[0] + bias_north - turned[0] - damped * north, force[2] + bias_east - turned[2] - damped * east],
+                [north / meridian_m if free else 0.0],
                 -drift / self._config.gyro_drift_time_s,
                 np.array([-bias_north, -bias_east]) / self._config.accelerometer_bias_time_s,
             ]
