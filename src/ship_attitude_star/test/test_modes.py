@@ -240,7 +240,7 @@ def test_mend_12_without_any_sensor_the_ins_passes_through_and_the_diagnostics_s
     assert {(m.status, m.horizon) for m in outputs(run)} == {(Status.DEGRADED, Horizon.GRAVITY)}
     for message in outputs(run)[::20]:
         assert_honest(message)
-    lacking = "no star_sensors and no references are configured"
+    lacking = "no star_sensors, no references and no ship_baseline are configured"
     lacking += ": the attitude will be the INS's alone, DEGRADED, horizon GRAVITY"
     assert run.adapter.start_warnings == (lacking,)
     level, text = run.diagnostics("attitude", START_NS, START_NS + 5 * SECOND_NS)[-1]

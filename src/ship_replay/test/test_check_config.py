@@ -160,7 +160,7 @@ def test_mend_12_names_are_judged_as_a_node_would(check, tmp_path):
 def test_the_ins_alone_is_a_warning(check):
     code, lines, _ = check("ship_attitude:\n  ros__parameters: {}\n")
     assert code == 0
-    assert "no star_sensors and no references are configured" in lines[0]
+    assert "no star_sensors, no references and no ship_baseline are configured" in lines[0]
 
 
 def test_problems_of_the_bag_are_warnings(check, tmp_path):

@@ -27,6 +27,7 @@ from ship_simulation.ship.attitude_device import (
 )
 from ship_simulation.ship.deflection import Deflection, DeflectionSamples, simulate_deflections
 from ship_simulation.ship.motion import Carrier, carrier_of
+from ship_simulation.ship.rtk import BaselineSamples, simulate_ship_baseline
 from ship_simulation.ship.ship_track import FixSamples, ShipTrack, simulate_fixes
 from ship_simulation.stars.sky import TrueSky, draw_sky
 from ship_simulation.stars.star_sightings import (
@@ -40,6 +41,9 @@ from ship_simulation.theodolite.run import TheodoliteRun, simulate_theodolite
 
 SKY_SOURCES = ("fix", "pressure", "temperature", "humidity")
 """Sources of a run whose star sensors look at the real sky, besides the measurements."""
+
+BASELINE_SOURCE = "baseline"
+"""Source of a run of a ship with two antennas."""
 
 DEFLECTION_SOURCE = "deflection"
 """Source of a run in which a topic tells the deflection of the vertical."""
@@ -83,7 +87,7 @@ class SimulatedRun:
     """A scenario with one draw of its random parts: the samples of a stretch of it, or of the whole voyage.
 
     The weather station says at the stamps ``weather_ns``, shape (n,), what the scenario's ``weather`` says.
-    ``fused``, ``deflections`` and ``theodolite`` are None where the scenario has none.
+    ``fused``, ``deflections``, ``ship_baseline`` and ``theodolite`` are None where the scenario has none.
     """
 
     scenario: Scenario
@@ -96,6 +100,7 @@ class SimulatedRun:
     weather_ns: np.ndarray
     fused: FusedSamples | None
     deflections: DeflectionSamples | None
+    ship_baseline: BaselineSamples | None
     theodolite: TheodoliteRun | None
     truth: VoyageTruth
 
@@ -107,9 +112,10 @@ class SimulatedRun:
     def arrivals(self) -> list[tuple[int, str, int]]:
         """(log time, source, index of the sample) of each input of ``ship_attitude``, in order of arrival.
 
-        A source is ``ins``, ``star.<id>`` or ``reference.<name>``, or, where a star sensor looks at the real sky, one
-        of SKY_SOURCES; of these the fix alone, and DEFLECTION_SOURCE, where the suite is told of gravity. Samples that
-        arrive at the same nanosecond come in this order of sources, then by stamp.
+        A source is ``ins``, ``star.<id>`` or ``reference.<name>``, BASELINE_SOURCE on a ship with two antennas, or,
+        where a star sensor looks at the real sky, one of SKY_SOURCES; of these the fix alone, and DEFLECTION_SOURCE,
+        where the suite is told of gravity. Samples that arrive at the same nanosecond come in this order of sources,
+        then by stamp.
         """
         sources = {"ins": self.ins.log_time_ns}
         sources |= {f"star.{key}": samples.log_time_ns for key, samples in self.stars.items()}
@@ -119,6 +125,8 @@ class SimulatedRun:
             sources[fix] = self.fixes.log_time_ns
         if self.scenario.needs_sky:
             sources |= dict.fromkeys(weather, self.weather_ns)
+        if self.ship_baseline is not None:
+            sources[BASELINE_SOURCE] = self.ship_baseline.log_time_ns
         if self.deflections is not None:
             sources[DEFLECTION_SOURCE] = self.deflections.time_ns
         return _in_order(sources)
@@ -206,6 +214,7 @@ class _Voyage:
             sky=self._sky,
         )
         fused, aboard = scenario.fused_attitude.written, scenario.theodolite.aboard
+        antennas = scenario.ship_baseline.is_aboard
         return SimulatedRun(
             scenario=scenario,
             seed=seed,
@@ -217,6 +226,7 @@ class _Voyage:
             weather_ns=stretch.stamps(scenario.weather.rate_hz, 0.0),
             fused=simulate_fused_attitude(scenario, carrier, stretch, draws) if fused else None,
             deflections=simulate_deflections(scenario, stretch) if scenario.gravity.told == "topic" else None,
+            ship_baseline=simulate_ship_baseline(scenario, carrier, stretch, draws) if antennas else None,
             theodolite=simulate_theodolite(scenario, carrier, stretch, draws) if aboard else None,
             truth=truth,
         )

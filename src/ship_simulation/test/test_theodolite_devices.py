@@ -11,7 +11,8 @@ from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.draws.noise import SlowError, random_stream
 from ship_simulation.run import simulate
 from ship_simulation.scenario.motion_scenario import Outage
-from ship_simulation.theodolite.devices import FIXED, FLOAT, NONE, points_on_detector
+from ship_simulation.ship.rtk import FIXED, FLOAT, NONE
+from ship_simulation.theodolite.devices import points_on_detector
 from ship_simulation.theodolite.scene import axis_errors_of, draw_theodolite, parallelism_of, surveyed
 from ship_testing.theodolite_scenes import bag_scenario, replaced, with_beacons, with_theodolite
 

@@ -6,6 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
+from ship_attitude_star.measurements.baseline import BASELINE
 from ship_estimation.gates import chi_square_gate, normalized_error_squared
 from ship_geometry.frames import angles_from_rotation
 from ship_geometry.rotations import FloatArray, angle_between, wrap_pi
@@ -90,7 +91,7 @@ def heading_hint(ins_nd: FloatArray, measured_nd: FloatArray, source: str, ins_c
     # Written so that NaN gives no hint.
     if not (difference > _PLAIN_RAD and tilt < _SAME_TILT_RAD):
         return ""
-    mounted = f"star_sensors.{_id(source)}.azimuth_deg" if _is_star(source) else f"references.{_id(source)}.heading_deg"
+    mounted = _mounted(source)
     if _near(by_ins + measured, _QUARTER_TURN) and not (ins_confirmed and _is_star(source)):
         look = f"references.{_id(source)}.convention" if ins_confirmed else "ins.convention"
         driver = source if ins_confirmed else "the INS"
@@ -141,6 +142,13 @@ def _alike(first: Departure, second: Departure) -> bool:
         return True
     noise_n = first.noise_n + second.noise_n
     return bool(noise_n.any()) and bool(normalized_error_squared(apart, noise_n) <= _ALIKE_CHI2)
+
+
+def _mounted(source: str) -> str:
+    """The parameter that says how a source is mounted in heading."""
+    if source == BASELINE:
+        return "ship_baseline.forward_m and right_m"
+    return f"star_sensors.{_id(source)}.azimuth_deg" if _is_star(source) else f"references.{_id(source)}.heading_deg"
 
 
 def _is_star(source: str) -> bool:

@@ -2,6 +2,7 @@
 
 import math
 
+from ship_attitude_star.measurements.baseline import BaselineMeasurement
 from ship_attitude_star.measurements.readings import InertialAttitude
 from ship_attitude_star.measurements.samples import AttitudeMeasurement
 from ship_attitude_star.stars.exposure import StarExposure
@@ -82,6 +83,9 @@ def _watched(measurement: Measurement) -> tuple[FloatArray, float, str] | None:
     if isinstance(measurement, InertialAttitude):
         # Against the stars even a ship at rest turns.
         return measurement.rotation_cs, _sigma_rad(measurement.noise_s), "attitude against the stars stands still"
+    if isinstance(measurement, BaselineMeasurement):
+        sigma_rad = _sigma_rad(measurement.noise_n) / measurement.length_m
+        return measurement.direction_n, sigma_rad, "baseline stands still"
     if isinstance(measurement, AttitudeMeasurement):
         return measurement.rotation_nv, _sigma_rad(measurement.noise_v), "attitude stands still"
     return None

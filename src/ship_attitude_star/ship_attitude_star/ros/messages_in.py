@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from ship_attitude_star.measurements.baseline import BaselineMeasurement
 from ship_attitude_star.measurements.readings import (
     AirReading,
     DeflectionReading,
@@ -24,7 +25,7 @@ from ship_attitude_star.measurements.samples import (
     AttitudeMeasurement,
     SolvedAttitude,
 )
-from ship_attitude_star.ship_attitude.config import ReferenceConfig, StarSensorConfig
+from ship_attitude_star.ship_attitude.config import ReferenceConfig, ShipBaselineConfig, StarSensorConfig
 from ship_attitude_star.sky.config import SkyConfig
 from ship_estimation.outcome import Measurement
 from ship_estimation.refusals import Reason
@@ -36,6 +37,7 @@ from ship_geometry.ros_axes import (
     horizon_covariance,
 )
 from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_node.edge.baselines import baseline_stamp_ns, baseline_vector, not_fixed
 from ship_node.edge.messages_in import (
     ReadMessage,
     Refused,
@@ -323,6 +325,25 @@ def deflection(message: Any, receive_ns: int) -> ReadMessage[DeflectionReading]:
     if not (is_symmetric and np.linalg.eigvalsh(covariance)[0] > 0.0):
         raise Refused(Reason.BAD_COVARIANCE, "covariance of (xi, eta): not symmetric and positive, or no number")
     return ReadMessage(DeflectionReading(time_ns, np.array([message.xi, message.eta]), covariance), True)
+
+
+def baseline(message: Any, receive_ns: int, config: ShipBaselineConfig) -> ReadMessage[BaselineMeasurement]:
+    """``ship/baseline`` → the way from one antenna aboard to the other.
+
+    Raises:
+        Refused: with the reason.
+    """
+    time_ns = baseline_stamp_ns(message, config, receive_ns)
+    refusal = not_fixed(message, config.least_fix)
+    if refusal is not None:
+        raise Refused(refusal.reason, refusal.text)
+    vector_n, noise_n = baseline_vector(message)
+    known = noise_n is not None
+    if noise_n is None:
+        noise_n = config.noise_sigma_m**2 * np.eye(3)
+    if not np.linalg.norm(vector_n) > 0.0:
+        raise Refused(Reason.UNITS, "baseline of length 0: expected metres between two antennas")
+    return _read(BaselineMeasurement(time_ns, vector_n, noise_n, known))
 
 
 def _read(measurement: Measured) -> ReadMessage[Measured]:

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ship_attitude_star.measurements.baseline import BASELINE
 from ship_attitude_star.measurements.readings import DeflectionReading
 from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeRun
 from ship_attitude_star.ros import messages_in, rows_in, star_messages_in
@@ -86,7 +87,7 @@ _RATES = {
     ),
     Rates.WRONG_UNITS: (Level.ERROR, "angular_velocity is in another unit than rad/s: the INS is not used"),
 }
-_GROUPS = {"star": "star_sensors", "reference": "references"}
+_GROUPS = {"star": "star_sensors", "reference": "references", BASELINE: "ship_baseline"}
 """First word of a source's name → where its parameters stand."""
 
 
@@ -162,6 +163,10 @@ class ShipAttitudeAdapter(BlockAdapter):
             topic = InputTopic(f"reference/{name}/imu", IMU_TYPE, False, depth=1000, named=True)
             read = functools.partial(messages_in.reference_measurement, name=name, config=reference)
             yield Feed(topic, f"reference.{name}", read, core.add_measurement, judged=True)
+        if config.ship_baseline.is_aboard:
+            antennas = InputTopic("ship/baseline", "ship_msgs/msg/RtkBaseline", False, depth=1000, named=True)
+            read_baseline = functools.partial(messages_in.baseline, config=config.ship_baseline)
+            yield Feed(antennas, BASELINE, read_baseline, core.add_measurement, judged=True)
         if self._watch is not None:
             yield from messages_in.surroundings_feeds(config.sky, untimed(core.add_sky_input))
         elif config.follows_vertical:
@@ -319,9 +324,9 @@ def installed_frames(factory: MessageFactory, rotations_dv: Mapping[str, np.ndar
 
 def start_warnings(config: ShipAttitudeConfig) -> tuple[str, ...]:
     """What a configuration lacks, for the log at the start and for the diagnostics ever after."""
-    if config.star_sensors or config.references:
+    if config.star_sensors or config.references or config.ship_baseline.is_aboard:
         return ()
-    lacking = "no star_sensors and no references are configured"
+    lacking = "no star_sensors, no references and no ship_baseline are configured"
     return (f"{lacking}: the attitude will be the INS's alone, DEGRADED, horizon GRAVITY",)
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ship_attitude_star.measurements.baseline import BASELINE
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.model import SOURCE_SAVED_ALIGNMENT, Device
@@ -99,6 +100,10 @@ def alignment_of(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterS
         for name, index in (("roll", 2), ("pitch", 1), ("heading", 0)):
             add(f"reference.{id_}.{name}", float(wrap_pi(angles[index])), "rad", jacobian[index])
         add_time_offset(f"reference.{id_}.time_offset", reference.time_offset_s)
+    if config.ship_baseline.is_aboard:
+        angles, jacobian = _installation(filter_, state, BASELINE)
+        for name, index in (("azimuth", 0), ("elevation", 1)):
+            add(f"{BASELINE}.{name}", angles[index], "rad", jacobian[index])
     transport = np.array(rows)
     covariance = transport @ state.covariance @ transport.T
     return Alignment(tuple(names), np.array(values), covariance, tuple(units))

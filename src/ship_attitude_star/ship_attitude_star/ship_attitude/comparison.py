@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ship_attitude_star.measurements.baseline import BASELINE_COMPONENTS, BaselineMeasurement
 from ship_attitude_star.measurements.samples import ATTITUDE_COMPONENTS, AttitudeMeasurement
 from ship_attitude_star.ship_attitude.model import SOURCE_INTERPOLATION, Device, ShipStateModel
 from ship_attitude_star.sky.sky_watch import SkyWatch
@@ -29,6 +30,13 @@ from ship_estimation.refusals import Reason, Refusal
 from ship_geometry import compiled_rotations
 from ship_geometry.attitude_track import InterpolatedAttitude
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, exp_rotation, left_jacobian
+
+_ACROSS = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+"""What a turn of the device makes of a point straight ahead: (up, right) by (forward, up, right)."""
+_ACROSS.flags.writeable = False
+
+_LENGTH_SIGMAS = 5.0
+"""A baseline whose length is off by more is a wrong solution."""
 
 _TURNED_AS_DEVICE = np.eye(3)
 _TURNED_AS_DEVICE.flags.writeable = False
@@ -121,7 +129,7 @@ def compare(
     """Compare a measurement with the attitude predicted for its device.
 
     Args:
-        measurement: an attitude in the horizon, or single stars.
+        measurement: an attitude in the horizon, a baseline, or single stars.
         device: that measured.
         predicted: attitude of the device at the moment of the measurement.
         model: what the states are.
@@ -146,6 +154,8 @@ def compare(
             predicted_nv=predicted.rotation_nv,
             attitude_noise_v=noise,
         )
+    if isinstance(measurement, BaselineMeasurement):
+        return _baseline_compared(measurement, device, predicted, model)
     assert watch is not None
     assert isinstance(measurement, StarExposure)
     stars = star_residuals(measurement, predicted, covariance, watch, model, mean, expected)
@@ -161,6 +171,43 @@ def compare(
         predicted_nv=predicted.rotation_nv,
         attitude_noise_v=np.zeros((3, 3)),
         left_out=stars.refused,
+    )
+
+
+def _baseline_compared(
+    measurement: BaselineMeasurement, device: Device, predicted: PredictedAttitude, model: ShipStateModel
+) -> Compared | Refusal:
+    """A baseline against the direction predicted for it; its length against that which it has on the ship.
+
+    The residual is where its end is seen, up and right in its own frame, rad: two components, as of a single star.
+    """
+    length_m, told_m, noise_n = device.length_m, measurement.length_m, measurement.noise_n
+    along = measurement.direction_n
+    sigma_m = math.sqrt(float(along @ noise_n @ along) + device.length_sigma_m**2)
+    # Written so that NaN is refused.
+    if not abs(told_m - length_m) <= _LENGTH_SIGMAS * sigma_m:
+        text = f"the baseline came out {told_m:.3f} m long, and is {length_m:.3f} m (sigma {sigma_m:.3f} m)"
+        return Refusal(Reason.GATE, f"{text}: a wrong solution, or ship_baseline")
+    to_device = predicted.rotation_nv.T
+    seen_v = to_device @ along
+    if not seen_v[0] > 0.0:
+        return Refusal(Reason.GATE, "the baseline points the other way: are base and rover exchanged?")
+    noise_v = to_device @ noise_n @ to_device.T / length_m**2
+    turn_v = np.array([0.0, -seen_v[2], seen_v[1]]) / seen_v[0]
+    return Compared(
+        linear=LinearMeasurement(
+            _ACROSS @ turn_v,
+            _ACROSS @ predicted.jacobian_v,
+            {
+                model.source_indices[device.noise_source]: noise_v[1:, 1:],
+                model.source_indices[SOURCE_INTERPOLATION]: _ACROSS @ predicted.interpolation_v @ _ACROSS.T,
+            },
+        ),
+        by_turn=_ACROSS,
+        components=BASELINE_COMPONENTS,
+        rotation_nv=predicted.rotation_nv @ exp_rotation(turn_v),
+        predicted_nv=predicted.rotation_nv,
+        attitude_noise_v=np.zeros((3, 3)),
     )
 
 

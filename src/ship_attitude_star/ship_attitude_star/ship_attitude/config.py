@@ -1,7 +1,10 @@
 """Parameters of the ``ship_attitude`` node. Each states its unit, range and meaning; names are dotted."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
+
+import numpy as np
 
 from ship_attitude_star.ins_errors.config import GAUSS_MARKOV, SCHULER, SchulerConfig
 from ship_attitude_star.measurements.samples import SHARED_BY_MESSAGES, SHARED_BY_SKY
@@ -22,11 +25,19 @@ from ship_estimation.parameter_fields import (
 )
 from ship_estimation.parameters import ParameterError
 from ship_estimation.protection import IntegrityConfig
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.rotations import FloatArray
 
 GEODETIC, GRAVITY = "geodetic", "gravity"
 
+FIXES = ("float", "fixed")
+"""Solutions of satellite positioning that tell a direction."""
+
 BY_INPUT = "by_input"
 """What the messages of a star sensor share follows from their kind."""
+
+_SHORTEST_BASELINE_M = 0.3
+"""Below this a centimetre is two degrees: that tells no attitude."""
 
 _SOLVED_BEFORE = ("solution", "horizon_attitude")
 """Inputs that are attitudes in the horizon already."""
@@ -165,6 +176,66 @@ class ReferenceConfig:
     )
 
 
+def _metres(default: float, doc: str, least: float = -1000.0) -> float:
+    found: float = parameter(default, doc=doc, unit="m", minimum=least, maximum=1000.0)
+    return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShipBaselineConfig:
+    """Two antennas aboard, from the one to the other; none where the three lengths are 0."""
+
+    forward_m: float = _metres(0.0, "way from the base antenna to the rover antenna, toward the bow")
+    up_m: float = _metres(0.0, "the same, upward")
+    right_m: float = _metres(0.0, "the same, to starboard")
+    sigma_m: float = _metres(0.005, "uncertainty of the three, each", 0.0)
+    frame_id: str = parameter("", doc="frame_id that ship/baseline must carry; empty accepts any")
+    base_id: str = parameter("", doc="base_id that it must carry; empty accepts any")
+    rover_id: str = parameter("", doc="rover_id that it must carry; empty accepts any")
+    least_fix: str = parameter(
+        "fixed", doc="least fix that is used: with float, sigmas must come with the messages", choices=FIXES
+    )
+    noise_sigma_m: float = parameter(
+        0.01, doc="noise of each solution, each axis, where the message gives none", unit="m",
+        minimum=1e-4, maximum=100.0, live=True,
+    )  # fmt: skip
+    bias_sigma_m: float = _metres(0.005, "slow error of its own, each axis, as by multipath", 0.0)
+    bias_time_s: float = parameter(300.0, doc="its correlation time", unit="s", minimum=0.1, maximum=1e7)
+
+    @property
+    def vector_d(self) -> FloatArray:
+        """From the base antenna to the rover antenna, deck frame (bow, up, starboard), m, shape (3,)."""
+        return np.array([self.forward_m, self.up_m, self.right_m])
+
+    @property
+    def length_m(self) -> float:
+        """How long it is; 0 where there is none."""
+        return float(np.linalg.norm(self.vector_d))
+
+    @property
+    def is_aboard(self) -> bool:
+        """Whether the ship has one."""
+        return self.length_m > 0.0
+
+    @property
+    def rotation_dv(self) -> FloatArray:
+        """Deck from baseline: forward along it, its other axes as those of a device without roll, shape (3, 3)."""
+        azimuth = math.atan2(self.right_m, self.forward_m)
+        elevation = math.atan2(self.up_m, math.hypot(self.right_m, self.forward_m))
+        return rotation_from_angles(azimuth, elevation, 0.0)
+
+    def __post_init__(self) -> None:
+        """Check what belongs together.
+
+        Raises:
+            ParameterError: names the parameter.
+        """
+        if self.is_aboard and not self.length_m >= _SHORTEST_BASELINE_M:
+            name = "ship_baseline.forward_m"
+            text = f"the baseline is {self.length_m:.3g} m long: expected {_SHORTEST_BASELINE_M:g} m at least"
+            raise ParameterError(f"parameter '{name}': {text}", name, value=self.forward_m)
+
+
 @dataclass(frozen=True, kw_only=True)
 class ShipIntegrityConfig(IntegrityConfig):
     """Protection levels of a ship, and who is excluded."""
@@ -188,6 +259,7 @@ class ShipAttitudeConfig(StarSensorsById):
     )
     star_sensors: dict[str, StarSensorConfig] = mapping_of("star sensors by id")
     references: dict[str, ReferenceConfig] = mapping_of("other attitude systems by name")
+    ship_baseline: ShipBaselineConfig = section(ShipBaselineConfig)
     gate: GateConfig = section(GateConfig)
     integrity: ShipIntegrityConfig = section(ShipIntegrityConfig)
     sky: SkyConfig = section(SkyConfig)

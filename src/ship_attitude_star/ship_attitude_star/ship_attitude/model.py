@@ -28,6 +28,8 @@ sky.common (3)                           what messages have in common, in sigmas
                                          configured so
 reference.<name>.installation   device   as for a star sensor, from the INS's deck axes
 reference.<name>.slow           device   its own slow error; only where it has a sigma
+baseline.installation           baseline as for a star sensor, about its two axes across; only with a ship_baseline
+baseline.common                 horizon  error shared by successive solutions; only where it has a sigma
 reference.<name>.time_offset             stamp of the reference - stamp of the INS for the same attitude
 ==============================  =======  ====================================================================
 
@@ -39,6 +41,7 @@ with c the common error of a star sensor, f its flexure, m the installation erro
 the turn of the sky that all star sensors share, a sum over its causes.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,8 +51,15 @@ from ship_attitude_star.ins_errors.config import SCHULER, SchulerConfig
 from ship_attitude_star.ins_errors.ins_on_gravity import InsOnGravity
 from ship_attitude_star.ins_errors.process import InsProcess
 from ship_attitude_star.ins_errors.schuler import SchulerIns
+from ship_attitude_star.measurements.baseline import BASELINE
 from ship_attitude_star.measurements.samples import SHARED_BY_GRAVITY, SHARED_BY_MESSAGES, SHARED_BY_SKY
-from ship_attitude_star.ship_attitude.config import InsConfig, ReferenceConfig, ShipAttitudeConfig, StarSensorConfig
+from ship_attitude_star.ship_attitude.config import (
+    InsConfig,
+    ReferenceConfig,
+    ShipAttitudeConfig,
+    ShipBaselineConfig,
+    StarSensorConfig,
+)
 from ship_attitude_star.sky.config import SkyConfig
 from ship_attitude_star.sky.sky_watch import UTC
 from ship_estimation.kalman import StateBlock, StateModel, block
@@ -74,6 +84,9 @@ SOURCE_REFERENCE = "reference_installation"
 SOURCE_REFERENCE_NOISE = "reference_noise"
 SOURCE_REFERENCE_SLOW = "reference_slow_error"
 SOURCE_REFERENCE_TIME = "reference_time_offset"
+SOURCE_BASELINE = "baseline_installation"
+SOURCE_BASELINE_NOISE = "baseline_noise"
+SOURCE_BASELINE_COMMON = "baseline_common"
 SOURCE_SAVED_ALIGNMENT = "saved_alignment"
 
 _SQRT_HOUR = 60.0
@@ -90,7 +103,9 @@ class Device:
         ins_time_s: constant part of (stamp of the INS - stamp of the device) for the same attitude.
         ins_time_states: states that add to it, with their signs.
         noise_source: budget source of its white noise.
-        is_star: True for star sensors, which alone know the geodetic horizon.
+        is_star: True for star sensors, which alone know the whole attitude against the geodetic horizon.
+        length_m: of a baseline.
+        length_sigma_m: what a solution's length may be off by that lasts.
     """
 
     name: str
@@ -99,6 +114,8 @@ class Device:
     ins_time_states: tuple[tuple[str, float], ...]
     noise_source: str
     is_star: bool
+    length_m: float = math.nan
+    length_sigma_m: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -156,11 +173,15 @@ class ShipStateModel(StateModel):
             blocks.append(block("sky.common", [1.0] * 3, SOURCE_STAR_COMMON, time_s=time_s))
         for name, reference in config.references.items():
             blocks += _reference_blocks(f"reference.{name}", reference)
+        if config.ship_baseline.is_aboard:
+            blocks += _baseline_blocks(config.ship_baseline)
         noise_sources = [SOURCE_INTERPOLATION]
         if config.star_sensors:
             noise_sources.append(SOURCE_STAR_NOISE)
         if config.references:
             noise_sources.append(SOURCE_REFERENCE_NOISE)
+        if config.ship_baseline.is_aboard:
+            noise_sources.append(SOURCE_BASELINE_NOISE)
         noise_sources.append(SOURCE_SAVED_ALIGNMENT)
         super().__init__(blocks, noise_sources)
         self.sky_rows = slice(0, 0)
@@ -202,7 +223,8 @@ def devices(config: ShipAttitudeConfig) -> dict[str, Device]:
     """All devices of a configuration by name."""
     stars = [_star_device(id_, star, config.ins) for id_, star in config.star_sensors.items()]
     references = [_reference_device(name, reference) for name, reference in config.references.items()]
-    return {device.name: device for device in stars + references}
+    baselines = [_baseline_device(config)] if config.ship_baseline.is_aboard else []
+    return {device.name: device for device in stars + references + baselines}
 
 
 def _star_device(id_: str, star: StarSensorConfig, ins: InsConfig) -> Device:
@@ -229,6 +251,21 @@ def _reference_device(name: str, reference: ReferenceConfig) -> Device:
         ins_time_states=((f"reference.{name}.time_offset", -1.0),),
         noise_source=SOURCE_REFERENCE_NOISE,
         is_star=False,
+    )
+
+
+def _baseline_device(config: ShipAttitudeConfig) -> Device:
+    """The baseline hangs on the deck like a star sensor that looks along it. Its stamps are those of satellites."""
+    baseline = config.ship_baseline
+    return Device(
+        name=BASELINE,
+        rotation_dv0=baseline.rotation_dv,
+        ins_time_s=-config.ins.time_offset_s,
+        ins_time_states=(("ins.time_offset", -1.0),),
+        noise_source=SOURCE_BASELINE_NOISE,
+        is_star=False,
+        length_m=baseline.length_m,
+        length_sigma_m=math.hypot(baseline.sigma_m, baseline.bias_sigma_m),
     )
 
 
@@ -294,6 +331,16 @@ def _sky_blocks(sky: SkyConfig) -> list[StateBlock]:
     ]
     if sky.utc_sigma_s > 0.0:
         blocks.append(block("sky.utc", [1.0], SOURCE_UTC))
+    return blocks
+
+
+def _baseline_blocks(baseline: ShipBaselineConfig) -> list[StateBlock]:
+    # A turn about the baseline itself changes nothing.
+    across = baseline.sigma_m / baseline.length_m
+    blocks = [block(f"{BASELINE}.installation", [0.0, across, across], SOURCE_BASELINE)]
+    if baseline.bias_sigma_m > 0.0:
+        sigma = [baseline.bias_sigma_m / baseline.length_m] * 3
+        blocks.append(block(f"{BASELINE}.common", sigma, SOURCE_BASELINE_COMMON, time_s=baseline.bias_time_s))
     return blocks
 
 

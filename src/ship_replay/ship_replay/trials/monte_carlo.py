@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ship_attitude_star.measurements.baseline import BaselineMeasurement
 from ship_attitude_star.measurements.readings import (
     AirReading,
     DeflectionReading,
@@ -28,7 +29,7 @@ from ship_estimation.parameters import build
 from ship_geometry.attitude_track import AttitudeSample, SampleBlock
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, exp_rotation, log_rotation
-from ship_simulation.run import DEFLECTION_SOURCE, SKY_SOURCES, SimulatedRun, simulate
+from ship_simulation.run import BASELINE_SOURCE, DEFLECTION_SOURCE, SKY_SOURCES, SimulatedRun, simulate
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.ship.attitude_device import FusedSamples
 from ship_simulation.stars.star_sightings import InertialSamples, StarSightings
@@ -118,6 +119,8 @@ def attitude_outcomes(
             yield core.add_sky_input(sky_input(run, source, index))
         elif source == DEFLECTION_SOURCE:
             yield core.add_deflection(deflection_reading(run, index))
+        elif source == BASELINE_SOURCE:
+            yield core.add_measurement(baseline_measurement(run, index))
         else:
             yield core.add_measurement(measurement_of(run, source, index))
 
@@ -171,6 +174,13 @@ def deflection_reading(run: SimulatedRun, index: int) -> DeflectionReading:
     assert told is not None
     covariance = told.covariance if told.covariance.any() else None
     return DeflectionReading(int(told.time_ns[index]), told.deflection[index], covariance)
+
+
+def baseline_measurement(run: SimulatedRun, index: int) -> BaselineMeasurement:
+    """What satellite positioning tells of the two antennas aboard."""
+    told = run.ship_baseline
+    assert told is not None
+    return BaselineMeasurement(int(told.time_ns[index]), told.baseline_n[index], told.covariance_n[index])
 
 
 def sky_input(run: SimulatedRun, source: str, index: int) -> SkyInput:

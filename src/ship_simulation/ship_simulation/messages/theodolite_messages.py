@@ -26,7 +26,8 @@ from ship_simulation.scenario.names import (
     beacon_frame,
     drone_topic,
 )
-from ship_simulation.theodolite.devices import BaselineSamples, DroneSamples, EncoderSamples, ImageSamples
+from ship_simulation.ship.rtk import BaselineSamples
+from ship_simulation.theodolite.devices import DroneSamples, EncoderSamples, ImageSamples
 from ship_simulation.theodolite.run import TheodoliteRun
 from theodolite_calib.chain.axes import NAMES
 
@@ -108,8 +109,8 @@ def image_maker(samples: ImageSamples, exposure_s: float, factory: MessageFactor
     return make
 
 
-def baseline_maker(beacon_id: str, samples: BaselineSamples, factory: MessageFactory) -> Maker:
-    """Maker of beacon/<id>/baseline."""
+def baseline_maker(rover_id: str, samples: BaselineSamples, factory: MessageFactory) -> Maker:
+    """Maker of beacon/<id>/baseline, and of ship/baseline."""
     enu_m: Rows[list[float]] = Rows(lambda part: (samples.baseline_n[part] @ ENU_FROM_HORIZON.T).tolist())
     covariances = Rows(lambda part: list(enu_covariance(samples.covariance_n[part]).reshape(-1, 9)))
 
@@ -118,7 +119,7 @@ def baseline_maker(beacon_id: str, samples: BaselineSamples, factory: MessageFac
             BASELINE,
             header=make_header(factory, int(samples.time_ns[stamp]), ANTENNA_FRAME),
             base_id=SHIP_ANTENNA_ID,
-            rover_id=beacon_id,
+            rover_id=rover_id,
             enu=make_vector(factory, enu_m[value]),
             covariance=covariances[value],
             fix=int(samples.fix[value]),

@@ -25,9 +25,21 @@ from ship_simulation.messages.ship_messages import (
     weather_makers,
 )
 from ship_simulation.messages.star_messages import inertial_maker, observations_maker, star_maker
-from ship_simulation.messages.theodolite_messages import theodolite_sources, true_calibrations, true_pointings
+from ship_simulation.messages.theodolite_messages import (
+    baseline_maker,
+    theodolite_sources,
+    true_calibrations,
+    true_pointings,
+)
 from ship_simulation.run import SimulatedRun
-from ship_simulation.scenario.names import DECK_FRAME, DEFLECTION_TOPIC, FUSED_TOPIC, simulated_topics
+from ship_simulation.scenario.names import (
+    DECK_FRAME,
+    DEFLECTION_TOPIC,
+    FUSED_TOPIC,
+    SECOND_ANTENNA_ID,
+    SHIP_BASELINE_TOPIC,
+    simulated_topics,
+)
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.stars.star_sightings import InertialSamples, StarSightings
 
@@ -98,9 +110,13 @@ def _sources(run: SimulatedRun, factory: MessageFactory) -> dict[str, tuple[np.n
     for topic, maker in weather_makers(run.weather_ns, scenario.weather, factory).items():
         sources[topic] = run.weather_ns, run.weather_ns, maker
     if run.deflections is not None:
-        told = run.deflections
-        maker = deflection_maker(told.time_ns, told.deflection, told.covariance, factory)
-        sources[DEFLECTION_TOPIC] = told.time_ns, told.time_ns, maker
+        deflections = run.deflections
+        maker = deflection_maker(deflections.time_ns, deflections.deflection, deflections.covariance, factory)
+        sources[DEFLECTION_TOPIC] = deflections.time_ns, deflections.time_ns, maker
+    if run.ship_baseline is not None:
+        baselines = run.ship_baseline
+        maker = baseline_maker(SECOND_ANTENNA_ID, baselines, factory)
+        sources[SHIP_BASELINE_TOPIC] = baselines.time_ns, baselines.log_time_ns, maker
     if run.fused is not None:
         sources[FUSED_TOPIC] = run.fused.time_ns, run.fused.log_time_ns, fused_maker(run.fused, factory)
     if run.theodolite is not None:

@@ -22,11 +22,12 @@ HUMIDITY = "sensor_msgs/msg/RelativeHumidity"
 
 FUSED_TOPIC = "ship/attitude"
 DEFLECTION_TOPIC = "gravity/deflection"
+SHIP_BASELINE_TOPIC = "ship/baseline"
 ENCODER_TOPIC, IMAGE_TOPIC = "theodolite/encoder", "theodolite/beacons"
 
 INS_FRAME, DECK_FRAME = "ins", "deck"
 MOUNT_FRAME, TELESCOPE_FRAME, ANTENNA_FRAME = "theodolite", "telescope", "ship_antenna"
-TELESCOPE_ID, SHIP_ANTENNA_ID = "calibration", "ship"
+TELESCOPE_ID, SHIP_ANTENNA_ID, SECOND_ANTENNA_ID = "calibration", "ship", "ship_second"
 
 COVARIANCES = {
     IMU: ("orientation_covariance",),
@@ -95,6 +96,8 @@ def simulated_topics(scenario: Scenario) -> dict[str, str]:
         topics[FUSED_TOPIC] = SHIP_ATTITUDE
     if scenario.gravity.told == "topic":
         topics[DEFLECTION_TOPIC] = DEFLECTION
+    if scenario.ship_baseline.is_aboard:
+        topics[SHIP_BASELINE_TOPIC] = BASELINE
     if scenario.theodolite.aboard:
         topics |= {ENCODER_TOPIC: ENCODER, IMAGE_TOPIC: IMAGE}
         topics |= {baseline_topic(key): BASELINE for key in scenario.beacons}

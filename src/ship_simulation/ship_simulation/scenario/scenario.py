@@ -30,7 +30,7 @@ from ship_simulation.scenario.motion_scenario import (
     CarrierMotion,
     Outage,
 )
-from ship_simulation.scenario.theodolite_scenario import Beacon, Theodolite
+from ship_simulation.scenario.theodolite_scenario import Beacon, ShipBaseline, Theodolite
 
 _MOMENT = re.compile(r"(\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d)(?:\.(\d{1,9}))?Z")
 
@@ -265,6 +265,7 @@ class Scenario:
     ins: Ins = section(Ins)
     star_sensors: dict[str, StarSensor] = mapping_of("star sensors by id")
     references: dict[str, Reference] = mapping_of("other attitude systems by name")
+    ship_baseline: ShipBaseline = section(ShipBaseline)
     fused_attitude: FusedAttitude = section(FusedAttitude)
     theodolite: Theodolite = section(Theodolite)
     beacons: dict[str, Beacon] = mapping_of("drones with lights by id")

@@ -20,6 +20,7 @@ _ELEVATION: dict[str, Any] = {"unit": "deg", "minimum": -89.0, "maximum": 89.0}
 _DISTANCE: dict[str, Any] = {"unit": "m", "minimum": 10.0, "maximum": 50_000.0}
 _OFFSET: dict[str, Any] = {"unit": "deg", "minimum": -45.0, "maximum": 45.0}
 _SPEED: dict[str, Any] = {"unit": "m/s", "minimum": -100.0, "maximum": 100.0}
+_LENGTH_M: dict[str, Any] = {"unit": "m", "minimum": -1000.0, "maximum": 1000.0}
 _SIGMA_M: dict[str, Any] = {"unit": "m", "minimum": 0.0, "maximum": 100.0}
 _SIGMA_DEG: dict[str, Any] = {"unit": "deg", "minimum": 0.0, "maximum": 90.0}
 
@@ -232,7 +233,7 @@ SECTIONS_OF_FLIGHT = {"escort": "escort", "hover": "hover", "orbit": "orbit", "l
 
 @dataclass(frozen=True)
 class Rtk:
-    """The baseline from the ship's antenna to the drone's."""
+    """Satellite positioning between two antennas."""
 
     rate_hz: float = parameter(10.0, doc="solutions per second", **RATE)
     phase_s: float = parameter(0.0, doc="first solution after the start", **MOMENT)
@@ -248,6 +249,22 @@ class Rtk:
     float_times: dict[str, Outage] = mapping_of("times with the fix FLOAT, by name")
     no_solution_times: dict[str, Outage] = mapping_of("times with the fix NONE, by name")
     outages: dict[str, Outage] = mapping_of("times without messages, by name")
+
+
+@dataclass(frozen=True)
+class ShipBaseline:
+    """Two antennas aboard, and satellite positioning between them; none where the three lengths are 0."""
+
+    forward_m: float = parameter(0.0, doc="from the base to the rover antenna, toward the bow", **_LENGTH_M)
+    up_m: float = parameter(0.0, doc="the same, upward", **_LENGTH_M)
+    right_m: float = parameter(0.0, doc="the same, to starboard", **_LENGTH_M)
+    sigma_m: float = parameter(0.005, doc="how far off they were surveyed, each", **_SIGMA_M)
+    rtk: Rtk = section(Rtk)
+
+    @property
+    def is_aboard(self) -> bool:
+        """Whether the ship has one."""
+        return any((self.forward_m, self.up_m, self.right_m))
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from ship_simulation.scenario.names import (
     DECK_FRAME,
     INS_FRAME,
     MOUNT_FRAME,
+    SECOND_ANTENNA_ID,
     SHIP_ANTENNA_ID,
     TELESCOPE_FRAME,
     TELESCOPE_ID,
@@ -24,7 +25,7 @@ from ship_simulation.scenario.names import (
     star_frame,
 )
 from ship_simulation.scenario.scenario import Detector, Scenario, StarSensor
-from ship_simulation.scenario.theodolite_scenario import Beacon, Telescope
+from ship_simulation.scenario.theodolite_scenario import Beacon, ShipBaseline, Telescope
 from ship_simulation.ship.deflection import deflection_table
 from theodolite_calib.chain.axes import NAMES
 
@@ -134,7 +135,20 @@ def suite_configuration(scenario: Scenario) -> dict[str, Any]:
         configuration["references"] = {
             key: {"frame_id": key, **_told(reference, _REFERENCE)} for key, reference in scenario.references.items()
         }
+    if scenario.ship_baseline.is_aboard:
+        configuration["ship_baseline"] = _ship_baseline(scenario.ship_baseline)
     return configuration
+
+
+def _ship_baseline(baseline: ShipBaseline) -> dict[str, Any]:
+    """What the suite is told of the two antennas aboard."""
+    ids = {"frame_id": ANTENNA_FRAME, "base_id": SHIP_ANTENNA_ID, "rover_id": SECOND_ANTENNA_ID}
+    rtk = {
+        "noise_sigma_m": baseline.rtk.sigma_m,
+        "bias_sigma_m": baseline.rtk.bias_sigma_m,
+        "bias_time_s": baseline.rtk.bias_time_s,
+    }
+    return {**ids, **_told(baseline, ("forward_m", "up_m", "right_m", "sigma_m")), **rtk}
 
 
 def _gravity(scenario: Scenario) -> dict[str, Any]:

@@ -11,15 +11,12 @@ from ship_simulation.draws.noise import (
     arrival_times,
     centroids,
     exposure_times,
-    outside,
 )
 from ship_simulation.draws.stretch import Draws, Stretch
 from ship_simulation.scenario.theodolite_scenario import Encoder, Telescope
+from ship_simulation.ship.rtk import BaselineSamples, solved
 from ship_simulation.theodolite.scene import MountState, Scene, TrueLight
 from theodolite_calib.lights.image import Camera
-
-NONE, FLOAT, FIXED = 0, 3, 4
-"""RtkBaseline.NONE, RtkBaseline.FLOAT, RtkBaseline.FIXED."""
 
 
 @dataclass(frozen=True)
@@ -124,57 +121,17 @@ def in_view(config: Telescope, scene: Scene, t_s: FloatArray, point_m: FloatArra
     return seen
 
 
-@dataclass(frozen=True)
-class BaselineSamples:
-    """Solutions of satellite positioning for the way from the ship's antenna to a drone's.
-
-    Attributes:
-        time_ns: stamps, increasing, shape (n,).
-        log_time_ns: moments of arrival, shape (n,).
-        baseline_n: (North, Up, East), m, shape (n, 3); NaN with the fix NONE.
-        covariance_n: of the error that is new in each solution and of that of FLOAT, m², shape (n, 3, 3); NaN likewise.
-        fix: NONE, FLOAT or FIXED, shape (n,).
-    """
-
-    time_ns: np.ndarray
-    log_time_ns: np.ndarray
-    baseline_n: FloatArray
-    covariance_n: FloatArray
-    fix: np.ndarray
-
-
 def solve_baselines(
     beacon_id: str, scene: Scene, ship_antenna: SlowError, stretch: Stretch, draws: Draws
 ) -> BaselineSamples:
-    """Solutions with white noise, with a slow error of their own, and with the error of the ship's antenna."""
-    light, name = scene.lights[beacon_id], f"beacon.{beacon_id}.rtk"
+    """Solutions for the way from the ship's antenna to a drone's, with the error of the former."""
+    light = scene.lights[beacon_id]
     config = light.config.rtk
     time_ns = stretch.stamps(config.rate_hz, config.phase_s)
     t_s = (time_ns - stretch.start_ns) / SECOND_NS
-    bias = _slow(name + ".bias", stretch, config.bias_sigma_m, config.bias_time_s, draws)
-    unfixed = _slow(name + ".float", stretch, config.float_sigma_m, config.float_time_s, draws)
-    is_float = ~outside(t_s, config.float_times)
-    white_n = config.sigma_m * draws.stream(name + ".white").standard_normal((time_ns.size, 3))
-    error_n = white_n + bias.at(t_s) + ship_antenna.at(t_s) + is_float[:, None] * unfixed.at(t_s)
     true_n = light.path(t_s) + scene.carrier.attitude(t_s) @ scene.theodolite.lever_d
-    variance = config.sigma_m**2 + is_float * config.float_sigma_m**2
-    # NaN where there is no solution.
-    unsolved = ~outside(t_s, config.no_solution_times)
-    blank = np.where(unsolved, np.nan, 1.0)
-    arrival = draws.stream(name + ".arrival")
-    log_time_ns = arrival_times(time_ns, config.latency_s, config.jitter_s, arrival)
-    sent = (t_s < light.config.leaves_s) & outside(t_s, config.outages)
-    return BaselineSamples(
-        time_ns=time_ns[sent],
-        log_time_ns=log_time_ns[sent],
-        baseline_n=(blank[:, None] * (true_n + error_n))[sent],
-        covariance_n=((blank * variance)[:, None, None] * np.eye(3))[sent],
-        fix=np.where(unsolved, NONE, np.where(is_float, FLOAT, FIXED))[sent],
-    )
-
-
-def _slow(name: str, stretch: Stretch, sigma_m: float, time_s: float, draws: Draws) -> SlowError:
-    return draws.slow_error(name, stretch.duration_s, np.full(3, sigma_m), time_s)
+    found = solved(f"beacon.{beacon_id}.rtk", config, time_ns, true_n + ship_antenna.at(t_s), stretch, draws)
+    return found.some(found.time_ns - stretch.start_ns < light.config.leaves_s * SECOND_NS)
 
 
 @dataclass(frozen=True)

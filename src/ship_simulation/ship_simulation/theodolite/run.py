@@ -10,8 +10,8 @@ from ship_simulation.draws.noise import truth_index
 from ship_simulation.draws.stretch import Draws, Stretch
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.ship.motion import Carrier
+from ship_simulation.ship.rtk import BaselineSamples
 from ship_simulation.theodolite.devices import (
-    BaselineSamples,
     DroneSamples,
     EncoderSamples,
     ImageSamples,

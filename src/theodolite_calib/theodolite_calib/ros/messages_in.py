@@ -11,12 +11,12 @@ from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
 from ship_geometry.frames import angles_from_rotation, rotation_vector_covariance
 from ship_geometry.ros_axes import (
-    ENU_FROM_HORIZON,
     device_vector_from_ros,
     horizon_covariance,
     rotation_from_quaternion,
 )
 from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_node.edge.baselines import baseline_stamp_ns, baseline_vector, not_fixed
 from ship_node.edge.ins_messages import ins_sample
 from ship_node.edge.messages_in import (
     LARGEST_VARIANCE,
@@ -26,7 +26,6 @@ from ship_node.edge.messages_in import (
     device_id,
     exposure_length_s,
     finite_numbers,
-    finite_vector,
     frame,
     imu_rotation,
     quoted_id,
@@ -49,11 +48,8 @@ MOST_LIGHTS = 100
 """Of one image; what comes after them is not looked at, so that no message can hold up the node."""
 
 ENCODER_INVALID = 1
-_FIXES = ("NONE", "SINGLE", "DGNSS", "FLOAT", "FIXED")
 _LARGEST_DETECTOR_M = 0.5
 """No detector is larger: more are millimetres or pixels."""
-_LONGEST_BASELINE_M = 1e5
-"""No light is seen from further away."""
 _LONGEST_TARGET_ID = 100
 """Characters of a target's name; what comes after them is cut."""
 _LONGEST_RANGE_M = 1e6
@@ -120,27 +116,14 @@ def baseline(message: Any, beacon: BeaconConfig, least_fix: str, receive_ns: int
     Raises:
         Refused: with the reason.
     """
-    time_ns = stamp_ns(message.header, receive_ns)
-    frame(message.header.frame_id, beacon.rtk.frame_id)
-    for name, given, expected in (
-        ("base_id", message.base_id, beacon.rtk.base_id),
-        ("rover_id", message.rover_id, beacon.rtk.rover_id),
-    ):
-        if expected:
-            device_id(name, given, expected)
-    if message.fix < _FIXES.index(least_fix.upper()) or message.fix >= len(_FIXES):
-        fix = _FIXES[message.fix] if message.fix < len(_FIXES) else message.fix
-        refusal = Refusal(Reason.NOT_FIXED, f"baseline is {fix}: expected {least_fix.upper()}")
+    time_ns = baseline_stamp_ns(message, beacon.rtk, receive_ns)
+    refusal = not_fixed(message, least_fix)
+    if refusal is not None:
         return ReadMessage(BaselineSample(time_ns, np.zeros(3), np.zeros((3, 3)), refusal))
-    vector_n = ENU_FROM_HORIZON.T @ finite_vector(message.enu, "enu")
-    if np.max(np.abs(vector_n)) > _LONGEST_BASELINE_M:
-        raise Refused(Reason.UNITS, f"baseline N, U, E {vector_n.tolist()}: expected metres, 100 km at most")
-    covariance_enu = covariance_3x3(message.covariance)
-    if covariance_enu is not None and np.max(np.diagonal(covariance_enu)) > _LONGEST_BASELINE_M**2:
-        raise Refused(Reason.BAD_COVARIANCE, "a sigma of more than 100 km")
-    if covariance_enu is None:
+    vector_n, covariance_n = baseline_vector(message)
+    if covariance_n is None:
         return ReadMessage(BaselineSample(time_ns, vector_n, beacon.rtk.sigma_m**2 * np.eye(3)), False)
-    return ReadMessage(BaselineSample(time_ns, vector_n, horizon_covariance(covariance_enu)))
+    return ReadMessage(BaselineSample(time_ns, vector_n, covariance_n))
 
 
 def drone_attitude(message: Any, beacon: BeaconConfig, receive_ns: int) -> ReadMessage[AttitudeSample]:

@@ -1,0 +1,186 @@
+"""Two antennas aboard: the direction between them beside the INS and the stars, its length, its errors, bad input.
+
+Bands are of 99.9 %, from chi-square. Expected accuracies are computed beside each test, not by the filter.
+"""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ship_attitude_star.measurements.baseline import BASELINE, BaselineMeasurement
+from ship_attitude_star.ship_attitude.comparison import compare, predict_attitude
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
+from ship_attitude_star.ship_attitude.filter import ShipFilter
+from ship_estimation.outcome import Status
+from ship_estimation.parameters import ParameterError, build
+from ship_estimation.refusals import Reason
+from ship_geometry.attitude_track import AttitudeSample, InterpolatedAttitude
+from ship_geometry.frames import angles_from_rotation, rotation_from_angles
+from ship_geometry.rotations import ARCSEC, exp_rotation, wrap_pi
+
+START_NS = 1_700_000_000_000_000_000
+BASELINE_D = np.array([8.0, 0.4, -1.5])
+SECTION = {"forward_m": 8.0, "up_m": 0.4, "right_m": -1.5, "sigma_m": 0.002, "bias_sigma_m": 0.0}
+
+
+def configured(**changes: Any) -> ShipAttitudeConfig:
+    return build(ShipAttitudeConfig, {"ship_baseline": {**SECTION, **changes}})
+
+
+def sailing(time_s: float) -> np.ndarray:
+    """The ship's attitude at a moment: a sea way about heading 40°."""
+    roll, pitch = 0.05 * np.sin(0.6 * time_s), 0.02 * np.sin(0.9 * time_s)
+    return rotation_from_angles(0.7 + 0.01 * np.sin(0.3 * time_s), pitch, roll)
+
+
+def ran(
+    core: ShipAttitudeCore, ins_error_n: np.ndarray, solutions: Any, seconds: int = 60
+) -> tuple[list[Any], list[Any]]:
+    """Estimates and decisions of a core that hears an INS at 20 Hz, and ``solutions(second)`` each second."""
+    estimates, decisions = [], []
+    for number in range(20 * seconds + 1):
+        time_s = number / 20.0
+        time_ns = START_NS + number * 50_000_000
+        outcome = core.add_ins(AttitudeSample(time_ns, exp_rotation(-ins_error_n) @ sailing(time_s)))
+        estimates += outcome.estimates
+        decisions += outcome.decisions
+        if number and number % 20 == 0:
+            vector_n = solutions(number // 20, sailing(time_s))
+            if vector_n is not None:
+                noise_n = 0.004**2 * np.eye(3)
+                outcome = core.add_measurement(BaselineMeasurement(time_ns, vector_n, noise_n))
+                decisions += outcome.decisions
+                estimates += outcome.estimates
+    return estimates, decisions
+
+
+def test_the_heading_of_an_ins_is_told_by_it() -> None:
+    rng = np.random.default_rng(1)
+    error_n = np.array([5.0, 60.0, -4.0]) * ARCSEC
+    estimates, decisions = ran(
+        ShipAttitudeCore(configured()), error_n, lambda _, true_nd: true_nd @ BASELINE_D + rng.normal(0.0, 0.004, 3)
+    )
+    last, heading = estimates[-1], angles_from_rotation(sailing(60.0))[0]
+    # 2 mm of survey and 4 mm of noise over 60 solutions, across 8.1 m: 52 arcseconds; the INS said 60, sigma 72.
+    expected = np.hypot(0.002, 0.004 / np.sqrt(60.0)) / np.hypot(8.0, 1.5)
+    alone = 72.0 * ARCSEC
+    together = 1.0 / np.sqrt(expected**-2 + alone**-2)
+    assert np.sqrt(last.covariance_n[1, 1]) == pytest.approx(together, rel=0.03)
+    assert abs(wrap_pi(angles_from_rotation(last.rotation_nd)[0] - heading)) < 3.3 * together
+    assert all(decision.accepted for decision in decisions)
+    # No star: the attitude is not VALID, and the horizon is gravity's.
+    assert (last.status, last.horizon.name) == (Status.DEGRADED, "GRAVITY")
+    assert last.sources == ("ins", BASELINE)
+    np.testing.assert_allclose(last.covariance_parts_n.sum(axis=0), last.covariance_n, rtol=1e-9)
+
+
+def test_jacobian_is_the_difference_quotient() -> None:
+    filter_ = ShipFilter(configured(bias_sigma_m=0.01))
+    model, device = filter_.model, filter_.devices[BASELINE]
+    rng = np.random.default_rng(2)
+    rotation_nd = sailing(3.0)
+    ins = InterpolatedAttitude(rotation_nd, np.array([0.01, -0.02, 0.03]), 1.0, np.zeros((3, 3)), None)
+    measured = BaselineMeasurement(START_NS, rotation_nd @ BASELINE_D + rng.normal(0.0, 0.004, 3), 1.6e-5 * np.eye(3))
+
+    def compared(mean: np.ndarray) -> Any:
+        predicted = predict_attitude(device, model, mean, ins)
+        return compare(measured, device, predicted, model, mean, np.eye(model.size), None)
+
+    mean = 20.0 * ARCSEC * rng.standard_normal(model.size)
+    clock = model.rows("ins.time_offset")
+    mean[clock] = 0.001
+    analytic, step = compared(mean).linear.jacobian, 1e-6
+    for state in range(model.size):
+        if state in clock:
+            continue  # The moment of the INS's attitude is not moved here.
+        off = np.zeros(model.size)
+        off[state] = step
+        quotient = (compared(mean - off).linear.residual - compared(mean + off).linear.residual) / (2.0 * step)
+        np.testing.assert_allclose(analytic[:, state], quotient, atol=2e-3)
+
+
+def test_errors_of_many_draws_are_as_large_as_said() -> None:
+    squares, draws = [], 60
+    for seed in range(draws):
+        rng = np.random.default_rng(100 + seed)
+        error_n = np.array([10.0, 72.0, 10.0]) * ARCSEC * rng.standard_normal(3)
+        surveyed = BASELINE_D + 0.002 * rng.standard_normal(3)
+        slow_n = 0.003 * rng.standard_normal(3)
+
+        def solution(_: int, true_nd: np.ndarray, surveyed=surveyed, slow_n=slow_n, rng=rng) -> np.ndarray:
+            return true_nd @ surveyed + slow_n + rng.normal(0.0, 0.004, 3)
+
+        core = ShipAttitudeCore(configured(bias_sigma_m=0.003, bias_time_s=1e6))
+        estimates, _ = ran(core, error_n, solution, seconds=8)
+        last = estimates[-1]
+        heading = angles_from_rotation(sailing(8.0))[0]
+        off = float(wrap_pi(angles_from_rotation(last.rotation_nd)[0] - heading))
+        squares.append(off**2 / last.covariance_n[1, 1])
+    # chi-square of 60 degrees of freedom: 30.3 to 100.9 (99.9 %).
+    assert 30.3 < sum(squares) < 100.9
+
+
+@pytest.mark.parametrize(
+    ("spoilt", "text"),
+    [
+        (lambda vector_n: 1.02 * vector_n, "a wrong solution"),
+        (lambda vector_n: -vector_n, "are base and rover exchanged?"),
+        (lambda vector_n: np.full(3, np.nan), "a wrong solution"),
+    ],
+)
+def test_a_wrong_solution_is_refused_and_moves_nothing(spoilt: Any, text: str) -> None:
+    cores = ShipAttitudeCore(configured()), ShipAttitudeCore(configured())
+    error_n = np.array([0.0, 20.0, 0.0]) * ARCSEC
+
+    def solutions(second: int, true_nd: np.ndarray) -> np.ndarray:
+        vector_n = true_nd @ BASELINE_D
+        return spoilt(vector_n) if second == 5 else vector_n
+
+    with_it, decisions = ran(cores[0], error_n, solutions, seconds=10)
+    without, _ = ran(cores[1], error_n, lambda second, nd: None if second == 5 else nd @ BASELINE_D, seconds=10)
+    refused = [decision for decision in decisions if not decision.accepted]
+    assert [decision.reason for decision in refused] == [Reason.GATE]
+    assert text in refused[0].text
+    np.testing.assert_array_equal(with_it[-1].rotation_nd, without[-1].rotation_nd)
+    np.testing.assert_array_equal(with_it[-1].covariance_n, without[-1].covariance_n)
+
+
+def test_an_ambiguity_fixed_wrongly_across_is_no_accepted_heading() -> None:
+    # 0.3 m across at 8 m are 2 degrees; the length grows by 6 mm, which the gate of the length does not see.
+    def solutions(second: int, true_nd: np.ndarray) -> np.ndarray:
+        wrong_d = np.array([0.0, 0.0, 0.3]) if second >= 10 else np.zeros(3)
+        return true_nd @ (BASELINE_D + wrong_d)
+
+    estimates, decisions = ran(ShipAttitudeCore(configured()), np.zeros(3), solutions, seconds=30)
+    assert not any(d.accepted for d in decisions if d.measurement.time_ns > START_NS + 9.5e9)
+    heading = angles_from_rotation(sailing(30.0))[0]
+    assert abs(wrap_pi(angles_from_rotation(estimates[-1].rotation_nd)[0] - heading)) < 60.0 * ARCSEC
+
+
+def test_a_baseline_too_short_to_tell_a_direction_is_refused_by_name() -> None:
+    with pytest.raises(ParameterError, match=r"ship_baseline\.forward_m"):
+        configured(forward_m=0.1, up_m=0.0, right_m=0.0)
+
+
+def test_without_the_section_there_is_no_such_device() -> None:
+    assert BASELINE not in ShipFilter(build(ShipAttitudeConfig, {})).devices
+
+
+def test_alignment_tells_where_it_points() -> None:
+    core = ShipAttitudeCore(configured())
+    ran(core, np.zeros(3), lambda _, true_nd: true_nd @ BASELINE_D, seconds=3)
+    told = core.alignment()
+    at = dict(zip(told.names, told.values, strict=True))
+    assert at["baseline.azimuth"] == pytest.approx(np.arctan2(-1.5, 8.0) % (2.0 * np.pi), abs=1e-4)
+    assert at["baseline.elevation"] == pytest.approx(np.arctan2(0.4, np.hypot(8.0, 1.5)), abs=1e-4)
+
+
+def test_the_same_solutions_end_in_the_same_bits() -> None:
+    ends = [
+        ran(ShipAttitudeCore(configured()), np.zeros(3), lambda _, true_nd: true_nd @ BASELINE_D, seconds=5)[0][-1]
+        for _ in range(2)
+    ]
+    np.testing.assert_array_equal(ends[0].covariance_n, ends[1].covariance_n)
+    np.testing.assert_array_equal(ends[0].rotation_nd, ends[1].rotation_nd)

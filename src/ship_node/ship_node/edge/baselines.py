@@ -1,0 +1,71 @@
+"""What a ship_msgs/RtkBaseline says: a vector between two antennas, how good it is, how it was solved."""
+
+from typing import Any, Protocol
+
+import numpy as np
+
+from ship_estimation.refusals import Reason, Refusal
+from ship_geometry.ros_axes import ENU_FROM_HORIZON, horizon_covariance
+from ship_geometry.rotations import FloatArray
+from ship_node.edge.messages_in import Refused, covariance_3x3, device_id, finite_vector, frame, stamp_ns
+
+_FIXES = ("NONE", "SINGLE", "DGNSS", "FLOAT", "FIXED")
+_LONGEST_M = 1e5
+
+
+class Antennas(Protocol):
+    """What a message must say of its antennas; an empty text accepts any."""
+
+    @property
+    def frame_id(self) -> str:
+        """The horizon at the base."""
+
+    @property
+    def base_id(self) -> str:
+        """Where the vector begins."""
+
+    @property
+    def rover_id(self) -> str:
+        """Where it ends."""
+
+
+def baseline_stamp_ns(message: Any, antennas: Antennas, receive_ns: int) -> int:
+    """The stamp of a message that is of these antennas.
+
+    Raises:
+        Refused: it is of others, or its stamp is none.
+    """
+    time_ns = stamp_ns(message.header, receive_ns)
+    frame(message.header.frame_id, antennas.frame_id)
+    for name, given, expected in (
+        ("base_id", message.base_id, antennas.base_id),
+        ("rover_id", message.rover_id, antennas.rover_id),
+    ):
+        if expected:
+            device_id(name, given, expected)
+    return time_ns
+
+
+def not_fixed(message: Any, least_fix: str) -> Refusal | None:
+    """The refusal of a solution that is less than ``least_fix`` ("float", "fixed"), or of a kind unknown."""
+    if _FIXES.index(least_fix.upper()) <= message.fix < len(_FIXES):
+        return None
+    fix = _FIXES[message.fix] if message.fix < len(_FIXES) else message.fix
+    return Refusal(Reason.NOT_FIXED, f"baseline is {fix}: expected {least_fix.upper()}")
+
+
+def baseline_vector(message: Any) -> tuple[FloatArray, FloatArray | None]:
+    """The vector (North, Up, East), m, shape (3,), and its covariance, m², shape (3, 3); None where none is given.
+
+    Raises:
+        Refused: with the reason.
+    """
+    vector_n = ENU_FROM_HORIZON.T @ finite_vector(message.enu, "enu")
+    if np.max(np.abs(vector_n)) > _LONGEST_M:
+        raise Refused(Reason.UNITS, f"baseline N, U, E {vector_n.tolist()}: expected metres, 100 km at most")
+    covariance_enu = covariance_3x3(message.covariance)
+    if covariance_enu is None:
+        return vector_n, None
+    if np.max(np.diagonal(covariance_enu)) > _LONGEST_M**2:
+        raise Refused(Reason.BAD_COVARIANCE, "a sigma of more than 100 km")
+    return vector_n, horizon_covariance(covariance_enu)

@@ -1,0 +1,94 @@
+"""Solutions of satellite positioning for the way between two antennas: from ship to drone, or both aboard."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ship_geometry.rotations import FloatArray
+from ship_geometry.time_scales import SECOND_NS
+from ship_simulation.draws.noise import SlowError, arrival_times, outside, random_stream
+from ship_simulation.draws.stretch import Draws, Stretch
+from ship_simulation.scenario.scenario import Scenario
+from ship_simulation.scenario.theodolite_scenario import Rtk
+from ship_simulation.ship.motion import Carrier
+
+NONE, FLOAT, FIXED = 0, 3, 4
+"""RtkBaseline.NONE, RtkBaseline.FLOAT, RtkBaseline.FIXED."""
+
+
+@dataclass(frozen=True)
+class BaselineSamples:
+    """Solutions of satellite positioning for the way from one antenna to another.
+
+    Attributes:
+        time_ns: stamps, increasing, shape (n,).
+        log_time_ns: moments of arrival, shape (n,).
+        baseline_n: (North, Up, East), m, shape (n, 3); NaN with the fix NONE.
+        covariance_n: of the error that is new in each solution and of that of FLOAT, m², shape (n, 3, 3); NaN likewise.
+        fix: NONE, FLOAT or FIXED, shape (n,).
+    """
+
+    time_ns: np.ndarray
+    log_time_ns: np.ndarray
+    baseline_n: FloatArray
+    covariance_n: FloatArray
+    fix: np.ndarray
+
+    def some(self, which: np.ndarray) -> "BaselineSamples":
+        """Some of them."""
+        return BaselineSamples(
+            self.time_ns[which],
+            self.log_time_ns[which],
+            self.baseline_n[which],
+            self.covariance_n[which],
+            self.fix[which],
+        )
+
+
+def solved(
+    name: str, config: Rtk, time_ns: np.ndarray, true_n: FloatArray, stretch: Stretch, draws: Draws
+) -> BaselineSamples:
+    """Solutions of the true way (North, Up, East), m, shape (n, 3), with white noise and a slow error of their own.
+
+    Args:
+        name: of the component whose random streams they are.
+        config: how good and how often they are.
+        time_ns: their stamps.
+        true_n: the way, with whatever error it shares with others.
+        stretch: of the voyage.
+        draws: of the run.
+    """
+    t_s = (time_ns - stretch.start_ns) / SECOND_NS
+    bias = _slow(name + ".bias", stretch, config.bias_sigma_m, config.bias_time_s, draws)
+    unfixed = _slow(name + ".float", stretch, config.float_sigma_m, config.float_time_s, draws)
+    is_float = ~outside(t_s, config.float_times)
+    white_n = config.sigma_m * draws.stream(name + ".white").standard_normal((time_ns.size, 3))
+    error_n = white_n + bias.at(t_s) + is_float[:, None] * unfixed.at(t_s)
+    variance = config.sigma_m**2 + is_float * config.float_sigma_m**2
+    # NaN where there is no solution.
+    unsolved = ~outside(t_s, config.no_solution_times)
+    blank = np.where(unsolved, np.nan, 1.0)
+    arrival = draws.stream(name + ".arrival")
+    log_time_ns = arrival_times(time_ns, config.latency_s, config.jitter_s, arrival)
+    sent = outside(t_s, config.outages)
+    return BaselineSamples(
+        time_ns=time_ns[sent],
+        log_time_ns=log_time_ns[sent],
+        baseline_n=(blank[:, None] * (true_n + error_n))[sent],
+        covariance_n=((blank * variance)[:, None, None] * np.eye(3))[sent],
+        fix=np.where(unsolved, NONE, np.where(is_float, FLOAT, FIXED))[sent],
+    )
+
+
+def simulate_ship_baseline(scenario: Scenario, carrier: Carrier, stretch: Stretch, draws: Draws) -> BaselineSamples:
+    """The way between the two antennas aboard, which stand a little off from where they were surveyed."""
+    config, name = scenario.ship_baseline, "ship_baseline"
+    time_ns = stretch.stamps(config.rtk.rate_hz, config.rtk.phase_s)
+    surveyed_off_d = config.sigma_m * random_stream(draws.seed, name + ".survey").standard_normal(3)
+    vector_d = np.array([config.forward_m, config.up_m, config.right_m]) + surveyed_off_d
+    true_n = carrier.attitude((time_ns - stretch.start_ns) / SECOND_NS) @ vector_d
+    return solved(name + ".rtk", config.rtk, time_ns, true_n, stretch, draws)
+
+
+def _slow(name: str, stretch: Stretch, sigma_m: float, time_s: float, draws: Draws) -> SlowError:
+    return draws.slow_error(name, stretch.duration_s, np.full(3, sigma_m), time_s)
