@@ -102,6 +102,40 @@ class DeckMasks:
         return [_edge_points(corners) for corners in self.corners]
 
 
+@dataclass(frozen=True)
+class SensorMasks:
+    """The masks of the deck as a star sensor sees them.
+
+    Attributes:
+        masks: of the deck.
+        rotation_ds: deck from sensor, as it is bolted, shape (3, 3).
+
+    Example:
+        A sensor that looks over the port side, and a crane there:
+
+        >>> crane = np.deg2rad([[265.0, 0.0], [275.0, 0.0], [275.0, 60.0], [265.0, 60.0]])
+        >>> port = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+        >>> SensorMasks(DeckMasks(("crane",), (crane,)), port).hide(np.array([[1.0, 0.0, 0.0], [0.8, 0.0, 0.6]]))
+        array([ True, False])
+    """
+
+    masks: DeckMasks
+    rotation_ds: FloatArray
+
+    def hide(self, directions_s: FloatArray, margin: float = 0.0) -> BoolArray:
+        """Whether a mask hides directions in the sensor frame, shape (n, 3); shape (n,). See :meth:`DeckMasks.hide`."""
+        return self.masks.hide(directions_s @ self.rotation_ds.T, margin)
+
+    def names(self, direction_s: FloatArray) -> str:
+        """The masks that hide a direction in the sensor frame, shape (3,), for people; empty where none does."""
+        hiding = self.masks.hiding(direction_s @ self.rotation_ds.T)
+        return ", ".join(name for name, hides in zip(self.masks.names, hiding, strict=True) if hides)
+
+    def covering(self, directions_s: FloatArray) -> list[str]:
+        """Names of the masks that together hide all of some directions, shape (n, 3); none where one is clear."""
+        return self.masks.covering(directions_s @ self.rotation_ds.T)
+
+
 def field_directions(half_field: FloatArray) -> FloatArray:
     """Directions all over a rectangular field of view, its edge among them: (forward, up, right), shape (n, 3).
 

@@ -2,12 +2,15 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from ship_estimation.parameter_fields import parameter
 from ship_estimation.parameters import ParameterError
-from ship_geometry.deck_masks import DeckMasks
+from ship_geometry.deck_masks import DeckMasks, SensorMasks
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.rotations import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,3 +58,60 @@ def deck_masks(masks: Mapping[str, MaskConfig], prefix: str) -> DeckMasks | None
         return None
     corners = [np.deg2rad(np.column_stack([mask.azimuths_deg, mask.elevations_deg])) for mask in masks.values()]
     return DeckMasks(tuple(masks), tuple(corners))
+
+
+class MountedSensor(Protocol):
+    """A star sensor, as suites and scenarios describe it: how it is bolted, and what stands in its way."""
+
+    @property
+    def azimuth_deg(self) -> float:
+        """Of the boresight, from the bow."""
+
+    @property
+    def elevation_deg(self) -> float:
+        """Of the boresight, over the deck."""
+
+    @property
+    def roll_deg(self) -> float:
+        """About the boresight."""
+
+    @property
+    def masks(self) -> Mapping[str, MaskConfig]:
+        """By name."""
+
+
+def sensor_masks(sensor: MountedSensor, prefix: str) -> SensorMasks | None:
+    """The masks of a sensor by its parameters; None where there is none.
+
+    Args:
+        sensor: its parameters.
+        prefix: dotted name of these, for the error message.
+
+    Raises:
+        ParameterError: a mask is no polygon.
+    """
+    masks = deck_masks(sensor.masks, f"{prefix}.masks")
+    if masks is None:
+        return None
+    angles = np.deg2rad([sensor.azimuth_deg, sensor.elevation_deg, sensor.roll_deg])
+    return SensorMasks(masks, rotation_from_angles(*angles))
+
+
+def refuse_covered(masks: SensorMasks, field_s: FloatArray, prefix: str) -> None:
+    """Refuse masks that leave nothing of a field of view.
+
+    Args:
+        masks: of the sensor.
+        field_s: directions all over its field, in the sensor frame, shape (n, 3).
+        prefix: dotted name of the sensor's parameters, for the error message.
+
+    Raises:
+        ParameterError: they hide all of it; names them.
+    """
+    covering = masks.covering(field_s)
+    if covering:
+        raise ParameterError(
+            f"parameter '{prefix}.masks': {', '.join(covering)} cover the whole field of view: no star is ever seen; "
+            "check azimuths and elevations, which are the deck's as this sensor sees it",
+            f"{prefix}.masks",
+        )
