@@ -25,6 +25,7 @@ AS_GIVEN, RECOMMENDED, ALL_MOVED = "as given", "recommended azimuths", "all sens
 SEARCH_STEP_DEG = 5.0
 """All sensors are moved together over azimuths and elevations that are so far apart, in the end."""
 _COARSE_STEP_DEG = 15.0
+_TURNS_DEG = (0.0, 30.0, 60.0, 90.0)
 _TRADE_STEP_DEG = 2.5
 _HIGHEST_DEG = 85.0
 _MOST_ROUNDS = 20
@@ -199,13 +200,14 @@ class _Judge:
     def searched(self, candidates: list[Candidate], layout: Layout) -> Candidate:
         """The layout that uses the least of the requirement, all sensors moved together.
 
-        Two sensors at a time go to the best of all pairs of places that are far apart, and from there, as from the
-        layouts judged already, one at a time to the best of its places near to each other.
+        Two sensors at a time go to the best of all pairs of places that are far apart. From there, as from the layouts
+        judged already and from sensors spread round the ship, one at a time goes to the best of its places near to each
+        other.
         """
         coarse = [self._open_places(layout, number, _COARSE_STEP_DEG) for number in range(len(layout.names))]
         fine = [self._open_places(layout, number, SEARCH_STEP_DEG) for number in range(len(layout.names))]
         pairs = list(combinations(range(len(layout.names)), 2))
-        starts = [self._descended(layout, coarse, pairs), *(one.layout for one in candidates)]
+        starts = [self._descended(layout, coarse, pairs), *(one.layout for one in candidates), *_spread(layout)]
         found = [self._descended(start, fine) for start in starts]
         return min(
             (self.candidate(ALL_MOVED, one) for one in found),
@@ -262,6 +264,16 @@ class _Judge:
                 if source.source == _REFRACTION:
                     refraction = np.abs(source.errors_arcsec)
             yield TradedElevation(float(elevation_deg), judged_there, refraction)
+
+
+def _spread(layout: Layout) -> Iterator[Layout]:
+    """The sensors at their elevations, spread evenly over half and over the whole circle."""
+    count = len(layout.names)
+    for turn_deg in _TURNS_DEG:
+        for circle in (np.pi, 2.0 * np.pi):
+            angles = layout.angles.copy()
+            angles[:, 0] = np.deg2rad(turn_deg) + np.arange(count) * circle / count
+            yield replace(layout, angles=angles)
 
 
 def _elevations_deg(step_deg: float) -> FloatArray:
