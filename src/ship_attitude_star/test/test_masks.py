@@ -1,44 +1,15 @@
-"""Obstruction masks: which fields of view they reach, by points of the field, and what the study says."""
+"""Masks and horizon of a layout study: what it says of a sensor that looks into them, and where it turns it."""
 
 import numpy as np
 import pytest
 
-from ship_attitude_star.layout.config import Mask, study_config
-from ship_attitude_star.layout.masks import Obstructions, _holds
+from ship_attitude_star.layout.config import study_config
+from ship_attitude_star.layout.masks import Obstructions
 from ship_attitude_star.layout.study import study
 from ship_estimation.parameters import ParameterError
 from ship_geometry.frames import rotation_from_angles
 
-FUNNEL = {"azimuths_deg": [150.0, 210.0, 210.0, 150.0], "elevations_deg": [0.0, 0.0, 50.0, 50.0]}
 ACROSS_BOW = {"azimuths_deg": [350.0, 370.0, 360.0], "elevations_deg": [0.0, 0.0, 60.0]}
-
-
-@pytest.mark.parametrize("roll_deg", [0.0, 40.0])
-def test_a_mask_reaches_a_field_if_a_point_of_the_field_lies_in_it(roll_deg: float) -> None:
-    """Against the field filled with a grid of 81 x 81 directions, each looked up in the rectangle of the funnel."""
-    half = np.tan(np.deg2rad(8.0))
-    obstructions = Obstructions.from_masks({"funnel": Mask(**FUNNEL)}, np.array([[half, half]]))
-    side = np.linspace(-half, half, 81)
-    field_s = np.array([[1.0, up, right] for up in side for right in side])
-    rng = np.random.default_rng(5)
-    answers = []
-    for azimuth_deg, elevation_deg in rng.uniform([120.0, 5.0], [240.0, 75.0], (300, 2)):
-        angles = np.deg2rad([azimuth_deg, elevation_deg, roll_deg])
-        seen = field_s @ rotation_from_angles(*angles).T
-        azimuths = np.rad2deg(np.arctan2(seen[:, 2], seen[:, 0])) % 360.0
-        elevations = np.rad2deg(np.arctan2(seen[:, 1], np.hypot(seen[:, 0], seen[:, 2])))
-        inside = (azimuths >= 150.0) & (azimuths <= 210.0) & (elevations >= 0.0) & (elevations <= 50.0)
-        answers.append((bool(inside.any()), bool(obstructions.in_view(0, angles))))
-    # The grids of both differ at a grazing corner alone.
-    assert sum(grid != ours for grid, ours in answers) <= 3
-    assert 50 < sum(grid for grid, _ in answers) < 250
-
-
-def test_a_mask_across_the_bow_holds_both_sides() -> None:
-    corners = Mask(**ACROSS_BOW).corners_deg()
-    assert [_holds(corners, np.array([azimuth, 10.0])) for azimuth in (-5.0, 0.0, 5.0, 355.0, 15.0, 180.0)] == [
-        True, True, True, True, False, False,
-    ]  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -50,6 +21,10 @@ def test_a_mask_across_the_bow_holds_both_sides() -> None:
             "the masks tarpaulin leave no azimuth at this elevation clear",
         ),
         ({"flag": {"azimuths_deg": [0.0, 1.0], "elevations_deg": [0.0, 1.0]}}, "masks.flag': 2 azimuths and 2 elev"),
+        (
+            {"rail": {"azimuths_deg": [-10.0, 360.0, 0.0], "elevations_deg": [0.0, 0.0, 5.0]}},
+            "masks.rail.azimuths_deg': from -10 to 360 deg is more than once round the ship",
+        ),
     ],
 )
 def test_masks_in_the_way_are_named(masks: dict[str, object], reason: str) -> None:
@@ -71,3 +46,22 @@ def test_recommended_azimuths_are_clear_of_masks() -> None:
     hidden = np.isnan(masked.scans[0].sigmas_arcsec[:, 0])
     assert hidden[100:141].all()
     assert not hidden[round(azimuth_deg)]
+
+
+def test_a_field_stays_over_the_horizon_as_the_ship_moves() -> None:
+    """Against a field of 31 x 31 directions, turned by roll and pitch on a fine grid."""
+    sensors = {"a": {"azimuth_deg": 50.0, "elevation_deg": 40.0, "roll_deg": 20.0}}
+    moving = {"roll_deg": 12.0, "pitch_deg": 4.0, "clearance_deg": 3.0}
+    config = study_config({"sensors": sensors, "horizon": moving, "ship_roll_deg": 2.0, "field_of_view_deg": 16.0})
+    side = np.tan(np.deg2rad(8.0)) * np.linspace(-1.0, 1.0, 31)
+    field_s = np.array([[1.0, up, right] for up in side for right in side])
+    field_s /= np.linalg.norm(field_s, axis=1, keepdims=True)
+    field_d = field_s @ rotation_from_angles(*np.deg2rad([50.0, 40.0, 20.0])).T
+    lowest = min(
+        np.rad2deg(np.arcsin((field_d @ rotation_from_angles(0.0, *np.deg2rad([pitch, roll])).T)[:, 1])).min()
+        for pitch in np.linspace(-4.0, 4.0, 9)
+        for roll in np.linspace(-10.0, 14.0, 13)
+    )
+    over = Obstructions.from_config(config).over_horizon(0, np.deg2rad([[50.0, 40.0, 20.0]]))
+    assert np.rad2deg(over[0]) == pytest.approx(lowest - 3.0, abs=0.02)
+    assert 10.0 < lowest < 25.0

@@ -81,6 +81,8 @@ Terms of the ship
         How a device is bolted on: its three angles in d, and the small rotation by which these are wrong.
     Alignment
         What ``ship_attitude`` has learnt of all installations and clocks, as a message and as a file.
+    Mask
+        What stands on deck in the way of a sensor: a polygon over azimuth and elevation of d.
     Flexure
         The hull's bending between the INS and a sensor.
     Time offset tau

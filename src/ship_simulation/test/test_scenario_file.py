@@ -35,6 +35,16 @@ BROKEN = {
         "    identified: false\n    direction_given: true",
         "'star_sensors.fore.direction_given' needs identified stars",
     ),
+    "masks that hide all": (
+        "    magnitude_limit: 6.0",
+        "    masks: {wall: {azimuths_deg: [340.0, 380.0, 380.0, 340.0], elevations_deg: [9.0, 9.0, 80.0, 80.0]}}",
+        "parameter 'star_sensors.fore.masks': wall cover the whole field of view",
+    ),
+    "mask of two corners": (
+        "    magnitude_limit: 6.0",
+        "    masks:\n      flag: {azimuths_deg: [1.0, 2.0], elevations_deg: [1.0, 2.0]}",
+        "parameter 'star_sensors.fore.masks.flag': 2 azimuths and 2 elevations are no polygon",
+    ),
     "no Earth orientation": (
         "2014-07-09T11:50:07.8Z",
         "2090-07-09T11:50:07.8Z",

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, chi2
 
+from ship_attitude_star.sky.masks import MaskConfig
 from ship_estimation.gates import mean_nees_band, sigma_ratio_band
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.refraction import refraction
@@ -54,6 +55,32 @@ def by_atco13(sky, rows, time_ns):
     )
     sine = np.sin(zenith_distance)
     return np.stack([np.cos(azimuth) * sine, np.cos(zenith_distance), np.sin(azimuth) * sine], axis=-1)
+
+
+def stars_by_exposure(said, truth):
+    return [set(truth.hip[said.rows(number)].tolist()) for number in range(said.time_ns.size)]
+
+
+@pytest.mark.parametrize("most_stars", [1000, 5])
+def test_a_star_behind_a_mask_is_not_seen_and_the_next_brightest_is(most_stars):
+    """Against the same voyage without the mast, each star looked up in the mast's rectangle."""
+    mast = MaskConfig(azimuths_deg=(340.0, 361.0, 361.0, 340.0), elevations_deg=(-5.0, -5.0, 47.0, 47.0))
+    free = with_sensor(paper_stars(), most_stars=1000, camera=QUIET)
+    said, truth, sky = sightings_of(free)
+    masked = dataclasses.replace(free.star_sensors[FORE], most_stars=most_stars, masks={"mast": mast})
+    told, told_truth, _ = sightings_of(dataclasses.replace(free, star_sensors={FORE: masked}))
+    rotation_ds = rotation_from_angles(0.0, np.deg2rad(45.0), 0.0)
+    bow, up, starboard = (truth.direction_s @ rotation_ds.T).T
+    azimuth_deg = np.rad2deg(np.arctan2(starboard, bow))
+    elevation_deg = np.rad2deg(np.arctan2(up, np.hypot(bow, starboard)))
+    hidden = (azimuth_deg > -20.0) & (azimuth_deg < 1.0) & (elevation_deg < 47.0)
+    assert 0.1 < hidden.mean() < 0.9
+    magnitude = sky.catalogue.magnitude[sky.catalogue.rows(truth.hip)]
+    for number, found in enumerate(stars_by_exposure(told, told_truth)):
+        rows = np.arange(truth.hip.size)[said.rows(number)]
+        seen = rows[~hidden[rows]]
+        brightest = seen[np.argsort(magnitude[seen], kind="stable")][:most_stars]
+        assert found == set(truth.hip[brightest].tolist())
 
 
 def test_each_star_stands_where_the_attitude_and_erfa_put_it():

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from ship_attitude_star.sky.masks import MaskConfig, deck_masks
 from ship_estimation.parameter_fields import mapping_of, parameter, section
 from ship_estimation.parameters import ParameterError, build
 from ship_geometry.rotations import ARCSEC, FloatArray
@@ -104,25 +105,6 @@ class Optics:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Mask:
-    """What stands in the way: a polygon, its edges straight in azimuth and elevation of the deck."""
-
-    azimuths_deg: tuple[float, ...] = parameter(
-        doc="of the corners, from the bow; below 0 or over 360 across the bow",
-        unit="deg",
-        minimum=-360.0,
-        maximum=720.0,
-    )
-    elevations_deg: tuple[float, ...] = parameter(
-        doc="of the corners, over the deck", unit="deg", minimum=-90.0, maximum=90.0
-    )
-
-    def corners_deg(self) -> FloatArray:
-        """Azimuth and elevation of the corners, shape (k, 2)."""
-        return np.column_stack([self.azimuths_deg, self.elevations_deg])
-
-
-@dataclass(frozen=True, kw_only=True)
 class CommonErrors:
     """Errors that all sensors share; more sensors do not average them away."""
 
@@ -157,6 +139,58 @@ class OperatingPoint:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Requirement:
+    """How good the attitude must be; all three zero: nothing is required."""
+
+    heading_arcsec: float = _sigma(0.0, doc="heading must be known so well, 1 sigma; 0: not asked")
+    pitch_arcsec: float = _sigma(0.0, doc="pitch must be known so well, 1 sigma; 0: not asked")
+    roll_arcsec: float = _sigma(0.0, doc="roll must be known so well, 1 sigma; 0: not asked")
+
+    def limits_arcsec(self) -> FloatArray:
+        """Greatest sigma of heading, pitch, roll, shape (3,); infinite where nothing is asked."""
+        asked = np.array([self.heading_arcsec, self.pitch_arcsec, self.roll_arcsec])
+        return np.where(asked > 0.0, asked, np.inf)
+
+    @property
+    def given(self) -> bool:
+        """Whether anything is asked."""
+        return bool(np.isfinite(self.limits_arcsec()).any())
+
+
+@dataclass(frozen=True, kw_only=True)
+class HorizonClearance:
+    """How far the field of a sensor must stay over the horizon while the ship moves."""
+
+    roll_deg: float = _angle(0.0, doc="the ship rolls so far to either side", limit_deg=60.0)
+    pitch_deg: float = _angle(0.0, doc="the ship pitches so far up and down", limit_deg=45.0)
+    clearance_deg: float = parameter(
+        0.0, doc="meanwhile all of a field stays so high over the horizon", unit="deg", minimum=0.0, maximum=45.0
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """Where a sensor is bolted in another layout."""
+
+    azimuth_deg: float = _angle(doc="boresight from the bow, clockwise seen from above")
+    elevation_deg: float = parameter(
+        doc="boresight over the deck", unit="deg", minimum=LEAST_ELEVATION_DEG, maximum=90.0
+    )
+    roll_deg: float = _angle(0.0, doc="roll about the boresight, right side down")
+
+    def angles(self) -> FloatArray:
+        """Azimuth, elevation, roll in the deck, shape (3,), rad."""
+        return np.deg2rad([self.azimuth_deg, self.elevation_deg, self.roll_deg])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Alternative:
+    """Another layout of the same sensors."""
+
+    sensors: dict[str, Place] = mapping_of("sensors that are elsewhere, by name; the others stay as given")
+
+
+@dataclass(frozen=True, kw_only=True)
 class LayoutStudyConfig:
     """A layout study."""
 
@@ -164,12 +198,15 @@ class LayoutStudyConfig:
     ship_roll_deg: float = _angle(0.0, doc="roll of the ship, starboard down", limit_deg=60.0)
     sensors: dict[str, LayoutSensor] = mapping_of("the star sensors of the layout, by name")
     optics: dict[str, Optics] = mapping_of("optics by the name of their sensor, in place of its three noises")
-    masks: dict[str, Mask] = mapping_of("what stands in the way, by name")
+    masks: dict[str, MaskConfig] = mapping_of("what stands in the way, by name")
     field_of_view_deg: float = parameter(
         20.0, doc="side of the square field of sensors without optics, clear of masks", unit="deg", minimum=0.0,
         maximum=120.0,
     )  # fmt: skip
     common: CommonErrors = section(CommonErrors)
+    requirement: Requirement = section(Requirement)
+    alternatives: dict[str, Alternative] = mapping_of("other layouts that are judged by the requirement, by name")
+    horizon: HorizonClearance = section(HorizonClearance)
     figures: OperatingPoint = section(OperatingPoint)
 
 
@@ -189,7 +226,8 @@ def study_config(values: Mapping[str, Any]) -> LayoutStudyConfig:
                 value=name,
             )
     _check_optics(config, values)
-    _check_masks(config)
+    deck_masks(config.masks, "masks")
+    _check_alternatives(config)
     # The sensors stay in the order of the file: the first one keeps its azimuth.
     return dataclasses.replace(config, sensors={name: config.sensors[name] for name in values["sensors"]})
 
@@ -215,17 +253,23 @@ def _check_optics(config: LayoutStudyConfig, values: Mapping[str, Any]) -> None:
                 )
 
 
-def _check_masks(config: LayoutStudyConfig) -> None:
-    """Each mask is a polygon.
+def _check_alternatives(config: LayoutStudyConfig) -> None:
+    """Other layouts are of the sensors of the study, and there is a requirement to judge them by.
 
     Raises:
-        ParameterError: it has too few corners, or not as many azimuths as elevations.
+        ParameterError: they are not, or there is none.
     """
-    for name, mask in config.masks.items():
-        count = len(mask.azimuths_deg)
-        if count < 3 or count != len(mask.elevations_deg):
+    for name, alternative in config.alternatives.items():
+        key = f"alternatives.{name}"
+        if not config.requirement.given:
             raise ParameterError(
-                f"parameter 'masks.{name}': {count} azimuths and {len(mask.elevations_deg)} elevations are no polygon: "
-                "expected as many of both, three at least",
-                f"masks.{name}",
+                f"parameter '{key}': there is no requirement to judge it by: give one, or take it out", key
             )
+        for sensor in alternative.sensors:
+            if sensor not in config.sensors:
+                raise ParameterError(
+                    f"parameter '{key}.sensors.{sensor}': there is no sensor '{sensor}': expected one of "
+                    f"{', '.join(config.sensors)}",
+                    f"{key}.sensors.{sensor}",
+                    value=sensor,
+                )

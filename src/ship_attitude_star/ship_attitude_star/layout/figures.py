@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -13,13 +12,20 @@ from matplotlib.ticker import FixedLocator, MultipleLocator, NullFormatter, Scal
 
 from ship_attitude_star.layout.installation_model import SHIP_ANGLES, SWEEPS, Curve, InstallationReading, Sweep
 from ship_attitude_star.layout.joint_error import ErrorMap, Layout, total_arcsec
+from ship_attitude_star.layout.requirement_figures import (
+    BEST,
+    GIVEN,
+    admissible_figure,
+    draw_masks,
+    elevation_figure,
+    mark_sensors,
+)
 from ship_attitude_star.layout.study import AzimuthScan, LayoutStudy
 from ship_geometry.rotations import FloatArray
 from ship_node.documents.figure_files import write_figures
 
 # Readable in print and for the colour-blind (Okabe and Ito, 2008).
 _PART_STYLES = (("#0072b2", "-"), ("#d55e00", "--"), ("#009e73", "-."))
-_GIVEN, _BEST = "#0b3c6f", "#c1440e"
 _ARCSEC_TICKS = (1, 2, 3, 4, 5, 7, 10, 20, 30, 50, 100, 200, 300, 500, 1000)
 _FEW_LINES = (1, 3, 10, 30, 100, 300, 1000)
 _MORE_LINES = (1, 2, 3, 4, 5, 6, 8, 10, 30, 100, 300, 1000)
@@ -36,7 +42,10 @@ def _figures(study: LayoutStudy) -> Iterator[tuple[str, Figure]]:
     yield "layout", plan_figure(study.layout, study.best)
     yield "azimuth", _scan_figure(study)
     for number, moved in enumerate(study.maps):
-        yield f"map_{moved.sensor}", _map_figure(moved, study.layout, number)
+        yield f"map_{moved.sensor}", _map_figure(moved, study, number)
+    if study.required is not None:
+        yield "requirement", admissible_figure(study, study.required)
+        yield "elevation", elevation_figure(study.required)
     yield from sweep_figures(study.curves)
 
 
@@ -63,14 +72,14 @@ def plan_figure(given: Layout, best: Layout) -> Figure:
         axes.plot(*np.outer([np.sin(azimuth), np.cos(azimuth)], [0.97, 1.0]), color="0.6", lw=1)
         axes.text(1.09 * np.sin(azimuth), 1.09 * np.cos(azimuth), f"{azimuth_deg}°", ha="center", va="center")
     moved = not np.array_equal(given.angles, best.angles)
-    tips = [_draw_boresight(axes, angles, _GIVEN, "-") for angles in given.angles]
-    _number_boresights(axes, tips, _GIVEN, 1.0 + _NUMBER_BESIDE)
+    tips = [_draw_boresight(axes, angles, GIVEN, "-") for angles in given.angles]
+    _number_boresights(axes, tips, GIVEN, 1.0 + _NUMBER_BESIDE)
     if moved:
-        tips = [_draw_boresight(axes, angles, _BEST, "--") for angles in best.angles]
-        _number_boresights(axes, tips, _BEST, 1.0 - _NUMBER_BESIDE)
-    axes.plot([], [], color=_GIVEN, lw=2.2, label="as given")
+        tips = [_draw_boresight(axes, angles, BEST, "--") for angles in best.angles]
+        _number_boresights(axes, tips, BEST, 1.0 - _NUMBER_BESIDE)
+    axes.plot([], [], color=GIVEN, lw=2.2, label="as given")
     if moved:
-        axes.plot([], [], color=_BEST, ls="--", lw=2.2, label="recommended")
+        axes.plot([], [], color=BEST, ls="--", lw=2.2, label="recommended")
     axes.set(xlim=(-1.2, 1.2), ylim=(-1.2, 1.2), aspect="equal", title="Boresights seen from above, bow up")
     axes.set_axis_off()
     for number, name in enumerate(given.names, start=1):
@@ -131,9 +140,9 @@ def _draw_scan(axes: Axes, turned: AzimuthScan, study: LayoutStudy) -> None:
         sigmas_arcsec = turned.sigmas_arcsec[:, column]
         axes.plot(turned.azimuths_deg, sigmas_arcsec, color=colour, ls=line, lw=1.8, label=SHIP_ANGLES[column])
     axes.plot(turned.azimuths_deg, total_arcsec(turned.sigmas_arcsec), color="black", lw=2.6, label="total")
-    axes.axvline(own_deg, color=_GIVEN, lw=1.3, label="as given")
+    axes.axvline(own_deg, color=GIVEN, lw=1.3, label="as given")
     if len(study.layout.names) > 1:
-        axes.axvline(best_deg, color=_BEST, lw=1.3, ls="--", label="recommended")
+        axes.axvline(best_deg, color=BEST, lw=1.3, ls="--", label="recommended")
     axes.set_yscale("log")
     _arcsec_ticks(axes)
     axes.xaxis.set_major_locator(MultipleLocator(30.0))
@@ -152,7 +161,8 @@ def _arcsec_ticks(axes: Axes) -> None:
     axes.yaxis.set_minor_formatter(NullFormatter())
 
 
-def _map_figure(moved: ErrorMap, layout: Layout, number: int) -> Figure:
+def _map_figure(moved: ErrorMap, study: LayoutStudy, number: int) -> Figure:
+    layout = study.layout
     panels = [*np.moveaxis(moved.sigmas_arcsec, -1, 0), moved.total_arcsec()]
     low, high = np.nanmin(panels), np.nanmax(panels)
     levels = np.geomspace(low * 0.999, max(high, low * 1.05) * 1.001, 25)
@@ -166,7 +176,8 @@ def _map_figure(moved: ErrorMap, layout: Layout, number: int) -> Figure:
         lines = [line for line in (_FEW_LINES if most > _STEEP * least else _MORE_LINES) if 1.02 * least < line < most]
         drawn = axes.contour(moved.azimuths_deg, moved.elevations_deg, values, lines, colors="black", linewidths=0.7)
         axes.clabel(drawn, fmt="%g″", fontsize=9)
-        _mark_sensors(axes, layout, number)
+        draw_masks(axes, study.obstructions.masks)
+        mark_sensors(axes, layout, number)
         axes.set_title(f"{title} [″]")
         axes.xaxis.set_major_locator(MultipleLocator(60.0))
     for axes in grid[-1]:
@@ -183,17 +194,6 @@ def _map_figure(moved: ErrorMap, layout: Layout, number: int) -> Figure:
     handles, labels = grid[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     return figure
-
-
-def _mark_sensors(axes: Axes, layout: Layout, moved: int) -> None:
-    directions_deg = np.rad2deg(layout.angles[:, :2]) % 360.0
-    others = np.delete(directions_deg, moved, axis=0)
-    look: dict[str, Any] = {"ls": "", "markeredgecolor": "white", "clip_on": False, "zorder": 5}
-    axes.plot(
-        *directions_deg[moved], "*", ms=17, color=_GIVEN, label=f"sensor “{layout.names[moved]}” as given", **look
-    )
-    if others.size:
-        axes.plot(others[:, 0], others[:, 1], "o", ms=10, color=_BEST, label="other sensors", **look)
 
 
 # -- the six figures of [Z14] ---------------------------------------------------------------------------------

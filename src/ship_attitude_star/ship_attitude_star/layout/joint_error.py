@@ -16,6 +16,13 @@ from ship_geometry.frames import (
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 _AXES = ("forward", "up", "right")
+_COMMON = (
+    ("horizon about North", "tilt"),
+    ("horizon about the vertical", "heading"),
+    ("horizon about East", "tilt"),
+    ("refraction", "refraction"),
+)
+"""The errors that sensors share, in words and as named in the study, in the order of ``Layout.common_sigmas``."""
 _HEADING = 0.0
 """No error depends on the heading, so the bow looks North."""
 
@@ -27,6 +34,7 @@ class SourceError:
     Attributes:
         sensor: the sensor that has this error; "all" for an error that the sensors share.
         source: the source in words.
+        key: the parameter of the study that sets its size, where the noise does not follow from optics.
         sigma_arcsec: standard deviation of the source.
         errors_arcsec: errors of heading, pitch, roll by it, shape (3,); the squares of all sources add up to the
             variance.
@@ -34,6 +42,7 @@ class SourceError:
 
     sensor: str
     source: str
+    key: str
     sigma_arcsec: float
     errors_arcsec: FloatArray
 
@@ -107,17 +116,21 @@ class Layout:
         sources = []
         for number, name in enumerate(self.names):
             per_axis = to_angles @ joint.gains[number] @ rotations_ns[number]
-            for words, sigmas in (("noise", self.noise_sigmas), ("installation", self.installation_sigmas)):
+            for words, prefix, sigmas in (
+                ("noise", "sigma", self.noise_sigmas),
+                ("installation", "installation_sigma", self.installation_sigmas),
+            ):
                 for axis, axis_name in enumerate(_AXES):
                     sigma = sigmas[number, axis]
                     errors = per_axis[:, axis] * sigma / ARCSEC
                     where = "boresight" if axis == 0 else f"{axis_name} axis"
-                    sources.append(SourceError(name, f"{words} about the {where}", sigma / ARCSEC, errors))
+                    key = f"sensors.{name}.{prefix}_{axis_name}_arcsec"
+                    sources.append(SourceError(name, f"{words} about the {where}", key, sigma / ARCSEC, errors))
         per_common = to_angles @ np.einsum("nij,njk->ik", joint.gains, common_effects)
-        words_of_common = ("horizon about North", "horizon about the vertical", "horizon about East", "refraction")
-        for number, words in enumerate(words_of_common):
+        for number, (words, key) in enumerate(_COMMON):
             sigma = self.common_sigmas[number]
-            sources.append(SourceError("all", words, sigma / ARCSEC, per_common[:, number] * sigma / ARCSEC))
+            errors = per_common[:, number] * sigma / ARCSEC
+            sources.append(SourceError("all", words, f"common.{key}_sigma_arcsec", sigma / ARCSEC, errors))
         return [source for source in sources if source.sigma_arcsec > 0.0]
 
     def _rotations_ns(self, angles: FloatArray) -> FloatArray:

@@ -19,8 +19,9 @@ from ship_attitude_star.layout.installation_model import (
 )
 from ship_attitude_star.layout.joint_error import total_arcsec
 from ship_attitude_star.layout.optics import PERCENTILES
+from ship_attitude_star.layout.requirement_told import REQUIREMENT_TABLES, requirement_lines, requirement_tables
 from ship_attitude_star.layout.study import LayoutStudy, study
-from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
+from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_bags.output_files import add_force, check_folder, write_csv, write_whole
 from ship_bags.parameter_yaml import read_plain
 from ship_estimation.parameters import ParameterError, describe
@@ -58,11 +59,12 @@ def _parser() -> CommandParser:
         example="./ros2run ship_attitude_star layout_study layout.yaml --out study",
         description="Study where star sensors are bolted: errors [arcsec, 1 sigma] of heading, pitch and roll of all "
         "sensors together, by source of error and over all directions [deg], recommended azimuths [deg], noise of "
-        "sensors by their optics [m, px] and the stars of the catalogue over the sky, and the six "
-        "figures of [Z14] in both readings of its installation angles. Writes layout_study.html (one file with "
+        "sensors by their optics [m, px] and the stars of the catalogue over the sky; with a requirement the layouts "
+        "that meet it, clear of masks and of the horizon, and how large each error may be; and the six figures of "
+        "[Z14] in both readings of its installation angles. Writes layout_study.html (one file with "
         "everything), PNG and CSV.",
         epilog=f"keys of LAYOUT.yaml, nested at the dots (<id>: any name):\n{_keys()}\n\n"
-        "exit code: 0 written; 2 bad input or usage; 130 interrupted",
+        "exit code: 0 written; 1 written, no layout meets the requirement; 2 bad input or usage; 130 interrupted",
         formatter_class=_WrappedAbove,
     )
     parser.add_argument(
@@ -89,7 +91,7 @@ def _run(options: argparse.Namespace) -> int:
     title = _DEFAULT_TITLE if options.layout is None else options.layout.name
     write_whole(page, page_text(computed, draw_figures(computed, options.out), title))
     sys.stdout.write(_summary(computed, page))
-    return EXIT_DONE
+    return EXIT_DONE if computed.required is None or computed.required.met else EXIT_BOUND_NOT_MET
 
 
 def _study(options: argparse.Namespace) -> LayoutStudy:
@@ -111,7 +113,10 @@ def written(config: LayoutStudyConfig) -> list[str]:
     """Names of all files written."""
     figures = ["layout", "azimuth", *(f"map_{sensor}" for sensor in config.sensors)]
     figures += [f"figure_{sweep.number}" for sweep in SWEEPS]
-    tables = [*TABLES, OPTICS_TABLE] if config.optics else TABLES
+    tables = [*TABLES, *([OPTICS_TABLE] if config.optics else [])]
+    if config.requirement.given:
+        figures += ["requirement", "elevation"]
+        tables += REQUIREMENT_TABLES
     return [PAGE, *tables, *(f"{figure}.png" for figure in figures)]
 
 
@@ -136,6 +141,8 @@ def _summary(computed: LayoutStudy, page: Path) -> str:
             f"optics of {name}: {found.stars.mean():.1f} stars in the mean, {found.fewest_stars()[5]:.0f} or fewer in "
             f"5 % of the sky; about forward, up, right {forward:.2f}, {up:.2f}, {right:.2f} arcsec"
         )
+    if computed.required is not None:
+        lines += requirement_lines(computed.required)
     return "\n".join([*lines, f"page: {page}"]) + "\n"
 
 
@@ -170,6 +177,8 @@ def write_tables(study: LayoutStudy, folder: Path) -> list[Path]:
     }
     if study.optics:
         tables[OPTICS_TABLE] = (_OPTICS, _optics(study))
+    if study.required is not None:
+        tables |= requirement_tables(study, study.required)
     return [write_csv(folder / name, header, rows) for name, (header, rows) in tables.items()]
 
 

@@ -1,78 +1,80 @@
-"""What stands in the way of a star sensor: polygons over azimuth and elevation, and clear fields."""
+"""What a star sensor may see where it is bolted: clear of the masks, and over the horizon while the ship moves."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.layout.config import Mask
+from ship_attitude_star.layout.config import LayoutStudyConfig
+from ship_attitude_star.sky.masks import deck_masks
+from ship_geometry.deck_masks import DeckMasks, field_directions
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
 
-_EDGE_STEP_DEG = 0.25
-"""Points on an edge of a mask are so near to each other; a field that an edge enters by less may count as clear."""
+_NOTHING = DeckMasks((), ())
 
 
 @dataclass(frozen=True)
 class Obstructions:
-    """The masks of a study.
+    """The masks and the horizon of a study.
 
     Attributes:
-        names: of the masks.
-        polygons_deg: corners (azimuth, elevation) of each, shape (k, 2); edges are straight in azimuth and elevation.
+        masks: what stands on deck.
         half_fields: tangents of half the field of view to the right and up of each sensor, shape (N, 2).
+        up_d: the direction upward, in the deck, in the extreme positions of the ship, shape (m, 3).
+        clearance: so high over the horizon a field must stay, rad.
     """
 
-    names: tuple[str, ...]
-    polygons_deg: tuple[FloatArray, ...]
+    masks: DeckMasks
     half_fields: FloatArray
+    up_d: FloatArray
+    clearance: float
 
     @classmethod
-    def from_masks(cls, masks: Mapping[str, Mask], half_fields: FloatArray) -> "Obstructions":
-        """The masks of a study's file."""
-        return cls(tuple(masks), tuple(mask.corners_deg() for mask in masks.values()), half_fields)
+    def from_config(cls, config: LayoutStudyConfig) -> "Obstructions":
+        """The masks and the horizon of a study's file.
+
+        Raises:
+            ParameterError: a mask is no polygon.
+        """
+        half = np.tan(np.deg2rad(config.field_of_view_deg) / 2.0)
+        optics, horizon = config.optics, config.horizon
+        half_fields = [optics[name].half_field() if name in optics else np.full(2, half) for name in config.sensors]
+        pitch = np.deg2rad(config.ship_pitch_deg + horizon.pitch_deg * np.array([-1.0, 0.0, 1.0]))
+        roll = np.deg2rad(config.ship_roll_deg + horizon.roll_deg * np.array([-1.0, 0.0, 1.0]))
+        rotations_nd = rotation_from_angles(np.zeros((3, 3)), *np.broadcast_arrays(pitch[:, None], roll))
+        return cls(
+            masks=deck_masks(config.masks, "masks") or _NOTHING,
+            half_fields=np.array(half_fields),
+            up_d=rotations_nd[..., 1, :].reshape(-1, 3),
+            clearance=float(np.deg2rad(horizon.clearance_deg)),
+        )
 
     def in_view(self, number: int, angles: FloatArray) -> list[str]:
         """Names of the masks that reach into the field of a sensor bolted at (azimuth, elevation, roll), rad."""
-        return [
-            name
-            for name, polygon_deg in zip(self.names, self.polygons_deg, strict=True)
-            if self._reaches(polygon_deg, number, angles)
-        ]
+        reaching = self.masks.reaching(rotation_from_angles(*angles)[None], self.half_fields[number])
+        return [name for name, reaches in zip(self.masks.names, reaching, strict=True) if reaches[0]]
 
     def clear(self, number: int, angles: FloatArray) -> NDArray[np.bool_]:
         """Whether the field of a sensor is clear of all masks, for installation angles (n, 3), rad; shape (n,)."""
-        return np.array([not self.in_view(number, each) for each in angles], dtype=bool)
+        reached: NDArray[np.bool_] = np.any(self.masks.reaching(_rotations(angles), self.half_fields[number]), axis=0)
+        return ~reached
 
-    def _reaches(self, polygon_deg: FloatArray, number: int, angles: FloatArray) -> bool:
-        """A mask meets a field if its edge enters the field, or if the whole field lies inside."""
-        edge = _edge_points(polygon_deg) @ rotation_from_angles(*angles)
-        half_right, half_up = self.half_fields[number]
-        inside = (edge[:, 0] > 0.0) & (np.abs(edge[:, 1]) <= half_up * edge[:, 0])
-        inside &= np.abs(edge[:, 2]) <= half_right * edge[:, 0]
-        return bool(inside.any()) or _holds(polygon_deg, np.rad2deg(angles[:2]))
+    def over_horizon(self, number: int, angles: FloatArray) -> FloatArray:
+        """How much higher than the clearance the field's lowest point stays as the ship moves, shape (n,), rad.
 
+        Args:
+            number: of the sensor.
+            angles: installation angles, shape (n, 3), rad.
+        """
+        field_d = field_directions(self.half_fields[number]) @ np.swapaxes(_rotations(angles), -1, -2)
+        lowest: FloatArray = np.arcsin(np.min(field_d @ self.up_d.T, axis=(-2, -1)).clip(-1.0, 1.0))
+        return lowest - self.clearance
 
-def _edge_points(polygon_deg: FloatArray) -> FloatArray:
-    """Directions (bow, up, starboard) along the edges of a polygon, unit vectors, shape (n, 3)."""
-    points = []
-    for start, end in zip(polygon_deg, np.roll(polygon_deg, -1, axis=0), strict=True):
-        count = int(np.ceil(np.abs(end - start).max() / _EDGE_STEP_DEG)) + 1
-        points.append(start + np.linspace(0.0, 1.0, count)[:, None] * (end - start))
-    azimuth, elevation = np.deg2rad(np.concatenate(points)).T
-    forward, right = np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth)
-    return np.stack([forward, np.sin(elevation), right], axis=-1)
+    def is_open(self, number: int, angles: FloatArray) -> NDArray[np.bool_]:
+        """Whether a field is clear of masks and over the horizon, for installation angles (n, 3), rad; shape (n,)."""
+        return self.clear(number, angles) & (self.over_horizon(number, angles) >= 0.0)
 
 
-def _holds(polygon_deg: FloatArray, direction_deg: FloatArray) -> bool:
-    """Whether a direction lies in a polygon, whole turns aside: a ray upward meets an odd number of edges."""
-    start, end = polygon_deg, np.roll(polygon_deg, -1, axis=0)
-    for turn_deg in range(-720, 721, 360):
-        azimuth_deg = direction_deg[0] + turn_deg
-        crossed = (start[:, 0] <= azimuth_deg) != (end[:, 0] <= azimuth_deg)
-        a, b = start[crossed], end[crossed]
-        heights = a[:, 1] + (azimuth_deg - a[:, 0]) / (b[:, 0] - a[:, 0]) * (b[:, 1] - a[:, 1])
-        if np.count_nonzero(heights > direction_deg[1]) % 2:
-            return True
-    return False
+def _rotations(angles: FloatArray) -> FloatArray:
+    return rotation_from_angles(angles[..., 0], angles[..., 1], angles[..., 2])

@@ -14,6 +14,7 @@ from ship_attitude_star.layout.installation_model import Curve, all_curves
 from ship_attitude_star.layout.joint_error import ErrorMap, Layout, SourceError, error_map, total_arcsec
 from ship_attitude_star.layout.masks import Obstructions
 from ship_attitude_star.layout.optics import LEAST_STARS, OpticsOverSky, over_sky
+from ship_attitude_star.layout.requirement import JudgedLayouts, judged
 from ship_estimation.parameters import ParameterError
 from ship_geometry.rotations import FloatArray, wrap_pi
 
@@ -61,6 +62,8 @@ class LayoutStudy:
         budget: the joint error of ``layout`` by source.
         curves: the curves of the six figures of [Z14].
         optics: what the optics of sensors give over the sky, by the sensors' names.
+        obstructions: what stands in the way.
+        required: the layouts judged by what is required; None where nothing is.
     """
 
     config: LayoutStudyConfig
@@ -74,6 +77,8 @@ class LayoutStudy:
     budget: list[SourceError]
     curves: list[Curve]
     optics: dict[str, OpticsOverSky]
+    obstructions: Obstructions
+    required: JudgedLayouts | None
 
 
 def study(config: LayoutStudyConfig) -> LayoutStudy:
@@ -94,6 +99,7 @@ def study(config: LayoutStudyConfig) -> LayoutStudy:
             )
     obstructions = _checked_sights(config, layout)
     best = recommended(layout, obstructions)
+    maps = [error_map(layout, number) for number in range(len(layout.names))]
     count = len(layout.names)
     return LayoutStudy(
         config=config,
@@ -103,10 +109,12 @@ def study(config: LayoutStudyConfig) -> LayoutStudy:
         best=best,
         best_arcsec=best.sigmas_arcsec(),
         scans=[scan(best, number, obstructions) for number in range(min(1, count - 1), count)],
-        maps=[error_map(layout, number) for number in range(count)],
+        maps=maps,
         budget=layout.budget(),
         curves=all_curves(config.figures),
         optics=optics,
+        obstructions=obstructions,
+        required=judged(config, layout, best, maps, obstructions) if config.requirement.given else None,
     )
 
 
@@ -133,18 +141,13 @@ def _with_noise_of(config: LayoutStudyConfig, optics: dict[str, OpticsOverSky]) 
     return replace(config, sensors=sensors)
 
 
-def _checked_sights(config: LayoutStudyConfig, layout: Layout) -> Obstructions | None:
-    """What stands in the way, if anything does; not in the field of a sensor as given.
+def _checked_sights(config: LayoutStudyConfig, layout: Layout) -> Obstructions:
+    """What stands in the way; nothing does in the field of a sensor as given.
 
     Raises:
-        ParameterError: one does; names it, or the masks that leave the sensor no azimuth at its elevation.
+        ParameterError: a mask does; names it, or the masks that leave the sensor no azimuth at its elevation.
     """
-    if not config.masks:
-        return None
-    half = np.tan(np.deg2rad(config.field_of_view_deg) / 2.0)
-    optics = config.optics
-    half_fields = [optics[name].half_field() if name in optics else np.full(2, half) for name in layout.names]
-    obstructions = Obstructions.from_masks(config.masks, np.array(half_fields))
+    obstructions = Obstructions.from_config(config)
     for number, name in enumerate(layout.names):
         reaching = obstructions.in_view(number, layout.angles[number])
         if not reaching:

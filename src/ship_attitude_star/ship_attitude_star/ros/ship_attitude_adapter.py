@@ -187,6 +187,7 @@ class ShipAttitudeAdapter(BlockAdapter):
                 frame_id=star.frame_id,
                 camera=self._cameras[id_],
                 camera_config=star.camera,
+                masks=star.sensor_masks,
                 catalogue=self._watch.catalogue,
             )
             return exposure, None

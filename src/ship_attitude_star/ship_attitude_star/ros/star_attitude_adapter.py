@@ -96,6 +96,7 @@ class StarAttitudeAdapter(BlockAdapter):
                 frame_id=sensor.frame_id,
                 camera=self._cameras[id_],
                 camera_config=sensor.camera,
+                masks=sensor.sensor_masks,
                 catalogue=self._watch.catalogue,
             )
             yield Feed(topic, f"star.{id_}", read_stars, self._take_stars, judged=True)

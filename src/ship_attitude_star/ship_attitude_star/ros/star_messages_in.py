@@ -19,6 +19,7 @@ from ship_attitude_star.stars.camera import StarCamera
 from ship_attitude_star.stars.config import CameraConfig
 from ship_attitude_star.stars.exposure import ExposureLength, StarExposure
 from ship_estimation.refusals import Reason, Refusal
+from ship_geometry.deck_masks import SensorMasks
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.star_directions import StarPositions, fixed_stars
@@ -85,6 +86,7 @@ def star_exposure(
     catalogue: StarCatalogue,
     receive_ns: int,
     named_by_number: bool = False,
+    masks: SensorMasks | None = None,
 ) -> ReadMessage[StarExposure]:
     """``star/<sensor>/observations`` → directions in the sensor frame, and which stars they are.
 
@@ -101,6 +103,7 @@ def star_exposure(
         receive_ns: when it came.
         named_by_number: whether a star that is left out has its catalogue number as name, where it has one; otherwise
             its place in the message is its name.
+        masks: what stands on deck in the sensor's way; None where nothing does.
 
     Returns:
         The exposure with the stars that can be used; the other stars of the message are left out.
@@ -132,6 +135,7 @@ def star_exposure(
         position_sigma=np.where(listed, entries.sigma, _GIVEN_DIRECTION_SIGMA)[kept],
         magnitude=told.magnitude[kept],
         length=ExposureLength(exposure_s, camera, camera_config.psf_sigma_px) if exposure_s > 0.0 else None,
+        masks=masks,
     )
     left_out = _left_out(message.stars, refusals, named_by_number)
     return ReadMessage(exposure, told.sigma_known, left_out, empty=not message.stars)

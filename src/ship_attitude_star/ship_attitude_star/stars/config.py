@@ -6,18 +6,22 @@ Both nodes of the package have these parameters for each of their sensors.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
+from ship_attitude_star.sky.masks import MaskConfig, MountedSensor, refuse_covered, sensor_masks
 from ship_attitude_star.stars.camera import Distortion, StarCamera
-from ship_estimation.parameter_fields import arcsec, degrees, parameter
+from ship_estimation.parameter_fields import arcsec, degrees, mapping_of, parameter
 from ship_estimation.parameters import ParameterError
+from ship_geometry.deck_masks import SensorMasks
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 JOINT = "joint"
 """Stands in the place of a sensor's id where the stars of all sensors give one attitude of the deck."""
+
+_FIELD_POINTS = 21
 
 
 class StarSensorsById:
@@ -27,10 +31,10 @@ class StarSensorsById:
     topic of the joint solution, and its stars would count twice.
     """
 
-    star_sensors: Mapping[str, "MountingConfig"]
+    star_sensors: Mapping[str, "SensorWithCamera"]
 
     def __post_init__(self) -> None:
-        """Check the ids.
+        """Check the ids, and that the masks of each sensor leave it something to see.
 
         Raises:
             ParameterError: names the parameter.
@@ -38,6 +42,11 @@ class StarSensorsById:
         if JOINT in self.star_sensors:
             name = f"star_sensors.{JOINT}"
             raise ParameterError(f"parameter '{name}': '{JOINT}' means all sensors, give it another id", name)
+        for id_, sensor in self.star_sensors.items():
+            prefix = f"star_sensors.{id_}"
+            masks = sensor_masks(sensor, prefix)
+            if masks is not None and sensor.camera.shows_field:
+                refuse_covered(masks, sensor.camera.field_directions(prefix), prefix)
 
 
 def _coefficient(doc: str) -> Any:
@@ -106,6 +115,26 @@ class CameraConfig:
             None if distortion == Distortion() else distortion,
         )
 
+    @property
+    def shows_field(self) -> bool:
+        """Whether the parameters tell how large the field of view is: by a principal point off the first pixel."""
+        return self.given and self.principal_u_px > 0.0 and self.principal_v_px > 0.0
+
+    def field_directions(self, prefix: str) -> FloatArray:
+        """Directions all over the field of view in the sensor frame, unit vectors, shape (n, 3).
+
+        The principal point is taken for the middle of the detector.
+
+        Args:
+            prefix: as of :meth:`camera`.
+
+        Raises:
+            ParameterError: as of :meth:`camera`.
+        """
+        columns = np.linspace(0.0, 2.0 * self.principal_u_px, _FIELD_POINTS)
+        rows = np.linspace(0.0, 2.0 * self.principal_v_px, _FIELD_POINTS)
+        return self.camera(prefix).directions(np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2))
+
 
 @dataclass(frozen=True, kw_only=True)
 class MountingConfig:
@@ -120,6 +149,12 @@ class MountingConfig:
     installation_sigma_forward_arcsec: float = arcsec(20.0, doc="installation error about the boresight")
     installation_sigma_up_arcsec: float = arcsec(1.0, doc="installation error about the up axis")
     installation_sigma_right_arcsec: float = arcsec(1.0, doc="installation error about the right axis")
+    masks: dict[str, MaskConfig] = mapping_of("what stands on deck in its way, by name: no detection there is a star")
+
+    @cached_property
+    def sensor_masks(self) -> SensorMasks | None:
+        """What stands in its way; None where nothing does."""
+        return sensor_masks(self, "star_sensors")
 
     @cached_property
     def rotation_ds(self) -> FloatArray:
@@ -136,3 +171,11 @@ class MountingConfig:
                 self.installation_sigma_right_arcsec,
             ]
         )
+
+
+class SensorWithCamera(MountedSensor, Protocol):
+    """A star sensor of either node: where it is bolted, what stands in its way, and its camera."""
+
+    @property
+    def camera(self) -> CameraConfig:
+        """Only a sensor that gives single stars needs one."""

@@ -27,6 +27,7 @@ from ship_attitude_star.stars.fit import SightedStars
 from ship_attitude_star.stars.identification import MAGNITUDE_TOLERANCE, WIDEST, candidates
 from ship_attitude_star.stars.selection import LINEAR_RANGE, StarPrior
 from ship_estimation.refusals import Reason, Refusal
+from ship_geometry.deck_masks import SensorMasks
 from ship_geometry.exposure_mean import Nodes, Turning, exposure_nodes
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.star_directions import StarPositions
@@ -84,6 +85,7 @@ class StarExposure:
         length: how long the exposure lasted, and of which camera it is; None where the message does not tell.
         smear_s: what the motion during the exposure adds to the error of a direction, covariance in the sensor frame,
             rad², shape (k, 3, 3); None before :func:`at_middle`.
+        masks: what stands on deck in the sensor's way; None where nothing does.
     """
 
     source: str
@@ -96,6 +98,7 @@ class StarExposure:
     magnitude: FloatArray
     length: ExposureLength | None = None
     smear_s: FloatArray | None = None
+    masks: SensorMasks | None = None
     covariance_known = True  # a star whose message gives no error of its centroid has the configured one
 
     @property
@@ -135,6 +138,7 @@ class StarExposure:
             self.magnitude[rows],
             self.length,
             None if self.smear_s is None else self.smear_s[rows],
+            self.masks,
         )
 
     def content(self) -> bytes:
@@ -251,7 +255,13 @@ def identified(
         return exposure, dict.fromkeys(rows.tolist(), Refusal(Reason.UNIDENTIFIED, _PRIOR_TOO_WIDE))
     smear_s = None if exposure.smear_s is None else exposure.smear_s[rows]
     found = candidates(
-        exposure.directions_s[rows], exposure.sigma[rows], exposure.magnitude[rows], smear_s, prior, moment
+        exposure.directions_s[rows],
+        exposure.sigma[rows],
+        exposure.magnitude[rows],
+        smear_s,
+        prior,
+        moment,
+        exposure.masks,
     )
     # No catalogue star counts twice: one that two detections could be is given to neither. A catalogue star
     # already assigned by its number is not assigned to another detection.
@@ -264,13 +274,22 @@ def identified(
         if len(fitting) == 1 and claimed_once[fitting[0]]:
             chosen[number] = found.rows[fitting[0]]
         else:
-            reasons[row] = _why_not(float(found.nearest[number]), len(fitting))
+            behind = exposure.masks.names(exposure.directions_s[row]) if exposure.masks is not None else ""
+            reasons[row] = _why_not(float(found.nearest[number]), len(fitting), behind)
     taken = chosen >= 0
     return _filled(exposure, rows[taken], chosen[taken], moment), reasons
 
 
-def _why_not(nearest: float, fitting: int) -> Refusal:
-    """The refusal of a detection for which so many catalogue stars lay within the gate, the nearest at this angle."""
+def _why_not(nearest: float, fitting: int, behind: str) -> Refusal:
+    """The refusal of a detection for which so many catalogue stars lay within the gate, the nearest at this angle.
+
+    Args:
+        nearest: rad; infinite where there is none.
+        fitting: number of stars.
+        behind: the masks that the detection lies in; empty for none.
+    """
+    if behind:
+        return Refusal(Reason.UNIDENTIFIED, f"no star: it lies in the mask {behind}")
     if fitting:
         text = f"{fitting} catalogue stars within the gate, or one claimed twice: left out"
         return Refusal(Reason.UNIDENTIFIED, text)

@@ -14,6 +14,7 @@ from ship_attitude_star.sky.sky_watch import SkyMoment
 from ship_attitude_star.stars.chance import GATE_PROBABILITY
 from ship_attitude_star.stars.selection import StarPrior, across, distance
 from ship_estimation.gates import chi_square_gate
+from ship_geometry.deck_masks import SensorMasks
 from ship_geometry.rotations import FloatArray, angle_between, exp_rotation, left_jacobian, skew
 
 MAGNITUDE_TOLERANCE = 1.5
@@ -60,6 +61,7 @@ def candidates(
     smear_s: FloatArray | None,
     prior: StarPrior,
     moment: SkyMoment,
+    masks: SensorMasks | None = None,
 ) -> Candidates:
     """The catalogue stars within the gates of detections.
 
@@ -70,10 +72,15 @@ def candidates(
         smear_s: covariance of the error by motion during the exposure, rad², shape (k, 3, 3); None for none.
         prior: attitude of the sensor.
         moment: the sky at the exposure; it also says which catalogue stars are bright enough.
+        masks: what stands on deck in the sensor's way: a star behind it is no candidate, and no detection there is a
+            star; None where nothing does.
     """
     rows, catalogue = _in_field(directions_s, prior, moment), moment.bright.catalogue
     apparent = moment.apparent(catalogue.at_j2000[rows])
-    rows, reference_n = rows[apparent.visible], apparent.direction_n[apparent.visible]
+    seen = apparent.visible
+    if masks is not None:
+        seen = seen & ~_behind(masks, apparent.direction_n, prior)
+    rows, reference_n = rows[seen], apparent.direction_n[seen]
     seen_n = directions_s @ prior.rotation_nb.T
     variance = sigma[:, None] ** 2 + catalogue.position_sigma[rows] ** 2
     smear_n = None if smear_s is None else prior.rotation_nb @ smear_s @ prior.rotation_nb.T
@@ -82,6 +89,8 @@ def candidates(
         return Candidates(rows, np.ones((len(seen_n), len(rows)), dtype=bool), nearest + np.inf)
     fitting = _mahalanobis(seen_n, reference_n, variance, smear_n, prior) < chi_square_gate(GATE_PROBABILITY, 2)
     fitting &= ~(np.abs(magnitude[:, None] - catalogue.magnitude[rows]) > MAGNITUDE_TOLERANCE)
+    if masks is not None:
+        fitting[masks.hide(directions_s)] = False
     alone = np.flatnonzero(~fitting.any(axis=1))
     nearest[alone] = np.min(angle_between(seen_n[alone, None], reference_n), axis=1, initial=np.inf)
     return Candidates(rows, fitting, nearest)
@@ -93,6 +102,11 @@ def _crowd(seen_n: FloatArray, magnitude: FloatArray, prior: StarPrior, moment: 
     covariance = turned @ prior.covariance_n @ np.swapaxes(turned, -1, -2)
     area = np.pi * chi_square_gate(GATE_PROBABILITY, 2) * np.sqrt(np.maximum(np.linalg.det(covariance), 0.0))
     return float(np.min(area * moment.bright.density(magnitude, MAGNITUDE_TOLERANCE)))
+
+
+def _behind(masks: SensorMasks, reference_n: FloatArray, prior: StarPrior) -> NDArray[np.bool_]:
+    """Whether stars are behind a mask wherever the predicted attitude may be off to, shape (c,)."""
+    return masks.hide(reference_n @ prior.rotation_nb, _FAR * float(np.sqrt(np.trace(prior.covariance_n))))
 
 
 def _in_field(directions_s: FloatArray, prior: StarPrior, moment: SkyMoment) -> NDArray[np.int64]:

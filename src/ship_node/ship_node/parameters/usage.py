@@ -114,9 +114,14 @@ def _inputs_with(
 
 
 def _example_values(descriptions: list[ParameterDescription]) -> dict[str, Any]:
-    """Dotted name → value of the least configuration that has one entry ``<id>`` in each group of devices."""
+    """Dotted name → value of the least configuration that has one entry ``<id>`` in each group of devices.
+
+    A group within a device, such as the masks of a sensor, stays empty.
+    """
     values = {}
     for description in descriptions:
+        if description.name.count("<id>") > 1:
+            continue
         if description.default is not None:
             values[description.name] = description.default
         else:

@@ -21,6 +21,7 @@ from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMe
 from ship_attitude_star.ship_attitude.ahead import InsAhead
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
+from ship_attitude_star.sky.masks import sensor_masks
 from ship_attitude_star.sky.sky_watch import installed_sky
 from ship_attitude_star.stars.exposure import ExposureLength, StarExposure
 from ship_estimation.gates import normalized_error_squared
@@ -218,7 +219,8 @@ def star_exposure(run: SimulatedRun, sensor_id: str, index: int) -> StarExposure
     if exposure_s:
         length = ExposureLength(exposure_s, config.camera.camera(source), config.camera.psf_sigma_px)
     stars = sightings.stars[sightings.rows(index)]
-    return StarExposure(source, int(sightings.time_ns[index]), **vars(stars), length=length)
+    time_ns, masks = int(sightings.time_ns[index]), sensor_masks(config, source)
+    return StarExposure(source, time_ns, **vars(stars), length=length, masks=masks)
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ship_attitude_star.ins_errors.config import GAUSS_MARKOV, SCHULER, SchulerConfig
+from ship_attitude_star.sky.masks import MaskConfig
 from ship_attitude_star.stars.config import CameraConfig
 from ship_estimation.parameter_fields import mapping_of, parameter, section
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
@@ -34,6 +35,7 @@ from ship_simulation.scenario.theodolite_scenario import Beacon, ShipBaseline, T
 
 _MOMENT = re.compile(r"(\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d)(?:\.(\d{1,9}))?Z")
 
+_FIELD_POINTS = 21
 _OFFSET_SIGMA: dict[str, Any] = {"unit": "s", "minimum": 0.0, "maximum": 1.0}
 
 
@@ -80,6 +82,16 @@ class Detector(CameraConfig):
     def edges_px(self) -> FloatArray:
         """Least and greatest (u, v) on the detector, shape (2, 2): whole numbers are the pixels' centres."""
         return np.array([[0.0, 0.0], [self.width_px, self.height_px]]) - 0.5
+
+    def field_directions(self, prefix: str) -> FloatArray:
+        """Directions all over the detector in the sensor frame, shape (n, 3).
+
+        Args:
+            prefix: name of this section of the scenario, for the error message.
+        """
+        least, greatest = self.edges_px
+        columns, rows = np.linspace(least, greatest, _FIELD_POINTS).T
+        return self.camera(prefix).directions(np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2))
 
     def holds(self, pixels: FloatArray) -> np.ndarray:
         """Whether pixels (u, v), shape (..., 2), lie on the detector; NaN does not."""
@@ -131,6 +143,7 @@ class StarSensor:
     )
     camera: Detector = section(Detector)
     magnitude_limit: float = parameter(6.0, doc="faintest star that it sees, Hp", minimum=-2.0, maximum=14.0)
+    masks: dict[str, MaskConfig] = mapping_of("what stands on deck in its way, by name: no star is seen through it")
     most_stars: int = parameter(20, doc="stars in an exposure at most, the brightest", minimum=1, maximum=1000)
     exposure_s: float = parameter(
         0.0,

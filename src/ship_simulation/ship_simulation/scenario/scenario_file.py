@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ship_attitude_star.sky.masks import refuse_covered, sensor_masks
 from ship_bags.parameter_yaml import ParameterFile, read_plain
 from ship_estimation.parameters import ParameterError, build
 from ship_geometry.earth_orientation import earth_orientation_table
@@ -22,6 +23,7 @@ FIELDS_OF_OUTPUTS = {
     ("observations",): (
         "camera",
         "magnitude_limit",
+        "masks",
         "most_stars",
         "exposure_s",
         "identified",
@@ -115,8 +117,18 @@ def _output_problems(key: str, sensor: StarSensor, given: Mapping[str, Any]) -> 
     if not (sensor.camera.width_px and sensor.camera.height_px):
         text = f"and '{key}.camera.height_px' must be given: they are the field of view"
         yield _wrong(f"{key}.camera.width_px", text)
+    yield from _mask_problems(key, sensor)
     if sensor.direction_given and not sensor.identified:
         yield _wrong(f"{key}.direction_given", "needs identified stars: leave one of the two out")
+
+
+def _mask_problems(key: str, sensor: StarSensor) -> Iterator[ParameterError]:
+    try:
+        masks = sensor_masks(sensor, key)
+        if masks is not None and sensor.camera.width_px and sensor.camera.height_px:
+            refuse_covered(masks, sensor.camera.field_directions(f"{key}.camera"), key)
+    except ParameterError as problem:
+        yield problem
 
 
 def _sky_problems(scenario: Scenario) -> Iterator[ParameterError]:

@@ -6,6 +6,7 @@ import erfa
 import numpy as np
 from numpy.typing import NDArray
 
+from ship_attitude_star.sky.masks import sensor_masks
 from ship_attitude_star.stars.camera import StarCamera
 from ship_geometry.rotations import FloatArray
 from ship_simulation.scenario.scenario import Detector, StarSensor
@@ -40,16 +41,16 @@ class FieldStars:
 def stars_in_field(
     sensor: StarSensor, sky: TrueSky, rotation_nv: FloatArray, valid_ns: np.ndarray, since_start_s: FloatArray
 ) -> FieldStars:
-    """The brightest stars in the field of each exposure.
+    """The brightest stars in the field of each exposure that nothing on deck hides.
 
     Args:
-        sensor: its camera, magnitude limit and number of stars.
+        sensor: its camera, masks, magnitude limit and number of stars.
         sky: the true one.
         rotation_nv: horizon from sensor at each exposure, shape (n, 3, 3).
         valid_ns: their moments, shape (n,).
         since_start_s: their stamps after the start, increasing, shape (n,).
     """
-    camera = sensor.camera.camera("camera")
+    camera, masks = sensor.camera.camera("camera"), sensor_masks(sensor, "star_sensors")
     bright = sky.catalogue.brighter_than(sensor.magnitude_limit)
     bright = bright[np.argsort(sky.catalogue.magnitude[bright], kind="stable")]
     places = sky.positions[bright]
@@ -67,6 +68,8 @@ def stars_in_field(
         direction_s = direction_n @ rotation_nv[exposures]
         pixel = camera.pixels(direction_s)
         inside = sensor.camera.holds(pixel)
+        if masks is not None:
+            inside[inside] = ~masks.hide(direction_s[inside])
         # Columns run from bright to faint.
         exposure, column = np.nonzero(inside & (np.cumsum(inside, axis=1) <= sensor.most_stars))
         parts.append(

@@ -126,7 +126,7 @@ def suite_configuration(scenario: Scenario) -> dict[str, Any]:
         configuration["gravity"] = _gravity(scenario)
     if scenario.star_sensors:
         configuration["star_sensors"] = {
-            key: {"frame_id": star_frame(key), **_input(sensor), **_told(sensor, _STAR_SENSOR)}
+            key: {"frame_id": star_frame(key), **_input(sensor), **_told(sensor, _STAR_SENSOR), **_masks(sensor)}
             for key, sensor in scenario.star_sensors.items()
         }
     if scenario.needs_sky:
@@ -170,7 +170,12 @@ def star_attitude_configuration(scenario: Scenario) -> dict[str, Any]:
     return {
         "ins": {"frame_id": INS_FRAME, **_told(scenario.ins, _INS_BESIDE_STARS), **_rates(scenario)},
         "star_sensors": {
-            key: {"frame_id": star_frame(key), "camera": _camera(sensor.camera), **_told(sensor, _STAR_MOUNTING)}
+            key: {
+                "frame_id": star_frame(key),
+                "camera": _camera(sensor.camera),
+                **_told(sensor, _STAR_MOUNTING),
+                **_masks(sensor),
+            }
             for key, sensor in scenario.star_sensors.items()
             if sensor.output == "observations"
         },
@@ -219,6 +224,15 @@ def _input(sensor: StarSensor) -> dict[str, Any]:
         # The simulated tracker sees the air of its boresight alone.
         return {"input": sensor.output, "inertial": {"field_deg": 0.0}}
     return {"input": sensor.output, "camera": _camera(sensor.camera)}
+
+
+def _masks(sensor: StarSensor) -> dict[str, Any]:
+    """What stands in the way of a sensor; nothing is said where nothing does."""
+    masks = {
+        name: {"azimuths_deg": list(mask.azimuths_deg), "elevations_deg": list(mask.elevations_deg)}
+        for name, mask in sensor.masks.items()
+    }
+    return {"masks": masks} if masks else {}
 
 
 def _sky(scenario: Scenario) -> dict[str, Any]:

@@ -1,0 +1,136 @@
+"""How large each error of a layout may be, so that what is required is met; and which error binds.
+
+If all errors were scaled by one factor, the joint error would be too, for the best combination stays the same: so each
+may be 1/use of what it is, *together* with all the others. *Alone*, while the others stay as they are, an error may be
+so large that the worst angle just meets its limit; the sensors are then combined anew, by their new covariances. An
+error that another sensor covers may be of any size.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ship_attitude_star.layout.joint_error import Layout
+from ship_geometry.rotations import ARCSEC, FloatArray
+
+MOST_ARCSEC = 36_000.0
+"""Greatest error that a study takes; one that may be larger may be of any size."""
+_LEAST_ARCSEC = 0.001
+"""For the noise of a sensor, for which zero has no covariance to combine by."""
+_HALVINGS = 40
+
+_AXES = ("forward", "up", "right")
+_COMMON_INDICES = {"tilt": [0, 2], "heading": [1], "refraction": [3]}
+_KINDS_OF_COMMON = {"tilt": "horizon", "heading": "clock", "refraction": "refraction"}
+
+
+@dataclass(frozen=True)
+class Allocation:
+    """How large one error may be.
+
+    Attributes:
+        key: the parameter of the study that sets it.
+        kind: "star noise", "installation", "refraction", "horizon" or "clock".
+        sigma_arcsec: as it is.
+        share: of the variance of the angle that binds, as it is.
+        together_arcsec: as large as it may be if all errors are scaled alike.
+        alone_arcsec: as large as it may be while the others stay; infinite for any size, NaN where the requirement is
+            not met even without it.
+    """
+
+    key: str
+    kind: str
+    sigma_arcsec: float
+    share: float
+    together_arcsec: float
+    alone_arcsec: float
+
+
+def use_of(sigmas_arcsec: FloatArray, limits_arcsec: FloatArray) -> FloatArray:
+    """Sigma over limit of the worst angle, shape (...); NaN where an angle that is asked for is not known.
+
+    Args:
+        sigmas_arcsec: of heading, pitch, roll, shape (..., 3).
+        limits_arcsec: of the same, shape (3,); infinite where nothing is asked.
+    """
+    asked = np.isfinite(limits_arcsec)
+    use: FloatArray = np.max(sigmas_arcsec[..., asked] / limits_arcsec[asked], axis=-1)
+    return use
+
+
+def binding_angle(sigmas_arcsec: FloatArray, limits_arcsec: FloatArray) -> int:
+    """Index of the angle (heading, pitch, roll) that uses most of its limit."""
+    return int(np.argmax(np.asarray(sigmas_arcsec) / limits_arcsec))
+
+
+def allocated(layout: Layout, limits_arcsec: FloatArray) -> list[Allocation]:
+    """The errors of a layout, those with the largest share first.
+
+    Args:
+        layout: whose sigmas are known.
+        limits_arcsec: greatest sigma of heading, pitch, roll, shape (3,); infinite where nothing is asked.
+    """
+    sigmas = layout.sigmas_arcsec()
+    use, angle = float(use_of(sigmas, limits_arcsec)), binding_angle(sigmas, limits_arcsec)
+    shares: dict[str, float] = {}
+    for source in layout.budget():
+        part = float((source.errors_arcsec[angle] / sigmas[angle]) ** 2)
+        shares[source.key] = shares.get(source.key, 0.0) + part
+    rows = []
+    for error in _errors(layout):
+        sigma = error.sigma_arcsec(layout)
+        alone = _alone(layout, error, limits_arcsec)
+        rows.append(Allocation(error.key, error.kind, sigma, shares.get(error.key, 0.0), sigma / use, alone))
+    return sorted(rows, key=lambda row: -row.share)
+
+
+@dataclass(frozen=True)
+class _Error:
+    """One error: the field of a layout that holds it, and where there."""
+
+    key: str
+    kind: str
+    field: str
+    index: tuple[int | list[int], ...]
+    least_arcsec: float
+
+    def sigma_arcsec(self, layout: Layout) -> float:
+        return float(np.max(getattr(layout, self.field)[self.index])) / ARCSEC
+
+    def scaled(self, layout: Layout, sigma_arcsec: float) -> Layout:
+        """The layout with another size of this error."""
+        sigmas = getattr(layout, self.field).copy()
+        sigmas[self.index] = ARCSEC * max(sigma_arcsec, self.least_arcsec)
+        changed: Layout = replace(layout, **{self.field: sigmas})
+        return changed
+
+
+def _errors(layout: Layout) -> Iterator[_Error]:
+    for number, name in enumerate(layout.names):
+        for axis, axis_name in enumerate(_AXES):
+            key = f"sensors.{name}.sigma_{axis_name}_arcsec"
+            yield _Error(key, "star noise", "noise_sigmas", (number, axis), _LEAST_ARCSEC)
+        for axis, axis_name in enumerate(_AXES):
+            key = f"sensors.{name}.installation_sigma_{axis_name}_arcsec"
+            yield _Error(key, "installation", "installation_sigmas", (number, axis), 0.0)
+    for name, indices in _COMMON_INDICES.items():
+        kind = _KINDS_OF_COMMON[name]
+        yield _Error(f"common.{name}_sigma_arcsec", kind, "common_sigmas", (indices,), 0.0)
+
+
+def _alone(layout: Layout, error: _Error, limits_arcsec: FloatArray) -> float:
+    """Largest sigma of an error with which the requirement is met, by halving: the joint error grows with it."""
+
+    def met(sigma_arcsec: float) -> bool:
+        return bool(use_of(error.scaled(layout, sigma_arcsec).sigmas_arcsec(), limits_arcsec) <= 1.0)
+
+    if not met(0.0):
+        return float("nan")
+    if met(MOST_ARCSEC):
+        return float("inf")
+    low, high = 0.0, MOST_ARCSEC
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2.0
+        low, high = (middle, high) if met(middle) else (low, middle)
+    return low

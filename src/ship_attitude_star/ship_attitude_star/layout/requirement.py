@@ -1,0 +1,292 @@
+"""Layouts judged by what is required of the attitude: which are admissible, in what order, and what elevation costs.
+
+A layout *uses* the share sigma / requirement of its worst angle. It is admissible if that is at most 1, if no mask
+reaches into a field of view, and if all fields stay over the horizon while the ship moves. Judged are the layouts of
+the file, the recommended azimuths, each sensor moved alone over all azimuths and elevations, and all sensors moved
+together. The last is a search: two sensors at a time over a coarse grid, then one at a time over a finer one.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ship_attitude_star.layout.allocation import Allocation, allocated, use_of
+from ship_attitude_star.layout.config import LEAST_ELEVATION_DEG, LayoutStudyConfig
+from ship_attitude_star.layout.joint_error import ErrorMap, Layout
+from ship_attitude_star.layout.masks import Obstructions
+from ship_geometry.rotations import FloatArray
+
+AS_GIVEN, RECOMMENDED, ALL_MOVED = "as given", "recommended azimuths", "all sensors moved"
+"""Names of layouts that no file gives; an alternative has its own name, a sensor moved alone "<id> moved"."""
+
+SEARCH_STEP_DEG = 5.0
+"""All sensors are moved together over azimuths and elevations that are so far apart, in the end."""
+_COARSE_STEP_DEG = 15.0
+_TURNS_DEG = (0.0, 30.0, 60.0, 90.0)
+_TRADE_STEP_DEG = 2.5
+_HIGHEST_DEG = 85.0
+_MOST_ROUNDS = 20
+_REFRACTION = "refraction"
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One layout, judged.
+
+    Attributes:
+        name: as in :data:`AS_GIVEN` and the like.
+        layout: the layout.
+        sigmas_arcsec: of heading, pitch, roll, shape (3,); NaN where a boresight is too low for refraction.
+        use: sigma over requirement of the worst angle; NaN with the sigmas.
+        obstacles: what stands in the fields of view, in words; empty where nothing does.
+    """
+
+    name: str
+    layout: Layout
+    sigmas_arcsec: FloatArray
+    use: float
+    obstacles: tuple[str, ...]
+
+    @property
+    def admissible(self) -> bool:
+        """Whether it meets the requirement and sees the sky; not where its sigmas are not known."""
+        return self.use <= 1.0 and not self.obstacles
+
+
+@dataclass(frozen=True)
+class AdmissibleMap:
+    """Where one sensor may be while the others stay as given; goes with the study's map of it.
+
+    Attributes:
+        sensor: the sensor that is moved.
+        use: shape (e, a); NaN where the boresight is too low.
+        clear: whether its field is clear of masks, shape (e, a).
+        over_horizon: whether its field stays over the horizon, shape (e, a).
+    """
+
+    sensor: str
+    use: FloatArray
+    clear: NDArray[np.bool_]
+    over_horizon: NDArray[np.bool_]
+
+    def admissible(self) -> NDArray[np.bool_]:
+        """Whether the requirement is met with a free sight of this sensor, shape (e, a)."""
+        return (self.use <= 1.0) & self.clear & self.over_horizon
+
+
+@dataclass(frozen=True)
+class TradedElevation:
+    """All sensors at one elevation, at the azimuths that use the least of the requirement there.
+
+    Attributes:
+        elevation_deg: of all of them.
+        judged: the layout.
+        refraction_arcsec: what refraction adds to heading, pitch, roll, shape (3,).
+    """
+
+    elevation_deg: float
+    judged: Candidate
+    refraction_arcsec: FloatArray
+
+
+@dataclass(frozen=True)
+class JudgedLayouts:
+    """All that is said of a requirement.
+
+    Attributes:
+        limits_arcsec: greatest sigma of heading, pitch, roll, shape (3,); infinite where nothing is asked.
+        ranking: the layouts, admissible ones first, then by use.
+        maps: where each sensor may be, in the order of the sensors.
+        trade: over elevation.
+        allocations: how large each error may be, of the first of the ranking and of the layout as given, by name.
+    """
+
+    limits_arcsec: FloatArray
+    ranking: list[Candidate]
+    maps: list[AdmissibleMap]
+    trade: list[TradedElevation]
+    allocations: dict[str, list[Allocation]]
+
+    @property
+    def met(self) -> bool:
+        """Whether any layout is admissible."""
+        return self.ranking[0].admissible
+
+    @property
+    def given(self) -> Candidate:
+        """The layout as given."""
+        return next(one for one in self.ranking if one.name == AS_GIVEN)
+
+
+def judged(
+    config: LayoutStudyConfig, layout: Layout, best: Layout, maps: list[ErrorMap], obstructions: Obstructions
+) -> JudgedLayouts:
+    """The layouts of a study, judged by its requirement.
+
+    Args:
+        config: the study.
+        layout: as given.
+        best: at the recommended azimuths.
+        maps: the errors while each sensor is bolted anywhere.
+        obstructions: what stands in the way.
+    """
+    judge = _Judge(config.requirement.limits_arcsec(), obstructions)
+    candidates = [judge.candidate(AS_GIVEN, layout)]
+    if not np.array_equal(layout.angles, best.angles):
+        candidates.append(judge.candidate(RECOMMENDED, best))
+    for name, alternative in config.alternatives.items():
+        angles = layout.angles.copy()
+        for sensor, place in alternative.sensors.items():
+            angles[layout.names.index(sensor)] = place.angles()
+        candidates.append(judge.candidate(name, replace(layout, angles=angles)))
+    admissible = [judge.admissible_map(layout, number, moved) for number, moved in enumerate(maps)]
+    for number, (moved, allowed) in enumerate(zip(maps, admissible, strict=True)):
+        candidates += judge.best_of_map(layout, number, moved, allowed)
+    candidates.append(judge.searched(candidates, layout))
+    # The sort is stable: of equal layouts the one that stands first in the list changes the least.
+    ranking = sorted(candidates, key=lambda one: (not one.admissible, bool(one.obstacles), _or_infinite(one.use)))
+    return JudgedLayouts(
+        limits_arcsec=judge.limits_arcsec,
+        ranking=ranking,
+        maps=admissible,
+        trade=list(judge.traded(layout)),
+        allocations={one.name: allocated(one.layout, judge.limits_arcsec) for one in (ranking[0], candidates[0])},
+    )
+
+
+@dataclass(frozen=True)
+class _Judge:
+    """Judges layouts by limits, arcsec, shape (3,), and by what stands in the way."""
+
+    limits_arcsec: FloatArray
+    obstructions: Obstructions
+
+    def candidate(self, name: str, layout: Layout) -> Candidate:
+        sigmas = layout.sigmas_arcsec()
+        use = float(use_of(sigmas, self.limits_arcsec))
+        return Candidate(name, layout, sigmas, use, tuple(self._obstacles(layout)))
+
+    def _obstacles(self, layout: Layout) -> Iterator[str]:
+        for number, name in enumerate(layout.names):
+            for mask in self.obstructions.in_view(number, layout.angles[number]):
+                yield f"{mask} in the field of {name}"
+            over = float(self.obstructions.over_horizon(number, layout.angles[number][None])[0])
+            if not over >= 0.0:
+                yield f"the field of {name} comes {np.rad2deg(-over):.1f} deg too near to the horizon"
+
+    def admissible_map(self, layout: Layout, number: int, moved: ErrorMap) -> AdmissibleMap:
+        angles = _grid_angles(layout, number, moved.azimuths_deg, moved.elevations_deg)
+        shape = moved.sigmas_arcsec.shape[:2]
+        return AdmissibleMap(
+            moved.sensor,
+            use_of(moved.sigmas_arcsec, self.limits_arcsec),
+            self.obstructions.clear(number, angles).reshape(shape),
+            (self.obstructions.over_horizon(number, angles) >= 0.0).reshape(shape),
+        )
+
+    def best_of_map(self, layout: Layout, number: int, moved: ErrorMap, allowed: AdmissibleMap) -> list[Candidate]:
+        """The best open place of one sensor moved alone; none where no place is open."""
+        uses = np.where(allowed.clear & allowed.over_horizon, _or_infinite(allowed.use), np.inf)
+        row, column = np.unravel_index(np.argmin(uses), uses.shape)
+        if not np.isfinite(uses[row, column]):
+            return []
+        angles = layout.angles.copy()
+        angles[number, :2] = np.deg2rad([moved.azimuths_deg[column] % 360.0, moved.elevations_deg[row]])
+        return [self.candidate(f"{moved.sensor} moved", replace(layout, angles=angles))]
+
+    def searched(self, candidates: list[Candidate], layout: Layout) -> Candidate:
+        """The layout that uses the least of the requirement, all sensors moved together.
+
+        Two sensors at a time go to the best of all pairs of places that are far apart. From there, as from the layouts
+        judged already and from sensors spread round the ship, one at a time goes to the best of its places near to each
+        other.
+        """
+        coarse = [self._open_places(layout, number, _COARSE_STEP_DEG) for number in range(len(layout.names))]
+        fine = [self._open_places(layout, number, SEARCH_STEP_DEG) for number in range(len(layout.names))]
+        pairs = list(combinations(range(len(layout.names)), 2))
+        starts = [self._descended(layout, coarse, pairs), *(one.layout for one in candidates), *_spread(layout)]
+        found = [self._descended(start, fine) for start in starts]
+        return min(
+            (self.candidate(ALL_MOVED, one) for one in found),
+            key=lambda one: (bool(one.obstacles), _or_infinite(one.use)),
+        )
+
+    def _open_places(self, layout: Layout, number: int, step_deg: float) -> FloatArray:
+        """Installation angles of a sensor from which its sight is free, on a grid, shape (n, 3), rad."""
+        azimuths_deg = np.arange(0.0, 360.0, step_deg)
+        own = _grid_angles(layout, number, azimuths_deg, _elevations_deg(step_deg))
+        return own[self.obstructions.is_open(number, own)]
+
+    def _descended(
+        self, layout: Layout, places: list[FloatArray], groups: Sequence[tuple[int, ...]] | None = None
+    ) -> Layout:
+        """Sensors moved in their turn to the best of their places until none moves.
+
+        Args:
+            layout: where they start.
+            places: installation angles of each, shape (n, 3), rad; a sensor without any stays.
+            groups: numbers of the sensors that move together; None for each by itself.
+        """
+        for _ in range(_MOST_ROUNDS):
+            before = layout.angles
+            for group in groups or [(number,) for number in range(len(places))]:
+                chosen = np.indices([len(places[number]) for number in group]).reshape(len(group), -1)
+                if not chosen.size:
+                    continue
+                angles = np.tile(layout.angles, (chosen.shape[1], 1, 1))
+                for number, rows in zip(group, chosen, strict=True):
+                    angles[:, number] = places[number][rows]
+                uses = _or_infinite(use_of(layout.sigmas_arcsec(angles), self.limits_arcsec))
+                layout = replace(layout, angles=angles[int(np.argmin(uses))])
+            if np.array_equal(before, layout.angles):
+                break
+        return layout
+
+    def traded(self, layout: Layout) -> Iterator[TradedElevation]:
+        """All sensors at each elevation, at the azimuths that use the least of the requirement there."""
+        for elevation_deg in _elevations_deg(_TRADE_STEP_DEG):
+            angles = layout.angles.copy()
+            angles[:, 1] = np.deg2rad(elevation_deg)
+            level = replace(layout, angles=angles)
+            places = []
+            for number in range(len(layout.names)):
+                turned = _grid_angles(level, number, np.arange(0.0, 360.0, SEARCH_STEP_DEG), np.array([elevation_deg]))
+                clear = self.obstructions.clear(number, turned)
+                # Where masks leave no azimuth the sensor stays, and its layout names them.
+                places.append(turned[clear])
+            best = self._descended(level, places)
+            judged_there = self.candidate(f"all at {elevation_deg:g} deg", best)
+            refraction = np.zeros(3)
+            for source in best.budget():
+                if source.source == _REFRACTION:
+                    refraction = np.abs(source.errors_arcsec)
+            yield TradedElevation(float(elevation_deg), judged_there, refraction)
+
+
+def _spread(layout: Layout) -> Iterator[Layout]:
+    """The sensors at their elevations, spread evenly over half and over the whole circle."""
+    count = len(layout.names)
+    for turn_deg in _TURNS_DEG:
+        for circle in (np.pi, 2.0 * np.pi):
+            angles = layout.angles.copy()
+            angles[:, 0] = np.deg2rad(turn_deg) + np.arange(count) * circle / count
+            yield replace(layout, angles=angles)
+
+
+def _elevations_deg(step_deg: float) -> FloatArray:
+    return np.arange(LEAST_ELEVATION_DEG, _HIGHEST_DEG + step_deg / 2.0, step_deg)
+
+
+def _grid_angles(layout: Layout, number: int, azimuths_deg: FloatArray, elevations_deg: FloatArray) -> FloatArray:
+    """Installation angles of a sensor at each elevation and azimuth, its roll kept, shape (e · a, 3), rad."""
+    elevation, azimuth = np.meshgrid(np.deg2rad(elevations_deg), np.deg2rad(azimuths_deg), indexing="ij")
+    roll = np.full(azimuth.size, layout.angles[number, 2])
+    return np.stack([azimuth.ravel(), elevation.ravel(), roll], axis=-1)
+
+
+def _or_infinite(use: FloatArray | float) -> FloatArray:
+    """The uses, infinite where they are not known."""
+    return np.where(np.isnan(use), np.inf, use)

@@ -1,0 +1,138 @@
+"""What a study says of a requirement, as lines on the terminal and as tables."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from ship_attitude_star.layout.allocation import Allocation, binding_angle
+from ship_attitude_star.layout.installation_model import SHIP_ANGLES
+from ship_attitude_star.layout.joint_error import Layout
+from ship_attitude_star.layout.requirement import Candidate, JudgedLayouts
+from ship_attitude_star.layout.study import LayoutStudy
+
+Table = tuple[tuple[str, ...], Iterator[tuple[Any, ...]]]
+
+REQUIREMENT_TABLES = ("ranking.csv", "allocation.csv", "elevation_trade.csv", "admissible_map.csv")
+"""Names of the tables of a study with a requirement."""
+
+_SIGMAS = ("heading_sigma_arcsec", "pitch_sigma_arcsec", "roll_sigma_arcsec")
+
+
+def requirement_lines(required: JudgedLayouts) -> list[str]:
+    """The ranking, what binds, and, where no layout meets the requirement, how near the nearest comes."""
+    asked = [
+        f"{name} {limit:g}"
+        for name, limit in zip(SHIP_ANGLES, required.limits_arcsec, strict=True)
+        if np.isfinite(limit)
+    ]
+    lines = [f"required [arcsec, 1 sigma]: {', '.join(asked)}"]
+    for place, one in enumerate(required.ranking, start=1):
+        verdict = "meets it" if one.admissible else "does not"
+        lines.append(f"{place:3d} {one.name:24}{verdict}: {told(one, required)}")
+    if not required.met:
+        lines.append(f"no layout meets the requirement; the nearest miss: {nearest_miss(required)}")
+    for name, allocations in required.allocations.items():
+        lines.append(f"{name}: {binding(allocations)}")
+    return lines
+
+
+def told(one: Candidate, required: JudgedLayouts) -> str:
+    """One layout in words: what it uses, where the sensors are, what stands in the way."""
+    if np.isnan(one.use):
+        uses = "a boresight is too low over the horizon"
+    else:
+        uses = f"{SHIP_ANGLES[binding_angle(one.sigmas_arcsec, required.limits_arcsec)]} uses {100.0 * one.use:.1f} %"
+    return "; ".join([uses, places(one.layout), *one.obstacles])
+
+
+def places(layout: Layout) -> str:
+    """Azimuth and elevation of each sensor, degrees."""
+    angles_deg = np.rad2deg(layout.angles[:, :2])
+    return ", ".join(
+        f"{name} {azimuth_deg % 360.0:g}/{elevation_deg:g}"
+        for name, (azimuth_deg, elevation_deg) in zip(layout.names, angles_deg.round(3), strict=True)
+    )
+
+
+def nearest_miss(required: JudgedLayouts) -> str:
+    """The first of the ranking where none is admissible: by how much it misses, or what stands in its way."""
+    nearest = required.ranking[0]
+    if nearest.obstacles or np.isnan(nearest.use):
+        return f"'{nearest.name}': {told(nearest, required)}"
+    angle = binding_angle(nearest.sigmas_arcsec, required.limits_arcsec)
+    return (
+        f"'{nearest.name}', {SHIP_ANGLES[angle]} {nearest.sigmas_arcsec[angle]:.2f} of "
+        f"{required.limits_arcsec[angle]:g} arcsec ({places(nearest.layout)}); with all errors "
+        f"{100.0 * (1.0 - 1.0 / nearest.use):.1f} % smaller it would meet it"
+    )
+
+
+def binding(allocations: list[Allocation]) -> str:
+    """The error that binds, and how large it may be."""
+    first = allocations[0]
+    text = f"{first.key} = {first.sigma_arcsec:.3g} arcsec binds with {100.0 * first.share:.0f} % of the variance; "
+    if np.isnan(first.alone_arcsec):
+        return text + "not enough even without it"
+    if np.isinf(first.alone_arcsec):
+        return text + "alone it may be of any size"
+    return text + f"alone it may be {first.alone_arcsec:.3g} arcsec"
+
+
+def requirement_tables(study: LayoutStudy, required: JudgedLayouts) -> dict[str, Table]:
+    """Header and rows of each of :data:`REQUIREMENT_TABLES`."""
+    judged = ("admissible", "share_used", *_SIGMAS)
+    where = ("azimuths_and_elevations_deg", "obstacles")
+    return {
+        "ranking.csv": (("rank", "layout", *judged, *where), _ranking(required)),
+        "allocation.csv": (
+            (
+                *("layout", "parameter", "kind", "sigma_arcsec", "share_of_binding_variance"),
+                *("together_arcsec", "alone_arcsec"),
+            ),
+            _allocations(required),
+        ),
+        "elevation_trade.csv": (
+            (
+                *("elevation_deg", *judged),
+                *("heading_refraction_arcsec", "pitch_refraction_arcsec", "roll_refraction_arcsec", *where),
+            ),
+            _trade(required),
+        ),
+        "admissible_map.csv": (
+            ("sensor_moved", "azimuth_deg", "elevation_deg", "share_used", "clear", "over_horizon", "admissible"),
+            _maps(study, required),
+        ),
+    }
+
+
+def _ranking(required: JudgedLayouts) -> Iterator[tuple[Any, ...]]:
+    for place, one in enumerate(required.ranking, start=1):
+        yield place, one.name, *_judged(one), places(one.layout), "; ".join(one.obstacles)
+
+
+def _judged(one: Candidate) -> tuple[Any, ...]:
+    return int(one.admissible), one.use, *one.sigmas_arcsec
+
+
+def _allocations(required: JudgedLayouts) -> Iterator[tuple[Any, ...]]:
+    for name, allocations in required.allocations.items():
+        for row in allocations:
+            sizes = row.sigma_arcsec, row.share, row.together_arcsec, row.alone_arcsec
+            yield name, row.key, row.kind, *sizes
+
+
+def _trade(required: JudgedLayouts) -> Iterator[tuple[Any, ...]]:
+    for one in required.trade:
+        where = places(one.judged.layout), "; ".join(one.judged.obstacles)
+        yield one.elevation_deg, *_judged(one.judged), *one.refraction_arcsec, *where
+
+
+def _maps(study: LayoutStudy, required: JudgedLayouts) -> Iterator[tuple[Any, ...]]:
+    for moved, allowed in zip(study.maps, required.maps, strict=True):
+        admissible = allowed.admissible()
+        for row, elevation_deg in enumerate(moved.elevations_deg):
+            for column, azimuth_deg in enumerate(moved.azimuths_deg):
+                at = row, column
+                flags = int(allowed.clear[at]), int(allowed.over_horizon[at]), int(admissible[at])
+                yield moved.sensor, azimuth_deg, elevation_deg, allowed.use[at], *flags

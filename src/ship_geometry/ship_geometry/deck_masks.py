@@ -1,0 +1,186 @@
+"""What stands on deck in the way of the sky: polygons over azimuth and elevation, as one sensor sees them.
+
+Azimuth is counted from the bow, clockwise seen from above; elevation over the deck. The edges of a polygon are
+straight in azimuth and elevation. A polygon across the bow has corners below 0 or over a whole turn: (350°, 370°), not
+(350°, 10°), which is the long way round.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ship_geometry.rotations import FloatArray
+
+EDGE_STEP = np.deg2rad(0.25)
+"""Points on the edge of a mask are so near to each other, rad; a field that it enters by less may count as clear."""
+
+BoolArray = NDArray[np.bool_]
+
+_AT_ONCE = 500
+_FIELD_POINTS = 21
+
+
+@dataclass(frozen=True)
+class DeckMasks:
+    """Masks of the deck.
+
+    Attributes:
+        names: of the masks.
+        corners: azimuth and elevation of the corners of each, shape (k, 2), rad, three corners at least.
+
+    Example:
+        A funnel astern, 50° high, hides the star 30° up astern, and not the one 60° up:
+
+        >>> corners = np.deg2rad([[150.0, 0.0], [210.0, 0.0], [210.0, 50.0], [150.0, 50.0]])
+        >>> masks = DeckMasks(("funnel",), (corners,))
+        >>> elevation = np.deg2rad([30.0, 60.0])
+        >>> masks.hide(np.stack([-np.cos(elevation), np.sin(elevation), np.zeros(2)], axis=-1))
+        array([ True, False])
+    """
+
+    names: tuple[str, ...]
+    corners: tuple[FloatArray, ...]
+
+    def hiding(self, directions_d: FloatArray) -> BoolArray:
+        """Which masks hide directions (bow, up, starboard), shape (..., 3); shape (masks, ...).
+
+        A direction that is not finite is hidden by every mask: nothing is known to be clear there.
+        """
+        azimuth = np.arctan2(directions_d[..., 2], directions_d[..., 0]) % (2.0 * np.pi)
+        elevation = np.arctan2(directions_d[..., 1], np.hypot(directions_d[..., 0], directions_d[..., 2]))
+        nowhere = ~np.isfinite(directions_d).all(axis=-1)
+        inside = [_inside(corners, azimuth, elevation) | nowhere for corners in self.corners]
+        return np.array(inside, dtype=bool).reshape(len(self.corners), *azimuth.shape)
+
+    def hide(self, directions_d: FloatArray, margin: float = 0.0) -> BoolArray:
+        """Whether a mask hides directions (bow, up, starboard), shape (n, 3); shape (n,).
+
+        Args:
+            directions_d: unit vectors.
+            margin: so much deeper than the edge of its mask a direction must lie to count as hidden, rad.
+        """
+        hidden = self.hiding(directions_d)
+        if margin > 0.0:
+            for number in np.flatnonzero(hidden.any(axis=1)):
+                within = hidden[number]
+                nearest = np.max(directions_d[within] @ self._edges[number].T, axis=-1)
+                # Between two points of the edge is half a step.
+                within[within] = ~(nearest >= np.cos(min(margin + EDGE_STEP / 2.0, np.pi)))
+        anywhere: BoolArray = np.any(hidden, axis=0)
+        return anywhere
+
+    def reaching(self, rotations_ds: FloatArray, half_field: FloatArray) -> BoolArray:
+        """Which masks reach into a rectangular field of view, shape (masks, n).
+
+        A mask meets a field if its edge enters the field, or if the whole field lies inside.
+
+        Args:
+            rotations_ds: deck from sensor (forward, up, right), for each of n mountings, shape (n, 3, 3).
+            half_field: tangents of half the field to the right and up, shape (2,).
+        """
+        half_right, half_up = half_field
+        reaches = self.hiding(rotations_ds[..., :, 0])
+        for reached, edge in zip(reaches, self._edges, strict=True):
+            for first in range(0, len(rotations_ds), _AT_ONCE):
+                forward, up, right = np.moveaxis(edge @ rotations_ds[first : first + _AT_ONCE], -1, 0)
+                entered = (forward > 0.0) & (np.abs(up) <= half_up * forward) & (np.abs(right) <= half_right * forward)
+                reached[first : first + _AT_ONCE] |= entered.any(axis=-1)
+        return reaches
+
+    def covering(self, directions_d: FloatArray) -> list[str]:
+        """Names of the masks that together hide all of some directions, shape (n, 3); none where one is clear."""
+        hiding = self.hiding(directions_d)
+        if not hiding.any(axis=0).all():
+            return []
+        return [name for name, hides in zip(self.names, hiding, strict=True) if hides.any()]
+
+    @cached_property
+    def _edges(self) -> list[FloatArray]:
+        """Points along the edges of each mask, unit vectors (bow, up, starboard), shape (m, 3)."""
+        return [_edge_points(corners) for corners in self.corners]
+
+
+@dataclass(frozen=True)
+class SensorMasks:
+    """The masks of the deck as a star sensor sees them.
+
+    Attributes:
+        masks: of the deck.
+        rotation_ds: deck from sensor, as it is bolted, shape (3, 3).
+
+    Example:
+        A sensor that looks over the port side, and a crane there:
+
+        >>> crane = np.deg2rad([[265.0, 0.0], [275.0, 0.0], [275.0, 60.0], [265.0, 60.0]])
+        >>> port = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+        >>> SensorMasks(DeckMasks(("crane",), (crane,)), port).hide(np.array([[1.0, 0.0, 0.0], [0.8, 0.0, 0.6]]))
+        array([ True, False])
+    """
+
+    masks: DeckMasks
+    rotation_ds: FloatArray
+
+    def hide(self, directions_s: FloatArray, margin: float = 0.0) -> BoolArray:
+        """Whether a mask hides directions in the sensor frame, shape (n, 3); shape (n,). See :meth:`DeckMasks.hide`."""
+        return self.masks.hide(directions_s @ self.rotation_ds.T, margin)
+
+    def names(self, direction_s: FloatArray) -> str:
+        """The masks that hide a direction in the sensor frame, shape (3,), for people; empty where none does."""
+        hiding = self.masks.hiding(direction_s @ self.rotation_ds.T)
+        return ", ".join(name for name, hides in zip(self.masks.names, hiding, strict=True) if hides)
+
+    def covering(self, directions_s: FloatArray) -> list[str]:
+        """Names of the masks that together hide all of some directions, shape (n, 3); none where one is clear."""
+        return self.masks.covering(directions_s @ self.rotation_ds.T)
+
+
+def field_directions(half_field: FloatArray) -> FloatArray:
+    """Directions all over a rectangular field of view, its edge among them: (forward, up, right), shape (n, 3).
+
+    Args:
+        half_field: tangents of half the field to the right and up, shape (2,).
+
+    Example:
+        >>> print(field_directions(np.array([0.5, 0.25]))[:, 2].max().round(3))  # in the middle of the right edge
+        0.447
+    """
+    right, up = np.meshgrid(*(np.linspace(-half, half, _FIELD_POINTS) for half in half_field))
+    points = np.stack([np.ones(right.size), up.ravel(), right.ravel()], axis=-1)
+    directions: FloatArray = points / np.linalg.norm(points, axis=-1, keepdims=True)
+    return directions
+
+
+def _inside(corners: FloatArray, azimuth: FloatArray, elevation: FloatArray) -> BoolArray:
+    """Whether directions lie in a polygon, whole turns aside: a ray upward meets an odd number of edges.
+
+    Args:
+        corners: shape (k, 2), rad.
+        azimuth: in [0, 2 pi), shape (...).
+        elevation: shape (...).
+    """
+    inside = np.zeros(np.shape(azimuth), dtype=bool)
+    ends = np.roll(corners, -1, axis=0)
+    turn = 2.0 * np.pi
+    for number in range(int(corners[:, 0].min() // turn), int(corners[:, 0].max() // turn) + 1):
+        turned = azimuth + number * turn
+        odd = np.zeros(inside.shape, dtype=bool)
+        for (from_azimuth, from_elevation), (to_azimuth, to_elevation) in zip(corners, ends, strict=True):
+            if from_azimuth == to_azimuth:
+                continue
+            crossed = (from_azimuth <= turned) != (to_azimuth <= turned)
+            slope = (to_elevation - from_elevation) / (to_azimuth - from_azimuth)
+            odd ^= crossed & (from_elevation + slope * (turned - from_azimuth) > elevation)
+        inside |= odd
+    return inside
+
+
+def _edge_points(corners: FloatArray) -> FloatArray:
+    points = []
+    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        count = int(np.ceil(np.abs(end - start).max() / EDGE_STEP)) + 1
+        points.append(start + np.linspace(0.0, 1.0, count)[:, None] * (end - start))
+    azimuth, elevation = np.concatenate(points).T
+    forward, right = np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth)
+    return np.stack([forward, np.sin(elevation), right], axis=-1)
