@@ -1,7 +1,6 @@
 """The layout study as one self-contained HTML page for the naval architect: plain words, tables, embedded figures."""
 
-import base64
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from html import escape
 from importlib import resources
 from pathlib import Path
@@ -21,6 +20,7 @@ from ship_attitude_star.layout.joint_error import total_arcsec
 from ship_attitude_star.layout.optics import PERCENTILES
 from ship_attitude_star.layout.study import AzimuthScan, LayoutStudy
 from ship_geometry.rotations import FloatArray
+from ship_node.documents.html_page import STYLE, arcsec_texts, image, table, table_body
 
 _READING_NAMES = {
     InstallationReading.PHYSICAL: "physical: R(A0, E0, γ0) turns the sensor's axes into the deck's",
@@ -40,6 +40,7 @@ def page_text(study: LayoutStudy, figures: Mapping[str, Path], title: str) -> st
     config = study.config
     return template.substitute(
         title=escape(title),
+        style=STYLE,
         result=_result(study),
         advice=_advice(study),
         rule_in_numbers=_rule_in_numbers(study),
@@ -47,39 +48,16 @@ def page_text(study: LayoutStudy, figures: Mapping[str, Path], title: str) -> st
         if config.ship_pitch_deg == config.ship_roll_deg == 0.0
         else f"The ship has pitch {config.ship_pitch_deg:g}°, roll {config.ship_roll_deg:g}°.",
         layout_table=_layout_table(study),
-        layout_figure=_image(figures["layout"], "Boresights seen from above", "small"),
-        azimuth_figure=_image(figures["azimuth"], "Joint error over the azimuth of a sensor"),
-        maps="\n".join(_image(figures[f"map_{name}"], f"Joint error over {name}") for name in study.layout.names),
+        layout_figure=image(figures["layout"], "Boresights seen from above", "small"),
+        azimuth_figure=image(figures["azimuth"], "Joint error over the azimuth of a sensor"),
+        maps="\n".join(image(figures[f"map_{name}"], f"Joint error over {name}") for name in study.layout.names),
         sensor_table=_sensor_table(study),
         optics=_optics_text(study),
         budget_table=_budget_table(study),
         point=_operating_point(study),
         source_tables="\n".join(_source_table(study, reading) for reading in InstallationReading),
-        sweeps="\n".join(_image(figures[f"figure_{s.number}"], f"Figure {s.number} of [Z14]") for s in SWEEPS),
+        sweeps="\n".join(image(figures[f"figure_{s.number}"], f"Figure {s.number} of [Z14]") for s in SWEEPS),
     )
-
-
-def _image(path: Path, words: str, style: str = "wide") -> str:
-    data = base64.b64encode(path.read_bytes()).decode("ascii")
-    return f'<img class="{style}" alt="{escape(words)}" src="data:image/png;base64,{data}">'
-
-
-def _table(header: Sequence[str], rows: Iterable[Sequence[str]], last_is_sum: bool = False, style: str = "") -> str:
-    head = "".join(f"<th>{escape(cell)}</th>" for cell in header)
-    return f'<table class="{style}"><thead><tr>{head}</tr></thead>{_body(rows, last_is_sum)}</table>'
-
-
-def _body(rows: Iterable[Sequence[str]], last_is_sum: bool) -> str:
-    lines = ["<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows]
-    if last_is_sum:
-        lines[-1] = lines[-1].replace("<tr>", '<tr class="sum">')
-    return f"<tbody>{''.join(lines)}</tbody>"
-
-
-def _arcsec(values: FloatArray, digits: int = 2) -> list[str]:
-    # Adding zero takes the sign from a rounded zero.
-    texts = ("–" if np.isnan(value) else f"{round(float(value), digits) + 0.0:.{digits}f}" for value in values)
-    return [text.replace("-", "−") for text in texts]
 
 
 def _layout_table(study: LayoutStudy) -> str:
@@ -87,13 +65,15 @@ def _layout_table(study: LayoutStudy) -> str:
     for name, angles, sigmas in zip(study.layout.names, study.layout.angles, study.alone_arcsec, strict=True):
         azimuth_deg, elevation_deg, _ = np.rad2deg(angles)
         where = [f"{azimuth_deg % 360.0:g}°", f"{elevation_deg:g}°"]
-        rows.append([f"{name} alone", *where, *_arcsec(sigmas), *_arcsec(total_arcsec(sigmas[None]))])
+        rows.append([f"{name} alone", *where, *arcsec_texts(sigmas), *arcsec_texts(total_arcsec(sigmas[None]))])
     joint = [("all, as given", study.joint_arcsec)]
     if len(study.layout.names) > 1:
         joint.append(("all, at the recommended azimuths", study.best_arcsec))
-    rows += [[words, "", "", *_arcsec(sigmas), *_arcsec(total_arcsec(sigmas[None]))] for words, sigmas in joint]
+    rows += [
+        [words, "", "", *arcsec_texts(sigmas), *arcsec_texts(total_arcsec(sigmas[None]))] for words, sigmas in joint
+    ]
     header = ["sensors", "azimuth", "elevation", *(f"{angle} [″]" for angle in SHIP_ANGLES), "total [″]"]
-    return _table(header, rows, last_is_sum=True)
+    return table(header, rows, last_is_sum=True)
 
 
 def _sensor_table(study: LayoutStudy) -> str:
@@ -107,7 +87,7 @@ def _sensor_table(study: LayoutStudy) -> str:
             sensor.installation_sigma_right_arcsec,
         )
         rows.append([name, *(" / ".join(f"{sigma:g}" for sigma in sigmas) for sigmas in (noise, installation))])
-    return _table(header, rows)
+    return table(header, rows)
 
 
 def _optics_text(study: LayoutStudy) -> str:
@@ -118,7 +98,7 @@ def _optics_text(study: LayoutStudy) -> str:
     for name, found in study.optics.items():
         stars = [f"{count:.0f}" for count in found.fewest_stars().values()]
         field = f"{found.field_deg[0]:.1f}° × {found.field_deg[1]:.1f}°"
-        sigmas = [" / ".join(_arcsec(triple)) for triple in (found.held_arcsec, found.liebe_arcsec)]
+        sigmas = [" / ".join(arcsec_texts(triple)) for triple in (found.held_arcsec, found.liebe_arcsec)]
         share = f"{100.0 * study.config.optics[name].sky_share:g} %"
         star = f"{found.star_sigma_arcsec:.2f}"
         rows.append([name, field, star, f"{found.stars.mean():.1f}", *stars, share, *sigmas])
@@ -129,17 +109,17 @@ def _optics_text(study: LayoutStudy) -> str:
         "number of stars, and the number at most found in so many percent of the sky; noise held in the share of the "
         "sky asked for, and by Liebe's formulas with the mean number (C. C. Liebe, Accuracy performance of star "
         "trackers, 2002). The magnitude limit is as given. Lens errors are not in it.</p>"
-        f'<div class="table">{_table(header, rows)}</div>'
+        f'<div class="table">{table(header, rows)}</div>'
     )
 
 
 def _budget_table(study: LayoutStudy) -> str:
     rows = [
-        [source.sensor, source.source, f"{source.sigma_arcsec:g}", *_arcsec(source.errors_arcsec)]
+        [source.sensor, source.source, f"{source.sigma_arcsec:g}", *arcsec_texts(source.errors_arcsec)]
         for source in study.budget
     ]
-    rows.append(["all", "root sum of squares", "", *_arcsec(study.joint_arcsec)])
-    return _table(["sensor", "source", "1σ [″]", "dK [″]", "dψ [″]", "dθ [″]"], rows, True, style="words")
+    rows.append(["all", "root sum of squares", "", *arcsec_texts(study.joint_arcsec)])
+    return table(["sensor", "source", "1σ [″]", "dK [″]", "dψ [″]", "dθ [″]"], rows, True, style="words")
 
 
 def _operating_point(study: LayoutStudy) -> str:
@@ -157,15 +137,15 @@ def _source_table(study: LayoutStudy, reading: InstallationReading) -> str:
     by_azimuth = [source_errors_arcsec(point, azimuth_deg, reading) for azimuth_deg in CURVE_AZIMUTHS_DEG]
     sizes = [*point.star_errors_arcsec(), *point.installation_errors_arcsec()]
     rows = [
-        [f"{source} = {size:g}″", *_arcsec(np.concatenate([errors[number] for errors in by_azimuth]))]
+        [f"{source} = {size:g}″", *arcsec_texts(np.concatenate([errors[number] for errors in by_azimuth]))]
         for number, (source, size) in enumerate(zip(SOURCES, sizes, strict=True))
     ]
-    rows.append(["all, with signs", *_arcsec(np.concatenate([errors.sum(axis=0) for errors in by_azimuth]))])
+    rows.append(["all, with signs", *arcsec_texts(np.concatenate([errors.sum(axis=0) for errors in by_azimuth]))])
     groups = "".join(f'<th colspan="3">A0 = {azimuth_deg:g}°</th>' for azimuth_deg in CURVE_AZIMUTHS_DEG)
     symbols = "<th>dK</th><th>dψ</th><th>dθ</th>" * len(CURVE_AZIMUTHS_DEG)
     head = f"<thead><tr><th>[″]</th>{groups}</tr><tr><th>source</th>{symbols}</tr></thead>"
-    table = f'<table class="groups">{head}{_body(rows, last_is_sum=True)}</table>'
-    return f"<h3>Reading: {escape(_READING_NAMES[reading])}</h3>{table}"
+    of_reading = f'<table class="groups">{head}{table_body(rows, last_is_sum=True)}</table>'
+    return f"<h3>Reading: {escape(_READING_NAMES[reading])}</h3>{of_reading}"
 
 
 # -- the plain words, every number in them computed from the layout at hand ------------------------------------
