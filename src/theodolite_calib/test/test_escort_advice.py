@@ -51,7 +51,7 @@ def accuracy_of(
     """With the ship at heading, pitch, roll, rad; on a level ship the axis is at the elevation over the horizon."""
     attitude = ShipAt(rotation_from_angles(*ship), np.zeros(3), None, 1e-20)
     encoder = EncoderAt(AZIMUTH, float(np.deg2rad(elevation_deg)), 1e-20)
-    return LightsAccuracy(config, CalibrationFilter(config), attitude, encoder, config.escort.exposures)
+    return LightsAccuracy(config, CalibrationFilter(config), attitude, encoder)
 
 
 def beside_axis(accuracy: LightsAccuracy, beside_deg: FloatArray, range_m: float) -> FloatArray:

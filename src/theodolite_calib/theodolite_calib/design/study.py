@@ -148,7 +148,7 @@ class _Design:
         white = node.ins.white_sigma_arcsec if by_ins else node.ship.white_sigma_arcsec
         ship = ShipAt(np.eye(3), np.zeros(3), None if by_ins else stated_n, (white * ARCSEC) ** 2)
         encoder = EncoderAt(float(azimuth), float(elevation), (node.encoder.sigma_arcsec * ARCSEC) ** 2)
-        self.accuracy = LightsAccuracy(node, CalibrationFilter(node), ship, encoder, node.escort.exposures)
+        self.accuracy = LightsAccuracy(node, CalibrationFilter(node), ship, encoder)
 
     def lights_n(self, beside: FloatArray, distances_m: FloatArray) -> FloatArray:
         """Places of lights (N, U, E), m, shape (N, 3), by the tangents of their angles from the axis, shape (N, 2)."""

@@ -6,6 +6,8 @@ with the ship's attitude as it is stated at the moment, Jacobian H and noise R o
 
     C = T (P - P Hᵀ (H P Hᵀ + R/n)⁻¹ H P) Tᵀ + noise of the encoders and of the ship at a reading
 
+where n is the number of exposures over which white errors are averaged (``escort.exposures``).
+
 What the filter has learned from the lights already has no part in it. Errors of lights that have been watched for long
 are known in part, and from there every move looks like a gain: an advice by the present covariance would never settle.
 """
@@ -36,7 +38,6 @@ class LightsAccuracy:
         filter_: the filter of that configuration.
         ship: the ship's attitude.
         encoder: the encoders.
-        exposures: white errors are averaged over so many exposures at the same places.
         mean: what is known of the errors; none where it is not given. Shape (n,).
         baseline_noise_n: covariance of what is new in each baseline, m², shape (3, 3), by the drone's name; where a
             drone is missing, the configured noise.
@@ -53,12 +54,11 @@ class LightsAccuracy:
         filter_: CalibrationFilter,
         ship: ShipAt,
         encoder: EncoderAt,
-        exposures: int,
         mean: FloatArray | None = None,
         baseline_noise_n: Mapping[str, FloatArray] | None = None,
     ) -> None:
         self._config, self._filter, self._ship, self._encoder = config, filter_, ship, encoder
-        self._exposures = exposures
+        self._exposures = config.escort.exposures
         configured_n = {name: beacon.rtk.sigma_m**2 * np.eye(3) for name, beacon in config.beacons.items()}
         self._noise_n = configured_n | dict(baseline_noise_n or {})
         start = filter_.predicted(filter_.initial_state(), 0, ship.slow_covariance_n)

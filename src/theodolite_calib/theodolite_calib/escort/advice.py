@@ -16,7 +16,7 @@ from theodolite_calib.config import EscortConfig
 from theodolite_calib.escort.accuracy import LightsAccuracy
 from theodolite_calib.escort.places import AllowedPlaces
 
-_FOLLOWED = 3
+_FOLLOWED = 2
 """So many of the beginnings are followed down."""
 _ENOUGH = 0.005
 """Places at hand that lose less than this share against the best are kept: no drone flies for so little."""
