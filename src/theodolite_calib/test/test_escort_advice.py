@@ -248,6 +248,17 @@ def test_only_lights_in_the_field_count_now() -> None:
     assert one.sigma_now < none
 
 
+@pytest.mark.parametrize("range_max_m", [500.0, 3000.0])
+def test_a_drone_on_deck_is_no_light_in_the_field(range_max_m: float) -> None:
+    config = paper_config(range_max_m=range_max_m)
+    accuracy = accuracy_of(config, 20.0)
+    on_deck_n = np.tile(accuracy.centre_n, (2, 1))
+    advice = advise(config.escort, accuracy, ("a", "b"), dict(zip("ab", on_deck_n, strict=True)), on_deck_n)
+    assert advice.sigma_now == accuracy.sigma((), np.empty((0, 3)))
+    assert np.isfinite(advice.places_n).all()
+    assert advice.sigma_advised <= 1.02 * advice_for(config, accuracy).sigma_advised
+
+
 def test_places_that_lose_next_to_nothing_are_kept() -> None:
     config = paper_config()
     accuracy = accuracy_of(config, 20.0)

@@ -19,6 +19,8 @@ _INSIDE = 1e-9
 _AT_LIMIT = 1e-3
 """A coordinate of the box so near to its end is at the limit."""
 _POLE = 1e-12
+_NEAREST_M = 1.0
+"""What is nearer to the theodolite is on board: no light in the field."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,8 @@ class AllowedPlaces:
     def nearest_box(self, places_n: FloatArray) -> FloatArray:
         """The box coordinates of places, each taken to the limit that it does not meet, shape (N, 3)."""
         path_n = places_n - self.centre_n
-        range_m, elevation, _ = self._seen(places_n)
+        range_m, elevation = self._seen(places_n)
+        range_m = np.clip(range_m, self.limits.range_min_m, self.limits.range_max_m)
         elevation = np.clip(elevation, self.least_elevation, self.greatest_elevation)
         offset = np.angle(np.exp(1j * (np.arctan2(path_n[:, 2], path_n[:, 0]) - self.azimuth)))
         near, far = self.limits.range_min_m, self.limits.range_max_m
@@ -100,8 +103,10 @@ class AllowedPlaces:
 
     def in_field(self, place_n: FloatArray) -> bool:
         """Whether a light at a place (N, U, E), m, shape (3,), is in the field of the telescope."""
-        _, _, off = self._seen(place_n[None])
-        return bool(off[0] <= np.deg2rad(self.limits.field_deg))
+        range_m, _ = self._seen(place_n[None])
+        if not range_m[0] >= _NEAREST_M:
+            return False
+        return bool(self._off_axis(place_n[None])[0] <= np.deg2rad(self.limits.field_deg))
 
     def apart_m(self, places_n: FloatArray) -> FloatArray:
         """Distance of each two drones, m, shape (N (N - 1) / 2,)."""
@@ -112,7 +117,7 @@ class AllowedPlaces:
     def limits_reached(self, names: tuple[str, ...], places_n: FloatArray) -> list[str]:
         """Which limits places are at, as ``name: parameter``, and ``name, name: parameter`` for the separation."""
         limits = self.limits
-        range_m, elevation, off = self._seen(places_n)
+        (range_m, elevation), off = self._seen(places_n), self._off_axis(places_n)
         field = np.deg2rad(limits.field_deg)
         reached = []
         for number, name in enumerate(names):
@@ -130,13 +135,17 @@ class AllowedPlaces:
                 reached.append(f"{names[first]}, {names[second]}: separation_min_m")
         return reached
 
-    def _seen(self, places_n: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Range of places, m, their elevation and their angle from the telescope's axis, rad, shape (N,) each."""
+    def _seen(self, places_n: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Range of places, m, and their elevation, rad, shape (N,) each."""
         path_n = places_n - self.centre_n
         range_m = np.linalg.norm(path_n, axis=-1)
         elevation = np.arctan2(path_n[:, 1], np.hypot(path_n[:, 0], path_n[:, 2]))
+        return range_m, elevation
+
+    def _off_axis(self, places_n: FloatArray) -> FloatArray:
+        """Angles of places from the telescope's axis, rad, shape (N,)."""
         axis_n = rotation_from_angles(self.azimuth, self.elevation, 0.0)[:, 0]
-        return range_m, elevation, angle_between(path_n, axis_n)
+        return angle_between(places_n - self.centre_n, axis_n)
 
     def _half_width(self, elevation: FloatArray) -> FloatArray:
         """Greatest azimuth of a place from the axis at an elevation, rad."""
