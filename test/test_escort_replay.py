@@ -133,6 +133,7 @@ def test_a_drone_taken_out_has_no_part(voyage) -> None:
     told = messages(entries(voyage, "one", escort, sources_off=[f"baseline.{first}"]), ESCORT)
     assert [list(message.beacon_ids) for message in told] == [[second]] * len(told)
     assert len(told) >= 2
+    assert messages(entries(voyage, "dark", escort, sources_off=["lights"]), ESCORT) == []
 
 
 def test_no_place_is_nan_with_the_limit(voyage) -> None:

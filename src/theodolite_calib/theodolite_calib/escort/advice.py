@@ -105,7 +105,7 @@ class _Search:
         """Look for the best places; ``first`` is one beginning, shape (N, 3)."""
         begun = [] if first is None else [first]
         begun += list(_beginnings(len(self._names)))
-        valued = sorted(((self.value(box), number) for number, box in enumerate(begun)), key=lambda found: found)
+        valued = sorted((self.value(box), number) for number, box in enumerate(begun))
         scale = min(valued[0][0], self._accuracy.sigma((), np.empty((0, 3))))
         for _, number in valued[:_FOLLOWED]:
             self._follow(begun[number], scale)
@@ -113,7 +113,7 @@ class _Search:
     def value(self, box: FloatArray) -> float:
         """Standard deviation at places; infinite where the drones are too near to each other."""
         places_n = self._allowed.places_n(box)
-        if np.any(self._allowed.apart_m(places_n) < self._allowed.limits.separation_min_m):
+        if not np.all(self._allowed.apart_m(places_n) >= self._allowed.limits.separation_min_m):
             return float("inf")
         return self._remembered(box, places_n)
 

@@ -69,11 +69,11 @@ class Escort:
 
     def _usable(self, estimate: PointingEstimate) -> tuple[str, ...]:
         """The drones whose lights the filter would use."""
-        off, excluded = self._config.sources_off, estimate.state.trust.excluded
+        off, excluded = set(self._config.sources_off), estimate.state.trust.excluded
         return tuple(
             name
             for name in self._config.beacons
-            if BEACON + name not in excluded and not {f"baseline.{name}", f"drone.{name}"} & set(off)
+            if BEACON + name not in excluded and not {"lights", f"baseline.{name}", f"drone.{name}"} & off
         )
 
     def _newest(self, name: str, time_ns: int) -> BaselineSample | None:
