@@ -142,7 +142,7 @@ OPTICS = {"telescope_id": "t", "focal_length_m": 0.1}
         (changed(optical_axis={"telescope": OPTICS | {"sigma_m": 1e-6}, "beacons": {"a": DRONE}}), "take it out"),
         (
             changed(optical_axis={"telescope": OPTICS, "beacons": {"a": DRONE}, "escort": {"range_min_m": 9000.0}}),
-            r"'escort.range_min_m' = 9000 m: expected at most",
+            r":\d+: under 'optical_axis': parameter 'escort.range_min_m' = 9000 m: expected at most",
         ),
         (changed(pixel_pitch_m=1e-7, centroid_sigma_px=1e-3), r"'centroid_sigma_px' = 0.001: times pixel_pitch_m"),
         (changed(elevation_deg=95.0), r"'elevation_deg'.*95"),

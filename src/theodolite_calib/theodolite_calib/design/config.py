@@ -5,7 +5,7 @@ The keys under ``optical_axis`` are those of the node ``optical_axis``: a design
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -97,7 +97,10 @@ def study_config(values: Mapping[str, Any]) -> DesignStudyConfig:
     Raises:
         ParameterError: names the parameter and what is allowed.
     """
-    config = build(DesignStudyConfig, values)
+    try:
+        config = build(DesignStudyConfig, values)
+    except ParameterError as error:
+        raise _in_study(error) from error
     lights, beacons = set(config.lights), set(config.optical_axis.beacons)
     if not beacons:
         raise ParameterError("parameter 'optical_axis.beacons': expected a drone or more", "optical_axis.beacons")
@@ -132,6 +135,15 @@ def study_config(values: Mapping[str, Any]) -> DesignStudyConfig:
             value=config.centroid_sigma_px,
         )
     return replace(config, optical_axis=with_image_sigma(config.optical_axis, image_sigma_m))
+
+
+def _in_study(error: ParameterError) -> ParameterError:
+    """The error with the place of its parameters in the study: the node's own checks name them as in the node."""
+    own = {field.name for field in fields(DesignStudyConfig)}
+    if any(name.split(".")[0] in own for name in error.parameters):
+        return error
+    names = [f"optical_axis.{name}" for name in error.parameters]
+    return ParameterError(f"under 'optical_axis': {error}", *names, value=error.value)
 
 
 def with_image_sigma(config: OpticalAxisConfig, sigma_m: float) -> OpticalAxisConfig:
