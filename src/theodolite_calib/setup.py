@@ -9,6 +9,7 @@ setup(
     name=package_name,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
+    package_data={package_name: ["design/page.html"]},
     # Without contraction of products and sums the results are the same on every processor.
     ext_modules=cythonize(
         [
@@ -34,6 +35,7 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
+            "design_study = theodolite_calib.design.design_study_command:main",
             "fit_axes = theodolite_calib.axis_fit.fit_axes_command:main",
             "optical_axis = theodolite_calib.ros.nodes:optical_axis",
             "triangulate = theodolite_calib.triangulation.triangulate_command:main",

@@ -1,7 +1,7 @@
 """Black boxes made without DDS, by what a live node uses to make them; and copies of them with one thing changed."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -39,16 +39,24 @@ class BoxedNode:
         bag: what it hears.
         file_parameter: names its saved file.
         noise_change: a live change of one parameter.
+        parameters: of the node, beside those that the bag brings.
     """
 
     adapter_class: Any
     bag: Path
     file_parameter: str
     noise_change: Mapping[str, float]
+    parameters: Mapping[str, Any] = field(default_factory=dict)
 
 
 SHIP_ATTITUDE = BoxedNode(ShipAttitudeAdapter, BAGS / "demo.mcap", "alignment_file", {"ins.white_sigma_arcsec": 2.0})
-OPTICAL_AXIS = BoxedNode(OpticalAxisAdapter, BAGS / "theodolite.mcap", "calibration_file", {"telescope.sigma_m": 2e-6})
+OPTICAL_AXIS = BoxedNode(
+    OpticalAxisAdapter,
+    BAGS / "theodolite.mcap",
+    "calibration_file",
+    {"telescope.sigma_m": 2e-6},
+    {"escort": {"enabled": True, "period_s": 1.0}},
+)
 
 
 class Nobody:
@@ -82,6 +90,7 @@ def make_box(
     with read_bag(node.bag) as bag:
         suite = yaml.safe_load(bag.attachments[SUITE_ATTACHMENT].decode())
         (section,) = (parameters for node_name, parameters in suite.items() if node_name.endswith(name))
+        section["ros__parameters"] |= node.parameters
         section["ros__parameters"] |= {node.file_parameter: str(saved_path), "alignment_autosave_s": autosave_s}
         config = load_config(node.adapter_class.config_type, yaml.safe_dump(suite), name)
         files = NotedFiles()

@@ -68,6 +68,8 @@ def test_a_box_of_the_optical_axis_is_equal_to_the_last_bit(tmp_path, capsys):
     # 8 s at 50 Hz, and what is heard again after the clock went back.
     pointings = int(re.search(r"theodolite/pointing (\d+)", out).group(1))
     assert pointings > 400
+    # Once a second, and anew after the clock went back.
+    assert int(re.search(r"theodolite/escort (\d+)", out).group(1)) >= 8
     assert "outputs are equal to the last bit" in out
     text = (tmp_path / "calibration.yaml").read_text()
     assert text.startswith("format: optical_axis calibration")

@@ -320,6 +320,59 @@ class BeaconConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
+class EscortConfig:
+    """Where the drones may fly, seen from the theodolite, for the advice where they should."""
+
+    enabled: bool = parameter(False, doc="tell on theodolite/escort where the drones should fly")
+    period_s: float = parameter(10.0, doc="period of the advice, in slow topics", unit="s", minimum=1.0, maximum=3600.0)
+    range_min_m: float = parameter(
+        500.0, doc="least distance of a drone from the theodolite", unit="m", minimum=1.0, maximum=50_000.0
+    )
+    range_max_m: float = parameter(3000.0, doc="its greatest distance", unit="m", minimum=1.0, maximum=50_000.0)
+    separation_min_m: float = parameter(
+        20.0, doc="least distance between any two drones", unit="m", minimum=0.0, maximum=50_000.0
+    )
+    elevation_min_deg: float = parameter(
+        0.5, doc="least elevation of a drone at the theodolite", unit="deg", minimum=-10.0, maximum=90.0
+    )
+    elevation_max_deg: float = parameter(85.0, doc="its greatest elevation", unit="deg", minimum=-10.0, maximum=90.0)
+    field_deg: float = parameter(
+        3.5, doc="greatest angle of a light from the axis of the telescope", unit="deg", minimum=0.001, maximum=60.0
+    )
+    exposures: int = parameter(
+        1, doc="white errors are averaged over so many exposures at a place", minimum=1, maximum=1_000_000
+    )
+
+    def __post_init__(self) -> None:
+        """Limits that leave no place are refused.
+
+        Raises:
+            ParameterError: names the limit that nothing can meet beside another.
+        """
+        for name, unit in (("range", "m"), ("elevation", "deg")):
+            least, greatest = getattr(self, f"{name}_min_{unit}"), getattr(self, f"{name}_max_{unit}")
+            if not least <= greatest:
+                raise ParameterError(
+                    f"parameter 'escort.{name}_min_{unit}' = {least:g} {unit}: expected at most "
+                    f"escort.{name}_max_{unit} = {greatest:g} {unit}",
+                    f"escort.{name}_min_{unit}",
+                    value=least,
+                )
+        near, far, field = self.range_min_m, self.range_max_m, np.deg2rad(self.field_deg)
+        # Both far off, or one of them near: across the whole field.
+        alike_m, unlike_m = 2.0 * far * np.sin(field), abs(far - near * np.exp(2j * field))
+        widest_m = float(max(alike_m, unlike_m))
+        if not self.separation_min_m <= widest_m:
+            raise ParameterError(
+                f"parameter 'escort.separation_min_m' = {self.separation_min_m:g} m: no two places in the field and "
+                f"range of escort.field_deg, escort.range_min_m and escort.range_max_m are more than {widest_m:.1f} m "
+                "apart",
+                "escort.separation_min_m",
+                value=self.separation_min_m,
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
 class OpticalAxisConfig:
     """All parameters of ``optical_axis``."""
 
@@ -335,6 +388,7 @@ class OpticalAxisConfig:
     air: AirConfig = section(AirConfig)
     ship_antenna: ShipAntennaConfig = section(ShipAntennaConfig)
     beacons: dict[str, BeaconConfig] = mapping_of("drones with a light, by beacon_id")
+    escort: EscortConfig = section(EscortConfig)
     gate: GateConfig = section(GateConfig)
     integrity: IntegrityConfig = section(IntegrityConfig)
     least_fix: str = parameter(
@@ -371,4 +425,8 @@ class OpticalAxisConfig:
                 f"ship's attitude make {hypotheses} hypotheses",
                 "integrity.max_hypotheses",
                 value=most,
+            )
+        if self.escort.enabled and not self.beacons:
+            raise ParameterError(
+                "parameter 'escort.enabled' = true: expected a drone under beacons", "escort.enabled", value=True
             )

@@ -18,10 +18,10 @@ from ship_attitude_star.layout.installation_model import (
 )
 from ship_attitude_star.layout.joint_error import total_arcsec
 from ship_attitude_star.layout.optics import PERCENTILES
-from ship_attitude_star.layout.page_parts import arcsec, body, image, table
 from ship_attitude_star.layout.requirement_page import required_section
 from ship_attitude_star.layout.study import AzimuthScan, LayoutStudy
 from ship_geometry.rotations import FloatArray
+from ship_node.documents.html_page import STYLE, arcsec_texts, image, table, table_body
 
 _READING_NAMES = {
     InstallationReading.PHYSICAL: "physical: R(A0, E0, γ0) turns the sensor's axes into the deck's",
@@ -41,6 +41,7 @@ def page_text(study: LayoutStudy, figures: Mapping[str, Path], title: str) -> st
     config = study.config
     return template.substitute(
         title=escape(title),
+        style=STYLE,
         result=_result(study),
         advice=_advice(study),
         rule_in_numbers=_rule_in_numbers(study),
@@ -66,11 +67,13 @@ def _layout_table(study: LayoutStudy) -> str:
     for name, angles, sigmas in zip(study.layout.names, study.layout.angles, study.alone_arcsec, strict=True):
         azimuth_deg, elevation_deg, _ = np.rad2deg(angles)
         where = [f"{azimuth_deg % 360.0:g}°", f"{elevation_deg:g}°"]
-        rows.append([f"{name} alone", *where, *arcsec(sigmas), *arcsec(total_arcsec(sigmas[None]))])
+        rows.append([f"{name} alone", *where, *arcsec_texts(sigmas), *arcsec_texts(total_arcsec(sigmas[None]))])
     joint = [("all, as given", study.joint_arcsec)]
     if len(study.layout.names) > 1:
         joint.append(("all, at the recommended azimuths", study.best_arcsec))
-    rows += [[words, "", "", *arcsec(sigmas), *arcsec(total_arcsec(sigmas[None]))] for words, sigmas in joint]
+    rows += [
+        [words, "", "", *arcsec_texts(sigmas), *arcsec_texts(total_arcsec(sigmas[None]))] for words, sigmas in joint
+    ]
     header = ["sensors", "azimuth", "elevation", *(f"{angle} [″]" for angle in SHIP_ANGLES), "total [″]"]
     return table(header, rows, last_is_sum=True)
 
@@ -97,7 +100,7 @@ def _optics_text(study: LayoutStudy) -> str:
     for name, found in study.optics.items():
         stars = [f"{count:.0f}" for count in found.fewest_stars().values()]
         field = f"{found.field_deg[0]:.1f}° × {found.field_deg[1]:.1f}°"
-        sigmas = [" / ".join(arcsec(triple)) for triple in (found.held_arcsec, found.liebe_arcsec)]
+        sigmas = [" / ".join(arcsec_texts(triple)) for triple in (found.held_arcsec, found.liebe_arcsec)]
         share = f"{100.0 * study.config.optics[name].sky_share:g} %"
         star = f"{found.star_sigma_arcsec:.2f}"
         rows.append([name, field, star, f"{found.stars.mean():.1f}", *stars, share, *sigmas])
@@ -114,10 +117,10 @@ def _optics_text(study: LayoutStudy) -> str:
 
 def _budget_table(study: LayoutStudy) -> str:
     rows = [
-        [source.sensor, source.source, f"{source.sigma_arcsec:g}", *arcsec(source.errors_arcsec)]
+        [source.sensor, source.source, f"{source.sigma_arcsec:g}", *arcsec_texts(source.errors_arcsec)]
         for source in study.budget
     ]
-    rows.append(["all", "root sum of squares", "", *arcsec(study.joint_arcsec)])
+    rows.append(["all", "root sum of squares", "", *arcsec_texts(study.joint_arcsec)])
     return table(["sensor", "source", "1σ [″]", "dK [″]", "dψ [″]", "dθ [″]"], rows, True, style="words")
 
 
@@ -136,15 +139,15 @@ def _source_table(study: LayoutStudy, reading: InstallationReading) -> str:
     by_azimuth = [source_errors_arcsec(point, azimuth_deg, reading) for azimuth_deg in CURVE_AZIMUTHS_DEG]
     sizes = [*point.star_errors_arcsec(), *point.installation_errors_arcsec()]
     rows = [
-        [f"{source} = {size:g}″", *arcsec(np.concatenate([errors[number] for errors in by_azimuth]))]
+        [f"{source} = {size:g}″", *arcsec_texts(np.concatenate([errors[number] for errors in by_azimuth]))]
         for number, (source, size) in enumerate(zip(SOURCES, sizes, strict=True))
     ]
-    rows.append(["all, with signs", *arcsec(np.concatenate([errors.sum(axis=0) for errors in by_azimuth]))])
+    rows.append(["all, with signs", *arcsec_texts(np.concatenate([errors.sum(axis=0) for errors in by_azimuth]))])
     groups = "".join(f'<th colspan="3">A0 = {azimuth_deg:g}°</th>' for azimuth_deg in CURVE_AZIMUTHS_DEG)
     symbols = "<th>dK</th><th>dψ</th><th>dθ</th>" * len(CURVE_AZIMUTHS_DEG)
     head = f"<thead><tr><th>[″]</th>{groups}</tr><tr><th>source</th>{symbols}</tr></thead>"
-    rows_of_sources = f'<table class="groups">{head}{body(rows, last_is_sum=True)}</table>'
-    return f"<h3>Reading: {escape(_READING_NAMES[reading])}</h3>{rows_of_sources}"
+    of_reading = f'<table class="groups">{head}{table_body(rows, last_is_sum=True)}</table>'
+    return f"<h3>Reading: {escape(_READING_NAMES[reading])}</h3>{of_reading}"
 
 
 # -- the plain words, every number in them computed from the layout at hand ------------------------------------

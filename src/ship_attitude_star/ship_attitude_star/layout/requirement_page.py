@@ -8,10 +8,10 @@ import numpy as np
 
 from ship_attitude_star.layout.allocation import Allocation
 from ship_attitude_star.layout.installation_model import SHIP_ANGLES
-from ship_attitude_star.layout.page_parts import arcsec, image, table
 from ship_attitude_star.layout.requirement import JudgedLayouts
 from ship_attitude_star.layout.requirement_told import binding, nearest_miss, places
 from ship_attitude_star.layout.study import LayoutStudy
+from ship_node.documents.html_page import arcsec_texts, image, table
 
 
 def required_section(study: LayoutStudy, figures: Mapping[str, Path]) -> str:
@@ -59,7 +59,7 @@ def _ranking_table(required: JudgedLayouts) -> str:
             one.name,
             "yes" if one.admissible else "no",
             "–" if np.isnan(one.use) else f"{100.0 * one.use:.1f} %",
-            *arcsec(one.sigmas_arcsec),
+            *arcsec_texts(one.sigmas_arcsec),
             places(one.layout),
             "; ".join(one.obstacles),
         ]
@@ -85,8 +85,8 @@ def _allocation(name: str, allocations: list[Allocation]) -> str:
         kinds[row.kind] = kinds.get(row.kind, 0.0) + row.share
     by_kind = ", ".join(f"{kind} {100.0 * share:.1f} %" for kind, share in sorted(kinds.items(), key=lambda k: -k[1]))
     rows = [
-        [row.key, row.kind, *arcsec(np.array([row.sigma_arcsec])), f"{100.0 * row.share:.1f} %",
-         *arcsec(np.array([row.together_arcsec])), _alone(row.alone_arcsec)]
+        [row.key, row.kind, *arcsec_texts(np.array([row.sigma_arcsec])), f"{100.0 * row.share:.1f} %",
+         *arcsec_texts(np.array([row.together_arcsec])), _alone(row.alone_arcsec)]
         for row in allocations
     ]  # fmt: skip
     header = ["error", "kind", "1σ now [″]", "share", "together [″]", "alone [″]"]
@@ -99,4 +99,4 @@ def _allocation(name: str, allocations: list[Allocation]) -> str:
 def _alone(alone_arcsec: float) -> str:
     if np.isnan(alone_arcsec):
         return "not even none"
-    return "any size" if np.isinf(alone_arcsec) else arcsec(np.array([alone_arcsec]))[0]
+    return "any size" if np.isinf(alone_arcsec) else arcsec_texts(np.array([alone_arcsec]))[0]

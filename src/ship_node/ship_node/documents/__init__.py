@@ -1,4 +1,4 @@
-"""Files that outlast a run: what a node saves for its next start, and figures for people.
+"""Files that outlast a run: what a node saves for its next start, and figures and pages for people.
 
 The lowest room of the package: it imports no other, and no ROS.
 """

@@ -11,7 +11,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ship_estimation.estimator_shell import EstimatorShell, Model
 from ship_estimation.protection import IntegrityReport
@@ -49,6 +49,10 @@ from theodolite_calib.optical_axis.calibration import (
 )
 from theodolite_calib.optical_axis.output import DuePointing, PointingOutput, no_pointing
 from theodolite_calib.optical_axis.targets import TargetAnswers
+
+if TYPE_CHECKING:
+    from theodolite_calib.escort.advice import EscortAdvice
+    from theodolite_calib.optical_axis.escorting import Escort
 
 _TOLD_TWICE = "encoders and ship both say different things of one moment: a clock has told a time twice"
 
@@ -111,6 +115,7 @@ class OpticalAxisCore:
         self._watch = EncoderWatch(*_encoder_limits(self.config))
         self._ship_watch = ShipWatch(self.config, self._tracks.ship_shift_ns)
         self._targets = TargetAnswers(self.config, self.filter, self._pointing, self._tracks)
+        self._escort = self._new_escort()
         self._waiting: deque[_WaitingReading] = deque()
         self._encoder_arrival_ns: int | None = None
         self._told_twice: tuple[int, int] | None = None
@@ -125,6 +130,8 @@ class OpticalAxisCore:
         self._watch.reconfigure(*_encoder_limits(config))
         self._ship_watch.reconfigure(config)
         self._targets.reconfigure(config, self.filter, self._pointing)
+        if self._escort is not None:
+            self._escort.reconfigure(config, self.filter)
 
     def add_encoder(self, sample: EncoderSample, arrival_ns: int | None = None) -> PointingOutcome:
         """A reading of the encoders; the pointing of its moment follows.
@@ -239,6 +246,10 @@ class OpticalAxisCore:
         """How far a pointing may be wrong although nothing says so."""
         return self._pointing.integrity(estimate)
 
+    def escort(self, estimate: PointingEstimate) -> "EscortAdvice | None":
+        """Where the drones should fly by the latest pointing; None where that is not asked, or not yet."""
+        return None if self._escort is None else self._escort.advice(estimate)
+
     def sighting(self, exposure: Exposure) -> Sighting | None:
         """An exposure within ``lag_s`` with all that belongs to it; None where that is not there."""
         return self._sightings.assemble(exposure).sighting
@@ -256,6 +267,15 @@ class OpticalAxisCore:
         self._step_to = SightingStep(config, self.filter, self._streams_since, self._ship_crept)
         self._pointing = PointingOutput(config, self.filter)
         self._calibration = None
+
+    def _new_escort(self) -> "Escort | None":
+        """What gives advice to the drones; None where none is asked."""
+        if not self.config.escort.enabled:
+            return None
+        # Only here: loading scipy's optimisers takes longer than all else that a node loads.
+        from theodolite_calib.optical_axis.escorting import Escort
+
+        return Escort(self.config, self.filter, self._tracks)
 
     def _add(self, source: str, track: SampleTrack[Any], sample: Any) -> PointingOutcome:
         outcome = PointingOutcome(self._shell.window.late(sample.time_ns))

@@ -38,6 +38,7 @@ from theodolite_calib.optical_axis.core import OpticalAxisCore
 from theodolite_calib.optical_axis.integrity import QUANTITIES
 from theodolite_calib.ros import messages_in, rows_in
 from theodolite_calib.ros.calibration_file import CALIBRATION_FILE
+from theodolite_calib.ros.escort_messages import ESCORT_TOPIC, ESCORT_TYPE, escort_message
 from theodolite_calib.ros.pointing_messages import (
     MAIN_FRAME,
     POINTING_TOPIC,
@@ -105,6 +106,7 @@ class OpticalAxisAdapter(DeferringAdapter):
         OutputTopic(INTEGRITY_TOPIC, INTEGRITY_TYPE),
         OutputTopic("theodolite/error_arcsec", "ship_msgs/msg/PointingErrorArcsec"),
         OutputTopic(TARGET_TOPIC, TARGET_TYPE),
+        OutputTopic(ESCORT_TOPIC, ESCORT_TYPE),
         OutputTopic(TF_TOPIC, TF_TYPE),
         *OWN_OUTPUTS,
     )
@@ -182,7 +184,7 @@ class OpticalAxisAdapter(DeferringAdapter):
         return refused_input(self.factory, f"light.{name}", time_ns, refusal)
 
     def own_slow_topics(self, now_ns: int) -> list[Published]:
-        """Budget and predicted errors of the latest pointing, once each; what the filter knows of the theodolite."""
+        """Budget and errors of the latest pointing and advice for the drones, once each; what the filter knows."""
         factory, estimate, published = self.factory, self.budget_due, []
         if estimate is not None:
             sources = self.core.filter.model.sources
@@ -190,6 +192,9 @@ class OpticalAxisAdapter(DeferringAdapter):
                 ("theodolite/error_budget", pointing_budget(factory, estimate, sources)),
                 ("theodolite/error_arcsec", error_arcsec(factory, estimate)),
             ]
+            advice = self.core.escort(estimate)
+            if advice is not None:
+                published.append((ESCORT_TOPIC, escort_message(factory, advice, estimate.time_ns)))
         calibration = calibration_message(factory, self.core.calibration(), now_ns)
         return [*published, ("theodolite/calibration", calibration)]
 

@@ -1,0 +1,77 @@
+"""Pieces of the HTML pages that studies write, one self-contained file each: style, tables, embedded figures."""
+
+import base64
+from collections.abc import Iterable, Sequence
+from html import escape
+from pathlib import Path
+
+import numpy as np
+
+from ship_geometry.rotations import FloatArray
+
+STYLE = """\
+body { font: 17px/1.55 system-ui, "DejaVu Sans", sans-serif; color: #1c2733; max-width: 62rem; margin: 2rem auto;
+padding: 0 1.2rem; }
+h1 { font-size: 1.9rem; margin-bottom: 0.2rem; color: #0b3c6f; }
+h2 { font-size: 1.4rem; margin-top: 2.6rem; border-bottom: 2px solid #d5dee8; color: #0b3c6f; }
+h3 { font-size: 1.08rem; margin-top: 1.6rem; }
+p.lead { color: #51606f; margin-top: 0; }
+.box { background: #eef4fa; border-left: 5px solid #0b3c6f; padding: 0.4rem 1.2rem; margin: 1.2rem 0; }
+.table { overflow-x: auto; }
+table { border-collapse: collapse; font-size: 0.88rem; margin: 0.8rem 0; }
+th, td { padding: 0.28rem 0.7rem; text-align: right; border-bottom: 1px solid #dde4ec;
+font-variant-numeric: tabular-nums; white-space: nowrap; }
+th { background: #f4f7fa; }
+th:first-child, td:first-child { text-align: left; }
+table.words td:nth-child(2), table.words th:nth-child(2) { text-align: left; }
+tr.sum td { font-weight: 600; border-top: 2px solid #9fb2c5; }
+img { max-width: 100%; display: block; margin: 1.2rem auto; }
+dt { font-weight: 600; }
+img.small { max-width: 32rem; }
+table.groups th { text-align: center; }
+table.groups th, table.groups td { padding: 0.28rem 0.4rem; font-size: 0.95em; }
+table.groups th:nth-child(3n+2), table.groups td:nth-child(3n+2) { border-left: 1px solid #dde4ec; }
+dd { margin: 0 0 0.5rem 1.2rem; }
+@media print { body { font-size: 11pt; max-width: none; } img, table { break-inside: avoid; } }
+"""
+"""What stands between the tags of the style."""
+
+
+def image(path: Path, words: str, style: str = "wide") -> str:
+    """A PNG file, embedded.
+
+    Args:
+        path: the file.
+        words: what it shows, for those who cannot see it.
+        style: ``wide`` or ``small``.
+    """
+    data = base64.b64encode(path.read_bytes()).decode("ascii")
+    return f'<img class="{style}" alt="{escape(words)}" src="data:image/png;base64,{data}">'
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[str]], last_is_sum: bool = False, style: str = "") -> str:
+    """A table of texts.
+
+    Args:
+        header: of its columns.
+        rows: its cells.
+        last_is_sum: whether the last row is the sum of the others.
+        style: ``words`` where the second column has words, ``groups`` where every three columns belong together.
+    """
+    head = "".join(f"<th>{escape(cell)}</th>" for cell in header)
+    return f'<table class="{style}"><thead><tr>{head}</tr></thead>{table_body(rows, last_is_sum)}</table>'
+
+
+def table_body(rows: Iterable[Sequence[str]], last_is_sum: bool) -> str:
+    """The rows of a table whose head is special; the arguments are those of :func:`table`."""
+    lines = ["<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows]
+    if last_is_sum:
+        lines[-1] = lines[-1].replace("<tr>", '<tr class="sum">')
+    return f"<tbody>{''.join(lines)}</tbody>"
+
+
+def arcsec_texts(values: FloatArray, digits: int = 2) -> list[str]:
+    """Numbers of a table, shape (n,); a dash for NaN."""
+    # Adding zero takes the sign from a rounded zero.
+    texts = ("–" if np.isnan(value) else f"{round(float(value), digits) + 0.0:.{digits}f}" for value in values)
+    return [text.replace("-", "−") for text in texts]

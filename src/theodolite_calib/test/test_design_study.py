@@ -1,0 +1,160 @@
+"""The executable ``design_study``: its numbers, what it writes, what it says to bad input."""
+
+import csv
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from theodolite_calib.design.config import W18, study_config
+from theodolite_calib.design.design_study_command import main, written
+from theodolite_calib.design.study import DesignStudy, study
+
+LIGHTS = {"a": {"right_deg": 2.0, "up_deg": 1.0, "distance_m": 1000.0}}
+DRONE = {"rtk": {"sigma_m": 0.02}}
+ONE_DRONE: dict[str, Any] = {
+    "optical_axis": {"telescope": {"telescope_id": "t", "focal_length_m": 0.1}, "beacons": {"a": DRONE}},
+    "lights": LIGHTS,
+}
+
+
+@pytest.fixture(scope="module", name="paper")
+def _paper() -> DesignStudy:
+    return study(study_config(W18))
+
+
+def test_the_papers_design(paper: DesignStudy) -> None:
+    """models.md §5: bound for one epoch 2.25" in azimuth · cos E, 2.64" in elevation, 3.47" in all."""
+    assert paper.given_arcsec == pytest.approx([2.25, 2.64, 3.47], rel=0.015)
+    assert 0.88 <= paper.advised_arcsec[2] / paper.given_arcsec[2] <= 0.95
+    assert paper.unaided_arcsec > 1000.0
+    assert paper.meets_requirement
+
+
+def test_sources_add_up_to_the_error(paper: DesignStudy) -> None:
+    for which in ("given_arcsec", "advised_arcsec"):
+        squares = sum(getattr(source, which) ** 2 for source in paper.budget)
+        assert np.sqrt(squares) == pytest.approx(getattr(paper, which), rel=1e-9)
+
+
+def test_sweeps_pass_through_the_design(paper: DesignStudy) -> None:
+    sweeps = {sweep.name: sweep for sweep in paper.sweeps}
+    assert list(sweeps) == ["distance", "separation", "focal_length", "pixel", "lever", "rtk", "principal_point"]
+    for name, sweep in sweeps.items():
+        if sweep.given > 0.0:
+            at_design = np.interp(np.log(sweep.given), np.log(sweep.values), sweep.sigma_arcsec)
+            assert at_design == pytest.approx(paper.given_arcsec[2], rel=1e-3), name
+        both = np.isfinite(sweep.best_arcsec)
+        assert both.any() == (name != "separation")
+        # The limits allow what is given, so nothing as given is better than the best.
+        assert np.all(sweep.best_arcsec[both] <= 1.001 * sweep.sigma_arcsec[both]), name
+    # RTK falls with the distance as refraction rises with it: a best distance is between.
+    assert 0 < np.argmin(sweeps["distance"].sigma_arcsec) < len(sweeps["distance"].values) - 1
+    for growing in ("pixel", "lever", "rtk", "principal_point"):
+        assert np.all(np.diff(sweeps[growing].sigma_arcsec) > 0.0), growing
+    for falling in ("separation", "focal_length"):
+        assert np.all(np.diff(sweeps[falling].sigma_arcsec) < 0.0), falling
+
+
+def test_error_of_the_principal_point_is_that_of_a_shift(paper: DesignStudy) -> None:
+    """No light shows it: at 2 km, s each axis adds √2 s / 2 km to the pointing, whatever the rest is."""
+    telescope = paper.config.optical_axis.telescope
+    shifted = replace(telescope, lens=replace(telescope.lens, sigma_m=0.1))
+    config = replace(paper.config, optical_axis=replace(paper.config.optical_axis, telescope=shifted))
+    shift_arcsec = np.sqrt(2.0) * np.rad2deg(0.1 / 2000.0) * 3600.0
+    assert study(config).given_arcsec[2] == pytest.approx(np.hypot(paper.given_arcsec[2], shift_arcsec), rel=0.01)
+
+
+@pytest.fixture(scope="module", name="folder")
+def _folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("study") / "new"
+    assert main(["--out", str(folder)]) == 0
+    return folder
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_everything_is_written_and_looked_for_before(folder: Path) -> None:
+    assert {path.name for path in folder.iterdir()} == set(written())
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in folder.glob("*.png"))
+    before = {path: path.read_bytes() for path in folder.iterdir()}
+    assert main(["--out", str(folder)]) == 2
+    assert {path: path.read_bytes() for path in folder.iterdir()} == before
+
+
+def test_page_says_what_the_tables_say(folder: Path, paper: DesignStudy) -> None:
+    page = (folder / "design_study.html").read_text(encoding="utf-8")
+    sources = re.findall(r'(?:src|href)="([^"]{0,40})', page)
+    assert len(sources) == 2
+    assert all(source.startswith("data:image/png;base64,") for source in sources)
+    assert "$" not in re.sub(r"base64,[^\"]*", "", page)
+    sums = [row for row in rows_of(folder / "error_budget.csv") if row["source"] == "root sum of squares"]
+    assert [row["places"] for row in sums] == ["given", "best"]
+    for row in sums:
+        assert f"<b>{float(row['on_sky_arcsec']):.2f}″</b>" in page
+    places = rows_of(folder / "places.csv")
+    assert [row["beacon"] for row in places] == ["a", "b", "a", "b"]
+    assert float(places[0]["distance_m"]) == 2000.0
+    # The ship heads North and the theodolite points abeam, ten degrees up.
+    assert float(places[2]["east_m"]) > 10.0 * abs(float(places[2]["north_m"]))
+
+
+def write(path: Path, values: Any) -> Path:
+    path.write_text(values if isinstance(values, str) else yaml.safe_dump(values))
+    return path
+
+
+def test_a_requirement_that_is_not_met_is_exit_code_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    values = ONE_DRONE | {"required_arcsec": 0.5}
+    values["optical_axis"] = values["optical_axis"] | {"escort": {"elevation_min_deg": 40.0}}
+    assert main([str(write(tmp_path / "one.yaml", values)), "--out", str(tmp_path / "out")]) == 1
+    told = capsys.readouterr().out
+    assert "required: 0.5 arcsec" in told
+    assert "limits reached: elevation_min_deg" in told
+    page = (tmp_path / "out" / "design_study.html").read_text(encoding="utf-8")
+    assert "is <b>not</b> met" in page
+    assert "there is no place for the drones: elevation_min_deg leaves none" in page
+
+
+def changed(**values: Any) -> dict[str, Any]:
+    return ONE_DRONE | values
+
+
+OPTICS = {"telescope_id": "t", "focal_length_m": 0.1}
+
+
+@pytest.mark.parametrize(
+    ("values", "reason"),
+    [
+        (changed(lights={}), r"'optical_axis.beacons.a': expected 'a' under lights too"),
+        (changed(lights=LIGHTS | {"b": LIGHTS["a"]}), r":\d+: parameter 'lights.b': expected 'b' under optical_axis"),
+        (changed(lights={"a": LIGHTS["a"] | {"up_deg": 9.0}}), r"'lights.a': it is 9.21 deg from the telescope's axis"),
+        (changed(lights={"a": LIGHTS["a"] | {"distance_m": float("nan")}}), r"'lights.a.distance_m' must be finite"),
+        (changed(optical_axis={"telescope": OPTICS}, lights={}), r"'optical_axis.beacons': expected a drone"),
+        (changed(optical_axis={"beacons": {"a": DRONE}}), r"'optical_axis.telescope"),
+        (changed(optical_axis={"telescope": OPTICS | {"sigma_m": 1e-6}, "beacons": {"a": DRONE}}), "take it out"),
+        (
+            changed(optical_axis={"telescope": OPTICS, "beacons": {"a": DRONE}, "escort": {"range_min_m": 9000.0}}),
+            r":\d+: under 'optical_axis': parameter 'escort.range_min_m' = 9000 m: expected at most",
+        ),
+        (changed(pixel_pitch_m=1e-7, centroid_sigma_px=1e-3), r"'centroid_sigma_px' = 0.001: times pixel_pitch_m"),
+        (changed(elevation_deg=95.0), r"'elevation_deg'.*95"),
+        (changed(colour="red"), r"'colour' is unknown"),
+        ("lights: [\n", "bad.yaml"),
+    ],
+)
+def test_bad_designs_are_one_line(values: Any, reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    design = write(tmp_path / "bad.yaml", values)
+    assert main([str(design), "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert error.startswith(f"design_study: {design}")
+    assert re.search(reason, error)
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,149 @@
+"""``design_study``: how well lights on drones will tell where the theodolite points, as one page and tables."""
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
+from ship_bags.output_files import add_force, check_folder, write_csv, write_whole
+from ship_bags.parameter_yaml import read_plain
+from ship_estimation.parameters import ParameterError
+from ship_geometry.ros_axes import ENU_FROM_HORIZON
+from theodolite_calib.design.config import W18, study_config
+from theodolite_calib.design.study import DesignStudy, study
+
+PAGE = "design_study.html"
+TABLES = ("places.csv", "error_budget.csv", "sweeps.csv")
+FIGURES = ("field", "sweeps")
+_DEFAULT_TITLE = "two lights as in [W18]"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point."""
+    return run_command(_parser(), _run, arguments)
+
+
+def _parser() -> CommandParser:
+    parser = CommandParser(
+        prog="design_study",
+        example="./ros2run theodolite_calib design_study design.yaml --out study",
+        description="Study before the voyage how well the lights of drones will tell where the theodolite points: "
+        "error [arcsec, 1 sigma, on the sky] by source, the best places for the drones within limits, and the error "
+        "over distance [m] and separation [deg] of the lights, focal length [m], pixel [m], and the errors of lever, "
+        "RTK and N' [m]. Writes design_study.html (one file with everything), PNG and CSV.",
+        epilog="DESIGN.yaml, every key with a default but those shown with dots:\n"
+        "  azimuth_deg: 90.0, elevation_deg: 30.0          where it points, from the bow, over the horizon\n"
+        "  ship_heading_sigma_arcsec: 2.0, ship_tilt_sigma_arcsec: 1.5    error of ship/attitude\n"
+        "  pixel_pitch_m: 6.5e-6, centroid_sigma_px: 0.1   of the telescope's detector, of a light's image\n"
+        "  required_arcsec: 0.0                            what the lights as given must reach; 0: nothing\n"
+        "  lights: {a: {right_deg: ..., up_deg: ..., distance_m: ...}}    seen along the telescope's axis\n"
+        "  optical_axis: {...}     parameters of the node optical_axis, beacons and the limits escort.* among them\n"
+        "\nexit code: 0 written; 1 written, but the lights as given do not reach required_arcsec; 2 bad input or "
+        "usage; 130 interrupted",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "design",
+        type=Path,
+        nargs="?",
+        metavar="DESIGN.yaml",
+        help="theodolite, drones and limits (default: the values of [W18])",
+    )
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write into, made if absent")
+    add_force(parser)
+    return parser
+
+
+def _run(options: argparse.Namespace) -> int:
+    computed = _study(options)
+    options.out.mkdir(parents=True, exist_ok=True)
+    write_tables(computed, options.out)
+    # Loading the figures' library takes longer than reading the file: bad input is told before.
+    from theodolite_calib.design.figures import draw_figures
+    from theodolite_calib.design.page import page_text
+
+    page = options.out / PAGE
+    title = _DEFAULT_TITLE if options.design is None else options.design.name
+    write_whole(page, page_text(computed, draw_figures(computed, options.out), title))
+    sys.stdout.write(_summary(computed, page))
+    return EXIT_DONE if computed.meets_requirement else EXIT_BOUND_NOT_MET
+
+
+def _study(options: argparse.Namespace) -> DesignStudy:
+    """The study of the file named, or of [W18]'s values.
+
+    Raises:
+        BadInput: names the file, the line, the parameter and what was expected; or what cannot be written.
+    """
+    file = None if options.design is None else read_plain(options.design)
+    try:
+        config = study_config(W18 if file is None else file.values)
+        check_folder(options.out, written(), options.force)
+        return study(config)
+    except ParameterError as error:
+        raise error if file is None else file.error(error) from error
+
+
+def written() -> list[str]:
+    """Names of all files written."""
+    return [PAGE, *TABLES, *(f"{figure}.png" for figure in FIGURES)]
+
+
+def _summary(computed: DesignStudy, page: Path) -> str:
+    lines = [f"{'':28}{'azimuth cos E':>14}{'elevation':>12}{'on the sky':>12}   [arcsec, 1 sigma]"]
+    for words, sigmas in (("lights as given", computed.given_arcsec), ("at the best places", computed.advised_arcsec)):
+        azimuth, elevation, on_sky = sigmas
+        lines.append(f"{words:28}{azimuth:14.2f}{elevation:12.2f}{on_sky:12.2f}")
+    lines.append(f"{'encoders and ship alone':28}{'':26}{computed.unaided_arcsec:12.2f}")
+    reached = computed.advice.limits_reached
+    if reached:
+        lines.append(f"limits reached: {'; '.join(reached)}")
+    if not computed.meets_requirement:
+        lines.append(f"required: {computed.config.required_arcsec:g} arcsec on the sky, which the lights do not reach")
+    return "\n".join([*lines, f"page: {page}"]) + "\n"
+
+
+_SIGMAS = ("azimuth_cos_elevation_arcsec", "elevation_arcsec", "on_sky_arcsec")
+
+
+def write_tables(study: DesignStudy, folder: Path) -> list[Path]:
+    """Write every table into a folder that exists; returns the files."""
+    place = ("right_deg", "up_deg", "distance_m", "east_m", "north_m", "up_m")
+    tables = {
+        "places.csv": (("places", "beacon", *place, "limits_reached"), _places(study)),
+        "error_budget.csv": (("places", "source", *_SIGMAS), _budget(study)),
+        "sweeps.csv": (("quantity", "value", "unit", "as_given_arcsec", "best_places_arcsec"), _sweeps(study)),
+    }
+    return [write_csv(folder / name, header, rows) for name, (header, rows) in tables.items()]
+
+
+def _places(study: DesignStudy) -> Iterator[tuple[Any, ...]]:
+    both = (("given", study.given_n), ("best", study.advice.places_n))
+    for number, (words, places_n) in enumerate(both):
+        for light, name in enumerate(study.config.names):
+            reached = [limit for limit in study.advice.limits_reached if name in limit.split(":")[0].split(", ")]
+            yield (
+                words,
+                name,
+                *study.places_deg[number, light],
+                study.distances_m[number, light],
+                *(ENU_FROM_HORIZON @ places_n[light]),
+                "" if words == "given" else "; ".join(reached),
+            )
+
+
+def _budget(study: DesignStudy) -> Iterator[tuple[Any, ...]]:
+    for source in study.budget:
+        yield "given", source.source, *source.given_arcsec
+    yield "given", "root sum of squares", *study.given_arcsec
+    for source in study.budget:
+        yield "best", source.source, *source.advised_arcsec
+    yield "best", "root sum of squares", *study.advised_arcsec
+
+
+def _sweeps(study: DesignStudy) -> Iterator[tuple[Any, ...]]:
+    for sweep in study.sweeps:
+        for value, as_given, best in zip(sweep.values, sweep.sigma_arcsec, sweep.best_arcsec, strict=True):
+            yield sweep.name, f"{value:.6g}", sweep.unit, as_given, best

@@ -1,0 +1,136 @@
+"""What lights at given places are worth to the pointing: the calibration filter's own model, before anything is seen.
+
+The filter's first update by one sighting is computed, without its residual: covariance P of all states as configured,
+with the ship's attitude as it is stated at the moment, Jacobian H and noise R of the sighting
+(:mod:`theodolite_calib.filter.prediction`). With T the turn of the main axis per state the pointing has
+
+    C = T (P - P Hᵀ (H P Hᵀ + R/n)⁻¹ H P) Tᵀ + noise of the encoders and of the ship at a reading
+
+where n is the number of exposures over which white errors are averaged (``escort.exposures``).
+
+What the filter has learned from the lights already has no part in it. Errors of lights that have been watched for long
+are known in part, and from there every move looks like a gain: an advice by the present covariance would never settle.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from ship_estimation.kalman import LinearMeasurement, innovation, update
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.rotations import FloatArray
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.filter.filter import CalibrationFilter
+from theodolite_calib.filter.prediction import Prediction
+from theodolite_calib.lights.image import Image
+from theodolite_calib.lights.line_of_sight import Lights
+from theodolite_calib.measured.sighting import Sighting
+from theodolite_calib.measured.tracks import EncoderAt, ShipAt
+
+_ANYWHERE_M = 1000.0
+
+
+class LightsAccuracy:
+    """Accuracy of the pointing by lights at places, for one pose of ship and theodolite.
+
+    Args:
+        config: the node's parameters.
+        filter_: the filter of that configuration.
+        ship: the ship's attitude.
+        encoder: the encoders.
+        mean: what is known of the errors; none where it is not given. Shape (n,).
+        baseline_noise_n: covariance of what is new in each baseline, m², shape (3, 3), by the drone's name; where a
+            drone is missing, the configured noise.
+
+    Attributes:
+        rotation_nt: horizon from telescope, shape (3, 3).
+        rotation_nm: horizon from main frame, shape (3, 3).
+        centre_n: from the ship's antenna to the crossing of the theodolite's axes, m, shape (3,).
+    """
+
+    def __init__(
+        self,
+        config: OpticalAxisConfig,
+        filter_: CalibrationFilter,
+        ship: ShipAt,
+        encoder: EncoderAt,
+        mean: FloatArray | None = None,
+        baseline_noise_n: Mapping[str, FloatArray] | None = None,
+    ) -> None:
+        self._config, self._filter, self._ship, self._encoder = config, filter_, ship, encoder
+        self._exposures = config.escort.exposures
+        configured_n = {name: beacon.rtk.sigma_m**2 * np.eye(3) for name, beacon in config.beacons.items()}
+        self._noise_n = configured_n | dict(baseline_noise_n or {})
+        start = filter_.predicted(filter_.initial_state(), 0, ship.slow_covariance_n)
+        self._mean = start.mean if mean is None else mean
+        self._parts, self._covariance = start.parts, start.covariance
+        self._parallelism = filter_.model.slices["parallelism"]
+        self.centre_n: FloatArray = ship.rotation_nd @ config.lever.vector_m
+        # The pose of telescope and main axis does not depend on where a light is.
+        anywhere_n = self.centre_n + np.array([[_ANYWHERE_M, 0.0, 0.0]])
+        posed = self._predict(tuple(config.beacons)[:1], anywhere_n)
+        self.rotation_nt = posed.rotation_nt
+        parallelism = filter_.sightings.parallelism(self._mean)
+        self.rotation_nm: FloatArray = posed.rotation_nt @ rotation_from_angles(*parallelism)
+        main, by_noise_n = self._main_axis(posed)
+        self._without_lights_n = main @ self._covariance @ main.T + by_noise_n
+
+    def sigma(self, names: tuple[str, ...], places_n: FloatArray) -> float:
+        """Standard deviation of the pointing on the sky, both components together, rad; NaN where a light is behind.
+
+        Args:
+            names: of N lights; none where the encoders and the ship alone point.
+            places_n: of the drones' antennas from the ship's antenna (N, U, E), m, shape (N, 3).
+        """
+        if not names:
+            return self._on_sky(self._without_lights_n)
+        prediction = self._predict(names, places_n)
+        main, by_noise_n = self._main_axis(prediction)
+        jacobian = prediction.jacobian
+        if not np.all(np.isfinite(jacobian)):
+            return float("nan")
+        noise = sum(prediction.noise_by_source.values()) / self._exposures
+        by_states = self._covariance @ jacobian.T
+        seen = main @ by_states
+        learned = seen @ np.linalg.solve(jacobian @ by_states + noise, seen.T)
+        return self._on_sky(main @ self._covariance @ main.T - learned + by_noise_n)
+
+    def budget(self, names: tuple[str, ...], places_n: FloatArray) -> dict[str, FloatArray]:
+        """The pointing's covariance by source, rotation vector in n, rad², shape (3, 3) each; their sum is the whole.
+
+        Args:
+            names: of N lights, one at least.
+            places_n: as in :meth:`sigma`.
+        """
+        model = self._filter.model
+        prediction = self._predict(names, places_n)
+        noise = {
+            model.sources.index(source): part / self._exposures for source, part in prediction.noise_by_source.items()
+        }
+        measurement = LinearMeasurement(np.zeros(2 * len(names)), prediction.jacobian, noise)
+        _, parts = update(self._parts, measurement, innovation(self._parts, measurement).gain)
+        main, _ = self._main_axis(prediction)
+        by_source = dict(zip(model.sources, main @ parts @ main.T, strict=True))
+        for source, part in prediction.noise_n.items():
+            by_source[source] = by_source[source] + part
+        return by_source
+
+    def _predict(self, names: tuple[str, ...], places_n: FloatArray) -> Prediction:
+        count = len(names)
+        image = Image(np.zeros((count, 2)), np.full(count, self._config.telescope.sigma_m))
+        noise_n = np.array([self._noise_n[name] for name in names]).reshape(count, 3, 3)
+        level = np.tile(np.eye(3), (count, 1, 1))  # a level drone, its nose to the North
+        lights = Lights(places_n, noise_n, level, np.zeros((count, 3, 3)))
+        sighting = Sighting(0, names, image, lights, self._ship, self._encoder)
+        return self._filter.sightings.predict(self._mean, sighting)
+
+    def _main_axis(self, prediction: Prediction) -> tuple[FloatArray, FloatArray]:
+        """Turn of the main axis per state, shape (3, n), and its noise at a reading, rad², shape (3, 3)."""
+        turn_n = prediction.turn_n.copy()
+        # How the main axis lies in the telescope turns the telescope, not the main axis.
+        turn_n[:, self._parallelism] = 0.0
+        return turn_n, sum(prediction.noise_n.values(), np.zeros((3, 3)))
+
+    def _on_sky(self, covariance_n: FloatArray) -> float:
+        axis_n = self.rotation_nm[:, 0]
+        return float(np.sqrt(np.trace(covariance_n) - axis_n @ covariance_n @ axis_n))

@@ -1,0 +1,172 @@
+"""The advice: for each drone the place with the best pointing that the limits allow.
+
+The standard deviation of the pointing is smooth over the box of allowed places (:mod:`theodolite_calib.escort.places`).
+From the best of some spread-out beginnings it is followed down with SLSQP; of all places that were looked at the best
+that keeps the drones apart is taken. What lies on the box meets the other limits, so no step can leave them.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize
+
+from ship_geometry.rotations import FloatArray
+from theodolite_calib.config import EscortConfig
+from theodolite_calib.escort.accuracy import LightsAccuracy
+from theodolite_calib.escort.places import AllowedPlaces
+
+_FOLLOWED = 2
+"""So many of the beginnings are followed down."""
+_ENOUGH = 0.005
+"""Places at hand that lose less than this share against the best are kept: no drone flies for so little."""
+_RANGES = (0.0, 0.35, 0.7, 1.0)
+_ORIENTATIONS = (0.0, 0.25, 0.5, 0.75)
+_TOLERANCE = 1e-4
+_MOST_STEPS = 40
+
+
+@dataclass(frozen=True)
+class EscortAdvice:
+    """Where the drones should fly; NaN where no place is within the limits.
+
+    Attributes:
+        names: of the N drones.
+        places_n: of their antennas from the ship's antenna (N, U, E), m, shape (N, 3).
+        sigma_now: of the pointing on the sky by the lights that are in the field now, rad.
+        sigma_advised: by the lights at the places advised, rad.
+        limits_reached: at which the places are; or the limit that leaves none.
+    """
+
+    names: tuple[str, ...]
+    places_n: FloatArray
+    sigma_now: float
+    sigma_advised: float
+    limits_reached: tuple[str, ...]
+
+
+def advise(
+    limits: EscortConfig,
+    accuracy: LightsAccuracy,
+    names: tuple[str, ...],
+    now_n: dict[str, FloatArray],
+    keep_n: FloatArray | None = None,
+) -> EscortAdvice:
+    """The best places for the drones.
+
+    Args:
+        limits: within which they may fly.
+        accuracy: of the pointing by lights at places.
+        names: of the drones, one at least.
+        now_n: where drones are now, from the ship's antenna (N, U, E), m, shape (3,), as far as is known.
+        keep_n: places that stay advised as long as no others are better by half a percent, shape (N, 3).
+    """
+    allowed = AllowedPlaces.around(limits, accuracy.centre_n, accuracy.rotation_nt)
+    seen = {name: place_n for name, place_n in now_n.items() if allowed.in_field(place_n)}
+    sigma_now = accuracy.sigma(tuple(seen), np.array(list(seen.values())).reshape(-1, 3))
+    if allowed.limit_missed:
+        return _none(names, sigma_now, allowed.limit_missed)
+    search = _Search(allowed, accuracy, names)
+    kept = np.inf if keep_n is None else search.value(allowed.nearest_box(keep_n))
+    kept_box = search.best_box
+    search.run(kept_box)
+    if search.best_box is None:
+        return _none(names, sigma_now, "separation_min_m")
+    box = kept_box if kept_box is not None and kept <= (1.0 + _ENOUGH) * search.best else search.best_box
+    places_n = allowed.places_n(box)
+    return EscortAdvice(
+        names, places_n, sigma_now, accuracy.sigma(names, places_n), tuple(allowed.limits_reached(names, places_n))
+    )
+
+
+def _none(names: tuple[str, ...], sigma_now: float, limit: str) -> EscortAdvice:
+    return EscortAdvice(names, np.full((len(names), 3), np.nan), sigma_now, float("nan"), (limit,))
+
+
+class _Search:
+    """The search for the best places, which remembers the best that it has seen.
+
+    Args:
+        allowed: places.
+        accuracy: of the pointing by lights at places.
+        names: of the drones.
+
+    Attributes:
+        best: least standard deviation of the pointing so far, rad; infinite before the first.
+        best_box: where that is, shape (N, 3); None before the first.
+    """
+
+    def __init__(self, allowed: AllowedPlaces, accuracy: LightsAccuracy, names: tuple[str, ...]) -> None:
+        self._allowed, self._accuracy, self._names = allowed, accuracy, names
+        self.best = float("inf")
+        self.best_box: FloatArray | None = None
+
+    def run(self, first: FloatArray | None) -> None:
+        """Look for the best places; ``first`` is one beginning, shape (N, 3)."""
+        begun = [] if first is None else [first]
+        begun += list(_beginnings(len(self._names)))
+        valued = sorted((self.value(box), number) for number, box in enumerate(begun))
+        scale = min(valued[0][0], self._accuracy.sigma((), np.empty((0, 3))))
+        for _, number in valued[:_FOLLOWED]:
+            self._follow(begun[number], scale)
+
+    def value(self, box: FloatArray) -> float:
+        """Standard deviation at places; infinite where the drones are too near to each other."""
+        places_n = self._allowed.places_n(box)
+        if not np.all(self._allowed.apart_m(places_n) >= self._allowed.limits.separation_min_m):
+            return float("inf")
+        return self._remembered(box, places_n)
+
+    def _remembered(self, box: FloatArray, places_n: FloatArray) -> float:
+        sigma = self._accuracy.sigma(self._names, places_n)
+        if sigma < self.best:
+            self.best, self.best_box = sigma, np.array(box)
+        return sigma
+
+    def _follow(self, begun: FloatArray, scale: float) -> None:
+        """Go down from a beginning; a step may bring drones too near to each other, but nothing there is remembered."""
+        shape, least_m = begun.shape, self._allowed.limits.separation_min_m
+
+        def value(flat: FloatArray) -> float:
+            box = np.clip(flat.reshape(shape), 0.0, 1.0)
+            places_n = self._allowed.places_n(box)
+            if np.all(self._allowed.apart_m(places_n) >= least_m):
+                return self._remembered(box, places_n) / scale
+            return self._accuracy.sigma(self._names, places_n) / scale
+
+        def room(flat: FloatArray) -> FloatArray:
+            apart_m = self._allowed.apart_m(self._allowed.places_n(flat.reshape(shape)))
+            return apart_m / max(least_m, 1.0) - least_m / max(least_m, 1.0) * (1.0 + 1e-6)
+
+        constraints = [{"type": "ineq", "fun": room}] if len(begun) > 1 and least_m > 0.0 else []
+        minimize(
+            value,
+            np.clip(begun, 0.01, 0.99).ravel(),
+            method="SLSQP",
+            bounds=[(0.0, 1.0)] * begun.size,
+            constraints=constraints,
+            options={"maxiter": _MOST_STEPS, "ftol": _TOLERANCE, "eps": 1e-4},
+        )
+
+
+def _beginnings(count: int) -> Iterator[FloatArray]:
+    """Boxes of N places: around the field in some orientations, on its upper or lower edge, at some ranges."""
+    numbers = np.arange(float(count))
+    for share in _RANGES:
+        ranges = np.full(count, share)
+        for orientation in _ORIENTATIONS:
+            yield _around(numbers, orientation, ranges)
+    for share in (0.0, 0.5, 1.0):
+        yield np.column_stack([np.full(count, share), numbers / max(count - 1, 1), np.ones(count)])
+    for orientation in _ORIENTATIONS:
+        yield _around(numbers, orientation, numbers % 2.0)
+    if count == 1:
+        yield from (np.array([[0.5, 0.5, share]]) for share in _RANGES)
+
+
+def _around(numbers: FloatArray, orientation: float, ranges: FloatArray) -> FloatArray:
+    """Places evenly around the edge of the field."""
+    angle = np.pi * orientation + 2.0 * np.pi * numbers / len(numbers)
+    # On the edge the azimuth is at one end or the other of what is allowed at an elevation.
+    side = np.where(np.abs(np.cos(angle)) < 1e-9, 0.5, (np.cos(angle) > 0.0).astype(float))
+    return np.column_stack([0.5 + 0.5 * np.sin(angle), side, ranges])

@@ -1,0 +1,163 @@
+"""All places that the limits allow a drone, as a box of three numbers between 0 and 1.
+
+Seen from the theodolite a place has a range, an elevation e and an azimuth A + α, with A and E those of the telescope's
+axis. It is in a field of the radius f where cos f ≤ sin e sin E + cos e cos E cos α. So the elevations allowed are an
+interval, and at each of them the azimuths are another one: the limits on range, elevation and field are met by
+construction. The separation of drones is left, and is compared.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ship_geometry.frames import angles_from_rotation, rotation_from_angles
+from ship_geometry.rotations import FloatArray, angle_between
+from theodolite_calib.config import EscortConfig
+
+_INSIDE = 1e-9
+"""The box keeps this share of each limit free, so that no rounding leads beyond it."""
+_AT_LIMIT = 1e-3
+"""A coordinate of the box so near to its end is at the limit."""
+_POLE = 1e-12
+_NEAREST_M = 1.0
+"""What is nearer to the theodolite is on board: no light in the field."""
+
+
+@dataclass(frozen=True)
+class AllowedPlaces:
+    """The places that the limits allow a drone while the telescope points where it points.
+
+    Attributes:
+        limits: as configured.
+        centre_n: from the ship's antenna to the theodolite (N, U, E), m, shape (3,).
+        azimuth: of the telescope's axis in the horizon, rad.
+        elevation: of it, rad.
+        least_elevation: of a drone, by limit and field, rad.
+        greatest_elevation: of a drone, rad; less than the least one where no place is allowed.
+    """
+
+    limits: EscortConfig
+    centre_n: FloatArray
+    azimuth: float
+    elevation: float
+    least_elevation: float
+    greatest_elevation: float
+
+    @classmethod
+    def around(cls, limits: EscortConfig, centre_n: FloatArray, rotation_nt: FloatArray) -> "AllowedPlaces":
+        """The places around a telescope's axis.
+
+        Args:
+            limits: as configured.
+            centre_n: from the ship's antenna to the theodolite (N, U, E), m, shape (3,).
+            rotation_nt: horizon from telescope, shape (3, 3).
+        """
+        azimuth, elevation, _ = angles_from_rotation(rotation_nt).tolist()
+        field = np.deg2rad(limits.field_deg) * (1.0 - _INSIDE)
+        least = max(float(np.deg2rad(limits.elevation_min_deg)), elevation - field)
+        greatest = min(float(np.deg2rad(limits.elevation_max_deg)), elevation + field, 0.5 * np.pi)
+        return cls(limits, centre_n, azimuth, elevation, least, greatest)
+
+    @property
+    def limit_missed(self) -> str:
+        """The limit of elevation that leaves no place in the field; empty where there are places."""
+        if self.least_elevation <= self.greatest_elevation:
+            return ""
+        low = self.elevation < np.deg2rad(self.limits.elevation_min_deg)
+        return "elevation_min_deg" if low else "elevation_max_deg"
+
+    def places_n(self, box: FloatArray) -> FloatArray:
+        """Places from the ship's antenna (N, U, E), m, shape (..., 3).
+
+        Args:
+            box: share of elevation, azimuth and range between their limits, each from 0 to 1, shape (..., 3).
+        """
+        inside = np.clip(box, _INSIDE, 1.0 - _INSIDE)
+        elevation = self.least_elevation + inside[..., 0] * (self.greatest_elevation - self.least_elevation)
+        azimuth = self.azimuth + (2.0 * inside[..., 1] - 1.0) * self._half_width(elevation)
+        near, far = self.limits.range_min_m, self.limits.range_max_m
+        range_m = near * (far / near) ** inside[..., 2]
+        level = np.cos(elevation)
+        direction_n = np.stack([level * np.cos(azimuth), np.sin(elevation), level * np.sin(azimuth)], axis=-1)
+        places_n: FloatArray = self.centre_n + range_m[..., None] * direction_n
+        return places_n
+
+    def nearest_box(self, places_n: FloatArray) -> FloatArray:
+        """The box coordinates of places, each taken to the limit that it does not meet, shape (N, 3)."""
+        path_n = places_n - self.centre_n
+        range_m, elevation = self._seen(places_n)
+        range_m = np.clip(range_m, self.limits.range_min_m, self.limits.range_max_m)
+        elevation = np.clip(elevation, self.least_elevation, self.greatest_elevation)
+        offset = np.angle(np.exp(1j * (np.arctan2(path_n[:, 2], path_n[:, 0]) - self.azimuth)))
+        near, far = self.limits.range_min_m, self.limits.range_max_m
+        box = np.stack(
+            [
+                _share(elevation - self.least_elevation, self.greatest_elevation - self.least_elevation),
+                0.5 + 0.5 * _share(offset, self._half_width(elevation)),
+                _share(np.log(range_m / near), np.log(far / near)),
+            ],
+            axis=-1,
+        )
+        nearest: FloatArray = np.clip(box, 0.0, 1.0)
+        return nearest
+
+    def in_field(self, place_n: FloatArray) -> bool:
+        """Whether a light at a place (N, U, E), m, shape (3,), is in the field of the telescope."""
+        range_m, _ = self._seen(place_n[None])
+        if not range_m[0] >= _NEAREST_M:
+            return False
+        return bool(self._off_axis(place_n[None])[0] <= np.deg2rad(self.limits.field_deg))
+
+    def apart_m(self, places_n: FloatArray) -> FloatArray:
+        """Distance of each two drones, m, shape (N (N - 1) / 2,)."""
+        first, second = np.triu_indices(len(places_n), k=1)
+        apart_m: FloatArray = np.linalg.norm(places_n[first] - places_n[second], axis=-1)
+        return apart_m
+
+    def limits_reached(self, names: tuple[str, ...], places_n: FloatArray) -> list[str]:
+        """Which limits places are at, as ``name: parameter``, and ``name, name: parameter`` for the separation."""
+        limits = self.limits
+        (range_m, elevation), off = self._seen(places_n), self._off_axis(places_n)
+        field = np.deg2rad(limits.field_deg)
+        reached = []
+        for number, name in enumerate(names):
+            at = {
+                "range_min_m": range_m[number] < limits.range_min_m * (1.0 + _AT_LIMIT),
+                "range_max_m": range_m[number] > limits.range_max_m * (1.0 - _AT_LIMIT),
+                "elevation_min_deg": elevation[number] < np.deg2rad(limits.elevation_min_deg) + _AT_LIMIT * field,
+                "elevation_max_deg": elevation[number] > np.deg2rad(limits.elevation_max_deg) - _AT_LIMIT * field,
+                "field_deg": off[number] > field * (1.0 - _AT_LIMIT),
+            }
+            reached += [f"{name}: {limit}" for limit, is_at in at.items() if is_at]
+        close = self.apart_m(places_n) < limits.separation_min_m * (1.0 + _AT_LIMIT)
+        for first, second, is_at in zip(*np.triu_indices(len(names), k=1), close, strict=True):
+            if is_at:
+                reached.append(f"{names[first]}, {names[second]}: separation_min_m")
+        return reached
+
+    def _seen(self, places_n: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Range of places, m, and their elevation, rad, shape (N,) each."""
+        path_n = places_n - self.centre_n
+        range_m = np.linalg.norm(path_n, axis=-1)
+        elevation = np.arctan2(path_n[:, 1], np.hypot(path_n[:, 0], path_n[:, 2]))
+        return range_m, elevation
+
+    def _off_axis(self, places_n: FloatArray) -> FloatArray:
+        """Angles of places from the telescope's axis, rad, shape (N,)."""
+        axis_n = rotation_from_angles(self.azimuth, self.elevation, 0.0)[:, 0]
+        return angle_between(places_n - self.centre_n, axis_n)
+
+    def _half_width(self, elevation: FloatArray) -> FloatArray:
+        """Greatest azimuth of a place from the axis at an elevation, rad."""
+        field = np.deg2rad(self.limits.field_deg) * (1.0 - _INSIDE)
+        # cos f = cos(e - E) - cos e cos E (1 - cos α), solved for α by half angles: exact for small fields too.
+        room = np.sin(0.5 * (field - elevation + self.elevation)) * np.sin(0.5 * (field + elevation - self.elevation))
+        level = np.maximum(np.cos(elevation) * np.cos(self.elevation), _POLE)
+        width: FloatArray = 2.0 * np.arcsin(np.sqrt(np.clip(room / level, 0.0, 1.0)))
+        return width
+
+
+def _share(part: FloatArray, whole: FloatArray | float) -> FloatArray:
+    """Part of a whole; nought of nothing."""
+    share: FloatArray = part / np.where(np.asarray(whole) == 0.0, np.inf, whole)
+    return share

@@ -1,0 +1,85 @@
+"""The advice for the drones of a run: by the pose of the latest pointing, at most once in a period.
+
+Only a node that gives advice imports this module: loading scipy's optimisers takes longer than all else.
+"""
+
+import numpy as np
+
+from ship_geometry.rotations import FloatArray
+from ship_geometry.time_scales import SECOND_NS
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.escort.accuracy import LightsAccuracy
+from theodolite_calib.escort.advice import EscortAdvice, advise
+from theodolite_calib.filter.alternatives import BEACON
+from theodolite_calib.filter.filter import CalibrationFilter
+from theodolite_calib.measured.samples import BaselineSample, PointingEstimate
+from theodolite_calib.measured.tracks import MeasuredTracks
+
+
+class Escort:
+    """The advice of one run.
+
+    Args:
+        config: the node's parameters.
+        filter_: the filter of that configuration.
+        tracks: what was measured.
+    """
+
+    def __init__(self, config: OpticalAxisConfig, filter_: CalibrationFilter, tracks: MeasuredTracks) -> None:
+        self._tracks = tracks
+        self._told_ns: int | None = None
+        self._names: tuple[str, ...] = ()
+        self._told_n: FloatArray | None = None
+        self.reconfigure(config, filter_)
+
+    def reconfigure(self, config: OpticalAxisConfig, filter_: CalibrationFilter) -> None:
+        """Go on with other noise."""
+        self._config, self._filter = config, filter_
+
+    def advice(self, estimate: PointingEstimate) -> EscortAdvice | None:
+        """Where the drones should fly; None before its time, or where no drone can be used.
+
+        Args:
+            estimate: the latest pointing that claims something.
+        """
+        time_ns, period_ns = estimate.time_ns, round(self._config.escort.period_s * SECOND_NS)
+        if self._told_ns is not None and time_ns - self._told_ns < period_ns:
+            return None
+        names = self._usable(estimate)
+        ship, encoder = self._tracks.ship_at(time_ns), self._tracks.encoder_at(time_ns)
+        if not names or ship is None or encoder is None:
+            return None
+        samples = {name: sample for name in names if (sample := self._newest(name, time_ns)) is not None}
+        now_n = {name: sample.vector for name, sample in samples.items()}
+        accuracy = LightsAccuracy(
+            self._config,
+            self._filter,
+            ship,
+            encoder,
+            estimate.state.mean,
+            {name: sample.covariance_n for name, sample in samples.items()},
+        )
+        if self._told_n is None or names != self._names:
+            self._told_n = np.array([now_n[name] for name in names]) if len(now_n) == len(names) else None
+        advice = advise(self._config.escort, accuracy, names, now_n, self._told_n)
+        self._told_ns, self._names = time_ns, names
+        if np.isfinite(advice.sigma_advised):
+            self._told_n = advice.places_n
+        return advice
+
+    def _usable(self, estimate: PointingEstimate) -> tuple[str, ...]:
+        """The drones whose lights the filter would use."""
+        off, excluded = set(self._config.sources_off), estimate.state.trust.excluded
+        return tuple(
+            name
+            for name in self._config.beacons
+            if BEACON + name not in excluded and not {"lights", f"baseline.{name}", f"drone.{name}"} & off
+        )
+
+    def _newest(self, name: str, time_ns: int) -> BaselineSample | None:
+        """The newest baseline to a drone; None where it is not a good one, or an old one."""
+        sample = self._tracks.baselines[name].newest
+        if sample is None or sample.refusal is not None:
+            return None
+        recent_ns = round(self._config.lights_recent_s * SECOND_NS)
+        return sample if abs(time_ns - sample.time_ns) <= recent_ns else None
