@@ -17,8 +17,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ship_attitude_star.ins_errors.process import DEFLECTION, WHOLE, Carried, deflection_change
-from ship_attitude_star.vertical.vertical_track import VerticalHere, VerticalTrack
+from ship_attitude_star.ins_errors.process import DEFLECTION, WHOLE, Carried, Vertical, deflection_change
+from ship_attitude_star.vertical.vertical_track import VerticalHere
 from ship_estimation.kalman import StateBlock, lasting
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
@@ -48,7 +48,7 @@ class InsOnGravity:
         return moved_by @ given, moved_by @ here.covariance @ moved_by.T
 
     def carried(
-        self, since_ns: int, before: VerticalHere, times_ns: Sequence[int], vertical: VerticalTrack
+        self, since_ns: int, before: VerticalHere, times_ns: Sequence[int], vertical: Vertical
     ) -> Carried:
         """See :class:`InsProcess`."""
         # Moments within an even second share one vertical.

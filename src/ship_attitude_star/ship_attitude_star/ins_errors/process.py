@@ -5,7 +5,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from ship_attitude_star.vertical.vertical_track import VerticalHere, VerticalTrack
+from ship_attitude_star.vertical.vertical_track import VerticalHere
 from ship_geometry.rotations import FloatArray
 
 WHOLE = slice(0, 3)
@@ -32,6 +32,13 @@ class Carried(NamedTuple):
     deflection_noise: FloatArray
 
 
+class Vertical(Protocol):
+    """What tells the vertical at any moment."""
+
+    def at(self, time_ns: int) -> VerticalHere:
+        """The vertical; within one even second the same object."""
+
+
 class InsProcess(Protocol):
     """The process of the INS's error.
 
@@ -49,7 +56,7 @@ class InsProcess(Protocol):
         """The states where nothing was measured yet, shape (n,), and their covariance by the deflection, (n, n)."""
 
     def carried(
-        self, since_ns: int, before: VerticalHere, times_ns: Sequence[int], vertical: VerticalTrack
+        self, since_ns: int, before: VerticalHere, times_ns: Sequence[int], vertical: Vertical
     ) -> Carried:
         """What time and way make of the states.
 

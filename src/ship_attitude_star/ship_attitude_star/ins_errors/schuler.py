@@ -28,8 +28,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ship_attitude_star.ins_errors.config import SchulerConfig
-from ship_attitude_star.ins_errors.process import DEFLECTION, WHOLE, Carried, deflection_change
-from ship_attitude_star.vertical.vertical_track import STEP_NS, VerticalHere, VerticalTrack
+from ship_attitude_star.ins_errors.process import DEFLECTION, WHOLE, Carried, Vertical, deflection_change
+from ship_attitude_star.vertical.vertical_track import STEP_NS, VerticalHere
 from ship_estimation.kalman import lasting
 from ship_geometry.geodetic import EARTH_RATE_RAD_PER_S, GeodeticPosition, horizon_radii_m, normal_gravity
 from ship_geometry.rotations import FloatArray
@@ -117,7 +117,7 @@ class SchulerIns:
         return mean, covariance
 
     def carried(
-        self, since_ns: int, before: VerticalHere, times_ns: Sequence[int], vertical: VerticalTrack
+        self, since_ns: int, before: VerticalHere, times_ns: Sequence[int], vertical: Vertical
     ) -> Carried:
         """See :class:`InsProcess`."""
         found = []
@@ -139,7 +139,7 @@ class SchulerIns:
 
     # -- the way ------------------------------------------------------------------------------------------------
 
-    def _knot_before(self, since_ns: int, before: VerticalHere, time_ns: int, vertical: VerticalTrack) -> _Knot:
+    def _knot_before(self, since_ns: int, before: VerticalHere, time_ns: int, vertical: Vertical) -> _Knot:
         """The last even second before a moment, or the beginning where that is later, with the way up to it.
 
         The way up to the moment asked for last is remembered. What it was is known by the vertical at its end: whatever
@@ -163,7 +163,7 @@ class SchulerIns:
             knots.append(self._next(knots[-1], since_ns, vertical))
         return knots[-1]
 
-    def _next(self, knot: _Knot, since_ns: int, vertical: VerticalTrack) -> _Knot:
+    def _next(self, knot: _Knot, since_ns: int, vertical: Vertical) -> _Knot:
         """The way up to the next even second, the change of the deflection there included."""
         step = knot.step + 1
         end_ns = step * STEP_NS

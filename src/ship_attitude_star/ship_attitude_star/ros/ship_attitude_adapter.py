@@ -28,6 +28,7 @@ from ship_attitude_star.ship_attitude.alignment import Alignment
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig, StarSensorConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.integrity import QUANTITIES
+from ship_attitude_star.ship_attitude.manoeuvre import TurnHint
 from ship_attitude_star.sky.sky_watch import installed_sky
 from ship_attitude_star.vertical.config import TOPIC
 from ship_bags.message_factory import MessageFactory
@@ -38,6 +39,7 @@ from ship_geometry.ros_axes import (
     mounting_quaternion,
 )
 from ship_geometry.rotations import ARCSEC
+from ship_geometry.time_scales import SECOND_NS
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.documents.saved_start import SavedStart
 from ship_node.edge.block_adapter import BlockAdapter
@@ -87,6 +89,9 @@ _RATES = {
     ),
     Rates.WRONG_UNITS: (Level.ERROR, "angular_velocity is in another unit than rad/s: the INS is not used"),
 }
+_OBSERVED_EACH_NS = 60 * SECOND_NS
+"""Time of the data between two looks at what is observable."""
+
 _GROUPS = {"star": "star_sensors", "reference": "references", BASELINE: "ship_baseline"}
 """First word of a source's name → where its parameters stand."""
 
@@ -147,6 +152,7 @@ class ShipAttitudeAdapter(BlockAdapter):
             nothing="no star attitude was used yet: there is no alignment to save",
         )
         self.start_warnings = start_warnings(config)
+        self._observed: tuple[int, DiagnosticStatus] | None = None
         super().__init__(config, core, factory, functools.partial(attitude_messages, factory), saved)
 
     def table(self, config: ShipAttitudeConfig) -> Iterator[Feed]:
@@ -218,6 +224,19 @@ class ShipAttitudeAdapter(BlockAdapter):
             published.append((DEFLECTION_TOPIC, deflection_message(factory, self.core.deflection(estimate.time_ns))))
         return [*published, ("ship/alignment", alignment_state(factory, self.core.alignment(), now_ns))]
 
+    def _observability_statuses(self) -> list[DiagnosticStatus]:
+        """What the stars have told of the states, and what a turn would tell; looked at again once a minute."""
+        state, latest = self.core.state, self.latest
+        if state.time_ns is None or latest is None or latest.status is Status.INVALID:
+            return []
+        if self._observed is None or abs(state.time_ns - self._observed[0]) >= _OBSERVED_EACH_NS:
+            told, turn = self.core.learnt(), hint_text(self.core.worthwhile_turn(latest.rotation_nd))
+            values = {f"{name} (sigma / before)": f"{left:.2f}" for name, left in told.left.items()}
+            values |= {"not told apart": "; ".join(told.open) or "nothing", "turn": turn or "none is worth it"}
+            text = turn or "no turn of the ship would tell much more"
+            self._observed = state.time_ns, DiagnosticStatus("observability", Level.OK, text, values)
+        return [self._observed[1]]
+
     def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
         """The attitude, the alignment at the start, the rates of the INS, conflicts with it, verdicts, clocks."""
         told = self.saved_remarks()
@@ -227,11 +246,21 @@ class ShipAttitudeAdapter(BlockAdapter):
             DiagnosticStatus("alignment", Level.WARN if told else Level.OK, text),
             DiagnosticStatus("ins rates", *_RATES[self.core.rates]),
             *vertical_statuses(self.core, self.latest),
+            *self._observability_statuses(),
             *self.integrity_statuses(),
             *self.conflict_statuses(),
             *self.verdicts.statuses(),
             clock_status(self.core.filter.model, self.core.state.mean, _GROUPS),
         ]
+
+
+def hint_text(hint: TurnHint | None) -> str:
+    """What a turn would bring, for people; empty where none is worth it."""
+    if hint is None:
+        return ""
+    now, on_course, after = (f'{sigma / ARCSEC:.1f}"' for sigma in (hint.now, hint.on_course, hint.after))
+    turned = f"a {hint.turn_deg:.0f}° turn: {hint.quantity} {now} → {after} in a quarter of an hour"
+    return f"{turned}, {on_course} on this course"
 
 
 def attitude_budget(factory: MessageFactory, estimate: AttitudeEstimate, sources: Sequence[str]) -> Any:

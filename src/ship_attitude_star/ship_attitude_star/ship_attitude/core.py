@@ -34,6 +34,8 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.corrected_ins import CorrectedIns
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.integrity import integrity_of
+from ship_attitude_star.ship_attitude.manoeuvre import Lately, TurnHint, worthwhile_turn
+from ship_attitude_star.ship_attitude.observability import Learnt, learnt
 from ship_attitude_star.ship_attitude.output import attitude_alone, estimate_from_star, no_estimate
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.sky.sky_watch import SkyWatch
@@ -81,6 +83,7 @@ class ShipAttitudeCore:
             failed=_failed,
             until_ns=lambda decision: decision.ins_time_ns + decision.measurement.reach_ns,
             forget_before=self._forget_before,
+            decided=self._note_used,
         )
         self._shell: EstimatorShell[FilterState, Measurement, AttitudeDecision, InsJump, AttitudeEstimate]
         self._shell = EstimatorShell(
@@ -109,6 +112,7 @@ class ShipAttitudeCore:
         self._guards = StreamGuards(self.config.ins)
         self._ins_arrival_ns: int | None = None
         self._newest_star: tuple[Measurement, int] | None = None
+        self._lately: dict[str, Lately] = {}
         if self._watch is not None:
             self._watch.reset()
         if self.vertical is not None:
@@ -307,6 +311,14 @@ class ShipAttitudeCore:
         errors = self._corrected_by(self.state).errors([time_ns])
         return DeflectionReading(time_ns, errors.deflection[0], errors.deflection_covariance[0])
 
+    def learnt(self) -> Learnt:
+        """What the data have told of the states, and what they left open."""
+        return learnt(self.filter, self.config, self.state)
+
+    def worthwhile_turn(self, rotation_nd: FloatArray) -> TurnHint | None:
+        """The turn that would bring most to a ship that lies as she does now; None where none is worth it."""
+        return worthwhile_turn(self.filter, self.state, rotation_nd, self._lately)
+
     def integrity(self, estimate: AttitudeEstimate) -> IntegrityReport:
         """How far an attitude may be wrong although nothing says so, and who is excluded."""
         return integrity_of(self.filter, self.config, estimate)
@@ -336,6 +348,15 @@ class ShipAttitudeCore:
 
     def _opened(self, state: FilterState, jump: InsJump) -> FilterState:
         return self.filter.opened(state, jump)
+
+    def _note_used(self, decision: AttitudeDecision) -> None:
+        """Keep what each source measures, and how often."""
+        measurement = decision.measurement
+        if decision.accepted:
+            before = self._lately.get(measurement.source)
+            since_s = np.inf if before is None else (measurement.time_ns - before.measurement.time_ns) / SECOND_NS
+            if since_s > 0.0:
+                self._lately[measurement.source] = Lately(measurement, since_s)
 
     def _forget_before(self, time_ns: int) -> None:
         """Forget what no measurement at or after a stamp is compared with."""

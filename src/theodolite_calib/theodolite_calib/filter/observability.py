@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ship_estimation.kalman import LinearMeasurement, StateModel, block, innovation, predict, update
+from ship_estimation.open_combinations import open_combinations
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.chain.axes import NAMES
 from theodolite_calib.filter.model import ShipErrorStep, add_steady_noise, with_step
@@ -26,12 +27,6 @@ _ONLY_SOURCE = 0
 
 _UNKNOWN = 1000.0
 """Sigma of an unknown error at the start, in sigmas of the configuration."""
-
-_OPEN = 0.5
-"""A combination with a larger share of the configured sigma left counts as open."""
-
-_TAKES_PART = 0.1
-"""Errors with a smaller share of the largest one, in configured sigmas, take no part in a combination."""
 
 
 @dataclass(frozen=True)
@@ -91,38 +86,5 @@ class Observability:
 
     def open_combinations(self, unaided: Unaided) -> tuple[str, ...]:
         """Combinations of names that the sightings so far cannot tell apart, as ``g - deformation_up``."""
-        covariance = unaided.parts[_ONLY_SOURCE][np.ix_(self._rows, self._rows)] / np.outer(self._sigma, self._sigma)
-        values, vectors = np.linalg.eigh(covariance)
-        # Rows: open combinations, in configured sigmas.
-        runs = _sparse(vectors[:, values > _OPEN**2].T)
-        return tuple(self._words(run * self._sigma) for run in runs)
-
-    def _words(self, run: FloatArray) -> str:
-        """A combination in words: its errors, with a factor where they are not as large as the first one."""
-        scaled = run / self._sigma
-        taking_part = np.flatnonzero(np.abs(scaled) > _TAKES_PART * np.max(np.abs(scaled)))
-        part = sorted(taking_part.tolist(), key=lambda index: (*NAMES, *DEFORMATION_NAMES).index(self._names[index]))
-        sizes = run[part] / run[part[0]]
-        words: str = self._names[part[0]]
-        for index, size in zip(part[1:], sizes[1:], strict=True):
-            factor = "" if abs(abs(size) - 1.0) < _TAKES_PART else f"{abs(size):.2g} "
-            words += f" {'-' if size < 0.0 else '+'} {factor}{self._names[index]}"
-        return words
-
-
-def _sparse(runs: FloatArray) -> FloatArray:
-    """Rows that span the same space, each with as few elements as possible: Gauss–Jordan, leading columns in order."""
-    runs = runs.copy()
-    done = 0
-    for column in range(runs.shape[1]):
-        if done == len(runs):
-            break
-        pivot = done + int(np.argmax(np.abs(runs[done:, column])))
-        if abs(runs[pivot, column]) < _TAKES_PART * np.max(np.abs(runs[pivot])):
-            continue
-        runs[[done, pivot]] = runs[[pivot, done]]
-        runs[done] /= runs[done, column]
-        others = np.arange(len(runs)) != done
-        runs[others] -= np.outer(runs[others, column], runs[done])
-        done += 1
-    return runs
+        covariance = unaided.parts[_ONLY_SOURCE][np.ix_(self._rows, self._rows)]
+        return open_combinations(covariance, self._sigma, self._names, (*NAMES, *DEFORMATION_NAMES))

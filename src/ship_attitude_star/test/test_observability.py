@@ -1,0 +1,87 @@
+"""What the filter knows of its states, and what a turn would bring: against the filter itself, which makes the turn."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.rotations import ARCSEC
+from ship_replay.trials.monte_carlo import attitude_outcomes, core_for
+from ship_simulation.run import simulate
+from ship_simulation.scenario.motion_scenario import AngleMotion, CarrierMotion, Turn
+from ship_simulation.scenario.scenario import Scenario
+from ship_simulation.scenario.scenario_file import load_scenario
+
+SCENARIOS = Path(__file__).parents[3] / "bags" / "scenarios"
+
+
+def voyage(turn_deg: float, duration_s: float) -> Scenario:
+    """The paper's ship without waves, thinned out; she turns after five minutes where she does."""
+    whole = load_scenario(SCENARIOS / "turn.yaml")
+    still = AngleMotion(mean_deg=34.4), AngleMotion(mean_deg=0.5), AngleMotion(mean_deg=2.0)
+    turn = Turn(start_s=300.0, angle_deg=turn_deg, rate_deg_per_s=1.0, ramp_s=5.0) if turn_deg else Turn()
+    carrier = CarrierMotion(kind="sinusoids", heading=still[0], pitch=still[1], roll=still[2], turn=turn)
+    sensors = {id_: replace(one, rate_hz=0.5, phase_s=0.0) for id_, one in whole.star_sensors.items()}
+    ins = replace(whole.ins, rate_hz=10.0, time_offset_sigma_s=0.0)
+    return replace(whole, carrier=carrier, star_sensors=sensors, ins=ins, duration_s=duration_s)
+
+
+def sailed(scenario: Scenario) -> ShipAttitudeCore:
+    core, run = core_for(scenario), simulate(scenario, 1)
+    for _ in attitude_outcomes(core, run, {int(run.ins.time_ns[-1])}):
+        pass
+    return core
+
+
+def sigmas_arcsec(core: ShipAttitudeCore) -> tuple[float, float]:
+    rows = core.filter.model.rows("ins.attitude")
+    north, up, east = core.state.covariance[rows, rows]
+    return np.sqrt(up) / ARCSEC, np.sqrt(0.5 * (north + east)) / ARCSEC
+
+
+def test_at_constant_heading_sums_are_told_and_combinations_left_open() -> None:
+    core = sailed(voyage(0.0, 290.0))
+    told = core.learnt()
+    # Installation of 1 arcsecond against 10 and 72 of the INS: the INS is told, the sensors hardly.
+    assert told.left["ins.up"] < 0.05
+    assert told.left["star.fore.up"] > 0.5
+    assert any("star.fore" in words for words in told.open)
+    # The other sensor tells the roll about its boresight: 20 arcseconds, 100 of noise in each of 145 exposures.
+    assert told.left["star.fore.forward"] < 0.5
+
+
+def test_before_any_star_nothing_is_told() -> None:
+    core = core_for(voyage(0.0, 10.0))
+    told = core.learnt()
+    assert set(told.left.values()) == {1.0}
+    assert len(told.open) == len(told.left)
+
+
+def bolted_within_5_arcseconds(scenario: Scenario) -> Scenario:
+    loose = {"installation_sigma_up_arcsec": 5.0, "installation_sigma_right_arcsec": 5.0}
+    sensors = {id_: replace(one, **loose) for id_, one in scenario.star_sensors.items()}
+    return replace(scenario, star_sensors=sensors)
+
+
+def test_a_turn_brings_what_the_hint_says() -> None:
+    # 34.4° of heading, 0.5° of pitch, 2° of roll, as she sails.
+    lies_nd = rotation_from_angles(*np.deg2rad([34.4, 0.5, 2.0]))
+    hint = sailed(bolted_within_5_arcseconds(voyage(0.0, 290.0))).worthwhile_turn(lies_nd)
+    assert hint is not None
+    turned = sailed(bolted_within_5_arcseconds(voyage(hint.turn_deg, 1200.0 + hint.turn_deg)))
+    straight = sailed(bolted_within_5_arcseconds(voyage(0.0, 1190.0)))
+    assert hint.quantity == "tilt"
+    assert sigmas_arcsec(straight)[1] == pytest.approx(hint.on_course / ARCSEC, rel=0.03)
+    assert sigmas_arcsec(turned)[1] == pytest.approx(hint.after / ARCSEC, rel=0.05)
+    assert hint.after < 0.7 * hint.on_course
+
+
+def test_where_the_mounting_is_surveyed_well_no_turn_is_worth_it() -> None:
+    assert sailed(voyage(0.0, 290.0)).worthwhile_turn(np.eye(3)) is None
+
+
+def test_without_stars_there_is_no_hint() -> None:
+    assert core_for(voyage(0.0, 10.0)).worthwhile_turn(np.eye(3)) is None
