@@ -17,11 +17,14 @@ from rich.progress import track
 from ship_estimation.gates import mean_nees_band, sigma_ratio_band
 from ship_geometry.rotations import ARCSEC
 from ship_replay.trials.monte_carlo import FinalError, final_error
+from ship_simulation.scenario.motion_scenario import AngleMotion, CarrierMotion
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
 
 SCENARIOS = Path(__file__).parents[1] / "bags" / "scenarios"
-NAMES = ("paper", "one_sensor", "turn", "outage", "late_shuffled", "sea_state_5", "paper_stars")
+LONG = ("schuler", "deflection")
+"""Of hours, in which the sea tells nothing: the ship lies still, and every device speaks each ten seconds."""
+NAMES = ("paper", "one_sensor", "turn", "outage", "late_shuffled", "sea_state_5", "paper_stars", *LONG)
 
 
 def main() -> int:
@@ -52,8 +55,25 @@ def main() -> int:
 
 def _scenario(name: str, ins_rate_hz: float, recording: Path | None, duration_s: float | None) -> Scenario:
     scenario = load_scenario(SCENARIOS / f"{name}.yaml", recording=recording if name == "recorded" else None)
+    if name in LONG:
+        return _thinned(scenario)
     ins = dataclasses.replace(scenario.ins, rate_hz=ins_rate_hz)
     return dataclasses.replace(scenario, ins=ins, duration_s=duration_s or scenario.duration_s)
+
+
+def _thinned(scenario: Scenario) -> Scenario:
+    """A voyage of hours without waves, with a sample of each device every ten seconds."""
+    heading, pitch, roll = AngleMotion(mean_deg=5.0), AngleMotion(mean_deg=0.5), AngleMotion(mean_deg=2.0)
+    sensors = {
+        id_: dataclasses.replace(one, rate_hz=0.1, phase_s=0.0) for id_, one in scenario.star_sensors.items()
+    }
+    return dataclasses.replace(
+        scenario,
+        carrier=CarrierMotion(kind="sinusoids", heading=heading, pitch=pitch, roll=roll),
+        ins=dataclasses.replace(scenario.ins, rate_hz=0.1, time_offset_sigma_s=0.0),
+        position=dataclasses.replace(scenario.position, rate_hz=0.1),
+        star_sensors=sensors,
+    )
 
 
 def _judged(console: Console, name: str, results: list[FinalError]) -> bool:

@@ -209,7 +209,7 @@ def _information(measurement: Measurement) -> FloatArray:
     """What a measurement tells of a turn of its device about (forward, up, right), 1/rad², shape (3, 3)."""
     if isinstance(measurement, (AttitudeMeasurement, InertialAttitude)):
         noise_v = measurement.noise_v if isinstance(measurement, AttitudeMeasurement) else measurement.noise_s
-        inverse: FloatArray = np.linalg.inv(noise_v)
+        inverse: FloatArray = np.asarray(np.linalg.inv(noise_v), dtype=np.float64)
         return _symmetric(inverse)
     if isinstance(measurement, BaselineMeasurement):
         variance = float(np.trace(measurement.noise_n)) / 3.0 / measurement.length_m**2
