@@ -5,8 +5,7 @@ FAULTED_BAGS says how many of them.
 """
 
 import os
-from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ import pytest
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.star_attitude.core import StarCore
 from ship_bags.mcap.bag_reader import BagRecord, read_bag
-from ship_bags.message_store import RosbagsFactory, serialize
+from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import NS_PER_S
 from ship_estimation.protection import IntegrityConfig
 from ship_replay.offline import block_run
@@ -28,6 +27,7 @@ from ship_replay.trials.fault_voyage import make_bag, taken_topics
 from ship_replay.trials.threats import OVERLAPPING, SINGLE, draw_faults
 from ship_simulation.draws.noise import random_stream
 from ship_simulation.faults.injection import Injection
+from ship_testing.kept_sink import KeptSink, Published
 from theodolite_calib.optical_axis.output import PointingOutput
 
 SCENARIOS = Path(__file__).resolve().parents[3] / "bags" / "scenarios"
@@ -38,33 +38,11 @@ NAMES = [
 FAULTED_BAGS = int(os.environ.get("FAULTED_BAGS", "6"))
 FAULT_SECONDS, SUITE_SECONDS = 45.0, 30.0
 
-Published = dict[str, list[tuple[int, bytes]]]
-
-
-class Kept:
-    """A sink that keeps what it is given: topic → log time and bytes of each message."""
-
-    def __init__(self) -> None:
-        self.published: Published = defaultdict(list)
-
-    def write(self, topic: str, message: Any, log_time_ns: int) -> None:
-        self.write_raw(topic, "", serialize(message), log_time_ns)
-
-    def write_raw(self, topic: str, _type_name: str, data: bytes, log_time_ns: int) -> None:
-        self.published[topic].append((log_time_ns, bytes(data)))
-
-    def write_many(
-        self, topics: Sequence[tuple[str, str]], of_topic: np.ndarray, data: Sequence[bytes], log_times_ns: np.ndarray
-    ) -> None:
-        for number, content, time_ns in zip(of_topic.tolist(), data, log_times_ns.tolist(), strict=True):
-            self.published[topics[number][0]].append((time_ns, bytes(content)))
-
-
 def replayed(run_class: type[ReplayRun], bag_path: Path, injection: Injection) -> tuple[Published, ReplaySummary]:
     with read_bag(bag_path) as bag:
         chain, _ = suite_chain(bag, ADAPTERS, RosbagsFactory())
         truth = {topic for topic in bag.topics if topic.startswith("truth/")}
-        taken, sink, summary = {topic.topic for topic in chain.inputs} | truth, Kept(), ReplaySummary()
+        taken, sink, summary = {topic.topic for topic in chain.inputs} | truth, KeptSink(), ReplaySummary()
         run = run_class(chain, sink, summary, truth_topics=truth)
         records: Iterator[BagRecord] = injection.records(bag)
         for record in records:

@@ -4,23 +4,20 @@ Health, diagnostics and the innovations that name the source tell of its message
 expected is a replay of the same bag without the topic, by the same code without the parameter.
 """
 
-from collections import defaultdict
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
 import yaml
 
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
-from ship_bags.message_store import RosbagsFactory, message_store, serialize
+from ship_bags.message_store import RosbagsFactory, message_store
 from ship_estimation.refusals import Reason
 from ship_replay.offline.adapter_chain import suite_chain
 from ship_replay.offline.block_run import BlockRun
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
+from ship_testing.kept_sink import KeptSink, Published
 from ship_testing.places import ROOT
 
 DEMO, THEODOLITE = ROOT / "bags" / "demo.mcap", ROOT / "bags" / "theodolite.mcap"
@@ -28,7 +25,6 @@ OF_ITSELF = {"/diagnostics", "input_health"}
 INNOVATIONS = {"ship/innovation", "theodolite/innovation", "star/innovation"}
 LENGTH_NS = 25_000_000_000
 
-Told = dict[str, list[tuple[int, bytes]]]
 CASES = [
     (DEMO, "ship_attitude", "star.fore", "star/fore/horizon_attitude"),
     (DEMO, "ship_attitude", "star.starboard", "star/starboard/horizon_attitude"),
@@ -38,30 +34,11 @@ CASES = [
 ]
 
 
-class Kept:
-    """A sink that keeps what it is given: topic → log time and bytes of each message."""
-
-    def __init__(self) -> None:
-        self.published: Told = defaultdict(list)
-
-    def write(self, topic: str, message: Any, log_time_ns: int) -> None:
-        self.write_raw(topic, "", serialize(message), log_time_ns)
-
-    def write_raw(self, topic: str, _type_name: str, data: bytes, log_time_ns: int) -> None:
-        self.published[topic].append((log_time_ns, bytes(data)))
-
-    def write_many(
-        self, topics: Sequence[tuple[str, str]], of_topic: np.ndarray, data: Sequence[bytes], log_times_ns: np.ndarray
-    ) -> None:
-        for number, content, time_ns in zip(of_topic.tolist(), data, log_times_ns.tolist(), strict=True):
-            self.published[topics[number][0]].append((time_ns, bytes(content)))
-
-
-def replayed(run_class: type[ReplayRun], bag_path: Path, config_path: Path | None, without: str = "") -> Told:
+def replayed(run_class: type[ReplayRun], bag_path: Path, config_path: Path | None, without: str = "") -> Published:
     """What the nodes say of the beginning of a bag, one topic left out."""
     with read_bag(bag_path) as bag:
         chain, _ = suite_chain(bag, ADAPTERS, RosbagsFactory(), config_path)
-        taken, sink = {topic.topic for topic in chain.inputs} - {without}, Kept()
+        taken, sink = {topic.topic for topic in chain.inputs} - {without}, KeptSink()
         run = run_class(chain, sink, ReplaySummary(), truth_topics=set())
         assert bag.start_ns is not None
         for record in bag.records():
@@ -83,7 +60,7 @@ def suite_without(bag_path: Path, node: str, source: str, folder: Path) -> Path:
     return path
 
 
-def estimates(told: Told, source: str) -> tuple[Told, int]:
+def estimates(told: Published, source: str) -> tuple[Published, int]:
     """All that is said but health, diagnostics and that the source is off; and how often that is said."""
     kept, count = {}, 0
     for topic, messages in told.items():
