@@ -120,6 +120,6 @@ def mark_sensors(axes: Axes, layout: Layout, moved: int) -> None:
     directions_deg = np.rad2deg(layout.angles[:, :2]) % 360.0
     others = np.delete(directions_deg, moved, axis=0)
     look: dict[str, Any] = {"ls": "", "markeredgecolor": "white", "clip_on": False, "zorder": 5}
-    axes.plot(*directions_deg[moved], "*", ms=17, color=GIVEN, label=f"sensor “{layout.names[moved]}” as given", **look)
+    axes.plot(*directions_deg[moved], "*", ms=17, color=GIVEN, label="the sensor as given", **look)
     if others.size:
         axes.plot(others[:, 0], others[:, 1], "o", ms=10, color=BEST, label="other sensors", **look)

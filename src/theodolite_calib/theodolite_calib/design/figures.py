@@ -7,13 +7,15 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter
+from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator, NullFormatter
 
 from ship_node.documents.figure_files import write_figures
 from theodolite_calib.design.study import DesignStudy, Sweep
 
 _GIVEN, _BEST = "#0b3c6f", "#c1440e"
 _COLUMNS = 2
+_FINE, _COARSE, _WIDE = (1.0, 2.0, 5.0), (1.0, 3.0), 100.0
+"""Labels of a decade; where an axis reaches so far that the former would meet one another, the latter."""
 _HIGHEST = 8.0
 """The axis of errors ends at so many times the error as given: beyond it the design is another one."""
 
@@ -77,12 +79,13 @@ def _draw_sweep(axes: Axes, sweep: Sweep, study: DesignStudy) -> None:
         axes.axhline(required_arcsec, color="0.3", ls=":", lw=1.5, label="required")
     shown = [*sweep.sigma_arcsec, *sweep.best_arcsec[asked], required_arcsec or given_arcsec]
     axes.set(
-        xlabel=f"{sweep.label} [{sweep.unit}]",
+        xlabel=sweep.label if sweep.unit == "m" else f"{sweep.label} [{sweep.unit}]",
         ylabel="error [″]",
         ylim=(0.8 * np.nanmin(shown), min(1.25 * np.nanmax(shown), _HIGHEST * given_arcsec)),
     )
-    plain = FuncFormatter(lambda value, _: f"{value:g}")
-    axes.xaxis.set_major_formatter(plain)
-    axes.yaxis.set_major_formatter(plain)
-    axes.yaxis.set_minor_formatter(plain)
-    axes.tick_params(axis="y", which="minor", labelsize=8)
+    plain, in_units = FuncFormatter(lambda value, _: f"{value:g}"), EngFormatter(unit=sweep.unit, sep="\u2009")
+    for axis, words in ((axes.xaxis, in_units if sweep.unit == "m" else plain), (axes.yaxis, plain)):
+        low, high = axis.get_view_interval()
+        axis.set_major_locator(LogLocator(subs=_FINE if high < _WIDE * low else _COARSE))
+        axis.set_major_formatter(words)
+        axis.set_minor_formatter(NullFormatter())
