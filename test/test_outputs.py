@@ -12,6 +12,7 @@ from ship_bags.commands import record as record_command
 from ship_replay.commands import axis_sightings as axis_sightings_command
 from ship_replay.commands import calibrate_installation as calibrate_installation_command
 from ship_replay.commands import evaluate as evaluate_command
+from ship_replay.commands import identify_noise as identify_noise_command
 from ship_replay.commands import replay as replay_command
 from ship_simulation import simulate_command
 from theodolite_calib.axis_fit import fit_axes_command
@@ -31,6 +32,7 @@ FILES = {
     "import_nmea": (import_nmea_command.main, ["--ins", "absent"], "--out", "out.mcap"),
     "axis_sightings": (axis_sightings_command.main, ["absent"], "--out", "out.csv"),
     "calibrate_installation": (calibrate_installation_command.main, ["absent"], "--out", "out.yaml"),
+    "identify_noise": (identify_noise_command.main, ["absent"], "--out", "out.yaml"),
     "evaluate --json": (evaluate_command.main, ["absent"], "--json", "out.json"),
     "evaluate --figure": (evaluate_command.main, ["absent"], "--figure", "out.png"),
     "record": (record_command.main, [], "--out", "out.mcap"),

@@ -30,6 +30,7 @@ setup(
             "check_config = ship_replay.commands.check_config:main",
             "axis_sightings = ship_replay.commands.axis_sightings:main",
             "calibrate_installation = ship_replay.commands.calibrate_installation:main",
+            "identify_noise = ship_replay.commands.identify_noise:main",
             # Where bags and scenarios were before they had packages of their own.
             "record = ship_replay.commands.moved:say",
             "play = ship_replay.commands.moved:say",

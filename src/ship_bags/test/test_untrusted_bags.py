@@ -19,6 +19,7 @@ from ship_bags.mcap.chunk_content import MAX_CHUNK_RECORDS, records_of_chunk
 from ship_replay.commands import axis_sightings as axis_sightings_command
 from ship_replay.commands import calibrate_installation as calibrate_installation_command
 from ship_replay.commands import evaluate as evaluate_command
+from ship_replay.commands import identify_noise as identify_noise_command
 from ship_replay.commands import replay as replay_command
 from ship_testing.hand_made_bags import START_NS, write_imu_bag
 from ship_testing.mcap_places import places
@@ -135,6 +136,7 @@ def test_mend_25_an_attached_configuration_is_one_line_and_no_file_is_read(tmp_p
         (evaluate_command.main, []),
         (calibrate_installation_command.main, ["--out", str(tmp_path / "out.yaml")]),
         (axis_sightings_command.main, ["--out", str(tmp_path / "out.csv")]),
+        (identify_noise_command.main, ["--out", str(tmp_path / "noise.yaml")]),
     ):
         assert main([str(bag), *arguments]) == 2
         said = capsys.readouterr()

@@ -2,5 +2,6 @@
 
 The package stands above all others of the suite but those that people look at, and knows their adapters. Its rooms,
 each above the next: ``commands/`` what people type, ``campaign/`` many runs at once, ``report/`` their pages,
-``calibration/``, ``evaluation/``, ``preflight/`` and ``trials/`` what is asked of a run, ``offline/`` the replay.
+``calibration/``, ``evaluation/``, ``ins_noise/``, ``preflight/`` and ``trials/`` what is asked of a run, ``offline/``
+the replay.
 """

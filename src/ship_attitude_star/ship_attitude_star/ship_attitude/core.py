@@ -34,6 +34,7 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.corrected_ins import CorrectedIns
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.integrity import integrity_of
+from ship_attitude_star.ship_attitude.linearised import Linearised
 from ship_attitude_star.ship_attitude.manoeuvre import Lately, TurnHint, worthwhile_turn
 from ship_attitude_star.ship_attitude.observability import Learnt, learnt
 from ship_attitude_star.ship_attitude.output import attitude_alone, estimate_from_star, no_estimate
@@ -295,6 +296,15 @@ class ShipAttitudeCore:
         self._carry(outcome, waiting_ns)
         self._shell.say_invalid(outcome, waiting_ns, lambda: no_estimate(self.filter, self.state, now_ns))
         return outcome
+
+    def linearised(self, measurement: Measurement) -> Linearised | None:
+        """A measurement against the INS, linearised at the estimate of now; None where it cannot be compared.
+
+        The samples of the INS around its stamp must still be remembered: to be asked when it has just been judged.
+        """
+        state = self.state
+        found = self.filter.linearisation.of(measurement, state.mean, state.covariance, self._track, self._watch)
+        return found if isinstance(found, Linearised) else None
 
     def alignment(self) -> Alignment:
         """What the filter now knows of the INS's errors, installation angles and clocks."""

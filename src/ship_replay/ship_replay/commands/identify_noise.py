@@ -1,0 +1,56 @@
+"""``identify_noise``: how the error of the INS goes on, from a bag with stars, as parameters of ``ship_attitude``."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
+from ship_bags.errors import BadInput
+from ship_bags.mcap.bag_reader import watched
+from ship_bags.output_files import add_force, check_file, write_whole
+from ship_replay.ins_noise.identification import identify
+from ship_replay.ins_noise.session import run_session
+from ship_replay.ins_noise.written import parameter_file_text, said
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point."""
+    return run_command(_parser(), _run, arguments)
+
+
+def _parser() -> CommandParser:
+    parser = CommandParser(
+        prog="identify_noise",
+        example="./ros2run ship_replay identify_noise night.mcap --out noise.yaml",
+        epilog="exit code: 0 found, with or without warnings; 2 bad input or usage, with one line that says which; 130 "
+        "interrupted",
+        description="Find how the error of the INS goes on, from a bag with ins/imu, star sensors and, for the model "
+        "schuler, gnss/fix: white noise, Gauss-Markov or Schuler, by maximum likelihood over the innovations of the "
+        "star attitudes. Says which model fits, how well each parameter is known [1 sigma], and where predictions "
+        "over parts of the record without stars were worse than claimed.",
+    )
+    parser.add_argument("bag", type=Path, metavar="BAG", help=".mcap file or rosbag2 folder")
+    parser.add_argument(
+        "--config", type=Path, metavar="SUITE", help="suite configuration (default: suite.yaml attached to the bag)"
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE.yaml", help="parameter file to write: section ins of ship_attitude"
+    )
+    parser.add_argument("--namespace", default="", help="namespace of the ship's topics in the bag")
+    add_force(parser)
+    return parser
+
+
+def _run(options: argparse.Namespace) -> int:
+    if options.out is not None:
+        if options.out.resolve() == options.bag.resolve():
+            raise BadInput("the output would overwrite the input", file=options.out)
+        check_file(options.out, options.force)
+    found = identify(run_session(options.bag, options.config, options.namespace, watch=watched))
+    sys.stdout.writelines(f"{line}\n" for line in said(found))
+    sys.stdout.writelines(f"warning: {line}\n" for line in found.warnings)
+    if options.out is not None:
+        write_whole(options.out, parameter_file_text(found))
+        sys.stdout.write(f"parameters: {options.out}\n")
+    return EXIT_DONE

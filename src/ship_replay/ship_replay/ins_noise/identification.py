@@ -1,0 +1,150 @@
+"""Which model of the INS's error a record speaks for, with what parameters, and what must be warned of."""
+
+import math
+from dataclasses import dataclass
+
+from ship_attitude_star.ins_errors.config import GAUSS_MARKOV
+from ship_bags.errors import BadInput
+from ship_replay.ins_noise.fit import FittedModel, fit
+from ship_replay.ins_noise.outage import OutageCheck, outage_checks
+from ship_replay.ins_noise.processes import models_of
+from ship_replay.ins_noise.session import NoiseSession, place_of
+from ship_replay.ins_noise.star_record import StarRecord, star_record
+
+TIMES_NEEDED = 200.0
+"""Correlation times in a record that tells sigma within 10 % and the time within 30 %."""
+
+_LEAST_EPOCHS = 50
+_CLEAR = 10.0
+"""Difference of AIC that leaves no doubt (Burnham and Anderson 2002, §2.6)."""
+
+_EXPECTED_REFUSED = 0.01
+_VAGUE = 0.3
+_HOUR_S = 3600.0
+
+
+@dataclass(frozen=True)
+class Identification:
+    """What a record says of the INS.
+
+    Attributes:
+        session: that it comes from.
+        record: of it.
+        fitted: models, the one that fits best first.
+        outages: by model, what its predictions are worth.
+    """
+
+    session: NoiseSession
+    record: StarRecord
+    fitted: list[FittedModel]
+    outages: dict[str, list[OutageCheck]]
+
+    @property
+    def best(self) -> FittedModel:
+        """The model that fits best, by Akaike's criterion."""
+        return self.fitted[0]
+
+    @property
+    def verdict(self) -> str:
+        """Which model fits, by what."""
+        first, *others = self.fitted
+        if not others:
+            return f"{first.model.name} alone was tried"
+        (other,) = others
+        ahead = other.aic - first.aic
+        how = "fits" if ahead >= _CLEAR else f"fits better, but hardly ({_CLEAR:g} in AIC would leave no doubt)"
+        return (
+            f"{first.model.name} {how}: log likelihood {first.log_likelihood:.1f} with {len(first.values)} parameters "
+            f"against {other.log_likelihood:.1f} with {len(other.values)} of {other.model.name}; AIC (2 p - 2 log L) "
+            f"less by {ahead:.1f}"
+        )
+
+    @property
+    def warnings(self) -> list[str]:
+        """What must not be relied on, one line each."""
+        return [
+            *(line for fitted in self.fitted for line in self._dishonest(fitted.model.name)),
+            *self._too_short(),
+            *self._of_input(),
+            *self.session.problems,
+        ]
+
+    def _dishonest(self, model: str) -> list[str]:
+        """Where the predictions of a model missed by more than they claimed; of tilt and heading the worst."""
+        if model not in (GAUSS_MARKOV, self.best.model.name):
+            return []
+        lines = []
+        for part in ("tilt", "heading"):
+            wrong = [check for check in self.outages[model] if not check.parts[part].is_honest]
+            if wrong:
+                worst = max(wrong, key=lambda check: check.parts[part].nees / check.parts[part].most)
+                missed = worst.parts[part]
+                had, sigma = missed.rms_arcsec, missed.sigma_arcsec
+                text = (
+                    f"the most likely parameters of {model} are not honest in an outage: {part} predicted over "
+                    f"{worst.horizon_s:.0f} s, {worst.intervals} times: {had:.1f}″ had, {had / sigma:.1f} × its σ of "
+                    f"{sigma:.1f}″ (mean NEES {missed.nees:.1f}, at most {missed.most:.1f} with 99.9 %)"
+                )
+                lines.append(text)
+        return lines
+
+    def _too_short(self) -> list[str]:
+        """Gauss-Markov's sigma and time by themselves need a record of many times."""
+        fitted = next(found for found in self.fitted if found.model.name == GAUSS_MARKOV)
+        told = {what.name: fitted.told(what) for what in fitted.model.told}
+        lines = []
+        for axis in ("tilt", "heading"):
+            (_, log_sigma), (time_s, log_time) = told[f"{axis}_sigma_arcsec"], told[f"{axis}_time_s"]
+            times = self.record.duration_s / time_s
+            if times < TIMES_NEEDED:
+                lines.append(
+                    f"gauss_markov, {axis}: {self.record.duration_s / _HOUR_S:.2g} h are {times:.2g} correlation times "
+                    f"and cannot tell σ and τ apart (σ {spread(log_sigma)}, τ {spread(log_time)}); 10 % and 30 % need "
+                    f"{TIMES_NEEDED:g} times, {TIMES_NEEDED * time_s / _HOUR_S:.0f} h; what it tells is 2σ²/τ"
+                )
+        return lines
+
+    def _of_input(self) -> list[str]:
+        session, record, lines = self.session, self.record, []
+        if len(self.fitted) == 1:
+            lines.append("schuler was not tried: no position fix tells the latitude")
+        white, log_sigma = self.best.told(self.best.model.told[0])
+        if not log_sigma <= _VAGUE:
+            lines.append(
+                f"the record does not tell white_sigma_arcsec ({white:.2g}″, {spread(log_sigma)}): the star sensors' "
+                "own noise hides it, or their messages state more than they have"
+            )
+        used = len(session.pairs)
+        if session.refused > _EXPECTED_REFUSED * (used + session.refused):
+            lines.append(
+                f"{session.refused} of {used + session.refused} star measurements were not used: see replay --report"
+            )
+        if not session.config.gravity.is_modelled:
+            lines.append("gravity.deflection is none: the deflection of the vertical is part of the error found")
+        if record.every > 1:
+            lines.append(f"one of every {record.every} epochs was used: as many as are needed")
+        return lines
+
+
+def spread(log_sigma: float) -> str:
+    """How well a positive number is known, by the sigma of its logarithm."""
+    if log_sigma <= _VAGUE:
+        return f"± {100.0 * log_sigma:.0f} %"
+    factor = math.exp(log_sigma)
+    return f"within a factor of {factor:.1f}" if factor < 100.0 else "not told"
+
+
+def identify(session: NoiseSession) -> Identification:
+    """What a session says of the INS.
+
+    Raises:
+        BadInput: it is too short to say anything.
+    """
+    record = star_record(session)
+    if len(record.times_s) < _LEAST_EPOCHS:
+        text = f"{len(record.times_s)} epochs of stars: expected at least {_LEAST_EPOCHS}, better hours of them"
+        raise BadInput(f"{session.name}: {text}")
+    place = place_of(session.pairs)
+    fitted = sorted((fit(record, model) for model in models_of(session.config.ins, place)), key=lambda one: one.aic)
+    outages = {one.model.name: outage_checks(record, one) for one in fitted}
+    return Identification(session, record, fitted, outages)

@@ -1,0 +1,187 @@
+"""The likelihood of a record for a process of the INS's error: a Kalman filter over its epochs.
+
+The filter works on what an epoch says as information (matrix L, vector h), which any number of measurements of any kind
+has the same way; the likelihood is the density of the innovations (Schweppe 1965), and exact:
+
+    log p = -1/2 log det(I + L P) + h·m - 1/2 m·L m + 1/2 r·(P' r)        r = h - L m,  P' = P - P (I + L P)^-1 L P
+
+Constants (installations, clocks) are no states: the mean is carried as a linear function of them, and they are
+integrated out at the end (de Jong 1991). Several sets of parameters go through side by side: a gradient by differences
+costs little more than one likelihood.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ship_geometry.rotations import FloatArray
+from ship_replay.ins_noise.star_record import StarRecord, white_taken_out
+
+
+class ProcessSteps(NamedTuple):
+    """An INS's error along E epochs, for k sets of parameters; n states of which the first three are u, in arcseconds.
+
+    Attributes:
+        start: covariance at the first epoch, shape (k, n, n).
+        transition: to each further epoch, shape (k, E - 1, n, n), or (1, E - 1, n, n) where all have the same.
+        noise: what comes new on the way, shape (k, E - 1, n, n).
+        white: variance of a sample's white noise about each axis, arcsec², shape (k, 3).
+    """
+
+    start: FloatArray
+    transition: FloatArray
+    noise: FloatArray
+    white: FloatArray
+
+
+class Known(NamedTuple):
+    """What is known after an epoch, or of a later one: states and constants together.
+
+    Attributes:
+        mean: shape (n + c,).
+        covariance: shape (n + c, n + c).
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+
+
+class EpochFilter:
+    """The Kalman filter over a record for k sets of parameters of a process.
+
+    The states are u, what moves beside it, then the rest of the process.
+
+    Args:
+        record: what was measured.
+        steps: the process along it.
+
+    Attributes:
+        times_s: of the epochs, shape (E,).
+    """
+
+    def __init__(self, record: StarRecord, steps: ProcessSteps) -> None:
+        said = [white_taken_out(record, white) for white in steps.white]
+        self._record, self._sets = record, len(steps.start)
+        self.times_s = record.times_s
+        self._seen = 3 + record.moving.count
+        self._information = np.array([matrix for matrix, _ in said])
+        self._log_factors = np.array([log_factor for _, log_factor in said])
+        self._start, self._transition, self._noise = _with_moving(record, steps)
+        self._run()
+
+    def _run(self) -> None:
+        """Carry means and covariances through all epochs; all that the likelihood needs besides follows from them."""
+        seen, information, count = self._seen, self._information, len(self._record.times_s)
+        matrices = information[:, :, :seen, :seen]
+        # What an epoch says of the states, and its derivatives by the constants.
+        vectors = np.concatenate([information[:, :, :seen, -1:], -information[:, :, :seen, seen:-1]], axis=-1)
+        transitions, back = self._transition, np.swapaxes(self._transition, -1, -2)
+        size, columns = self._start.shape[-1], vectors.shape[-1]
+        self._means = np.zeros((self._sets, count, size, columns))
+        self._covariances = np.zeros((self._sets, count, size, size))
+        self._before = np.zeros((self._sets, count, seen, columns))
+        self._spreads = np.zeros((self._sets, count, seen, seen))
+        mean, covariance, unit = np.zeros((self._sets, size, columns)), self._start, np.eye(seen)
+        for epoch in range(count):
+            if epoch:
+                transition = transitions[:, epoch - 1]
+                mean = transition @ mean
+                covariance = transition @ covariance @ back[:, epoch - 1] + self._noise[:, epoch - 1]
+            matrix = matrices[:, epoch]
+            beside, before = covariance[:, :, :seen], mean[:, :seen]
+            spread = unit + matrix @ beside[:, :seen]
+            rest = vectors[:, epoch] - matrix @ before
+            solved = np.linalg.solve(spread, np.concatenate([matrix, rest], axis=-1))
+            self._before[:, epoch], self._spreads[:, epoch] = before, spread
+            mean = mean + beside @ solved[:, :, seen:]
+            covariance = covariance - beside @ solved[:, :, :seen] @ np.swapaxes(beside, -1, -2)
+            # Without this what rounding makes unequal grows from step to step.
+            covariance = 0.5 * (covariance + np.swapaxes(covariance, -1, -2))
+            self._means[:, epoch], self._covariances[:, epoch] = mean, covariance
+        after = self._means[:, :, :seen]
+        rests = vectors - matrices @ self._before
+        self._squares = (
+            _as_function_of_constants(information[:, :, seen:, seen:])
+            - np.swapaxes(vectors, -1, -2) @ self._before
+            - np.swapaxes(self._before, -1, -2) @ rests
+            - np.swapaxes(rests, -1, -2) @ (after - self._before)
+        )
+
+    def log_likelihoods(self) -> FloatArray:
+        """The log likelihood of each set of parameters, shape (k,)."""
+        squares, prior = self._squares.sum(axis=1), self._record.constants
+        by_constants, information = squares[:, 1:, :1], squares[:, 1:, 1:]
+        with_prior = np.eye(len(prior)) + information @ prior
+        explained = np.swapaxes(by_constants, -1, -2) @ prior @ np.linalg.solve(with_prior, by_constants)
+        determinants = np.linalg.slogdet(self._spreads)[1].sum(axis=1) + np.linalg.slogdet(with_prior)[1]
+        of_record = self._record.log_constant + self._log_factors.sum(axis=1)
+        found: FloatArray = of_record - 0.5 * (squares[:, 0, 0] - explained[:, 0, 0] + determinants)
+        return found
+
+    def known(self, epoch: int) -> Known:
+        """What the first set of parameters knows after an epoch, by all epochs up to it."""
+        squares, prior = self._squares[0, : epoch + 1].sum(axis=0), self._record.constants
+        covariance = np.linalg.solve(np.eye(len(prior)) + prior @ squares[1:, 1:], prior)
+        constants = -covariance @ squares[1:, 0]
+        mean, by_constants = self._means[0, epoch, :, 0], self._means[0, epoch, :, 1:]
+        shared = by_constants @ covariance
+        of_states = self._covariances[0, epoch] + shared @ by_constants.T
+        return Known(
+            np.concatenate([mean + by_constants @ constants, constants]),
+            np.block([[of_states, shared], [shared.T, covariance]]),
+        )
+
+    def ahead(self, known: Known, epoch: int, later: int) -> Known:
+        """What is known of a later epoch by nothing that came since an epoch."""
+        size = self._start.shape[-1]
+        mean, covariance = known.mean.copy(), known.covariance.copy()
+        for step in range(epoch, later):
+            transition = self._transition[0, step]
+            mean[:size] = transition @ mean[:size]
+            covariance[:size] = transition @ covariance[:size]
+            covariance[:, :size] = covariance[:, :size] @ transition.T
+            covariance[:size, :size] += self._noise[0, step]
+        return Known(mean, covariance)
+
+    def with_epoch(self, known: Known, epoch: int) -> Known:
+        """What is known of an epoch with what it says itself."""
+        information = self._information[0, epoch]
+        size = self._start.shape[-1]
+        rows = np.r_[0 : self._seen, size : len(known.mean)]
+        matrix, vector = information[:-1, :-1], information[:-1, -1]
+        beside = known.covariance[:, rows]
+        spread = np.eye(len(rows)) + matrix @ beside[rows]
+        after = known.covariance - beside @ np.linalg.solve(spread, matrix @ beside.T)
+        return Known(known.mean + after[:, rows] @ (vector - matrix @ known.mean[rows]), after)
+
+
+def log_likelihoods(record: StarRecord, steps: ProcessSteps) -> FloatArray:
+    """The log likelihood of each set of parameters, shape (k,)."""
+    return EpochFilter(record, steps).log_likelihoods()
+
+
+def _with_moving(record: StarRecord, steps: ProcessSteps) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Start, transitions and noise of the process and of what moves beside it, in the order of the filter's states."""
+    moving = record.moving
+    decay, fresh = moving.over(np.diff(record.times_s))
+    size = steps.start.shape[-1]
+    others = np.arange(3, 3 + moving.count)
+    own = np.r_[0:3, 3 + moving.count : size + moving.count]
+    found = []
+    for of_process in steps[:3]:
+        whole = np.zeros((*of_process.shape[:-2], size + moving.count, size + moving.count))
+        whole[..., own[:, None], own] = of_process
+        found.append(whole)
+    start, transition, noise = found
+    start[:, others[:, None], others] = moving.covariance
+    transition[:, :, others, others] = decay
+    noise[:, :, others[:, None], others] = fresh
+    return start, transition, noise
+
+
+def _as_function_of_constants(information: FloatArray) -> FloatArray:
+    """Information of (constants, z) as the square of (z - constants' part) by (1, constants), (..., 1 + c, 1 + c)."""
+    turned: FloatArray = np.roll(information, 1, axis=(-1, -2))
+    turned[..., 0, 1:] *= -1.0
+    turned[..., 1:, 0] *= -1.0
+    return turned

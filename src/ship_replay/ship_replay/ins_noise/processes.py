@@ -1,0 +1,267 @@
+"""The two models of an INS's error as processes with parameters: what a fit may change, and what a suite is told.
+
+A fit works on logarithms of what a record tells best. Of a Gauss-Markov process that is 2 sigma² / time, by how much
+the error changes in a second, which a record much shorter than the time tells too; sigma and time by themselves it
+tells only over many times. Of Schuler's it is the noise of the sensors and how far off each was at the start; how long
+drift and bias last, the error of the latitude at the start, and the damping are taken as configured.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from scipy.linalg import expm
+
+from ship_attitude_star.ins_errors.config import GAUSS_MARKOV, SCHULER, SchulerConfig
+from ship_attitude_star.ins_errors.schuler import SchulerIns
+from ship_attitude_star.ship_attitude.config import InsConfig
+from ship_attitude_star.vertical.vertical_track import VerticalHere
+from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_replay.ins_noise.likelihood import ProcessSteps
+
+_NARROWEST, _LONGEST_S = 1e-4, 1e7
+_STEP_S = 1e-3
+"""Times between epochs are told apart to this."""
+
+
+class Parameter(NamedTuple):
+    """What a fit may change.
+
+    Attributes:
+        name: for people.
+        start: where the search begins; positive.
+        least: bound.
+        most: bound.
+    """
+
+    name: str
+    start: float
+    least: float
+    most: float
+
+
+class Told(NamedTuple):
+    """A parameter of ``ship_attitude`` by the parameters of the fit: log value = constant + weights · log parameters.
+
+    Attributes:
+        name: in the parameter file, after ``ins.``.
+        unit: of it.
+        constant: the rest of its logarithm.
+        weights: shape (p,).
+    """
+
+    name: str
+    unit: str
+    constant: float
+    weights: FloatArray
+
+
+class InsErrorModel(Protocol):
+    """A model of the INS's error.
+
+    Attributes:
+        parameters: what a fit changes.
+        told: what a suite is told of it.
+        fixed: what is told as configured, by name.
+    """
+
+    parameters: tuple[Parameter, ...]
+    told: tuple[Told, ...]
+    fixed: dict[str, float]
+
+    @property
+    def name(self) -> str:
+        """Value of ``ins.model``."""
+        ...
+
+    def steps(self, values: FloatArray, times_s: FloatArray) -> ProcessSteps:
+        """The process for k sets of parameters, shape (k, p), at the times of E epochs, shape (E,)."""
+        ...
+
+
+class GaussMarkovError:
+    """The error dies out, each axis by itself: sigma² exp(-t / time); tilt about North and East alike, and heading.
+
+    Args:
+        ins: where the search begins.
+    """
+
+    name = GAUSS_MARKOV
+
+    def __init__(self, ins: InsConfig) -> None:
+        tilt, heading = max(ins.tilt_sigma_arcsec, _NARROWEST), max(ins.heading_sigma_arcsec, _NARROWEST)
+        self.parameters: tuple[Parameter, ...] = (
+            Parameter("2 σ²/τ of tilt [arcsec²/s]", 2.0 * tilt**2 / ins.tilt_time_s, 1e-12, 1e6),
+            Parameter("τ of tilt [s]", ins.tilt_time_s, 1.0, _LONGEST_S),
+            Parameter("2 σ²/τ of heading [arcsec²/s]", 2.0 * heading**2 / ins.heading_time_s, 1e-12, 1e6),
+            Parameter("τ of heading [s]", ins.heading_time_s, 1.0, _LONGEST_S),
+            _white(ins),
+        )
+        half = 0.5 * math.log(0.5)
+        self.told: tuple[Told, ...] = (
+            Told("white_sigma_arcsec", "arcsec", 0.0, np.eye(5)[4]),
+            Told("tilt_sigma_arcsec", "arcsec", half, np.array([0.5, 0.5, 0.0, 0.0, 0.0])),
+            Told("tilt_time_s", "s", 0.0, np.eye(5)[1]),
+            Told("heading_sigma_arcsec", "arcsec", half, np.array([0.0, 0.0, 0.5, 0.5, 0.0])),
+            Told("heading_time_s", "s", 0.0, np.eye(5)[3]),
+        )
+        self.fixed: dict[str, float] = {}
+
+    def steps(self, values: FloatArray, times_s: FloatArray) -> ProcessSteps:
+        """See :class:`InsErrorModel`."""
+        change, time_s = values[:, [0, 2, 0]], values[:, [1, 3, 1]]
+        steady = 0.5 * change * time_s
+        decay = np.exp(-np.diff(times_s)[:, None] / time_s[:, None])
+        fresh = -np.expm1(-2.0 * np.diff(times_s)[:, None] / time_s[:, None]) * steady[:, None]
+        unit = np.eye(3)
+        return ProcessSteps(
+            start=steady[:, None] * unit,
+            transition=decay[..., None] * unit,
+            noise=fresh[..., None] * unit,
+            white=np.repeat(values[:, 4:5] ** 2, 3, axis=1),
+        )
+
+
+class SchulerError:
+    """The error oscillates, as that of free gyroscopes and accelerometers does: the filter's own process.
+
+    Args:
+        ins: where the search begins, and what stays as configured.
+        here: mean latitude and velocity of the ship.
+    """
+
+    name = SCHULER
+
+    def __init__(self, ins: InsConfig, here: VerticalHere) -> None:
+        schuler = ins.schuler
+        found = (
+            ("tilt_sigma_arcsec", ins.tilt_sigma_arcsec, 1e3),
+            ("heading_sigma_arcsec", ins.heading_sigma_arcsec, 1e4),
+            ("schuler.velocity_sigma_m_per_s", schuler.velocity_sigma_m_per_s, 100.0),
+            ("schuler.gyro_drift_sigma_deg_per_h", schuler.gyro_drift_sigma_deg_per_h, 100.0),
+            ("schuler.angle_walk_deg_per_sqrt_h", schuler.angle_walk_deg_per_sqrt_h, 10.0),
+            ("schuler.accelerometer_bias_sigma_m_per_s2", schuler.accelerometer_bias_sigma_m_per_s2, 1.0),
+            ("schuler.velocity_walk_m_per_s_per_sqrt_h", schuler.velocity_walk_m_per_s_per_sqrt_h, 100.0),
+        )
+        white = _white(ins)
+        self.parameters: tuple[Parameter, ...] = (
+            *(Parameter(name, max(start, 1e-6 * most), 1e-8 * most, most) for name, start, most in found),
+            white,
+        )
+        unit = np.eye(len(self.parameters))
+        names = [name for name, _, _ in found]
+        self.told: tuple[Told, ...] = (
+            Told("white_sigma_arcsec", "arcsec", 0.0, unit[-1]),
+            *(Told(name, _unit(name), 0.0, unit[row]) for row, name in enumerate(names)),
+        )
+        self.fixed = {
+            "schuler.position_sigma_m": schuler.position_sigma_m,
+            "schuler.gyro_drift_time_s": schuler.gyro_drift_time_s,
+            "schuler.accelerometer_bias_time_s": schuler.accelerometer_bias_time_s,
+            "schuler.damping_time_s": schuler.damping_time_s,
+        }
+        self._config = schuler
+        self._here = here
+        self._carried: tuple[FloatArray, FloatArray, FloatArray] | None = None
+
+    def steps(self, values: FloatArray, times_s: FloatArray) -> ProcessSteps:
+        """See :class:`InsErrorModel`."""
+        transition, fresh = self._ways(times_s)
+        count = len(values)
+        tilt, heading, velocity, drift, angle_walk, bias, velocity_walk, white = values.T
+        configs = [
+            replace(
+                self._config,
+                gyro_drift_sigma_deg_per_h=float(drift[row]),
+                angle_walk_deg_per_sqrt_h=float(angle_walk[row]),
+                accelerometer_bias_sigma_m_per_s2=float(bias[row]),
+                velocity_walk_m_per_s_per_sqrt_h=float(velocity_walk[row]),
+            )
+            for row in range(count)
+        ]
+        # Densities of what is new to attitude, velocity, drift and bias, in the units of the states.
+        density = np.array([_densities(config) for config in configs]) / self._scale[[0, 3, 6, 9]] ** 2
+        sigma = np.zeros((count, 11))
+        sigma[:, :3] = np.column_stack([tilt, heading, tilt])
+        sigma[:, 3:5] = velocity[:, None] / self._scale[3]
+        sigma[:, 5] = self._config.latitude_sigma / self._scale[5]
+        sigma[:, 6:9] = np.array([config.gyro_drift for config in configs])[:, None] / self._scale[6]
+        sigma[:, 9:] = bias[:, None] / self._scale[9]
+        return ProcessSteps(
+            start=sigma[:, :, None] ** 2 * np.eye(11),
+            transition=transition[None],
+            noise=np.einsum("kd,dbij->kbij", density, fresh),
+            white=np.repeat(white[:, None] ** 2, 3, axis=1),
+        )
+
+    @cached_property
+    def _scale(self) -> FloatArray:
+        """Units of the states beside one another: what an arcsecond of tilt makes of each in about a swing."""
+        return np.array([ARCSEC] * 3 + [0.04] * 2 + [ARCSEC] + [1e-3 * ARCSEC] * 3 + [10.0 * ARCSEC] * 2)
+
+    def _ways(self, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """What the ways between epochs make of the states, and of a unit density in attitude, velocity, drift, bias.
+
+        Returns:
+            Transitions, shape (E - 1, 11, 11), and covariances, shape (4, E - 1, 11, 11).
+        """
+        if self._carried is None or not np.array_equal(self._carried[0], times_s):
+            steps = np.round(np.diff(times_s) / _STEP_S).astype(np.int64)
+            kinds, of = np.unique(steps, return_inverse=True)
+            process = SchulerIns(self._config, np.ones(3), None)
+            rates = process.rates(self._here) * self._scale / self._scale[:, None]
+            found = [_way(rates, kind * _STEP_S) for kind in kinds.tolist()]
+            transition = np.array([way[0] for way in found]).reshape(-1, 11, 11)[of]
+            fresh = np.array([way[1] for way in found]).reshape(-1, 4, 11, 11)[of]
+            self._carried = times_s, transition, np.moveaxis(fresh, 0, 1)
+        return self._carried[1:]
+
+
+def _way(rates: FloatArray, dt_s: float) -> tuple[FloatArray, FloatArray]:
+    """Transition over a time, (n, n), and what unit densities bring, (4, n, n) (Van Loan 1978)."""
+    size = len(rates)
+    fresh = []
+    for rows in (range(3), range(3, 5), range(6, 9), range(9, 11)):
+        density = np.zeros((size, size))
+        density[rows, rows] = 1.0
+        whole = expm(dt_s * np.block([[-rates, density], [np.zeros_like(rates), rates.T]]))
+        transition = whole[size:, size:].T
+        fresh.append(transition @ whole[:size, size:])
+    return transition, np.array(fresh)
+
+
+def _densities(config: SchulerConfig) -> list[float]:
+    """Variance of what comes new in a second to each axis of attitude, velocity, drift and bias."""
+    return [
+        config.angle_walk**2,
+        config.velocity_walk**2,
+        2.0 * config.gyro_drift**2 / config.gyro_drift_time_s,
+        2.0 * config.accelerometer_bias_sigma_m_per_s2**2 / config.accelerometer_bias_time_s,
+    ]
+
+
+def _white(ins: InsConfig) -> Parameter:
+    return Parameter("white_sigma_arcsec", max(ins.white_sigma_arcsec, 0.1), 1e-3, 1e4)
+
+
+_UNITS = {
+    "_arcsec": "arcsec",
+    "_m_per_s": "m/s",
+    "_deg_per_h": "deg/h",
+    "_deg_per_sqrt_h": "deg/sqrt(h)",
+    "_m_per_s2": "m/s2",
+    "_m_per_s_per_sqrt_h": "m/s/sqrt(h)",
+}
+
+
+def _unit(name: str) -> str:
+    return next(unit for ending, unit in _UNITS.items() if name.endswith(ending))
+
+
+def models_of(ins: InsConfig, here: VerticalHere | None) -> Sequence[InsErrorModel]:
+    """The models that a record can be asked about; Schuler's only where the latitude is known."""
+    gauss_markov = GaussMarkovError(ins)
+    return (gauss_markov,) if here is None else (gauss_markov, SchulerError(ins, here))

@@ -1,0 +1,87 @@
+"""An identification as a parameter file that the suite loads, and as text for people."""
+
+import math
+from collections.abc import Iterator
+
+from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_bags.parameter_yaml import PARAMETERS_KEY, anywhere
+from ship_replay.ins_noise.fit import FittedModel
+from ship_replay.ins_noise.identification import Identification, spread
+from ship_replay.ins_noise.outage import OutageCheck
+
+_SIGMAS = 3.290526731491891
+"""Of 99.9 %, two-sided."""
+
+
+def parameter_file_text(identification: Identification) -> str:
+    """The model that fits best as a ROS 2 parameter file, the sigma of each value as comment."""
+    best, session = identification.best, identification.session
+    values: dict[str, tuple[str, str]] = {"model": (f'"{best.model.name}"', "")}
+    for what in best.model.told:
+        value, log_sigma = best.told(what)
+        values[what.name] = _number(value), f"{_known(value, log_sigma)} [{what.unit}]"
+    for name, value in best.model.fixed.items():
+        values[name] = _number(value), "as configured"
+    head = [f"By identify_noise from {session.name}. {identification.verdict}.", *identification.warnings]
+    lines = [*(f"# {line}" for line in head), f"{anywhere(ShipAttitudeAdapter.node_name)}:", f"  {PARAMETERS_KEY}:"]
+    return "\n".join([*lines, "    ins:", *_nested(values)]) + "\n"
+
+
+def _nested(values: dict[str, tuple[str, str]]) -> Iterator[str]:
+    """Lines of the section ``ins``, with names of one dot as a section of their own at the end."""
+    plain = {name: told for name, told in values.items() if "." not in name}
+    yield from (_line(6, name, *told) for name, told in plain.items())
+    dotted = {name: told for name, told in values.items() if "." in name}
+    for section in dict.fromkeys(name.partition(".")[0] for name in dotted):
+        yield f"      {section}:"
+        yield from (_line(8, name.partition(".")[2], *told) for name, told in dotted.items())
+
+
+def _line(indent: int, name: str, value: str, comment: str) -> str:
+    line = f"{' ' * indent}{name}: {value}"
+    return f"{line}  # {comment}" if comment else line
+
+
+def _number(value: float) -> str:
+    """Four digits, always a floating-point number to ROS."""
+    return repr(float(f"{value:.4g}"))
+
+
+def _known(value: float, log_sigma: float) -> str:
+    """A value's sigma, or that it is hardly known."""
+    known = spread(log_sigma)
+    return f"± {value * log_sigma:.2g}, 1 sigma" if known.startswith("±") else f"{known}, 1 sigma"
+
+
+def said(identification: Identification) -> list[str]:
+    """What is found, line by line, without the warnings."""
+    session, record = identification.session, identification.record
+    hours, epochs = record.duration_s / 3600.0, len(record.times_s)
+    lines = [f"{session.name}: {len(session.pairs)} star measurements, {epochs} epochs used over {hours:.2f} h"]
+    for fitted in identification.fitted:
+        name = fitted.model.name
+        lines.append(f"{name}: log likelihood {fitted.log_likelihood:.1f}, {len(fitted.values)} parameters")
+        lines += [f"  {line}" for line in _parameters(fitted)]
+        lines += [f"  {_outage(check)}" for check in identification.outages[name]]
+    return [*lines, identification.verdict]
+
+
+def _parameters(fitted: FittedModel) -> Iterator[str]:
+    for what in fitted.model.told:
+        value, log_sigma = fitted.told(what)
+        yield f"{what.name:45}{value:12.4g} {what.unit:12}{spread(log_sigma)}"
+    for parameter, value, log_sigma in zip(fitted.model.parameters, fitted.values, fitted.log_sigmas, strict=True):
+        if parameter.name.startswith("2 σ²/τ"):
+            low, high = (value * math.exp(sign * _SIGMAS * log_sigma) for sign in (-1.0, 1.0))
+            yield f"{parameter.name:45}{value:12.4g} {'':12}{spread(float(log_sigma))}, 99.9 %: {low:.3g} to {high:.3g}"
+    for name, fixed in fitted.model.fixed.items():
+        yield f"{name:45}{fixed:12.4g} {'':12}as configured"
+
+
+def _outage(check: OutageCheck) -> str:
+    parts = [
+        f"{name} {missed.rms_arcsec:.1f}″ (σ {missed.sigma_arcsec:.1f}″, NEES {missed.nees:.1f} of at most "
+        f"{missed.most:.1f})"
+        for name, missed in check.parts.items()
+    ]
+    return f"{check.horizon_s:.0f} s without stars, {check.intervals} times: {', '.join(parts)}"

@@ -1,0 +1,67 @@
+"""Simulated records of stars against an INS, as ``identify_noise`` gets them from a bag, without one."""
+
+from typing import Any
+
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
+from ship_estimation.parameters import build
+from ship_replay.ins_noise.session import NoiseSession, PairsHeard, session_config, session_of
+from ship_replay.trials.monte_carlo import attitude_outcomes
+from ship_simulation.run import SimulatedRun, simulate
+from ship_simulation.scenario.motion_scenario import AngleMotion, CarrierMotion
+from ship_simulation.scenario.scenario import Ins, Position, Scenario, StarSensor
+from ship_simulation.suite.suite import suite_configuration
+
+STILL = CarrierMotion(
+    kind="sinusoids", heading=AngleMotion(mean_deg=5.0), pitch=AngleMotion(mean_deg=0.5), roll=AngleMotion(mean_deg=2.0)
+)
+
+
+def scenario(duration_s: float, rate_hz: float = 0.1, star: dict[str, Any] | None = None, **ins: Any) -> Scenario:
+    """Two star sensors at right angles on a ship that hardly moves; samples of all devices at one rate."""
+    mounted = {"elevation_deg": 45.0, "rate_hz": rate_hz} | (star or {})
+    return Scenario(
+        carrier=STILL,
+        start_utc="2026-01-15T20:00:00Z",
+        duration_s=duration_s,
+        ins=Ins(**({"rate_hz": rate_hz, "time_offset_sigma_s": 0.0} | ins)),
+        star_sensors={
+            "fore": StarSensor(azimuth_deg=0.0, **mounted),
+            "starboard": StarSensor(azimuth_deg=90.0, **mounted),
+        },
+        position=Position(latitude_deg=40.0, longitude_deg=-40.0, speed_m_per_s=8.0, course_deg=5.0, rate_hz=rate_hz),
+    )
+
+
+class _WithFixes:
+    """A run whose position fixes arrive although its suite would do without."""
+
+    def __init__(self, run: SimulatedRun) -> None:
+        self._run = run
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._run, name)
+
+    def arrivals(self) -> list[tuple[int, str, int]]:
+        others = [arrival for arrival in self._run.arrivals() if arrival[1] != "fix"]
+        fixes = [(int(time_ns), "fix", row) for row, time_ns in enumerate(self._run.fixes.log_time_ns)]
+        return sorted([*others, *fixes], key=lambda arrival: arrival[0])
+
+
+def noise_session(of: Scenario, seed: int, told: dict[str, Any] | None = None, with_fixes: bool = True) -> NoiseSession:
+    """The session of a simulated voyage.
+
+    Args:
+        of: the voyage.
+        seed: of what is drawn.
+        told: parameters of ``ins`` that the suite is told otherwise.
+        with_fixes: whether position fixes arrive.
+    """
+    suite = suite_configuration(of)
+    thin = {"max_gap_s": 1.5 / of.ins.rate_hz, "silence_s": 20.0}
+    config = build(ShipAttitudeConfig, {**suite, "ins": {**suite["ins"], **thin, **(told or {})}})
+    core, heard, run = ShipAttitudeCore(session_config(config)), PairsHeard(), simulate(of, seed)
+    source: Any = _WithFixes(run) if with_fixes else run
+    for outcome in attitude_outcomes(core, source, set()):
+        heard.take(core, outcome.decisions)
+    return session_of("voyage", config, core, heard, [])
