@@ -55,7 +55,7 @@ class Chain:
 
     Args:
         between: predicts.
-        start: the state before any measurement.
+        start: the state before those that are added.
 
     Attributes:
         between: the same; another one from the moment on at which noise and gates are others.
@@ -65,13 +65,13 @@ class Chain:
         self.between = between
         self._links: deque[_Link] = deque()
         self._state = start
-        self._last = Anchor(None, Known(start.mean, start.covariance), None)
+        self._last = Anchor(start.time_ns, Known(start.mean, start.covariance), start.vertical)
         self._asked: deque[int] = deque()
         self._by_all: list[Known] = []
 
     @property
     def newest_ns(self) -> int | None:
-        """Moment of the last link; None where there is none."""
+        """Moment of the last link, or of the start; None before the first measurement."""
         return self._last.time_ns
 
     def ask(self, time_ns: int) -> None:

@@ -66,9 +66,13 @@ class SmoothingCore(ShipAttitudeCore):
     def reset(self, clock_jumped: bool = False) -> None:
         """See :meth:`ShipAttitudeCore.reset`; what was not told again is not told again any more."""
         super().reset(clock_jumped)
+        self.forget_told()
+
+    def forget_told(self) -> None:
+        """Begin anew with what is told from now on; what was not told again is not told again any more."""
         self._closed.clear()
         self._told.clear()
-        self._chain = Chain(self._between(), self.state)
+        self._chain = Chain(self._between(), self._shell.oldest_state)
 
     def reconfigure(self, config: ShipAttitudeConfig) -> None:
         """See :meth:`ShipAttitudeCore.reconfigure`."""
@@ -109,9 +113,9 @@ class SmoothingCore(ShipAttitudeCore):
         super()._forget_before(time_ns)
 
     def _asked_since_ns(self, closed_ns: int) -> int:
-        oldest_ns = [told.estimate.time_ns for told in [*self._told][:1]]
+        asked_ns = self._told[0].estimate.time_ns if self._told else closed_ns
         link_ns = self._chain.newest_ns
-        return min([closed_ns, *oldest_ns, *([] if link_ns is None else [link_ns])])
+        return min(closed_ns, asked_ns, closed_ns if link_ns is None else link_ns)
 
     def _between(self) -> Between:
         return Between(self.filter, self.config.horizon == GRAVITY)
