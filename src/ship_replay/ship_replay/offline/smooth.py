@@ -7,9 +7,10 @@ the same bytes.
 
 import heapq
 from collections.abc import Iterator
+from dataclasses import dataclass
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -41,7 +42,8 @@ _Written = tuple[int, str, str, bytes]
 """Log time, topic, type, bytes."""
 
 
-class SmoothSummary(NamedTuple):
+@dataclass(frozen=True)
+class SmoothSummary:
     """What was smoothed.
 
     Attributes:
@@ -157,8 +159,8 @@ def _summary(estimates: list[AttitudeEstimate], told: _ToldAtOnce, problems: lis
     if sure:
         before = [told.variances[estimate.time_ns] for estimate in sure]
         after = [_variances(estimate) for estimate in sure]
-    medians = (np.sqrt(np.median(values, axis=0)) / ARCSEC for values in (before, after))
-    return SmoothSummary(len(estimates), *medians, problems)
+    at_once, smoothed = (np.sqrt(np.median(values, axis=0)) / ARCSEC for values in (before, after))
+    return SmoothSummary(len(estimates), at_once, smoothed, problems)
 
 
 def _variances(estimate: AttitudeEstimate) -> FloatArray:
