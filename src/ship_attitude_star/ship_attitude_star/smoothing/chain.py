@@ -87,7 +87,7 @@ class Chain:
             return
         came, now = state.came, Known(state.mean, state.covariance)
         if came is not None and came is not before.came:
-            self._lead_to(state, came.predicted, came.estimate, came.is_update)
+            self._lead_to(state, came.predicted, came.estimate, came.is_update, came.jumped_ns)
         if not _same(now, self._last.known):
             # Beside measurement and jump: the gate was re-opened, a mounting may have been knocked, or another row is
             # the first one now.
@@ -119,19 +119,22 @@ class Chain:
             taken.append((times_ns, self.between.at(self._last, times_ns, None)[0]))
         return taken
 
-    def _lead_to(self, state: FilterState, predicted: Known, estimate: Known, leads_back: bool) -> None:
-        """A link more."""
+    def _lead_to(
+        self, state: FilterState, predicted: Known, estimate: Known, leads_back: bool, jumped_ns: int | None = None
+    ) -> None:
+        """A link more, and the moments before it; before a jump of the INS are all that its samples tell of."""
         assert state.time_ns is not None
         last, is_first = self._last, self._last.time_ns is None
         back: Backward | Known | None = None if is_first else last.known
         if leads_back and not is_first:
             back = backward(last.known, self.between.cross_to(last, state.time_ns), predicted)
-        link, times_ns = _Link(back), self._asked_until(state.time_ns)
+        link, times_ns = _Link(back), self._asked_until(max(state.time_ns, jumped_ns or 0))
         if is_first and not self.between.knows_before_the_first:
             times_ns = []
         for start in range(0, len(times_ns), _MOST_AT_ONCE):
             some = times_ns[start : start + _MOST_AT_ONCE]
-            found, cross = self.between.at(last, some, state.time_ns if leads_back else None)
+            moments_ns = [min(time_ns, state.time_ns) for time_ns in some]
+            found, cross = self.between.at(last, moments_ns, state.time_ns if leads_back else None)
             link.stretches.append(Stretch(some, found if cross is None else backward(found, cross, predicted)))
         self._links.append(link)
         self._last = Anchor(state.time_ns, estimate, state.vertical)

@@ -28,11 +28,14 @@ class Came:
         estimate: with the measurement.
         is_update: whether it is what prediction and measurement together tell. Otherwise nothing leads back from it:
             only some states were learnt, or another row has become the first.
+        jumped_ns: of a jump of the INS the stamp of its last sample before it, which may be later than the state: that
+            is opened as much earlier as clocks may differ; None for a measurement.
     """
 
     predicted: Known
     estimate: Known
     is_update: bool
+    jumped_ns: int | None = None
 
 
 @dataclass(frozen=True)
@@ -58,7 +61,8 @@ class TracedFilter(ShipFilter):
         after = super().opened(state, jump)
         assert isinstance(after, TracedState)
         both = Known(after.mean, after.covariance)
-        return changed(after, came=Came(both, both, after.excluded.keys() <= state.excluded.keys()))
+        leads_back = after.excluded.keys() <= state.excluded.keys()
+        return changed(after, came=Came(both, both, leads_back, jump.time_ns))
 
 
 class _TracedSuspects(Suspects):
