@@ -156,8 +156,8 @@ def slow_error(seed: int) -> tuple[float, float, float]:
 
 
 def test_across_a_jump_of_the_ins_it_stays_honest() -> None:
-    # 200 arcseconds in heading at once, which the INS's rates tell: an error that comes at that moment. The filter opens
-    # its state five sigma of the clock earlier; the sample before the jump tells of the time before it all the same.
+    # 200 arcseconds in heading at once, which the INS's rates tell: an error that comes at that moment. The state is
+    # open five sigma of the clock earlier; the sample before the jump tells of the time before it all the same.
     found = []
     for seed in range(SEEDS // 2):
         ins = stepped(stream(30.0, 50.0, seed=seed), 0, slow_error(seed))

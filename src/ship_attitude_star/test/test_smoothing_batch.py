@@ -105,7 +105,7 @@ def smoothed_run() -> tuple[SmoothingCore, list[AttitudeEstimate]]:
         outcome = core.add_ins(sample, estimate=ms % 500 == 240)
         assert all(decision.accepted for decision in outcome.decisions)
         core.smoothed()
-    return core, core.smoothed_to_the_end()
+    return core, list(core.smoothed_to_the_end())
 
 
 @dataclass

@@ -4,7 +4,7 @@ What it tells at once is, to the last bit, what :class:`ShipAttitudeCore` tells.
 """
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import ClassVar, NamedTuple
 
@@ -28,12 +28,17 @@ from ship_geometry.time_scales import SECOND_NS
 _ATTITUDE, _CLOCK = slice(0, 3), 3
 """What corrects the INS (:class:`Between`)."""
 
+_AT_ONCE = 1000
+"""Attitudes that are told again together at the end."""
+
+_NO_PARTS = np.empty((0, 3, 3))
+
 
 class _ToldAtOnce(NamedTuple):
     """An attitude as it was told at once.
 
     Attributes:
-        estimate: without the state that it rests on.
+        estimate: without the state that it rests on and without the parts of its covariance: many are kept.
         disputed_n: what it adds to its covariance because sources are apart, rad², shape (3, 3); None for nothing.
         is_doubtful: whether the sources contradicted one another, or the INS was excluded: what the filter then knew
             is not smoothed.
@@ -86,9 +91,8 @@ class SmoothingCore(ShipAttitudeCore):
         """See :meth:`ShipAttitudeCore.add_ins`."""
         outcome = super().add_ins(sample, arrival_ns, estimate)
         for one in outcome.estimates:
-            state, alone = one.state, replace(one, state=None)
-            doubtful = state.doubt is not None or INS in state.excluded
-            self._told.append(_ToldAtOnce(alone, state.disputed_n, doubtful))
+            doubtful = one.state.doubt is not None or INS in one.state.excluded
+            self._told.append(_ToldAtOnce(_alone(one), one.state.disputed_n, doubtful))
             self._chain.ask(one.time_ns)
         return outcome
 
@@ -100,11 +104,13 @@ class SmoothingCore(ShipAttitudeCore):
             return []
         return self._smoothed_until(min(self._shell.window.newest_ns - self._lag_ns, self._closed_ns))
 
-    def smoothed_to_the_end(self) -> list[AttitudeEstimate]:
+    def smoothed_to_the_end(self) -> Iterator[AttitudeEstimate]:
         """All attitudes that were not told again yet, by all that was measured; nothing may come after it."""
         self._take([*self._closed, *self._shell.states_in_window()])
         self._closed.clear()
-        return self._smoothed_until(self._shell.window.newest_ns)
+        while self._told:
+            last = self._told[min(len(self._told), _AT_ONCE) - 1]
+            yield from self._smoothed_until(last.estimate.time_ns)
 
     # -- what is kept ---------------------------------------------------------------------------------------
 
@@ -138,7 +144,7 @@ class SmoothingCore(ShipAttitudeCore):
         while self._told and self._told[0].estimate.time_ns <= time_ns:
             due.append(self._told.popleft())
         again: list[tuple[_ToldAtOnce, Known, InterpolatedAttitude]] = []
-        places, estimates = [], [told.estimate for told in due]
+        places, estimates = [], [self._as_it_was(told.estimate) for told in due]
         for place, told in enumerate(due):
             corrects = known.get(told.estimate.time_ns)
             ins = None if corrects is None or told.is_doubtful else self._ins_at(told.estimate.time_ns, corrects)
@@ -148,6 +154,12 @@ class SmoothingCore(ShipAttitudeCore):
         for place, estimate in zip(places, self._corrected_again(again), strict=True):
             estimates[place] = estimate
         return estimates
+
+    def _as_it_was(self, estimate: AttitudeEstimate) -> AttitudeEstimate:
+        """An attitude that was told at once; the INS's drift bears all of its covariance."""
+        parts = np.zeros((len(self.filter.model.sources), 3, 3))
+        parts[self._corrected.drift_index] = estimate.covariance_n
+        return replace(estimate, covariance_parts_n=parts)
 
     def _ins_at(self, time_ns: int, corrects: Known) -> InterpolatedAttitude | None:
         """The INS's attitude of a moment; None where its samples do not tell it from both sides."""
@@ -193,3 +205,17 @@ class SmoothingCore(ShipAttitudeCore):
                 )
             )
         return estimates
+
+
+def _alone(estimate: AttitudeEstimate) -> AttitudeEstimate:
+    """An attitude that holds no array of others."""
+    covariance_n = estimate.covariance_n.copy()
+    return replace(
+        estimate,
+        rotation_nd=estimate.rotation_nd.copy(),
+        covariance_parts_n=_NO_PARTS,
+        covariance_n=covariance_n,
+        undisputed_n=covariance_n,
+        rate_d=estimate.rate_d.copy(),
+        state=None,
+    )

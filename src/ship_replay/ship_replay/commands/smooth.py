@@ -46,8 +46,9 @@ def _run(options: argparse.Namespace) -> int:
     by_stamps = options.arrival == "stamps"
     summary = smooth(options.bag, options.out, options.config, options.namespace, watched, by_stamps)
     print(f"{options.out}: {summary.count} attitudes on ship/attitude_smoothed")
-    if summary.at_once_arcsec[0] > 0.0:
-        both = zip(("heading", "pitch", "roll"), summary.at_once_arcsec, summary.smoothed_arcsec, strict=True)
+    sigmas_arcsec = summary.median_sigmas_arcsec
+    if sigmas_arcsec is not None:
+        both = zip(("heading", "pitch", "roll"), *sigmas_arcsec.tolist(), strict=True)
         sigmas = ", ".join(f"{angle} {at_once:.2f} -> {smoothed:.2f}" for angle, at_once, smoothed in both)
         print(f"median sigma at once -> smoothed [arcsec]: {sigmas}")
     for problem in summary.problems:

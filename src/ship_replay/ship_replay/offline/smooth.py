@@ -6,8 +6,9 @@ the same bytes.
 """
 
 import heapq
-from collections.abc import Iterator
-from dataclasses import dataclass
+import itertools
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
@@ -38,26 +39,30 @@ from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 
 _OUTPUT = OutputTopic(SMOOTHED_TOPIC, ATTITUDE_TYPE)
 
+Angles = tuple[float, float, float]
+
 _Written = tuple[int, str, str, bytes]
 """Log time, topic, type, bytes."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class SmoothSummary:
     """What was smoothed.
 
     Attributes:
-        count: attitudes written.
-        at_once_arcsec: median sigma of heading, pitch, roll of those that are not DEGRADED, as they were told at once,
-            shape (3,); NaN where there are none.
-        smoothed_arcsec: the same of the smoothed ones.
         problems: what is wrong with the bag, and the nodes left out, one line each.
+        count: attitudes written.
+        variances: of heading, pitch and roll, rad², as told at once and smoothed, of those that are not DEGRADED.
     """
 
-    count: int
-    at_once_arcsec: FloatArray
-    smoothed_arcsec: FloatArray
     problems: list[str]
+    count: int = 0
+    variances: list[tuple[Angles, Angles]] = field(default_factory=list)
+
+    @property
+    def median_sigmas_arcsec(self) -> FloatArray | None:
+        """Of heading, pitch and roll as told at once and smoothed, shape (2, 3); None where all are DEGRADED."""
+        return np.sqrt(np.median(self.variances, axis=0)) / ARCSEC if self.variances else None
 
 
 class _WholeRun(ShipAttitudeAdapter):
@@ -73,14 +78,14 @@ class _ToldAtOnce:
 
     def __init__(self) -> None:
         self.log_times_ns: dict[int, int] = {}
-        self.variances: dict[int, FloatArray] = {}
+        self.variances: dict[int, Angles] = {}
 
     def write(self, topic: str, message: Any, log_time_ns: int) -> None:
         """Take a message."""
         if topic == ATTITUDE_TOPIC:
             stamp_ns = ns_from_stamp(message.header.stamp)
             self.log_times_ns[stamp_ns] = log_time_ns
-            self.variances[stamp_ns] = message.covariance.reshape(3, 3).diagonal()
+            self.variances[stamp_ns] = tuple(message.covariance[::4].tolist())
 
     def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
         """Take a message of the truth, of which none is asked for."""
@@ -126,16 +131,16 @@ def smooth(
         for record in records:
             run.take(relative_names[record.topic], record)
         estimates = core.smoothed_to_the_end()
-        if not estimates:
+        first = next(estimates, None)
+        if first is None:
             raise BadInput("no attitude was put out by the INS: there is nothing to smooth", file=bag_path)
-        smoothed = _smoothed_messages(estimates, told, factory)
+        summary = SmoothSummary(problems=[*left_out, *bag.problems])
+        smoothed = _smoothed_messages(itertools.chain([first], estimates), told, factory, summary)
         with BagWriter(out_path) as writer:
             announce(writer, bag, [_OUTPUT], config_text)
-            for log_time_ns, topic, type_name, data in heapq.merge(
-                _truth(bag, namespace), smoothed, key=itemgetter(0)
-            ):
+            for log_time_ns, topic, type_name, data in heapq.merge(_truth(bag, namespace), smoothed, key=itemgetter(0)):
                 writer.write_raw(topic, type_name, data, log_time_ns)
-        return _summary(estimates, told, [*left_out, *bag.problems])
+        return summary
 
 
 def _truth(bag: Bag, namespace: str) -> Iterator[_Written]:
@@ -145,26 +150,19 @@ def _truth(bag: Bag, namespace: str) -> Iterator[_Written]:
 
 
 def _smoothed_messages(
-    estimates: list[AttitudeEstimate], told: _ToldAtOnce, factory: RosbagsFactory
+    estimates: Iterable[AttitudeEstimate], told: _ToldAtOnce, factory: RosbagsFactory, summary: SmoothSummary
 ) -> Iterator[_Written]:
-    """The messages, each logged when the attitude was told at once."""
+    """The messages, each logged when the attitude was told at once; the summary is filled."""
     for estimate in estimates:
         topic, message = smoothed_message(factory, estimate)
+        summary.count += 1
+        if estimate.status < Status.DEGRADED:
+            summary.variances.append((told.variances[estimate.time_ns], _variances(estimate)))
         yield told.log_times_ns[estimate.time_ns], topic, ATTITUDE_TYPE, serialize(message)
 
 
-def _summary(estimates: list[AttitudeEstimate], told: _ToldAtOnce, problems: list[str]) -> SmoothSummary:
-    sure = [estimate for estimate in estimates if estimate.status < Status.DEGRADED]
-    before, after = [np.full(3, np.nan)], [np.full(3, np.nan)]
-    if sure:
-        before = [told.variances[estimate.time_ns] for estimate in sure]
-        after = [_variances(estimate) for estimate in sure]
-    at_once, smoothed = (np.sqrt(np.median(values, axis=0)) / ARCSEC for values in (before, after))
-    return SmoothSummary(len(estimates), at_once, smoothed, problems)
-
-
-def _variances(estimate: AttitudeEstimate) -> FloatArray:
+def _variances(estimate: AttitudeEstimate) -> Angles:
     """Of heading, pitch and roll, rad²."""
     heading, pitch, _ = angles_from_rotation(estimate.rotation_nd)
-    variances: FloatArray = angle_covariance(estimate.covariance_n, heading, pitch).diagonal()
-    return variances
+    of_heading, of_pitch, of_roll = angle_covariance(estimate.covariance_n, heading, pitch).diagonal().tolist()
+    return of_heading, of_pitch, of_roll
