@@ -225,6 +225,21 @@ def test_a_lag_shorter_than_late_data_waits_for_them() -> None:
     assert min(delays_s) > 2.5
 
 
+def test_parameters_that_change_and_a_reset_leave_it_going() -> None:
+    adapter, arrivals = new_adapter(smoothing_lag_s=3.0), voyage(16.0)
+    drive(adapter, arrivals[: len(arrivals) // 4])
+    adapter.set_parameters({"star_sensors.fore.sigma_up_arcsec": 4.0})
+    second = drive(adapter, arrivals[len(arrivals) // 4 : len(arrivals) // 2])
+    assert second.messages(SMOOTHED_TOPIC)
+    assert adapter.service("reset", second.now_ns).success
+    third = drive(adapter, arrivals[len(arrivals) // 2 :])
+    assert not third.innovations(Reason.FAILED)
+    # What waited at the reset is not told again.
+    stamps = [stamp_of(message) for message in third.messages(SMOOTHED_TOPIC)]
+    assert len(stamps) > 50
+    assert stamps[0] == stamp_of(third.messages("ship/attitude")[0])
+
+
 def test_what_cannot_be_smoothed_is_told_as_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
     arrivals, adapter = voyage(12.0), new_adapter(smoothing_lag_s=3.0)
     calls = iter([True])
