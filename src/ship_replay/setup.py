@@ -28,6 +28,7 @@ setup(
             "campaign = ship_replay.commands.campaign:main",
             "stanford = ship_replay.commands.stanford:main",
             "check_config = ship_replay.commands.check_config:main",
+            "smooth = ship_replay.commands.smooth:main",
             "axis_sightings = ship_replay.commands.axis_sightings:main",
             "calibrate_installation = ship_replay.commands.calibrate_installation:main",
             "identify_noise = ship_replay.commands.identify_noise:main",

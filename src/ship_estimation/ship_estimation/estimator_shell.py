@@ -24,7 +24,7 @@ system clock that is put right, are no silence.
 
 import bisect
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
@@ -251,14 +251,24 @@ class TimeOrderedLog(Generic[State, Item, Verdict]):
             self.waiting -= 1
         return decisions
 
-    def forget_before(self, time_ns: int) -> None:
-        """Close the window at a time: applied measurements before it can no longer be revised."""
+    def forget_before(self, time_ns: int) -> list[State]:
+        """Close the window at a time: applied measurements before it can no longer be revised.
+
+        Returns:
+            The states after these.
+        """
         count = min(bisect.bisect_left(self._keys, (time_ns,)), self._applied)
+        closed = self.states(count)
         if count:
-            self._base = self._state_before(count)
+            self._base = closed[-1]
             del self._keys[:count]
             del self._entries[:count]
             self.oldest_ns = self._keys[0][0] if self._keys else None
+        return closed
+
+    def states(self, count: int | None = None) -> list[State]:
+        """The states after the first measurements of the window; None for all that are applied."""
+        return [self._state_before(number + 1) for number in range(self._applied if count is None else count)]
 
     @property
     def _applied(self) -> int:
@@ -289,6 +299,7 @@ class Model(Generic[State, Measured, Judged, Jump]):
         until_ns: the stamp up to which samples matter to a decision: later ones cannot change it.
         forget_before: drops the data that no measurement at or after a stamp needs.
         decided: told of each decision, also of one that is made again.
+        closed: takes the states after measurements whose decisions are final, in order.
     """
 
     step: Callable[[State, Measured, bool], tuple[State, Judged] | None]
@@ -297,6 +308,7 @@ class Model(Generic[State, Measured, Judged, Jump]):
     until_ns: Callable[[Judged], int]
     forget_before: Callable[[int], None]
     decided: Callable[[Judged], None] | None = None
+    closed: Callable[[Sequence[State]], None] | None = None
 
 
 @dataclass(frozen=True)
@@ -468,6 +480,10 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         self.apply(outcome)
         self._close()
 
+    def states_in_window(self) -> list[State]:
+        """The states after the measurements whose decisions may still change, in order."""
+        return self._log.states()
+
     @property
     def oldest_state(self) -> State:
         """The earliest state from which anything may still be carried on."""
@@ -477,7 +493,9 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         """Close the window: what is older than it can no longer be revised."""
         closed_ns = self.window.oldest_ns - self._reach_ns
         if self._log.oldest_ns is not None and self._log.oldest_ns < closed_ns:
-            self._log.forget_before(closed_ns)
+            closed = self._log.forget_before(closed_ns)
+            if self._model.closed is not None:
+                self._model.closed(closed)
         self._model.forget_before(closed_ns)
 
     def _step(

@@ -33,6 +33,7 @@ from ship_node.edge.topics import Published
 
 ATTITUDE_TOPIC, ATTITUDE_TYPE = "ship/attitude", "ship_msgs/msg/ShipAttitude"
 IMU_TOPIC, IMU_TYPE = "ship/imu", "sensor_msgs/msg/Imu"
+SMOOTHED_TOPIC = "ship/attitude_smoothed"
 DEGREES_TOPIC, DEGREES_TYPE = "ship/attitude_deg", "ship_msgs/msg/AttitudeDeg"
 
 _ZEROS = (0.0,) * 9
@@ -71,6 +72,13 @@ def attitude_messages(factory: MessageFactory, estimate: AttitudeEstimate) -> li
     return [
         (topic, factory.encoded(type_name, **fields)) for topic, type_name, fields in _messages(attitude, as_numbers)
     ]
+
+
+def smoothed_message(factory: MessageFactory, estimate: AttitudeEstimate) -> Published:
+    """What an attitude that is told again, by later measurements too, becomes: the first of those messages alone."""
+    attitude = AttitudeNumbers.of([AttitudeRun.of_one(estimate)])
+    _, type_name, fields = next(_messages(attitude, as_numbers))
+    return SMOOTHED_TOPIC, factory.encoded(type_name, **fields)
 
 
 def attitude_rows(factory: MessageFactory, attitudes: AttitudeNumbers) -> Iterator[PublishedRows]:

@@ -20,20 +20,24 @@ from ship_attitude_star.ros.attitude_messages import (
     DEGREES_TYPE,
     IMU_TOPIC,
     IMU_TYPE,
+    SMOOTHED_TOPIC,
     AttitudeNumbers,
     attitude_messages,
     attitude_rows,
+    smoothed_message,
 )
 from ship_attitude_star.ship_attitude.alignment import Alignment
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig, StarSensorConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.integrity import QUANTITIES
 from ship_attitude_star.ship_attitude.manoeuvre import TurnHint
-from ship_attitude_star.sky.sky_watch import installed_sky
+from ship_attitude_star.sky.sky_watch import SkyWatch, installed_sky
+from ship_attitude_star.smoothing.core import SmoothingCore
 from ship_attitude_star.vertical.config import TOPIC
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.outcome import Status
 from ship_estimation.rate_guard import Rates
+from ship_estimation.refusals import failure
 from ship_geometry.frames import angle_covariance, angles_from_rotation
 from ship_geometry.ros_axes import (
     mounting_quaternion,
@@ -131,6 +135,7 @@ class ShipAttitudeAdapter(BlockAdapter):
         OutputTopic(innovation_topic, INNOVATION_TYPE),
         OutputTopic("ship/error_arcsec", "ship_msgs/msg/AttitudeErrorArcsec"),
         OutputTopic(DEFLECTION_TOPIC, DEFLECTION_TYPE),
+        OutputTopic(SMOOTHED_TOPIC, ATTITUDE_TYPE),
         *OWN_OUTPUTS,
     )
 
@@ -142,7 +147,7 @@ class ShipAttitudeAdapter(BlockAdapter):
             for id_, star in config.star_sensors.items()
             if star.input == "observations"
         }
-        core = ShipAttitudeCore(config, self._watch)
+        core = self.make_core(config, self._watch)
         saved = SavedStart(
             ALIGNMENT_FILE,
             config.alignment_file,
@@ -154,6 +159,29 @@ class ShipAttitudeAdapter(BlockAdapter):
         self.start_warnings = start_warnings(config)
         self._observed: tuple[int, DiagnosticStatus] | None = None
         super().__init__(config, core, factory, functools.partial(attitude_messages, factory), saved)
+
+    def make_core(self, config: ShipAttitudeConfig, watch: SkyWatch | None) -> ShipAttitudeCore:
+        """The estimator; one that tells attitudes again is made only where that is asked for."""
+        if config.smoothing_lag_s:
+            return SmoothingCore(config, watch, config.smoothing_lag_s)
+        return ShipAttitudeCore(config, watch)
+
+    def takes_blocks(self, topic: str) -> bool:
+        """See :meth:`BlockAdapter.takes_blocks`; what is told again is told sample by sample."""
+        return super().takes_blocks(topic) and not isinstance(self.core, SmoothingCore)
+
+    def published(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[Published]:
+        """See :meth:`ReportingAdapter.published`; then what is told again."""
+        published = super().published(outcome, now_ns, waiting_ns)
+        if isinstance(self.core, SmoothingCore):
+            try:
+                smoothed = [smoothed_message(self.factory, estimate) for estimate in self.core.smoothed()]
+            except Exception as error:
+                # What is told at once goes out all the same, and the next attitudes are smoothed again.
+                self.core.forget_told()
+                smoothed = [self.failed(SMOOTHED_TOPIC, now_ns, failure(error))]
+            published += smoothed
+        return published
 
     def table(self, config: ShipAttitudeConfig) -> Iterator[Feed]:
         """Which topic feeds which method of the core; each star sensor has one topic, so that no star counts twice."""

@@ -266,6 +266,14 @@ class ShipAttitudeConfig(StarSensorsById):
     lag_s: float = parameter(
         2.0, doc="measurements up to this late are applied at their own time", unit="s", minimum=0.0, maximum=600.0
     )
+    smoothing_lag_s: float = parameter(
+        0.0,
+        doc="ship/attitude_smoothed tells each attitude so long after its stamp, by what was measured meanwhile, not"
+        " before lag_s and ins.max_gap_s are over; 0 leaves it out",
+        unit="s",
+        minimum=0.0,
+        maximum=600.0,
+    )
     coasting_after_s: float = parameter(
         2.0, doc="without stars for this long the status is COASTING", unit="s", minimum=0.1, maximum=3600.0, live=True
     )

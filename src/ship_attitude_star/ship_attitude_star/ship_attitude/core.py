@@ -6,8 +6,9 @@ measurement is applied and which output may follow. What belongs to the ship's a
 of the INS and of the star sensors, and who carries the attitude when the INS is gone.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -62,15 +63,23 @@ class ShipAttitudeCore:
     Args:
         config: the node's parameters.
         watch: the sky; None where no sensor looks at it itself.
+        closed: takes states that can no longer change, in order; None where nobody asks for them.
     """
 
-    def __init__(self, config: ShipAttitudeConfig, watch: SkyWatch | None = None) -> None:
+    filter_class: ClassVar[type[ShipFilter]] = ShipFilter
+
+    def __init__(
+        self,
+        config: ShipAttitudeConfig,
+        watch: SkyWatch | None = None,
+        closed: Callable[[Sequence[FilterState]], None] | None = None,
+    ) -> None:
         self.config = config
         self._watch = watch
         self.vertical: VerticalTrack | None = None
         if config.follows_vertical:
             self.vertical = VerticalTrack(config.gravity, config.sky)
-        self.filter = ShipFilter(config, self.vertical)
+        self.filter = self.filter_class(config, self.vertical)
         self._start: tuple[AlignmentPrior, int] | None = None
         self._silence_ns = round(config.ins.silence_s * SECOND_NS)
         self._max_gap_ns = round(config.ins.max_gap_s * SECOND_NS)
@@ -85,6 +94,7 @@ class ShipAttitudeCore:
             until_ns=lambda decision: decision.ins_time_ns + decision.measurement.reach_ns,
             forget_before=self._forget_before,
             decided=self._note_used,
+            closed=closed,
         )
         self._shell: EstimatorShell[FilterState, Measurement, AttitudeDecision, InsJump, AttitudeEstimate]
         self._shell = EstimatorShell(
@@ -122,7 +132,7 @@ class ShipAttitudeCore:
     def reconfigure(self, config: ShipAttitudeConfig) -> None:
         """Go on with other noise and gates; geometry and the set of devices stay."""
         self.config = config
-        self.filter = ShipFilter(config, self.vertical)
+        self.filter = self.filter_class(config, self.vertical)
         self._corrected = CorrectedIns(self.filter, self.state, config.horizon)
         self._guards.ins.reconfigure(config.ins)
 
@@ -370,12 +380,17 @@ class ShipAttitudeCore:
 
     def _forget_before(self, time_ns: int) -> None:
         """Forget what no measurement at or after a stamp is compared with."""
-        self._track.drop_before(time_ns - self._stamp_reach_ns)
+        asked_since_ns = self._asked_since_ns(time_ns)
+        self._track.drop_before(asked_since_ns - self._stamp_reach_ns)
         if self._watch is not None:
             self._watch.surroundings.drop_before(time_ns)
         if self.vertical is not None:
-            asked_since_ns = self._shell.oldest_state.time_ns
-            self.vertical.drop_before(time_ns, time_ns if asked_since_ns is None else min(time_ns, asked_since_ns))
+            state_ns = self._shell.oldest_state.time_ns
+            self.vertical.drop_before(time_ns, asked_since_ns if state_ns is None else min(asked_since_ns, state_ns))
+
+    def _asked_since_ns(self, closed_ns: int) -> int:
+        """The earliest moment that is still asked for; no measurement before ``closed_ns`` can change any more."""
+        return closed_ns
 
     def _compare_anew(self, changed_after_ns: int | None, affects: Callable[[Measurement], bool]) -> None:
         """Have the measurements after a moment that something affects compared anew; None for no moment."""

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from ship_attitude_star.ros.attitude_messages import SMOOTHED_TOPIC
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_bags.errors import BadInput
@@ -31,7 +32,7 @@ _INNOVATION_TOPICS = ("ship/innovation", "theodolite/innovation")
 _ESTIMATES = {"ship/alignment": "alignment", "theodolite/calibration": "calibration"}
 """Topics of what filters estimate besides → what it is called here."""
 _RESULTS = (*_INNOVATION_TOPICS, *_ESTIMATES)
-_OF_THE_RUN = (*(orientation.topic for orientation in ORIENTATIONS), JOINT_SOLUTION, *_RESULTS)
+_OF_THE_RUN = (*(orientation.topic for orientation in ORIENTATIONS), SMOOTHED_TOPIC, JOINT_SOLUTION, *_RESULTS)
 """Topics that are taken from the run's own bag alone: in another they are its inputs, or results of another run."""
 
 _INSTALLED = "star.", "reference."

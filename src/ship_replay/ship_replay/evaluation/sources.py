@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ship_attitude_star.ros.attitude_messages import SMOOTHED_TOPIC
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_attitude_star.stars.config import JOINT, MountingConfig
@@ -111,8 +112,8 @@ class PublishedAttitude(AttitudeSource):
         invalid_count: messages that claimed no attitude.
     """
 
-    def __init__(self, truth: Truth) -> None:
-        super().__init__(truth.orientation.label, truth)
+    def __init__(self, truth: Truth, label: str = "") -> None:
+        super().__init__(label or truth.orientation.label, truth)
         self.invalid_count = 0
         self.seen = False
 
@@ -262,7 +263,8 @@ def sources(
     deck, axis = truths.get(SHIP_ATTITUDE.truth_topic), truths.get(POINTING.truth_topic)
     if deck is not None:
         ins = InsAttitude(deck, ins_config)
-        collectors |= {SHIP_ATTITUDE.topic: PublishedAttitude(deck), "ins/imu": ins}
+        collectors[SHIP_ATTITUDE.topic] = PublishedAttitude(deck)
+        collectors |= {SMOOTHED_TOPIC: PublishedAttitude(deck, "smoothed"), "ins/imu": ins}
         collectors[JOINT_SOLUTION] = StarAttitude(JOINT, deck, None)
         for sensor_id, solved in (star.star_sensors if star else {}).items():
             collectors[f"star/{sensor_id}/solution"] = StarAttitude(sensor_id, deck, solved)

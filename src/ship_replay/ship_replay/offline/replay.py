@@ -17,6 +17,7 @@ from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import NS_PER_S
 from ship_bags.topic_names import TRUTH_PREFIX, likely_namespace, relative_topics
 from ship_node.edge.adapter import Adapter
+from ship_node.edge.topics import OutputTopic
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain, suite_text
 from ship_replay.offline.block_run import BlockRun
 from ship_replay.offline.message_times import LogTimes, in_order_of_stamps
@@ -60,16 +61,16 @@ def replay(
         config_text = suite_text(bag, config_path)
         chain, left_out = suite_chain(bag, adapter_classes, factory, config_path, namespace)
         input_names = match_inputs(bag, chain, namespace)
-        names = input_names | _truth_names(bag, namespace)
+        names = input_names | truth_names(bag, namespace)
         summary = ReplaySummary(absent=[topic.topic for topic in chain.inputs if topic.topic not in input_names])
         with BagWriter(out_path) as writer:
-            _announce(writer, bag, chain, config_text)
+            announce(writer, bag, chain.outputs, config_text)
             run_class = ReplayRun if one_by_one else BlockRun
             run = run_class(chain, writer, summary, truth_topics=names)
             relative_names = {name: relative for relative, name in names.items()}
             records = watch(bag.records(relative_names), bag)
             if by_stamps:
-                records = in_order_of_stamps(records, _usual_delay_ns(bag_path, relative_names))
+                records = in_order_of_stamps(records, usual_delay_ns(bag_path, relative_names))
             for record in records:
                 run.take(relative_names[record.topic], record)
             if bag.last_time_ns is None or bag.start_ns is None:
@@ -101,7 +102,7 @@ def _tell_of_node(
                 kept[name] = {reason.word: count for reason, count in reasons.items()}
 
 
-def _usual_delay_ns(bag_path: Path, relative_names: Mapping[str, str]) -> int:
+def usual_delay_ns(bag_path: Path, relative_names: Mapping[str, str]) -> int:
     """Log time minus stamp of most of the messages."""
     times = LogTimes()
     with read_bag(bag_path) as bag:
@@ -138,7 +139,7 @@ def match_inputs(bag: Bag, adapter: Adapter | AdapterChain, namespace: str) -> d
     return {topic.topic: found[topic.topic] for topic in adapter.inputs if topic.topic in found}
 
 
-def _truth_names(bag: Bag, namespace: str) -> dict[str, str]:
+def truth_names(bag: Bag, namespace: str) -> dict[str, str]:
     """Relative name → name in the bag, of the truth topics, which are copied."""
     found = relative_topics(bag.topics, namespace)
     names = {relative: name for relative, name in found.items() if relative.startswith(TRUTH_PREFIX)}
@@ -149,7 +150,7 @@ def _truth_names(bag: Bag, namespace: str) -> dict[str, str]:
     return names
 
 
-def _announce(writer: BagWriter, bag: Bag, chain: AdapterChain, config_text: str) -> None:
+def announce(writer: BagWriter, bag: Bag, outputs: Sequence[OutputTopic], config_text: str) -> None:
     """Write the head of the output: attachments, metadata, topics."""
     writer.add_attachment(SUITE_ATTACHMENT, config_text)
     if SCENARIO_ATTACHMENT in bag.attachments:
@@ -158,5 +159,5 @@ def _announce(writer: BagWriter, bag: Bag, chain: AdapterChain, config_text: str
         # rosbag2 keeps its own file information in a record of that name; it would be wrong in another file.
         if name != "rosbag2":
             writer.add_metadata(name, entries)
-    for output in chain.outputs:
+    for output in outputs:
         writer.add_topic(output.topic, output.type_name, output.latched)

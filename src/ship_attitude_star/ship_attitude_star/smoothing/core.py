@@ -1,0 +1,221 @@
+"""The core of ``ship_attitude`` that tells each attitude a second time, later, by what was measured meanwhile.
+
+What it tells at once is, to the last bit, what :class:`ShipAttitudeCore` tells.
+"""
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeOutcome
+from ship_attitude_star.ship_attitude.config import GRAVITY, ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.core import INS, ShipAttitudeCore
+from ship_attitude_star.ship_attitude.filter import ShipFilter
+from ship_attitude_star.ship_attitude.state import FilterState
+from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.smoothing.backward import Known
+from ship_attitude_star.smoothing.between import Between
+from ship_attitude_star.smoothing.chain import Chain
+from ship_attitude_star.smoothing.traced_filter import TracedFilter
+from ship_geometry import compiled_rotations
+from ship_geometry.attitude_track import AttitudeSample, InterpolatedAttitude, SampleBlock
+from ship_geometry.rotations import FloatArray
+from ship_geometry.time_scales import SECOND_NS
+
+_ATTITUDE, _CLOCK = slice(0, 3), 3
+"""What corrects the INS (:class:`Between`)."""
+
+_AT_ONCE = 1000
+"""Attitudes that are told again together at the end."""
+
+_NO_PARTS = np.empty((0, 3, 3))
+
+
+class _ToldAtOnce(NamedTuple):
+    """An attitude as it was told at once.
+
+    Attributes:
+        estimate: without the state that it rests on and without the parts of its covariance: many are kept.
+        disputed_n: what it adds to its covariance because sources are apart, rad², shape (3, 3); None for nothing.
+        is_doubtful: whether the sources contradicted one another, or the INS was excluded: what the filter then knew
+            is not smoothed.
+    """
+
+    estimate: AttitudeEstimate
+    disputed_n: FloatArray | None
+    is_doubtful: bool
+
+
+class SmoothingCore(ShipAttitudeCore):
+    """The estimator of the ship's attitude, now and once more with hindsight.
+
+    Args:
+        config: the node's parameters.
+        watch: the sky; None where no sensor looks at it itself.
+        lag_s: an attitude is told again so long after its stamp, and not before all measurements up to it are final;
+            None where that is asked for at the end of all (:meth:`smoothed_to_the_end`).
+    """
+
+    filter_class: ClassVar[type[ShipFilter]] = TracedFilter
+
+    def __init__(self, config: ShipAttitudeConfig, watch: SkyWatch | None, lag_s: float | None) -> None:
+        self._lag_ns = None if lag_s is None else round(lag_s * SECOND_NS)
+        self._closed: list[FilterState] = []
+        self._closed_ns = 0
+        self._told: deque[_ToldAtOnce] = deque()
+        super().__init__(config, watch, self._closed.extend)
+
+    def reset(self, clock_jumped: bool = False) -> None:
+        """See :meth:`ShipAttitudeCore.reset`; what was not told again is not told again any more."""
+        super().reset(clock_jumped)
+        self.forget_told()
+
+    def forget_told(self) -> None:
+        """Begin anew with what is told from now on; what was not told again is not told again any more."""
+        self._closed.clear()
+        self._told.clear()
+        self._chain = Chain(self._between(), self._shell.oldest_state)
+
+    def reconfigure(self, config: ShipAttitudeConfig) -> None:
+        """See :meth:`ShipAttitudeCore.reconfigure`."""
+        super().reconfigure(config)
+        self._chain.between = self._between()
+
+    def look_ahead(self, block: SampleBlock, arrivals_ns: object) -> None:
+        """No sample is judged before its turn: each one's attitude is kept."""
+
+    def add_ins(self, sample: AttitudeSample, arrival_ns: int | None = None, estimate: bool = True) -> AttitudeOutcome:
+        """See :meth:`ShipAttitudeCore.add_ins`."""
+        outcome = super().add_ins(sample, arrival_ns, estimate)
+        for one in outcome.estimates:
+            doubtful = one.state.doubt is not None or INS in one.state.excluded
+            self._told.append(_ToldAtOnce(_alone(one), one.state.disputed_n, doubtful))
+            self._chain.ask(one.time_ns)
+        return outcome
+
+    def smoothed(self) -> list[AttitudeEstimate]:
+        """The attitudes that are due to be told again, in the order of their stamps."""
+        self._take(self._closed)
+        self._closed.clear()
+        if self._lag_ns is None:
+            return []
+        return self._smoothed_until(min(self._shell.window.newest_ns - self._lag_ns, self._closed_ns))
+
+    def smoothed_to_the_end(self) -> Iterator[AttitudeEstimate]:
+        """All attitudes that were not told again yet, by all that was measured; nothing may come after it."""
+        self._take([*self._closed, *self._shell.states_in_window()])
+        self._closed.clear()
+        while self._told:
+            last = self._told[min(len(self._told), _AT_ONCE) - 1]
+            yield from self._smoothed_until(last.estimate.time_ns)
+
+    # -- what is kept ---------------------------------------------------------------------------------------
+
+    def _forget_before(self, time_ns: int) -> None:
+        self._closed_ns = time_ns
+        super()._forget_before(time_ns)
+
+    def _asked_since_ns(self, closed_ns: int) -> int:
+        asked_ns = self._told[0].estimate.time_ns if self._told else closed_ns
+        link_ns = self._chain.newest_ns
+        return min(closed_ns, asked_ns, closed_ns if link_ns is None else link_ns)
+
+    def _between(self) -> Between:
+        return Between(self.filter, self.config.horizon == GRAVITY)
+
+    def _take(self, states: Sequence[FilterState]) -> None:
+        for state in states:
+            self._chain.add(state)
+
+    # -- what is told again ---------------------------------------------------------------------------------
+
+    def _smoothed_until(self, time_ns: int) -> list[AttitudeEstimate]:
+        """The attitudes up to a moment, those that are not smoothed as they were told at once."""
+        found = self._chain.take_until(time_ns)
+        known = {
+            moment_ns: Known(mean, covariance)
+            for moments_ns, (means, covariances) in found
+            for moment_ns, mean, covariance in zip(moments_ns, means, covariances, strict=True)
+        }
+        due = []
+        while self._told and self._told[0].estimate.time_ns <= time_ns:
+            due.append(self._told.popleft())
+        again: list[tuple[_ToldAtOnce, Known, InterpolatedAttitude]] = []
+        places, estimates = [], [self._as_it_was(told.estimate) for told in due]
+        for place, told in enumerate(due):
+            corrects = known.get(told.estimate.time_ns)
+            ins = None if corrects is None or told.is_doubtful else self._ins_at(told.estimate.time_ns, corrects)
+            if corrects is not None and ins is not None:
+                places.append(place)
+                again.append((told, corrects, ins))
+        for place, estimate in zip(places, self._corrected_again(again), strict=True):
+            estimates[place] = estimate
+        return estimates
+
+    def _as_it_was(self, estimate: AttitudeEstimate) -> AttitudeEstimate:
+        """An attitude that was told at once; the INS's drift bears all of its covariance."""
+        parts = np.zeros((len(self.filter.model.sources), 3, 3))
+        parts[self._corrected.drift_index] = estimate.covariance_n
+        return replace(estimate, covariance_parts_n=parts)
+
+    def _ins_at(self, time_ns: int, corrects: Known) -> InterpolatedAttitude | None:
+        """The INS's attitude of a moment; None where its samples do not tell it from both sides."""
+        moved_s = -(self.config.ins.time_offset_s + corrects.mean.item(_CLOCK))
+        return self._track.at(time_ns + round(moved_s * SECOND_NS))
+
+    def _corrected_again(
+        self, again: Sequence[tuple[_ToldAtOnce, Known, InterpolatedAttitude]]
+    ) -> list[AttitudeEstimate]:
+        """Attitudes of the INS corrected by what is known of its errors with hindsight."""
+        corrected, estimates = self._corrected, []
+        if not again:
+            return []
+        errors = np.array([corrects.mean[_ATTITUDE] for _, corrects, _ in again])
+        parts = np.zeros((len(again), len(self.filter.model.sources), _CLOCK + 1, _CLOCK + 1))
+        # What each source has in it is not carried back: the INS's drift bears all of it.
+        parts[:, corrected.drift_index] = [corrects.covariance for _, corrects, _ in again]
+        rotations_nd, parts_n = compiled_rotations.corrected(
+            np.arange(len(again), dtype=np.intp),
+            np.zeros(len(again)),
+            np.array([ins.rotation_nd for _, _, ins in again]),
+            np.array([ins.rate_d for _, _, ins in again]),
+            np.array([ins.noise_gain for _, _, ins in again]),
+            np.array([ins.error_covariance_d for _, _, ins in again]),
+            errors,
+            np.ones((len(again), 3), dtype=np.uint8),
+            *corrected.of_filter[:3],
+            parts,
+            *corrected.of_filter[3:],
+        )
+        for (told, _, ins), rotation_nd, of_source in zip(again, rotations_nd, parts_n, strict=True):
+            undisputed_n = of_source.sum(axis=0)
+            if told.disputed_n is not None:
+                of_source[corrected.drift_index] += told.disputed_n
+            estimates.append(
+                replace(
+                    told.estimate,
+                    rotation_nd=rotation_nd,
+                    covariance_parts_n=of_source,
+                    covariance_n=of_source.sum(axis=0),
+                    undisputed_n=undisputed_n,
+                    rate_d=ins.rate_d,
+                )
+            )
+        return estimates
+
+
+def _alone(estimate: AttitudeEstimate) -> AttitudeEstimate:
+    """An attitude that holds no array of others."""
+    covariance_n = estimate.covariance_n.copy()
+    return replace(
+        estimate,
+        rotation_nd=estimate.rotation_nd.copy(),
+        covariance_parts_n=_NO_PARTS,
+        covariance_n=covariance_n,
+        undisputed_n=covariance_n,
+        rate_d=estimate.rate_d.copy(),
+        state=None,
+    )

@@ -1,0 +1,91 @@
+"""The ship's filter, whose states tell how the estimate by all sources came about: what a smoother must know."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ship_attitude_star.ship_attitude.comparison import Compared
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.filter import ShipFilter
+from ship_attitude_star.ship_attitude.ins_at_fault import distrusted
+from ship_attitude_star.ship_attitude.state import FilterState, changed
+from ship_attitude_star.ship_attitude.suspects import Suspects
+from ship_attitude_star.smoothing.backward import Known
+from ship_attitude_star.vertical.vertical_track import VerticalTrack
+from ship_estimation.hypotheses import RowsCompared
+from ship_estimation.ins import InsJump
+from ship_estimation.outcome import Measurement
+from ship_geometry.rotations import FloatArray
+
+
+@dataclass(frozen=True)
+class Came:
+    """How the first row came to an estimate.
+
+    Attributes:
+        predicted: from the state before, with all that was added to its covariance before the measurement was used.
+        estimate: with the measurement.
+        is_update: whether it is what prediction and measurement together tell. Otherwise nothing leads back from it:
+            only some states were learnt, or another row has become the first.
+        jumped_ns: of a jump of the INS the stamp of its last sample before it, which may be later than the state: that
+            is opened as much earlier as clocks may differ; None for a measurement.
+    """
+
+    predicted: Known
+    estimate: Known
+    is_update: bool
+    jumped_ns: int | None = None
+
+
+@dataclass(frozen=True)
+class TracedState(FilterState):
+    """A state with its last step.
+
+    Attributes:
+        came: by the last measurement used, or the last jump; None before the first.
+    """
+
+    came: Came | None = None
+
+
+class TracedFilter(ShipFilter):
+    """The step from state to state as :class:`ShipFilter` makes it, to the last bit; its states are traced."""
+
+    def __init__(self, config: ShipAttitudeConfig, vertical: VerticalTrack | None = None) -> None:
+        super().__init__(config, vertical)
+        self.suspects = _TracedSuspects(config, self.model, self.devices)
+
+    def opened(self, state: FilterState, jump: InsJump) -> FilterState:
+        """See :meth:`ShipFilter.opened`: by the jump an error comes to the predicted state."""
+        after = super().opened(state, jump)
+        assert isinstance(after, TracedState)
+        both = Known(after.mean, after.covariance)
+        leads_back = after.excluded.keys() <= state.excluded.keys()
+        return changed(after, came=Came(both, both, leads_back, jump.time_ns))
+
+
+class _TracedSuspects(Suspects):
+    """The verdicts on traced states."""
+
+    def start(self, mean: FloatArray, parts: FloatArray) -> FilterState:
+        """See :meth:`Suspects.start`."""
+        return TracedState(**vars(super().start(mean, parts)))
+
+    def learned(
+        self,
+        state: FilterState,
+        predicted: FilterState,
+        measurement: Measurement,
+        measured: Compared,
+        compared: RowsCompared,
+        accepted: NDArray[np.bool_],
+    ) -> FilterState:
+        """See :meth:`Suspects.learned`."""
+        after = super().learned(state, predicted, measurement, measured, compared, accepted)
+        if after.means is state.means:
+            return after
+        assert isinstance(after, TracedState)
+        is_update = measurement.source not in state.excluded and not distrusted(state)
+        before = Known(predicted.mean, predicted.covariance)
+        return changed(after, came=Came(before, Known(after.mean, after.covariance), is_update))

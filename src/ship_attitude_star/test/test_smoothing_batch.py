@@ -1,0 +1,282 @@
+"""The smoother against one least-squares solution over all states of all epochs at once, by scipy's sparse solver.
+
+The batch knows the measurement equation and the autocorrelation of each error as docs/explanation/filter.md tells them.
+It shares no line with the filter or the smoother: rotations are scipy's, derivatives are differences.
+"""
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy import sparse
+from scipy.linalg import block_diag
+from scipy.sparse.linalg import splu
+from scipy.spatial.transform import Rotation
+
+from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMeasurement
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.smoothing.backward import Backward, Known, backward
+from ship_attitude_star.smoothing.core import SmoothingCore
+from ship_estimation.parameters import build
+from ship_geometry.attitude_track import AttitudeSample
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.rotations import ARCSEC
+
+START_NS, SECOND_NS = 1_700_000_000_000_000_000, 1_000_000_000
+DURATION_S, INS_PERIOD_S = 24.0, 0.02
+TILT, HEADING, TILT_TIME_S, HEADING_TIME_S, WHITE = 6.0 * ARCSEC, 20.0 * ARCSEC, 8.0, 20.0, 0.2 * ARCSEC
+MOUNTED, CLOCK_S, COMMON, COMMON_TIME_S, FLEXURE, FLEXURE_TIME_S = 30 * ARCSEC, 0.002, 2 * ARCSEC, 15.0, 2 * ARCSEC, 4.0
+NOISE = np.array([40.0, 3.0, 3.0]) * ARCSEC
+SENSORS = {"fore": np.deg2rad([0.0, 45.0, 0.0]), "starboard": np.deg2rad([90.0, 40.0, 0.0])}
+CONFIG = build(
+    ShipAttitudeConfig,
+    {
+        "ins": {
+            "tilt_sigma_arcsec": TILT / ARCSEC,
+            "heading_sigma_arcsec": HEADING / ARCSEC,
+            "tilt_time_s": TILT_TIME_S,
+            "heading_time_s": HEADING_TIME_S,
+            "white_sigma_arcsec": WHITE / ARCSEC,
+            "time_offset_sigma_s": CLOCK_S,
+        },
+        "star_sensors": {
+            id_: {
+                "azimuth_deg": float(np.rad2deg(angles[0])),
+                "elevation_deg": float(np.rad2deg(angles[1])),
+                "installation_sigma_forward_arcsec": MOUNTED / ARCSEC,
+                "installation_sigma_up_arcsec": MOUNTED / ARCSEC,
+                "installation_sigma_right_arcsec": MOUNTED / ARCSEC,
+                "common_time_s": COMMON_TIME_S,
+                "flexure_sigma_arcsec": FLEXURE / ARCSEC if id_ == "fore" else 0.0,
+                "flexure_time_s": FLEXURE_TIME_S,
+            }
+            for id_, angles in SENSORS.items()
+        },
+    },
+)
+
+
+def ins_nd(t_s: float) -> np.ndarray:
+    """Attitude of the INS: a ship that rolls by 3° in 7 s and pitches by 1° in 5 s."""
+    heading, pitch, roll = np.array([0.3, 1.0, 3.0]) * np.sin(2 * np.pi * t_s / np.array([25.0, 5.0, 7.0]))
+    return rotation_from_angles(*np.deg2rad([40.0 + heading, pitch, roll]))
+
+
+def turned(vector: np.ndarray) -> np.ndarray:
+    return Rotation.from_rotvec(vector).as_matrix()
+
+
+def rate_d(t_s: float) -> np.ndarray:
+    half = 1e-4
+    return Rotation.from_matrix(ins_nd(t_s - half).T @ ins_nd(t_s + half)).as_rotvec() / (2 * half)
+
+
+def star_epochs() -> list[tuple[int, str]]:
+    """Stamps in ms and sensors: fore each half second, starboard at every other of these, and once between."""
+    fore = [(ms, "fore") for ms in range(1000, int(1000 * DURATION_S) - 1000, 500)]
+    starboard = [(ms, "starboard") for ms in range(1500, int(1000 * DURATION_S) - 1000, 1000)]
+    return sorted([*fore, *starboard, *((ms + 260, "starboard") for ms, _ in starboard)])
+
+
+def measured() -> list[AttitudeMeasurement]:
+    """Attitudes with errors of the sizes that are told, drawn without correlation: estimators must agree on any."""
+    rng, found = np.random.default_rng(5), []
+    mounted = {id_: MOUNTED * rng.standard_normal(3) for id_ in SENSORS}
+    for ms, id_ in star_epochs():
+        slow = np.array([TILT, HEADING, TILT]) * np.array([0.9, -1.1, 0.6]) * np.cos(ms / 9000.0)
+        sensor = rotation_from_angles(*SENSORS[id_]) @ turned(mounted[id_])
+        rotation = turned(slow) @ ins_nd(ms / 1000.0 - 0.0011) @ sensor @ turned(NOISE * rng.standard_normal(3))
+        common = COMMON**2 * np.eye(3) if id_ == "fore" else np.zeros((3, 3))
+        stamp_ns = START_NS + ms * 1_000_000
+        found.append(AttitudeMeasurement(f"star.{id_}", stamp_ns, rotation, np.diag(NOISE**2), common))
+    return found
+
+
+def smoothed_run() -> tuple[SmoothingCore, list[AttitudeEstimate]]:
+    """The core fed in order of stamps, and the smoothed attitudes of each half second."""
+    core, stars = SmoothingCore(CONFIG, None, None), measured()
+    for number in range(round(DURATION_S / INS_PERIOD_S)):
+        ms = 20 * number
+        time_ns = START_NS + ms * 1_000_000
+        while stars and stars[0].time_ns <= time_ns:
+            core.add_measurement(stars.pop(0))
+        sample = AttitudeSample(time_ns, ins_nd(ms / 1000.0), rate_d(ms / 1000.0))
+        outcome = core.add_ins(sample, estimate=ms % 500 == 240)
+        assert all(decision.accepted for decision in outcome.decisions)
+        core.smoothed()
+    return core, list(core.smoothed_to_the_end())
+
+
+@dataclass
+class Batch:
+    """All unknowns by name, each three numbers (the clock one), and all residuals of unit variance."""
+
+    places: dict[tuple[str, int], slice] = field(default_factory=dict)
+    size: int = 0
+
+    def unknown(self, name: str, ms: int = 0, count: int = 3) -> slice:
+        if (name, ms) not in self.places:
+            self.places[name, ms] = slice(self.size, self.size + count)
+            self.size += count
+        return self.places[name, ms]
+
+    def process(self, name: str, epochs: list[int], sigma: np.ndarray, time_s: np.ndarray) -> list[tuple]:
+        """Residuals of a Gauss-Markov process: the first value, then each one against the one before."""
+        rows = [([self.unknown(name, epochs[0])], lambda first: first / sigma)]
+        for before, after in pairwise(epochs):
+            left = np.exp(-(after - before) / 1000.0 / time_s)
+            fresh = sigma * np.sqrt(1.0 - left**2)
+            step = lambda one, two, left=left, fresh=fresh: (two - left * one) / fresh  # noqa: E731
+            rows.append(([self.unknown(name, before), self.unknown(name, after)], step))
+        return rows
+
+
+def batch_rows(batch: Batch, asked_ms: list[int]) -> list[tuple]:
+    stars = measured()
+    epochs = sorted({ms for ms, _ in star_epochs()} | set(asked_ms))
+    fore = [ms for ms, id_ in star_epochs() if id_ == "fore"]
+    three = np.ones(3)
+    slow_sigma, slow_time = np.array([TILT, HEADING, TILT]), np.array([TILT_TIME_S, HEADING_TIME_S, TILT_TIME_S])
+    rows = batch.process("slow", epochs, slow_sigma, slow_time)
+    rows += batch.process("common", fore, COMMON * three, COMMON_TIME_S * three)
+    rows += batch.process("flexure", fore, FLEXURE * three, FLEXURE_TIME_S * three)
+    rows += [([batch.unknown(id_)], lambda mounted: mounted / MOUNTED) for id_ in SENSORS]
+    rows.append(([batch.unknown("clock", count=1)], lambda clock_s: clock_s / CLOCK_S))
+    for ms in sorted({ms for ms, _ in star_epochs()}):
+        rows.append(([batch.unknown("white", ms)], lambda white: white / WHITE))
+    for (ms, id_), star in zip(star_epochs(), stars, strict=True):
+        names = ["slow", "white", *(["common", "flexure"] if id_ == "fore" else [])]
+        used = [batch.unknown("clock", count=1), batch.unknown(id_), *(batch.unknown(name, ms) for name in names)]
+
+        def residual(clock_s, mounted, slow, white, common=None, flexure=None, ms=ms, id_=id_, star=star):
+            zero = np.zeros(3)
+            common, flexure = (zero if one is None else one for one in (common, flexure))
+            hull = turned(common) @ turned(slow) @ turned(white) @ ins_nd(ms / 1000.0 - clock_s[0]) @ turned(flexure)
+            predicted = hull @ rotation_from_angles(*SENSORS[id_]) @ turned(mounted)
+            return Rotation.from_matrix(predicted.T @ star.rotation_nv).as_rotvec() / NOISE
+
+        rows.append((used, residual))
+    return rows
+
+
+def solved(batch: Batch, rows: list[tuple]) -> tuple[np.ndarray, object]:
+    """The unknowns by Gauss-Newton, and the factors of their information matrix."""
+    unknowns = np.zeros(batch.size)
+    for _ in range(4):
+        values, blocks, first = [], [], 0
+        for used, residual in rows:
+            at = [unknowns[one] for one in used]
+            value = residual(*at)
+            values.append(value)
+            for number, one in enumerate(used):
+                for column in range(one.start, one.stop):
+                    step = 1e-5 if one == batch.places["clock", 0] else 1e-6
+                    ends = []
+                    for sign in (step, -step):
+                        moved = [part.copy() for part in at]
+                        moved[number][column - one.start] += sign
+                        ends.append(residual(*moved))
+                    slope = (ends[0] - ends[1]) / (2 * step)
+                    blocks += [(first + row, column, slope[row]) for row in np.flatnonzero(slope)]
+            first += len(value)
+        row, column, slope = zip(*blocks, strict=True)
+        jacobian = sparse.csc_matrix((slope, (row, column)), shape=(first, batch.size))
+        factors = splu((jacobian.T @ jacobian).tocsc())
+        unknowns = unknowns - factors.solve(jacobian.T @ np.concatenate(values))
+    return unknowns, factors
+
+
+def covariance_of(factors: object, batch: Batch, parts: list[slice]) -> np.ndarray:
+    places = np.concatenate([np.arange(part.start, part.stop) for part in parts])
+    unit = np.zeros((batch.size, len(places)))
+    unit[places, np.arange(len(places))] = 1.0
+    return factors.solve(unit)[places]
+
+
+@pytest.fixture(scope="module")
+def both() -> tuple:
+    core, smoothed = smoothed_run()
+    asked_ms = [round((one.time_ns - START_NS) / 1e6) for one in smoothed]
+    batch = Batch()
+    return core, smoothed, asked_ms, batch, *solved(batch, batch_rows(batch, asked_ms))
+
+
+def test_smoothing_is_batch_least_squares(both: tuple) -> None:
+    # Issue: within 1 % of sigma.
+    _, smoothed, asked_ms, batch, unknowns, factors = both
+    assert len(smoothed) == 48
+    worst_mean = worst_sigma = 0.0
+    for one, ms in zip(smoothed, asked_ms, strict=True):
+        parts = [batch.places["slow", ms], batch.places["clock", 0]]
+        slow, clock_s = (unknowns[part] for part in parts)
+        rotation_nd = turned(slow) @ ins_nd(ms / 1000.0 - clock_s[0])
+        by_clock = -(rotation_nd @ rate_d(ms / 1000.0 - clock_s[0]))
+        jacobian = np.hstack([np.eye(3), by_clock[:, None]])
+        expected = jacobian @ covariance_of(factors, batch, parts) @ jacobian.T + WHITE**2 * np.eye(3)
+        sigma = np.sqrt(expected.diagonal())
+        apart = Rotation.from_matrix(one.rotation_nd @ rotation_nd.T).as_rotvec()
+        worst_mean = max(worst_mean, np.max(np.abs(apart) / sigma))
+        worst_sigma = max(worst_sigma, np.max(np.abs(np.sqrt(one.covariance_n.diagonal()) / sigma - 1.0)))
+    print(f"attitudes apart by {worst_mean:.5f} sigma, sigmas by {worst_sigma:.5f}")
+    assert worst_mean < 0.01
+    assert worst_sigma < 0.01
+
+
+def test_the_filters_covariance_is_the_inverse_of_the_information_matrix(both: tuple) -> None:
+    # After the last measurement the filter has used all that the batch has.
+    core, _, _, batch, unknowns, factors = both
+    last_ms = star_epochs()[-1][0]
+    model, state = core.filter.model, core.state
+    assert state.time_ns == START_NS + last_ms * 1_000_000
+    parts = [batch.places[key] for key in (("slow", last_ms), ("clock", 0), ("fore", 0), ("starboard", 0))]
+    names = ("ins.attitude", "ins.time_offset", "star.fore.installation", "star.starboard.installation")
+    rows = np.concatenate([model.rows(name) for name in names])
+    expected = covariance_of(factors, batch, parts)
+    sigma = np.sqrt(expected.diagonal())
+    both_sigmas = np.outer(sigma, sigma)
+    mean, found = np.concatenate([unknowns[part] for part in parts]), state.covariance[np.ix_(rows, rows)]
+    assert np.max(np.abs(state.mean[rows] - mean) / sigma) < 0.01
+    np.testing.assert_allclose(found / both_sigmas, expected / both_sigmas, rtol=0, atol=0.01)
+
+
+def test_a_step_back_is_batch_least_squares_of_any_linear_chain() -> None:
+    # States of which one is known exactly and one repeats; dense numpy over all epochs.
+    rng, n, count = np.random.default_rng(2), 4, 12
+    start = np.diag([4.0, 1.0, 0.0, 2.0])
+    decays, noise = rng.uniform(0.5, 1.0, (count, n)), rng.uniform(0.1, 1.0, (count, n))
+    noise[:, 2:] = 0.0
+    rows, values = rng.standard_normal((count, 2, n)), rng.standard_normal((count, 2))
+    known, backs = Known(np.zeros(n), start), []
+    for epoch in range(count):
+        predicted, cross = known, start
+        if epoch:
+            transition = np.diag(decays[epoch])
+            cross = known.covariance @ transition.T
+            predicted = Known(transition @ known.mean, transition @ cross + np.diag(noise[epoch]))
+            backs.append(backward(known, cross, predicted))
+        innovation = rows[epoch] @ predicted.covariance @ rows[epoch].T + np.eye(2)
+        gain = predicted.covariance @ rows[epoch].T @ np.linalg.inv(innovation)
+        mean = predicted.mean + gain @ (values[epoch] - rows[epoch] @ predicted.mean)
+        known = Known(mean, predicted.covariance - gain @ innovation @ gain.T)
+    found = [known]
+    for back in reversed(backs):
+        assert isinstance(back, Backward)
+        found.append(back.by(found[-1]))
+    # All states by the first one and by what came new at each epoch.
+    of_new = np.zeros((count, n, count, n))
+    for epoch in range(count):
+        for since in range(epoch + 1):
+            of_new[epoch, :, since] = np.diag(np.prod(decays[since + 1 : epoch + 1], axis=0))
+    of_new = of_new.reshape(count * n, count * n)
+    prior = of_new @ block_diag(start, *map(np.diag, noise[1:])) @ of_new.T
+    design = np.zeros((count, 2, count, n))
+    for epoch in range(count):
+        design[epoch, :, epoch] = rows[epoch]
+    design = design.reshape(2 * count, count * n)
+    weights = prior @ design.T @ np.linalg.inv(design @ prior @ design.T + np.eye(2 * count))
+    mean, covariance = (weights @ values.ravel()).reshape(count, n), prior - weights @ design @ prior
+    for epoch, one in enumerate(reversed(found)):
+        block = slice(epoch * n, (epoch + 1) * n)
+        np.testing.assert_allclose(one.mean, mean[epoch], atol=1e-12)
+        np.testing.assert_allclose(one.covariance, covariance[block, block], atol=1e-12)

@@ -1,0 +1,56 @@
+"""``smooth``: the ship's attitudes of a bag with hindsight, each by all that was measured before and after it."""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
+from ship_bags.mcap.bag_reader import watched
+from ship_bags.output_files import add_force, check_file
+from ship_replay.offline.smooth import smooth
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point."""
+    return run_command(_parser(), _run, arguments)
+
+
+def _parser() -> CommandParser:
+    parser = CommandParser(
+        prog="smooth",
+        example="./ros2run ship_replay smooth bags/demo.mcap --out smoothed.mcap",
+        epilog="exit code: 0 written; 2 bad input or usage, with one line that says which; 130 interrupted",
+        description="Write ship/attitude_smoothed: the attitude of ship_attitude at each stamp of the INS by all "
+        "measurements of the bag, those that came later too (Rauch, Tung and Striebel), with its covariance. Status, "
+        "horizon and sources are those of ship/attitude. What the node put out while its sources contradicted one "
+        "another is written as it was. Topics truth/* are copied, so that evaluate tells the errors.",
+    )
+    parser.add_argument("bag", type=Path, metavar="IN.mcap", help=".mcap file or rosbag2 folder")
+    parser.add_argument("--out", type=Path, required=True, metavar="OUT.mcap", help="bag to write")
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="suite configuration (default: suite.yaml attached to the bag)"
+    )
+    parser.add_argument("--namespace", default="", help="namespace of the ship's topics in the bag")
+    parser.add_argument(
+        "--arrival",
+        choices=("log", "stamps"),
+        default="log",
+        help="when a message arrives: when it was logged (default), or at its stamp, for a bag whose recorder stalled",
+    )
+    add_force(parser)
+    return parser
+
+
+def _run(options: argparse.Namespace) -> int:
+    check_file(options.out, options.force)
+    by_stamps = options.arrival == "stamps"
+    summary = smooth(options.bag, options.out, options.config, options.namespace, watched, by_stamps)
+    print(f"{options.out}: {summary.count} attitudes on ship/attitude_smoothed")
+    sigmas_arcsec = summary.median_sigmas_arcsec
+    if sigmas_arcsec is not None:
+        both = zip(("heading", "pitch", "roll"), *sigmas_arcsec.tolist(), strict=True)
+        sigmas = ", ".join(f"{angle} {at_once:.2f} -> {smoothed:.2f}" for angle, at_once, smoothed in both)
+        print(f"median sigma at once -> smoothed [arcsec]: {sigmas}")
+    for problem in summary.problems:
+        print(f"warning: {problem}")
+    return EXIT_DONE

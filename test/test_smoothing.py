@@ -1,0 +1,259 @@
+"""Smoothing is honest: on drawn voyages, over a gap of the stars, across a jump of the INS, with a sensor that lies.
+
+The bands are of 99.9 %, from chi-square, by the number of seeds.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMeasurement
+from ship_attitude_star.ros.attitude_messages import SMOOTHED_TOPIC, smoothed_message
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.smoothing.core import SmoothingCore
+from ship_estimation.gates import mean_nees_band, normalized_error_squared
+from ship_estimation.parameters import build
+from ship_estimation.refusals import Reason
+from ship_geometry.attitude_track import AttitudeSample
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
+from ship_replay.trials.monte_carlo import attitude_outcomes
+from ship_simulation.run import simulate
+from ship_simulation.scenario.motion_scenario import Outage
+from ship_simulation.scenario.scenario import Scenario
+from ship_simulation.scenario.scenario_file import load_scenario
+from ship_simulation.suite.suite import suite_configuration
+from ship_testing.adapter_runs import FACTORY, SECOND_NS, START_NS, stamp_of
+from ship_testing.ins_streams import SWELL, attitudes, stepped, stream
+from ship_testing.small_voyage import drive, new_adapter, voyage
+
+SCENARIOS = Path(__file__).parents[1] / "bags" / "scenarios"
+SEEDS = 16
+
+
+class Told(NamedTuple):
+    """The attitude of each stamp, at once and with hindsight."""
+
+    at_once: list[AttitudeEstimate]
+    smoothed: list[AttitudeEstimate]
+
+
+# -- drawn voyages ------------------------------------------------------------------------------------------------
+
+
+def thin(name: str, duration_s: float, gap_s: tuple[float, float]) -> Scenario:
+    """A scenario with fewer samples, and with clouds in a while of it."""
+    whole, clouds = load_scenario(SCENARIOS / name), {"gap": Outage(*gap_s)}
+    sensors = {id_: replace(one, rate_hz=1.0, outages=clouds) for id_, one in whole.star_sensors.items()}
+    return replace(whole, duration_s=duration_s, ins=replace(whole.ins, rate_hz=10.0), star_sensors=sensors)
+
+
+def sailed(scenario: Scenario, seed: int, asked_s: list[float]) -> tuple[Told, np.ndarray]:
+    """What is told of some moments, and the true attitudes, shape (n, 3, 3)."""
+    run = simulate(scenario, seed)
+    stamps = run.ins.time_ns[run.truth.ins_index]
+    rows = [int(np.searchsorted(stamps, stamps[0] + round(second * 1e9))) for second in asked_s]
+    core = SmoothingCore(build(ShipAttitudeConfig, suite_configuration(scenario)), None, None)
+    told = Told([], [])
+    for outcome in attitude_outcomes(core, run, set(stamps[rows].tolist())):
+        told.at_once.extend(outcome.estimates)
+        assert core.smoothed() == []
+    told.smoothed.extend(core.smoothed_to_the_end())
+    assert [one.time_ns for one in told.smoothed] == [one.time_ns for one in told.at_once] == stamps[rows].tolist()
+    return told, run.truth.rotation_nd[rows]
+
+
+def nees(estimates: list[AttitudeEstimate], true_nd: np.ndarray) -> list[float]:
+    errors = [log_rotation(true @ one.rotation_nd.T) for one, true in zip(estimates, true_nd, strict=True)]
+    pairs = zip(errors, estimates, strict=True)
+    return [float(normalized_error_squared(error, one.covariance_n)) for error, one in pairs]
+
+
+def sigmas_arcsec(estimates: list[AttitudeEstimate]) -> np.ndarray:
+    return np.array([np.sqrt(one.covariance_n.diagonal()) for one in estimates]) / ARCSEC
+
+
+@pytest.mark.parametrize(
+    ("name", "asked_s"),
+    [
+        # Before the first star, after it, between stars, after them, at the end.
+        ("demo.yaml", [0.0, 3.0, 30.0, 47.0, 59.8]),
+        ("deflection.yaml", [3.0, 30.0, 47.0, 59.8]),
+        ("schuler.yaml", [3.0, 30.0, 47.0, 59.8]),
+    ],
+)
+def test_smoothed_attitudes_are_honest(name: str, asked_s: list[float]) -> None:
+    scenario, found, worth = thin(name, 60.0, (20.0, 40.0)), [], []
+    for seed in range(SEEDS):
+        told, true_nd = sailed(scenario, 100 + seed, asked_s)
+        at_once, smoothed = sigmas_arcsec(told.at_once), sigmas_arcsec(told.smoothed)
+        assert np.all(smoothed <= at_once * (1.0 + 1e-6))
+        assert [one.status for one in told.smoothed] == [one.status for one in told.at_once]
+        worth.append(smoothed / at_once)
+        found.append(nees(told.smoothed, true_nd))
+    low, high = mean_nees_band(SEEDS, 3)
+    for mean_nees in np.mean(found, axis=0):
+        assert low < mean_nees < high
+    # What was told first gains most; at the end nothing came after.
+    assert np.all(np.mean(worth, axis=0)[0] < 0.9)
+    np.testing.assert_allclose(np.mean(worth, axis=0)[-1], 1.0, atol=0.05)
+
+
+# -- an INS that jumps, and a sensor that lies ----------------------------------------------------------------------
+
+SENSORS = {"fore": (0.0, 45.0), "starboard": (90.0, 45.0), "aft": (180.0, 45.0)}
+JUMP = 762
+"""Number of the first sample after a jump of the INS."""
+
+NOISE = np.array([60.0, 3.0, 3.0]) * ARCSEC
+MOUNTED = np.array([20.0, 5.0, 5.0]) * ARCSEC
+CONFIG = build(
+    ShipAttitudeConfig,
+    {
+        "ins": {"white_sigma_arcsec": 1.0, "time_offset_sigma_s": 0.005},
+        "star_sensors": {
+            id_: {
+                "azimuth_deg": azimuth_deg,
+                "elevation_deg": elevation_deg,
+                "installation_sigma_up_arcsec": 5.0,
+                "installation_sigma_right_arcsec": 5.0,
+            }
+            for id_, (azimuth_deg, elevation_deg) in SENSORS.items()
+        },
+    },
+)
+
+
+def with_hindsight(ins: list[AttitudeSample], lie_arcsec: float, seed: int) -> tuple[Told, np.ndarray]:
+    """Thirty seconds with three sensors, of which one is turned from 15 s on; told each half second and at JUMP - 1."""
+    rng, core, told, first_ns = np.random.default_rng(seed), SmoothingCore(CONFIG, None, None), Told([], []), 10**18
+    mounted = {id_: exp_rotation(MOUNTED * rng.standard_normal(3)) for id_ in SENSORS}
+    asked_s = []
+    for number, sample in enumerate(ins):
+        since_s = (sample.time_ns - first_ns) * 1e-9
+        if number % 10 == 0:
+            for id_, angles_deg in SENSORS.items():
+                lie = exp_rotation(np.array([0.0, 0.0, lie_arcsec * ARCSEC * (id_ == "aft" and since_s > 15.0)]))
+                sensor = rotation_from_angles(*np.deg2rad([*angles_deg, 0.0])) @ mounted[id_] @ lie
+                true_nd = attitudes(np.array([since_s]), SWELL)[0]
+                rotation = true_nd @ sensor @ exp_rotation(NOISE * rng.standard_normal(3))
+                core.add_measurement(AttitudeMeasurement(f"star.{id_}", sample.time_ns, rotation, np.diag(NOISE**2)))
+        outcome = core.add_ins(sample, estimate=number % 25 == 5 or number == JUMP - 1)
+        told.at_once.extend(outcome.estimates)
+        asked_s += [since_s] * len(outcome.estimates)
+        core.smoothed()
+    told.smoothed.extend(core.smoothed_to_the_end())
+    assert len(told.smoothed) == len(told.at_once) == 61
+    return told, attitudes(np.array(asked_s), SWELL)
+
+
+def slow_error(seed: int) -> tuple[float, float, float]:
+    north, up, east = np.array([10.0, 72.0, 10.0]) * np.random.default_rng(1000 + seed).standard_normal(3)
+    return north, up, east
+
+
+def test_across_a_jump_of_the_ins_it_stays_honest() -> None:
+    # 200 arcseconds in heading at once, which the INS's rates tell: an error that comes at that moment. The state is
+    # open five sigma of the clock earlier; the sample before the jump tells of the time before it all the same.
+    found = []
+    for seed in range(SEEDS // 2):
+        ins = stepped(stream(30.0, 50.0, seed=seed), 0, slow_error(seed))
+        told, true_nd = with_hindsight(stepped(ins, JUMP, (20.0, 200.0, -30.0)), 0.0, seed)
+        assert np.all(sigmas_arcsec(told.smoothed) <= sigmas_arcsec(told.at_once) * (1.0 + 1e-6))
+        found.append(nees(told.smoothed, true_nd))
+    low, high = mean_nees_band(SEEDS // 2, 3)
+    before_the_jump = [number for number in range(JUMP) if number % 25 == 5 or number == JUMP - 1].index(JUMP - 1)
+    for mean_nees in np.mean(found, axis=0)[[0, 10, 20, 29, before_the_jump, before_the_jump + 1, 40, 50, 60]]:
+        assert low < mean_nees < high
+
+
+def test_a_sensor_that_is_excluded_spoils_nothing() -> None:
+    # A minute of arc, by which it pulls for a second; after its exclusion the rows begin anew, and the chain with them.
+    ins = stepped(stream(30.0, 50.0), 0, slow_error(0))
+    told, true_nd = with_hindsight(ins, 60.0, 0)
+    assert any("star.aft" not in one.sources for one in told.at_once[35:])
+    assert [one.status for one in told.smoothed] == [one.status for one in told.at_once]
+    # Chi-square of three degrees of freedom exceeds it once in ten thousand.
+    assert max(nees(told.smoothed, true_nd)) < 21.1
+
+
+# -- with a fixed lag ---------------------------------------------------------------------------------------------
+
+
+def test_with_a_lag_each_attitude_is_told_once_more_and_nothing_else_changes() -> None:
+    arrivals, lag_s = voyage(12.0), 4.0
+    run, plain = drive(new_adapter(smoothing_lag_s=lag_s), arrivals), drive(new_adapter(), arrivals)
+    assert [told for told in run.results() if told[1] != SMOOTHED_TOPIC] == plain.results()
+    assert not plain.messages(SMOOTHED_TOPIC)
+    at_once = {stamp_of(message): message for message in run.messages("ship/attitude")}
+    smoothed = run.messages(SMOOTHED_TOPIC)
+    stamps = [stamp_of(message) for message in smoothed]
+    assert stamps == list(at_once)[: len(stamps)]
+    assert stamps[-1] >= list(at_once)[-1] - lag_s * SECOND_NS - 0.05 * SECOND_NS
+    for now_ns, topic, message in run.published:
+        if topic == SMOOTHED_TOPIC:
+            assert 0.0 <= (now_ns - stamp_of(message)) / SECOND_NS - lag_s < 0.1
+    whole = whole_run(arrivals)
+    for message in smoothed:
+        stamp_ns = stamp_of(message)
+        at_last, variances = whole[stamp_ns], np.diagonal(message.covariance.reshape(3, 3))
+        assert message.status == at_once[stamp_ns].status
+        assert np.all(variances <= np.diagonal(at_once[stamp_ns].covariance.reshape(3, 3)) * (1.0 + 1e-6))
+        # Two seconds of stars more, and all that came later besides.
+        assert np.all(np.diagonal(at_last.covariance.reshape(3, 3)) <= variances * (1.0 + 1e-6))
+    again = drive(new_adapter(smoothing_lag_s=lag_s), arrivals)
+    assert again.results() == run.results()
+
+
+def whole_run(arrivals: tuple) -> dict[int, object]:
+    """Stamp → message, smoothed by all that arrived."""
+    adapter = new_adapter()
+    core = adapter.core = SmoothingCore(adapter.config, None, None)
+    adapter.set_parameters({})  # what feeds the core is bound anew
+    drive(adapter, arrivals)
+    return {one.time_ns: smoothed_message(FACTORY, one)[1] for one in core.smoothed_to_the_end()}
+
+
+def test_a_lag_shorter_than_late_data_waits_for_them() -> None:
+    # Data may come 2 s late, and a gap of the INS may be as long as 0.5 s: before that nothing is final.
+    run = drive(new_adapter(smoothing_lag_s=0.1), voyage(8.0))
+    delays_s = [(now_ns - stamp_of(m)) / SECOND_NS for now_ns, topic, m in run.published if topic == SMOOTHED_TOPIC]
+    assert delays_s
+    assert min(delays_s) > 2.5
+
+
+def test_parameters_that_change_and_a_reset_leave_it_going() -> None:
+    adapter, arrivals = new_adapter(smoothing_lag_s=3.0), voyage(16.0)
+    drive(adapter, arrivals[: len(arrivals) // 4])
+    adapter.set_parameters({"star_sensors.fore.sigma_up_arcsec": 4.0})
+    second = drive(adapter, arrivals[len(arrivals) // 4 : len(arrivals) // 2])
+    assert second.messages(SMOOTHED_TOPIC)
+    assert adapter.service("reset", second.now_ns).success
+    third = drive(adapter, arrivals[len(arrivals) // 2 :])
+    assert not third.innovations(Reason.FAILED)
+    # What waited at the reset is not told again.
+    stamps = [stamp_of(message) for message in third.messages(SMOOTHED_TOPIC)]
+    assert len(stamps) > 50
+    assert stamps[0] == stamp_of(third.messages("ship/attitude")[0])
+
+
+def test_what_cannot_be_smoothed_is_told_as_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
+    arrivals, adapter = voyage(12.0), new_adapter(smoothing_lag_s=3.0)
+    calls = iter([True])
+
+    def fails_once(core: SmoothingCore, time_ns: int) -> list[AttitudeEstimate]:
+        if core.state.time_ns is not None and core.state.time_ns > START_NS + 6 * SECOND_NS and next(calls, False):
+            raise ArithmeticError("as if")
+        return smoothed_until(core, time_ns)
+
+    smoothed_until = SmoothingCore._smoothed_until
+    monkeypatch.setattr(SmoothingCore, "_smoothed_until", fails_once)
+    run = drive(adapter, arrivals)
+    assert [message.source for message in run.innovations(Reason.FAILED)] == [SMOOTHED_TOPIC]
+    assert len(run.messages("ship/attitude")) == len(drive(new_adapter(), arrivals).messages("ship/attitude"))
+    stamps = [stamp_of(message) for message in run.messages(SMOOTHED_TOPIC)]
+    assert stamps == sorted(set(stamps))
+    assert max(stamps) > START_NS + 8 * SECOND_NS
