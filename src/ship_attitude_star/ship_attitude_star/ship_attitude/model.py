@@ -61,6 +61,7 @@ from ship_attitude_star.ship_attitude.config import (
     StarSensorConfig,
 )
 from ship_attitude_star.sky.shared_states import sky_blocks, sky_rows
+from ship_attitude_star.stars.residuals import SOURCE_STAR_NOISE
 from ship_estimation.kalman import StateBlock, StateModel, block
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
@@ -71,7 +72,6 @@ SOURCE_DEFLECTION = "deflection"
 SOURCE_INS_TIME = "ins_time_offset"
 SOURCE_INTERPOLATION = "interpolation"
 SOURCE_INSTALLATION = "installation"
-SOURCE_STAR_NOISE = "star_noise"
 SOURCE_STAR_COMMON = "star_common"
 SOURCE_STAR_TIME = "star_time_offset"
 SOURCE_FLEXURE = "flexure"

@@ -23,6 +23,9 @@ from ship_attitude_star.stars.solution import SolutionStatus, solve_stars
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between
 
+SOURCE_STAR_NOISE = "star_noise"
+"""What the noise of the stars is booked to, that of the catalogue included."""
+
 
 @dataclass(frozen=True)
 class StarResiduals:

@@ -35,7 +35,7 @@ class Calibration:
         units: "rad" or "m" for each.
         unobservable: combinations of names that the sightings so far cannot tell apart.
         sighting_count: sightings used so far.
-        residual_rms: of the lights on the sky, rad; NaN before the first sighting.
+        residual_rms: of lights and stars on the sky, rad; NaN before the first sighting.
     """
 
     time_ns: int
@@ -85,7 +85,7 @@ def calibration_of(filter_: CalibrationFilter, config: OpticalAxisConfig, state:
     rows = np.concatenate([model.rows("axes")[shown], model.rows("focal_length"), model.rows("deformation")])
     deformation = state.mean[model.slices["deformation"]]
     return Calibration(
-        time_ns=state.used_ns or 0,
+        time_ns=state.informed_ns or 0,
         names=(*(NAMES[i] for i in shown), "focal_length", *DEFORMATION_NAMES),
         values=np.concatenate([axes[shown], [filter_.sightings.focal_length_m(state.mean)], deformation]),
         covariance=state.covariance[np.ix_(rows, rows)],
@@ -98,11 +98,11 @@ def calibration_of(filter_: CalibrationFilter, config: OpticalAxisConfig, state:
 
 def prior_of(filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState) -> CalibrationPrior:
     """What to save of a state that rests on sightings."""
-    assert state.used_ns is not None
+    assert state.informed_ns is not None
     rows = _rows(filter_)
     values = _configured(config) + state.mean[rows]
     covariance = state.covariance[np.ix_(rows, rows)]
-    return CalibrationPrior(state.used_ns, config.serial, config.telescope.telescope_id, values, covariance)
+    return CalibrationPrior(state.informed_ns, config.serial, config.telescope.telescope_id, values, covariance)
 
 
 def state_from_prior(

@@ -13,6 +13,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from ship_attitude_star.measurements.readings import SkyInput
+from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.stars.exposure import StarExposure
 from ship_estimation.estimator_shell import EstimatorShell, Model
 from ship_estimation.protection import IntegrityReport
 from ship_estimation.refusals import Reason, Refusal, contradiction_text
@@ -23,10 +26,12 @@ from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.alternatives import ENCODER, SHIP, TELESCOPE
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Jump
+from theodolite_calib.filter.star_step import StarStep
 from theodolite_calib.filter.step import SightingStep
 from theodolite_calib.measured.contradiction import Streams
 from theodolite_calib.measured.encoder_watch import EncoderWatch
 from theodolite_calib.measured.samples import (
+    AnyExposure,
     BaselineSample,
     EncoderSample,
     Exposure,
@@ -39,6 +44,7 @@ from theodolite_calib.measured.samples import (
 )
 from theodolite_calib.measured.ship_watch import ShipWatch
 from theodolite_calib.measured.sighting import Sighting, SightingAssembler
+from theodolite_calib.measured.star_sighting import star_sighting
 from theodolite_calib.measured.tracks import MeasuredTracks
 from theodolite_calib.optical_axis.calibration import (
     Calibration,
@@ -70,18 +76,20 @@ class OpticalAxisCore:
 
     Args:
         config: the node's parameters.
+        watch: the sky; None where no camera sees stars.
 
     Attributes:
         due: offline, the pointings that are put out together when somebody asks for them; None where each is put out
             at once.
     """
 
-    def __init__(self, config: OpticalAxisConfig) -> None:
+    def __init__(self, config: OpticalAxisConfig, watch: SkyWatch | None = None) -> None:
         self.due: list[DuePointing] | None = None
+        self._sky = watch
         self._start: tuple[CalibrationPrior, int] | None = None
         self._calibration: tuple[CalibrationState, Calibration] | None = None
         self._take_models(config)
-        model: Model[CalibrationState, Exposure, ExposureDecision, Jump] = Model(
+        model: Model[CalibrationState, AnyExposure, ExposureDecision, Jump] = Model(
             step=self._step,
             opened=self._opened,
             failed=lambda exposure, refusal: ExposureDecision(exposure, refusal.reason, text=refusal.text),
@@ -89,7 +97,7 @@ class OpticalAxisCore:
             forget_before=self._forget_before,
             decided=self._tell_watches,
         )
-        self._shell: EstimatorShell[CalibrationState, Exposure, ExposureDecision, Jump, PointingEstimate]
+        self._shell: EstimatorShell[CalibrationState, AnyExposure, ExposureDecision, Jump, PointingEstimate]
         reach_ns = MeasuredTracks(config).reach_ns
         self._shell = EstimatorShell(model, self.filter.initial_state(), config.lag_s, reach_ns)
         self.reset()
@@ -110,6 +118,8 @@ class OpticalAxisCore:
         if self._start is not None:
             initial, remarks = state_from_prior(self.filter, self.config, *self._start)
         self._shell.reset(initial, clock_jumped)
+        if self._sky is not None:
+            self._sky.reset()
         self._tracks = MeasuredTracks(self.config)
         self._sightings = SightingAssembler(self.config, self._tracks)
         self._watch = EncoderWatch(*_encoder_limits(self.config))
@@ -190,8 +200,23 @@ class OpticalAxisCore:
         track = self._tracks.drones.get(beacon_id)
         return PointingOutcome() if track is None else self._add(f"drone.{beacon_id}", track, sample)
 
-    def add_exposure(self, exposure: Exposure) -> PointingOutcome:
-        """Lights on the detector, one or more."""
+    def add_surroundings(self, given: SkyInput) -> PointingOutcome:
+        """Where the ship is, or the air around her; stars that were seen in another sky are compared anew."""
+        assert self._sky is not None
+        surroundings, outcome = self._sky.surroundings, PointingOutcome()
+        outcome.refusal = surroundings.refusal(given)
+        changed_after_ns = surroundings.insert(given)
+        if changed_after_ns is not None:
+            changed_ns: int = changed_after_ns
+            self._shell.rewind_where(
+                lambda decision: isinstance(decision.measurement, StarExposure)
+                and decision.measurement.time_ns > changed_ns
+            )
+        self._shell.apply(outcome)
+        return outcome
+
+    def add_exposure(self, exposure: AnyExposure) -> PointingOutcome:
+        """Lights on the detector, one or more; or stars in a camera."""
         outcome = PointingOutcome(self._shell.window.late(exposure.time_ns))
         if outcome.refusal is None:
             self._shell.add(exposure, outcome)
@@ -238,7 +263,7 @@ class OpticalAxisCore:
 
     def calibration_to_save(self) -> CalibrationPrior | None:
         """The part of it that the next session can start from; None where nothing was ever sighted."""
-        if self.state.used_ns is None:
+        if self.state.informed_ns is None:
             return self._start[0] if self._start is not None else None
         return prior_of(self.filter, self.config, self.state)
 
@@ -265,6 +290,8 @@ class OpticalAxisCore:
         self.config = config
         self.filter = CalibrationFilter(config)
         self._step_to = SightingStep(config, self.filter, self._streams_since, self._ship_crept)
+        watch = self._sky
+        self._step_to_stars = None if watch is None else StarStep(config, self.filter, watch)
         self._pointing = PointingOutput(config, self.filter)
         self._calibration = None
 
@@ -306,13 +333,15 @@ class OpticalAxisCore:
     # -- the model in the shell -----------------------------------------------------------------------------
 
     def _step(
-        self, state: CalibrationState, exposure: Exposure, may_wait: bool
+        self, state: CalibrationState, exposure: AnyExposure, may_wait: bool
     ) -> tuple[CalibrationState, ExposureDecision] | None:
         if may_wait and self._tracks.awaits(exposure):
             return None
         told_twice = self._told_twice
         if told_twice is not None and told_twice[0] <= exposure.time_ns <= told_twice[1]:
             return state, ExposureDecision(exposure, Reason.CONFLICT, text=_TOLD_TWICE)
+        if isinstance(exposure, StarExposure):
+            return self._step_by_stars(state, exposure)
         assembled = self._sightings.assemble(exposure)
         if assembled.sighting is None:
             assert assembled.refusal is not None
@@ -320,6 +349,15 @@ class OpticalAxisCore:
             return state, ExposureDecision(exposure, reason, text=text, left_out=assembled.lights_refused)
         state, decision = self._step_to(state, assembled.sighting, exposure, assembled.jumps)
         return state, replace(decision, left_out=assembled.lights_refused + decision.left_out)
+
+    def _step_by_stars(
+        self, state: CalibrationState, exposure: StarExposure
+    ) -> tuple[CalibrationState, ExposureDecision]:
+        assert self._step_to_stars is not None
+        sighting = star_sighting(exposure, self.config, self._tracks)
+        if isinstance(sighting, Refusal):
+            return state, ExposureDecision(exposure, sighting.reason, text=sighting.text)
+        return self._step_to_stars(state, sighting)
 
     def _opened(self, state: CalibrationState, jump: Jump) -> CalibrationState:
         return self.filter.opened(state, jump)
@@ -335,9 +373,11 @@ class OpticalAxisCore:
     def _forget_before(self, time_ns: int) -> None:
         """Forget what no exposure at or after a stamp is compared with."""
         self._tracks.drop_before(time_ns)
+        if self._sky is not None:
+            self._sky.surroundings.drop_before(time_ns)
 
     def _tell_watches(self, decision: ExposureDecision) -> None:
-        """What the lights of an exposure say of the encoders and of the INS."""
+        """What the lights or the stars of an exposure say of the encoders and of the INS."""
         time_ns = decision.measurement.time_ns
         if decision.telescope_dt is not None:
             self._watch.see_lights(time_ns, *decision.telescope_dt)
