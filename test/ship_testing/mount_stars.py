@@ -41,20 +41,14 @@ def mount_config(parallelism_sigma_arcsec: float = 0.2, **changes) -> OpticalAxi
     return config(**{**own, **quiet, **changes})
 
 
-def mount_sky(settings: OpticalAxisConfig) -> SkyWatch:
-    """The sky over a ship at anchor whose weather is measured."""
+def mount_sky(settings: OpticalAxisConfig, start_ns: int = TIME_NS, seconds: int = 60) -> SkyWatch:
+    """The sky over a ship at anchor whose weather is measured, for so many seconds."""
     watch = installed_sky(settings.sky)
-    tell_place_and_air(watch)
+    for second in range(-3, seconds):
+        watch.surroundings.insert(PositionFix(start_ns + second * 1_000_000_000, POSITION, np.eye(3) * 25.0))
+    for quantity, value, sigma in (("pressure", 1013.0, 0.5), ("temperature", 12.0, 1.0), ("humidity", 0.7, None)):
+        watch.surroundings.insert(AirReading(quantity, start_ns - 3_000_000_000, value, sigma))
     return watch
-
-
-def tell_place_and_air(watch: SkyWatch) -> None:
-    """Fixes all along, and the weather."""
-    for second in range(-3, 60):
-        watch.surroundings.insert(PositionFix(TIME_NS + second * 1_000_000_000, POSITION, np.eye(3) * 25.0))
-    watch.surroundings.insert(AirReading("pressure", TIME_NS - 3_000_000_000, 1013.0, 0.5))
-    watch.surroundings.insert(AirReading("temperature", TIME_NS - 3_000_000_000, 12.0, 1.0))
-    watch.surroundings.insert(AirReading("humidity", TIME_NS - 3_000_000_000, 0.7, None))
 
 
 @dataclass(frozen=True)
@@ -84,6 +78,48 @@ def drawn_errors(settings: OpticalAxisConfig, rng: np.random.Generator) -> Mount
         ship_n=SHIP_SIGMA_N * rng.standard_normal(3),
         parallelism=settings.telescopes[CAMERA_ID].parallelism_sigma * rng.standard_normal(3),
         sky=rng.standard_normal(5 if settings.sky.utc_sigma_s > 0.0 else 4),
+    )
+
+
+def stars_seen(
+    watch: SkyWatch,
+    rotation_ns: FloatArray,
+    sky: FloatArray,
+    count: int,
+    rng: np.random.Generator,
+    time_ns: int,
+    camera_id: str = CAMERA_ID,
+) -> StarExposure:
+    """So many stars of those in the field, at random.
+
+    Args:
+        watch: the sky.
+        rotation_ns: true attitude of the camera (horizon from camera), shape (3, 3).
+        sky: errors that all stars share, in sigmas.
+        count: of the stars.
+        rng: of the noise.
+        time_ns: middle of the exposure.
+        camera_id: of the camera.
+    """
+    moment, catalogue = watch.at(time_ns), watch.catalogue
+    rows = moment.bright_rows_around(rotation_ns[:, 0], 1.5 * FIELD)
+    apparent = moment.apparent(catalogue.at_j2000[rows])
+    seen_s = (apparent.direction_n + apparent.shared_n @ sky) @ rotation_ns
+    inside = np.flatnonzero(np.all(np.abs(seen_s[:, 1:] / seen_s[:, :1]) < np.tan(FIELD), axis=-1))
+    kept = rng.permutation(inside)[:count]
+    if len(kept) < count:
+        raise ValueError(f"{len(kept)} stars in the field: expected {count}")
+    seen_s = seen_s[kept] + STAR_SIGMA * rng.standard_normal((count, 3))
+    rows = rows[kept]
+    return StarExposure(
+        source=f"star.{camera_id}",
+        time_ns=time_ns,
+        hip=catalogue.hip[rows],
+        directions_s=seen_s / np.linalg.norm(seen_s, axis=-1, keepdims=True),
+        sigma=np.full(count, STAR_SIGMA),
+        positions=catalogue.at_j2000[rows],
+        position_sigma=catalogue.sigma(rows, julian_year(time_ns)),
+        magnitude=catalogue.magnitude[rows],
     )
 
 
@@ -124,28 +160,7 @@ class MountNight:
         camera = self.settings.telescopes[CAMERA_ID]
         rotation_sm = rotation_from_angles(*(camera.parallelism + self.errors.parallelism))
         rotation_ns = self.main_axis(encoder) @ rotation_sm.T
-        moment, catalogue = self.watch.at(time_ns), self.watch.catalogue
-        rows = moment.bright_rows_around(rotation_ns[:, 0], 1.5 * FIELD)
-        apparent = moment.apparent(catalogue.at_j2000[rows])
-        true_n = apparent.direction_n + apparent.shared_n @ self.errors.sky
-        seen_s = true_n @ rotation_ns
-        seen_s /= np.linalg.norm(seen_s, axis=-1, keepdims=True)
-        inside = np.flatnonzero(np.all(np.abs(seen_s[:, 1:] / seen_s[:, :1]) < np.tan(FIELD), axis=-1))
-        kept = self.rng.permutation(inside)[:count]
-        if len(kept) < count:
-            raise ValueError(f"{len(kept)} stars in the field: expected {count}")
-        seen_s = seen_s[kept] + STAR_SIGMA * self.rng.standard_normal((count, 3))
-        rows = rows[kept]
-        return StarExposure(
-            source=f"star.{CAMERA_ID}",
-            time_ns=time_ns,
-            hip=catalogue.hip[rows],
-            directions_s=seen_s / np.linalg.norm(seen_s, axis=-1, keepdims=True),
-            sigma=np.full(count, STAR_SIGMA),
-            positions=catalogue.at_j2000[rows],
-            position_sigma=catalogue.sigma(rows, julian_year(time_ns)),
-            magnitude=catalogue.magnitude[rows],
-        )
+        return stars_seen(self.watch, rotation_ns, self.errors.sky, count, self.rng, time_ns)
 
     def sighting(self, encoder: FloatArray, count: int, time_ns: int = TIME_NS) -> StarSighting:
         """The same with what the ship and the encoders say."""

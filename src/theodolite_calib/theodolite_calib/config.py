@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ship_attitude_star.sky.config import SkyConfig
-from ship_attitude_star.stars.config import CameraConfig
+from ship_attitude_star.stars.config import GivenCameraConfig
 from ship_estimation.gates import GateConfig
 from ship_estimation.ins import GuardedInsConfig, InsErrorConfig
 from ship_estimation.parameter_fields import (
@@ -228,7 +228,7 @@ class StarCameraConfig:
     elevation_sigma_arcsec: float = arcsec(1.0, doc="its uncertainty")
     roll_deg: float = degrees(doc="rotation of the main image in the camera")
     roll_sigma_arcsec: float = arcsec(20.0, doc="its uncertainty")
-    camera: CameraConfig = section(CameraConfig)
+    camera: GivenCameraConfig = section(GivenCameraConfig)
 
     @property
     def parallelism(self) -> FloatArray:
@@ -464,8 +464,6 @@ class OpticalAxisConfig:
                 "integrity.max_hypotheses",
                 value=most,
             )
-        for id_, camera in self.telescopes.items():
-            camera.camera.camera(f"telescopes.{id_}.camera")
         if self.telescope.telescope_id in self.telescopes:
             self._refuse_another_telescope(self.telescope.telescope_id)
         if self.escort.enabled and not self.beacons:
