@@ -119,7 +119,7 @@ class CalibrationFilter:
         self.model = state_model(config)
         self.sightings = SightingModel(config, self.model)
         self.stars = StarModel(config, self.model, self.sightings)
-        self.observability = Observability(self.model)
+        self.observability = Observability(self.model, tells_lens=bool(config.telescopes))
         self.ship_error = ShipErrorProcess(config, self.model)
         self.rows = SourceRows(config, self.model, self.ship_error)
 
