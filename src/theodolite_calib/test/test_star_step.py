@@ -158,6 +158,14 @@ def test_stars_without_a_name_are_named_by_the_predicted_pointing(watch) -> None
     assert named + left_open == 120
 
 
+def test_without_lights_stars_and_calibration_the_pointing_is_in_doubt(watch) -> None:
+    mount = Mount(SETTINGS, watch)
+    night, rng = mount.night(0)
+    estimate = mount.pointing(night, mount.filter.initial_state(), random_field(rng))
+    assert (estimate.mode, estimate.status) == (Mode.ENCODER, Status.DEGRADED)
+    assert estimate.text == "no light or star was ever seen and no calibration loaded: axis errors as configured"
+
+
 def knocked(night: MountNight) -> MountNight:
     """The camera was knocked by 100″, or the encoders have slipped by as much: to the stars that is one thing."""
     errors = replace(night.errors, parallelism=night.errors.parallelism + np.array([0.0, 100.0, 0.0]) * ARCSEC)

@@ -8,7 +8,7 @@ import numpy as np
 from ship_attitude_star.sky.config import SkyConfig
 from ship_attitude_star.stars.config import GivenCameraConfig
 from ship_estimation.gates import GateConfig
-from ship_estimation.ins import GuardedInsConfig, InsErrorConfig
+from ship_estimation.ins import InsErrorConfig, StarInsConfig
 from ship_estimation.parameter_fields import (
     arcsec,
     autosave_period,
@@ -93,7 +93,7 @@ class ShipConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class InsSourceConfig(GuardedInsConfig, InsErrorConfig):
+class InsSourceConfig(StarInsConfig, InsErrorConfig):
     """The INS, where the ship's attitude is that of it alone."""
 
 

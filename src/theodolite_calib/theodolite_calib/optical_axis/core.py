@@ -46,6 +46,7 @@ from theodolite_calib.measured.ship_watch import ShipWatch
 from theodolite_calib.measured.sighting import Sighting, SightingAssembler
 from theodolite_calib.measured.star_sighting import star_sighting
 from theodolite_calib.measured.tracks import MeasuredTracks
+from theodolite_calib.optical_axis.by_stars import pointing_by_stars
 from theodolite_calib.optical_axis.calibration import (
     Calibration,
     CalibrationPrior,
@@ -128,6 +129,8 @@ class OpticalAxisCore:
         self._escort = self._new_escort()
         self._waiting: deque[_WaitingReading] = deque()
         self._encoder_arrival_ns: int | None = None
+        self._ship_arrival_ns: int | None = None
+        self._newest_stars: tuple[StarExposure, int] | None = None
         self._told_twice: tuple[int, int] | None = None
         self._ship_covered_until_ns: int | None = None
         return remarks
@@ -179,6 +182,7 @@ class OpticalAxisCore:
             self._shell.add_refused(source, track, sample)
         elif self._shell.add_sample(source, track, sample, outcome):
             self._ship_covered_until_ns = self._tracks.ship_covered_until_ns
+            self._ship_arrival_ns = sample.time_ns if arrival_ns is None else arrival_ns
         if outcome.refusal is not None:
             self._watch_time()
         self._publish(outcome, sample.time_ns if arrival_ns is None else arrival_ns)
@@ -215,11 +219,20 @@ class OpticalAxisCore:
         self._shell.apply(outcome)
         return outcome
 
-    def add_exposure(self, exposure: AnyExposure) -> PointingOutcome:
-        """Lights on the detector, one or more; or stars in a camera."""
+    def add_exposure(self, exposure: Exposure) -> PointingOutcome:
+        """Lights on the detector, one or more."""
         outcome = PointingOutcome(self._shell.window.late(exposure.time_ns))
         if outcome.refusal is None:
             self._shell.add(exposure, outcome)
+        return outcome
+
+    def add_stars(self, exposure: StarExposure, arrival_ns: int | None = None) -> PointingOutcome:
+        """Stars in a camera; the arrival is that of :meth:`add_encoder`."""
+        outcome = PointingOutcome(self._shell.window.late(exposure.time_ns))
+        if outcome.refusal is None and self._shell.add(exposure, outcome):
+            arrival_ns = exposure.time_ns if arrival_ns is None else arrival_ns
+            self._newest_stars = exposure, arrival_ns
+            self._point_by_stars(outcome, arrival_ns)
         return outcome
 
     def add_target(self, sample: TargetSample, arrival_ns: int | None = None) -> PointingOutcome:
@@ -244,7 +257,8 @@ class OpticalAxisCore:
         waiting_ns = now_ns if waiting_ns is None else waiting_ns
         outcome = PointingOutcome()
         self._shell.tick(now_ns, outcome)
-        silent = self._encoder_arrival_ns is None or waiting_ns - self._encoder_arrival_ns > SECOND_NS
+        self._point_by_stars(outcome, waiting_ns)
+        silent = _is_silent(self._encoder_arrival_ns, waiting_ns)
         missing = "no usable reading of the encoders" if silent else f"no attitude on {self.config.ship.source}"
         self._shell.say_invalid(outcome, waiting_ns, lambda: no_pointing(self.filter, self.state, now_ns, missing))
         self._answer_targets(outcome, waiting_ns)
@@ -427,6 +441,23 @@ class OpticalAxisCore:
             return
         self._targets.was_put_out(due, self._shell.window.oldest_ns)
 
+    def _point_by_stars(self, outcome: PointingOutcome, waiting_ns: int) -> None:
+        """With the ship or the encoders gone, put out the pointing by the newest stars while they are young."""
+        needed = {self.config.ship.source: self._ship_arrival_ns, "the encoders": self._encoder_arrival_ns}
+        silent = [name for name, arrival_ns in needed.items() if _is_silent(arrival_ns, waiting_ns)]
+        if self._newest_stars is None or not silent:
+            return
+        (exposure, arrival_ns), self._newest_stars = self._newest_stars, None
+        if waiting_ns - arrival_ns > SECOND_NS:
+            return
+        text = f"by stars alone: nothing from {' and '.join(silent)}"
+
+        def by_stars(state: CalibrationState) -> PointingEstimate | None:
+            assert self._sky is not None
+            return pointing_by_stars(exposure, self._sky, self.config, self.filter, state, text)
+
+        self._shell.put_out(outcome, exposure.time_ns, waiting_ns, by_stars)
+
     def _watch_time(self) -> None:
         """Compare lights anew where a refusal has shown that encoders and ship tell a time twice."""
         before = self._told_twice
@@ -443,6 +474,11 @@ class OpticalAxisCore:
     def _contradiction(self, time_ns: int) -> str:
         """Why what a pointing rests on is in doubt since a source contradicted itself; empty where none did."""
         return contradiction_text(self._shell.contradictions.at(time_ns))
+
+
+def _is_silent(arrival_ns: int | None, waiting_ns: int) -> bool:
+    """Whether the last input of a kind that led on came too long ago."""
+    return arrival_ns is None or waiting_ns - arrival_ns > SECOND_NS
 
 
 def _encoder_limits(config: OpticalAxisConfig) -> tuple[float, float]:

@@ -182,7 +182,7 @@ class OpticalAxisAdapter(DeferringAdapter):
                 camera_config=camera.camera,
                 catalogue=self._sky.catalogue,
             )
-            yield Feed(topic, f"star.{id_}", read, untimed(core.add_exposure), judged=True)
+            yield Feed(topic, f"star.{id_}", read, core.add_stars, judged=True)
         yield from surroundings_feeds(config.sky, untimed(core.add_surroundings), place_required=False)
 
     def _read_ships(
