@@ -10,18 +10,29 @@ import numpy as np
 import pytest
 
 from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.stars.exposure import ExposureLength, at_middle
+from ship_attitude_star.stars.fit import square_roots
 from ship_attitude_star.stars.selection import StarPrior
 from ship_estimation.gates import mean_nees_band, sigma_ratio_band
 from ship_estimation.outcome import Status
 from ship_estimation.refusals import Reason
-from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
-from ship_testing.mount_stars import MountNight, drawn_errors, mount_config, mount_sky, random_field
+from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation, skew
+from ship_testing.mount_stars import (
+    CAMERA_ID,
+    STAR_SIGMA,
+    MountNight,
+    drawn_errors,
+    mount_config,
+    mount_sky,
+    random_field,
+)
 from ship_testing.simulated_session import gauss_markov
 from ship_testing.star_sky import TIME_NS, without_identity
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.star_step import StarStep
 from theodolite_calib.measured.samples import Mode, PointingEstimate
+from theodolite_calib.measured.star_sighting import StarSighting
 from theodolite_calib.optical_axis.output import DuePointing, PointingOutput
 
 SETTINGS = mount_config()
@@ -32,6 +43,10 @@ SECOND_NS = 1_000_000_000
 @pytest.fixture(scope="module", name="watch")
 def _watch() -> SkyWatch:
     return mount_sky(SETTINGS)
+
+
+def unit(vectors: FloatArray) -> FloatArray:
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
 class Mount:
@@ -83,6 +98,45 @@ def test_one_exposure_gives_the_axis_as_its_covariance_says(watch, count: int, m
     least, most = sigma_ratio_band(2 * SEEDS)
     assert least <= rms / sigma <= most
     assert rms <= most_arcsec
+
+
+def streaked(sighting: StarSighting, rng: np.random.Generator) -> tuple[StarSighting, FloatArray]:
+    """The same through a camera that turns by 3°/s, with noise along the streaks; and the bound of the axis, rad²."""
+    length = ExposureLength(0.02, SETTINGS.telescopes[CAMERA_ID].camera.camera("camera"), 0.8)
+    rate_s = np.deg2rad(3.0) * unit(rng.standard_normal(3) * [0.3, 1.0, 1.0])
+    turns = exp_rotation(-np.array(length.nodes.offset_ns)[:, None] * 1e-9 * rate_s)
+    seen = at_middle(replace(sighting.exposure, length=length), turns)
+    assert seen.smear_s is not None
+    noise_s = (square_roots(seen.smear_s) @ rng.standard_normal((len(seen), 3, 1)))[..., 0]
+    seen = replace(seen, directions_s=unit(seen.directions_s + noise_s))
+    # Information of each star on a small turn of the camera, by hand: across the line of sight, the covariance drawn.
+    information = np.zeros((3, 3))
+    for direction_s, smear_s in zip(seen.directions_s, seen.smear_s, strict=True):
+        across = np.linalg.svd(direction_s[None])[2][1:]
+        covariance = STAR_SIGMA**2 * np.eye(2) + across @ smear_s @ across.T
+        by_turn = across @ -skew(direction_s)
+        information += by_turn.T @ np.linalg.solve(covariance, by_turn)
+    return replace(sighting, exposure=seen), np.linalg.inv(information)[1:, 1:]
+
+
+def test_through_a_camera_that_turns_the_pointing_comes_to_the_bound_of_the_streaks_drawn(watch) -> None:
+    mount, told, bounds = Mount(SETTINGS, watch), [], []
+    for seed in range(SEEDS):
+        night, rng = mount.night(500 + seed)
+        encoder = random_field(rng)
+        sighting, bound = streaked(night.sighting(encoder, 5), rng)
+        state, decision = mount.step(mount.filter.initial_state(), sighting)
+        assert decision.accepted, decision.text
+        told.append(off_axis(night.main_axis(encoder), mount.pointing(night, state, encoder)))
+        bounds.append(np.trace(bound))
+    squares, variances, nees = np.mean(told, axis=0)
+    low, high = mean_nees_band(SEEDS, 3)
+    assert low <= nees <= high
+    least, most = sigma_ratio_band(2 * SEEDS)
+    assert least <= np.sqrt(squares / variances) <= most
+    # Streaks of 3.2 pixels: 1.5 times the noise of stars at rest, along them.
+    assert np.sqrt(np.mean(bounds)) > 1.15 * np.sqrt(2.0 / 5.0) * STAR_SIGMA
+    assert np.sqrt(squares) <= 1.15 * np.sqrt(np.mean(bounds))
 
 
 def test_a_parallelism_of_an_arcsecond_is_what_limits_and_the_budget_says_so(watch) -> None:

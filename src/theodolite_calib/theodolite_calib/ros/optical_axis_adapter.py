@@ -128,7 +128,7 @@ class OpticalAxisAdapter(DeferringAdapter):
             files,
             start_from=core.start_from,
             to_save=core.calibration_to_save,
-            nothing="no light was used yet: there is no calibration to save",
+            nothing="no light or star was used yet: there is no calibration to save",
         )
         self._lever = dict(zip("xyz", flu_from_device_vector(config.lever.vector_m).tolist(), strict=True))
         super().__init__(config, core, factory, functools.partial(pointing_messages, factory, self._lever), saved)
