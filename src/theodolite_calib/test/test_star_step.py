@@ -134,8 +134,8 @@ def test_through_a_camera_that_turns_the_pointing_comes_to_the_bound_of_the_stre
     assert low <= nees <= high
     least, most = sigma_ratio_band(2 * SEEDS)
     assert least <= np.sqrt(squares / variances) <= most
-    # Streaks of 3.2 pixels: 1.5 times the noise of stars at rest, along them.
-    assert np.sqrt(np.mean(bounds)) > 1.15 * np.sqrt(2.0 / 5.0) * STAR_SIGMA
+    # Streaks of up to 16 pixels: six times the noise of a star at rest, along them.
+    assert np.sqrt(np.mean(bounds)) > 2.0 * np.sqrt(2.0 / 5.0) * STAR_SIGMA
     assert np.sqrt(squares) <= 1.15 * np.sqrt(np.mean(bounds))
 
 
@@ -262,7 +262,7 @@ def test_one_false_star_is_left_out_and_the_others_are_used(watch) -> None:
 
 
 def test_a_night_of_stars_calibrates_the_axes_for_the_day(watch) -> None:
-    """Two minutes all over the sky; then half a minute by the encoders, while the deformation goes on."""
+    """Half a minute all over the sky; then as long by the encoders, while the deformation goes on."""
     settings = mount_config(encoder__sigma_arcsec=0.5, ship__white_sigma_arcsec=0.5)
     mount, seeds, exposures = Mount(settings, watch), 6, 120
     deformation = np.full(3, settings.deformation.sigma_arcsec * ARCSEC)
