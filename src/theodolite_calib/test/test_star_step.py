@@ -13,9 +13,11 @@ from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.stars.exposure import ExposureLength, at_middle
 from ship_attitude_star.stars.fit import square_roots
 from ship_attitude_star.stars.selection import StarPrior
+from ship_estimation.exclusion import Exclusion
 from ship_estimation.gates import mean_nees_band, sigma_ratio_band
 from ship_estimation.outcome import Status
 from ship_estimation.refusals import Reason
+from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation, skew
 from ship_testing.mount_stars import (
     CAMERA_ID,
@@ -29,8 +31,10 @@ from ship_testing.mount_stars import (
 from ship_testing.simulated_session import gauss_markov
 from ship_testing.star_sky import TIME_NS, without_identity
 from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.filter.alternatives import ENCODER
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.star_step import StarStep
+from theodolite_calib.filter.trust import LeftOut
 from theodolite_calib.measured.samples import Mode, PointingEstimate
 from theodolite_calib.measured.star_sighting import StarSighting
 from theodolite_calib.optical_axis.output import DuePointing, PointingOutput
@@ -243,6 +247,30 @@ def test_stars_that_contradict_the_calibrated_axes_are_refused_and_the_pointing_
     state, decision = mount.step(state, night.sighting(encoder, 6, TIME_NS + SECOND_NS))
     assert decision.accepted
     assert mount.pointing(night, state, encoder, TIME_NS + SECOND_NS).status is Status.VALID
+
+
+def test_while_the_encoders_are_excluded_stars_with_names_tell_where_the_camera_looks(watch) -> None:
+    """The encoders have slipped by a degree: stars without names are not identified, and that is no contradiction."""
+    mount = Mount(SETTINGS, watch)
+    night, _ = mount.night(3)
+    encoder = np.array([2.0, 0.8])
+    sighting = night.sighting(encoder, 6)
+    state, _ = mount.step(mount.filter.initial_state(), sighting)
+    left_out = LeftOut(Exclusion(TIME_NS), "slipped")
+    state = replace(state, trust=replace(state.trust, left_out={ENCODER: left_out}))
+    slipped = replace(sighting.encoder, azimuth=sighting.encoder.azimuth + np.deg2rad(1.0))
+    sighting = replace(sighting, encoder=slipped)
+    nameless = replace(sighting, exposure=without_identity(sighting.exposure))
+    after, decision = mount.step(state, nameless)
+    assert (decision.reason, after.refusals) == (Reason.UNIDENTIFIED, 0)
+    after, decision = mount.step(state, sighting)
+    assert decision.accepted
+    camera_ns = mount.filter.stars.predict(after.mean, sighting).rotation_ns
+    truth_ns = night.main_axis(encoder) @ rotation_from_angles(
+        *(SETTINGS.telescopes[CAMERA_ID].parallelism + night.errors.parallelism)
+    ).T
+    assert np.linalg.norm(log_rotation(camera_ns.T @ truth_ns)[1:]) / ARCSEC < 4.0
+    assert mount.pointing(night, after, encoder).status is Status.DEGRADED
 
 
 def test_one_false_star_is_left_out_and_the_others_are_used(watch) -> None:

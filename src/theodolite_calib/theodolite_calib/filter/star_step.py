@@ -14,6 +14,7 @@ from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_estimation.gates import chi_square_gate
 from ship_estimation.refusals import Reason, Refusal, singular_covariance
 from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.filter.alternatives import CHAIN
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import chain_rows
 from theodolite_calib.filter.star_comparison import StarComparison
@@ -56,7 +57,8 @@ class StarStep:
         except np.linalg.LinAlgError:
             found = singular_covariance()
         decision = ExposureDecision(sighting.exposure, found.reason, text=found.text)
-        if found.reason in _CONTRADICTS:
+        # While encoders or ship are excluded nothing is predicted that stars could speak against.
+        if found.reason in _CONTRADICTS and not state.trust.excluded & CHAIN:
             return held_back(state, decision, self._gate, "stars")
         return state, decision
 
