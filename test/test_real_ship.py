@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from ship_attitude_star.measurements.readings import AirReading, SkyInput
-from ship_attitude_star.ros.messages_in import position_fix
+from ship_attitude_star.ros.surroundings_in import position_fix
 from ship_attitude_star.sky.config import SkyConfig
 from ship_attitude_star.sky.surroundings import Surroundings
 from ship_bags.commands.import_nmea import main as import_nmea

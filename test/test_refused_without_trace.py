@@ -197,7 +197,7 @@ def test_a_baseline_that_is_not_fixed_can_only_withhold_its_light(count: int) ->
     without_them, states = everything.run(others), []
     for run in (runs[0], without_them):
         state = run.adapter.core.state
-        states.append((state.mean.tobytes(), state.parts.tobytes(), state.lights_used))
+        states.append((state.mean.tobytes(), state.parts.tobytes(), state.points_used))
     too_far_apart = others_around_s(others, topic, chosen) > MAX_GAP_S
     assert too_far_apart == (count == 8)
     assert (states[0] == states[1]) == too_far_apart

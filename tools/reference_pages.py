@@ -35,10 +35,10 @@ _PARAMETER_COLUMNS = "| parameter | default | unit | allowed | |\n|---|---|---|-
 
 PARAMETERS_HEAD = f"""# Parameters
 
-Units are in the names. `<id>` stands for the id of a star sensor or of a beacon, or the name of a reference, of a sink
-or of a source: naming it declares it. A parameter marked *live* may be changed while the node runs (`ros2 param set`);
-the others are read at the start. An unknown parameter, or one out of its range, stops the node at the start and is
-refused later, each time with the reason.
+Units are in the names. `<id>` stands for the id of a star sensor, a camera or a beacon, or the name of a reference, of
+a sink or of a source: naming it declares it. A parameter marked *live* may be changed while the node runs
+(`ros2 param set`); the others are read at the start. An unknown parameter, or one out of its range, stops the node at
+the start and is refused later, each time with the reason.
 
 A parameter file holds a section for each node. `/**/ship_attitude:` is for the node of that name in every namespace,
 `/**:` for all nodes; `ship_attitude:` alone fits the node without a namespace and no other. A file in which no section

@@ -72,12 +72,14 @@ class Session:
         axes: true axis errors, rad, shape (7,).
         rotation_nm: true main axis, shape (k, 3, 3).
         sightings: what the filter is given, one a moment.
+        parallelism: true one of the calibration telescope, rad, shape (3,).
     """
 
     times_s: FloatArray
     axes: FloatArray
     rotation_nm: FloatArray
     sightings: list[Sighting]
+    parallelism: FloatArray
 
 
 def sweep(times_s: FloatArray, low_deg: float = 10.0, high_deg: float = 70.0) -> FloatArray:
@@ -97,6 +99,7 @@ def session(
     swing: float = 1.0,
     lens_error_m: FloatArray | None = None,
     lights_deg: Mapping[str, tuple[float, float]] = MappingProxyType(LIGHTS_DEG),
+    distance_m: FloatArray | None = None,
 ) -> Session:
     """A session with the errors of a configuration, drawn by a seed.
 
@@ -109,6 +112,7 @@ def session(
         swing: of the ship; 0 for none.
         lens_error_m: of the principal point N', shape (3,), instead of one drawn.
         lights_deg: by name, to the right of and above the main axis.
+        distance_m: of the lights at each moment, shape (k,); None for 2 km.
     """
     rng = np.random.default_rng(seed)
     names, count = list(lights_deg), len(times_s)
@@ -151,12 +155,13 @@ def session(
     direction_n = around_t @ np.swapaxes(rotation_nt, -1, -2)
 
     sightings = []
-    for k in range(count):
-        light_n = DISTANCE_M * direction_n[k]
+    distances_m = np.full(count, DISTANCE_M) if distance_m is None else distance_m
+    for k, away_m in enumerate(distances_m):
+        light_n = away_m * direction_n[k]
         lens_n = rotation_nd[k] @ lever_d + rotation_nm[k] @ lens_m
         baseline_n = light_n + lens_n
         coefficient = settings.air.coefficient + common_k[k] + own_k[k]
-        seen_n = light_n + (coefficient * DISTANCE_M**2 / (2 * EARTH_RADIUS_M))[:, None] * np.array([0.0, 1.0, 0.0])
+        seen_n = light_n + (coefficient * away_m**2 / (2 * EARTH_RADIUS_M))[:, None] * np.array([0.0, 1.0, 0.0])
         seen_t = seen_n @ rotation_nt[k]
         point_m = -focal_length_m * seen_t[:, [2, 1]] / seen_t[:, :1]
         point_m += settings.telescope.sigma_m * rng.standard_normal((len(names), 2))
@@ -178,4 +183,4 @@ def session(
                 EncoderAt(*(encoder[k] + encoder_sigma * rng.standard_normal(2)).tolist(), encoder_sigma**2),
             )
         )
-    return Session(times_s, axes, rotation_nm, sightings)
+    return Session(times_s, axes, rotation_nm, sightings, parallelism)

@@ -7,9 +7,10 @@ import pytest
 
 from ship_attitude_star.measurements.readings import InertialAttitude, PositionFix
 from ship_attitude_star.measurements.samples import AttitudeMeasurement
-from ship_attitude_star.ship_attitude.comparison import predict_attitude, star_residuals
+from ship_attitude_star.ship_attitude.comparison import predict_attitude
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.filter import ShipFilter
+from ship_attitude_star.stars.residuals import star_residuals
 from ship_estimation.refusals import Reason
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.geodetic import GeodeticPosition
@@ -42,7 +43,8 @@ def residuals(ship_filter, watch, exposure, mean):
     state = ship_filter.initial_state()
     ins = ins_track().at(TIME_NS)
     predicted = predict_attitude(ship_filter.devices[exposure.source], ship_filter.model, mean, ins)
-    return star_residuals(exposure, predicted, state.covariance, watch, ship_filter.model, mean)
+    prior, rows = predicted.prior(state.covariance), ship_filter.model.sky_rows
+    return star_residuals(exposure, predicted.rotation_nv, predicted.jacobian_v, prior, watch, rows, mean)
 
 
 def test_the_jacobian_is_the_derivative(ship_filter, watch):

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_attitude_star.ros.messages_in import humidity, position_fix, pressure, temperature
+from ship_attitude_star.ros.surroundings_in import humidity, position_fix, pressure, temperature
 from ship_attitude_star.sky.config import SkyConfig
 from ship_bags.message_factory import RosidlFactory
 from ship_bags.stamps import make_header

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from ship_attitude_star.measurements.readings import SkyInput
-from ship_attitude_star.ros.messages_in import surroundings_reader
-from ship_attitude_star.ros.star_messages_in import seen_stars
+from ship_attitude_star.ros.star_attitude_adapter import seen_stars
+from ship_attitude_star.ros.surroundings_in import surroundings_reader
 from ship_attitude_star.sky.sky_watch import SkyWatch, installed_sky
 from ship_attitude_star.star_attitude.core import StarCore
 from ship_attitude_star.stars.camera import tangent_basis

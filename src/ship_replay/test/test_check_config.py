@@ -254,6 +254,31 @@ def test_a_sky_that_is_another_one_for_another_node_is_a_warning(check):
     assert not any("sky" in line for line in check(text.replace("input: solution", "input: horizon_attitude"))[1])
 
 
+MOUNT = """\
+optical_axis:
+  ros__parameters:
+    telescope: {telescope_id: main, focal_length_m: 0.1}
+    sky: {fix_sigma_m: 100.0}
+"""
+NIGHT = """\
+    telescopes:
+      night:
+        azimuth_deg: 0.0
+        elevation_deg: 0.0
+        roll_deg: 0.0
+        camera: {focal_length_m: 0.1, pixel_pitch_m: 6.5e-6}
+"""
+
+
+def test_stars_on_the_mount_are_in_the_sky_of_those_on_the_deck(check):
+    code, lines, _ = check(STARS + MOUNT + NIGHT)
+    assert code == 0
+    said = "parameter 'sky.fix_sigma_m' is 100.0 for optical_axis, but 5.0 for"
+    assert {f"warning: suite.yaml:16: {said} {name}" for name in ("ship_attitude", "star_attitude")} < set(lines)
+    # Without a camera on the mount, its sky does not matter.
+    assert not any("sky" in line for line in check(STARS + MOUNT)[1])
+
+
 NODES = "expected one of '/**/ship_attitude', '/**/star_attitude', '/**/optical_axis', '/**/nmea_in', '/**/nmea_out'"
 NODES += " or '/**'"
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ship_attitude_star.ros.messages_in import humidity, position_fix, pressure, temperature
 from ship_attitude_star.ros.star_messages_in import star_exposure as read_exposure
+from ship_attitude_star.ros.surroundings_in import humidity, position_fix, pressure, temperature
 from ship_attitude_star.sky.catalogue import hipparcos
 from ship_attitude_star.sky.config import SkyConfig
 from ship_bags.message_store import RosbagsFactory, message_store, serialize

@@ -112,7 +112,7 @@ def test_services_save_and_load(tmp_path: Path) -> None:
     adapter = new_adapter(calibration_file=str(path))
     assert adapter.service("save_alignment", NOW_NS) == (
         False,
-        "no light was used yet: there is no calibration to save",
+        "no light or star was used yet: there is no calibration to save",
     )
     assert not adapter.service("load_alignment", NOW_NS).success
     drive(adapter, session())

@@ -5,11 +5,14 @@ from typing import Any
 
 import numpy as np
 
+from ship_attitude_star.sky.config import SkyConfig
+from ship_attitude_star.stars.config import GivenCameraConfig
 from ship_estimation.gates import GateConfig
-from ship_estimation.ins import GuardedInsConfig, InsErrorConfig
+from ship_estimation.ins import InsErrorConfig, StarInsConfig
 from ship_estimation.parameter_fields import (
     arcsec,
     autosave_period,
+    degrees,
     mapping_of,
     parameter,
     section,
@@ -25,6 +28,9 @@ _LONGEST_M = 200.0
 """No ship has a longer lever: a larger number is in millimetres, or another mistake."""
 
 _SHORTEST_FOCAL_LENGTH_M = 0.001
+
+_SAME = 1e-9
+"""Two texts of one number differ by no more, of its size."""
 
 
 def _axis_error(doc: str) -> Any:
@@ -87,7 +93,7 @@ class ShipConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class InsSourceConfig(GuardedInsConfig, InsErrorConfig):
+class InsSourceConfig(StarInsConfig, InsErrorConfig):
     """The INS, where the ship's attitude is that of it alone."""
 
 
@@ -203,6 +209,36 @@ class TelescopeConfig:
         return ARCSEC * np.array(
             [self.azimuth_sigma_arcsec, self.elevation_sigma_arcsec, self.rotation_sigma_arcsec]
         )
+
+
+@dataclass(frozen=True, kw_only=True)
+class StarCameraConfig:
+    """A camera fixed to the theodolite that sees stars, and how the main axis stands in it.
+
+    The main frame is that of the camera turned by R(azimuth, elevation, roll), as ``telescope.azimuth_arcsec`` and so
+    on are meant. The calibration telescope may be one: its id is ``telescope.telescope_id`` then.
+    """
+
+    frame_id: str = parameter("", doc="frame_id that theodolite/<id>/stars must carry; empty accepts any")
+    azimuth_deg: float = degrees(doc="azimuth of the main axis in the camera")
+    azimuth_sigma_arcsec: float = arcsec(1.0, doc="its uncertainty")
+    elevation_deg: float = parameter(
+        doc="elevation of the main axis in the camera", unit="deg", minimum=-89.0, maximum=89.0
+    )
+    elevation_sigma_arcsec: float = arcsec(1.0, doc="its uncertainty")
+    roll_deg: float = degrees(doc="rotation of the main image in the camera")
+    roll_sigma_arcsec: float = arcsec(20.0, doc="its uncertainty")
+    camera: GivenCameraConfig = section(GivenCameraConfig)
+
+    @property
+    def parallelism(self) -> FloatArray:
+        """Azimuth, elevation and roll of the main axis in the camera, rad, shape (3,)."""
+        return np.deg2rad([self.azimuth_deg, self.elevation_deg, self.roll_deg])
+
+    @property
+    def parallelism_sigma(self) -> FloatArray:
+        """Their uncertainties, rad, shape (3,)."""
+        return ARCSEC * np.array([self.azimuth_sigma_arcsec, self.elevation_sigma_arcsec, self.roll_sigma_arcsec])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -388,6 +424,8 @@ class OpticalAxisConfig:
     air: AirConfig = section(AirConfig)
     ship_antenna: ShipAntennaConfig = section(ShipAntennaConfig)
     beacons: dict[str, BeaconConfig] = mapping_of("drones with a light, by beacon_id")
+    telescopes: dict[str, StarCameraConfig] = mapping_of("cameras on the theodolite that see stars, by sensor_id")
+    sky: SkyConfig = section(SkyConfig)
     escort: EscortConfig = section(EscortConfig)
     gate: GateConfig = section(GateConfig)
     integrity: IntegrityConfig = section(IntegrityConfig)
@@ -399,7 +437,7 @@ class OpticalAxisConfig:
     )
     lights_recent_s: float = parameter(
         3.0,
-        doc="lights used within this time make the mode TWO_LIGHTS or ONE_LIGHT",
+        doc="lights and stars used within this time make the mode",
         unit="s",
         minimum=0.1,
         maximum=3600.0,
@@ -426,7 +464,30 @@ class OpticalAxisConfig:
                 "integrity.max_hypotheses",
                 value=most,
             )
+        if self.telescope.telescope_id in self.telescopes:
+            self._refuse_another_telescope(self.telescope.telescope_id)
         if self.escort.enabled and not self.beacons:
             raise ParameterError(
                 "parameter 'escort.enabled' = true: expected a drone under beacons", "escort.enabled", value=True
             )
+
+    def _refuse_another_telescope(self, id_: str) -> None:
+        """The calibration telescope has one focal length and one parallelism, by lights and by stars."""
+        telescope, seen = self.telescope, self.telescopes[id_]
+        twice = [("camera.focal_length_m", seen.camera.focal_length_m, "focal_length_m", telescope.focal_length_m)]
+        for name, of_telescope in (("azimuth", "azimuth"), ("elevation", "elevation"), ("roll", "rotation")):
+            told_arcsec = getattr(telescope, f"{of_telescope}_arcsec")
+            told_sigma = getattr(telescope, f"{of_telescope}_sigma_arcsec")
+            own_sigma = getattr(seen, f"{name}_sigma_arcsec")
+            twice += [
+                (f"{name}_deg", getattr(seen, f"{name}_deg"), f"{of_telescope}_arcsec", told_arcsec / 3600.0),
+                (f"{name}_sigma_arcsec", own_sigma, f"{of_telescope}_sigma_arcsec", told_sigma),
+            ]
+        for name, value, other, expected in twice:
+            if not abs(value - expected) <= _SAME * max(abs(expected), 1.0):
+                raise ParameterError(
+                    f"parameter 'telescopes.{id_}.{name}' = {value:g}: '{id_}' is the calibration telescope, of which "
+                    f"telescope.{other} says {expected:g}",
+                    f"telescopes.{id_}.{name}",
+                    value=value,
+                )

@@ -11,7 +11,7 @@ import numpy as np
 from ship_attitude_star.measurements.baseline import BASELINE
 from ship_attitude_star.measurements.readings import DeflectionReading
 from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeRun
-from ship_attitude_star.ros import messages_in, rows_in, star_messages_in
+from ship_attitude_star.ros import messages_in, rows_in, star_messages_in, surroundings_in
 from ship_attitude_star.ros.alignment_file import ALIGNMENT_FILE
 from ship_attitude_star.ros.attitude_messages import (
     ATTITUDE_TOPIC,
@@ -202,9 +202,9 @@ class ShipAttitudeAdapter(BlockAdapter):
             read_baseline = functools.partial(messages_in.baseline, config=config.ship_baseline)
             yield Feed(antennas, BASELINE, read_baseline, core.add_measurement, judged=True)
         if self._watch is not None:
-            yield from messages_in.surroundings_feeds(config.sky, untimed(core.add_sky_input))
+            yield from surroundings_in.surroundings_feeds(config.sky, untimed(core.add_sky_input))
         elif config.follows_vertical:
-            yield messages_in.place_feed(config.sky, untimed(core.add_sky_input))
+            yield surroundings_in.place_feed(config.sky, untimed(core.add_sky_input))
         if config.gravity.deflection == TOPIC:
             given = InputTopic("gravity/deflection", DEFLECTION_TYPE, False, depth=100)
             yield Feed(given, "gravity/deflection", messages_in.deflection, untimed(core.add_deflection))

@@ -2,17 +2,19 @@
 
 import functools
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
-from ship_attitude_star.ros import messages_in
-from ship_attitude_star.ros.star_messages_in import SeenStars, seen_stars
+from ship_attitude_star.ros.star_messages_in import star_exposure
+from ship_attitude_star.ros.surroundings_in import surroundings_feeds
 from ship_attitude_star.sky.sky_watch import installed_sky
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_attitude_star.star_attitude.core import StarCore
 from ship_attitude_star.star_attitude.exposure_solver import RefusedStar, Solved, StarOutcome
 from ship_attitude_star.stars.config import JOINT
+from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.solution import SOLUTION_TERMS, SolutionStatus
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.refusals import Reason, Refusal
@@ -23,6 +25,7 @@ from ship_node.documents.saved_document import DISK, Files
 from ship_node.edge.block_adapter import BlockAdapter
 from ship_node.edge.blocks import BlockFeed, PublishedRows
 from ship_node.edge.ins_messages import ins_block, ins_sample
+from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.messages_out import (
     BUDGET_TYPE,
     DECK_FRAME,
@@ -50,6 +53,21 @@ _WORDS = {
 
 SILENT_NS = 10_000_000_000
 """A solution put out longer ago than this says nothing of now, ns."""
+
+
+@dataclass(frozen=True)
+class SeenStars:
+    """An exposure as ``star_attitude`` takes it.
+
+    Attributes:
+        time_ns: its stamp.
+        exposure: the stars that can be used.
+        refused: the other stars of the message.
+    """
+
+    time_ns: int
+    exposure: StarExposure
+    refused: tuple[RefusedStar, ...]
 
 
 class StarAttitudeAdapter(BlockAdapter):
@@ -100,7 +118,7 @@ class StarAttitudeAdapter(BlockAdapter):
                 catalogue=self._watch.catalogue,
             )
             yield Feed(topic, f"star.{id_}", read_stars, self._take_stars, judged=True)
-        yield from messages_in.surroundings_feeds(
+        yield from surroundings_feeds(
             config.sky, untimed(lambda told: StarOutcome(core.add_surroundings(told)))
         )
         if config.use_ins:
@@ -180,6 +198,23 @@ class StarAttitudeAdapter(BlockAdapter):
     def _restart(self, clock_jumped: bool) -> None:
         super()._restart(clock_jumped)
         self._solved.clear()
+
+
+def seen_stars(message: Any, **sensor: Any) -> ReadMessage[SeenStars]:
+    """A message with the stars left out as the core tells them, with the solution.
+
+    Args:
+        message: StarObservationArray.
+        sensor: arguments of :func:`star_exposure`.
+
+    Raises:
+        Refused: the whole message cannot be used.
+    """
+    read = star_exposure(message, **sensor, named_by_number=True)
+    source, time_ns, refused = read.value.source, read.value.time_ns, []
+    for name, refusal in read.left_out:
+        refused.append(RefusedStar(source, time_ns, name, refusal))
+    return ReadMessage(SeenStars(time_ns, read.value, tuple(refused)), read.covariance_known)
 
 
 def _topic(source: str) -> str:

@@ -1,4 +1,4 @@
-"""From a message to the stars of one exposure: checks, directions, identities. Two adapters share it.
+"""From a message to the stars of one exposure: checks, directions, identities. All adapters of cameras share it.
 
 Only attributes of messages are read, so any message class will do. A message that cannot be used raises
 :class:`ship_node.edge.messages_in.Refused`. A star that cannot be used is left out, with its reason, and the other
@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.sky.catalogue import UNKNOWN, CatalogueEntries, StarCatalogue
-from ship_attitude_star.star_attitude.exposure_solver import RefusedStar
 from ship_attitude_star.stars.camera import StarCamera
 from ship_attitude_star.stars.config import CameraConfig
 from ship_attitude_star.stars.exposure import ExposureLength, StarExposure
@@ -37,21 +36,6 @@ _LEAST_FORWARD = math.cos(math.radians(60.0))
 _LARGEST_PIXEL = 1e6
 _LEAST_SIGMA_PX, _LARGEST_SIGMA_PX = 1e-4, 100.0
 _ANGLE_TOLERANCE = 1e-9
-
-
-@dataclass(frozen=True)
-class SeenStars:
-    """An exposure as ``star_attitude`` takes it.
-
-    Attributes:
-        time_ns: its stamp.
-        exposure: the stars that can be used.
-        refused: the other stars of the message.
-    """
-
-    time_ns: int
-    exposure: StarExposure
-    refused: tuple[RefusedStar, ...]
 
 
 @dataclass(frozen=True)
@@ -139,23 +123,6 @@ def star_exposure(
     )
     left_out = _left_out(message.stars, refusals, named_by_number)
     return ReadMessage(exposure, told.sigma_known, left_out, empty=not message.stars)
-
-
-def seen_stars(message: Any, **sensor: Any) -> ReadMessage[SeenStars]:
-    """The same with the stars left out as the core of ``star_attitude`` tells them, with the solution.
-
-    Args:
-        message: StarObservationArray.
-        sensor: arguments of :func:`star_exposure`.
-
-    Raises:
-        Refused: the whole message cannot be used.
-    """
-    read = star_exposure(message, **sensor, named_by_number=True)
-    source, time_ns, refused = read.value.source, read.value.time_ns, []
-    for name, refusal in read.left_out:
-        refused.append(RefusedStar(source, time_ns, name, refusal))
-    return ReadMessage(SeenStars(time_ns, read.value, tuple(refused)), read.covariance_known)
 
 
 def _told(stars: Sequence[Any], centroid_sigma_px: float) -> _Told:

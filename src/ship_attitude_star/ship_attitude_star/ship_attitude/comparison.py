@@ -1,35 +1,26 @@
 """The predicted attitude of a device, and a measurement of any kind against it: residual, Jacobian, noise.
 
-Single stars are compared one by one. Each star has a residual of two components, up and right in the sensor. With R the
-predicted attitude (horizon from sensor), v the star's place in the sky and u its measured direction, the residual is
-the part of u - Rᵀ v across the line of sight. A rotation ε of the sensor (rotation vector in its own frame) moves the
-predicted direction p = Rᵀ v by p × ε. The errors that all stars share (refraction, Earth rotation, position) are states
-of the filter: one sigma of such an error displaces v by g, and the predicted direction by Rᵀ g.
+Single stars are compared one by one (:mod:`ship_attitude_star.stars.residuals`).
 """
 
 import math
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ship_attitude_star.measurements.baseline import BASELINE_COMPONENTS, BaselineMeasurement
 from ship_attitude_star.measurements.samples import ATTITUDE_COMPONENTS, AttitudeMeasurement
 from ship_attitude_star.ship_attitude.model import SOURCE_INTERPOLATION, Device, ShipStateModel
 from ship_attitude_star.sky.sky_watch import SkyWatch
-from ship_attitude_star.stars import compiled_fit
-from ship_attitude_star.stars.chance import improbable_identity
-from ship_attitude_star.stars.exposure import StarExposure, visible_stars
-from ship_attitude_star.stars.fit import SightedStars
-from ship_attitude_star.stars.selection import StarPrior, select
-from ship_attitude_star.stars.solution import SolutionStatus, solve_stars
+from ship_attitude_star.stars.exposure import StarExposure
+from ship_attitude_star.stars.residuals import star_residuals
+from ship_attitude_star.stars.selection import StarPrior
 from ship_estimation.kalman import LinearMeasurement
 from ship_estimation.outcome import Measurement
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry import compiled_rotations
 from ship_geometry.attitude_track import InterpolatedAttitude
-from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, exp_rotation, left_jacobian
+from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian
 
 _ACROSS = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 """What a turn of the device makes of a point straight ahead: (up, right) by (forward, up, right)."""
@@ -158,7 +149,16 @@ def compare(
         return _baseline_compared(measurement, device, predicted, model)
     assert watch is not None
     assert isinstance(measurement, StarExposure)
-    stars = star_residuals(measurement, predicted, covariance, watch, model, mean, expected)
+    stars = star_residuals(
+        measurement,
+        predicted.rotation_nv,
+        predicted.jacobian_v,
+        (expected or predicted).prior(covariance),
+        watch,
+        model.sky_rows,
+        mean,
+        None if expected is None else predicted.rotation_nv,
+    )
     if isinstance(stars, Refusal):
         return stars
     interpolation = stars.by_turn @ predicted.interpolation_v @ stars.by_turn.T
@@ -227,140 +227,3 @@ def _attitude_residual(
         jacobian_v = jacobian_v.copy()
         jacobian_v[:, rows] = -rotation_nv.T @ left_jacobian(turn) @ measurement.shared_n
     return compiled_rotations.turn_between(rotation_nv, measurement.rotation_nv), jacobian_v
-
-
-@dataclass(frozen=True)
-class StarResiduals:
-    """The stars of an exposure that are used, linearised at the prediction.
-
-    Attributes:
-        residual: measured minus predicted direction, up and right of each of k stars, rad, shape (2 k,).
-        jacobian: derivative of the residual by the n states, shape (2 k, n).
-        by_turn: its derivative by a turn of the predicted sensor, rotation vector in its own frame, shape (2 k, 3).
-        noise: covariance, rad², shape (2 k, 2 k).
-        components: name of each residual.
-        refused: the other stars by name, each with its refusal.
-        rotation_ns: the sensor's attitude (horizon from sensor) by these stars alone, where they contradict the
-            prediction, shape (3, 3); None where they agree with it.
-    """
-
-    residual: FloatArray
-    jacobian: FloatArray
-    by_turn: FloatArray
-    noise: FloatArray
-    components: tuple[str, ...]
-    refused: tuple[tuple[str, Refusal], ...]
-    rotation_ns: FloatArray | None
-
-
-def star_residuals(
-    exposure: StarExposure,
-    predicted: PredictedAttitude,
-    covariance: FloatArray,
-    watch: SkyWatch,
-    model: ShipStateModel,
-    mean: FloatArray,
-    expected: PredictedAttitude | None = None,
-) -> StarResiduals | Refusal:
-    """Choose the stars that are what they are taken for, and compare them with the prediction.
-
-    Args:
-        exposure: the stars where they stood at its middle.
-        predicted: attitude of the sensor.
-        covariance: of the state, shape (n, n).
-        watch: the sky.
-        model: what the states are.
-        mean: of the state, shape (n,).
-        expected: as for :func:`compare`.
-
-    Returns:
-        The refusal of the whole exposure where no star can be placed in the sky at its moment, or none can be used.
-    """
-    rotation_ns, to_sensor = predicted.rotation_nv, predicted.jacobian_v
-    prior = (expected or predicted).prior(covariance)
-    visible = visible_stars(exposure, watch, prior)
-    if isinstance(visible, Refusal):
-        return visible
-    seen, stars, refused = visible
-    if len(stars.sigma) == 0:
-        nameless = any(refusal.reason is Reason.UNIDENTIFIED for _, refusal in refused)
-        reason = Reason.UNIDENTIFIED if nameless else Reason.TOO_FEW_STARS
-        return Refusal(reason, _listed(f"none of {len(exposure)} stars can be used", refused))
-    rows = model.sky_rows
-    # The estimate of the shared errors moves the stars to where they are expected.
-    expected_n = compiled_fit.expected(stars.reference_n, stars.shared_n, mean[rows])
-    at_estimate = replace(stars, reference_n=expected_n)
-    believed = _believed(stars, at_estimate, prior, None if expected is None else rotation_ns)
-    if isinstance(believed, Refusal):
-        return Refusal(believed.reason, _listed(believed.text, refused))
-    members, alone_ns = believed
-    turned_ns = rotation_ns if alone_ns is None else alone_ns
-    refused += [(seen.name(row), _misfit(stars, row, turned_ns)) for row in np.flatnonzero(~members).tolist()]
-    if not members.any():
-        return Refusal(Reason.MISIDENTIFIED, _listed(_contradiction(len(members)), refused))
-    names = [seen.name(row) for row in np.flatnonzero(members).tolist()]
-    residual, jacobian, by_turn, basis = compiled_fit.residuals(
-        stars.measured_b, expected_n, stars.shared_n, members.view(np.uint8), rotation_ns, to_sensor, rows.start
-    )
-    return StarResiduals(
-        residual=residual,
-        jacobian=jacobian,
-        by_turn=by_turn,
-        noise=_noise(at_estimate, basis, members),
-        components=tuple(f"{name} {axis}" for name in names for axis in ("up", "right")),
-        refused=tuple(refused),
-        rotation_ns=alone_ns,
-    )
-
-
-def _believed(
-    stars: SightedStars, at_estimate: SightedStars, prior: StarPrior, near_ns: FloatArray | None
-) -> tuple[NDArray[np.bool_], FloatArray | None] | Refusal:
-    """The stars that agree with the prediction; where none does, those that agree on another attitude.
-
-    Args:
-        stars: with their places by the sky.
-        at_estimate: the same where the estimate of the shared errors expects them.
-        prior: the prediction.
-        near_ns: an attitude near the truth, where the prediction's own is perhaps not, shape (3, 3).
-
-    Returns:
-        True for each of them, shape (k,), none where the stars contradict the prediction as well as one another; and
-        the attitude of the sensor by them alone where they contradict the prediction, else None.
-    """
-    choice = select(at_estimate, prior, near_ns)
-    if choice.by_chance is not None:
-        return improbable_identity(choice.by_chance)
-    if choice.members.any():
-        return choice.members, None
-    alone = solve_stars(stars)
-    if alone.status in (SolutionStatus.INVALID, SolutionStatus.UNVERIFIED):
-        return choice.members, None
-    return alone.members, alone.rotation_nb
-
-
-def _contradiction(count: int) -> str:
-    return (
-        f"none of {count} stars is where it is expected, and they do not agree on another attitude: "
-        "where this lasts, look at the camera's parameters, gnss/fix and the clock"
-    )
-
-
-def _noise(stars: SightedStars, basis: FloatArray, members: NDArray[np.bool_]) -> FloatArray:
-    """Covariance of the residuals of the k members, along their basis (k, 2, 3), rad², shape (2 k, 2 k)."""
-    noise = np.diag(np.repeat(stars.white_sigma[members] ** 2, 2))
-    if stars.smear_b is not None:
-        smear = basis @ stars.smear_b[members] @ np.swapaxes(basis, -1, -2)
-        for row, added in enumerate(smear):
-            noise[2 * row : 2 * row + 2, 2 * row : 2 * row + 2] += added
-    return noise
-
-
-def _misfit(stars: SightedStars, row: int, rotation_ns: FloatArray) -> Refusal:
-    angle = float(angle_between(rotation_ns @ stars.measured_b[row], stars.reference_n[row]))
-    text = f'{angle / ARCSEC:.1f}" from its place, sigma {stars.white_sigma[row] / ARCSEC:.1f}"'
-    return Refusal(Reason.MISIDENTIFIED, text)
-
-
-def _listed(text: str, refused: list[tuple[str, Refusal]]) -> str:
-    return "; ".join([text, *(f"{name}: {refusal.text}" for name, refusal in refused)])

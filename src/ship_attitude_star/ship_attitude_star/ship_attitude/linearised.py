@@ -250,7 +250,7 @@ class Linearisation:
                 return NotCompared(Refusal(Reason.GAP, text), ins_time_ns)
             # What is predicted is the mean over the exposure: its errors are those of the mean.
             ins = replace(ins, noise_gain=turning.noise_gain, error_covariance_d=turning.error_covariance)
-            measurement = at_middle(measurement, turning.mounted(task.device.rotation_dv0))
+            measurement = at_middle(measurement, turning.mounted(task.device.rotation_dv0).turns)
         if around_ns:
             bent_d = _bent_by_offset(track, ins_time_ns, around_ns, ins)
             if bent_d is None:

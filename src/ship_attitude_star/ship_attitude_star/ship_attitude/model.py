@@ -60,8 +60,8 @@ from ship_attitude_star.ship_attitude.config import (
     ShipBaselineConfig,
     StarSensorConfig,
 )
-from ship_attitude_star.sky.config import SkyConfig
-from ship_attitude_star.sky.sky_watch import UTC
+from ship_attitude_star.sky.shared_states import sky_blocks, sky_rows
+from ship_attitude_star.stars.residuals import SOURCE_STAR_NOISE
 from ship_estimation.kalman import StateBlock, StateModel, block
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
@@ -72,14 +72,9 @@ SOURCE_DEFLECTION = "deflection"
 SOURCE_INS_TIME = "ins_time_offset"
 SOURCE_INTERPOLATION = "interpolation"
 SOURCE_INSTALLATION = "installation"
-SOURCE_STAR_NOISE = "star_noise"
 SOURCE_STAR_COMMON = "star_common"
 SOURCE_STAR_TIME = "star_time_offset"
 SOURCE_FLEXURE = "flexure"
-SOURCE_REFRACTION = "refraction"
-SOURCE_EARTH_ROTATION = "earth_rotation"
-SOURCE_POSITION = "ship_position"
-SOURCE_UTC = UTC
 SOURCE_REFERENCE = "reference_installation"
 SOURCE_REFERENCE_NOISE = "reference_noise"
 SOURCE_REFERENCE_SLOW = "reference_slow_error"
@@ -166,7 +161,7 @@ class ShipStateModel(StateModel):
             blocks += _star_blocks(f"star.{id_}", star)
         looks_at_sky = any(star.looks_at_sky for star in config.star_sensors.values())
         if looks_at_sky:
-            blocks += _sky_blocks(config.sky)
+            blocks += sky_blocks(config.sky)
         alike = [star for star in config.star_sensors.values() if star.sharing == SHARED_BY_MESSAGES]
         if alike:
             time_s = max(star.common_time_s for star in alike)
@@ -186,8 +181,7 @@ class ShipStateModel(StateModel):
         super().__init__(blocks, noise_sources)
         self.sky_rows = slice(0, 0)
         if looks_at_sky:
-            of_sky = [self.slices[of_cause.name] for of_cause in _sky_blocks(config.sky)]
-            self.sky_rows = slice(of_sky[0].start, of_sky[-1].stop)
+            self.sky_rows = sky_rows(self.slices, config.sky)
         carried = ("ins.attitude",) if self.ins_process is None else self.ins_process.blocks
         self.process_rows = np.concatenate([self.rows(name) for name in carried])
         self.chains = {name: self._chain(device) for name, device in devices(config).items()}
@@ -315,22 +309,6 @@ def _star_blocks(name: str, star: StarSensorConfig) -> list[StateBlock]:
     if star.flexure_sigma_arcsec > 0.0:
         sigma_flexure = [star.flexure_sigma_arcsec * ARCSEC] * 3
         blocks.append(block(f"{name}.flexure", sigma_flexure, SOURCE_FLEXURE, time_s=star.flexure_time_s))
-    return blocks
-
-
-def _sky_blocks(sky: SkyConfig) -> list[StateBlock]:
-    """What all stars share, in the order of SHARED_TERMS.
-
-    Each exposure says how large its sigma is, so the states count in sigmas. UT1 errs the same for days, and so
-    may a clock that nothing sets.
-    """
-    blocks = [
-        block("sky.refraction", [1.0], SOURCE_REFRACTION, time_s=sky.refraction_time_s),
-        block("sky.earth_rotation", [1.0], SOURCE_EARTH_ROTATION),
-        block("sky.position", [1.0, 1.0], SOURCE_POSITION, time_s=sky.position_time_s),
-    ]
-    if sky.utc_sigma_s > 0.0:
-        blocks.append(block("sky.utc", [1.0], SOURCE_UTC))
     return blocks
 
 

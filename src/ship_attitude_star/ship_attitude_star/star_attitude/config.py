@@ -3,17 +3,9 @@
 from dataclasses import dataclass
 
 from ship_attitude_star.sky.config import SkyConfig
-from ship_attitude_star.stars.config import CameraConfig, MountingConfig, StarSensorsById
+from ship_attitude_star.stars.config import GivenCameraConfig, MountingConfig, StarSensorsById
 from ship_estimation.ins import StarInsConfig
 from ship_estimation.parameter_fields import mapping_of, parameter, section, sources_off, stamp_age
-
-
-@dataclass(frozen=True, kw_only=True)
-class GivenCameraConfig(CameraConfig):
-    """The camera of a sensor that gives single stars: without it no pixel means anything."""
-
-    focal_length_m: float = parameter(doc="focal length", unit="m", minimum=0.001, maximum=10.0)
-    pixel_pitch_m: float = parameter(doc="from pixel to pixel", unit="m", minimum=1e-7, maximum=0.001)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -266,7 +266,7 @@ class InsMotion:
             untold = np.deg2rad(self._config.untold_acceleration_deg_per_s2)
             return MiddleOfExposure(exposure, 0.0, length.untold_turn_variance(float(untold)))
         white_variance = turning.correction_gain * (self._config.white_sigma_arcsec * ARCSEC) ** 2
-        corrected = at_middle(exposure, turning.mounted(mounting.rotation_ds))
+        corrected = at_middle(exposure, turning.mounted(mounting.rotation_ds).turns)
         return MiddleOfExposure(corrected, white_variance, turning.correction_error)
 
     def drop_before(self, time_ns: int) -> None:

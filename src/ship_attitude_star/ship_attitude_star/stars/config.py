@@ -137,6 +137,14 @@ class CameraConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
+class GivenCameraConfig(CameraConfig):
+    """The camera of a sensor that gives single stars: without it no pixel means anything."""
+
+    focal_length_m: float = parameter(doc="focal length", unit="m", minimum=0.001, maximum=10.0)
+    pixel_pitch_m: float = parameter(doc="from pixel to pixel", unit="m", minimum=1e-7, maximum=0.001)
+
+
+@dataclass(frozen=True, kw_only=True)
 class MountingConfig:
     """Where a star sensor is bolted, and how well that is known."""
 

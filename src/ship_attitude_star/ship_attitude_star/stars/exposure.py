@@ -28,7 +28,7 @@ from ship_attitude_star.stars.identification import MAGNITUDE_TOLERANCE, WIDEST,
 from ship_attitude_star.stars.selection import LINEAR_RANGE, StarPrior
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.deck_masks import SensorMasks
-from ship_geometry.exposure_mean import Nodes, Turning, exposure_nodes
+from ship_geometry.exposure_mean import Nodes, exposure_nodes
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.star_directions import StarPositions
 
@@ -156,17 +156,18 @@ class StarExposure:
         return b"".join(np.ascontiguousarray(array).tobytes() for array in arrays) + length
 
 
-def at_middle(exposure: StarExposure, turning: Turning) -> StarExposure:
+def at_middle(exposure: StarExposure, turns: FloatArray) -> StarExposure:
     """The stars where they stood at the middle of the exposure, with what their streaks add to their errors.
 
     Args:
         exposure: of a known length.
-        turning: of the sensor over the exposure.
+        turns: of the sensor, rotations "sensor at the node from sensor at the middle" at the nodes of the length, shape
+            (m, 3, 3).
     """
     length = exposure.length
     assert length is not None
     camera, seen_s = length.camera, exposure.directions_s
-    nodes, passed_s = turning.nodes, seen_s @ np.swapaxes(turning.turns, -1, -2)
+    nodes, passed_s = length.nodes, seen_s @ np.swapaxes(turns, -1, -2)
     pixels, middle = camera.pixels(passed_s), camera.pixels(seen_s)
     directions_s = camera.directions(middle - (nodes.mean(pixels) - middle))
     blur = equivalent_sigma(camera.direction_covariance(middle, length.psf_sigma_px))

@@ -27,7 +27,7 @@ from theodolite_calib.axis_fit.exposure_errors import slow_effects
 from theodolite_calib.axis_fit.sighting_file import COLUMNS, LABEL_COLUMN, TIME_COLUMN, slow_column
 from theodolite_calib.axis_fit.sightings import MOST_SIGHTINGS
 from theodolite_calib.lights.telescope_attitude import solve
-from theodolite_calib.measured.samples import ExposureDecision, PointingOutcome
+from theodolite_calib.measured.samples import Exposure, ExposureDecision, PointingOutcome
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 
@@ -97,9 +97,12 @@ class AxisSightings:
 
     def take(self, core: OpticalAxisCore, decision: ExposureDecision) -> None:
         """Keep what the lights of an exposure say, where the core used them all as they are named."""
-        time_ns = decision.measurement.time_ns
+        exposure = decision.measurement
+        if not isinstance(exposure, Exposure):
+            return  # stars, or a target
+        time_ns = exposure.time_ns
         self.rows.pop(time_ns, None)
-        row = _row(core, decision)
+        row = _row(core, exposure, decision)
         if row is None:
             self.unused += 1
         else:
@@ -156,9 +159,9 @@ def axis_sightings(
     return found
 
 
-def _row(core: OpticalAxisCore, decision: ExposureDecision) -> AxisSighting | None:
+def _row(core: OpticalAxisCore, exposure: Exposure, decision: ExposureDecision) -> AxisSighting | None:
     """What the lights of an exposure say; None where they were not all used, or are too few."""
-    sighting = core.sighting(decision.measurement)
+    sighting = core.sighting(exposure)
     usable = decision.accepted and decision.reason is Reason.NONE and not decision.left_out
     if sighting is None or not usable or len(sighting.names) < _LEAST_LIGHTS:
         return None

@@ -236,12 +236,15 @@ def _skies(one: Any, other: Any) -> Iterator[tuple[str, Any, Any]]:
 
     What a solution of one node shares with other sensors is told apart by the sky of the other.
     """
-    if all(
-        hasattr(config, "sky") and any(getattr(star, "looks_at_sky", True) for star in config.star_sensors.values())
-        for config in (one, other)
-    ):
+    if _looks_at_sky(one) and _looks_at_sky(other):
         for name in (field.name for field in dataclasses.fields(SkyConfig) if field.name not in _OF_ONE_NODE):
             yield f"sky.{name}", getattr(one.sky, name), getattr(other.sky, name)
+
+
+def _looks_at_sky(config: Any) -> bool:
+    """Whether a sensor of a node needs the sky over the ship: on the deck, or a camera on the theodolite."""
+    on_deck = any(getattr(star, "looks_at_sky", True) for star in getattr(config, "star_sensors", {}).values())
+    return hasattr(config, "sky") and (on_deck or bool(getattr(config, "telescopes", {})))
 
 
 def _put_right(values: dict[str, Any], problem: ParameterError, descriptions: list[ParameterDescription]) -> bool:

@@ -7,14 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from ship_attitude_star.ros.messages_in import (
-    SURROUNDINGS,
-    inertial_attitude,
-    reference_measurement,
-    star_measurement,
-    surroundings_reader,
-)
+from ship_attitude_star.ros.messages_in import inertial_attitude, reference_measurement, star_measurement
 from ship_attitude_star.ros.star_messages_in import star_exposure
+from ship_attitude_star.ros.surroundings_in import SURROUNDINGS, surroundings_reader
 from ship_attitude_star.ship_attitude.config import ReferenceConfig, ShipAttitudeConfig, StarSensorConfig
 from ship_attitude_star.sky.sky_watch import SkyWatch, installed_sky
 from ship_attitude_star.sky.tracker_attitude import in_horizon

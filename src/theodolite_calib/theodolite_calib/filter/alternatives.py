@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ship_estimation import compiled_steps
 from ship_estimation.gates import chi_square_gate
-from ship_estimation.hypotheses import RowsCompared
+from ship_estimation.hypotheses import RowsCompared, compare_rows, update_rows
 from ship_estimation.kalman import LinearMeasurement, StateModel, predict
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.chain.axes import NAMES
@@ -232,6 +232,35 @@ class SourceRows:
         mean = rows.mean + corrections
         light_nis = np.einsum("hlk,hlk->hl", light_turn, light_turn)
         return replace(rows, mean=mean, parts=updated[:, None]), RowsSeen(accepted, light_nis, light_turn)
+
+
+    def seen_stars(
+        self,
+        rows: Alternatives,
+        measurement: LinearMeasurement,
+        first_mean: FloatArray,
+        by_turn: FloatArray,
+        probability: float,
+    ) -> Alternatives:
+        """The rows after an exposure of stars: each that the stars fit learns of them.
+
+        No row does without stars: a fault of them is told by themselves, which are many.
+
+        Args:
+            rows: predicted to its moment.
+            measurement: the stars; its residual is that of the estimate by all sources.
+            first_mean: of that estimate, predicted, shape (n,).
+            by_turn: derivative of the residual by a turn of the camera, shape (m, 3).
+            probability: of the gate.
+        """
+        stack = rows.parts[:, 0]
+        compared = compare_rows(rows.mean, stack, measurement, first_mean, by_turn)
+        accepted = compared.nis <= chi_square_gate(probability, len(measurement.residual))  # NaN is not
+        learns = np.repeat(accepted[:, None], self._model.size, axis=1)
+        # The rows have no budget: all noise is the only part of each.
+        of_no_budget = LinearMeasurement(measurement.residual, measurement.jacobian, {_ONLY_SOURCE: measurement.noise})
+        corrections, stack = update_rows(stack, of_no_budget, compared, learns)
+        return replace(rows, mean=rows.mean + corrections, parts=stack[:, None])
 
 
 def forget(parts: FloatArray, states: NDArray[np.intp], source_index: int, sigma_rad: float) -> None:

@@ -19,6 +19,7 @@ from theodolite_calib.filter.alternatives import Alternatives, SourceRows
 from theodolite_calib.filter.model import SOURCE_AXES, SOURCE_SHIP, ShipErrorProcess, state_model
 from theodolite_calib.filter.observability import Observability, Unaided
 from theodolite_calib.filter.prediction import Prediction, SightingModel
+from theodolite_calib.filter.star_comparison import StarComparison, StarModel
 from theodolite_calib.filter.trust import Trust, no_doubt
 from theodolite_calib.measured.encoder_watch import EncoderJump
 from theodolite_calib.measured.sighting import Sighting
@@ -44,11 +45,12 @@ class CalibrationState:
         separation: distance of each of the alternatives from the estimate by all sources in the pointing of the last
             sighting used, in its sigmas, shape (h,).
         ship_steady_n: stated covariance that the ship's error follows, rad²; None where none is stated.
-        refusals: sightings in a row that disagreed with the encoders and the ship.
-        used_ns: moment of the last sighting used; None before it.
+        refusals: sightings in a row, of lights or of stars, that disagreed with the encoders and the ship.
+        used_ns: moment of the last sighting of lights used; None before it.
         light_count: lights used in it.
-        sighting_count: sightings used.
-        lights_used: lights in all of them.
+        stars_ns: moment of the last exposure of stars used; None before it.
+        sighting_count: sightings used, of lights and of stars.
+        points_used: lights and stars in all of them.
         squares: sum of the squares of their residuals on the sky, rad².
     """
 
@@ -63,8 +65,9 @@ class CalibrationState:
     refusals: int = 0
     used_ns: int | None = None
     light_count: int = 0
+    stars_ns: int | None = None
     sighting_count: int = 0
-    lights_used: int = 0
+    points_used: int = 0
     squares: float = 0.0
 
     @property
@@ -74,9 +77,14 @@ class CalibrationState:
         return total
 
     @property
+    def informed_ns(self) -> int | None:
+        """Moment of the last sighting used, of lights or of stars; None before it."""
+        return max((time_ns for time_ns in (self.used_ns, self.stars_ns) if time_ns is not None), default=None)
+
+    @property
     def residual_rms(self) -> float:
-        """Of the lights' residuals on the sky, rad; NaN before the first."""
-        return float(np.sqrt(self.squares / self.lights_used)) if self.lights_used else float("nan")
+        """Of the residuals of lights and stars on the sky, rad; NaN before the first."""
+        return float(np.sqrt(self.squares / self.points_used)) if self.points_used else float("nan")
 
 
 @dataclass(frozen=True)
@@ -110,7 +118,8 @@ class CalibrationFilter:
     def __init__(self, config: OpticalAxisConfig) -> None:
         self.model = state_model(config)
         self.sightings = SightingModel(config, self.model)
-        self.observability = Observability(self.model)
+        self.stars = StarModel(config, self.model, self.sightings)
+        self.observability = Observability(self.model, tells_lens=bool(config.telescopes))
         self.ship_error = ShipErrorProcess(config, self.model)
         self.rows = SourceRows(config, self.model, self.ship_error)
 
@@ -240,10 +249,32 @@ class CalibrationFilter:
             used_ns=sighting.time_ns,
             light_count=len(sighting.names),
             sighting_count=state.sighting_count + 1,
-            lights_used=state.lights_used + len(sighting.names),
+            points_used=state.points_used + len(sighting.names),
             squares=state.squares + float(on_sky @ on_sky),
         )
         return after, compared
+
+    def used_stars(self, state: CalibrationState, time_ns: int, comparison: StarComparison) -> CalibrationState:
+        """The state after an exposure of stars, from the state predicted to its moment; the rows are left as they are.
+
+        Args:
+            state: predicted.
+            time_ns: middle of the exposure.
+            comparison: of its stars with that state.
+        """
+        measurement, (gain,) = comparison.measurement, comparison.rows.gain
+        correction, parts = update(state.parts, measurement, gain)
+        return replace(
+            state,
+            mean=state.mean + correction,
+            parts=parts,
+            unaided=self.observability.updated(state.unaided, measurement.jacobian, measurement.noise),
+            refusals=0,
+            stars_ns=time_ns,
+            sighting_count=state.sighting_count + 1,
+            points_used=state.points_used + len(measurement.residual) // 2,
+            squares=state.squares + float(measurement.residual @ measurement.residual),
+        )
 
     def _compared(self, state: CalibrationState, prediction: Prediction, residual: FloatArray) -> Comparison:
         """The comparison of a sighting by its prediction; ``residual`` is in metres, shape (2 N,)."""

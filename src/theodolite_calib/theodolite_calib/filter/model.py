@@ -12,6 +12,9 @@ parallelism (3)                       azimuth, elevation, rotation of the main a
 ship_antenna (3)           horizon    error of all baselines, m; this and the following only where they have a sigma
 lever (3)                  deck       from the ship's antenna to the theodolite, m
 lens (3)                   main       from the crossing of the axes to N', m
+telescope.<id>.parallelism            as parallelism, of another camera that sees stars (3)
+sky.<cause>                           what all stars share, in sigmas (ship_attitude_star.sky.shared_states); only where
+                                      there are such cameras
 refraction (1)                        of the coefficient k, the same for all lights
 light.<id>.rtk (3)         horizon    slow error of this baseline, m
 light.<id>.lever (3)       drone      from the drone's antenna to its light, m
@@ -25,10 +28,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ship_attitude_star.sky.shared_states import sky_blocks
+from ship_attitude_star.stars.residuals import SOURCE_STAR_NOISE
 from ship_estimation.kalman import StateBlock, StateModel, block, lasting, slow_error_later
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.chain.axes import CHAIN_STATES
-from theodolite_calib.config import BeaconConfig, OpticalAxisConfig
+from theodolite_calib.config import BeaconConfig, OpticalAxisConfig, StarCameraConfig
 
 SOURCE_SHIP = "ship_attitude"
 SOURCE_SHIP_NOISE = "ship_noise"
@@ -69,17 +74,28 @@ _AT_ONCE = 2.0
 def state_model(config: OpticalAxisConfig) -> StateModel:
     """All states of a configuration, and the sources of error of its budget."""
     blocks = [*_ship_blocks(config), *_theodolite_blocks(config), *_path_blocks(config)]
+    for id_, camera in config.telescopes.items():
+        blocks += _camera_blocks(id_, camera, config)
     for id_, beacon in config.beacons.items():
         blocks += _light_blocks(id_, beacon, config)
     known = {"ship.attitude", "deformation", "axes", "focal_length", "parallelism"}
+    known |= {parallelism_block(id_, config) for id_ in config.telescopes}
     used = [entry for entry in blocks if entry.name in known or np.any(entry.sigma > 0.0)]
     noise_sources = [SOURCE_SHIP_NOISE, SOURCE_ENCODER, SOURCE_IMAGE, SOURCE_RTK, SOURCE_SAVED]
+    if config.telescopes:
+        used += sky_blocks(config.sky)
+        noise_sources.append(SOURCE_STAR_NOISE)
     return StateModel(used, noise_sources)
 
 
 def chain_rows(model: StateModel) -> NDArray[np.intp]:
     """Where the states that turn the main axis are, in the order of CHAIN_STATES."""
     return np.concatenate([model.rows(name) for name in CHAIN_STATES if name in model.slices])
+
+
+def parallelism_block(id_: str, config: OpticalAxisConfig) -> str:
+    """Name of the states of a star camera's parallelism; the calibration telescope has one by lights and by stars."""
+    return "parallelism" if id_ == config.telescope.telescope_id else f"telescope.{id_}.parallelism"
 
 
 def _ship_blocks(config: OpticalAxisConfig) -> list[StateBlock]:
@@ -115,6 +131,12 @@ def _path_blocks(config: OpticalAxisConfig) -> list[StateBlock]:
         block("lens", [config.telescope.lens.sigma_m] * 3, SOURCE_LENS),
         block("refraction", [air.sigma], SOURCE_REFRACTION, time_s=air.time_s),
     ]
+
+
+def _camera_blocks(id_: str, camera: StarCameraConfig, config: OpticalAxisConfig) -> list[StateBlock]:
+    if id_ == config.telescope.telescope_id:
+        return []
+    return [block(parallelism_block(id_, config), camera.parallelism_sigma, SOURCE_PARALLELISM)]
 
 
 def _light_blocks(id_: str, beacon: BeaconConfig, config: OpticalAxisConfig) -> list[StateBlock]:

@@ -1,9 +1,11 @@
 """Which combinations of axis errors and deformation the sightings cannot tell apart, as the live filter sees it.
 
-A second covariance runs beside the filter's. At its start the axis errors and the deformation are as good as unknown,
-and the deformation is a random walk as fast as the filter's process, without a mean to return to. All other states are
-as in the filter, slow errors included. A combination that this covariance leaves open is therefore one that the
-sightings leave open, however many of the same kind there are.
+Where stars may be seen beside lights, N' is among them: lights depend on it, and stars do not.
+
+A second covariance runs beside the filter's. At its start the errors told of are as good as unknown, and the
+deformation is a random walk as fast as the filter's process, without a mean to return to. All other states are as in
+the filter, slow errors included. A combination that this covariance leaves open is therefore one that the sightings
+leave open, however many of the same kind there are. A factor between N' and an angle is in metres for a radian.
 """
 
 from dataclasses import dataclass, replace
@@ -18,7 +20,9 @@ from theodolite_calib.filter.model import ShipErrorStep, add_steady_noise, with_
 
 DEFORMATION_NAMES = ("deformation_bow", "deformation_up", "deformation_starboard")
 
-_LEADING = (*DEFORMATION_NAMES, "c", "I", "h", "flexure", "beta_x", "beta_y", "g")
+LENS_NAMES = ("lens_forward", "lens_up", "lens_right")
+
+_LEADING = (*DEFORMATION_NAMES, "c", "I", "h", "flexure", "beta_x", "beta_y", "g", *LENS_NAMES)
 """In this order errors lead the combinations that are told. The error that leads one combination is eliminated from all
 others; the errors that pair with the deformation come last."""
 
@@ -41,9 +45,10 @@ class Observability:
 
     Args:
         model: states of the filter.
+        tells_lens: whether N' is told of, where it is a state.
     """
 
-    def __init__(self, model: StateModel) -> None:
+    def __init__(self, model: StateModel, tells_lens: bool = False) -> None:
         deformation = model.blocks["deformation"]
         unknown = {
             "axes": replace(model.blocks["axes"], sigma=_UNKNOWN * model.blocks["axes"].sigma),
@@ -54,14 +59,19 @@ class Observability:
                 walk=deformation.sigma * np.sqrt(2.0 / deformation.time_s),
             ),
         }
+        told = {"axes": NAMES, "deformation": DEFORMATION_NAMES}
+        if tells_lens and "lens" in model.slices:
+            unknown["lens"] = replace(model.blocks["lens"], sigma=_UNKNOWN * model.blocks["lens"].sigma)
+            told["lens"] = LENS_NAMES
         blocks = [replace(unknown.get(name, entry), source="any") for name, entry in model.blocks.items()]
         self._model = StateModel(blocks, [])
         self._ship = model.slices["ship.attitude"]
-        names = (*NAMES, *DEFORMATION_NAMES)
-        sigma = np.concatenate([model.blocks["axes"].sigma, deformation.sigma])
-        rows = np.concatenate([model.rows("axes"), model.rows("deformation")])
+        names = [name for of_block in told.values() for name in of_block]
+        sigma = np.concatenate([model.blocks[name].sigma for name in told])
+        rows = np.concatenate([model.rows(name) for name in told])
+        self._told = names
         # An error with a sigma of 0 is held, and need not be told.
-        order = [names.index(name) for name in _LEADING if sigma[names.index(name)] > 0.0]
+        order = [names.index(name) for name in _LEADING if name in names and sigma[names.index(name)] > 0.0]
         self._names, self._sigma, self._rows = [names[i] for i in order], sigma[order], rows[order]
 
     def start(self) -> Unaided:
@@ -87,4 +97,4 @@ class Observability:
     def open_combinations(self, unaided: Unaided) -> tuple[str, ...]:
         """Combinations of names that the sightings so far cannot tell apart, as ``g - deformation_up``."""
         covariance = unaided.parts[_ONLY_SOURCE][np.ix_(self._rows, self._rows)]
-        return open_combinations(covariance, self._sigma, self._names, (*NAMES, *DEFORMATION_NAMES))
+        return open_combinations(covariance, self._sigma, self._names, self._told)

@@ -107,6 +107,19 @@ class SightingModel:
         """Focal length as now known, m."""
         return self._config.telescope.focal_length_m + float(self._of(mean, "focal_length")[0])
 
+    def turn_n(self, chain: AxisChain, by_parallelism: FloatArray, parallelism: str) -> FloatArray:
+        """Rotation vector in n per state of a camera that is fixed to the main axis, shape (3, n).
+
+        Args:
+            chain: to the main axis.
+            by_parallelism: rotation vector of the camera per angle of its parallelism, shape (3, 3).
+            parallelism: name of the states of these.
+        """
+        turn_n = np.zeros((3, self._model.size))
+        turn_n[:, self._turning] = chain.by_error[:, : len(self._turning)]
+        turn_n[:, self._model.slices[parallelism]] = by_parallelism
+        return turn_n
+
     def predict(self, mean: FloatArray, sighting: Sighting) -> Prediction:
         """A sighting as a state has it, and how it follows from the states."""
         ship, encoder = sighting.ship, sighting.encoder
@@ -116,7 +129,7 @@ class SightingModel:
         lines = self._lines(mean, sighting, chain, known)
         camera = Camera(self.focal_length_m(mean), self._config.telescope.focal_length_sigma_m, self._principal_point)
         points = predict_points(camera, rotation_nt, lines.direction_n)
-        turn_n = self._turn_n(chain, by_parallelism)
+        turn_n = self.turn_n(chain, by_parallelism, "parallelism")
         rows = 2 * len(sighting.names)
         by_attitude_n = points.by_attitude_n.reshape(rows, 3)
         jacobian, by_error = compiled_points.by_states(
@@ -168,12 +181,6 @@ class SightingModel:
         if names not in self._lights:
             self._lights[names] = _OfLights(self._config, self._model, names)
         return self._lights[names]
-
-    def _turn_n(self, chain: AxisChain, by_parallelism: FloatArray) -> FloatArray:
-        turn_n = np.zeros((3, self._model.size))
-        turn_n[:, self._turning] = chain.by_error[:, : len(self._turning)]
-        turn_n[:, self._model.slices["parallelism"]] = by_parallelism
-        return turn_n
 
     def _add_ships_time(self, jacobian: FloatArray, by_ship_turn: FloatArray, chain: AxisChain) -> None:
         """Add what the ship's time does to the points by carrying the theodolite round the antenna."""

@@ -11,9 +11,10 @@ from collections.abc import Callable, Set
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ship_estimation.exclusion import Exclusion
-from ship_estimation.gates import chi_square_gate
+from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.protection import Factors, IntegrityConfig, factors, separation_sigma
 from ship_estimation.refusals import Reason, Refusal, singular_covariance
 from ship_geometry.rotations import FloatArray, exp_rotation
@@ -139,7 +140,7 @@ class SightingStep:
         comparison = self._filter.compare(unknown, chosen)
         held = replace(held, trust=trust)
         if comparison is None:
-            return self._held(held, decision)
+            return held_back(held, decision, self._gate, "lights")
         return self._refused(held, unknown, chosen, comparison, decision)
 
     def _learnt(
@@ -157,7 +158,8 @@ class SightingStep:
         )
         time_ns = decision.measurement.time_ns
         trust = self._referee.observed(before.trust, names, seen, True, time_ns)
-        separation = self._separation(after, alternatives, compared)
+        prediction = compared.prediction
+        separation = separations(after, alternatives, self._turning, prediction.rotation_nt, prediction.turn_n)
         trusted = self._referee.agreed(trust, time_ns)
         after = replace(after, alternatives=alternatives, trust=trusted, separation=separation)
         fault, source, explaining = self._referee.fault(after.trust, after.separation, time_ns)
@@ -201,7 +203,7 @@ class SightingStep:
         if source is not None:
             return self._attributed(replace(after, refusals=held.refusals + 1), source, decision, found)
         trust = self._referee.disagreed(trust, _spread_n(comparison), lasting=fault)
-        return self._held(replace(held, alternatives=alternatives, trust=trust), decision)
+        return held_back(replace(held, alternatives=alternatives, trust=trust), decision, self._gate, "lights")
 
     def _blamed(
         self, held: CalibrationState, source: str, explaining: Set[str], decision: ExposureDecision
@@ -225,18 +227,6 @@ class SightingStep:
         state = self._excluded(state, source, left_out, source if source in self._filter.rows.sources else seen_by)
         text = f"{decision.text}; excluded: {why}" if decision.text else f"excluded: {why}"
         return replace(state, refusals=0), replace(decision, text=text)
-
-    def _separation(self, state: CalibrationState, rows: Alternatives, compared: Comparison) -> FloatArray:
-        """Distance of each row from the estimate by all sources in the pointing, in sigmas, shape (h,)."""
-        turning = self._turning
-        to_axes = compared.prediction.rotation_nt.T @ compared.prediction.turn_n[:, turning]
-        apart = (rows.mean - state.mean)[:, turning] @ to_axes.T
-        covariance = np.concatenate(
-            [state.parts[:, turning[:, None], turning].sum(axis=0)[None], rows.parts[:, 0, turning[:, None], turning]]
-        )
-        variance = (to_axes @ covariance * to_axes).sum(axis=-1)
-        statistic: FloatArray = np.abs(apart / separation_sigma(variance[1:], variance[0])).max(axis=-1)
-        return statistic
 
     def _farthest(self, state: CalibrationState, compared: Comparison) -> FloatArray:
         """By so much the pointing of a row may differ from that by all sources, covariance in n, rad²."""
@@ -283,21 +273,6 @@ class SightingStep:
     def _left_out(self, state: CalibrationState, name: str) -> tuple[str, Refusal]:
         return name, Refusal(Reason.EXCLUDED, state.trust.left_out[BEACON + name].why)
 
-    def _held(self, state: CalibrationState, decision: ExposureDecision) -> tuple[CalibrationState, ExposureDecision]:
-        """Count a disagreement; after a run of them say so and, where configured, re-open the gate."""
-        run = state.refusals + 1
-        state = replace(state, refusals=run)
-        if decision.reason is Reason.LIGHT_CONFLICT:
-            return state, decision
-        reason, text = decision.reason, decision.text
-        if run >= self._gate.conflict_after:
-            reason = Reason.ATTITUDE_CONFLICT
-            text = f"{run} refusals in a row: the lights and the encoders with the ship's attitude disagree; {text}"
-        if self._gate.reopen_after and run % self._gate.reopen_after == 0:
-            state = replace(state, parts=state.parts * self._gate.reopen_factor)
-            text += f"; gate re-opened: covariance times {self._gate.reopen_factor:g}"
-        return state, replace(decision, reason=reason, text=text)
-
 
 @functools.lru_cache(maxsize=16)
 def hypothesis_factors(config: IntegrityConfig, sources: tuple[str, ...]) -> Factors:
@@ -305,6 +280,53 @@ def hypothesis_factors(config: IntegrityConfig, sources: tuple[str, ...]) -> Fac
     priors = config.prior_per_h
     by_source = {ENCODER: priors.encoder, SHIP: priors.ship_attitude}
     return factors(config, [by_source.get(source, priors.beacon) for source in sources])
+
+
+def held_back(
+    state: CalibrationState, decision: ExposureDecision, gate: GateConfig, what: str
+) -> tuple[CalibrationState, ExposureDecision]:
+    """Count a disagreement; after a run of them say so and, where configured, re-open the gate.
+
+    Args:
+        state: before the sighting that disagrees.
+        decision: about it.
+        gate: how long a run may be.
+        what: was seen, for people.
+    """
+    run = state.refusals + 1
+    state = replace(state, refusals=run)
+    if decision.reason is Reason.LIGHT_CONFLICT:
+        return state, decision
+    reason, text = decision.reason, decision.text
+    if run >= gate.conflict_after:
+        reason = Reason.ATTITUDE_CONFLICT
+        text = f"{run} refusals in a row: the {what} and the encoders with the ship's attitude disagree; {text}"
+    if gate.reopen_after and run % gate.reopen_after == 0:
+        state = replace(state, parts=state.parts * gate.reopen_factor)
+        text += f"; gate re-opened: covariance times {gate.reopen_factor:g}"
+    return state, replace(decision, reason=reason, text=text)
+
+
+def separations(
+    state: CalibrationState, rows: Alternatives, turning: NDArray[np.intp], rotation_nc: FloatArray, turn_n: FloatArray
+) -> FloatArray:
+    """Distance of each row from the estimate by all sources in the pointing, in sigmas, shape (h,).
+
+    Args:
+        state: the estimate by all sources.
+        rows: the others.
+        turning: where the states are that turn the main axis.
+        rotation_nc: horizon from a camera on the main axis, shape (3, 3).
+        turn_n: its rotation vector in n per state, shape (3, n).
+    """
+    to_axes = rotation_nc.T @ turn_n[:, turning]
+    apart = (rows.mean - state.mean)[:, turning] @ to_axes.T
+    covariance = np.concatenate(
+        [state.parts[:, turning[:, None], turning].sum(axis=0)[None], rows.parts[:, 0, turning[:, None], turning]]
+    )
+    variance = (to_axes @ covariance * to_axes).sum(axis=-1)
+    statistic: FloatArray = np.abs(apart / separation_sigma(variance[1:], variance[0])).max(axis=-1)
+    return statistic
 
 
 def _sigma_seen(comparison: Comparison) -> float:

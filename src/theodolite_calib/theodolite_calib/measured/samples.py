@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ship_attitude_star.stars.exposure import StarExposure
 from ship_estimation.outcome import Decision, Outcome, Status
 from ship_estimation.refusals import Refusal
 from ship_geometry.attitude_track import AttitudeSample
@@ -26,6 +27,8 @@ class Mode(enum.IntEnum):
     TWO_LIGHTS = 0
     ONE_LIGHT = 1
     ENCODER = 2
+    STARS = 3
+    STARS_AND_LIGHTS = 4
 
 
 @dataclass(frozen=True)
@@ -163,6 +166,10 @@ class Exposure:
         return lights + exposure
 
 
+AnyExposure = Exposure | StarExposure
+"""What the calibration filter is given: lights, or stars of one camera."""
+
+
 @dataclass(frozen=True)
 class TargetSample:
     """One image of a target on the main detector.
@@ -238,11 +245,12 @@ class TargetEstimate:
 
 
 @dataclass(frozen=True)
-class ExposureDecision(Decision[Exposure]):
+class ExposureDecision(Decision[AnyExposure]):
     """What became of an exposure.
 
-    ``residual`` and ``sigma`` are angles on the sky, two for each light: to the right and up. ``left_out`` are lights.
-    An exposure whose lights had their names exchanged is accepted, with the reason LIGHT_CONFLICT.
+    ``residual`` and ``sigma`` are angles on the sky: of each light to the right and up, of each star up and to the
+    right. ``left_out`` are lights or stars. An exposure whose lights had their names exchanged is accepted, with the
+    reason LIGHT_CONFLICT.
 
     Attributes:
         telescope_dt: deck from telescope as the lights have it, shape (3, 3), and the standard deviation about its

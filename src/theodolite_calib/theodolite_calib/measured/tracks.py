@@ -18,10 +18,11 @@ from ship_geometry.rotations import ARCSEC, FloatArray, skew
 from ship_geometry.sample_track import SampleTrack
 from ship_geometry.time_scales import SECOND_NS
 from ship_geometry.vector_track import VectorTrack
+from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.measured.baseline_track import BaselineJump, BaselineTrack
 from theodolite_calib.measured.contradiction import Streams, ship_crept, streams_since
-from theodolite_calib.measured.samples import EncoderSample, Exposure, ShipSample
+from theodolite_calib.measured.samples import AnyExposure, EncoderSample, Exposure, ShipSample
 
 _LONGEST_REACH_NS = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns
 _FULL_TURN = 2.0 * np.pi
@@ -172,10 +173,10 @@ class MeasuredTracks:
         for track in self._all:
             track.drop_before(keep_from_ns)
 
-    def awaits(self, exposure: Exposure) -> bool:
+    def awaits(self, exposure: AnyExposure) -> bool:
         """True while data still to come may belong to an exposure."""
         # The slowest sources first: most often one of these is awaited.
-        for light in exposure.lights:
+        for light in exposure.lights if isinstance(exposure, Exposure) else ():
             if not self.baselines[light.beacon_id].covers(exposure.time_ns):
                 return True
             drone = self.drones.get(light.beacon_id)
@@ -226,6 +227,16 @@ class MeasuredTracks:
         gain = angles.noise_gain if over is None else self.encoder.noise_gain_of_mean(over.moments(time_ns))
         noise = gain * sample.sigma**2 + float(angles.error_covariance.trace())
         return EncoderAt(azimuth, elevation, noise)
+
+    def main_axis_at(self, moments_ns: list[int], axes: AxisErrors) -> FloatArray | None:
+        """Horizon from main frame at m moments by given axis errors, shape (m, 3, 3); None where one is not known."""
+        ships, encoders = map(self.ship_at, moments_ns), map(self.encoder_at, moments_ns)
+        turned = [
+            ship.rotation_nd @ main_axis_rotation(axes, encoder.azimuth, encoder.elevation)
+            for ship, encoder in zip(ships, encoders, strict=True)
+            if ship is not None and encoder is not None
+        ]
+        return np.array(turned) if len(turned) == len(moments_ns) else None
 
     def streams_since(self, since_ns: int, until_ns: int) -> Streams | None:
         """What encoders and ship say by themselves of the time between two moments; None of a time too long ago."""

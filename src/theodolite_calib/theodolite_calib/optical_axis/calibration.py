@@ -1,11 +1,13 @@
 """The calibration in two views of the filter's state: for people now, and for the start of the next session.
 
-:class:`Calibration` has the named values of the calibration topic: axis errors, focal length and deformation.
+:class:`Calibration` has the named values of the calibration topic: axis errors, focal length and deformation; where
+stars may be seen, also N' and how the main axis stands in each camera.
 :class:`CalibrationPrior` is what is saved: the constants. The deformation is not saved, for it will have changed by
 then.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,8 +15,8 @@ from ship_geometry.rotations import FloatArray
 from theodolite_calib.chain.axes import NAMES
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
-from theodolite_calib.filter.model import SOURCE_SAVED
-from theodolite_calib.filter.observability import DEFORMATION_NAMES
+from theodolite_calib.filter.model import SOURCE_SAVED, parallelism_block
+from theodolite_calib.filter.observability import DEFORMATION_NAMES, LENS_NAMES
 
 SAVED_BLOCKS = ("axes", "focal_length", "parallelism")
 SAVED_NAMES = (*NAMES, "focal_length", "parallelism_azimuth", "parallelism_elevation", "parallelism_rotation")
@@ -35,7 +37,7 @@ class Calibration:
         units: "rad" or "m" for each.
         unobservable: combinations of names that the sightings so far cannot tell apart.
         sighting_count: sightings used so far.
-        residual_rms: of the lights on the sky, rad; NaN before the first sighting.
+        residual_rms: of lights and stars on the sky, rad; NaN before the first sighting.
     """
 
     time_ns: int
@@ -84,25 +86,57 @@ def calibration_of(filter_: CalibrationFilter, config: OpticalAxisConfig, state:
     shown = [i for i, row in enumerate(model.rows("axes")) if NAMES[i] != "flexure" or variance[row] > 0.0 or axes[i]]
     rows = np.concatenate([model.rows("axes")[shown], model.rows("focal_length"), model.rows("deformation")])
     deformation = state.mean[model.slices["deformation"]]
+    by_stars = _by_stars(filter_, config, state)
+    rows = np.concatenate([rows, [one.row for one in by_stars]]).astype(np.intp)
+    values = np.concatenate([axes[shown], [filter_.sightings.focal_length_m(state.mean)], deformation])
     return Calibration(
-        time_ns=state.used_ns or 0,
-        names=(*(NAMES[i] for i in shown), "focal_length", *DEFORMATION_NAMES),
-        values=np.concatenate([axes[shown], [filter_.sightings.focal_length_m(state.mean)], deformation]),
+        time_ns=state.informed_ns or 0,
+        names=(*(NAMES[i] for i in shown), "focal_length", *DEFORMATION_NAMES, *(one.name for one in by_stars)),
+        values=np.concatenate([values, [one.value for one in by_stars]]),
         covariance=state.covariance[np.ix_(rows, rows)],
-        units=(*("rad" for _ in shown), "m", *("rad" for _ in DEFORMATION_NAMES)),
+        units=(*("rad" for _ in shown), "m", *("rad" for _ in DEFORMATION_NAMES), *(one.unit for one in by_stars)),
         unobservable=filter_.observability.open_combinations(state.unaided),
         sighting_count=state.sighting_count,
         residual_rms=state.residual_rms,
     )
 
 
+class _Named(NamedTuple):
+    """One state of the calibration topic: its name, its row, its value and the unit of that."""
+
+    name: str
+    row: int
+    value: float
+    unit: str
+
+
+def _by_stars(filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState) -> list[_Named]:
+    """What stars tell beside lights, as far as it is not held: N' and how the main axis stands in each camera."""
+    if not config.telescopes:
+        return []
+    model, telescope = filter_.model, config.telescope
+    told = {"parallelism": (SAVED_NAMES[-3:], telescope.parallelism, "rad")}
+    for id_, camera in config.telescopes.items():
+        names = tuple(f"telescopes.{id_}.{angle}" for angle in ("azimuth", "elevation", "roll"))
+        # The calibration telescope has one parallelism by lights and by stars, and is told already.
+        told.setdefault(parallelism_block(id_, config), (names, camera.parallelism, "rad"))
+    told["lens"] = LENS_NAMES, telescope.lens.vector_m, "m"
+    return [
+        _Named(name, row, float(value + state.mean[row]), unit)
+        for block, (names, configured, unit) in told.items()
+        if block in model.slices
+        for name, row, value in zip(names, model.rows(block).tolist(), configured, strict=True)
+        if state.covariance[row, row] > 0.0
+    ]
+
+
 def prior_of(filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState) -> CalibrationPrior:
     """What to save of a state that rests on sightings."""
-    assert state.used_ns is not None
+    assert state.informed_ns is not None
     rows = _rows(filter_)
     values = _configured(config) + state.mean[rows]
     covariance = state.covariance[np.ix_(rows, rows)]
-    return CalibrationPrior(state.used_ns, config.serial, config.telescope.telescope_id, values, covariance)
+    return CalibrationPrior(state.informed_ns, config.serial, config.telescope.telescope_id, values, covariance)
 
 
 def state_from_prior(

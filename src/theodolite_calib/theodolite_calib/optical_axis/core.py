@@ -13,6 +13,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from ship_attitude_star.measurements.readings import SkyInput
+from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.stars.exposure import StarExposure
 from ship_estimation.estimator_shell import EstimatorShell, Model
 from ship_estimation.protection import IntegrityReport
 from ship_estimation.refusals import Reason, Refusal, contradiction_text
@@ -23,10 +26,12 @@ from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.alternatives import ENCODER, SHIP, TELESCOPE
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Jump
+from theodolite_calib.filter.star_step import StarStep
 from theodolite_calib.filter.step import SightingStep
 from theodolite_calib.measured.contradiction import Streams
 from theodolite_calib.measured.encoder_watch import EncoderWatch
 from theodolite_calib.measured.samples import (
+    AnyExposure,
     BaselineSample,
     EncoderSample,
     Exposure,
@@ -39,7 +44,9 @@ from theodolite_calib.measured.samples import (
 )
 from theodolite_calib.measured.ship_watch import ShipWatch
 from theodolite_calib.measured.sighting import Sighting, SightingAssembler
+from theodolite_calib.measured.star_sighting import star_sighting
 from theodolite_calib.measured.tracks import MeasuredTracks
+from theodolite_calib.optical_axis.by_stars import pointing_by_stars
 from theodolite_calib.optical_axis.calibration import (
     Calibration,
     CalibrationPrior,
@@ -70,18 +77,20 @@ class OpticalAxisCore:
 
     Args:
         config: the node's parameters.
+        watch: the sky; None where no camera sees stars.
 
     Attributes:
         due: offline, the pointings that are put out together when somebody asks for them; None where each is put out
             at once.
     """
 
-    def __init__(self, config: OpticalAxisConfig) -> None:
+    def __init__(self, config: OpticalAxisConfig, watch: SkyWatch | None = None) -> None:
         self.due: list[DuePointing] | None = None
+        self._sky = watch
         self._start: tuple[CalibrationPrior, int] | None = None
         self._calibration: tuple[CalibrationState, Calibration] | None = None
         self._take_models(config)
-        model: Model[CalibrationState, Exposure, ExposureDecision, Jump] = Model(
+        model: Model[CalibrationState, AnyExposure, ExposureDecision, Jump] = Model(
             step=self._step,
             opened=self._opened,
             failed=lambda exposure, refusal: ExposureDecision(exposure, refusal.reason, text=refusal.text),
@@ -89,7 +98,7 @@ class OpticalAxisCore:
             forget_before=self._forget_before,
             decided=self._tell_watches,
         )
-        self._shell: EstimatorShell[CalibrationState, Exposure, ExposureDecision, Jump, PointingEstimate]
+        self._shell: EstimatorShell[CalibrationState, AnyExposure, ExposureDecision, Jump, PointingEstimate]
         reach_ns = MeasuredTracks(config).reach_ns
         self._shell = EstimatorShell(model, self.filter.initial_state(), config.lag_s, reach_ns)
         self.reset()
@@ -110,6 +119,8 @@ class OpticalAxisCore:
         if self._start is not None:
             initial, remarks = state_from_prior(self.filter, self.config, *self._start)
         self._shell.reset(initial, clock_jumped)
+        if self._sky is not None:
+            self._sky.reset()
         self._tracks = MeasuredTracks(self.config)
         self._sightings = SightingAssembler(self.config, self._tracks)
         self._watch = EncoderWatch(*_encoder_limits(self.config))
@@ -118,6 +129,8 @@ class OpticalAxisCore:
         self._escort = self._new_escort()
         self._waiting: deque[_WaitingReading] = deque()
         self._encoder_arrival_ns: int | None = None
+        self._ship_arrival_ns: int | None = None
+        self._newest_stars: tuple[StarExposure, int] | None = None
         self._told_twice: tuple[int, int] | None = None
         self._ship_covered_until_ns: int | None = None
         return remarks
@@ -169,6 +182,7 @@ class OpticalAxisCore:
             self._shell.add_refused(source, track, sample)
         elif self._shell.add_sample(source, track, sample, outcome):
             self._ship_covered_until_ns = self._tracks.ship_covered_until_ns
+            self._ship_arrival_ns = sample.time_ns if arrival_ns is None else arrival_ns
         if outcome.refusal is not None:
             self._watch_time()
         self._publish(outcome, sample.time_ns if arrival_ns is None else arrival_ns)
@@ -190,11 +204,35 @@ class OpticalAxisCore:
         track = self._tracks.drones.get(beacon_id)
         return PointingOutcome() if track is None else self._add(f"drone.{beacon_id}", track, sample)
 
+    def add_surroundings(self, given: SkyInput) -> PointingOutcome:
+        """Where the ship is, or the air around her; stars that were seen in another sky are compared anew."""
+        assert self._sky is not None
+        surroundings, outcome = self._sky.surroundings, PointingOutcome()
+        outcome.refusal = surroundings.refusal(given)
+        changed_after_ns = surroundings.insert(given)
+        if changed_after_ns is not None:
+            changed_ns: int = changed_after_ns
+            self._shell.rewind_where(
+                lambda decision: isinstance(decision.measurement, StarExposure)
+                and decision.measurement.time_ns > changed_ns
+            )
+        self._shell.apply(outcome)
+        return outcome
+
     def add_exposure(self, exposure: Exposure) -> PointingOutcome:
         """Lights on the detector, one or more."""
         outcome = PointingOutcome(self._shell.window.late(exposure.time_ns))
         if outcome.refusal is None:
             self._shell.add(exposure, outcome)
+        return outcome
+
+    def add_stars(self, exposure: StarExposure, arrival_ns: int | None = None) -> PointingOutcome:
+        """Stars in a camera; the arrival is that of :meth:`add_encoder`."""
+        outcome = PointingOutcome(self._shell.window.late(exposure.time_ns))
+        if outcome.refusal is None and self._shell.add(exposure, outcome):
+            arrival_ns = exposure.time_ns if arrival_ns is None else arrival_ns
+            self._newest_stars = exposure, arrival_ns
+            self._point_by_stars(outcome, arrival_ns)
         return outcome
 
     def add_target(self, sample: TargetSample, arrival_ns: int | None = None) -> PointingOutcome:
@@ -219,7 +257,8 @@ class OpticalAxisCore:
         waiting_ns = now_ns if waiting_ns is None else waiting_ns
         outcome = PointingOutcome()
         self._shell.tick(now_ns, outcome)
-        silent = self._encoder_arrival_ns is None or waiting_ns - self._encoder_arrival_ns > SECOND_NS
+        self._point_by_stars(outcome, waiting_ns)
+        silent = _is_silent(self._encoder_arrival_ns, waiting_ns)
         missing = "no usable reading of the encoders" if silent else f"no attitude on {self.config.ship.source}"
         self._shell.say_invalid(outcome, waiting_ns, lambda: no_pointing(self.filter, self.state, now_ns, missing))
         self._answer_targets(outcome, waiting_ns)
@@ -238,7 +277,7 @@ class OpticalAxisCore:
 
     def calibration_to_save(self) -> CalibrationPrior | None:
         """The part of it that the next session can start from; None where nothing was ever sighted."""
-        if self.state.used_ns is None:
+        if self.state.informed_ns is None:
             return self._start[0] if self._start is not None else None
         return prior_of(self.filter, self.config, self.state)
 
@@ -265,6 +304,8 @@ class OpticalAxisCore:
         self.config = config
         self.filter = CalibrationFilter(config)
         self._step_to = SightingStep(config, self.filter, self._streams_since, self._ship_crept)
+        watch = self._sky
+        self._step_to_stars = None if watch is None else StarStep(config, self.filter, watch)
         self._pointing = PointingOutput(config, self.filter)
         self._calibration = None
 
@@ -306,13 +347,15 @@ class OpticalAxisCore:
     # -- the model in the shell -----------------------------------------------------------------------------
 
     def _step(
-        self, state: CalibrationState, exposure: Exposure, may_wait: bool
+        self, state: CalibrationState, exposure: AnyExposure, may_wait: bool
     ) -> tuple[CalibrationState, ExposureDecision] | None:
         if may_wait and self._tracks.awaits(exposure):
             return None
         told_twice = self._told_twice
         if told_twice is not None and told_twice[0] <= exposure.time_ns <= told_twice[1]:
             return state, ExposureDecision(exposure, Reason.CONFLICT, text=_TOLD_TWICE)
+        if isinstance(exposure, StarExposure):
+            return self._step_by_stars(state, exposure)
         assembled = self._sightings.assemble(exposure)
         if assembled.sighting is None:
             assert assembled.refusal is not None
@@ -320,6 +363,15 @@ class OpticalAxisCore:
             return state, ExposureDecision(exposure, reason, text=text, left_out=assembled.lights_refused)
         state, decision = self._step_to(state, assembled.sighting, exposure, assembled.jumps)
         return state, replace(decision, left_out=assembled.lights_refused + decision.left_out)
+
+    def _step_by_stars(
+        self, state: CalibrationState, exposure: StarExposure
+    ) -> tuple[CalibrationState, ExposureDecision]:
+        assert self._step_to_stars is not None
+        sighting = star_sighting(exposure, self.config, self._tracks)
+        if isinstance(sighting, Refusal):
+            return state, ExposureDecision(exposure, sighting.reason, text=sighting.text)
+        return self._step_to_stars(state, sighting)
 
     def _opened(self, state: CalibrationState, jump: Jump) -> CalibrationState:
         return self.filter.opened(state, jump)
@@ -335,9 +387,11 @@ class OpticalAxisCore:
     def _forget_before(self, time_ns: int) -> None:
         """Forget what no exposure at or after a stamp is compared with."""
         self._tracks.drop_before(time_ns)
+        if self._sky is not None:
+            self._sky.surroundings.drop_before(time_ns)
 
     def _tell_watches(self, decision: ExposureDecision) -> None:
-        """What the lights of an exposure say of the encoders and of the INS."""
+        """What the lights or the stars of an exposure say of the encoders and of the INS."""
         time_ns = decision.measurement.time_ns
         if decision.telescope_dt is not None:
             self._watch.see_lights(time_ns, *decision.telescope_dt)
@@ -387,6 +441,23 @@ class OpticalAxisCore:
             return
         self._targets.was_put_out(due, self._shell.window.oldest_ns)
 
+    def _point_by_stars(self, outcome: PointingOutcome, waiting_ns: int) -> None:
+        """With the ship or the encoders gone, put out the pointing by the newest stars while they are young."""
+        needed = {self.config.ship.source: self._ship_arrival_ns, "the encoders": self._encoder_arrival_ns}
+        silent = [name for name, arrival_ns in needed.items() if _is_silent(arrival_ns, waiting_ns)]
+        if self._newest_stars is None or not silent:
+            return
+        (exposure, arrival_ns), self._newest_stars = self._newest_stars, None
+        if waiting_ns - arrival_ns > SECOND_NS:
+            return
+        text = f"by stars alone: nothing from {' and '.join(silent)}"
+
+        def by_stars(state: CalibrationState) -> PointingEstimate | None:
+            assert self._sky is not None
+            return pointing_by_stars(exposure, self._sky, self.config, self.filter, state, text)
+
+        self._shell.put_out(outcome, exposure.time_ns, waiting_ns, by_stars)
+
     def _watch_time(self) -> None:
         """Compare lights anew where a refusal has shown that encoders and ship tell a time twice."""
         before = self._told_twice
@@ -403,6 +474,11 @@ class OpticalAxisCore:
     def _contradiction(self, time_ns: int) -> str:
         """Why what a pointing rests on is in doubt since a source contradicted itself; empty where none did."""
         return contradiction_text(self._shell.contradictions.at(time_ns))
+
+
+def _is_silent(arrival_ns: int | None, waiting_ns: int) -> bool:
+    """Whether the last input of a kind that led on came too long ago."""
+    return arrival_ns is None or waiting_ns - arrival_ns > SECOND_NS
 
 
 def _encoder_limits(config: OpticalAxisConfig) -> tuple[float, float]:

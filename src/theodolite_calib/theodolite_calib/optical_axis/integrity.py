@@ -61,8 +61,9 @@ class PointingLevels:
             self.state.parts,
             self.state.alternatives.parts[:, 0],
         )
-        # Without lights nothing checks the encoders and the ship's attitude.
-        in_doubt = self._in_dispute or estimate.mode is Mode.ENCODER or estimate.status is Status.INVALID
+        # Without lights and stars nothing checks the encoders and the ship's attitude, nor these stars that are alone.
+        alone = estimate.mode is Mode.STARS and estimate.status is Status.DEGRADED
+        in_doubt = self._in_dispute or estimate.mode is Mode.ENCODER or alone or estimate.status is Status.INVALID
         return integrity_report(
             estimate.time_ns, self._config, self._k, self._names, found, self._excluded, checked=not in_doubt
         )

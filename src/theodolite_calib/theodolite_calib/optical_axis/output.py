@@ -8,6 +8,7 @@ from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ship_estimation.outcome import Status
 from ship_estimation.protection import IntegrityReport, above_limit, disputed
@@ -29,7 +30,14 @@ from theodolite_calib.filter.model import (
     chain_rows,
     ship_error_steps,
 )
-from theodolite_calib.measured.samples import EncoderRun, EncoderSample, Mode, PointingEstimate, PointingRun
+from theodolite_calib.measured.samples import (
+    EncoderRun,
+    EncoderSample,
+    Mode,
+    PointingEstimate,
+    PointingRun,
+    StampArray,
+)
 from theodolite_calib.measured.tracks import ShipAt, ShipRun
 from theodolite_calib.optical_axis.integrity import QUANTITIES, PointingLevels
 
@@ -37,6 +45,7 @@ _NOTHING_HAPPENS = np.empty((0, 3)), np.empty((0, 3, 3))
 """Of the ship's error: what is left at each moment, and what is new."""
 
 _TWO_LIGHTS, _ONE_LIGHT, _ENCODER = int(Mode.TWO_LIGHTS), int(Mode.ONE_LIGHT), int(Mode.ENCODER)
+_STARS, _STARS_AND_LIGHTS = int(Mode.STARS), int(Mode.STARS_AND_LIGHTS)
 
 
 class AxesAt(NamedTuple):
@@ -201,17 +210,17 @@ class PointingOutput:
         time_ns, axes = encoders.time_ns, self._corrected.axes(ship, encoders)
         if state.trust.conflict is not None:
             axes.parts_n[:, self._disagreement] += state.trust.conflict.spread_n
-        recent = np.zeros(len(time_ns), dtype=bool)
-        if state.used_ns is not None:
-            recent = time_ns - state.used_ns <= self._recent_ns
-        # Of where the axis points without lights the separations say nothing.
+        lights, stars = self._recent(time_ns, state.used_ns), self._recent(time_ns, state.stars_ns)
+        recent = lights | stars
+        # Of where the axis points without lights and stars the separations say nothing.
         undisputed_n, covariance_n = compiled_mounts.totals(
             axes.parts_n, axes.by_error_n, self._corrected.disputed, recent.view(np.uint8), self._disagreement
         )
-        mode = np.where(recent, _ONE_LIGHT if state.light_count == 1 else _TWO_LIGHTS, _ENCODER)
+        mode = np.where(lights, _ONE_LIGHT if state.light_count == 1 else _TWO_LIGHTS, _ENCODER)
+        mode = np.where(stars, np.where(lights, _STARS_AND_LIGHTS, _STARS), mode)
         worth = self._worths(state, mode.tolist(), ship.status, encoders.doubt)
         rotation_nt = axes.rotation_nm @ self._corrected.rotation_mt
-        rotation_nt[~recent] = np.nan
+        rotation_nt[~lights] = np.nan
         if ship.chord_nd is None:
             rotation_dm = np.full((len(time_ns), 3, 3), np.nan)
         else:
@@ -225,7 +234,7 @@ class PointingOutput:
             rotation_nt=rotation_nt,
             mode=mode,
             status=[status for status, _ in worth],
-            light_count=recent * state.light_count,
+            light_count=lights * state.light_count,
             state=state,
             text=[text for _, text in worth],
             by_error_n=axes.by_error_n,
@@ -234,6 +243,13 @@ class PointingOutput:
         if self._config.integrity.alert_limit_arcsec:
             self._degrade_above_limit(run)
         return run
+
+    def _recent(self, time_ns: StampArray, used_ns: int | None) -> NDArray[np.bool_]:
+        """At which moments what was used last is young, shape (N,)."""
+        if used_ns is None:
+            return np.zeros(len(time_ns), dtype=bool)
+        recent: NDArray[np.bool_] = time_ns - used_ns <= self._recent_ns
+        return recent
 
     def integrity(self, estimate: PointingEstimate) -> IntegrityReport:
         """How far a pointing may be wrong although nothing says so."""
@@ -267,19 +283,20 @@ class PointingOutput:
         if doubt:
             return Status.DEGRADED, doubt
         if state.refusals:
-            return Status.DEGRADED, "the last lights disagreed with the encoders and the ship's attitude"
+            return Status.DEGRADED, "the last lights or stars disagreed with the encoders and the ship's attitude"
         if state.trust.conflict is not None:
             return Status.DEGRADED, "lights have disagreed with the encoders and the ship's attitude: nobody knows why"
         for source, left_out in state.trust.left_out.items():
-            unconfirmed = state.used_ns is None or state.used_ns < left_out.exclusion.since_ns
+            unconfirmed = state.informed_ns is None or state.informed_ns < left_out.exclusion.since_ns
             if mode == Mode.ENCODER or unconfirmed or not source.startswith(BEACON):
                 return Status.DEGRADED, f"{source} is excluded: {left_out.why}"
         if ship_status is Status.DEGRADED:
             return Status.DEGRADED, "the ship's attitude is DEGRADED"
-        if state.used_ns is None and not np.any(state.parts[self._saved]):
-            return Status.DEGRADED, "no light was ever seen and no calibration loaded: axis errors as configured"
+        if state.informed_ns is None and not np.any(state.parts[self._saved]):
+            text = "no light or star was ever seen and no calibration loaded: axis errors as configured"
+            return Status.DEGRADED, text
         if mode == Mode.ENCODER:
-            return Status.COASTING, "no lights: by encoders, axis errors and the ship's attitude"
+            return Status.COASTING, "no lights, no stars: by encoders, axis errors and the ship's attitude"
         return Status.VALID, ""
 
 

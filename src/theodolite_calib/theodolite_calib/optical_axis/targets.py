@@ -13,7 +13,7 @@ from ship_estimation.outcome import Decision, Status
 from ship_estimation.refusals import Reason, Refusal, failure
 from ship_geometry.rotations import ARCSEC, FloatArray, skew
 from ship_geometry.time_scales import SECOND_NS
-from theodolite_calib.chain.axes import AXES, SHIP, AxisErrors, axis_chain, main_axis_rotation
+from theodolite_calib.chain.axes import AXES, SHIP, AxisErrors, axis_chain
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import chain_rows
@@ -124,7 +124,8 @@ class TargetAnswers:
             return Refusal(Reason.GAP, "no pointing was put out on both sides of it")
         point_m = sample.point_m
         if nodes is not None:
-            turned_nm = self._turned([time_ns for time_ns, _ in nodes.moments(sample.time_ns)])
+            moments_ns = [time_ns for time_ns, _ in nodes.moments(sample.time_ns)]
+            turned_nm = self._tracks.main_axis_at(moments_ns, self._axes)
             if turned_nm is None:
                 text = f"no encoder readings or attitudes of the ship over its exposure of {sample.exposure_s:g} s"
                 return Refusal(Reason.GAP, text)
@@ -157,16 +158,6 @@ class TargetAnswers:
             return None
         apart_ns = after[0].time_ns - before[-1].time_ns
         return (before[-1], after[0]) if apart_ns <= self._tracks.encoder.max_gap_ns else None
-
-    def _turned(self, moments_ns: list[int]) -> FloatArray | None:
-        """Horizon from main frame at moments, as configured, shape (m, 3, 3); None where it is not known."""
-        ships, encoders = map(self._tracks.ship_at, moments_ns), map(self._tracks.encoder_at, moments_ns)
-        turned = [
-            ship.rotation_nd @ main_axis_rotation(self._axes, encoder.azimuth, encoder.elevation)
-            for ship, encoder in zip(ships, encoders, strict=True)
-            if ship is not None and encoder is not None
-        ]
-        return np.array(turned) if len(turned) == len(moments_ns) else None
 
 
 class TargetOutput:

@@ -7,6 +7,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ship_attitude_star.ros.star_messages_in import star_exposure
+from ship_attitude_star.ros.surroundings_in import surroundings_feeds
+from ship_attitude_star.sky.sky_watch import installed_sky
 from ship_bags.cdr_template import CdrRows
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.outcome import Status
@@ -72,6 +75,8 @@ _BY = {
     Mode.TWO_LIGHTS: "two or more lights",
     Mode.ONE_LIGHT: "one light",
     Mode.ENCODER: "encoders",
+    Mode.STARS: "stars",
+    Mode.STARS_AND_LIGHTS: "stars and lights",
 }
 
 
@@ -112,14 +117,18 @@ class OpticalAxisAdapter(DeferringAdapter):
     )
 
     def __init__(self, config: OpticalAxisConfig, factory: MessageFactory, files: Files = DISK) -> None:
-        core = OpticalAxisCore(config)
+        self._cameras = {
+            id_: camera.camera.camera(f"telescopes.{id_}.camera") for id_, camera in config.telescopes.items()
+        }
+        self._sky = installed_sky(config.sky) if config.telescopes else None
+        core = OpticalAxisCore(config, self._sky)
         saved = SavedStart(
             CALIBRATION_FILE,
             config.calibration_file,
             files,
             start_from=core.start_from,
             to_save=core.calibration_to_save,
-            nothing="no light was used yet: there is no calibration to save",
+            nothing="no light or star was used yet: there is no calibration to save",
         )
         self._lever = dict(zip("xyz", flu_from_device_vector(config.lever.vector_m).tolist(), strict=True))
         super().__init__(config, core, factory, functools.partial(pointing_messages, factory, self._lever), saved)
@@ -143,6 +152,8 @@ class OpticalAxisAdapter(DeferringAdapter):
             TARGET_IMAGE_TOPIC, "ship_msgs/msg/TargetImage", required=False, depth=1000, at_times=True
         )
         yield Feed(target, "target", functools.partial(messages_in.target, config=config), core.add_target, judged=True)
+        if self._sky is not None:
+            yield from self._star_feeds(config)
         for id_, beacon in config.beacons.items():
             topic = InputTopic(f"beacon/{id_}/baseline", "ship_msgs/msg/RtkBaseline", required=False, depth=1000)
             read_baseline = functools.partial(messages_in.baseline, beacon=beacon, least_fix=config.least_fix)
@@ -154,6 +165,25 @@ class OpticalAxisAdapter(DeferringAdapter):
             read_imus = functools.partial(rows_in.drone_attitudes, beacon=beacon)
             take = untimed(functools.partial(core.add_drone_attitude, id_))
             yield Feed(topic, f"drone.{id_}", read_imu, take, read_rows=read_imus)
+
+    def _star_feeds(self, config: OpticalAxisConfig) -> Iterator[Feed]:
+        """Stars in cameras on the theodolite, and what tells where they stand in the sky."""
+        assert self._sky is not None
+        core: OpticalAxisCore = self.core
+        for id_, camera in config.telescopes.items():
+            topic = InputTopic(
+                f"theodolite/{id_}/stars", "ship_msgs/msg/StarObservationArray", False, depth=100, at_times=True
+            )
+            read = functools.partial(
+                star_exposure,
+                sensor_id=id_,
+                frame_id=camera.frame_id,
+                camera=self._cameras[id_],
+                camera_config=camera.camera,
+                catalogue=self._sky.catalogue,
+            )
+            yield Feed(topic, f"star.{id_}", read, core.add_stars, judged=True)
+        yield from surroundings_feeds(config.sky, untimed(core.add_surroundings), place_required=False)
 
     def _read_ships(
         self, messages: CdrRows, receive_ns: StampArray, config: OpticalAxisConfig
@@ -180,7 +210,9 @@ class OpticalAxisAdapter(DeferringAdapter):
         return pointing_rows(self.factory, self._lever, PointingNumbers.of(runs))
 
     def left_out_message(self, source: str, time_ns: int, name: str, refusal: Refusal) -> Any:
-        """ship_msgs/Innovation of a light that had no part in its exposure, under the name of the light."""
+        """ship_msgs/Innovation of a light that had no part in its exposure, under its name; of a star as everywhere."""
+        if source != "lights":
+            return super().left_out_message(source, time_ns, name, refusal)
         return refused_input(self.factory, f"light.{name}", time_ns, refusal)
 
     def own_slow_topics(self, now_ns: int) -> list[Published]:

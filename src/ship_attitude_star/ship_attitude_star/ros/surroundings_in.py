@@ -1,0 +1,154 @@
+"""The ship's place and the air around her: from messages to the structs of the sky, with all checks, for all nodes.
+
+Reads attributes only, so any message class will do. What cannot be used raises
+:class:`ship_node.edge.messages_in.Refused`.
+"""
+
+import functools
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from ship_attitude_star.measurements.readings import AirReading, PositionFix, SkyInput
+from ship_attitude_star.sky.config import SkyConfig
+from ship_estimation.refusals import Reason
+from ship_geometry.geodetic import GeodeticPosition
+from ship_geometry.ros_axes import horizon_covariance
+from ship_node.edge.messages_in import ReadMessage, Refused, covariance_3x3, finite_numbers, stamp_ns
+from ship_node.edge.reporting_adapter import Feed
+from ship_node.edge.topics import InputTopic
+
+_NO_FIX = -1
+_COVARIANCE_UNKNOWN = 0
+_LARGEST_POSITION_SIGMA_M = 1e5
+_LARGEST_HEIGHT_M = 20_000.0
+
+
+def position_fix(message: Any, config: SkyConfig, receive_ns: int) -> ReadMessage[SkyInput]:
+    """``gnss/fix`` → the ship's place.
+
+    Raises:
+        Refused: with the reason.
+    """
+    time_ns = stamp_ns(message.header, receive_ns)
+    if message.status.status <= _NO_FIX:
+        raise Refused(Reason.NO_FIX, "the receiver itself says that it has no fix (STATUS_NO_FIX)")
+    finite_numbers("latitude, longitude", message.latitude, message.longitude)
+    if abs(message.latitude) > 90.0 or abs(message.longitude) > 360.0:
+        text = f"latitude {message.latitude:.9g}, longitude {message.longitude:.9g}: expected degrees, ±90 and ±180"
+        raise Refused(Reason.UNITS, text)
+    # A receiver without height says NaN; at sea it is near zero, and stars hardly know it.
+    height_m = 0.0 if np.isnan(message.altitude) else message.altitude
+    if not abs(height_m) < _LARGEST_HEIGHT_M:
+        raise Refused(Reason.UNITS, f"altitude {height_m:.6g}: expected metres above the ellipsoid")
+    covariance_enu = None
+    if message.position_covariance_type != _COVARIANCE_UNKNOWN:
+        covariance_enu = covariance_3x3(message.position_covariance, "position_covariance")
+    if covariance_enu is not None and covariance_enu.diagonal().max() > _LARGEST_POSITION_SIGMA_M**2:
+        largest_m = np.sqrt(covariance_enu.diagonal().max())
+        raise Refused(Reason.BAD_COVARIANCE, f"position_covariance: a sigma of {largest_m:.3g} m is no fix")
+    if covariance_enu is not None and not covariance_enu.diagonal()[:2].all():
+        text = "position_covariance: a variance of zero beside others, but no receiver is exact in one direction"
+        raise Refused(Reason.BAD_COVARIANCE, text)
+    covariance_m2 = np.eye(3) * config.fix_sigma_m**2 if covariance_enu is None else horizon_covariance(covariance_enu)
+    position = GeodeticPosition(np.deg2rad(message.latitude), np.deg2rad(message.longitude), height_m)
+    return ReadMessage(PositionFix(time_ns, position, covariance_m2), covariance_enu is not None)
+
+
+def pressure(message: Any, receive_ns: int) -> ReadMessage[SkyInput]:
+    """``met/pressure``, in Pa → hPa.
+
+    Raises:
+        Refused: with the reason.
+    """
+    pascal = float(message.fluid_pressure)
+    hint = ": hPa, not Pa?" if 800.0 <= pascal <= 1100.0 else ""
+    meaning = f"80000 to 110000 Pa at a ship{hint}"
+    return _reading("pressure", message, pascal, (80_000.0, 110_000.0), 0.01, meaning, receive_ns)
+
+
+def temperature(message: Any, receive_ns: int) -> ReadMessage[SkyInput]:
+    """``met/temperature``, in degrees Celsius.
+
+    Raises:
+        Refused: with the reason.
+    """
+    celsius = float(message.temperature)
+    hint = ": kelvin, not °C?" if 213.0 <= celsius <= 333.0 else ""
+    return _reading("temperature", message, celsius, (-60.0, 60.0), 1.0, f"-60 to 60 °C at a ship{hint}", receive_ns)
+
+
+def humidity(message: Any, receive_ns: int) -> ReadMessage[SkyInput]:
+    """``met/humidity``, 0 to 1.
+
+    Raises:
+        Refused: with the reason.
+    """
+    fraction = float(message.relative_humidity)
+    hint = ": percent?" if 1.0 < fraction <= 100.0 else ""
+    return _reading("humidity", message, fraction, (0.0, 1.0), 1.0, f"0 to 1{hint}", receive_ns)
+
+
+def _reading(
+    quantity: str,
+    message: Any,
+    value: float,
+    allowed: tuple[float, float],
+    scale: float,
+    expected: str,
+    receive_ns: int,
+) -> ReadMessage[SkyInput]:
+    time_ns = stamp_ns(message.header, receive_ns)
+    finite_numbers(quantity, value)
+    finite_numbers(f"variance of {quantity}", message.variance)
+    if not allowed[0] <= value <= allowed[1]:
+        raise Refused(Reason.UNITS, f"{quantity} {value:.6g}: expected {expected}")
+    if message.variance < 0.0:
+        raise Refused(Reason.BAD_COVARIANCE, f"variance of {quantity} is negative: {message.variance:.6g}")
+    if message.variance > (allowed[1] - allowed[0]) ** 2:
+        raise Refused(Reason.BAD_COVARIANCE, f"variance of {quantity} {message.variance:.6g}: that is no measurement")
+    sigma = None if message.variance == 0.0 else scale * float(np.sqrt(message.variance))
+    # The error of the humidity is not used anywhere: nothing stands in for it.
+    known = sigma is not None or quantity == "humidity"
+    return ReadMessage(AirReading(quantity, time_ns, scale * value, sigma), known)
+
+
+SURROUNDINGS = {
+    "gnss/fix": "sensor_msgs/msg/NavSatFix",
+    "met/pressure": "sensor_msgs/msg/FluidPressure",
+    "met/temperature": "sensor_msgs/msg/Temperature",
+    "met/humidity": "sensor_msgs/msg/RelativeHumidity",
+}
+"""Topics of the place and the air, and their types; without a place no star is of use."""
+
+
+def surroundings_reader(topic: str, config: SkyConfig) -> Callable[..., ReadMessage[SkyInput]]:
+    """What reads the messages of one of :data:`SURROUNDINGS`; it is given the message and ``receive_ns=``."""
+    if topic == "gnss/fix":
+        return functools.partial(position_fix, config=config)
+    return {"met/pressure": pressure, "met/temperature": temperature, "met/humidity": humidity}[topic]
+
+
+def surroundings_feeds(
+    config: SkyConfig, take: Callable[[Any, int], Any], place_required: bool = True
+) -> Iterator[Feed]:
+    """The rows of an adapter's table by which the place and the air reach the core.
+
+    Args:
+        config: how the sky is told.
+        take: the core's method.
+        place_required: whether the node is of no use without a place.
+    """
+    for topic in SURROUNDINGS:
+        yield _surroundings_feed(topic, config, take, place_required)
+
+
+def place_feed(config: SkyConfig, take: Callable[[Any, int], Any]) -> Feed:
+    """The row by which the place alone reaches the core, where no sensor needs the air."""
+    return _surroundings_feed("gnss/fix", config, take, required=True)
+
+
+def _surroundings_feed(topic: str, config: SkyConfig, take: Callable[[Any, int], Any], required: bool) -> Feed:
+    needed = InputTopic(topic, SURROUNDINGS[topic], required=required and topic == "gnss/fix", depth=100)
+    return Feed(needed, topic, surroundings_reader(topic, config), take)

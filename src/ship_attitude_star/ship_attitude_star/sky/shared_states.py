@@ -1,0 +1,32 @@
+"""What all stars over the ship share, as states of a filter, and the sources of error that they are booked to."""
+
+from ship_attitude_star.sky.config import SkyConfig
+from ship_attitude_star.sky.sky_watch import UTC
+from ship_estimation.kalman import StateBlock, block
+
+SOURCE_REFRACTION = "refraction"
+SOURCE_EARTH_ROTATION = "earth_rotation"
+SOURCE_POSITION = "ship_position"
+SOURCE_UTC = UTC
+
+
+def sky_blocks(sky: SkyConfig) -> list[StateBlock]:
+    """The states, in the order of :data:`ship_attitude_star.sky.sky_watch.SHARED_TERMS`.
+
+    Each exposure says how large its sigma is, so the states count in sigmas. UT1 errs the same for days, and so
+    may a clock that nothing sets.
+    """
+    blocks = [
+        block("sky.refraction", [1.0], SOURCE_REFRACTION, time_s=sky.refraction_time_s),
+        block("sky.earth_rotation", [1.0], SOURCE_EARTH_ROTATION),
+        block("sky.position", [1.0, 1.0], SOURCE_POSITION, time_s=sky.position_time_s),
+    ]
+    if sky.utc_sigma_s > 0.0:
+        blocks.append(block("sky.utc", [1.0], SOURCE_UTC))
+    return blocks
+
+
+def sky_rows(slices: dict[str, slice], sky: SkyConfig) -> slice:
+    """Where these states are in a filter's state that has them."""
+    of_sky = [slices[of_cause.name] for of_cause in sky_blocks(sky)]
+    return slice(of_sky[0].start, of_sky[-1].stop)

@@ -1,0 +1,323 @@
+"""Stars in a camera on the theodolite: Jacobian, accuracy of one exposure, identification, contradictions, axis errors.
+
+The numbers of the accuracy are those of models.md §7 and of the error budget: 1.34″ a star over ±4°, with refraction,
+position and a parallelism surveyed to 0.2″.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.stars.exposure import ExposureLength, at_middle
+from ship_attitude_star.stars.fit import square_roots
+from ship_attitude_star.stars.selection import StarPrior
+from ship_estimation.exclusion import Exclusion
+from ship_estimation.gates import mean_nees_band, sigma_ratio_band
+from ship_estimation.outcome import Status
+from ship_estimation.refusals import Reason
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation, skew
+from ship_testing.mount_stars import (
+    CAMERA_ID,
+    STAR_SIGMA,
+    MountNight,
+    drawn_errors,
+    mount_config,
+    mount_sky,
+    random_field,
+)
+from ship_testing.simulated_session import gauss_markov
+from ship_testing.star_sky import TIME_NS, without_identity
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.filter.alternatives import ENCODER
+from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
+from theodolite_calib.filter.star_step import StarStep
+from theodolite_calib.filter.trust import LeftOut
+from theodolite_calib.measured.samples import Mode, PointingEstimate
+from theodolite_calib.measured.star_sighting import StarSighting
+from theodolite_calib.optical_axis.output import DuePointing, PointingOutput
+
+SETTINGS = mount_config()
+SEEDS = 50
+SECOND_NS = 1_000_000_000
+
+
+@pytest.fixture(scope="module", name="watch")
+def _watch() -> SkyWatch:
+    return mount_sky(SETTINGS)
+
+
+def unit(vectors: FloatArray) -> FloatArray:
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+class Mount:
+    """A filter with its step and its output."""
+
+    def __init__(self, settings: OpticalAxisConfig, watch: SkyWatch) -> None:
+        self.settings, self.watch, self.filter = settings, watch, CalibrationFilter(settings)
+        self.step, self._output = StarStep(settings, self.filter, watch), PointingOutput(settings, self.filter)
+
+    def night(self, seed: int) -> tuple[MountNight, np.random.Generator]:
+        rng = np.random.default_rng(seed)
+        return MountNight(self.settings, drawn_errors(self.settings, rng), self.watch, rng), rng
+
+    def pointing(self, night: MountNight, state: CalibrationState, encoder: FloatArray, time_ns: int = TIME_NS):
+        reading = night.reading(encoder, time_ns)
+        return self._output.estimate(DuePointing(reading, night.ship(), "", 0.0, state))
+
+
+def off_axis(rotation_nm: FloatArray, estimate: PointingEstimate) -> tuple[float, float, float]:
+    """Squares of the error of the axis, and of its sigma, on the sky; NEES of all three angles."""
+    error_n = log_rotation(rotation_nm @ estimate.rotation_nm.T)
+    across = estimate.rotation_nm[:, 1:].T
+    variance = float(np.trace(across @ estimate.covariance_n @ across.T))
+    nees = float(error_n @ np.linalg.solve(estimate.covariance_n, error_n))
+    return float(np.sum((across @ error_n) ** 2)), variance, nees
+
+
+def one_exposure(mount: Mount, count: int) -> tuple[float, float, float]:
+    """RMS of the pointing by one exposure, the sigma that it claims (arcsec), and the mean NEES."""
+    told = []
+    for seed in range(SEEDS):
+        night, rng = mount.night(seed)
+        encoder = random_field(rng)
+        state, decision = mount.step(mount.filter.initial_state(), night.sighting(encoder, count))
+        assert decision.accepted, (seed, decision.text)
+        estimate = mount.pointing(night, state, encoder)
+        assert (estimate.mode, estimate.status) == (Mode.STARS, Status.VALID)
+        assert np.isnan(estimate.rotation_nt).all()  # the calibration telescope has seen nothing
+        told.append(off_axis(night.main_axis(encoder), estimate))
+    squares, variances, nees = np.mean(told, axis=0)
+    return float(np.sqrt(squares)) / ARCSEC, float(np.sqrt(variances)) / ARCSEC, float(nees)
+
+
+@pytest.mark.parametrize(("count", "most_arcsec"), [(4, 1.2), (8, 0.9)])
+def test_one_exposure_gives_the_axis_as_its_covariance_says(watch, count: int, most_arcsec: float) -> None:
+    rms, sigma, nees = one_exposure(Mount(SETTINGS, watch), count)
+    low, high = mean_nees_band(SEEDS, 3)
+    assert low <= nees <= high
+    least, most = sigma_ratio_band(2 * SEEDS)
+    assert least <= rms / sigma <= most
+    assert rms <= most_arcsec
+
+
+def streaked(sighting: StarSighting, rng: np.random.Generator) -> tuple[StarSighting, FloatArray]:
+    """The same through a camera that turns by 3°/s, with noise along the streaks; and the bound of the axis, rad²."""
+    length = ExposureLength(0.02, SETTINGS.telescopes[CAMERA_ID].camera.camera("camera"), 0.8)
+    rate_s = np.deg2rad(3.0) * unit(rng.standard_normal(3) * [0.3, 1.0, 1.0])
+    turns = exp_rotation(-np.array(length.nodes.offset_ns)[:, None] * 1e-9 * rate_s)
+    seen = at_middle(replace(sighting.exposure, length=length), turns)
+    assert seen.smear_s is not None
+    noise_s = (square_roots(seen.smear_s) @ rng.standard_normal((len(seen), 3, 1)))[..., 0]
+    seen = replace(seen, directions_s=unit(seen.directions_s + noise_s))
+    # Information of each star on a small turn of the camera, by hand: across the line of sight, the covariance drawn.
+    information = np.zeros((3, 3))
+    for direction_s, smear_s in zip(seen.directions_s, seen.smear_s, strict=True):
+        across = np.linalg.svd(direction_s[None])[2][1:]
+        covariance = STAR_SIGMA**2 * np.eye(2) + across @ smear_s @ across.T
+        by_turn = across @ -skew(direction_s)
+        information += by_turn.T @ np.linalg.solve(covariance, by_turn)
+    return replace(sighting, exposure=seen), np.linalg.inv(information)[1:, 1:]
+
+
+def test_through_a_camera_that_turns_the_pointing_comes_to_the_bound_of_the_streaks_drawn(watch) -> None:
+    mount, told, bounds = Mount(SETTINGS, watch), [], []
+    for seed in range(SEEDS):
+        night, rng = mount.night(500 + seed)
+        encoder = random_field(rng)
+        sighting, bound = streaked(night.sighting(encoder, 5), rng)
+        state, decision = mount.step(mount.filter.initial_state(), sighting)
+        assert decision.accepted, decision.text
+        told.append(off_axis(night.main_axis(encoder), mount.pointing(night, state, encoder)))
+        bounds.append(np.trace(bound))
+    squares, variances, nees = np.mean(told, axis=0)
+    low, high = mean_nees_band(SEEDS, 3)
+    assert low <= nees <= high
+    least, most = sigma_ratio_band(2 * SEEDS)
+    assert least <= np.sqrt(squares / variances) <= most
+    # Streaks of up to 16 pixels: six times the noise of a star at rest, along them.
+    assert np.sqrt(np.mean(bounds)) > 2.0 * np.sqrt(2.0 / 5.0) * STAR_SIGMA
+    assert np.sqrt(squares) <= 1.15 * np.sqrt(np.mean(bounds))
+
+
+def test_a_parallelism_of_an_arcsecond_is_what_limits_and_the_budget_says_so(watch) -> None:
+    mount = Mount(mount_config(parallelism_sigma_arcsec=1.0), watch)
+    rms, sigma, nees = one_exposure(mount, 4)
+    low, high = mean_nees_band(SEEDS, 3)
+    assert low <= nees <= high
+    assert 1.6 < sigma < 1.9
+    assert rms == pytest.approx(sigma, rel=0.2)
+    night, rng = mount.night(0)
+    encoder = random_field(rng)
+    state, _ = mount.step(mount.filter.initial_state(), night.sighting(encoder, 4))
+    estimate = mount.pointing(night, state, encoder)
+    across = estimate.rotation_nm[:, 1:].T
+    parts = {
+        source: float(np.sqrt(np.trace(across @ part @ across.T))) / ARCSEC
+        for source, part in zip(mount.filter.model.sources, estimate.parts_n, strict=True)
+    }
+    assert max(parts, key=parts.__getitem__) == "parallelism"
+    # One sigma in azimuth and in elevation: √2″.
+    assert parts["parallelism"] == pytest.approx(np.sqrt(2.0), rel=0.02)
+    assert min(parts[name] for name in ("star_noise", "refraction", "ship_position", "earth_rotation")) > 0.0
+    np.testing.assert_allclose(estimate.parts_n.sum(axis=0), estimate.covariance_n, rtol=1e-9)
+
+
+@pytest.mark.parametrize("source", ["ship/attitude", "ins/imu"])
+def test_the_jacobian_is_that_of_finite_differences(source: str) -> None:
+    settings = mount_config(ship__source=source, axes__flexure_sigma_arcsec=10.0, sky__utc_sigma_s=0.01)
+    watch = mount_sky(settings)
+    mount = Mount(settings, watch)
+    night, rng = mount.night(5)
+    encoder, model = random_field(rng), mount.filter.stars
+    sighting = night.sighting(encoder, 5)
+    sighting = replace(sighting, ship=replace(sighting.ship, rate_d=np.array([0.05, 0.01, -0.02])))
+    sigma = np.sqrt(np.diagonal(mount.filter.initial_state().covariance))
+    mean = 0.3 * sigma * rng.standard_normal(sigma.size)
+    # Wide enough that all stars are believed at any of these states.
+    prior = StarPrior(model.predict(mean, sighting).rotation_ns, (300.0 * ARCSEC) ** 2 * np.eye(3))
+
+    def seen(at: FloatArray):
+        found = model.residuals(model.predict(at, sighting), at, sighting, prior, watch)
+        assert len(found.residual) == 10
+        return found
+
+    here, camera = seen(mean), model.predict(mean, sighting)
+    for column, one in enumerate(sigma):
+        if one == 0.0:
+            continue
+        step = np.zeros(sigma.size)
+        step[column] = 0.05 * one
+        # The residual is measured minus predicted.
+        numeric = (seen(mean - step).residual - seen(mean + step).residual) / (2.0 * step[column])
+        assert here.jacobian[:, column] == pytest.approx(numeric, abs=2e-3 * np.max(np.abs(numeric)) + 1e-9)
+        ahead, behind = (model.predict(mean + sign * step, sighting).rotation_ns for sign in (1.0, -1.0))
+        turned = log_rotation(ahead @ behind.T) / (2.0 * step[column])
+        assert camera.turn_n[:, column] == pytest.approx(turned, abs=1e-6 * np.max(np.abs(turned)) + 1e-12)
+
+
+def test_stars_without_a_name_are_named_by_the_predicted_pointing(watch) -> None:
+    mount = Mount(SETTINGS, watch)
+    named, left_open = 0, 0
+    for seed in range(20):
+        night, rng = mount.night(seed)
+        sighting = night.sighting(random_field(rng), 6)
+        nameless = replace(sighting, exposure=without_identity(sighting.exposure))
+        _, decision = mount.step(mount.filter.initial_state(), nameless)
+        assert decision.accepted
+        names = {component.removesuffix(" up") for component in decision.components if component.endswith(" up")}
+        assert names <= {f"HIP {number}" for number in sighting.exposure.hip}
+        named, left_open = named + len(names), left_open + len(decision.left_out)
+    # By a prediction known to a minute of arc one in a hundred has two candidates.
+    assert named >= 110
+    assert named + left_open == 120
+
+
+def test_without_lights_stars_and_calibration_the_pointing_is_in_doubt(watch) -> None:
+    mount = Mount(SETTINGS, watch)
+    night, rng = mount.night(0)
+    estimate = mount.pointing(night, mount.filter.initial_state(), random_field(rng))
+    assert (estimate.mode, estimate.status) == (Mode.ENCODER, Status.DEGRADED)
+    assert estimate.text == "no light or star was ever seen and no calibration loaded: axis errors as configured"
+
+
+def knocked(night: MountNight) -> MountNight:
+    """The camera was knocked by 100″, or the encoders have slipped by as much: to the stars that is one thing."""
+    errors = replace(night.errors, parallelism=night.errors.parallelism + np.array([0.0, 100.0, 0.0]) * ARCSEC)
+    return MountNight(night.settings, errors, night.watch, night.rng)
+
+
+def test_stars_that_contradict_the_calibrated_axes_are_refused_and_the_pointing_is_in_doubt(watch) -> None:
+    mount = Mount(SETTINGS, watch)
+    night, _ = mount.night(1)
+    encoder = np.array([1.0, 0.9])
+    state, _ = mount.step(mount.filter.initial_state(), night.sighting(encoder, 6))
+    for number in range(1, 4):
+        time_ns = TIME_NS + number * SECOND_NS // 10
+        state, decision = mount.step(state, knocked(night).sighting(encoder, 6, time_ns))
+        assert not decision.accepted
+        assert decision.reason in (Reason.GATE, Reason.ATTITUDE_CONFLICT, Reason.MISIDENTIFIED)
+        assert state.refusals == number
+        estimate = mount.pointing(night, state, encoder, time_ns)
+        assert estimate.status is Status.DEGRADED
+        assert "stars disagreed" in estimate.text
+    state, decision = mount.step(state, night.sighting(encoder, 6, TIME_NS + SECOND_NS))
+    assert decision.accepted
+    assert mount.pointing(night, state, encoder, TIME_NS + SECOND_NS).status is Status.VALID
+
+
+def test_while_the_encoders_are_excluded_stars_with_names_tell_where_the_camera_looks(watch) -> None:
+    """The encoders have slipped by a degree: stars without names are not identified, and that is no contradiction."""
+    mount = Mount(SETTINGS, watch)
+    night, _ = mount.night(3)
+    encoder = np.array([2.0, 0.8])
+    sighting = night.sighting(encoder, 6)
+    state, _ = mount.step(mount.filter.initial_state(), sighting)
+    left_out = LeftOut(Exclusion(TIME_NS), "slipped")
+    state = replace(state, trust=replace(state.trust, left_out={ENCODER: left_out}))
+    slipped = replace(sighting.encoder, azimuth=sighting.encoder.azimuth + np.deg2rad(1.0))
+    sighting = replace(sighting, encoder=slipped)
+    nameless = replace(sighting, exposure=without_identity(sighting.exposure))
+    after, decision = mount.step(state, nameless)
+    assert (decision.reason, after.refusals) == (Reason.UNIDENTIFIED, 0)
+    after, decision = mount.step(state, sighting)
+    assert decision.accepted
+    camera_ns = mount.filter.stars.predict(after.mean, sighting).rotation_ns
+    truth_ns = night.main_axis(encoder) @ rotation_from_angles(
+        *(SETTINGS.telescopes[CAMERA_ID].parallelism + night.errors.parallelism)
+    ).T
+    assert np.linalg.norm(log_rotation(camera_ns.T @ truth_ns)[1:]) / ARCSEC < 4.0
+    assert mount.pointing(night, after, encoder).status is Status.DEGRADED
+
+
+def test_one_false_star_is_left_out_and_the_others_are_used(watch) -> None:
+    mount = Mount(SETTINGS, watch)
+    night, rng = mount.night(2)
+    encoder = random_field(rng)
+    sighting = night.sighting(encoder, 6)
+    directions_s = sighting.exposure.directions_s.copy()
+    directions_s[2] = exp_rotation(np.array([0.0, 60.0, 40.0]) * ARCSEC) @ directions_s[2]
+    name = f"HIP {sighting.exposure.hip[2]}"
+    wrong = replace(sighting, exposure=replace(sighting.exposure, directions_s=directions_s))
+    state, decision = mount.step(mount.filter.initial_state(), wrong)
+    assert decision.accepted
+    assert [left_out for left_out, _ in decision.left_out] == [name]
+    squares, variance, _ = off_axis(night.main_axis(encoder), mount.pointing(night, state, encoder))
+    assert squares < 13.8 * variance  # one in a thousand
+
+
+def test_a_night_of_stars_calibrates_the_axes_for_the_day(watch) -> None:
+    """Half a minute all over the sky; then as long by the encoders, while the deformation goes on."""
+    settings = mount_config(encoder__sigma_arcsec=0.5, ship__white_sigma_arcsec=0.5)
+    mount, seeds, exposures = Mount(settings, watch), 6, 120
+    deformation = np.full(3, settings.deformation.sigma_arcsec * ARCSEC)
+    afterwards_s = np.arange(5.0, 31.0, 5.0)
+    squares, nees, left = [], [], []
+    for seed in range(seeds):
+        night, rng = mount.night(100 + seed)
+        times_s = np.concatenate([np.arange(exposures) * 0.25, 0.25 * exposures + afterwards_s])
+        bent_d = gauss_markov(rng, times_s, deformation, settings.deformation.time_s)
+        state = mount.filter.initial_state()
+        for time_s, turn_d in zip(times_s, bent_d, strict=True):
+            now = MountNight(settings, replace(night.errors, deformation_d=turn_d), watch, rng)
+            encoder, time_ns = random_field(rng), TIME_NS + round(time_s * SECOND_NS)
+            if time_s < 0.25 * exposures:
+                state, decision = mount.step(state, now.sighting(encoder, 6, time_ns))
+                assert decision.accepted, decision.text
+                continue
+            estimate = mount.pointing(now, state, encoder, time_ns)
+            one = off_axis(now.main_axis(encoder), estimate)
+            squares.append(one[0])
+            if time_s == times_s[-4]:
+                nees.append(one[2])
+        assert (estimate.mode, estimate.status) == (Mode.ENCODER, Status.COASTING)
+        left.append(np.sqrt(np.diagonal(state.covariance)[mount.filter.model.slices["axes"]]) / ARCSEC)
+    assert np.sqrt(np.mean(squares)) / ARCSEC < 8.0
+    low, high = mean_nees_band(seeds, 3)
+    assert low <= np.mean(nees) <= high
+    # Collimation and tilt of the horizontal axis, of which 26.5″ were not known, are told; the others go with the
+    # deformation, and the filter names them (theodolite/calibration).
+    assert np.max(np.array(left)[:, 2:4]) < 4.0

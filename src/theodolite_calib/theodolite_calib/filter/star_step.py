@@ -1,0 +1,93 @@
+"""The step from a state to the next by one exposure of stars.
+
+The state is carried to its moment and compared with the stars that are what they are taken for
+(:mod:`theodolite_calib.filter.star_comparison`). Where they pass the gate, the estimate by all sources and every
+estimate without one of them learn of the stars. Stars that contradict what encoders and ship predict are counted like
+lights that do: the pointing is in doubt until stars or lights agree again.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_estimation.gates import chi_square_gate
+from ship_estimation.refusals import Reason, Refusal, singular_covariance
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.filter.alternatives import CHAIN
+from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
+from theodolite_calib.filter.model import chain_rows
+from theodolite_calib.filter.star_comparison import StarComparison
+from theodolite_calib.filter.step import held_back, hypothesis_factors, separations
+from theodolite_calib.filter.trust import Referee
+from theodolite_calib.measured.samples import ExposureDecision
+from theodolite_calib.measured.star_sighting import StarSighting
+
+_CONTRADICTS = (Reason.UNIDENTIFIED, Reason.MISIDENTIFIED)
+"""Refusals that speak against what is predicted: where that is right, most stars fit it."""
+
+
+class StarStep:
+    """The step from a state to the next by one exposure of stars.
+
+    Args:
+        config: the node's parameters.
+        filter_: the filter of that configuration.
+        watch: the sky.
+    """
+
+    def __init__(self, config: OpticalAxisConfig, filter_: CalibrationFilter, watch: SkyWatch) -> None:
+        self._filter, self._gate, self._watch = filter_, config.gate, watch
+        threshold = hypothesis_factors(config.integrity, filter_.rows.sources).false_exclusion
+        self._referee = Referee(config.integrity, config.gate, filter_.rows, threshold)
+        self._turning = chain_rows(filter_.model)
+
+    def __call__(self, state: CalibrationState, sighting: StarSighting) -> tuple[CalibrationState, ExposureDecision]:
+        """State and decision after an exposure; ``state`` is that after the sighting before."""
+        after, decision = self._judged(state, sighting)
+        return after, replace(decision, excluded=tuple(sorted(after.trust.excluded)))
+
+    def _judged(self, state: CalibrationState, sighting: StarSighting) -> tuple[CalibrationState, ExposureDecision]:
+        predicted = self._filter.predicted(state, sighting.time_ns, sighting.ship.slow_covariance_n)
+        predicted = self._filter.unknown(predicted)
+        try:
+            found = self._filter.stars.compare(predicted.mean, predicted.covariance, sighting, self._watch)
+            if not isinstance(found, Refusal):
+                return self._compared(state, predicted, sighting, found)
+        except np.linalg.LinAlgError:
+            found = singular_covariance()
+        decision = ExposureDecision(sighting.exposure, found.reason, text=found.text)
+        # While encoders or ship are excluded nothing is predicted that stars could speak against.
+        if found.reason in _CONTRADICTS and not state.trust.excluded & CHAIN:
+            return held_back(state, decision, self._gate, "stars")
+        return state, decision
+
+    def _compared(
+        self, state: CalibrationState, predicted: CalibrationState, sighting: StarSighting, found: StarComparison
+    ) -> tuple[CalibrationState, ExposureDecision]:
+        measurement, (covariance,), (nis,) = found.measurement, found.rows.covariance, found.rows.nis.tolist()
+        gate = chi_square_gate(self._gate.probability, len(measurement.residual))
+        decision = ExposureDecision(
+            measurement=sighting.exposure,
+            reason=Reason.GATE,
+            components=found.stars.components,
+            residual=measurement.residual,
+            sigma=np.sqrt(np.diagonal(covariance)),
+            covariance=covariance,
+            noise=measurement.noise,
+            nis=nis,
+            gate=gate,
+            left_out=found.stars.refused,
+        )
+        # Written so that NaN fails.
+        if not nis <= gate:
+            decision = replace(decision, text=f"improbable: NIS {nis:.1f} > gate {gate:.1f}")
+            return held_back(state, decision, self._gate, "stars")
+        after = self._filter.used_stars(predicted, sighting.time_ns, found)
+        alternatives = self._filter.rows.seen_stars(
+            predicted.alternatives, measurement, predicted.mean, found.stars.by_turn, self._gate.probability
+        )
+        separation = separations(after, alternatives, self._turning, found.camera.rotation_ns, found.camera.turn_n)
+        trust = self._referee.agreed(predicted.trust, sighting.time_ns)
+        after = replace(after, alternatives=alternatives, separation=separation, trust=trust)
+        return after, replace(decision, reason=Reason.NONE, accepted=True)

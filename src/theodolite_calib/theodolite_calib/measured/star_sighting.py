@@ -1,0 +1,71 @@
+"""A sighting of stars: one exposure of a camera on the theodolite with all that it is compared with, at its middle."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ship_attitude_star.stars.exposure import StarExposure, at_middle
+from ship_estimation.refusals import Reason, Refusal
+from ship_geometry.frames import rotation_from_angles
+from theodolite_calib.chain.axes import AxisErrors
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.measured.tracks import EncoderAt, MeasuredTracks, ShipAt
+
+
+@dataclass(frozen=True)
+class StarSighting:
+    """An exposure of stars with what leads from the horizon to their camera.
+
+    Attributes:
+        camera_id: of the camera.
+        exposure: the stars where they stood at its middle.
+        ship: its attitude.
+        encoder: its angles.
+    """
+
+    camera_id: str
+    exposure: StarExposure
+    ship: ShipAt
+    encoder: EncoderAt
+
+    @property
+    def time_ns(self) -> int:
+        """Middle of the exposure."""
+        return self.exposure.time_ns
+
+
+def star_sighting(
+    exposure: StarExposure, config: OpticalAxisConfig, tracks: MeasuredTracks
+) -> StarSighting | Refusal:
+    """Everything at the middle of an exposure, or what is missing.
+
+    Where its length is known, the stars are compared with the mean over the exposure: the noise of encoders and ship
+    is that of the mean.
+
+    Args:
+        exposure: as the camera saw it.
+        config: the node's parameters.
+        tracks: what was measured.
+    """
+    time_ns, camera_id = exposure.time_ns, exposure.source.partition(".")[2]
+    nodes = None if exposure.length is None else exposure.length.nodes
+    ship, encoder = tracks.ship_at(time_ns), tracks.encoder_at(time_ns)
+    if encoder is None:
+        return Refusal(Reason.GAP, "no encoder readings on both sides of it")
+    if ship is None:
+        return Refusal(Reason.GAP, "no attitudes of the ship on both sides of it")
+    if exposure.length is None or nodes is None:
+        return StarSighting(camera_id, exposure, ship, encoder)
+    axes = AxisErrors.from_vector(config.axes.values)
+    turned_nm = tracks.main_axis_at([moment_ns for moment_ns, _ in nodes.moments(time_ns)], axes)
+    if turned_nm is None:
+        length_s = exposure.length.exposure_s
+        text = f"no encoder readings or attitudes of the ship over its whole exposure of {length_s:g} s"
+        return Refusal(Reason.GAP, text)
+    ship, encoder = tracks.ship_at(time_ns, nodes), tracks.encoder_at(time_ns, nodes)
+    assert ship is not None  # as at the nodes
+    assert encoder is not None
+    rotation_sm = rotation_from_angles(*config.telescopes[camera_id].parallelism)
+    turned_ns = turned_nm @ rotation_sm.T
+    turns = np.swapaxes(turned_ns, -1, -2) @ turned_ns[nodes.offset_ns.index(0)]
+    return StarSighting(camera_id, at_middle(exposure, turns), ship, encoder)

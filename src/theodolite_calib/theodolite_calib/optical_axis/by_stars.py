@@ -1,0 +1,77 @@
+"""The pointing by the stars of one exposure and nothing else: where the ship's attitude or the encoders are gone.
+
+The stars must verify one another, three at least, and have their names: nothing predicts where the camera looks. From
+the camera the survey leads to the main axis, as the filter now has it: R_main = R_camera · R(azimuth, elevation, roll).
+"""
+
+import numpy as np
+
+from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.stars.exposure import StarExposure, visible_stars
+from ship_attitude_star.stars.residuals import SOURCE_STAR_NOISE
+from ship_attitude_star.stars.solution import SOLUTION_TERMS, SolutionStatus, solve_stars
+from ship_estimation.outcome import Status
+from ship_estimation.refusals import Refusal
+from ship_geometry.frames import rotation_from_angles, rotation_vector_from_angle_errors
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
+from theodolite_calib.filter.model import SOURCE_PARALLELISM, chain_rows, parallelism_block
+from theodolite_calib.measured.samples import Mode, PointingEstimate
+
+_OF_STARS = ("installation", "catalogue")
+"""Terms of a solution that the filter has no source for: a single camera has no installation beside its parallelism,
+and its catalogue is in the noise of the stars."""
+
+
+def pointing_by_stars(
+    exposure: StarExposure,
+    watch: SkyWatch,
+    config: OpticalAxisConfig,
+    filter_: CalibrationFilter,
+    state: CalibrationState,
+    text: str,
+) -> PointingEstimate | None:
+    """The main axis at the middle of an exposure; None where its stars do not give what others of them verify.
+
+    Args:
+        exposure: as the camera saw it.
+        watch: the sky.
+        config: the node's parameters.
+        filter_: the filter of that configuration.
+        state: that tells of the camera's parallelism.
+        text: why there is nothing but stars.
+    """
+    visible = visible_stars(exposure, watch, None)
+    if isinstance(visible, Refusal):
+        return None
+    solution = solve_stars(visible[1])
+    if solution.status in (SolutionStatus.INVALID, SolutionStatus.UNVERIFIED):
+        return None
+    if exposure.length is not None:
+        # Nothing tells how the camera turned meanwhile.
+        untold = np.deg2rad(config.ins.untold_acceleration_deg_per_s2)
+        solution = solution.with_more_noise(exposure.length.untold_turn_variance(float(untold)))
+    model, camera_id = filter_.model, exposure.source.partition(".")[2]
+    block = model.slices[parallelism_block(camera_id, config)]
+    azimuth, elevation, roll = config.telescopes[camera_id].parallelism + state.mean[block]
+    by_angles_n = solution.rotation_nb @ rotation_vector_from_angle_errors(azimuth, elevation)
+    parts_n = np.zeros((len(model.sources), 3, 3))
+    for term, part_n in zip(SOLUTION_TERMS, solution.parts_n, strict=False):
+        parts_n[model.source_indices[SOURCE_STAR_NOISE if term in _OF_STARS else term]] += part_n
+    parts_n[model.source_indices[SOURCE_PARALLELISM]] += by_angles_n @ state.covariance[block, block] @ by_angles_n.T
+    unknown, covariance_n = np.full((3, 3), np.nan), parts_n.sum(axis=0)
+    return PointingEstimate(
+        time_ns=exposure.time_ns,
+        rotation_nm=solution.rotation_nb @ rotation_from_angles(azimuth, elevation, roll),
+        parts_n=parts_n,
+        covariance_n=covariance_n,
+        undisputed_n=covariance_n,
+        rotation_nt=unknown,
+        mode=Mode.STARS,
+        status=Status.DEGRADED,
+        light_count=0,
+        state=state,
+        text=text,
+        by_error_n=np.zeros((3, len(chain_rows(model)))),
+        rotation_dm=unknown,
+    )

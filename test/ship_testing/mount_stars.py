@@ -1,0 +1,175 @@
+"""Stars in a camera on the theodolite, drawn with all their errors: exposures for the filter, and the true main axis.
+
+The camera is that of [W18]: 100 mm, 6.5 µm pixels, a tenth of one. Its stars are real ones, at random within ±4°.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ship_attitude_star.measurements.readings import AirReading, PositionFix
+from ship_attitude_star.sky.catalogue import julian_year
+from ship_attitude_star.sky.sky_watch import SkyWatch, installed_sky
+from ship_attitude_star.stars.exposure import StarExposure
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
+from ship_testing.simulated_session import SHIP_SIGMA_N, config
+from ship_testing.star_sky import POSITION, ROTATION_ND, TIME_NS
+from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.measured.samples import EncoderSample
+from theodolite_calib.measured.star_sighting import StarSighting
+from theodolite_calib.measured.tracks import EncoderAt, ShipAt
+
+CAMERA_ID = "night"
+FIELD = np.deg2rad(4.0)
+STAR_SIGMA = 0.1 * 6.5e-6 / 0.1
+"""A tenth of a pixel, rad."""
+CAMERA = {"focal_length_m": 0.1, "pixel_pitch_m": 6.5e-6, "principal_u_px": 1100.0, "principal_v_px": 1100.0}
+MOUNTED_DEG = {"azimuth_deg": 0.2, "elevation_deg": -0.1, "roll_deg": 3.0}
+
+
+def mount_config(parallelism_sigma_arcsec: float = 0.2, **changes) -> OpticalAxisConfig:
+    """A theodolite with one camera for stars whose encoders and ship add next to no noise of their own."""
+    own = {f"telescopes__{CAMERA_ID}__camera__{name}": value for name, value in CAMERA.items()}
+    own |= {f"telescopes__{CAMERA_ID}__{name}": value for name, value in MOUNTED_DEG.items()}
+    own |= {
+        f"telescopes__{CAMERA_ID}__{name}_sigma_arcsec": parallelism_sigma_arcsec
+        for name in ("azimuth", "elevation", "roll")
+    }
+    quiet = {"encoder__sigma_arcsec": 0.05, "ship__white_sigma_arcsec": 0.05, "sky__magnitude_limit": 7.5}
+    return config(**{**own, **quiet, **changes})
+
+
+def mount_sky(settings: OpticalAxisConfig, start_ns: int = TIME_NS, seconds: int = 60) -> SkyWatch:
+    """The sky over a ship at anchor whose weather is measured, for so many seconds."""
+    watch = installed_sky(settings.sky)
+    for second in range(-3, seconds):
+        watch.surroundings.insert(PositionFix(start_ns + second * 1_000_000_000, POSITION, np.eye(3) * 25.0))
+    for quantity, value, sigma in (("pressure", 1013.0, 0.5), ("temperature", 12.0, 1.0), ("humidity", 0.7, None)):
+        watch.surroundings.insert(AirReading(quantity, start_ns - 3_000_000_000, value, sigma))
+    return watch
+
+
+@dataclass(frozen=True)
+class MountErrors:
+    """What is wrong for good in one night: true minus configured.
+
+    Attributes:
+        axes: rad, shape (7,).
+        deformation_d: rotation vector, rad, shape (3,).
+        ship_n: of the ship's attitude, rotation vector, rad, shape (3,).
+        parallelism: rad, shape (3,).
+        sky: in sigmas, shape (4,), or (5,) where UTC may be wrong.
+    """
+
+    axes: FloatArray
+    deformation_d: FloatArray
+    ship_n: FloatArray
+    parallelism: FloatArray
+    sky: FloatArray
+
+
+def drawn_errors(settings: OpticalAxisConfig, rng: np.random.Generator) -> MountErrors:
+    """Errors as large as the configuration says."""
+    return MountErrors(
+        axes=settings.axes.sigma * rng.standard_normal(7),
+        deformation_d=settings.deformation.sigma_arcsec * ARCSEC * rng.standard_normal(3),
+        ship_n=SHIP_SIGMA_N * rng.standard_normal(3),
+        parallelism=settings.telescopes[CAMERA_ID].parallelism_sigma * rng.standard_normal(3),
+        sky=rng.standard_normal(5 if settings.sky.utc_sigma_s > 0.0 else 4),
+    )
+
+
+def stars_seen(
+    watch: SkyWatch,
+    rotation_ns: FloatArray,
+    sky: FloatArray,
+    count: int,
+    rng: np.random.Generator,
+    time_ns: int,
+    camera_id: str = CAMERA_ID,
+) -> StarExposure:
+    """So many stars of those in the field, at random.
+
+    Args:
+        watch: the sky.
+        rotation_ns: true attitude of the camera (horizon from camera), shape (3, 3).
+        sky: errors that all stars share, in sigmas.
+        count: of the stars.
+        rng: of the noise.
+        time_ns: middle of the exposure.
+        camera_id: of the camera.
+    """
+    moment, catalogue = watch.at(time_ns), watch.catalogue
+    rows = moment.bright_rows_around(rotation_ns[:, 0], 1.5 * FIELD)
+    apparent = moment.apparent(catalogue.at_j2000[rows])
+    seen_s = (apparent.direction_n + apparent.shared_n @ sky) @ rotation_ns
+    inside = np.flatnonzero(np.all(np.abs(seen_s[:, 1:] / seen_s[:, :1]) < np.tan(FIELD), axis=-1))
+    kept = rng.permutation(inside)[:count]
+    if len(kept) < count:
+        raise ValueError(f"{len(kept)} stars in the field: expected {count}")
+    seen_s = seen_s[kept] + STAR_SIGMA * rng.standard_normal((count, 3))
+    rows = rows[kept]
+    return StarExposure(
+        source=f"star.{camera_id}",
+        time_ns=time_ns,
+        hip=catalogue.hip[rows],
+        directions_s=seen_s / np.linalg.norm(seen_s, axis=-1, keepdims=True),
+        sigma=np.full(count, STAR_SIGMA),
+        positions=catalogue.at_j2000[rows],
+        position_sigma=catalogue.sigma(rows, julian_year(time_ns)),
+        magnitude=catalogue.magnitude[rows],
+    )
+
+
+class MountNight:
+    """One night of a theodolite on a ship that does not move.
+
+    Args:
+        settings: says how large the noise is.
+        errors: that last.
+        watch: the sky.
+        rng: of the noise.
+    """
+
+    def __init__(
+        self, settings: OpticalAxisConfig, errors: MountErrors, watch: SkyWatch, rng: np.random.Generator
+    ) -> None:
+        self.settings, self.errors, self.watch, self.rng = settings, errors, watch, rng
+
+    def main_axis(self, encoder: FloatArray) -> FloatArray:
+        """The true main axis (horizon from main frame) where the true encoders stand, rad, shape (3, 3)."""
+        axes = AxisErrors.from_vector(self.settings.axes.values + self.errors.axes)
+        turned = ROTATION_ND @ exp_rotation(self.errors.deformation_d)
+        return turned @ main_axis_rotation(axes, *encoder.tolist())
+
+    def ship(self) -> ShipAt:
+        """The ship's attitude as it is told."""
+        white = self.settings.ship.white_sigma_arcsec * ARCSEC
+        turn = self.errors.ship_n + white * self.rng.standard_normal(3)
+        return ShipAt(exp_rotation(turn).T @ ROTATION_ND, np.zeros(3), np.diag(SHIP_SIGMA_N**2), white**2)
+
+    def reading(self, encoder: FloatArray, time_ns: int = TIME_NS) -> EncoderSample:
+        """What the encoders read."""
+        sigma = self.settings.encoder.sigma_arcsec * ARCSEC
+        return EncoderSample(time_ns, encoder + sigma * self.rng.standard_normal(2), sigma)
+
+    def exposure(self, encoder: FloatArray, count: int, time_ns: int = TIME_NS) -> StarExposure:
+        """So many stars of those in the field, at random, as the camera sees them."""
+        camera = self.settings.telescopes[CAMERA_ID]
+        rotation_sm = rotation_from_angles(*(camera.parallelism + self.errors.parallelism))
+        rotation_ns = self.main_axis(encoder) @ rotation_sm.T
+        return stars_seen(self.watch, rotation_ns, self.errors.sky, count, self.rng, time_ns)
+
+    def sighting(self, encoder: FloatArray, count: int, time_ns: int = TIME_NS) -> StarSighting:
+        """The same with what the ship and the encoders say."""
+        angles = self.reading(encoder).vector
+        variance = (self.settings.encoder.sigma_arcsec * ARCSEC) ** 2
+        exposure = self.exposure(encoder, count, time_ns)
+        return StarSighting(CAMERA_ID, exposure, self.ship(), EncoderAt(*angles.tolist(), variance))
+
+
+def random_field(rng: np.random.Generator) -> FloatArray:
+    """Encoders that look anywhere from 35° over the deck up to 80°, rad, shape (2,)."""
+    return np.array([rng.uniform(0.0, 2.0 * np.pi), np.deg2rad(rng.uniform(35.0, 80.0))])
