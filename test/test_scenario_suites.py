@@ -97,8 +97,8 @@ def devices(scenario, config, values):
 def grouped(device, told, kind):
     yield device, told, kind
     for name, group in typing.get_type_hints(kind).items():
-        # A camera belongs to sensors that give single stars, and Schuler's sensors to an INS that oscillates: only these
-        # are told of them.
+        # A camera belongs to sensors that give single stars, Schuler's sensors to an INS that oscillates: only they are
+        # told of them.
         belongs = name not in ("camera", "schuler") or name in told
         if dataclasses.is_dataclass(group) and hasattr(device, name) and belongs:
             yield from grouped(getattr(device, name), told[name], group)
