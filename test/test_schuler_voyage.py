@@ -17,6 +17,7 @@ from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_estimation.gates import mean_nees_band, normalized_error_squared
 from ship_estimation.outcome import Status
 from ship_estimation.parameters import build
+from ship_estimation.refusals import Reason
 from ship_geometry.rotations import ARCSEC, log_rotation
 from ship_replay.trials.monte_carlo import attitude_outcomes
 from ship_simulation.run import SimulatedRun, simulate
@@ -135,31 +136,38 @@ def test_a_change_that_nobody_told_is_honest() -> None:
     assert low < np.mean(nees) < high
 
 
-class _WithoutFixes:
-    """A run whose position fixes do not arrive."""
+class _WithLateFixes:
+    """A run whose position fixes before a moment do not arrive."""
 
-    def __init__(self, run: SimulatedRun) -> None:
-        self._run = run
+    def __init__(self, run: SimulatedRun, since_ns: int) -> None:
+        self._run, self.since_ns = run, since_ns
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._run, name)
 
     def arrivals(self) -> list[tuple[int, str, int]]:
-        return [arrival for arrival in self._run.arrivals() if arrival[1] != "fix"]
+        return [one for one in self._run.arrivals() if one[1] != "fix" or one[0] >= self.since_ns]
 
 
-def test_without_a_position_fix_nothing_is_valid() -> None:
-    # At another latitude the model tells lies: with that of the equator the heading was off by three sigmas.
-    scenario = voyage(duration_s=60.0)
+def test_before_the_first_position_fix_no_star_is_used() -> None:
+    # At another latitude the model tells lies, which the filter would learn: with that of the equator the heading was
+    # off by three sigmas. The first fix comes here after half of the voyage.
+    scenario = voyage(duration_s=600.0)
     whole = simulate(scenario, 1)
-    for run, expected in ((whole, Status.VALID), (_WithoutFixes(whole), Status.DEGRADED)):
-        stamp_ns = int(whole.ins.time_ns[5])
-        told = [
-            (estimate.status, estimate.text)
-            for outcome in attitude_outcomes(core_of(scenario), run, {stamp_ns})
-            for estimate in outcome.estimates
-            if estimate.time_ns == stamp_ns
-        ]
-        (status, text) = told[-1]
-        assert status is expected
-        assert ("no position fix yet" in text) is (expected is Status.DEGRADED)
+    late = _WithLateFixes(whole, whole.start_ns + 300 * 1_000_000_000)
+    for run, first_ns in ((whole, whole.start_ns), (late, late.since_ns)):
+        stamps = [int(whole.ins.time_ns[row]) for row in (5, 55)]
+        core, decisions, told = core_of(scenario), [], {}
+        for outcome in attitude_outcomes(core, run, set(stamps)):
+            decisions += outcome.decisions
+            told |= {estimate.time_ns: estimate for estimate in outcome.estimates}
+        refused = [decision for decision in decisions if decision.reason is Reason.NO_FIX]
+        assert all(decision.measurement.time_ns < first_ns for decision in refused)
+        assert bool(refused) is (run is late)
+        statuses = [told[stamp_ns].status for stamp_ns in stamps]
+        assert statuses == ([Status.DEGRADED, Status.VALID] if run is late else [Status.VALID, Status.VALID])
+        last = told[stamps[1]]
+        true_nd = whole.truth.rotation_nd[55]
+        error_n = log_rotation(true_nd @ last.rotation_nd.T)
+        # 16.3: chi-square of three, 99.9 %.
+        assert float(normalized_error_squared(error_n, last.covariance_n)) < 16.3

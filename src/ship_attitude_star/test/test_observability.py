@@ -11,7 +11,7 @@ from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC
 from ship_replay.trials.monte_carlo import attitude_outcomes, core_for
 from ship_simulation.run import simulate
-from ship_simulation.scenario.motion_scenario import AngleMotion, CarrierMotion, Turn
+from ship_simulation.scenario.motion_scenario import AngleMotion, CarrierMotion, Outage, Turn
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
 
@@ -85,3 +85,21 @@ def test_where_the_mounting_is_surveyed_well_no_turn_is_worth_it() -> None:
 
 def test_without_stars_there_is_no_hint() -> None:
     assert core_for(voyage(0.0, 10.0)).worthwhile_turn(np.eye(3)) is None
+
+
+def test_after_one_measurement_nobody_knows_how_often_they_come() -> None:
+    # The diagnostics ask at any time, and so between the first exposure and the second.
+    core = sailed(bolted_within_5_arcseconds(voyage(0.0, 1.0)))
+    assert core.state.used_ns
+    assert core.worthwhile_turn(np.eye(3)) is None
+
+
+def test_a_source_that_has_gone_brings_nothing() -> None:
+    whole = bolted_within_5_arcseconds(voyage(0.0, 290.0))
+    fore = replace(whole.star_sensors["fore"], outages={"clouds": Outage(start_s=100.0, end_s=1000.0)})
+    gone = sailed(replace(whole, star_sensors=whole.star_sensors | {"fore": fore}))
+    both = sailed(whole).worthwhile_turn(np.eye(3))
+    hint = gone.worthwhile_turn(np.eye(3))
+    # One sensor's noise about its boresight is 100 arcseconds: the tilt by it alone is worse after any turn.
+    assert both is not None
+    assert hint is None or hint.after > 1.3 * both.after

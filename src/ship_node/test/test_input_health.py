@@ -274,3 +274,17 @@ def test_mend_13_from_max_age_on_and_not_before():
 )
 def test_durations_are_said_in_words(seconds, text):
     assert duration_text(round(seconds * S)) == text
+
+
+def test_what_comes_at_times_may_be_silent_from_the_start_and_later():
+    target = "theodolite/target"
+    book = InputHealthBook([InputTopic(target, "ship_msgs/msg/TargetImage", required=False, depth=10, at_times=True)])
+    book.statuses(START_NS)
+    book.publisher_count(target, 1)
+    (unheard,) = book.statuses(START_NS + 60 * S)
+    assert (unheard.level, unheard.message) == (Level.OK, "no message yet")
+    for i in range(10):
+        book.arrived(target, START_NS + i * 100 * MS)
+        book.accepted(target, START_NS + i * 100 * MS, START_NS + i * 100 * MS)
+    (gone,) = book.statuses(START_NS + 120 * S)
+    assert gone.level is Level.OK

@@ -16,7 +16,7 @@ from ship_geometry.rotations import ARCSEC
 from ship_node.parameters.parameter_file import load_config
 from ship_replay.ins_noise.fit import FittedModel, fit
 from ship_replay.ins_noise.identification import Identification, identify
-from ship_replay.ins_noise.processes import GaussMarkovError
+from ship_replay.ins_noise.processes import GaussMarkovModel
 from ship_replay.ins_noise.session import NoiseSession
 from ship_replay.ins_noise.star_record import star_record
 from ship_replay.ins_noise.written import parameter_file_text
@@ -112,7 +112,7 @@ def test_two_hundred_times_tell_sigma_and_time() -> None:
     # Issue: sigma within 10 %, tau within 30 %.
     slow = {"tilt_sigma_arcsec": 10.0, "tilt_time_s": 60.0, "heading_sigma_arcsec": 20.0, "heading_time_s": 60.0}
     session = noise_session(scenario(12_000.0, **slow), 1)
-    found = told(fit(star_record(session), GaussMarkovError(session.config.ins)))
+    found = told(fit(star_record(session), GaussMarkovModel(session.config.ins)))
     for axis, sigma in (("tilt", 10.0), ("heading", 20.0)):
         assert found[f"{axis}_sigma_arcsec"][0] == pytest.approx(sigma, rel=0.1)
         assert found[f"{axis}_time_s"][0] == pytest.approx(60.0, rel=0.3)
@@ -146,7 +146,7 @@ def test_the_sigmas_of_what_is_told_hold_over_many_records() -> None:
     true = np.log([CHANGES["tilt"], CHANGES["heading"], WHITE])
     for seed in range(6):
         session = drawn(hour, seed)
-        found = fit(star_record(session), GaussMarkovError(session.config.ins))
+        found = fit(star_record(session), GaussMarkovModel(session.config.ins))
         rows = [0, 2, 4]
         wrong.append((np.log(found.values[rows]) - true) / found.log_sigmas[rows])
     low, high = mean_nees_band(len(wrong), 3)
@@ -162,7 +162,7 @@ def test_without_a_latitude_schuler_is_not_tried() -> None:
 def test_wrong_sigmas_in_the_configuration_do_not_matter() -> None:
     of: Any = scenario(3600.0, white_sigma_arcsec=WHITE)
     found = [
-        fit(star_record(session), GaussMarkovError(session.config.ins))
+        fit(star_record(session), GaussMarkovModel(session.config.ins))
         for session in (
             noise_session(of, 3),
             noise_session(of, 3, told={"tilt_sigma_arcsec": 5.0, "tilt_time_s": 600.0, "white_sigma_arcsec": 1.5}),

@@ -18,7 +18,7 @@ from ship_attitude_star.ins_errors.schuler import SchulerIns
 from ship_attitude_star.vertical.vertical_track import VerticalHere
 from ship_geometry.rotations import ARCSEC
 from ship_replay.ins_noise.likelihood import log_likelihoods
-from ship_replay.ins_noise.processes import GaussMarkovError, SchulerError
+from ship_replay.ins_noise.processes import GaussMarkovModel, SchulerModel
 from ship_replay.ins_noise.session import NoiseSession, place_of
 from ship_replay.ins_noise.star_record import star_record
 from ship_simulation.scenario.motion_scenario import AngleMotion, Wave
@@ -94,7 +94,7 @@ def test_gauss_markov_is_the_joint_density(session: NoiseSession) -> None:
     record = star_record(session)
     tilt, tilt_s, heading, heading_s, white = 8.0, 100.0, 30.0, 400.0, 1.5
     values = np.array([[2.0 * tilt**2 / tilt_s, tilt_s, 2.0 * heading**2 / heading_s, heading_s, white]])
-    model = GaussMarkovError(session.config.ins)
+    model = GaussMarkovModel(session.config.ins)
 
     def of_ins(i: int, j: int) -> np.ndarray:
         apart_s = (session.pairs[i].time_ns - session.pairs[j].time_ns) * 1e-9
@@ -159,7 +159,7 @@ def test_schuler_is_the_joint_density(session: NoiseSession, damping_time_s: flo
 
     ins = session.config.ins
     configured = type(ins)(**{**vars(ins), "schuler": SchulerConfig(damping_time_s=damping_time_s)})
-    model, record = SchulerError(configured, here), star_record(session)
+    model, record = SchulerModel(configured, here), star_record(session)
     assert [parameter.name.split("_")[0].split(".")[-1] for parameter in model.parameters] == [
         *("tilt", "heading", "velocity", "gyro", "angle", "accelerometer", "velocity", "white")
     ]

@@ -258,7 +258,10 @@ class ShipAttitudeAdapter(BlockAdapter):
         if state.time_ns is None or latest is None or latest.status is Status.INVALID:
             return []
         if self._observed is None or abs(state.time_ns - self._observed[0]) >= _OBSERVED_EACH_NS:
-            told, turn = self.core.learnt(), hint_text(self.core.worthwhile_turn(latest.rotation_nd))
+            # Under clouds no turn tells anything.
+            sees = latest.status is Status.VALID
+            told = self.core.learnt()
+            turn = hint_text(self.core.worthwhile_turn(latest.rotation_nd)) if sees else ""
             values = {f"{name} (sigma / before)": f"{left:.2f}" for name, left in told.left.items()}
             values |= {"not told apart": "; ".join(told.open) or "nothing", "turn": turn or "none is worth it"}
             text = turn or "no turn of the ship would tell much more"

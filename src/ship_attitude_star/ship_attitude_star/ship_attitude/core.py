@@ -36,8 +36,8 @@ from ship_attitude_star.ship_attitude.corrected_ins import CorrectedIns
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.integrity import integrity_of
 from ship_attitude_star.ship_attitude.linearised import Linearised
-from ship_attitude_star.ship_attitude.manoeuvre import Lately, TurnHint, worthwhile_turn
-from ship_attitude_star.ship_attitude.observability import Learnt, learnt
+from ship_attitude_star.ship_attitude.manoeuvre import RecentSource, TurnHint, worthwhile_turn
+from ship_attitude_star.ship_attitude.observability import ToldStates, learnt
 from ship_attitude_star.ship_attitude.output import attitude_alone, estimate_from_star, no_estimate
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.sky.sky_watch import SkyWatch
@@ -123,7 +123,7 @@ class ShipAttitudeCore:
         self._guards = StreamGuards(self.config.ins)
         self._ins_arrival_ns: int | None = None
         self._newest_star: tuple[Measurement, int] | None = None
-        self._lately: dict[str, Lately] = {}
+        self._lately: dict[str, RecentSource] = {}
         if self._watch is not None:
             self._watch.reset()
         if self.vertical is not None:
@@ -331,7 +331,7 @@ class ShipAttitudeCore:
         errors = self._corrected_by(self.state).errors([time_ns])
         return DeflectionReading(time_ns, errors.deflection[0], errors.deflection_covariance[0])
 
-    def learnt(self) -> Learnt:
+    def learnt(self) -> ToldStates:
         """What the data have told of the states, and what they left open."""
         return learnt(self.filter, self.config, self.state)
 
@@ -376,7 +376,7 @@ class ShipAttitudeCore:
             before = self._lately.get(measurement.source)
             since_s = np.inf if before is None else (measurement.time_ns - before.measurement.time_ns) / SECOND_NS
             if since_s > 0.0:
-                self._lately[measurement.source] = Lately(measurement, since_s)
+                self._lately[measurement.source] = RecentSource(measurement, since_s)
 
     def _forget_before(self, time_ns: int) -> None:
         """Forget what no measurement at or after a stamp is compared with."""

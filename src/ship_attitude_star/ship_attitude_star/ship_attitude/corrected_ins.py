@@ -143,20 +143,12 @@ class CorrectedIns:
                 if text:
                     run.status[number], run.text[number] = Status.DEGRADED, text
 
-    @property
-    def _lacks_latitude(self) -> bool:
-        """Whether the INS's error was carried at a latitude that nobody knows."""
-        process, here = self._filter.model.ins_process, self.state.vertical
-        return process is not None and process.needs_latitude and here is not None and math.isnan(here.latitude)
-
     def _worth(self, star_age_s: float, coasting_after_s: float) -> tuple[Status, str]:
         """Status of an attitude, and why it is DEGRADED."""
         if self.state.doubt is not None:
             return Status.DEGRADED, self.state.doubt.text
         if math.isnan(star_age_s):
             return Status.DEGRADED, "INS alone, no star yet"
-        if self._lacks_latitude:
-            return Status.DEGRADED, "no position fix yet: ins.model 'schuler' needs the latitude (gnss/fix)"
         if self.state.unconfirmed is not None:
             return Status.DEGRADED, self.state.unconfirmed.text
         if star_age_s <= coasting_after_s:

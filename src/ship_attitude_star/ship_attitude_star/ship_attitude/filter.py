@@ -1,5 +1,6 @@
 """The error-state filter: one measurement in, one decision and the next state out. No time, no memory of its own."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -166,6 +167,10 @@ class ShipFilter:
         Returns:
             The next state and the decision; None where samples that may still come belong to the measurement.
         """
+        if self._lacks_latitude(measurement.time_ns):
+            # Whatever were learnt at another latitude would be wrong, and stay.
+            lacking = Refusal(Reason.NO_FIX, "no position fix yet: ins.model 'schuler' needs the latitude (gnss/fix)")
+            return self._refused(state, measurement, NotCompared(lacking, measurement.time_ns))
         predicted = self.predicted(state, measurement.time_ns)
         last_ns = state.used_ns.get(measurement.source)
         found = self.linearisation.of(
@@ -221,6 +226,13 @@ class ShipFilter:
             after = changed(after, unconfirmed=_jumped(measurement.time_ns))
         after, text = self.suspects.judged(after, source, compared, vouched, measurement.time_ns)
         return after, self._told(decision, after, text)
+
+    def _lacks_latitude(self, time_ns: int) -> bool:
+        """Whether the INS's error goes on by a latitude that nobody knows yet."""
+        process = self.model.ins_process
+        if process is None or self.vertical is None or not process.needs_latitude:
+            return False
+        return math.isnan(self.vertical.at(time_ns).latitude)
 
     def _ins_vouched(self, state: FilterState, found: Linearised) -> bool:
         """Whether the INS's rates would have told a step of it: they are known, and it has not jumped not long ago."""

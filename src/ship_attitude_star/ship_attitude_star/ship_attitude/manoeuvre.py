@@ -29,6 +29,9 @@ _TURNS_DEG = (45.0, 90.0, 180.0)
 _LENGTH_S = 900.0
 """So long the ship lies turned, or as she does."""
 
+_MISSED = 3.0
+"""Periods after which a source that has said nothing counts as gone."""
+
 _RATE_DEG_PER_S, _PIECE_DEG = 1.0, 15.0
 """How fast she turns, in pieces: the INS's error moves meanwhile, and blurs what the turn tells."""
 
@@ -36,16 +39,21 @@ _WORTH_TELLING = 0.9
 """A turn that leaves more than this share of the sigma is not told."""
 
 
-class Lately(NamedTuple):
+class RecentSource(NamedTuple):
     """What a source measures lately.
 
     Attributes:
         measurement: the last one that was used.
-        period_s: time between two that were used.
+        period_s: time between two that were used; infinite after the first.
     """
 
     measurement: Measurement
     period_s: float
+
+    def goes_on_at(self, time_ns: int) -> bool:
+        """Whether the source still measures; how often it does is known from its second measurement on."""
+        since_s = (time_ns - self.measurement.time_ns) / SECOND_NS
+        return self.period_s < math.inf and since_s <= _MISSED * self.period_s
 
 
 class TurnHint(NamedTuple):
@@ -67,7 +75,7 @@ class TurnHint(NamedTuple):
 
 
 def worthwhile_turn(
-    filter_: ShipFilter, state: FilterState, rotation_nd: FloatArray, lately: Mapping[str, Lately]
+    filter_: ShipFilter, state: FilterState, rotation_nd: FloatArray, lately: Mapping[str, RecentSource]
 ) -> TurnHint | None:
     """The turn that brings most; None where none is worth telling, or nothing is measured.
 
@@ -77,9 +85,16 @@ def worthwhile_turn(
         rotation_nd: attitude of the ship, shape (3, 3).
         lately: by source, what it measures.
     """
-    if not lately or state.time_ns is None:
+    if state.time_ns is None:
         return None
-    voyage, now = _Voyage(filter_, state, rotation_nd, lately), _sigmas(filter_, state.covariance)
+    goes_on = {
+        source: seen
+        for source, seen in lately.items()
+        if source not in state.excluded and seen.goes_on_at(state.time_ns)
+    }
+    if not goes_on:
+        return None
+    voyage, now = _Voyage(filter_, state, rotation_nd, goes_on), _sigmas(filter_, state.covariance)
     on_course = voyage.after_turn(0.0)
     hints = []
     for turn_deg in _TURNS_DEG:
@@ -144,7 +159,7 @@ class _Voyage:
     """The ship as she is, and how her covariance goes on."""
 
     def __init__(
-        self, filter_: ShipFilter, state: FilterState, rotation_nd: FloatArray, lately: Mapping[str, Lately]
+        self, filter_: ShipFilter, state: FilterState, rotation_nd: FloatArray, lately: Mapping[str, RecentSource]
     ) -> None:
         self._filter, self._state, self._rotation_nd, self._lately = filter_, state, rotation_nd, lately
 
@@ -209,7 +224,8 @@ def _information(measurement: Measurement) -> FloatArray:
     """What a measurement tells of a turn of its device about (forward, up, right), 1/rad², shape (3, 3)."""
     if isinstance(measurement, (AttitudeMeasurement, InertialAttitude)):
         noise_v = measurement.noise_v if isinstance(measurement, AttitudeMeasurement) else measurement.noise_s
-        inverse: FloatArray = np.asarray(np.linalg.inv(noise_v), dtype=np.float64)
+        # A variance of zero tells nothing here: a hint must not fail.
+        inverse: FloatArray = np.asarray(np.linalg.pinv(noise_v, hermitian=True), dtype=np.float64)
         return _symmetric(inverse)
     if isinstance(measurement, BaselineMeasurement):
         variance = float(np.trace(measurement.noise_n)) / 3.0 / measurement.length_m**2

@@ -23,7 +23,7 @@ _AXES = {
 }
 
 
-class Learnt(NamedTuple):
+class ToldStates(NamedTuple):
     """What the data have told.
 
     Attributes:
@@ -35,7 +35,7 @@ class Learnt(NamedTuple):
     open: tuple[str, ...]
 
 
-def learnt(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState) -> Learnt:
+def learnt(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState) -> ToldStates:
     """What the data have told of the INS's attitude, the deflection, installations and clocks by a state.
 
     States that are held, with a sigma of 0, are left out. Installations and clocks lead the combinations, so that the
@@ -52,7 +52,7 @@ def learnt(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState) 
     before = np.array(sigmas)
     covariance = state.covariance[np.ix_(rows, rows)]
     left = np.sqrt(np.maximum(np.diagonal(covariance), 0.0)) / before
-    return Learnt(dict(zip(names, left.tolist(), strict=True)), open_combinations(covariance, before, names))
+    return ToldStates(dict(zip(names, left.tolist(), strict=True)), open_combinations(covariance, before, names))
 
 
 def _known_before(filter_: ShipFilter, config: ShipAttitudeConfig) -> dict[str, FloatArray]:

@@ -25,7 +25,7 @@ _ROUNDING = 1e-9
 """Of a difference of two covariances that counts as none."""
 
 
-class Stretch(NamedTuple):
+class Piece(NamedTuple):
     """Moments between two links, in ascending order.
 
     Attributes:
@@ -47,7 +47,7 @@ class _Link:
     """
 
     back: Backward | Known | None
-    stretches: deque[Stretch] = field(default_factory=deque)
+    stretches: deque[Piece] = field(default_factory=deque)
 
 
 class Chain:
@@ -135,7 +135,7 @@ class Chain:
             some = times_ns[start : start + _MOST_AT_ONCE]
             moments_ns = [min(time_ns, state.time_ns) for time_ns in some]
             found, cross = self.between.at(last, moments_ns, state.time_ns if leads_back else None)
-            link.stretches.append(Stretch(some, found if cross is None else backward(found, cross, predicted)))
+            link.stretches.append(Piece(some, found if cross is None else backward(found, cross, predicted)))
         self._links.append(link)
         self._last = Anchor(state.time_ns, estimate, state.vertical)
         self._by_all = []
@@ -147,7 +147,7 @@ class Chain:
             times_ns.append(self._asked.popleft())
         return times_ns
 
-    def _known(self, stretch: Stretch) -> Known:
+    def _known(self, stretch: Piece) -> Known:
         """Moments before the first link that is left, by all links."""
         if isinstance(stretch.found, Known):
             return stretch.found
@@ -162,13 +162,13 @@ class Chain:
         return stretch.found.by(self._by_all[-1])
 
 
-def _cut(stretch: Stretch, time_ns: int) -> tuple[Stretch, Stretch | None]:
+def _cut(stretch: Piece, time_ns: int) -> tuple[Piece, Piece | None]:
     """Its moments up to one, and the others."""
     count = bisect.bisect_right(stretch.times_ns, time_ns)
     if count == len(stretch.times_ns):
         return stretch, None
     first, rest = (
-        Stretch(stretch.times_ns[some], type(stretch.found)(*(values[some] for values in stretch.found)))
+        Piece(stretch.times_ns[some], type(stretch.found)(*(values[some] for values in stretch.found)))
         for some in (slice(count), slice(count, None))
     )
     return first, rest

@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 
 from ship_geometry.rotations import FloatArray
 from ship_replay.ins_noise.likelihood import log_likelihoods
-from ship_replay.ins_noise.processes import InsErrorModel, Told
+from ship_replay.ins_noise.processes import InsErrorModel, ToldParameter
 from ship_replay.ins_noise.star_record import StarRecord
 
 _FIRST_EPOCHS = 300
@@ -57,7 +57,7 @@ class FittedModel:
         sigmas: FloatArray = np.sqrt(np.diagonal(self.covariance))
         return sigmas
 
-    def told(self, what: Told) -> tuple[float, float]:
+    def told(self, what: ToldParameter) -> tuple[float, float]:
         """Value of a parameter of the suite, and the sigma of its logarithm."""
         value = float(np.exp(what.constant + what.weights @ np.log(self.values)))
         return value, float(np.sqrt(what.weights @ self.covariance @ what.weights))

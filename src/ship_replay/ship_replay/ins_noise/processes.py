@@ -43,7 +43,7 @@ class Parameter(NamedTuple):
     most: float
 
 
-class Told(NamedTuple):
+class ToldParameter(NamedTuple):
     """A parameter of ``ship_attitude`` by the parameters of the fit: log value = constant + weights · log parameters.
 
     Attributes:
@@ -69,7 +69,7 @@ class InsErrorModel(Protocol):
     """
 
     parameters: tuple[Parameter, ...]
-    told: tuple[Told, ...]
+    told: tuple[ToldParameter, ...]
     fixed: dict[str, float]
 
     @property
@@ -82,7 +82,7 @@ class InsErrorModel(Protocol):
         ...
 
 
-class GaussMarkovError:
+class GaussMarkovModel:
     """The error dies out, each axis by itself: sigma² exp(-t / time); tilt about North and East alike, and heading.
 
     Args:
@@ -101,12 +101,12 @@ class GaussMarkovError:
             _white(ins),
         )
         half = 0.5 * math.log(0.5)
-        self.told: tuple[Told, ...] = (
-            Told("white_sigma_arcsec", "arcsec", 0.0, np.eye(5)[4]),
-            Told("tilt_sigma_arcsec", "arcsec", half, np.array([0.5, 0.5, 0.0, 0.0, 0.0])),
-            Told("tilt_time_s", "s", 0.0, np.eye(5)[1]),
-            Told("heading_sigma_arcsec", "arcsec", half, np.array([0.0, 0.0, 0.5, 0.5, 0.0])),
-            Told("heading_time_s", "s", 0.0, np.eye(5)[3]),
+        self.told: tuple[ToldParameter, ...] = (
+            ToldParameter("white_sigma_arcsec", "arcsec", 0.0, np.eye(5)[4]),
+            ToldParameter("tilt_sigma_arcsec", "arcsec", half, np.array([0.5, 0.5, 0.0, 0.0, 0.0])),
+            ToldParameter("tilt_time_s", "s", 0.0, np.eye(5)[1]),
+            ToldParameter("heading_sigma_arcsec", "arcsec", half, np.array([0.0, 0.0, 0.5, 0.5, 0.0])),
+            ToldParameter("heading_time_s", "s", 0.0, np.eye(5)[3]),
         )
         self.fixed: dict[str, float] = {}
 
@@ -125,7 +125,7 @@ class GaussMarkovError:
         )
 
 
-class SchulerError:
+class SchulerModel:
     """The error oscillates, as that of free gyroscopes and accelerometers does: the filter's own process.
 
     Args:
@@ -153,9 +153,9 @@ class SchulerError:
         )
         unit = np.eye(len(self.parameters))
         names = [name for name, _, _ in found]
-        self.told: tuple[Told, ...] = (
-            Told("white_sigma_arcsec", "arcsec", 0.0, unit[-1]),
-            *(Told(name, _unit(name), 0.0, unit[row]) for row, name in enumerate(names)),
+        self.told: tuple[ToldParameter, ...] = (
+            ToldParameter("white_sigma_arcsec", "arcsec", 0.0, unit[-1]),
+            *(ToldParameter(name, _unit(name), 0.0, unit[row]) for row, name in enumerate(names)),
         )
         self.fixed = {
             "schuler.position_sigma_m": schuler.position_sigma_m,
@@ -263,5 +263,5 @@ def _unit(name: str) -> str:
 
 def models_of(ins: InsConfig, here: VerticalHere | None) -> Sequence[InsErrorModel]:
     """The models that a record can be asked about; Schuler's only where the latitude is known."""
-    gauss_markov = GaussMarkovError(ins)
-    return (gauss_markov,) if here is None else (gauss_markov, SchulerError(ins, here))
+    gauss_markov = GaussMarkovModel(ins)
+    return (gauss_markov,) if here is None else (gauss_markov, SchulerModel(ins, here))
