@@ -215,12 +215,13 @@ def star_exposure(run: SimulatedRun, sensor_id: str, index: int) -> StarExposure
     sightings, config = run.stars[sensor_id], run.scenario.star_sensors[sensor_id]
     assert isinstance(sightings, StarSightings)
     source, exposure_s = f"star.{sensor_id}", float(np.float32(config.exposure_s))
-    length = None
+    camera, length = config.camera.camera(source), None
     if exposure_s:
-        length = ExposureLength(exposure_s, config.camera.camera(source), config.camera.psf_sigma_px)
+        length = ExposureLength(exposure_s, camera, config.camera.psf_sigma_px)
     stars = sightings.stars[sightings.rows(index)]
     time_ns, masks = int(sightings.time_ns[index]), sensor_masks(config, source)
-    return StarExposure(source, time_ns, **vars(stars), length=length, masks=masks)
+    spatial = config.camera.spatial_errors(camera)
+    return StarExposure(source, time_ns, **vars(stars), length=length, masks=masks, spatial=spatial)
 
 
 @dataclass(frozen=True)
