@@ -53,4 +53,3 @@ def test_an_attitude_by_one_exposure_has_them_in_its_covariance_by_name():
     # The errors of the pixels are to the noise as 0.2 px to 0.132.
     assert by_name["pixel_spatial"] == pytest.approx(by_name["star_noise"] * 0.2 / 0.13222, rel=0.01)
     assert by_name["field_spatial"] > by_name["pixel_spatial"]
-
