@@ -10,6 +10,7 @@ from ship_estimation.gates import mean_nees_band, sigma_ratio_band
 from ship_geometry.rotations import ARCSEC
 from ship_replay.trials.monte_carlo import final_error
 from ship_simulation.run import simulate
+from ship_simulation.suite.suite import suite_configuration
 from ship_testing.campaign_cases import WITHOUT_RECORDING, case_at_length, case_in_short
 
 SEEDS = 50
@@ -26,6 +27,13 @@ def test_errors_fit_their_covariance(name: str) -> None:
     assert low <= nees <= high
     low, high = sigma_ratio_band(SEEDS)
     assert np.all((low <= ratio) & (ratio <= high))
+
+
+def test_the_suite_is_told_what_a_case_changes() -> None:
+    bent, clock = (suite_configuration(case_in_short(name)) for name in ("flexure", "poor_clock"))
+    for sensor in bent["star_sensors"].values():
+        assert (sensor["flexure_sigma_arcsec"], sensor["flexure_time_s"]) == (5.0, 10.0)
+    assert clock["ins"]["time_offset_sigma_s"] == 0.02
 
 
 def test_half_an_hour_of_clouds_leaves_what_the_ins_has_done_meanwhile() -> None:
