@@ -27,7 +27,7 @@ from ship_testing.mount_stars import MountNight, at_anchor, drawn_errors, mount_
 from ship_testing.star_sky import TIME_NS
 from ship_testing.theodolite_scenes import SCENARIOS, replaced, with_beacons, with_theodolite
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.alternatives import BEACON
+from theodolite_calib.filter.alternatives import BEACON, ENCODER
 from theodolite_calib.measured.samples import Mode, PointingEstimate, PointingOutcome, ShipSample
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 from theodolite_calib.smoothing.core import SmoothingAxisCore
@@ -177,7 +177,7 @@ LIE_S = 58.0
 def test_before_a_slip_of_the_encoders_it_is_honest() -> None:
     # In the gap of the lights the encoders slip by two degrees, further than a mount could turn between two readings:
     # an error that comes at that moment.
-    scenario, found, gained = replace(with_theodolite(session(), encoder__rate_hz=20.0), duration_s=68.0), [], []
+    scenario, found, gained = replace(with_theodolite(session(), encoder__rate_hz=20.0), duration_s=75.0), [], []
     for seed in range(6):
         run, core = simulate(scenario, seed), axis_core(scenario)
         readings = run.theodolite.encoder
@@ -210,6 +210,33 @@ def test_a_drone_that_is_excluded_spoils_nothing() -> None:
     assert told.excluded == {BEACON + "a"}
     # Chi-square of three degrees of freedom exceeds it once in ten thousand.
     assert np.max(nees(told.smoothed, told.true_nm)) < 21.1
+    # The other drone's lights go on to tell of the axes, but not of what was before: the estimate is another one.
+    assert is_as_it_was(told, 40.0, 40.5)
+    assert not is_as_it_was(told, 45.0, 80.0)
+
+
+def test_after_encoders_that_are_excluded_nothing_is_told_back() -> None:
+    # Half a degree is no step that no mount could make: the lights find it.
+    scenario = session()
+    run, core = simulate(scenario, 0), axis_core(scenario)
+    readings = run.theodolite.encoder
+    late = readings.time_ns > run.start_ns + round(LIE_S * 1e9)
+    slipped = replace(readings, azimuth=np.mod(readings.azimuth + np.deg2rad(0.5) * late, 2.0 * np.pi))
+    run = replace(run, theodolite=replace(run.theodolite, encoder=slipped))
+    told = told_again(core, fed(core, run), run)
+    assert told.excluded == {ENCODER}
+    assert np.max(nees(told.smoothed, told.true_nm)) < 21.1
+    # From the last lights before on; and each sighting of what follows stands for itself.
+    assert not is_as_it_was(told, 45.0, 49.0)
+    assert is_as_it_was(told, 50.0, LIE_S)
+    assert is_as_it_was(told, 70.0, 88.0)
+
+
+def is_as_it_was(told: Told, start_s: float, end_s: float) -> bool:
+    """Whether the pointings of a while are told again as they were, but for rounding."""
+    some = slice(told.place(start_s), told.place(end_s))
+    at_once, smoothed = (covariances(all_)[some] for all_ in (told.at_once, told.smoothed))
+    return bool(np.all(np.abs(smoothed - at_once) <= 1e-6 * np.trace(at_once, axis1=1, axis2=2)[:, None, None]))
 
 
 # -- voyages, with the ship's attitude smoothed first -----------------------------------------------------------------
