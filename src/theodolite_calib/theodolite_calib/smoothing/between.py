@@ -13,6 +13,7 @@ import numpy as np
 from ship_estimation.backward import Known
 from ship_estimation.backward_chain import Anchor
 from ship_geometry.rotations import FloatArray
+from theodolite_calib.chain.axes import SHIP
 from theodolite_calib.filter.filter import CalibrationFilter
 from theodolite_calib.filter.model import ShipErrorStep, chain_rows, ship_error_steps
 from theodolite_calib.measured.samples import StampArray
@@ -41,7 +42,7 @@ class Between:
         self._model, self._ship, self._stated_n = filter_.model, filter_.ship_error, stated_n
         self.rows = np.concatenate([chain_rows(self._model), self._model.rows("parallelism")])
         # The ship's error stands first among all states, and so among those that are told.
-        assert self._ship.columns == slice(0, 3)
+        assert self._ship.columns == SHIP
 
     def cross_to(self, anchor: AxisAnchor, later: AxisAnchor) -> FloatArray:
         """See :meth:`ship_estimation.backward_chain.Between.cross_to`."""
@@ -68,18 +69,18 @@ class Between:
         onward = self._decay(later.time_ns - together_ns)
         cross = wide * (onward * self._kept_to(anchor, later))[:, None, :]
         if step is not None:
-            cross[:, :3] *= step.kept[:, :, None]
+            cross[:, SHIP] *= step.kept[:, :, None]
             then = self._step_to(anchor, later)
             if then is not None:
                 shared_n = np.array([_smaller(new_n, then.new_n[0]) for new_n in step.new_n])
-                cross[:, :3, :3] += shared_n * onward[:, None, :3]
+                cross[:, SHIP, SHIP] += shared_n * onward[:, None, SHIP]
         return known, cross
 
     def _means(self, anchor: AxisAnchor, moments_ns: StampArray) -> FloatArray:
         """What is told of N moments as it is expected, before anything happens, shape (N, r)."""
         mean, decay = anchor.known.mean, self._decay(_since_ns(anchor, moments_ns))
         means: FloatArray = (decay * mean)[:, self.rows]
-        means[:, :3] = self._ship.later(mean[:3], decay[:, :3])
+        means[:, SHIP] = self._ship.later(mean[SHIP], decay[:, SHIP])
         return means
 
     def _with_all(self, anchor: AxisAnchor, moments_ns: StampArray) -> FloatArray:
@@ -89,7 +90,7 @@ class Between:
         wide: FloatArray = decay[:, self.rows, None] * anchor.known.covariance[self.rows] * decay[:, None, :]
         wide[:, np.arange(len(self.rows)), self.rows] += noise[:, self.rows]
         if anchor.given is not None:
-            wide[:, :3, :3] += (1.0 - decay[:, 0] ** 2)[:, None, None] * anchor.given
+            wide[:, SHIP, SHIP] += (1.0 - decay[:, 0] ** 2)[:, None, None] * anchor.given
         return wide
 
     def _decay(self, some_ns: StampArray) -> FloatArray:
@@ -109,7 +110,7 @@ class Between:
         """Share of each state that is left at the next sighting, shape (n,)."""
         kept, step = np.ones(self._model.size), self._step_to(anchor, later)
         if step is not None:
-            kept[:3] = step.kept[0]
+            kept[SHIP] = step.kept[0]
         return kept
 
 
@@ -124,10 +125,10 @@ def _since_ns(anchor: AxisAnchor, moments_ns: StampArray) -> StampArray:
 def _stepped(known: Known, step: ShipErrorStep | None) -> Known:
     """What is told, with what happens to the ship's error at each of N moments; the argument is changed."""
     if step is not None:
-        known.mean[:, :3] *= step.kept
-        known.covariance[:, :3] *= step.kept[:, :, None]
-        known.covariance[:, :, :3] *= step.kept[:, None, :]
-        known.covariance[:, :3, :3] += step.new_n
+        known.mean[:, SHIP] *= step.kept
+        known.covariance[:, SHIP] *= step.kept[:, :, None]
+        known.covariance[:, :, SHIP] *= step.kept[:, None, :]
+        known.covariance[:, SHIP, SHIP] += step.new_n
     return known
 
 
