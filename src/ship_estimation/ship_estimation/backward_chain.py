@@ -51,30 +51,32 @@ class Came:
 
 
 class Traced(Protocol[GivenOut]):
-    """A filter's state that tells its last step.
-
-    Attributes:
-        time_ns: its moment; None before the first measurement.
-        mean: shape (n,).
-        covariance: shape (n, n).
-        came: by the last measurement used, or the last jump; None before the first.
-        given: what else the prediction from it asks for.
-    """
+    """A filter's state that tells its last step."""
 
     @property
-    def time_ns(self) -> int | None: ...  # noqa: D102
+    def time_ns(self) -> int | None:
+        """Its moment; None before the first measurement."""
+        ...
 
     @property
-    def mean(self) -> FloatArray: ...  # noqa: D102
+    def mean(self) -> FloatArray:
+        """The estimate, shape (n,)."""
+        ...
 
     @property
-    def covariance(self) -> FloatArray: ...  # noqa: D102
+    def covariance(self) -> FloatArray:
+        """Of its error, shape (n, n)."""
+        ...
 
     @property
-    def came(self) -> Came | None: ...  # noqa: D102
+    def came(self) -> Came | None:
+        """By the last measurement used, or the last jump; None before the first."""
+        ...
 
     @property
-    def given(self) -> GivenOut: ...  # noqa: D102
+    def given(self) -> GivenOut:
+        """What else the prediction from it asks for."""
+        ...
 
 
 @dataclass(frozen=True)
