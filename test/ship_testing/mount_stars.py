@@ -3,6 +3,7 @@
 The camera is that of [W18]: 100 mm, 6.5 µm pixels, a tenth of one. Its stars are real ones, at random within ±4°.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,11 +48,17 @@ def mount_config(parallelism_sigma_arcsec: float = 0.2, **changes) -> OpticalAxi
 def mount_sky(settings: OpticalAxisConfig, start_ns: int = TIME_NS, seconds: int = 60) -> SkyWatch:
     """The sky over a ship at anchor whose weather is measured, for so many seconds."""
     watch = installed_sky(settings.sky)
-    for second in range(-3, seconds):
-        watch.surroundings.insert(PositionFix(start_ns + second * 1_000_000_000, POSITION, np.eye(3) * 25.0))
-    for quantity, value, sigma in (("pressure", 1013.0, 0.5), ("temperature", 12.0, 1.0), ("humidity", 0.7, None)):
-        watch.surroundings.insert(AirReading(quantity, start_ns - 3_000_000_000, value, sigma))
+    for given in at_anchor(start_ns, seconds):
+        watch.surroundings.insert(given)
     return watch
+
+
+def at_anchor(start_ns: int = TIME_NS, seconds: int = 60) -> Iterator[PositionFix | AirReading]:
+    """What is told of the place and the air of such a ship."""
+    for second in range(-3, seconds):
+        yield PositionFix(start_ns + second * 1_000_000_000, POSITION, np.eye(3) * 25.0)
+    for quantity, value, sigma in (("pressure", 1013.0, 0.5), ("temperature", 12.0, 1.0), ("humidity", 0.7, None)):
+        yield AirReading(quantity, start_ns - 3_000_000_000, value, sigma)
 
 
 @dataclass(frozen=True)

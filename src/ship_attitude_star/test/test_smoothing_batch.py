@@ -10,13 +10,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from scipy import sparse
-from scipy.linalg import block_diag
 from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
 from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMeasurement
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.smoothing.backward import Backward, Known, backward
 from ship_attitude_star.smoothing.core import SmoothingCore
 from ship_estimation.parameters import build
 from ship_geometry.attitude_track import AttitudeSample
@@ -238,45 +236,3 @@ def test_the_filters_covariance_is_the_inverse_of_the_information_matrix(both: t
     mean, found = np.concatenate([unknowns[part] for part in parts]), state.covariance[np.ix_(rows, rows)]
     assert np.max(np.abs(state.mean[rows] - mean) / sigma) < 0.01
     np.testing.assert_allclose(found / both_sigmas, expected / both_sigmas, rtol=0, atol=0.01)
-
-
-def test_a_step_back_is_batch_least_squares_of_any_linear_chain() -> None:
-    # States of which one is known exactly and one repeats; dense numpy over all epochs.
-    rng, n, count = np.random.default_rng(2), 4, 12
-    start = np.diag([4.0, 1.0, 0.0, 2.0])
-    decays, noise = rng.uniform(0.5, 1.0, (count, n)), rng.uniform(0.1, 1.0, (count, n))
-    noise[:, 2:] = 0.0
-    rows, values = rng.standard_normal((count, 2, n)), rng.standard_normal((count, 2))
-    known, backs = Known(np.zeros(n), start), []
-    for epoch in range(count):
-        predicted, cross = known, start
-        if epoch:
-            transition = np.diag(decays[epoch])
-            cross = known.covariance @ transition.T
-            predicted = Known(transition @ known.mean, transition @ cross + np.diag(noise[epoch]))
-            backs.append(backward(known, cross, predicted))
-        innovation = rows[epoch] @ predicted.covariance @ rows[epoch].T + np.eye(2)
-        gain = predicted.covariance @ rows[epoch].T @ np.linalg.inv(innovation)
-        mean = predicted.mean + gain @ (values[epoch] - rows[epoch] @ predicted.mean)
-        known = Known(mean, predicted.covariance - gain @ innovation @ gain.T)
-    found = [known]
-    for back in reversed(backs):
-        assert isinstance(back, Backward)
-        found.append(back.by(found[-1]))
-    # All states by the first one and by what came new at each epoch.
-    of_new = np.zeros((count, n, count, n))
-    for epoch in range(count):
-        for since in range(epoch + 1):
-            of_new[epoch, :, since] = np.diag(np.prod(decays[since + 1 : epoch + 1], axis=0))
-    of_new = of_new.reshape(count * n, count * n)
-    prior = of_new @ block_diag(start, *map(np.diag, noise[1:])) @ of_new.T
-    design = np.zeros((count, 2, count, n))
-    for epoch in range(count):
-        design[epoch, :, epoch] = rows[epoch]
-    design = design.reshape(2 * count, count * n)
-    weights = prior @ design.T @ np.linalg.inv(design @ prior @ design.T + np.eye(2 * count))
-    mean, covariance = (weights @ values.ravel()).reshape(count, n), prior - weights @ design @ prior
-    for epoch, one in enumerate(reversed(found)):
-        block = slice(epoch * n, (epoch + 1) * n)
-        np.testing.assert_allclose(one.mean, mean[epoch], atol=1e-12)
-        np.testing.assert_allclose(one.covariance, covariance[block, block], atol=1e-12)

@@ -9,10 +9,11 @@ from ship_attitude_star.ins_errors.process import own_from_whole
 from ship_attitude_star.measurements.readings import PositionFix
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.state import changed
-from ship_attitude_star.smoothing.backward import Known
-from ship_attitude_star.smoothing.between import Anchor, Between
+from ship_attitude_star.smoothing.between import Between
 from ship_attitude_star.smoothing.traced_filter import TracedFilter
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
+from ship_estimation.backward import Known
+from ship_estimation.backward_chain import Anchor
 from ship_estimation.parameters import build
 from ship_geometry.geodetic import GeodeticPosition
 
@@ -54,7 +55,8 @@ def test_it_is_the_filters_prediction(values: dict) -> None:
     anchor = Anchor(START_NS, Known(state.mean, state.covariance), state.vertical)
     between = Between(filter_, values.get("horizon") == "gravity")
     times_ns = [START_NS + round(second * SECOND_NS) for second in (0.0, 0.4, 7.3, 33.0, 61.9)]
-    found, cross = between.at(anchor, times_ns, times_ns[-1])
+    later = Anchor(times_ns[-1], anchor.known, None)
+    found, cross = between.at(anchor, times_ns, later)
     assert cross is not None
     rows = np.r_[filter_.model.rows("ins.attitude"), filter_.model.rows("ins.time_offset")]
     for place, time_ns in enumerate(times_ns):
@@ -73,7 +75,7 @@ def test_it_is_the_filters_prediction(values: dict) -> None:
             np.testing.assert_allclose(cross[place] / scales, told @ there.covariance / scales, atol=1e-9)
         if place == 0:
             scales = scale[:, None] * sigma_of(filter_.predicted(state, times_ns[-1]))
-            expected = told @ between.cross_to(anchor, times_ns[-1])
+            expected = told @ between.cross_to(anchor, later)
             np.testing.assert_allclose(cross[place] / scales, expected / scales, atol=1e-9)
 
 

@@ -1,9 +1,13 @@
-"""``smooth``: a bag in, its attitudes with hindsight out."""
+"""``smooth``: a bag in, its attitudes and pointings with hindsight out."""
+
+import json
 
 import numpy as np
 import pytest
+import yaml
 
 from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.stamps import ns_from_stamp
 from ship_replay.commands.evaluate import main as evaluate
 from ship_replay.commands.replay import main as replay
@@ -24,13 +28,40 @@ star_sensors:
 """
 
 
+THEODOLITE = """\
+theodolite:
+  aboard: true
+  encoder: {rate_hz: 10.0}
+  axes: {g_sigma_arcsec: 30.0, h_sigma_arcsec: 30.0}
+  telescope: {rate_hz: 2.0, phase_s: 0.25, focal_length_m: 0.1, sigma_m: 6.5e-7}
+beacons:
+  a:
+    flight: {kind: escort, escort: {right_deg: 3.0, up_deg: 2.0, distance_m: 2000.0}}
+    hidden: {early: {start_s: 0.0, end_s: 6.0}}
+    rtk: {rate_hz: 5.0}
+  b:
+    flight: {kind: escort, escort: {right_deg: -2.0, up_deg: -3.0, distance_m: 2000.0}}
+    hidden: {early: {start_s: 0.0, end_s: 6.0}}
+    rtk: {rate_hz: 5.0}
+"""
+
+
+def simulated(folder, text):
+    path = folder / "in.mcap"
+    scenario = path.with_suffix(".yaml")
+    scenario.write_text(text)
+    write_bag(load_scenario(scenario), 3, path, text.encode())
+    return path
+
+
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
-    path = tmp_path_factory.mktemp("smooth") / "in.mcap"
-    scenario = path.with_suffix(".yaml")
-    scenario.write_text(SCENARIO)
-    write_bag(load_scenario(scenario), 3, path, SCENARIO.encode())
-    return path
+    return simulated(tmp_path_factory.mktemp("smooth"), SCENARIO)
+
+
+@pytest.fixture(scope="module")
+def theodolite_bag(tmp_path_factory):
+    return simulated(tmp_path_factory.mktemp("smooth_theodolite"), SCENARIO + THEODOLITE)
 
 
 def messages(path, topic):
@@ -56,13 +87,58 @@ def test_each_attitude_is_told_again_with_what_came_later(bag, tmp_path, capsys)
         assert np.all(variances(message) <= variances(before) * (1.0 + 1e-6))
     # A second and a half of stars tell less than twelve.
     assert np.all(variances(again[30][1]) < 0.7 * variances(told[30][1]))
-    assert "241 attitudes on ship/attitude_smoothed" in capsys.readouterr().out
+    assert "241 messages on ship/attitude_smoothed" in capsys.readouterr().out
 
 
-def test_the_same_bag_gives_the_same_bytes(bag, tmp_path):
+def test_each_pointing_is_told_again_by_the_smoothed_attitude(theodolite_bag, tmp_path, capsys):
+    smoothed, replayed = tmp_path / "smoothed.mcap", tmp_path / "replayed.mcap"
+    assert smooth([str(theodolite_bag), "--out", str(smoothed)]) == 0
+    assert "121 messages on theodolite/pointing_smoothed" in capsys.readouterr().out
+    assert replay([str(theodolite_bag), "--out", str(replayed)]) == 0
+    again, at_once = messages(smoothed, "theodolite/pointing_smoothed"), messages(replayed, "theodolite/pointing")
+    told = [(log_ns, message) for log_ns, message in at_once if message.status != message.INVALID]
+    assert len(again) == len(told) == 121
+    for (log_ns, message), (at_once_log_ns, before) in zip(again, told, strict=True):
+        assert log_ns == at_once_log_ns
+        assert ns_from_stamp(message.header.stamp) == ns_from_stamp(before.header.stamp)
+        assert (message.status, message.mode, message.light_count) == (before.status, before.mode, before.light_count)
+        assert np.isfinite(message.telescope_azimuth) == np.isfinite(before.telescope_azimuth)
+    # Before the first lights the zero points of the encoders were known to 30".
+    assert again[20][1].mode == again[20][1].ENCODER
+    assert np.all(variances(again[20][1])[:2] < 0.1 * variances(told[20][1])[:2])
+    # The ship's attitudes are what they are without the theodolite, and evaluate judges both.
+    assert len(messages(smoothed, "ship/attitude_smoothed")) == 241
+    numbers = tmp_path / "numbers.json"
+    assert evaluate([str(smoothed), "--json", str(numbers)]) == 0
+    judged = json.loads(numbers.read_text())
+    assert judged["smoothed.samples"] == judged["smoothed_pointing.samples"] == 121
+
+
+def test_pointings_are_smoothed_by_a_recorded_attitude_too(theodolite_bag, tmp_path):
+    # Without a section of ship_attitude the attitude is that of the bag, here of a replay.
+    recorded, config, out = tmp_path / "recorded.mcap", tmp_path / "suite.yaml", tmp_path / "out.mcap"
+    assert replay([str(theodolite_bag), "--out", str(recorded)]) == 0
+    with read_bag(theodolite_bag) as inputs, read_bag(recorded) as outputs, BagWriter(tmp_path / "both.mcap") as both:
+        config.write_bytes(inputs.attachments["suite.yaml"])
+        records = [*inputs.records(), *outputs.records(["ship/attitude"])]
+        for name, type_name in {record.topic: record.type_name for record in records}.items():
+            both.add_topic(name, type_name)
+        for record in sorted(records, key=lambda record: record.log_time_ns):
+            both.write_raw(record.topic, record.type_name, record.data, record.log_time_ns)
+    whole = yaml.safe_load(config.read_text())
+    config.write_text(yaml.safe_dump({"/**/optical_axis": whole["/**/optical_axis"]}))
+    assert smooth([str(tmp_path / "both.mcap"), "--out", str(out), "--config", str(config)]) == 0
+    assert not messages(out, "ship/attitude_smoothed")
+    again = messages(out, "theodolite/pointing_smoothed")
+    at_once = [message for _, message in messages(recorded, "theodolite/pointing") if message.status != message.INVALID]
+    assert len(again) == len(at_once) == 121
+    assert np.all(variances(again[20][1])[:2] < 0.1 * variances(at_once[20])[:2])
+
+
+def test_the_same_bag_gives_the_same_bytes(theodolite_bag, tmp_path):
     outputs = [tmp_path / "one.mcap", tmp_path / "two.mcap"]
     for path in outputs:
-        assert smooth([str(bag), "--out", str(path)]) == 0
+        assert smooth([str(theodolite_bag), "--out", str(path)]) == 0
     assert outputs[0].read_bytes() == outputs[1].read_bytes()
 
 
@@ -80,12 +156,13 @@ def test_bad_input_is_one_line_that_says_what_is_wrong(bag, tmp_path, capsys):
     out, config = tmp_path / "out.mcap", tmp_path / "suite.yaml"
     assert smooth([str(bag), "--out", str(bag), "--force"]) == 2
     assert "overwrite the input" in capsys.readouterr().err
-    config.write_text("optical_axis:\n  ros__parameters: {}\n")
+    telescope = "{telescope_id: main, focal_length_m: 0.1}"
+    config.write_text(f"optical_axis:\n  ros__parameters: {{telescope: {telescope}}}\n")
     assert smooth([str(bag), "--out", str(out), "--config", str(config)]) == 2
     config.write_text("star_attitude:\n  ros__parameters: {}\n")
     assert smooth([str(bag), "--out", str(out), "--config", str(config)]) == 2
     told = capsys.readouterr().err.strip().splitlines()
     assert len(told) == 2
-    assert "ship_attitude" in told[0]
+    assert "theodolite/encoder, ship/attitude are missing" in told[0]
     assert "there is nothing to smooth" in told[1]
     assert not out.exists()

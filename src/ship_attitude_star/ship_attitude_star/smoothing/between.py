@@ -7,8 +7,9 @@ import numpy as np
 
 from ship_attitude_star.ins_errors.process import Carried, own_from_whole
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.smoothing.backward import Known
 from ship_attitude_star.vertical.vertical_track import VerticalHere
+from ship_estimation.backward import Known
+from ship_estimation.backward_chain import Anchor
 from ship_estimation.kalman import slow_error_later
 from ship_geometry.rotations import FloatArray
 
@@ -16,18 +17,8 @@ _CLOCK = 3
 """Where the INS's time offset stands among the quantities that are told; the error of its attitude is before it."""
 
 
-class Anchor(NamedTuple):
-    """An estimate of all n states from which is predicted.
-
-    Attributes:
-        time_ns: its moment; None before the first measurement.
-        known: mean and covariance.
-        vertical: at that moment; None where the configuration has no process that asks for it.
-    """
-
-    time_ns: int | None
-    known: Known
-    vertical: VerticalHere | None
+ShipAnchor = Anchor[VerticalHere | None]
+"""An estimate with the vertical at its moment; None where the configuration has no process that asks for it."""
 
 
 class _Passage(NamedTuple):
@@ -62,24 +53,23 @@ class Between:
         """Whether the errors are known at moments before the first measurement: those that only die out are."""
         return self._model.ins_process is None
 
-    def cross_to(self, anchor: Anchor, later_ns: int) -> FloatArray:
-        """Covariance between the states at an anchor and those at a later moment, shape (n, n)."""
-        assert anchor.time_ns is not None
-        (transition,) = self._passage(anchor, [later_ns]).transition
+    def cross_to(self, anchor: ShipAnchor, later: ShipAnchor) -> FloatArray:
+        """See :meth:`ship_estimation.backward_chain.Between.cross_to`."""
+        assert later.time_ns is not None
+        (transition,) = self._passage(anchor, [later.time_ns]).transition
         cross: FloatArray = anchor.known.covariance @ transition.T
         return cross
 
-    def at(self, anchor: Anchor, times_ns: Sequence[int], later_ns: int | None) -> tuple[Known, FloatArray | None]:
-        """What corrects the INS at N moments, none before the anchor, in ascending order.
+    def at(
+        self, anchor: ShipAnchor, times_ns: Sequence[int], later: ShipAnchor | None
+    ) -> tuple[Known, FloatArray | None]:
+        """What corrects the INS, four quantities; see :meth:`ship_estimation.backward_chain.Between.at`.
 
-        Args:
-            anchor: the last estimate before them.
-            times_ns: the moments.
-            later_ns: of the next estimate, none of them after it; None where there is none.
-
-        Returns:
-            Shapes (N, 4) and (N, 4, 4); and the covariance with all states at the next estimate, shape (N, 4, n).
+        A jump opens the state as much earlier as clocks may differ: the moments between are told as at that.
         """
+        if later is not None:
+            assert later.time_ns is not None
+            times_ns = [min(time_ns, later.time_ns) for time_ns in times_ns]
         mean, covariance = anchor.known
         if anchor.time_ns is None:
             # Errors that only die out are, before the first measurement, what they may be at any moment.
@@ -92,12 +82,13 @@ class Between:
         told = self._told(times_ns)
         of_told = told @ everywhere
         known = Known((told @ means[..., None])[..., 0], of_told @ np.swapaxes(told, -1, -2))
-        if later_ns is None:
+        if later is None:
             return known, None
-        onward = self._onward(anchor, times_ns, later_ns)
+        assert later.time_ns is not None
+        onward = self._onward(anchor, times_ns, later.time_ns)
         return known, of_told @ np.swapaxes(onward, -1, -2)
 
-    def _passage(self, anchor: Anchor, times_ns: Sequence[int]) -> _Passage:
+    def _passage(self, anchor: ShipAnchor, times_ns: Sequence[int]) -> _Passage:
         """From an anchor to N moments."""
         assert anchor.time_ns is not None
         model, mean = self._model, anchor.known.mean
@@ -110,15 +101,15 @@ class Between:
             means[:, slow] = slow_error_later(mean[slow], decay[:, slow], model.slow.sigma)
             return _Passage(transition, means, noise)
         assert model.ins_process is not None
-        assert anchor.vertical is not None
+        assert anchor.given is not None
         block = np.s_[:, model.process_rows[:, None], model.process_rows]
         transition[block] = carried.transition
         noise[block] += carried.ins_noise + carried.deflection_noise
-        of_process = model.ins_process.means(mean[None, model.process_rows], anchor.vertical, carried)
+        of_process = model.ins_process.means(mean[None, model.process_rows], anchor.given, carried)
         means[:, model.process_rows] = of_process[:, 0]
         return _Passage(transition, means, noise)
 
-    def _onward(self, anchor: Anchor, times_ns: Sequence[int], later_ns: int) -> FloatArray:
+    def _onward(self, anchor: ShipAnchor, times_ns: Sequence[int], later_ns: int) -> FloatArray:
         """Transition from N moments after an anchor to a later one, shape (N, n, n)."""
         model = self._model
         left_s = 1e-9 * (later_ns - np.array(times_ns)).astype(float)
@@ -131,15 +122,15 @@ class Between:
             onward[:, model.process_rows[:, None], model.process_rows] = np.swapaxes(left, -1, -2)
         return onward
 
-    def _carried(self, anchor: Anchor, times_ns: Sequence[int]) -> Carried | None:
+    def _carried(self, anchor: ShipAnchor, times_ns: Sequence[int]) -> Carried | None:
         """What the way makes of the process of the INS's error; None where it has none."""
         process = self._model.ins_process
         if process is None:
             return None
         assert anchor.time_ns is not None
-        assert anchor.vertical is not None
+        assert anchor.given is not None
         assert self._vertical is not None
-        return process.carried(anchor.time_ns, anchor.vertical, times_ns, self._vertical)
+        return process.carried(anchor.time_ns, anchor.given, times_ns, self._vertical)
 
     def _told(self, times_ns: Sequence[int]) -> FloatArray:
         """Matrices that take the states to what is told, shape (N, 4, n)."""

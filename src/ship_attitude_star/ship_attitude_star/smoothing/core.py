@@ -16,10 +16,11 @@ from ship_attitude_star.ship_attitude.core import INS, ShipAttitudeCore
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.sky.sky_watch import SkyWatch
-from ship_attitude_star.smoothing.backward import Known
 from ship_attitude_star.smoothing.between import Between
-from ship_attitude_star.smoothing.chain import Chain
-from ship_attitude_star.smoothing.traced_filter import TracedFilter
+from ship_attitude_star.smoothing.traced_filter import TracedFilter, TracedState
+from ship_attitude_star.vertical.vertical_track import VerticalHere
+from ship_estimation.backward import Known
+from ship_estimation.backward_chain import Chain
 from ship_geometry import compiled_rotations
 from ship_geometry.attitude_track import AttitudeSample, InterpolatedAttitude, SampleBlock
 from ship_geometry.rotations import FloatArray
@@ -77,7 +78,9 @@ class SmoothingCore(ShipAttitudeCore):
         """Begin anew with what is told from now on; what was not told again is not told again any more."""
         self._closed.clear()
         self._told.clear()
-        self._chain = Chain(self._between(), self._shell.oldest_state)
+        oldest = self._shell.oldest_state
+        assert isinstance(oldest, TracedState)
+        self._chain: Chain[VerticalHere | None] = Chain(self._between(), oldest)
 
     def reconfigure(self, config: ShipAttitudeConfig) -> None:
         """See :meth:`ShipAttitudeCore.reconfigure`."""
@@ -128,6 +131,7 @@ class SmoothingCore(ShipAttitudeCore):
 
     def _take(self, states: Sequence[FilterState]) -> None:
         for state in states:
+            assert isinstance(state, TracedState)
             self._chain.add(state)
 
     # -- what is told again ---------------------------------------------------------------------------------

@@ -11,31 +11,13 @@ from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.ins_at_fault import distrusted
 from ship_attitude_star.ship_attitude.state import FilterState, changed
 from ship_attitude_star.ship_attitude.suspects import Suspects
-from ship_attitude_star.smoothing.backward import Known
-from ship_attitude_star.vertical.vertical_track import VerticalTrack
+from ship_attitude_star.vertical.vertical_track import VerticalHere, VerticalTrack
+from ship_estimation.backward import Known
+from ship_estimation.backward_chain import Came
 from ship_estimation.hypotheses import RowsCompared
 from ship_estimation.ins import InsJump
 from ship_estimation.outcome import Measurement
 from ship_geometry.rotations import FloatArray
-
-
-@dataclass(frozen=True)
-class Came:
-    """How the first row came to an estimate.
-
-    Attributes:
-        predicted: from the state before, with all that was added to its covariance before the measurement was used.
-        estimate: with the measurement.
-        is_update: whether it is what prediction and measurement together tell. Otherwise nothing leads back from it:
-            only some states were learnt, or another row has become the first.
-        jumped_ns: of a jump of the INS the stamp of its last sample before it, which may be later than the state: that
-            is opened as much earlier as clocks may differ; None for a measurement.
-    """
-
-    predicted: Known
-    estimate: Known
-    is_update: bool
-    jumped_ns: int | None = None
 
 
 @dataclass(frozen=True)
@@ -47,6 +29,11 @@ class TracedState(FilterState):
     """
 
     came: Came | None = None
+
+    @property
+    def given(self) -> VerticalHere | None:
+        """The vertical at its moment, which prediction asks for."""
+        return self.vertical
 
 
 class TracedFilter(ShipFilter):

@@ -1,4 +1,4 @@
-"""``smooth``: the ship's attitudes of a bag with hindsight, each by all that was measured before and after it."""
+"""``smooth``: a bag's attitudes and pointings with hindsight, each by all that was measured before and after it."""
 
 import argparse
 from collections.abc import Sequence
@@ -21,9 +21,11 @@ def _parser() -> CommandParser:
         example="./ros2run ship_replay smooth bags/demo.mcap --out smoothed.mcap",
         epilog="exit code: 0 written; 2 bad input or usage, with one line that says which; 130 interrupted",
         description="Write ship/attitude_smoothed: the attitude of ship_attitude at each stamp of the INS by all "
-        "measurements of the bag, those that came later too (Rauch, Tung and Striebel), with its covariance. Status, "
-        "horizon and sources are those of ship/attitude. What the node put out while its sources contradicted one "
-        "another is written as it was. Topics truth/* are copied, so that evaluate tells the errors.",
+        "measurements of the bag, those that came later too (Rauch, Tung and Striebel), with its covariance; and "
+        "theodolite/pointing_smoothed: the pointing of optical_axis at each reading of the encoders likewise, with "
+        "the smoothed attitude of the ship. The status is that of ship/attitude or theodolite/pointing. What a node "
+        "put out while its sources contradicted one another is written as it was. Topics truth/* are copied, so that "
+        "evaluate tells the errors.",
     )
     parser.add_argument("bag", type=Path, metavar="IN.mcap", help=".mcap file or rosbag2 folder")
     parser.add_argument("--out", type=Path, required=True, metavar="OUT.mcap", help="bag to write")
@@ -45,12 +47,13 @@ def _run(options: argparse.Namespace) -> int:
     check_file(options.out, options.force)
     by_stamps = options.arrival == "stamps"
     summary = smooth(options.bag, options.out, options.config, options.namespace, watched, by_stamps)
-    print(f"{options.out}: {summary.count} attitudes on ship/attitude_smoothed")
-    sigmas_arcsec = summary.median_sigmas_arcsec
-    if sigmas_arcsec is not None:
-        both = zip(("heading", "pitch", "roll"), *sigmas_arcsec.tolist(), strict=True)
-        sigmas = ", ".join(f"{angle} {at_once:.2f} -> {smoothed:.2f}" for angle, at_once, smoothed in both)
-        print(f"median sigma at once -> smoothed [arcsec]: {sigmas}")
+    for smoothed in summary.outputs:
+        print(f"{options.out}: {smoothed.count} messages on {smoothed.topic}")
+        sigmas_arcsec = smoothed.median_sigmas_arcsec
+        if sigmas_arcsec is not None:
+            both = zip(smoothed.angles, *sigmas_arcsec.tolist(), strict=True)
+            sigmas = ", ".join(f"{angle} {at_once:.2f} -> {again:.2f}" for angle, at_once, again in both)
+            print(f"median sigma at once -> smoothed [arcsec]: {sigmas}")
     for problem in summary.problems:
         print(f"warning: {problem}")
     return EXIT_DONE

@@ -25,6 +25,7 @@ from ship_replay.evaluation.statistics import AttitudeErrors, InnovationBook, So
 from ship_replay.offline.adapter_chain import attached
 from ship_watch.orientations import ORIENTATIONS
 from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.ros.pointing_messages import SMOOTHED_POINTING_TOPIC
 
 Config = TypeVar("Config")
 
@@ -32,7 +33,8 @@ _INNOVATION_TOPICS = ("ship/innovation", "theodolite/innovation")
 _ESTIMATES = {"ship/alignment": "alignment", "theodolite/calibration": "calibration"}
 """Topics of what filters estimate besides → what it is called here."""
 _RESULTS = (*_INNOVATION_TOPICS, *_ESTIMATES)
-_OF_THE_RUN = (*(orientation.topic for orientation in ORIENTATIONS), SMOOTHED_TOPIC, JOINT_SOLUTION, *_RESULTS)
+_SMOOTHED = (SMOOTHED_TOPIC, SMOOTHED_POINTING_TOPIC)
+_OF_THE_RUN = (*(orientation.topic for orientation in ORIENTATIONS), *_SMOOTHED, JOINT_SOLUTION, *_RESULTS)
 """Topics that are taken from the run's own bag alone: in another they are its inputs, or results of another run."""
 
 _INSTALLED = "star.", "reference."

@@ -20,6 +20,7 @@ from ship_replay.evaluation.statistics import AttitudeErrors, attitude_errors
 from ship_watch.orientations import POINTING, SHIP_ATTITUDE, Orientation
 from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config import AxesConfig, OpticalAxisConfig
+from theodolite_calib.ros.pointing_messages import SMOOTHED_POINTING_TOPIC
 
 JOINT_SOLUTION = f"star/{JOINT}/solution"
 """Attitude of the deck by the stars of all sensors."""
@@ -193,12 +194,12 @@ class StarAttitude(AttitudeSource):
 
 
 class PublishedPointing(PublishedAttitude):
-    """``theodolite/pointing`` as a whole, and mode by mode."""
+    """The pointings that the suite publishes, as a whole and mode by mode."""
 
     MODES = ("two_lights", "one_light", "encoder")
 
-    def __init__(self, truth: Truth) -> None:
-        super().__init__(truth)
+    def __init__(self, truth: Truth, label: str = "") -> None:
+        super().__init__(truth, label)
         self._modes: dict[int, int] = {}
 
     def take(self, message: Any) -> None:
@@ -274,6 +275,7 @@ def sources(
             collectors[f"star/{sensor_id}/{topic}"] = StarAttitude(sensor_id, deck, sensor)
     if axis is not None:
         collectors[POINTING.topic] = PublishedPointing(axis)
+        collectors[SMOOTHED_POINTING_TOPIC] = PublishedPointing(axis, "smoothed_pointing")
         if deck is not None and theodolite is not None:
             collectors["theodolite/encoder"] = EncoderAlone(axis, ins.track, theodolite.axes)
     return collectors

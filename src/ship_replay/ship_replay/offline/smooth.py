@@ -1,21 +1,21 @@
-"""A bag's attitudes of the ship with hindsight: each by all that was measured before and after it.
+"""A bag's attitudes of the ship and pointings of the theodolite with hindsight: each by all measurements of the bag.
 
-The nodes ``star_attitude`` and ``ship_attitude`` take the bag as in a replay, message by message; ``ship_attitude``
-keeps how its filter went on. At the end the smoother goes back over the whole run. The same bag and configuration give
-the same bytes.
+The nodes of the suite take the bag as in a replay, message by message; ``ship_attitude`` keeps how its filter went on.
+At the end the smoother goes back over the whole run. Then ``optical_axis`` takes the bag a second time, with the
+smoothed attitudes in the place of ``ship/attitude``, and is smoothed itself. The same bag and configuration give the
+same bytes.
 """
 
 import heapq
-import itertools
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
-from operator import itemgetter
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ship_attitude_star.measurements.samples import AttitudeEstimate
 from ship_attitude_star.ros.attitude_messages import ATTITUDE_TOPIC, ATTITUDE_TYPE, SMOOTHED_TOPIC, smoothed_message
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
@@ -24,25 +24,70 @@ from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.smoothing.core import SmoothingCore
 from ship_bags.errors import BadInput
-from ship_bags.mcap.bag_reader import Bag, read_bag
+from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag
 from ship_bags.mcap.bag_writer import BagWriter
-from ship_bags.message_store import RosbagsFactory, serialize
+from ship_bags.message_store import RosbagsFactory, message_store, serialize
 from ship_bags.stamps import ns_from_stamp
 from ship_estimation.outcome import Status
 from ship_geometry.frames import angle_covariance, angles_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_node.documents.saved_document import UNTOUCHED
 from ship_node.edge.topics import OutputTopic
-from ship_replay.offline.adapter_chain import suite_chain, suite_text
+from ship_replay.offline.adapter_chain import AdapterChain, suite_chain, suite_text
 from ship_replay.offline.message_times import in_order_of_stamps
 from ship_replay.offline.replay import Watcher, announce, match_inputs, truth_names, usual_delay_ns
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.optical_axis.core import OpticalAxisCore
+from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
+from theodolite_calib.ros.pointing_messages import (
+    POINTING_TOPIC,
+    POINTING_TYPE,
+    SMOOTHED_POINTING_TOPIC,
+    smoothed_pointing,
+)
+from theodolite_calib.smoothing.core import SmoothingAxisCore
 
-_OUTPUT = OutputTopic(SMOOTHED_TOPIC, ATTITUDE_TYPE)
+Three = tuple[float, float, float]
 
-Angles = tuple[float, float, float]
 
-_Written = tuple[int, str, str, bytes]
-"""Log time, topic, type, bytes."""
+@dataclass
+class Smoothed:
+    """What was smoothed of one output.
+
+    Attributes:
+        topic: to which it is written.
+        type_name: of its messages.
+        angles: names of its three angles.
+        count: messages written.
+        variances: of the angles, rad², as told at once and smoothed, where they are not DEGRADED.
+    """
+
+    topic: str
+    type_name: str
+    angles: tuple[str, str, str]
+    count: int = 0
+    variances: list[tuple[Three, Three]] = field(default_factory=list)
+
+    @property
+    def median_sigmas_arcsec(self) -> FloatArray | None:
+        """Of the angles as told at once and smoothed, shape (2, 3); None where all are DEGRADED."""
+        return np.sqrt(np.nanmedian(self.variances, axis=0)) / ARCSEC if self.variances else None
+
+    def record(self, at_once: "_AtOnce", message: Any, covariance: FloatArray) -> BagRecord:
+        """A message, logged when it was told at once; it is counted.
+
+        Args:
+            at_once: what was told.
+            message: the same with hindsight.
+            covariance: of its angles, rad², shape (3, 3).
+        """
+        self.count += 1
+        if at_once.status < Status.DEGRADED:
+            first, second, third = covariance.diagonal().tolist()
+            self.variances.append((at_once.variances, (first, second, third)))
+        data = serialize(message)
+        return BagRecord(self.topic, self.type_name, at_once.log_time_ns, data, message_store())
 
 
 @dataclass
@@ -51,21 +96,14 @@ class SmoothSummary:
 
     Attributes:
         problems: what is wrong with the bag, and the nodes left out, one line each.
-        count: attitudes written.
-        variances: of heading, pitch and roll, rad², as told at once and smoothed, of those that are not DEGRADED.
+        outputs: of each node that takes part.
     """
 
     problems: list[str]
-    count: int = 0
-    variances: list[tuple[Angles, Angles]] = field(default_factory=list)
-
-    @property
-    def median_sigmas_arcsec(self) -> FloatArray | None:
-        """Of heading, pitch and roll as told at once and smoothed, shape (2, 3); None where all are DEGRADED."""
-        return np.sqrt(np.median(self.variances, axis=0)) / ARCSEC if self.variances else None
+    outputs: list[Smoothed] = field(default_factory=list)
 
 
-class _WholeRun(ShipAttitudeAdapter):
+class _WholeVoyage(ShipAttitudeAdapter):
     """The node whose core tells all attitudes again at the end."""
 
     def make_core(self, config: ShipAttitudeConfig, watch: SkyWatch | None) -> ShipAttitudeCore:
@@ -73,19 +111,38 @@ class _WholeRun(ShipAttitudeAdapter):
         return SmoothingCore(config, watch, None)
 
 
+class _WholeSession(OpticalAxisAdapter):
+    """The node whose core tells all pointings again at the end."""
+
+    def make_core(self, config: OpticalAxisConfig, watch: SkyWatch | None) -> OpticalAxisCore:
+        """See :meth:`OpticalAxisAdapter.make_core`."""
+        return SmoothingAxisCore(config, watch)
+
+
+class _AtOnce(NamedTuple):
+    """An output as it was told at once: when, what it was worth, and the variances of its angles, rad²."""
+
+    log_time_ns: int
+    status: Status
+    variances: Three
+
+
 class _ToldAtOnce:
-    """Takes what the replay gives, and keeps when and how surely each attitude was told."""
+    """Takes what the replay gives, and keeps what there is to keep of attitudes and pointings, by their stamps."""
 
     def __init__(self) -> None:
-        self.log_times_ns: dict[int, int] = {}
-        self.variances: dict[int, Angles] = {}
+        self.attitudes: dict[int, _AtOnce] = {}
+        self.pointings: dict[int, _AtOnce] = {}
 
     def write(self, topic: str, message: Any, log_time_ns: int) -> None:
         """Take a message."""
-        if topic == ATTITUDE_TOPIC:
-            stamp_ns = ns_from_stamp(message.header.stamp)
-            self.log_times_ns[stamp_ns] = log_time_ns
-            self.variances[stamp_ns] = tuple(message.covariance[::4].tolist())
+        if topic in (ATTITUDE_TOPIC, POINTING_TOPIC):
+            first, second, third = message.covariance[::4].tolist()
+            if topic == POINTING_TOPIC:
+                first *= math.cos(message.elevation) ** 2
+            kept = self.attitudes if topic == ATTITUDE_TOPIC else self.pointings
+            at_once = _AtOnce(log_time_ns, Status(message.status), (first, second, third))
+            kept[ns_from_stamp(message.header.stamp)] = at_once
 
     def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
         """Take a message of the truth, of which none is asked for."""
@@ -99,14 +156,14 @@ def smooth(
     watch: Watcher = lambda records, bag: records,
     by_stamps: bool = False,
 ) -> SmoothSummary:
-    """Write ``ship/attitude_smoothed``, and the truth as it is.
+    """Write ``ship/attitude_smoothed``, ``theodolite/pointing_smoothed``, and the truth as it is.
 
     Args:
         bag_path: .mcap file or rosbag2 folder.
         out_path: .mcap file to write; it appears only when all is done.
         config_path: suite configuration; None takes the one attached to the bag.
         namespace: namespace of the ship in the bag.
-        watch: wraps the iteration over the bag, for a progress bar.
+        watch: wraps each iteration over the bag, for a progress bar.
         by_stamps: messages arrive at their stamps, whenever they were logged.
 
     Raises:
@@ -115,54 +172,78 @@ def smooth(
     with read_bag(bag_path) as bag:
         if out_path.resolve() == bag_path.resolve():
             raise BadInput("the output would overwrite the input", file=out_path)
-        config_text = suite_text(bag, config_path)
-        factory = RosbagsFactory()
-        chain, left_out = suite_chain(bag, (_WholeRun, StarAttitudeAdapter), factory, config_path, namespace)
-        core = next((one.core for one in chain.adapters if isinstance(one, _WholeRun)), None)
-        if core is None:
-            text = "the configuration has no section of ship_attitude: there is nothing to smooth"
+        config_text, factory, told = suite_text(bag, config_path), RosbagsFactory(), _ToldAtOnce()
+        kinds = (_WholeVoyage, StarAttitudeAdapter, OpticalAxisAdapter)
+        chain, left_out = suite_chain(bag, kinds, factory, config_path, namespace)
+        ship = next((one for one in chain.adapters if isinstance(one, ShipAttitudeAdapter)), None)
+        axis = next((one for one in chain.adapters if isinstance(one, OpticalAxisAdapter)), None)
+        if ship is None and axis is None:
+            text = "the configuration has no section of ship_attitude or optical_axis: there is nothing to smooth"
             raise BadInput(text, file=bag_path if config_path is None else config_path)
-        relative_names = {name: relative for relative, name in match_inputs(bag, chain, namespace).items()}
-        told = _ToldAtOnce()
-        run = ReplayRun(chain, told, ReplaySummary(), truth_topics=())
-        records = watch(bag.records(relative_names), bag)
-        if by_stamps:
-            records = in_order_of_stamps(records, usual_delay_ns(bag_path, relative_names))
-        for record in records:
-            run.take(relative_names[record.topic], record)
-        estimates = core.smoothed_to_the_end()
-        first = next(estimates, None)
-        if first is None:
-            raise BadInput("no attitude was put out by the INS: there is nothing to smooth", file=bag_path)
-        summary = SmoothSummary(problems=[*left_out, *bag.problems])
-        smoothed = _smoothed_messages(itertools.chain([first], estimates), told, factory, summary)
+        names = {name: relative for relative, name in match_inputs(bag, chain, namespace).items()}
+
+        def records_of(some_names: Mapping[str, str]) -> Iterator[BagRecord]:
+            records = watch(bag.records(some_names), bag)
+            return in_order_of_stamps(records, usual_delay_ns(bag_path, names)) if by_stamps else records
+
+        _hand_over(chain, records_of(names), names, told)
+        summary, attitudes, pointings = SmoothSummary([*left_out, *bag.problems]), [], []
+        if ship is not None:
+            summary.outputs.append(Smoothed(SMOOTHED_TOPIC, ATTITUDE_TYPE, ("heading", "pitch", "roll")))
+            attitudes = list(_attitudes(ship.core, told.attitudes, factory, summary.outputs[-1]))
+        if axis is not None:
+            again = _WholeSession(chain.configs[axis.node_name], factory, UNTOUCHED)
+            session = AdapterChain([again])
+            of_session = {name: relative for name, relative in names.items() if relative in session.taken[0]}
+            records = heapq.merge(records_of(of_session), attitudes, key=attrgetter("log_time_ns"))
+            _hand_over(session, records, of_session | {SMOOTHED_TOPIC: ATTITUDE_TOPIC}, _ToldAtOnce())
+            angles = ("azimuth cos elevation", "elevation", "image rotation")
+            summary.outputs.append(Smoothed(SMOOTHED_POINTING_TOPIC, POINTING_TYPE, angles))
+            pointings = list(_pointings(again.core, told.pointings, factory, summary.outputs[-1]))
+        if not (attitudes or pointings):
+            raise BadInput("no attitude and no pointing was put out: there is nothing to smooth", file=bag_path)
         with BagWriter(out_path) as writer:
-            announce(writer, bag, [_OUTPUT], config_text)
-            for log_time_ns, topic, type_name, data in heapq.merge(_truth(bag, namespace), smoothed, key=itemgetter(0)):
-                writer.write_raw(topic, type_name, data, log_time_ns)
+            announce(writer, bag, [OutputTopic(one.topic, one.type_name) for one in summary.outputs], config_text)
+            for record in heapq.merge(_truth(bag, namespace), attitudes, pointings, key=attrgetter("log_time_ns")):
+                writer.write_raw(record.topic, record.type_name, record.data, record.log_time_ns)
         return summary
 
 
-def _truth(bag: Bag, namespace: str) -> Iterator[_Written]:
+def _hand_over(
+    chain: AdapterChain, records: Iterable[BagRecord], relative_names: Mapping[str, str], told: _ToldAtOnce
+) -> None:
+    """Give a chain its inputs one by one, under the names that it knows."""
+    run = ReplayRun(chain, told, ReplaySummary(), truth_topics=())
+    for record in records:
+        run.take(relative_names[record.topic], record)
+
+
+def _truth(bag: Bag, namespace: str) -> Iterator[BagRecord]:
     names = {name: relative for relative, name in truth_names(bag, namespace).items()}
     for record in bag.records(names) if names else ():
-        yield record.log_time_ns, names[record.topic], record.type_name, record.data
+        yield replace(record, topic=names[record.topic])
 
 
-def _smoothed_messages(
-    estimates: Iterable[AttitudeEstimate], told: _ToldAtOnce, factory: RosbagsFactory, summary: SmoothSummary
-) -> Iterator[_Written]:
-    """The messages, each logged when the attitude was told at once; the summary is filled."""
-    for estimate in estimates:
-        topic, message = smoothed_message(factory, estimate)
-        summary.count += 1
-        if estimate.status < Status.DEGRADED:
-            summary.variances.append((told.variances[estimate.time_ns], _variances(estimate)))
-        yield told.log_times_ns[estimate.time_ns], topic, ATTITUDE_TYPE, serialize(message)
+def _attitudes(
+    core: SmoothingCore, told: Mapping[int, _AtOnce], factory: RosbagsFactory, smoothed: Smoothed
+) -> Iterator[BagRecord]:
+    """The attitudes of the ship with hindsight; the summary of them is filled."""
+    for estimate in core.smoothed_to_the_end():
+        _, message = smoothed_message(factory, estimate)
+        heading, pitch, _ = angles_from_rotation(estimate.rotation_nd)
+        covariance = angle_covariance(estimate.covariance_n, heading, pitch)
+        yield smoothed.record(told[estimate.time_ns], message, covariance)
 
 
-def _variances(estimate: AttitudeEstimate) -> Angles:
-    """Of heading, pitch and roll, rad²."""
-    heading, pitch, _ = angles_from_rotation(estimate.rotation_nd)
-    of_heading, of_pitch, of_roll = angle_covariance(estimate.covariance_n, heading, pitch).diagonal().tolist()
-    return of_heading, of_pitch, of_roll
+def _pointings(
+    core: SmoothingAxisCore, told: Mapping[int, _AtOnce], factory: RosbagsFactory, smoothed: Smoothed
+) -> Iterator[BagRecord]:
+    """The pointings with hindsight of the moments at which one was told; the summary of them is filled."""
+    for estimate in core.smoothed_to_the_end():
+        at_once = told.get(estimate.time_ns)
+        if at_once is not None:
+            _, message = smoothed_pointing(factory, replace(estimate, status=at_once.status))
+            azimuth, elevation, _ = angles_from_rotation(estimate.rotation_nm)
+            covariance = angle_covariance(estimate.covariance_n, azimuth, elevation)
+            covariance[0] *= math.cos(elevation) ** 2
+            yield smoothed.record(at_once, message, covariance)

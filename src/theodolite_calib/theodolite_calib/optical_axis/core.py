@@ -9,9 +9,9 @@ as the ship's attitude of that moment is there.
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from ship_attitude_star.measurements.readings import SkyInput
 from ship_attitude_star.sky.sky_watch import SkyWatch
@@ -78,13 +78,21 @@ class OpticalAxisCore:
     Args:
         config: the node's parameters.
         watch: the sky; None where no camera sees stars.
+        closed: takes states that can no longer change, in order; None where nobody asks for them.
 
     Attributes:
         due: offline, the pointings that are put out together when somebody asks for them; None where each is put out
             at once.
     """
 
-    def __init__(self, config: OpticalAxisConfig, watch: SkyWatch | None = None) -> None:
+    filter_class: ClassVar[type[CalibrationFilter]] = CalibrationFilter
+
+    def __init__(
+        self,
+        config: OpticalAxisConfig,
+        watch: SkyWatch | None = None,
+        closed: Callable[[Sequence[CalibrationState]], None] | None = None,
+    ) -> None:
         self.due: list[DuePointing] | None = None
         self._sky = watch
         self._start: tuple[CalibrationPrior, int] | None = None
@@ -97,6 +105,7 @@ class OpticalAxisCore:
             until_ns=lambda decision: decision.measurement.time_ns + decision.measurement.reach_ns,
             forget_before=self._forget_before,
             decided=self._tell_watches,
+            closed=closed,
         )
         self._shell: EstimatorShell[CalibrationState, AnyExposure, ExposureDecision, Jump, PointingEstimate]
         reach_ns = MeasuredTracks(config).reach_ns
@@ -302,7 +311,7 @@ class OpticalAxisCore:
 
     def _take_models(self, config: OpticalAxisConfig) -> None:
         self.config = config
-        self.filter = CalibrationFilter(config)
+        self.filter = self.filter_class(config)
         self._step_to = SightingStep(config, self.filter, self._streams_since, self._ship_crept)
         watch = self._sky
         self._step_to_stars = None if watch is None else StarStep(config, self.filter, watch)

@@ -9,7 +9,7 @@ import numpy as np
 
 from ship_attitude_star.ros.star_messages_in import star_exposure
 from ship_attitude_star.ros.surroundings_in import surroundings_feeds
-from ship_attitude_star.sky.sky_watch import installed_sky
+from ship_attitude_star.sky.sky_watch import SkyWatch, installed_sky
 from ship_bags.cdr_template import CdrRows
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.outcome import Status
@@ -121,7 +121,7 @@ class OpticalAxisAdapter(DeferringAdapter):
             id_: camera.camera.camera(f"telescopes.{id_}.camera") for id_, camera in config.telescopes.items()
         }
         self._sky = installed_sky(config.sky) if config.telescopes else None
-        core = OpticalAxisCore(config, self._sky)
+        core = self.make_core(config, self._sky)
         saved = SavedStart(
             CALIBRATION_FILE,
             config.calibration_file,
@@ -132,6 +132,10 @@ class OpticalAxisAdapter(DeferringAdapter):
         )
         self._lever = dict(zip("xyz", flu_from_device_vector(config.lever.vector_m).tolist(), strict=True))
         super().__init__(config, core, factory, functools.partial(pointing_messages, factory, self._lever), saved)
+
+    def make_core(self, config: OpticalAxisConfig, watch: SkyWatch | None) -> OpticalAxisCore:
+        """The estimator; one that tells pointings again is made only where that is asked for."""
+        return OpticalAxisCore(config, watch)
 
     def table(self, config: OpticalAxisConfig) -> Iterator[Feed]:
         """Which topic feeds which method of the core."""

@@ -33,6 +33,7 @@ from theodolite_calib.measured.samples import PointingEstimate, PointingRun, Sta
 
 MAIN_FRAME = "theodolite_main"
 POINTING_TOPIC, POINTING_TYPE = "theodolite/pointing", "ship_msgs/msg/OpticalAxisPointing"
+SMOOTHED_POINTING_TOPIC = "theodolite/pointing_smoothed"
 _TELESCOPE_ANGLES = "telescope_azimuth", "telescope_elevation", "telescope_rotation"
 
 
@@ -89,6 +90,13 @@ def pointing_messages(
         (topic, factory.encoded(type_name, **fields))
         for topic, type_name, fields in _messages(pointing, lever, in_deck, as_numbers)
     ]
+
+
+def smoothed_pointing(factory: MessageFactory, estimate: PointingEstimate) -> Published:
+    """What a pointing that is told again, by later sightings too, becomes: the first of those messages alone."""
+    pointing = PointingNumbers.of_one(estimate)
+    _, type_name, fields = next(_messages(pointing, ZERO_VECTOR, False, as_numbers))
+    return SMOOTHED_POINTING_TOPIC, factory.encoded(type_name, **fields)
 
 
 def pointing_rows(

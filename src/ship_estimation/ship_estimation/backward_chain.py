@@ -1,22 +1,28 @@
 """The chain of a filter's states, along which later measurements tell of earlier moments.
 
 A link of the chain is an estimate by the measurements up to its moment. What comes between two links is prediction, an
-error that was added (a jump of the INS, a gate re-opened), and the measurement of the later one. Where the estimate
+error that was added (a jump of a source, a gate re-opened), and the measurement of the later one. Where the estimate
 changed otherwise, because a source was excluded or only some states were learnt, nothing leads back: the chain begins
 anew there, and what is before it knows nothing of what comes after.
+
+What is told of the moments between two links, and how the states go on from one to the next, each filter knows itself
+(:class:`Between`). Its states must tell how they came about (:class:`Traced`).
 """
 
 import bisect
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from ship_attitude_star.ship_attitude.state import FilterState
-from ship_attitude_star.smoothing.backward import Backward, Known, backward
-from ship_attitude_star.smoothing.between import Anchor, Between
-from ship_attitude_star.smoothing.traced_filter import TracedState
+from ship_estimation.backward import Backward, Known, backward
+from ship_geometry.rotations import FloatArray
+
+Given = TypeVar("Given")
+"""What else than an estimate and its moment the prediction from there asks for."""
+GivenOut = TypeVar("GivenOut", covariant=True)
 
 _MOST_AT_ONCE = 1000
 """Moments between two links that are predicted together."""
@@ -25,12 +31,103 @@ _ROUNDING = 1e-9
 """Of a difference of two covariances that counts as none."""
 
 
+@dataclass(frozen=True)
+class Came:
+    """How a filter came to an estimate.
+
+    Attributes:
+        predicted: from the state before, with all that was added to its covariance before the measurement was used.
+        estimate: with the measurement.
+        is_update: whether it is what prediction and measurement together tell. Otherwise nothing leads back from it:
+            only some states were learnt, or another estimate has taken its place.
+        jumped_ns: of a jump of a source the stamp of its last sample before it, which may be later than the state;
+            None for a measurement.
+    """
+
+    predicted: Known
+    estimate: Known
+    is_update: bool
+    jumped_ns: int | None = None
+
+
+class Traced(Protocol[GivenOut]):
+    """A filter's state that tells its last step."""
+
+    @property
+    def time_ns(self) -> int | None:
+        """Its moment; None before the first measurement."""
+        ...
+
+    @property
+    def mean(self) -> FloatArray:
+        """The estimate, shape (n,)."""
+        ...
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Of its error, shape (n, n)."""
+        ...
+
+    @property
+    def came(self) -> Came | None:
+        """By the last measurement used, or the last jump; None before the first."""
+        ...
+
+    @property
+    def given(self) -> GivenOut:
+        """What else the prediction from it asks for."""
+        ...
+
+
+@dataclass(frozen=True)
+class Anchor(Generic[Given]):
+    """An estimate of all n states from which is predicted.
+
+    Attributes:
+        time_ns: its moment; None before the first measurement.
+        known: mean and covariance.
+        given: what else the prediction from there asks for.
+    """
+
+    time_ns: int | None
+    known: Known
+    given: Given
+
+
+class Between(Protocol[Given]):
+    """What a filter's states are at moments between two links of a chain."""
+
+    @property
+    def knows_before_the_first(self) -> bool:
+        """Whether anything is known of moments before the first measurement."""
+        ...
+
+    def cross_to(self, anchor: Anchor[Given], later: Anchor[Given]) -> FloatArray:
+        """Covariance between the states at an anchor and those that are predicted at a later one, shape (n, n)."""
+        ...
+
+    def at(
+        self, anchor: Anchor[Given], times_ns: Sequence[int], later: Anchor[Given] | None
+    ) -> tuple[Known, FloatArray | None]:
+        """The r quantities that are told of N moments, none before the anchor, in ascending order.
+
+        Args:
+            anchor: the last estimate before them.
+            times_ns: the moments; those before a jump may be later than the estimate which that opens.
+            later: the next estimate; None where there is none, or nothing leads back from it.
+
+        Returns:
+            Shapes (N, r) and (N, r, r); and the covariance with all states at the next estimate, shape (N, r, n).
+        """
+        ...
+
+
 class Piece(NamedTuple):
     """Moments between two links, in ascending order.
 
     Attributes:
         times_ns: N of them.
-        found: what corrects the INS then, by the later link; where nothing leads back from that, as it is known.
+        found: what is told of them, by the later link; where nothing leads back from that, as it is known.
     """
 
     times_ns: list[int]
@@ -50,7 +147,7 @@ class _Link:
     stretches: deque[Piece] = field(default_factory=deque)
 
 
-class Chain:
+class Chain(Generic[Given]):
     """Links of a chain and the moments between them, from the oldest one that is still asked for.
 
     Args:
@@ -61,11 +158,11 @@ class Chain:
         between: the same; another one from the moment on at which noise and gates are others.
     """
 
-    def __init__(self, between: Between, start: FilterState) -> None:
+    def __init__(self, between: Between[Given], start: Traced[Given]) -> None:
         self.between = between
         self._links: deque[_Link] = deque()
-        self._state = start
-        self._last = Anchor(start.time_ns, Known(start.mean, start.covariance), start.vertical)
+        self._last_came = start.came
+        self._last = Anchor(start.time_ns, Known(start.mean, start.covariance), start.given)
         self._asked: deque[int] = deque()
         self._by_all: list[Known] = []
 
@@ -78,15 +175,17 @@ class Chain:
         """A moment is asked for, after the last link and after all others that were asked for."""
         self._asked.append(time_ns)
 
-    def add(self, state: FilterState) -> None:
-        """The state after a measurement or a jump of the INS, which follows the one added last; most make a link."""
-        before, self._state = self._state, state
-        assert isinstance(before, TracedState)
-        assert isinstance(state, TracedState)
-        if state.means is before.means and state.stack is before.stack:
+    def add(self, state: Traced[Given]) -> None:
+        """The state after a measurement or a jump, which follows the one added last; most make a link."""
+        came, before, now = state.came, self._last_came, Known(state.mean, state.covariance)
+        self._last_came = came
+        if state.time_ns is None:
+            if not _same(now, self._last.known):
+                # Changed before the first measurement: of what was until then nothing is told back.
+                self._asked.clear()
+                self._last = Anchor(None, now, state.given)
             return
-        came, now = state.came, Known(state.mean, state.covariance)
-        if came is not None and came is not before.came:
+        if came is not None and came is not before:
             self._lead_to(state, came.predicted, came.estimate, came.is_update, came.jumped_ns)
         if not _same(now, self._last.known):
             # Beside measurement and jump: the gate was re-opened, a mounting may have been knocked, or another row is
@@ -94,12 +193,12 @@ class Chain:
             self._lead_to(state, now, now, _is_opened(self._last.known, now))
 
     def take_until(self, time_ns: int) -> list[tuple[list[int], Known]]:
-        """The moments up to one, and what corrects the INS then by all links; they are not asked for again.
+        """The moments up to one, and what is told of them by all links; they are not asked for again.
 
         A moment before the first link is left out where nothing is known of it.
 
         Returns:
-            N moments in ascending order, and shapes (N, 4) and (N, 4, 4) (:class:`Between`), more than once.
+            N moments in ascending order, and shapes (N, r) and (N, r, r) (:class:`Between`), more than once.
         """
         taken = []
         while self._links:
@@ -120,24 +219,24 @@ class Chain:
         return taken
 
     def _lead_to(
-        self, state: FilterState, predicted: Known, estimate: Known, leads_back: bool, jumped_ns: int | None = None
+        self, state: Traced[Given], predicted: Known, estimate: Known, leads_back: bool, jumped_ns: int | None = None
     ) -> None:
-        """A link more, and the moments before it; before a jump of the INS are all that its samples tell of."""
+        """A link more, and the moments before it; before a jump of a source are all that its samples tell of."""
         assert state.time_ns is not None
         last, is_first = self._last, self._last.time_ns is None
+        reached = Anchor(state.time_ns, estimate, state.given)
         back: Backward | Known | None = None if is_first else last.known
         if leads_back and not is_first:
-            back = backward(last.known, self.between.cross_to(last, state.time_ns), predicted)
+            back = backward(last.known, self.between.cross_to(last, reached), predicted)
         link, times_ns = _Link(back), self._asked_until(max(state.time_ns, jumped_ns or 0))
         if is_first and not self.between.knows_before_the_first:
             times_ns = []
         for start in range(0, len(times_ns), _MOST_AT_ONCE):
             some = times_ns[start : start + _MOST_AT_ONCE]
-            moments_ns = [min(time_ns, state.time_ns) for time_ns in some]
-            found, cross = self.between.at(last, moments_ns, state.time_ns if leads_back else None)
+            found, cross = self.between.at(last, some, reached if leads_back else None)
             link.stretches.append(Piece(some, found if cross is None else backward(found, cross, predicted)))
         self._links.append(link)
-        self._last = Anchor(state.time_ns, estimate, state.vertical)
+        self._last = reached
         self._by_all = []
 
     def _asked_until(self, time_ns: int) -> list[int]:

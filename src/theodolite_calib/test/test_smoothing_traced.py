@@ -1,0 +1,95 @@
+"""What the traced filter tells of its steps: the same states, and which of them lead back."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from ship_estimation.exclusion import Exclusion
+from ship_testing.simulated_session import config, session, sweep
+from theodolite_calib.filter.alternatives import BEACON, ENCODER, SHIP, TELESCOPE
+from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
+from theodolite_calib.filter.trust import LeftOut
+from theodolite_calib.measured.encoder_watch import EncoderJump
+from theodolite_calib.measured.sighting import Sighting
+from theodolite_calib.smoothing.traced_filter import TracedFilter, TracedState
+
+SETTINGS = config()
+
+
+def sightings(count: int) -> list[Sighting]:
+    times_s = np.arange(float(count))
+    return session(SETTINGS, 3, times_s, sweep(times_s)).sightings
+
+
+def stepped(filter_: CalibrationFilter, state: CalibrationState, sighting: Sighting) -> CalibrationState:
+    predicted = filter_.predicted(state, sighting.time_ns, sighting.ship.slow_covariance_n)
+    comparison = filter_.compare(predicted, sighting)
+    assert comparison is not None
+    return filter_.used(predicted, sighting, comparison)[0]
+
+
+def without(state: TracedState, source: str) -> TracedState:
+    """The state whose filter distrusts a source."""
+    assert state.time_ns is not None
+    left_out = {source: LeftOut(Exclusion(state.time_ns), "it lies", 0.0)}
+    return replace(state, trust=replace(state.trust, left_out=left_out))
+
+
+def test_its_states_are_those_of_the_filter() -> None:
+    plain, traced = CalibrationFilter(SETTINGS), TracedFilter(SETTINGS)
+    one, other = plain.initial_state(), traced.initial_state()
+    for sighting in sightings(4):
+        one, other = stepped(plain, one, sighting), stepped(traced, other, sighting)
+        jump = EncoderJump(sighting.time_ns + 1, np.array([1e-3, 0.0]), 1e-4)
+        one, other = plain.opened(one, jump), traced.opened(other, jump)
+        for name in ("mean", "parts", "separation", "ship_steady_n"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    assert {field.name for field in fields(other)} - {field.name for field in fields(one)} == {"came", "leads_back"}
+
+
+def test_a_sighting_leads_back_to_what_was_predicted() -> None:
+    filter_ = TracedFilter(SETTINGS)
+    first, second = sightings(2)
+    before = stepped(filter_, filter_.initial_state(), first)
+    after = stepped(filter_, before, second)
+    assert isinstance(after, TracedState)
+    assert after.came is not None
+    predicted = filter_.predicted(before, second.time_ns, second.ship.slow_covariance_n)
+    np.testing.assert_array_equal(after.came.predicted.covariance, predicted.covariance)
+    np.testing.assert_array_equal(after.came.estimate.mean, after.mean)
+    assert after.came.is_update
+    jump = EncoderJump(second.time_ns + 7, np.array([1e-3, 0.0]), 1e-4)
+    opened = filter_.opened(after, jump)
+    assert isinstance(opened, TracedState)
+    assert opened.came is not None
+    assert opened.came.is_update
+    assert opened.came.jumped_ns == jump.time_ns
+
+
+DRONE = BEACON + "alpha"
+
+
+@pytest.mark.parametrize("source", [ENCODER, SHIP, TELESCOPE, DRONE])
+def test_of_what_leads_to_the_telescope_nothing_excluded_is_told_back(source: str) -> None:
+    filter_ = TracedFilter(SETTINGS)
+    first, second = sightings(2)
+    before = stepped(filter_, filter_.initial_state(), first)
+    assert isinstance(before, TracedState)
+    after = stepped(filter_, without(before, source), second)
+    assert isinstance(after, TracedState)
+    assert after.came is not None
+    assert after.came.is_update == (source == DRONE)
+
+
+def test_an_estimate_without_a_source_leads_nowhere_back() -> None:
+    filter_ = TracedFilter(SETTINGS)
+    first, second = sightings(2)
+    before = stepped(filter_, filter_.initial_state(), first)
+    predicted = filter_.predicted(before, second.time_ns, second.ship.slow_covariance_n)
+    comparison = filter_.compare(predicted, second)
+    assert comparison is not None
+    after, _ = filter_.used(filter_.without(predicted, DRONE), second, comparison)
+    assert isinstance(after, TracedState)
+    assert after.came is not None
+    assert not after.came.is_update

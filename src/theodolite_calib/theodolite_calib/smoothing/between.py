@@ -1,0 +1,152 @@
+"""The states that turn the main axis at moments between two sightings, and how they go together with those at the next.
+
+Between two sightings the states die out and come anew as :class:`CalibrationFilter` predicts them. The ship's error
+has a size of its own at each moment, as the messages state it: where that differs by much from what was stated at the
+sighting before, some of the error is gone and something new has come (:func:`ship_error_steps`). A moment and the
+sighting after it then share of what is new no more than the smaller of both, as much of that as lasts in between.
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from ship_estimation.backward import Known
+from ship_estimation.backward_chain import Anchor
+from ship_geometry.rotations import FloatArray
+from theodolite_calib.chain.axes import SHIP
+from theodolite_calib.filter.filter import CalibrationFilter
+from theodolite_calib.filter.model import ShipErrorStep, chain_rows, ship_error_steps
+from theodolite_calib.measured.samples import StampArray
+
+AxisAnchor = Anchor[FloatArray | None]
+"""An estimate with the stated covariance that the ship's error follows from it on, rad², shape (3, 3)."""
+
+
+class Between:
+    """Predicts the states that turn the main axis, and the parallelism of the calibration telescope.
+
+    Args:
+        filter_: the filter and its model.
+        stated_n: covariance of the ship's error as stated at N moments, rad², shape (N, 3, 3); None where none is.
+
+    Attributes:
+        rows: where the r states are that are told, shape (r,).
+    """
+
+    knows_before_the_first = True
+    """Errors that only die out are, before the first sighting, what they may be at any moment."""
+
+    def __init__(
+        self, filter_: CalibrationFilter, stated_n: Callable[[Sequence[int]], FloatArray | None]
+    ) -> None:
+        self._model, self._ship, self._stated_n = filter_.model, filter_.ship_error, stated_n
+        self.rows = np.concatenate([chain_rows(self._model), self._model.rows("parallelism")])
+        # The ship's error stands first among all states, and so among those that are told.
+        assert self._ship.columns == SHIP
+
+    def cross_to(self, anchor: AxisAnchor, later: AxisAnchor) -> FloatArray:
+        """See :meth:`ship_estimation.backward_chain.Between.cross_to`."""
+        assert anchor.time_ns is not None
+        assert later.time_ns is not None
+        decay, _ = self._model.transition(max(later.time_ns - anchor.time_ns, 0) * 1e-9)
+        cross: FloatArray = anchor.known.covariance * (decay * self._kept_to(anchor, later))
+        return cross
+
+    def at(
+        self, anchor: AxisAnchor, times_ns: Sequence[int], later: AxisAnchor | None
+    ) -> tuple[Known, FloatArray | None]:
+        """The states in :attr:`rows`; see :meth:`ship_estimation.backward_chain.Between.at`."""
+        moments_ns, step = np.array(times_ns), self._step_at(anchor, times_ns)
+        wide = self._with_all(anchor, moments_ns)
+        known = _stepped(Known(self._means(anchor, moments_ns), wide[:, :, self.rows]), step)
+        if later is None:
+            return known, None
+        assert later.time_ns is not None
+        # A moment before a jump may be later than the estimate that is opened by it.
+        together_ns = np.minimum(moments_ns, later.time_ns)
+        if np.any(together_ns < moments_ns):
+            wide = self._with_all(anchor, together_ns) * self._decay(moments_ns - together_ns)[:, self.rows, None]
+        onward = self._decay(later.time_ns - together_ns)
+        cross = wide * (onward * self._kept_to(anchor, later))[:, None, :]
+        if step is not None:
+            cross[:, SHIP] *= step.kept[:, :, None]
+            then = self._step_to(anchor, later)
+            if then is not None:
+                shared_n = np.array([_smaller(new_n, then.new_n[0]) for new_n in step.new_n])
+                cross[:, SHIP, SHIP] += shared_n * onward[:, None, SHIP]
+        return known, cross
+
+    def _means(self, anchor: AxisAnchor, moments_ns: StampArray) -> FloatArray:
+        """What is told of N moments as it is expected, before anything happens, shape (N, r)."""
+        mean, decay = anchor.known.mean, self._decay(_since_ns(anchor, moments_ns))
+        means: FloatArray = (decay * mean)[:, self.rows]
+        means[:, SHIP] = self._ship.later(mean[SHIP], decay[:, SHIP])
+        return means
+
+    def _with_all(self, anchor: AxisAnchor, moments_ns: StampArray) -> FloatArray:
+        """Covariance of what is told with all states at N moments, before anything happens, shape (N, r, n)."""
+        since_s = _since_ns(anchor, moments_ns).astype(float) * 1e-9
+        decay, noise = self._model.transition(since_s)
+        wide: FloatArray = decay[:, self.rows, None] * anchor.known.covariance[self.rows] * decay[:, None, :]
+        wide[:, np.arange(len(self.rows)), self.rows] += noise[:, self.rows]
+        if anchor.given is not None:
+            wide[:, SHIP, SHIP] += (1.0 - decay[:, 0] ** 2)[:, None, None] * anchor.given
+        return wide
+
+    def _decay(self, some_ns: StampArray) -> FloatArray:
+        """What N times, ns, leave of all states, shape (N, n)."""
+        return self._model.transition(some_ns.astype(float) * 1e-9)[0]
+
+    def _step_at(self, anchor: AxisAnchor, times_ns: Sequence[int]) -> ShipErrorStep | None:
+        """What happens to the ship's error at N moments."""
+        stated_n = self._stated_n(times_ns)
+        return None if stated_n is None else ship_error_steps(anchor.given, stated_n)
+
+    def _step_to(self, anchor: AxisAnchor, later: AxisAnchor) -> ShipErrorStep | None:
+        """What happens to the ship's error at the next sighting, as at one moment of one."""
+        return None if later.given is None else ship_error_steps(anchor.given, later.given[None])
+
+    def _kept_to(self, anchor: AxisAnchor, later: AxisAnchor) -> FloatArray:
+        """Share of each state that is left at the next sighting, shape (n,)."""
+        kept, step = np.ones(self._model.size), self._step_to(anchor, later)
+        if step is not None:
+            kept[SHIP] = step.kept[0]
+        return kept
+
+
+def _since_ns(anchor: AxisAnchor, moments_ns: StampArray) -> StampArray:
+    """Time since the anchor; before the first sighting no time passes, as the errors are what they may be."""
+    if anchor.time_ns is None:
+        return np.zeros_like(moments_ns)
+    since_ns: StampArray = np.maximum(moments_ns - anchor.time_ns, 0)
+    return since_ns
+
+
+def _stepped(known: Known, step: ShipErrorStep | None) -> Known:
+    """What is told, with what happens to the ship's error at each of N moments; the argument is changed."""
+    if step is not None:
+        known.mean[:, SHIP] *= step.kept
+        known.covariance[:, SHIP] *= step.kept[:, :, None]
+        known.covariance[:, :, SHIP] *= step.kept[:, None, :]
+        known.covariance[:, SHIP, SHIP] += step.new_n
+    return known
+
+
+def _smaller(one: FloatArray, other: FloatArray) -> FloatArray:
+    """The largest covariance that is, along common axes, in both of two covariances, shape (3, 3).
+
+    Example:
+        >>> print(_smaller(np.diag([4.0, 1.0, 0.0]), np.diag([1.0, 9.0, 5.0])).round(12))
+        [[1. 0. 0.]
+         [0. 1. 0.]
+         [0. 0. 0.]]
+    """
+    values, vectors = np.linalg.eigh(one + other)
+    positive = values > 3.0 * np.finfo(float).eps * values[-1]
+    root = vectors[:, positive] * np.sqrt(values[positive])
+    to_unit = vectors[:, positive] / np.sqrt(values[positive])
+    # In the axes of the sum the two are shares that add up to one.
+    shares, axes = np.linalg.eigh(to_unit.T @ one @ to_unit)
+    along = root @ axes
+    smaller: FloatArray = (along * np.clip(np.minimum(shares, 1.0 - shares), 0.0, None)) @ along.T
+    return smaller

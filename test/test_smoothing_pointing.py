@@ -1,0 +1,329 @@
+"""Smoothed pointings are honest: on drawn sessions, with the ship smoothed too, over slips and lies, by stars.
+
+The bands are of 99.9 %, from chi-square, by the number of seeds.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.sky.sky_watch import installed_sky
+from ship_attitude_star.smoothing.core import SmoothingCore
+from ship_estimation.gates import mean_nees_band, normalized_error_squared
+from ship_estimation.outcome import Status
+from ship_estimation.parameters import build
+from ship_geometry.rotations import ARCSEC, log_rotation
+from ship_replay.trials.monte_carlo import attitude_outcomes, give_pointing
+from ship_simulation.run import SimulatedRun, simulate
+from ship_simulation.scenario.motion_scenario import Outage
+from ship_simulation.scenario.scenario import Scenario
+from ship_simulation.scenario.scenario_file import load_scenario
+from ship_simulation.suite.suite import optical_axis_configuration, suite_configuration
+from ship_testing.mount_stars import MountNight, at_anchor, drawn_errors, mount_config, mount_sky, random_field
+from ship_testing.star_sky import TIME_NS
+from ship_testing.theodolite_scenes import SCENARIOS, replaced, with_beacons, with_theodolite
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.filter.alternatives import BEACON, ENCODER
+from theodolite_calib.measured.samples import Mode, PointingEstimate, PointingOutcome, ShipSample
+from theodolite_calib.optical_axis.core import OpticalAxisCore
+from theodolite_calib.smoothing.core import SmoothingAxisCore
+
+SEEDS = 16
+
+
+class Told(NamedTuple):
+    """The pointing of each reading, at once and with hindsight, the true main axes, shape (N, 3, 3), and who lied."""
+
+    at_once: list[PointingEstimate]
+    smoothed: list[PointingEstimate]
+    true_nm: np.ndarray
+    excluded: set[str]
+
+    def place(self, second: float) -> int:
+        """The number of the pointing nearest to a time after the first one."""
+        times_ns = np.array([one.time_ns for one in self.at_once])
+        return int(np.argmin(np.abs(times_ns - times_ns[0] - second * 1e9)))
+
+
+def off_n(estimates: list[PointingEstimate], true_nm: np.ndarray) -> np.ndarray:
+    return log_rotation(true_nm @ np.array([one.rotation_nm for one in estimates]).swapaxes(1, 2))
+
+
+def covariances(estimates: list[PointingEstimate]) -> np.ndarray:
+    return np.array([one.covariance_n for one in estimates])
+
+
+def nees(estimates: list[PointingEstimate], true_nm: np.ndarray) -> np.ndarray:
+    return normalized_error_squared(off_n(estimates, true_nm), covariances(estimates))
+
+
+def rms_arcsec(errors_n: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.sum(errors_n**2, axis=-1)))) / ARCSEC
+
+
+def told_again(core: SmoothingAxisCore, outcomes: Iterator[PointingOutcome], run: SimulatedRun) -> Told:
+    """What a core tells of a run where the truth is known."""
+    at_once, excluded = [], set()
+    for outcome in outcomes:
+        at_once += [one for one in outcome.estimates if one.status is not Status.INVALID]
+        excluded |= {source for decision in outcome.decisions for source in decision.excluded}
+    smoothed = list(core.smoothed_to_the_end())
+    assert [one.time_ns for one in smoothed] == [one.time_ns for one in at_once]
+    assert [(one.status, one.mode) for one in smoothed] == [(one.status, one.mode) for one in at_once]
+    readings, truth = run.theodolite.encoder, run.theodolite.truth
+    rows = {int(stamp): row for row, stamp in enumerate(readings.time_ns[truth.encoder_index])}
+    at_once, smoothed = ([one for one in all_ if one.time_ns in rows] for all_ in (at_once, smoothed))
+    return Told(at_once, smoothed, truth.mount.rotation_nm[[rows[one.time_ns] for one in at_once]], excluded)
+
+
+def axis_core(scenario: Scenario) -> SmoothingAxisCore:
+    return SmoothingAxisCore(build(OpticalAxisConfig, optical_axis_configuration(scenario)))
+
+
+# -- drawn sessions with a fused attitude of the ship -----------------------------------------------------------------
+
+FIRST_S, GAP_S, LEAVE_S, END_S = 30.0, (50.0, 65.0), 90.0, 110.0
+
+
+def session() -> Scenario:
+    """The sweep at rates that cost little: no lights at first, a gap of them, none at the end."""
+    scenario = with_theodolite(
+        load_scenario(SCENARIOS / "theodolite_sweep.yaml"),
+        encoder__rate_hz=5.0,
+        telescope__phase_s=0.6,
+        telescope__rate_hz=1.0,
+        programme__azimuth_rate_deg_per_s=6.0,
+        programme__elevation_period_s=22.0,
+    )
+    hidden = {"at first": Outage(0.0, FIRST_S), "gap": Outage(*GAP_S)}
+    scenario = with_beacons(scenario, leaves_s=LEAVE_S, hidden=hidden, rtk__rate_hz=5.0, imu__rate_hz=5.0)
+    return replace(
+        scenario,
+        duration_s=END_S,
+        ins=replaced(scenario.ins, rate_hz=1.0),
+        fused_attitude=replaced(scenario.fused_attitude, rate_hz=5.0),
+    )
+
+
+def fed(core: OpticalAxisCore, run: SimulatedRun) -> Iterator[PointingOutcome]:
+    for _, source, index in run.pointing_arrivals():
+        yield give_pointing(core, run, source, index)
+
+
+@pytest.fixture(scope="module")
+def sessions() -> list[Told]:
+    scenario, told = session(), []
+    for seed in range(SEEDS):
+        run, core = simulate(scenario, seed), axis_core(scenario)
+        told.append(told_again(core, fed(core, run), run))
+    return told
+
+
+@pytest.mark.parametrize("second", [1.0, 15.0, 29.0, 40.0, 57.0, 64.0, 89.0, 105.0])
+def test_smoothed_pointings_are_honest(sessions: list[Told], second: float) -> None:
+    place = sessions[0].place(second)
+    found = [nees(told.smoothed[place : place + 1], told.true_nm[place : place + 1])[0] for told in sessions]
+    low, high = mean_nees_band(SEEDS, 3)
+    assert low < np.mean(found) < high
+
+
+def test_no_variance_grows_and_what_is_learnt_later_improves_what_was_pointed_before(sessions: list[Told]) -> None:
+    # Where a source is excluded, what was told at once shortly before rested on it still.
+    kept = [told for told in sessions if not told.excluded]
+    assert len(kept) > SEEDS // 2
+    for told in kept:
+        at_once, smoothed = covariances(told.at_once), covariances(told.smoothed)
+        scale = np.trace(at_once, axis1=1, axis2=2)
+        assert np.all(np.linalg.eigvalsh(at_once - smoothed)[:, 0] > -1e-9 * scale)
+    # By encoders alone, in the thirty seconds before the first lights.
+    before = slice(sessions[0].place(0.0), sessions[0].place(FIRST_S))
+    assert {one.mode for one in sessions[0].at_once[before]} == {Mode.ENCODER}
+    errors = {
+        name: rms_arcsec(np.array([off_n(getattr(told, name)[before], told.true_nm[before]) for told in sessions]))
+        for name in ("at_once", "smoothed")
+    }
+    print(f"before the first lights: at once {errors['at_once']:.1f} arcsec, smoothed {errors['smoothed']:.1f} arcsec")
+    assert errors["at_once"] > 40.0
+    assert errors["smoothed"] < 0.25 * errors["at_once"]
+    # After the last lights nothing came that could tell more.
+    last = sessions[0]
+    np.testing.assert_allclose(
+        covariances(last.smoothed)[last.place(LEAVE_S + 5.0) :],
+        covariances(last.at_once)[last.place(LEAVE_S + 5.0) :],
+        rtol=1e-9,
+        atol=1e-6 * ARCSEC**2,
+    )
+
+
+def test_what_is_told_at_once_is_the_same_to_the_last_bit(sessions: list[Told]) -> None:
+    scenario = session()
+    core = OpticalAxisCore(build(OpticalAxisConfig, optical_axis_configuration(scenario)))
+    plain = [one for outcome in fed(core, simulate(scenario, 0)) for one in outcome.estimates]
+    for one, other in zip(plain, sessions[0].at_once, strict=True):
+        for name in ("rotation_nm", "covariance_n", "parts_n", "rotation_nt", "by_error_n"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+        assert (one.time_ns, one.status, one.text) == (other.time_ns, other.status, other.text)
+
+
+# -- sources that lie -------------------------------------------------------------------------------------------------
+
+LIE_S = 58.0
+
+
+def test_before_a_slip_of_the_encoders_it_is_honest() -> None:
+    # In the gap of the lights the encoders slip by two degrees, further than a mount could turn between two readings:
+    # an error that comes at that moment.
+    scenario, found, gained = replace(with_theodolite(session(), encoder__rate_hz=20.0), duration_s=75.0), [], []
+    for seed in range(6):
+        run, core = simulate(scenario, seed), axis_core(scenario)
+        readings = run.theodolite.encoder
+        late = readings.time_ns > run.start_ns + round(LIE_S * 1e9)
+        slipped = replace(readings, azimuth=np.mod(readings.azimuth + np.deg2rad(2.0) * late, 2.0 * np.pi))
+        run = replace(run, theodolite=replace(run.theodolite, encoder=slipped))
+        told = told_again(core, fed(core, run), run)
+        places = [told.place(second) for second in (5.0, 25.0, 40.0, 55.0, LIE_S)]
+        found.append(nees([told.smoothed[place] for place in places], told.true_nm[places]))
+        variances = [np.trace(covariances(all_), axis1=1, axis2=2)[places] for all_ in (told.at_once, told.smoothed)]
+        gained.append(np.sqrt(variances[1] / variances[0]))
+    low, high = mean_nees_band(6, 3)
+    for mean_nees in np.mean(found, axis=0):
+        assert low < mean_nees < high
+    # What came after the slip tells of the axes before it all the same.
+    worth = np.mean(gained, axis=0)
+    assert np.all(worth[:2] < 0.3)
+    assert np.all(worth[3:5] < 0.99)
+
+
+def test_a_drone_that_is_excluded_spoils_nothing() -> None:
+    scenario = session()
+    run, core = simulate(scenario, 0), axis_core(scenario)
+    baselines = dict(run.theodolite.baselines)
+    late = baselines["a"].time_ns > run.start_ns + round(40.0 * 1e9)
+    baseline_n = baselines["a"].baseline_n + np.array([0.6, -0.4, 0.5]) * late[:, None]
+    baselines["a"] = replace(baselines["a"], baseline_n=baseline_n)
+    run = replace(run, theodolite=replace(run.theodolite, baselines=baselines))
+    told = told_again(core, fed(core, run), run)
+    assert told.excluded == {BEACON + "a"}
+    # Chi-square of three degrees of freedom exceeds it once in ten thousand.
+    assert np.max(nees(told.smoothed, told.true_nm)) < 21.1
+    # The other drone's lights go on to tell of the axes, but not of what was before: the estimate is another one.
+    assert is_as_it_was(told, 40.0, 40.5)
+    assert not is_as_it_was(told, 45.0, 80.0)
+
+
+def test_after_encoders_that_are_excluded_nothing_is_told_back() -> None:
+    # Half a degree is no step that no mount could make: the lights find it.
+    scenario = session()
+    run, core = simulate(scenario, 0), axis_core(scenario)
+    readings = run.theodolite.encoder
+    late = readings.time_ns > run.start_ns + round(LIE_S * 1e9)
+    slipped = replace(readings, azimuth=np.mod(readings.azimuth + np.deg2rad(0.5) * late, 2.0 * np.pi))
+    run = replace(run, theodolite=replace(run.theodolite, encoder=slipped))
+    told = told_again(core, fed(core, run), run)
+    assert told.excluded == {ENCODER}
+    assert np.max(nees(told.smoothed, told.true_nm)) < 21.1
+    # From the last lights before on; and each sighting of what follows stands for itself.
+    assert not is_as_it_was(told, 45.0, 49.0)
+    assert is_as_it_was(told, 50.0, LIE_S)
+    assert is_as_it_was(told, 70.0, 88.0)
+
+
+def is_as_it_was(told: Told, start_s: float, end_s: float) -> bool:
+    """Whether the pointings of a while are told again as they were, but for rounding."""
+    some = slice(told.place(start_s), told.place(end_s))
+    at_once, smoothed = (covariances(all_)[some] for all_ in (told.at_once, told.smoothed))
+    return bool(np.all(np.abs(smoothed - at_once) <= 1e-6 * np.trace(at_once, axis1=1, axis2=2)[:, None, None]))
+
+
+# -- voyages, with the ship's attitude smoothed first -----------------------------------------------------------------
+
+
+def voyage() -> Scenario:
+    """Stars for the ship with a gap of clouds, lights that come late and leave for a while."""
+    whole, clouds = load_scenario(SCENARIOS / "demo.yaml"), {"clouds": Outage(30.0, 48.0)}
+    sensors = {id_: replace(one, rate_hz=2.0, outages=clouds) for id_, one in whole.star_sensors.items()}
+    hidden = {"at first": Outage(0.0, 15.0), "gap": Outage(36.0, 60.0)}
+    lights = with_beacons(session(), leaves_s=1e6, hidden=hidden)
+    return replace(
+        whole,
+        duration_s=75.0,
+        ins=replace(whole.ins, rate_hz=5.0, time_offset_sigma_s=0.0),
+        star_sensors=sensors,
+        theodolite=replaced(lights.theodolite, deformation__sigma_arcsec=5.0),
+        beacons=lights.beacons,
+    )
+
+
+def sailed(seed: int) -> Told:
+    scenario = voyage()
+    run = simulate(scenario, seed)
+    ship = SmoothingCore(build(ShipAttitudeConfig, suite_configuration(scenario)), None, None)
+    for _ in attitude_outcomes(ship, run, set(run.ins.time_ns.tolist())):
+        ship.smoothed()
+    core = axis_core(scenario)
+    white_n = (core.config.ship.white_sigma_arcsec * ARCSEC) ** 2 * np.eye(3)
+    samples = {
+        one.time_ns: ShipSample(one.time_ns, one.rotation_nd, one.rate_d, one.covariance_n - white_n, one.status)
+        for one in ship.smoothed_to_the_end()
+    }
+
+    def outcomes() -> Iterator[PointingOutcome]:
+        for _, source, index in run.pointing_arrivals():
+            given = samples.get(int(run.ins.time_ns[index])) if source == "ins" else None
+            yield give_pointing(core, run, source, index) if given is None else core.add_ship(given)
+
+    return told_again(core, outcomes(), run)
+
+
+def test_by_the_smoothed_attitude_of_the_ship_it_is_honest() -> None:
+    found = []
+    for seed in range(SEEDS // 2):
+        told = sailed(seed)
+        # Before the first lights, with all, without stars, without stars and lights, without lights, at the end.
+        places = [told.place(second) for second in (2.0, 14.0, 28.0, 34.0, 42.0, 55.0, 74.0)]
+        found.append(nees([told.smoothed[place] for place in places], told.true_nm[places]))
+    low, high = mean_nees_band(SEEDS // 2, 3)
+    for mean_nees in np.mean(found, axis=0):
+        assert low < mean_nees < high
+
+
+# -- stars on the mount -----------------------------------------------------------------------------------------------
+
+
+def test_stars_that_come_later_improve_what_was_pointed_before() -> None:
+    settings = mount_config(axes__flexure_sigma_arcsec=6.0)
+    found, errors = [], {"at_once": [], "smoothed": []}
+    for seed in range(SEEDS // 2):
+        rng = np.random.default_rng(seed)
+        night = MountNight(settings, drawn_errors(settings, rng), mount_sky(settings), rng)
+        core, told, true_nm = SmoothingAxisCore(settings, installed_sky(settings.sky)), [], []
+        for given in at_anchor():
+            core.add_surroundings(given)
+        for number in range(80):
+            time_ns = TIME_NS + number * 250_000_000
+            ship = night.ship()
+            core.add_ship(ShipSample(time_ns, ship.rotation_nd, ship.rate_d, ship.slow_covariance_n))
+            # Each five seconds another field; from the second on with stars.
+            if number % 20 == 0:
+                field = random_field(rng)
+            if number >= 20 and number % 4 == 2:
+                core.add_stars(night.exposure(field, 6, time_ns))
+            estimates = core.add_encoder(night.reading(field, time_ns)).estimates
+            told += estimates
+            true_nm += [night.main_axis(field)] * len(estimates)
+        smoothed = list(core.smoothed_to_the_end())
+        assert len(smoothed) == len(told)
+        first = slice(2, 12)
+        assert {one.mode for one in told[first]} == {Mode.ENCODER}
+        for name, estimates in (("at_once", told), ("smoothed", smoothed)):
+            errors[name].append(off_n(estimates[first], np.array(true_nm[first])))
+        places = [5, 30, 50, len(told) - 2]
+        found.append(nees([smoothed[place] for place in places], np.array(true_nm)[places]))
+    low, high = mean_nees_band(SEEDS // 2, 3)
+    for mean_nees in np.mean(found, axis=0):
+        assert low < mean_nees < high
+    assert rms_arcsec(np.array(errors["smoothed"])) < 0.6 * rms_arcsec(np.array(errors["at_once"]))
