@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from ship_attitude_star.stars.exposure import StarExposure
 from ship_estimation.backward import Known
 from ship_estimation.backward_chain import Came
 from ship_geometry.rotations import FloatArray
@@ -62,9 +63,11 @@ class TracedFilter(CalibrationFilter):
         after, compared = super().used(state, sighting, comparison)
         return _learnt(state, after), compared
 
-    def used_stars(self, state: CalibrationState, time_ns: int, comparison: StarComparison) -> CalibrationState:
+    def used_stars(
+        self, state: CalibrationState, exposure: StarExposure, comparison: StarComparison
+    ) -> CalibrationState:
         """See :meth:`CalibrationFilter.used_stars`."""
-        return _learnt(state, super().used_stars(state, time_ns, comparison))
+        return _learnt(state, super().used_stars(state, exposure, comparison))
 
 
 def _learnt(predicted: CalibrationState, after: CalibrationState) -> CalibrationState:
