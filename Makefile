@@ -46,7 +46,7 @@ bags: setup ## the bags in bags/, from their scenarios
 bench: setup ## speed, as ratios within one run
 	@$(RUN) python tools/bench.py
 
-campaign: setup ## 2000 seeds of each case (nine hours on two cores), long voyages; RUNS=50 LIVE_HOURS=2 BAG_HOURS="1 10" for less
+campaign: setup ## 2000 seeds of each case (ten hours on two cores), long voyages; RUNS=50 LIVE_HOURS=2 BAG_HOURS="1 10" for less
 	@$(RUN) python tools/campaign.py --seeds $(RUNS)
 	@$(RUN) python tools/pointing_campaign.py
 	@$(RUN) FUZZED_MESSAGES=100000 pytest -q -s test/test_fuzzed_messages.py
