@@ -195,7 +195,7 @@ class StarAttitude(AttitudeSource):
 class PublishedPointing(PublishedAttitude):
     """``theodolite/pointing`` as a whole, and mode by mode."""
 
-    MODES = ("two_lights", "one_light", "encoder")
+    MODES = ("two_lights", "one_light", "encoder", "stars", "stars_and_lights")
 
     def __init__(self, truth: Truth) -> None:
         super().__init__(truth)
