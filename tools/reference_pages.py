@@ -22,10 +22,13 @@ from ship_simulation.messages.to_messages import TRUTH_TYPES
 from ship_simulation.scenario.scenario import Scenario
 from ship_watch.limits import Limits
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
+from theodolite_calib.ros.triangulation_adapter import TriangulationAdapter
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs" / "reference"
-ADAPTERS: tuple[type[Adapter], ...] = (ShipAttitudeAdapter, StarAttitudeAdapter, OpticalAxisAdapter)
+ADAPTERS: tuple[type[Adapter], ...] = (
+    ShipAttitudeAdapter, StarAttitudeAdapter, OpticalAxisAdapter, TriangulationAdapter
+)  # fmt: skip
 
 _HELP_WIDTH = "110"
 _LIST_INDENT, _CONTINUED_INDENT = 3, 10
