@@ -5,6 +5,7 @@ from typing import Any
 import erfa
 import numpy as np
 
+from ship_bags.message_factory import MessageFactory
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import make_header
 from ship_geometry.geodetic import GeodeticPosition
@@ -45,25 +46,27 @@ FACTORY = RosbagsFactory()
 DIRECTION = "ship_msgs/msg/TargetDirection"
 
 
-def direction_message(time_ns: int, direction_n: np.ndarray, sigma: float, **changes: Any) -> Any:
+def direction_message(
+    time_ns: int, direction_n: np.ndarray, sigma: float, factory: MessageFactory = FACTORY, **changes: Any
+) -> Any:
     """What a theodolite tells of a target that it sees along a unit vector (North, Up, East), good to sigma, rad."""
     enu = [2, 0, 1]
     across = sigma**2 * (np.eye(3) - np.outer(direction_n, direction_n))
     unknown = dict.fromkeys("xyz", float("nan"))
     east, north, up = direction_n[enu]
     fields: dict[str, Any] = {
-        "header": make_header(FACTORY, time_ns, "horizon"),
+        "header": make_header(factory, time_ns, "horizon"),
         "target_id": "buoy",
         "azimuth": float(np.arctan2(east, north)),
         "elevation": float(np.arcsin(up)),
         "covariance": np.full(4, np.nan),
-        "direction": FACTORY.make("geometry_msgs/msg/Vector3", x=east, y=north, z=up),
+        "direction": factory.make("geometry_msgs/msg/Vector3", x=east, y=north, z=up),
         "direction_covariance": across[np.ix_(enu, enu)].ravel(),
-        "position": FACTORY.make("geometry_msgs/msg/Vector3", **unknown),
+        "position": factory.make("geometry_msgs/msg/Vector3", **unknown),
         "position_covariance": np.full(9, np.nan),
         "status": 0,
     }
-    return FACTORY.make(DIRECTION, **{**fields, **changes})
+    return factory.make(DIRECTION, **{**fields, **changes})
 
 
 def buoy_n(since_s: float) -> np.ndarray:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ship_bags.message_factory import RosidlFactory
 from ship_bags.stamps import make_header, ns_from_stamp
 from ship_estimation.gates import mean_nees_band, normalized_error_squared
 from ship_estimation.outcome import Status
@@ -15,6 +16,7 @@ from ship_estimation.parameters import ParameterError, build
 from ship_estimation.refusals import Reason
 from ship_geometry.ros_axes import ENU_FROM_HORIZON
 from ship_geometry.rotations import ARCSEC, exp_rotation
+from ship_testing.garbage import paths, spoil
 from ship_testing.theodolite_stations import FACTORY, buoy_n, buoy_seen, direction_message, placing_values
 from theodolite_calib.ros.triangulation_adapter import INNOVATION_TOPIC, POSITION_TOPIC, TriangulationAdapter
 from theodolite_calib.target.config import TriangulationConfig
@@ -183,6 +185,7 @@ def test_a_theodolite_that_contradicts_itself_is_in_doubt() -> None:
         ({"direction_covariance": np.zeros(9)}, Reason.BAD_COVARIANCE),
         ({"direction_covariance": np.full(9, np.nan)}, Reason.NON_FINITE),
         ({"direction_covariance": -np.eye(3).ravel() * 2.0}, Reason.BAD_COVARIANCE),
+        ({"direction_covariance": np.diag([0.0, 0.0, SIGMA**2]).ravel()}, Reason.BAD_COVARIANCE),
         ({"status": 7}, Reason.UNITS),
         ({"header": make_header(FACTORY, START_NS, "triangulation_origin")}, Reason.FRAME),
         ({"header": make_header(FACTORY, START_NS + 10 * SECOND_NS, "horizon")}, Reason.FUTURE),
@@ -208,6 +211,38 @@ def test_no_flood_of_names_or_directions_grows_without_bound() -> None:
         published += give(adapter, 0, seen(0, START_NS + index * 1_000_000), START_NS + 2 * SECOND_NS)
     assert len(adapter.core._targets["buoy"].waiting) == MOST_WAITING
     assert len(places(published)) == 49
+
+
+def test_no_message_whatsoever_raises_or_does_damage() -> None:
+    rng, adapter = np.random.default_rng(4713), adapter_of(3)
+    spoilt, found, now_ns = paths(seen(0, START_NS, factory=RosidlFactory())), set(), START_NS
+    for index in range(300):
+        now_ns = START_NS + index * PERIOD_NS + LATENCY_NS
+        for number in range(3):
+            time_ns = START_NS + index * PERIOD_NS
+            published = give(adapter, number, seen(number, time_ns), now_ns)
+            for _ in range(3):
+                bad = seen(number, time_ns, factory=RosidlFactory())
+                spoil(bad, spoilt, rng)
+                published += give(adapter, number, bad, now_ns)
+            found |= {reason for _, reason in reasons(published)}
+            for message in places(published):
+                numbers = [message.position.x, message.position.y, message.position.z, *message.position_covariance]
+                assert np.isnan(numbers).all() == (message.status == Status.INVALID)
+                assert np.isfinite(numbers).all() != (message.status == Status.INVALID)
+        adapter.tick(now_ns)
+    assert found >= {Reason.NON_FINITE, Reason.BAD_COVARIANCE, Reason.UNITS, Reason.FRAME, Reason.BAD_STAMP}
+    assert found >= {Reason.FUTURE, Reason.LATE, Reason.CONFLICT, Reason.GAP, Reason.GATE}
+    assert Reason.FAILED not in found
+    assert adapter.health.messages(FACTORY, now_ns)
+    adapter.service("reset", now_ns)
+    later_ns = START_NS + 1000 * PERIOD_NS
+    published = []
+    for index in range(2):
+        for number in range(3):
+            published += give(adapter, number, seen(number, later_ns + index * PERIOD_NS))
+    assert places(published)[-1].status == Status.VALID
+    assert np.linalg.norm(error_m(places(published)[-1])) < 0.05
 
 
 def test_sources_off_gate_and_reset_by_live_means() -> None:
