@@ -24,9 +24,7 @@ def night(duration_s=4.0, **changes):
     """The scenario of the night without lights and targets; changes by path of its camera."""
     scenario = load_scenario(SCENARIOS / "theodolite_night.yaml")
     camera = replaced(scenario.telescopes["night"], **changes)
-    return dataclasses.replace(
-        scenario, duration_s=duration_s, beacons={}, targets={}, telescopes={"night": camera}
-    )
+    return dataclasses.replace(scenario, duration_s=duration_s, beacons={}, targets={}, telescopes={"night": camera})
 
 
 def stars_of(run):

@@ -58,9 +58,10 @@ def test_the_angles_are_in_the_file_and_come_back(tmp_path: Path) -> None:
     assert loaded.values == pytest.approx(prior.values, rel=1e-12, abs=1e-18)
     assert loaded.covariance.tolist() == prior.covariance.tolist()
     azimuth_arcsec = 3600.0 * MOUNTED_DEG["azimuth_deg"] + 0.8
-    assert f"telescopes.{CAMERA_ID}.azimuth_arcsec: {azimuth_arcsec:.1f}"[:40] in (
-        tmp_path / "calibration.yaml"
-    ).read_text()
+    assert (
+        f"telescopes.{CAMERA_ID}.azimuth_arcsec: {azimuth_arcsec:.1f}"[:40]
+        in (tmp_path / "calibration.yaml").read_text()
+    )
     assert f"telescopes.{CAMERA_ID}.azimuth of theodolite ''" in loaded.sigmas()
 
 

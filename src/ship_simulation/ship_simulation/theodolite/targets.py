@@ -144,9 +144,7 @@ def _points(
 def _directions_n(scene: Scene, targets: dict[str, TrueTarget], t_s: FloatArray) -> FloatArray:
     """Unit vectors along which the targets are seen, shape (k, N, 3)."""
     common = scene.coefficient + scene.refraction.at(t_s)[:, 0]
-    return _of_each(
-        targets, lambda one: raised(one.path(t_s), common + one.refraction.at(t_s)[:, 0]), (t_s.size, 0, 3)
-    )
+    return _of_each(targets, lambda one: raised(one.path(t_s), common + one.refraction.at(t_s)[:, 0]), (t_s.size, 0, 3))
 
 
 def _of_each(

@@ -77,9 +77,7 @@ class PlacingConfig:
 class LiveStationConfig(StationPlaceConfig):
     """One theodolite that the node hears."""
 
-    topic: str = parameter(
-        "", doc=f"relative name of the topic of its directions; empty for <id>/{DIRECTION_TOPIC}"
-    )
+    topic: str = parameter("", doc=f"relative name of the topic of its directions; empty for <id>/{DIRECTION_TOPIC}")
 
 
 @dataclass(frozen=True, kw_only=True)
