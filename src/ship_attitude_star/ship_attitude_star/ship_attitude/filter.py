@@ -22,6 +22,7 @@ from ship_attitude_star.ship_attitude.row_table import INS
 from ship_attitude_star.ship_attitude.state import FilterState, changed, with_entry, without
 from ship_attitude_star.ship_attitude.suspects import Suspects
 from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
 from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.hypotheses import RowsCompared, add_error, compare_rows
@@ -172,10 +173,10 @@ class ShipFilter:
             lacking = Refusal(Reason.NO_FIX, "no position fix yet: ins.model 'schuler' needs the latitude (gnss/fix)")
             return self._refused(state, measurement, NotCompared(lacking, measurement.time_ns))
         predicted = self.predicted(state, measurement.time_ns)
-        last_ns = state.used_ns.get(measurement.source)
-        found = self.linearisation.of(
-            measurement, predicted.mean, predicted.covariance, track, watch, may_wait, last_ns
-        )
+        last_ns, compared = state.used_ns.get(measurement.source), measurement
+        if isinstance(measurement, StarExposure):
+            compared = measurement.after(state.stays.get(measurement.source))
+        found = self.linearisation.of(compared, predicted.mean, predicted.covariance, track, watch, may_wait, last_ns)
         if found is None:
             return None
         if isinstance(found, NotCompared):
@@ -215,7 +216,7 @@ class ShipFilter:
         )
         after = self.suspects.learned(state, predicted, measurement, found.compared, compared, accepted)
         if decision.accepted:
-            after = self._used(after, measurement)
+            after = self._used(after, found.measured)
         elif source in state.excluded and (accepted[0] or state.excluded[source].apart is None):
             decision = replace(decision, reason=Reason.EXCLUDED)
         else:
@@ -294,7 +295,10 @@ class ShipFilter:
             unconfirmed = unconfirmed.after_agreement(measurement.time_ns)
         refusals = state.refusals if state.refusals.get(source) == 0 else with_entry(state.refusals, source, 0)
         used_ns = with_entry(state.used_ns, source, measurement.time_ns)
-        return changed(state, refusals=refusals, used_ns=used_ns, unconfirmed=unconfirmed)
+        stays = state.stays
+        if isinstance(measurement, StarExposure) and measurement.stay is not None:
+            stays = with_entry(stays, source, measurement.stay)
+        return changed(state, refusals=refusals, used_ns=used_ns, stays=stays, unconfirmed=unconfirmed)
 
     def _with_common(self, state: FilterState, measurement: AttitudeMeasurement) -> FilterState:
         """The common error of this sensor's messages, as large as the message says."""

@@ -19,6 +19,8 @@ star.<id>.installation (3)      sensor   m: R(sensor -> deck) = R(A0, E0, roll0)
 star.<id>.common (3)            horizon  error shared by successive solutions: R_measured = exp(c) R_true ...
 star.<id>.time_offset (1)                a message is valid at its stamp + this; only where it has a sigma
 star.<id>.flexure (3)           deck     hull between INS and sensor; only where it has a sigma
+star.<id>.field (18)                     the sensor's field-spatial error, coefficients in their own sigmas; only where
+                                         it gives single stars and has such an error
 sky.refraction (1)                       error of refraction, in its own sigmas; this and the next two only where the
                                          messages of a sensor rest on the sky over the ship
 sky.earth_rotation (1)                   error of UT1, in its own sigmas
@@ -62,6 +64,7 @@ from ship_attitude_star.ship_attitude.config import (
 )
 from ship_attitude_star.sky.shared_states import sky_blocks, sky_rows
 from ship_attitude_star.stars.residuals import SOURCE_STAR_NOISE
+from ship_attitude_star.stars.spatial_errors import SOURCE_PIXEL, field_block
 from ship_estimation.kalman import StateBlock, StateModel, block
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
@@ -173,6 +176,8 @@ class ShipStateModel(StateModel):
         noise_sources = [SOURCE_INTERPOLATION]
         if config.star_sensors:
             noise_sources.append(SOURCE_STAR_NOISE)
+        if any(star.camera.pixel_spatial_sigma_px > 0.0 for star in config.star_sensors.values()):
+            noise_sources.append(SOURCE_PIXEL)
         if config.references:
             noise_sources.append(SOURCE_REFERENCE_NOISE)
         if config.ship_baseline.is_aboard:
@@ -309,6 +314,8 @@ def _star_blocks(name: str, star: StarSensorConfig) -> list[StateBlock]:
     if star.flexure_sigma_arcsec > 0.0:
         sigma_flexure = [star.flexure_sigma_arcsec * ARCSEC] * 3
         blocks.append(block(f"{name}.flexure", sigma_flexure, SOURCE_FLEXURE, time_s=star.flexure_time_s))
+    if star.input == "observations" and star.camera.field_spatial_sigma_px > 0.0:
+        blocks.append(field_block(f"{name}.field"))
     return blocks
 
 

@@ -9,6 +9,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from ship_attitude_star.guards.hints import Departure
+from ship_attitude_star.stars.spatial_errors import PixelStay
 from ship_attitude_star.vertical.vertical_track import VerticalHere
 from ship_estimation import compiled_steps
 from ship_estimation.exclusion import HEARD_NS, Exclusion
@@ -108,6 +109,7 @@ class FilterState:
         common_n: by star sensor, the steady covariance of its common error, rad², horizon frame.
         refusals: by source, its refusals in a row.
         used_ns: by source, the stamp of its last measurement used.
+        stays: by source, how long its stars have kept their pixels, where that matters.
         unconfirmed: a jump of the INS, or what may be one, that stars have not confirmed yet; None for none.
         departures: by source, its last measurement refused.
         jumped_ns: the INS's stamp just before its last jump that the state is open for; None where there was none.
@@ -127,6 +129,7 @@ class FilterState:
     common_n: MappingProxyType[str, FloatArray] = field(default_factory=lambda: MappingProxyType({}))
     refusals: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
     used_ns: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    stays: MappingProxyType[str, PixelStay] = field(default_factory=lambda: MappingProxyType({}))
     unconfirmed: Unconfirmed | None = None
     departures: MappingProxyType[str, Departure] = field(default_factory=lambda: MappingProxyType({}))
     jumped_ns: int | None = None

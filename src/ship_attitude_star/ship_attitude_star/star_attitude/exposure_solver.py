@@ -219,6 +219,8 @@ def _in_deck(
         smear_b=_smear_in_deck(stars, group),
         turned_b=_turned_in_deck(group, turn_covariance_d),
         rivals=_rivals(stars),
+        pixel_sigma=_pixel_sigma(stars),
+        field_b=_field_in_deck(stars, group),
     )
 
 
@@ -249,6 +251,26 @@ def _rivals(stars: Sequence[SightedStars]) -> FloatArray | None:
     if all(s.rivals is None for s in stars):
         return None
     return np.concatenate([np.zeros(len(s)) if s.rivals is None else s.rivals for s in stars])
+
+
+def _pixel_sigma(stars: Sequence[SightedStars]) -> FloatArray | None:
+    """Pixel-spatial errors of all stars, rad per axis, shape (k,); None where no sensor has one."""
+    if all(s.pixel_sigma is None for s in stars):
+        return None
+    return np.concatenate([np.zeros(len(s)) if s.pixel_sigma is None else s.pixel_sigma for s in stars])
+
+
+def _field_in_deck(stars: Sequence[SightedStars], group: Sequence[Mounted]) -> FloatArray | None:
+    """What the coefficients of each sensor's field-spatial error do to its stars, in the deck frame, rad, (k, 3, f)."""
+    count = sum(s.field_count for s in stars)
+    if not count:
+        return None
+    of_all, begin, rows = np.zeros((sum(len(s) for s in stars), 3, count)), 0, _rows(group)
+    for s, mounted, own in zip(stars, group, rows, strict=True):
+        if s.field_b is not None:
+            of_all[own, :, begin : begin + s.field_count] = mounted.rotation_ds @ s.field_b
+            begin += s.field_count
+    return of_all
 
 
 def _rows(group: Sequence[Mounted]) -> list[slice]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from ship_attitude_star.sky.masks import MaskConfig, MountedSensor, refuse_covered, sensor_masks
 from ship_attitude_star.stars.camera import Distortion, StarCamera
+from ship_attitude_star.stars.spatial_errors import SpatialErrors
 from ship_estimation.parameter_fields import arcsec, degrees, mapping_of, parameter
 from ship_estimation.parameters import ParameterError
 from ship_geometry.deck_masks import SensorMasks
@@ -82,6 +83,16 @@ class CameraConfig:
         minimum=0.05,
         maximum=100.0,
     )
+    field_spatial_sigma_px: float = parameter(
+        0.0,
+        doc="what calibration has left of distortion and the like: RMS over the detector of a smooth error, each axis",
+        unit="px",
+        minimum=0.0,
+        maximum=10.0,
+    )
+    pixel_spatial_sigma_px: float = parameter(
+        0.0, doc="error that each pixel has of its own, each axis", unit="px", minimum=0.0, maximum=10.0
+    )
 
     @property
     def given(self) -> bool:
@@ -95,7 +106,8 @@ class CameraConfig:
             prefix: name of this section of the parameters, for the error message.
 
         Raises:
-            ParameterError: focal length or pitch is missing; the text starts with ``prefix``.
+            ParameterError: focal length or pitch is missing, or the principal point that a field-spatial error needs;
+                the text starts with ``prefix``.
         """
         if not self.given:
             raise ParameterError(
@@ -103,6 +115,13 @@ class CameraConfig:
                 "single stars come in pixels",
                 f"{prefix}.focal_length_m",
                 f"{prefix}.pixel_pitch_m",
+            )
+        if self.field_spatial_sigma_px > 0.0 and not self.shows_field:
+            raise ParameterError(
+                f"parameters '{prefix}.principal_u_px' and '{prefix}.principal_v_px' must be given with "
+                "field_spatial_sigma_px: they tell how large the detector is",
+                f"{prefix}.principal_u_px",
+                f"{prefix}.principal_v_px",
             )
         distortion = Distortion(
             self.distortion_k1, self.distortion_k2, self.distortion_p1, self.distortion_p2, self.distortion_k3
@@ -114,6 +133,12 @@ class CameraConfig:
             self.principal_v_px,
             None if distortion == Distortion() else distortion,
         )
+
+    def spatial_errors(self, camera: StarCamera) -> SpatialErrors | None:
+        """The errors that stay with the place on the detector of this camera; None where there are none."""
+        if not (self.field_spatial_sigma_px or self.pixel_spatial_sigma_px):
+            return None
+        return SpatialErrors(camera, self.field_spatial_sigma_px, self.pixel_spatial_sigma_px)
 
     @property
     def shows_field(self) -> bool:

@@ -26,6 +26,7 @@ from ship_attitude_star.stars.chance import WRONG_NAMES
 from ship_attitude_star.stars.fit import SightedStars
 from ship_attitude_star.stars.identification import MAGNITUDE_TOLERANCE, WIDEST, candidates
 from ship_attitude_star.stars.selection import LINEAR_RANGE, StarPrior
+from ship_attitude_star.stars.spatial_errors import PixelStay, SpatialErrors
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.deck_masks import SensorMasks
 from ship_geometry.exposure_mean import Nodes, exposure_nodes
@@ -85,7 +86,10 @@ class StarExposure:
         length: how long the exposure lasted, and of which camera it is; None where the message does not tell.
         smear_s: what the motion during the exposure adds to the error of a direction, covariance in the sensor frame,
             rad², shape (k, 3, 3); None before :func:`at_middle`.
+        streak: how far each star went on the detector meanwhile, rad, shape (k,); None before :func:`at_middle`.
         masks: what stands on deck in the sensor's way; None where nothing does.
+        spatial: errors that stay with a star's place on the detector; None where there are none.
+        stay: how long the stars have kept their pixels; None before :meth:`after`, and where nothing depends on it.
     """
 
     source: str
@@ -98,7 +102,10 @@ class StarExposure:
     magnitude: FloatArray
     length: ExposureLength | None = None
     smear_s: FloatArray | None = None
+    streak: FloatArray | None = None
     masks: SensorMasks | None = None
+    spatial: SpatialErrors | None = None
+    stay: PixelStay | None = None
     covariance_known = True  # a star whose message gives no error of its centroid has the configured one
 
     @property
@@ -138,8 +145,25 @@ class StarExposure:
             self.magnitude[rows],
             self.length,
             None if self.smear_s is None else self.smear_s[rows],
+            None if self.streak is None else self.streak[rows],
             self.masks,
+            self.spatial,
+            self.stay,
         )
+
+    def after(self, before: PixelStay | None) -> StarExposure:
+        """The same exposure as it counts after those before it of its sensor; None for none."""
+        if self.spatial is None or self.spatial.pixel_sigma_px <= 0.0:
+            return self
+        return replace(self, stay=self.spatial.stay(self.directions_s, self.sigma, before))
+
+    @cached_property
+    def pixel_sigma(self) -> FloatArray | None:
+        """Pixel-spatial error of each direction, rad per axis, shape (k,); None where there is none."""
+        if self.spatial is None or self.spatial.pixel_sigma_px <= 0.0:
+            return None
+        sigma = self.spatial.pixel_sigma(self.directions_s)
+        return sigma if self.streak is None else sigma * np.sqrt(self.spatial.streak_share(self.streak))
 
     def content(self) -> bytes:
         """All values as bytes: equal for a repeated message, and an order for conflicting ones."""
@@ -171,10 +195,12 @@ def at_middle(exposure: StarExposure, turns: FloatArray) -> StarExposure:
     pixels, middle = camera.pixels(passed_s), camera.pixels(seen_s)
     directions_s = camera.directions(middle - (nodes.mean(pixels) - middle))
     blur = equivalent_sigma(camera.direction_covariance(middle, length.psf_sigma_px))
-    smear_s: FloatArray = _across(seen_s, nodes.spread(passed_s)) * ((exposure.sigma / blur) ** 2)[:, None, None]
+    spread_s = _across(seen_s, nodes.spread(passed_s))
+    smear_s: FloatArray = spread_s * ((exposure.sigma / blur) ** 2)[:, None, None]
+    streak = np.sqrt(12.0 * np.trace(spread_s, axis1=-2, axis2=-1))
     lost = ~np.all(np.isfinite(directions_s), axis=-1)
     directions_s[lost], smear_s[lost] = seen_s[lost], _across(seen_s[lost], _OUT_OF_SIGHT * np.eye(3))
-    return replace(exposure, directions_s=directions_s, smear_s=smear_s)
+    return replace(exposure, directions_s=directions_s, smear_s=smear_s, streak=streak)
 
 
 def _across(directions_s: FloatArray, covariance_s: FloatArray) -> FloatArray:
@@ -234,6 +260,8 @@ def visible_stars(
         mounting_b=_ONE_SENSOR,
         smear_b=exposure.smear_s,
         rivals=rivals,
+        pixel_sigma=exposure.pixel_sigma,
+        field_b=None if exposure.spatial is None else exposure.spatial.field_modes(exposure.directions_s),
     )
     return exposure, stars, refused
 

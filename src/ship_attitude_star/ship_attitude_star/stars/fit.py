@@ -4,13 +4,14 @@ The frame b is the frame in which the stars were measured: the deck, or the fram
 the direction u_i (frame b), and stands in the sky in the direction v_i (horizon frame n). At an attitude R_nb near the
 truth its displacement d_i is linear in small unknowns:
 
-    d_i = v_i - R u_i = δ × v_i + (R m_s) × v_i + (R T_s t) × v_i - G_i z + noise
+    d_i = v_i - R u_i = δ × v_i + (R m_s) × v_i + (R T_s t) × v_i - R F_i f - G_i z + noise
 
 δ is the error of the attitude, and m_s the mounting error of the star's sensor. t are the errors of the turns that
-brought the exposures to one moment; T_s turns the sensor by one sigma of each, and sensors may share them. z are the
-errors that all stars share (refraction, Earth rotation, position), and G_i is the displacement of the star by one
-sigma of each of them. The unknowns m, t and z are counted in their standard deviations, so that their prior
-information is the identity.
+brought the exposures to one moment; T_s turns the sensor by one sigma of each, and sensors may share them. f are the
+coefficients of the sensors' field-spatial errors (:mod:`ship_attitude_star.stars.spatial_errors`), and F_i displaces
+the measured direction by one sigma of each. z are the errors that all stars share (refraction, Earth rotation,
+position), and G_i is the displacement of the star by one sigma of each of them. The unknowns m, t, f and z are counted
+in their standard deviations, so that their prior information is the identity.
 """
 
 import math
@@ -27,7 +28,7 @@ from ship_geometry import wahba
 from ship_geometry.rotations import FloatArray, exp_rotation
 
 ATTITUDE = slice(0, 3)
-"""Columns of δ among the unknowns; those of mounting errors and of turns come next, those of shared errors last."""
+"""Columns of δ among the unknowns; those of mounting errors, of turns and of fields come next, shared errors last."""
 
 _NO_TURN, _NO_TURNS = np.zeros(3), np.empty((0, 3, 0))
 
@@ -52,6 +53,9 @@ class SightedStars:
             are none.
         rivals: how often per steradian a detection of the exposure and a star of the sky may be taken for this star by
             mistake, shape (k,); None where names are sure.
+        pixel_sigma: pixel-spatial error of a measured direction, rad per axis, shape (k,); None where there is none.
+        field_b: displacement of the measured direction by one sigma of each of f coefficients of field-spatial errors,
+            rad, shape (k, 3, f); None where there is no such error.
     """
 
     measured_b: FloatArray
@@ -64,11 +68,19 @@ class SightedStars:
     smear_b: FloatArray | None = None
     turned_b: FloatArray | None = None
     rivals: FloatArray | None = None
+    pixel_sigma: FloatArray | None = None
+    field_b: FloatArray | None = None
 
     @cached_property
     def white_sigma(self) -> FloatArray:
         """Standard deviation of what differs from star to star, centroid and catalogue, rad per axis, shape (k,)."""
-        return np.hypot(self.sigma, self.position_sigma)
+        sigma = np.hypot(self.sigma, self.position_sigma)
+        return sigma if self.pixel_sigma is None else np.hypot(sigma, self.pixel_sigma)
+
+    @property
+    def field_count(self) -> int:
+        """Number of coefficients of field-spatial errors."""
+        return 0 if self.field_b is None else self.field_b.shape[-1]
 
     @property
     def worst_sigma(self) -> FloatArray:
@@ -190,6 +202,10 @@ def linearized(stars: SightedStars, rotation_nb: FloatArray) -> StarFit:
         _NO_TURNS if stars.turned_b is None else stars.turned_b,
         rotation_nb,
     )
+    if stars.field_b is not None:
+        by_field = -rotation_nb @ stars.field_b / stars.white_sigma[:, None, None]
+        before_shared = jacobian.shape[-1] - stars.shared_n.shape[-1]
+        jacobian = np.concatenate([jacobian[..., :before_shared], by_field, jacobian[..., before_shared:]], axis=-1)
     if stars.smear_b is not None:
         smear = rotation_nb @ (stars.smear_b / stars.white_sigma[:, None, None] ** 2) @ rotation_nb.T
         values, vectors = np.linalg.eigh(np.eye(3) + smear)

@@ -5,7 +5,8 @@ sensor), v the star's place in the sky and u its measured direction, the residua
 line of sight. A rotation ε of the sensor (rotation vector in its own frame) moves the predicted direction p = Rᵀ v by
 p × ε. The errors that all stars share (refraction, Earth rotation, position) are states of the filter
 (:mod:`ship_attitude_star.sky.shared_states`): one sigma of such an error displaces v by g, and the predicted direction
-by Rᵀ g.
+by Rᵀ g. The coefficients of the sensor's field-spatial error are states too
+(:mod:`ship_attitude_star.stars.spatial_errors`); they displace the measured direction.
 """
 
 from dataclasses import dataclass, replace
@@ -20,6 +21,7 @@ from ship_attitude_star.stars.exposure import StarExposure, visible_stars
 from ship_attitude_star.stars.fit import SightedStars
 from ship_attitude_star.stars.selection import StarPrior, select
 from ship_attitude_star.stars.solution import SolutionStatus, solve_stars
+from ship_attitude_star.stars.spatial_errors import SOURCE_PIXEL, PixelStay
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between
 
@@ -35,7 +37,7 @@ class StarResiduals:
         residual: measured minus predicted direction, up and right of each of k stars, rad, shape (2 k,).
         jacobian: derivative of the residual by the n states, shape (2 k, n).
         by_turn: its derivative by a turn of the predicted sensor, rotation vector in its own frame, shape (2 k, 3).
-        noise: covariance, rad², shape (2 k, 2 k).
+        noise: covariance by source of error, rad², shape (2 k, 2 k) each.
         components: name of each residual.
         refused: the other stars by name, each with its refusal.
         rotation_ns: the sensor's attitude (horizon from sensor) by these stars alone, where they contradict the
@@ -45,7 +47,7 @@ class StarResiduals:
     residual: FloatArray
     jacobian: FloatArray
     by_turn: FloatArray
-    noise: FloatArray
+    noise: dict[str, FloatArray]
     components: tuple[str, ...]
     refused: tuple[tuple[str, Refusal], ...]
     rotation_ns: FloatArray | None
@@ -60,6 +62,7 @@ def star_residuals(
     sky_rows: slice,
     mean: FloatArray,
     near_ns: FloatArray | None = None,
+    field_rows: slice | None = None,
 ) -> StarResiduals | Refusal:
     """Choose the stars that are what they are taken for, and compare them with the prediction.
 
@@ -72,6 +75,7 @@ def star_residuals(
         sky_rows: where the states of the shared errors are.
         mean: of the state, shape (n,).
         near_ns: an attitude near the truth, where the prior's own is perhaps not, shape (3, 3).
+        field_rows: where the states of the sensor's field-spatial error are; None where it has none.
 
     Returns:
         The refusal of the whole exposure where no star can be placed in the sky at its moment, or none can be used.
@@ -86,7 +90,10 @@ def star_residuals(
         return Refusal(reason, _listed(f"none of {len(exposure)} stars can be used", refused))
     # The estimate of the shared errors moves the stars to where they are expected.
     expected_n = compiled_fit.expected(stars.reference_n, stars.shared_n, mean[sky_rows])
-    at_estimate = replace(stars, reference_n=expected_n)
+    measured_s, field_s = stars.measured_b, None if field_rows is None else stars.field_b
+    if field_s is not None:
+        measured_s = measured_s - field_s @ mean[field_rows]
+    at_estimate = replace(stars, reference_n=expected_n, measured_b=measured_s)
     believed = _believed(stars, at_estimate, prior, near_ns)
     if isinstance(believed, Refusal):
         return Refusal(believed.reason, _listed(believed.text, refused))
@@ -97,13 +104,15 @@ def star_residuals(
         return Refusal(Reason.MISIDENTIFIED, _listed(_contradiction(len(members)), refused))
     names = [seen.name(row) for row in np.flatnonzero(members).tolist()]
     residual, jacobian, by_turn, basis = compiled_fit.residuals(
-        stars.measured_b, expected_n, stars.shared_n, members.view(np.uint8), rotation_ns, to_sensor, sky_rows.start
+        measured_s, expected_n, stars.shared_n, members.view(np.uint8), rotation_ns, to_sensor, sky_rows.start
     )
+    if field_s is not None:
+        jacobian[:, field_rows] = (basis @ field_s[members]).reshape(len(residual), -1)
     return StarResiduals(
         residual=residual,
         jacobian=jacobian,
         by_turn=by_turn,
-        noise=_noise(at_estimate, basis, members),
+        noise=_noise(at_estimate, seen.stay, basis, members),
         components=tuple(f"{name} {axis}" for name in names for axis in ("up", "right")),
         refused=tuple(refused),
         rotation_ns=alone_ns,
@@ -143,14 +152,19 @@ def _contradiction(count: int) -> str:
     )
 
 
-def _noise(stars: SightedStars, basis: FloatArray, members: NDArray[np.bool_]) -> FloatArray:
-    """Covariance of the residuals of the k members, along their basis (k, 2, 3), rad², shape (2 k, 2 k)."""
-    noise = np.diag(np.repeat(stars.white_sigma[members] ** 2, 2))
+def _noise(
+    stars: SightedStars, stay: PixelStay | None, basis: FloatArray, members: NDArray[np.bool_]
+) -> dict[str, FloatArray]:
+    """Covariance of the residuals of the k members, along their basis (k, 2, 3), by source, rad², shape (2 k, 2 k)."""
+    noise = np.diag(np.repeat(np.hypot(stars.sigma, stars.position_sigma)[members] ** 2, 2))
     if stars.smear_b is not None:
         smear = basis @ stars.smear_b[members] @ np.swapaxes(basis, -1, -2)
         for row, added in enumerate(smear):
             noise[2 * row : 2 * row + 2, 2 * row : 2 * row + 2] += added
-    return noise
+    if stars.pixel_sigma is None:
+        return {SOURCE_STAR_NOISE: noise}
+    of_pixels = stars.pixel_sigma**2 * (1.0 if stay is None else 1.0 + stay.excess)
+    return {SOURCE_STAR_NOISE: noise, SOURCE_PIXEL: np.diag(np.repeat(of_pixels[members], 2))}
 
 
 def _misfit(stars: SightedStars, row: int, rotation_ns: FloatArray) -> Refusal:

@@ -204,8 +204,10 @@ def _pair_trials(stars: SightedStars) -> list[Trial]:
 
 
 def _common_variance(stars: SightedStars) -> FloatArray:
-    """Variance that mounting and shared errors add to a star's direction, mean of both axes, rad², shape (k,)."""
+    """Variance that mounting, shared errors and the field add to a star's direction, mean of both axes, rad², (k,)."""
     variance: FloatArray = 0.5 * np.sum(stars.shared_n**2, axis=(-2, -1))
+    if stars.field_b is not None:
+        variance = variance + 0.5 * np.sum(stars.field_b**2, axis=(-2, -1))
     if len(stars.mounting_b):
         about_star = skew(stars.measured_b)
         mounted = about_star @ stars.mounting_b[stars.sensor]

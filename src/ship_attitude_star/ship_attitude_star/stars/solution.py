@@ -16,19 +16,31 @@ from ship_attitude_star.stars import compiled_fit
 from ship_attitude_star.stars.chance import improbable_identity
 from ship_attitude_star.stars.fit import ATTITUDE, Agreement, SightedStars, agreement, linearized
 from ship_attitude_star.stars.selection import FEWEST_VERIFIED, StarPrior, select
+from ship_attitude_star.stars.spatial_errors import SOURCE_FIELD, SOURCE_PIXEL
 from ship_estimation.compiled_integrity import square_root
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.frames import SINGULAR_ELEVATION
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 
-SOLUTION_TERMS = ("star_noise", "installation", "refraction", "earth_rotation", "ship_position", "catalogue", UTC)
+SOLUTION_TERMS = (
+    "star_noise",
+    "installation",
+    "refraction",
+    "earth_rotation",
+    "ship_position",
+    "catalogue",
+    UTC,
+    SOURCE_FIELD,
+    SOURCE_PIXEL,
+)
 """Error sources of :attr:`StarSolution.parts_n`, in order. Only star_noise is independent from epoch to epoch.
 
-The last is missing where UTC is taken to be right: the stars then have no column of it.
+The spatial errors at the end are missing where the camera has none; and so is then UTC, where that is taken to be
+right.
 """
 
-_STAR_NOISE, _INSTALLATION, _CATALOGUE = (
-    SOLUTION_TERMS.index(term) for term in ("star_noise", "installation", "catalogue")
+_STAR_NOISE, _INSTALLATION, _CATALOGUE, _FIELD, _PIXEL = (
+    SOLUTION_TERMS.index(term) for term in ("star_noise", "installation", "catalogue", SOURCE_FIELD, SOURCE_PIXEL)
 )
 _TERMS_OF_SHARED = np.array([SOLUTION_TERMS.index(term) for term in SHARED_TERMS], dtype=np.intp)
 """Index of the term to which each of the shared errors belongs."""
@@ -199,16 +211,24 @@ def _parts(stars: SightedStars, found: Agreement, members: NDArray[np.bool_]) ->
     share = stars.position_sigma / stars.white_sigma
     share[~members] = 0.0
     information = found.judgement.information
-    # Errors of mounting and of turns stand before the shared ones.
-    shared = stars.shared_n.shape[-1]
-    installed = len(information) - ATTITUDE.stop - shared
-    term_of = np.concatenate([np.full(installed, _INSTALLATION), _TERMS_OF_SHARED[:shared]])
-    terms = len(SOLUTION_TERMS) - (len(SHARED_TERMS) - shared)
+    # Errors of mounting and of turns stand before those of the field, and these before the shared ones.
+    shared, of_field = stars.shared_n.shape[-1], stars.field_count
+    installed = len(information) - ATTITUDE.stop - of_field - shared
+    kinds = [np.full(installed, _INSTALLATION), np.full(of_field, _FIELD), _TERMS_OF_SHARED[:shared]]
+    spatial = stars.pixel_sigma is not None or of_field > 0
+    terms = len(SOLUTION_TERMS) if spatial else _FIELD - (len(SHARED_TERMS) - shared)
     parts, by_catalogue = compiled_fit.covariances(
-        found.white_covariance_n, information, found.fit.jacobian, share, term_of, terms
+        found.white_covariance_n, information, found.fit.jacobian, share, np.concatenate(kinds), terms
     )
     parts[_CATALOGUE] = by_catalogue
     parts[_STAR_NOISE] = found.white_covariance_n - by_catalogue
+    if stars.pixel_sigma is not None:
+        share = np.where(members, stars.pixel_sigma / stars.white_sigma, 0.0)
+        no_terms = np.zeros(len(information) - ATTITUDE.stop, dtype=np.intp)
+        _, parts[_PIXEL] = compiled_fit.covariances(
+            found.white_covariance_n, information, found.fit.jacobian, share, no_terms, 1
+        )
+        parts[_STAR_NOISE] -= parts[_PIXEL]
     solved: FloatArray = parts
     return solved
 

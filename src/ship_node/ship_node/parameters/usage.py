@@ -89,21 +89,29 @@ def _input_rows(
         for d in descriptions for choice in d.choices if choice != values[d.name]
     )]  # fmt: skip
     for condition, choice in example:
-        for topic in _inputs_with(adapter_class, descriptions, {**values, **choice}, factory):
+        device = "".join(choice).rpartition(".")[0]
+        given = {
+            d.name: d.maximum
+            for d in descriptions
+            if d.name.startswith(device) and d.default == 0.0 and d.maximum is not None
+        }
+        for topic in _inputs_with(adapter_class, {**values, **choice}, given, factory):
             need = "required" if topic.required else "optional"
             rows.setdefault(topic.topic, (topic.topic, topic.type_name, ", ".join(filter(None, (need, condition)))))
     return list(rows.values())
 
 
 def _inputs_with(
-    adapter_class: type[Adapter],
-    descriptions: list[ParameterDescription],
-    values: dict[str, Any],
-    factory: MessageFactory,
+    adapter_class: type[Adapter], values: dict[str, Any], given: dict[str, Any], factory: MessageFactory
 ) -> tuple[InputTopic, ...]:
-    """The inputs of a configuration; none of one that cannot be."""
-    # A camera and the like: zero until it is given, and to be given where it is used.
-    given = {d.name: d.maximum for d in descriptions if d.default == d.minimum == 0.0 and d.maximum is not None}
+    """The inputs of a configuration; none of one that cannot be.
+
+    Args:
+        adapter_class: what the node runs.
+        values: of the parameters.
+        given: a camera and the like of the device in question: zero until it is given, to be given where it is used.
+        factory: makes the adapter's messages.
+    """
     for attempt in (values, values | given):
         try:
             config: Any = build(adapter_class.config_type, nest(attempt), placeholder="<id>")

@@ -77,13 +77,26 @@ def final_error(scenario: Scenario, seed: int) -> FinalError:
     """Simulate a run, filter it, and compare with the truth at the last INS sample."""
     run = simulate(scenario, seed)
     estimate, refused = feed_attitude(core_for(scenario), run)
-    rotation_true = run.truth.rotation_nd[-1]
-    error_n = log_rotation(rotation_true @ estimate.rotation_nd.T)
-    heading, pitch, _ = angles_from_rotation(estimate.rotation_nd)
+    return error_at_end(run, seed, estimate.rotation_nd, estimate.covariance_n, refused)
+
+
+def error_at_end(
+    run: SimulatedRun, seed: int, rotation_nd: FloatArray, covariance_n: FloatArray, refused: int = 0
+) -> FinalError:
+    """Compare an attitude at the last INS sample of a run, whoever found it, with the truth.
+
+    Args:
+        run: with its truth.
+        seed: of the run.
+        rotation_nd: horizon from deck as estimated, shape (3, 3).
+        covariance_n: of its error as claimed, rad², shape (3, 3).
+        refused: measurements that were not used.
+    """
+    error_n = log_rotation(run.truth.rotation_nd[-1] @ rotation_nd.T)
+    heading, pitch, _ = angles_from_rotation(rotation_nd)
     to_angles = angle_errors_from_rotation_vector(heading, pitch)
-    covariance = estimate.covariance_n
-    sigma = np.sqrt(np.diagonal(to_angles @ covariance @ to_angles.T))
-    nees = float(normalized_error_squared(error_n, covariance))
+    sigma = np.sqrt(np.diagonal(to_angles @ covariance_n @ to_angles.T))
+    nees = float(normalized_error_squared(error_n, covariance_n))
     return FinalError(seed, to_angles @ error_n, sigma, nees, refused)
 
 
@@ -217,11 +230,12 @@ def star_exposure(run: SimulatedRun, sensor_id: str, index: int) -> StarExposure
 
 
 def _seen_stars(source: str, config: StarImaging, sightings: StarSightings, index: int) -> StarExposure:
-    exposure_s, length = float(np.float32(config.exposure_s)), None
+    exposure_s, camera, length = float(np.float32(config.exposure_s)), config.camera.camera(source), None
     if exposure_s:
-        length = ExposureLength(exposure_s, config.camera.camera(source), config.camera.psf_sigma_px)
+        length = ExposureLength(exposure_s, camera, config.camera.psf_sigma_px)
     stars, time_ns = sightings.stars[sightings.rows(index)], int(sightings.time_ns[index])
-    return StarExposure(source, time_ns, **vars(stars), length=length, masks=config.sight_masks)
+    spatial = config.camera.spatial_errors(camera)
+    return StarExposure(source, time_ns, **vars(stars), length=length, masks=config.sight_masks, spatial=spatial)
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from ship_simulation.draws.stretch import Draws
 from ship_simulation.scenario.scenario import Scenario, StarImaging
 from ship_simulation.ship.attitude_device import ExposedMotion, MountedMotion, sigma_of_attitudes
 from ship_simulation.stars.sky import TrueSky, place_of_date, year_of
+from ship_simulation.stars.spatial_errors import DetectorErrors
 from ship_simulation.stars.star_field import stars_in_field, swapped_identities
 
 MAGNITUDE_SIGMA = 0.2
@@ -173,6 +174,10 @@ def _true_spots(
     if config.exposure_s > 0.0:
         place_n = (motion.rotation_nv[exposure] @ field.direction_s[..., None])[..., 0]
         way = config.camera.camera(source).pixels(np.einsum("mkji,kj->mki", motion.passing_nv[:, exposure], place_n))
+    detector = config.camera
+    if detector.field_spatial_sigma_px or detector.pixel_spatial_sigma_px:
+        errors = draws.lasting(source + ".detector", lambda rng: DetectorErrors(rng, detector))
+        way = way + errors.at(way)
     noise_px = draws.stream(source + ".centroid").standard_normal(field.pixel.shape)
     magnitude_noise = draws.stream(source + ".magnitude").standard_normal(field.row.size)
     swaps = draws.stream(source + ".swaps")

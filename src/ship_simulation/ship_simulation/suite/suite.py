@@ -73,6 +73,8 @@ _CAMERA = (
     "distortion_p2",
     "centroid_sigma_px",
     "psf_sigma_px",
+    "field_spatial_sigma_px",
+    "pixel_spatial_sigma_px",
 )
 _REFERENCE = (
     "heading_deg",

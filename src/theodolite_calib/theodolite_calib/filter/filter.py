@@ -5,10 +5,13 @@ can keep each of them and return to it.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 
 import numpy as np
 
+from ship_attitude_star.stars.exposure import StarExposure
+from ship_attitude_star.stars.spatial_errors import PixelStay
 from ship_estimation.hypotheses import compare_rows
 from ship_estimation.ins import InsJump
 from ship_estimation.kalman import LinearMeasurement, predict, update
@@ -49,6 +52,7 @@ class CalibrationState:
         used_ns: moment of the last sighting of lights used; None before it.
         light_count: lights used in it.
         stars_ns: moment of the last exposure of stars used; None before it.
+        stays: by camera, how long its stars have kept their pixels, where that matters.
         sighting_count: sightings used, of lights and of stars.
         points_used: lights and stars in all of them.
         squares: sum of the squares of their residuals on the sky, rad².
@@ -66,6 +70,7 @@ class CalibrationState:
     used_ns: int | None = None
     light_count: int = 0
     stars_ns: int | None = None
+    stays: MappingProxyType[str, PixelStay] = field(default_factory=lambda: MappingProxyType({}))
     sighting_count: int = 0
     points_used: int = 0
     squares: float = 0.0
@@ -254,15 +259,20 @@ class CalibrationFilter:
         )
         return after, compared
 
-    def used_stars(self, state: CalibrationState, time_ns: int, comparison: StarComparison) -> CalibrationState:
+    def used_stars(
+        self, state: CalibrationState, exposure: StarExposure, comparison: StarComparison
+    ) -> CalibrationState:
         """The state after an exposure of stars, from the state predicted to its moment; the rows are left as they are.
 
         Args:
             state: predicted.
-            time_ns: middle of the exposure.
-            comparison: of its stars with that state.
+            exposure: its stars.
+            comparison: of them with that state.
         """
         measurement, (gain,) = comparison.measurement, comparison.rows.gain
+        stays = state.stays
+        if exposure.stay is not None:
+            stays = MappingProxyType({**stays, exposure.source: exposure.stay})
         correction, parts = update(state.parts, measurement, gain)
         return replace(
             state,
@@ -270,7 +280,8 @@ class CalibrationFilter:
             parts=parts,
             unaided=self.observability.updated(state.unaided, measurement.jacobian, measurement.noise),
             refusals=0,
-            stars_ns=time_ns,
+            stars_ns=exposure.time_ns,
+            stays=stays,
             sighting_count=state.sighting_count + 1,
             points_used=state.points_used + len(measurement.residual) // 2,
             squares=state.squares + float(measurement.residual @ measurement.residual),

@@ -13,6 +13,7 @@ ship_antenna (3)           horizon    error of all baselines, m; this and the fo
 lever (3)                  deck       from the ship's antenna to the theodolite, m
 lens (3)                   main       from the crossing of the axes to N', m
 telescope.<id>.parallelism            as parallelism, of another camera that sees stars (3)
+telescope.<id>.field (18)             field-spatial error of a camera that sees stars, in sigmas
 sky.<cause>                           what all stars share, in sigmas (ship_attitude_star.sky.shared_states); only where
                                       there are such cameras
 refraction (1)                        of the coefficient k, the same for all lights
@@ -30,6 +31,7 @@ from numpy.typing import NDArray
 
 from ship_attitude_star.sky.shared_states import sky_blocks
 from ship_attitude_star.stars.residuals import SOURCE_STAR_NOISE
+from ship_attitude_star.stars.spatial_errors import SOURCE_PIXEL, field_block
 from ship_estimation.kalman import StateBlock, StateModel, block, lasting, slow_error_later
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.chain.axes import CHAIN_STATES
@@ -85,6 +87,8 @@ def state_model(config: OpticalAxisConfig) -> StateModel:
     if config.telescopes:
         used += sky_blocks(config.sky)
         noise_sources.append(SOURCE_STAR_NOISE)
+    if any(one.camera.pixel_spatial_sigma_px > 0.0 for one in config.telescopes.values()):
+        noise_sources.append(SOURCE_PIXEL)
     return StateModel(used, noise_sources)
 
 
@@ -96,6 +100,11 @@ def chain_rows(model: StateModel) -> NDArray[np.intp]:
 def parallelism_block(id_: str, config: OpticalAxisConfig) -> str:
     """Name of the states of a star camera's parallelism; the calibration telescope has one by lights and by stars."""
     return "parallelism" if id_ == config.telescope.telescope_id else f"telescope.{id_}.parallelism"
+
+
+def camera_field(id_: str) -> str:
+    """Name of the states of a star camera's field-spatial error; there are none where it has no such error."""
+    return f"telescope.{id_}.field"
 
 
 def _ship_blocks(config: OpticalAxisConfig) -> list[StateBlock]:
@@ -134,9 +143,12 @@ def _path_blocks(config: OpticalAxisConfig) -> list[StateBlock]:
 
 
 def _camera_blocks(id_: str, camera: StarCameraConfig, config: OpticalAxisConfig) -> list[StateBlock]:
-    if id_ == config.telescope.telescope_id:
-        return []
-    return [block(parallelism_block(id_, config), camera.parallelism_sigma, SOURCE_PARALLELISM)]
+    blocks = []
+    if id_ != config.telescope.telescope_id:
+        blocks.append(block(parallelism_block(id_, config), camera.parallelism_sigma, SOURCE_PARALLELISM))
+    if camera.camera.field_spatial_sigma_px > 0.0:
+        blocks.append(field_block(camera_field(id_)))
+    return blocks
 
 
 def _light_blocks(id_: str, beacon: BeaconConfig, config: OpticalAxisConfig) -> list[StateBlock]:

@@ -6,17 +6,22 @@ A second covariance runs beside the filter's. At its start the errors told of ar
 deformation is a random walk as fast as the filter's process, without a mean to return to. All other states are as in
 the filter, slow errors included. A combination that this covariance leaves open is therefore one that the sightings
 leave open, however many of the same kind there are. A factor between N' and an angle is in metres for a radian.
+
+Beside errors as good as unknown, what is known to an arcsecond is lost in the rounding of a covariance. So its root is
+carried: stacked roots are made one by an orthogonal triangle (QR), and no step can make a variance negative (Bierman,
+Factorization Methods for Discrete Sequential Estimation, 1977).
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ship_estimation.kalman import LinearMeasurement, StateModel, block, innovation, predict, update
+from ship_estimation.compiled_integrity import square_root
+from ship_estimation.kalman import StateModel, block
 from ship_estimation.open_combinations import open_combinations
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.chain.axes import NAMES
-from theodolite_calib.filter.model import ShipErrorStep, add_steady_noise, with_step
+from theodolite_calib.filter.model import ShipErrorStep
 
 DEFORMATION_NAMES = ("deformation_bow", "deformation_up", "deformation_starboard")
 
@@ -26,18 +31,15 @@ _LEADING = (*DEFORMATION_NAMES, "c", "I", "h", "flexure", "beta_x", "beta_y", "g
 """In this order errors lead the combinations that are told. The error that leads one combination is eliminated from all
 others; the errors that pair with the deformation come last."""
 
-_ONLY_SOURCE = 0
-"""Index of the source of error that all states here share."""
-
 _UNKNOWN = 1000.0
 """Sigma of an unknown error at the start, in sigmas of the configuration."""
 
 
 @dataclass(frozen=True)
 class Unaided:
-    """Covariance of the states by the sightings alone, shape (1, n, n)."""
+    """A root of the covariance of the states by the sightings alone, shape (n, n): covariance = root @ root.T."""
 
-    parts: FloatArray
+    root: FloatArray
 
 
 class Observability:
@@ -76,25 +78,42 @@ class Observability:
 
     def start(self) -> Unaided:
         """Before any sighting."""
-        return Unaided(self._model.initial_parts())
+        return Unaided(np.diag(np.concatenate([entry.sigma for entry in self._model.blocks.values()])))
 
     def predicted(self, unaided: Unaided, dt_s: float, ship_steady_n: FloatArray | None) -> Unaided:
         """After ``dt_s``; the ship's error follows a stated steady covariance (rad², (3, 3)) where there is one."""
         decay, noise = self._model.transition(dt_s)
-        parts = predict(unaided.parts, decay, noise, self._model.source_of)
-        add_steady_noise(parts, self._ship, _ONLY_SOURCE, decay[self._ship], ship_steady_n)
-        return Unaided(parts)
+        roots = [decay[:, None] * unaided.root, np.diag(np.sqrt(noise))[:, noise > 0.0]]
+        if ship_steady_n is not None:
+            roots.append(self._of_ship((1.0 - decay[self._ship][0] ** 2) * ship_steady_n))
+        return Unaided(_triangle(np.hstack(roots)))
 
     def with_ship_step(self, unaided: Unaided, step: ShipErrorStep) -> Unaided:
         """After a change of the ship's error at once."""
-        return Unaided(with_step(np.zeros(self._model.size), unaided.parts, self._ship, _ONLY_SOURCE, step)[1])
+        root = unaided.root.copy()
+        root[self._ship] *= step.kept[:, None]
+        return Unaided(_triangle(np.hstack([root, self._of_ship(step.new_n)])))
 
     def updated(self, unaided: Unaided, jacobian: FloatArray, noise: FloatArray) -> Unaided:
         """After a sighting with the filter's Jacobian (m, n) and noise (m, m)."""
-        measurement = LinearMeasurement(np.zeros(len(noise)), jacobian, {_ONLY_SOURCE: noise})
-        return Unaided(update(unaided.parts, measurement, innovation(unaided.parts, measurement).gain)[1])
+        root, (size, states) = unaided.root, jacobian.shape
+        both = np.block([[np.linalg.cholesky(noise), jacobian @ root], [np.zeros((states, size)), root]])
+        # The triangle's upper rows are the root of the innovation's covariance, its lower right that of what is left.
+        return Unaided(_triangle(both)[size:, size:])
+
+    def _of_ship(self, covariance_n: FloatArray) -> FloatArray:
+        """A root of a covariance of the ship's error, rad², shape (3, 3), in rows of the whole state, shape (n, 3)."""
+        root = np.zeros((self._model.size, 3))
+        root[self._ship] = square_root(covariance_n)
+        return root
 
     def open_combinations(self, unaided: Unaided) -> tuple[str, ...]:
         """Combinations of names that the sightings so far cannot tell apart, as ``g - deformation_up``."""
-        covariance = unaided.parts[_ONLY_SOURCE][np.ix_(self._rows, self._rows)]
-        return open_combinations(covariance, self._sigma, self._names, self._told)
+        root = unaided.root[self._rows]
+        return open_combinations(root @ root.T, self._sigma, self._names, self._told)
+
+
+def _triangle(root: FloatArray) -> FloatArray:
+    """The lower triangle L with L Lᵀ = root rootᵀ, shape (n, n); root has n rows and n columns or more."""
+    lower: FloatArray = np.asarray(np.linalg.qr(root.T, mode="r"), dtype=float).T
+    return lower

@@ -16,7 +16,7 @@ import numpy as np
 
 from ship_attitude_star.sky.shared_states import sky_rows
 from ship_attitude_star.sky.sky_watch import SkyWatch
-from ship_attitude_star.stars.residuals import SOURCE_STAR_NOISE, StarResiduals, star_residuals
+from ship_attitude_star.stars.residuals import StarResiduals, star_residuals
 from ship_attitude_star.stars.selection import StarPrior
 from ship_estimation.hypotheses import RowsCompared, compare_rows
 from ship_estimation.kalman import LinearMeasurement, StateModel
@@ -25,7 +25,7 @@ from ship_geometry.rotations import FloatArray
 from theodolite_calib.chain.axes import axis_chain
 from theodolite_calib.chain.parallelism import telescope_from_main
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.model import SOURCE_ENCODER, SOURCE_SHIP_NOISE, parallelism_block
+from theodolite_calib.filter.model import SOURCE_ENCODER, SOURCE_SHIP_NOISE, camera_field, parallelism_block
 from theodolite_calib.filter.prediction import SightingModel
 from theodolite_calib.measured.star_sighting import StarSighting
 
@@ -112,7 +112,15 @@ class StarModel:
         """The stars against the camera as a state has it; see :func:`star_residuals`."""
         to_camera = camera.rotation_ns.T @ camera.turn_n
         return star_residuals(
-            sighting.exposure, camera.rotation_ns, to_camera, prior, watch, self._sky_rows, mean, near_ns
+            sighting.exposure,
+            camera.rotation_ns,
+            to_camera,
+            prior,
+            watch,
+            self._sky_rows,
+            mean,
+            near_ns,
+            self._model.slices.get(camera_field(sighting.camera_id)),
         )
 
     def compare(
@@ -153,5 +161,5 @@ class StarModel:
         by_turn_n = stars.by_turn @ camera.rotation_ns.T
         index = self._model.source_indices
         noise = {index[source]: by_turn_n @ part_n @ by_turn_n.T for source, part_n in camera.noise_n.items()}
-        noise[index[SOURCE_STAR_NOISE]] = stars.noise
+        noise |= {index[source]: part for source, part in stars.noise.items()}
         return LinearMeasurement(stars.residual + stars.jacobian @ moved, stars.jacobian, noise)

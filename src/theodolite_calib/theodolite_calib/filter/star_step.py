@@ -50,6 +50,8 @@ class StarStep:
     def _judged(self, state: CalibrationState, sighting: StarSighting) -> tuple[CalibrationState, ExposureDecision]:
         predicted = self._filter.predicted(state, sighting.time_ns, sighting.ship.slow_covariance_n)
         predicted = self._filter.unknown(predicted)
+        exposure = sighting.exposure.after(state.stays.get(sighting.exposure.source))
+        sighting = replace(sighting, exposure=exposure)
         try:
             found = self._filter.stars.compare(predicted.mean, predicted.covariance, sighting, self._watch)
             if not isinstance(found, Refusal):
@@ -83,7 +85,7 @@ class StarStep:
         if not nis <= gate:
             decision = replace(decision, text=f"improbable: NIS {nis:.1f} > gate {gate:.1f}")
             return held_back(state, decision, self._gate, "stars")
-        after = self._filter.used_stars(predicted, sighting.time_ns, found)
+        after = self._filter.used_stars(predicted, sighting.exposure, found)
         alternatives = self._filter.rows.seen_stars(
             predicted.alternatives, measurement, predicted.mean, found.stars.by_turn, self._gate.probability
         )

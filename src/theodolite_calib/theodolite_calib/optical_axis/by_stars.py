@@ -57,6 +57,9 @@ def pointing_by_stars(
     by_angles_n = solution.rotation_nb @ rotation_vector_from_angle_errors(azimuth, elevation)
     parts_n = np.zeros((len(model.sources), 3, 3))
     for term, part_n in zip(SOLUTION_TERMS, solution.parts_n, strict=False):
+        # The model has no source of an error that cannot be.
+        if not part_n.any():
+            continue
         parts_n[model.source_indices[SOURCE_STAR_NOISE if term in _OF_STARS else term]] += part_n
     parts_n[model.source_indices[SOURCE_PARALLELISM]] += by_angles_n @ state.covariance[block, block] @ by_angles_n.T
     unknown, covariance_n = np.full((3, 3), np.nan), parts_n.sum(axis=0)

@@ -1,0 +1,160 @@
+"""Errors that stay with a star's place on the detector: their statistics against the process that is stated for them.
+
+The field-spatial error is a Gaussian process with the correlation exp(-d²/(2 · 1.5²)), d in half sides, less its
+mean over the detector; what it is expected to be comes here from sums over a grid of places.
+"""
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from ship_attitude_star.stars.camera import StarCamera
+from ship_attitude_star.stars.config import CameraConfig
+from ship_attitude_star.stars.spatial_errors import FIELD_MODES, SpatialErrors
+from ship_estimation.parameters import ParameterError
+
+CAMERA = StarCamera(focal_length_m=0.05, pixel_pitch_m=5.5e-6, principal_u_px=1023.5, principal_v_px=767.5)
+HALF_PX = np.array([1023.5, 767.5])
+FIELD_PX, PIXEL_PX, LENGTH = 0.3, 0.2, 1.5
+ERRORS = SpatialErrors(CAMERA, FIELD_PX, PIXEL_PX)
+PIXEL_RAD = 5.5e-6 / 0.05
+
+
+GRID = np.stack(np.meshgrid(*[(np.arange(40) + 0.5) / 20.0 - 1.0] * 2), axis=-1).reshape(-1, 2)
+
+
+def correlation(places: np.ndarray, others: np.ndarray) -> np.ndarray:
+    squared = np.sum((places[:, None] - others) ** 2, axis=-1)
+    return np.exp(-0.5 * squared / LENGTH**2)
+
+
+def powers(places: np.ndarray) -> np.ndarray:
+    """All products of powers up to the third degree, shape (k, 10)."""
+    return np.stack([places[:, 0] ** i * places[:, 1] ** j for i in range(4) for j in range(4 - i)], axis=-1)
+
+
+def of_fitted_polynomials(places: np.ndarray) -> np.ndarray:
+    """Covariance at places (half sides) of the polynomial that fits the process best, less its mean.
+
+    The process has a mean square of 1 over the detector without its mean.
+    """
+    fit = np.linalg.pinv(powers(GRID))
+    less_mean = (powers(places) - powers(GRID).mean(axis=0)) @ fit
+    of_process = correlation(GRID, GRID)
+    return less_mean @ of_process @ less_mean.T / (1.0 - of_process.mean())
+
+
+def in_pixels(displacement_s: np.ndarray, directions_s: np.ndarray) -> np.ndarray:
+    moved = directions_s[:, None] + np.swapaxes(displacement_s, -1, -2)
+    return CAMERA.pixels(moved) - CAMERA.pixels(directions_s)[:, None]
+
+
+def test_the_field_error_is_the_best_polynomial_of_the_stated_process():
+    places = np.random.default_rng(1).uniform(-1.0, 1.0, (10, 2))
+    directions_s = CAMERA.directions((places + 1.0) * HALF_PX)
+    modes_px = in_pixels(ERRORS.field_modes(directions_s), directions_s)
+    assert modes_px.shape == (10, FIELD_MODES, 2)
+    for axis in range(2):
+        covariance = modes_px[..., axis] @ modes_px[..., axis].T
+        # The sums over the grid are good to some thousandths.
+        np.testing.assert_allclose(covariance / FIELD_PX**2, of_fitted_polynomials(places), atol=0.01)
+    # What moves u leaves v.
+    np.testing.assert_allclose(modes_px[..., 0] @ modes_px[..., 1].T, 0.0, atol=1e-9)
+
+
+def test_the_polynomial_leaves_out_a_thousandth_of_its_variance():
+    directions_s = CAMERA.directions((GRID + 1.0) * HALF_PX)
+    modes_px = in_pixels(ERRORS.field_modes(directions_s), directions_s)
+    mean_square = np.mean(np.sum(modes_px**2, axis=1), axis=0)
+    np.testing.assert_allclose(mean_square, 0.999 * FIELD_PX**2, rtol=0.001)
+    np.testing.assert_allclose(modes_px.mean(axis=0), 0.0, atol=1e-3)
+
+
+def worth(steps_px: np.ndarray, stars: int = 12, noise_px: float = 0.0, seed: int = 3) -> np.ndarray:
+    """What exposures in a row are worth where all stars go by these steps, beside one alone, shape (n,)."""
+    rng = np.random.default_rng([7, seed])
+    places, stay, found = rng.uniform(100.0, 1400.0, (stars, 2)), None, []
+    for place in np.cumsum(steps_px, axis=0):
+        seen = places + place + noise_px * rng.standard_normal((stars, 2))
+        stay = ERRORS.stay(CAMERA.directions(seen), np.full(stars, noise_px * PIXEL_RAD), stay)
+        found.append(1.0 / (1.0 + stay.excess))
+    return np.array(found)
+
+
+def drift(step_px: tuple[float, float], count: int = 300) -> np.ndarray:
+    return np.vstack([[0.0, 0.0], np.tile(step_px, (count - 1, 1))])
+
+
+@pytest.mark.parametrize("step_px", [(0.05, 0.0), (0.15, 0.0), (0.1, 0.1), (0.6, -0.2), (5.0, 3.0)])
+def test_exposures_on_the_same_pixels_are_worth_what_they_tell(step_px: tuple[float, float]):
+    """The weighted mean of 300 exposures of stars that drift over square pixels with errors of their own.
+
+    Two exposures have as much of their error in common as the pixels around them overlap. What the filter claims of the
+    mean is held against that; a pixel's share falls linearly, where the filter takes it to fall exponentially.
+    """
+    exposures, number = worth(drift(step_px), stars=100), np.arange(300)
+    apart = np.abs(number[:, None] - number)[..., None] * np.abs(step_px)
+    overlap = np.prod(np.maximum(1.0 - apart, 0.0), axis=-1)
+    variance = exposures @ overlap @ exposures / exposures.sum() ** 2
+    assert variance == pytest.approx(1.0 / exposures.sum(), rel=0.15)
+
+
+@pytest.mark.parametrize(("drift_px", "sway_px"), [(0.03, 0.0), (0.1, 0.0), (0.2, 0.0), (0.1, 0.3), (0.2, 0.3)])
+def test_noise_and_a_ship_that_sways_are_no_new_pixels(drift_px: float, sway_px: float):
+    """100 exposures of eight stars with noise, on pixels that are drawn: the mean is as good as it is said to be.
+
+    60 runs of two axes. What is claimed may differ from the truth by a fifth of the variance beside the 99.9 % band.
+    """
+    squares = []
+    for seed in range(60):
+        rng = np.random.default_rng([8, seed])
+        steps = np.vstack([[0.0, 0.0], np.diff(sway_px * rng.standard_normal((100, 2)), axis=0)])
+        steps[1:, 0] += drift_px
+        noise_px = 0.1
+        variance = noise_px**2 + PIXEL_PX**2 / worth(steps, stars=8, noise_px=noise_px, seed=seed)
+        path = np.rint(np.cumsum(steps, axis=0)[:, None] + rng.uniform(-0.5, 0.5, (8, 2)))
+        errors = np.stack([_of_pixels(rng, path[:, star]) for star in range(8)], axis=1)
+        seen = (PIXEL_PX * errors + noise_px * rng.standard_normal(errors.shape)).mean(axis=1)
+        mean = (seen / variance[:, None]).sum(axis=0) / (1.0 / variance).sum()
+        squares += (mean**2 * 8.0 * (1.0 / variance).sum()).tolist()
+    low, high = chi2.ppf([0.0005, 0.9995], len(squares)) / len(squares)
+    assert 0.8 * low <= np.mean(squares) <= 1.2 * high
+
+
+def _of_pixels(rng: np.random.Generator, path: np.ndarray) -> np.ndarray:
+    """Errors of unit variance along a way over pixels, shape (n, 2): one pair of numbers a pixel."""
+    _, which = np.unique(path, axis=0, return_inverse=True)
+    return rng.standard_normal((which.max() + 1, 2))[which.ravel()]
+
+
+def test_stars_on_new_pixels_are_new():
+    assert worth(drift((8.0, 0.0), 5)).tolist() == [1.0] * 5
+    stay = ERRORS.stay(CAMERA.directions(np.array([[300.0, 400.0]])), np.full(1, 1e-6), None)
+    other = ERRORS.stay(CAMERA.directions(np.array([[900.0, 200.0]])), np.full(1, 1e-6), stay)
+    assert (other.exposures, other.excess) == (0, 0.0)
+
+
+def test_stars_that_stand_still_to_the_bit_tell_next_to_nothing_more():
+    exposures = worth(np.zeros((50, 2)))
+    assert exposures[0] == 1.0
+    assert np.all(exposures[1:] == 1e-3)
+
+
+@pytest.mark.parametrize("length_px", [0.0, 0.3, 2.0, 30.0])
+def test_a_streak_averages_over_its_pixels(length_px: float):
+    """Against the double mean of exp(-2 |s - t|) over the streak, by sums."""
+    ways = (np.arange(2000) + 0.5) / 2000.0 * length_px
+    expected = np.mean(np.exp(-2.0 * np.abs(ways[:, None] - ways)))
+    share = ERRORS.streak_share(np.array([length_px * PIXEL_RAD]))
+    np.testing.assert_allclose(share, expected, rtol=1e-3)
+
+
+def test_a_field_error_needs_to_know_how_large_the_detector_is():
+    config = CameraConfig(focal_length_m=0.05, pixel_pitch_m=5.5e-6, field_spatial_sigma_px=0.1)
+    with pytest.raises(ParameterError, match=r"'cam.principal_u_px' and 'cam.principal_v_px' must be given"):
+        config.camera("cam")
+
+
+def test_without_them_nothing_is_modelled():
+    config = CameraConfig(focal_length_m=0.05, pixel_pitch_m=5.5e-6)
+    assert config.spatial_errors(config.camera("cam")) is None

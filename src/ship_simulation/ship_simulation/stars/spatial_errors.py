@@ -1,0 +1,56 @@
+"""What a detector adds to the centroids of stars by where they stand on it, the same whenever they stand there again.
+
+The field-spatial error is a smooth random function of the place: a sum of many waves whose wave numbers are drawn from
+the normal distribution of a Gaussian correlation, three quarters of a side of the detector long, less its mean over
+the detector.
+The pixel-spatial error is a number of its own for each pixel and axis. Nothing here is the estimators' own: these hold
+the map as a polynomial.
+"""
+
+import numpy as np
+
+from ship_geometry.rotations import FloatArray
+from ship_simulation.scenario.scenario import Detector
+
+_WAVES, _LENGTH = 200, 1.5
+"""Number of waves, and the correlation length in half sides."""
+
+_TILE_PX = 512
+"""The pixels' errors repeat after so many, which no star can tell."""
+
+
+class DetectorErrors:
+    """The errors of one detector, drawn once.
+
+    Args:
+        rng: source of the draws.
+        detector: its size, and how large the errors are.
+    """
+
+    def __init__(self, rng: np.random.Generator, detector: Detector) -> None:
+        least, greatest = detector.edges_px
+        self._middle_px, self._half_px = (least + greatest) / 2.0, (greatest - least) / 2.0
+        # Along the two axes of a wave, for the errors in u and in v.
+        self._number = rng.standard_normal((_WAVES, 2, 2)) / _LENGTH
+        self._phase = rng.uniform(0.0, 2.0 * np.pi, (_WAVES, 2))
+        # The mean of a wave over the detector, and its mean square without that, on the average over phases.
+        self._mean = np.prod(np.sinc(self._number / np.pi), axis=-1)
+        mean_square = 0.5 * np.mean(1.0 - self._mean**2, axis=0)
+        self._amplitude = detector.field_spatial_sigma_px / np.sqrt(_WAVES * mean_square)
+        # The draws of a tile take longer than all others: a detector without such errors goes without.
+        tile_px = _TILE_PX if detector.pixel_spatial_sigma_px > 0.0 else 1
+        self._pixel = detector.pixel_spatial_sigma_px * rng.standard_normal((tile_px, tile_px, 2))
+
+    def at(self, pixels: FloatArray) -> FloatArray:
+        """Errors in (u, v) of centroids there, shape (..., 2); NaN where a place is not finite."""
+        found = np.full(pixels.shape, np.nan)
+        finite = np.all(np.isfinite(pixels), axis=-1)
+        places = (pixels[finite] - self._middle_px) / self._half_px
+        waves = np.cos(np.einsum("wac,kc->kwa", self._number, places) + self._phase)
+        field = self._amplitude * np.sum(waves - self._mean * np.cos(self._phase), axis=1)
+        row, column = np.rint(pixels[finite]).astype(np.int64).T % len(self._pixel)
+        found[finite] = field + self._pixel[row, column]
+        return found
+
+    def forget(self, before_s: float) -> None:
+        """A detector's errors belong to no moment."""

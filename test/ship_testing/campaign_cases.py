@@ -1,0 +1,154 @@
+"""The cases in which the ship's covariance is held against its errors, seed by seed: at length, and in short.
+
+``tools/campaign.py`` runs each at length, ``test/test_campaign_cases.py`` in short. Each is a scenario of
+``bags/scenarios``, or one changed in a thing; what the suite is told follows from it.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from ship_simulation.scenario.motion_scenario import AngleMotion, CarrierMotion, Outage, Wave
+from ship_simulation.scenario.scenario import Scenario
+from ship_simulation.scenario.scenario_file import load_scenario
+from ship_testing.places import SCENARIOS
+
+INS_RATE_HZ = 20.0
+"""At length; a scenario's own 100 Hz tell the same and cost five times as much."""
+
+
+@dataclass(frozen=True)
+class Short:
+    """What a case is cut to for a test of many seeds: none of it changes what is tested.
+
+    Attributes:
+        duration_s: length.
+        ins_rate_hz: samples of the INS.
+        star_rate_hz: exposures of each star sensor; None: as at length.
+        clouds_s: from when on the stars are away, where they are away at the end.
+    """
+
+    duration_s: float
+    ins_rate_hz: float
+    star_rate_hz: float | None
+    clouds_s: float | None = None
+
+
+def _as_it_is(scenario: Scenario) -> Scenario:
+    return scenario
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scenario's file, what it is cut to in short, and how it is changed."""
+
+    file: str
+    short: Short
+    changed: Callable[[Scenario], Scenario] = _as_it_is
+
+
+def case_at_length(name: str, recording: Path | None = None) -> Scenario:
+    """A case as the campaign runs it.
+
+    Args:
+        name: of CASES.
+        recording: bag that the ship follows, of the case ``recorded``.
+    """
+    case = CASES[name]
+    whole = load_scenario(SCENARIOS / f"{case.file}.yaml", recording=recording)
+    return case.changed(replace(whole, ins=replace(whole.ins, rate_hz=INS_RATE_HZ)))
+
+
+def case_in_short(name: str) -> Scenario:
+    """A case as a test of many seeds runs it."""
+    whole, short = case_at_length(name), CASES[name].short
+    changes: dict[str, Any] = {}
+    if short.star_rate_hz is not None:
+        changes["rate_hz"] = short.star_rate_hz
+    if short.clouds_s is not None:
+        changes["outages"] = {"clouds": Outage(short.clouds_s, short.duration_s + 1.0)}
+    ins = replace(whole.ins, rate_hz=short.ins_rate_hz)
+    return _each_sensor(replace(whole, duration_s=short.duration_s, ins=ins), **changes)
+
+
+def _each_sensor(scenario: Scenario, **changes: Any) -> Scenario:
+    """The scenario with each star sensor changed."""
+    sensors = {id_: replace(one, **changes) for id_, one in scenario.star_sensors.items()}
+    return replace(scenario, star_sensors=sensors)
+
+
+def _rolling_by_a_poor_clock(scenario: Scenario) -> Scenario:
+    """Roll of 15° in 9 s: at 10°/s the 20 ms of the clock's sigma are 750 arcseconds."""
+    roll = AngleMotion(waves={"swell": Wave(amplitude_deg=15.0, period_s=9.0)})
+    ins = replace(scenario.ins, time_offset_sigma_s=0.02)
+    return replace(scenario, ins=ins, carrier=replace(scenario.carrier, roll=roll))
+
+
+def _late_at_two_rates(scenario: Scenario) -> Scenario:
+    """5 and 3 Hz: sensors that agree on no moment, and are told of half a second afterwards."""
+    late = _each_sensor(scenario, latency_s=0.5).star_sensors
+    rates_hz = {"fore": 5.0, "starboard": 3.0}
+    return replace(scenario, star_sensors={id_: replace(late[id_], rate_hz=rate) for id_, rate in rates_hz.items()})
+
+
+def _still(scenario: Scenario) -> Scenario:
+    """A voyage of hours, in which the sea tells nothing: without waves, each device speaking every ten seconds."""
+    heading, pitch, roll = AngleMotion(mean_deg=5.0), AngleMotion(mean_deg=0.5), AngleMotion(mean_deg=2.0)
+    return replace(
+        _each_sensor(scenario, rate_hz=0.1, phase_s=0.0),
+        carrier=CarrierMotion(kind="sinusoids", heading=heading, pitch=pitch, roll=roll),
+        ins=replace(scenario.ins, rate_hz=0.1, time_offset_sigma_s=0.0),
+        position=replace(scenario.position, rate_hz=0.1),
+    )
+
+
+def _on_the_same_pixels(scenario: Scenario) -> Scenario:
+    """A ship at a quay, two minutes of it: her stars drift by a seventh of a pixel from exposure to exposure."""
+    heading, pitch = AngleMotion(mean_deg=34.4), AngleMotion(mean_deg=0.2)
+    sensors = {
+        id_: replace(one, camera=replace(one.camera, field_spatial_sigma_px=0.3, pixel_spatial_sigma_px=0.2))
+        for id_, one in scenario.star_sensors.items()
+    }
+    carrier = CarrierMotion(kind="sinusoids", heading=heading, pitch=pitch, roll=AngleMotion(mean_deg=0.5))
+    return replace(scenario, star_sensors=sensors, carrier=carrier, duration_s=min(scenario.duration_s, 120.0))
+
+
+CASES = {
+    # Two sensors at right angles.
+    "paper": Case("paper", Short(60.0, 20.0, 2.0)),
+    # What is about its boresight it tells badly: the ellipsoid of the error is long.
+    "one_sensor": Case("one_sensor", Short(60.0, 20.0, 2.0)),
+    # It tells the INS's error from that of the installation.
+    "turn": Case("turn", Short(280.0, 5.0, 1.0)),
+    # Thirty minutes of clouds: the covariance grows as the INS's errors do.
+    "outage": Case("outage", Short(1860.0, 10.0, 1.0, clouds_s=60.0)),
+    # Data up to 1.3 s late and out of order.
+    "late_shuffled": Case("late_shuffled", Short(40.0, 20.0, 2.0)),
+    # Waves of a spectrum, other ones each seed.
+    "sea_state_5": Case("sea_state_5", Short(60.0, 20.0, 2.0)),
+    # The hull bends between INS and sensors while a wave passes.
+    "flexure": Case(
+        "paper", Short(60.0, 20.0, 2.0), partial(_each_sensor, flexure_sigma_arcsec=5.0, flexure_time_s=10.0)
+    ),
+    # How far off the INS's clock is shows in a ship that rolls, beyond what is linear in it.
+    "poor_clock": Case("paper", Short(60.0, 20.0, 2.0), _rolling_by_a_poor_clock),
+    # What comes late goes back over what the other sensor has told meanwhile.
+    "two_rates_late": Case("paper", Short(25.0, 20.0, None), _late_at_two_rates),
+    # Single stars of the real sky, eight an exposure.
+    "paper_stars": Case("paper_stars", Short(30.0, 10.0, 1.0)),
+    # Stars to fourth magnitude alone: none to three in a field of 13°.
+    "few_stars": Case("paper_stars", Short(40.0, 10.0, 1.0), partial(_each_sensor, magnitude_limit=4.0, most_stars=3)),
+    # A ship that rolls draws her stars as streaks.
+    "streaks": Case("paper_stars", Short(30.0, 10.0, 1.0), partial(_each_sensor, exposure_s=0.1)),
+    # Errors of 7″ over the field and of 5″ a pixel, which do not average while stars keep their places.
+    "spatial_errors": Case("paper_stars", Short(20.0, 10.0, 2.0), _on_the_same_pixels),
+    # An undamped INS, two hours of stars and two of clouds.
+    "schuler": Case("schuler", Short(3600.0, 0.05, 0.025, clouds_s=1800.0), _still),
+    # Clouds across a change of the vertical by 60 arcseconds, with a table of it.
+    "deflection": Case("deflection", Short(3600.0, 0.05, 0.05), _still),
+    # On the motion of a ship at sea.
+    "recorded": Case("recorded", Short(60.0, 20.0, None)),
+}
+WITHOUT_RECORDING = tuple(name for name in CASES if name != "recorded")

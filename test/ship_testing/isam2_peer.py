@@ -1,0 +1,190 @@
+"""A peer of the ship's filter: INS and star attitudes of a run in a graph of factors, solved by GTSAM's iSAM2.
+
+It reads the samples themselves and shares no model with the filter: its own interpolation of the INS, residuals and
+noise. Unknown are the INS's slow error at each exposure, how each sensor is mounted, and the INS's clock. GTSAM is not
+installed by ``make setup``: ``pip install gtsam`` brings it.
+"""
+
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
+from ship_replay.trials.monte_carlo import FinalError, error_at_end
+from ship_simulation.run import SimulatedRun, simulate
+from ship_simulation.scenario.scenario import Scenario, StarSensor
+
+_CLOCK = 0
+"""Key of the INS's clock. Those of the mountings come next, then those of the moments."""
+_CHANGED = 1e-7
+"""What an unknown must have moved, rad or s, for its factors to be linearised anew: 0.02 arcseconds."""
+
+
+def isam2_error(scenario: Scenario, seed: int) -> FinalError:
+    """Simulate a run, smooth it, and compare with the truth at the last INS sample."""
+    run = simulate(scenario, seed)
+    return error_at_end(run, seed, *_Graph(run).solved())
+
+
+class _Graph:
+    """The graph of a run; star sensors give attitudes in the horizon, whose errors are their noise alone.
+
+    Args:
+        run: of which the samples and the sigmas told are used, and nothing of the truth.
+    """
+
+    def __init__(self, run: SimulatedRun) -> None:
+        gtsam = self._gtsam = import_module("gtsam")
+        parameters = gtsam.ISAM2Params()
+        parameters.setRelinearizeThreshold(_CHANGED)
+        parameters.relinearizeSkip = 20
+        self._smoother = gtsam.ISAM2(parameters)
+        self._run, self._ins = run, _Ins(run)
+        self._mounting_keys = {id_: 1 + number for number, id_ in enumerate(run.stars)}
+        self._first_moment = 1 + len(run.stars)
+
+    def solved(self) -> tuple[FloatArray, FloatArray]:
+        """Attitude at the last INS sample, shape (3, 3), and its covariance in the horizon, rad², shape (3, 3)."""
+        self._begin()
+        told = [
+            (int(time_ns), id_, row)
+            for id_, samples in self._run.stars.items()
+            for row, time_ns in enumerate(samples.time_ns)
+            if self._ins.surrounds(int(time_ns))
+        ]
+        before_ns = None
+        moment = self._first_moment
+        for moment, (time_ns, id_, row) in enumerate(sorted(told), start=self._first_moment):
+            graph, values = self._moved(moment, before_ns, time_ns)
+            graph.add(self._sighting(moment, time_ns, id_, row))
+            self._smoother.update(graph, values)
+            before_ns = time_ns
+        end_ns, end = int(self._ins.time_ns[-1]), moment + 1
+        self._smoother.update(*self._moved(end, before_ns, end_ns))
+        for _ in range(3):
+            self._smoother.update()
+        return self._attitude(end)
+
+    def _begin(self) -> None:
+        """The clock and the mountings, as far as they are known."""
+        scenario, gtsam = self._run.scenario, self._gtsam
+        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        known = {_CLOCK: np.array([scenario.ins.time_offset_sigma_s])}
+        for id_, key in self._mounting_keys.items():
+            known[key] = _mounting_sigma(scenario.star_sensors[id_])
+        for key, sigma in known.items():
+            values.insert(key, np.zeros(len(sigma)))
+            graph.add(self._prior(key, sigma))
+        self._smoother.update(graph, values)
+
+    def _prior(self, key: int, sigma: FloatArray) -> Any:
+        def error(_: Any, values: Any, jacobians: Any) -> FloatArray:
+            if jacobians is not None:
+                jacobians[0] = np.eye(len(sigma))
+            return values.atVector(key)
+
+        return self._gtsam.CustomFactor(self._gtsam.noiseModel.Diagonal.Sigmas(sigma), [key], error)
+
+    def _moved(self, moment: int, before_ns: int | None, time_ns: int) -> tuple[Any, Any]:
+        """A new moment, with what the INS's slow error has done since the one before: Gauss–Markov."""
+        gtsam, ins = self._gtsam, self._run.scenario.ins
+        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        sigma = np.array([ins.tilt_sigma_arcsec, ins.heading_sigma_arcsec, ins.tilt_sigma_arcsec]) * ARCSEC
+        time_s = np.array([ins.tilt_time_s, ins.heading_time_s, ins.tilt_time_s])
+        if before_ns is None:
+            values.insert(moment, np.zeros(3))
+            graph.add(self._prior(moment, sigma))
+            return graph, values
+        decay = np.exp(-1e-9 * (time_ns - before_ns) / time_s)
+        values.insert(moment, decay * self._smoother.calculateEstimateVector(moment - 1))
+
+        def error(_: Any, at: Any, jacobians: Any) -> FloatArray:
+            if jacobians is not None:
+                jacobians[0], jacobians[1] = -np.diag(decay), np.eye(3)
+            return at.atVector(moment) - decay * at.atVector(moment - 1)
+
+        step = gtsam.noiseModel.Diagonal.Sigmas(sigma * np.sqrt(1.0 - decay**2))
+        graph.add(gtsam.CustomFactor(step, [moment - 1, moment], error))
+        return graph, values
+
+    def _sighting(self, moment: int, time_ns: int, sensor_id: str, row: int) -> Any:
+        """R_star = exp(a) R_ins(t - tau) R0 exp(m) exp(noise), its residual in the sensor."""
+        sensor, samples = self._run.scenario.star_sensors[sensor_id], self._run.stars[sensor_id]
+        mounting = self._mounting_keys[sensor_id]
+        nominal_dv = rotation_from_angles(*np.deg2rad([sensor.azimuth_deg, sensor.elevation_deg, sensor.roll_deg]))
+        measured_nv = samples.rotation_nv[row]
+
+        def error(_: Any, at: Any, jacobians: Any) -> FloatArray:
+            rotation_nd, rate_d = self._ins.at(time_ns, at.atVector(_CLOCK)[0])
+            mounted_dv = nominal_dv @ exp_rotation(at.atVector(mounting))
+            expected_nv = exp_rotation(at.atVector(moment)) @ rotation_nd @ mounted_dv
+            if jacobians is not None:
+                jacobians[0], jacobians[1] = -expected_nv.T, -np.eye(3)
+                jacobians[2] = (nominal_dv.T @ rate_d)[:, None]
+            return log_rotation(expected_nv.T @ measured_nv)
+
+        noise = samples.noise_v + self._ins.white_variance(time_ns) * np.eye(3)
+        return self._gtsam.CustomFactor(
+            self._gtsam.noiseModel.Gaussian.Covariance(noise), [moment, mounting, _CLOCK], error
+        )
+
+    def _attitude(self, end: int) -> tuple[FloatArray, FloatArray]:
+        found = self._smoother.calculateEstimate()
+        rotation_nd, rate_d = self._ins.last(found.atVector(_CLOCK)[0])
+        marginals = self._gtsam.Marginals(self._smoother.getFactorsUnsafe(), found)
+        joint = marginals.jointMarginalCovariance([end, _CLOCK])
+        covariance = np.block([[joint.at(one, other) for other in (end, _CLOCK)] for one in (end, _CLOCK)])
+        by_unknown = np.hstack([np.eye(3), -(rotation_nd @ rate_d)[:, None]])
+        white = (self._run.scenario.ins.white_sigma_arcsec * ARCSEC) ** 2 * np.eye(3)
+        return exp_rotation(found.atVector(end)) @ rotation_nd, by_unknown @ covariance @ by_unknown.T + white
+
+
+def _mounting_sigma(sensor: StarSensor) -> FloatArray:
+    """About forward, up and right, rad."""
+    sigmas = [
+        sensor.installation_sigma_forward_arcsec,
+        sensor.installation_sigma_up_arcsec,
+        sensor.installation_sigma_right_arcsec,
+    ]
+    return np.array(sigmas) * ARCSEC
+
+
+class _Ins:
+    """What the INS tells between its samples: each carried on by its rates, and their mean by distance in time."""
+
+    def __init__(self, run: SimulatedRun) -> None:
+        ins = run.ins
+        self.time_ns, self._rotation_nd, self._rate_d = ins.time_ns, ins.rotation_nd, ins.rate_d
+        self._white = (run.scenario.ins.white_sigma_arcsec * ARCSEC) ** 2
+
+    def surrounds(self, time_ns: int) -> bool:
+        """Whether there are samples on both sides, also where its clock is off by as much as it may."""
+        return bool(self.time_ns[1] <= time_ns <= self.time_ns[-2])
+
+    def at(self, time_ns: int, offset_s: float) -> tuple[FloatArray, FloatArray]:
+        """Horizon from deck, shape (3, 3), and the angular rate in the deck, rad/s, where its clock is so far off."""
+        left, part, step_s = self._between(time_ns, offset_s)
+        before, after = self._rate_d[left], self._rate_d[left + 1]
+        rate_d = before + part * (after - before)
+        by_left = self._rotation_nd[left] @ exp_rotation(0.5 * (before + rate_d) * part * step_s)
+        by_right = self._rotation_nd[left + 1] @ exp_rotation(-0.5 * (rate_d + after) * (1.0 - part) * step_s)
+        return by_left @ exp_rotation(part * log_rotation(by_left.T @ by_right)), rate_d
+
+    def last(self, offset_s: float) -> tuple[FloatArray, FloatArray]:
+        """The same at the last stamp: that sample alone, carried by its rates, with its noise and no other's."""
+        _, halfway_d = self.at(int(self.time_ns[-1]), 0.5 * offset_s)
+        return self._rotation_nd[-1] @ exp_rotation(-halfway_d * offset_s), self._rate_d[-1]
+
+    def white_variance(self, time_ns: int) -> float:
+        """Of the noise of such a mean, rad², each axis."""
+        _, part, _ = self._between(time_ns, 0.0)
+        return float(self._white * ((1.0 - part) ** 2 + part**2))
+
+    def _between(self, time_ns: int, offset_s: float) -> tuple[int, float, float]:
+        """Number of the sample before, which part of the step to the next has passed, and the step, s."""
+        stamp_ns = time_ns - round(1e9 * offset_s)
+        left = int(np.clip(np.searchsorted(self.time_ns, stamp_ns) - 1, 0, len(self.time_ns) - 2))
+        step_ns = self.time_ns[left + 1] - self.time_ns[left]
+        return left, (time_ns - self.time_ns[left] - 1e9 * offset_s) / step_ns, 1e-9 * step_ns

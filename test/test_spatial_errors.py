@@ -1,0 +1,55 @@
+"""Errors that stay with a star's place on the detector: what the suite claims of them against a simulated detector.
+
+The simulated detector adds waves and a number for each pixel; the suite holds the first as a polynomial and knows
+of the second how long they last. Many seeds of the filter: ``spatial_errors`` among the cases of the campaign.
+"""
+
+
+import numpy as np
+import pytest
+
+from ship_attitude_star.sky.sky_watch import installed_sky
+from ship_attitude_star.star_attitude.config import StarAttitudeConfig
+from ship_attitude_star.star_attitude.exposure_solver import solve_exposure
+from ship_attitude_star.stars.solution import SOLUTION_TERMS, SolutionStatus
+from ship_estimation.gates import mean_nees_band, normalized_error_squared
+from ship_estimation.parameters import build
+from ship_geometry.rotations import log_rotation
+from ship_replay.trials.monte_carlo import sky_input, star_exposure
+from ship_simulation.run import SKY_SOURCES, SimulatedRun, simulate
+from ship_simulation.suite.suite import star_attitude_configuration
+from ship_testing.paper_stars import paper_stars, with_sensor
+
+LARGE = {"field_spatial_sigma_px": 0.3, "pixel_spatial_sigma_px": 0.2}
+"""7″ and 5″ beside a noise of 3″."""
+
+def solved(run: SimulatedRun):
+    """The attitude of the sensor by the first exposure of a run, and the true one (horizon from sensor)."""
+    config = build(StarAttitudeConfig, star_attitude_configuration(run.scenario))
+    watch = installed_sky(config.sky)
+    for _, source, index in run.arrivals():
+        if source in SKY_SOURCES:
+            watch.surroundings.insert(sky_input(run, source, index))
+    _, outcome = solve_exposure(star_exposure(run, "fore", 0), (), None, watch)
+    return outcome.solution, run.truth.sightings["fore"].rotation_nv[0]
+
+
+def test_an_attitude_by_one_exposure_has_them_in_its_covariance_by_name():
+    """One exposure of each of 60 seeds."""
+    scenario = with_sensor(paper_stars(duration_s=0.2), camera=LARGE)
+    nees, parts = [], []
+    for seed in range(60):
+        solution, true_nv = solved(simulate(scenario, seed))
+        # One in a thousand exposures disagrees with itself by chance, and is refused.
+        if solution.status is SolutionStatus.INVALID:
+            continue
+        nees.append(normalized_error_squared(log_rotation(true_nv @ solution.rotation_nb.T), solution.covariance_n))
+        parts.append(solution.parts_n)
+    assert len(nees) >= 58
+    low, high = mean_nees_band(len(nees), 3)
+    assert low <= np.mean(nees) <= high
+    sigma = np.sqrt(np.trace(np.mean(parts, axis=0), axis1=-2, axis2=-1))
+    by_name = dict(zip(SOLUTION_TERMS, sigma, strict=True))
+    # The errors of the pixels are to the noise as 0.2 px to 0.132.
+    assert by_name["pixel_spatial"] == pytest.approx(by_name["star_noise"] * 0.2 / 0.13222, rel=0.01)
+    assert by_name["field_spatial"] > by_name["pixel_spatial"]
