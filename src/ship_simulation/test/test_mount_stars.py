@@ -112,3 +112,14 @@ def test_a_start_beyond_the_table_of_the_earth_is_refused(tmp_path):
     path.write_text(text, encoding="utf-8")
     with pytest.raises(Exception, match="cannot be given a sky"):
         load_scenario(path)
+
+
+def test_errors_that_stay_with_the_detector_are_drawn_for_this_camera_too():
+    told = {"identified": True, "false_stars": 0.0, "exposure_s": 0.0}
+    plain, spatial = (
+        simulate(night(duration_s=20.0, camera__field_spatial_sigma_px=sigma_px, **told), seed=1)
+        for sigma_px in (0.0, 0.5)
+    )
+    off_px = spatial.theodolite.stars["night"].pixel - plain.theodolite.stars["night"].pixel
+    # Few places of the detector are independent of one another: between half and twice its sigma.
+    assert 0.25 < np.sqrt(np.mean(off_px**2)) < 1.0
