@@ -8,16 +8,15 @@ from pathlib import Path
 import pytest
 
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
-from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_bags.message_factory import RosidlFactory
 from ship_estimation.parameters import describe
 from ship_node.parameters.usage import usage_text
+from ship_replay.offline.nodes import ADAPTERS
 from ship_simulation.scenario.scenario import Fault, Scenario
-from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 
 ROOT = Path(__file__).parents[1]
-NODES = {"ship_attitude": ShipAttitudeAdapter, "star_attitude": StarAttitudeAdapter, "optical_axis": OpticalAxisAdapter}
+NODES = {kind.node_name: kind for kind in ADAPTERS}
 SUITE = {"nmea_in", "nmea_out", "suite", "check_config", "preflight"}
 EXECUTABLES = re.findall(
     # What has moved to another package only says where it is now.
@@ -70,7 +69,7 @@ def test_mend_16_the_help_of_a_node_lists_what_any_configuration_asks_for():
 
 def test_mend_16_replay_names_all_nodes_and_simulate_all_keys_and_faults(capsys):
     shown = " ".join(help_of("replay", "ship_replay.commands.replay", capsys).split())
-    assert "(ship_attitude, star_attitude, optical_axis;" in shown
+    assert "(ship_attitude, star_attitude, optical_axis, triangulation;" in shown
     shown = help_of("simulate", "ship_simulation.simulate_command", capsys)
     assert all(f"  {d.name}" in shown for d in describe(Scenario))
     (kinds,) = [d.choices for d in describe(Fault) if d.name == "kind"]

@@ -1,24 +1,19 @@
-"""Stars in a camera on the theodolite, in a bag: replayed against the true pointing, with lights, alone, without a fix.
+"""Stars in cameras on the theodolite, in a bag: replayed against the true pointing, with lights, alone, without a fix.
 
-The stars are made from ``truth/pointing`` of a simulated voyage, the catalogue, and the errors drawn in this file.
+The bag is simulated (theodolite_night.yaml). Its camera is there twice: one tells which stars it sees, one does not.
 """
 
-from collections.abc import Callable, Iterator
+import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
-from ship_attitude_star.ros.surroundings_in import SURROUNDINGS, surroundings_reader
-from ship_attitude_star.sky.config import SkyConfig
-from ship_attitude_star.sky.sky_watch import SkyWatch, installed_sky
-from ship_attitude_star.stars.camera import StarCamera
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
-from ship_bags.message_store import RosbagsFactory
-from ship_bags.stamps import make_header, ns_from_stamp
+from ship_bags.stamps import ns_from_stamp
 from ship_estimation.outcome import Status
 from ship_estimation.refusals import Reason
 from ship_geometry.frames import rotation_from_angles
@@ -28,109 +23,45 @@ from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
 from ship_simulation.simulate_command import write_bag
 from ship_simulation.suite.suite import suite_yaml
-from ship_testing.mount_stars import CAMERA, CAMERA_ID, FIELD, MOUNTED_DEG
-from ship_testing.theodolite_scenes import bag_scenario
+from ship_testing.theodolite_scenes import bag_scenario, replaced, with_night
 from theodolite_calib.measured.samples import Mode
 
-LATENCY_NS, SIGMA_PX, MOST_STARS = 60_000_000, 0.1, 10
 ENDS_NS = 2_000_000_000
-STARS, POINTING, INNOVATION = f"theodolite/{CAMERA_ID}/stars", "theodolite/pointing", "theodolite/innovation"
+NAMED, UNNAMED = "night", "dusk"
+STARS = {f"theodolite/{id_}/stars" for id_ in (NAMED, UNNAMED)}
+SOURCES = {f"star.{id_}" for id_ in (NAMED, UNNAMED)}
+POINTING, INNOVATION = "theodolite/pointing", "theodolite/innovation"
 LIGHTS = ("theodolite/beacons", "beacon/a/baseline", "beacon/b/baseline", "beacon/a/imu", "beacon/b/imu")
-
-
-def entries(path: Path) -> Iterator[tuple[str, Any, int]]:
-    with read_bag(path) as bag:
-        for record in bag.records():
-            yield record.topic.strip("/"), record.decode(), record.log_time_ns
-
-
-def sky_of(told: list[tuple[str, Any, int]]) -> SkyWatch:
-    """The sky as the bag's own fixes and weather tell it."""
-    config = SkyConfig()
-    watch = installed_sky(config)
-    for topic, message, time_ns in told:
-        if topic in SURROUNDINGS:
-            watch.surroundings.insert(surroundings_reader(topic, config)(message, receive_ns=time_ns).value)
-    return watch
-
-
-class Night:
-    """Exposures of the camera, with errors of mounting and sky that last all night."""
-
-    def __init__(self, watch: SkyWatch) -> None:
-        self.watch, self.rng, self.factory = watch, np.random.default_rng(11), RosbagsFactory()
-        self.camera, self.sky = StarCamera(**CAMERA), self.rng.standard_normal(4)
-        mounted = np.deg2rad(list(MOUNTED_DEG.values())) + 0.2 * ARCSEC * self.rng.standard_normal(3)
-        self.rotation_sm = rotation_from_angles(*mounted)
-
-    def stars(self, pointing: Any, time_ns: int, number: int) -> Any:
-        """Every other exposure has stars without a name."""
-        angles = pointing.azimuth, pointing.elevation, pointing.image_rotation
-        rotation_ns = rotation_from_angles(*angles) @ self.rotation_sm.T
-        moment, catalogue = self.watch.at(time_ns), self.watch.catalogue
-        rows = moment.bright_rows_around(rotation_ns[:, 0], 1.5 * FIELD)
-        apparent = moment.apparent(catalogue.at_j2000[rows])
-        seen_s = (apparent.direction_n + apparent.shared_n @ self.sky) @ rotation_ns
-        inside = np.all(np.abs(seen_s[:, 1:] / seen_s[:, :1]) < np.tan(FIELD), axis=-1)
-        order = np.flatnonzero(inside)[np.argsort(catalogue.magnitude[rows[inside]])][:MOST_STARS]
-        pixels = self.camera.pixels(seen_s[order]) + SIGMA_PX * self.rng.standard_normal((len(order), 2))
-        observed = [
-            self.factory.make(
-                "ship_msgs/msg/StarObservation",
-                catalogue_id=int(catalogue.hip[row]) if number % 2 else 0,
-                right_ascension=float("nan"),
-                declination=float("nan"),
-                u=float(u),
-                v=float(v),
-                sigma_px=SIGMA_PX,
-                magnitude=float(catalogue.magnitude[row]),
-            )
-            for row, (u, v) in zip(rows[order], pixels, strict=True)
-        ]
-        return self.factory.make(
-            "ship_msgs/msg/StarObservationArray",
-            header=make_header(self.factory, time_ns, CAMERA_ID),
-            sensor_id=CAMERA_ID,
-            exposure_s=0.0,
-            stars=observed,
-        )
 
 
 @pytest.fixture(scope="module", name="voyage")
 def _voyage(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[int, np.ndarray]]:
     """A folder with bags and their suite file; the true main axis (horizon from main frame) by stamp."""
-    folder, scenario = tmp_path_factory.mktemp("mount"), bag_scenario(duration_s=8.0)
-    write_bag(scenario, 3, folder / "simulated.mcap", b"")
-    told, truth_nm = list(entries(folder / "simulated.mcap")), {}
-    night = Night(sky_of(told))
-    for topic, message, time_ns in list(told):
+    folder, scenario = tmp_path_factory.mktemp("mount"), with_night(bag_scenario(duration_s=8.0))
+    points = replaced(scenario.telescopes["night"], exposure_s=0.0, false_stars=0.0)
+    cameras = {NAMED: replaced(points, identified=True, phase_s=0.1), UNNAMED: replaced(points, phase_s=0.0)}
+    scenario = dataclasses.replace(scenario, telescopes=cameras, targets={})
+    write_bag(scenario, 3, folder / "both.mcap", b"")
+    truth_nm = {}
+    with read_bag(folder / "both.mcap") as bag:
+        told = [(record.topic, record.decode(), record.log_time_ns) for record in bag.records()]
+    for topic, message, time_ns in told:
         if topic == "truth/pointing":
-            angles = message.azimuth, message.elevation, message.image_rotation
-            truth_nm[time_ns] = rotation_from_angles(*angles)
-            told.append((STARS, night.stars(message, time_ns, len(truth_nm)), time_ns + LATENCY_NS))
-    told.sort(key=lambda entry: entry[2])
-
+            truth_nm[time_ns] = rotation_from_angles(message.azimuth, message.elevation, message.image_rotation)
     ends_ns = told[0][2] + ENDS_NS
 
-    def bag(name: str, keep: Callable[[str], bool], ending: tuple[str, ...] = ()) -> None:
+    def bag_of(name: str, keep: Callable[[str], bool], ending: tuple[str, ...] = ()) -> None:
         with BagWriter(folder / name) as out:
             for topic, message, time_ns in told:
                 if keep(topic) and not (topic in ending and time_ns > ends_ns):
                     out.write(topic, message, time_ns)
 
-    bag("both.mcap", lambda topic: True)
-    bag("stars.mcap", lambda topic: topic not in LIGHTS)
-    bag("lights.mcap", lambda topic: topic != STARS)
-    bag("no_fix.mcap", lambda topic: topic != "gnss/fix")
-    bag("no_ship.mcap", lambda topic: topic not in LIGHTS, ("ship/attitude",))
-    bag("no_mount.mcap", lambda topic: topic not in LIGHTS, ("ship/attitude", "theodolite/encoder"))
-    suite = yaml.safe_load(suite_yaml(scenario))
-    (node,) = (name for name in suite if name.endswith("optical_axis"))
-    sigmas = {f"{name}_sigma_arcsec": 0.2 for name in ("azimuth", "elevation", "roll")}
-    suite[node]["ros__parameters"]["telescopes"] = {
-        CAMERA_ID: {**MOUNTED_DEG, **sigmas, "frame_id": CAMERA_ID, "camera": CAMERA}
-    }
-    (folder / "suite.yaml").write_text(yaml.safe_dump(suite))
+    bag_of("stars.mcap", lambda topic: topic not in LIGHTS)
+    bag_of("lights.mcap", lambda topic: topic not in STARS)
+    bag_of("no_fix.mcap", lambda topic: topic != "gnss/fix")
+    bag_of("no_ship.mcap", lambda topic: topic not in LIGHTS, ("ship/attitude",))
+    bag_of("no_mount.mcap", lambda topic: topic not in LIGHTS, ("ship/attitude", "theodolite/encoder"))
+    (folder / "suite.yaml").write_text(suite_yaml(scenario))
     return folder, truth_nm
 
 
@@ -176,7 +107,7 @@ def test_by_stars_alone_the_pointing_is_that_of_the_truth_as_its_covariance_says
     assert np.sqrt(np.mean(np.sum(off**2, axis=-1))) < 3.0
     # Chi-square with three degrees: beyond 30.7 is one in a million.
     assert np.max(nees) < 30.7
-    accepted = [message for message in said(told, INNOVATION) if message.source == f"star.{CAMERA_ID}"]
+    accepted = [message for message in said(told, INNOVATION) if message.source in SOURCES]
     assert sum(message.accepted for message in accepted) > 70
     named = {component.split(" ")[0] for message in accepted if message.accepted for component in message.components}
     assert named == {"HIP"}
@@ -206,7 +137,7 @@ def test_a_replay_in_blocks_gives_what_one_by_one_gives(voyage) -> None:
 def test_without_a_fix_no_star_is_used_and_the_lights_point_as_without_stars(voyage) -> None:
     folder, _ = voyage
     told, without = replayed(folder, "no_fix.mcap"), replayed(folder, "lights.mcap")
-    stars = [message for message in said(told, INNOVATION) if message.source == f"star.{CAMERA_ID}"]
+    stars = [message for message in said(told, INNOVATION) if message.source in SOURCES]
     assert len(stars) > 70
     assert {message.reason for message in stars} == {Reason.NO_FIX}
     assert not any(message.accepted for message in stars)

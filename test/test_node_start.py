@@ -10,6 +10,7 @@ ADAPTERS = [
     "ship_attitude_star.ros.ship_attitude_adapter",
     "ship_attitude_star.ros.star_attitude_adapter",
     "theodolite_calib.ros.optical_axis_adapter",
+    "theodolite_calib.ros.triangulation_adapter",
 ]
 
 NEEDLESS = {

@@ -145,3 +145,19 @@ def test_mend_09_points_of_moving_lights_are_brought_to_the_middle_of_the_exposu
         length_m = np.linalg.norm(streak_m, axis=-1)
         along = np.einsum("ki,kij,kj->k", streak_m, sighting.image.smear_m2, streak_m) / length_m**2
         np.testing.assert_allclose(along, sigma_m**2 * length_m**2 / (12.0 * psf_m**2), rtol=0.02)
+
+
+@pytest.mark.parametrize("lights", [True, False])
+def test_with_simulated_stars_on_the_mount_errors_are_what_the_covariance_says(lights):
+    scenario = load_scenario(ROOT / "bags" / "scenarios" / "theodolite_night.yaml")
+    beacons = scenario.beacons if lights else {}
+    scenario = dataclasses.replace(scenario, duration_s=3.0, beacons=beacons, targets={})
+    scenario = with_theodolite(scenario, encoder__rate_hz=10.0)
+    nees, modes = [], set()
+    for seed in range(SEEDS):
+        session = pointing_errors(scenario, seed)
+        nees.append(normalized_error_squared(session.error_n[-1], session.covariance_n[-1]))
+        modes.add(session.mode[-1])
+    assert modes == {Mode.STARS_AND_LIGHTS if lights else Mode.STARS}
+    low, high = mean_nees_band(SEEDS, degrees=3)
+    assert low < np.mean(nees) < high

@@ -90,6 +90,8 @@ def devices(scenario, config, values):
         yield from grouped(scenario.references[key], told, type(config.references[key]))
     for key, told in values.get("beacons", {}).items():
         yield from grouped(scenario.beacons[key], told, type(config.beacons[key]))
+    for key, told in values.get("telescopes", {}).items():
+        yield from grouped(scenario.telescopes[key], told, type(config.telescopes[key]))
     if "telescope" in values:
         yield from grouped(scenario.theodolite, values, type(config))
 
@@ -97,9 +99,9 @@ def devices(scenario, config, values):
 def grouped(device, told, kind):
     yield device, told, kind
     for name, group in typing.get_type_hints(kind).items():
-        # A camera belongs to sensors that give single stars, Schuler's sensors to an INS that oscillates: only they are
-        # told of them.
-        belongs = name not in ("camera", "schuler") or name in told
+        # A camera belongs to sensors that give single stars, Schuler's sensors to an INS that oscillates, a main
+        # detector to a theodolite with targets: only they are told of them.
+        belongs = name not in ("camera", "schuler", "main_detector") or name in told
         if dataclasses.is_dataclass(group) and hasattr(device, name) and belongs:
             yield from grouped(getattr(device, name), told[name], group)
 

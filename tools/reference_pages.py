@@ -13,20 +13,23 @@ from unittest import mock
 
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
-from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.message_factory import RosidlFactory
 from ship_estimation.parameters import ParameterDescription, describe
 from ship_node.edge.adapter import Adapter
 from ship_node.parameters.companions import COMPANIONS
 from ship_node.parameters.usage import topic_rows, usage_text
+from ship_simulation.messages.to_messages import TRUTH_TYPES
 from ship_simulation.scenario.scenario import Scenario
 from ship_watch.limits import Limits
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
+from theodolite_calib.ros.triangulation_adapter import TriangulationAdapter
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs" / "reference"
-ADAPTERS: tuple[type[Adapter], ...] = (ShipAttitudeAdapter, StarAttitudeAdapter, OpticalAxisAdapter)
-SIMULATED_BAGS = ("demo", "theodolite")
+ADAPTERS: tuple[type[Adapter], ...] = (
+    ShipAttitudeAdapter, StarAttitudeAdapter, OpticalAxisAdapter, TriangulationAdapter
+)  # fmt: skip
+
 _HELP_WIDTH = "110"
 _LIST_INDENT, _CONTINUED_INDENT = 3, 10
 """Spaces before an entry of a list in a message's comments, and before the second line of an entry."""
@@ -185,11 +188,7 @@ def topics_page() -> str:
         text += f"\n## Out: `{adapter.node_name}`\n\n| topic | type | |\n|---|---|---|\n"
         text += "".join(f"| `{topic}` | {_type(kind)} | {latched} |\n" for topic, kind, latched in outputs)
         text += "\nServices (`std_srvs/srv/Trigger`): " + ", ".join(f"`~/{name}`" for name in adapter.services) + ".\n"
-    truth: dict[str, str] = {}
-    for name in SIMULATED_BAGS:
-        with read_bag(ROOT / "bags" / f"{name}.mcap") as bag:
-            truth |= {topic: kind for topic, kind in bag.topics.items() if topic.startswith("truth/")}
-    rows = "".join(f"| `{topic}` | {_type(kind)} |\n" for topic, kind in sorted(truth.items()))
+    rows = "".join(f"| `{topic}` | {_type(kind)} |\n" for topic, kind in sorted(TRUTH_TYPES.items()))
     return text + f"\n## Truth in simulated bags, which no node sees\n\n| topic | type |\n|---|---|\n{rows}"
 
 

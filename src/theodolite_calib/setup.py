@@ -38,6 +38,7 @@ setup(
             "design_study = theodolite_calib.design.design_study_command:main",
             "fit_axes = theodolite_calib.axis_fit.fit_axes_command:main",
             "optical_axis = theodolite_calib.ros.nodes:optical_axis",
+            "triangulation = theodolite_calib.ros.nodes:triangulation",
             "triangulate = theodolite_calib.triangulation.triangulate_command:main",
         ],
     },

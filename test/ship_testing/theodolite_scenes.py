@@ -34,6 +34,16 @@ def bag_scenario(duration_s=10.0, **changes):
     return dataclasses.replace(load_scenario(SCENARIOS / "theodolite.yaml"), duration_s=duration_s, **changes)
 
 
+def with_night(scenario):
+    """The scenario with the targets and the stars on the mount of theodolite_night.yaml."""
+    night = load_scenario(SCENARIOS / "theodolite_night.yaml")
+    return dataclasses.replace(
+        with_theodolite(scenario, main_detector=night.theodolite.main_detector),
+        targets=night.targets,
+        telescopes=night.telescopes,
+    )
+
+
 def without_errors(scenario):
     """Nothing is wrong, and what is known is far from zero; all devices speak at the same moments."""
     names = ("g", "h", "c", "I", "beta_x", "beta_y", "flexure")

@@ -1,8 +1,13 @@
 """Where theodolites stand and in what direction they see a target, by pyerfa's own routines and the formulas here."""
 
+from typing import Any
+
 import erfa
 import numpy as np
 
+from ship_bags.message_factory import MessageFactory
+from ship_bags.message_store import RosbagsFactory
+from ship_bags.stamps import make_header
 from ship_geometry.geodetic import GeodeticPosition
 from theodolite_calib.target.triangulation import Air, Station
 
@@ -35,3 +40,64 @@ def seen(at: Station, true_foot_m: np.ndarray, target_m: np.ndarray, coefficient
     elevation = np.arctan2(up, horizontal_m) + coefficient * horizontal_m / (2.0 * EARTH_RADIUS_M)
     azimuth = np.arctan2(east, north)
     return np.array([np.cos(azimuth) * np.cos(elevation), np.sin(elevation), np.sin(azimuth) * np.cos(elevation)])
+
+
+FACTORY = RosbagsFactory()
+DIRECTION = "ship_msgs/msg/TargetDirection"
+
+
+def direction_message(
+    time_ns: int, direction_n: np.ndarray, sigma: float, factory: MessageFactory = FACTORY, **changes: Any
+) -> Any:
+    """What a theodolite tells of a target that it sees along a unit vector (North, Up, East), good to sigma, rad."""
+    enu = [2, 0, 1]
+    across = sigma**2 * (np.eye(3) - np.outer(direction_n, direction_n))
+    unknown = dict.fromkeys("xyz", float("nan"))
+    east, north, up = direction_n[enu]
+    fields: dict[str, Any] = {
+        "header": make_header(factory, time_ns, "horizon"),
+        "target_id": "buoy",
+        "azimuth": float(np.arctan2(east, north)),
+        "elevation": float(np.arcsin(up)),
+        "covariance": np.full(4, np.nan),
+        "direction": factory.make("geometry_msgs/msg/Vector3", x=east, y=north, z=up),
+        "direction_covariance": across[np.ix_(enu, enu)].ravel(),
+        "position": factory.make("geometry_msgs/msg/Vector3", **unknown),
+        "position_covariance": np.full(9, np.nan),
+        "status": 0,
+    }
+    return factory.make(DIRECTION, **{**fields, **changes})
+
+
+def buoy_n(since_s: float) -> np.ndarray:
+    """A buoy that drifts with 2 m/s, 2 km away: (North, Up, East) from the origin."""
+    return np.array([2000.0 + 2.0 * since_s, 3.0, -400.0 + 1.0 * since_s])
+
+
+def foot_n(number: int) -> np.ndarray:
+    """Where one of the theodolites stands, 50 m from the next: (North, Up, East) from the origin."""
+    return np.array([50.0 * number, 0.0, 0.0])
+
+
+def buoy_seen(number: int, since_s: float) -> np.ndarray:
+    """The direction (North, Up, East) in which one of the theodolites truly sees the buoy."""
+    at = station(f"t{number}", foot_n(number))
+    return seen(at, ORIGIN_M + foot_n(number) @ AXES, ORIGIN_M + buoy_n(since_s) @ AXES, AIR.coefficient)
+
+
+def placing_values(count: int) -> dict[str, Any]:
+    """Where the origin, and so many theodolites, stand, as nested parameters; their places and the air are known."""
+    stations = {}
+    for number in range(count):
+        at = station(f"t{number}", foot_n(number))
+        stations[at.name] = {**_position(at.place), "sigma_m": 0.0}
+    air = {"coefficient": AIR.coefficient, "sigma": 0.0}
+    return {"origin": _position(ORIGIN), "stations": stations, "refraction": air}
+
+
+def _position(place: GeodeticPosition) -> dict[str, float]:
+    return {
+        "latitude_deg": float(np.rad2deg(place.latitude)),
+        "longitude_deg": float(np.rad2deg(place.longitude)),
+        "height_m": float(place.height_m),
+    }

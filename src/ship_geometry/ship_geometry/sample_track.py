@@ -71,6 +71,11 @@ class SampleTrack(Generic[Sample]):
         """The sample with the latest stamp."""
         return self._samples[-1] if self._samples else None
 
+    @property
+    def times_ns(self) -> tuple[int, ...]:
+        """The stamps of all samples that are kept, increasing."""
+        return tuple(self._times)
+
     def get(self, time_ns: int) -> Sample | None:
         """The sample stamped exactly ``time_ns``."""
         index = bisect.bisect_left(self._times, time_ns)

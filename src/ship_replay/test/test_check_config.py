@@ -279,7 +279,8 @@ def test_stars_on_the_mount_are_in_the_sky_of_those_on_the_deck(check):
     assert not any("sky" in line for line in check(STARS + MOUNT)[1])
 
 
-NODES = "expected one of '/**/ship_attitude', '/**/star_attitude', '/**/optical_axis', '/**/nmea_in', '/**/nmea_out'"
+ESTIMATORS = "'/**/ship_attitude', '/**/star_attitude', '/**/optical_axis', '/**/triangulation'"
+NODES = f"expected one of {ESTIMATORS}, '/**/nmea_in', '/**/nmea_out'"
 NODES += " or '/**'"
 
 

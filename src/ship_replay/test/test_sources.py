@@ -90,6 +90,13 @@ def test_errors_of_all_and_by_mode_by_hand(tmp_path):
     assert not any(name.startswith(("fused.", "pointing.one_light.")) for name in values)
 
 
+def test_pointings_by_stars_stand_by_themselves(tmp_path):
+    errors = [(0.0, 1.0, 0.0), (0.0, 2.0, 0.0), (0.0, 3.0, 0.0)]
+    values = evaluate(write_run(tmp_path / "a.mcap", errors, [3, 4, 4])).flat()
+    assert values["pointing.stars.elevation.rms_arcsec"] == pytest.approx(1.0, rel=1e-4)
+    assert values["pointing.stars_and_lights.samples"] == 2
+
+
 def test_what_claims_nothing_is_counted_and_left_out(tmp_path):
     path = write_run(tmp_path / "a.mcap", [(0.0, 1.0, 0.0)] * 2, [0, 0])
     with BagWriter(tmp_path / "b.mcap") as bag:

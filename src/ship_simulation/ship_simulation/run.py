@@ -120,21 +120,25 @@ class SimulatedRun:
         sources = {"ins": self.ins.log_time_ns}
         sources |= {f"star.{key}": samples.log_time_ns for key, samples in self.stars.items()}
         sources |= {f"reference.{key}": samples.log_time_ns for key, samples in self.references.items()}
-        fix, *weather = SKY_SOURCES
         if self.scenario.needs_place:
-            sources[fix] = self.fixes.log_time_ns
+            sources[SKY_SOURCES[0]] = self.fixes.log_time_ns
         if self.scenario.needs_sky:
-            sources |= dict.fromkeys(weather, self.weather_ns)
+            sources |= self._sky_sources()
         if self.ship_baseline is not None:
             sources[BASELINE_SOURCE] = self.ship_baseline.log_time_ns
         if self.deflections is not None:
             sources[DEFLECTION_SOURCE] = self.deflections.time_ns
         return _in_order(sources)
 
+    def _sky_sources(self) -> dict[str, np.ndarray]:
+        fix, *weather = SKY_SOURCES
+        return {fix: self.fixes.log_time_ns, **dict.fromkeys(weather, self.weather_ns)}
+
     def pointing_arrivals(self) -> list[tuple[int, str, int]]:
         """(log time, source, index of the sample) of each input of ``optical_axis``, in order of arrival.
 
-        A source is ``ins``, ``fused``, ``encoder``, ``drone.<id>``, ``baseline.<id>`` or ``image``.
+        A source is ``ins``, ``fused``, ``encoder``, ``drone.<id>``, ``baseline.<id>``, ``image`` or ``target``; with
+        cameras on the theodolite that see stars ``star.<id>`` and SKY_SOURCES too.
         """
         sources = {"ins": self.ins.log_time_ns}
         if self.fused is not None:
@@ -144,6 +148,10 @@ class SimulatedRun:
             sources |= {f"drone.{key}": samples.log_time_ns for key, samples in self.theodolite.drones.items()}
             sources |= {f"baseline.{key}": samples.log_time_ns for key, samples in self.theodolite.baselines.items()}
             sources["image"] = self.theodolite.images.log_time_ns
+            sources["target"] = self.theodolite.targets.log_time_ns
+            sources |= {f"star.{key}": samples.log_time_ns for key, samples in self.theodolite.stars.items()}
+            if self.theodolite.stars:
+                sources |= self._sky_sources()
         return _in_order(sources)
 
 
@@ -186,7 +194,7 @@ class _Voyage:
         # A motion that ends too early is refused before the first sample.
         self._carrier.attitude(np.array([0.0, scenario.duration_s]))
         self._deflection = Deflection(scenario, self.track, self._draws)
-        self._sky = draw_sky(scenario, self.track, seed) if scenario.needs_sky else None
+        self._sky = draw_sky(scenario, self.track, seed) if scenario.has_sky else None
 
     def samples(self, stretch: Stretch) -> SimulatedRun:
         """The samples of the next stretch."""
@@ -227,7 +235,7 @@ class _Voyage:
             fused=simulate_fused_attitude(scenario, carrier, stretch, draws) if fused else None,
             deflections=simulate_deflections(scenario, stretch) if scenario.gravity.told == "topic" else None,
             ship_baseline=simulate_ship_baseline(scenario, carrier, stretch, draws) if antennas else None,
-            theodolite=simulate_theodolite(scenario, carrier, stretch, draws) if aboard else None,
+            theodolite=simulate_theodolite(scenario, carrier, self._sky, stretch, draws) if aboard else None,
             truth=truth,
         )
 
@@ -256,7 +264,7 @@ def _simulate_stars(
         if sky is None or config.output == "horizon_attitude":
             samples[key] = simulate_star_sensor(key, scenario, motion, draws)
         elif config.output == "observations":
-            samples[key], sightings[key] = simulate_sightings(key, scenario, motion, sky, draws)
+            samples[key], sightings[key] = simulate_sightings(f"star.{key}", config, motion, sky, draws)
         else:
             samples[key] = simulate_inertial_sensor(key, scenario, motion, sky, draws)
     return samples, mounted, sightings

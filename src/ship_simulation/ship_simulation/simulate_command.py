@@ -20,9 +20,10 @@ from ship_simulation.suite.suite import suite_yaml
 _DESCRIPTION = """\
 Simulates a voyage: the ship's motion, INS, star sensors and other attitude systems with their errors and faults.
 A star sensor gives its horizon attitude, single stars of the real sky over the ship, or its attitude among the stars.
-The bag holds their topics, the truth (truth/attitude at 10 Hz, truth/alignment at 1 Hz), and as attachments the
-scenario and the configuration of ship_attitude that fits it. In a scenario units stand in the names: _deg, _arcsec,
-_s, _m, _hz. The same scenario and seed give the same bytes.
+A theodolite has encoders, sees the lights of drones, targets in its main tube, and stars in cameras on it.
+The bag holds their topics, the truth (truth/attitude and truth/pointing at 10 Hz, truth/alignment at 1 Hz, and more),
+and as attachments the scenario and the configuration of the suite that fits it. In a scenario units stand in the
+names: _deg, _arcsec, _s, _m, _hz. The same scenario and seed give the same bytes.
 """
 
 

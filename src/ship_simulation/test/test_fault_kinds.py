@@ -15,6 +15,7 @@ from ship_simulation.scenario.names import COVARIANCES, FIRST_VALUE, can_happen
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.simulate_command import write_bag
 from ship_testing.places import ROOT
+from ship_testing.theodolite_scenes import with_night
 
 TOPICS = {
     "ins/imu": "sensor_msgs/msg/Imu",
@@ -24,6 +25,8 @@ TOPICS = {
     "ship/attitude": "ship_msgs/msg/ShipAttitude",
     "theodolite/encoder": "ship_msgs/msg/TheodoliteEncoder",
     "theodolite/beacons": "ship_msgs/msg/BeaconImage",
+    "theodolite/target": "ship_msgs/msg/TargetImage",
+    "theodolite/night/stars": "ship_msgs/msg/StarObservationArray",
     "beacon/a/baseline": "ship_msgs/msg/RtkBaseline",
     "gnss/fix": "sensor_msgs/msg/NavSatFix",
     "gravity/deflection": "ship_msgs/msg/Deflection",
@@ -56,8 +59,8 @@ START_S, END_S = 0.0, 1.5
 
 UNCHANGED = {
     ("freeze", topic) for topic in ("met/pressure", "met/temperature", "met/humidity", "gravity/deflection")
-}
-"""The simulated weather, and the deflection at anchor, stand still anyway."""
+} | {("swap", "theodolite/night/stars")}
+"""The simulated weather, and the deflection at anchor, stand still anyway; stars without names cannot exchange them."""
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +70,7 @@ def bag(tmp_path_factory):
     fused = dataclasses.replace(scenario.fused_attitude, written=True)
     gravity = dataclasses.replace(scenario.gravity, told="topic", rate_hz=5.0, xi_arcsec=5.0, sigma_arcsec=1.0)
     scenario = dataclasses.replace(scenario, duration_s=2.0, fused_attitude=fused, gravity=gravity)
+    scenario = with_night(scenario)
     path = tmp_path_factory.mktemp("bag") / "everything.mcap"
     write_bag(scenario, 3, path, b"scenario: here\n")
     return path

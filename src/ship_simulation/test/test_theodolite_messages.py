@@ -237,12 +237,38 @@ def test_the_same_seed_gives_the_same_bag_and_the_scenario_is_in_it(tmp_path):
         assert bag.attachments["scenario.yaml"].decode() == text
 
 
+NIGHT_BROKEN = {
+    "no detector": (
+        "    focal_length_m: 1.5\n",
+        "",
+        "'theodolite.main_detector.focal_length_m' must be given where there are targets",
+    ),
+    "the telescope of the lights": (
+        "\n  night: ",
+        "\n  calibration: ",
+        "'telescopes.calibration' is the telescope that sees lights: give a camera for stars another id",
+    ),
+    "no field": ("      width_px: 2200\n", "", "'telescopes.night.camera.width_px' and"),
+    "no mounting": ("    roll_deg: 3.0\n", "", "roll_deg"),
+    "window": (
+        "hidden: {cloud: {start_s: 30.0, end_s: 33.0}}",
+        "hidden: {cloud: {start_s: 30.0, end_s: 3.0}}",
+        "'targets.balloon.hidden.cloud.end_s' = 3.0 s must be after start_s = 30.0 s",
+    ),
+    "other course": (
+        "course: {kind: escort",
+        "course: {kind: hover",
+        "'targets.balloon.course.escort' is not used by a course of kind hover: expected hover",
+    ),
+}
+
+
 BROKEN = {
     "not aboard": ("aboard: true", "aboard: false", "'theodolite' is not used without 'theodolite.aboard: true'"),
     "other flight": (
         "flight: {kind: escort, escort: {right_deg: 3.0",
         "flight: {kind: orbit, escort: {right_deg: 3.0",
-        "'beacons.a.flight.escort' is not used by a flight of kind orbit: expected orbit",
+        "'beacons.a.flight.escort' is not used by a course of kind orbit: expected orbit",
     ),
     "no legs": (
         "flight: {kind: escort, escort: {right_deg: 3.0, up_deg: 2.0, distance_m: 2000.0}",
@@ -273,10 +299,19 @@ BROKEN = {
 }
 
 
+@pytest.mark.parametrize("case", NIGHT_BROKEN)
+def test_a_broken_night_is_one_line_with_file_line_and_key(case, tmp_path, capsys):
+    assert_refused("theodolite_night.yaml", NIGHT_BROKEN[case], tmp_path, capsys)
+
+
 @pytest.mark.parametrize("case", BROKEN)
 def test_a_broken_scenario_is_one_line_with_file_line_and_key(case, tmp_path, capsys):
-    before, after, expected = BROKEN[case]
-    text = (SCENARIOS / "theodolite.yaml").read_text(encoding="utf-8")
+    assert_refused("theodolite.yaml", BROKEN[case], tmp_path, capsys)
+
+
+def assert_refused(name, case, tmp_path, capsys):
+    before, after, expected = case
+    text = (SCENARIOS / name).read_text(encoding="utf-8")
     assert before in text
     path = tmp_path / "broken.yaml"
     path.write_text(text.replace(before, after, 1), encoding="utf-8")

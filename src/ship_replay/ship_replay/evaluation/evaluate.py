@@ -22,6 +22,7 @@ from ship_geometry.rotations import ARCSEC, wrap_pi
 from ship_node.parameters.parameter_file import has_section, load_config
 from ship_replay.evaluation.sources import JOINT_SOLUTION, AttitudeSource, PublishedAttitude, Truth, sources
 from ship_replay.evaluation.statistics import AttitudeErrors, InnovationBook, SourceInnovations
+from ship_replay.evaluation.targets import TARGET_DIRECTION, TARGET_TRUTH, TargetDirections, TargetErrors
 from ship_replay.offline.adapter_chain import attached
 from ship_watch.orientations import ORIENTATIONS
 from theodolite_calib.config import OpticalAxisConfig
@@ -34,7 +35,8 @@ _ESTIMATES = {"ship/alignment": "alignment", "theodolite/calibration": "calibrat
 """Topics of what filters estimate besides → what it is called here."""
 _RESULTS = (*_INNOVATION_TOPICS, *_ESTIMATES)
 _SMOOTHED = (SMOOTHED_TOPIC, SMOOTHED_POINTING_TOPIC)
-_OF_THE_RUN = (*(orientation.topic for orientation in ORIENTATIONS), *_SMOOTHED, JOINT_SOLUTION, *_RESULTS)
+_PUBLISHED = (*(orientation.topic for orientation in ORIENTATIONS), *_SMOOTHED, JOINT_SOLUTION, TARGET_DIRECTION)
+_OF_THE_RUN = (*_PUBLISHED, *_RESULTS)
 """Topics that are taken from the run's own bag alone: in another they are its inputs, or results of another run."""
 
 _INSTALLED = "star.", "reference."
@@ -67,6 +69,7 @@ class Evaluation:
         errors: per source of an orientation: of the ship's attitude the fused one first, then pointings; empty without
             truth.
         innovations: by name of the source.
+        targets: by target_id, of directions and places; empty without truth.
         estimates: ``alignment`` or ``calibration`` → last estimates of the filters.
         invalid_counts: published orientation → messages that claimed nothing, where there is truth.
         problems: what is wrong with the bags, one line each.
@@ -75,6 +78,7 @@ class Evaluation:
 
     errors: list[AttitudeErrors]
     innovations: dict[str, SourceInnovations]
+    targets: dict[str, TargetErrors]
     estimates: dict[str, list[AlignmentValue]]
     invalid_counts: dict[str, int]
     problems: list[str]
@@ -86,6 +90,8 @@ class Evaluation:
         for errors in self.errors:
             values |= {f"{errors.label}.{name}": value for name, value in errors.statistics().items()}
         values |= {f"{label}.invalid": float(count) for label, count in self.invalid_counts.items()}
+        for target_id, of_target in self.targets.items():
+            values |= {f"target.{target_id}.{name}": value for name, value in of_target.statistics().items()}
         for source, innovations in self.innovations.items():
             values |= {f"innovation.{source}.{name}": value for name, value in innovations.statistics().items()}
         for kind, items in self.estimates.items():
@@ -132,13 +138,16 @@ def _evaluate(bag: Bag, others: list[Bag], skip_s: float, namespace: str) -> Eva
     star = _config(bags, StarAttitudeConfig, "star_attitude")
     theodolite = _config(bags, OpticalAxisConfig, "optical_axis")
     collectors = sources(_truths(named), ship, star, theodolite)
+    targets = _true_targets(named)
     innovations = InnovationBook()
     last: dict[str, BagRecord] = {}
-    for candidate, topics in _reading_plan(named, bag, [*collectors, *_RESULTS]):
+    for candidate, topics in _reading_plan(named, bag, [*collectors, *_RESULTS, TARGET_DIRECTION]):
         for record in candidate.records(topics):
             topic = topics[record.topic]
             if topic in _INNOVATION_TOPICS:
                 innovations.add(record.decode())
+            elif topic == TARGET_DIRECTION:
+                targets.take(record.decode())
             elif topic in _ESTIMATES:
                 last[_ESTIMATES[topic]] = record
             else:
@@ -160,6 +169,7 @@ def _evaluate(bag: Bag, others: list[Bag], skip_s: float, namespace: str) -> Eva
     return Evaluation(
         errors=errors,
         innovations={name: innovations.sources[name].since(skip_to_ns) for name in sorted(innovations.sources)},
+        targets=targets.since(skip_to_ns),
         estimates={kind: alignment_values(last[kind].decode()) for kind in _ESTIMATES.values() if kind in last},
         invalid_counts={source.label: source.invalid_count for source in published if source.seen},
         problems=problems,
@@ -210,6 +220,16 @@ def _truths(named: _Named) -> dict[str, Truth]:
             wanted[record.topic].add(record.decode())
         truths |= {truth.orientation.truth_topic: truth for truth in wanted.values() if len(truth)}
     return truths
+
+
+def _true_targets(named: _Named) -> TargetDirections:
+    """Targets with the truth of the first bag that holds any."""
+    targets = TargetDirections()
+    for bag, names in named.items():
+        if TARGET_TRUTH in names and not len(targets):
+            for record in bag.records({names[TARGET_TRUTH]}):
+                targets.add_truth(record.decode())
+    return targets
 
 
 def _config(bags: list[Bag], kind: type[Config], node_name: str) -> Config | None:

@@ -196,7 +196,7 @@ class StarAttitude(AttitudeSource):
 class PublishedPointing(PublishedAttitude):
     """The pointings that the suite publishes, as a whole and mode by mode."""
 
-    MODES = ("two_lights", "one_light", "encoder")
+    MODES = ("two_lights", "one_light", "encoder", "stars", "stars_and_lights")
 
     def __init__(self, truth: Truth, label: str = "") -> None:
         super().__init__(truth, label)

@@ -1,5 +1,7 @@
 """An evaluation as tables on a terminal."""
 
+import math
+
 from rich.console import Console
 from rich.table import Table
 
@@ -25,6 +27,8 @@ def print_evaluation(evaluation: Evaluation, console: Console) -> None:
         for label, count in evaluation.invalid_counts.items():
             if count:
                 console.print(f"{label}: messages that claimed nothing (INVALID): {count}")
+    if evaluation.targets:
+        console.print(target_table(evaluation))
     if evaluation.innovations:
         console.print(innovation_table(evaluation))
     for kind, values in evaluation.estimates.items():
@@ -53,6 +57,27 @@ def attitude_table(evaluation: Evaluation) -> Table:
                 f"{values['samples']:.0f}" if first else "",
                 end_section=name == errors.channels[-1],
             )
+    return table
+
+
+def target_table(evaluation: Evaluation) -> Table:
+    """Per target: errors of directions, per axis across them, and of places in space, with their predicted sigmas."""
+    table = Table(title="Targets against the truth")
+    table.add_column("target")
+    for what, unit, degrees in (("direction", "arcsec", 2), ("place", "m", 3)):
+        for column in (f"{what} RMS ({unit})", "predicted σ", f"NEES ({degrees})", "samples"):
+            table.add_column(column, justify="right")
+    for target_id, errors in evaluation.targets.items():
+        values = errors.statistics()
+        shown = [f"direction.{name}" for name in ("rms_arcsec", "sigma_arcsec", "nees_mean")]
+        placed = [f"position.{name}" for name in ("rms_m", "sigma_m", "nees_mean")]
+        table.add_row(
+            target_id,
+            *(_text(values[name]) for name in shown),
+            f"{values['samples']:.0f}",
+            *(_text(values.get(name, math.nan)) for name in placed),
+            f"{values.get('position.samples', 0.0):.0f}",
+        )
     return table
 
 

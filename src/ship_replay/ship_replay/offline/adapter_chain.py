@@ -20,7 +20,8 @@ from ship_node.edge.topics import InputTopic, OutputTopic, Published
 from ship_node.parameters.parameter_file import has_section, load_config, misfit
 
 _DEVICE_PREFIXES = "star/", "theodolite/", "beacon/"
-"""How topics of devices begin. A node whose devices are all missing in a bag has nothing to do."""
+"""How topics of devices begin, beside those that come at times. A node whose devices are all missing in a bag has
+nothing to do."""
 
 
 def suite_text(bag: Bag, config_path: Path | None) -> str:
@@ -217,7 +218,7 @@ def suite_chain(
     for kind in meant:
         config = suite_config(bag, kind, config_path, full_name(kind.node_name, namespace))
         adapter = kind(config, factory, UNTOUCHED)
-        devices = [topic.topic for topic in adapter.inputs if topic.topic.startswith(_DEVICE_PREFIXES)]
+        devices = [t.topic for t in adapter.inputs if t.at_times or t.topic.startswith(_DEVICE_PREFIXES)]
         if kind is not meant[0] and not found.keys() & devices:
             wanted = ", ".join(devices) or "the devices that it needs"
             left_out.append(f"{kind.node_name} is left out: the bag has nothing of {wanted}")

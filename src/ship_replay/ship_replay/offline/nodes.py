@@ -3,6 +3,7 @@
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
+from theodolite_calib.ros.triangulation_adapter import TriangulationAdapter
 
-ADAPTERS = (ShipAttitudeAdapter, StarAttitudeAdapter, OpticalAxisAdapter)
+ADAPTERS = (ShipAttitudeAdapter, StarAttitudeAdapter, OpticalAxisAdapter, TriangulationAdapter)
 """Their adapters, the main one first: it runs by a configuration that names no node, too."""

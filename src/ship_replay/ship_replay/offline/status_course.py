@@ -15,11 +15,12 @@ from ship_estimation.refusals import Reason
 from ship_node.edge.adapter import Adapter
 from ship_replay.offline.message_times import MessageTimes, exceeded
 from ship_watch.orientations import ORIENTATIONS
+from theodolite_calib.ros.triangulation_adapter import POSITION_TOPIC
 
 STATUS_WORDS = ("VALID", "COASTING", "DEGRADED", "INVALID")
 """By the values of ship_msgs/ShipAttitude and OpticalAxisPointing."""
 
-STATUS_TOPICS = frozenset(orientation.topic for orientation in ORIENTATIONS)
+STATUS_TOPICS = frozenset((*(orientation.topic for orientation in ORIENTATIONS), POSITION_TOPIC))
 
 _POOR = "DEGRADED", "INVALID"
 _NOTED = Reason.COVARIANCE_UNKNOWN.word

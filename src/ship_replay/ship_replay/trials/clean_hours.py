@@ -17,20 +17,22 @@ import numpy as np
 from ship_attitude_star.measurements.samples import AttitudeEstimate
 from ship_estimation.gates import normalized_error_squared
 from ship_estimation.outcome import Status
-from ship_estimation.parameters import build
 from ship_estimation.protection import IntegrityReport
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_geometry.time_scales import SECOND_NS
-from ship_replay.trials.monte_carlo import attitude_outcomes, core_for, pointing_outcomes, theodolite_of
+from ship_replay.trials.monte_carlo import (
+    attitude_outcomes,
+    core_for,
+    pointing_core_for,
+    pointing_outcomes,
+    theodolite_of,
+)
 from ship_replay.trials.results_file import Result
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
-from ship_simulation.suite.suite import optical_axis_configuration
-from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.measured.samples import PointingEstimate
-from theodolite_calib.optical_axis.core import OpticalAxisCore
 
 TWO, THREE, THEODOLITE = "two sensors", "three sensors", "theodolite"
 ALERT_LIMIT_ARCSEC = {TWO: 30.0, THREE: 12.0}
@@ -199,7 +201,7 @@ def _once_a_second(run: SimulatedRun, rows: dict[int, int]) -> set[int]:
 
 
 def _sail_theodolite(run: SimulatedRun, watched: Watched) -> None:
-    core = OpticalAxisCore(build(OpticalAxisConfig, optical_axis_configuration(run.scenario)))
+    core = pointing_core_for(run.scenario)
     theodolite = theodolite_of(run)
     truth, encoder_ns = theodolite.truth, theodolite.encoder.time_ns
     rows = {int(encoder_ns[index]): row for row, index in enumerate(truth.encoder_index)}

@@ -21,7 +21,6 @@ from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMe
 from ship_attitude_star.ship_attitude.ahead import InsAhead
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_attitude_star.sky.masks import sensor_masks
 from ship_attitude_star.sky.sky_watch import installed_sky
 from ship_attitude_star.stars.exposure import ExposureLength, StarExposure
 from ship_estimation.gates import normalized_error_squared
@@ -31,7 +30,7 @@ from ship_geometry.attitude_track import AttitudeSample, SampleBlock
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, exp_rotation, log_rotation
 from ship_simulation.run import BASELINE_SOURCE, DEFLECTION_SOURCE, SKY_SOURCES, SimulatedRun, simulate
-from ship_simulation.scenario.scenario import Scenario
+from ship_simulation.scenario.scenario import Scenario, StarImaging
 from ship_simulation.ship.attitude_device import FusedSamples
 from ship_simulation.stars.star_sightings import InertialSamples, StarSightings
 from ship_simulation.suite.suite import optical_axis_configuration, suite_configuration
@@ -225,16 +224,18 @@ def measurement_of(run: SimulatedRun, source: str, index: int) -> Measurement:
 
 def star_exposure(run: SimulatedRun, sensor_id: str, index: int) -> StarExposure:
     """One exposure of a sensor that gives single stars, as the estimator takes it."""
-    sightings, config = run.stars[sensor_id], run.scenario.star_sensors[sensor_id]
+    sightings = run.stars[sensor_id]
     assert isinstance(sightings, StarSightings)
-    source, exposure_s = f"star.{sensor_id}", float(np.float32(config.exposure_s))
-    camera, length = config.camera.camera(source), None
+    return _seen_stars(f"star.{sensor_id}", run.scenario.star_sensors[sensor_id], sightings, index)
+
+
+def _seen_stars(source: str, config: StarImaging, sightings: StarSightings, index: int) -> StarExposure:
+    exposure_s, camera, length = float(np.float32(config.exposure_s)), config.camera.camera(source), None
     if exposure_s:
         length = ExposureLength(exposure_s, camera, config.camera.psf_sigma_px)
-    stars = sightings.stars[sightings.rows(index)]
-    time_ns, masks = int(sightings.time_ns[index]), sensor_masks(config, source)
+    stars, time_ns = sightings.stars[sightings.rows(index)], int(sightings.time_ns[index])
     spatial = config.camera.spatial_errors(camera)
-    return StarExposure(source, time_ns, **vars(stars), length=length, masks=masks, spatial=spatial)
+    return StarExposure(source, time_ns, **vars(stars), length=length, masks=config.sight_masks, spatial=spatial)
 
 
 @dataclass(frozen=True)
@@ -248,7 +249,7 @@ class PointingErrors:
         axis_n: where the main axis truly points, shape (k, 3).
         mode: how each was found, shape (k,).
         ins_encoder: error of the axis by INS and encoders alone, axis errors as configured, rad, shape (k,).
-        sightings: exposures with lights that were used.
+        sightings: exposures with lights or stars that were used.
         refused: inputs and exposures that were not.
     """
 
@@ -278,7 +279,7 @@ class PointingErrors:
 def pointing_errors(scenario: Scenario, seed: int) -> PointingErrors:
     """Simulate a session, filter it, and compare with the truth wherever a pointing is claimed."""
     run = simulate(scenario, seed)
-    core = OpticalAxisCore(build(OpticalAxisConfig, optical_axis_configuration(scenario)))
+    core = pointing_core_for(scenario)
     estimates, sightings, refused = feed_pointing(core, run)
     theodolite, start_ns = theodolite_of(run), run.start_ns
     truth = theodolite.truth
@@ -297,6 +298,12 @@ def pointing_errors(scenario: Scenario, seed: int) -> PointingErrors:
         sightings=sightings,
         refused=refused,
     )
+
+
+def pointing_core_for(scenario: Scenario) -> OpticalAxisCore:
+    """A core with the configuration that fits a scenario, and with the sky where a camera looks at it."""
+    config = build(OpticalAxisConfig, optical_axis_configuration(scenario))
+    return OpticalAxisCore(config, installed_sky(config.sky) if config.telescopes else None)
 
 
 def theodolite_of(run: SimulatedRun) -> TheodoliteRun:
@@ -364,7 +371,11 @@ def give_pointing(core: OpticalAxisCore, run: SimulatedRun, source: str, index: 
         lights = tuple(SeenLight(key, point_m, images.sigma_m) for key, point_m in images.sightings(index))
         exposure = Exposure(int(images.time_ns[index]), lights, run.scenario.theodolite.telescope.exposure_s)
         return core.add_exposure(exposure) if lights else PointingOutcome()
-    # ins: the fused attitude holds what it says.
+    if kind == "star":
+        return core.add_stars(_seen_stars(source, run.scenario.telescopes[name], theodolite.stars[name], index))
+    if kind in SKY_SOURCES:
+        return core.add_surroundings(sky_input(run, source, index))
+    # ins: the fused attitude holds what it says; target: its direction changes no pointing.
     return PointingOutcome()
 
 

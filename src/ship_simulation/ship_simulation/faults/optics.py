@@ -12,7 +12,7 @@ from ship_bags.errors import BadInput
 from ship_bags.parameter_yaml import merged, read_sections
 from ship_estimation.parameters import ParameterError, build
 from ship_simulation.scenario.fault import Fault
-from ship_simulation.scenario.names import IMAGE, IMAGE_TOPIC, OBSERVATIONS
+from ship_simulation.scenario.names import IMAGE, IMAGE_TOPIC, OBSERVATIONS, mount_stars_topic
 from theodolite_calib.lights.image import Camera
 
 _TURNS = ("knock", "drift")
@@ -21,7 +21,7 @@ _SPOTS = ("false_stars", "false_lights")
 
 @dataclass(frozen=True)
 class Optics:
-    """Cameras of star sensors by topic of their observations, and that of the calibration telescope if there is one."""
+    """Cameras that see stars by the topic of these, and that of the calibration telescope if there is one."""
 
     stars: Mapping[str, StarCamera] = field(default_factory=dict)
     telescope: Camera | None = None
@@ -31,7 +31,7 @@ class Optics:
         if fault.kind not in (*_TURNS, *_SPOTS):
             return ""
         if type_name == OBSERVATIONS and fault.topic not in self.stars:
-            return f"no star sensor of the suite file has a camera for {fault.topic}"
+            return f"no star sensor or telescope of the suite file has a camera for {fault.topic}"
         if type_name == IMAGE and self.telescope is None:
             return f"the suite file says nothing of the telescope of {IMAGE_TOPIC}"
         return ""
@@ -48,13 +48,17 @@ def optics_of_suite(text: str) -> Optics:
     name, sections = read_sections(text)
     for section in sections:
         values = merged(name, [section]).values
-        for sensor_id, sensor in values.get("star_sensors", {}).items():
-            if isinstance(sensor, dict) and sensor.get("camera"):
-                stars[f"star/{sensor_id}/observations"] = _star_camera(sensor_id, sensor["camera"])
+        for group, topic_of in _WITH_STARS.items():
+            for id_, sensor in values.get(group, {}).items():
+                if isinstance(sensor, dict) and sensor.get("camera"):
+                    stars[topic_of(id_)] = _star_camera(f"{group}.{id_}.camera", sensor["camera"])
         if isinstance(values.get("telescope"), dict) and "focal_length_m" in values["telescope"]:
             telescope = telescope_camera(**{key: values["telescope"].get(key, 0.0) for key in _TELESCOPE})
     return Optics(stars, telescope)
 
+
+_WITH_STARS = {"star_sensors": "star/{}/observations".format, "telescopes": mount_stars_topic}
+"""Parameters of what gives single stars, by id → the topic of its stars."""
 
 _TELESCOPE = ("focal_length_m", "principal_x_m", "principal_z_m")
 
@@ -64,8 +68,7 @@ def telescope_camera(focal_length_m: float, principal_x_m: float, principal_z_m:
     return Camera(focal_length_m, 0.0, np.array([principal_x_m, principal_z_m]))
 
 
-def _star_camera(sensor_id: str, values: Mapping[str, Any]) -> StarCamera:
-    prefix = f"star_sensors.{sensor_id}.camera"
+def _star_camera(prefix: str, values: Mapping[str, Any]) -> StarCamera:
     try:
         return build(CameraConfig, values, f"{prefix}.").camera(prefix)
     except ParameterError as problem:

@@ -31,6 +31,7 @@ from ship_simulation.scenario.names import (
     PRESSURE,
     SHIP_ATTITUDE,
     STAR,
+    TARGET,
     TEMPERATURE,
 )
 
@@ -55,6 +56,7 @@ _UNITS: dict[str, tuple[tuple[str, ...], float, float]] = {
     ENCODER: (("azimuth", "elevation"), _DEGREES, 0.0),
     BASELINE: (("enu.x", "enu.y", "enu.z"), 1000.0, 0.0),
     IMAGE: (("beacons[*].x", "beacons[*].z"), 1000.0, 0.0),
+    TARGET: (("x", "z"), 1000.0, 0.0),
     FIX: (("latitude", "longitude"), 1.0 / _DEGREES, 0.0),
     PRESSURE: (("fluid_pressure",), 0.01, 0.0),
     TEMPERATURE: (("temperature",), 1.0, 273.15),

@@ -61,8 +61,10 @@ def star_maker(sensor_id: str, samples: DeviceSamples, config: StarSensor, facto
     return make
 
 
-def observations_maker(sensor_id: str, sightings: StarSightings, config: StarSensor, factory: MessageFactory) -> Maker:
-    """Maker of star/<id>/observations."""
+def observations_maker(
+    sensor_id: str, frame_id: str, sightings: StarSightings, exposure_s: float, factory: MessageFactory
+) -> Maker:
+    """Maker of star/<id>/observations, and of theodolite/<id>/stars."""
     stars = sightings.stars
 
     def make_star(row: int) -> Any:
@@ -84,9 +86,9 @@ def observations_maker(sensor_id: str, sightings: StarSightings, config: StarSen
         rows = sightings.rows(value)
         return factory.make(
             OBSERVATIONS,
-            header=make_header(factory, int(sightings.time_ns[stamp]), star_frame(sensor_id)),
+            header=make_header(factory, int(sightings.time_ns[stamp]), frame_id),
             sensor_id=sensor_id,
-            exposure_s=config.exposure_s,
+            exposure_s=exposure_s,
             stars=[make_star(row) for row in range(rows.start, rows.stop)],
         )
 

@@ -11,6 +11,7 @@ from ship_geometry.ros_axes import ENU_FROM_HORIZON, enu_covariance
 from ship_simulation.draws.noise import once_a_second
 from ship_simulation.messages.rows import Rows
 from ship_simulation.messages.ship_messages import Maker, angle_rows, make_imu, make_vector, quaternion_rows, rate_rows
+from ship_simulation.messages.star_messages import observations_maker
 from ship_simulation.scenario.names import (
     ANTENNA_FRAME,
     BASELINE,
@@ -18,23 +19,31 @@ from ship_simulation.scenario.names import (
     ENCODER_TOPIC,
     IMAGE,
     IMAGE_TOPIC,
+    MAIN_DETECTOR_FRAME,
     MOUNT_FRAME,
     SHIP_ANTENNA_ID,
+    TARGET,
+    TARGET_TOPIC,
     TELESCOPE_FRAME,
     TELESCOPE_ID,
     baseline_topic,
     beacon_frame,
     drone_topic,
+    mount_camera_frame,
+    mount_stars_topic,
 )
+from ship_simulation.scenario.scenario import Scenario
+from ship_simulation.scenario.theodolite_scenario import MainDetector
 from ship_simulation.ship.rtk import BaselineSamples
 from ship_simulation.theodolite.devices import DroneSamples, EncoderSamples, ImageSamples
 from ship_simulation.theodolite.run import TheodoliteRun
+from ship_simulation.theodolite.targets import TargetSamples
 from theodolite_calib.chain.axes import NAMES
 
 _UNKNOWN = float("nan")
 _EXACT_RATE = np.zeros(9)
 
-MAIN_FRAME = "theodolite_main"
+MAIN_FRAME, HORIZON_FRAME = "theodolite_main", "horizon"
 
 _TWO_LIGHTS, _ONE_LIGHT, _ENCODER = 0, 1, 2
 _EXACT = np.zeros(9)
@@ -51,15 +60,27 @@ CALIBRATION_NAMES = (
 )
 """What truth/calibration holds; telescope_...: angles of the main axis in the telescope."""
 
+_CAMERA_ANGLES = "azimuth", "elevation", "roll"
+"""The same of the main axis in each camera that sees stars, as telescopes.<id>.…"""
+
 
 def theodolite_sources(
-    run: TheodoliteRun, exposure_s: float, factory: MessageFactory
+    run: TheodoliteRun, scenario: Scenario, factory: MessageFactory
 ) -> dict[str, tuple[np.ndarray, np.ndarray, Maker]]:
     """Topic → stamps, log times and maker of messages."""
+    theodolite = scenario.theodolite
+    image = image_maker(run.images, theodolite.telescope.exposure_s, factory)
     sources = {
         ENCODER_TOPIC: (run.encoder.time_ns, run.encoder.log_time_ns, encoder_maker(run.encoder, factory)),
-        IMAGE_TOPIC: (run.images.time_ns, run.images.log_time_ns, image_maker(run.images, exposure_s, factory)),
+        IMAGE_TOPIC: (run.images.time_ns, run.images.log_time_ns, image),
     }
+    if scenario.targets:
+        target = target_maker(run.targets, theodolite.main_detector, factory)
+        sources[TARGET_TOPIC] = run.targets.time_ns, run.targets.log_time_ns, target
+    for key, stars in run.stars.items():
+        exposure_s = scenario.telescopes[key].exposure_s
+        maker = observations_maker(key, mount_camera_frame(key), stars, exposure_s, factory)
+        sources[mount_stars_topic(key)] = stars.time_ns, stars.log_time_ns, maker
     for key, baselines in run.baselines.items():
         maker = baseline_maker(key, baselines, factory)
         sources[baseline_topic(key)] = baselines.time_ns, baselines.log_time_ns, maker
@@ -143,6 +164,51 @@ def drone_maker(beacon_id: str, samples: DroneSamples, factory: MessageFactory) 
     return make
 
 
+def target_maker(samples: TargetSamples, config: MainDetector, factory: MessageFactory) -> Maker:
+    """Maker of theodolite/target."""
+
+    def make(stamp: int, value: int) -> Any:
+        x, z = samples.point_m[value].tolist()
+        return factory.make(
+            TARGET,
+            header=make_header(factory, int(samples.time_ns[stamp]), MAIN_DETECTOR_FRAME),
+            target_id=samples.target_ids[samples.target[value]],
+            x=x,
+            z=z,
+            sigma=config.sigma_m,
+            exposure_s=config.exposure_s,
+            detector_rotation=float(samples.rotation[value]),
+            range=float(samples.range_m[value]),
+            range_sigma=float(samples.range_sigma_m[value]),
+        )
+
+    return make
+
+
+def true_directions(samples: TargetSamples, factory: MessageFactory) -> Iterator[tuple[int, Any]]:
+    """(stamp, TargetDirection) of each image: the direction, and the place by the true range."""
+    north, up, east = samples.direction_n.T
+    azimuth, elevation = np.mod(np.arctan2(east, north), 2.0 * np.pi), np.arctan2(up, np.hypot(north, east))
+    directions, positions = samples.direction_n @ ENU_FROM_HORIZON.T, samples.position_n @ ENU_FROM_HORIZON.T
+    for row, time_ns in enumerate(samples.time_ns.tolist()):
+        yield (
+            time_ns,
+            factory.make(
+                "ship_msgs/msg/TargetDirection",
+                header=make_header(factory, time_ns, HORIZON_FRAME),
+                target_id=samples.target_ids[samples.target[row]],
+                azimuth=float(azimuth[row]),
+                elevation=float(elevation[row]),
+                covariance=np.zeros(4),
+                direction=make_vector(factory, directions[row].tolist()),
+                direction_covariance=_EXACT,
+                position=make_vector(factory, positions[row].tolist()),
+                position_covariance=_EXACT,
+                status=0,
+            ),
+        )
+
+
 def true_pointings(run: TheodoliteRun, factory: MessageFactory) -> Iterator[tuple[int, Any]]:
     """(stamp, OpticalAxisPointing) at the stamps of the truth; mode by the lights in the telescope's view."""
     truth = run.truth
@@ -175,6 +241,9 @@ def true_calibrations(
     truth, time_ns = run.truth, run.encoder.time_ns[run.truth.encoder_index]
     constants = truth.scene.theodolite
     constant = [*constants.axis_errors.vector(), constants.focal_length_m, *constants.parallelism]
+    of_cameras = [angle for angles in truth.star_parallelism.values() for angle in angles.tolist()]
+    names = [*CALIBRATION_NAMES]
+    names += [f"telescopes.{id_}.{angle}" for id_ in truth.star_parallelism for angle in _CAMERA_ANGLES]
     for row in once_a_second(time_ns, start_ns, ends).tolist():
         stamp_ns = int(time_ns[row])
         yield (
@@ -182,10 +251,10 @@ def true_calibrations(
             factory.make(
                 "ship_msgs/msg/TheodoliteCalibration",
                 header=make_header(factory, stamp_ns, MOUNT_FRAME),
-                names=list(CALIBRATION_NAMES),
-                values=np.array([*constant, *truth.mount.deformation_d[row]]),
-                covariance=np.zeros(len(CALIBRATION_NAMES) ** 2),
-                units=["m" if name == "focal_length" else "rad" for name in CALIBRATION_NAMES],
+                names=names,
+                values=np.array([*constant, *truth.mount.deformation_d[row], *of_cameras]),
+                covariance=np.zeros(len(names) ** 2),
+                units=["m" if name == "focal_length" else "rad" for name in names],
                 unobservable=[],
                 sighting_count=0,
                 residual_rms=float("nan"),

@@ -29,16 +29,21 @@ from ship_simulation.messages.theodolite_messages import (
     baseline_maker,
     theodolite_sources,
     true_calibrations,
+    true_directions,
     true_pointings,
 )
 from ship_simulation.run import SimulatedRun
 from ship_simulation.scenario.names import (
     DECK_FRAME,
+    DEFLECTION,
     DEFLECTION_TOPIC,
     FUSED_TOPIC,
     SECOND_ANTENNA_ID,
+    SHIP_ATTITUDE,
     SHIP_BASELINE_TOPIC,
+    mount_stars_topic,
     simulated_topics,
+    star_frame,
 )
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.stars.star_sightings import InertialSamples, StarSightings
@@ -46,6 +51,17 @@ from ship_simulation.stars.star_sightings import InertialSamples, StarSightings
 TRUTH_ATTITUDE, TRUTH_ALIGNMENT = "truth/attitude", "truth/alignment"
 TRUTH_DEFLECTION = "truth/deflection"
 TRUTH_POINTING, TRUTH_CALIBRATION = "truth/pointing", "truth/calibration"
+TRUTH_DIRECTION = "truth/target_direction"
+
+TRUTH_TYPES = {
+    TRUTH_ALIGNMENT: "ship_msgs/msg/AlignmentState",
+    TRUTH_ATTITUDE: SHIP_ATTITUDE,
+    TRUTH_CALIBRATION: "ship_msgs/msg/TheodoliteCalibration",
+    TRUTH_DEFLECTION: DEFLECTION,
+    TRUTH_DIRECTION: "ship_msgs/msg/TargetDirection",
+    TRUTH_POINTING: "ship_msgs/msg/OpticalAxisPointing",
+}
+"""Topic → type of what no node sees; which of them a bag has its scenario decides."""
 
 LogEntry = tuple[str, Any, int]
 """(topic, message, log time in ns)."""
@@ -87,6 +103,9 @@ def _truths(run: SimulatedRun, factory: MessageFactory) -> Iterator[tuple[str, I
         ends = run.stretch.holds_last(encoder.rate_hz, encoder.phase_s)
         calibrations = true_calibrations(run.theodolite, run.start_ns, ends, factory)
         yield TRUTH_CALIBRATION, _logged_at_stamp(TRUTH_CALIBRATION, calibrations)
+        if run.scenario.targets:
+            directions = true_directions(run.theodolite.targets, factory)
+            yield TRUTH_DIRECTION, _logged_at_stamp(TRUTH_DIRECTION, directions)
         yield TRUTH_POINTING, _logged_at_stamp(TRUTH_POINTING, true_pointings(run.theodolite, factory))
 
 
@@ -97,7 +116,7 @@ def _sources(run: SimulatedRun, factory: MessageFactory) -> dict[str, tuple[np.n
     for key, stars in run.stars.items():
         config = scenario.star_sensors[key]
         if isinstance(stars, StarSightings):
-            maker = observations_maker(key, stars, config, factory)
+            maker = observations_maker(key, star_frame(key), stars, config.exposure_s, factory)
         elif isinstance(stars, InertialSamples):
             maker = inertial_maker(key, stars, factory)
         else:
@@ -120,7 +139,7 @@ def _sources(run: SimulatedRun, factory: MessageFactory) -> dict[str, tuple[np.n
     if run.fused is not None:
         sources[FUSED_TOPIC] = run.fused.time_ns, run.fused.log_time_ns, fused_maker(run.fused, factory)
     if run.theodolite is not None:
-        sources |= theodolite_sources(run.theodolite, scenario.theodolite.telescope.exposure_s, factory)
+        sources |= theodolite_sources(run.theodolite, scenario, factory)
     return sources
 
 
@@ -192,6 +211,7 @@ def _optics(scenario: Scenario) -> Optics:
         for key, sensor in scenario.star_sensors.items()
         if sensor.output == "observations"
     }
+    stars |= {mount_stars_topic(key): one.camera.camera(key) for key, one in scenario.telescopes.items()}
     told = scenario.theodolite.telescope
     aboard = scenario.theodolite.aboard
     telescope = telescope_camera(told.focal_length_m, told.principal_x_m, told.principal_z_m) if aboard else None

@@ -13,6 +13,7 @@ SHIP_ATTITUDE = "ship_msgs/msg/ShipAttitude"
 ENCODER = "ship_msgs/msg/TheodoliteEncoder"
 IMAGE = "ship_msgs/msg/BeaconImage"
 BASELINE = "ship_msgs/msg/RtkBaseline"
+TARGET = "ship_msgs/msg/TargetImage"
 
 DEFLECTION = "ship_msgs/msg/Deflection"
 
@@ -23,10 +24,11 @@ HUMIDITY = "sensor_msgs/msg/RelativeHumidity"
 FUSED_TOPIC = "ship/attitude"
 DEFLECTION_TOPIC = "gravity/deflection"
 SHIP_BASELINE_TOPIC = "ship/baseline"
-ENCODER_TOPIC, IMAGE_TOPIC = "theodolite/encoder", "theodolite/beacons"
+ENCODER_TOPIC, IMAGE_TOPIC, TARGET_TOPIC = "theodolite/encoder", "theodolite/beacons", "theodolite/target"
 
 INS_FRAME, DECK_FRAME = "ins", "deck"
 MOUNT_FRAME, TELESCOPE_FRAME, ANTENNA_FRAME = "theodolite", "telescope", "ship_antenna"
+MAIN_DETECTOR_FRAME = "main_detector"
 TELESCOPE_ID, SHIP_ANTENNA_ID, SECOND_ANTENNA_ID = "calibration", "ship", "ship_second"
 
 COVARIANCES = {
@@ -49,6 +51,7 @@ FIRST_VALUE = {
     ENCODER: "azimuth",
     IMAGE: "beacons[0].x",
     BASELINE: "enu.x",
+    TARGET: "x",
     FIX: "latitude",
     PRESSURE: "fluid_pressure",
     TEMPERATURE: "temperature",
@@ -65,7 +68,7 @@ _TYPES_OF_KIND = {
     "covariance_negative": tuple(COVARIANCES),
     "rate_in_degrees": (IMU,),
     "angles_in_degrees": (ENCODER, STAR, SHIP_ATTITUDE),
-    "units": (*_ATTITUDES, ENCODER, BASELINE, IMAGE, FIX, PRESSURE, TEMPERATURE, HUMIDITY),
+    "units": (*_ATTITUDES, ENCODER, BASELINE, IMAGE, TARGET, FIX, PRESSURE, TEMPERATURE, HUMIDITY),
     "axes": (IMU, SHIP_ATTITUDE, INERTIAL, BASELINE),
     "bias": _ATTITUDES,
     "position_off": (FIX,),
@@ -102,6 +105,9 @@ def simulated_topics(scenario: Scenario) -> dict[str, str]:
         topics |= {ENCODER_TOPIC: ENCODER, IMAGE_TOPIC: IMAGE}
         topics |= {baseline_topic(key): BASELINE for key in scenario.beacons}
         topics |= {drone_topic(key): IMU for key in scenario.beacons}
+        topics |= {mount_stars_topic(key): OBSERVATIONS for key in scenario.telescopes}
+        if scenario.targets:
+            topics[TARGET_TOPIC] = TARGET
     return topics
 
 
@@ -118,6 +124,16 @@ def baseline_topic(beacon_id: str) -> str:
 def drone_topic(beacon_id: str) -> str:
     """Topic of a drone's attitude."""
     return f"beacon/{beacon_id}/imu"
+
+
+def mount_stars_topic(camera_id: str) -> str:
+    """Topic of the stars in a camera on the theodolite."""
+    return f"theodolite/{camera_id}/stars"
+
+
+def mount_camera_frame(camera_id: str) -> str:
+    """frame_id of a camera on the theodolite."""
+    return f"theodolite_{camera_id}"
 
 
 def star_frame(sensor_id: str) -> str:

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 
 from ship_attitude_star.ins_errors.config import GAUSS_MARKOV, SCHULER, SchulerConfig
-from ship_attitude_star.sky.masks import MaskConfig
+from ship_attitude_star.sky.masks import MaskConfig, sensor_masks
 from ship_attitude_star.stars.config import CameraConfig
 from ship_estimation.parameter_fields import mapping_of, parameter, section
+from ship_geometry.deck_masks import SensorMasks
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
 from ship_geometry.refraction import MODELS
 from ship_geometry.rotations import FloatArray
@@ -31,7 +32,7 @@ from ship_simulation.scenario.motion_scenario import (
     CarrierMotion,
     Outage,
 )
-from ship_simulation.scenario.theodolite_scenario import Beacon, ShipBaseline, Theodolite
+from ship_simulation.scenario.theodolite_scenario import Beacon, ShipBaseline, Target, Theodolite
 
 _MOMENT = re.compile(r"(\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d)(?:\.(\d{1,9}))?Z")
 
@@ -100,50 +101,23 @@ class Detector(CameraConfig):
         return inside
 
 
-STAR_OUTPUTS = ("horizon_attitude", "observations", "inertial_attitude")
-"""What a star sensor may send: the topic's name under ``star/<id>/``."""
+@dataclass(frozen=True, kw_only=True)
+class StarImaging:
+    """How stars of the real sky are taken: by a star sensor that gives single stars, or by a camera on the theodolite.
 
-
-@dataclass(frozen=True)
-class StarSensor:
-    """A star sensor: where it is bolted, what it sends and how good that is.
-
-    A horizon attitude is the true one with errors; observations and inertial attitudes come from the real sky over the
-    ship. Which fields belong to which output: :data:`ship_simulation.scenario.scenario_file.FIELDS_OF_OUTPUTS`.
+    The fields that other star sensors have too say when they look.
     """
 
-    azimuth_deg: float = parameter(doc="installation azimuth of the boresight in the deck", **ANGLE)
-    elevation_deg: float = parameter(
-        doc="installation elevation of the boresight over the deck", unit="deg", minimum=-90.0, maximum=90.0
-    )
-    roll_deg: float = parameter(0.0, doc="installation roll about the boresight, right side down", **ANGLE)
-    output: str = parameter("horizon_attitude", doc="what it sends", choices=STAR_OUTPUTS)
     rate_hz: float = parameter(5.0, doc="exposures per second", **RATE)
     phase_s: float = parameter(0.0, doc="first exposure after the start", **MOMENT)
     latency_s: float = parameter(0.1, doc="from stamp to arrival", **DELAY)
     jitter_s: float = parameter(0.0, doc="further delay, uniform between 0 and this", **DELAY)
-    installation_sigma_forward_arcsec: float = parameter(20.0, doc="installation error about the boresight", **SIGMA)
-    installation_sigma_up_arcsec: float = parameter(1.0, doc="installation error about the up axis", **SIGMA)
-    installation_sigma_right_arcsec: float = parameter(1.0, doc="installation error about the right axis", **SIGMA)
-    sigma_forward_arcsec: float = parameter(100.0, doc="noise about the boresight", **SIGMA)
-    sigma_up_arcsec: float = parameter(3.0, doc="noise about the up axis", **SIGMA)
-    sigma_right_arcsec: float = parameter(3.0, doc="noise about the right axis", **SIGMA)
-    common_sigma_arcsec: float = parameter(0.0, doc="slow error that all stars share, each axis", **SIGMA)
-    common_time_s: float = parameter(3600.0, doc="correlation time of that error", **CORRELATION)
-    flexure_sigma_arcsec: float = parameter(0.0, doc="hull flexure between INS and sensor, each axis", **SIGMA)
-    flexure_time_s: float = parameter(10.0, doc="correlation time of the flexure", **CORRELATION)
-    time_offset_s: float = parameter(
-        0.0, doc="mean of: a message is valid at its stamp plus this", unit="s", minimum=-1.0, maximum=1.0
-    )
-    time_offset_sigma_s: float = parameter(0.0, doc="spread of the time offset", **_OFFSET_SIGMA)
-    star_count: int = parameter(8, doc="stars in each solution", minimum=1, maximum=1000)
     outages: dict[str, Outage] = mapping_of("times without stars, by name")
     sun_limit_deg: float = parameter(
         -6.0, doc="no stars while the Sun stands higher than this", unit="deg", minimum=-90.0, maximum=90.0
     )
     camera: Detector = section(Detector)
     magnitude_limit: float = parameter(6.0, doc="faintest star that it sees, Hp", minimum=-2.0, maximum=14.0)
-    masks: dict[str, MaskConfig] = mapping_of("what stands on deck in its way, by name: no star is seen through it")
     most_stars: int = parameter(20, doc="stars in an exposure at most, the brightest", minimum=1, maximum=1000)
     exposure_s: float = parameter(
         0.0,
@@ -160,6 +134,66 @@ class StarSensor:
     swapped_probability: float = parameter(
         0.0, doc="share of the exposures in which two stars bear each other's identity", minimum=0.0, maximum=1.0
     )
+
+    @property
+    def sight_masks(self) -> SensorMasks | None:
+        """What stands in the way; None where nothing does."""
+        return None
+
+
+@dataclass(frozen=True, kw_only=True)
+class StarTelescope(StarImaging):
+    """A camera fixed to the theodolite that sees stars: how the main axis stands in it, as known, and its stars."""
+
+    azimuth_deg: float = parameter(doc="azimuth of the main axis in the camera, as known", **ANGLE)
+    azimuth_sigma_arcsec: float = parameter(1.0, doc="its error", **SIGMA)
+    elevation_deg: float = parameter(
+        doc="elevation of the main axis in the camera, as known", unit="deg", minimum=-89.0, maximum=89.0
+    )
+    elevation_sigma_arcsec: float = parameter(1.0, doc="its error", **SIGMA)
+    roll_deg: float = parameter(doc="rotation of the main image in the camera, as known", **ANGLE)
+    roll_sigma_arcsec: float = parameter(20.0, doc="its error", **SIGMA)
+
+
+STAR_OUTPUTS = ("horizon_attitude", "observations", "inertial_attitude")
+"""What a star sensor may send: the topic's name under ``star/<id>/``."""
+
+
+@dataclass(frozen=True)
+class StarSensor(StarImaging):
+    """A star sensor: where it is bolted, what it sends and how good that is.
+
+    A horizon attitude is the true one with errors; observations and inertial attitudes come from the real sky over the
+    ship. Which fields belong to which output: :data:`ship_simulation.scenario.scenario_file.FIELDS_OF_OUTPUTS`.
+    """
+
+    azimuth_deg: float = parameter(doc="installation azimuth of the boresight in the deck", **ANGLE)
+    elevation_deg: float = parameter(
+        doc="installation elevation of the boresight over the deck", unit="deg", minimum=-90.0, maximum=90.0
+    )
+    roll_deg: float = parameter(0.0, doc="installation roll about the boresight, right side down", **ANGLE)
+    output: str = parameter("horizon_attitude", doc="what it sends", choices=STAR_OUTPUTS)
+    installation_sigma_forward_arcsec: float = parameter(20.0, doc="installation error about the boresight", **SIGMA)
+    installation_sigma_up_arcsec: float = parameter(1.0, doc="installation error about the up axis", **SIGMA)
+    installation_sigma_right_arcsec: float = parameter(1.0, doc="installation error about the right axis", **SIGMA)
+    sigma_forward_arcsec: float = parameter(100.0, doc="noise about the boresight", **SIGMA)
+    sigma_up_arcsec: float = parameter(3.0, doc="noise about the up axis", **SIGMA)
+    sigma_right_arcsec: float = parameter(3.0, doc="noise about the right axis", **SIGMA)
+    common_sigma_arcsec: float = parameter(0.0, doc="slow error that all stars share, each axis", **SIGMA)
+    common_time_s: float = parameter(3600.0, doc="correlation time of that error", **CORRELATION)
+    flexure_sigma_arcsec: float = parameter(0.0, doc="hull flexure between INS and sensor, each axis", **SIGMA)
+    flexure_time_s: float = parameter(10.0, doc="correlation time of the flexure", **CORRELATION)
+    time_offset_s: float = parameter(
+        0.0, doc="mean of: a message is valid at its stamp plus this", unit="s", minimum=-1.0, maximum=1.0
+    )
+    time_offset_sigma_s: float = parameter(0.0, doc="spread of the time offset", **_OFFSET_SIGMA)
+    star_count: int = parameter(8, doc="stars in each solution", minimum=1, maximum=1000)
+    masks: dict[str, MaskConfig] = mapping_of("what stands on deck in its way, by name: no star is seen through it")
+
+    @property
+    def sight_masks(self) -> SensorMasks | None:
+        """What stands in its way."""
+        return sensor_masks(self, "star_sensors")
 
 
 @dataclass(frozen=True)
@@ -282,6 +316,8 @@ class Scenario:
     fused_attitude: FusedAttitude = section(FusedAttitude)
     theodolite: Theodolite = section(Theodolite)
     beacons: dict[str, Beacon] = mapping_of("drones with lights by id")
+    targets: dict[str, Target] = mapping_of("bodies that the main tube looks at by id")
+    telescopes: dict[str, StarTelescope] = mapping_of("cameras on the theodolite that see stars by id")
     position: Position = section(Position)
     gravity: Gravity = section(Gravity)
     weather: WeatherStation = section(WeatherStation)
@@ -292,8 +328,13 @@ class Scenario:
 
     @property
     def needs_sky(self) -> bool:
-        """Whether a star sensor looks at the real sky."""
+        """Whether the suite's attitude of the ship needs the sky: a star sensor looks at the real one."""
         return any(sensor.output != "horizon_attitude" for sensor in self.star_sensors.values())
+
+    @property
+    def has_sky(self) -> bool:
+        """Whether anything looks at the real sky."""
+        return self.needs_sky or bool(self.telescopes)
 
     @property
     def needs_place(self) -> bool:

@@ -13,10 +13,10 @@ from ship_estimation.parameters import ParameterError, build
 from ship_geometry.earth_orientation import earth_orientation_table
 from ship_geometry.time_scales import DAY_NS, SECOND_NS
 from ship_simulation.scenario.fault_file import fault_problems
-from ship_simulation.scenario.motion_scenario import SECTIONS_OF_KIND, CarrierMotion
-from ship_simulation.scenario.names import simulated_topics
-from ship_simulation.scenario.scenario import Scenario, StarSensor, start_of
-from ship_simulation.scenario.theodolite_scenario import SECTIONS_OF_FLIGHT, Beacon
+from ship_simulation.scenario.motion_scenario import SECTIONS_OF_KIND, CarrierMotion, Outage
+from ship_simulation.scenario.names import TELESCOPE_ID, simulated_topics
+from ship_simulation.scenario.scenario import Scenario, StarImaging, StarSensor, StarTelescope, start_of
+from ship_simulation.scenario.theodolite_scenario import SECTIONS_OF_COURSE, Beacon, Course, Target
 
 FIELDS_OF_OUTPUTS = {
     ("horizon_attitude",): ("common_sigma_arcsec", "common_time_s", "star_count"),
@@ -82,12 +82,11 @@ def _problems(scenario: Scenario, file: ParameterFile) -> Iterator[ParameterErro
         yield _wrong("start_utc", f"= {scenario.start_utc} is not a moment such as 2014-07-09T11:50:07.8Z: {problem}")
     yield from _carrier_problems(scenario.carrier, file)
     for sensor_id, sensor in scenario.star_sensors.items():
-        for name, outage in sensor.outages.items():
-            yield from _window_problems(f"star_sensors.{sensor_id}.outages.{name}", outage.start_s, outage.end_s)
+        yield from _windows_problems(f"star_sensors.{sensor_id}.outages", sensor.outages)
         yield from _output_problems(f"star_sensors.{sensor_id}", sensor, file.values["star_sensors"][sensor_id])
     yield from _theodolite_problems(scenario, file.values)
     yield from fault_problems(scenario.faults, simulated_topics(scenario), "simulated")
-    if scenario.needs_sky:
+    if scenario.has_sky:
         yield from _sky_problems(scenario)
 
 
@@ -110,15 +109,19 @@ def _output_problems(key: str, sensor: StarSensor, given: Mapping[str, Any]) -> 
                 yield _wrong(f"{key}.{field}", f"is not used with output {sensor.output}: it belongs to {owners}")
     if sensor.output != "observations":
         return
+    yield from _imaging_problems(key, sensor)
+    yield from _mask_problems(key, sensor)
+
+
+def _imaging_problems(key: str, imaging: StarImaging) -> Iterator[ParameterError]:
     try:
-        sensor.camera.camera(f"{key}.camera")
+        imaging.camera.camera(f"{key}.camera")
     except ParameterError as problem:
         yield problem
-    if not (sensor.camera.width_px and sensor.camera.height_px):
+    if not (imaging.camera.width_px and imaging.camera.height_px):
         text = f"and '{key}.camera.height_px' must be given: they are the field of view"
         yield _wrong(f"{key}.camera.width_px", text)
-    yield from _mask_problems(key, sensor)
-    if sensor.direction_given and not sensor.identified:
+    if imaging.direction_given and not imaging.identified:
         yield _wrong(f"{key}.direction_given", "needs identified stars: leave one of the two out")
 
 
@@ -143,7 +146,7 @@ def _sky_problems(scenario: Scenario) -> Iterator[ParameterError]:
 def _theodolite_problems(scenario: Scenario, given: Mapping[str, Any]) -> Iterator[ParameterError]:
     """The problems of a scenario; ``given`` is what its file holds."""
     if not scenario.theodolite.aboard:
-        for group in ("theodolite", "beacons"):
+        for group in ("theodolite", "beacons", "targets", "telescopes"):
             if given.get(group):
                 yield _wrong(group, "is not used without 'theodolite.aboard: true'")
         return
@@ -156,22 +159,48 @@ def _theodolite_problems(scenario: Scenario, given: Mapping[str, Any]) -> Iterat
         )
     for beacon_id, beacon in scenario.beacons.items():
         yield from _beacon_problems(f"beacons.{beacon_id}", beacon, given["beacons"][beacon_id].get("flight", {}))
+    if scenario.targets and scenario.theodolite.main_detector.focal_length_m == 0.0:
+        yield _wrong("theodolite.main_detector.focal_length_m", "must be given where there are targets")
+    for target_id, target in scenario.targets.items():
+        yield from _target_problems(f"targets.{target_id}", target, given["targets"][target_id].get("course", {}))
+    for camera_id, camera in scenario.telescopes.items():
+        yield from _telescope_problems(f"telescopes.{camera_id}", camera)
+    if TELESCOPE_ID in scenario.telescopes:
+        text = "is the telescope that sees lights: give a camera for stars another id"
+        yield _wrong(f"telescopes.{TELESCOPE_ID}", text)
 
 
 def _beacon_problems(key: str, beacon: Beacon, flight: Mapping[str, Any]) -> Iterator[ParameterError]:
-    kind = beacon.flight.kind
-    used = SECTIONS_OF_FLIGHT[kind]
-    for group in SECTIONS_OF_FLIGHT.values():
-        if group in flight and group != used:
-            yield _wrong(f"{key}.flight.{group}", f"is not used by a flight of kind {kind}: expected {used}")
-    moments = [waypoint.time_s for waypoint in beacon.flight.waypoints.values()]
-    if kind == "legs" and len(set(moments)) < max(2, len(moments)):
-        yield _wrong(f"{key}.flight.waypoints", f"must be two or more with different time_s, got {moments}")
+    yield from _course_problems(f"{key}.flight", beacon.flight, flight)
     windows = {"hidden": beacon.hidden, "rtk.float_times": beacon.rtk.float_times}
     windows |= {"rtk.no_solution_times": beacon.rtk.no_solution_times, "rtk.outages": beacon.rtk.outages}
     for group, named in windows.items():
-        for name, window in named.items():
-            yield from _window_problems(f"{key}.{group}.{name}", window.start_s, window.end_s)
+        yield from _windows_problems(f"{key}.{group}", named)
+
+
+def _target_problems(key: str, target: Target, course: Mapping[str, Any]) -> Iterator[ParameterError]:
+    yield from _course_problems(f"{key}.course", target.course, course)
+    yield from _windows_problems(f"{key}.hidden", target.hidden)
+
+
+def _telescope_problems(key: str, camera: StarTelescope) -> Iterator[ParameterError]:
+    yield from _imaging_problems(key, camera)
+    yield from _windows_problems(f"{key}.outages", camera.outages)
+
+
+def _course_problems(key: str, course: Course, given: Mapping[str, Any]) -> Iterator[ParameterError]:
+    used = SECTIONS_OF_COURSE[course.kind]
+    for group in SECTIONS_OF_COURSE.values():
+        if group in given and group != used:
+            yield _wrong(f"{key}.{group}", f"is not used by a course of kind {course.kind}: expected {used}")
+    moments = [waypoint.time_s for waypoint in course.waypoints.values()]
+    if course.kind == "legs" and len(set(moments)) < max(2, len(moments)):
+        yield _wrong(f"{key}.waypoints", f"must be two or more with different time_s, got {moments}")
+
+
+def _windows_problems(key: str, windows: Mapping[str, Outage]) -> Iterator[ParameterError]:
+    for name, window in windows.items():
+        yield from _window_problems(f"{key}.{name}", window.start_s, window.end_s)
 
 
 def _window_problems(key: str, start_s: float, end_s: float) -> Iterator[ParameterError]:

@@ -124,6 +124,44 @@ class Telescope:
 
 
 @dataclass(frozen=True)
+class MainDetector:
+    """The detector in the main tube, on which targets are seen; there is none where it has no focal length."""
+
+    rate_hz: float = parameter(10.0, doc="exposures per second", **RATE)
+    phase_s: float = parameter(0.0, doc="middle of the first exposure after the start", **MOMENT)
+    latency_s: float = parameter(0.05, doc="from stamp (middle of the exposure) to arrival", **DELAY)
+    jitter_s: float = parameter(0.0, doc="further delay, uniform between 0 and this", **DELAY)
+    exposure_s: float = parameter(
+        0.0,
+        doc="length of an exposure: a target's point is the mean of its way; 0: none, and not told",
+        unit="s",
+        minimum=0.0,
+        maximum=LONGEST_EXPOSURE_S,
+    )
+    focal_length_m: float = parameter(
+        0.0, doc="of the main tube, as known; 0: there is no main detector", unit="m", minimum=0.0, maximum=100.0
+    )
+    focal_length_sigma_m: float = parameter(0.0, doc="its error", unit="m", minimum=0.0, maximum=1.0)
+    principal_x_m: float = parameter(
+        0.0, doc="detector point of the main axis, along right, as known", unit="m", minimum=-0.5, maximum=0.5
+    )
+    principal_z_m: float = parameter(
+        0.0, doc="detector point of the main axis, along up, as known", unit="m", minimum=-0.5, maximum=0.5
+    )
+    principal_sigma_m: float = parameter(0.0, doc="error of that point, each axis", unit="m", minimum=0.0, maximum=0.1)
+    width_m: float = parameter(0.02, doc="of the detector", unit="m", minimum=1e-4, maximum=1.0)
+    height_m: float = parameter(0.02, doc="of the detector", unit="m", minimum=1e-4, maximum=1.0)
+    sigma_m: float = parameter(
+        1e-6, doc="noise of an image point, each axis", unit="m", minimum=1e-9, maximum=0.001
+    )
+    rotation_deg: float = parameter(0.0, doc="of the detector about the main axis at the start, right down", **ANGLE)
+    rotation_rate_deg_per_s: float = parameter(
+        0.0, doc="how fast it is turned", unit="deg/s", minimum=-60.0, maximum=60.0
+    )
+    rotation_sigma_arcsec: float = parameter(0.0, doc="error of the rotation that the images tell", **SIGMA)
+
+
+@dataclass(frozen=True)
 class Programme:
     """Where the main axis looks: a steady sweep in azimuth, up and down in elevation; over the ship's motion."""
 
@@ -167,6 +205,7 @@ class Theodolite:
     deformation: Deformation = section(Deformation)
     lever: Lever = section(Lever)
     telescope: Telescope = section(Telescope)
+    main_detector: MainDetector = section(MainDetector)
     programme: Programme = section(Programme)
     air: TerrestrialRefraction = section(TerrestrialRefraction)
     ship_antenna: ShipAntenna = section(ShipAntenna)
@@ -214,21 +253,27 @@ class Waypoint:
 
 
 @dataclass(frozen=True)
-class Flight:
-    """How a drone flies, and how it sways."""
+class Course:
+    """How a body moves, seen from the theodolite."""
 
     kind: str = parameter("hover", doc="what it does", choices=("escort", "hover", "orbit", "legs"))
     escort: Escort = section(Escort)
     hover: Hover = section(Hover)
     orbit: Orbit = section(Orbit)
     waypoints: dict[str, Waypoint] = mapping_of("ends of straight legs, two or more, by name")
+
+
+@dataclass(frozen=True)
+class Flight(Course):
+    """How a drone flies, and how it sways."""
+
     yaw_deg: float = parameter(0.0, doc="where the nose points, from North", **ANGLE)
     sway_deg: float = parameter(2.0, doc="amplitude of pitch and of roll", unit="deg", minimum=0.0, maximum=45.0)
     sway_period_s: float = parameter(4.0, doc="period of both", unit="s", minimum=0.1, maximum=1000.0)
 
 
-SECTIONS_OF_FLIGHT = {"escort": "escort", "hover": "hover", "orbit": "orbit", "legs": "waypoints"}
-"""The group that each kind of flight uses."""
+SECTIONS_OF_COURSE = {"escort": "escort", "hover": "hover", "orbit": "orbit", "legs": "waypoints"}
+"""The group that each kind of course uses."""
 
 
 @dataclass(frozen=True)
@@ -291,3 +336,15 @@ class Beacon:
     light: Lever = section(Lever)
     rtk: Rtk = section(Rtk)
     imu: DroneImu = section(DroneImu)
+
+
+@dataclass(frozen=True)
+class Target:
+    """A body that the main tube looks at."""
+
+    course: Course = section(Course)
+    leaves_s: float = parameter(1e6, doc="when it is gone", **MOMENT)
+    hidden: dict[str, Outage] = mapping_of("times in which it is not seen, by name")
+    range_sigma_m: float = parameter(
+        0.0, doc="noise of the range that its images tell; 0: they tell none", unit="m", minimum=0.0, maximum=1e4
+    )

@@ -161,8 +161,8 @@ class DeviceTruth:
 
 
 @dataclass(frozen=True)
-class MountedMotion:
-    """A star sensor's exposures, and its true attitude at each.
+class ExposedMotion:
+    """The exposures of what sees stars, and its true attitude at each.
 
     Attributes:
         time_ns: stamps, shape (n,).
@@ -171,7 +171,6 @@ class MountedMotion:
         rotation_nv: horizon from sensor, shape (n, 3, 3).
         times: moments of each exposure.
         passing_nv: horizon from sensor at these moments, shape (m, n, 3, 3).
-        truth: mounting and time offset.
     """
 
     time_ns: np.ndarray
@@ -180,6 +179,16 @@ class MountedMotion:
     rotation_nv: FloatArray
     times: ExposureTimes
     passing_nv: FloatArray
+
+
+@dataclass(frozen=True)
+class MountedMotion(ExposedMotion):
+    """A star sensor's exposures.
+
+    Attributes:
+        truth: mounting and time offset.
+    """
+
     truth: DeviceTruth
 
 

@@ -6,10 +6,9 @@ import erfa
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.sky.masks import sensor_masks
 from ship_attitude_star.stars.camera import StarCamera
 from ship_geometry.rotations import FloatArray
-from ship_simulation.scenario.scenario import Detector, StarSensor
+from ship_simulation.scenario.scenario import Detector, StarImaging
 from ship_simulation.stars.sky import TrueSky
 
 # Candidates are chosen once for exposures within this time after the start, so that they are few.
@@ -39,7 +38,7 @@ class FieldStars:
 
 
 def stars_in_field(
-    sensor: StarSensor, sky: TrueSky, rotation_nv: FloatArray, valid_ns: np.ndarray, since_start_s: FloatArray
+    sensor: StarImaging, sky: TrueSky, rotation_nv: FloatArray, valid_ns: np.ndarray, since_start_s: FloatArray
 ) -> FieldStars:
     """The brightest stars in the field of each exposure that nothing on deck hides.
 
@@ -50,7 +49,7 @@ def stars_in_field(
         valid_ns: their moments, shape (n,).
         since_start_s: their stamps after the start, increasing, shape (n,).
     """
-    camera, masks = sensor.camera.camera("camera"), sensor_masks(sensor, "star_sensors")
+    camera, masks = sensor.camera.camera("camera"), sensor.sight_masks
     bright = sky.catalogue.brighter_than(sensor.magnitude_limit)
     bright = bright[np.argsort(sky.catalogue.magnitude[bright], kind="stable")]
     places = sky.positions[bright]
@@ -58,7 +57,7 @@ def stars_in_field(
     least_cosine = np.cos(_radius(camera, sensor.camera) + _MARGIN)
     parts = []
     starts = np.flatnonzero(np.diff(since_start_s // _BLOCK_S, prepend=-1.0))
-    for start, end in zip(starts, [*starts[1:], valid_ns.size], strict=True):
+    for start, end in zip(starts, np.append(starts, valid_ns.size)[1:], strict=True):
         exposures = slice(start, end)
         boresight_c = rotation_nv[exposures, :, 0] @ sky.rotation_horizon_from_icrs(valid_ns[start])
         near = np.any(boresight_c @ place_c.T > least_cosine, axis=0)

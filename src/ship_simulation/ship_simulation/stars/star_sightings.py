@@ -16,8 +16,8 @@ from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_geometry.star_directions import StarPositions, fixed_stars
 from ship_simulation.draws.noise import arrival_times, centroids, outside
 from ship_simulation.draws.stretch import Draws
-from ship_simulation.scenario.scenario import Scenario, StarSensor
-from ship_simulation.ship.attitude_device import MountedMotion, sigma_of_attitudes
+from ship_simulation.scenario.scenario import Scenario, StarImaging
+from ship_simulation.ship.attitude_device import ExposedMotion, MountedMotion, sigma_of_attitudes
 from ship_simulation.stars.sky import TrueSky, place_of_date, year_of
 from ship_simulation.stars.spatial_errors import DetectorErrors
 from ship_simulation.stars.star_field import stars_in_field, swapped_identities
@@ -102,10 +102,17 @@ class SightingsTruth:
 
 
 def simulate_sightings(
-    sensor_id: str, scenario: Scenario, motion: MountedMotion, sky: TrueSky, draws: Draws
+    source: str, config: StarImaging, motion: ExposedMotion, sky: TrueSky, draws: Draws
 ) -> tuple[StarSightings, SightingsTruth]:
-    """All exposures of a sensor. They are empty while the Sun is up, and in outages."""
-    config, source = scenario.star_sensors[sensor_id], f"star.{sensor_id}"
+    """All exposures of a star sensor, or of a camera on the theodolite. They are empty by day, and in outages.
+
+    Args:
+        source: name of its random streams.
+        config: its part of the scenario.
+        motion: its exposures.
+        sky: the true one.
+        draws: of the run.
+    """
     dark = sky.sun_elevation(motion.valid_ns) < np.deg2rad(config.sun_limit_deg)
     seeing = dark & outside(motion.since_start_s, config.outages)
     true = _true_spots(source, config, motion, sky, seeing, draws)
@@ -155,7 +162,7 @@ class _Spots:
 
 
 def _true_spots(
-    source: str, config: StarSensor, motion: MountedMotion, sky: TrueSky, seeing: NDArray[np.bool_], draws: Draws
+    source: str, config: StarImaging, motion: ExposedMotion, sky: TrueSky, seeing: NDArray[np.bool_], draws: Draws
 ) -> _Spots:
     """Stars with errors in their centroids and magnitudes; some are taken for one another."""
     field = stars_in_field(
@@ -186,7 +193,7 @@ def _true_spots(
     )
 
 
-def _false_spots(source: str, config: StarSensor, sky: TrueSky, seeing: NDArray[np.bool_], draws: Draws) -> _Spots:
+def _false_spots(source: str, config: StarImaging, sky: TrueSky, seeing: NDArray[np.bool_], draws: Draws) -> _Spots:
     """Spots anywhere on the detector, each taken for a star anywhere in the sky."""
     name = source + ".false_stars"
     count = draws.stream(name).poisson(config.false_stars, seeing.size) * seeing
@@ -210,7 +217,7 @@ def _as_read_out(kinds: list[_Spots]) -> _Spots:
 
 
 def _identities(
-    config: StarSensor, sky: TrueSky, claimed: NDArray[np.int64]
+    config: StarImaging, sky: TrueSky, claimed: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], StarPositions, FloatArray]:
     """What the sensor says of each star: its HIP number, its position, and the error of the position."""
     catalogue, start_ns = sky.catalogue, sky.track.start_ns

@@ -16,12 +16,14 @@ from ship_simulation.scenario.names import (
     ANTENNA_FRAME,
     DECK_FRAME,
     INS_FRAME,
+    MAIN_DETECTOR_FRAME,
     MOUNT_FRAME,
     SECOND_ANTENNA_ID,
     SHIP_ANTENNA_ID,
     TELESCOPE_FRAME,
     TELESCOPE_ID,
     beacon_frame,
+    mount_camera_frame,
     star_frame,
 )
 from ship_simulation.scenario.scenario import Detector, Scenario, StarSensor
@@ -101,6 +103,23 @@ _TELESCOPE = (
     "rotation_arcsec",
     "rotation_sigma_arcsec",
 )
+_MAIN_DETECTOR = (
+    "focal_length_m",
+    "focal_length_sigma_m",
+    "principal_x_m",
+    "principal_z_m",
+    "principal_sigma_m",
+    "sigma_m",
+    "rotation_sigma_arcsec",
+)
+_STAR_TELESCOPE = (
+    "azimuth_deg",
+    "azimuth_sigma_arcsec",
+    "elevation_deg",
+    "elevation_sigma_arcsec",
+    "roll_deg",
+    "roll_sigma_arcsec",
+)
 _REFRACTION = ("coefficient", "sigma", "light_sigma", "time_s")
 
 _LEAST_POSITION_TIME_S = 1.0
@@ -132,7 +151,7 @@ def suite_configuration(scenario: Scenario) -> dict[str, Any]:
             for key, sensor in scenario.star_sensors.items()
         }
     if scenario.needs_sky:
-        configuration["sky"] = _sky(scenario)
+        configuration["sky"] = _sky_of_ship(scenario)
     if scenario.references:
         configuration["references"] = {
             key: {"frame_id": key, **_told(reference, _REFERENCE)} for key, reference in scenario.references.items()
@@ -181,7 +200,7 @@ def star_attitude_configuration(scenario: Scenario) -> dict[str, Any]:
             for key, sensor in scenario.star_sensors.items()
             if sensor.output == "observations"
         },
-        "sky": _sky(scenario),
+        "sky": _sky_of_ship(scenario),
     }
 
 
@@ -199,6 +218,18 @@ def optical_axis_configuration(scenario: Scenario) -> dict[str, Any]:
         "ship": _ship(scenario),
         "ins": {"frame_id": INS_FRAME, **_told(scenario.ins, _INS), **_rates(scenario)},
     }
+    if scenario.targets:
+        configuration["main_detector"] = {
+            **_told(theodolite.main_detector, _MAIN_DETECTOR), "frame_id": MAIN_DETECTOR_FRAME
+        }  # fmt: skip
+    if scenario.telescopes:
+        configuration["telescopes"] = {
+            key: {
+                **_told(camera, _STAR_TELESCOPE), "frame_id": mount_camera_frame(key), "camera": _camera(camera.camera)
+            }
+            for key, camera in scenario.telescopes.items()
+        }  # fmt: skip
+        configuration["sky"] = _sky(scenario, [camera.magnitude_limit for camera in scenario.telescopes.values()])
     if scenario.beacons:
         configuration["beacons"] = {key: _beacon(key, beacon) for key, beacon in scenario.beacons.items()}
     return configuration
@@ -237,8 +268,14 @@ def _masks(sensor: StarSensor) -> dict[str, Any]:
     return {"masks": masks} if masks else {}
 
 
-def _sky(scenario: Scenario) -> dict[str, Any]:
-    """How well the air and the ship's place are known."""
+def _sky_of_ship(scenario: Scenario) -> dict[str, Any]:
+    """The sky of the star sensors."""
+    looking = [sensor for sensor in scenario.star_sensors.values() if sensor.output != "horizon_attitude"]
+    return _sky(scenario, [sensor.magnitude_limit for sensor in looking])
+
+
+def _sky(scenario: Scenario, magnitude_limits: list[float]) -> dict[str, Any]:
+    """How well the air and the ship's place are known, and the faintest star that anything sees."""
     weather, position = scenario.weather, scenario.position
     known = {
         "refraction_model": weather.refraction_model,
@@ -247,9 +284,7 @@ def _sky(scenario: Scenario) -> dict[str, Any]:
         "relative_humidity": 0.01 * weather.humidity_percent,
         "measured_pressure_sigma_hpa": weather.pressure_sigma_hpa,
         "measured_temperature_sigma_k": weather.temperature_sigma_k,
-        "magnitude_limit": max(
-            sensor.magnitude_limit for sensor in scenario.star_sensors.values() if sensor.output != "horizon_attitude"
-        ),
+        "magnitude_limit": max(magnitude_limits),
         "fix_sigma_m": math.hypot(position.sigma_m, position.slow_sigma_m),
     }
     if position.slow_sigma_m > 0.0:

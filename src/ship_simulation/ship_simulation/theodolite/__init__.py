@@ -1,8 +1,8 @@
-"""A simulated theodolite whose calibration telescope sees the lights of drones.
+"""A simulated theodolite: lights of drones in its calibration telescope, targets in its main tube, stars in cameras.
 
 One sighting walks one way: scenario → where the drones fly and the main axis looks (:mod:`flight`) → all that is true
-(:mod:`scene`) → what the devices say (:mod:`devices`) → together in :mod:`run`. With d the deck, m the main frame, t
-the telescope, b a drone, k the refraction coefficient:
+(:mod:`scene`) → what the devices say (:mod:`devices`, :mod:`targets`, :mod:`mount_stars`) → together in :mod:`run`.
+With d the deck, m the main frame, t the telescope, b a drone, k the refraction coefficient:
 
     rotation_nm = rotation_nd · exp(deformation) · rotation_dm(encoder; axis errors)
     rotation_nt = rotation_nm · R(ΔA, ΔE, Δω)^T
@@ -12,5 +12,5 @@ the telescope, b a drone, k the refraction coefficient:
 A light is seen along its path raised by k · (horizontal distance) / (2 R), on the detector where the true focal length
 puts it. Each value has an error that the scenario states: drawn once a run, or slow, or new in each sample.
 
-The room imports ``ship/``, ``draws/`` and ``scenario/``, and the pure geometry of ``theodolite_calib``.
+The room imports ``stars/``, ``ship/``, ``draws/`` and ``scenario/``, and the pure geometry of ``theodolite_calib``.
 """

@@ -11,7 +11,7 @@ import numpy as np
 
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
-from ship_simulation.scenario.theodolite_scenario import Escort, Flight, Hover, Orbit, Programme, Waypoint
+from ship_simulation.scenario.theodolite_scenario import Course, Escort, Flight, Hover, Orbit, Programme, Waypoint
 from ship_simulation.ship.motion import HarmonicMotion
 
 FlightPath = Callable[[FloatArray], FloatArray]
@@ -21,15 +21,15 @@ _RAMP_S = 20.0
 """From following the lights to the sweep."""
 
 
-def flight_path(flight: Flight, programme: Programme) -> FlightPath:
-    """The path of a drone; ``programme`` is what an escort flies with."""
+def flight_path(course: Course, programme: Programme) -> FlightPath:
+    """The path of a drone or a target; ``programme`` is what an escort goes with."""
     paths: dict[str, FlightPath] = {
-        "escort": lambda t_s: _escorting(flight.escort, programme, t_s),
-        "hover": lambda t_s: _hovering(flight.hover, t_s),
-        "orbit": lambda t_s: _orbiting(flight.orbit, t_s),
-        "legs": lambda t_s: _on_legs(list(flight.waypoints.values()), t_s),
+        "escort": lambda t_s: _escorting(course.escort, programme, t_s),
+        "hover": lambda t_s: _hovering(course.hover, t_s),
+        "orbit": lambda t_s: _orbiting(course.orbit, t_s),
+        "legs": lambda t_s: _on_legs(list(course.waypoints.values()), t_s),
     }
-    return paths[flight.kind]
+    return paths[course.kind]
 
 
 def swaying(flight: Flight, rng: np.random.Generator) -> HarmonicMotion:

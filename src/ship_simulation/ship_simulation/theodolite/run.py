@@ -11,6 +11,8 @@ from ship_simulation.draws.stretch import Draws, Stretch
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.ship.motion import Carrier
 from ship_simulation.ship.rtk import BaselineSamples
+from ship_simulation.stars.sky import TrueSky
+from ship_simulation.stars.star_sightings import StarSightings
 from ship_simulation.theodolite.devices import (
     DroneSamples,
     EncoderSamples,
@@ -22,7 +24,9 @@ from ship_simulation.theodolite.devices import (
     simulate_drone_attitude,
     solve_baselines,
 )
+from ship_simulation.theodolite.mount_stars import draw_parallelism, see_stars
 from ship_simulation.theodolite.scene import MountState, Scene, draw_scene
+from ship_simulation.theodolite.targets import TargetSamples, draw_targets, see_targets
 
 
 @dataclass(frozen=True)
@@ -36,6 +40,7 @@ class PointingTruth:
         rotation_nt: horizon from telescope there, shape (m, 3, 3).
         light_count: lights in the telescope's view there, shape (m,).
         scene: all that is true, at any moment.
+        star_parallelism: of the main axis in each camera that sees stars, rad, shape (3,).
     """
 
     encoder_index: np.ndarray
@@ -43,21 +48,26 @@ class PointingTruth:
     rotation_nt: FloatArray
     light_count: np.ndarray
     scene: Scene
+    star_parallelism: dict[str, FloatArray]
 
 
 @dataclass(frozen=True)
 class TheodoliteRun:
-    """One draw of a theodolite with its lights; drones by id."""
+    """One draw of a theodolite with its lights, targets and stars; drones and cameras for stars by id."""
 
     encoder: EncoderSamples
     images: ImageSamples
+    targets: TargetSamples
+    stars: dict[str, StarSightings]
     baselines: dict[str, BaselineSamples]
     drones: dict[str, DroneSamples]
     truth: PointingTruth
 
 
-def simulate_theodolite(scenario: Scenario, carrier: Carrier, stretch: Stretch, draws: Draws) -> TheodoliteRun:
-    """The theodolite's part of a stretch.
+def simulate_theodolite(
+    scenario: Scenario, carrier: Carrier, sky: TrueSky | None, stretch: Stretch, draws: Draws
+) -> TheodoliteRun:
+    """The theodolite's part of a stretch; ``sky`` is there where it has cameras that see stars.
 
     Raises:
         BadInput: the theodolite would have to look along its vertical axis.
@@ -70,17 +80,29 @@ def simulate_theodolite(scenario: Scenario, carrier: Carrier, stretch: Stretch, 
     )
     time_ns = stretch.stamps(config.encoder.rate_hz, config.encoder.phase_s)
     mount = scene.mount((time_ns - stretch.start_ns) / SECOND_NS)
+    parallelism = {key: draw_parallelism(key, camera, draws.seed) for key, camera in scenario.telescopes.items()}
     return TheodoliteRun(
         encoder=read_encoders(config.encoder, mount, stretch, draws),
         images=expose(config.telescope, scene, stretch, draws),
+        targets=see_targets(config.main_detector, draw_targets(scenario, draws), scene, stretch, draws),
+        stars={
+            key: see_stars(key, camera, parallelism[key], scene, sky, stretch, draws)
+            for key, camera in scenario.telescopes.items()
+            if sky is not None
+        },
         baselines={key: solve_baselines(key, scene, ship_antenna, stretch, draws) for key in scene.lights},
         drones={key: simulate_drone_attitude(key, light, stretch, draws) for key, light in scene.lights.items()},
-        truth=_truth(scenario, scene, mount, time_ns, stretch),
+        truth=_truth(scenario, scene, parallelism, mount, time_ns, stretch),
     )
 
 
 def _truth(
-    scenario: Scenario, scene: Scene, mount: MountState, time_ns: np.ndarray, stretch: Stretch
+    scenario: Scenario,
+    scene: Scene,
+    parallelism: dict[str, FloatArray],
+    mount: MountState,
+    time_ns: np.ndarray,
+    stretch: Stretch,
 ) -> PointingTruth:
     encoder = scenario.theodolite.encoder
     index = truth_index(time_ns, stretch.start_ns, stretch.holds_last(encoder.rate_hz, encoder.phase_s))
@@ -94,4 +116,5 @@ def _truth(
         rotation_nt=scene.rotation_nt(chosen),
         light_count=in_view(telescope, scene, t_s, point_m).sum(axis=1),
         scene=scene,
+        star_parallelism=parallelism,
     )

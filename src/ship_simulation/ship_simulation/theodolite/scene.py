@@ -184,7 +184,7 @@ class Scene:
         lens_n = mount.rotation_nm @ self.theodolite.lens_m
         common = self.coefficient + self.refraction.at(t_s)[:, 0]
         seen = [
-            _raised(
+            raised(
                 light.path(t_s) + light.attitude.attitude(t_s) @ light.lever_b - lens_n,
                 common + light.refraction.at(t_s)[:, 0],
             )
@@ -193,7 +193,7 @@ class Scene:
         return np.stack(seen, axis=1) if seen else np.empty((t_s.size, 0, 3))
 
 
-def _raised(path_n: FloatArray, coefficient: FloatArray) -> FloatArray:
+def raised(path_n: FloatArray, coefficient: FloatArray) -> FloatArray:
     """Directions of paths, raised by k · (horizontal distance) / (2 R)."""
     north_m, up_m, east_m = path_n.T
     horizontal_m = np.hypot(north_m, east_m)

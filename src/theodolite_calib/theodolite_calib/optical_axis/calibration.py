@@ -6,12 +6,14 @@ stars may be seen, also N' and how the main axis stands in each camera.
 then.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ship_geometry.rotations import FloatArray
+from ship_geometry.rotations import ARCSEC, FloatArray, wrap_pi
 from theodolite_calib.chain.axes import NAMES
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
@@ -20,9 +22,21 @@ from theodolite_calib.filter.observability import DEFORMATION_NAMES, LENS_NAMES
 
 SAVED_BLOCKS = ("axes", "focal_length", "parallelism")
 SAVED_NAMES = (*NAMES, "focal_length", "parallelism_azimuth", "parallelism_elevation", "parallelism_rotation")
-"""What is saved, in the order of the states' blocks."""
+"""What is always saved, in the order of the states' blocks. The angles of cameras that see stars come after these."""
 
 _OF_TELESCOPE = SAVED_NAMES[len(NAMES) :]
+_MOVED = 6.0
+"""A camera whose saved angles are further from those configured, in sigmas of both, was mounted anew."""
+
+
+def camera_names(id_: str) -> tuple[str, str, str]:
+    """What the angles of the main axis in a camera that sees stars are called."""
+    return f"telescopes.{id_}.azimuth", f"telescopes.{id_}.elevation", f"telescopes.{id_}.roll"
+
+
+def camera_of(name: str) -> str:
+    """The camera that a saved quantity belongs to; empty where it belongs to none."""
+    return name.removeprefix("telescopes.").rpartition(".")[0] if name.startswith("telescopes.") else ""
 
 
 @dataclass(frozen=True)
@@ -58,8 +72,9 @@ class CalibrationPrior:
         time_ns: moment of the data it rests on.
         serial: of the theodolite.
         telescope_id: of the telescope.
-        values: in the order of SAVED_NAMES, rad or m, shape (11,).
-        covariance: joint, shape (11, 11).
+        values: in the order of ``names``, rad or m, shape (n,).
+        covariance: joint, shape (n, n).
+        names: SAVED_NAMES, and :func:`camera_names` of each camera that sees stars.
     """
 
     time_ns: int
@@ -67,6 +82,7 @@ class CalibrationPrior:
     telescope_id: str
     values: FloatArray
     covariance: FloatArray
+    names: tuple[str, ...] = SAVED_NAMES
 
     def sigmas(self) -> dict[str, FloatArray]:
         """Standard deviations by name with the theodolite's and its telescope's, each rad or m, shape (1,)."""
@@ -74,7 +90,7 @@ class CalibrationPrior:
         sigma = np.sqrt(np.diagonal(self.covariance))
         return {
             f"{name} of theodolite '{telescope if name in _OF_TELESCOPE else self.serial}'": sigma[i : i + 1]
-            for i, name in enumerate(SAVED_NAMES)
+            for i, name in enumerate(self.names)
         }
 
 
@@ -117,9 +133,8 @@ def _by_stars(filter_: CalibrationFilter, config: OpticalAxisConfig, state: Cali
     model, telescope = filter_.model, config.telescope
     told = {"parallelism": (SAVED_NAMES[-3:], telescope.parallelism, "rad")}
     for id_, camera in config.telescopes.items():
-        names = tuple(f"telescopes.{id_}.{angle}" for angle in ("azimuth", "elevation", "roll"))
         # The calibration telescope has one parallelism by lights and by stars, and is told already.
-        told.setdefault(parallelism_block(id_, config), (names, camera.parallelism, "rad"))
+        told.setdefault(parallelism_block(id_, config), (camera_names(id_), camera.parallelism, "rad"))
     told["lens"] = LENS_NAMES, telescope.lens.vector_m, "m"
     return [
         _Named(name, row, float(value + state.mean[row]), unit)
@@ -133,10 +148,16 @@ def _by_stars(filter_: CalibrationFilter, config: OpticalAxisConfig, state: Cali
 def prior_of(filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState) -> CalibrationPrior:
     """What to save of a state that rests on sightings."""
     assert state.informed_ns is not None
-    rows = _rows(filter_)
-    values = _configured(config) + state.mean[rows]
-    covariance = state.covariance[np.ix_(rows, rows)]
-    return CalibrationPrior(state.informed_ns, config.serial, config.telescope.telescope_id, values, covariance)
+    saved = _saved(filter_, config)
+    rows = [one.row for one in saved]
+    return CalibrationPrior(
+        time_ns=state.informed_ns,
+        serial=config.serial,
+        telescope_id=config.telescope.telescope_id,
+        values=np.array([one.whole(state.mean[one.row]) for one in saved]),
+        covariance=state.covariance[np.ix_(rows, rows)],
+        names=tuple(one.name for one in saved),
+    )
 
 
 def state_from_prior(
@@ -145,26 +166,34 @@ def state_from_prior(
     """The start of a session with a saved calibration, and remarks for the operator.
 
     A calibration of another theodolite is not used at all, and one of another telescope is used without focal length
-    and parallelism. A calibration older than ``calibration_max_age_d`` keeps its values, and the configured uncertainty
-    is added to its own.
+    and parallelism. Of a camera that is not configured here, or was mounted anew, nothing is used. A calibration older
+    than ``calibration_max_age_d`` keeps its values, and the configured uncertainty is added to its own.
     """
     initial = filter_.initial_state()
     if prior.serial != config.serial:
         text = f"saved calibration is of theodolite '{prior.serial}', configured is '{config.serial}': not used"
         return initial, [text]
+    saved = {one.name: one for one in _saved(filter_, config)}
     messages = []
     # A quantity that was held when the calibration was saved takes its uncertainty from the configuration.
     usable = np.diagonal(prior.covariance) > 0.0
-    of_telescope = usable & [name in _OF_TELESCOPE for name in SAVED_NAMES]
+    of_telescope = usable & [name in _OF_TELESCOPE for name in prior.names]
     if prior.telescope_id != config.telescope.telescope_id and np.any(of_telescope):
         usable &= ~of_telescope
         messages.append(
             f"saved calibration is of telescope '{prior.telescope_id}', configured is "
             f"'{config.telescope.telescope_id}': its focal length and parallelism are not used"
         )
-    rows, chosen = _rows(filter_)[usable], np.flatnonzero(usable)
+    for id_ in dict.fromkeys(filter(None, map(camera_of, prior.names))):
+        of_camera = np.array([camera_of(name) == id_ for name in prior.names])
+        reason = _reason_against_camera(prior, of_camera & usable, saved, initial)
+        if reason:
+            usable &= ~of_camera
+            messages.append(f"saved calibration of camera '{id_}' is not used: {reason}")
+    chosen = np.flatnonzero(usable)
+    rows = np.array([saved[prior.names[place]].row for place in chosen], dtype=np.intp)
     mean, parts = initial.mean.copy(), initial.parts.copy()
-    mean[rows] = (prior.values - _configured(config))[usable]
+    mean[rows] = [saved[prior.names[place]].beyond(prior.values[place]) for place in chosen]
     age_d = max(now_ns - prior.time_ns, 0) * 1e-9 / 86400.0
     if age_d > config.calibration_max_age_d:
         messages.append(
@@ -179,10 +208,50 @@ def state_from_prior(
     return filter_.started(mean, parts), messages
 
 
-def _configured(config: OpticalAxisConfig) -> FloatArray:
-    telescope = config.telescope
-    return np.concatenate([config.axes.values, [telescope.focal_length_m], telescope.parallelism])
+class _Saved(NamedTuple):
+    """A quantity that is saved: its name, its row among the states, and its value as configured."""
+
+    name: str
+    row: int
+    configured: float
+
+    def whole(self, beyond: float) -> float:
+        """Its value, by what it is beyond the configured one."""
+        value = float(self.configured + beyond)
+        return float(wrap_pi(value)) if camera_of(self.name) else value
+
+    def beyond(self, whole: float) -> float:
+        """What a value is beyond the configured one."""
+        beyond = float(whole - self.configured)
+        return float(wrap_pi(beyond)) if camera_of(self.name) else beyond
 
 
-def _rows(filter_: CalibrationFilter) -> FloatArray:
-    return np.concatenate([filter_.model.rows(name) for name in SAVED_BLOCKS])
+def _saved(filter_: CalibrationFilter, config: OpticalAxisConfig) -> list[_Saved]:
+    """All that is saved: SAVED_NAMES, and the angles of each camera of its own."""
+    model, telescope = filter_.model, config.telescope
+    names, configured = [*SAVED_NAMES], [*config.axes.values, telescope.focal_length_m, *telescope.parallelism]
+    blocks = [*SAVED_BLOCKS]
+    for id_, camera in config.telescopes.items():
+        if id_ != telescope.telescope_id:
+            names += camera_names(id_)
+            configured += [*camera.parallelism]
+            blocks.append(parallelism_block(id_, config))
+    rows = np.concatenate([model.rows(block) for block in blocks])
+    return list(map(_Saved, names, rows.tolist(), map(float, configured)))
+
+
+def _reason_against_camera(
+    prior: CalibrationPrior, of_camera: NDArray[np.bool_], saved: Mapping[str, _Saved], initial: CalibrationState
+) -> str:
+    """Why the saved angles of a camera are not used; empty where they are."""
+    for place in np.flatnonzero(of_camera):
+        one = saved.get(prior.names[place])
+        if one is None:
+            return "it is not configured here"
+        sigma = np.sqrt(prior.covariance[place, place] + initial.covariance[one.row, one.row])
+        off = abs(one.beyond(prior.values[place]))
+        if not off <= _MOVED * sigma:
+            angle = one.name.rpartition(".")[2]
+            apart = f"{off / ARCSEC:.1f} arcsec from the configured one, more than {_MOVED:g} sigma"
+            return f"its {angle} is {apart}, as where it was mounted anew"
+    return ""

@@ -1,5 +1,6 @@
 """The saved calibration as a file: YAML that people can read, written atomically, with a version."""
 
+import re
 from typing import Any
 
 import numpy as np
@@ -9,8 +10,19 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.documents.saved_document import SavedFormat, finite_numbers, joint_covariance, section, stamp_ns
 from theodolite_calib.optical_axis.calibration import SAVED_NAMES, CalibrationPrior
 
-_KEYS = {name: "focal_length_m" if name == "focal_length" else f"{name}_arcsec" for name in SAVED_NAMES}
-_UNITS = np.array([1.0 if name == "focal_length" else ARCSEC for name in SAVED_NAMES])
+_FOCAL_LENGTH = "focal_length"
+_OF_CAMERA = re.compile(r"(telescopes\..+\.(?:azimuth|elevation|roll))_arcsec")
+
+_HALF_TURN = np.pi * (1.0 + 1e-12)
+"""Rounded: a camera may look backward."""
+
+
+def _key(name: str) -> str:
+    return f"{name}_m" if name == _FOCAL_LENGTH else f"{name}_arcsec"
+
+
+def _units(names: tuple[str, ...]) -> FloatArray:
+    return np.array([1.0 if name == _FOCAL_LENGTH else ARCSEC for name in names])
 
 
 def _document(prior: CalibrationPrior) -> dict[str, Any]:
@@ -19,42 +31,50 @@ def _document(prior: CalibrationPrior) -> dict[str, Any]:
         "time_ns": prior.time_ns,
         "serial": prior.serial,
         "telescope_id": prior.telescope_id,
-        "values": _human(prior.values),
-        "sigma": _human(sigma),
+        "values": _human(prior.names, prior.values),
+        "sigma": _human(prior.names, sigma),
         "covariance_note": "of the values in their order, in rad and m: g, c, I and the parallelism belong together; "
         "where a sigma is 0 the configuration rules",
         "covariance": prior.covariance.tolist(),
     }
 
 
-def _human(values: FloatArray) -> dict[str, float]:
-    return dict(zip(_KEYS.values(), (values / _UNITS).tolist(), strict=True))
+def _human(names: tuple[str, ...], values: FloatArray) -> dict[str, float]:
+    return dict(zip(map(_key, names), (values / _units(names)).tolist(), strict=True))
 
 
 def _prior(document: dict[str, Any]) -> CalibrationPrior:
     """What the document says; a ValueError names the section that cannot be used."""
-    size = len(SAVED_NAMES)
-    covariance = section(document, "covariance", lambda rows: joint_covariance(rows, size))
+    names = section(document, "values", _names)
+    covariance = section(document, "covariance", lambda rows: joint_covariance(rows, len(names)))
     said = np.diagonal(covariance) > 0.0
     return CalibrationPrior(
         time_ns=section(document, "time_ns", stamp_ns),
         serial=section(document, "serial", str),
         telescope_id=section(document, "telescope_id", str),
-        values=section(document, "values", lambda given: _values(given, said)),
+        values=section(document, "values", lambda given: _values(given, names, said)),
         covariance=covariance,
+        names=names,
     )
 
 
-def _values(given: dict[str, Any], said: NDArray[np.bool_]) -> FloatArray:
+def _names(given: dict[str, Any]) -> tuple[str, ...]:
+    """What is saved: the constants that always are, and the angles of cameras, in the order of the file."""
+    found = map(_OF_CAMERA.fullmatch, map(str, given.keys()))
+    return (*SAVED_NAMES, *(match[1] for match in found if match is not None))
+
+
+def _values(given: dict[str, Any], names: tuple[str, ...], said: NDArray[np.bool_]) -> FloatArray:
     """The values; of a focal length without a sigma the file says nothing, and it may be 0."""
-    numbers = finite_numbers({key: given[key] for key in _KEYS.values()})
-    focal_length_m, is_said = numbers[_KEYS["focal_length"]], said[SAVED_NAMES.index("focal_length")]
+    numbers = finite_numbers({key: given[key] for key in map(_key, names)})
+    key_of_length = _key(_FOCAL_LENGTH)
+    focal_length_m, is_said = numbers[key_of_length], said[names.index(_FOCAL_LENGTH)]
     if not (focal_length_m > 0.0 or (focal_length_m == 0.0 and not is_said)):
-        raise ValueError(f"{_KEYS['focal_length']} is {numbers[_KEYS['focal_length']]:g}: expected more than 0")
+        raise ValueError(f"{key_of_length} is {focal_length_m:g}: expected more than 0")
     for key, number in numbers.items():
-        if key != _KEYS["focal_length"] and not abs(number) * ARCSEC <= np.pi:
+        if key != key_of_length and not abs(number) * ARCSEC <= _HALF_TURN:
             raise ValueError(f"{key} is {number:g}: expected an angle within half a turn")
-    values: FloatArray = _UNITS * np.array(list(numbers.values()))
+    values: FloatArray = _units(names) * np.array(list(numbers.values()))
     return values
 
 

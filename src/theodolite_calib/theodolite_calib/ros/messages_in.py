@@ -50,7 +50,7 @@ MOST_LIGHTS = 100
 ENCODER_INVALID = 1
 _LARGEST_DETECTOR_M = 0.5
 """No detector is larger: more are millimetres or pixels."""
-_LONGEST_TARGET_ID = 100
+LONGEST_TARGET_ID = 100
 """Characters of a target's name; what comes after them is cut."""
 _LONGEST_RANGE_M = 1e6
 """No target is seen from further away through the air; what is not in it, as a satellite, has no range here."""
@@ -186,7 +186,7 @@ def target(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMess
     sigma = sigma_given(message.sigma, _LARGEST_DETECTOR_M)
     sample = TargetSample(
         time_ns=time_ns,
-        target_id=shortened(message.target_id, _LONGEST_TARGET_ID),
+        target_id=shortened(message.target_id, LONGEST_TARGET_ID),
         point_m=np.array([message.x, message.z]),
         sigma_m=sigma or detector.sigma_m,
         exposure_s=exposure_s,

@@ -1,4 +1,4 @@
-"""The executable ``optical_axis``: it runs its node until it is told to stop."""
+"""The executables ``optical_axis`` and ``triangulation``: each runs its node until it is told to stop."""
 
 from ship_node.live.start import start_node
 
@@ -6,3 +6,8 @@ from ship_node.live.start import start_node
 def optical_axis() -> None:
     """Run ``optical_axis``."""
     start_node("theodolite_calib.ros.optical_axis_adapter", "OpticalAxisAdapter")
+
+
+def triangulation() -> None:
+    """Run ``triangulation``."""
+    start_node("theodolite_calib.ros.triangulation_adapter", "TriangulationAdapter")

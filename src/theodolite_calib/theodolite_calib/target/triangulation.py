@@ -185,9 +185,7 @@ def _nearest(lines: Sequence[_Line]) -> FloatArray | None:
     return nearest
 
 
-def _compared(
-    lines: Sequence[_Line], place_n: FloatArray, air: Air
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _compared(lines: Sequence[_Line], place_n: FloatArray, air: Air) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Residuals (2 N,), their change by the place (2 N, 3) and their covariance (2 N, 2 N)."""
     residuals, jacobians, by_k = [], [], []
     noise = np.zeros((2 * len(lines), 2 * len(lines)))

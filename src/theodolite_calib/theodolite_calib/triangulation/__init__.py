@@ -1,4 +1,4 @@
 """The command ``triangulate``: what several theodolites recorded of a target, and the places that follow from it.
 
-Knows bags and the room ``target``, no filter and no node.
+Knows bags, the reader of directions (``ros``) and the room ``target``, no filter and no node.
 """

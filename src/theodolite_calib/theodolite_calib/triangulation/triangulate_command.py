@@ -12,10 +12,11 @@ from ship_bags.errors import BadInput
 from ship_bags.output_files import add_force, check_file, write_csv
 from ship_bags.parameter_yaml import read_plain
 from ship_bags.stamps import utc_text
-from ship_estimation.outcome import Status
 from ship_estimation.parameters import ParameterError, build
-from theodolite_calib.triangulation.config import TriangulationConfig
-from theodolite_calib.triangulation.recorded import PlacedTarget, placed_targets, read_directions
+from theodolite_calib.target.common_moments import PlacedTarget
+from theodolite_calib.target.triangulation import TriangulatedPlace
+from theodolite_calib.triangulation.config import RecordedTriangulationConfig
+from theodolite_calib.triangulation.recorded import placed_targets, read_directions
 
 COLUMNS = (
     *("utc", "east_m", "north_m", "up_m", "sigma_east_m", "sigma_north_m", "sigma_up_m"),
@@ -38,7 +39,7 @@ def _parser() -> CommandParser:
         example="./ros2run theodolite_calib triangulate stations.yaml --target buoy --out places.csv",
         description="Places of a target [m, East, North, Up from a stated origin] with their covariance [m^2], by the "
         "directions to it (theodolite/target_direction) that two or more theodolites recorded, at each stamp of the "
-        "first one.",
+        "first one in the file that sees it then.",
         epilog="the file, angles in degrees, lengths in metres:\n"
         "  origin: {latitude_deg: 31.9452, longitude_deg: 120.2931, height_m: 20.0}\n"
         "  stations:\n"
@@ -66,11 +67,11 @@ def _run(options: argparse.Namespace) -> int:
     placed = list(placed_targets(config, recorded))
     if not placed:
         names = ", ".join(config.stations)
-        text = f"no place of '{options.target}': at no stamp of the first of {names} did another see it and meet it"
+        text = f"no place of '{options.target}': at no stamp of any of {names} did another see it and meet it"
         raise BadInput(f"{text} (max_gap_s = {config.max_gap_s:g})", file=options.stations)
     write_csv(options.out, COLUMNS, _rows(placed))
-    misfits = sum(one.place.refusal is not None for one in placed)
-    sigma_m = np.sqrt(np.median([np.trace(one.place.covariance_n) for one in placed]))
+    misfits = sum(place.refusal is not None for _, place in placed)
+    sigma_m = np.sqrt(np.median([np.trace(place.covariance_n) for _, place in placed]))
     sys.stdout.write(
         f"{options.out}: {len(placed)} places of '{options.target}', error {sigma_m:.3g} m (1 sigma in space, median), "
         f"{misfits} whose directions do not fit one another\n"
@@ -78,7 +79,7 @@ def _run(options: argparse.Namespace) -> int:
     return EXIT_BOUND_NOT_MET if misfits else EXIT_DONE
 
 
-def _configuration(path: Path) -> TriangulationConfig:
+def _configuration(path: Path) -> RecordedTriangulationConfig:
     """The checked file.
 
     Raises:
@@ -86,7 +87,7 @@ def _configuration(path: Path) -> TriangulationConfig:
     """
     file = read_plain(path)
     try:
-        config = build(TriangulationConfig, file.values)
+        config = build(RecordedTriangulationConfig, file.values)
     except ParameterError as problem:
         raise file.error(problem) from problem
     if len(config.stations) < 2:
@@ -94,20 +95,20 @@ def _configuration(path: Path) -> TriangulationConfig:
     return config
 
 
-def _rows(placed: Sequence[PlacedTarget]) -> Iterator[list[str | float | int]]:
+def _rows(placed: Sequence[tuple[PlacedTarget, TriangulatedPlace]]) -> Iterator[list[str | float | int]]:
     """The rows of the table."""
-    for one in placed:
-        place = one.place.position_n[_EAST_NORTH_UP]
-        covariance = one.place.covariance_n[np.ix_(_EAST_NORTH_UP, _EAST_NORTH_UP)]
+    for one, found in placed:
+        place = found.position_n[_EAST_NORTH_UP]
+        covariance = found.covariance_n[np.ix_(_EAST_NORTH_UP, _EAST_NORTH_UP)]
         lengths_m = [*place, *np.sqrt(covariance.diagonal())]
         products_m2 = [covariance[0, 1], covariance[0, 2], covariance[1, 2]]
         yield [
             utc_text(one.time_ns),
             *(f"{length_m:.4f}" for length_m in lengths_m),
             *(f"{product_m2:.6g}" for product_m2 in products_m2),
-            f"{one.place.chi_square:.2f}",
-            f"{one.place.gate:.2f}",
-            int(one.place.refusal is None),
-            Status(one.status).name.lower(),
+            f"{found.chi_square:.2f}",
+            f"{found.gate:.2f}",
+            int(found.refusal is None),
+            one.status.name.lower(),
             " ".join(one.stations),
         ]

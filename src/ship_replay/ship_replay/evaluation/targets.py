@@ -1,0 +1,115 @@
+"""Directions and places of targets against the truth, target by target.
+
+The error of a direction is across it, two numbers, that of a place three; each is held against its own covariance.
+"""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ship_bags.stamps import ns_from_stamp
+from ship_geometry.rotations import ARCSEC, FloatArray
+
+TARGET_DIRECTION, TARGET_TRUTH = "theodolite/target_direction", "truth/target_direction"
+
+
+@dataclass
+class TargetErrors:
+    """Errors of one target's directions and places, one for each stamp of the truth that was answered.
+
+    Attributes:
+        time_ns: stamps.
+        across_arcsec: estimate minus truth across the true direction, shape (2,) each.
+        sigma_arcsec: predicted, root mean square of the two.
+        nees: normalised error squared of the direction (2 degrees of freedom).
+        off_m: distance of the place from the true one; NaN where none was told.
+        off_sigma_m: predicted, root sum square of the three axes.
+        place_nees: normalised error squared of the place (3 degrees of freedom).
+    """
+
+    time_ns: list[int] = field(default_factory=list)
+    across_arcsec: list[FloatArray] = field(default_factory=list)
+    sigma_arcsec: list[float] = field(default_factory=list)
+    nees: list[float] = field(default_factory=list)
+    off_m: list[float] = field(default_factory=list)
+    off_sigma_m: list[float] = field(default_factory=list)
+    place_nees: list[float] = field(default_factory=list)
+
+    def since(self, start_ns: int) -> "TargetErrors":
+        """The errors stamped at or after a time."""
+        kept = [row for row, time_ns in enumerate(self.time_ns) if time_ns >= start_ns]
+        return TargetErrors(*([values[row] for row in kept] for values in vars(self).values()))
+
+    def statistics(self) -> dict[str, float]:
+        """Quantity → value; of places only where some were told."""
+        values = {
+            "samples": float(len(self.time_ns)),
+            "direction.rms_arcsec": _rms(np.linalg.norm(self.across_arcsec, axis=-1) / np.sqrt(2.0)),
+            "direction.sigma_arcsec": _rms(self.sigma_arcsec),
+            "direction.nees_mean": float(np.mean(self.nees)),
+        }
+        told = np.isfinite(self.off_m)
+        if np.any(told):
+            values |= {
+                "position.samples": float(np.sum(told)),
+                "position.rms_m": _rms(np.array(self.off_m)[told]),
+                "position.sigma_m": _rms(np.array(self.off_sigma_m)[told]),
+                "position.nees_mean": float(np.mean(np.array(self.place_nees)[told])),
+            }
+        return values
+
+
+class TargetDirections:
+    """Collects what was published of targets at the stamps of the truth; INVALID claims nothing."""
+
+    def __init__(self) -> None:
+        self._truths: dict[tuple[str, int], Any] = {}
+        self._errors: dict[str, TargetErrors] = {}
+
+    def since(self, start_ns: int) -> dict[str, TargetErrors]:
+        """The errors stamped at or after a time, by target_id; of targets that have any."""
+        found = {target_id: self._errors[target_id].since(start_ns) for target_id in sorted(self._errors)}
+        return {target_id: errors for target_id, errors in found.items() if errors.time_ns}
+
+    def __len__(self) -> int:
+        return len(self._truths)
+
+    def add_truth(self, message: Any) -> None:
+        """A TargetDirection of the truth."""
+        self._truths[message.target_id, ns_from_stamp(message.header.stamp)] = message
+
+    def take(self, message: Any) -> None:
+        """A TargetDirection as published."""
+        time_ns = ns_from_stamp(message.header.stamp)
+        truth = self._truths.get((message.target_id, time_ns))
+        if truth is None or message.status == message.INVALID:
+            return
+        across = np.linalg.svd(_vector(truth.direction)[None])[2][1:]
+        error = across @ (_vector(message.direction) - _vector(truth.direction))
+        covariance = across @ np.reshape(message.direction_covariance, (3, 3)) @ across.T
+        off_m = _vector(message.position) - _vector(truth.position)
+        place_covariance = np.reshape(message.position_covariance, (3, 3))
+        errors = self._errors.setdefault(message.target_id, TargetErrors())
+        errors.time_ns.append(time_ns)
+        errors.across_arcsec.append(error / ARCSEC)
+        errors.sigma_arcsec.append(float(np.sqrt(0.5 * np.trace(covariance)) / ARCSEC))
+        errors.nees.append(_square(error, covariance))
+        errors.off_m.append(float(np.linalg.norm(off_m)))
+        errors.off_sigma_m.append(float(np.sqrt(np.trace(place_covariance))))
+        errors.place_nees.append(_square(off_m, place_covariance))
+
+
+def _vector(of: Any) -> FloatArray:
+    return np.array([of.x, of.y, of.z])
+
+
+def _square(error: FloatArray, covariance: FloatArray) -> float:
+    """Error squared over its covariance; NaN where either is not known."""
+    if not np.all(np.isfinite(covariance)) or not np.linalg.eigvalsh(covariance)[0] > 0.0:
+        return float("nan")
+    return float(error @ np.linalg.solve(covariance, error))
+
+
+def _rms(values: FloatArray | list[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))

@@ -1,0 +1,154 @@
+"""What the main tube looks at: targets on their courses, their images on the main detector, and where they truly are.
+
+A target is seen along its way from the crossing of the axes, which the air raises as it raises the lights. On the
+detector, whose axes v are turned about the main axis by ρ, it is where the true focal length puts it.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.rotations import ARCSEC, FloatArray, wrap_pi
+from ship_geometry.time_scales import SECOND_NS
+from ship_simulation.draws.noise import SlowError, arrival_times, centroids, exposure_times, outside, random_stream
+from ship_simulation.draws.stretch import Draws, Stretch
+from ship_simulation.scenario.scenario import Scenario
+from ship_simulation.scenario.theodolite_scenario import MainDetector, Target
+from ship_simulation.theodolite.flight import FlightPath, flight_path
+from ship_simulation.theodolite.scene import Scene, raised
+from theodolite_calib.lights.image import Camera
+
+
+@dataclass(frozen=True)
+class TrueTarget:
+    """A target.
+
+    Attributes:
+        config: its part of the scenario.
+        path: its way, from the crossing of the theodolite's axes.
+        refraction: difference of k on the way to it, one process.
+    """
+
+    config: Target
+    path: FlightPath
+    refraction: SlowError
+
+    def shows(self, t_s: FloatArray) -> np.ndarray:
+        """Whether the target is there and not hidden, shape (k,)."""
+        shown: np.ndarray = (t_s < self.config.leaves_s) & outside(t_s, self.config.hidden)
+        return shown
+
+
+@dataclass(frozen=True)
+class TargetSamples:
+    """Images of targets on the main detector, one a target and exposure, and the truth about each.
+
+    Attributes:
+        time_ns: middles of the exposures, not decreasing, shape (n,).
+        log_time_ns: moments of arrival, shape (n,).
+        target_ids: of all targets of the scenario.
+        target: which of them it is, shape (n,).
+        point_m: on the detector, along its right and up, shape (n, 2).
+        rotation: of the detector as told, rad, shape (n,).
+        range_m: as told, shape (n,); NaN where it is not.
+        range_sigma_m: its error, shape (n,); NaN where it is not told.
+        direction_n: unit vector (North, Up, East) along which it is truly seen, shape (n, 3).
+        position_n: where it truly is, from the ship's antenna, m, shape (n, 3).
+    """
+
+    time_ns: np.ndarray
+    log_time_ns: np.ndarray
+    target_ids: tuple[str, ...]
+    target: np.ndarray
+    point_m: FloatArray
+    rotation: FloatArray
+    range_m: FloatArray
+    range_sigma_m: FloatArray
+    direction_n: FloatArray
+    position_n: FloatArray
+
+
+def draw_targets(scenario: Scenario, draws: Draws) -> dict[str, TrueTarget]:
+    """The targets of a run, in the order of ids."""
+    air = scenario.theodolite.air
+    return {
+        key: TrueTarget(
+            config=target,
+            path=flight_path(target.course, scenario.theodolite.programme),
+            refraction=draws.slow_error(
+                f"target.{key}.refraction", scenario.duration_s, np.array([air.light_sigma]), air.time_s
+            ),
+        )
+        for key, target in sorted(scenario.targets.items())
+    }
+
+
+def see_targets(
+    config: MainDetector, targets: dict[str, TrueTarget], scene: Scene, stretch: Stretch, draws: Draws
+) -> TargetSamples:
+    """The images of a stretch: of each target that is there, not hidden, and on the detector."""
+    time_ns = stretch.stamps(config.rate_hz, config.phase_s)
+    t_s = (time_ns - stretch.start_ns) / SECOND_NS
+    told = np.deg2rad(config.rotation_deg + config.rotation_rate_deg_per_s * t_s)
+    noise = draws.stream("theodolite.target.detection").standard_normal((time_ns.size, len(targets), 2))
+    range_noise = draws.stream("theodolite.target.range").standard_normal((time_ns.size, len(targets)))
+    times = exposure_times(config.exposure_s)
+    camera, rotation_error = _true_detector(config, draws.seed)
+    way_m = np.array([
+        _points(camera, scene, targets, t_s + t, told + rotation_error) for t in times.since_middle_s
+    ])  # fmt: skip
+    # What the spread of a streak does to its centroid is in sigma_m: the main detector tells no more of it.
+    point_m = centroids(times, way_m, np.inf, config.sigma_m, noise)
+    on_detector = np.all(np.abs(point_m) <= 0.5 * np.array([config.width_m, config.height_m]), axis=-1)
+    shown = _of_each(targets, lambda one: one.shows(t_s), (t_s.size, 0))
+    exposure, target = np.nonzero(on_detector & shown.astype(bool))
+    paths_n = _of_each(targets, lambda one: one.path(t_s), (t_s.size, 0, 3))
+    range_sigma_m = np.array([one.config.range_sigma_m or np.nan for one in targets.values()])
+    range_m = np.linalg.norm(paths_n, axis=-1) + range_sigma_m * range_noise
+    lever_n = scene.carrier.attitude(t_s) @ scene.theodolite.lever_d
+    arrival = draws.stream("theodolite.target.arrival")
+    return TargetSamples(
+        time_ns=time_ns[exposure],
+        log_time_ns=arrival_times(time_ns, config.latency_s, config.jitter_s, arrival)[exposure],
+        target_ids=tuple(targets),
+        target=target,
+        point_m=point_m[exposure, target],
+        rotation=wrap_pi(told)[exposure],
+        range_m=range_m[exposure, target],
+        range_sigma_m=range_sigma_m[target],
+        direction_n=_directions_n(scene, targets, t_s)[exposure, target],
+        position_n=(lever_n[:, None] + paths_n)[exposure, target],
+    )
+
+
+def _true_detector(config: MainDetector, seed: int) -> tuple[Camera, float]:
+    """The true geometry of the detector, drawn about what is known, and the error of its rotation as told, rad."""
+    focal, x, z, rotation = random_stream(seed, "theodolite.main_detector").standard_normal(4)
+    principal_point_m = np.array([config.principal_x_m, config.principal_z_m]) + config.principal_sigma_m * np.array(
+        [x, z]
+    )
+    focal_length_m = config.focal_length_m + config.focal_length_sigma_m * focal
+    return Camera(focal_length_m, 0.0, principal_point_m), config.rotation_sigma_arcsec * ARCSEC * rotation
+
+
+def _points(
+    camera: Camera, scene: Scene, targets: dict[str, TrueTarget], t_s: FloatArray, rotation: FloatArray
+) -> FloatArray:
+    """Where the targets truly are on the plane of the detector, m, shape (k, N, 2); NaN behind the tube."""
+    rotation_mv = rotation_from_angles(np.zeros_like(rotation), np.zeros_like(rotation), rotation)
+    return camera.points(_directions_n(scene, targets, t_s) @ scene.mount(t_s).rotation_nm @ rotation_mv)
+
+
+def _directions_n(scene: Scene, targets: dict[str, TrueTarget], t_s: FloatArray) -> FloatArray:
+    """Unit vectors along which the targets are seen, shape (k, N, 3)."""
+    common = scene.coefficient + scene.refraction.at(t_s)[:, 0]
+    return _of_each(targets, lambda one: raised(one.path(t_s), common + one.refraction.at(t_s)[:, 0]), (t_s.size, 0, 3))
+
+
+def _of_each(
+    targets: dict[str, TrueTarget], of: Callable[[TrueTarget], np.ndarray], none: tuple[int, ...]
+) -> np.ndarray:
+    """What is said of each target, along a second axis; of the shape ``none`` where there is no target."""
+    return np.stack([of(target) for target in targets.values()], axis=1) if targets else np.empty(none)

@@ -1,0 +1,134 @@
+"""How the main axis stands in cameras that see stars, saved and read back with the rest of the calibration."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ship_bags.errors import BadInput
+from ship_geometry.rotations import ARCSEC, wrap_pi
+from ship_testing.mount_stars import CAMERA_ID, MOUNTED_DEG, mount_config
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
+from theodolite_calib.optical_axis.calibration import (
+    SAVED_NAMES,
+    CalibrationPrior,
+    camera_names,
+    prior_of,
+    state_from_prior,
+)
+from theodolite_calib.ros.calibration_file import CALIBRATION_FILE
+
+NOW_NS = 1_767_225_600_000_000_000
+OFF = np.array([0.8, -1.1, 0.5]) * ARCSEC
+"""What a night has told of the mounting, beyond what is configured."""
+
+
+def learned(settings: OpticalAxisConfig) -> tuple[CalibrationFilter, CalibrationState]:
+    """A state that knows the camera's mounting to a third of what is configured, and collimation with it."""
+    filter_ = CalibrationFilter(settings)
+    state = filter_.initial_state()
+    rows = filter_.model.rows(f"telescope.{CAMERA_ID}.parallelism")
+    c = filter_.model.rows("axes")[2]
+    mean, parts = state.mean.copy(), state.parts.copy()
+    mean[rows], mean[c] = OFF, 3.0 * ARCSEC
+    parts[:, rows, :] /= 3.0
+    parts[:, :, rows] /= 3.0
+    # Azimuth of the camera and collimation are known together.
+    parts[0][[rows[0], c], [c, rows[0]]] = 0.05 * ARCSEC**2
+    return filter_, replace(filter_.started(mean, parts), stars_ns=NOW_NS)
+
+
+def saved(settings: OpticalAxisConfig) -> CalibrationPrior:
+    return prior_of(learned(settings)[0], settings, learned(settings)[1])
+
+
+def through_file(prior: CalibrationPrior, path: Path) -> CalibrationPrior:
+    CALIBRATION_FILE.save(path, prior)
+    return CALIBRATION_FILE.load(path)
+
+
+def test_the_angles_are_in_the_file_and_come_back(tmp_path: Path) -> None:
+    settings = mount_config(1.0)
+    prior = saved(settings)
+    assert prior.names == (*SAVED_NAMES, *camera_names(CAMERA_ID))
+    loaded = through_file(prior, tmp_path / "calibration.yaml")
+    assert loaded.names == prior.names
+    assert loaded.values == pytest.approx(prior.values, rel=1e-12, abs=1e-18)
+    assert loaded.covariance.tolist() == prior.covariance.tolist()
+    azimuth_arcsec = 3600.0 * MOUNTED_DEG["azimuth_deg"] + 0.8
+    assert (
+        f"telescopes.{CAMERA_ID}.azimuth_arcsec: {azimuth_arcsec:.1f}"[:40]
+        in (tmp_path / "calibration.yaml").read_text()
+    )
+    assert f"telescopes.{CAMERA_ID}.azimuth of theodolite ''" in loaded.sigmas()
+
+
+def test_the_next_night_begins_with_what_was_known(tmp_path: Path) -> None:
+    settings = mount_config(1.0)
+    filter_, before = learned(settings)
+    state, messages = state_from_prior(filter_, settings, through_file(saved(settings), tmp_path / "c.yaml"), NOW_NS)
+    assert messages == []
+    rows = [*filter_.model.rows(f"telescope.{CAMERA_ID}.parallelism"), filter_.model.rows("axes")[2]]
+    np.testing.assert_allclose(state.mean[rows], before.mean[rows], rtol=1e-6)
+    np.testing.assert_allclose(
+        state.covariance[np.ix_(rows, rows)], before.covariance[np.ix_(rows, rows)], rtol=1e-9, atol=1e-20
+    )
+    source = filter_.model.sources.index("saved_calibration")
+    assert state.parts[source][rows[0], rows[0]] == pytest.approx(before.covariance[rows[0], rows[0]])
+
+
+@pytest.mark.parametrize("azimuth_deg", [180.0, -180.0, 200.0])
+def test_a_camera_that_looks_backward_is_within_half_a_turn(tmp_path: Path, azimuth_deg: float) -> None:
+    settings = mount_config(1.0, **{f"telescopes__{CAMERA_ID}__azimuth_deg": azimuth_deg})
+    prior = saved(settings)
+    place = prior.names.index(f"telescopes.{CAMERA_ID}.azimuth")
+    assert wrap_pi(prior.values[place] - np.deg2rad(azimuth_deg)) == pytest.approx(OFF[0], rel=1e-6)
+    filter_ = CalibrationFilter(settings)
+    state, messages = state_from_prior(filter_, settings, through_file(prior, tmp_path / "c.yaml"), NOW_NS)
+    assert messages == []
+    row = filter_.model.rows(f"telescope.{CAMERA_ID}.parallelism")[0]
+    assert state.mean[row] == pytest.approx(OFF[0], rel=1e-6)
+
+
+@pytest.mark.parametrize("angle", ["azimuth", "elevation", "roll"])
+def test_of_a_camera_that_was_mounted_anew_nothing_is_used_and_the_rest_is(angle: str) -> None:
+    told = {f"telescopes__{CAMERA_ID}__{angle}_deg": MOUNTED_DEG[f"{angle}_deg"] + 0.1}
+    settings = mount_config(1.0, **told)
+    filter_ = CalibrationFilter(settings)
+    state, (message,) = state_from_prior(filter_, settings, saved(mount_config(1.0)), NOW_NS)
+    assert message.startswith(f"saved calibration of camera '{CAMERA_ID}' is not used: its {angle} is 3")
+    rows, initial = filter_.model.rows(f"telescope.{CAMERA_ID}.parallelism"), filter_.initial_state()
+    assert state.mean[rows].tolist() == [0.0, 0.0, 0.0]
+    assert state.covariance[np.ix_(rows, rows)].tolist() == initial.covariance[np.ix_(rows, rows)].tolist()
+    assert state.mean[filter_.model.rows("axes")[2]] == pytest.approx(3.0 * ARCSEC)
+
+
+def test_of_a_camera_that_is_gone_nothing_is_used() -> None:
+    settings = replace(mount_config(1.0), telescopes={})
+    filter_ = CalibrationFilter(settings)
+    state, (message,) = state_from_prior(filter_, settings, saved(mount_config(1.0)), NOW_NS)
+    assert message == f"saved calibration of camera '{CAMERA_ID}' is not used: it is not configured here"
+    assert state.mean[filter_.model.rows("axes")[2]] == pytest.approx(3.0 * ARCSEC)
+
+
+def test_a_file_without_cameras_leaves_them_as_configured() -> None:
+    without = replace(mount_config(1.0), telescopes={})
+    filter_ = CalibrationFilter(without)
+    old = prior_of(filter_, without, replace(filter_.initial_state(), stars_ns=NOW_NS))
+    assert old.names == SAVED_NAMES
+    settings = mount_config(1.0)
+    filter_ = CalibrationFilter(settings)
+    state, messages = state_from_prior(filter_, settings, old, NOW_NS)
+    assert messages == []
+    rows = filter_.model.rows(f"telescope.{CAMERA_ID}.parallelism")
+    assert np.sqrt(np.diagonal(state.covariance)[rows]) == pytest.approx(ARCSEC)
+
+
+def test_a_line_for_a_camera_without_its_covariance_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.yaml"
+    CALIBRATION_FILE.save(path, saved(mount_config(1.0)))
+    path.write_text(path.read_text().replace("values:\n", "values:\n  telescopes.other.roll_arcsec: 3.0\n", 1))
+    with pytest.raises(BadInput, match="'covariance': shape"):
+        CALIBRATION_FILE.load(path)

@@ -1,0 +1,300 @@
+"""The node ``triangulation`` by its adapter: places of a buoy as its directions come, and what is not believed.
+
+The true places and directions are made by pyerfa's own routines (ship_testing.theodolite_stations).
+"""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ship_bags.message_factory import RosidlFactory
+from ship_bags.stamps import make_header, ns_from_stamp
+from ship_estimation.gates import mean_nees_band, normalized_error_squared
+from ship_estimation.outcome import Status
+from ship_estimation.parameters import ParameterError, build
+from ship_estimation.refusals import Reason
+from ship_geometry.ros_axes import ENU_FROM_HORIZON
+from ship_geometry.rotations import ARCSEC, exp_rotation
+from ship_testing.garbage import paths, spoil
+from ship_testing.theodolite_stations import FACTORY, buoy_n, buoy_seen, direction_message, placing_values
+from theodolite_calib.ros.triangulation_adapter import INNOVATION_TOPIC, POSITION_TOPIC, TriangulationAdapter
+from theodolite_calib.target.config import TriangulationConfig
+from theodolite_calib.target.placing import MOST_TARGETS, MOST_WAITING
+
+START_NS, PERIOD_NS, LATENCY_NS = 1_767_225_600_000_000_000, 100_000_000, 50_000_000
+SIGMA = 3.0 * ARCSEC
+SECOND_NS = 1_000_000_000
+
+
+def adapter_of(count: int = 3, **changes: Any) -> TriangulationAdapter:
+    return TriangulationAdapter(build(TriangulationConfig, {**placing_values(count), **changes}), FACTORY)
+
+
+def seen(number: int, time_ns: int, turn_n: Any = (0.0, 0.0, 0.0), **changes: Any) -> Any:
+    """What a theodolite tells of the buoy, turned by an error."""
+    turned_n = exp_rotation(np.asarray(turn_n, dtype=float)) @ buoy_seen(number, (time_ns - START_NS) * 1e-9)
+    return direction_message(time_ns, turned_n, SIGMA, **changes)
+
+
+def give(adapter: TriangulationAdapter, number: int, message: Any, came_ns: int | None = None) -> list[Any]:
+    """Hand over a message of a theodolite; all that is published."""
+    came_ns = ns_from_stamp(message.header.stamp) + LATENCY_NS if came_ns is None else came_ns
+    return adapter.handle(f"t{number}/theodolite/target_direction", message, came_ns)
+
+
+def places(published: list[Any]) -> list[Any]:
+    return [message for topic, message in published if topic == POSITION_TOPIC]
+
+
+def reasons(published: list[Any]) -> list[tuple[str, int]]:
+    return [(message.source, message.reason) for topic, message in published if topic == INNOVATION_TOPIC]
+
+
+def error_m(message: Any) -> np.ndarray:
+    since_s = (ns_from_stamp(message.header.stamp) - START_NS) * 1e-9
+    return ENU_FROM_HORIZON.T @ [message.position.x, message.position.y, message.position.z] - buoy_n(since_s)
+
+
+def test_places_are_as_good_as_their_covariance_says() -> None:
+    adapter, rng, squares = adapter_of(), np.random.default_rng(3), []
+    for index in range(120):
+        time_ns = START_NS + index * PERIOD_NS
+        found = [
+            message
+            for number in range(3)
+            for message in places(give(adapter, number, seen(number, time_ns, SIGMA * rng.standard_normal(3))))
+        ]
+        if index == 0:
+            continue  # nobody is known to tell of the buoy yet
+        (message,) = found
+        if message.status == Status.INVALID:
+            continue  # one set of a thousand does not fit
+        covariance = ENU_FROM_HORIZON.T @ message.position_covariance.reshape(3, 3) @ ENU_FROM_HORIZON
+        squares.append(float(normalized_error_squared(error_m(message), covariance)))
+        assert (message.status, message.target_id, message.header.frame_id) == (0, "buoy", "triangulation_origin")
+        assert np.isnan([message.azimuth, message.elevation, message.direction.x]).all()
+    assert len(squares) >= 117
+    low, high = mean_nees_band(len(squares), 3)
+    assert low < np.mean(squares) < high
+
+
+def test_one_place_a_stamp_of_the_first_whatever_the_order_of_arrival() -> None:
+    adapter, found = adapter_of(), []
+    for number in range(3):
+        found += places(give(adapter, number, seen(number, START_NS + 10_000_000 * number)))
+    arrivals = [(START_NS + index * PERIOD_NS + 10_000_000 * n, n) for index in range(1, 12) for n in (0, 1, 2)]
+    order = np.random.default_rng(4).permutation(len(arrivals)).reshape(-1, 3)
+    for came, block in enumerate(np.sort(order.ravel()).reshape(-1, 3)):
+        for place in np.random.default_rng(came).permutation(block):
+            time_ns, number = arrivals[place]
+            found += places(give(adapter, number, seen(number, time_ns), START_NS + (came + 2) * PERIOD_NS))
+    stamps = [ns_from_stamp(message.header.stamp) for message in found if message.status != Status.INVALID]
+    assert stamps == sorted(set(stamps))
+    assert [(stamp - START_NS) % PERIOD_NS for stamp in stamps] == [0] * len(stamps)
+    assert len(stamps) >= 9
+    for message in found[-8:]:
+        assert np.linalg.norm(error_m(message)) < 0.05
+
+
+def test_a_theodolite_that_tells_of_the_target_is_waited_for_and_no_longer_than_the_lag() -> None:
+    adapter = adapter_of(3, lag_s=0.5)
+    for index in range(3):
+        for number in range(3):
+            give(adapter, number, seen(number, START_NS + index * PERIOD_NS))
+    time_ns = START_NS + 3 * PERIOD_NS
+    assert places(give(adapter, 0, seen(0, time_ns))) == []
+    assert places(give(adapter, 1, seen(1, time_ns))) == []
+    now_ns = time_ns + LATENCY_NS
+    assert places(adapter.tick(now_ns + 400_000_000)) == []
+    (place,) = places(adapter.tick(now_ns + 600_000_000))
+    assert place.status == Status.VALID
+    # Silent for longer than the lag, it is waited for no more.
+    for index in range(4, 11):
+        later_ns = time_ns + index * PERIOD_NS
+        first, second = (places(give(adapter, number, seen(number, later_ns))) for number in (0, 1))
+    assert first == []
+    assert [ns_from_stamp(place.header.stamp) for place in second] == [later_ns]
+    # What comes after the place of its time is refused.
+    assert reasons(give(adapter, 2, seen(2, time_ns), later_ns + LATENCY_NS)) == [("station.t2", Reason.LATE)]
+
+
+def test_one_theodolite_alone_claims_nothing_and_says_why() -> None:
+    adapter = adapter_of(2)
+    published = give(adapter, 0, seen(0, START_NS))
+    (place,) = places(published)
+    assert place.status == Status.INVALID
+    assert np.isnan([place.position.x, place.position.y, place.position.z, *place.position_covariance]).all()
+    assert reasons(published) == [("stations", Reason.GAP)]
+
+
+def test_directions_that_do_not_fit_claim_nothing() -> None:
+    adapter = adapter_of(3)
+    for number in range(3):
+        give(adapter, number, seen(number, START_NS))
+    published = []
+    for number in range(3):
+        turn_n = [0.0, 0.01, 0.0] if number == 1 else [0.0, 0.0, 0.0]
+        published += give(adapter, number, seen(number, START_NS + PERIOD_NS, turn_n))
+    (place,) = places(published)
+    assert place.status == Status.INVALID
+    assert np.isnan(place.position.x)
+    assert reasons(published) == [("stations", Reason.GATE)]
+
+
+@pytest.mark.parametrize("status", [Status.VALID, Status.COASTING, Status.DEGRADED])
+def test_a_place_is_worth_no_more_than_the_directions_that_it_rests_on(status: Status) -> None:
+    adapter, published = adapter_of(3), []
+    for index in range(2):
+        for number in range(3):
+            worth = status if number == 1 else Status.VALID
+            published += give(adapter, number, seen(number, START_NS + index * PERIOD_NS, status=int(worth)))
+    assert places(published)[-1].status == status
+
+
+def test_an_invalid_direction_is_left_out_and_nobody_waits_for_it() -> None:
+    adapter, published = adapter_of(3), []
+    for index in range(2):
+        for number in range(3):
+            changes = {"status": int(Status.INVALID)} if index and number == 2 else {}
+            published = give(adapter, number, seen(number, START_NS + index * PERIOD_NS, **changes))
+    (place,) = places(published)
+    assert place.status == Status.VALID
+    assert (("station.t2", Reason.GAP)) in reasons(published)
+
+
+def test_a_theodolite_that_contradicts_itself_is_in_doubt() -> None:
+    adapter, published = adapter_of(2), []
+    for index in range(3):
+        time_ns = START_NS + index * PERIOD_NS
+        give(adapter, 0, seen(0, time_ns))
+        if index == 1:
+            published += give(adapter, 0, seen(0, time_ns, [0.0, 1e-6, 0.0]))
+        published += give(adapter, 1, seen(1, time_ns))
+    assert ("station.t0", Reason.CONFLICT) in reasons(published)
+    assert [place.status for place in places(published)][-1] == Status.DEGRADED
+    statuses = {status.name: status for status in adapter.own_statuses(START_NS + 4 * PERIOD_NS)}
+    assert "station.t0 says different things of one moment" in statuses["position"].message
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"direction": FACTORY.make("geometry_msgs/msg/Vector3", x=90.0, y=1.0, z=0.0)}, Reason.UNITS),
+        ({"direction": FACTORY.make("geometry_msgs/msg/Vector3", x=np.nan, y=1.0, z=0.0)}, Reason.NON_FINITE),
+        ({"direction_covariance": np.zeros(9)}, Reason.BAD_COVARIANCE),
+        ({"direction_covariance": np.full(9, np.nan)}, Reason.NON_FINITE),
+        ({"direction_covariance": -np.eye(3).ravel() * 2.0}, Reason.BAD_COVARIANCE),
+        ({"direction_covariance": np.diag([0.0, 0.0, SIGMA**2]).ravel()}, Reason.BAD_COVARIANCE),
+        ({"status": 7}, Reason.UNITS),
+        ({"header": make_header(FACTORY, START_NS, "triangulation_origin")}, Reason.FRAME),
+        ({"header": make_header(FACTORY, START_NS + 10 * SECOND_NS, "horizon")}, Reason.FUTURE),
+        ({"header": make_header(FACTORY, 0, "horizon")}, Reason.BAD_STAMP),
+    ],
+)
+def test_what_cannot_be_used_is_refused_with_the_reason(changes: dict, reason: Reason) -> None:
+    adapter = adapter_of(2)
+    published = give(adapter, 0, seen(0, START_NS, **changes), START_NS + LATENCY_NS)
+    assert reasons(published) == [("station.t0", reason)]
+    assert places(published) == []
+
+
+def test_no_flood_of_names_or_directions_grows_without_bound() -> None:
+    adapter = adapter_of(2, lag_s=60.0)
+    for index in range(3 * MOST_TARGETS):
+        give(adapter, 0, seen(0, START_NS, target_id=f"buoy {index}"), START_NS + LATENCY_NS)
+    assert len(adapter.core._targets) == MOST_TARGETS
+    adapter.service("reset", START_NS)
+    give(adapter, 1, seen(1, START_NS), START_NS + LATENCY_NS)
+    published = []
+    for index in range(1, MOST_WAITING + 50):
+        published += give(adapter, 0, seen(0, START_NS + index * 1_000_000), START_NS + 2 * SECOND_NS)
+    assert len(adapter.core._targets["buoy"].waiting) == MOST_WAITING
+    assert len(places(published)) == 49
+
+
+def test_no_message_whatsoever_raises_or_does_damage() -> None:
+    rng, adapter = np.random.default_rng(4713), adapter_of(3)
+    spoilt, found, now_ns = paths(seen(0, START_NS, factory=RosidlFactory())), set(), START_NS
+    for index in range(300):
+        now_ns = START_NS + index * PERIOD_NS + LATENCY_NS
+        for number in range(3):
+            time_ns = START_NS + index * PERIOD_NS
+            published = give(adapter, number, seen(number, time_ns), now_ns)
+            for _ in range(3):
+                bad = seen(number, time_ns, factory=RosidlFactory())
+                spoil(bad, spoilt, rng)
+                published += give(adapter, number, bad, now_ns)
+            found |= {reason for _, reason in reasons(published)}
+            for message in places(published):
+                numbers = [message.position.x, message.position.y, message.position.z, *message.position_covariance]
+                assert np.isnan(numbers).all() == (message.status == Status.INVALID)
+                assert np.isfinite(numbers).all() != (message.status == Status.INVALID)
+        adapter.tick(now_ns)
+    assert found >= {Reason.NON_FINITE, Reason.BAD_COVARIANCE, Reason.UNITS, Reason.FRAME, Reason.BAD_STAMP}
+    assert found >= {Reason.FUTURE, Reason.LATE, Reason.CONFLICT, Reason.GAP, Reason.GATE}
+    assert Reason.FAILED not in found
+    assert adapter.health.messages(FACTORY, now_ns)
+    adapter.service("reset", now_ns)
+    later_ns = START_NS + 1000 * PERIOD_NS
+    published = []
+    for index in range(2):
+        for number in range(3):
+            published += give(adapter, number, seen(number, later_ns + index * PERIOD_NS))
+    assert places(published)[-1].status == Status.VALID
+    assert np.linalg.norm(error_m(places(published)[-1])) < 0.05
+
+
+def test_sources_off_gate_and_reset_by_live_means() -> None:
+    adapter = adapter_of(3)
+    adapter.set_parameters({"sources_off": ("station.t1",)})
+    published = []
+    for index in range(2):
+        for number in range(3):
+            turn_n = [0.0, 0.01, 0.0] if number == 1 else [0.0, 0.0, 0.0]
+            published += give(adapter, number, seen(number, START_NS + index * PERIOD_NS, turn_n))
+    assert ("station.t1", Reason.OFF) in reasons(published)
+    assert places(published)[-1].status == Status.VALID
+    adapter.set_parameters({"refraction.coefficient": 0.5, "refraction.sigma": 0.2})
+    assert adapter.core.config.air.sigma == 0.2
+    with pytest.raises(ParameterError, match=r"there is no source 'station\.t9'"):
+        adapter.set_parameters({"sources_off": ("station.t9",)})
+    assert adapter.service("reset", START_NS).success
+    assert adapter.core._targets == {}
+
+
+def test_the_diagnostics_tell_of_the_last_place() -> None:
+    adapter = adapter_of(2)
+    (status,) = adapter.own_statuses(START_NS)
+    assert status.message == "none yet"
+    published = []
+    for index in range(2):
+        for number in range(2):
+            published += give(adapter, number, seen(number, START_NS + index * PERIOD_NS))
+    (status,) = adapter.own_statuses(START_NS + SECOND_NS)
+    assert status.message == "VALID: by t0, t1"
+    sigma_m = np.sqrt(np.sum(places(published)[-1].position_covariance[::4]))
+    assert float(status.values["sigma in space (m)"]) == pytest.approx(sigma_m, rel=0.01)
+    (status,) = adapter.own_statuses(START_NS + 20 * SECOND_NS)
+    assert status.message == "none for 20 s, VALID before"
+
+
+@pytest.mark.parametrize(
+    ("topics", "named"),
+    [
+        (["a/target_direction", "a/target_direction"], "is that of 't0' already"),
+        (["/west/theodolite/target_direction", ""], "expected a relative name"),
+        (["west target", ""], "expected a relative name"),
+    ],
+)
+def test_topics_that_cannot_be_are_named(topics: list[str], named: str) -> None:
+    values = placing_values(2)
+    for number, topic in enumerate(topics):
+        values["stations"][f"t{number}"]["topic"] = topic
+    with pytest.raises(ParameterError, match=named):
+        build(TriangulationConfig, values)
+
+
+def test_fewer_than_two_theodolites_are_warned_of() -> None:
+    assert adapter_of(2).start_warnings == ()
+    assert adapter_of(1).start_warnings == ("stations has 1: a place takes two theodolites or more",)

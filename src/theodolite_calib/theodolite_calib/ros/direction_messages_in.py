@@ -1,0 +1,61 @@
+"""From ship_msgs/TargetDirection to the direction of a theodolite: for the node ``triangulation`` and for bags."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from ship_estimation.outcome import Status
+from ship_estimation.refusals import Reason, shortened
+from ship_geometry.ros_axes import ENU_FROM_HORIZON, horizon_covariance
+from ship_node.edge.messages_in import ReadMessage, Refused, angular_covariance, finite_vector, frame, stamp_ns
+from ship_node.edge.messages_out import HORIZON_FRAME
+from theodolite_calib.ros.messages_in import LONGEST_TARGET_ID
+from theodolite_calib.target.common_moments import DirectionSample
+
+_NORM_TOLERANCE = 1e-3
+_LEAST_SHARE = 1e-9
+"""Of the variance one way across a direction, that the other way: what has less cannot be weighed."""
+
+
+def direction(message: Any, station: str, receive_ns: int) -> ReadMessage[DirectionSample]:
+    """A direction, or that the theodolite claims none.
+
+    Args:
+        message: TargetDirection.
+        station: name of the theodolite.
+        receive_ns: when it came.
+
+    Raises:
+        Refused: with the reason.
+    """
+    time_ns = stamp_ns(message.header, receive_ns)
+    # A place by several theodolites is in another frame: it is no direction.
+    frame(message.header.frame_id, HORIZON_FRAME)
+    if message.status not in list(Status):
+        expected = ", ".join(status.name for status in Status)
+        raise Refused(Reason.UNITS, f"status {message.status} is unknown: expected one of {expected}")
+    status, vector, covariance_n = Status(message.status), np.full(3, np.nan), np.full((3, 3), np.nan)
+    if status is not Status.INVALID:
+        direction_enu = finite_vector(message.direction, "direction")
+        norm = math.hypot(*direction_enu.tolist())
+        if not abs(norm - 1.0) <= _NORM_TOLERANCE:
+            raise Refused(Reason.UNITS, f"norm of direction is {norm:.6g}: expected 1")
+        covariance_enu = angular_covariance(message.direction_covariance, "direction_covariance")
+        if covariance_enu is None:
+            raise Refused(Reason.BAD_COVARIANCE, "direction_covariance is not given: the place has no covariance then")
+        vector, covariance_n = ENU_FROM_HORIZON.T @ direction_enu / norm, horizon_covariance(covariance_enu)
+        across = np.linalg.svd(vector[None])[2][1:]
+        least, greatest = np.linalg.eigvalsh(across @ covariance_n @ across.T).tolist()
+        if not least > _LEAST_SHARE * greatest:
+            raise Refused(Reason.BAD_COVARIANCE, "direction_covariance holds no error one way across the direction")
+    return ReadMessage(
+        DirectionSample(
+            time_ns=time_ns,
+            vector=vector,
+            source=f"station.{station}",
+            target_id=shortened(message.target_id, LONGEST_TARGET_ID),
+            covariance_n=covariance_n,
+            status=status,
+        )
+    )

@@ -1,0 +1,120 @@
+"""The node ``triangulation``: which topic is of which theodolite, what a place becomes, its diagnostics."""
+
+import functools
+import math
+from collections.abc import Iterator
+from typing import ClassVar
+
+import numpy as np
+
+from ship_bags.message_factory import MessageFactory
+from ship_estimation.outcome import Status
+from ship_node.documents.saved_document import DISK, Files
+from ship_node.edge.messages_out import INNOVATION_TYPE, DiagnosticStatus, Level, refused_input
+from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, ReportingAdapter
+from ship_node.edge.topics import InputTopic, OutputTopic, Published
+from theodolite_calib.measured.samples import TargetEstimate
+from theodolite_calib.ros.direction_messages_in import direction
+from theodolite_calib.ros.target_messages import TARGET_TYPE, target_message
+from theodolite_calib.target.config import TriangulationConfig
+from theodolite_calib.target.placing import PlaceEstimate, PlacingOutcome, TriangulationCore
+
+POSITION_TOPIC, INNOVATION_TOPIC = "target/position", "target/innovation"
+ORIGIN_FRAME = "triangulation_origin"
+
+_SILENT_NS = 10_000_000_000
+"""A place put out longer ago than this says nothing of now, ns."""
+
+_LEVELS = {
+    Status.VALID: Level.OK,
+    Status.COASTING: Level.WARN,
+    Status.DEGRADED: Level.WARN,
+    Status.INVALID: Level.WARN,
+}
+
+
+class TriangulationAdapter(ReportingAdapter):
+    """The places of targets by the directions in which several theodolites see them.
+
+    Args:
+        config: the node's parameters.
+        factory: makes the messages.
+        files: none is used.
+    """
+
+    node_name: ClassVar[str] = "triangulation"
+    config_type: ClassVar[type] = TriangulationConfig
+    services: ClassVar[tuple[str, ...]] = ("reset",)
+    main_topic: ClassVar[str] = POSITION_TOPIC
+    innovation_topic: ClassVar[str] = INNOVATION_TOPIC
+    reset_text: ClassVar[str] = "all directions are forgotten"
+    outputs: tuple[OutputTopic, ...] = (
+        OutputTopic(POSITION_TOPIC, TARGET_TYPE),
+        OutputTopic(INNOVATION_TOPIC, INNOVATION_TYPE),
+        *OWN_OUTPUTS,
+    )
+
+    def __init__(self, config: TriangulationConfig, factory: MessageFactory, files: Files = DISK) -> None:
+        if len(config.stations) < 2:
+            self.start_warnings = (f"stations has {len(config.stations)}: a place takes two theodolites or more",)
+        self._told_ns: int | None = None
+        super().__init__(config, TriangulationCore(config), factory, functools.partial(place_messages, factory))
+
+    def table(self, config: TriangulationConfig) -> Iterator[Feed]:
+        """Which topic feeds which method of the core."""
+        core: TriangulationCore = self.core
+        for name in sorted(config.stations):
+            topic = InputTopic(config.topic_of(name), TARGET_TYPE, required=False, depth=100, at_times=True)
+            yield Feed(topic, f"station.{name}", functools.partial(direction, station=name), core.add_direction)
+
+    def published(self, outcome: PlacingOutcome, now_ns: int, waiting_ns: int) -> list[Published]:
+        """See :class:`ReportingAdapter`."""
+        if outcome.estimates:
+            self._told_ns = waiting_ns
+        return super().published(outcome, now_ns, waiting_ns)
+
+    def own_slow_topics(self, now_ns: int) -> list[Published]:
+        """Nothing: a place has no budget beside its covariance."""
+        return []
+
+    def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
+        """The last place."""
+        return [self._position_status(waiting_ns)]
+
+    def _position_status(self, waiting_ns: int) -> DiagnosticStatus:
+        values = {"clock jumps back": str(self.clock_jumps)}
+        last: PlaceEstimate | None = self.latest
+        if last is None or self._told_ns is None:
+            return DiagnosticStatus("position", Level.OK, "none yet", values)
+        if waiting_ns - self._told_ns > _SILENT_NS:
+            # Nobody may have a target in view.
+            text = f"none for {(waiting_ns - self._told_ns) * 1e-9:.0f} s, {last.status.name} before"
+            return DiagnosticStatus("position", Level.OK, text, values)
+        values |= {"target": last.target_id, "theodolites": ", ".join(last.stations) or "none"}
+        if last.status is not Status.INVALID:
+            values["sigma in space (m)"] = f"{np.sqrt(np.trace(last.covariance_n)):.3g}"
+        if last.compared is not None:
+            values["chi-square"] = f"{last.compared.chi_square:.2f} of {last.compared.gate:.2f} at most"
+        text = f"{last.status.name}: {last.text or 'by ' + ', '.join(last.stations)}"
+        return DiagnosticStatus("position", _LEVELS[last.status], text, values)
+
+
+def place_messages(factory: MessageFactory, estimate: PlaceEstimate) -> list[Published]:
+    """What a place becomes: ship_msgs/TargetDirection without a direction; where none is claimed also why."""
+    unknown = np.full(3, np.nan)
+    told = TargetEstimate(
+        time_ns=estimate.time_ns,
+        target_id=estimate.target_id,
+        direction_n=unknown,
+        covariance_n=np.full((3, 3), np.nan),
+        position_n=estimate.position_n,
+        position_covariance_n=estimate.covariance_n,
+        status=estimate.status,
+        text=estimate.text,
+    )
+    published: list[Published] = [(POSITION_TOPIC, target_message(factory, told, ORIGIN_FRAME))]
+    if estimate.refusal is not None:
+        nis = math.nan if estimate.compared is None else estimate.compared.chi_square
+        refused = refused_input(factory, "stations", estimate.time_ns, estimate.refusal, nis=nis)
+        published.append((INNOVATION_TOPIC, refused))
+    return published

@@ -1,0 +1,202 @@
+"""The core of the node ``triangulation``: places of targets as the directions of the theodolites come.
+
+Each direction is answered once: where its theodolite leads (:mod:`theodolite_calib.target.common_moments`) by a place
+at its stamp, or by none, with the reason. It waits until the other theodolites that tell of the target have told of
+that moment, for ``lag_s`` at most. The places of one target are put out in the order of their stamps.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ship_estimation.outcome import Decision, Measurement, Outcome, Status
+from ship_estimation.refusals import Contradictions, Reason, Refusal, contradiction_text, failure, same_stamp
+from ship_geometry.rotations import FloatArray
+from ship_geometry.time_scales import SECOND_NS
+from theodolite_calib.target.common_moments import DirectionSample, SeenByStation, leads, placed_at
+from theodolite_calib.target.config import TriangulationConfig
+from theodolite_calib.target.triangulation import Station, TriangulatedPlace
+
+MOST_TARGETS = 100
+"""Targets that are followed at a time: their names come from outside."""
+
+MOST_WAITING = 1000
+"""Directions to one target that wait at a time; of a flood the oldest are answered by what is there."""
+
+
+@dataclass(frozen=True)
+class PlaceEstimate:
+    """The place of a target at one moment, or that none is claimed.
+
+    Attributes:
+        time_ns: the stamp of the direction that it answers.
+        target_id: of the target.
+        position_n: in the common frame, m, shape (3,); NaN where none is claimed.
+        covariance_n: of its total error, m², shape (3, 3); NaN likewise.
+        status: what it is worth.
+        text: why it is not VALID.
+        stations: the theodolites that saw the target then.
+        compared: the place with the residuals of the directions; None where there is none to compare with.
+        refusal: why no place is claimed; None where one is.
+    """
+
+    time_ns: int
+    target_id: str
+    position_n: FloatArray
+    covariance_n: FloatArray
+    status: Status
+    text: str
+    stations: tuple[str, ...]
+    compared: TriangulatedPlace | None
+    refusal: Refusal | None
+
+
+PlacingOutcome = Outcome[Decision[Measurement], PlaceEstimate]
+"""Places are its estimates; of single directions nothing is decided."""
+
+
+@dataclass
+class _Target:
+    """What is known of one target.
+
+    Attributes:
+        seen_by: its directions by each theodolite, in their order.
+        told_ns: up to which stamp each theodolite has told of it, be it that it claims nothing; 0 for never.
+        heard_ns: the time of waiting at which each did so last.
+        waiting: (stamp, number of the theodolite) of each direction that is not answered → when it came.
+        done_ns: the last stamp that was answered.
+    """
+
+    seen_by: list[SeenByStation]
+    told_ns: list[int]
+    heard_ns: list[int]
+    waiting: dict[tuple[int, int], int] = field(default_factory=dict)
+    done_ns: int = 0
+
+
+class TriangulationCore:
+    """Places of targets by the directions of several theodolites.
+
+    Args:
+        config: the node's parameters.
+    """
+
+    def __init__(self, config: TriangulationConfig) -> None:
+        self.config = config
+        self._stations: list[Station] = [config.stations[name].station(name) for name in sorted(config.stations)]
+        self._numbers = {f"station.{station.name}": number for number, station in enumerate(self._stations)}
+        self.reset()
+
+    def reset(self, clock_jumped: bool = False) -> list[str]:
+        """Forget all directions."""
+        self._targets: dict[str, _Target] = {}
+        self._contradictions = Contradictions()
+        return []
+
+    def reconfigure(self, config: TriangulationConfig) -> None:
+        """Go on with other noise and another gate."""
+        self.config = config
+
+    def add_direction(self, sample: DirectionSample, waiting_ns: int) -> PlacingOutcome:
+        """A direction of one theodolite to one target, or that it claims none."""
+        outcome = PlacingOutcome()
+        target, number = self._target(sample.target_id), self._numbers[sample.source]
+        target.told_ns[number] = max(target.told_ns[number], sample.time_ns)
+        target.heard_ns[number] = waiting_ns
+        outcome.refusal = self._take(target, number, sample, waiting_ns)
+        self._answer(sample.target_id, target, waiting_ns, outcome)
+        return outcome
+
+    def tick(self, now_ns: int, waiting_ns: int) -> PlacingOutcome:
+        """Answer what has waited long enough."""
+        outcome = PlacingOutcome()
+        for target_id, target in self._targets.items():
+            self._answer(target_id, target, waiting_ns, outcome)
+        return outcome
+
+    def _target(self, target_id: str) -> _Target:
+        """What is known of a target, now the one heard of last; of too many the one heard of first is forgotten."""
+        target = self._targets.pop(target_id, None)
+        if target is None:
+            seen_by = [SeenByStation(station, self.config.max_gap_s) for station in self._stations]
+            target = _Target(seen_by, [0] * len(seen_by), [0] * len(seen_by))
+            if len(self._targets) >= MOST_TARGETS:
+                del self._targets[next(iter(self._targets))]
+        self._targets[target_id] = target
+        return target
+
+    def _take(self, target: _Target, number: int, sample: DirectionSample, waiting_ns: int) -> Refusal | None:
+        if sample.status is Status.INVALID:
+            return Refusal(Reason.GAP, "the theodolite itself says INVALID")
+        track = target.seen_by[number].track
+        known = track.get(sample.time_ns)
+        refusal = None
+        if known is not None:
+            takes_its_place, refusal = same_stamp(known, sample)
+            self._contradictions.note(sample.source, sample.time_ns, refusal)
+            if not takes_its_place:
+                return refusal
+        if sample.time_ns <= target.done_ns:
+            return refusal or Refusal(Reason.LATE, "the places of its time were put out before it came")
+        track.insert(sample)
+        target.waiting.setdefault((sample.time_ns, number), waiting_ns)
+        return refusal
+
+    def _answer(self, target_id: str, target: _Target, waiting_ns: int, outcome: PlacingOutcome) -> None:
+        """Answer the directions that wait for nothing more, in the order of their stamps."""
+        for time_ns, number in sorted(target.waiting):
+            overflows = len(target.waiting) > MOST_WAITING
+            if not overflows and self._waits(target, time_ns, target.waiting[time_ns, number], waiting_ns):
+                return
+            del target.waiting[time_ns, number]
+            target.done_ns = time_ns
+            if leads(number, time_ns, target.seen_by):
+                outcome.estimates.append(self._estimate(target_id, target, time_ns, outcome))
+            for seen in target.seen_by:
+                seen.track.drop_before(time_ns)
+
+    def _waits(self, target: _Target, time_ns: int, came_ns: int, waiting_ns: int) -> bool:
+        """Whether a theodolite that tells of the target may still tell of a moment."""
+        lag_ns = round(self.config.lag_s * SECOND_NS)
+        if waiting_ns - came_ns > lag_ns:
+            return False
+        return any(
+            told_ns < time_ns and told_ns > 0 and waiting_ns - heard_ns <= lag_ns
+            for told_ns, heard_ns in zip(target.told_ns, target.heard_ns, strict=True)
+        )
+
+    def _estimate(self, target_id: str, target: _Target, time_ns: int, outcome: PlacingOutcome) -> PlaceEstimate:
+        try:
+            placed = placed_at(time_ns, target.seen_by, self.config)
+        except Exception as error:
+            outcome.failures.append((time_ns, failure(error)))
+            return _no_place(target_id, time_ns, (), None, failure(error))
+        place = placed.place
+        if isinstance(place, Refusal):
+            return _no_place(target_id, time_ns, placed.stations, None, place)
+        if place.refusal is not None:
+            return _no_place(target_id, time_ns, placed.stations, place, place.refusal)
+        status, text = placed.status, ""
+        if status is not Status.VALID:
+            text = f"a direction to it is {status.name}"
+        doubt = self._doubt(time_ns, placed.stations)
+        if doubt and status is not Status.DEGRADED:
+            status, text = Status.DEGRADED, doubt
+        return PlaceEstimate(
+            time_ns, target_id, place.position_n, place.covariance_n, status, text, placed.stations, place, None
+        )
+
+    def _doubt(self, time_ns: int, stations: tuple[str, ...]) -> str:
+        """Why the directions of some theodolites are in doubt; empty where they are not."""
+        sources = {f"station.{name}" for name in stations}
+        return contradiction_text(source for source in self._contradictions.at(time_ns) if source in sources)
+
+
+def _no_place(
+    target_id: str, time_ns: int, stations: tuple[str, ...], compared: TriangulatedPlace | None, refusal: Refusal
+) -> PlaceEstimate:
+    """No place is claimed."""
+    unknown, unknown_covariance = np.full(3, np.nan), np.full((3, 3), np.nan)
+    return PlaceEstimate(
+        time_ns, target_id, unknown, unknown_covariance, Status.INVALID, refusal.text, stations, compared, refusal
+    )

@@ -1,0 +1,143 @@
+"""Stars on the mount, targets and triangulation through the live nodes over DDS, held against replay and truth."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
+from ship_bags.stamps import ns_from_stamp
+from ship_bags.topic_names import relative_topic
+from ship_estimation.outcome import Status
+from ship_geometry.ros_axes import ENU_FROM_HORIZON
+from ship_geometry.rotations import ARCSEC, exp_rotation
+from ship_node.edge.adapter import Adapter
+from ship_replay.offline.nodes import ADAPTERS
+from ship_replay.offline.replay import replay
+from ship_replay.trials.live_run import LiveRun
+from ship_simulation.simulate_command import write_bag
+from ship_testing.theodolite_scenes import bag_scenario, with_night
+from ship_testing.theodolite_stations import buoy_n, buoy_seen, direction_message, placing_values
+from theodolite_calib.measured.samples import Mode
+from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
+from theodolite_calib.ros.triangulation_adapter import POSITION_TOPIC, TriangulationAdapter
+
+pytestmark = [pytest.mark.live, pytest.mark.slow]
+
+START_NS, PERIOD_NS, LATENCY_NS = 1_767_225_600_000_000_000, 100_000_000, 50_000_000
+SIGMA = 3.0 * ARCSEC
+TRUTH, DIRECTION, POINTING = "truth/target_direction", "theodolite/target_direction", "theodolite/pointing"
+
+Messages = dict[str, list[Any]]
+
+
+def messages(path: Path) -> Messages:
+    """Relative topic → its messages."""
+    found: Messages = {}
+    with read_bag(path) as bag:
+        for record in bag.records():
+            found.setdefault(relative_topic(record.topic) or "", []).append(record.decode())
+    return found
+
+
+def live_and_offline(
+    bag: Path, adapter: type[Adapter], folder: Path, rate: float, parameters: dict[str, str]
+) -> tuple[Messages, Messages]:
+    """What the live node said, with the truth, and what the replay says."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        with LiveRun(bag, adapter, "theodolite_calib", folder / "live", parameters) as run:
+            run.play(rate)
+            assert run.node.end() == 0, run.node.log()
+    replay(bag, folder / "offline.mcap", ADAPTERS)
+    return messages(run.recorded_path), messages(folder / "offline.mcap")
+
+
+def by_stamp(found: list[Any]) -> dict[int, Any]:
+    return {ns_from_stamp(message.header.stamp): message for message in found if message.status != Status.INVALID}
+
+
+def vector(of: Any) -> np.ndarray:
+    return np.array([of.x, of.y, of.z])
+
+
+def square(error: np.ndarray, covariance: Any) -> float:
+    """Error squared over its covariance, across a direction or in space."""
+    return float(error @ np.linalg.pinv(np.reshape(covariance, (3, 3)), rcond=1e-9, hermitian=True) @ error)
+
+
+@pytest.fixture(scope="module", name="night")
+def _night(tmp_path_factory: pytest.TempPathFactory) -> tuple[Messages, Messages]:
+    folder = tmp_path_factory.mktemp("night")
+    write_bag(with_night(bag_scenario(duration_s=10.0)), 3, folder / "night.mcap", b"")
+    return live_and_offline(folder / "night.mcap", OpticalAxisAdapter, folder, 2.0, {})
+
+
+def test_directions_come_for_every_image_and_are_those_of_replay_and_truth(night: tuple[Messages, Messages]) -> None:
+    live, offline = night
+    truths = by_stamp(live[TRUTH])
+    told, replayed = by_stamp(live[DIRECTION]), by_stamp(offline[DIRECTION])
+    assert len(truths) > 90
+    # One at each end may have no pointing on both its sides.
+    assert set(told) >= set(sorted(truths)[1:-3])
+    off_rad = [np.linalg.norm(vector(told[ns].direction) - vector(replayed[ns].direction)) for ns in told]
+    # They may differ by lights and stars that came before or after.
+    assert np.mean(np.array(off_rad) < 1e-9) > 0.8
+    for time_ns, message in told.items():
+        truth = truths[time_ns]
+        # Chi-square with two degrees: beyond 27.6 is one in a million; with three beyond 30.7.
+        assert square(vector(truth.direction) - vector(message.direction), message.direction_covariance) < 27.6
+        assert square(vector(truth.position) - vector(message.position), message.position_covariance) < 30.7
+
+
+def test_stars_and_lights_point_in_the_live_node(night: tuple[Messages, Messages]) -> None:
+    live, _ = night
+    modes = [message.mode for message in live[POINTING]]
+    assert modes.count(Mode.STARS_AND_LIGHTS) > 0.8 * len(modes)
+    accepted = [message for message in live["theodolite/innovation"] if message.source == "star.night"]
+    assert sum(message.accepted for message in accepted) > 40
+
+
+@pytest.fixture(scope="module", name="stations")
+def _stations(tmp_path_factory: pytest.TempPathFactory) -> tuple[Messages, Messages, Path]:
+    """What three theodolites tell of a buoy for ten seconds, each at moments of its own."""
+    folder, rng = tmp_path_factory.mktemp("stations"), np.random.default_rng(5)
+    moments = [(START_NS + index * PERIOD_NS + 10_000_000 * n, n) for index in range(100) for n in range(3)]
+    with BagWriter(folder / "in.mcap") as bag:
+        suite = {"/**/triangulation": {"ros__parameters": placing_values(3)}}
+        bag.add_attachment(SUITE_ATTACHMENT, yaml.safe_dump(suite))
+        for time_ns, number in moments:
+            seen_n = exp_rotation(SIGMA * rng.standard_normal(3)) @ buoy_seen(number, (time_ns - START_NS) * 1e-9)
+            message = direction_message(time_ns, seen_n, SIGMA)
+            bag.write(f"t{number}/theodolite/target_direction", message, time_ns + LATENCY_NS)
+    box = folder / "box.mcap"
+    return *live_and_offline(folder / "in.mcap", TriangulationAdapter, folder, 4.0, {"black_box": str(box)}), box
+
+
+def test_places_come_live_and_are_those_of_replay_and_truth(stations: tuple[Messages, Messages, Path]) -> None:
+    live, offline, _ = stations
+    told, replayed = by_stamp(live[POSITION_TOPIC]), by_stamp(offline[POSITION_TOPIC])
+    assert len(told) >= 95
+    assert {(time_ns - START_NS) % PERIOD_NS for time_ns in sorted(told)[2:]} == {0}
+    same = sorted(told.keys() & replayed.keys())
+    assert len(same) >= 95
+    off_m = [np.linalg.norm(vector(told[ns].position) - vector(replayed[ns].position)) for ns in same]
+    # A direction that came earlier or later bends the curve between its neighbours.
+    assert np.median(off_m) < 1e-6
+    for time_ns in same:
+        error_m = vector(told[time_ns].position) - ENU_FROM_HORIZON @ buoy_n((time_ns - START_NS) * 1e-9)
+        assert square(error_m, told[time_ns].position_covariance) < 30.7
+
+
+def test_the_black_box_of_the_node_is_equal_to_the_last_bit(
+    stations: tuple[Messages, Messages, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    from ship_replay.commands.replay import main
+
+    code = main([str(stations[2]), "--verify"])
+    told = capsys.readouterr()
+    assert code == 0, told.out + told.err
+    assert "outputs are equal to the last bit" in told.out
