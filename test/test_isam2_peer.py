@@ -1,6 +1,6 @@
 """The ship's filter beside GTSAM's iSAM2, on the same runs: errors no larger, and NEES side by side.
 
-GTSAM is optional: without it these tests are skipped. ``make campaign`` takes more seeds.
+Python 3.10 has no wheel of GTSAM: there these tests are skipped. ``make campaign`` takes more seeds.
 """
 
 import numpy as np

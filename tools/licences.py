@@ -32,7 +32,7 @@ STATED_ELSEWHERE = {
 _SPDX = {
     "0BSD": ("0BSD",),
     "Apache-2.0": ("Apache License, Version 2.0", "Apache 2.0", "Apache License 2.0", "Apache Software License"),
-    "BSD-2-Clause": ("BSD 2-Clause License",),
+    "BSD-2-Clause": ("BSD 2-Clause License", "Simplified BSD license"),
     "BSD-3-Clause": ("BSD 3-Clause License",),
     "BSD": ("BSD License",),
     "CC-PDDC": (),

@@ -1,8 +1,8 @@
 """A peer of the ship's filter: INS and star attitudes of a run in a graph of factors, solved by GTSAM's iSAM2.
 
 It reads the samples themselves and shares no model with the filter: its own interpolation of the INS, residuals and
-noise. Unknown are the INS's slow error at each exposure, how each sensor is mounted, and the INS's clock. GTSAM is not
-installed by ``make setup``: ``pip install gtsam`` brings it.
+noise. Unknown are the INS's slow error at each exposure, how each sensor is mounted, and the INS's clock. Python
+3.10 has no wheel of GTSAM.
 """
 
 from importlib import import_module
