@@ -61,9 +61,9 @@ def case_at_length(name: str, recording: Path | None = None) -> Scenario:
     return case.changed(replace(whole, ins=replace(whole.ins, rate_hz=INS_RATE_HZ)))
 
 
-def case_in_short(name: str) -> Scenario:
-    """A case as a test of many seeds runs it."""
-    whole, short = case_at_length(name), CASES[name].short
+def case_in_short(name: str, recording: Path | None = None) -> Scenario:
+    """A case as a test of many seeds runs it; for the arguments see :func:`case_at_length`."""
+    whole, short = case_at_length(name, recording), CASES[name].short
     changes: dict[str, Any] = {}
     if short.star_rate_hz is not None:
         changes["rate_hz"] = short.star_rate_hz
