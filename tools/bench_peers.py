@@ -1,8 +1,9 @@
 """Peers: the ship's filter beside GTSAM's smoothers over the same measurements, and beside a step of filterpy.
 
 The peers are given what the filter works out in its step, each measurement linearised and weighed, and keep none of its
-budget by sources. Their time is that of taking a measurement and of telling the state and its covariance after it. GTSAM
-comes with ``make setup`` from Python 3.11 on, filterpy by ``pip install filterpy``; without them their rows are left out.
+budget by sources. Their time is that of taking a measurement and of telling the state and its covariance after it.
+GTSAM comes with ``make setup`` from Python 3.11 on, filterpy by ``pip install filterpy``; without them their rows are
+left out.
 """
 
 import importlib
