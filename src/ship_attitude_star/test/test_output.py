@@ -11,6 +11,7 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.corrected_ins import CorrectedIns, corrected_attitudes, estimates_by
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.state import Doubt
+from ship_attitude_star.stars.spatial_errors import PixelStay
 from ship_estimation.exclusion import Exclusion
 from ship_estimation.hypotheses import covariances
 from ship_estimation.ins import InsJump
@@ -94,8 +95,10 @@ def test_each_row_of_a_state_is_predicted_and_opened_as_if_it_were_alone() -> No
     stack = root @ root.swapaxes(-1, -2)
     common_n = MappingProxyType({"star.fore": (20.0 * ARCSEC) ** 2 * np.eye(3)})
     jump = InsJump(61_000_000_000, np.array([0.0, 0.01, 0.0]), 1e-4)
-    together = replace(initial, time_ns=1_000_000_000, means=means, stack=stack, common_n=common_n)
+    stays = MappingProxyType({"star.fore": PixelStay(np.eye(3)[:1], 3, 0.5)})
+    together = replace(initial, time_ns=1_000_000_000, means=means, stack=stack, common_n=common_n, stays=stays)
     after = FILTER.opened(FILTER.predicted(together, 31_000_000_000), jump)
+    assert not after.stays  # what stars have told of before is gone
     for row in range(rows):
         parts = np.zeros_like(initial.parts)
         parts[0] = covariances(stack, rows)[row]

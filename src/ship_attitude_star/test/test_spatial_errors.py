@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from ship_attitude_star.stars.camera import StarCamera
+from ship_attitude_star.stars.camera import Distortion, StarCamera
 from ship_attitude_star.stars.config import CameraConfig
 from ship_attitude_star.stars.spatial_errors import FIELD_MODES, SpatialErrors
 from ship_estimation.parameters import ParameterError
@@ -125,6 +125,31 @@ def _of_pixels(rng: np.random.Generator, path: np.ndarray) -> np.ndarray:
     """Errors of unit variance along a way over pixels, shape (n, 2): one pair of numbers a pixel."""
     _, which = np.unique(path, axis=0, return_inverse=True)
     return rng.standard_normal((which.max() + 1, 2))[which.ravel()]
+
+
+def test_a_turn_about_the_boresight_is_a_way_as_a_shift_is():
+    """Twelve stars go round the middle of the detector, by as much on the root mean square as others that shift."""
+    places = np.random.default_rng(11).uniform(-400.0, 400.0, (12, 2))
+    arm = np.sqrt(np.mean(np.sum((places - places.mean(axis=0)) ** 2, axis=1)))
+    begun = ERRORS.stay(CAMERA.directions(HALF_PX + places), np.full(12, 1e-12), None)
+    for way_px in (1.0, 2.0):
+        cosine, sine = np.cos(way_px / arm), np.sin(way_px / arm)
+        turned = (places - places.mean(axis=0)) @ np.array([[cosine, sine], [-sine, cosine]]) + places.mean(axis=0)
+        shifted = places + np.array([way_px, 0.0])
+        by_turn, by_shift = (
+            ERRORS.stay(CAMERA.directions(HALF_PX + moved), np.full(12, 1e-12), begun).excess
+            for moved in (turned, shifted)
+        )
+        assert by_turn == pytest.approx(by_shift, rel=0.02)
+        assert by_turn < 1.0
+
+
+def test_at_the_fold_of_a_distortion_the_error_is_finite():
+    """A lens whose picture folds at 1/sqrt(60) of a focal length: a star a hundredth of a pixel inside of it."""
+    folds = StarCamera(0.05, 5.5e-6, 1023.5, 767.5, Distortion(k1=-20.0))
+    edge = folds.pixels(np.array([[1.0, 0.0, 1.0 / np.sqrt(60.0)]]))
+    inside = folds.directions(edge - np.array([0.01, 0.0]))
+    assert np.all(np.isfinite(SpatialErrors(folds, 0.3, 0.0).field_modes(inside)))
 
 
 def test_stars_on_new_pixels_are_new():

@@ -28,6 +28,7 @@ from ship_testing.star_sky import TIME_NS
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter
 from theodolite_calib.filter.star_step import StarStep
+from theodolite_calib.measured.encoder_watch import EncoderJump
 from theodolite_calib.measured.samples import Mode, PointingEstimate
 from theodolite_calib.optical_axis.output import DuePointing, PointingOutput
 
@@ -90,3 +91,13 @@ def test_each_alone_makes_the_pointing_less_sure(kind: str) -> None:
     _, with_it, _ = after_five_seconds(0, configured(**{kind: ERRORS_PX[kind]}))
     _, without, _ = after_five_seconds(0, configured())
     assert np.trace(with_it.covariance_n) > 1.02 * np.trace(without.covariance_n)
+
+
+def test_after_a_slip_of_the_encoders_the_stars_are_new() -> None:
+    """What exposures of before have told is gone with what the encoders said."""
+    _, estimate, filter_ = after_five_seconds(0, configured(**ERRORS_PX))
+    state = estimate.state
+    assert state.stays[f"star.{CAMERA_ID}"].exposures > 0
+    jump = EncoderJump(state.time_ns, np.array([1e-3, 0.0]), 1e-5)
+    assert not filter_.opened(state, jump).stays
+    assert not filter_.without(state, "encoder").stays

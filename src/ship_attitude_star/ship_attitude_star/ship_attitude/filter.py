@@ -19,7 +19,7 @@ from ship_attitude_star.ship_attitude.model import (
     devices,
 )
 from ship_attitude_star.ship_attitude.row_table import INS
-from ship_attitude_star.ship_attitude.state import FilterState, changed, with_entry, without
+from ship_attitude_star.ship_attitude.state import NO_STAYS, FilterState, changed, with_entry, without
 from ship_attitude_star.ship_attitude.suspects import Suspects
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.stars.exposure import StarExposure
@@ -139,7 +139,9 @@ class ShipFilter:
             add_error(stack, rows, self._ins_index, slow, jump.covariance_n)
             if jump.is_of_clock:
                 state = self.suspects.ins.clock_has_stepped(state, opens_ns)
-        return changed(state, means=means, stack=stack, unconfirmed=_jumped(opens_ns), jumped_ns=jump.time_ns)
+        return changed(
+            state, means=means, stack=stack, stays=NO_STAYS, unconfirmed=_jumped(opens_ns), jumped_ns=jump.time_ns
+        )
 
     def opens_ns(self, jump: InsJump) -> int:
         """The time of measurements from which on the state is open for a jump of the INS."""
@@ -283,7 +285,7 @@ class ShipFilter:
         """The state opened where a source's run of refusals is as long as configured for that, and what is said."""
         if not self._gate.reopen_after or state.refusals[source] % self._gate.reopen_after:
             return state, ""
-        state = changed(state, stack=state.stack * self._gate.reopen_factor)
+        state = changed(state, stack=state.stack * self._gate.reopen_factor, stays=NO_STAYS)
         state = self.suspects.begun_anew(changed(state, excluded=without(state.excluded, source)))
         return state, f"; gate re-opened: covariance times {self._gate.reopen_factor:g}"
 

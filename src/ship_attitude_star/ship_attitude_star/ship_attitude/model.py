@@ -176,7 +176,8 @@ class ShipStateModel(StateModel):
         noise_sources = [SOURCE_INTERPOLATION]
         if config.star_sensors:
             noise_sources.append(SOURCE_STAR_NOISE)
-        if any(star.camera.pixel_spatial_sigma_px > 0.0 for star in config.star_sensors.values()):
+        single = [star.camera for star in config.star_sensors.values() if star.input == "observations"]
+        if any(camera.pixel_spatial_sigma_px > 0.0 for camera in single):
             noise_sources.append(SOURCE_PIXEL)
         if config.references:
             noise_sources.append(SOURCE_REFERENCE_NOISE)

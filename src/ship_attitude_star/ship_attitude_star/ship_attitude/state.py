@@ -17,7 +17,7 @@ from ship_estimation.running_means import Means
 from ship_estimation.unconfirmed import Unconfirmed
 from ship_geometry.rotations import FloatArray
 
-__all__ = ["Apart", "Doubt", "FilterState", "Lately", "changed", "with_entry", "without"]
+__all__ = ["NO_STAYS", "Apart", "Doubt", "FilterState", "Lately", "changed", "with_entry", "without"]
 
 Value = TypeVar("Value")
 
@@ -88,6 +88,10 @@ class Lately(NamedTuple):
     sigmas: float
 
 
+NO_STAYS: MappingProxyType[str, PixelStay] = MappingProxyType({})
+"""No stars have kept their pixels."""
+
+
 @dataclass(frozen=True)
 class FilterState:
     """The estimate by all sources, in the first of h rows, and beside it those without each of them.
@@ -109,7 +113,8 @@ class FilterState:
         common_n: by star sensor, the steady covariance of its common error, rad², horizon frame.
         refusals: by source, its refusals in a row.
         used_ns: by source, the stamp of its last measurement used.
-        stays: by source, how long its stars have kept their pixels, where that matters.
+        stays: by source, how long its stars have kept their pixels, where that matters; none of before the state was
+            opened.
         unconfirmed: a jump of the INS, or what may be one, that stars have not confirmed yet; None for none.
         departures: by source, its last measurement refused.
         jumped_ns: the INS's stamp just before its last jump that the state is open for; None where there was none.
@@ -129,7 +134,7 @@ class FilterState:
     common_n: MappingProxyType[str, FloatArray] = field(default_factory=lambda: MappingProxyType({}))
     refusals: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
     used_ns: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
-    stays: MappingProxyType[str, PixelStay] = field(default_factory=lambda: MappingProxyType({}))
+    stays: MappingProxyType[str, PixelStay] = field(default_factory=lambda: NO_STAYS)
     unconfirmed: Unconfirmed | None = None
     departures: MappingProxyType[str, Departure] = field(default_factory=lambda: MappingProxyType({}))
     jumped_ns: int | None = None

@@ -300,7 +300,7 @@ def _rejected(solution: StarSolution, group: Sequence[Mounted]) -> list[RefusedS
                         name=exposure.name(row),
                         refusal=refusal,
                         residual=tuple(residual.tolist()),
-                        sigma=float(stars.white_sigma[row]),
+                        sigma=float(stars.lone_sigma[row]),
                     )
                 )
     return rejected

@@ -157,6 +157,17 @@ class StarExposure:
             return self
         return replace(self, stay=self.spatial.stay(self.directions_s, self.sigma, before))
 
+    @property
+    def lone_sigma(self) -> FloatArray:
+        """Error of a direction taken by itself, spatial errors included, rad per axis, shape (k,)."""
+        if self.spatial is None:
+            return self.sigma
+        field_s = self.spatial.field_modes(self.directions_s)
+        of_field = 0.0 if field_s is None else 0.5 * np.sum(field_s**2, axis=(-2, -1))
+        of_pixels = 0.0 if self.pixel_sigma is None else self.pixel_sigma**2
+        sigma: FloatArray = np.sqrt(self.sigma**2 + of_field + of_pixels)
+        return sigma
+
     @cached_property
     def pixel_sigma(self) -> FloatArray | None:
         """Pixel-spatial error of each direction, rad per axis, shape (k,); None where there is none."""
@@ -285,7 +296,7 @@ def identified(
     smear_s = None if exposure.smear_s is None else exposure.smear_s[rows]
     found = candidates(
         exposure.directions_s[rows],
-        exposure.sigma[rows],
+        exposure.lone_sigma[rows],
         exposure.magnitude[rows],
         smear_s,
         prior,

@@ -82,12 +82,20 @@ class SightedStars:
         """Number of coefficients of field-spatial errors."""
         return 0 if self.field_b is None else self.field_b.shape[-1]
 
+    @cached_property
+    def lone_sigma(self) -> FloatArray:
+        """Standard deviation of a star taken by itself, what its sensor's field adds included, rad per axis, (k,)."""
+        if self.field_b is None:
+            return self.white_sigma
+        sigma: FloatArray = np.sqrt(self.white_sigma**2 + 0.5 * np.sum(self.field_b**2, axis=(-2, -1)))
+        return sigma
+
     @property
     def worst_sigma(self) -> FloatArray:
         """Upper bound of the standard deviation of the same in any direction, streaks included, rad, shape (k,)."""
         if self.smear_b is None:
-            return self.white_sigma
-        sigma: FloatArray = np.sqrt(self.white_sigma**2 + np.trace(self.smear_b, axis1=-2, axis2=-1))
+            return self.lone_sigma
+        sigma: FloatArray = np.sqrt(self.lone_sigma**2 + np.trace(self.smear_b, axis1=-2, axis2=-1))
         return sigma
 
     def __len__(self) -> int:

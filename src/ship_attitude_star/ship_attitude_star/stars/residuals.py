@@ -169,7 +169,7 @@ def _noise(
 
 def _misfit(stars: SightedStars, row: int, rotation_ns: FloatArray) -> Refusal:
     angle = float(angle_between(rotation_ns @ stars.measured_b[row], stars.reference_n[row]))
-    text = f'{angle / ARCSEC:.1f}" from its place, sigma {stars.white_sigma[row] / ARCSEC:.1f}"'
+    text = f'{angle / ARCSEC:.1f}" from its place, sigma {stars.lone_sigma[row] / ARCSEC:.1f}"'
     return Refusal(Reason.MISIDENTIFIED, text)
 
 

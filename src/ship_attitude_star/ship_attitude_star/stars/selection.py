@@ -191,7 +191,7 @@ def _pair_trials(stars: SightedStars) -> list[Trial]:
     left = np.einsum("kij,tkj->tki", basis, displacement)
     turned = basis @ skew(stars.reference_n)
     covariance = np.einsum("kia,tab,kjb->tkij", turned, covariance_n, turned)
-    own = (stars.white_sigma**2 + common)[:, None, None] * np.eye(2)
+    own = (stars.lone_sigma**2 + common)[:, None, None] * np.eye(2)
     if stars.smear_b is not None:
         turned_basis = basis @ rotation_nb[:, None]
         own = own + turned_basis @ stars.smear_b @ np.swapaxes(turned_basis, -1, -2)
@@ -204,10 +204,8 @@ def _pair_trials(stars: SightedStars) -> list[Trial]:
 
 
 def _common_variance(stars: SightedStars) -> FloatArray:
-    """Variance that mounting, shared errors and the field add to a star's direction, mean of both axes, rad², (k,)."""
+    """Variance that mounting and shared errors add to a star's direction, mean of both axes, rad², shape (k,)."""
     variance: FloatArray = 0.5 * np.sum(stars.shared_n**2, axis=(-2, -1))
-    if stars.field_b is not None:
-        variance = variance + 0.5 * np.sum(stars.field_b**2, axis=(-2, -1))
     if len(stars.mounting_b):
         about_star = skew(stars.measured_b)
         mounted = about_star @ stars.mounting_b[stars.sensor]

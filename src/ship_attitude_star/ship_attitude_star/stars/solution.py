@@ -143,7 +143,7 @@ def solve_stars(stars: SightedStars, prior: StarPrior | None = None) -> StarSolu
         parts_n=_parts(stars, found, members),
         members=members,
         residual_n=residual_n,
-        rejected=_rejected(residual_n, stars.white_sigma, members),
+        rejected=_rejected(residual_n, stars.lone_sigma, members),
     )
 
 

@@ -95,6 +95,10 @@ class SpatialErrors:
         shift_px = np.zeros((len(pixels), FIELD_MODES, 2))
         shift_px[:, : len(_TERMS), 0] = shift_px[:, len(_TERMS) :, 1] = along
         moved_s = self.camera.directions(pixels[:, None] + shift_px) - directions_s[:, None]
+        # At the fold of a distortion there is nothing on the one side.
+        lost = ~np.isfinite(moved_s)
+        if lost.any():
+            moved_s[lost] = (directions_s[:, None] - self.camera.directions(pixels[:, None] - shift_px))[lost]
         return np.swapaxes(moved_s, -1, -2)
 
     def pixel_sigma(self, directions_s: FloatArray) -> FloatArray:
@@ -107,8 +111,9 @@ class SpatialErrors:
 
         Of exposures in a row whose pixel errors are correlated by ρ each tells (1 - ρ)/(1 + ρ) of what the first one
         told: its variance counts (1 + ρ)/(1 - ρ) times, which is coth d with ρ = exp(-2 d). The way d from exposure to
-        exposure is the mean way of the stars from where the stay began, by the number of exposures since: what is told
-        by the way from one exposure to the next is noise of the centroids, or a ship that sways on the same pixels.
+        exposure is the way of the stars from where the stay began, root of its mean square, by the number of exposures
+        since: what is told by the way from one exposure to the next is noise of the centroids, or a ship that sways on
+        the same pixels. All stars move together, by a shift and a turn about their middle.
 
         Args:
             directions_s: of the stars, shape (k, 3).
@@ -116,19 +121,20 @@ class SpatialErrors:
             before: the stay up to the exposure before that was used; None where there was none.
         """
         here = PixelStay(directions_s, 0, 0.0)
-        if before is None or not len(directions_s):
+        if before is None or not (len(directions_s) and len(before.directions_s)):
             return here
-        way = self.camera.pixels(directions_s)[:, None] - self.camera.pixels(before.directions_s)
+        pixels = self.camera.pixels(directions_s)
+        way = pixels[:, None] - self.camera.pixels(before.directions_s)
         length = np.linalg.norm(way, axis=-1)
         nearest = np.argmin(length, axis=1)
         row = np.arange(len(way))
         near = length[row, nearest] < _NEAR_PX
         if 2 * np.count_nonzero(near) < len(near):
             return here
-        mean = way[row, nearest][near].mean(axis=0)
-        # Errors of both exposures in both axes are in the square of the mean way.
+        square = _mean_square_way(pixels[near], way[row, nearest][near])
+        # Errors of both exposures are in each of the three quantities that tell it.
         own = np.mean((sigma[near] * self._pixels_per_rad) ** 2) + self.pixel_sigma_px**2
-        gone = np.sqrt(max(float(mean @ mean) - 4.0 * own / np.count_nonzero(near), 0.0))
+        gone = np.sqrt(max(square - 6.0 * own / np.count_nonzero(near), 0.0))
         count = before.exposures + 1
         excess = 1.0 / max(np.tanh(gone / count), _LEAST_WORTH) - 1.0
         return replace(here if gone > _STAY_PX else before, exposures=0 if gone > _STAY_PX else count, excess=excess)
@@ -142,6 +148,14 @@ class SpatialErrors:
     @property
     def _pixels_per_rad(self) -> float:
         return self.camera.focal_length_m / self.camera.pixel_pitch_m
+
+
+def _mean_square_way(pixels: FloatArray, way: FloatArray) -> float:
+    """Mean square of the ways of stars, px², shape (k, 2) each, as far as they are one shift and one turn of all."""
+    shift, arm = way.mean(axis=0), pixels - pixels.mean(axis=0)
+    arms = float(np.sum(arm**2))
+    turn = float(np.sum(arm[:, 0] * way[:, 1] - arm[:, 1] * way[:, 0])) / arms if arms > 0.0 else 0.0
+    return float(shift @ shift) + turn**2 * arms / len(way)
 
 
 def field_block(name: str) -> StateBlock:

@@ -23,9 +23,9 @@ def _parser() -> CommandParser:
         description="Write ship/attitude_smoothed: the attitude of ship_attitude at each stamp of the INS by all "
         "measurements of the bag, those that came later too (Rauch, Tung and Striebel), with its covariance; and "
         "theodolite/pointing_smoothed: the pointing of optical_axis at each reading of the encoders likewise, with "
-        "the smoothed attitude of the ship. The status is that of ship/attitude or theodolite/pointing. What a node "
-        "put out while its sources contradicted one another is written as it was. Topics truth/* are copied, so that "
-        "evaluate tells the errors.",
+        "the smoothed attitude of the ship. The status is that of ship/attitude or theodolite/pointing, and worse "
+        "where lights contradict the smoothed attitude. What was in doubt because sources contradicted one another is "
+        "not smoothed. Topics truth/* are copied, so that evaluate tells the errors.",
     )
     parser.add_argument("bag", type=Path, metavar="IN.mcap", help=".mcap file or rosbag2 folder")
     parser.add_argument("--out", type=Path, required=True, metavar="OUT.mcap", help="bag to write")

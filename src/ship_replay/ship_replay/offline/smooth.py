@@ -187,11 +187,15 @@ def smooth(
             return in_order_of_stamps(records, usual_delay_ns(bag_path, names)) if by_stamps else records
 
         _hand_over(chain, records_of(names), names, told)
-        summary, attitudes, pointings = SmoothSummary([*left_out, *bag.problems]), [], []
+        summary = SmoothSummary([*left_out, *bag.problems])
+        attitudes: Iterable[BagRecord] = []
+        pointings: Iterable[BagRecord] = []
         if ship is not None:
             summary.outputs.append(Smoothed(SMOOTHED_TOPIC, ATTITUDE_TYPE, ("heading", "pitch", "roll")))
-            attitudes = list(_attitudes(ship.core, told.attitudes, factory, summary.outputs[-1]))
+            attitudes = _attitudes(ship.core, told.attitudes, factory, summary.outputs[-1])
         if axis is not None:
+            # They are an input, and written afterwards.
+            attitudes = list(attitudes)
             again = _WholeSession(chain.configs[axis.node_name], factory, UNTOUCHED)
             session = AdapterChain([again])
             of_session = {name: relative for name, relative in names.items() if relative in session.taken[0]}
@@ -199,13 +203,13 @@ def smooth(
             _hand_over(session, records, of_session | {SMOOTHED_TOPIC: ATTITUDE_TOPIC}, _ToldAtOnce())
             angles = ("azimuth cos elevation", "elevation", "image rotation")
             summary.outputs.append(Smoothed(SMOOTHED_POINTING_TOPIC, POINTING_TYPE, angles))
-            pointings = list(_pointings(again.core, told.pointings, factory, summary.outputs[-1]))
-        if not (attitudes or pointings):
-            raise BadInput("no attitude and no pointing was put out: there is nothing to smooth", file=bag_path)
+            pointings = _pointings(again.core, told.pointings, factory, summary.outputs[-1])
         with BagWriter(out_path) as writer:
             announce(writer, bag, [OutputTopic(one.topic, one.type_name) for one in summary.outputs], config_text)
             for record in heapq.merge(_truth(bag, namespace), attitudes, pointings, key=attrgetter("log_time_ns")):
                 writer.write_raw(record.topic, record.type_name, record.data, record.log_time_ns)
+            if not any(one.count for one in summary.outputs):
+                raise BadInput("no attitude and no pointing was put out: there is nothing to smooth", file=bag_path)
         return summary
 
 
@@ -238,11 +242,14 @@ def _attitudes(
 def _pointings(
     core: SmoothingAxisCore, told: Mapping[int, _AtOnce], factory: RosbagsFactory, smoothed: Smoothed
 ) -> Iterator[BagRecord]:
-    """The pointings with hindsight of the moments at which one was told; the summary of them is filled."""
+    """The pointings with hindsight of the moments at which one was told; the summary of them is filled.
+
+    What is in doubt with hindsight is told as that, whatever was told at once.
+    """
     for estimate in core.smoothed_to_the_end():
         at_once = told.get(estimate.time_ns)
         if at_once is not None:
-            _, message = smoothed_pointing(factory, replace(estimate, status=at_once.status))
+            _, message = smoothed_pointing(factory, replace(estimate, status=max(at_once.status, estimate.status)))
             azimuth, elevation, _ = angles_from_rotation(estimate.rotation_nm)
             covariance = angle_covariance(estimate.covariance_n, azimuth, elevation)
             covariance[0] *= math.cos(elevation) ** 2

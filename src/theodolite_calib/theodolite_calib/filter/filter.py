@@ -29,6 +29,8 @@ from theodolite_calib.measured.sighting import Sighting
 
 Jump = EncoderJump | InsJump
 
+_NO_STAYS: MappingProxyType[str, PixelStay] = MappingProxyType({})
+
 _STEPS = 5
 # What a step of this size (rad) leaves of the equations that is not linear is its square: below rounding.
 _SMALL_STEP = 1e-5
@@ -52,7 +54,8 @@ class CalibrationState:
         used_ns: moment of the last sighting of lights used; None before it.
         light_count: lights used in it.
         stars_ns: moment of the last exposure of stars used; None before it.
-        stays: by camera, how long its stars have kept their pixels, where that matters.
+        stays: by camera, how long its stars have kept their pixels, where that matters; none of before the state was
+            opened.
         sighting_count: sightings used, of lights and of stars.
         points_used: lights and stars in all of them.
         squares: sum of the squares of their residuals on the sky, rad².
@@ -70,7 +73,7 @@ class CalibrationState:
     used_ns: int | None = None
     light_count: int = 0
     stars_ns: int | None = None
-    stays: MappingProxyType[str, PixelStay] = field(default_factory=lambda: MappingProxyType({}))
+    stays: MappingProxyType[str, PixelStay] = field(default_factory=lambda: _NO_STAYS)
     sighting_count: int = 0
     points_used: int = 0
     squares: float = 0.0
@@ -178,7 +181,8 @@ class CalibrationFilter:
             covariance = np.outer(jump.jump, jump.jump) + jump.sigma_rad**2 * np.eye(2)
         parts = state.parts.copy()
         parts[..., self.model.sources.index(source), states[:, None], states] += covariance
-        return replace(state, parts=parts, alternatives=self.rows.opened(state.alternatives, states, covariance))
+        rows = self.rows.opened(state.alternatives, states, covariance)
+        return replace(state, parts=parts, alternatives=rows, stays=_NO_STAYS)
 
     def without(self, state: CalibrationState, source: str) -> CalibrationState:
         """The state by all sources but one: the estimate that has done without it takes the first place.
@@ -196,6 +200,7 @@ class CalibrationFilter:
             parts=_reshaped(state.parts, covariance),
             alternatives=self.rows.restarted(rows, mean, covariance),
             separation=np.zeros_like(state.separation),
+            stays=_NO_STAYS,
         )
 
     def unknown(self, state: CalibrationState) -> CalibrationState:
