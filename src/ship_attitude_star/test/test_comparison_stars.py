@@ -8,15 +8,20 @@ import pytest
 from ship_attitude_star.measurements.readings import InertialAttitude, PositionFix
 from ship_attitude_star.measurements.samples import AttitudeMeasurement
 from ship_attitude_star.ship_attitude.comparison import predict_attitude
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.stars.residuals import star_residuals
+from ship_attitude_star.stars.camera import StarCamera
+from ship_attitude_star.stars.residuals import SOURCE_STAR_NOISE, star_residuals
+from ship_attitude_star.stars.spatial_errors import FIELD_MODES
+from ship_estimation.parameters import build
 from ship_estimation.refusals import Reason
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.geodetic import GeodeticPosition
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
 from ship_testing.star_sky import (
     ROTATION_ND,
+    SENSORS,
     TIME_NS,
     configuration,
     exposure_of,
@@ -26,6 +31,7 @@ from ship_testing.star_sky import (
 )
 
 CONFIG = configuration()
+FIELD = {"field_spatial_sigma_px": 0.3}
 
 
 @pytest.fixture(scope="module")
@@ -43,12 +49,36 @@ def residuals(ship_filter, watch, exposure, mean):
     state = ship_filter.initial_state()
     ins = ins_track().at(TIME_NS)
     predicted = predict_attitude(ship_filter.devices[exposure.source], ship_filter.model, mean, ins)
-    prior, rows = predicted.prior(state.covariance), ship_filter.model.sky_rows
-    return star_residuals(exposure, predicted.rotation_nv, predicted.jacobian_v, prior, watch, rows, mean)
+    prior, model = predicted.prior(state.covariance), ship_filter.model
+    field_rows = model.slices.get(f"{exposure.source}.field")
+    return star_residuals(
+        exposure, predicted.rotation_nv, predicted.jacobian_v, prior, watch, model.sky_rows, mean, field_rows=field_rows
+    )
+
+
+def with_field(exposure):
+    """The stars in a camera with a field-spatial error, and the filter that knows of it."""
+    camera = {"focal_length_m": 0.05, "pixel_pitch_m": 5.5e-6, "principal_u_px": 1023.5, "principal_v_px": 1023.5}
+    sensors = {"fore": {"input": "observations", **SENSORS["fore"], "camera": {**camera, **FIELD}}}
+    config = build(ShipAttitudeConfig, {"star_sensors": sensors})
+    spatial = config.star_sensors["fore"].camera.spatial_errors(StarCamera(**camera))
+    return replace(exposure, spatial=spatial), ShipFilter(config)
+
+
+def test_the_map_of_the_field_is_a_state_of_its_sensor(watch):
+    exposure, ship_filter = with_field(exposure_of(watch, "fore", 4))
+    rows = ship_filter.model.slices["star.fore.field"]
+    assert rows.stop - rows.start == FIELD_MODES
+    here = residuals(ship_filter, watch, exposure, np.zeros(ship_filter.model.size))
+    assert np.any(here.jacobian[:, rows], axis=1).all()
+    assert_jacobian_is_derivative(ship_filter, watch, exposure)
 
 
 def test_the_jacobian_is_the_derivative(ship_filter, watch):
-    exposure = exposure_of(watch, "fore", 4)
+    assert_jacobian_is_derivative(ship_filter, watch, exposure_of(watch, "fore", 4))
+
+
+def assert_jacobian_is_derivative(ship_filter, watch, exposure):
     rng = np.random.default_rng(1)
     sigma = np.sqrt(np.diagonal(ship_filter.initial_state().covariance))
     mean = 0.3 * sigma * rng.standard_normal(ship_filter.model.size)
@@ -78,7 +108,7 @@ def test_one_star_improves_two_components_as_the_bound_says_and_leaves_the_third
     jacobian = compared.jacobian
     own = jacobian.copy()
     own[:, rows] = 0.0
-    noise = own @ before.covariance @ own.T + compared.noise
+    noise = own @ before.covariance @ own.T + compared.noise[SOURCE_STAR_NOISE]
     h = jacobian[:, rows]
     bound = np.linalg.inv(np.linalg.inv(prior) + h.T @ np.linalg.inv(noise) @ h)
     np.testing.assert_allclose(posterior, bound, rtol=1e-6, atol=1e-18)
