@@ -69,12 +69,11 @@ class SeenByStation:
         self.track = _DirectionTrack(round(max_gap_s * SECOND_NS))
 
     def sees(self, time_ns: int) -> bool:
-        """Whether there is a direction at a moment."""
+        """Whether there is a direction at a moment: not in a gap, beside an INVALID one, before the first or later."""
         return self.track.at(time_ns) is not None
 
     def at(self, time_ns: int) -> tuple[StationDirection, Status] | None:
-        """The direction at a moment, with the worse status of its neighbours; None in a gap, beside an INVALID
-        one, and before and after."""
+        """The direction at a moment, with the worse status of its neighbours; None where it is not seen."""
         found = self.track.at(time_ns)
         if found is None:
             return None

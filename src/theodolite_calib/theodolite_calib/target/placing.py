@@ -23,8 +23,8 @@ from theodolite_calib.target.config import TriangulationConfig
 from theodolite_calib.target.triangulation import Station, TriangulatedPlace
 
 MOST_TARGETS = 100
-"""Targets that are followed at a time: their names come from outside. Of more, the one heard of longest ago is forgotten,
-and its directions that wait get no place."""
+"""Targets that are followed at a time: their names come from outside. Of more, the one heard of longest ago is
+forgotten, and its directions that wait get no place."""
 
 MOST_WAITING = 1000
 """Directions to one target that wait at a time; of a flood the oldest are answered by what is there."""
