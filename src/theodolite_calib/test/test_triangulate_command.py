@@ -89,9 +89,11 @@ def test_where_the_first_theodolite_sees_nothing_the_next_leads(tmp_path: Path) 
     assert main([str(stations), "--target", "buoy", "--out", str(tmp_path / "places.csv")]) == 0
     rows = table(tmp_path / "places.csv")
     leaders = [(row["stations"], (ns_from_utc_text(row["utc"]) - START_NS) % PERIOD_NS) for row in rows]
-    # Of the eight of the first one is INVALID, and one is before all others.
-    assert leaders[:6] == [("t0 t1 t2", 0)] * 6
-    assert set(leaders[6:]) == {("t1 t2", 20_000_000)}
+    # Of the eight of the first the one at 0.3 s is INVALID, and one is before all others. Nothing is interpolated
+    # across what is INVALID: at 0.22 s the first sees nothing, at 0.4 s the others do not.
+    first, next_two = ("t0 t1 t2", 0), ("t1 t2", 20_000_000)
+    assert leaders[:6] == [first, first, next_two, first, first, first]
+    assert set(leaders[6:]) == {next_two}
     assert len(leaders) > 15
 
 

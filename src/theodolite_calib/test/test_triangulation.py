@@ -13,8 +13,8 @@ import pytest
 from ship_estimation.gates import mean_nees_band, normalized_error_squared
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.rotations import ARCSEC
-from ship_testing.theodolite_stations import AIR, AXES, ORIGIN, ORIGIN_M, PLACE_SIGMA_M, seen, station
-from theodolite_calib.target.triangulation import StationDirection, TriangulatedPlace, triangulated
+from ship_testing.theodolite_stations import AIR, AXES, ORIGIN, ORIGIN_M, PLACE_SIGMA_M, foot_n, seen, station
+from theodolite_calib.target.triangulation import Air, StationDirection, TriangulatedPlace, _Line, triangulated
 
 SIGMA, DRAWS = 3.0 * ARCSEC, 1000
 
@@ -98,3 +98,53 @@ def test_what_gives_no_place_is_told(kind: str) -> None:
     assert isinstance(told, Refusal)
     expected = {"one": "two or more", "parallel": "parallel", "behind": "behind t0", "nan": "NaN"}
     assert expected[kind] in told.text
+
+
+@pytest.mark.parametrize("distance_m", [50.0, 2000.0, 50_000.0])
+def test_the_change_by_the_place_is_that_of_finite_differences(distance_m: float) -> None:
+    directions, _ = drawn(1, noise=0.0)
+    line = _Line.of(directions[0], AXES, ORIGIN_M)
+    place_n, step_m = line.foot_n + distance_m * np.array([0.8, 0.1, -0.59]), 1e-3 * distance_m
+    _, by_path_n, _ = line.seen_from(place_n, AIR.coefficient)
+    differences = [
+        (line.seen_from(place_n + step_n, AIR.coefficient)[0] - line.seen_from(place_n - step_n, AIR.coefficient)[0])
+        / (2.0 * step_m)
+        for step_n in step_m * np.eye(3)
+    ]
+    # Central differences are off by a sixth of the step squared, over the cube of the distance.
+    np.testing.assert_allclose(by_path_n, np.transpose(differences), rtol=0.0, atol=1e-6 / distance_m)
+
+
+def abreast(distance_m: float, sigma: float, rng: np.random.Generator) -> tuple[list[StationDirection], np.ndarray]:
+    """What two theodolites tell that stand 50 m apart, abreast of the target; places and air are known."""
+    target_n, directions = np.array([25.0, 0.05 * distance_m, distance_m]), []
+    for number in range(2):
+        at = replace(station(f"t{number}", foot_n(number)), sigma_m=0.0)
+        direction_n = seen(at, ORIGIN_M + foot_n(number) @ AXES, ORIGIN_M + target_n @ AXES, AIR.coefficient)
+        across = np.linalg.svd(direction_n[None])[2][1:]
+        measured_n = direction_n + sigma * rng.standard_normal(2) @ across
+        directions.append(StationDirection(at, measured_n / np.linalg.norm(measured_n), sigma**2 * across.T @ across))
+    return directions, target_n
+
+
+def test_two_theodolites_50_m_apart_know_a_target_at_50_km_as_their_covariance_says() -> None:
+    rng, nees = np.random.default_rng(20), []
+    for _ in range(DRAWS):
+        directions, target_n = abreast(50_000.0, SIGMA, rng)
+        place = found(directions, air=Air(AIR.coefficient, 0.0))
+        nees.append(normalized_error_squared(target_n - place.position_n, place.covariance_n))
+    low, high = mean_nees_band(DRAWS, 3)
+    assert low < np.mean(nees) < high
+
+
+@pytest.mark.parametrize(("distance_m", "sigma"), [(50_000.0, 100.0 * ARCSEC), (2000.0, 0.02)])
+def test_a_place_whose_distance_is_not_told_is_none(distance_m: float, sigma: float) -> None:
+    """The distance is known to sqrt(2) sigma times itself over 50 m: to 0.69 and 1.1 of itself."""
+    rng, texts = np.random.default_rng(21), []
+    for _ in range(200):
+        told = triangulated(ORIGIN, abreast(distance_m, sigma, rng)[0], AIR)
+        assert isinstance(told, Refusal)
+        assert told.reason is Reason.GATE
+        texts.append(told.text)
+    # The errors may also make the lines meet behind.
+    assert sum("set the theodolites further apart, or measure a range" in text for text in texts) > 100

@@ -92,9 +92,19 @@ def test_one_place_a_stamp_of_the_first_whatever_the_order_of_arrival() -> None:
     stamps = [ns_from_stamp(message.header.stamp) for message in found if message.status != Status.INVALID]
     assert stamps == sorted(set(stamps))
     assert [(stamp - START_NS) % PERIOD_NS for stamp in stamps] == [0] * len(stamps)
-    assert len(stamps) >= 9
+    assert len(stamps) == 11
     for message in found[-8:]:
         assert np.linalg.norm(error_m(message)) < 0.05
+
+
+def test_of_two_messages_that_overtake_one_another_the_older_is_late_where_nobody_else_is_awaited() -> None:
+    adapter, published = adapter_of(2), []
+    for number in range(2):
+        give(adapter, number, seen(number, START_NS))
+    for number, index in ((1, 2), (0, 2), (0, 1)):
+        published += give(adapter, number, seen(number, START_NS + index * PERIOD_NS), START_NS + 3 * PERIOD_NS)
+    assert [ns_from_stamp(message.header.stamp) for message in places(published)] == [START_NS + 2 * PERIOD_NS]
+    assert reasons(published) == [("station.t0", Reason.LATE)]
 
 
 def test_a_theodolite_that_tells_of_the_target_is_waited_for_and_no_longer_than_the_lag() -> None:
@@ -197,6 +207,65 @@ def test_what_cannot_be_used_is_refused_with_the_reason(changes: dict, reason: R
     published = give(adapter, 0, seen(0, START_NS, **changes), START_NS + LATENCY_NS)
     assert reasons(published) == [("station.t0", reason)]
     assert places(published) == []
+
+
+def test_a_target_that_is_forgotten_has_its_directions_answered_and_stamps_that_go_on() -> None:
+    adapter, published = adapter_of(2), []
+    for index in range(2):
+        for number in (1, 0) if index else (0, 1):
+            published += give(adapter, number, seen(number, START_NS + index * PERIOD_NS))
+    waiting_ns = START_NS + 2 * PERIOD_NS
+    assert places(give(adapter, 0, seen(0, waiting_ns))) == []
+    published = []
+    for index in range(MOST_TARGETS):
+        published += give(adapter, 1, seen(1, waiting_ns, target_id=f"x{index}"))
+    (answer,) = [message for message in places(published) if message.target_id == "buoy"]
+    assert (ns_from_stamp(answer.header.stamp), answer.status) == (waiting_ns, Status.INVALID)
+    assert ("stations", Reason.OVERFLOW) in reasons(published)
+    # Heard of again, it has no place at or before its last one.
+    published = []
+    for index in range(1, 4):
+        for number in (1, 0):
+            published += give(adapter, number, seen(number, START_NS + index * PERIOD_NS), START_NS + 4 * PERIOD_NS)
+    assert reasons(published)[:4] == [(f"station.t{number}", Reason.LATE) for number in (1, 0, 1, 0)]
+    stamps = [ns_from_stamp(message.header.stamp) for message in places(published)]
+    assert stamps
+    assert min(stamps) > waiting_ns
+
+
+@pytest.mark.parametrize("invalid_comes_first", [True, False])
+def test_nothing_is_interpolated_across_an_invalid_direction(invalid_comes_first: bool) -> None:
+    adapter, found = adapter_of(2), []
+    arrivals = [(index, number) for index in range(11) for number in (0, 1)]
+    if invalid_comes_first:
+        # All that the second tells is there before the first tells of the same moments.
+        arrivals = sorted(arrivals, key=lambda arrival: (arrival[0] > 2, arrival[0] > 2 and arrival[1] == 0, arrival))
+    for index, number in arrivals:
+        worth = Status.INVALID if number == 1 and 3 <= index < 10 else Status.VALID
+        message = seen(number, START_NS + index * PERIOD_NS + 10_000_000 * number, status=int(worth))
+        found += places(give(adapter, number, message, START_NS + 11 * PERIOD_NS))
+    since = {ns_from_stamp(message.header.stamp) - START_NS: message.status for message in found}
+    told = [since[index * PERIOD_NS] for index in range(1, 11)]
+    # At 0.3 s the second's next direction claims nothing, at 1.0 s its last.
+    assert told == [Status.VALID] * 2 + [Status.INVALID] * 8
+
+
+@pytest.mark.parametrize("invalid_comes_first", [True, False])
+def test_valid_and_invalid_at_one_stamp_are_a_conflict_and_invalid_counts(invalid_comes_first: bool) -> None:
+    adapter, published = adapter_of(3), []
+    for index in range(2):
+        for number in range(3):
+            give(adapter, number, seen(number, START_NS + index * PERIOD_NS))
+    time_ns = START_NS + 2 * PERIOD_NS
+    pair = [seen(0, time_ns), seen(0, time_ns, status=int(Status.INVALID))]
+    for message in reversed(pair) if invalid_comes_first else pair:
+        published += give(adapter, 0, message)
+    for number in (1, 2):
+        published += give(adapter, number, seen(number, time_ns))
+    assert ("station.t0", Reason.CONFLICT) in reasons(published)
+    (place,) = places(published)
+    assert adapter.latest.stations == ("t1", "t2")
+    assert place.status == Status.VALID
 
 
 def test_no_flood_of_names_or_directions_grows_without_bound() -> None:

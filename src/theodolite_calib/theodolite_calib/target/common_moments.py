@@ -1,7 +1,8 @@
 """Directions of one target by several theodolites, brought to common moments: the one way of command and node.
 
-A place is made at each stamp of the theodolite that leads there: the first, in their order, that sees the target at
-that moment. The directions of the others are interpolated to it.
+A place is made at each stamp of the theodolite that leads there: the first, by name (the node) or in the order of the
+file (the command), that sees the target at that moment. The directions of the others are interpolated to it, but never
+across a moment at which a theodolite says that it sees nothing (INVALID).
 """
 
 from collections.abc import Sequence
@@ -39,6 +40,22 @@ class DirectionSample(VectorSample):
         return self.vector.tobytes() + self.covariance_n.tobytes() + bytes([self.status])
 
 
+class _DirectionTrack(VectorTrack[DirectionSample]):
+    """Directions of one theodolite; INVALID ones are kept, for nothing is interpolated across them."""
+
+    def _interval(self, time_ns: int) -> tuple[int, float] | None:
+        interval = super()._interval(time_ns)
+        if interval is None:
+            return None
+        left, fraction = interval
+        ends = self._samples[left : left + 1 if fraction == 0.0 else left + 2]
+        return None if any(sample.status is Status.INVALID for sample in ends) else interval
+
+    def _joined(self, left: int) -> bool:
+        ends = self._samples[left : left + 2]
+        return super()._joined(left) and not any(sample.status is Status.INVALID for sample in ends)
+
+
 class SeenByStation:
     """The directions of one theodolite to one target.
 
@@ -49,10 +66,14 @@ class SeenByStation:
 
     def __init__(self, station: Station, max_gap_s: float) -> None:
         self.station = station
-        self.track: VectorTrack[DirectionSample] = VectorTrack(round(max_gap_s * SECOND_NS))
+        self.track = _DirectionTrack(round(max_gap_s * SECOND_NS))
+
+    def sees(self, time_ns: int) -> bool:
+        """Whether there is a direction at a moment: not in a gap, beside an INVALID one, before the first or later."""
+        return self.track.at(time_ns) is not None
 
     def at(self, time_ns: int) -> tuple[StationDirection, Status] | None:
-        """The direction at a moment, with the worse status of its neighbours; None in a gap, and before and after."""
+        """The direction at a moment, with the worse status of its neighbours; None where it is not seen."""
         found = self.track.at(time_ns)
         if found is None:
             return None
@@ -90,8 +111,8 @@ class PlacedTarget:
 
 
 def leads(number: int, time_ns: int, seen_by: Sequence[SeenByStation]) -> bool:
-    """Whether none of the theodolites before one, in their order, sees the target at a moment."""
-    return all(before.track.at(time_ns) is None for before in seen_by[:number])
+    """Whether a theodolite sees the target at a moment, and none of those before it does."""
+    return seen_by[number].sees(time_ns) and not any(before.sees(time_ns) for before in seen_by[:number])
 
 
 def placed_at(time_ns: int, seen_by: Sequence[SeenByStation], config: PlacingConfig) -> PlacedTarget:

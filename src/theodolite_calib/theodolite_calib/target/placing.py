@@ -3,6 +3,11 @@
 Each direction is answered once: where its theodolite leads (:mod:`theodolite_calib.target.common_moments`) by a place
 at its stamp, or by none, with the reason. It waits until the other theodolites that tell of the target have told of
 that moment, for ``lag_s`` at most. The places of one target are put out in the order of their stamps.
+
+A theodolite that has told of a moment is taken to have told of all before it: where its messages overtake one another,
+the older one may come after the place of its time, and is refused as LATE. To wait the whole ``lag_s`` for each would
+make every place that late. Star sensors are joined by the same rule
+(:class:`ship_attitude_star.star_attitude.core.JointWindow`).
 """
 
 from dataclasses import dataclass, field
@@ -18,7 +23,8 @@ from theodolite_calib.target.config import TriangulationConfig
 from theodolite_calib.target.triangulation import Station, TriangulatedPlace
 
 MOST_TARGETS = 100
-"""Targets that are followed at a time: their names come from outside."""
+"""Targets that are followed at a time: their names come from outside. Of more, the one heard of longest ago is
+forgotten, and its directions that wait get no place."""
 
 MOST_WAITING = 1000
 """Directions to one target that wait at a time; of a flood the oldest are answered by what is there."""
@@ -64,7 +70,8 @@ class _Target:
         told_ns: up to which stamp each theodolite has told of it, be it that it claims nothing; 0 for never.
         heard_ns: the time of waiting at which each did so last.
         waiting: (stamp, number of the theodolite) of each direction that is not answered → when it came.
-        done_ns: the last stamp that was answered.
+        done_ns: the last stamp that was answered, of it or of a target that was forgotten before it was heard of: that
+            may have been the same one.
     """
 
     seen_by: list[SeenByStation]
@@ -83,6 +90,7 @@ class TriangulationCore:
 
     def __init__(self, config: TriangulationConfig) -> None:
         self.config = config
+        self._lag_ns = round(config.lag_s * SECOND_NS)
         self._stations: list[Station] = [config.stations[name].station(name) for name in sorted(config.stations)]
         self._numbers = {f"station.{station.name}": number for number, station in enumerate(self._stations)}
         self.reset()
@@ -90,6 +98,7 @@ class TriangulationCore:
     def reset(self, clock_jumped: bool = False) -> list[str]:
         """Forget all directions."""
         self._targets: dict[str, _Target] = {}
+        self._forgotten_ns = 0
         self._contradictions = Contradictions()
         return []
 
@@ -100,7 +109,7 @@ class TriangulationCore:
     def add_direction(self, sample: DirectionSample, waiting_ns: int) -> PlacingOutcome:
         """A direction of one theodolite to one target, or that it claims none."""
         outcome = PlacingOutcome()
-        target, number = self._target(sample.target_id), self._numbers[sample.source]
+        target, number = self._target(sample.target_id, outcome), self._numbers[sample.source]
         target.told_ns[number] = max(target.told_ns[number], sample.time_ns)
         target.heard_ns[number] = waiting_ns
         outcome.refusal = self._take(target, number, sample, waiting_ns)
@@ -114,21 +123,29 @@ class TriangulationCore:
             self._answer(target_id, target, waiting_ns, outcome)
         return outcome
 
-    def _target(self, target_id: str) -> _Target:
-        """What is known of a target, now the one heard of last; of too many the one heard of first is forgotten."""
+    def _target(self, target_id: str, outcome: PlacingOutcome) -> _Target:
+        """What is known of a target, now the one heard of last; where it is one too many another one is forgotten."""
         target = self._targets.pop(target_id, None)
         if target is None:
-            seen_by = [SeenByStation(station, self.config.max_gap_s) for station in self._stations]
-            target = _Target(seen_by, [0] * len(seen_by), [0] * len(seen_by))
             if len(self._targets) >= MOST_TARGETS:
-                del self._targets[next(iter(self._targets))]
+                self._forget(next(iter(self._targets)), outcome)
+            seen_by = [SeenByStation(station, self.config.max_gap_s) for station in self._stations]
+            target = _Target(seen_by, [0] * len(seen_by), [0] * len(seen_by), done_ns=self._forgotten_ns)
         self._targets[target_id] = target
         return target
 
+    def _forget(self, target_id: str, outcome: PlacingOutcome) -> None:
+        """Forget a target; its directions that wait are answered, and no later place of it is stamped before them."""
+        target = self._targets.pop(target_id)
+        refusal = Refusal(Reason.OVERFLOW, f"more than {MOST_TARGETS} targets: '{target_id}' is forgotten")
+        for time_ns, number in sorted(target.waiting):
+            target.done_ns = time_ns
+            if leads(number, time_ns, target.seen_by):
+                outcome.estimates.append(_no_place(target_id, time_ns, (), None, refusal))
+        self._forgotten_ns = max(self._forgotten_ns, target.done_ns)
+
     def _take(self, target: _Target, number: int, sample: DirectionSample, waiting_ns: int) -> Refusal | None:
-        if sample.status is Status.INVALID:
-            return Refusal(Reason.GAP, "the theodolite itself says INVALID")
-        track = target.seen_by[number].track
+        track, key = target.seen_by[number].track, (sample.time_ns, number)
         known = track.get(sample.time_ns)
         refusal = None
         if known is not None:
@@ -136,10 +153,18 @@ class TriangulationCore:
             self._contradictions.note(sample.source, sample.time_ns, refusal)
             if not takes_its_place:
                 return refusal
+        if sample.status is Status.INVALID:
+            track.insert(sample)
+            target.waiting.pop(key, None)
+            # No place is asked for at its stamp, with which old ones would be forgotten.
+            oldest_ns = min([time_ns for time_ns, _ in target.waiting], default=sample.time_ns)
+            track.drop_before(min(oldest_ns, sample.time_ns - self._lag_ns))
+            return refusal or Refusal(Reason.GAP, "the theodolite itself says INVALID")
         if sample.time_ns <= target.done_ns:
-            return refusal or Refusal(Reason.LATE, "the places of its time were put out before it came")
+            text = "the places of its time were put out, or its target forgotten, before it came"
+            return refusal or Refusal(Reason.LATE, text)
         track.insert(sample)
-        target.waiting.setdefault((sample.time_ns, number), waiting_ns)
+        target.waiting.setdefault(key, waiting_ns)
         return refusal
 
     def _answer(self, target_id: str, target: _Target, waiting_ns: int, outcome: PlacingOutcome) -> None:
@@ -157,7 +182,7 @@ class TriangulationCore:
 
     def _waits(self, target: _Target, time_ns: int, came_ns: int, waiting_ns: int) -> bool:
         """Whether a theodolite that tells of the target may still tell of a moment."""
-        lag_ns = round(self.config.lag_s * SECOND_NS)
+        lag_ns = self._lag_ns
         if waiting_ns - came_ns > lag_ns:
             return False
         return any(

@@ -24,6 +24,9 @@ _STEPS = 20
 _SMALL_STEP_M = 1e-5
 _LEAST_ANGLE = 1e-4
 """Directions that are parallel within this, rad, meet nowhere: the place would be known to a ten thousandth at best."""
+_WORST_DISTANCE = 0.15
+"""Standard deviation of a distance over it: beyond, the place is no longer normally distributed as its covariance says,
+for its distance goes as one over the angle between the lines of sight, which is too uncertain."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +103,8 @@ def triangulated(
 
     Returns:
         The place, with a refusal in it where the directions do not fit one another; or the refusal where they give no
-        place at all: fewer than two, parallel ones, or lines that meet behind a theodolite.
+        place at all: fewer than two, parallel ones, lines that meet behind a theodolite, or so nearly parallel ones
+        that they do not tell how far the place is.
     """
     if len(directions) < 2:
         return Refusal(Reason.GAP, f"{len(directions)} theodolite sees the target: a place takes two or more")
@@ -125,6 +129,9 @@ def triangulated(
         found = found + step_n
         if np.linalg.norm(step_n) < _SMALL_STEP_M:
             break
+    unknown = _unknown_distance(lines, found, covariance_n)
+    if unknown is not None:
+        return unknown
     residual, _, noise = _compared(lines, found, air)
     chi_square = float(residual @ np.linalg.solve(noise, residual))
     gate = chi_square_gate(gate_probability, len(residual) - 3)
@@ -171,8 +178,10 @@ class _Line:
         # Raised by k h / (2 R) with h the horizontal distance: that is k d / (2 R) times Up, across the line.
         per_k = distance_m / (2.0 * EARTH_RADIUS_M) * self.up_n
         raised_n = path_n / distance_m + coefficient * per_k
-        by_path_n = unit_vector_jacobian(path_n)
-        return raised_n / np.linalg.norm(raised_n), by_path_n, unit_vector_jacobian(raised_n) @ per_k
+        more_raised_n = coefficient / (2.0 * EARTH_RADIUS_M) * np.outer(self.up_n, path_n / distance_m)
+        by_raised_n = unit_vector_jacobian(raised_n)
+        by_path_n = by_raised_n @ (unit_vector_jacobian(path_n) + more_raised_n)
+        return raised_n / np.linalg.norm(raised_n), by_path_n, by_raised_n @ per_k
 
 
 def _nearest(lines: Sequence[_Line]) -> FloatArray | None:
@@ -183,6 +192,20 @@ def _nearest(lines: Sequence[_Line]) -> FloatArray | None:
         return None
     nearest: FloatArray = np.linalg.solve(normal, sum(line.across.T @ line.across @ line.foot_n for line in lines))
     return nearest
+
+
+def _unknown_distance(lines: Sequence[_Line], place_n: FloatArray, covariance_n: FloatArray) -> Refusal | None:
+    """Why a place is not told, where its distance from a theodolite is hardly known; None where it is."""
+    for line in lines:
+        path_n = place_n - line.foot_n
+        distance_m = float(np.linalg.norm(path_n))
+        variance_m2 = float(path_n @ covariance_n @ path_n) / distance_m**2
+        if not variance_m2 <= (_WORST_DISTANCE * distance_m) ** 2:
+            sigma_m = float(np.sqrt(variance_m2)) if variance_m2 >= 0.0 else float("nan")
+            text = f"the distance from {line.name}, {distance_m:.3g} m, is told to {sigma_m:.2g} m (1 sigma), "
+            text += f"{_WORST_DISTANCE:g} of it at most: set the theodolites further apart, or measure a range"
+            return Refusal(Reason.GATE, text)
+    return None
 
 
 def _compared(lines: Sequence[_Line], place_n: FloatArray, air: Air) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -17,7 +17,7 @@ from theodolite_calib.triangulation.config import RecordedTriangulationConfig
 
 
 def read_directions(folder: Path, config: RecordedTriangulationConfig, target_id: str) -> list[SeenByStation]:
-    """What each theodolite recorded of a target; a direction that claims nothing, or cannot be used, is left out.
+    """What each theodolite recorded of a target; a direction that cannot be used is left out.
 
     Of two with one stamp the first counts.
 
@@ -60,9 +60,9 @@ def _recorded(path: Path, topic: str, station: str, target_id: str) -> list[Dire
                 continue
             if sample.target_id != target_id:
                 others.add(sample.target_id)
-            elif sample.status is not Status.INVALID:
+            else:
                 found.append(sample)
-    if not found:
+    if all(sample.status is Status.INVALID for sample in found):
         there = ", ".join(sorted(others)) or "none"
         raise BadInput(f"topic '{topic}' has no direction of target '{target_id}' (other targets: {there})", file=path)
     return found
