@@ -9,8 +9,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from scipy import sparse
-from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
 from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMeasurement
@@ -20,6 +18,7 @@ from ship_estimation.parameters import build
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC
+from ship_testing.sparse_least_squares import covariance_of, solved
 
 START_NS, SECOND_NS = 1_700_000_000_000_000_000, 1_000_000_000
 DURATION_S, INS_PERIOD_S = 24.0, 0.02
@@ -158,38 +157,11 @@ def batch_rows(batch: Batch, asked_ms: list[int]) -> list[tuple]:
     return rows
 
 
-def solved(batch: Batch, rows: list[tuple]) -> tuple[np.ndarray, object]:
-    """The unknowns by Gauss-Newton, and the factors of their information matrix."""
-    unknowns = np.zeros(batch.size)
-    for _ in range(4):
-        values, blocks, first = [], [], 0
-        for used, residual in rows:
-            at = [unknowns[one] for one in used]
-            value = residual(*at)
-            values.append(value)
-            for number, one in enumerate(used):
-                for column in range(one.start, one.stop):
-                    step = 1e-5 if one == batch.places["clock", 0] else 1e-6
-                    ends = []
-                    for sign in (step, -step):
-                        moved = [part.copy() for part in at]
-                        moved[number][column - one.start] += sign
-                        ends.append(residual(*moved))
-                    slope = (ends[0] - ends[1]) / (2 * step)
-                    blocks += [(first + row, column, slope[row]) for row in np.flatnonzero(slope)]
-            first += len(value)
-        row, column, slope = zip(*blocks, strict=True)
-        jacobian = sparse.csc_matrix((slope, (row, column)), shape=(first, batch.size))
-        factors = splu((jacobian.T @ jacobian).tocsc())
-        unknowns = unknowns - factors.solve(jacobian.T @ np.concatenate(values))
-    return unknowns, factors
-
-
-def covariance_of(factors: object, batch: Batch, parts: list[slice]) -> np.ndarray:
-    places = np.concatenate([np.arange(part.start, part.stop) for part in parts])
-    unit = np.zeros((batch.size, len(places)))
-    unit[places, np.arange(len(places))] = 1.0
-    return factors.solve(unit)[places]
+def steps_of(batch: Batch) -> np.ndarray:
+    """For the differences: 10 µs for the clock, 1e-6 for angles."""
+    steps = np.full(batch.size, 1e-6)
+    steps[batch.places["clock", 0]] = 1e-5
+    return steps
 
 
 @pytest.fixture(scope="module")
@@ -197,7 +169,7 @@ def both() -> tuple:
     core, smoothed = smoothed_run()
     asked_ms = [round((one.time_ns - START_NS) / 1e6) for one in smoothed]
     batch = Batch()
-    return core, smoothed, asked_ms, batch, *solved(batch, batch_rows(batch, asked_ms))
+    return core, smoothed, asked_ms, batch, *solved(batch_rows(batch, asked_ms), steps_of(batch))
 
 
 def test_smoothing_is_batch_least_squares(both: tuple) -> None:
@@ -211,7 +183,7 @@ def test_smoothing_is_batch_least_squares(both: tuple) -> None:
         rotation_nd = turned(slow) @ ins_nd(ms / 1000.0 - clock_s[0])
         by_clock = -(rotation_nd @ rate_d(ms / 1000.0 - clock_s[0]))
         jacobian = np.hstack([np.eye(3), by_clock[:, None]])
-        expected = jacobian @ covariance_of(factors, batch, parts) @ jacobian.T + WHITE**2 * np.eye(3)
+        expected = jacobian @ covariance_of(factors, batch.size, parts) @ jacobian.T + WHITE**2 * np.eye(3)
         sigma = np.sqrt(expected.diagonal())
         apart = Rotation.from_matrix(one.rotation_nd @ rotation_nd.T).as_rotvec()
         worst_mean = max(worst_mean, np.max(np.abs(apart) / sigma))
@@ -230,7 +202,7 @@ def test_the_filters_covariance_is_the_inverse_of_the_information_matrix(both: t
     parts = [batch.places[key] for key in (("slow", last_ms), ("clock", 0), ("fore", 0), ("starboard", 0))]
     names = ("ins.attitude", "ins.time_offset", "star.fore.installation", "star.starboard.installation")
     rows = np.concatenate([model.rows(name) for name in names])
-    expected = covariance_of(factors, batch, parts)
+    expected = covariance_of(factors, batch.size, parts)
     sigma = np.sqrt(expected.diagonal())
     both_sigmas = np.outer(sigma, sigma)
     mean, found = np.concatenate([unknowns[part] for part in parts]), state.covariance[np.ix_(rows, rows)]

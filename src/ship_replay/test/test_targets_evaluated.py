@@ -77,6 +77,8 @@ def test_errors_are_those_by_hand(bag: Path) -> None:
     values = evaluate(bag).flat()
     expected = {
         "target.buoy.samples": 2,
+        # INVALID at 2 s, and no answer at 3 s.
+        "target.buoy.not_claimed": 2,
         # 4" and 0" east, 0" and 2" up: per axis the root of (16 + 4) / 4.
         "target.buoy.direction.rms_arcsec": np.sqrt(5.0),
         "target.buoy.direction.sigma_arcsec": 2.0,
@@ -94,8 +96,10 @@ def test_errors_are_those_by_hand(bag: Path) -> None:
 
 def test_what_is_skipped_is_left_out_with_its_target(bag: Path) -> None:
     values = evaluate(bag, skip_s=1.5).flat()
-    assert "target.buoy.samples" not in values
-    assert values["target.kite.samples"] == 1
+    # Of the buoy nothing was claimed since: that is told, and no statistics of it.
+    assert (values["target.buoy.samples"], values["target.buoy.not_claimed"]) == (0, 2)
+    assert "target.buoy.direction.rms_arcsec" not in values
+    assert (values["target.kite.samples"], values["target.kite.not_claimed"]) == (1, 1)
 
 
 def test_the_command_shows_them_in_a_table_and_in_json(bag: Path, tmp_path: Path, capsys) -> None:

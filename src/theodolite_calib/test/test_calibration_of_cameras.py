@@ -109,7 +109,8 @@ def test_of_a_camera_that_is_gone_nothing_is_used() -> None:
     settings = replace(mount_config(1.0), telescopes={})
     filter_ = CalibrationFilter(settings)
     state, (message,) = state_from_prior(filter_, settings, saved(mount_config(1.0)), NOW_NS)
-    assert message == f"saved calibration of camera '{CAMERA_ID}' is not used: it is not configured here"
+    why = "no camera of that name has angles of its own here"
+    assert message == f"saved calibration of camera '{CAMERA_ID}' is not used: {why}"
     assert state.mean[filter_.model.rows("axes")[2]] == pytest.approx(3.0 * ARCSEC)
 
 

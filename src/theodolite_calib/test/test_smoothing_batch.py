@@ -9,12 +9,11 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from scipy import sparse
-from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
 from ship_estimation.parameters import build
 from ship_geometry.rotations import ARCSEC
+from ship_testing.sparse_least_squares import covariance_of, solved
 from theodolite_calib.chain.axes import NAMES
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.measured.samples import (
@@ -221,47 +220,20 @@ def batch() -> Batch:
     return built
 
 
-def solved(built: Batch) -> tuple[np.ndarray, object]:
-    """The unknowns by Gauss-Newton, and the factors of their information matrix."""
-    unknowns, metres = np.zeros(built.size), np.zeros(built.size, dtype=bool)
+def steps_of(built: Batch) -> np.ndarray:
+    """For the differences: a millimetre for lengths, 1e-7 for angles."""
+    metres = np.zeros(built.size, dtype=bool)
     for (name, _), place in built.places.items():
         metres[place] = name.startswith(("bias", "rtk"))
     steps = np.where(metres, 1e-3, 1e-7)
     steps[built.places["focal", 0]] = 1e-8
-    for _ in range(4):
-        values, blocks, first = [], [], 0
-        for used, residual in built.rows:
-            at = [unknowns[one] for one in used]
-            value = residual(*at)
-            values.append(value)
-            for number, one in enumerate(used):
-                for column in range(one.start, one.stop):
-                    ends = []
-                    for sign in (steps[column], -steps[column]):
-                        moved = [part.copy() for part in at]
-                        moved[number][column - one.start] += sign
-                        ends.append(residual(*moved))
-                    slope = (ends[0] - ends[1]) / (2 * steps[column])
-                    blocks += [(first + row, column, slope[row]) for row in np.flatnonzero(slope)]
-            first += len(value)
-        row, column, slope = zip(*blocks, strict=True)
-        jacobian = sparse.csc_matrix((slope, (row, column)), shape=(first, built.size))
-        factors = splu((jacobian.T @ jacobian).tocsc())
-        unknowns = unknowns - factors.solve(jacobian.T @ np.concatenate(values))
-    return unknowns, factors
-
-
-def covariance_of(factors: object, size: int, parts: list[slice]) -> np.ndarray:
-    places = np.concatenate([np.arange(part.start, part.stop) for part in parts])
-    unit = np.zeros((size, len(places)))
-    unit[places, np.arange(len(places))] = 1.0
-    return factors.solve(unit)[places]
+    return steps
 
 
 @pytest.fixture(scope="module")
 def both() -> tuple:
     built = batch()
-    return *smoothed_run(), built, *solved(built)
+    return *smoothed_run(), built, *solved(built.rows, steps_of(built))
 
 
 def test_smoothed_pointings_are_batch_least_squares(both: tuple) -> None:

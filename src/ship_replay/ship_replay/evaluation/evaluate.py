@@ -30,7 +30,7 @@ from theodolite_calib.ros.pointing_messages import SMOOTHED_POINTING_TOPIC
 
 Config = TypeVar("Config")
 
-_INNOVATION_TOPICS = ("ship/innovation", "theodolite/innovation")
+_INNOVATION_TOPICS = ("ship/innovation", "theodolite/innovation", "target/innovation")
 _ESTIMATES = {"ship/alignment": "alignment", "theodolite/calibration": "calibration"}
 """Topics of what filters estimate besides → what it is called here."""
 _RESULTS = (*_INNOVATION_TOPICS, *_ESTIMATES)

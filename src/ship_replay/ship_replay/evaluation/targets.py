@@ -1,6 +1,7 @@
 """Directions and places of targets against the truth, target by target.
 
-The error of a direction is across it, two numbers, that of a place three; each is held against its own covariance.
+The error of a direction is across it, two numbers, that of a place three; each is held against its own covariance. A
+target of the truth of which nothing is claimed is told too, with the number of times that it was not.
 """
 
 from dataclasses import dataclass, field
@@ -16,10 +17,11 @@ TARGET_DIRECTION, TARGET_TRUTH = "theodolite/target_direction", "truth/target_di
 
 @dataclass
 class TargetErrors:
-    """Errors of one target's directions and places, one for each stamp of the truth that was answered.
+    """Errors of one target's directions and places, one for each stamp of the truth at which a direction was claimed.
 
     Attributes:
-        time_ns: stamps.
+        claimed_nothing_ns: stamps of the truth at which the answer was INVALID, or there was none.
+        time_ns: stamps at which a direction was claimed.
         across_arcsec: estimate minus truth across the true direction, shape (2,) each.
         sigma_arcsec: predicted, root mean square of the two.
         nees: normalised error squared of the direction (2 degrees of freedom).
@@ -28,6 +30,7 @@ class TargetErrors:
         place_nees: normalised error squared of the place (3 degrees of freedom).
     """
 
+    claimed_nothing_ns: list[int] = field(default_factory=list)
     time_ns: list[int] = field(default_factory=list)
     across_arcsec: list[FloatArray] = field(default_factory=list)
     sigma_arcsec: list[float] = field(default_factory=list)
@@ -39,12 +42,16 @@ class TargetErrors:
     def since(self, start_ns: int) -> "TargetErrors":
         """The errors stamped at or after a time."""
         kept = [row for row, time_ns in enumerate(self.time_ns) if time_ns >= start_ns]
-        return TargetErrors(*([values[row] for row in kept] for values in vars(self).values()))
+        of_nothing = [time_ns for time_ns in self.claimed_nothing_ns if time_ns >= start_ns]
+        _, *columns = vars(self).values()
+        return TargetErrors(of_nothing, *([values[row] for row in kept] for values in columns))
 
     def statistics(self) -> dict[str, float]:
-        """Quantity → value; of places only where some were told."""
-        values = {
-            "samples": float(len(self.time_ns)),
+        """Quantity → value; of directions and of places only where some were told."""
+        values = {"samples": float(len(self.time_ns)), "not_claimed": float(len(self.claimed_nothing_ns))}
+        if not self.time_ns:
+            return values
+        values |= {
             "direction.rms_arcsec": _rms(np.linalg.norm(self.across_arcsec, axis=-1) / np.sqrt(2.0)),
             "direction.sigma_arcsec": _rms(self.sigma_arcsec),
             "direction.nees_mean": float(np.mean(self.nees)),
@@ -66,11 +73,16 @@ class TargetDirections:
     def __init__(self) -> None:
         self._truths: dict[tuple[str, int], Any] = {}
         self._errors: dict[str, TargetErrors] = {}
+        self._claimed: set[tuple[str, int]] = set()
 
     def since(self, start_ns: int) -> dict[str, TargetErrors]:
-        """The errors stamped at or after a time, by target_id; of targets that have any."""
-        found = {target_id: self._errors[target_id].since(start_ns) for target_id in sorted(self._errors)}
-        return {target_id: errors for target_id, errors in found.items() if errors.time_ns}
+        """The errors stamped at or after a time, by target_id; of all targets that the truth tells of then."""
+        errors = {target_id: TargetErrors() for target_id, _ in sorted(self._truths)} | self._errors
+        for target_id, time_ns in sorted(self._truths):
+            if (target_id, time_ns) not in self._claimed:
+                errors[target_id].claimed_nothing_ns.append(time_ns)
+        found = {target_id: of_target.since(start_ns) for target_id, of_target in errors.items()}
+        return {target_id: one for target_id, one in found.items() if one.time_ns or one.claimed_nothing_ns}
 
     def __len__(self) -> int:
         return len(self._truths)
@@ -85,6 +97,7 @@ class TargetDirections:
         truth = self._truths.get((message.target_id, time_ns))
         if truth is None or message.status == message.INVALID:
             return
+        self._claimed.add((message.target_id, time_ns))
         across = np.linalg.svd(_vector(truth.direction)[None])[2][1:]
         error = across @ (_vector(message.direction) - _vector(truth.direction))
         covariance = across @ np.reshape(message.direction_covariance, (3, 3)) @ across.T

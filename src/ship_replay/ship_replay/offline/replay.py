@@ -75,7 +75,11 @@ def replay(
                 run.take(relative_names[record.topic], record)
             if bag.last_time_ns is None or bag.start_ns is None:
                 told = "".join(f"; {problem}" for problem in bag.problems)
-                raise BadInput(f"no message of {', '.join(sorted(relative_names))} could be read{told}", file=bag_path)
+                looked_for = sorted(relative_names) or sorted({topic.topic for topic in chain.inputs})
+                text = f"no message of {', '.join(looked_for)} could be read{told}"
+                if not relative_names:
+                    text += "; where the bag has them in a namespace, name it (--namespace)"
+                raise BadInput(text, file=bag_path)
             run.finish()
         last_ns = bag.last_time_ns if run.last_time_ns is None else run.last_time_ns
         for adapter in chain.adapters:

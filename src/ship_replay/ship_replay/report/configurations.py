@@ -4,17 +4,13 @@ import difflib
 from dataclasses import dataclass
 from typing import Any
 
-from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_estimation.parameters import flatten
 from ship_replay.evaluation.evaluate import named_config
+from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.report.night import Night
-from theodolite_calib.config import OpticalAxisConfig
 
-_NODES = {
-    "ship_attitude": ShipAttitudeConfig, "star_attitude": StarAttitudeConfig, "optical_axis": OpticalAxisConfig
-}
+_NODES = {kind.node_name: kind.config_type for kind in ADAPTERS}
 _TEXTS = (".yaml", ".yml")
 
 

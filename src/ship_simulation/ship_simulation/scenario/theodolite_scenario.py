@@ -141,7 +141,7 @@ class MainDetector:
     focal_length_m: float = parameter(
         0.0, doc="of the main tube, as known; 0: there is no main detector", unit="m", minimum=0.0, maximum=100.0
     )
-    focal_length_sigma_m: float = parameter(0.0, doc="its error", unit="m", minimum=0.0, maximum=1.0)
+    focal_length_sigma_m: float = parameter(0.0, doc="its error", unit="m", minimum=0.0, maximum=0.1)
     principal_x_m: float = parameter(
         0.0, doc="detector point of the main axis, along right, as known", unit="m", minimum=-0.5, maximum=0.5
     )

@@ -13,7 +13,15 @@ from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_simulation.draws.noise import SlowError, outside, random_stream
 from ship_simulation.draws.stretch import Draws
 from ship_simulation.scenario.scenario import Scenario
-from ship_simulation.scenario.theodolite_scenario import Axes, Beacon, Lever, Telescope, Theodolite, UntoldVector
+from ship_simulation.scenario.theodolite_scenario import (
+    Axes,
+    Beacon,
+    Lever,
+    Target,
+    Telescope,
+    Theodolite,
+    UntoldVector,
+)
 from ship_simulation.ship.motion import Carrier
 from ship_simulation.theodolite.flight import Aim, FlightPath, direction, flight_path, swaying
 from theodolite_calib.chain.axes import NAMES, AxisErrors, encoder_angles, main_axis_rotation
@@ -92,27 +100,38 @@ def _draw_axis_errors(axes: Axes, seed: int) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class TrueLight:
-    """A drone with its light.
+class SeenBody:
+    """What the theodolite looks at.
 
     Attributes:
         config: its part of the scenario.
-        path: of its antenna, from the crossing of the theodolite's axes.
-        attitude: of the drone (nose, up, right).
-        lever_b: from its antenna to its light, in its own axes, m, shape (3,).
-        refraction: difference of k on the way to this light, one process.
+        path: its way, from the crossing of the theodolite's axes.
+        refraction: difference of k on the way to it, one process.
     """
 
-    config: Beacon
+    config: Beacon | Target
     path: FlightPath
-    attitude: Carrier
-    lever_b: FloatArray
     refraction: SlowError
 
     def shows(self, t_s: FloatArray) -> np.ndarray:
-        """Whether the light is there and not hidden, shape (k,)."""
+        """Whether it is there and not hidden, shape (k,)."""
         shown: np.ndarray = (t_s < self.config.leaves_s) & outside(t_s, self.config.hidden)
         return shown
+
+
+@dataclass(frozen=True)
+class TrueLight(SeenBody):
+    """A drone with its light; ``path`` is that of its antenna.
+
+    Attributes:
+        config: its part of the scenario.
+        attitude: of the drone (nose, up, right).
+        lever_b: from its antenna to its light, in its own axes, m, shape (3,).
+    """
+
+    config: Beacon
+    attitude: Carrier
+    lever_b: FloatArray
 
 
 @dataclass(frozen=True)

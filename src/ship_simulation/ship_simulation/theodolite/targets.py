@@ -12,33 +12,20 @@ import numpy as np
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, wrap_pi
 from ship_geometry.time_scales import SECOND_NS
-from ship_simulation.draws.noise import SlowError, arrival_times, centroids, exposure_times, outside, random_stream
+from ship_simulation.draws.noise import arrival_times, centroids, exposure_times, random_stream
 from ship_simulation.draws.stretch import Draws, Stretch
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.theodolite_scenario import MainDetector, Target
-from ship_simulation.theodolite.flight import FlightPath, flight_path
-from ship_simulation.theodolite.scene import Scene, raised
+from ship_simulation.theodolite.flight import flight_path
+from ship_simulation.theodolite.scene import Scene, SeenBody, raised
 from theodolite_calib.lights.image import Camera
 
 
 @dataclass(frozen=True)
-class TrueTarget:
-    """A target.
-
-    Attributes:
-        config: its part of the scenario.
-        path: its way, from the crossing of the theodolite's axes.
-        refraction: difference of k on the way to it, one process.
-    """
+class TrueTarget(SeenBody):
+    """A target; its part of the scenario is ``config``."""
 
     config: Target
-    path: FlightPath
-    refraction: SlowError
-
-    def shows(self, t_s: FloatArray) -> np.ndarray:
-        """Whether the target is there and not hidden, shape (k,)."""
-        shown: np.ndarray = (t_s < self.config.leaves_s) & outside(t_s, self.config.hidden)
-        return shown
 
 
 @dataclass(frozen=True)
@@ -92,21 +79,22 @@ def see_targets(
     time_ns = stretch.stamps(config.rate_hz, config.phase_s)
     t_s = (time_ns - stretch.start_ns) / SECOND_NS
     told = np.deg2rad(config.rotation_deg + config.rotation_rate_deg_per_s * t_s)
-    noise = draws.stream("theodolite.target.detection").standard_normal((time_ns.size, len(targets), 2))
-    range_noise = draws.stream("theodolite.target.range").standard_normal((time_ns.size, len(targets)))
+    # Each target has a stream of its own: a further one changes nothing of the others.
+    drawn = [draws.stream(f"target.{key}.image").standard_normal((time_ns.size, 3)) for key in targets]
+    noise = np.stack(drawn, axis=1) if drawn else np.empty((time_ns.size, 0, 3))
     times = exposure_times(config.exposure_s)
     camera, rotation_error = _true_detector(config, draws.seed)
     way_m = np.array([
         _points(camera, scene, targets, t_s + t, told + rotation_error) for t in times.since_middle_s
     ])  # fmt: skip
     # What the spread of a streak does to its centroid is in sigma_m: the main detector tells no more of it.
-    point_m = centroids(times, way_m, np.inf, config.sigma_m, noise)
+    point_m = centroids(times, way_m, np.inf, config.sigma_m, noise[..., :2])
     on_detector = np.all(np.abs(point_m) <= 0.5 * np.array([config.width_m, config.height_m]), axis=-1)
     shown = _of_each(targets, lambda one: one.shows(t_s), (t_s.size, 0))
     exposure, target = np.nonzero(on_detector & shown.astype(bool))
     paths_n = _of_each(targets, lambda one: one.path(t_s), (t_s.size, 0, 3))
     range_sigma_m = np.array([one.config.range_sigma_m or np.nan for one in targets.values()])
-    range_m = np.linalg.norm(paths_n, axis=-1) + range_sigma_m * range_noise
+    range_m = np.linalg.norm(paths_n, axis=-1) + range_sigma_m * noise[..., 2]
     lever_n = scene.carrier.attitude(t_s) @ scene.theodolite.lever_d
     arrival = draws.stream("theodolite.target.arrival")
     return TargetSamples(

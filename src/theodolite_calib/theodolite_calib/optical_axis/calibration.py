@@ -247,7 +247,7 @@ def _reason_against_camera(
     for place in np.flatnonzero(of_camera):
         one = saved.get(prior.names[place])
         if one is None:
-            return "it is not configured here"
+            return "no camera of that name has angles of its own here"
         sigma = np.sqrt(prior.covariance[place, place] + initial.covariance[one.row, one.row])
         off = abs(one.beyond(prior.values[place]))
         if not off <= _MOVED * sigma:

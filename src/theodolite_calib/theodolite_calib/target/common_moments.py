@@ -111,7 +111,7 @@ class PlacedTarget:
 
 
 def leads(number: int, time_ns: int, seen_by: Sequence[SeenByStation]) -> bool:
-    """Whether a theodolite sees the target at a moment, and none of those before it does."""
+    """Whether a theodolite sees the target at a moment, and none of those before it in ``seen_by`` does."""
     return seen_by[number].sees(time_ns) and not any(before.sees(time_ns) for before in seen_by[:number])
 
 

@@ -35,7 +35,7 @@ class PositionConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class StationPlaceConfig(PositionConfig):
-    """Where a theodolite stands: its centre, and how well that is known."""
+    """Where a theodolite stands: its centre, and how well that is known. It stands still on the Earth."""
 
     sigma_m: float = parameter(0.05, doc="error of the place, each axis", unit="m", minimum=0.0, maximum=1000.0)
 
@@ -84,7 +84,7 @@ class LiveStationConfig(StationPlaceConfig):
 class TriangulationConfig(PlacingConfig):
     """All parameters of the node ``triangulation``."""
 
-    stations: dict[str, LiveStationConfig] = mapping_of("theodolites by name, two or more")
+    stations: dict[str, LiveStationConfig] = mapping_of("theodolites that stand still on the Earth, by name")
     lag_s: float = parameter(
         2.0,
         doc="a theodolite that has told of the target is waited for so long; one silent for longer is not",

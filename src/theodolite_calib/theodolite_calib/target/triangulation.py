@@ -6,6 +6,9 @@ raised by the air, k · (horizontal distance) / (2 R), as :mod:`theodolite_calib
 
 The errors of the theodolites' directions and places are taken as independent of one another, that of k as common to
 all. Theodolites that share one attitude of a ship share its error, which no residual shows.
+
+The theodolites stand still on the Earth. On a ship under way their places are others at each moment: she carries all of
+them along, and no residual shows that.
 """
 
 from collections.abc import Sequence

@@ -12,7 +12,6 @@ from theodolite_calib.ros.direction_messages_in import direction
 from theodolite_calib.ros.target_messages import TARGET_TYPE
 from theodolite_calib.target.common_moments import DirectionSample, PlacedTarget, SeenByStation, leads, placed_at
 from theodolite_calib.target.config import PlacingConfig
-from theodolite_calib.target.triangulation import TriangulatedPlace
 from theodolite_calib.triangulation.config import RecordedTriangulationConfig
 
 
@@ -34,16 +33,12 @@ def read_directions(folder: Path, config: RecordedTriangulationConfig, target_id
     return recorded
 
 
-def placed_targets(
-    config: PlacingConfig, recorded: Sequence[SeenByStation]
-) -> Iterator[tuple[PlacedTarget, TriangulatedPlace]]:
-    """The target at each stamp of a theodolite that leads there, where another one sees it too and gives a place."""
+def placed_targets(config: PlacingConfig, recorded: Sequence[SeenByStation]) -> Iterator[PlacedTarget]:
+    """The target at each stamp of a theodolite that leads there; where no other one sees it too there is no place."""
     stamps = [(time_ns, number) for number, seen in enumerate(recorded) for time_ns in seen.track.times_ns]
     for time_ns, number in sorted(stamps):
         if leads(number, time_ns, recorded):
-            placed = placed_at(time_ns, recorded, config)
-            if isinstance(placed.place, TriangulatedPlace):
-                yield placed, placed.place
+            yield placed_at(time_ns, recorded, config)
 
 
 def _recorded(path: Path, topic: str, station: str, target_id: str) -> list[DirectionSample]:

@@ -13,6 +13,7 @@ from ship_bags.output_files import add_force, check_file, write_csv
 from ship_bags.parameter_yaml import read_plain
 from ship_bags.stamps import utc_text
 from ship_estimation.parameters import ParameterError, build
+from ship_estimation.refusals import Refusal
 from theodolite_calib.target.common_moments import PlacedTarget
 from theodolite_calib.target.triangulation import TriangulatedPlace
 from theodolite_calib.triangulation.config import RecordedTriangulationConfig
@@ -64,11 +65,15 @@ def _run(options: argparse.Namespace) -> int:
     check_file(options.out, options.force)
     config = _configuration(options.stations)
     recorded = read_directions(options.stations.parent, config, options.target)
-    placed = list(placed_targets(config, recorded))
+    found = list(placed_targets(config, recorded))
+    placed = [(one, one.place) for one in found if isinstance(one.place, TriangulatedPlace)]
+    # Where one theodolite alone sees the target nothing is to be said.
+    refused = [one.place for one in found if isinstance(one.place, Refusal) and len(one.stations) > 1]
+    why = f", the first one because {refused[0].text}" if refused else ""
     if not placed:
         names = ", ".join(config.stations)
         text = f"no place of '{options.target}': at no stamp of any of {names} did another see it and meet it"
-        raise BadInput(f"{text} (max_gap_s = {config.max_gap_s:g})", file=options.stations)
+        raise BadInput(f"{text} (max_gap_s = {config.max_gap_s:g}){why}", file=options.stations)
     write_csv(options.out, COLUMNS, _rows(placed))
     misfits = sum(place.refusal is not None for _, place in placed)
     sigma_m = np.sqrt(np.median([np.trace(place.covariance_n) for _, place in placed]))
@@ -76,6 +81,8 @@ def _run(options: argparse.Namespace) -> int:
         f"{options.out}: {len(placed)} places of '{options.target}', error {sigma_m:.3g} m (1 sigma in space, median), "
         f"{misfits} whose directions do not fit one another\n"
     )
+    if refused:
+        sys.stdout.write(f"at {len(refused)} moments more the directions give no place{why}\n")
     return EXIT_BOUND_NOT_MET if misfits else EXIT_DONE
 
 
