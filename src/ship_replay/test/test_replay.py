@@ -21,8 +21,16 @@ from ship_node.edge.topics import InputTopic, OutputTopic
 from ship_replay.commands.replay import main
 from ship_replay.offline.replay import replay
 from ship_testing.hand_made_bags import FACTORY, PERIOD_NS, START_NS, imu, ship_attitude, write_imu_bag
+from theodolite_calib.ros.triangulation_adapter import TriangulationAdapter
 
 TICK_NS = 100_000_000
+TRIANGULATION = """/**/triangulation:
+  ros__parameters:
+    origin: {latitude_deg: 32.0, longitude_deg: 120.0, height_m: 20.0}
+    stations:
+      east: {latitude_deg: 32.0, longitude_deg: 120.0, height_m: 20.0}
+      west: {latitude_deg: 32.0, longitude_deg: 119.999, height_m: 20.0}
+"""
 SUITE = "/**/tiny:\n  ros__parameters:\n    error_arcsec: 2.0\n"
 
 
@@ -252,6 +260,16 @@ class TestBadInput:
             writer.add_topic("ins/imu", "sensor_msgs/msg/Imu", False)
             writer.write("compass", imu(START_NS), START_NS)
         self.refused(tmp_path, bag, r"in\.mcap: no message of ins/imu could be read$")
+
+    def test_inputs_that_may_be_missing_are_named_where_all_are(self, tmp_path):
+        """The bag is in a namespace that nobody named."""
+        bag = tmp_path / "in.mcap"
+        with BagWriter(bag) as writer:
+            writer.add_attachment("suite.yaml", TRIANGULATION)
+            writer.write("/fleet/west/theodolite/target_direction", imu(START_NS), START_NS)
+        told = r"no message of east/theodolite/target_direction, west/.* could be read; .*--namespace"
+        with pytest.raises(BadInput, match=told):
+            replay(bag, tmp_path / "out.mcap", (TriangulationAdapter,))
 
     def test_output_over_the_input(self, tmp_path):
         bag = write_imu_bag(tmp_path / "in.mcap", 5, attachments=[("suite.yaml", SUITE)])

@@ -131,3 +131,17 @@ def test_one_theodolite_gives_no_place(tmp_path: Path, capsys) -> None:
     stations = described(tmp_path, 0)
     assert main([str(stations), "--target", "buoy", "--out", str(tmp_path / "places.csv")]) == 2
     assert "two theodolites or more" in capsys.readouterr().err
+
+
+def test_where_no_distance_is_told_the_reason_is(tmp_path: Path, capsys) -> None:
+    """The theodolites' own places are known to a kilometre: the distance of a buoy two kilometres off is not."""
+    path = described(tmp_path, 0, 0)
+    values = yaml.safe_load(path.read_text())
+    for station in values["stations"].values():
+        station["sigma_m"] = 1000.0
+    path.write_text(yaml.safe_dump(values))
+    assert main([str(path), "--target", "buoy", "--out", str(tmp_path / "places.csv")]) == 2
+    told = capsys.readouterr().err
+    assert "the first one because the distance from t0" in told
+    assert "set the theodolites further apart" in told
+    assert not (tmp_path / "places.csv").exists()
