@@ -13,7 +13,7 @@ from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.stars.camera import StarCamera
 from ship_attitude_star.stars.residuals import SOURCE_STAR_NOISE, star_residuals
-from ship_attitude_star.stars.spatial_errors import FIELD_MODES
+from ship_attitude_star.stars.spatial_errors import FIELD_MODES, SOURCE_PIXEL, SpatialErrors
 from ship_estimation.parameters import build
 from ship_estimation.refusals import Reason
 from ship_geometry.attitude_track import AttitudeSample
@@ -63,6 +63,36 @@ def with_field(exposure):
     config = build(ShipAttitudeConfig, {"star_sensors": sensors})
     spatial = config.star_sensors["fore"].camera.spatial_errors(StarCamera(**camera))
     return replace(exposure, spatial=spatial), ShipFilter(config)
+
+
+def test_the_pixels_errors_of_a_second_exposure_count_more_by_how_far_the_stars_have_gone(watch):
+    """Expected: coth d - 1 more, of stars that stand still to the bit the most that is allowed."""
+    exposure = exposure_of(watch, "fore", 4)
+    exposure = replace(exposure, spatial=SpatialErrors(StarCamera(0.05, 5.5e-6, 1023.5, 1023.5), 0.0, 0.2))
+    ship_filter = ShipFilter(CONFIG)
+    mean, alone = np.zeros(ship_filter.model.size), exposure.after(None)
+    again = exposure.after(alone.stay)
+    first, second = (residuals(ship_filter, watch, one, mean).noise[SOURCE_PIXEL] for one in (alone, again))
+    np.testing.assert_allclose(np.diagonal(first), np.repeat(exposure.pixel_sigma**2, 2))
+    np.testing.assert_allclose(second, 1000.0 * first)
+
+
+def test_a_filter_remembers_where_the_stars_of_a_sensor_were(watch):
+    camera = {"focal_length_m": 0.05, "pixel_pitch_m": 5.5e-6, "pixel_spatial_sigma_px": 0.2}
+    config = build(
+        ShipAttitudeConfig,
+        {"star_sensors": {"fore": {"input": "observations", **SENSORS["fore"], "camera": camera}}},
+    )
+    ship_filter, told = ShipFilter(config), config.star_sensors["fore"].camera
+    exposure = exposure_of(watch, "fore", 4)
+    exposure = replace(exposure, spatial=told.spatial_errors(told.camera("camera")))
+    state, first = ship_filter.step(ship_filter.initial_state(), exposure, ins_track(), watch)
+    later = replace(exposure, time_ns=TIME_NS + 50_000_000)
+    state, second = ship_filter.step(state, later, ins_track(), watch)
+    assert first.accepted
+    assert second.accepted
+    assert state.stays["star.fore"].exposures == 1
+    assert np.trace(second.noise) > 3.0 * np.trace(first.noise)
 
 
 def test_the_map_of_the_field_is_a_state_of_its_sensor(watch):
