@@ -10,8 +10,8 @@ is three quarters of the detector's side. It is held as a polynomial of third de
 thousandth of its variance. Its mean over the detector is an error of the mounting, and belongs there. The map lasts, so
 its coefficients can be estimated: stars that cross the field tell of it.
 
-The pixel-spatial error is one of its own for each pixel. On a way of d pixels it is forgotten as exp(-2 d): two pixels
-have a share in common that falls in a straight line, and this adds up to the same over a long way.
+Each pixel has a pixel-spatial error of its own. Over a way of d pixels that error is taken to be forgotten as exp(-2 d).
+In truth the share that two places have in common falls in a straight line; over a long way both add up to the same.
 """
 
 from dataclasses import dataclass, replace
@@ -110,10 +110,10 @@ class SpatialErrors:
         """How long the stars of an exposure have been near the pixels where they stand, and what that makes of them.
 
         Of exposures in a row whose pixel errors are correlated by ρ each tells (1 - ρ)/(1 + ρ) of what the first one
-        told: its variance counts (1 + ρ)/(1 - ρ) times, which is coth d with ρ = exp(-2 d). The way d from exposure to
-        exposure is the way of the stars from where the stay began, root of its mean square, by the number of exposures
-        since: what is told by the way from one exposure to the next is noise of the centroids, or a ship that sways on
-        the same pixels. All stars move together, by a shift and a turn about their middle.
+        told: its variance counts (1 + ρ)/(1 - ρ) times, which is coth d with ρ = exp(-2 d). All stars move together, by a
+        shift and a turn about their middle. The way d of one exposure is the root mean square of their ways since the
+        stay began, divided by the number of exposures since. The way from one exposure to the next alone would be
+        mostly noise of the centroids, or a ship that sways on the same pixels.
 
         Args:
             directions_s: of the stars, shape (k, 3).
@@ -137,7 +137,9 @@ class SpatialErrors:
         gone = np.sqrt(max(square - 6.0 * own / np.count_nonzero(near), 0.0))
         count = before.exposures + 1
         excess = 1.0 / max(np.tanh(gone / count), _LEAST_WORTH) - 1.0
-        return replace(here if gone > _STAY_PX else before, exposures=0 if gone > _STAY_PX else count, excess=excess)
+        if gone > _STAY_PX:
+            return replace(here, excess=excess)
+        return replace(before, exposures=count, excess=excess)
 
     def streak_share(self, length: FloatArray) -> FloatArray:
         """Share of the pixel-spatial variance that streaks of some lengths (rad) leave, shape as they have it."""

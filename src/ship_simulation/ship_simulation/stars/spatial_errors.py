@@ -2,9 +2,8 @@
 
 The field-spatial error is a smooth random function of the place: a sum of many waves whose wave numbers are drawn from
 the normal distribution of a Gaussian correlation, three quarters of a side of the detector long, less its mean over
-the detector.
-The pixel-spatial error is a number of its own for each pixel and axis. Nothing here is the estimators' own: these hold
-the map as a polynomial.
+the detector. The pixel-spatial error is a number of its own for each pixel and axis. Nothing here is the estimators'
+own: these hold the map as a polynomial.
 """
 
 import numpy as np
