@@ -10,8 +10,9 @@ is three quarters of the detector's side. It is held as a polynomial of third de
 thousandth of its variance. Its mean over the detector is an error of the mounting, and belongs there. The map lasts, so
 its coefficients can be estimated: stars that cross the field tell of it.
 
-Each pixel has a pixel-spatial error of its own. Over a way of d pixels that error is taken to be forgotten as exp(-2 d).
-In truth the share that two places have in common falls in a straight line; over a long way both add up to the same.
+Each pixel has a pixel-spatial error of its own. Over a way of d pixels that error is taken to be forgotten as
+exp(-2 d). In truth the share that two places have in common falls in a straight line; over a long way both add up to
+the same.
 """
 
 from dataclasses import dataclass, replace
@@ -110,8 +111,8 @@ class SpatialErrors:
         """How long the stars of an exposure have been near the pixels where they stand, and what that makes of them.
 
         Of exposures in a row whose pixel errors are correlated by ρ each tells (1 - ρ)/(1 + ρ) of what the first one
-        told: its variance counts (1 + ρ)/(1 - ρ) times, which is coth d with ρ = exp(-2 d). All stars move together, by a
-        shift and a turn about their middle. The way d of one exposure is the root mean square of their ways since the
+        told: its variance counts (1 + ρ)/(1 - ρ) times, which is coth d with ρ = exp(-2 d). All stars move together, by
+        a shift and a turn about their middle. The way d of one exposure is the root mean square of their ways since the
         stay began, divided by the number of exposures since. The way from one exposure to the next alone would be
         mostly noise of the centroids, or a ship that sways on the same pixels.
 
