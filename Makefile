@@ -10,6 +10,8 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export PYTHONDONTWRITEBYTECODE :=
 
 RUN := source tools/env.sh &&
+PYTEST := pytest -n 4 --dist loadgroup --no-loadscope-reorder --durations=5 --durations-min=4
+SLOW := slow or statistics or (live and not smoke)
 PYTEST_ARGS ?=
 
 VOYAGES ?= 1000
@@ -18,21 +20,31 @@ RUNS ?= 2000
 LIVE_HOURS ?= 24
 BAG_HOURS ?= 1 10 100
 FAULT_ARGS ?=
+ARGS ?=
 PORT ?= 5006
 
-.PHONY: help setup test lint demo watch bags bench campaign faults hours kills reproduction stanford availability bundle audit clean
+.PHONY: help setup setup-all test test-all lint quick demo watch bags bench campaign faults hours kills reproduction stanford availability wheels bundle audit clean
 
 help: ## this list
-	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
+	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
 
 setup: ## environment and build; takes minutes once, then a moment
 	@tools/setup
 
-test: setup ## all tests; PYTEST_ARGS="-k name" for some
-	@$(RUN) pytest -n 4 --dist loadgroup --no-loadscope-reorder $(PYTEST_ARGS)
+setup-all: ## the same with the wheels that few people use: Parquet, GTSAM, Foxglove, style and types
+	@tools/setup --all
 
-lint: setup ## style, types, directions of imports
+test: setup-all ## the tests that one runs while working, in minutes; PYTEST_ARGS="-k name" for some
+	@$(RUN) $(PYTEST) -m "not ($(SLOW))" $(PYTEST_ARGS)
+
+test-all: setup-all ## the tests that make test leaves out: statistics, the slow ones, all other live ones
+	@$(RUN) $(PYTEST) -m "$(SLOW)" $(PYTEST_ARGS)
+
+lint: setup-all ## style, types, directions of imports
 	@$(RUN) ruff check . && mypy && lint-imports --no-logo
+
+quick: setup ## the ship's attitude from a recorded voyage, offline: table and figure in seconds
+	@$(RUN) python tools/demo.py --offline
 
 demo: setup ## a simulated voyage from bag to report
 	@$(RUN) python tools/demo.py
@@ -43,8 +55,8 @@ watch: setup ## a simulated voyage again and again, live, and its page in the br
 bags: setup ## the bags in bags/, from their scenarios
 	@$(RUN) python tools/make_bags.py
 
-bench: setup ## speed, as ratios within one run
-	@$(RUN) python tools/bench.py
+bench: setup-all ## speed, as ratios within one run; ARGS="--only setup" for a part
+	@$(RUN) python tools/bench.py $(ARGS)
 
 campaign: setup ## 2000 seeds of each case (ten hours on two cores), long voyages; RUNS=50 LIVE_HOURS=2 BAG_HOURS="1 10" for less
 	@$(RUN) python tools/campaign.py --seeds $(RUNS)
@@ -78,6 +90,9 @@ reproduction: setup ## what the papers print and what comes out here: docs/repro
 
 kills: setup ## kill -9 of recorder and node at random moments: what is lost
 	@$(RUN) python tools/kill_campaign.py
+
+wheels: setup ## prebuilt wheels of our own packages, in prebuilt/: a checkout that has them is set up without a compiler
+	@$(RUN) python tools/make_wheels.py
 
 bundle: setup ## one tar of this commit with all wheels, to set up without a network; FOR=3.12 for another Python
 	@$(RUN) python tools/bundle.py $(if $(FOR),--for $(FOR))

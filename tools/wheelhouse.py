@@ -29,6 +29,10 @@ NETWORK_SIGNS = (
 )
 
 
+SECTIONS = ("ros", "build", "python", "all")
+"""Sections of requirements.lock, in its order; ``all`` is installed by ``make setup-all`` alone."""
+
+
 class WheelsRefused(Exception):
     """What is wrong with the wheels of a bundle, and what to do, in one line."""
 
@@ -41,6 +45,26 @@ def target(python: str, machine: str) -> str:
 def own_target() -> str:
     """Name of the folder that this Python needs."""
     return target(f"{sys.version_info.major}.{sys.version_info.minor}", platform.machine())
+
+
+def locked(lock: str) -> dict[str, list[str]]:
+    """Return the requirements of each section of requirements.lock; a section begins with ``# [name]``.
+
+    Raises:
+        WheelsRefused: a requirement stands before the first section, or a section is not one of :data:`SECTIONS`.
+    """
+    sections: dict[str, list[str]] = {name: [] for name in SECTIONS}
+    current: list[str] | None = None
+    for number, line in enumerate(lock.splitlines(), 1):
+        if heading := re.match(r"# \[(\w+)\]", line):
+            current = sections.get(heading[1])
+            if current is None:
+                raise WheelsRefused(f"{LOCK} line {number}: section [{heading[1]}] is none of {', '.join(SECTIONS)}")
+        elif re.match(r"[A-Za-z0-9]", line):
+            if current is None:
+                raise WheelsRefused(f"{LOCK} line {number}: '{line}' stands before the first section")
+            current.append(line.strip())
+    return sections
 
 
 def pinned(requirement: str) -> str:
@@ -90,20 +114,21 @@ def own_wheels(root: Path) -> Path | None:
     )
 
 
-def hashed_requirements(folder: Path) -> list[str]:
-    """What pip is to install from a folder of wheels, each with its hash; every file has been compared with it.
+def hashed_requirements(folder: Path) -> dict[str, str]:
+    """Return the requirement with its hash for each pin of a folder of wheels, after comparing every file with its hash.
 
     Raises:
         WheelsRefused: a wheel is missing or damaged, or the wheels were made for another lock.
     """
     place = f"{WHEELS}/{folder.name}"
-    requirements = []
+    requirements = {}
     for digest, name in _read_sums(folder / SUMS, place):
         path = folder / name
         if not path.is_file():
             raise WheelsRefused(f"{place}/{name} is missing: unpack the bundle again")
         if sha256(path) == digest:
-            requirements += [] if name == _LOCK_FROM_WHEELS else [f"{pinned_by(name)} --hash=sha256:{digest}"]
+            if name != _LOCK_FROM_WHEELS:
+                requirements[pinned_by(name)] = f"{pinned_by(name)} --hash=sha256:{digest}"
         elif name == _LOCK_FROM_WHEELS:
             raise WheelsRefused(
                 f"{place} was made for another {LOCK}: make a new bundle, or remove {WHEELS}/ to ask the network"
@@ -112,9 +137,8 @@ def hashed_requirements(folder: Path) -> list[str]:
             raise WheelsRefused(
                 f"{place}/{name} is damaged, its SHA-256 is another than in {SUMS}: unpack the bundle again"
             )
-    brought = {requirement.partition(" ")[0] for requirement in requirements}
     for line in (folder / _LOCK_FROM_WHEELS).read_text().splitlines():
-        if re.match(r"[A-Za-z0-9]", line) and ";" not in line and pinned(line) not in brought:
+        if re.match(r"[A-Za-z0-9]", line) and ";" not in line and pinned(line) not in requirements:
             raise WheelsRefused(f"{place}/{SUMS} names no wheel of {line.strip()}: unpack the bundle again")
     return requirements
 

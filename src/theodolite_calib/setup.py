@@ -1,27 +1,40 @@
 # The same lines stand in the setup.py of every package: colcon builds each package from its own file alone.
-# This one compiles three modules besides.
-from Cython.Build import cythonize
+# This one compiles modules besides, unless tools/setup_environment.py has done it, for all packages at once.
+import os
+
 from setuptools import Extension, find_packages, setup
 
 package_name = "theodolite_calib"
+
+COMPILED = ("filter.compiled_points", "filter.compiled_rows", "measured.compiled_cubics")
+SHARED_MODULE = "ship_geometry.compiled_shared"
+# Without contraction of products and sums the results are the same on every processor.
+FLAGS = ["-O3", "-g0", "-ffp-contract=off"]
+
+
+def compiled_modules():
+    if os.environ.get("SHIP_SUITE_IS_COMPILED"):
+        return []
+    from Cython.Build import cythonize
+
+    sources = {name: f"{package_name}/{name.replace('.', '/')}.py" for name in COMPILED}
+    modules = [
+        Extension(f"{package_name}.{name}", [source], extra_compile_args=FLAGS) for name, source in sources.items()
+    ]
+    return cythonize(
+        modules,
+        shared_utility_qualified_name=SHARED_MODULE,
+        nthreads=len(os.sched_getaffinity(0)),
+        quiet=True,  # colcon reads what this file prints
+    )
+
 
 setup(
     name=package_name,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
     package_data={package_name: ["design/page.html"]},
-    # Without contraction of products and sums the results are the same on every processor.
-    ext_modules=cythonize(
-        [
-            Extension(
-                f"theodolite_calib.{name}",
-                [f"theodolite_calib/{name.replace('.', '/')}.py"],
-                extra_compile_args=["-O3", "-ffp-contract=off"],
-            )
-            for name in ("filter.compiled_points", "filter.compiled_rows", "measured.compiled_cubics")
-        ],
-        quiet=True,  # colcon reads what this file prints
-    ),
+    ext_modules=compiled_modules(),
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),

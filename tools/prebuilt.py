@@ -1,0 +1,128 @@
+"""Prebuilt wheels of our own packages: what ``make wheels`` writes, and set-up takes instead of compiling.
+
+They lie in prebuilt/, a folder for each Python and machine. The version of a wheel ends in the digest of what the
+package was built from, so that set-up knows from its name whether it fits the sources that are here. Set-up takes only
+what a compiler makes, compiled modules and messages; Python sources are always those of the checkout.
+
+Only what Python itself brings is imported here: set-up begins before there is anything else.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import shutil
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from wheelhouse import own_target
+
+PREBUILT = "prebuilt"
+COMPILED_SUFFIX = ".so"
+_DIGEST_LENGTH = 16
+_GENERATED = {"__pycache__", "test", ".pytest_cache", ".mypy_cache", ".ruff_cache"}
+_READ = ("package.xml", "setup.py", "setup.cfg", "CMakeLists.txt")
+_NAME = re.compile(rf"(\w+)-[\d.]+\+([0-9a-f]{{{_DIGEST_LENGTH}}})-[\w.]+-[\w.]+-[\w.]+\.whl")
+
+
+def digest(*parts: str | bytes) -> str:
+    """Return one hexadecimal number for all parts."""
+    total = hashlib.sha256()
+    for part in parts:
+        total.update(part.encode() if isinstance(part, str) else part)
+        total.update(b"\0")
+    return total.hexdigest()
+
+
+def package_digests(folders: list[Path], tools: str) -> dict[Path, str]:
+    """Return for each package the digest of what must be built again when it changes, with tools, Python and machine.
+
+    With symlinks an edited Python file is no such change; an edited compiled module is one, and so is a new file that
+    setup.py lists.
+
+    Args:
+        folders: of the packages.
+        tools: versions of what builds them.
+    """
+    return {folder: digest(own_target(), tools, *_content(folder)) for folder in folders}
+
+
+def _content(folder: Path) -> list[str | bytes]:
+    parts: list[str | bytes] = []
+    for path in sorted(folder.rglob("*")):
+        inner = path.relative_to(folder).parts
+        if _GENERATED.intersection(inner) or any(part.endswith(".egg-info") for part in inner) or not path.is_file():
+            continue
+        if path.name in _READ or path.suffix in (".msg", ".srv", ".action"):
+            parts += ["/".join(inner), path.read_bytes()]
+        elif path.name.startswith("compiled_"):
+            # C and compiled modules lie next to their source.
+            parts += ["/".join(inner), path.read_bytes()] if path.suffix in (".py", ".pxd") else []
+        elif path.suffix not in (".py", ".pyc", ".pyi"):
+            parts.append("/".join(inner))  # launch, parameter and resource files
+    return parts
+
+
+def local_version(content: str) -> str:
+    """Return the end of a wheel's version that stands for a digest of :func:`package_digests`."""
+    return f"+{content[:_DIGEST_LENGTH]}"
+
+
+@dataclass(frozen=True)
+class Prebuilt:
+    """A prebuilt wheel that fits the sources.
+
+    Attributes:
+        folder: of the package.
+        wheel: the file.
+    """
+
+    folder: Path
+    wheel: Path
+
+    def take(self, install: Path) -> None:
+        """Unpack compiled modules next to their sources, and messages into install/, as colcon would leave them.
+
+        Args:
+            install: colcon's folder of installed packages.
+        """
+        with zipfile.ZipFile(self.wheel) as archive:
+            for name in archive.namelist():
+                scheme, _, inner = name.partition(".data/data/")
+                if inner:
+                    _unpack(archive, name, install / self.folder.name / inner)
+                elif scheme.endswith(COMPILED_SUFFIX):
+                    _unpack(archive, name, self.folder / name)
+
+
+def _unpack(archive: zipfile.ZipFile, name: str, path: Path) -> None:
+    if ".." in Path(name).parts:
+        raise OSError(f"{archive.filename}: {name} points out of its folder")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.unlink(missing_ok=True)
+    with archive.open(name) as source, path.open("wb") as target:
+        shutil.copyfileobj(source, target)
+
+
+def find_prebuilt(root: Path, wanted: dict[Path, str]) -> tuple[list[Prebuilt], list[str]]:
+    """Return the wheels that fit, and a line for each package whose wheel was built from something else.
+
+    Args:
+        root: the checkout.
+        wanted: folder of each package → its digest.
+    """
+    place = root / PREBUILT / own_target()
+    wheels: dict[str, dict[str, Path]] = {}
+    for path in sorted(place.glob("*.whl")) if place.is_dir() else []:
+        if match := _NAME.fullmatch(path.name):
+            wheels.setdefault(match[1], {})[match[2]] = path
+    found, unfit = [], []
+    for folder, content in wanted.items():
+        named = wheels.get(folder.name, {})
+        if wheel := named.get(content[:_DIGEST_LENGTH]):
+            found.append(Prebuilt(folder, wheel))
+        elif named:
+            wheel = next(iter(named.values()))
+            unfit.append(f"{wheel.relative_to(root)} was built from other sources or tools: {folder.name} is built here")
+    return found, unfit

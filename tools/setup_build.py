@@ -1,0 +1,198 @@
+"""What set-up builds: compiled modules and messages, or what prebuilt wheels hold of them, and all packages by colcon."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import sysconfig
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from prebuilt import COMPILED_SUFFIX, Prebuilt, find_prebuilt, package_digests
+from setup_common import (
+    BUILD, CORES, INSTALL, ROOT, SETUP_LOG, SRC, VENV, SetupError, last_line, read_stamp, run, say, step,
+    wheels_environment,
+)  # fmt: skip
+
+WHEELS_ONLY = ROOT / "tools" / "wheels_only"  # packages that a Jazzy installation brings and no wheel does
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """The packages that are built.
+
+    Attributes:
+        prefix: prefix of a sourced Jazzy installation; empty where ROS comes as wheels.
+        digests: folder of each package, in the order of their names → digest of what it is built from.
+    """
+
+    prefix: str
+    digests: dict[Path, str]
+
+    def changed(self) -> dict[Path, str]:
+        """Return those with compiled parts that are missing or made from something else."""
+        compiled = {folder: content for folder, content in self.digests.items() if is_compiled(folder)}
+        return {folder: content for folder, content in compiled.items() if read_stamp(stamp_of(folder)) != content}
+
+
+def read_workspace(prefix: str, tools: str) -> Workspace:
+    """Return the packages of src/, and over the wheels also those that they lack of Jazzy.
+
+    Args:
+        prefix: of a sourced Jazzy installation, or empty.
+        tools: versions of what builds them.
+    """
+    lacking = [] if prefix else [path.parent for path in WHEELS_ONLY.glob("*/package.xml")]
+    folders = sorted([*lacking, *(path.parent for path in SRC.glob("*/package.xml"))])
+    return Workspace(prefix, package_digests(folders, tools))
+
+
+def is_of_messages(folder: Path) -> bool:
+    """True if a package consists of messages."""
+    return (folder / "CMakeLists.txt").exists()
+
+
+def is_compiled(folder: Path) -> bool:
+    """True if a package holds something that a compiler must make."""
+    return is_of_messages(folder) or any(folder.glob("**/compiled_*.py"))
+
+
+@dataclass(frozen=True)
+class CompiledParts:
+    """What has to be made by a compiler, or taken from prebuilt wheels.
+
+    Attributes:
+        prebuilt: wheels that fit.
+        folders: of packages that must be compiled here.
+    """
+
+    prebuilt: list[Prebuilt]
+    folders: list[Path]
+
+
+def compiled_parts(wanted: dict[Path, str]) -> CompiledParts:
+    """Return from where the compiled parts of packages come.
+
+    Args:
+        wanted: folder of each package → digest of what it is built from.
+
+    Raises:
+        SetupError: some must be compiled, and there is no compiler.
+    """
+    prebuilt, unfit = find_prebuilt(ROOT, wanted)
+    for line in unfit:
+        say(line)
+    taken = {wheel.folder for wheel in prebuilt}
+    left = [folder for folder in wanted if folder not in taken]
+    if left:
+        check_compiler(", ".join(str(folder.relative_to(ROOT)) for folder in left))
+    return CompiledParts(prebuilt, left)
+
+
+def check_compiler(for_what: str) -> None:
+    """Refuse to compile where there is no compiler, or no header of Python."""
+    version = f"{sys.version_info.major}.{sys.version_info.minor}"
+    for variable, names in (("CC", ("cc", "gcc", "clang")), ("CXX", ("c++", "g++", "clang++"))):
+        chosen = os.environ.get(variable, "").split()
+        if not any(shutil.which(name) for name in (chosen[:1] or names)):
+            raise SetupError(
+                f"{for_what} must be compiled, and there is no C++ compiler ({variable}:"
+                f" {' '.join(chosen[:1] or names)}): install g++, or put wheels that fit into prebuilt/ (make wheels)"
+            )
+    if not Path(sysconfig.get_path("include"), "Python.h").exists():
+        raise SetupError(f"no Python.h for {sys.executable}: install python{version}-dev (or python3-dev)")
+
+
+def compile_packages(workspace: Workspace, parts: CompiledParts) -> None:
+    """Take or make the compiled parts, all at the same time."""
+    if parts.prebuilt:
+        with step(f"compiled parts from {len(parts.prebuilt)} prebuilt wheels"):
+            for wheel in parts.prebuilt:
+                remove_compiled(wheel.folder)
+                wheel.take(INSTALL)
+                stamp_of(wheel.folder).write_text(workspace.digests[wheel.folder])
+    if not parts.folders:
+        return
+    messages = [folder for folder in parts.folders if is_of_messages(folder)]
+    with step("messages and compiled modules"), ThreadPoolExecutor() as pool:
+        jobs = [pool.submit(compile_modules, folder) for folder in parts.folders if folder not in messages]
+        if messages:
+            jobs.append(pool.submit(build_messages, messages, workspace.prefix))
+        for job in jobs:
+            job.result()
+    for folder in parts.folders:
+        stamp_of(folder).write_text(workspace.digests[folder])
+
+
+def remove_compiled(folder: Path) -> None:
+    """Remove the compiled parts of a package: they may come from a wheel, and be newer than a source they do not fit."""
+    shutil.rmtree(INSTALL / folder.name, ignore_errors=True)
+    for module in folder.glob(f"**/compiled_*{COMPILED_SUFFIX}"):
+        module.unlink()
+
+
+def compile_modules(folder: Path) -> None:
+    """Compile the modules of a package into its source folder, where colcon finds them."""
+    remove_compiled(folder)
+    temporary = BUILD / "compiled" / folder.name
+    command = [str(VENV / "bin" / "python"), "setup.py", "-q", "build_ext", "--inplace", "--parallel", str(CORES)]
+    try:
+        run([*command, "--build-temp", str(temporary)], wheels_environment(), folder)
+    except subprocess.CalledProcessError as error:
+        raise SetupError(f"{folder.name}: {first_error(error.output)}") from error
+
+
+def build_messages(folders: list[Path], prefix: str) -> None:
+    """Build the packages of messages; over the wheels without C++, which no node of the suite needs."""
+    for folder in folders:
+        remove_compiled(folder)
+    colcon(folders, [] if prefix else ["-DSHIP_MSGS_CPP=OFF"])
+
+
+def build_packages(workspace: Workspace) -> None:
+    """Let colcon install the packages with symlinks: executables, entry points, shared files."""
+    with step("packages"):
+        colcon([folder for folder in workspace.digests if not is_of_messages(folder)], [])
+
+
+def colcon(folders: list[Path], cmake_arguments: list[str]) -> None:
+    """Run colcon for some packages; modules that compile_modules has made are not made a second time."""
+    paths = " ".join(str(folder.relative_to(ROOT)) for folder in folders)
+    command = (
+        f"source tools/env.sh && exec colcon --log-base log build --symlink-install --paths {paths}"
+        ' --event-handlers console_cohesion+ --cmake-args -G Ninja "-DPython3_EXECUTABLE=$VIRTUAL_ENV/bin/python" '
+        + " ".join(cmake_arguments)
+    )
+    # Left to itself colcon adds a load limit, with which a busy machine compiles one file at a time.
+    env = {**os.environ, "MAKEFLAGS": f"-j{CORES + 1}", "SHIP_SUITE_IS_COMPILED": "1"}
+    try:
+        run(["bash", "-c", command], env)
+    except subprocess.CalledProcessError as error:
+        raise SetupError(f"colcon build failed: {first_error(error.output)}") from error
+
+
+def stamp_of(folder: Path) -> Path:
+    """Return the file that holds the digest of what a package's compiled parts were made from."""
+    return BUILD / f".stamp_{folder.name}"
+
+
+def first_error(output: str) -> str:
+    """Return the first line of a build's output that tells an error, and where the rest is."""
+    lines = [line for line in output.splitlines() if re.search(r"error|Failed|CMake Error", line)]
+    first = lines[0].strip() if lines else last_line(output)
+    return f"{first} (all of it in {SETUP_LOG.relative_to(ROOT)})"
+
+
+def prepare_build() -> None:
+    """Make the build folder; what another colcon call left there, without symlinks, does not mix with this one's."""
+    if (BUILD.exists() or INSTALL.exists()) and not (BUILD / ".by_setup").exists():
+        say("build/ and install/ of another colcon call are removed: builds with and without symlinks do not mix")
+        shutil.rmtree(BUILD, ignore_errors=True)
+        shutil.rmtree(INSTALL, ignore_errors=True)
+    BUILD.mkdir(exist_ok=True)
+    (BUILD / ".by_setup").touch()
+    (BUILD / "COLCON_IGNORE").touch()

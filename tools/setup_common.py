@@ -1,0 +1,66 @@
+"""What the steps of set-up share: places, progress lines, commands, stamps."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+VENV = ROOT / ".venv"
+SRC = ROOT / "src"
+BUILD = ROOT / "build"
+INSTALL = ROOT / "install"
+SETUP_LOG = VENV / "setup.log"
+CORES = len(os.sched_getaffinity(0))
+
+
+class SetupError(Exception):
+    """What the user has to do, in one line."""
+
+
+def say(text: str) -> None:
+    """Print one line of progress at once."""
+    print(f"setup: {text}", flush=True)
+
+
+@contextmanager
+def step(what: str) -> Iterator[None]:
+    """Print a step with the time it took, once it is done."""
+    begin_s = time.monotonic()
+    yield
+    say(f"{what}: {time.monotonic() - begin_s:.0f} s")
+
+
+def run(command: list[str], env: dict[str, str] | None = None, cwd: Path = ROOT) -> str:
+    """Run a command with its output into the log; on failure raise CalledProcessError that holds the output."""
+    answer = subprocess.run(
+        command, cwd=cwd, env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False
+    )
+    with SETUP_LOG.open("a") as file:
+        file.write(f"$ {' '.join(command)}\n{answer.stdout}\n")
+    if answer.returncode != 0:
+        raise subprocess.CalledProcessError(answer.returncode, command, answer.stdout)
+    return answer.stdout
+
+
+def read_stamp(path: Path) -> str:
+    """Return the content of a stamp, empty if the step was never finished."""
+    try:
+        return path.read_text()
+    except OSError:
+        return ""
+
+
+def last_line(text: str, containing: str = "") -> str:
+    """Return the last line that is not empty and contains the word."""
+    lines = [line.strip() for line in text.splitlines() if line.strip() and containing in line]
+    return lines[-1] if lines else "no output"
+
+
+def wheels_environment() -> dict[str, str]:
+    """Return the environment in which the Python of the wheels does not start itself a second time."""
+    return {**os.environ, "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}

@@ -1,0 +1,146 @@
+"""The virtual environment of set-up and the pinned wheels in it."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import shutil
+import subprocess
+import sys
+import sysconfig
+
+from setup_common import BUILD, INSTALL, ROOT, SETUP_LOG, VENV, SetupError, last_line, run, say, step, wheels_environment
+from wheelhouse import NETWORK_SIGNS, hashed_requirements, own_wheels, pinned
+
+ROS_PREFIX_FILE = VENV / ".ros_prefix"  # holds the prefix of the sourced Jazzy installation; absent with wheels
+
+SPACE_NEEDED_GB = 1.2  # 0.9 GB stay, the rest while wheels are unpacked
+
+
+def ros_prefix() -> str:
+    """Return the prefix of a sourced Jazzy installation that this Python can use, or an empty text."""
+    if os.environ.get("ROS_DISTRO") != "jazzy":
+        return ""
+    probe = "import rclpy, os; from ament_index_python import get_package_prefix as p; print(p('rclpy'))"
+    answer = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True, check=False)
+    return answer.stdout.strip().splitlines()[-1] if answer.returncode == 0 and answer.stdout.strip() else ""
+
+
+def check_machine(fresh: bool) -> None:
+    """Refuse with one line what would fail late with many."""
+    version = f"{sys.version_info.major}.{sys.version_info.minor}"
+    if not (3, 10) <= sys.version_info[:2] <= (3, 12):
+        raise SetupError(f"Python {version} does not fit: install Python 3.10, 3.11 or 3.12")
+    if importlib.util.find_spec("venv") is None or importlib.util.find_spec("ensurepip") is None:
+        raise SetupError(f"{sys.executable} has no venv module: install python{version}-venv (or python3-venv)")
+    if fresh:
+        free_gb = shutil.disk_usage(ROOT).free / 1e9
+        if free_gb < SPACE_NEEDED_GB:
+            raise SetupError(f"{free_gb:.1f} GB free in {ROOT}, {SPACE_NEEDED_GB} GB needed: make room")
+
+
+def make_venv(prefix: str) -> None:
+    """Create the virtual environment; what was built for an older one goes."""
+    if VENV.exists():
+        say("an older or unfinished .venv is removed")
+        shutil.rmtree(VENV)
+    shutil.rmtree(BUILD, ignore_errors=True)
+    shutil.rmtree(INSTALL, ignore_errors=True)
+    over = f" over {prefix}" if prefix else ""
+    with step(f"virtual environment with Python {sys.version.split()[0]}{over}"):
+        options = ["--system-site-packages"] if prefix else []
+        command = [sys.executable, "-m", "venv", *options, str(VENV)]
+        answer = subprocess.run(command, capture_output=True, text=True, check=False)
+    if answer.returncode != 0:
+        raise SetupError(f"python -m venv failed: {last_line(answer.stdout + answer.stderr)}")
+    (VENV / "COLCON_IGNORE").touch()
+    (VENV / ".gitignore").write_text("*\n")
+    if prefix:
+        ROS_PREFIX_FILE.write_text(prefix)
+    (VENV / ".python").write_text(sys.executable)
+
+
+def requirements(lock: dict[str, list[str]], *sections: str, prefix: str) -> tuple[list[str], list[str]]:
+    """Return the lines for pip of some sections, and pip's options that say where the wheels are.
+
+    The lines are those of requirements.lock, from the package index, or the hashed ones of a bundle, from its wheels.
+    An installed ROS brings itself and the numpy it was built with.
+    """
+    lines = [line for name in sections for line in lock[name]]
+    if prefix:
+        lines = [line for line in lines if not line.startswith(("ros-", "numpy=="))]
+    bundled = own_wheels(ROOT)
+    if not bundled:
+        return lines, ["--prefer-binary"]
+    hashed = hashed_requirements(bundled)
+    options = ["--isolated", "--no-index", "--no-cache-dir", "--find-links", str(bundled), "--require-hashes"]
+    return [hashed[pinned(line)] for line in lines if pinned(line) in hashed], options
+
+
+def install_wheels(what: str, lines: list[str], place: list[str], prefix: str) -> None:
+    """Install pinned wheels without resolving: the lock holds everything that they need."""
+    chosen = VENV / f"requirements_{what.split()[0]}.txt"
+    chosen.write_text("\n".join(lines) + "\n")
+    pip = [str(VENV / "bin" / "python"), "-m", "pip", "--disable-pip-version-check", "install", "--no-input", *place]
+    if prefix:
+        pip.append("--ignore-installed")  # a package of the system with the same name may change or go at any time
+    env = wheels_environment()
+    if "--no-index" in place:
+        env["PIP_CONFIG_FILE"] = os.devnull  # which may name an index or other wheels
+    with step(f"{what}, {len(lines)}"):
+        try:
+            run([*pip, "--no-deps", "--no-compile", "-r", str(chosen)], env)
+        except subprocess.CalledProcessError as error:
+            raise SetupError(f"{why_not_installed(error.output)}; then run make setup again") from error
+
+
+def why_not_installed(output: str) -> str:
+    """Return the reason in pip's output, in one line."""
+    if any(sign in output for sign in NETWORK_SIGNS):
+        return "pip cannot reach the package index: connect to the network, set pip's proxy or index, or use a bundle"
+    if "No space left" in output:
+        return f"no space left: {SPACE_NEEDED_GB} GB needed, make room"
+    unfit = re.search(r"No matching distribution found for (\S+)", output)
+    if unfit and own_wheels(ROOT):
+        return f"the wheel of {unfit[1]} does not fit this machine: make the bundle on one that is like it, or older"
+    return f"{last_line(output, 'ERROR')} (all of it in {SETUP_LOG.relative_to(ROOT)})"
+
+
+def site_packages() -> Path:
+    """Return the folder that holds the wheels' modules."""
+    return VENV / "lib" / f"python{sys.version_info.major}.{sys.version_info.minor}" / "site-packages"
+
+
+def byte_compile() -> None:
+    """Compile the wheels' modules to byte code on all cores; tests that some bring, and templates, are left out."""
+    tests_apart = ["-x", r"[/\\](tests?|testing)[/\\]"]
+    command = [str(VENV / "bin" / "python"), "-m", "compileall", "-q", "-j", "0", *tests_apart, str(site_packages())]
+    with step("byte code of the wheels"):
+        subprocess.run(
+            command, env=wheels_environment(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False
+        )
+
+
+def repair_paths() -> None:
+    """Rewrite the build machine's paths in the ROS wheels' CMake and ament files to this machine's.
+
+    Without it colcon cannot find Python's and numpy's headers when it builds messages.
+    """
+    tag = f"{sys.version_info.major}.{sys.version_info.minor}"
+    theirs = f"/opt/python/cp{tag.replace('.', '')}-cp{tag.replace('.', '')}"
+    numpy_headers = site_packages() / "numpy" / "_core" / "include"
+    replacements = (
+        (f"{theirs}/include/python{tag}", sysconfig.get_path("include")),
+        (f"{theirs}/lib/python{tag}/site-packages/numpy/_core/include", str(numpy_headers)),
+        (theirs, str(VENV)),
+    )
+    for path in (VENV / "share").rglob("*"):
+        if not path.is_file() or path.is_symlink():
+            continue
+        content = path.read_bytes()
+        if theirs.encode() not in content:
+            continue
+        for old, new in replacements:
+            content = content.replace(old.encode(), new.encode())
+        path.write_bytes(content)
