@@ -114,7 +114,7 @@ clock.text = told(cb_obj.value) + " / " + told(length);
 """
 
 _CSS = """
-:host,.bk-btn,.bk-clearfix{font-family:Watch,"Wide Watch",sans-serif}
+:host,.bk-btn,.bk-clearfix{font-family:B612,"Wide Watch",sans-serif}
 :host,.bk-btn,.bk-clearfix{color:var(--text);font-size:15px;font-variant-numeric:tabular-nums}
 .bk-btn,.bk-btn.bk-active,.bk-btn:hover{background:var(--panel)!important;color:var(--text)!important;
   border:1px solid var(--second-text)!important;border-radius:2px;box-shadow:none!important;padding:6px 8px}

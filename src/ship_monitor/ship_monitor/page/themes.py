@@ -121,5 +121,5 @@ _NIGHT = Theme(
 THEMES: Mapping[str, Theme] = MappingProxyType({theme.name: theme for theme in (_DAY, _DUSK, _NIGHT)})
 """The themes by their names, in the order of the keys 1 to 3."""
 
-FONT = "Watch, 'Wide Watch', sans-serif"
+FONT = "B612, 'Wide Watch', sans-serif"
 """Families of the page's writing: a cockpit's face where the system has it, else what matplotlib brings."""
