@@ -63,6 +63,7 @@ def replayed(request, tmp_path_factory) -> tuple[Path, Path, list[str]]:
     return request.param, out, replay(request.param, out, ADAPTERS).problems
 
 
+@pytest.mark.slow
 def test_an_offline_replay_meets_the_bounds(replayed):
     path, out, problems = replayed
     assert problems == []
@@ -88,6 +89,7 @@ def test_clean_data_raise_no_verdict(replayed):
         assert len(course) > 100
 
 
+@pytest.mark.slow
 def test_the_bags_can_be_made_again(tmp_path):
     for folder in ("first", "second"):
         (tmp_path / folder).mkdir()

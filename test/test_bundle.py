@@ -139,6 +139,7 @@ def test_a_wheel_that_cannot_be_had_is_one_line_and_no_tar(ashore: Path, tmp_pat
     assert list((folder / "out").iterdir()) == []
 
 
+@pytest.mark.slow
 @needs_git
 def test_set_up_installs_from_the_wheels_alone(aboard: Path) -> None:
     """Whatever pip's configuration says: an index that nobody serves is never asked. What comes after needs colcon."""

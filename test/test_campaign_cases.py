@@ -16,6 +16,7 @@ from ship_testing.campaign_cases import WITHOUT_RECORDING, case_at_length, case_
 SEEDS = 50
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("name", WITHOUT_RECORDING)
 def test_errors_fit_their_covariance(name: str) -> None:
     scenario = case_in_short(name)

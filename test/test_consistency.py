@@ -124,6 +124,7 @@ def arriving_within(run: SimulatedRun, longest_s: float, seed: int) -> Simulated
     return replace(run, ins=delayed(run.ins), stars={id_: delayed(star) for id_, star in run.stars.items()})
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize(
     ("name", "expected_arcsec"),
     # Computed independently of this project (models.md: scenario `paper`; one sensor looking ahead).
@@ -139,6 +140,7 @@ def test_sigma_is_the_bound(name: str, expected_arcsec: list[float]) -> None:
     assert sigma == pytest.approx(expected_arcsec, rel=0.05)
 
 
+@pytest.mark.statistics
 def test_a_filter_that_believes_too_much_is_found_out() -> None:
     """The bands can fail: installation errors five times what the filter is told."""
     short = scenario("paper", 60.0)
@@ -156,6 +158,7 @@ def test_a_filter_that_believes_too_much_is_found_out() -> None:
     assert np.mean(values) > mean_nees_band(8, degrees=3)[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["paper", "turn"])
 def test_any_order_of_arrival_ends_in_the_same_state(name: str) -> None:
     """Every message within the lag; the issue asks for 1e-9 rad, the log gives the same bits."""

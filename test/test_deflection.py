@@ -67,6 +67,7 @@ def cleared(scenario: Scenario) -> Scenario:
     return replace(scenario, star_sensors={id_: replace(one, outages={}) for id_, one in scenario.star_sensors.items()})
 
 
+@pytest.mark.statistics
 def test_with_the_table_eighty_minutes_of_cloud_cost_three_arcseconds_more() -> None:
     # Issue: the tilt's RMS with the table at most 3 arcseconds more, in squares, than the same seed without deflection.
     # What comes more is the error of the one less that of the other: what the table does not know.
@@ -83,6 +84,7 @@ def test_with_the_table_eighty_minutes_of_cloud_cost_three_arcseconds_more() -> 
     assert np.sqrt(np.mean(np.square(more))) < 3.0 * ARCSEC
 
 
+@pytest.mark.statistics
 def test_what_is_said_of_the_attitude_is_honest_without_the_table() -> None:
     # Drawn as the filter takes it to be: 20 arcseconds over 30 km. With the table: test_campaign_cases.py.
     gravity = Gravity(sigma_arcsec=20.0, told="unknown", told_unknown_sigma_arcsec=20.0)
@@ -96,6 +98,7 @@ def test_what_is_said_of_the_attitude_is_honest_without_the_table() -> None:
     assert low < np.mean(nees) < high
 
 
+@pytest.mark.slow
 def test_alongside_an_hour_of_stars_tells_the_deflection() -> None:
     # Issue: at most 1.5 arcseconds in an hour where the INS's tilt is 1 arcsecond.
     squares = []
@@ -113,6 +116,7 @@ def test_alongside_an_hour_of_stars_tells_the_deflection() -> None:
     assert low < np.mean(squares) < high
 
 
+@pytest.mark.statistics
 def test_gravitys_horizon_differs_by_the_deflection_and_is_as_honest() -> None:
     nees = []
     for seed in range(SEEDS):

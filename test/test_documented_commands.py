@@ -50,6 +50,7 @@ def checkout(tmp_path: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "")], ids=name)
 def test_the_commands_of_a_page_run_as_printed(page: Path, checkout: Path) -> None:
     script = "set -eu\n" + "".join(blocks(page, "")).replace("duration_s: 30.0", f"duration_s: {VOYAGE_S}.0")
@@ -85,7 +86,11 @@ def wait_until_it_listens(process: LiveProcess) -> None:
 
 
 @pytest.mark.live
-@pytest.mark.parametrize("page", [ROOT / "README.md", ROOT / "docs" / "tutorial" / "first_hour.md"], ids=name)
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(ROOT / "README.md", marks=pytest.mark.smoke), ROOT / "docs" / "tutorial" / "first_hour.md"],
+    ids=name,
+)
 def test_the_three_terminals_of_a_page(page: Path, checkout: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Node, recorder, and the bag in place of the instruments, as printed; then what is done with what they leave."""
     monkeypatch.chdir(checkout)

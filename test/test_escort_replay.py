@@ -136,6 +136,7 @@ def test_a_drone_taken_out_has_no_part(voyage) -> None:
     assert messages(entries(voyage, "dark", escort, sources_off=["lights"]), ESCORT) == []
 
 
+@pytest.mark.slow
 def test_no_place_is_nan_with_the_limit(voyage) -> None:
     escort = LIMITS | {"enabled": True, "elevation_min_deg": 79.0, "period_s": 4.0}
     told = messages(entries(voyage, "none", escort), ESCORT)

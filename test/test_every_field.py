@@ -82,6 +82,7 @@ def put(message: Any, path: Path, value: Any) -> None:
         setattr(holder, str(name), value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("one_light", [False, True], ids=["two lights", "one light"])
 def test_the_voyage_is_honest_where_nothing_is_wrong(one_light: bool) -> None:
     run = voyage(NODE).run(arrivals(one_light))
@@ -97,6 +98,7 @@ def cases(topic: str, one_light: bool) -> Iterator[tuple[Path, Any]]:
             yield path, value
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("topic", [topic for topic in topics(NODE) if "/b/" not in topic])
 @pytest.mark.parametrize("one_light", [False, True], ids=["two lights", "one light"])
 def test_no_value_of_any_field_raises_or_makes_a_claim_dishonest(topic: str, one_light: bool) -> None:

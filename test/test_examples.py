@@ -139,6 +139,7 @@ def wait_for(text: str, process: LiveProcess) -> None:
         time.sleep(0.02)
 
 
+@pytest.mark.smoke
 @pytest.mark.live
 @pytest.mark.parametrize(
     ("example", "package", "node", "arguments"),

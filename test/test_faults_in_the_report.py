@@ -62,6 +62,7 @@ def reported(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     return Reported(request.param, start_ns, told, folder / "report.html")
 
 
+@pytest.mark.slow
 def test_the_report_lists_each_fault_with_its_time_and_source(reported: Reported) -> None:
     bag, night, seconds = reported.bag, reported.told.night, reported.seconds
     text = reported.path.read_text()
@@ -94,6 +95,7 @@ def test_the_report_lists_each_fault_with_its_time_and_source(reported: Reported
             assert least_s <= seconds(first.to_ns) <= most_s
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
 def test_the_page_opens_without_network_fits_its_window_and_prints(reported: Reported) -> None:
     browser = Browser()

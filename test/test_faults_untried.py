@@ -47,6 +47,7 @@ def fault(topic: str, kind: str, sizes: dict[str, Any]) -> Fault:
     return Fault(topic=topic, kind=kind, start_s=BEGIN_S, end_s=END_S, **sizes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("topic", "kind", "sizes"), cases(TURNED))
 def test_a_reference_and_a_star_tracker_under_faults(topic: str, kind: str, sizes: dict[str, Any]) -> None:
     faults = {"one": fault(topic, kind, sizes)}
@@ -58,6 +59,7 @@ def test_a_reference_and_a_star_tracker_under_faults(topic: str, kind: str, size
     assert claimed[-1].status == (Status.DEGRADED if kind == "conflict" and "reference" not in topic else Status.VALID)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("topic", "kind", "sizes"), cases(ONE_LIGHT))
 def test_the_theodolite_with_one_light_under_faults(topic: str, kind: str, sizes: dict[str, Any]) -> None:
     """The light of drone a is hidden from the beginning."""

@@ -18,6 +18,7 @@ from ship_testing.garbage import paths, spoil
 MESSAGES = int(os.environ.get("FUZZED_MESSAGES", "5000")) // len(NODES)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("node", NODES)
 def test_no_message_whatsoever_raises_or_leaves_anything_behind(node: str) -> None:
     rng = np.random.default_rng([20, NODES.index(node)])

@@ -30,6 +30,7 @@ def turning(rate_deg_per_s: float) -> Scenario:
     return replace(whole, duration_s=END_S, ins=ins, carrier=replace(whole.carrier, turn=turn))
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("rate_deg_per_s", [0.0, 10.0, 20.0])
 def test_the_heading_is_as_good_as_it_says_in_a_turn(rate_deg_per_s: float) -> None:
     ends = [final_error(turning(rate_deg_per_s), seed) for seed in range(SEEDS)]

@@ -35,6 +35,7 @@ def angles(runs: list[FinalError]) -> np.ndarray:
     return np.array([run.angles for run in runs])
 
 
+@pytest.mark.statistics
 def test_the_filters_errors_are_no_larger_and_both_are_honest(runs) -> None:
     rms_arcsec = [np.sqrt(np.mean(angles(of) ** 2, axis=0)) / ARCSEC for of in runs]
     nees = [np.mean([run.nees for run in of]) for of in runs]

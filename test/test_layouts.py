@@ -120,6 +120,7 @@ def test_all_that_the_plotjuggler_layout_names_is_there(plotjuggler: ET.Element,
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_each_name_in_the_plotjuggler_layout_counts(plotjuggler: ET.Element, night: Night) -> None:
     for which in ("curve", "snippet"):
         for index, _ in enumerate(plotjuggler.iter(which)):

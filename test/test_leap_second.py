@@ -63,6 +63,7 @@ def stepped(message: Any) -> Any:
     return changed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("node", ["ship_attitude", "star_attitude", "optical_axis"])
 def test_the_step_is_there(node: str) -> None:
     topic = "theodolite/encoder" if node == "optical_axis" else "ins/imu"

@@ -21,6 +21,7 @@ def watch(port):
     return [sys.executable, str(ROOT / "tools" / "watch.py"), "--port", str(port)]
 
 
+@pytest.mark.smoke
 def test_the_page_of_the_voyage_is_there_and_all_ends_with_ctrl_c(tmp_path):
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))

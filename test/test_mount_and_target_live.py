@@ -25,7 +25,7 @@ from theodolite_calib.measured.samples import Mode
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 from theodolite_calib.ros.triangulation_adapter import POSITION_TOPIC, TriangulationAdapter
 
-pytestmark = [pytest.mark.live, pytest.mark.slow]
+pytestmark = [pytest.mark.live, pytest.mark.smoke]
 
 START_NS, PERIOD_NS, LATENCY_NS = 1_767_225_600_000_000_000, 100_000_000, 50_000_000
 SIGMA = 3.0 * ARCSEC

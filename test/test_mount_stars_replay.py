@@ -145,6 +145,7 @@ def test_without_a_fix_no_star_is_used_and_the_lights_point_as_without_stars(voy
     assert pointings[0] == pointings[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bag", ["no_ship.mcap", "no_mount.mcap"])
 def test_without_ship_or_encoders_stars_that_have_names_point_alone(voyage, bag: str) -> None:
     folder, truth_nm = voyage

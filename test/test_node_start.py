@@ -24,6 +24,7 @@ NEEDLESS = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("adapter", ADAPTERS)
 def test_node_reads_nothing_needless(adapter: str) -> None:
     script = f"import json, sys, ship_node.live.node_shell, {adapter}; print(json.dumps(list(sys.modules)))"

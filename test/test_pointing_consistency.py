@@ -49,6 +49,7 @@ def sessions() -> list[PointingErrors]:
     return [pointing_errors(scenario, seed) for seed in range(SEEDS)]
 
 
+@pytest.mark.slow
 def test_sightings_are_used_and_pointings_given(sessions):
     assert {session.sightings + session.refused for session in sessions} == {120}
     # A gate of 99.99 % refuses one in five runs of 16 sessions, three once in a thousand.
@@ -107,6 +108,7 @@ def nees_at_the_end(scenario: Scenario, seed: int, told: Scenario) -> tuple[floa
     return float(normalized_error_squared(error_n, estimates[-1].covariance_n)), refused
 
 
+@pytest.mark.statistics
 def test_mend_09_lights_that_are_streaks_are_known_as_well_as_the_covariance_says():
     scenario = streaking(0.5)
     found = [nees_at_the_end(scenario, seed, scenario) for seed in range(SEEDS)]
@@ -147,6 +149,7 @@ def test_mend_09_points_of_moving_lights_are_brought_to_the_middle_of_the_exposu
         np.testing.assert_allclose(along, sigma_m**2 * length_m**2 / (12.0 * psf_m**2), rtol=0.02)
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("lights", [True, False])
 def test_with_simulated_stars_on_the_mount_errors_are_what_the_covariance_says(lights):
     scenario = load_scenario(ROOT / "bags" / "scenarios" / "theodolite_night.yaml")

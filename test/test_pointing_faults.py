@@ -27,6 +27,7 @@ SEEDS = range(1, 1 + int(os.environ.get("FAULT_SEEDS", "1")))
 """``make campaign`` takes more."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize(
     ("arcsec_n", "until_s"),
@@ -58,6 +59,7 @@ def test_nothing_is_refused_where_nothing_lies(seed):
     assert found.time_s[-1] > FAULT_S
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize(
     ("moved_n", "until_s"),
@@ -101,6 +103,7 @@ def test_two_baselines_that_jump_back_are_used_again(seed):
     assert 25.0 < found.seconds(Status.DEGRADED) < 35.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize(
     ("azimuth_arcsec", "elevation_arcsec"),
@@ -141,6 +144,7 @@ def test_mend_11_encoders_that_step_in_the_dark_are_in_doubt_to_the_end(seed):
     assert found.worst(Status.DEGRADED) < 4.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("knock_arcsec", [(0.0, 20.0), (-30.0, 0.0), (0.0, -300.0)])
 def test_a_telescope_that_is_knocked_is_named_where_neither_encoders_nor_ship_have_stepped(seed, knock_arcsec):
@@ -202,6 +206,7 @@ def test_levels_hold_with_lights_and_there_is_none_without(seed):
     assert np.all(np.isnan(found.levels[found.time_s > leave_s + 4.0]))
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize(
     ("arcsec_n", "moved_a", "moved_b"),
     [
@@ -225,6 +230,7 @@ def test_a_small_wrong_fix_is_named_by_the_rows():
     assert found.worst(Status.VALID) < 5.0
 
 
+@pytest.mark.slow
 def test_an_alert_limit_caps_the_status():
     run = clean_session(1, lights_leave_s=70.0)
     wide = claims(run, integrity__alert_limit_arcsec=[200.0, 200.0, 1000.0])

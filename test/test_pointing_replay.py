@@ -87,6 +87,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_a_fault_has_its_reason_and_no_wrong_pointing_is_valid(case, tmp_path):
     scenario, topic, reason = CASES[case]

@@ -81,6 +81,7 @@ def failed(rows):
     return [f"{check}: {found}" for check, result, found in rows if result == "FAIL"]
 
 
+@pytest.mark.smoke
 def test_a_ship_that_is_ready(tmp_path, domain):
     environment = live_environment(domain, tmp_path)
     with GraphObserver(domain) as observer:

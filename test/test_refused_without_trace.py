@@ -121,6 +121,7 @@ def lacks(topic: str) -> tuple[str, ...]:
     return ("quaternion",) if topic.endswith(("/horizon_attitude", "/encoder", "/baseline")) else ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("node", NODES)
 @pytest.mark.parametrize("kind", UNUSABLE)
 def test_outputs_are_bit_equal_to_those_without_the_refused_messages(node: str, kind: str) -> None:
@@ -167,6 +168,7 @@ def flood_cases() -> list[tuple[str, str]]:
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("node", "topic"), flood_cases())
 def test_nor_does_what_is_too_much(node: str, topic: str) -> None:
     everything = voyage(node).arrivals

@@ -48,6 +48,7 @@ def test_before_the_first_build_the_list_says_how_to_get_one_and_builds_nothing(
     assert [path.name for path in tmp_path.iterdir()] == ["ros2run"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "package"), PLACES.items())
 def test_an_executable_that_moved_is_named_where_it_used_to_be(name: str, package: str) -> None:
     asked = ros2run(ROOT, "ship_replay", name, "--help")

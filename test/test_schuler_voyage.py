@@ -74,6 +74,7 @@ def rms_arcsec(errors: Any) -> float:
     return float(np.sqrt(np.mean(np.square(errors)))) / ARCSEC
 
 
+@pytest.mark.statistics
 def test_two_hours_of_cloud_cost_a_third_of_what_they_cost_without_the_model() -> None:
     # Issue: at most a third of the best Gauss-Markov's tilt, of which three are tried; 2.5 against 11.0 arcseconds by
     # an independent bound with sensors of its own.
@@ -90,6 +91,7 @@ def test_two_hours_of_cloud_cost_a_third_of_what_they_cost_without_the_model() -
     assert rms_arcsec(of_model) <= min(rms_arcsec(found) for found in others.values()) / 3.0
 
 
+@pytest.mark.slow
 def test_an_ins_that_position_aiding_damps_gains_little() -> None:
     # Issue: a GNSS-damped INS gains nothing. Its tilt is what its accelerometers, its gyroscopes and the error of its
     # heading make of it, 5 arcseconds that change within hours: a slow Gauss-Markov process says that as well.
@@ -105,6 +107,7 @@ def test_an_ins_that_position_aiding_damps_gains_little() -> None:
     assert 0.7 * rms_arcsec(other) < rms_arcsec(of_model) < 1.05 * rms_arcsec(other)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damping_time_s", [0.0, 1800.0])
 def test_a_change_of_the_vertical_drives_the_model_with_the_table(damping_time_s: float) -> None:
     # Issue: 60 arcseconds within 50 km, under clouds: with the table the tilt is off by at most 3 arcseconds more, in
@@ -122,6 +125,7 @@ def test_a_change_of_the_vertical_drives_the_model_with_the_table(damping_time_s
     assert low < np.mean(nees) < high
 
 
+@pytest.mark.statistics
 def test_a_change_that_nobody_told_is_honest() -> None:
     # Drawn as the filter takes it to be: 20 arcseconds over 30 km.
     nees = []

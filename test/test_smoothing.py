@@ -76,6 +76,7 @@ def sigmas_arcsec(estimates: list[AttitudeEstimate]) -> np.ndarray:
     return np.array([np.sqrt(one.covariance_n.diagonal()) for one in estimates]) / ARCSEC
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize(
     ("name", "asked_s"),
     [
@@ -155,6 +156,7 @@ def slow_error(seed: int) -> tuple[float, float, float]:
     return north, up, east
 
 
+@pytest.mark.statistics
 def test_across_a_jump_of_the_ins_it_stays_honest() -> None:
     # 200 arcseconds in heading at once, which the INS's rates tell: an error that comes at that moment. The state is
     # open five sigma of the clock earlier; the sample before the jump tells of the time before it all the same.

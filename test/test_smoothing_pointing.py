@@ -123,6 +123,7 @@ def sessions() -> list[Told]:
     return told
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("second", [1.0, 15.0, 29.0, 40.0, 57.0, 64.0, 89.0, 105.0])
 def test_smoothed_pointings_are_honest(sessions: list[Told], second: float) -> None:
     place = sessions[0].place(second)
@@ -174,6 +175,7 @@ def test_what_is_told_at_once_is_the_same_to_the_last_bit(sessions: list[Told]) 
 LIE_S = 58.0
 
 
+@pytest.mark.statistics
 def test_before_a_slip_of_the_encoders_it_is_honest() -> None:
     # In the gap of the lights the encoders slip by two degrees, further than a mount could turn between two readings:
     # an error that comes at that moment.
@@ -279,6 +281,7 @@ def sailed(seed: int) -> Told:
     return told_again(core, outcomes(), run)
 
 
+@pytest.mark.statistics
 def test_by_the_smoothed_attitude_of_the_ship_it_is_honest() -> None:
     found = []
     for seed in range(SEEDS // 2):

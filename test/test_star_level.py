@@ -108,6 +108,7 @@ LARGE_ERRORS = {
 }
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("case", LARGE_ERRORS)
 def test_the_joint_solution_is_as_good_as_it_says(case: str) -> None:
     low, high = mean_nees_band(SEEDS, degrees=3)
@@ -126,6 +127,7 @@ def low(model: str) -> Scenario:
     return replace(BASE, star_sensors=sensors, weather=replace(BASE.weather, refraction_model=model))
 
 
+@pytest.mark.slow
 def test_low_stars_by_erfa_are_as_good_as_they_say_and_by_traced_rays_better() -> None:
     """The true air bends by traced rays. What erfa's formula is off by there is a sigma of it and a little more.
 
@@ -142,6 +144,7 @@ def test_low_stars_by_erfa_are_as_good_as_they_say_and_by_traced_rays_better() -
     assert rms[1] < rms[0]
 
 
+@pytest.mark.slow
 def test_an_error_of_the_clock_is_told_beside_that_of_ut1() -> None:
     """The Earth has turned by 0.2 s more or less than the stamps say: 3″, as when all clocks are wrong by so much."""
     late = one_epoch(earth_rotation_sigma_s=0.2)

@@ -131,6 +131,7 @@ def by_solutions(run: SimulatedRun) -> AttitudeEstimate:
     return estimate
 
 
+@pytest.mark.statistics
 def test_with_a_poor_fix_solutions_are_worth_what_the_stars_are() -> None:
     """A fix of sigma 100 m. Taken as each sensor's own error, its part of sigma was 0.7 of what it is."""
     scenario = short()

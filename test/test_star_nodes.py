@@ -159,6 +159,7 @@ def test_the_joint_solution_errs_as_its_covariance_says_over_many_voyages() -> N
     assert low < np.mean(joint_nees(SEEDS)) < high
 
 
+@pytest.mark.statistics
 def test_mend_09_the_joint_solution_of_streaks_errs_as_its_covariance_says() -> None:
     """Exposures of a fifth of a second of a ship that rolls 4° in 11 s."""
     low, high = mean_nees_band(SEEDS, 3)
@@ -227,6 +228,7 @@ def test_a_black_box_of_the_node_is_equal_to_the_last_bit(tmp_path: Path, capsys
         assert equal in out.partition("equal:")[2]
 
 
+@pytest.mark.smoke
 @pytest.mark.live
 def test_live_over_dds_it_gives_the_same_and_its_box_says_so(
     both: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

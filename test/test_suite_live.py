@@ -84,6 +84,7 @@ def test_a_bag_without_what_the_nodes_need_starts_nothing():
     assert ended.stdout == ""
 
 
+@pytest.mark.smoke
 def test_a_bag_is_played_to_its_end_into_the_suite_that_is_attached_to_it(tmp_path, domain):
     environment = live_environment(domain, tmp_path)
     with LiveProcess(suite("--bag", DEMO, "--rate", "20"), tmp_path / "suite.log", environment) as process:

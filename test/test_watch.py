@@ -49,6 +49,7 @@ def clean(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return replayed(tmp_path_factory.mktemp("clean"), "demo")
 
 
+@pytest.mark.slow
 def test_a_knocked_star_sensor_is_out_and_its_direction_is_told(one_by_one: Watched) -> None:
     first_s = 30.117  # its first exposure after the knock
     assert first_s < one_by_one.out["star.starboard"][0] <= first_s + 2.0
@@ -83,6 +84,7 @@ def test_nobody_else_is_blamed(one_by_one: Watched) -> None:
     assert guilty == ["star.starboard", "ins", "star.fore"]
 
 
+@pytest.mark.slow
 def test_two_faults_at_a_time_are_told_apart(tmp_path: Path) -> None:
     seen = watched(replayed(tmp_path, "demo", TOGETHER)[1])
     assert [name for time_s, name in seen.guilty if time_s < CLOUDS[0]] == ["star.starboard", "ins"]
@@ -93,6 +95,7 @@ def test_two_faults_at_a_time_are_told_apart(tmp_path: Path) -> None:
     assert [source.name for source in picture.sources if source.presence is Presence.OUT] == ["star.starboard"]
 
 
+@pytest.mark.slow
 def test_what_only_makes_it_worse_is_not_blamed_for_an_output_that_is_gone(tmp_path: Path) -> None:
     """A FLOAT baseline, and then no encoder: before that is known to be silent nobody is blamed, then the encoder."""
     faults = (
@@ -108,6 +111,7 @@ def test_what_only_makes_it_worse_is_not_blamed_for_an_output_that_is_gone(tmp_p
     assert "baselines" not in became[0]
 
 
+@pytest.mark.slow
 def test_a_float_baseline_is_out_and_lights_only_need_it(theodolite: Watched) -> None:
     assert 10.0 < theodolite.out["baselines"][0] <= 12.0
     assert theodolite.seen["baselines"][0].reason == "a 5 refused in a row: not fixed"

@@ -47,6 +47,7 @@ def heard(*bags: Path) -> list[tuple[int, str, Any]]:
     return sorted(found, key=lambda entry: entry[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bag", ["demo", "theodolite"])
 def test_no_message_whatsoever_raises_or_is_safe_with_nan(bag: str, tmp_path: Path) -> None:
     rng, watch = np.random.default_rng([12, len(bag)]), Watch()

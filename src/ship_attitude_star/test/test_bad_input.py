@@ -127,6 +127,7 @@ def run_without(topic: str, moment_s: float = MOMENT_S) -> Run:
     return drive(new_adapter(), without(voyage(), index_at(voyage(), topic, moment_s)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("topic", "change", "reason", "text"), [c[1:] for c in DROPPED], ids=[c[0] for c in DROPPED])
 def test_a_bad_message_is_told_and_changes_nothing(topic: str, change: Change, reason: str, text: str) -> None:
     index = index_at(voyage(), topic, MOMENT_S)

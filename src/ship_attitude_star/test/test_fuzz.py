@@ -5,6 +5,7 @@ import pickle
 from collections import Counter
 
 import numpy as np
+import pytest
 
 from ship_estimation.outcome import Status
 from ship_node.live.adapter_calls import message_bytes
@@ -22,6 +23,7 @@ def templates() -> list[Arrival]:
     return arrivals + [Arrival(REFERENCE, a.message, a.receive_ns + 1) for a in arrivals if a.topic == INS]
 
 
+@pytest.mark.slow
 def test_no_message_whatsoever_raises_or_does_damage() -> None:
     rng = np.random.default_rng(4711)
     adapter = new_adapter(references={"gyro": {}})

@@ -79,6 +79,7 @@ def test_mend_11_so_many_false_detections_fit_by_chance_as_is_told(watch: SkyWat
     assert poisson.ppf(5e-4, told / 3.0) <= fitting <= poisson.ppf(1.0 - 5e-4, 3.0 * told)
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("count", [1, 4])
 @pytest.mark.parametrize("prior", [(DEGREE, 10.0), (3.0 * DEGREE, 10.0), (3.0 * DEGREE, 3.0 * DEGREE)], ids=str)
 def test_mend_11_false_detections_alone_never_make_an_attitude(

@@ -87,6 +87,7 @@ def last_estimate(rate_hz: float, rates: bool, seed: int) -> tuple[FloatArray, A
     return log_rotation(swell.attitude(stamp_s) @ estimate.rotation_nd.T), estimate
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize(
     ("rate_hz", "rates", "conservative"),
     [(5.0, True, False), (5.0, False, True), (2.5, False, True), (1.0, True, False), (1.0, False, True)],

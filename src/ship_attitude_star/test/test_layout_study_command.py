@@ -33,6 +33,7 @@ def rows_of(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
+@pytest.mark.slow
 def test_everything_is_written(written: Path) -> None:
     names = {path.name for path in written.iterdir()}
     assert names == {
@@ -77,6 +78,7 @@ def test_sources_at_the_operating_point(written: Path) -> None:
     assert len(found) == 2 * 4 * 6
 
 
+@pytest.mark.slow
 def test_any_number_of_sensors_in_the_order_of_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     layout = tmp_path / "three.yaml"
     layout.write_text(THREE_SENSORS)
@@ -87,6 +89,7 @@ def test_any_number_of_sensors_in_the_order_of_the_file(tmp_path: Path, capsys: 
     assert (tmp_path / "out" / "map_aft.png").exists()
 
 
+@pytest.mark.slow
 def test_one_sensor_has_no_recommended_azimuth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     layout = tmp_path / "one.yaml"
     layout.write_text("sensors:\n  lone: {azimuth_deg: 0.0, elevation_deg: 90.0}\n")

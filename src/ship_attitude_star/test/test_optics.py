@@ -83,6 +83,7 @@ def test_the_mean_number_of_stars_is_that_of_the_whole_sky() -> None:
     assert found.star_sigma_arcsec == pytest.approx(0.1 * 5.5e-6 / 0.05 / ARCSEC)
 
 
+@pytest.mark.slow
 def test_the_study_takes_the_noise_of_the_optics(tmp_path: Path) -> None:
     layout = tmp_path / "layout.yaml"
     keys = ", ".join(f"{key}: {value}" for key, value in OPTICS.items()).replace("5.5e-06", "0.0000055")

@@ -98,6 +98,7 @@ def test_what_is_not_known_is_not_admissible() -> None:
     assert required.ranking[-1] is judged
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("asked", "masks"),
     [
@@ -210,6 +211,7 @@ class AnyFigure(dict[str, Path]):
         return self._path
 
 
+@pytest.mark.slow
 def test_a_requirement_out_of_reach_ends_with_1_and_the_nearest_miss(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -256,6 +258,7 @@ def test_bad_requirements_are_named(values: dict[str, Any], reason: str) -> None
         study_config({"sensors": SENSORS, **values})
 
 
+@pytest.mark.slow
 def test_the_example_has_an_admissible_layout(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The layout as given misses pitch by 1 %; elsewhere the requirement is met."""
     assert main([str(EXAMPLE), "--out", str(tmp_path)]) == 0

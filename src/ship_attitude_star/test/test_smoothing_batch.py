@@ -172,6 +172,7 @@ def both() -> tuple:
     return core, smoothed, asked_ms, batch, *solved(batch_rows(batch, asked_ms), steps_of(batch))
 
 
+@pytest.mark.slow
 def test_smoothing_is_batch_least_squares(both: tuple) -> None:
     # Issue: within 1 % of sigma.
     _, smoothed, asked_ms, batch, unknowns, factors = both

@@ -182,6 +182,7 @@ ONE_ERROR_FOR_ALL = {
 }
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("case", ONE_ERROR_FOR_ALL)
 @pytest.mark.parametrize("known", [POOR_FIX, POOR_WEATHER], ids=["poor fix", "poor weather"])
 def test_the_ship_is_as_far_off_as_it_says_whatever_the_input(known: Knowledge, case: str) -> None:

@@ -99,6 +99,7 @@ def test_exposures_on_the_same_pixels_are_worth_what_they_tell(step_px: tuple[fl
     assert variance == pytest.approx(1.0 / exposures.sum(), rel=0.15)
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize(("drift_px", "sway_px"), [(0.03, 0.0), (0.1, 0.0), (0.2, 0.0), (0.1, 0.3), (0.2, 0.3)])
 def test_noise_and_a_ship_that_sways_are_no_new_pixels(drift_px: float, sway_px: float):
     """100 exposures of eight stars with noise, on pixels that are drawn: the mean is as good as it is said to be.

@@ -126,6 +126,7 @@ def joint_nees(periods: float, seed: int) -> float:
     return float(normalized_error_squared(error_n, joint[0].solution.parts_n[DRAWN].sum(axis=0)))
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("periods", [0.0, 0.3, 1.0, 2.5, 10.0])
 def test_the_joint_solution_is_as_good_as_it_says_however_close_the_exposures(periods: float) -> None:
     low, high = mean_nees_band(SEEDS, 3)

@@ -3,6 +3,7 @@
 import pickle
 
 import numpy as np
+import pytest
 
 from ship_node.live.adapter_calls import message_bytes
 from ship_testing.adapter_runs import SECOND_NS, START_NS, stamp_of
@@ -13,6 +14,7 @@ from ship_testing.star_voyage import FIX, FORE, INS, PRESSURE, STARBOARD, new_ad
 ROUNDS, MIXED_IN = 3, 12
 
 
+@pytest.mark.slow
 def test_no_message_whatsoever_raises_or_does_damage() -> None:
     rng = np.random.default_rng(4711)
     adapter = new_adapter()

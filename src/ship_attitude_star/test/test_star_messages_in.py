@@ -177,6 +177,7 @@ def test_a_star_left_out_is_named_by_its_number_where_that_is_asked_for() -> Non
     assert names == [f"HIP {DENEB}", "star 2 of the message"]
 
 
+@pytest.mark.slow
 def test_mend_18_a_flood_of_stars_is_cut_and_said_once() -> None:
     exposure, refused = converted(observations(*(star(0, float(u % 1000), 10.0) for u in range(100_000))))
     assert len(exposure) == MOST_STARS

@@ -43,6 +43,7 @@ def test_mend_08_a_star_that_is_no_number_is_in_no_choice():
         assert not members[2]
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("counts", [(8, 8), (2, 2), (1, 1)])
 def test_the_error_is_as_large_as_the_covariance_says(counts):
     values = []
@@ -131,6 +132,7 @@ def test_the_linear_model_is_the_derivative():
         np.testing.assert_allclose(numeric, column, atol=3e-4 / SIGMA)
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize(
     ("kind", "least_solved", "most_wrong"),
     [("false_stars", 0.99, 0.0), ("swapped_pairs", 0.99, 0.0), ("neighbours", 0.95, 0.005)],

@@ -38,6 +38,7 @@ def is_hit(arrival: Arrival, topic: str) -> bool:
     return arrival.topic == topic and arrival.stamp_ns >= START_NS + SECOND_NS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("node", NODES)
 @pytest.mark.parametrize("fault", FAULTS)
 def test_what_jumps_is_named_and_leaves_no_trace(node: str, fault: str) -> None:
@@ -61,6 +62,7 @@ def test_the_attitude_stays_valid() -> None:
     assert any(level > 0 and text.startswith("refused, jump: ") for level, text in told)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_any_order_within_the_lag_ends_in_the_same_state(seed: int) -> None:
     wrong = changed_where(

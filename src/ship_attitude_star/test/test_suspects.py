@@ -224,6 +224,7 @@ def assert_within_levels(sailed: Sailed) -> None:
             assert np.all(np.abs(errors(estimate)) <= report.level)
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("sensors", [("aft", "bow", "port"), ("bow", "port")], ids=["three", "two"])
 @pytest.mark.parametrize("seed", range(2))
 def test_nobody_is_excluded_where_all_are_right(sensors: tuple[str, ...], seed: int) -> None:
@@ -234,6 +235,7 @@ def test_nobody_is_excluded_where_all_are_right(sensors: tuple[str, ...], seed: 
     assert all(report.state is IntegrityState.NO_LIMIT for report, _ in sailed.reports[2:])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("knock_arcsec", [10.0, 20.0, 50.0, 300.0])
 @pytest.mark.parametrize("name", ["aft", "bow", "port"])
 def test_a_knocked_sensor_is_told_named_and_excluded(name: str, knock_arcsec: float) -> None:
@@ -246,6 +248,7 @@ def test_a_knocked_sensor_is_told_named_and_excluded(name: str, knock_arcsec: fl
     assert_honest(sailed)
 
 
+@pytest.mark.slow
 def test_a_knocked_sensor_returns_with_its_mounting_learnt_anew_and_a_glitch_with_the_old_one() -> None:
     turn = np.array([0.0, 0.0, 40.0]) * ARCSEC
     for lie in (Lie("star.bow", turn, 20.0), Lie("star.bow", turn, 20.0, end_s=22.0)):
@@ -260,6 +263,7 @@ def test_a_knocked_sensor_returns_with_its_mounting_learnt_anew_and_a_glitch_wit
         assert_honest(sailed)
 
 
+@pytest.mark.slow
 def test_a_creeping_sensor_of_three_is_named_and_must_agree_for_twice_as_long_the_second_time() -> None:
     """Of 24 other voyages two have one VALID attitude of 4800 beyond five sigmas, by 5.05 at most."""
     drift = Lie("star.port", UP * 10.0 / 60.0 * ARCSEC, 20.0, per_s=True)
@@ -273,6 +277,7 @@ def test_a_creeping_sensor_of_three_is_named_and_must_agree_for_twice_as_long_th
     assert_honest(sailed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [4, 9])
 def test_a_creeping_sensor_of_two_is_a_doubt_and_where_one_is_named_it_is_the_right_one(seed: int) -> None:
     """The other sensor and an INS that wanders by as much nearly explain it: it may take minutes until one is named.
@@ -350,6 +355,7 @@ def test_the_decision_that_excludes_and_those_after_it_say_so() -> None:
     assert {source for source, reason in sailed.reasons if reason is Reason.EXCLUDED} == {"star.bow"}
 
 
+@pytest.mark.slow
 def test_levels_above_their_limit_make_the_attitude_degraded_and_a_single_source_too() -> None:
     limits = {"integrity": {"alert_limit_arcsec": [15.0, 15.0, 15.0]}}
     of_three = sailed_with(seconds=200.0, **limits)
@@ -406,6 +412,7 @@ def test_a_small_step_of_the_ins_clock_is_told_at_once_and_found_as_an_offset(st
     assert_nothing_left(sailed, 65.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lie", [clock_of_the_ins(-0.4), clock_of_the_ins(0.3), Lie("ins.axes", UP, 30.0, 50.0)])
 def test_an_ins_that_told_a_fault_is_excluded_and_not_the_stars(lie: Lie) -> None:
     sailed = sailed_with(lie, seconds=125.0, **TWO)
@@ -586,6 +593,7 @@ def test_a_row_without_a_sensor_is_the_estimate_of_a_ship_that_never_had_it() ->
     np.testing.assert_allclose(covariance[ins, ins], single.state.covariance[ins, ins], rtol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sensors", [THREE, FOUR], ids=["three", "four"])
 @pytest.mark.parametrize("knocks_arcsec", [(30.0, 30.0), (15.0, -15.0)], ids=["alike", "differently"])
 def test_two_sensors_knocked_at_once_are_both_excluded_where_pairs_are_left_out(

@@ -61,6 +61,7 @@ def test_without_the_parameter_the_topic_is_not_heard_and_nothing_is_published()
     assert TOPIC not in {known.topic for known in new_adapter().inputs}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [

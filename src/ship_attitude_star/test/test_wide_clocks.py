@@ -105,6 +105,7 @@ def nees(core: ShipAttitudeCore, truth: FloatArray) -> float:
     return float(normalized_error_squared(truth - core.state.mean[rows], core.state.covariance[np.ix_(rows, rows)]))
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("waves", [0.2, 1.0, 3.0])
 def test_mend_11_a_reference_at_its_default_priors_is_honest(waves: float) -> None:
     """Mean NEES was 20.7 where 4 is expected, the worst 377."""

@@ -128,6 +128,7 @@ WIDTHS = [
 ]
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("width", WIDTHS, ids=str)
 def test_mend_11_single_stars_and_solutions_are_honest_and_agree(sky: Sky, width: Width) -> None:
     ends = [end(sky, seed, width) for seed in range(SEEDS)]
@@ -207,6 +208,7 @@ def test_mend_11_what_the_gate_judges_is_chi_square(sky: Sky, width: Width) -> N
     assert low <= np.mean(values) <= high
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [8, 4, 3])
 @pytest.mark.parametrize("width", [WIDTHS[3], Width(3.0 * DEGREE, 3.0 * DEGREE), WIDTHS[6]], ids=str)
 def test_mend_11_two_exchanged_names_never_make_a_wrong_attitude(sky: Sky, width: Width, count: int) -> None:

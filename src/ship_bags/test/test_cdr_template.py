@@ -60,6 +60,7 @@ def random_element(draw, element):
     return draw.choice([0, draw.getrandbits(bits - 1), 2 ** (bits - element.islower()) - 1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("type_name", TYPES)
 @pytest.mark.parametrize("factory", FACTORIES)
 def test_bytes_are_those_of_rosbags(type_name, factory):

@@ -68,6 +68,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_mend_21_ctrl_c_is_one_line_and_leaves_no_half_file(case, tmp_path):
     module, moments, arguments = CASES[case]

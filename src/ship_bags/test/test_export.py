@@ -12,7 +12,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet
 import pytest
 from mcap.writer import Writer
 from rosbags.interfaces import Nodetype
@@ -26,6 +25,8 @@ from ship_bags.mcap.folder import FolderWriter, SplitLimits
 from ship_bags.message_store import definition, message_store, serialize
 from ship_testing.hand_made_bags import START_NS, imu, innovation, write_imu_bag
 from ship_testing.random_messages import TIMES, dtype, random_message
+
+parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed: make setup-all")
 
 ROOT = Path(__file__).parents[3]
 SUFFIXES = {"csv": ".csv", "parquet": ".parquet", "netcdf": ".nc"}
@@ -62,7 +63,7 @@ def read_table(path):
             names, *rows = csv.reader(file)
         return names, rows
     if path.suffix == ".parquet":
-        table = pyarrow.parquet.read_table(path)
+        table = parquet.read_table(path)
         columns = [column.to_pylist() for column in table.columns]
         return table.column_names, [list(row) for row in zip(*columns, strict=True)]
     with netcdf_file(path, mmap=False) as file:
@@ -178,6 +179,7 @@ def hard_bag(tmp_path_factory):
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", SUFFIXES)
 def test_what_is_read_back_gives_the_same_bytes_for_every_type(kind, hard_bag, tmp_path):
     assert main([str(hard_bag), "--out", str(tmp_path), "--format", kind]) == 0
@@ -201,6 +203,7 @@ def test_csv_has_no_more_digits_than_a_number_needs(tmp_path):
     assert read_table(tmp_path / "out" / "double.csv")[1][0][2:] == ["0.1"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", SUFFIXES)
 @pytest.mark.parametrize("name", ["demo", "theodolite"])
 def test_the_bags_of_the_repository_come_back_bit_for_bit(kind, name, tmp_path):
@@ -806,6 +809,7 @@ def test_more_files_than_a_process_may_open_are_told(tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_ctrl_c_leaves_nothing_behind(tmp_path):
     write_imu_bag(tmp_path / "long.mcap", 30_000)
     options = [str(tmp_path / "long.mcap"), "--out", str(tmp_path / "out")]

@@ -138,6 +138,7 @@ def call(live, name):
 # -- whole way ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.smoke
 def test_a_thousand_messages_at_ten_times_100_hz_arrive_unchanged(live, tmp_path):
     source = make_bag(tmp_path / "in.mcap", 1000)
     recorder = live.start_recorder(tmp_path / "out.mcap", "--use-sim-time", "--topics", "ins/imu", "truth/imu")
@@ -430,6 +431,7 @@ def test_mend_19_play_and_record_refuse_to_run_unprotected(live, tmp_path, comma
     assert not (tmp_path / "out.mcap").exists()
 
 
+@pytest.mark.smoke
 def test_a_killed_recorder_has_everything_but_its_last_flush_period(live, tmp_path):
     flush_period_s = 0.5
     source = make_bag(tmp_path / "in.mcap", 2000)

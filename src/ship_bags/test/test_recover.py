@@ -17,6 +17,7 @@ from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.mcap.folder import FolderWriter, SplitLimits
 from ship_bags.mcap.recover import recover, recovered_path
 from ship_bags.stamps import utc_text
+from ship_testing.every_case import check_every_case
 from ship_testing.hand_made_bags import START_NS, imu, vector
 from ship_testing.mcap_places import places
 
@@ -117,11 +118,22 @@ def test_cut_anywhere_gives_every_chunk_before_the_cut(unfinished, tmp_path, see
     assert by_mcap(recovery.path) == by_rosbags(recovery.path) == sorted(expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("finished", [False, True], ids=["killed", "finished"])
-@pytest.mark.parametrize("seed", range(50))
-def test_a_flipped_bit_costs_the_chunk_that_it_hits_and_names_it(unfinished, tmp_path, seed, finished):
-    source = tmp_path / "voyage.mcap"
-    data = bytearray(finished_bytes(unfinished, tmp_path) if finished else unfinished)
+def test_a_flipped_bit_costs_the_chunk_that_it_hits_and_names_it(unfinished, tmp_path, finished):
+    whole = finished_bytes(unfinished, tmp_path) if finished else unfinished
+
+    def check(seed):
+        check_a_flipped_bit(seed, whole, unfinished, tmp_path)
+
+    check_every_case([(seed,) for seed in range(50)], check)
+
+
+def check_a_flipped_bit(seed, whole, unfinished, tmp_path):
+    folder = tmp_path / f"seed_{seed}"
+    folder.mkdir()
+    source = folder / "voyage.mcap"
+    data = bytearray(whole)
     draw = random.Random(seed)
     position = draw.randrange(len(data))
     data[position] ^= 1 << draw.randrange(8)

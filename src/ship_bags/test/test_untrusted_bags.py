@@ -126,6 +126,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
     assert int(growth_kib) < 600_000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", [b"{secret}", b"\x00" * 1000, b"9" * 5000, b"[" * 100_000, b"a: &a [*a]", b"\xff\xfe"])
 def test_mend_25_an_attached_configuration_is_one_line_and_no_file_is_read(tmp_path, capsys, text):
     (tmp_path / "secret").write_text("root:$6$hash:19000\n")

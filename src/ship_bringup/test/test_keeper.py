@@ -95,6 +95,7 @@ def test_a_process_in_reserve_succeeds_the_one_that_died(monkeypatch):
     ]
 
 
+@pytest.mark.slow
 def test_a_program_whose_reserve_has_died_is_started_as_before(monkeypatch):
     monkeypatch.setattr("ship_bringup.suite.keeper._RESERVE_AFTER_S", 0.2)
     dies = SUCCESSOR.replace("waited = bool", "if WAITS in os.environ: raise SystemExit(3)\nwaited = bool")

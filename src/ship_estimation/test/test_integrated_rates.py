@@ -62,6 +62,7 @@ def assert_opened(found: Told, samples: list[AttitudeSample], first: int, arcsec
 # -- steps ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("rate_hz", RATES_HZ)
 @pytest.mark.parametrize(
     "motion",
@@ -86,6 +87,7 @@ def test_steps_of_fourteen_sigma_and_more_are_seen_at_the_sample(rate_hz: float,
         assert_opened(found, changed, first, step)
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize(("rate_hz", "least_arcsec"), [(20.0, 12.0), (50.0, 7.0), (100.0, 6.0), (200.0, 5.0)])
 def test_smaller_steps_are_seen_within_a_fifth_of_a_second(rate_hz: float, least_arcsec: float) -> None:
     """In forty runs each; ``least_arcsec`` is what the page of the documentation says."""
@@ -175,6 +177,7 @@ def test_a_freeze_in_a_slow_turn_is_told_once_the_drift_of_the_rates_is_known() 
 # -- none ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.statistics
 def test_noise_alone_is_no_step_in_the_reference_motion() -> None:
     """A bound of 7.3 sigma of three axes: at 100 Hz six tests a sample, 3.4e-5 false steps an hour at most.
 
@@ -190,6 +193,7 @@ def test_noise_alone_is_no_step_in_the_reference_motion() -> None:
     assert (refused, jumps) == (0, 0)
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("rate_hz", [20.0, 100.0])
 @pytest.mark.parametrize("amplitude_deg", [CALM, SWELL, STORM])
 @pytest.mark.parametrize(

@@ -89,6 +89,7 @@ def white(seed: int, count: int = MINUTE, shape: tuple[int, ...] = (3,)) -> Floa
     return np.random.default_rng(seed).standard_normal((count, *shape))
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("count", [LEAST_COUNT, 60, MINUTE])
 def test_nothing_is_found_where_all_is_as_stated(count: int) -> None:
     """120 windows: by the stated probability one in a million is judged otherwise."""
@@ -117,6 +118,7 @@ def test_an_understated_noise_of_attitudes_is_told_with_its_factor_though_the_ga
     assert f"optimistic by {found.factor:.1f}" in found.text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [1.5, 2.0, 3.0])
 def test_an_understated_noise_of_stars_is_told_from_misidentified_stars(factor: float) -> None:
     """Many stars a little too far off, of which the selection leaves out the worst."""

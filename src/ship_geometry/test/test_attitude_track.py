@@ -349,6 +349,7 @@ def test_noise_gain_is_the_variance_of_noisy_tracks(with_rate: bool, fraction: f
 # -- the newest sample, moved by a clock offset
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ahead_s", [-0.02, -0.005, 0.0, 0.005, 0.02])
 def test_newest_sample_moved_by_measured_rates(ahead_s: float) -> None:
     """Second order: the error is the third derivative's, 0.1 rad/s³ in this seaway, and the rate's change."""

@@ -89,6 +89,7 @@ def test_with_a_margin_all_of_a_small_circle_is_hidden() -> None:
     assert 50 < np.count_nonzero(hidden) < np.count_nonzero(masks.hide(middle))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("roll_deg", [0.0, 40.0])
 def test_a_mask_reaches_a_field_if_a_point_of_the_field_lies_in_it(roll_deg: float) -> None:
     """Against the field filled with a grid of 81 x 81 directions, each looked up in the rectangle of the funnel."""

@@ -127,6 +127,7 @@ def over_the_sea(warmer_k: float, within_m: float) -> Callable[[float], tuple[fl
     return temperature
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize(
     ("name", "air"),
     [

@@ -87,6 +87,7 @@ def test_any_order_of_arrival_gives_the_same() -> None:
     assert len(found) == 1
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("fraction", [0.1, 0.5, 0.9])
 def test_the_noise_gain_is_the_variance_of_drawn_noise(fraction: float) -> None:
     rng = np.random.default_rng(3)

@@ -127,6 +127,7 @@ class TestWhatIsRead:
 
 
 class TestPictures:
+    @pytest.mark.slow
     @pytest.mark.parametrize("at_s", [0.0, 10.0, 250.0, 599.0, 700.3, 900.0])
     def test_a_time_is_shown_as_who_had_heard_the_ten_minutes_before_saw_it(self, suite, pictures, at_s):
         pictures.go_to(at_s)
@@ -152,6 +153,7 @@ class TestPictures:
         assert first.alerts is not None
         assert first.alerts == later.alerts
 
+    @pytest.mark.slow
     def test_from_the_end_to_the_start_and_on(self, pictures):
         presence = {}
         for at_s in (900.0, 300.0, 880.0, 350.0):

@@ -49,6 +49,7 @@ def press(browser, key, *, shift=False):
     browser.evaluate(f"document.dispatchEvent({event})")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("theme", ["day", "night"])
 @pytest.mark.parametrize("size", [(1280, 800), (390, 844)])
 def test_the_slider_stands_under_the_bar_in_the_colours_of_the_page(browser, bag, theme, size, tmp_path):
@@ -71,6 +72,7 @@ def test_the_slider_stands_under_the_bar_in_the_colours_of_the_page(browser, bag
             assert browser.evaluate("[heading, ages, sources].every((each) => each.scrollHeight <= each.clientHeight)")
 
 
+@pytest.mark.slow
 def test_keys_move_the_time_and_play(browser, bag):
     with page_of(bag) as server:
         browser.open(server.address)

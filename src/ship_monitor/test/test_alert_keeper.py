@@ -61,6 +61,7 @@ def faulty(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return replayed(tmp_path_factory.mktemp("faulty"), "demo", f"{INS_STEP}, {KNOCK}")[1]
 
 
+@pytest.mark.slow
 def test_each_fault_names_its_source_within_two_seconds(faulty: Path) -> None:
     """The INS steps by 100″ at 20 s, a star sensor is knocked by 50″ at 40 s: two alerts of two sources.
 
@@ -79,6 +80,7 @@ def test_each_fault_names_its_source_within_two_seconds(faulty: Path) -> None:
     assert not [change for _, change in voyage.changes if "fore" in change.alert.id]
 
 
+@pytest.mark.slow
 def test_faults_of_a_theodolite_name_their_sources(tmp_path: Path) -> None:
     """A baseline that floats at 10 s, lights that bear each other's names from 25 s, encoders silent from 60 s."""
     voyage = Voyage(*replayed(tmp_path, "theodolite", THEODOLITE))
@@ -96,6 +98,7 @@ def test_faults_of_a_theodolite_name_their_sources(tmp_path: Path) -> None:
     assert "pointing lost" in voyage.first("encoder.out")[1].alert.text
 
 
+@pytest.mark.slow
 def test_what_the_faults_take_away_is_told_with_them(faulty: Path) -> None:
     """While a source that takes an angle away is out, no alert of the output stands beside that of the source."""
     voyage = Voyage(faulty)
@@ -114,6 +117,7 @@ def test_clean_voyage_blames_no_source(tmp_path: Path) -> None:
     assert all(change.what != "raised" or time_s >= 10.0 for time_s, change in voyage.changes)
 
 
+@pytest.mark.slow
 def test_lost_keeper_loses_no_alert(faulty: Path, tmp_path: Path) -> None:
     """Killed at any moment and started anew from the file: the same alerts, acknowledged or not, none raised again."""
     state = tmp_path / "alerts.json"

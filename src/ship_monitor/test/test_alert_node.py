@@ -175,6 +175,7 @@ def test_alert_is_raised_acknowledged_and_outlives_its_node(ship, start, until, 
     assert "not acknowledged: 'attitude.silent' is instance 1 now, not 2" in log
 
 
+@pytest.mark.smoke
 def test_diagnostics_are_heard_and_told_as_a_tree(ship, start, until, tmp_path):
     """A node's black box that ended is a warning; the functions stand in /diagnostics with what is lost."""
     start("--state", str(tmp_path / "alerts.json"))

@@ -60,6 +60,7 @@ def test_labels_name_each_band_at_its_middle_and_the_others_together() -> None:
     assert heights[2] - heights[1] >= 0.115 * 9.0 - 1e-9
 
 
+@pytest.mark.slow
 def test_bands_add_up_to_the_whole_of_the_chosen_angle() -> None:
     history = watched_history()
     panel = BudgetPanel(THEMES["day"], TimePlots(600.0))

@@ -59,6 +59,7 @@ def test_what_is_not_known_is_neither_least_nor_largest_but_stays_a_gap() -> Non
     assert list(thinned(time_ns, value)) == [1, 2, 4]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", [0.5, 1.0, 2.0, 20.0])
 @pytest.mark.parametrize("batch_s", [0.5, 1.3, 700.0])
 def test_a_trail_is_the_same_however_it_is_fed_and_never_too_long(rate_hz: float, batch_s: float) -> None:

@@ -54,12 +54,14 @@ def test_before_anything_is_heard_it_waits_and_says_where(watch):
     assert (watch.name, watch.label) == ("demo", "LIVE")
 
 
+@pytest.mark.smoke
 def test_a_suite_that_comes_later_is_shown(watch, ship, until):
     heading(watch)
     assert sail(ship, watch, until).value == 1.0
     assert watch.look().waiting_for == ""
 
 
+@pytest.mark.smoke
 def test_what_has_ended_becomes_old_by_itself_and_is_shown_again_when_it_comes_back(watch, until):
     for start_ns in (START_NS, START_NS + 100 * NS_PER_S):
         ship = PublishingShip()

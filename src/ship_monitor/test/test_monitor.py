@@ -19,6 +19,7 @@ def test_a_port_in_use_is_one_line_and_bad_input(capsys):
 
 
 def test_a_port_of_foxglove_in_use_is_one_line_and_bad_input(capsys):
+    pytest.importorskip("foxglove", reason="foxglove-sdk is not installed: make setup-all")
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
@@ -32,7 +33,7 @@ def test_without_the_package_of_foxglove_one_line_says_what_to_install(capsys, m
     monkeypatch.setitem(sys.modules, "foxglove", None)
     monkeypatch.delitem(sys.modules, "ship_monitor.foxglove.server", raising=False)
     assert main(["--foxglove"]) == 2
-    said = "monitor: --foxglove needs the Python package foxglove-sdk: pip install foxglove-sdk\n"
+    said = "monitor: --foxglove needs the Python package foxglove-sdk: make setup-all, or pip install foxglove-sdk\n"
     assert capsys.readouterr() == ("", said)
 
 

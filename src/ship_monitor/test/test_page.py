@@ -50,6 +50,7 @@ def rectangle(browser, selector):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("theme", ["day", "dusk", "night"])
 @pytest.mark.parametrize("size", SIZES)
 def test_everything_of_the_first_screenful_is_drawn(browser, source, page, theme, size, tmp_path):
@@ -84,6 +85,7 @@ def test_the_first_screenful_at_1280_by_800_lies_where_the_design_has_it(browser
 
 
 # Least heights of capitals for two metres and for one, as font sizes in px of a screen 1280 wide (design of the page).
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("selector", "least_px"),
     [
@@ -105,6 +107,7 @@ def test_what_is_read_from_afar_is_large(browser, source, page, selector, least_
     assert browser.evaluate(f"parseFloat(getComputedStyle(document.querySelector('{selector}')).fontSize)") >= least_px
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", SIZES)
 def test_without_the_cockpit_face_nothing_is_cut(source, page, size, tmp_path, monkeypatch):
     """B612 may not be there: DejaVu, which is wider, then comes from the server."""
@@ -178,6 +181,7 @@ def test_no_link_is_said_within_two_seconds_of_the_last_news(browser, page):
     assert sum(limits) <= 2000
 
 
+@pytest.mark.slow
 def test_a_server_that_starts_again_is_found_again(browser, source):
     with served(source) as server:
         port = int(server.address.rstrip("/").rpartition(":")[2])
@@ -292,6 +296,7 @@ TITLES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("theme", ["dusk", "night"])
 def test_all_panels_below_are_drawn_when_they_come_into_sight(browser, source, page, theme, size, tmp_path):
@@ -338,6 +343,7 @@ MARKED = f"""(() => {{
 """Titles, frames, rows of tables and labels of axes that are marked in the panels."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", SIZES)
 def test_a_click_on_a_tile_shows_its_budget_and_its_error_in_one_window(browser, source, page, size):
     source.set(watched_picture(), watched_history())
@@ -354,6 +360,7 @@ def counted(browser, each):
     browser.until(f"JSON.stringify({MARKED}) === '{json.dumps([each] * 4, separators=(',', ':'))}'")
 
 
+@pytest.mark.slow
 def test_a_mark_is_in_every_panel_stays_through_updates_and_goes_with_escape(browser, source, page):
     source.set(watched_picture(), watched_history())
     browser.open(page, 1280, 4000)  # all panels in sight
@@ -385,6 +392,7 @@ def test_a_mark_is_in_every_panel_stays_through_updates_and_goes_with_escape(bro
     assert browser.problems == []
 
 
+@pytest.mark.slow
 def test_another_theme_keeps_the_mark(browser, source, page):
     source.set(watched_picture(), watched_history())
     browser.open(page)
@@ -397,6 +405,7 @@ def test_another_theme_keeps_the_mark(browser, source, page):
     browser.until(f"{MARKED}[0] > 0")
 
 
+@pytest.mark.slow
 def test_only_the_panels_in_sight_are_drawn(browser, source, page, monkeypatch):
     drawn = []
     for kind in (InnovationPanel, SkyPanel, InputsPanel):

@@ -43,6 +43,7 @@ def test_an_empty_suite_draws_empty_panels_that_say_so(panels) -> None:
         assert said in texts
 
 
+@pytest.mark.slow
 def test_without_truth_the_innovations_take_the_room_of_the_errors(panels) -> None:
     panels.update(watched_history(has_truth=True), PICTURE)
     assert panels._errors.box.layout.visible
@@ -53,6 +54,7 @@ def test_without_truth_the_innovations_take_the_room_of_the_errors(panels) -> No
     assert "error" not in panels._grid.css
 
 
+@pytest.mark.slow
 def test_without_a_telescope_the_sky_takes_the_room_of_the_lights(panels) -> None:
     history = watched_history()
     panels.update(replace(history, lights={}), PICTURE)
@@ -108,6 +110,7 @@ def test_an_outage_that_is_over_stays_shaded_and_a_new_one_is_added(panels) -> N
     assert out["end"] == pytest.approx([now_ms + 5e3, now_ms + 22e3])
 
 
+@pytest.mark.slow
 def test_an_outage_is_forgotten_where_the_time_goes_back_before_it(panels) -> None:
     history = watched_history()
     panels.update(history, PICTURE)

@@ -112,6 +112,7 @@ def evaluated(browser, expression):
     return browser.evaluate(f"(() => {{ {FIND} return {expression}; }})()")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("theme", list(THEMES))
 @pytest.mark.parametrize("width", [1280, 390])
 def test_panels_are_drawn_in_every_theme_and_width(browser, theme, width, tmp_path):
@@ -130,6 +131,7 @@ def test_panels_are_drawn_in_every_theme_and_width(browser, theme, width, tmp_pa
         assert np.all(pixels[..., 1:].max(axis=-1) <= 0.26 * pixels[..., 0] + 0.02)
 
 
+@pytest.mark.slow
 def test_new_points_are_streamed_and_the_time_goes_on(browser):
     with served("day") as (address, _):
         opened(browser, address, "day", 1280)
@@ -141,6 +143,7 @@ def test_new_points_are_streamed_and_the_time_goes_on(browser):
         assert browser.problems == []
 
 
+@pytest.mark.slow
 def test_a_drag_zooms_the_time_of_all_plots_and_a_double_click_returns(browser):
     with served("day") as (address, told):
         opened(browser, address, "day", 1280)

@@ -43,7 +43,7 @@ class Terminal:
         self._call("kill-server")
 
 
-@pytest.fixture(params=["C.UTF-8", "C"])
+@pytest.fixture(params=[pytest.param("C.UTF-8", marks=pytest.mark.smoke), "C"])
 def terminal(request):
     terminal = Terminal("--namespace", "demo", language=request.param)
     yield terminal

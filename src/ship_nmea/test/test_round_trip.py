@@ -59,6 +59,7 @@ def teller(tmp_path):
     context.try_shutdown()
 
 
+@pytest.mark.smoke
 def test_an_attitude_comes_back(listening, teller):
     port = free_port()
     node = listening({"link": {"kind": "udp", "address": "127.0.0.1", "port": port, "becomes": "ins"}})

@@ -34,6 +34,7 @@ def set_parameter(relay, name: str, value: object):
     return relay.call(SetParameters, "set_parameters", SetParameters.Request(parameters=[parameter])).results[0]
 
 
+@pytest.mark.smoke
 def test_everything_is_in_the_box_in_the_order_of_use(live_relay, tmp_path):
     relay = live_relay(*RELIABLE_INPUT, *SIM_TIME, "-p", f"black_box:={tmp_path}/box.mcap")
     publisher, set_time = relay.imu_publisher(), relay.clock_publisher()

@@ -34,6 +34,7 @@ def set_parameter(relay, name: str, value: object):
     return relay.call(SetParameters, "set_parameters", SetParameters.Request(parameters=[parameter])).results[0]
 
 
+@pytest.mark.smoke
 def test_relays_a_thousand_messages_at_500_hz_and_loses_none(live_relay):
     relay = live_relay(*RELIABLE_INPUT)
     publisher = relay.imu_publisher()

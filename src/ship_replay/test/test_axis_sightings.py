@@ -44,6 +44,7 @@ def fitted(table, tmp_path_factory):
     return folder
 
 
+@pytest.mark.statistics
 def test_mend_23_the_axis_errors_of_the_bag_come_out_within_their_sigmas(table, fitted):
     """The deformation of the deck (20″, in this bag 45″) is in the offsets: as noise it gave βx 57″ ± 0.8″ off."""
     assert len(read_sightings(table).labels) > 100
@@ -96,6 +97,7 @@ def test_mend_23_as_many_rows_as_a_fit_takes_are_written(tmp_path):
     np.testing.assert_allclose(slow.effect[0], [1e-5, 2e-5], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_same_bag_gives_the_same_table(table, tmp_path):
     again = tmp_path / "again.csv"
     axis_sightings(BAGS / "theodolite.mcap").write(again)

@@ -75,6 +75,7 @@ def test_a_box_of_the_optical_axis_is_equal_to_the_last_bit(tmp_path, capsys):
     assert text.startswith("format: optical_axis calibration")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("node", "fault", "source"),
     [
@@ -97,6 +98,7 @@ def test_a_box_with_an_exclusion_in_it_is_equal_to_the_last_bit(node, fault, sou
     assert "outputs are equal to the last bit" in out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship_attitude", "optical_axis"])
 def test_mend_04_a_box_holds_the_time_of_waiting_that_silence_rests_on(node, tmp_path, capsys):
     """The node's clock is put forward while nothing comes for 2.2 s, and back later."""
@@ -152,6 +154,7 @@ def older(kind):
     return Older
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship", "axis"])
 def test_a_box_of_before_a_topic_was_published_is_still_equal_to_the_last_bit(tmp_path, capsys, node):
     box = tmp_path / "box.mcap"
@@ -176,6 +179,7 @@ def test_the_saved_file_is_not_written_again(box, capsys):
     assert path.stat().st_mtime_ns == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship_attitude", "optical_axis"])
 def test_what_a_node_saves_by_itself_is_replayed_and_not_written_again(tmp_path, capsys, node):
     saved = tmp_path / "saved.yaml"
@@ -190,6 +194,7 @@ def test_what_a_node_saves_by_itself_is_replayed_and_not_written_again(tmp_path,
     assert not saved.exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship_attitude", "optical_axis"])
 def test_a_node_that_did_not_save_by_itself_yet_is_not_expected_to_have_saved(tmp_path, capsys, monkeypatch, node):
     """Its box lacks the parameter, whose default is once a minute; here a minute passes within a second."""
@@ -219,6 +224,7 @@ def test_a_node_that_did_not_save_by_itself_yet_is_not_expected_to_have_saved(tm
         assert (code == 0) is same, out
 
 
+@pytest.mark.slow
 def test_a_bag_replayed_or_checked_does_not_replace_what_a_ship_has_saved(tmp_path, capsys):
     saved, suite = tmp_path / "alignment.yaml", tmp_path / "suite.yaml"
     with read_bag(SHIP_ATTITUDE.bag) as bag:
@@ -418,6 +424,7 @@ def suite(box, tmp_path):
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["suite.yaml", "versions.json"])
 def test_a_missing_attachment_is_refused_or_replaced_by_config(box, suite, tmp_path, capsys, name):
     copy = changed_copy(box, tmp_path / "b.mcap", without(name))

@@ -77,11 +77,13 @@ def _gaps(times: Any) -> list[np.ndarray]:
     return [*times.stamps.seconds(), *times.arrivals.seconds()]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_scenarios(tmp_path: Path, name: str) -> None:
     assert_equal(make_bag(SCENARIOS / f"{name}.yaml", 25.0, 1, tmp_path / f"{name}.mcap"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("latency_s", [2.15, 2.25])
 def test_an_ins_that_comes_about_lag_s_after_the_stars(tmp_path: Path, latency_s: float) -> None:
     """Where the newest star attitude is more than ``lag_s`` ahead, a sample that follows the one before is late."""
@@ -113,16 +115,19 @@ def drawn_faults(bag_path: Path, seed: int) -> Injection:
     return Injection(bag_path, {f"f{number}": one.fault for number, one in enumerate(drawn)}, seed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(FAULTED_BAGS))
 def test_faulted_bags(clean_bag: Path, seed: int) -> None:
     assert_equal(clean_bag, drawn_faults(clean_bag, seed))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(FAULTED_BAGS // 2))
 def test_faulted_bags_of_all_nodes(suite_bag: Path, seed: int) -> None:
     assert_equal(suite_bag, drawn_faults(suite_bag, seed))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("most", [7, 100])
 @pytest.mark.parametrize("bag", ["clean_bag", "suite_bag"])
 def test_where_blocks_end_makes_no_difference(
@@ -132,6 +137,7 @@ def test_where_blocks_end_makes_no_difference(
     assert_equal(request.getfixturevalue(bag))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("core", [ShipAttitudeCore, StarCore])
 def test_most_of_a_healthy_ins_is_taken_in_blocks(
     suite_bag: Path, core: Any, monkeypatch: pytest.MonkeyPatch
@@ -149,6 +155,7 @@ def test_most_of_a_healthy_ins_is_taken_in_blocks(
     assert sum(taken) > 0.8 * summary.inputs["ins/imu"]
 
 
+@pytest.mark.slow
 def test_nearly_all_pointings_are_put_out_together(suite_bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     counts = []
     of_due = PointingOutput.of_due

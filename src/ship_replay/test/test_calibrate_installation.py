@@ -69,6 +69,7 @@ def test_at_constant_heading_the_common_turns_are_named(tmp_path, capsys):
     assert result.values["angles"]["star.fore.roll"]["sigma_arcsec"] < 0.6 * 28.28
 
 
+@pytest.mark.slow
 def test_a_turn_tells_tilt_and_not_azimuth(tmp_path, capsys):
     result = calibrate(tmp_path, capsys, session(TURN))
     assert observed(result) == {ROLL: "yes", AZIMUTH: "no", PITCH: "yes"}
@@ -169,6 +170,7 @@ def test_an_installation_far_from_the_configured_one_needs_a_wider_prior(tmp_pat
     assert observed(result)[AZIMUTH] == "no"
 
 
+@pytest.mark.slow
 def test_a_saved_alignment_does_not_count_again(tmp_path, capsys):
     """A configuration that names the file of an earlier session does not make the result surer than it is."""
     scenario = session(STILL, reference=True)
@@ -184,6 +186,7 @@ def test_a_saved_alignment_does_not_count_again(tmp_path, capsys):
     assert again.values == first.values
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("source", ["observations", "solution", "inertial_attitude"])
 def test_every_input_of_a_star_sensor_serves(tmp_path, capsys, source):
     """Stars of the real sky, by each way in; the second sensor gives single stars in any case."""

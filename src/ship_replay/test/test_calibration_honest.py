@@ -47,6 +47,7 @@ def nees(calibration: InstallationCalibration, run: SimulatedRun) -> float:
 CALM = {"bow": "no", "up": "no", "starboard": "no"}
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize(
     ("scenario", "observed"),
     [
@@ -104,6 +105,7 @@ def next_voyage(calibration_run: SimulatedRun) -> Scenario:
     return replace(session(HEELING, duration_s=10.0), star_sensors=sensors, ins=ins)
 
 
+@pytest.mark.statistics
 def test_a_voyage_that_starts_from_it_is_better_and_honest(tmp_path: Path) -> None:
     """Through the file and its real loader."""
     scenario = session(STILL, reference=True)

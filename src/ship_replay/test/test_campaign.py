@@ -238,12 +238,14 @@ class TestKilled:
             1: None, 2: f"its worker died {MOST_DEATHS} times, at last with signal 9", 3: None, 4: None,
         }  # fmt: skip
 
+    @pytest.mark.slow
     def test_a_worker_killed_from_outside_loses_nothing(self, by_one, scenario, tmp_path):
         with Command(scenario, tmp_path / "out") as command:
             os.kill(command.a_worker(), signal.SIGKILL)
             assert command.process.wait(PATIENCE_S) == 0
         assert files_of(tmp_path / "out") == files_of(by_one)
 
+    @pytest.mark.slow
     def test_ctrl_c_keeps_what_is_made(self, by_one, scenario, tmp_path, capsys):
         results = tmp_path / "out" / "results"
         with Command(scenario, tmp_path / "out", "--workers", "1") as command:
@@ -317,6 +319,7 @@ def address():
 
 
 class TestCluster:
+    @pytest.mark.slow
     def test_a_dask_cluster_gives_the_same_bytes(self, by_one, scenario, tmp_path, address):
         arguments = [str(scenario), "--seeds", "1-3", "--scheduler", address, "--out", str(tmp_path / "out")]
         assert main(arguments) == 0

@@ -48,6 +48,7 @@ def test_a_voyage_is_made_and_repeats(kind):
     assert 0.0 < first["nees"] < 16.3  # of three degrees of freedom, probability 1e-3
 
 
+@pytest.mark.statistics
 def test_three_sensors_meet_twelve_arcseconds_after_ten_minutes():
     """The least that was asked of this software, before it was written: 99.5 % of the time, in the reference motion."""
     found = make_clean_voyage(CleanVoyage(1, THREE, False), SCENARIOS, 660.0)

@@ -88,9 +88,11 @@ class TestAnotherConfiguration:
         assert len(ids) == len(set(ids))
         assert set(re.findall(r'(?:href="#|url\(#)([^")]+)', told)) <= set(ids)
 
+    @pytest.mark.slow
     def test_the_same_bags_give_the_same_bytes(self, told, plain, noisier):
         assert pair_page(read_pair(plain, noisier)) == told
 
+    @pytest.mark.slow
     def test_several_processes_give_the_same_bytes(self, told, plain, noisier, monkeypatch):
         """Long bags are read by several processes; the size from which on is set to nothing here."""
         monkeypatch.setattr("ship_replay.report.told.SHORT_BYTES", 0)
@@ -214,6 +216,7 @@ def test_the_last_bit_counts(plain, folder):
     assert found.largest(0)[0] == pytest.approx(2.0**-53 / ARCSEC)
 
 
+@pytest.mark.slow
 def test_an_angle_that_only_one_has(plain, noisier, folder):
     """Replayed pointings beside the attitudes in A; B has the attitudes alone."""
     given = beginning(BAGS / "theodolite.mcap", folder / "theodolite_in.mcap", LENGTH_S)
@@ -418,6 +421,7 @@ class TestBadInput:
         )
         assert not (tmp_path / "c.html").exists()
 
+    @pytest.mark.slow
     def test_the_complaint_of_another_process(self, tmp_path, capsys, monkeypatch):
         monkeypatch.setattr("ship_replay.report.told.SHORT_BYTES", 0)
         a = write_attitudes(tmp_path / "a.mcap", 5)

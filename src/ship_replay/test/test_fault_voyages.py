@@ -368,6 +368,7 @@ def test_levels_and_exclusions_are_those_of_the_last_integrity_message():
     assert [sign[0] for sign in sink.told.signs] == ["ins", "ins"]
 
 
+@pytest.mark.slow
 def test_a_voyage_is_judged_and_repeats(bag):
     voyage = Voyage(5, bag, OVERLAPPING)
     clean = clean_voyage(bag)
@@ -517,6 +518,7 @@ def test_results_outlive_a_torn_line_and_a_file_of_something_else_is_refused(tmp
     assert results_file(path, fresh=True).all() == []
 
 
+@pytest.mark.slow
 def test_the_tables_of_results_that_are_there_and_their_exit_code(tmp_path):
     command = [sys.executable, str(ROOT / "tools" / "faults.py"), "--table", "--out", str(tmp_path)]
     both = overlapping(1, longest_beyond_s=1.9)
@@ -534,7 +536,7 @@ def test_the_tables_of_results_that_are_there_and_their_exit_code(tmp_path):
     assert "NOT MET  overlapping faults, 2 voyages: the longest VALID beyond 5σ 2.10 s; bound 2 s" in done.stdout
 
 
-@pytest.mark.slow
+@pytest.mark.statistics
 @pytest.mark.parametrize(
     ("scenario", "words"),
     [

@@ -215,6 +215,7 @@ KINDS = {
 
 
 # What a mutated message says may be beyond all numbers.
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize("kind", KINDS)
 def test_mend_25_no_mutation_of_a_file_ends_in_a_traceback(kind, whole, tmp_path, monkeypatch, capsys):

@@ -25,6 +25,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_the_file_is_one_that_the_suite_loads(bag, tmp_path, capsys):
     out = tmp_path / "noise.yaml"
     assert main([str(bag), "--out", str(out)]) == 0

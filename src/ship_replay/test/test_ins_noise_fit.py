@@ -44,6 +44,7 @@ def three_hours() -> Identification:
     return identify(noise_session(scenario(10_800.0, white_sigma_arcsec=WHITE), 1))
 
 
+@pytest.mark.slow
 def test_three_hours_tell_white_noise_and_change(three_hours: Identification) -> None:
     # Issue: white sigma within 10 %, 2 sigma²/tau inside its own interval.
     best = three_hours.best
@@ -81,6 +82,7 @@ def free_ins() -> Identification:
     return identify(noise_session(scenario(7200.0, model="schuler"), 4))
 
 
+@pytest.mark.statistics
 def test_schuler_is_told_from_gauss_markov_which_is_not_honest(free_ins: Identification) -> None:
     # Issue: an independent computation had 13.4″ in the outage, 2.5 times its sigma.
     found = free_ins
@@ -108,6 +110,7 @@ def test_schuler_is_written_with_what_it_rests_on(free_ins: Identification, tmp_
     assert "# the most likely parameters of gauss_markov are not honest in an outage: tilt" in text
 
 
+@pytest.mark.slow
 def test_two_hundred_times_tell_sigma_and_time() -> None:
     # Issue: sigma within 10 %, tau within 30 %.
     slow = {"tilt_sigma_arcsec": 10.0, "tilt_time_s": 60.0, "heading_sigma_arcsec": 20.0, "heading_time_s": 60.0}
@@ -141,6 +144,7 @@ def drawn(session: NoiseSession, seed: int) -> NoiseSession:
     return replace(session, pairs=pairs)
 
 
+@pytest.mark.statistics
 def test_the_sigmas_of_what_is_told_hold_over_many_records() -> None:
     hour, wrong = noise_session(scenario(2400.0), 1), []
     true = np.log([CHANGES["tilt"], CHANGES["heading"], WHITE])

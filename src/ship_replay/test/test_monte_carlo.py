@@ -105,6 +105,7 @@ def one_by_one(core, run, wanted_ns):
             yield core.add_measurement(measurement_of(run, source, index))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["paper", "late_shuffled", "everything"])
 def test_samples_of_the_ins_judged_in_blocks_lead_to_what_they_lead_to_one_by_one(name):
     scenario = dataclasses.replace(load_scenario(SCENARIOS / f"{name}.yaml"), duration_s=40.0)

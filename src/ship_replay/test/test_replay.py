@@ -284,6 +284,7 @@ class TestCommand:
 
     SUITE = "ship_attitude:\n  ros__parameters:\n    ins:\n      frame_id: ins\n"
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("namespace", ["", "vessel", "ship"])
     def test_replays_and_reports(self, tmp_path, capsys, namespace):
         bag = tmp_path / "in.mcap"

@@ -41,6 +41,7 @@ def verdicts(name: str, change: Callable[[str, Any], None]) -> dict[str, list[tu
     return told
 
 
+@pytest.mark.slow
 def test_a_sigma_understated_by_two_is_told_within_a_minute_and_of_that_sensor_alone() -> None:
     def understated(topic: str, message: Any) -> None:
         if topic == "star/fore/horizon_attitude":
@@ -55,6 +56,7 @@ def test_a_sigma_understated_by_two_is_told_within_a_minute_and_of_that_sensor_a
     assert {level for level, _ in told["verdict star.starboard"]} == {0}
 
 
+@pytest.mark.slow
 def test_a_sensor_that_is_off_by_a_degree_is_biased_although_none_of_its_measurements_is_used() -> None:
     """So much is no knock: the others do not learn it as a new mounting."""
     begun_ns: list[int] = []

@@ -28,6 +28,7 @@ def night_path(tmp_path_factory):
     return write_night(tmp_path_factory.mktemp("night") / "out.mcap", silent=(20, 25), refused=range(30, 37))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("namespace", ["vessel", "ship"])
 def test_a_recording_in_a_namespace(night_path, tmp_path, namespace):
     copied(night_path, BagWriter(tmp_path / "recorded.mcap"), f"/{namespace}/")
@@ -38,6 +39,7 @@ def test_a_recording_in_a_namespace(night_path, tmp_path, namespace):
         assert section(told, name) == section(page(read_told(night_path)), name)
 
 
+@pytest.mark.slow
 def test_a_rosbag2_folder_of_several_files(night_path, tmp_path):
     folder = tmp_path / "night"
     copied(night_path, FolderWriter(folder, SplitLimits(size_bytes=10_000)))

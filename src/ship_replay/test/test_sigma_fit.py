@@ -62,6 +62,7 @@ def test_independent_ones_of_white_noise_of_nothing_and_of_a_bias() -> None:
     assert independent_count(np.empty((0, 3))) == 0.0
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("time_s", [0.1, 3.0, 10.0, 30.0])
 def test_an_honest_sigma_is_not_condemned(time_s: float) -> None:
     """Of 1000 honest runs one is out of a band of 99.9 %; more than 6 in one of ten thousand such tests."""

@@ -90,6 +90,7 @@ def test_each_attitude_is_told_again_with_what_came_later(bag, tmp_path, capsys)
     assert "241 messages on ship/attitude_smoothed" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_each_pointing_is_told_again_by_the_smoothed_attitude(theodolite_bag, tmp_path, capsys):
     smoothed, replayed = tmp_path / "smoothed.mcap", tmp_path / "replayed.mcap"
     assert smooth([str(theodolite_bag), "--out", str(smoothed)]) == 0

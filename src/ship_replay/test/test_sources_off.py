@@ -80,6 +80,7 @@ def is_told_off(data: bytes, source: str) -> bool:
     return bool(off)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("run_class", [ReplayRun, BlockRun])
 @pytest.mark.parametrize(("bag_path", "node", "source", "topic"), CASES, ids=[case[2] for case in CASES])
 def test_off_from_the_start_is_as_without_the_topic(

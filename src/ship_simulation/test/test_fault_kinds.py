@@ -1,6 +1,7 @@
 """Every kind of fault with every type of message that nodes take: it works, and changes something, or it is refused."""
 
 import dataclasses
+import itertools
 import re
 
 import pytest
@@ -14,6 +15,7 @@ from ship_simulation.scenario.fault_file import fault_problems
 from ship_simulation.scenario.names import COVARIANCES, FIRST_VALUE, can_happen
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.simulate_command import write_bag
+from ship_testing.every_case import check_every_case
 from ship_testing.places import ROOT
 from ship_testing.theodolite_scenes import with_night
 
@@ -99,9 +101,15 @@ def test_the_sizes_here_are_those_of_the_kind(kind):
     assert [str(problem) for problem in size_problems("f", fault_of(kind, "ins/imu"))] == []
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("topic", TOPICS)
-def test_a_kind_changes_messages_of_a_type_in_its_time_or_is_refused(bag, start_ns, kind, topic):
+@pytest.mark.slow
+def test_a_kind_changes_messages_of_a_type_in_its_time_or_is_refused(bag, start_ns):
+    def check(kind, topic):
+        check_a_kind(bag, start_ns, kind, topic)
+
+    check_every_case(itertools.product(KINDS, TOPICS), check)
+
+
+def check_a_kind(bag, start_ns, kind, topic):
     fault = fault_of(kind, topic)
     if not can_happen(kind, TOPICS[topic]):
         problems = [str(problem) for problem in fault_problems({"f": fault}, TOPICS, "in the bag")]

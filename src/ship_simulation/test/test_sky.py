@@ -182,6 +182,7 @@ def test_the_date_of_the_reference_case_is_night():
     assert elevation_deg[1] < elevation_deg[0]
 
 
+@pytest.mark.statistics
 def test_errors_common_to_all_stars_have_their_sigmas():
     weather = dataclasses.replace(paper_stars().weather, pressure_sigma_hpa=2.0, temperature_sigma_k=3.0)
     skies = [drawn(seed, weather=weather, earth_rotation_sigma_s=0.01) for seed in range(300)]

@@ -109,6 +109,7 @@ def test_each_star_stands_where_the_attitude_and_erfa_put_it():
     assert len(said.stars) == 8 * said.time_ns.size
 
 
+@pytest.mark.slow
 def test_all_stars_of_the_catalogue_that_stand_on_the_detector_are_there_and_no_others():
     scenario = with_sensor(paper_stars(duration_s=20.0), magnitude_limit=7.0, most_stars=1000, camera=QUIET)
     said, truth, sky = sightings_of(scenario)

@@ -6,8 +6,7 @@ without acknowledgement), not from the code.
 
 import itertools
 
-import pytest
-
+from ship_testing.every_case import check_every_case
 from ship_watch.alert_states import AlertEvent, AlertState, next_state
 from ship_watch.picture import Priority
 
@@ -49,12 +48,11 @@ CAUTION_CASES = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("priority", "before", "event", "after"),
-    WARNING_CASES + CAUTION_CASES,
-    ids=[f"{priority.name}-{before}-{event}" for priority, before, event, _ in WARNING_CASES + CAUTION_CASES],
-)
-def test_transition(priority: Priority, before: str, event: str, after: str) -> None:
+def test_transition() -> None:
+    check_every_case(WARNING_CASES + CAUTION_CASES, check_transition)
+
+
+def check_transition(priority: Priority, before: str, event: str, after: str) -> None:
     """One event in one state."""
     assert next_state(STATES[before], AlertEvent[event], priority) is STATES[after]
 

@@ -134,6 +134,7 @@ def test_the_clean_session_is_right_across_the_wrap_of_the_azimuth() -> None:
     assert all(m.accepted for m in run.messages("theodolite/innovation"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("topic", "change", "reason", "text"), [c[1:] for c in DROPPED], ids=[c[0] for c in DROPPED])
 def test_a_dropped_message_leaves_everything_as_without_it(topic: str, change: Change, reason: str, text: str) -> None:
     index = index_at(session(), topic, MOMENT_S)

@@ -111,6 +111,7 @@ def write(path: Path, values: Any) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_requirement_that_is_not_met_is_exit_code_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     values = ONE_DRONE | {"required_arcsec": 0.5}
     values["optical_axis"] = values["optical_axis"] | {"escort": {"elevation_min_deg": 40.0}}

@@ -99,6 +99,7 @@ def test_a_single_wrong_reading_leaves_no_doubt():
     assert [number for number, (doubt, *_) in enumerate(found) if doubt] == [100]
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("sigma_arcsec", [0.3, 1.0, 5.0])
 def test_good_readings_are_not_suspected(sigma_arcsec):
     """More noise than is stated is learnt; stamps that jitter by a tenth of a period are taken as they are."""

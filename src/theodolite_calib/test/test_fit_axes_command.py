@@ -312,6 +312,7 @@ def test_mend_23_rows_given_twice_count_once(tmp_path: Path, capsys: pytest.Capt
     assert once == twice
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changed", "told"),
     [

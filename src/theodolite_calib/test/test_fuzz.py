@@ -4,6 +4,7 @@ import copy
 import pickle
 
 import numpy as np
+import pytest
 
 from ship_estimation.outcome import Status
 from ship_node.live.adapter_calls import message_bytes
@@ -14,6 +15,7 @@ from ship_testing.small_session import ALL_TOPICS, SHIP, Run, clean_run, new_ada
 MESSAGES = 10_000
 
 
+@pytest.mark.slow
 def test_no_message_whatsoever_raises_or_does_damage() -> None:
     rng = np.random.default_rng(4712)
     adapter = new_adapter()

@@ -55,6 +55,7 @@ SHUFFLES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "topics"), SHUFFLES)
 def test_any_order_within_the_lag_ends_in_the_same_state(seed: int, topics: tuple[str, ...]) -> None:
     run = drive(new_adapter(), shuffled(seed, topics))
@@ -77,6 +78,7 @@ def test_the_shuffles_do_shuffle() -> None:
     assert np.max(np.maximum.accumulate(stamps) - stamps) > 1.8 * SECOND_NS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("topic", ALL)
 @pytest.mark.parametrize("late_s", [0.5, 1.0, LAG_S])
 def test_one_late_message_is_applied_at_its_own_time(topic: str, late_s: float) -> None:

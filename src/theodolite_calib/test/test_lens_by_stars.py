@@ -87,6 +87,7 @@ def lens_error_m(filter_: CalibrationFilter, state: CalibrationState) -> tuple[n
     return state.mean[rows] - PER_AXIS_M, np.sqrt(np.diagonal(state.covariance)[rows])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("distance_m", [None, NEAR_AND_FAR_M], ids=["2 km", "0.5 to 2 km"])
 def test_lights_and_stars_tell_n_to_the_right_and_up_and_name_what_they_do_not(watch, distance_m) -> None:
     found = [swept(seed, watch, distance_m)[:2] for seed in range(3)]

@@ -104,6 +104,7 @@ def rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
+@pytest.mark.slow
 def test_pointing_after_the_lights_have_left() -> None:
     """Independent figures: 7.9" over the first 30 s, 29.7" after ten minutes, of which the deformation 26.3"."""
     left = left_alone()
@@ -141,6 +142,7 @@ THE_SAME_ALL_ALONG = {
 }
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize(
     ("changes", "low", "high"),
     [

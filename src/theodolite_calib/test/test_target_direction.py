@@ -247,6 +247,7 @@ def drawn(plunged: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return np.array(direction), np.array(angles), np.array(place)
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("plunged", [False, True])
 def test_the_errors_are_as_the_covariance_says(plunged: bool) -> None:
     """Azimuth 0-360°, elevation -5 to 85°, detector ±180°; plunged, the image of the main axis stands on its head."""
