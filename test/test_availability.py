@@ -197,6 +197,7 @@ def small_part() -> trials.Results:
     return trials.study(range(availability.SMALL_PART))
 
 
+@pytest.mark.slow
 def test_the_small_part_of_the_table_is_what_the_command_computes() -> None:
     told, found = cells(table_of("small part")), cells(availability.small_table(small_part()))
     assert told.keys() == found.keys()

@@ -73,6 +73,7 @@ def test_an_offline_replay_meets_the_bounds(replayed):
     assert [bound.line for bound in judged if not bound.met] == []
 
 
+@pytest.mark.slow
 def test_clean_data_raise_no_verdict(replayed):
     path, out, _ = replayed
     told: dict[str, list[tuple[int, str]]] = {}

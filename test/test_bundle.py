@@ -12,10 +12,13 @@ from pathlib import Path
 
 import pytest
 
-from tools.wheelhouse import SUMS, own_target, pinned, pinned_by, target
+from tools.wheelhouse import SUMS, WheelsRefused, locked, own_target, pinned, pinned_by, target
 
 ROOT = Path(__file__).parents[1]
-TOOLS = ("bundle.py", "setup", "setup_environment.py", "wheelhouse.py")
+TOOLS = (
+    "bundle.py", "prebuilt.py", "setup", "setup_build.py", "setup_common.py", "setup_environment.py", "setup_wheels.py",
+    "wheelhouse.py",
+)  # fmt: skip
 WHEEL, ROS_WHEEL = "tiny_part-1.0-py3-none-any.whl", "ros_part-1.0-py3-none-any.whl"
 needs_git = pytest.mark.skipif(shutil.which("git") is None, reason="git is not installed")
 
@@ -48,7 +51,9 @@ def ashore(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "tools").mkdir(parents=True)
     for name in TOOLS:
         shutil.copy(ROOT / "tools" / name, folder / "tools")
-    (folder / "requirements.lock").write_text("# two\nros-part==1.0\nTiny.Part==1.0\nold==1 ; python_version < '3.0'\n")
+    (folder / "requirements.lock").write_text(
+        "# two\n# [ros]\nros-part==1.0\n# [build]\n# [python]\nTiny.Part==1.0\nold==1 ; python_version < '3.0'\n"
+    )
     (folder / "with space.txt").write_text("tracked\n")
     (folder / ".gitignore").write_text("/out/\n")
     (folder.parent / "index").mkdir()
@@ -154,9 +159,13 @@ def test_set_up_installs_from_the_wheels_alone(aboard: Path) -> None:
 
 @needs_git
 def test_over_a_ros_installation_its_own_are_left_out(aboard: Path) -> None:
-    code = "import setup_environment; print(*setup_environment.wheels_to_install(with_ros=False)[0], sep='\\n')"
+    code = (
+        "from setup_wheels import requirements; from wheelhouse import locked;"
+        "lock = locked(open('../requirements.lock').read());"
+        "print(*requirements(lock, 'ros', 'build', 'python', prefix='/opt/ros/jazzy')[0], sep='\\n')"
+    )
     printed = run(sys.executable, "-c", code, cwd=aboard / "tools").stdout.splitlines()
-    assert [line.partition(" --hash=sha256:")[0] for line in printed[1:]] == ["tiny-part==1.0"]
+    assert [line.partition(" --hash=sha256:")[0] for line in printed] == ["tiny-part==1.0"]
 
 
 @needs_git
@@ -224,3 +233,20 @@ def test_pins_and_wheels_are_compared_by_the_names_of_an_index() -> None:
     """Names as PEP 503 normalises them, file names as PEP 427 escapes them."""
     assert pinned("Ruamel.Yaml==0.19.1 ; python_version < '3.11'") == "ruamel-yaml==0.19.1"
     assert pinned_by("ruamel_yaml-0.19.1-py3-none-any.whl") == "ruamel-yaml==0.19.1"
+
+
+def test_a_lock_is_read_by_its_sections() -> None:
+    lock = "# Head.\n# [ros] ROS\nros-a==1\n\n# [all] more\nb==2 ; python_version >= '3.11'\n"
+    assert locked(lock) == {"ros": ["ros-a==1"], "build": [], "python": [], "all": ["b==2 ; python_version >= '3.11'"]}
+
+
+@pytest.mark.parametrize(
+    ("lock", "complaint"),
+    [
+        ("a==1\n# [ros]\n", "line 1: 'a==1' stands before the first section"),
+        ("# [ros]\na==1\n# [most]\n", r"line 3: section \[most\] is none of ros, build, python, all"),
+    ],
+)
+def test_a_lock_whose_sections_are_wrong_is_refused(lock: str, complaint: str) -> None:
+    with pytest.raises(WheelsRefused, match=complaint):
+        locked(lock)

@@ -62,7 +62,7 @@ def test_the_commands_of_a_page_run_as_printed(page: Path, checkout: Path) -> No
 def test_what_the_other_commands_of_a_page_name_is_there(page: Path) -> None:
     shown = (ROOT / "docs" / "reference" / "executables.md").read_text(encoding="utf-8")
     helps = dict(re.findall(r"^## `(\w+)`\n(.*?)(?=^## |\Z)", shown, re.MULTILINE | re.DOTALL))
-    targets = set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    targets = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
     for line in "".join(blocks(page, "live") + blocks(page, "shown")).splitlines():
         words = line.partition("#")[0].split()
         assert all((ROOT / word).exists() for word in words if word.startswith(("bags/", "examples/")))

@@ -47,6 +47,7 @@ def test_the_filters_errors_are_no_larger_and_both_are_honest(runs) -> None:
     assert all(low <= value <= high for value in nees)
 
 
+@pytest.mark.slow
 def test_each_run_ends_at_the_same_attitude_with_the_same_sigma(runs) -> None:
     ours, theirs = runs
     sigma = np.array([run.sigma for run in theirs])

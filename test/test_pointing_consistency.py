@@ -57,6 +57,7 @@ def test_sightings_are_used_and_pointings_given(sessions):
     assert {len(session.time_s) for session in sessions} == {1201}
 
 
+@pytest.mark.slow
 def test_modes_follow_the_lights(sessions):
     session = sessions[0]
     recent = (session.time_s > 1.0) & (session.time_s < LEAVE_S)

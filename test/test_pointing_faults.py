@@ -81,6 +81,7 @@ def test_mend_11_one_wrong_fixed_baseline_is_left_out_and_the_other_light_is_use
     assert found.estimates[-1].light_count == (1 if lasts else 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("moved_b", [(0.0, 0.3, 0.0), (-0.3, 0.0, 0.0)])
 def test_mend_09_two_wrong_fixed_baselines_are_not_let_in_again(seed, moved_b):

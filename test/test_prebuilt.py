@@ -37,7 +37,7 @@ def content(package: Path, tools: str = "cython==3") -> str:
 
 def wheel(root: Path, package: Path, of: str) -> Path:
     """A prebuilt wheel as make_wheels names it, with a compiled module and a module."""
-    path = root / PREBUILT / own_target() / f"{package.name}-0.1.0{local_version(of)}-cp311-cp311-linux_x86_64.whl"
+    path = root / PREBUILT / f"{package.name}-0.1.0{local_version(of)}-cp311-cp311-linux_x86_64.whl"
     path.parent.mkdir(parents=True, exist_ok=True)
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("one/compiled_sum.so", "compiled")
@@ -58,7 +58,7 @@ def test_the_digest_is_of_what_is_compiled_and_of_the_tools(package: Path) -> No
 
 def test_a_wheel_of_the_same_sources_is_taken(package: Path, tmp_path: Path) -> None:
     wheel(tmp_path, package, content(package))
-    (found,), unfit = find_prebuilt(tmp_path, {package: content(package)})
+    (found,), unfit = find_prebuilt(tmp_path / PREBUILT, {package: content(package)})
     assert unfit == []
     found.take(tmp_path / "install")
     assert (package / "one" / "compiled_sum.so").read_text() == "compiled"
@@ -69,14 +69,14 @@ def test_a_wheel_of_the_same_sources_is_taken(package: Path, tmp_path: Path) -> 
 def test_a_wheel_of_other_sources_is_named_and_not_taken(package: Path, tmp_path: Path) -> None:
     path = wheel(tmp_path, package, content(package))
     (package / "one" / "compiled_sum.py").write_text("A = 2\n")
-    found, (line,) = find_prebuilt(tmp_path, {package: content(package)})
+    found, (line,) = find_prebuilt(tmp_path / PREBUILT, {package: content(package)})
     assert found == []
-    assert str(path.relative_to(tmp_path)) in line
+    assert path.name in line
     assert "other sources" in line
 
 
 def test_without_wheels_everything_is_compiled(package: Path, tmp_path: Path) -> None:
-    assert find_prebuilt(tmp_path, {package: content(package)}) == ([], [])
+    assert find_prebuilt(tmp_path / PREBUILT, {package: content(package)}) == ([], [])
 
 
 def run(checkout: Path, path: str, *command: str) -> "subprocess.CompletedProcess[str]":

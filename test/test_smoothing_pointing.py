@@ -132,6 +132,7 @@ def test_smoothed_pointings_are_honest(sessions: list[Told], second: float) -> N
     assert low < np.mean(found) < high
 
 
+@pytest.mark.slow
 def test_no_variance_grows_and_what_is_learnt_later_improves_what_was_pointed_before(sessions: list[Told]) -> None:
     # Where a source is excluded, what was told at once shortly before rested on it still.
     kept = [told for told in sessions if not told.excluded]

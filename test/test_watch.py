@@ -62,6 +62,7 @@ def test_a_knocked_star_sensor_is_out_and_its_direction_is_told(one_by_one: Watc
     assert told.out_since_ns - one_by_one.start_ns == pytest.approx(30.117e9, abs=0.6e9)
 
 
+@pytest.mark.slow
 def test_an_ins_that_steps_is_out_and_comes_back(one_by_one: Watched) -> None:
     assert 55.0 < one_by_one.out["ins"][0] <= 57.0
     assert one_by_one.seen["ins"][0].reason == "5 refused in a row"
@@ -120,6 +121,7 @@ def test_a_float_baseline_is_out_and_lights_only_need_it(theodolite: Watched) ->
     assert [name for time_s, name in theodolite.guilty if time_s < 40.0] == ["baselines"]
 
 
+@pytest.mark.slow
 def test_lights_that_bear_each_others_names_are_told_though_they_are_put_right(theodolite: Watched) -> None:
     told = [(time_s, text) for time_s, text in theodolite.events("source") if "lights" in text]
     exchanged = [time_s for time_s, text in told if text == "lights IN, names exchanged"]

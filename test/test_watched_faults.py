@@ -93,6 +93,7 @@ class Named:
         assert {source for _, source in self.first_s} <= {*KNOWN_S[self._bag], "", "attitude"}, self.first_s
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bag", FAULTS)
 def test_all_outputs_name_the_right_source_in_what_was_replayed(bag: str, tmp_path: Path) -> None:
     given, replayed_path = replayed(tmp_path, bag, FAULTS[bag])

@@ -5,6 +5,7 @@ Ubuntu 24.04. A key that ends in -pip is not used: pip would write into the syst
 """
 
 import ast
+import functools
 import re
 import sys
 import xml.etree.ElementTree as ET
@@ -109,8 +110,9 @@ def packages() -> list[str]:
     return sorted(path.parent.name for path in SRC.glob("*/package.xml"))
 
 
-def imported(folder: Path) -> set[str]:
-    """Top names of what the Python files of a folder import, without Python's own."""
+@functools.cache
+def imported(folder: Path) -> frozenset[str]:
+    """Return the top names of what the Python files of a folder import, without Python's own."""
     names: set[str] = set()
     for path in folder.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -118,7 +120,7 @@ def imported(folder: Path) -> set[str]:
                 names |= {alias.name for alias in node.names}
             elif isinstance(node, ast.ImportFrom):
                 names.add(node.module or "")
-    return {name.partition(".")[0] for name in names} - set(sys.stdlib_module_names)
+    return frozenset(name.partition(".")[0] for name in names) - sys.stdlib_module_names
 
 
 def declared(package: str, *tags: str) -> set[str]:

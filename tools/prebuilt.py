@@ -16,8 +16,6 @@ import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from wheelhouse import own_target
-
 PREBUILT = "prebuilt"
 COMPILED_SUFFIX = ".so"
 _DIGEST_LENGTH = 16
@@ -36,16 +34,16 @@ def digest(*parts: str | bytes) -> str:
 
 
 def package_digests(folders: list[Path], tools: str) -> dict[Path, str]:
-    """Return for each package the digest of what must be built again when it changes, with tools, Python and machine.
+    """Return for each package the digest of what must be built again when it changes.
 
     With symlinks an edited Python file is no such change; an edited compiled module is one, and so is a new file that
     setup.py lists.
 
     Args:
         folders: of the packages.
-        tools: versions of what builds them.
+        tools: what builds them: versions, Python, machine.
     """
-    return {folder: digest(own_target(), tools, *_content(folder)) for folder in folders}
+    return {folder: digest(tools, *_content(folder)) for folder in folders}
 
 
 def _content(folder: Path) -> list[str | bytes]:
@@ -105,16 +103,15 @@ def _unpack(archive: zipfile.ZipFile, name: str, path: Path) -> None:
         shutil.copyfileobj(source, target)
 
 
-def find_prebuilt(root: Path, wanted: dict[Path, str]) -> tuple[list[Prebuilt], list[str]]:
+def find_prebuilt(place: Path, wanted: dict[Path, str]) -> tuple[list[Prebuilt], list[str]]:
     """Return the wheels that fit, and a line for each package whose wheel was built from something else.
 
     Args:
-        root: the checkout.
+        place: the folder of wheels for this Python and machine; it may be missing.
         wanted: folder of each package → its digest.
     """
-    place = root / PREBUILT / own_target()
     wheels: dict[str, dict[str, Path]] = {}
-    for path in sorted(place.glob("*.whl")) if place.is_dir() else []:
+    for path in sorted(place.glob("*.whl")):
         if match := _NAME.fullmatch(path.name):
             wheels.setdefault(match[1], {})[match[2]] = path
     found, unfit = [], []
@@ -124,5 +121,5 @@ def find_prebuilt(root: Path, wanted: dict[Path, str]) -> tuple[list[Prebuilt], 
             found.append(Prebuilt(folder, wheel))
         elif named:
             wheel = next(iter(named.values()))
-            unfit.append(f"{wheel.relative_to(root)} was built from other sources or tools: {folder.name} is built here")
+            unfit.append(f"{wheel.name} was built from other sources or tools: {folder.name} is built here")
     return found, unfit

@@ -12,11 +12,12 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from prebuilt import COMPILED_SUFFIX, Prebuilt, find_prebuilt, package_digests
+from prebuilt import COMPILED_SUFFIX, PREBUILT, Prebuilt, find_prebuilt, package_digests
 from setup_common import (
     BUILD, CORES, INSTALL, ROOT, SETUP_LOG, SRC, VENV, SetupError, last_line, read_stamp, run, say, step,
     wheels_environment,
 )  # fmt: skip
+from wheelhouse import own_target
 
 WHEELS_ONLY = ROOT / "tools" / "wheels_only"  # packages that a Jazzy installation brings and no wheel does
 
@@ -44,7 +45,7 @@ def read_workspace(prefix: str, tools: str) -> Workspace:
 
     Args:
         prefix: of a sourced Jazzy installation, or empty.
-        tools: versions of what builds them.
+        tools: what builds them: versions, Python, machine.
     """
     lacking = [] if prefix else [path.parent for path in WHEELS_ONLY.glob("*/package.xml")]
     folders = sorted([*lacking, *(path.parent for path in SRC.glob("*/package.xml"))])
@@ -83,7 +84,7 @@ def compiled_parts(wanted: dict[Path, str]) -> CompiledParts:
     Raises:
         SetupError: some must be compiled, and there is no compiler.
     """
-    prebuilt, unfit = find_prebuilt(ROOT, wanted)
+    prebuilt, unfit = find_prebuilt(ROOT / PREBUILT / own_target(), wanted)
     for line in unfit:
         say(line)
     taken = {wheel.folder for wheel in prebuilt}
@@ -130,7 +131,8 @@ def compile_packages(workspace: Workspace, parts: CompiledParts) -> None:
 
 def remove_compiled(folder: Path) -> None:
     """Remove the compiled parts of a package: they may come from a wheel, and be newer than a source they do not fit."""
-    shutil.rmtree(INSTALL / folder.name, ignore_errors=True)
+    if is_of_messages(folder):
+        shutil.rmtree(INSTALL / folder.name, ignore_errors=True)
     for module in folder.glob(f"**/compiled_*{COMPILED_SUFFIX}"):
         module.unlink()
 
@@ -150,20 +152,23 @@ def build_messages(folders: list[Path], prefix: str) -> None:
     """Build the packages of messages; over the wheels without C++, which no node of the suite needs."""
     for folder in folders:
         remove_compiled(folder)
-    colcon(folders, [] if prefix else ["-DSHIP_MSGS_CPP=OFF"])
+    colcon("messages", folders, [] if prefix else ["-DSHIP_MSGS_CPP=OFF"])
 
 
 def build_packages(workspace: Workspace) -> None:
-    """Let colcon install the packages with symlinks: executables, entry points, shared files."""
+    """Let colcon install the Python packages with symlinks: executables, entry points, shared files."""
     with step("packages"):
-        colcon([folder for folder in workspace.digests if not is_of_messages(folder)], [])
+        colcon("packages", [folder for folder in workspace.digests if not is_of_messages(folder)], [])
 
 
-def colcon(folders: list[Path], cmake_arguments: list[str]) -> None:
-    """Run colcon for some packages; modules that compile_modules has made are not made a second time."""
+def colcon(log: str, folders: list[Path], cmake_arguments: list[str]) -> None:
+    """Run colcon for some packages, whose modules it does not compile: compile_modules does.
+
+    Two calls may run at the same time, for other packages and with a folder of their own below log/.
+    """
     paths = " ".join(str(folder.relative_to(ROOT)) for folder in folders)
     command = (
-        f"source tools/env.sh && exec colcon --log-base log build --symlink-install --paths {paths}"
+        f"source tools/env.sh && exec colcon --log-base log/{log} build --symlink-install --paths {paths}"
         ' --event-handlers console_cohesion+ --cmake-args -G Ninja "-DPython3_EXECUTABLE=$VIRTUAL_ENV/bin/python" '
         + " ".join(cmake_arguments)
     )

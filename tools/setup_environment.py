@@ -32,7 +32,7 @@ from setup_common import BUILD, ROOT, VENV, SetupError, read_stamp, say
 from setup_wheels import (
     ROS_PREFIX_FILE, byte_compile, check_machine, install_wheels, make_venv, repair_paths, requirements, ros_prefix,
 )  # fmt: skip
-from wheelhouse import LOCK, WheelsRefused, locked, own_wheels
+from wheelhouse import LOCK, WheelsRefused, locked, own_target, own_wheels
 
 STAMP_VENV = VENV / ".stamp_venv"
 STAMP_WHEELS = VENV / ".stamp_wheels"
@@ -71,7 +71,7 @@ def make_plan(lock: dict[str, list[str]]) -> Plan:
     """Return what is to be set up here."""
     prefix = ros_prefix() or (read_stamp(ROS_PREFIX_FILE) if os.environ.get("ROS_DISTRO") is None else "")
     venv = digest(str(ROOT), f"{sys.version_info[:2]}", prefix)
-    tools = [*lock["ros"], *lock["build"], COLCON_META.read_text(encoding="utf-8") if COLCON_META.exists() else ""]
+    tools = [own_target(), *lock["ros"], *lock["build"], COLCON_META.read_text(encoding="utf-8") if COLCON_META.exists() else ""]
     wheels = digest(venv, *lock["ros"], *lock["build"], *lock["python"])
     return Plan(read_workspace(prefix, "\n".join(tools)), venv, wheels, digest(venv, *lock["all"]))
 
@@ -137,17 +137,15 @@ def install_and_build(
             groups[BUILD_TOOLS].result()
             if not workspace.prefix:
                 repair_paths()
-        compiling = pool.submit(compile_packages, workspace, parts) if parts else None
+        building = [pool.submit(compile_packages, workspace, parts), pool.submit(build_packages, workspace)] if parts else []
         for group in groups.values():
             group.result()
         if groups:
             byte_compile()
         for stamp, content in stamps.items():
             stamp.write_text(content)
-        if compiling:
-            compiling.result()
-    if parts:
-        build_packages(workspace)
+        for each in building:
+            each.result()
 
 
 def main() -> int:

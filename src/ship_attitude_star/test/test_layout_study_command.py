@@ -44,6 +44,7 @@ def test_everything_is_written(written: Path) -> None:
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in written.glob("*.png"))
 
 
+@pytest.mark.slow
 def test_page_needs_nothing_but_itself(written: Path) -> None:
     page = (written / "layout_study.html").read_text(encoding="utf-8")
     sources = re.findall(r'(?:src|href)="([^"]{0,40})', page)

@@ -193,6 +193,7 @@ def test_the_ship_is_as_far_off_as_it_says_whatever_the_input(known: Knowledge, 
     assert np.all((low < found.ratio) & (found.ratio < high)), found.ratio
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("known", [POOR_FIX, POOR_WEATHER], ids=["poor fix", "poor weather"])
 def test_solutions_tell_as_much_as_the_stars_that_they_are_made_of(known: Knowledge) -> None:
     by_stars, by_solutions = campaign(known, "observations"), campaign(known, "solution")

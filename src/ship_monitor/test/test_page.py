@@ -109,8 +109,10 @@ def test_what_is_read_from_afar_is_large(browser, source, page, selector, least_
 
 @pytest.mark.slow
 @pytest.mark.parametrize("size", SIZES)
-def test_without_the_cockpit_face_nothing_is_cut(source, page, size, tmp_path, monkeypatch):
-    """B612 may not be there: DejaVu, which is wider, then comes from the server."""
+def test_without_the_cockpit_face_nothing_is_cut_and_the_console_stays_empty(
+    source, page, size, tmp_path, monkeypatch
+):
+    """B612 may not be there: DejaVu, which is wider, then comes from the server, for the plots too."""
     fonts = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
     (tmp_path / "fonts.conf").write_text(
         f'<?xml version="1.0"?><!DOCTYPE fontconfig SYSTEM "fonts.dtd"><fontconfig><dir>{fonts}</dir>'
@@ -127,6 +129,11 @@ def test_without_the_cockpit_face_nothing_is_cut(source, page, size, tmp_path, m
         assert any(address.endswith("DejaVuSans-Bold.ttf") for address in plain.addresses)
         wide = "[...document.querySelectorAll('.tile,.number,#foot')].filter((e) => e.scrollWidth > e.clientWidth)"
         assert plain.evaluate(f"{wide}.map((each) => each.id || each.className)") == []
+        if size == "phone":
+            plain.evaluate("document.querySelector('#plots-wanted').click()")
+        plain.evaluate("document.querySelector('#panels').scrollIntoView()")
+        plain.until(f"{INSIDE}.some((each) => each.tagName === 'CANVAS' && each.width > 100 && each.height > 50)")
+        assert plain.problems == []
     finally:
         plain.close()
 

@@ -61,6 +61,7 @@ def test_mend_23_the_axis_errors_of_the_bag_come_out_within_their_sigmas(table, 
     assert 15.0 < sigma_arcsec[NAMES.index("beta_x")] < 25.0
 
 
+@pytest.mark.slow
 def test_mend_23_the_fit_goes_into_the_node_by_its_calibration_file(fitted, tmp_path):
     """Encoders alone, after the lights: what the fit found points the axis within its sigmas."""
     with read_bag(BAGS / "theodolite.mcap") as bag:

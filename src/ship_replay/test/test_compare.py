@@ -80,6 +80,7 @@ def sentences(pair):
 
 
 class TestAnotherConfiguration:
+    @pytest.mark.slow
     def test_every_section_in_its_order_and_nothing_of_the_network(self, told):
         places = [told.index(f'<h2 id="{name}">{title}</h2>') for name, title in PAIR_SECTIONS]
         assert places == sorted(places)

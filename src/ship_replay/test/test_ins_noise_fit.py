@@ -58,6 +58,7 @@ def test_three_hours_tell_white_noise_and_change(three_hours: Identification) ->
         assert log_sigma < 0.2
 
 
+@pytest.mark.slow
 def test_three_hours_cannot_tell_sigma_and_time(three_hours: Identification) -> None:
     (tilt,) = (line for line in three_hours.warnings if line.startswith("gauss_markov, tilt: 3 h are "))
     assert "correlation times and cannot tell σ and τ apart" in tilt
@@ -96,6 +97,7 @@ def test_schuler_is_told_from_gauss_markov_which_is_not_honest(free_ins: Identif
     assert errors["white_sigma_arcsec"] == pytest.approx(1.0, rel=0.4)
 
 
+@pytest.mark.slow
 def test_schuler_is_written_with_what_it_rests_on(free_ins: Identification, tmp_path: Path) -> None:
     file = tmp_path / "noise.yaml"
     file.write_text(parameter_file_text(free_ins), encoding="utf-8")

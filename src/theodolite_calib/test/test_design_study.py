@@ -81,6 +81,7 @@ def rows_of(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
+@pytest.mark.slow
 def test_everything_is_written_and_looked_for_before(folder: Path) -> None:
     assert {path.name for path in folder.iterdir()} == set(written())
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in folder.glob("*.png"))

@@ -118,6 +118,7 @@ def test_pointing_after_the_lights_have_left() -> None:
     assert rms(left.error[:, 7]) < 31.0 * high
 
 
+@pytest.mark.slow
 def test_better_than_the_ins_and_an_uncalibrated_encoder() -> None:
     left = left_alone()
     assert rms(left.uncalibrated[:, :7]) > 9.0 * rms(left.sigma[:, :7])
