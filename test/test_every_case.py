@@ -11,7 +11,7 @@ def test_every_case_is_tried_and_each_failure_is_named() -> None:
     def check(number: int, name: str) -> None:
         tried.append(number)
         if number == 1:
-            with pytest.raises(ValueError):
+            with pytest.raises(ValueError, match="invalid literal"):
                 int("1")
         assert number != 2, "two"
 

@@ -29,8 +29,8 @@ from bench_monitor import monitor_cost
 from bench_peers import peers_cost
 from bench_replay import block_cost, replay_cost
 from bench_rows import Row
-from bench_stars import late_star_cost, star_solution
 from bench_setup import setup_cost
+from bench_stars import late_star_cost, star_solution
 from bench_start import import_cost, start_cost
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_replay.trials.live_run import LiveFailure

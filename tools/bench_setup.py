@@ -1,4 +1,4 @@
-"""How long ``make setup`` takes from nothing: in a copy of this checkout, with an environment and a pip cache of its own.
+"""The time ``make setup`` takes from nothing: in a copy of this checkout, with an environment and pip cache of its own.
 
 The first run fills the cache: how long that takes depends on the network. The second run is what has a bound.
 """
@@ -23,7 +23,7 @@ _COMPILING = re.compile(r"^setup: messages and compiled modules: (\d+) s$", re.M
 
 
 def setup_cost() -> list[Row]:
-    """Time of set-up without and with the wheels in pip's cache, of its compiling, and of a second call; size on disk."""
+    """Return rows of set-up without and with wheels in pip's cache, its compiling, a second call, and size on disk."""
     with tempfile.TemporaryDirectory() as folder:
         cache = Path(folder) / "cache"
         cold_s, _ = _set_up(_copy(Path(folder) / "cold"), cache)

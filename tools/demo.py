@@ -105,10 +105,7 @@ def _demo(options: argparse.Namespace) -> int:
     options.figures.mkdir(parents=True, exist_ok=True)
     try:
         for leg in LEGS[:1] if options.offline else LEGS:
-            if options.offline:
-                recorded_path = _replay(leg)
-            else:
-                recorded_path = _sail(leg, leg.rate * options.rate, console)
+            recorded_path = _replay(leg) if options.offline else _sail(leg, leg.rate * options.rate, console)
             _require_outputs(leg, recorded_path)
             _show(leg, recorded_path, options.figures, console)
     except LiveFailure as failure:

@@ -1,4 +1,4 @@
-"""``make wheels``: wheels of our own packages for this Python and machine, into prebuilt/, from which set-up takes them.
+"""``make wheels``: wheels of our own packages for this Python and machine, in prebuilt/, where set-up finds them.
 
 A checkout of the same sources that has this folder is set up without a compiler. Exit code 0 done; 2 a package could
 not be built.
@@ -24,7 +24,8 @@ from prebuilt import PREBUILT, local_version
 from setup_build import is_of_messages
 from setup_common import CORES, INSTALL, ROOT, last_line
 from setup_environment import make_plan
-from wheelhouse import LOCK, locked, own_target
+
+from wheelhouse import own_target
 
 _FIXED_TIME = (2000, 1, 1, 0, 0, 0)
 
@@ -35,7 +36,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="wheels", description=__doc__, allow_abbrev=False)
     parser.add_argument("--out", type=Path, default=ROOT / own, metavar="DIR", help=f"folder for the wheels ({own})")
     folder = parser.parse_args().out.resolve()
-    workspace = make_plan(locked((ROOT / LOCK).read_text(encoding="utf-8"))).workspace
+    workspace = make_plan().workspace
     with tempfile.TemporaryDirectory() as work, ThreadPoolExecutor(CORES) as pool:
         out = Path(work) / "wheels"
         out.mkdir()
@@ -44,9 +45,7 @@ def main() -> int:
             for package, local in ((package, local_version(content)) for package, content in workspace.digests.items())
         }
         for package, job in jobs.items():
-            try:
-                job.result()
-            except (OSError, subprocess.CalledProcessError) as error:
+            if error := job.exception():
                 detail = last_line(error.output) if isinstance(error, subprocess.CalledProcessError) else error
                 print(f"wheels: {package.relative_to(ROOT)}: {detail}", file=sys.stderr)
                 return 2
@@ -61,10 +60,11 @@ def main() -> int:
 
 
 def _build(package: Path, local: str, out: Path) -> None:
-    """Build a Python package from a copy, so that nothing of it stays in the sources."""
+    """Build a wheel of a Python package from a copy, so that nothing stays in the sources."""
     with tempfile.TemporaryDirectory() as work:
         copy = Path(work) / package.name
-        shutil.copytree(package, copy, ignore=shutil.ignore_patterns("test", "__pycache__", "*.egg-info", "*.so", "compiled_*.c"))
+        made = shutil.ignore_patterns("test", "__pycache__", "*.egg-info", "*.so", "compiled_*.c")
+        shutil.copytree(package, copy, ignore=made)
         command = [sys.executable, "setup.py", "-q", "egg_info", f"--tag-build={local}", "bdist_wheel", "--dist-dir"]
         environment = {name: value for name, value in os.environ.items() if name != "SHIP_SUITE_IS_COMPILED"}
         subprocess.run(

@@ -1,4 +1,4 @@
-"""What set-up builds: compiled modules and messages, or what prebuilt wheels hold of them, and all packages by colcon."""
+"""Building: compiled modules and messages, or what prebuilt wheels hold of them, and all packages by colcon."""
 
 from __future__ import annotations
 
@@ -14,9 +14,22 @@ from pathlib import Path
 
 from prebuilt import COMPILED_SUFFIX, PREBUILT, Prebuilt, find_prebuilt, package_digests
 from setup_common import (
-    BUILD, CORES, INSTALL, ROOT, SETUP_LOG, SRC, VENV, SetupError, last_line, read_stamp, run, say, step,
+    BUILD,
+    CORES,
+    INSTALL,
+    ROOT,
+    SETUP_LOG,
+    SRC,
+    VENV,
+    SetupError,
+    last_line,
+    read_stamp,
+    run,
+    say,
+    step,
     wheels_environment,
 )  # fmt: skip
+
 from wheelhouse import own_target
 
 WHEELS_ONLY = ROOT / "tools" / "wheels_only"  # packages that a Jazzy installation brings and no wheel does
@@ -34,10 +47,13 @@ class Workspace:
     prefix: str
     digests: dict[Path, str]
 
-    def changed(self) -> dict[Path, str]:
-        """Return those with compiled parts that are missing or made from something else."""
-        compiled = {folder: content for folder, content in self.digests.items() if is_compiled(folder)}
-        return {folder: content for folder, content in compiled.items() if read_stamp(stamp_of(folder)) != content}
+    def compiled(self, changed_only: bool) -> dict[Path, str]:
+        """Return those with compiled parts; or only those whose parts are missing or made from something else."""
+        return {
+            folder: content
+            for folder, content in self.digests.items()
+            if is_compiled(folder) and not (changed_only and read_stamp(stamp_of(folder)) == content)
+        }
 
 
 def read_workspace(prefix: str, tools: str) -> Workspace:
@@ -130,7 +146,7 @@ def compile_packages(workspace: Workspace, parts: CompiledParts) -> None:
 
 
 def remove_compiled(folder: Path) -> None:
-    """Remove the compiled parts of a package: they may come from a wheel, and be newer than a source they do not fit."""
+    """Remove a package's compiled parts: they may come from a wheel, and be newer than a source they do not fit."""
     if is_of_messages(folder):
         shutil.rmtree(INSTALL / folder.name, ignore_errors=True)
     for module in folder.glob(f"**/compiled_*{COMPILED_SUFFIX}"):

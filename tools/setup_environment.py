@@ -20,29 +20,30 @@ import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TypeAlias
 
 from prebuilt import digest
-from setup_build import (
-    CompiledParts, Workspace, build_packages, compile_packages, compiled_parts, is_compiled, prepare_build,
-    read_workspace,
-)  # fmt: skip
+from setup_build import Workspace, build_packages, compile_packages, compiled_parts, prepare_build, read_workspace
 from setup_common import BUILD, ROOT, VENV, SetupError, read_stamp, say
 from setup_wheels import (
-    ROS_PREFIX_FILE, byte_compile, check_machine, install_wheels, make_venv, repair_paths, requirements, ros_prefix,
-)  # fmt: skip
+    ALL_OTHER,
+    BUILD_TOOLS,
+    ROS_PREFIX_FILE,
+    SECTIONS_OF_GROUPS,
+    Group,
+    byte_compile,
+    check_machine,
+    install_wheels,
+    lines_to_install,
+    make_venv,
+    requirements,
+    ros_prefix,
+)
+
 from wheelhouse import LOCK, WheelsRefused, locked, own_target, own_wheels
 
 STAMP_VENV = VENV / ".stamp_venv"
-STAMP_WHEELS = VENV / ".stamp_wheels"
-STAMP_ALL = VENV / ".stamp_all"
 STAMP_BUILD = BUILD / ".stamp_build"
 COLCON_META = ROOT / "colcon.meta"
-BUILD_TOOLS = "ROS and build wheels"
-
-Groups: TypeAlias = dict[str, tuple[list[str], list[str]]]
-"""Name of a group of wheels → lines for pip, and its options that say where the wheels are."""
 
 
 @dataclass(frozen=True)
@@ -51,101 +52,90 @@ class Plan:
 
     Attributes:
         workspace: the packages to build.
+        groups: the groups of wheels.
         venv: digest of what the virtual environment depends on.
-        wheels: digest of the wheels that every user needs.
-        all_wheels: digest of those of ``make setup-all``.
+        build: digest of all that is built.
     """
 
     workspace: Workspace
+    groups: list[Group]
     venv: str
-    wheels: str
-    all_wheels: str
+    build: str
 
     @property
-    def build(self) -> str:
-        """Digest of all that is built."""
-        return digest(self.wheels, *(f"{folder.name} {content}" for folder, content in self.workspace.digests.items()))
+    def fresh(self) -> bool:
+        """True if set-up starts from nothing.
+
+        Wheels half installed cannot be told from whole ones: a group has no stamp while it is installed. Over a Jazzy
+        installation wheels of an older lock may hide its packages, and are removed too.
+        """
+        done = [group.is_installed if self.workspace.prefix else bool(read_stamp(group.stamp)) for group in self.basic]
+        return read_stamp(STAMP_VENV) != self.venv or not all(done)
+
+    @property
+    def basic(self) -> list[Group]:
+        """The groups of wheels that everybody needs."""
+        return [group for group in self.groups if group.name != ALL_OTHER]
 
 
-def make_plan(lock: dict[str, list[str]]) -> Plan:
-    """Return what is to be set up here."""
+def make_plan(everything: bool = False) -> Plan:
+    """Return what is to be set up here.
+
+    Args:
+        everything: also the wheels that few people use.
+    """
+    lock = locked((ROOT / LOCK).read_text(encoding="utf-8"))
     prefix = ros_prefix() or (read_stamp(ROS_PREFIX_FILE) if os.environ.get("ROS_DISTRO") is None else "")
     venv = digest(str(ROOT), f"{sys.version_info[:2]}", prefix)
-    tools = [own_target(), *lock["ros"], *lock["build"], COLCON_META.read_text(encoding="utf-8") if COLCON_META.exists() else ""]
-    wheels = digest(venv, *lock["ros"], *lock["build"], *lock["python"])
-    return Plan(read_workspace(prefix, "\n".join(tools)), venv, wheels, digest(venv, *lock["all"]))
+    groups = [
+        Group(name, lines_to_install(lock, sections, prefix), venv)
+        for name, sections in SECTIONS_OF_GROUPS.items()
+        if everything or name != ALL_OTHER
+    ]
+    meta = COLCON_META.read_text(encoding="utf-8") if COLCON_META.exists() else ""
+    workspace = read_workspace(prefix, "\n".join([own_target(), *lock["ros"], *lock["build"], meta]))
+    wheels = [group.digest for group in groups if group.name != ALL_OTHER]
+    packages = [f"{folder.name} {content}" for folder, content in workspace.digests.items()]
+    return Plan(workspace, groups, venv, digest(*wheels, *packages))
 
 
 def set_up(everything: bool) -> None:
     """Do all steps, each only if needed."""
     begin_s = time.monotonic()
-    lock = locked((ROOT / LOCK).read_text(encoding="utf-8"))
-    plan = make_plan(lock)
-    # Wheels half installed cannot be told from whole ones: without the stamp of the wheels set-up starts from nothing.
-    wheels_done = read_stamp(STAMP_WHEELS)
-    fresh = read_stamp(STAMP_VENV) != plan.venv or not wheels_done
-    prefix = plan.workspace.prefix
-    fresh = fresh or (bool(prefix) and wheels_done != plan.wheels)
-    needs_wheels = fresh or wheels_done != plan.wheels
-    needs_all = everything and (fresh or read_stamp(STAMP_ALL) != plan.all_wheels)
+    plan = make_plan(everything)
+    fresh, prefix = plan.fresh, plan.workspace.prefix
+    groups = [group for group in plan.groups if fresh or not group.is_installed]
     needs_build = fresh or read_stamp(STAMP_BUILD) != plan.build
-    if not (needs_wheels or needs_all or needs_build):
+    if not groups and not needs_build:
         return
     check_machine(fresh)
-    parts = None
-    if needs_build:
-        compiled = {folder: content for folder, content in plan.workspace.digests.items() if is_compiled(folder)}
-        parts = compiled_parts(compiled if fresh else plan.workspace.changed())
-    groups = {BUILD_TOOLS: ("ros", "build"), "python wheels": ("python",)} if needs_wheels else {}
-    groups |= {"all other wheels": ("all",)} if needs_all else {}
-    to_install = {what: requirements(lock, *sections, prefix=prefix) for what, sections in groups.items()}
-    if to_install and own_wheels(ROOT):
-        say(f"{sum(len(lines) for lines, _ in to_install.values())} wheels of wheels/ are whole: no network is asked")
+    parts = compiled_parts(plan.workspace.compiled(changed_only=not fresh)) if needs_build else None
+    jobs = [(group, *requirements(group.lines)) for group in groups]
+    if jobs and (bundled := own_wheels(ROOT)):
+        say(f"the wheels of {bundled.relative_to(ROOT)} are whole: no network is asked")
     if fresh:
         make_venv(prefix)
         STAMP_VENV.write_text(plan.venv)
-    if needs_wheels:
-        STAMP_WHEELS.unlink(missing_ok=True)
-    if needs_build:
+    if parts:
         prepare_build()
         STAMP_BUILD.unlink(missing_ok=True)
-    stamps = {STAMP_WHEELS: plan.wheels} if needs_wheels else {}
-    stamps |= {STAMP_ALL: plan.all_wheels} if needs_all else {}
-    install_and_build(plan.workspace, to_install, stamps, parts)
-    if needs_build:
+    with ThreadPoolExecutor() as pool:
+        installing = {group.name: pool.submit(install_wheels, group, *pip, prefix) for group, *pip in jobs}
+        if BUILD_TOOLS in installing:
+            installing[BUILD_TOOLS].result()
+        building = []
+        if parts:
+            building.append(pool.submit(compile_packages, plan.workspace, parts))
+            building.append(pool.submit(build_packages, plan.workspace))
+        for job in installing.values():
+            job.result()
+        if installing:
+            byte_compile()
+        for job in building:
+            job.result()
+    if parts:
         STAMP_BUILD.write_text(plan.build)
     say(f"done in {time.monotonic() - begin_s:.0f} s")
-
-
-def install_and_build(
-    workspace: Workspace, to_install: Groups, stamps: dict[Path, str], parts: CompiledParts | None
-) -> None:
-    """Install the wheels in groups, and build as soon as the tools for it are there.
-
-    Args:
-        workspace: the packages to build.
-        to_install: name of each group of wheels → what pip gets; that of ROS and the build tools first.
-        stamps: what is written where, once the wheels are installed.
-        parts: compiled parts to make; None where nothing is to be built.
-    """
-    with ThreadPoolExecutor() as pool:
-        groups = {
-            what: pool.submit(install_wheels, what, lines, place, workspace.prefix)
-            for what, (lines, place) in to_install.items()
-        }
-        if BUILD_TOOLS in groups:
-            groups[BUILD_TOOLS].result()
-            if not workspace.prefix:
-                repair_paths()
-        building = [pool.submit(compile_packages, workspace, parts), pool.submit(build_packages, workspace)] if parts else []
-        for group in groups.values():
-            group.result()
-        if groups:
-            byte_compile()
-        for stamp, content in stamps.items():
-            stamp.write_text(content)
-        for each in building:
-            each.result()
 
 
 def main() -> int:

@@ -9,11 +9,32 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+from dataclasses import dataclass
+from pathlib import Path
 
-from setup_common import BUILD, INSTALL, ROOT, SETUP_LOG, VENV, SetupError, last_line, run, say, step, wheels_environment
+from prebuilt import digest
+from setup_common import (
+    BUILD,
+    INSTALL,
+    ROOT,
+    SETUP_LOG,
+    VENV,
+    SetupError,
+    last_line,
+    read_stamp,
+    run,
+    say,
+    step,
+    wheels_environment,
+)
+
 from wheelhouse import NETWORK_SIGNS, hashed_requirements, own_wheels, pinned
 
 ROS_PREFIX_FILE = VENV / ".ros_prefix"  # holds the prefix of the sourced Jazzy installation; absent with wheels
+
+BUILD_TOOLS, PYTHON, ALL_OTHER = "ROS and build wheels", "python wheels", "all other wheels"
+SECTIONS_OF_GROUPS = {BUILD_TOOLS: ("ros", "build"), PYTHON: ("python",), ALL_OTHER: ("all",)}
+"""Group of wheels → its sections of requirements.lock."""
 
 SPACE_NEEDED_GB = 1.2  # 0.9 GB stay, the rest while wheels are unpacked
 
@@ -61,26 +82,66 @@ def make_venv(prefix: str) -> None:
     (VENV / ".python").write_text(sys.executable)
 
 
-def requirements(lock: dict[str, list[str]], *sections: str, prefix: str) -> tuple[list[str], list[str]]:
-    """Return the lines for pip of some sections, and pip's options that say where the wheels are.
+@dataclass(frozen=True)
+class Group:
+    """Wheels that are installed together.
 
-    The lines are those of requirements.lock, from the package index, or the hashed ones of a bundle, from its wheels.
-    An installed ROS brings itself and the numpy it was built with.
+    Attributes:
+        name: of the group.
+        lines: requirements of the lock.
+        venv: digest of the virtual environment that they are installed into.
     """
+
+    name: str
+    lines: list[str]
+    venv: str
+
+    @property
+    def stamp(self) -> Path:
+        """File that holds the digest of what is installed; it is missing while something is."""
+        return VENV / f".stamp_{self.name.replace(' ', '_')}"
+
+    @property
+    def digest(self) -> str:
+        """Digest of what is to be installed."""
+        return digest(self.venv, *self.lines)
+
+    @property
+    def is_installed(self) -> bool:
+        """True if the wheels are those of the lock."""
+        return read_stamp(self.stamp) == self.digest
+
+
+def lines_to_install(lock: dict[str, list[str]], sections: tuple[str, ...], prefix: str) -> list[str]:
+    """Return the lines of some sections of the lock; an installed ROS brings itself and the numpy it was built with."""
     lines = [line for name in sections for line in lock[name]]
-    if prefix:
-        lines = [line for line in lines if not line.startswith(("ros-", "numpy=="))]
+    return [line for line in lines if not (prefix and line.startswith(("ros-", "numpy==")))]
+
+
+def requirements(lines: list[str]) -> tuple[list[str], list[str]]:
+    """Return lines for pip, and pip's options that say where the wheels are.
+
+    They are those of requirements.lock, from the package index, or the hashed ones of a bundle, from its wheels.
+    """
     bundled = own_wheels(ROOT)
     if not bundled:
         return lines, ["--prefer-binary"]
     hashed = hashed_requirements(bundled)
-    options = ["--isolated", "--no-index", "--no-cache-dir", "--find-links", str(bundled), "--require-hashes"]
-    return [hashed[pinned(line)] for line in lines if pinned(line) in hashed], options
+    chosen = [hashed[pinned(line)] for line in lines if pinned(line) in hashed]
+    return chosen, ["--isolated", "--no-index", "--no-cache-dir", "--find-links", str(bundled), "--require-hashes"]
 
 
-def install_wheels(what: str, lines: list[str], place: list[str], prefix: str) -> None:
-    """Install pinned wheels without resolving: the lock holds everything that they need."""
-    chosen = VENV / f"requirements_{what.split()[0]}.txt"
+def install_wheels(group: Group, lines: list[str], place: list[str], prefix: str) -> None:
+    """Install pinned wheels without resolving: the lock holds everything that they need.
+
+    Args:
+        group: the wheels.
+        lines: what pip gets.
+        place: pip's options that say where the wheels are.
+        prefix: of a sourced Jazzy installation, or empty.
+    """
+    group.stamp.unlink(missing_ok=True)
+    chosen = group.stamp.with_suffix(".txt")
     chosen.write_text("\n".join(lines) + "\n")
     pip = [str(VENV / "bin" / "python"), "-m", "pip", "--disable-pip-version-check", "install", "--no-input", *place]
     if prefix:
@@ -88,11 +149,14 @@ def install_wheels(what: str, lines: list[str], place: list[str], prefix: str) -
     env = wheels_environment()
     if "--no-index" in place:
         env["PIP_CONFIG_FILE"] = os.devnull  # which may name an index or other wheels
-    with step(f"{what}, {len(lines)}"):
+    with step(f"{group.name}, {len(lines)}"):
         try:
             run([*pip, "--no-deps", "--no-compile", "-r", str(chosen)], env)
         except subprocess.CalledProcessError as error:
             raise SetupError(f"{why_not_installed(error.output)}; then run make setup again") from error
+        if group.name == BUILD_TOOLS and not prefix:
+            repair_paths()
+    group.stamp.write_text(group.digest)
 
 
 def why_not_installed(output: str) -> str:

@@ -6,6 +6,7 @@ what Python itself brings is imported here: set-up begins before there is anythi
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import platform
 import re
@@ -114,8 +115,9 @@ def own_wheels(root: Path) -> Path | None:
     )
 
 
+@functools.cache
 def hashed_requirements(folder: Path) -> dict[str, str]:
-    """Return the requirement with its hash for each pin of a folder of wheels, after comparing every file with its hash.
+    """Return the requirement with its hash for each pin of a folder of wheels, all compared with their hashes.
 
     Raises:
         WheelsRefused: a wheel is missing or damaged, or the wheels were made for another lock.

@@ -197,8 +197,8 @@ def _pyarrow() -> tuple[Any, Any]:
         import pyarrow.parquet
     except ImportError as problem:
         raise BadInput(
-            "--format parquet needs the package pyarrow, which is not installed: make setup-all, or pip install pyarrow;"
-            " --format csv and netcdf do without"
+            "--format parquet needs the package pyarrow, which is not installed: make setup-all, or pip install "
+            "pyarrow, or take --format csv or netcdf"
         ) from problem
     return pyarrow, pyarrow.parquet
 

@@ -100,7 +100,8 @@ def _foxglove_server(parsed: argparse.Namespace) -> "FoxgloveServer":
     try:
         from ship_monitor.foxglove.server import FoxgloveServer
     except ModuleNotFoundError as problem:
-        raise BadInput("--foxglove needs the Python package foxglove-sdk: make setup-all, or pip install foxglove-sdk") from problem
+        how = "make setup-all, or pip install foxglove-sdk"
+        raise BadInput(f"--foxglove needs the Python package foxglove-sdk: {how}") from problem
     return FoxgloveServer(parsed.namespace.strip("/") or "ship", parsed.address, parsed.foxglove)
 
 
