@@ -28,6 +28,8 @@ from ship_testing.pan_peers import (
 )
 from tools import availability, mooring
 
+pytestmark = pytest.mark.slow  # what its tests share takes long
+
 SCENES = 24
 FALSE_ALARM = 1e-6
 """Of the comparison of the small part of the table with the whole, each cell."""
@@ -197,7 +199,6 @@ def small_part() -> trials.Results:
     return trials.study(range(availability.SMALL_PART))
 
 
-@pytest.mark.slow
 def test_the_small_part_of_the_table_is_what_the_command_computes() -> None:
     told, found = cells(table_of("small part")), cells(availability.small_table(small_part()))
     assert told.keys() == found.keys()

@@ -21,6 +21,8 @@ from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.measured.samples import Exposure, Mode, SeenLight
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 
+pytestmark = pytest.mark.slow  # what its tests share takes long
+
 ROOT = Path(__file__).parents[1]
 
 SEEDS = 16
@@ -49,7 +51,6 @@ def sessions() -> list[PointingErrors]:
     return [pointing_errors(scenario, seed) for seed in range(SEEDS)]
 
 
-@pytest.mark.slow
 def test_sightings_are_used_and_pointings_given(sessions):
     assert {session.sightings + session.refused for session in sessions} == {120}
     # A gate of 99.99 % refuses one in five runs of 16 sessions, three once in a thousand.
@@ -57,7 +58,6 @@ def test_sightings_are_used_and_pointings_given(sessions):
     assert {len(session.time_s) for session in sessions} == {1201}
 
 
-@pytest.mark.slow
 def test_modes_follow_the_lights(sessions):
     session = sessions[0]
     recent = (session.time_s > 1.0) & (session.time_s < LEAVE_S)

@@ -177,6 +177,7 @@ def test_encoders_that_creep_are_named_and_no_drone_is(seed, arcsec_per_s):
 
 
 @pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "arcsec_n_per_s",
     [

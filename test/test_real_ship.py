@@ -41,6 +41,7 @@ def imported(tmp_path: Path, time: str) -> Path:
     return bag
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("time", "offset_s"), [("instrument", 0.012), ("receive", 0.110)])
 def test_two_systems_find_their_clocks_and_installation(tmp_path: Path, time: str, offset_s: float) -> None:
     fused = tmp_path / "fused.mcap"

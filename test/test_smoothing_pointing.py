@@ -32,6 +32,8 @@ from theodolite_calib.measured.samples import Mode, PointingEstimate, PointingOu
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 from theodolite_calib.smoothing.core import SmoothingAxisCore
 
+pytestmark = pytest.mark.slow  # what its tests share takes long
+
 SEEDS = 16
 
 
@@ -132,7 +134,6 @@ def test_smoothed_pointings_are_honest(sessions: list[Told], second: float) -> N
     assert low < np.mean(found) < high
 
 
-@pytest.mark.slow
 def test_no_variance_grows_and_what_is_learnt_later_improves_what_was_pointed_before(sessions: list[Told]) -> None:
     # Where a source is excluded, what was told at once shortly before rested on it still.
     kept = [told for told in sessions if not told.excluded]

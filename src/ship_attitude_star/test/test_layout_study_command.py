@@ -11,6 +11,8 @@ from ship_attitude_star.layout.config import LayoutStudyConfig, study_config
 from ship_attitude_star.layout.layout_study_command import main
 from ship_estimation.parameters import describe
 
+pytestmark = pytest.mark.slow  # what its tests share takes long
+
 THREE_SENSORS = """\
 ship_roll_deg: 5.0
 sensors:
@@ -33,7 +35,6 @@ def rows_of(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-@pytest.mark.slow
 def test_everything_is_written(written: Path) -> None:
     names = {path.name for path in written.iterdir()}
     assert names == {
@@ -44,7 +45,6 @@ def test_everything_is_written(written: Path) -> None:
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in written.glob("*.png"))
 
 
-@pytest.mark.slow
 def test_page_needs_nothing_but_itself(written: Path) -> None:
     page = (written / "layout_study.html").read_text(encoding="utf-8")
     sources = re.findall(r'(?:src|href)="([^"]{0,40})', page)
@@ -79,7 +79,6 @@ def test_sources_at_the_operating_point(written: Path) -> None:
     assert len(found) == 2 * 4 * 6
 
 
-@pytest.mark.slow
 def test_any_number_of_sensors_in_the_order_of_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     layout = tmp_path / "three.yaml"
     layout.write_text(THREE_SENSORS)
@@ -90,7 +89,6 @@ def test_any_number_of_sensors_in_the_order_of_the_file(tmp_path: Path, capsys: 
     assert (tmp_path / "out" / "map_aft.png").exists()
 
 
-@pytest.mark.slow
 def test_one_sensor_has_no_recommended_azimuth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     layout = tmp_path / "one.yaml"
     layout.write_text("sensors:\n  lone: {azimuth_deg: 0.0, elevation_deg: 90.0}\n")

@@ -200,6 +200,7 @@ def test_solutions_tell_as_much_as_the_stars_that_they_are_made_of(known: Knowle
     assert by_solutions.sigma_arcsec == pytest.approx(by_stars.sigma_arcsec, rel=0.03)
 
 
+@pytest.mark.slow
 def test_where_the_position_is_most_of_it_one_error_of_all_messages_is_as_good() -> None:
     found, by_sky = campaign(POOR_FIX, "solution", "message"), campaign(POOR_FIX, "solution")
     low, high = mean_nees_band(SEEDS, 3)

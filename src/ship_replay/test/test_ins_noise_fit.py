@@ -22,6 +22,8 @@ from ship_replay.ins_noise.star_record import star_record
 from ship_replay.ins_noise.written import parameter_file_text
 from ship_testing.noise_sessions import noise_session, scenario
 
+pytestmark = pytest.mark.slow  # what its tests share takes long
+
 # Of a normal distribution, two-sided.
 SIGMAS_99_9 = 3.29
 TILT, TILT_S, HEADING, HEADING_S, WHITE = 10.0, 1800.0, 72.0, 10800.0, 3.0
@@ -44,7 +46,6 @@ def three_hours() -> Identification:
     return identify(noise_session(scenario(10_800.0, white_sigma_arcsec=WHITE), 1))
 
 
-@pytest.mark.slow
 def test_three_hours_tell_white_noise_and_change(three_hours: Identification) -> None:
     # Issue: white sigma within 10 %, 2 sigma²/tau inside its own interval.
     best = three_hours.best
@@ -58,7 +59,6 @@ def test_three_hours_tell_white_noise_and_change(three_hours: Identification) ->
         assert log_sigma < 0.2
 
 
-@pytest.mark.slow
 def test_three_hours_cannot_tell_sigma_and_time(three_hours: Identification) -> None:
     (tilt,) = (line for line in three_hours.warnings if line.startswith("gauss_markov, tilt: 3 h are "))
     assert "correlation times and cannot tell σ and τ apart" in tilt
@@ -97,7 +97,6 @@ def test_schuler_is_told_from_gauss_markov_which_is_not_honest(free_ins: Identif
     assert errors["white_sigma_arcsec"] == pytest.approx(1.0, rel=0.4)
 
 
-@pytest.mark.slow
 def test_schuler_is_written_with_what_it_rests_on(free_ins: Identification, tmp_path: Path) -> None:
     file = tmp_path / "noise.yaml"
     file.write_text(parameter_file_text(free_ins), encoding="utf-8")
@@ -112,7 +111,6 @@ def test_schuler_is_written_with_what_it_rests_on(free_ins: Identification, tmp_
     assert "# the most likely parameters of gauss_markov are not honest in an outage: tilt" in text
 
 
-@pytest.mark.slow
 def test_two_hundred_times_tell_sigma_and_time() -> None:
     # Issue: sigma within 10 %, tau within 30 %.
     slow = {"tilt_sigma_arcsec": 10.0, "tilt_time_s": 60.0, "heading_sigma_arcsec": 20.0, "heading_time_s": 60.0}
