@@ -103,6 +103,7 @@ def refusal(aboard: Path) -> str:
     return line
 
 
+@pytest.mark.slow
 @needs_git
 def test_the_tar_holds_the_tracked_files_and_the_wheels(ashore: Path, aboard: Path) -> None:
     listed = run("git", "ls-tree", "-r", "-z", "--name-only", "HEAD", cwd=ashore).stdout.split("\0")[:-1]

@@ -7,12 +7,10 @@ from tools.dependencies import LIBRARIES, PAGE, SRC, declared, imported, librari
 PYTHON_PACKAGES = [package for package in packages() if imported(SRC / package / package)]
 
 
-@pytest.mark.slow
 def test_the_page_is_current() -> None:
     assert PAGE.read_text(encoding="utf-8") == page(), "run tools/dependencies.py"
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("package", PYTHON_PACKAGES)
 def test_every_import_of_a_package_is_declared(package: str) -> None:
     """Libraries by their rosdep key, where there is one, and in setup.py; packages of ROS and of the suite by name."""
@@ -23,7 +21,6 @@ def test_every_import_of_a_package_is_declared(package: str) -> None:
     assert {name for name in wanted if name not in LIBRARIES} - keys == set(), "package.xml, or LIBRARIES"
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("package", PYTHON_PACKAGES)
 def test_no_library_is_declared_that_is_not_imported(package: str) -> None:
     used = {library.key for library in libraries(package)}
@@ -40,7 +37,6 @@ def test_every_library_that_tests_import_is_known_and_declared(package: str) -> 
     assert {LIBRARIES[name].key for name in wanted} - {""} - keys == set()
 
 
-@pytest.mark.slow
 def test_a_library_has_a_key_or_a_reason() -> None:
     for library in LIBRARIES.values():
         assert bool(library.key) != bool(library.use), library

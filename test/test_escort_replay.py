@@ -127,6 +127,7 @@ def test_the_rest_is_what_it_is_without_advice(advised, voyage) -> None:
     assert [entry[:3] for entry in without] == [entry[:3] for entry in advised if entry[0] != ESCORT]
 
 
+@pytest.mark.slow
 def test_a_drone_taken_out_has_no_part(voyage) -> None:
     escort = {"enabled": True, "period_s": 4.0, **LIMITS}
     first, second = sorted(parameters_of(voyage)["beacons"])

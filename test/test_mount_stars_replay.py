@@ -94,6 +94,7 @@ def errors(pointings: list[Any], truth_nm: dict[int, np.ndarray]) -> tuple[np.nd
     return np.array(off), np.array(nees)
 
 
+@pytest.mark.statistics
 def test_by_stars_alone_the_pointing_is_that_of_the_truth_as_its_covariance_says(voyage) -> None:
     folder, truth_nm = voyage
     told = replayed(folder, "stars.mcap")
@@ -128,12 +129,14 @@ def test_with_lights_beside_the_mode_says_so(voyage) -> None:
     assert {"star_noise", "refraction", "earth_rotation", "ship_position", "parallelism"} <= set(budget.sources)
 
 
+@pytest.mark.slow
 def test_a_replay_in_blocks_gives_what_one_by_one_gives(voyage) -> None:
     folder, _ = voyage
     in_blocks, one_by_one = (replayed(folder, "both.mcap", one_by_one=single) for single in (False, True))
     assert [(topic, data) for topic, _, data in in_blocks] == [(topic, data) for topic, _, data in one_by_one]
 
 
+@pytest.mark.slow
 def test_without_a_fix_no_star_is_used_and_the_lights_point_as_without_stars(voyage) -> None:
     folder, _ = voyage
     told, without = replayed(folder, "no_fix.mcap"), replayed(folder, "lights.mcap")

@@ -115,6 +115,7 @@ def test_the_joint_solution_is_as_good_as_it_says(case: str) -> None:
     assert low <= np.mean(normalised_errors(one_epoch(**LARGE_ERRORS[case]))) <= high
 
 
+@pytest.mark.slow
 def test_errors_that_nobody_was_told_of_are_found_out() -> None:
     """The bands can fail: the weather's large errors with the configuration of the usual ones."""
     values = normalised_errors(one_epoch(**LARGE_ERRORS["weather"]), told=BASE)

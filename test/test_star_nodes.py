@@ -153,6 +153,7 @@ def test_a_bag_with_inputs_and_outputs_of_both_nodes_is_verified(
     assert f"{SHIP} {len(records(both[1], SHIP))}" in out.partition("equal:")[2]
 
 
+@pytest.mark.statistics
 def test_the_joint_solution_errs_as_its_covariance_says_over_many_voyages() -> None:
     """Scenario ``paper_stars``: every seed draws mounting, refraction, UT1 and place anew; one solution of each."""
     low, high = mean_nees_band(SEEDS, 3)

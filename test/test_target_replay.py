@@ -75,6 +75,7 @@ def vector(of: Any) -> np.ndarray:
     return np.array([of.x, of.y, of.z])
 
 
+@pytest.mark.slow
 def test_a_replay_in_blocks_gives_what_one_by_one_gives(voyage) -> None:
     folder, suite, _ = voyage
     in_blocks = replayed(folder, "in.mcap", suite)

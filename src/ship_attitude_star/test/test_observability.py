@@ -66,6 +66,7 @@ def bolted_within_5_arcseconds(scenario: Scenario) -> Scenario:
     return replace(scenario, star_sensors=sensors)
 
 
+@pytest.mark.slow
 def test_a_turn_brings_what_the_hint_says() -> None:
     # 34.4° of heading, 0.5° of pitch, 2° of roll, as she sails.
     lies_nd = rotation_from_angles(*np.deg2rad([34.4, 0.5, 2.0]))

@@ -64,6 +64,7 @@ def drawn_sigmas(layout: Layout, draws: int) -> FloatArray:
     return (found - layout.ship_angles).std(axis=0) / ARCSEC
 
 
+@pytest.mark.statistics
 def test_a_layout_meets_a_requirement_if_errors_drawn_do() -> None:
     """Variances of 8000 draws in their 99.9 % band; limits 5 % over and under them decide as the study does."""
     values = {"common": COMMON, "ship_roll_deg": 6.0, "ship_pitch_deg": 3.0}
@@ -181,6 +182,7 @@ def test_where_nothing_helps_no_size_is_told() -> None:
     assert np.isnan(rows["common.refraction_sigma_arcsec"].alone_arcsec)
 
 
+@pytest.mark.slow
 def test_over_elevation_refraction_falls_with_the_cotangent() -> None:
     """One sensor ahead: refraction is pitch, by its size at 45 degrees times cot E; heading grows with sin E."""
     one = {"sensors": {"a": {"azimuth_deg": 0.0, "elevation_deg": 45.0}}, "common": {"refraction_sigma_arcsec": 0.6}}

@@ -101,6 +101,7 @@ def test_jacobian_is_the_difference_quotient() -> None:
         np.testing.assert_allclose(analytic[:, state], quotient, atol=2e-3)
 
 
+@pytest.mark.statistics
 def test_errors_of_many_draws_are_as_large_as_said() -> None:
     squares, draws = [], 60
     for seed in range(draws):

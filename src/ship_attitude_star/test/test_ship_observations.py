@@ -115,6 +115,7 @@ def test_a_bad_message_is_told_and_changes_nothing(topic: str, change: Change, r
     assert text in innovation.reason_text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("change", "reason"), [s[1:3] for s in STARS_REFUSED], ids=[s[0] for s in STARS_REFUSED])
 def test_a_bad_star_alone_is_refused(change: Change, reason: Reason) -> None:
     index = index_at(voyage(), FORE, MOMENT_S)

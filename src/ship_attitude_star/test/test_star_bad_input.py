@@ -69,6 +69,7 @@ def run_without(topic: str) -> Run:
     return sail(without(voyage(), index_at(voyage(), topic, MOMENT_S)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("topic", "change", "reason", "text"), [c[1:] for c in DROPPED], ids=[c[0] for c in DROPPED])
 def test_a_bad_message_is_told_and_changes_nothing(topic: str, change: Change, reason: str, text: str) -> None:
     index = index_at(voyage(), topic, MOMENT_S)
@@ -294,6 +295,7 @@ def test_beyond_the_table_of_earth_orientation_there_is_no_attitude() -> None:
     assert_no_attitude_but_told(sail(later), Reason.NO_EARTH_ORIENTATION, "")
 
 
+@pytest.mark.slow
 def test_without_weather_refraction_is_less_well_known_and_it_says_so() -> None:
     run = sail(except_(voyage(), PRESSURE, TEMPERATURE, HUMIDITY))
     message, clean = run.messages(FORE_SOLUTION)[0], clean_run().messages(FORE_SOLUTION)[0]

@@ -322,6 +322,7 @@ def test_so_many_refusals_of_each_source_as_configured_are_a_doubt_and_set_all_s
     assert refused_s < aside_s <= refused_s + 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turn_arcsec", [32.0, 100.0])
 def test_a_sky_that_turns_moves_no_attitude_and_its_stars_return_when_it_is_back(turn_arcsec: float) -> None:
     """A position a kilometre off turns all stars by 32″."""
@@ -333,6 +334,7 @@ def test_a_sky_that_turns_moves_no_attitude_and_its_stars_return_when_it_is_back
     assert_honest(sailed)
 
 
+@pytest.mark.slow
 def test_a_lie_of_all_stars_that_lasts_is_not_let_back_in() -> None:
     """The INS's covariance grows while the stars are refused: that they fit into it is no agreement."""
     fast = {"ins": {"tilt_time_s": 100.0, "time_offset_sigma_s": 0.0}}
@@ -468,6 +470,7 @@ def test_with_the_ins_excluded_neither_of_two_star_sensors_is_named() -> None:
     assert_honest(sailed)
 
 
+@pytest.mark.slow
 def test_what_rows_dispute_is_in_the_covariance_and_not_in_the_levels() -> None:
     sailed = sailed_with(Lie("star.port", UP * 10.0 / 60.0 * ARCSEC, 20.0, per_s=True), seconds=240.0)
     told = [one for one in sailed.estimates if one.status is Status.VALID and one.state.disputed_n is not None]
@@ -526,6 +529,7 @@ def test_what_was_knocked_while_no_star_was_seen_is_not_laid_to_the_ins(seed: in
     assert_honest(sailed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "lies",
     [
@@ -563,6 +567,7 @@ def test_while_all_is_right_sources_seldom_dispute() -> None:
     assert disputed <= binom.ppf(0.999, len(seeds), 27 / 370)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("knocked", "changes"), [(("aft",), {}), (("aft", "port"), WITH_PAIRS)])
 def test_any_order_within_the_lag_ends_in_the_same_state_exclusions_included(
     knocked: tuple[str, ...], changes: dict[str, Any]

@@ -117,6 +117,7 @@ def test_mend_11_a_reference_at_its_default_priors_is_honest(waves: float) -> No
     assert sum(refused for _, refused in ends) <= 0.02 * sum(len(run.measurements) for run in runs)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("offset_s", [-0.6, -0.38, 0.36, 0.40, 0.6])
 def test_mend_11_a_clock_two_or_three_sigma_off_is_found(offset_s: float) -> None:
     """Offsets of 0.36 to 0.40 s ended 10 to 15 sigma off, with 95 % of the measurements refused for ever."""

@@ -92,6 +92,7 @@ def test_mend_26_a_recording_takes_a_clock_that_steps_back_and_a_message_larger_
         assert in_time == sorted(in_file)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_many_messages_are_written_as_one_after_another(tmp_path, seed):
     """Chunks end where they are long, where time goes on by a second, and where it goes back by one."""

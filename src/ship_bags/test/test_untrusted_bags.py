@@ -55,6 +55,7 @@ def with_chunks(path, *chunks):
     return end
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("compression", "stated", "complaint"),
     [

@@ -106,6 +106,7 @@ def test_smaller_steps_are_seen_within_a_fifth_of_a_second(rate_hz: float, least
         assert_opened(found, changed, first, arcsec_n)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", RATES_HZ)
 @pytest.mark.parametrize("length", [1, 2, 5])
 @pytest.mark.parametrize("arcsec", [14.0, 30.0, 300.0])
@@ -232,6 +233,7 @@ def test_a_turn_that_begins_is_no_step() -> None:
     assert told(stepped(samples, 3000, (0.0, 14.0, 0.0))).refused == list(range(3000, 3005))
 
 
+@pytest.mark.slow
 def test_another_noise_of_the_rates_holds_at_once() -> None:
     """Rates with noise of 60″/s: known, the line is shorter, and steps of 20″ are seen that were lost before."""
     first = number_at(100.0)

@@ -107,6 +107,7 @@ def test_nothing_is_found_where_stars_are_as_stated() -> None:
     assert {one.kind for one in found} == {VerdictKind.AS_STATED}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [1.5, 2.0, 3.0, 10.0])
 def test_an_understated_noise_of_attitudes_is_told_with_its_factor_though_the_gate_refuses_the_worst(
     factor: float,

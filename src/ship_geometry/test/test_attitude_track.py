@@ -251,6 +251,7 @@ def test_replaced_sample_counts_as_if_it_had_come_first(index: int, with_rate: b
 # -- what later samples may still change
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(20))
 def test_covered_moments_stay_as_they_are_when_samples_arrive_in_order(seed: int) -> None:
     samples = irregular(seed)

@@ -109,6 +109,7 @@ def test_what_the_faults_take_away_is_told_with_them(faulty: Path) -> None:
             assert told == {"ins.out"}
 
 
+@pytest.mark.slow
 def test_clean_voyage_blames_no_source(tmp_path: Path) -> None:
     """Without faults only the gap in the stars that the scenario has is told: no accuracy that is over for a moment."""
     voyage = Voyage(replayed(tmp_path, "demo")[1])

@@ -167,6 +167,7 @@ def test_values_change_without_loading_anew(browser, source, page):
     assert browser.problems == []
 
 
+@pytest.mark.slow
 def test_a_server_that_says_nothing_is_no_link_and_every_value_is_old(browser, source, page):
     browser.open(page)
     browser.until(LIVE)

@@ -98,6 +98,7 @@ def test_a_knocked_sensor_is_shown_refused_off_and_shaded(panels) -> None:
     assert "■ right +49." in " ".join(row._labels._axis.major_label_overrides.values())
 
 
+@pytest.mark.slow
 def test_an_outage_that_is_over_stays_shaded_and_a_new_one_is_added(panels) -> None:
     panel: InnovationPanel = panels._innovations
     history = watched_history()

@@ -107,6 +107,7 @@ def test_tcp_serves_several_clients_and_hears_lines_in_pieces(open_sink):
     assert sink.status().level is Level.OK
 
 
+@pytest.mark.slow
 def test_a_client_that_does_not_read_holds_up_nobody_and_is_sent_away(open_sink, monkeypatch):
     monkeypatch.setattr("ship_nmea.out.network_outlets.STALLED_S", 0.5)
     port = free_port(socket.SOCK_STREAM)

@@ -146,6 +146,7 @@ def test_a_sensor_at_the_zenith_has_no_azimuth_of_its_own(tmp_path, capsys):
     assert np.linalg.norm(log_rotation(saved.rotations_dv["star.fore"].T @ true_dv)) < 4.0 * 12.8 * ARCSEC
 
 
+@pytest.mark.slow
 def test_an_installation_far_from_the_configured_one_needs_a_wider_prior(tmp_path, capsys):
     """Off by 600″, configured as known to 20″: refused as improbable, found with --prior-sigma."""
     far = session(STILL, sigma_arcsec=600.0)

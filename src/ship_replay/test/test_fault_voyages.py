@@ -81,6 +81,7 @@ def test_single_faults_leave_time_to_return(topics):
         assert all(later.start_s >= before.end_s + 60.0 for before, later in pairwise(found))
 
 
+@pytest.mark.slow
 def test_every_threat_is_drawn_on_everything(topics):
     labels = {one.threat.label for number in range(1500) for one in drawn(topics, number, OVERLAPPING)}
     fed_by_the_filter = {"ship step", "ship drift", "ship frozen"}
@@ -403,6 +404,7 @@ def test_a_replay_without_faults_is_that_of_the_bag(bag):
     assert told.failures == 0
 
 
+@pytest.mark.slow
 def test_one_fault_is_reported_with_its_sizes_and_times(bag):
     lines = one_fault_lines(bag, KNOCK)
     assert lines[0] == "demo_1.mcap: knock on star/fore/horizon_attitude from 20 s to 30 s"

@@ -50,6 +50,7 @@ def test_the_file_is_one_that_the_suite_loads(bag, tmp_path, capsys):
     assert "parameters against" in printed
 
 
+@pytest.mark.slow
 def test_without_out_nothing_is_written(bag, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main([str(bag)]) == 0

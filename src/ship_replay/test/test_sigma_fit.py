@@ -108,6 +108,7 @@ def test_sigmas_that_were_not_told_are_said() -> None:
     assert nees_fit(none).words == "no σ stated"
 
 
+@pytest.mark.statistics
 def test_an_hour_of_honest_innovations_is_as_stated() -> None:
     fits = [nis_fit("star.bow", innovations(seed, [1.0] * 60, 30)) for seed in range(100)]
     # More than two of sixty minutes outside: 3 of 100 000 runs.

@@ -97,6 +97,7 @@ def test_off_from_the_start_is_as_without_the_topic(
     assert off != estimates(replayed(run_class, bag_path, None), source)[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("bag_path", "node", "source", "_topic"), CASES[1:3], ids=[case[2] for case in CASES[1:3]])
 def test_blocks_say_what_is_said_one_by_one(
     bag_path: Path, node: str, source: str, _topic: str, tmp_path: Path

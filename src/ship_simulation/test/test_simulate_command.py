@@ -67,6 +67,7 @@ def test_the_bag_holds_the_scenario_and_a_suite_configuration_with_its_sigmas(sc
     assert config.references["gyro"].sigma_roll_arcsec == 33.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", sorted(SCENARIOS.glob("*.yaml")), ids=lambda path: path.stem)
 def test_every_scenario_of_the_repository_can_be_simulated(path, tmp_path):
     recording = None

@@ -65,6 +65,7 @@ def pointed() -> tuple[Pointed, ...]:
     return tuple(found)
 
 
+@pytest.mark.slow
 def test_what_is_disputed_is_in_the_covariance_long_before_anybody_is_excluded() -> None:
     creeping = [one for one in pointed() if one.since_s > 0.0]
     with_it = [one.sigmas(one.estimate.covariance_n) > 5.0 for one in creeping]

@@ -126,6 +126,7 @@ def grid(accuracy: LightsAccuracy, config: OpticalAxisConfig) -> FloatArray:
     return np.array(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("elevation_deg", "limits"),
     [
@@ -177,6 +178,7 @@ def drawn_limits(rng: np.random.Generator) -> tuple[dict[str, float], float]:
     return limits, float(np.clip(near, -5.0, 89.5))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_never_outside_the_limits(seed: int) -> None:
     rng, advised = np.random.default_rng(seed), 0

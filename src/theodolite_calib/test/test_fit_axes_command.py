@@ -118,6 +118,7 @@ def test_zero_points_may_be_degrees(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "RMS" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_flexure_is_fitted_when_asked_for(tmp_path: Path) -> None:
     table = write_table(tmp_path / "s.csv")
     assert main([str(table), "--out", str(tmp_path), "--flexure", "--fix", "c", "--fix", "I=-25"]) == 0

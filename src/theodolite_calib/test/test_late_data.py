@@ -121,6 +121,7 @@ def test_the_clock_goes_back_once_and_all_begins_anew() -> None:
     assert next(v.value for v in status.values if v.key == "clock jumps back") == "1"
 
 
+@pytest.mark.slow
 def test_a_flood_with_random_stamps_costs_few_steps_and_what_is_refused_leaves_no_trace(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -30,6 +30,7 @@ def test_exact_sightings_give_the_errors_back(g: float) -> None:
     assert not np.any(result.outliers)
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("outlier_share", [0.0, 0.05])
 def test_covariance_is_honest(outlier_share: float) -> None:
     """99.9 % bands over 200 seeds, one error a seed; with outliers seven times the noise as well."""
@@ -49,6 +50,7 @@ def test_covariance_is_honest(outlier_share: float) -> None:
     assert low <= np.mean(nees) <= high
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stated", [True, False])
 def test_mend_23_errors_that_sightings_share_are_in_the_covariance(stated: bool) -> None:
     """A hull that turns by 20″ in ten minutes and a lever that is off for good; 99.9 % bands over the seeds."""

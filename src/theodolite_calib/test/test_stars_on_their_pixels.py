@@ -81,6 +81,7 @@ def test_the_pointing_is_as_good_as_its_covariance_says_and_the_budget_names_the
     assert sigma[SOURCE_PIXEL] > 0.05
 
 
+@pytest.mark.statistics
 def test_a_filter_that_is_not_told_of_them_claims_too_much() -> None:
     nees, _, _ = mean_nees(configured())
     assert nees > mean_nees_band(NIGHTS, 3)[1]
