@@ -5,10 +5,12 @@ say, array by array, before the core is given it.
 """
 
 import copy
+import copyreg
 import dataclasses
 import functools
 from collections.abc import Container
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -25,6 +27,9 @@ from theodolite_calib.measured.samples import PointingEstimate, PointingOutcome
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 
 FAULT_S, DURATION_S = 40.0, 85.0
+
+# A configuration holds read-only mappings, which copy.deepcopy() cannot copy by itself.
+copyreg.pickle(MappingProxyType, lambda mapping: (MappingProxyType, (dict(mapping),)))
 
 
 @functools.cache

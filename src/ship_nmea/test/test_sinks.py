@@ -247,7 +247,8 @@ def test_a_serial_line_whose_far_end_does_not_read_drops_what_gets_old(open_sink
     sink = open_sink(kind="serial", device=path)
 
     def one_more():
-        for _ in range(50):
+        # A thousand a second: MOST_WAITING of them last for four times the age at which they are too old.
+        for _ in range(10):
             sink.put(SENTENCE * 20, lasts_ns=50_000_000)
         return any("waited for too long" in why for why in sink.status().values)
 
