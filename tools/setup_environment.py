@@ -114,6 +114,7 @@ def set_up(everything: bool) -> None:
     if jobs and (bundled := own_wheels(ROOT)):
         say(f"the wheels of {bundled.relative_to(ROOT)} are whole: no network is asked")
     if fresh:
+        say("from nothing this takes one to three minutes, with wheels from the network more")
         make_venv(prefix)
         STAMP_VENV.write_text(plan.venv)
     if parts:

@@ -146,6 +146,8 @@ def install_wheels(group: Group, lines: list[str], place: list[str], prefix: str
     pip = [str(VENV / "bin" / "python"), "-m", "pip", "--disable-pip-version-check", "install", "--no-input", *place]
     if prefix:
         pip.append("--ignore-installed")  # a package of the system with the same name may change or go at any time
+    elif group.name == ALL_OTHER:
+        pip.append("--force-reinstall")  # an earlier call may have been interrupted
     env = wheels_environment()
     if "--no-index" in place:
         env["PIP_CONFIG_FILE"] = os.devnull  # which may name an index or other wheels
