@@ -153,7 +153,8 @@ def test_set_up_installs_from_the_wheels_alone(aboard: Path) -> None:
     assert f"the wheels of wheels/{own_target()} are whole: no network is asked" in answer.stdout
     assert "colcon build failed" in answer.stderr
     log = (aboard / ".venv" / "setup.log").read_text()
-    assert "Successfully installed ros-part-1.0 tiny-part-1.0" in log.replace("_part", "-part")
+    for name in ("ros-part", "tiny-part"):
+        assert f"Successfully installed {name}-1.0" in log.replace("_part", "-part")
     assert "127.0.0.1" not in log
 
 
