@@ -95,7 +95,7 @@ def path_without_compilers(tmp_path: Path) -> str:
     for place in os.environ["PATH"].split(os.pathsep):
         for program in sorted(Path(place).iterdir()) if place != own and Path(place).is_dir() else []:
             hidden = program.name.startswith(("python", "x86_64", "aarch64")) or program.name in COMPILERS
-            if not hidden and not (folder / program.name).exists():
+            if not hidden and not os.path.lexists(folder / program.name):
                 (folder / program.name).symlink_to(program)
     (folder / "python3").symlink_to(Path(sysconfig.get_config_var("BINDIR")) / f"python3.{sys.version_info.minor}")
     return str(folder)

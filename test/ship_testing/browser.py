@@ -57,6 +57,8 @@ class Browser:
 
     def open(self, address: str, width: int = 1280, height: int = 800) -> None:
         """Open a page in a window of this size, and wait until it has loaded."""
+        # The page before may still complain, of a server that has ended, until it has gone.
+        self.call("Page.navigate", url="about:blank")
         self.problems.clear()
         self.addresses.clear()
         mobile = width < 700

@@ -109,12 +109,12 @@ def sample_numbers(path):
         return [round(record.decode().linear_acceleration.x) for record in bag.records() if "imu" in record.topic]
 
 
-def has_sample(path):
-    """Whether a recording that goes on has one on the disk."""
+def samples_on_disk(path):
+    """Number of samples that a recording which goes on has on the disk."""
     try:
-        return bool(sample_numbers(path))
+        return len(sample_numbers(path))
     except BadInput:
-        return False  # nothing that is whole yet
+        return 0  # nothing that is whole yet
 
 
 live = pytest.mark.live
@@ -148,6 +148,7 @@ class TestLive:
         with Recording(tmp_path, "--out", str(folder), "--split-mb", "0.01", "--topics", "ins/imu") as recording:
             recording.connect()
             recording.send(1000)
+            assert recording.graph.spin_until(lambda: samples_on_disk(folder) > 500)
             os.kill(recording.process.pid, signal.SIGKILL)
             recording.process.wait(10)
         kept = sample_numbers(folder)
@@ -172,7 +173,7 @@ class TestLive:
                 assert recording.graph.spin_until(lambda: clock.publish(message) or recording.send(1) or seen())
 
             # The first sample on the disk has waited for the first clock; the file itself grows before.
-            at_clock(1000, lambda: has_sample(path))
+            at_clock(1000, lambda: samples_on_disk(path) > 0)
             at_clock(400, lambda: "stepped by" in recording.process.log())
             recording.send(20)
             assert recording.process.end() == 0

@@ -71,7 +71,7 @@ def test_everything_of_the_first_screenful_is_drawn(browser, source, page, theme
     )
     assert browser.text("#outs") == "star.starboard OUTencoder OUT"
     assert browser.evaluate("document.documentElement.scrollWidth <= innerWidth"), "wider than the window"
-    assert browser.evaluate("getComputedStyle(document.body).fontFamily").startswith("Watch")
+    assert browser.evaluate("getComputedStyle(document.body).fontFamily").startswith("B612")
 
 
 def test_the_first_screenful_at_1280_by_800_lies_where_the_design_has_it(browser, page):

@@ -321,7 +321,7 @@ def resident_mb(process):
 
 
 def test_everything_goes_wrong_at_once(listening, tmp_path):
-    """A flood of 10 kHz, noise, a server that comes and goes, a device that is unplugged; one source is well."""
+    """A flood, noise, a server that comes and goes, a device that is unplugged; one source is well."""
     tcp_port = free_port(socket.SOCK_STREAM)
     controller, terminal = os.openpty()
     device = tmp_path / "ttyUSB0"
@@ -339,7 +339,7 @@ def test_everything_goes_wrong_at_once(listening, tmp_path):
 
     def flood():
         heading, sender = ended("HEHDT,10.0,T"), socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        while not stop.wait(0.01):
+        while not stop.wait(0.001):  # faster than any machine takes them: the system sends as fast as this thread runs
             for _ in range(10):
                 sender.sendto(10 * heading, ("127.0.0.1", node.config.sources["flooded"].port))
         sender.close()

@@ -5,10 +5,12 @@ A pool of the standard library breaks as a whole when one of its processes is ki
 
 import json
 import os
+import signal
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
+from multiprocessing.forkserver import ensure_running
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -36,6 +38,7 @@ def in_processes(make: Make, items: Sequence[Item], workers: int) -> Iterator[tu
     # What is imported once is there in each process; the server has no threads that a fork would cut off.
     context = get_context("forkserver")
     context.set_forkserver_preload(["__main__", make.__module__])
+    _start_server()
     waiting, deaths = deque(items), dict.fromkeys((item.key for item in items), 0)
     running: dict[Any, _Worker] = {}
     try:
@@ -56,6 +59,18 @@ def in_processes(make: Make, items: Sequence[Item], workers: int) -> Iterator[tu
     finally:
         for worker in running.values():
             worker.end()
+
+
+def _start_server() -> None:
+    """Start the server of processes with SIGINT ignored, which its processes inherit.
+
+    Ctrl-C is the command's to answer. A process that it reaches before serve_a_command() would print a traceback.
+    """
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        ensure_running()
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 class _Worker:
