@@ -80,7 +80,7 @@ def is_compiled(folder: Path) -> bool:
 
 @dataclass(frozen=True)
 class CompiledParts:
-    """What has to be made by a compiler, or taken from prebuilt wheels.
+    """Compiled parts that are missing, by where they come from.
 
     Attributes:
         prebuilt: wheels that fit.
@@ -202,7 +202,7 @@ def stamp_of(folder: Path) -> Path:
 
 
 def first_error(output: str) -> str:
-    """Return the first line of a build's output that tells an error, and where the rest is."""
+    """Return the first line of a build's output that reports an error, and the file with the rest."""
     lines = [line for line in output.splitlines() if re.search(r"error|Failed|CMake Error", line)]
     first = lines[0].strip() if lines else last_line(output)
     return f"{first} (all of it in {SETUP_LOG.relative_to(ROOT)})"

@@ -1,4 +1,4 @@
-"""What the steps of set-up share: places, progress lines, commands, stamps."""
+"""Places, progress lines, commands and stamps that the steps of set-up share."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ CORES = len(os.sched_getaffinity(0))
 
 
 class SetupError(Exception):
-    """What the user has to do, in one line."""
+    """Set-up cannot go on; the text says in one line what the user has to do."""
 
 
 def say(text: str) -> None:

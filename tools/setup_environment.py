@@ -1,13 +1,13 @@
 """Set up this checkout: virtual environment, pinned wheels, compiled modules, messages, packages.
 
-Each step leaves a stamp when it is done, so that a second run takes a moment, a change redoes only the steps that
-depend on it, and an interrupted run is completed by running it again. What the user has to do himself is said in one
-line, exit code 2. ``--all`` also installs the wheels that few people use (section ``[all]`` of requirements.lock).
+Each step leaves a stamp when it is done. So a second run takes a moment, a change redoes only the steps that depend on
+it, and an interrupted run is completed by running it again. Where the user has to do something, one line says what,
+with exit code 2. ``--all`` also installs the wheels that few people use (section ``[all]`` of requirements.lock).
 
-Two ways to the same tree: ROS 2 Jazzy as wheels inside the virtual environment, or, where a Jazzy installation is
-sourced, that installation with only the other wheels in a virtual environment on top of it.
+ROS 2 Jazzy comes as wheels into the virtual environment. Where a Jazzy installation is sourced, it is used instead, and
+the virtual environment on top of it holds the other wheels only.
 
-Where steps do not depend on each other they run at the same time: the wheels of ROS and of the build tools come first;
+Steps that do not depend on each other run at the same time. The wheels of ROS and of the build tools come first;
 messages and modules are compiled while the other wheels are installed.
 """
 
@@ -48,7 +48,7 @@ COLCON_META = ROOT / "colcon.meta"
 
 @dataclass(frozen=True)
 class Plan:
-    """What is to be set up, and the digests that tell whether it is there.
+    """The parts to set up, with the digests by which one that is there is recognised.
 
     Attributes:
         workspace: the packages to build.
@@ -66,7 +66,7 @@ class Plan:
     def fresh(self) -> bool:
         """True if set-up starts from nothing.
 
-        Wheels half installed cannot be told from whole ones: a group has no stamp while it is installed. Over a Jazzy
+        Wheels half installed look like whole ones: a group has no stamp while it is installed. Over a Jazzy
         installation wheels of an older lock may hide its packages, and are removed too.
         """
         done = [group.is_installed if self.workspace.prefix else bool(read_stamp(group.stamp)) for group in self.basic]
@@ -79,7 +79,7 @@ class Plan:
 
 
 def make_plan(everything: bool = False) -> Plan:
-    """Return what is to be set up here.
+    """Return the plan for this checkout and machine.
 
     Args:
         everything: also the wheels that few people use.
