@@ -11,6 +11,7 @@ import argparse
 import os
 import subprocess
 import sys
+import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -105,9 +106,11 @@ def _demo(options: argparse.Namespace) -> int:
     options.figures.mkdir(parents=True, exist_ok=True)
     try:
         for leg in LEGS[:1] if options.offline else LEGS:
+            begin_s = time.monotonic()
             recorded_path = _replay(leg) if options.offline else _sail(leg, leg.rate * options.rate, console)
             _require_outputs(leg, recorded_path)
             _show(leg, recorded_path, options.figures, console)
+            print(f"{leg.bag}: {time.monotonic() - begin_s:.0f} s\n")
     except LiveFailure as failure:
         print(f"demo: {failure}", file=sys.stderr)
         return EXIT_BOUND_NOT_MET
