@@ -34,7 +34,7 @@ setup: ## environment and build; takes minutes once, then a moment
 setup-all: ## the same with the wheels that few people use: Parquet, GTSAM, Foxglove, style and types
 	@tools/setup --all
 
-test: setup-all ## the tests that one runs while working, in minutes; PYTEST_ARGS="-k name" for some
+test: setup-all ## the tests that one runs while working, in minutes; PYTEST_ARGS="-k name" for some of them
 	@$(RUN) $(PYTEST) -m "not ($(SLOW))" $(PYTEST_ARGS)
 
 test-all: setup-all ## the tests that make test leaves out: statistics, the slow ones, all other live ones
@@ -58,7 +58,7 @@ bags: setup ## the bags in bags/, from their scenarios
 bench: setup-all ## speed, as ratios within one run; ARGS="--only setup" for a part
 	@$(RUN) python tools/bench.py $(ARGS)
 
-campaign: setup ## 2000 seeds of each case (ten hours on two cores), long voyages; RUNS=50 LIVE_HOURS=2 BAG_HOURS="1 10" for less
+campaign: setup-all ## 2000 seeds of each case (ten hours on two cores), long voyages; RUNS=50 LIVE_HOURS=2 BAG_HOURS="1 10" for less
 	@$(RUN) python tools/campaign.py --seeds $(RUNS)
 	@$(RUN) python tools/pointing_campaign.py
 	@$(RUN) FUZZED_MESSAGES=100000 pytest -q -s test/test_fuzzed_messages.py
@@ -97,7 +97,7 @@ wheels: setup ## prebuilt wheels of our own packages, in prebuilt/: a checkout t
 bundle: setup ## one tar of this commit with all wheels, to set up without a network; FOR=3.12 for another Python
 	@$(RUN) python tools/bundle.py $(if $(FOR),--for $(FOR))
 
-audit: setup ## known vulnerabilities of the pinned packages, and their licences; asks the network
+audit: setup-all ## known vulnerabilities of the pinned packages, and their licences; asks the network
 	@$(RUN) python tools/licences.py --check
 	@$(RUN) python tools/audit.py
 

@@ -3,7 +3,7 @@
 The peers are given what the filter works out in its step, each measurement linearised and weighed, and keep none of its
 budget by sources. Their time is that of taking a measurement and of telling the state and its covariance after it.
 GTSAM comes with ``make setup-all`` from Python 3.11 on, filterpy by ``pip install filterpy``; without them their rows
-left out.
+are left out.
 """
 
 import importlib

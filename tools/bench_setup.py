@@ -46,6 +46,8 @@ def setup_cost() -> list[Row]:
 
 def _copy(folder: Path) -> Path:
     """Return a folder with the files of this checkout that git tracks, as they are now."""
+    if not (ROOT / ".git").exists() or shutil.which("git") is None:
+        raise LiveFailure(f"{ROOT} is no git checkout, or git is not installed: git lists the files to copy")
     listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, check=True, capture_output=True).stdout
     for name in listed.decode().split("\0")[:-1]:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)

@@ -1,7 +1,7 @@
 """``make demo``: simulated voyages through the real nodes over DDS, recorded, evaluated, drawn.
 
 First the ship's attitude from INS and stars, then the theodolite's optical axis from the lights of two drones.
-``--offline`` replays the first of them in this process instead of live (``make quick``).
+``--offline`` replays the first bag without nodes (``make quick``).
 
 Exit code 0 done; 1 a process failed or a node published nothing; 2 bad input or usage. A computer that is too slow for
 the live nodes is no failure: what it cost is said in a sentence. Tests hold the bounds (test/test_live_replay.py).
@@ -95,7 +95,7 @@ def main() -> int:
     parser.add_argument(
         "--rate", type=float, default=1.0, metavar="R", help="factor on the speed at which the bags are played (1)"
     )
-    parser.add_argument("--offline", action="store_true", help="replay the first bag in this process, without nodes")
+    parser.add_argument("--offline", action="store_true", help="replay the first bag without nodes, whatever the rate")
     parser.add_argument("--figures", type=Path, default=FOLDER, metavar="DIR", help="folder for the figures")
     return run_command(parser, _demo, None)
 

@@ -21,8 +21,8 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from prebuilt import PREBUILT, local_version
-from setup_build import is_of_messages
-from setup_common import CORES, INSTALL, ROOT, last_line
+from setup_build import is_of_messages, stamp_of
+from setup_common import CORES, INSTALL, ROOT, last_line, read_stamp
 from setup_environment import make_plan
 
 from wheelhouse import own_target
@@ -41,8 +41,8 @@ def main() -> int:
         out = Path(work) / "wheels"
         out.mkdir()
         jobs = {
-            package: pool.submit(_pack_messages if is_of_messages(package) else _build, package, local, out)
-            for package, local in ((package, local_version(content)) for package, content in workspace.digests.items())
+            package: pool.submit(_pack_messages if is_of_messages(package) else _build, package, content, out)
+            for package, content in workspace.digests.items()
         }
         for package, job in jobs.items():
             if error := job.exception():
@@ -50,8 +50,9 @@ def main() -> int:
                 print(f"wheels: {package.relative_to(ROOT)}: {detail}", file=sys.stderr)
                 return 2
         folder.mkdir(parents=True, exist_ok=True)
-        for path in folder.glob("*.whl"):
-            path.unlink()
+        for package in workspace.digests:
+            for path in folder.glob(f"{package.name}-*+*.whl"):
+                path.unlink()
         made = [Path(shutil.copy(path, folder)) for path in sorted(out.iterdir())]
     for path in made:
         print(f"wheels: {path.relative_to(ROOT) if path.is_relative_to(ROOT) else path}")
@@ -59,13 +60,14 @@ def main() -> int:
     return 0
 
 
-def _build(package: Path, local: str, out: Path) -> None:
+def _build(package: Path, content: str, out: Path) -> None:
     """Build a wheel of a Python package from a copy, so that nothing stays in the sources."""
     with tempfile.TemporaryDirectory() as work:
         copy = Path(work) / package.name
         made = shutil.ignore_patterns("test", "__pycache__", "*.egg-info", "*.so", "compiled_*.c")
         shutil.copytree(package, copy, ignore=made)
-        command = [sys.executable, "setup.py", "-q", "egg_info", f"--tag-build={local}", "bdist_wheel", "--dist-dir"]
+        tag = f"--tag-build={local_version(content)}"
+        command = [sys.executable, "setup.py", "-q", "egg_info", tag, "bdist_wheel", "--dist-dir"]
         environment = {name: value for name, value in os.environ.items() if name != "SHIP_SUITE_IS_COMPILED"}
         subprocess.run(
             [*command, str(out)], cwd=copy, env=environment, check=True, text=True,
@@ -73,10 +75,12 @@ def _build(package: Path, local: str, out: Path) -> None:
         )  # fmt: skip
 
 
-def _pack_messages(package: Path, local: str, out: Path) -> None:
+def _pack_messages(package: Path, content: str, out: Path) -> None:
     """Pack what colcon installed of a package of messages, as the wheels of ROS itself do: below the prefix."""
+    if read_stamp(stamp_of(package)) != content:
+        raise OSError("what is installed was built from other sources: run make setup")
     root = ET.parse(package / "package.xml").getroot()
-    version = f"{root.findtext('version')}{local}"
+    version = f"{root.findtext('version')}{local_version(content)}"
     tag = f"cp{sys.version_info.major}{sys.version_info.minor}"
     platform_tag = sysconfig.get_platform().replace("-", "_").replace(".", "_")
     stem = f"{package.name}-{version}"
@@ -86,8 +90,6 @@ def _pack_messages(package: Path, local: str, out: Path) -> None:
         for path in sorted((INSTALL / package.name).rglob("*"))
         if path.is_file() and "__pycache__" not in path.parts
     }
-    if not files:
-        raise OSError(f"{INSTALL / package.name} is empty: run make setup")
     summary = " ".join((root.findtext("description") or "").split())
     files[f"{info}/METADATA"] = (
         f"Metadata-Version: 2.1\nName: {package.name}\nVersion: {version}\nSummary: {summary}\n"

@@ -13,6 +13,7 @@ import hashlib
 import re
 import shutil
 import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -84,14 +85,21 @@ class Prebuilt:
 
         Args:
             install: colcon's folder of installed packages.
+
+        Raises:
+            OSError: the wheel is damaged, or a file cannot be written.
         """
-        with zipfile.ZipFile(self.wheel) as archive:
-            for name in archive.namelist():
-                scheme, _, inner = name.partition(".data/data/")
-                if inner:
-                    _unpack(archive, name, install / self.folder.name / inner)
-                elif scheme.endswith(COMPILED_SUFFIX):
-                    _unpack(archive, name, self.folder / name)
+        is_of_messages = (self.folder / "CMakeLists.txt").exists()
+        try:
+            with zipfile.ZipFile(self.wheel) as archive:
+                for name in archive.namelist():
+                    _, _, inner = name.partition(".data/data/")
+                    if is_of_messages and inner:
+                        _unpack(archive, name, install / self.folder.name / inner)
+                    elif not is_of_messages and name.endswith(COMPILED_SUFFIX):
+                        _unpack(archive, name, self.folder / name)
+        except (zipfile.BadZipFile, zlib.error, EOFError) as error:
+            raise OSError(f"{self.wheel} is damaged ({error}): copy or make it again") from error
 
 
 def _unpack(archive: zipfile.ZipFile, name: str, path: Path) -> None:

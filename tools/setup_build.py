@@ -52,7 +52,8 @@ class Workspace:
         return {
             folder: content
             for folder, content in self.digests.items()
-            if is_compiled(folder) and not (changed_only and read_stamp(stamp_of(folder)) == content)
+            if is_compiled(folder)
+            and not (changed_only and has_compiled_parts(folder) and read_stamp(stamp_of(folder)) == content)
         }
 
 
@@ -76,6 +77,14 @@ def is_of_messages(folder: Path) -> bool:
 def is_compiled(folder: Path) -> bool:
     """True if a package holds something that a compiler must make."""
     return is_of_messages(folder) or any(folder.glob("**/compiled_*.py"))
+
+
+def has_compiled_parts(folder: Path) -> bool:
+    """True if there is something compiled for all that a package has to compile."""
+    if is_of_messages(folder):
+        return (INSTALL / folder.name).is_dir()
+    sources = folder.glob("**/compiled_*.py")
+    return all(any(path.parent.glob(f"{path.stem}.*{COMPILED_SUFFIX}")) for path in sources)
 
 
 @dataclass(frozen=True)
@@ -146,11 +155,14 @@ def compile_packages(workspace: Workspace, parts: CompiledParts) -> None:
 
 
 def remove_compiled(folder: Path) -> None:
-    """Remove a package's compiled parts: they may come from a wheel, and be newer than a source they do not fit."""
+    """Remove a package's compiled parts and generated C, which may be newer than a source that they do not fit."""
+    stamp_of(folder).unlink(missing_ok=True)
     if is_of_messages(folder):
-        shutil.rmtree(INSTALL / folder.name, ignore_errors=True)
-    for module in folder.glob(f"**/compiled_*{COMPILED_SUFFIX}"):
-        module.unlink()
+        for place in (BUILD, INSTALL):
+            shutil.rmtree(place / folder.name, ignore_errors=True)
+    for suffix in (COMPILED_SUFFIX, ".c"):
+        for module in folder.glob(f"**/compiled_*{suffix}"):
+            module.unlink()
 
 
 def compile_modules(folder: Path) -> None:
@@ -215,5 +227,9 @@ def prepare_build() -> None:
         shutil.rmtree(BUILD, ignore_errors=True)
         shutil.rmtree(INSTALL, ignore_errors=True)
     BUILD.mkdir(exist_ok=True)
+    INSTALL.mkdir(exist_ok=True)
     (BUILD / ".by_setup").touch()
     (BUILD / "COLCON_IGNORE").touch()
+    # colcon marks its folders so; two of them that begin at the same time would read each other's empty files.
+    (BUILD / ".built_by").write_text("colcon\n")
+    (INSTALL / ".colcon_install_layout").write_text("isolated\n")

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
+import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -35,16 +37,37 @@ def step(what: str) -> Iterator[None]:
     say(f"{what}: {time.monotonic() - begin_s:.0f} s")
 
 
+_running: set[subprocess.Popen[str]] = set()
+_ended = threading.Event()
+
+
 def run(command: list[str], env: dict[str, str] | None = None, cwd: Path = ROOT) -> str:
-    """Run a command with its output into the log; on failure raise CalledProcessError that holds the output."""
-    answer = subprocess.run(
-        command, cwd=cwd, env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False
-    )
+    """Run a command with its output into the log; return the output.
+
+    Raises:
+        CalledProcessError: it failed; the error holds the output.
+        SetupError: end_commands() was called before.
+    """
+    if _ended.is_set():
+        raise SetupError("another step failed")
+    pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    with subprocess.Popen(command, cwd=cwd, env=env, text=True, start_new_session=True, **pipes) as process:
+        _running.add(process)
+        output, _ = process.communicate()
+        _running.discard(process)
     with SETUP_LOG.open("a") as file:
-        file.write(f"$ {' '.join(command)}\n{answer.stdout}\n")
-    if answer.returncode != 0:
-        raise subprocess.CalledProcessError(answer.returncode, command, answer.stdout)
-    return answer.stdout
+        file.write(f"$ {' '.join(command)}\n{output}\n")
+    if process.returncode != 0:
+        raise subprocess.CalledProcessError(process.returncode, command, output)
+    return output
+
+
+def end_commands() -> None:
+    """End the commands that run, with what they started, so that a failed step need not wait for the others."""
+    _ended.set()
+    for process in list(_running):
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGTERM)
 
 
 def read_stamp(path: Path) -> str:

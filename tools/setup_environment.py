@@ -18,12 +18,23 @@ import fcntl
 import os
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
+from functools import partial
+from typing import TypeAlias
 
 from prebuilt import digest
-from setup_build import Workspace, build_packages, compile_packages, compiled_parts, prepare_build, read_workspace
-from setup_common import BUILD, ROOT, VENV, SetupError, read_stamp, say
+from setup_build import (
+    CompiledParts,
+    Workspace,
+    build_packages,
+    compile_packages,
+    compiled_parts,
+    prepare_build,
+    read_workspace,
+)
+from setup_common import BUILD, ROOT, VENV, SetupError, end_commands, read_stamp, say
 from setup_wheels import (
     ALL_OTHER,
     BUILD_TOOLS,
@@ -44,6 +55,9 @@ from wheelhouse import LOCK, WheelsRefused, locked, own_target, own_wheels
 STAMP_VENV = VENV / ".stamp_venv"
 STAMP_BUILD = BUILD / ".stamp_build"
 COLCON_META = ROOT / "colcon.meta"
+
+Job: TypeAlias = tuple[Group, list[str], list[str]]
+"""A group of wheels, lines for pip, and pip's options that say where the wheels are."""
 
 
 @dataclass(frozen=True)
@@ -69,13 +83,10 @@ class Plan:
         Wheels half installed look like whole ones: a group has no stamp while it is installed. Over a Jazzy
         installation wheels of an older lock may hide its packages, and are removed too.
         """
-        done = [group.is_installed if self.workspace.prefix else bool(read_stamp(group.stamp)) for group in self.basic]
-        return read_stamp(STAMP_VENV) != self.venv or not all(done)
-
-    @property
-    def basic(self) -> list[Group]:
-        """The groups of wheels that everybody needs."""
-        return [group for group in self.groups if group.name != ALL_OTHER]
+        done = {group.name: read_stamp(group.stamp) for group in self.groups}
+        if read_stamp(STAMP_VENV) != self.venv or not all(stamp for name, stamp in done.items() if name != ALL_OTHER):
+            return True
+        return bool(self.workspace.prefix) and any(done[group.name] not in ("", group.digest) for group in self.groups)
 
 
 def make_plan(everything: bool = False) -> Plan:
@@ -93,7 +104,8 @@ def make_plan(everything: bool = False) -> Plan:
         if everything or name != ALL_OTHER
     ]
     meta = COLCON_META.read_text(encoding="utf-8") if COLCON_META.exists() else ""
-    workspace = read_workspace(prefix, "\n".join([own_target(), *lock["ros"], *lock["build"], meta]))
+    ros = "an installed ROS" if prefix else "ROS as wheels"
+    workspace = read_workspace(prefix, "\n".join([own_target(), ros, *lock["ros"], *lock["build"], meta]))
     wheels = [group.digest for group in groups if group.name != ALL_OTHER]
     packages = [f"{folder.name} {content}" for folder, content in workspace.digests.items()]
     return Plan(workspace, groups, venv, digest(*wheels, *packages))
@@ -105,11 +117,12 @@ def set_up(everything: bool) -> None:
     plan = make_plan(everything)
     fresh, prefix = plan.fresh, plan.workspace.prefix
     groups = [group for group in plan.groups if fresh or not group.is_installed]
-    needs_build = fresh or read_stamp(STAMP_BUILD) != plan.build
+    to_compile = plan.workspace.compiled(changed_only=not fresh)
+    needs_build = bool(to_compile) or read_stamp(STAMP_BUILD) != plan.build
     if not groups and not needs_build:
         return
-    check_machine(fresh)
-    parts = compiled_parts(plan.workspace.compiled(changed_only=not fresh)) if needs_build else None
+    check_machine(groups if fresh else [group for group in groups if group.name == ALL_OTHER])
+    parts = compiled_parts(to_compile) if needs_build else None
     jobs = [(group, *requirements(group.lines)) for group in groups]
     if jobs and (bundled := own_wheels(ROOT)):
         say(f"the wheels of {bundled.relative_to(ROOT)} are whole: no network is asked")
@@ -120,23 +133,43 @@ def set_up(everything: bool) -> None:
     if parts:
         prepare_build()
         STAMP_BUILD.unlink(missing_ok=True)
-    with ThreadPoolExecutor() as pool:
-        installing = {group.name: pool.submit(install_wheels, group, *pip, prefix) for group, *pip in jobs}
-        if BUILD_TOOLS in installing:
-            installing[BUILD_TOOLS].result()
-        building = []
-        if parts:
-            building.append(pool.submit(compile_packages, plan.workspace, parts))
-            building.append(pool.submit(build_packages, plan.workspace))
-        for job in installing.values():
-            job.result()
-        if installing:
-            byte_compile()
-        for job in building:
-            job.result()
+    install_and_build(plan.workspace, jobs, parts)
     if parts:
         STAMP_BUILD.write_text(plan.build)
     say(f"done in {time.monotonic() - begin_s:.0f} s")
+
+
+def install_and_build(workspace: Workspace, jobs: list[Job], parts: CompiledParts | None) -> None:
+    """Install wheels, and build as soon as the tools for it are there; a step that fails ends the others.
+
+    Args:
+        workspace: the packages to build.
+        jobs: each group of wheels to install, with lines and options for pip.
+        parts: compiled parts to make; None where nothing is to be built.
+    """
+    with ThreadPoolExecutor(max_workers=8) as pool:  # some wait for others
+        installing = {group.name: pool.submit(install_wheels, group, *pip, workspace.prefix) for group, *pip in jobs}
+
+        def build(step: Callable[[], None]) -> None:
+            if BUILD_TOOLS in installing:
+                installing[BUILD_TOOLS].result()
+            step()
+
+        def finish_wheels() -> None:
+            for group in installing.values():
+                group.result()
+            byte_compile()
+
+        steps = [pool.submit(finish_wheels)] if installing else []
+        if parts:
+            steps.append(pool.submit(build, partial(compile_packages, workspace, parts)))
+            steps.append(pool.submit(build, partial(build_packages, workspace)))
+        try:
+            for step in as_completed([*installing.values(), *steps]):
+                step.result()
+        except BaseException:
+            end_commands()
+            raise
 
 
 def main() -> int:

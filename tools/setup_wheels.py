@@ -36,7 +36,8 @@ BUILD_TOOLS, PYTHON, ALL_OTHER = "ROS and build wheels", "python wheels", "all o
 SECTIONS_OF_GROUPS = {BUILD_TOOLS: ("ros", "build"), PYTHON: ("python",), ALL_OTHER: ("all",)}
 """Group of wheels → its sections of requirements.lock."""
 
-SPACE_NEEDED_GB = 1.2  # 0.9 GB stay, the rest while wheels are unpacked
+SPACE_NEEDED_GB = {BUILD_TOOLS: 0.5, PYTHON: 0.7, ALL_OTHER: 0.6}
+"""Of them 0.9 GB stay, and 0.4 GB of the last; the rest is taken while wheels are unpacked."""
 
 
 def ros_prefix() -> str:
@@ -48,17 +49,20 @@ def ros_prefix() -> str:
     return answer.stdout.strip().splitlines()[-1] if answer.returncode == 0 and answer.stdout.strip() else ""
 
 
-def check_machine(fresh: bool) -> None:
-    """Refuse with one line what would fail late with many."""
+def check_machine(groups: list[Group]) -> None:
+    """Refuse with one line what would fail late with many.
+
+    Args:
+        groups: those whose wheels need space that is not taken yet.
+    """
     version = f"{sys.version_info.major}.{sys.version_info.minor}"
     if not (3, 10) <= sys.version_info[:2] <= (3, 12):
         raise SetupError(f"Python {version} does not fit: install Python 3.10, 3.11 or 3.12")
     if importlib.util.find_spec("venv") is None or importlib.util.find_spec("ensurepip") is None:
         raise SetupError(f"{sys.executable} has no venv module: install python{version}-venv (or python3-venv)")
-    if fresh:
-        free_gb = shutil.disk_usage(ROOT).free / 1e9
-        if free_gb < SPACE_NEEDED_GB:
-            raise SetupError(f"{free_gb:.1f} GB free in {ROOT}, {SPACE_NEEDED_GB} GB needed: make room")
+    free_gb, needed_gb = shutil.disk_usage(ROOT).free / 1e9, sum(SPACE_NEEDED_GB[group.name] for group in groups)
+    if free_gb < needed_gb:
+        raise SetupError(f"{free_gb:.1f} GB free in {ROOT}, {needed_gb:.1f} GB needed: make room")
 
 
 def make_venv(prefix: str) -> None:
@@ -166,7 +170,7 @@ def why_not_installed(output: str) -> str:
     if any(sign in output for sign in NETWORK_SIGNS):
         return "pip cannot reach the package index: connect to the network, set pip's proxy or index, or use a bundle"
     if "No space left" in output:
-        return f"no space left: {SPACE_NEEDED_GB} GB needed, make room"
+        return "no space left: make room"
     unfit = re.search(r"No matching distribution found for (\S+)", output)
     if unfit and own_wheels(ROOT):
         return f"the wheel of {unfit[1]} does not fit this machine: make the bundle on one that is like it, or older"
@@ -180,7 +184,7 @@ def site_packages() -> Path:
 
 def byte_compile() -> None:
     """Compile the wheels' modules to byte code on all cores, without their tests and what only set-up itself uses."""
-    without = ["-x", r"[/\\](tests?|testing|pip|setuptools|Cython|docutils)[/\\]"]
+    without = ["-x", r"site-packages[/\\](.*[/\\])?(tests?|testing|pip|setuptools|Cython|docutils)[/\\]"]
     command = [str(VENV / "bin" / "python"), "-m", "compileall", "-q", "-j", "0", *without, str(site_packages())]
     with step("byte code of the wheels"):
         subprocess.run(

@@ -1,5 +1,5 @@
 # The same lines stand in the setup.py of every package: colcon builds each package from its own file alone.
-# This one compiles modules besides, unless tools/setup_environment.py has done it, for all packages at once.
+# This one compiles modules besides, unless tools/setup_build.py does it, for all packages at once.
 import os
 
 from setuptools import Extension, find_packages, setup
