@@ -215,7 +215,7 @@ def stamp_of(folder: Path) -> Path:
 
 def first_error(output: str) -> str:
     """Return the first line of a build's output that reports an error, and the file with the rest."""
-    # What rosidl, Cython, a compiler, CMake and anything else write. colcon's first look at an empty folder is no error.
+    # rosidl, Cython, a compiler, CMake, anything else. colcon's first look at an empty folder is no error.
     signs = (r"^\s*Error processing", r"^\S+\.(py|pxd):\d+:\d+: ", r": error:", r"CMake Error", r"[Ee]rror|Failed")
     lines = [line.strip() for line in output.splitlines() if "loading 'build.ninja'" not in line]
     found = (line for sign in signs for line in lines if re.search(sign, line))
