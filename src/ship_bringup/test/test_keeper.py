@@ -74,6 +74,12 @@ SUCCESSOR = """
 import os, signal, sys, time
 from ship_node.live.start import WAITS
 waited = bool(os.environ.pop(WAITS, ""))
+if waited:
+    open({mark!r}, "w").close()
+def wait_for_reserve():
+    end_s = time.monotonic() + 60.0
+    while not os.path.exists({mark!r}) and time.monotonic() < end_s:
+        time.sleep(0.02)
 if waited and not sys.stdin.readline():
     raise SystemExit(7)
 print("in reserve" if waited else "from the start", flush=True)
@@ -81,9 +87,10 @@ print("in reserve" if waited else "from the start", flush=True)
 """
 
 
-def test_a_process_in_reserve_succeeds_the_one_that_died(monkeypatch):
+def test_a_process_in_reserve_succeeds_the_one_that_died(monkeypatch, tmp_path):
     monkeypatch.setattr("ship_bringup.suite.keeper._RESERVE_AFTER_S", 0.2)
-    text = SUCCESSOR.format(then="time.sleep(0.0 if waited else 2.0)\nos.kill(os.getpid(), signal.SIGKILL)")
+    then = "waited or wait_for_reserve()\nos.kill(os.getpid(), signal.SIGKILL)"
+    text = SUCCESSOR.format(mark=str(tmp_path / "reserve"), then=then)
     code, lines = kept(Program("node", (sys.executable, "-c", text), has_reserve=True), most_restarts=1)
     assert code == 137
     said = [line for line in lines if line.startswith("[node]")]
@@ -96,19 +103,20 @@ def test_a_process_in_reserve_succeeds_the_one_that_died(monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_program_whose_reserve_has_died_is_started_as_before(monkeypatch):
+def test_a_program_whose_reserve_has_died_is_started_as_before(monkeypatch, tmp_path):
     monkeypatch.setattr("ship_bringup.suite.keeper._RESERVE_AFTER_S", 0.2)
     dies = SUCCESSOR.replace("waited = bool", "if WAITS in os.environ: raise SystemExit(3)\nwaited = bool")
-    text = dies.format(then="time.sleep(2.0)\nraise SystemExit(1)")
+    text = dies.format(mark=str(tmp_path / "reserve"), then="time.sleep(2.0)\nraise SystemExit(1)")
     code, lines = kept(Program("node", (sys.executable, "-c", text), has_reserve=True), most_restarts=1)
     assert code == 1
     assert [line for line in lines if line.startswith("[node]")] == ["[node] from the start"] * 2
     assert lines.count("[suite] node in reserve ended: exit code 3") == 2
 
 
-def test_a_process_in_reserve_does_not_outlive_its_program(monkeypatch):
+def test_a_process_in_reserve_does_not_outlive_its_program(monkeypatch, tmp_path):
     monkeypatch.setattr("ship_bringup.suite.keeper._RESERVE_AFTER_S", 0.2)
-    text = SUCCESSOR.format(then="time.sleep(1.0)").replace("waited = bool", "print(os.getpid())\nwaited = bool")
+    text = SUCCESSOR.format(mark=str(tmp_path / "reserve"), then="wait_for_reserve()")
+    text = text.replace("waited = bool", "print(os.getpid())\nwaited = bool")
     _, lines = kept(Program("node", (sys.executable, "-u", "-c", text), has_reserve=True))
     pids = [int(line.split()[1]) for line in lines if line.split()[1].isdecimal()]
     assert len(pids) == 2
