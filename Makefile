@@ -26,7 +26,7 @@ PORT ?= 5006
 .PHONY: help setup setup-all test test-all lint quick demo watch bags bench campaign faults hours kills reproduction stanford availability wheels bundle audit clean
 
 help: ## this list
-	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
+	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 14
 
 setup: ## environment and build; takes minutes once, then a moment
 	@tools/setup
