@@ -63,7 +63,24 @@ def test_a_wheel_of_the_same_sources_is_taken(package: Path, tmp_path: Path) -> 
     found.take(tmp_path / "install")
     assert (package / "one" / "compiled_sum.so").read_text() == "compiled"
     assert (package / "one" / "plain.py").read_text() == "B = 1\n", "sources stay those of the checkout"
+    assert not (tmp_path / "install").exists(), "colcon installs the rest"
+
+
+def test_of_messages_everything_is_taken_that_colcon_would_install(package: Path, tmp_path: Path) -> None:
+    (package / "CMakeLists.txt").write_text("# messages\n")
+    wheel(tmp_path, package, content(package))
+    (found,), _ = find_prebuilt(tmp_path / PREBUILT, {package: content(package)})
+    found.take(tmp_path / "install")
     assert (tmp_path / "install" / "one" / "lib" / "libone.so").read_text() == "messages"
+    assert not (package / "one" / "compiled_sum.so").exists()
+
+
+def test_a_damaged_wheel_is_named(package: Path, tmp_path: Path) -> None:
+    path = wheel(tmp_path, package, content(package))
+    path.write_bytes(path.read_bytes()[:-40])
+    (found,), _ = find_prebuilt(tmp_path / PREBUILT, {package: content(package)})
+    with pytest.raises(OSError, match=f"{path.name.split('+')[0]}.* is damaged"):
+        found.take(tmp_path / "install")
 
 
 def test_a_wheel_of_other_sources_is_named_and_not_taken(package: Path, tmp_path: Path) -> None:
