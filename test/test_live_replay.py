@@ -19,7 +19,7 @@ from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.message_store import RosbagsFactory
-from ship_bags.stamps import ns_from_stamp
+from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_bags.topic_names import relative_topic
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.ros_axes import quaternion_from_rotation
@@ -271,5 +271,8 @@ def test_the_final_states_are_the_same(runs):
 def test_the_live_run_meets_the_bounds(runs):
     path, _, _, _, recorded_path = runs
     bounds = read_bounds(path.with_suffix(".expected.yaml"))
-    judged = judge(evaluate(recorded_path, path, bounds.skip_s).flat(), bounds, path.name)
+    with read_bag(path) as played, read_bag(recorded_path) as recorded:
+        # On a busy machine the first message reaches the recorder late: the same stamps are to be left out.
+        late_s = ((recorded.start_ns or 0) - (played.start_ns or 0)) / NS_PER_S
+    judged = judge(evaluate(recorded_path, path, bounds.skip_s - late_s).flat(), bounds, path.name)
     assert [bound.line for bound in judged if not bound.met] == []
