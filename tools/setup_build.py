@@ -23,12 +23,12 @@ from setup_common import (
     VENV,
     SetupError,
     last_line,
+    print_progress,
     read_stamp,
     run,
-    say,
     step,
     wheels_environment,
-)  # fmt: skip
+)
 
 from wheelhouse import own_target
 
@@ -111,7 +111,7 @@ def compiled_parts(wanted: dict[Path, str]) -> CompiledParts:
     """
     prebuilt, unfit = find_prebuilt(ROOT / PREBUILT / own_target(), wanted)
     for line in unfit:
-        say(line)
+        print_progress(line)
     taken = {wheel.folder for wheel in prebuilt}
     left = [folder for folder in wanted if folder not in taken]
     if left:
@@ -226,7 +226,7 @@ def first_error(output: str) -> str:
 def prepare_build() -> None:
     """Make the build folder; what another colcon call left there, without symlinks, does not mix with this one's."""
     if (BUILD.exists() or INSTALL.exists()) and not (BUILD / ".by_setup").exists():
-        say("build/ and install/ of another colcon call are removed: builds with and without symlinks do not mix")
+        print_progress("build/ and install/ of another colcon call are removed: builds with and without symlinks do not mix")
         shutil.rmtree(BUILD, ignore_errors=True)
         shutil.rmtree(INSTALL, ignore_errors=True)
     BUILD.mkdir(exist_ok=True)

@@ -24,7 +24,7 @@ class SetupError(Exception):
     """Set-up cannot go on; the text says in one line what the user has to do."""
 
 
-def say(text: str) -> None:
+def print_progress(text: str) -> None:
     """Print one line of progress at once."""
     print(f"setup: {text}", flush=True)
 
@@ -34,7 +34,7 @@ def step(what: str) -> Iterator[None]:
     """Print a step with the time it took, once it is done."""
     begin_s = time.monotonic()
     yield
-    say(f"{what}: {time.monotonic() - begin_s:.0f} s")
+    print_progress(f"{what}: {time.monotonic() - begin_s:.0f} s")
 
 
 _running: set[subprocess.Popen[str]] = set()

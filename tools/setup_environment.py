@@ -34,7 +34,7 @@ from setup_build import (
     prepare_build,
     read_workspace,
 )
-from setup_common import BUILD, ROOT, VENV, SetupError, end_commands, read_stamp, say
+from setup_common import BUILD, ROOT, VENV, SetupError, end_commands, print_progress, read_stamp
 from setup_wheels import (
     ALL_OTHER,
     BUILD_TOOLS,
@@ -125,9 +125,9 @@ def set_up(everything: bool) -> None:
     parts = compiled_parts(to_compile) if needs_build else None
     jobs = [(group, *requirements(group.lines)) for group in groups]
     if jobs and (bundled := own_wheels(ROOT)):
-        say(f"the wheels of {bundled.relative_to(ROOT)} are whole: no network is asked")
+        print_progress(f"the wheels of {bundled.relative_to(ROOT)} are whole: no network is asked")
     if fresh:
-        say("from nothing this takes one to three minutes, with wheels from the network more")
+        print_progress("from nothing this takes one to three minutes, with wheels from the network more")
         make_venv(prefix)
         STAMP_VENV.write_text(plan.venv)
     if parts:
@@ -136,7 +136,7 @@ def set_up(everything: bool) -> None:
     install_and_build(plan.workspace, jobs, parts)
     if parts:
         STAMP_BUILD.write_text(plan.build)
-    say(f"done in {time.monotonic() - begin_s:.0f} s")
+    print_progress(f"done in {time.monotonic() - begin_s:.0f} s")
 
 
 def install_and_build(workspace: Workspace, jobs: list[Job], parts: CompiledParts | None) -> None:
@@ -182,7 +182,7 @@ def main() -> int:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
-                say("waiting for another set-up of this checkout")
+                print_progress("waiting for another set-up of this checkout")
                 fcntl.flock(lock, fcntl.LOCK_EX)
             set_up(options.all)
     except (SetupError, WheelsRefused, OSError) as error:

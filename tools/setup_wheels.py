@@ -21,9 +21,9 @@ from setup_common import (
     VENV,
     SetupError,
     last_line,
+    print_progress,
     read_stamp,
     run,
-    say,
     step,
     wheels_environment,
 )
@@ -68,7 +68,7 @@ def check_machine(groups: list[Group]) -> None:
 def make_venv(prefix: str) -> None:
     """Create the virtual environment; what was built for an older one goes."""
     if VENV.exists():
-        say("an older or unfinished .venv is removed")
+        print_progress("an older or unfinished .venv is removed")
         shutil.rmtree(VENV)
     shutil.rmtree(BUILD, ignore_errors=True)
     shutil.rmtree(INSTALL, ignore_errors=True)
