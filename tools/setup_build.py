@@ -226,7 +226,7 @@ def first_error(output: str) -> str:
 def prepare_build() -> None:
     """Make the build folder; what another colcon call left there, without symlinks, does not mix with this one's."""
     if (BUILD.exists() or INSTALL.exists()) and not (BUILD / ".by_setup").exists():
-        print_progress("build/ and install/ of another colcon call are removed: builds with and without symlinks do not mix")
+        print_progress("build/ and install/ of another colcon call are removed: with and without symlinks do not mix")
         shutil.rmtree(BUILD, ignore_errors=True)
         shutil.rmtree(INSTALL, ignore_errors=True)
     BUILD.mkdir(exist_ok=True)
