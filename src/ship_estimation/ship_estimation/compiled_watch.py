@@ -187,7 +187,8 @@ def _set(
         if not learnt <= bound:
             bound = learnt
         bound += coarse_rad + feigned_rad
-        if p == 0 and learns < _LEARNT_ONE and bound < first_rad:
+        # An infinite one stays out: a step over it is zero, and nothing could be learnt from that.
+        if p == 0 and learns < _LEARNT_ONE and bound < first_rad < INFINITY:
             bound = first_rad
         if learns < _LEARNT_ALL and not (p == 0 and _judged(learns, first_rad)):
             bound += _UNKNOWN_RAD

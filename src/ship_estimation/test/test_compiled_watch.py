@@ -74,7 +74,7 @@ def test_bounds_are_the_larger_of_noise_configured_and_learnt(learns: int, first
     high, bounds, scaled = rng.uniform(0.0, 0.1, 6) ** 8, np.empty(4), np.empty((4, 30))
     judges = compiled_watch.set_bounds(weights, least, shares, high, learns, 0.01, 0.02, first_rad, bounds, scaled)
     expected = np.maximum(least, 3.10 * high[:4] ** 0.125 * shares) + 0.01 + 0.02
-    if learns < 64:
+    if learns < 64 and first_rad < math.inf:
         expected[0] = max(expected[0], first_rad)
     if learns < 250:
         expected[1 if judges else 0 :] += 10.0

@@ -221,3 +221,12 @@ def test_an_attitude_that_creeps_away_from_its_rates_is_told_within_seconds(per_
             assert "crept" in judged_one.refusal.text
     assert bool(told) == (per_min_arcsec > 0.0)
     assert not told or 0.0 < told[0] < 7.0
+
+
+@pytest.mark.parametrize(("every", "phase"), [(5, 1), (10, 2)])
+def test_two_ins_on_one_topic_are_judged_to_the_end(every: int, phase: int) -> None:
+    samples, other_d = stream(duration_s=40.0, rate_hz=50.0), exp_rotation([0.0, 0.0, np.deg2rad(0.5)])
+    other = [replace(sample, rotation_nd=sample.rotation_nd @ other_d) for sample in samples[phase::every]]
+    both = sorted([*samples[::5], *other], key=lambda sample: sample.time_ns)
+    results, _, _ = judged(both)
+    assert len(results) == len(both)

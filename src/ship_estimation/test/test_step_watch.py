@@ -4,6 +4,7 @@ Whether it finds the steps that it must find is asked in test_integrated_rates.
 """
 
 import copy
+import math
 from typing import Any
 
 import numpy as np
@@ -93,3 +94,14 @@ def test_samples_after_a_gap_are_not_followed() -> None:
         watch.keep()
     stream.times_ns[1020:] += 9 * _RATE_NS
     assert stream.follow(watch, slice(1000, 1100)) == 20
+
+
+def test_a_watch_learns_before_it_is_known_how_far_a_good_sample_may_be() -> None:
+    stream, watch = Stream(stepped_from=2000, seed=1), StepWatch(5e-6, 0.0)
+    for number in range(1900):
+        sample = AttitudeSample(int(stream.times_ns[number]), stream.rotations[number], stream.rates[number])
+        integrated = Integrated(stream.by_rates[number], 0, 0.0)
+        watch.look(sample, integrated, first_rad=math.inf, coarseness_rad=0.0)
+        assert watch.keep() is None
+    assert watch.judges
+    assert watch.smallest_rad < 1e-4
