@@ -121,18 +121,28 @@ def test_mend_03_stuck_when_the_lights_turn_and_back_with_the_first_other_readin
     assert [check(watch, reading(number + 60 + k, 1.1 + 0.001 * k)) for k in range(25)] == [None] * 25
 
 
-def test_one_reading_beyond_a_turn_is_refused_alone_a_run_of_them_for_good() -> None:
+def test_angles_are_taken_modulo_a_turn() -> None:
     watch = EncoderWatch(ARCSEC, FREE)
-    assert check(watch, reading(0, 6.2)) is None
-    assert check(watch, reading(1, 355.0)).reason is Reason.UNITS
-    assert check(watch, reading(2, 6.2)) is None
-    for number in range(3, 23):
-        assert check(watch, reading(number, 355.0)).reason is Reason.UNITS
-    refusal = check(watch, reading(30, 4.0, 1.0))
-    assert refusal.reason is Reason.UNITS
-    assert refusal.text.endswith("refused until a reset")
+    # The mount counts on past a full turn, and its zero is set back by two turns at 50.
+    turns = [6.2 + 0.01 * number - (4.0 * np.pi if number >= 50 else 0.0) for number in range(100)]
+    refusals = [check(watch, reading(number, azimuth, 0.5 + 2.0 * np.pi)) for number, azimuth in enumerate(turns)]
+    assert refusals == [None] * 100
+    assert watch.doubt == ""
     # Plunged, the elevation goes up to three quarters of a turn.
     assert check(EncoderWatch(ARCSEC, FREE), reading(0, 1.0, 4.7)) is None
+
+
+def test_degrees_are_refused_until_radians_have_come_for_a_while() -> None:
+    watch = EncoderWatch(ARCSEC, FREE)
+    assert check(watch, reading(0, 6.2, 0.5)) is None
+    assert check(watch, reading(1, 355.0, 28.6)).reason is Reason.UNITS
+    assert check(watch, reading(2, 6.2, 0.5)) is None
+    for number in range(3, 23):
+        assert check(watch, reading(number, 355.0, 28.6)).reason is Reason.UNITS
+    # An elevation of nine degrees could be one in radians, counted too far.
+    refusals = [check(watch, reading(30 + number, 355.0, 9.0)) for number in range(19)]
+    assert all(refusal.reason is Reason.UNITS for refusal in refusals)
+    assert check(watch, reading(60, 6.2, 0.5)) is None
 
 
 # -- in a whole session -------------------------------------------------------------------------------------

@@ -40,10 +40,10 @@ _SIGMAS = 5.0
 """A motion of more than so many sigmas of a reading, from one reading to the next, is surely one."""
 _LONGEST_STEP_S = 1.0
 """Readings that are further apart are not compared."""
-_LARGEST_ANGLE = 2.0 * np.pi + 1e-6
-"""No reading in radians is larger than this."""
+_LARGEST_ELEVATION = 3.0 * np.pi
+"""Largest elevation reading in radians: half a turn, counted a turn too far. Azimuths are taken modulo a turn."""
 _SURE_AFTER = 20
-"""Readings beyond a turn, in a row, after which a reading within it is not believed either."""
+"""Readings in a row beyond the largest elevation after which the unit is wrong; within it, after which it is right."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class EncoderWatch:
         self._all: tuple[EncoderSample, ...] = ()
         self._last: tuple[EncoderSample, FloatArray] | None = None
         self._newest_ns: int | None = None
-        self._beyond_a_turn = 0
+        self._wrong_unit, self._otherwise = False, 0
         self._still_since_ns: int | None = None
         self._in_doubt_since_ns: int | None = None
         self._unconfirmed: Unconfirmed | None = None
@@ -177,16 +177,20 @@ class EncoderWatch:
             self._stepped = None
 
     def _units_refusal(self, sample: EncoderSample, counts: bool) -> Refusal | None:
-        """The refusal of a reading that cannot be in radians; after a run of those that count, of all until a reset."""
+        """Return the refusal of a reading that cannot be in radians; None where it can.
+
+        A run of such readings shows that the unit is wrong: then all are refused until a run of others has come.
+        """
         azimuth, elevation = sample.vector.tolist()
-        beyond = max(abs(azimuth), abs(elevation)) > _LARGEST_ANGLE
-        sure = self._beyond_a_turn >= _SURE_AFTER
-        if counts and not sure:
-            self._beyond_a_turn = self._beyond_a_turn + 1 if beyond else 0
-        if not beyond and not sure:
+        beyond = not abs(elevation) <= _LARGEST_ELEVATION
+        if counts:
+            self._otherwise = self._otherwise + 1 if beyond is not self._wrong_unit else 0
+            if self._otherwise >= _SURE_AFTER:
+                self._wrong_unit, self._otherwise = beyond, 0
+        if not (beyond or self._wrong_unit):
             return None
-        text = f"azimuth {azimuth:.6g}, elevation {elevation:.6g}: expected radians within a turn; degrees?"
-        return Refusal(Reason.UNITS, text + " All readings are refused until a reset" * sure)
+        text = f"azimuth {azimuth:.6g}, elevation {elevation:.6g}: expected radians, elevation within a turn; degrees?"
+        return Refusal(Reason.UNITS, text)
 
     def _judge_jump(self, sample: EncoderSample) -> JudgedReading:
         """Judge a reading later than all before by where the two readings before lead."""
