@@ -20,7 +20,7 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.ins_at_fault import InsAtFault, distrusted
 from ship_attitude_star.ship_attitude.model import Device, ShipStateModel
 from ship_attitude_star.ship_attitude.row_table import INS, LEAST_FOR_PAIRS, RowTable
-from ship_attitude_star.ship_attitude.state import Apart, Doubt, FilterState, Lately, changed, with_entry, without
+from ship_attitude_star.ship_attitude.state import Apart, Doubt, FilterState, Lately, changed, with_entry
 from ship_estimation.exclusion import (
     HEARD_NS,
     Exclusion,
@@ -210,9 +210,7 @@ class Suspects:
         if wrong and not set(in_use).issubset(wrong):
             return self._without(state, wrong, time_ns)
         if contradicting:
-            # Nothing tells that they were knocked: how they are mounted is not learnt anew.
-            excluded = {name: Exclusion(time_ns, apart=state.apart[name].turn_v) for name in contradicting}
-            state = changed(state, excluded=MappingProxyType({**state.excluded, **excluded}))
+            state = self._without_stars(state, contradicting, time_ns)
         return self._in_doubt(state, apart_n, statistic, contradicting), ""
 
     def _nothing_disputed(self, state: FilterState) -> bool:
@@ -326,6 +324,18 @@ class Suspects:
         remaining = ", ".join(name for name in (INS, *self._sources) if name not in excluded)
         return state, f"{' and '.join(wrong)} {are} excluded: without {them} {remaining} agree"
 
+    def _without_stars(self, state: FilterState, stars: tuple[str, ...], time_ns: int) -> FilterState:
+        """Return the state without any star: all of them contradict the INS, and nothing tells which side is wrong.
+
+        Nothing tells either that the sensors were knocked, so their mountings are kept. The subfilters in which the INS
+        is wrong may have followed the stars; they restart from the main filter, which has rejected them.
+        """
+        excluded = {name: Exclusion(time_ns, apart=state.apart[name].turn_v) for name in stars}
+        means, stack = self.ins.all_rows_at(state.mean, state.parts)
+        return changed(
+            state, means=means, stack=stack, excluded=MappingProxyType({**state.excluded, **excluded})
+        )
+
     def _watched(
         self, state: FilterState, source: str, compared: RowsCompared, time_ns: int
     ) -> tuple[FilterState, str]:
@@ -347,9 +357,29 @@ class Suspects:
                 agreed_s = (time_ns - exclusion.agrees_since_ns) / SECOND_NS
                 agrees = f"it has agreed with the others for {agreed_s:.0f} s of {after_s:g} s"
             return state, f"{source} is excluded for {since_s:.0f} s: {agrees}"
-        seen = forgotten(state.seen, slice(None), [index])
-        excluded = without(state.excluded, source)
-        return changed(state, seen=seen, excluded=excluded, doubt=None), f"{source} is used again"
+        together = self._excluded_with(state, source)
+        seen = forgotten(state.seen, slice(None), [self._indices[name] for name in together])
+        remaining = {name: one for name, one in state.excluded.items() if name not in together}
+        are = "is" if len(together) == 1 else "are"
+        text = f"{' and '.join(together)} {are} used again"
+        return changed(state, seen=seen, excluded=MappingProxyType(remaining), doubt=None), text
+
+    @staticmethod
+    def _excluded_with(state: FilterState, source: str) -> list[str]:
+        """Return the sources that return with one: itself, and those excluded with it that agree with the others now.
+
+        Stars that were excluded because all of them contradicted the INS check each other; one of them alone could not
+        be told from an INS that has moved meanwhile.
+        """
+        own = state.excluded[source]
+        if own.apart is None:
+            return [source]
+        return [
+            name
+            for name, one in state.excluded.items()
+            if name == source
+            or (one.apart is not None and one.since_ns == own.since_ns and one.agrees_since_ns is not None)
+        ]
 
     def _contradicts(self, state: FilterState, index: int) -> bool:
         """Whether what the first row has seen of a source contradicts it."""
