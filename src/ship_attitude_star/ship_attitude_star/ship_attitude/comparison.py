@@ -29,6 +29,11 @@ _ACROSS.flags.writeable = False
 _LENGTH_SIGMAS = 5.0
 """A baseline whose length is off by more is a wrong solution."""
 
+_HALF_TURN_RAD = math.radians(177.0)
+"""A turn of more may come out in the one sense or the other by the noise of an attitude, up to a degree in each."""
+_TIE_RAD = 0.01
+"""Added to each component of an error, so that of two senses as far apart the negative one is the shorter."""
+
 _TURNED_AS_DEVICE = np.eye(3)
 _TURNED_AS_DEVICE.flags.writeable = False
 
@@ -228,4 +233,26 @@ def _attitude_residual(
         rotation_nv = exp_rotation(turn) @ rotation_nv
         jacobian_v = jacobian_v.copy()
         jacobian_v[:, rows] = -rotation_nv.T @ left_jacobian(turn) @ measurement.shared_n
-    return compiled_rotations.turn_between(rotation_nv, measurement.rotation_nv), jacobian_v
+    residual = compiled_rotations.turn_between(rotation_nv, measurement.rotation_nv)
+    if math.hypot(*residual.tolist()) > _HALF_TURN_RAD:
+        slow = model.slices["ins.attitude"]
+        residual = _shorter_error(residual, mean[slow], jacobian_v[:, slow])
+    return residual, jacobian_v
+
+
+def _shorter_error(residual: FloatArray, error_n: FloatArray, by_error_v: FloatArray) -> FloatArray:
+    """Return a residual of about half a turn in the sense that leads to the smaller error of the INS.
+
+    Noise decides in which sense the logarithm takes it. An INS whose heading turned by half a turn, and turned back,
+    would end a full turn off, where a rotation vector has no derivative. From an error of about zero both senses lead
+    equally far; then the negative one is taken.
+
+    Args:
+        residual: rotation vector of the device, rad, shape (3,).
+        error_n: attitude error of the INS as predicted, rotation vector in the horizon frame, rad, shape (3,).
+        by_error_v: derivative of the residual by that error, shape (3, 3).
+    """
+    size = math.hypot(*residual.tolist())
+    other = (1.0 - 2.0 * math.pi / size) * residual
+    leads_to = [error_n + np.linalg.solve(by_error_v, one) + _TIE_RAD for one in (residual, other)]
+    return residual if leads_to[0] @ leads_to[0] <= leads_to[1] @ leads_to[1] else other
