@@ -3,64 +3,27 @@
 Before, in brackets, by the same runs: the largest error in sigmas while VALID after the step.
 """
 
-import functools
-from dataclasses import replace
-from pathlib import Path
-from typing import NamedTuple
-
 import numpy as np
 import pytest
 
-from ship_attitude_star.measurements.samples import AttitudeMeasurement
 from ship_estimation.outcome import Status
-from ship_geometry.attitude_track import AttitudeSample
-from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
-from ship_replay.trials.monte_carlo import core_for
-from ship_simulation.run import SimulatedRun, simulate
-from ship_simulation.scenario.scenario_file import load_scenario
-from ship_simulation.ship.motion import carrier_of
+from ship_geometry.rotations import ARCSEC
+from ship_simulation.run import SimulatedRun
+from ship_testing import ship_faults
+from ship_testing.ship_faults import Claim, ins_turned
 
-PAPER = Path(__file__).parents[1] / "bags" / "scenarios" / "paper.yaml"
 STEP_S, END_S = 18.0, 21.0
 """Both star sensors expose at the moment of the step: an exposure is compared with the INS's attitude of before it."""
 
 
-class Claim(NamedTuple):
-    """An attitude that was put out: its moment, its status, and its largest error in sigmas."""
-
-    time_s: float
-    status: Status
-    sigmas: float
-
-
-@functools.cache
 def voyage(rate_hz: float, **ins: float) -> SimulatedRun:
-    whole = load_scenario(PAPER)
-    return simulate(replace(whole, duration_s=END_S, ins=replace(whole.ins, rate_hz=rate_hz, **ins)), seed=2)
+    return ship_faults.voyage(END_S, rate_hz, **ins)
 
 
 def claims(run: SimulatedRun, arcsec_n: tuple[float, float, float], until_s: float = np.inf) -> list[Claim]:
     """What is put out after the INS has stepped about North, Up and East at STEP_S, and back at ``until_s``."""
-    core, carrier = core_for(run.scenario), carrier_of(run.scenario.carrier, run.seed)
-    step, found = exp_rotation(np.array(arcsec_n) * ARCSEC), []
-    for _, source, index in run.arrivals():
-        if source == "ins":
-            time_ns, rotation_nd = int(run.ins.time_ns[index]), run.ins.rotation_nd[index]
-            since_s = (time_ns - run.start_ns) * 1e-9
-            turned = step @ rotation_nd if STEP_S <= since_s < until_s else rotation_nd
-            outcome = core.add_ins(AttitudeSample(time_ns, turned, run.ins.rate_d[index]), estimate=since_s > 17.0)
-        elif source.startswith("star."):
-            star = run.stars[source.removeprefix("star.")]
-            values = int(star.time_ns[index]), star.rotation_nv[index], star.noise_v, star.common_n
-            outcome = core.add_measurement(AttitudeMeasurement(source, *values))
-        else:
-            continue
-        for estimate in outcome.estimates:
-            since_s = (estimate.time_ns - run.start_ns) * 1e-9
-            error_n = log_rotation(carrier.attitude(np.array(since_s)) @ estimate.rotation_nd.T)
-            sigmas = float(np.max(np.abs(error_n) / np.sqrt(np.diagonal(estimate.covariance_n))))
-            found.append(Claim(since_s, estimate.status, sigmas))
-    return [claim for claim in found if claim.time_s >= STEP_S - 1e-9]
+    found = ship_faults.claims(ins_turned(run, ARCSEC * np.array(arcsec_n), STEP_S, until_s), from_s=17.0)
+    return [claim for claim in found.claims if claim.time_s >= STEP_S - 1e-9]
 
 
 @pytest.mark.parametrize("rate_hz", [20.0, 100.0, 200.0])

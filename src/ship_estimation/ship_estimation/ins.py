@@ -8,6 +8,7 @@ import numpy as np
 
 from ship_estimation.parameter_fields import arcsec, degrees, parameter
 from ship_estimation.value_guards import JUMP_SAMPLES, size
+from ship_geometry.attitude_track import ExtraNoise
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
 
@@ -156,6 +157,10 @@ class InsJump:
     @property
     def _across_rad(self) -> float:
         return math.hypot(self.sigma_rad, 0.5 * float(self.jump_n @ self.jump_n))
+
+
+InsChange = InsJump | ExtraNoise
+"""What makes the error of an INS uncertain: its attitude has jumped, or the noise of its samples has changed."""
 
 
 def clock_step_s(jump_n: FloatArray, sigma_rad: float, rate_n: FloatArray) -> float:

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+from ship_estimation.excess_noise import ExcessNoise
 from ship_estimation.ins import GuardedInsConfig, InsJump, clock_step_s
 from ship_estimation.ins_leads import FASTEST_RAD_PER_S, Leads, SeenSample, moved_back, one_run, seconds_between
 from ship_estimation.integrated_rates import IntegratedRun, RateIntegrator, StampArray
@@ -20,7 +21,7 @@ from ship_estimation.refusals import Reason, Refusal
 from ship_estimation.step_watch import StepWatch
 from ship_estimation.value_guards import JumpGuard, JumpVerdict, Match, StuckGuard, size
 from ship_estimation.witnesses import Witness
-from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, SampleBlock
+from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, ExtraNoise, SampleBlock
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 _STUCK = Refusal(Reason.STUCK, "orientation stands still while other sources move")
@@ -36,12 +37,15 @@ class JudgedIns(NamedTuple):
             happened; empty where there is none.
         rates_wrong_after_ns: stamp after which the rates of samples taken before are no rates; None where nothing new
             is known of them.
+        noise: noise of the samples beyond what is stated, as it is known with this sample; None where nothing new is
+            known of it.
     """
 
     sample: AttitudeSample
     refusal: Refusal | None = None
     jumps: tuple[InsJump, ...] = ()
     rates_wrong_after_ns: int | None = None
+    noise: ExtraNoise | None = None
 
 
 class Followed:
@@ -121,22 +125,37 @@ class InsGuard:
         self._disputed: InsJump | None = None
         # How often a drift of the rates was learnt.
         self._learnt = 0
+        self._excess = ExcessNoise(ARCSEC)
+        self._new_noise: ExtraNoise | None = None
         self.by_rates: Witness | None = None
         self.reconfigure(config)
 
     def reconfigure(self, config: GuardedInsConfig) -> None:
         """Go on with another noise, an arcsecond at least."""
-        self._sigma_rad = max(config.white_sigma_arcsec * ARCSEC, ARCSEC)
-        self._leads.by_rates.sigma_rad = self._leads.by_motion.sigma_rad = self._sigma_rad
+        self._stated_rad = max(config.white_sigma_arcsec * ARCSEC, ARCSEC)
+        self._rate_sigma = config.rate_sigma_arcsec_per_s * ARCSEC
+        self._excess.reconfigure(self._stated_rad)
         self._jumps.samples = config.jump_samples
-        self._steps.reconfigure(self._sigma_rad, config.rate_sigma_arcsec_per_s * ARCSEC)
         self._leads.drift.with_earth = config.rate_has_earth_rate
+        self._set_sigma()
+
+    def _set_sigma(self) -> None:
+        """Judge samples by the stated noise or, where more was measured, by that."""
+        self._sigma_rad = self._excess.sigma_rad
+        self._leads.by_rates.sigma_rad = self._leads.by_motion.sigma_rad = self._sigma_rad
+        self._steps.reconfigure(self._sigma_rad, self._rate_sigma)
         self.noise_rad = math.hypot(self._sigma_rad, self._stuck.coarseness_rad / math.sqrt(12.0))
 
     @property
     def rates(self) -> Rates:
         """What the rates are worth."""
         return self._rates.rates
+
+    @property
+    def excess_text(self) -> str:
+        """Measured against stated noise of the samples, in words; empty where it is no larger."""
+        found = self._excess.found
+        return "" if found is None else found.text(self._stated_rad)
 
     def judge(
         self, sample: AttitudeSample, used: AttitudeTrack, witnesses: Mapping[str, Witness], told_rad: float = 0.0
@@ -156,7 +175,7 @@ class InsGuard:
         if previous is not None and sample.time_ns <= previous.sample.time_ns:
             judged = JudgedIns(sample, self._late_refusal(sample, used.last_before(sample.time_ns - 1)))
         else:
-            judged = self._judge_next(sample, previous, witnesses)
+            judged = self._with_noise(self._judge_next(sample, previous, witnesses))
         if self._rates.usable or sample.rate_d is None:
             return judged
         return judged._replace(sample=replace(sample, rate_d=None))
@@ -172,7 +191,7 @@ class InsGuard:
         if taken is None or self._previous is not taken or self._rates.rates is not Rates.MEASURED:
             return False
         in_order = taken.integrated is not None and taken.sample.time_ns < time_ns
-        return in_order and self._disputed is None and self._steps.judges
+        return in_order and self._disputed is None and self._steps.judges and not self._excess.collects
 
     def look_ahead(self, samples: Sequence[AttitudeSample], block: SampleBlock) -> Followed:
         """Judge the samples of a block, from the first one on, as long as they go the way of nearly all.
@@ -259,10 +278,10 @@ class InsGuard:
             self._taken = seen._replace(before=None)
         self._previous = self._taken
         wrong_after_ns = self._judge_rates(previous, seen) if count == due else None
-        if not jumps and wrong_after_ns is None:
+        if not jumps and wrong_after_ns is None and self._new_noise is None:
             return count, None
         sample = last if self._rates.usable else replace(last, rate_d=None)
-        return count, JudgedIns(sample, _stepped(jumps), jumps, wrong_after_ns)
+        return count, self._with_noise(JudgedIns(sample, _stepped(jumps), jumps, wrong_after_ns))
 
     @staticmethod
     def _last_two(
@@ -306,6 +325,10 @@ class InsGuard:
                 self._steps.restart()
             errors_rad = self._leads.by_rates.noise_rad, self._stuck.coarseness_rad
             on_line = self._steps.look(sample, seen.integrated, *errors_rad)
+            if on_line is False:
+                self._excess.suspect(sample.time_ns, self._leads.by_rates.typical_rad)
+            if self._excess.collects:
+                self._new_noise = self._excess.observe(sample, seen.integrated)
             if on_line and previous is taken:
                 # Nearly all samples of a healthy INS go this way.
                 jumps = self._kept(seen)
@@ -375,12 +398,26 @@ class InsGuard:
         found = self._steps.keep()
         if found is None:
             return self._crept_since(seen.sample)
+        self._excess.suspect(seen.sample.time_ns, self._leads.by_rates.typical_rad)
         self._rates.restart()
         moments_ns = sorted({found.first_ns, found.last_ns})
         return tuple(InsJump(time_ns - 1, found.step_n, found.sigma_rad) for time_ns in moments_ns)
 
+    def _with_noise(self, judged: JudgedIns) -> JudgedIns:
+        """Return the judgement with noise of the samples that has become known; they are judged by it from now on."""
+        noise, self._new_noise = self._new_noise, None
+        if noise is None:
+            return judged
+        self._set_sigma()
+        self._steps.forget()
+        self._leads.by_rates.forget()
+        return judged._replace(noise=noise)
+
     def _crept_since(self, sample: AttitudeSample) -> tuple[InsJump, ...]:
         """Learn from what samples on a line tell; the jump as large as what has crept where it does not fit."""
+        sums, self._steps.noise = self._steps.noise, None
+        if sums is not None:
+            self._new_noise = self._excess.add(sums)
         learnt, self._steps.learnt = self._steps.learnt, None
         if learnt is None:
             return ()
@@ -421,6 +458,7 @@ class InsGuard:
             self._leads.by_rates.forget()
             self._steps.forget()
             self._slopes.forget()
+            self._excess.forget()
         # The rates may have lost their trust with this sample, or have got it back.
         if not self._rates.usable:
             self.by_rates = None

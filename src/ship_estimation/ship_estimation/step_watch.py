@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ship_estimation import compiled_watch
+from ship_estimation.excess_noise import NoiseSums, noise_sums
 from ship_estimation.integrated_rates import Integrated, IntegratedRun, StampArray
 from ship_estimation.line_steps import Period, StepPlan, doubling, located, step_plan
 from ship_estimation.value_guards import ACROSS, Match, size
@@ -82,6 +83,7 @@ class StepWatch:
 
     Attributes:
         learnt: what the samples kept of late tell of their errors; None where nothing new is known.
+        noise: sums for the noise of the samples kept of late; None where there are no new ones.
 
     >>> watch, turned = StepWatch(5e-6, 0.0), np.random.default_rng(1).normal(0.0, 5e-6, (1500, 3))
     >>> turned[1400:] += [0.0, 3e-5, 0.0]
@@ -107,6 +109,7 @@ class StepWatch:
         self._run, self._last_ns = -1, 0
         self._to_line: FloatArray | None = None
         self.learnt: Learnt | None = None
+        self.noise: NoiseSums | None = None
         self.restart()
 
     def reconfigure(self, white_rad: float, rate_sigma_rad_per_s: float) -> None:
@@ -314,6 +317,8 @@ class StepWatch:
         for share in (1, 2, 4):
             length = full.length // share
             if self._end >= length:
+                if share == 1:
+                    self._sum_noise()
                 after = [count for count in full.counts if share == 1 or count <= length // 3]
                 self._go_over(full if share == 1 else step_plan(length, tuple(after) or (1,)))
                 return
@@ -354,7 +359,8 @@ class StepWatch:
         keep, rows = self._full.length, self._rows
         seconds = float(self._times[-1] - self._times[0]) * 1e-9 * (1.0 - 1.0 / _ROOM)
         drift_n = (rows[-keep:].mean(axis=0) - rows[:keep].mean(axis=0)) / seconds
-        typical_rad = math.sqrt(float(np.mean(np.sum(np.diff(rows, axis=0) ** 2, axis=1))))
+        differences = self._sum_noise()
+        typical_rad = math.sqrt(float(np.mean(np.sum(differences**2, axis=1))))
         self.learnt = Learnt(drift_n, seconds, size(self._rates.mean(axis=0)), typical_rad)
         for values in (rows, self._rates, self._times):
             values[:keep] = values[-keep:].copy()
@@ -363,6 +369,12 @@ class StepWatch:
             assert self._to_line is not None
             self._to_line = self._to_line.dot(exp_rotation(-rows[keep - 1]))
             rows[:keep] -= rows[keep - 1].copy()
+
+    def _sum_noise(self) -> FloatArray:
+        """Sum up the noise of the samples kept; returns the differences of each from the one before."""
+        times_ns, differences = self._times[: self._end], np.diff(self._rows[: self._end], axis=0)
+        self.noise = noise_sums(int(times_ns[0]), int(times_ns[-1]), differences)
+        return differences
 
     def _found(self) -> FoundStep:
         """The step between the samples kept, as large as it is and at all moments at which it may have happened."""

@@ -91,6 +91,41 @@ class RecentRates(NamedTuple):
     rates_d: FloatArray
 
 
+class ExtraNoise(NamedTuple):
+    """Independent noise of a source's samples beyond what is stated for it, from a stamp on.
+
+    Attributes:
+        from_ns: the first stamp that it counts for.
+        white_rad2: variance of each attitude, each axis.
+        jitter_s2: variance of each stamp, s²: along its turn an attitude is off by that much.
+        clock_sigma_s: by about so much the mean delay of the stamps may have changed.
+    """
+
+    from_ns: int
+    white_rad2: float
+    jitter_s2: float
+    clock_sigma_s: float = 0.0
+
+    @property
+    def time_ns(self) -> int:
+        """Just before the first stamp that it counts for."""
+        return self.from_ns - 1
+
+    def covariances_d(self, rates_d: FloatArray) -> FloatArray:
+        """Return the covariance of N attitudes, rotation vector in the deck frame, rad², shape (N, 3, 3).
+
+        Args:
+            rates_d: their angular velocities, rad/s, shape (N, 3).
+
+        Example:
+            >>> extra = ExtraNoise(0, white_rad2=4.0, jitter_s2=2.0)
+            >>> print(extra.covariances_d(np.array([[1.0, 0.0, 0.0]])).tolist())
+            [[[6.0, 0.0, 0.0], [0.0, 4.0, 0.0], [0.0, 0.0, 4.0]]]
+        """
+        along: FloatArray = self.jitter_s2 * rates_d[:, :, None] * rates_d[:, None, :]
+        return along + self.white_rad2 * np.eye(3)
+
+
 class MovedBlock(NamedTuple):
     """Attitudes of a block, each moved by a short time; each field is that of :class:`InterpolatedAttitude`.
 
@@ -106,6 +141,12 @@ class MovedBlock(NamedTuple):
     noise_gain: FloatArray
     error_covariance_d: FloatArray
 
+    def with_noise(self, extra: ExtraNoise | None) -> "MovedBlock":
+        """Return the same with extra noise of the samples."""
+        if extra is None:
+            return self
+        return self._replace(error_covariance_d=self.error_covariance_d + extra.covariances_d(self.rate_d))
+
     def some(self, which: slice) -> "MovedBlock":
         """Some of them."""
         return MovedBlock(*(values[which] for values in self))
@@ -119,8 +160,8 @@ class InterpolatedAttitude:
         rotation_nd: horizon from deck, shape (3, 3).
         rate_d: angular velocity in the deck frame, rad/s, shape (3,).
         noise_gain: variance of the result per variance of the samples' independent noise.
-        error_covariance_d: covariance of the interpolation's own error, estimated from the samples around: rotation
-            vector in the deck frame, rad², shape (3, 3).
+        error_covariance_d: covariance of the interpolation's own error, estimated from the samples around, and of the
+            samples' extra noise: rotation vector in the deck frame, rad², shape (3, 3).
         sample: the last one of the track at or before the moment; None where the attitude is not from between samples.
         next_sample: the one after the moment, where the attitude is from between the two.
         errors_d: the estimates of the interpolation's own error, rotation vectors in the deck frame, rad, shape (3,)
@@ -174,6 +215,22 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         [45.  0.  0.] 0.5
     """
 
+    def __init__(self, max_gap_ns: int) -> None:
+        super().__init__(max_gap_ns)
+        self._extra: list[ExtraNoise] = []
+
+    def add_noise(self, extra: ExtraNoise) -> int:
+        """Take extra noise of the samples from a stamp on; returns the stamp after which values have changed."""
+        kept = [one for one in self._extra if one.from_ns < extra.from_ns]
+        # What counts before the first sample that is kept counts for none, but for the last such entry.
+        past = [one for one in kept if self._times and one.from_ns <= self._times[0]]
+        self._extra = [*kept[max(len(past) - 1, 0) :], extra]
+        return extra.time_ns
+
+    def extra_noise(self, time_ns: int) -> ExtraNoise | None:
+        """Return the extra noise of the samples at a stamp; None where there is none."""
+        return next((one for one in reversed(self._extra) if one.from_ns <= time_ns), None)
+
     def at(self, time_ns: int) -> InterpolatedAttitude | None:
         """The attitude at a moment; None outside the track or in a gap."""
         interval = self._interval(time_ns)
@@ -182,8 +239,10 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         left, fraction = interval
         if fraction == 0.0:
             sample = self._samples[left]
-            return InterpolatedAttitude(sample.rotation_nd, self.rate(left), 1.0, sample=sample)
-        return self._between(left, fraction)
+            found = InterpolatedAttitude(sample.rotation_nd, self.rate(left), 1.0, sample=sample)
+        else:
+            found = self._between(left, fraction)
+        return self._with_noise(found, time_ns) if self._extra else found
 
     @property
     def newest_rate_known(self) -> bool:
@@ -202,8 +261,18 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         """
         index = len(self._samples) - 1
         if self._samples[index].rate_d is None:
-            return self._moved_by_differences(index, ahead_s)
-        return self._moved_by_rates(index, ahead_s)
+            moved = self._moved_by_differences(index, ahead_s)
+        else:
+            moved = self._moved_by_rates(index, ahead_s)
+        return self._with_noise(moved, self._times[index]) if self._extra else moved
+
+    def _with_noise(self, found: InterpolatedAttitude, time_ns: int) -> InterpolatedAttitude:
+        """Return an attitude with the extra noise of the samples that it is made of."""
+        extra = self.extra_noise(time_ns)
+        if extra is None:
+            return found
+        (noise_d,) = found.noise_gain * extra.covariances_d(found.rate_d[None])
+        return replace(found, error_covariance_d=found.error_covariance_d + noise_d)
 
     def recent_rates(self) -> RecentRates | None:
         """What moves samples to come, together with their own rates; None where RATES - 1 samples do not tell it."""

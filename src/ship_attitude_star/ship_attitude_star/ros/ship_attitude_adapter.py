@@ -268,6 +268,14 @@ class ShipAttitudeAdapter(BlockAdapter):
             self._observed = state.time_ns, DiagnosticStatus("observability", Level.OK, text, values)
         return [self._observed[1]]
 
+    def _noise_status(self) -> DiagnosticStatus:
+        """Return whether the INS's attitudes have more noise than stated."""
+        excess = self.core.excess_noise
+        if not excess:
+            text = "no more than ins.white_sigma_arcsec, as far as motion shows it"
+            return DiagnosticStatus("ins noise", Level.OK, text)
+        return DiagnosticStatus("ins noise", Level.WARN, f"ins/imu: {excess}; covariances count with it")
+
     def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
         """The attitude, the alignment at the start, the rates of the INS, conflicts with it, verdicts, clocks."""
         told = self.saved_remarks()
@@ -276,6 +284,7 @@ class ShipAttitudeAdapter(BlockAdapter):
             attitude_status(self.latest, self.clock_jumps, self.start_warnings),
             DiagnosticStatus("alignment", Level.WARN if told else Level.OK, text),
             DiagnosticStatus("ins rates", *_RATES[self.core.rates]),
+            self._noise_status(),
             *vertical_statuses(self.core, self.latest),
             *self._observability_statuses(),
             *self.integrity_statuses(),

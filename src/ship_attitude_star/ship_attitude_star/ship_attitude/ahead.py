@@ -18,7 +18,14 @@ from ship_attitude_star.ship_attitude.state import FilterState
 from ship_estimation.ins_guard import Followed
 from ship_estimation.outcome import Status
 from ship_estimation.refusals import Refusal, failure
-from ship_geometry.attitude_track import AttitudeSample, MovedBlock, RecentRates, SampleBlock, moved_block
+from ship_geometry.attitude_track import (
+    AttitudeSample,
+    ExtraNoise,
+    MovedBlock,
+    RecentRates,
+    SampleBlock,
+    moved_block,
+)
 
 
 class _Stretch(NamedTuple):
@@ -47,6 +54,7 @@ class InsAhead:
         arrivals_ns: when each comes, in the time of waiting.
         followed: what the guard said of them, and of one more where that does not go the usual way.
         before: the samples before them.
+        extra: noise of the samples beyond what is stated; None where there is none.
         taken: how many had their turn.
         told: number of a sample, and what its turn led to besides an attitude, as far as nobody has asked for it.
     """
@@ -56,6 +64,7 @@ class InsAhead:
     arrivals_ns: StampArray
     followed: Followed
     before: RecentRates
+    extra: ExtraNoise | None = None
     taken: int = 0
     told: list[tuple[int, AttitudeOutcome]] = field(default_factory=list)
     _stretches: list[_Stretch] = field(default_factory=list)
@@ -87,6 +96,7 @@ class InsAhead:
         corrected = [corrected_by(stretch.state) for stretch in self._stretches]
         counts = [stretch.stop - stretch.start for stretch in self._stretches]
         moved = moved_block(self.before, self.block, np.repeat([moved_s(one) for one in corrected], counts))
+        moved = moved.with_noise(self.extra)
         try:
             found: list[AttitudeRun | Refusal] = [*estimates_by(corrected, counts, self._times_ns, moved, config)]
         except Exception:

@@ -43,7 +43,7 @@ from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
 from ship_estimation.estimator_shell import EstimatorShell, Model, surely_in_time
-from ship_estimation.ins import InsJump
+from ship_estimation.ins import InsChange
 from ship_estimation.ins_guard import JudgedIns
 from ship_estimation.outcome import Measurement, Status
 from ship_estimation.protection import IntegrityReport
@@ -87,7 +87,7 @@ class ShipAttitudeCore:
         exposure_reach_ns = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns if exposes else 0
         # The INS's stamps differ from a device's, and an INS sample changes what is compared within a gap of it.
         self._stamp_reach_ns = round(self.filter.linearisation.longest_reach_s * SECOND_NS) + exposure_reach_ns
-        model: Model[FilterState, Measurement, AttitudeDecision, InsJump] = Model(
+        model: Model[FilterState, Measurement, AttitudeDecision, InsChange] = Model(
             step=self._step,
             opened=self._opened,
             failed=_failed,
@@ -96,7 +96,7 @@ class ShipAttitudeCore:
             decided=self._note_used,
             closed=closed,
         )
-        self._shell: EstimatorShell[FilterState, Measurement, AttitudeDecision, InsJump, AttitudeEstimate]
+        self._shell: EstimatorShell[FilterState, Measurement, AttitudeDecision, InsChange, AttitudeEstimate]
         self._shell = EstimatorShell(
             model, self.filter.initial_state(), config.lag_s, self._max_gap_ns + self._stamp_reach_ns
         )
@@ -183,7 +183,8 @@ class ShipAttitudeCore:
         followed = self._guards.ins.look_ahead(samples, block)
         if not followed.count:
             return None
-        return InsAhead(samples[: followed.usual], block, arrivals_ns, followed, before)
+        extra = self._track.extra_noise(first_ns)
+        return InsAhead(samples[: followed.usual], block, arrivals_ns, followed, before, extra)
 
     def take_ahead(self, ahead: InsAhead, stop: int) -> None:
         """Samples that were judged ahead have their turn, up to one that is not included."""
@@ -229,6 +230,11 @@ class ShipAttitudeCore:
             if changed_after_ns is not None:
                 self._shell.data_changed(changed_after_ns)
                 self._shell.apply(outcome)
+        if judged.noise is not None:
+            # What was compared with the samples since then is compared again with their measured noise.
+            since_ns = self._track.add_noise(judged.noise)
+            self._shell.add_jump(self.filter.opens_ns(judged.noise), INS, judged.noise, since_ns)
+            self._shell.apply(outcome)
         for jump in judged.jumps:
             self._shell.add_jump(self.filter.opens_ns(jump), INS, jump, self._track.cut(jump.time_ns))
         if judged.refusal is not None:
@@ -359,6 +365,11 @@ class ShipAttitudeCore:
         """What the INS's rates are worth: only where they are measured, or not judged yet, they are used."""
         return self._guards.ins.rates
 
+    @property
+    def excess_noise(self) -> str:
+        """Measured against stated noise of the INS's attitudes, in words; empty where it is no larger."""
+        return self._guards.ins.excess_text
+
     # -- the model in the shell -----------------------------------------------------------------------------
 
     def _step(
@@ -366,8 +377,8 @@ class ShipAttitudeCore:
     ) -> tuple[FilterState, AttitudeDecision] | None:
         return self.filter.step(state, measurement, self._track, self._watch, may_wait)
 
-    def _opened(self, state: FilterState, jump: InsJump) -> FilterState:
-        return self.filter.opened(state, jump)
+    def _opened(self, state: FilterState, change: InsChange) -> FilterState:
+        return self.filter.opened(state, change)
 
     def _note_used(self, decision: AttitudeDecision) -> None:
         """Keep what each source measures, and how often."""

@@ -26,11 +26,11 @@ from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
 from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.hypotheses import RowsCompared, add_error, compare_rows
-from ship_estimation.ins import InsJump
+from ship_estimation.ins import InsChange
 from ship_estimation.outcome import Measurement
 from ship_estimation.refusals import Reason, Refusal, singular_covariance
 from ship_estimation.unconfirmed import Unconfirmed
-from ship_geometry.attitude_track import AttitudeTrack
+from ship_geometry.attitude_track import AttitudeTrack, ExtraNoise
 from ship_geometry.rotations import FloatArray, log_rotation
 from ship_geometry.time_scales import SECOND_NS
 
@@ -112,12 +112,14 @@ class ShipFilter:
         everywhere[rows[:, None], rows] = covariance
         add_error(stack, count, part, slice(None), everywhere)
 
-    def opened(self, state: FilterState, jump: InsJump) -> FilterState:
-        """The state after a jump of the INS: its slow error may be as large as that.
+    def opened(self, state: FilterState, jump: InsChange) -> FilterState:
+        """The state after a jump of the INS: its slow error may be as large as that. Or where its noise has changed.
 
         The stamps of the INS and of a device may differ for the same moment. The state is opened so much earlier that
         no measurement with the attitude of after the jump comes before; one with the attitude of before is refused.
         """
+        if isinstance(jump, ExtraNoise):
+            return self._with_uncertain_clock(state, jump)
         opens_ns = self.opens_ns(jump)
         state = self.predicted(state, opens_ns)
         if jump.creeps:
@@ -143,9 +145,19 @@ class ShipFilter:
             state, means=means, stack=stack, stays=NO_STAYS, unconfirmed=_jumped(opens_ns), jumped_ns=jump.time_ns
         )
 
-    def opens_ns(self, jump: InsJump) -> int:
-        """The time of measurements from which on the state is open for a jump of the INS."""
-        return jump.time_ns - round(self.linearisation.longest_shift_s * SECOND_NS)
+    def opens_ns(self, change: InsChange) -> int:
+        """The time of measurements from which on the state is open for a change of the INS."""
+        return change.time_ns - round(self.linearisation.longest_shift_s * SECOND_NS)
+
+    def _with_uncertain_clock(self, state: FilterState, noise: ExtraNoise) -> FilterState:
+        """Return the state where the noise of the INS's stamps changes: their mean delay may change as well."""
+        clock = self.model.blocks["ins.time_offset"]
+        if not (noise.clock_sigma_s > 0.0 and clock.sigma[0] > 0.0):
+            return state
+        state = self.predicted(state, self.opens_ns(noise))
+        stack, rows = state.stack.copy(), self.model.slices[clock.name]
+        add_error(stack, len(state.means), self._ins_index, rows, np.array([[noise.clock_sigma_s**2]]))
+        return changed(state, stack=stack)
 
     def step(
         self,

@@ -15,7 +15,7 @@ from ship_attitude_star.vertical.vertical_track import VerticalHere, VerticalTra
 from ship_estimation.backward import Known
 from ship_estimation.backward_chain import Came
 from ship_estimation.hypotheses import RowsCompared
-from ship_estimation.ins import InsJump
+from ship_estimation.ins import InsChange
 from ship_estimation.outcome import Measurement
 from ship_geometry.rotations import FloatArray
 
@@ -43,7 +43,7 @@ class TracedFilter(ShipFilter):
         super().__init__(config, vertical)
         self.suspects = _TracedSuspects(config, self.model, self.devices)
 
-    def opened(self, state: FilterState, jump: InsJump) -> FilterState:
+    def opened(self, state: FilterState, jump: InsChange) -> FilterState:
         """See :meth:`ShipFilter.opened`: by the jump an error comes to the predicted state."""
         after = super().opened(state, jump)
         assert isinstance(after, TracedState)

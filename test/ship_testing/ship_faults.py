@@ -1,0 +1,155 @@
+"""Voyages of the reference case in which INS or stars are faulty: what the core then publishes, against the truth.
+
+The faults are put into what the devices measure, array by array, before the core is given it.
+"""
+
+import functools
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ship_attitude_star.measurements.samples import AttitudeMeasurement
+from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
+from ship_estimation.outcome import Status
+from ship_geometry.attitude_track import AttitudeSample
+from ship_geometry.ros_axes import quaternion_from_rotation, rotation_from_quaternion
+from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
+from ship_replay.trials.monte_carlo import core_for
+from ship_simulation.run import SimulatedRun, simulate
+from ship_simulation.scenario.scenario_file import load_scenario
+from ship_simulation.ship.motion import carrier_of
+
+PAPER = Path(__file__).parents[2] / "bags" / "scenarios" / "paper.yaml"
+
+
+class Claim(NamedTuple):
+    """A published attitude.
+
+    Attributes:
+        time_s: after the start.
+        status: of it.
+        sigmas: largest error about North, Up and East, in standard deviations as published.
+        sources: that it rests on.
+    """
+
+    time_s: float
+    status: Status
+    sigmas: float
+    sources: tuple[str, ...] = ()
+
+
+class Claims(NamedTuple):
+    """All attitudes of a voyage.
+
+    Attributes:
+        claims: in order.
+        core: after the voyage.
+    """
+
+    claims: list[Claim]
+    core: ShipAttitudeCore
+
+    def worst(self, from_s: float = 0.0, until_s: float = np.inf) -> float:
+        """Largest error in standard deviations while VALID."""
+        valid = [claim.sigmas for claim in self._between(from_s, until_s) if claim.status is Status.VALID]
+        return max(valid, default=0.0)
+
+    def statuses(self, from_s: float, until_s: float = np.inf) -> set[Status]:
+        """The statuses of a time."""
+        return {claim.status for claim in self._between(from_s, until_s)}
+
+    @property
+    def not_valid_until_s(self) -> float:
+        """Time of the last attitude that was not VALID."""
+        return max((claim.time_s for claim in self.claims if claim.status is not Status.VALID), default=0.0)
+
+    def _between(self, from_s: float, until_s: float) -> list[Claim]:
+        return [claim for claim in self.claims if from_s <= claim.time_s < until_s]
+
+
+@functools.cache
+def voyage(duration_s: float, rate_hz: float, seed: int = 2, **ins: float) -> SimulatedRun:
+    """The reference case without a fault, with an INS of another rate and other errors."""
+    whole = load_scenario(PAPER)
+    return simulate(replace(whole, duration_s=duration_s, ins=replace(whole.ins, rate_hz=rate_hz, **ins)), seed)
+
+
+def ins_turned(run: SimulatedRun, turn_n: FloatArray, from_s: float, until_s: float = np.inf) -> SimulatedRun:
+    """The INS's attitude turned by a rotation vector about North, Up and East, rad, its rates as before."""
+    rotation_nd, faulty = run.ins.rotation_nd.copy(), _faulty(run, run.ins.time_ns, from_s, until_s)
+    rotation_nd[faulty] = exp_rotation(turn_n) @ rotation_nd[faulty]
+    return replace(run, ins=replace(run.ins, rotation_nd=rotation_nd))
+
+
+def ins_rounded(run: SimulatedRun, digits: int, from_s: float, until_s: float = np.inf) -> SimulatedRun:
+    """The INS's quaternions rounded to some decimals."""
+    rotation_nd = run.ins.rotation_nd.copy()
+    for index in np.flatnonzero(_faulty(run, run.ins.time_ns, from_s, until_s)):
+        rotation_nd[index] = rotation_from_quaternion(np.round(quaternion_from_rotation(rotation_nd[index]), digits))
+    return replace(run, ins=replace(run.ins, rotation_nd=rotation_nd))
+
+
+def ins_stamped_late(
+    run: SimulatedRun, most_s: float, from_s: float, until_s: float = np.inf, seed: int = 1
+) -> SimulatedRun:
+    """The INS's stamps late at random, uniformly from zero."""
+    faulty, rng = _faulty(run, run.ins.time_ns, from_s, until_s), np.random.default_rng(seed)
+    late_ns = np.where(faulty, np.round(rng.uniform(0.0, most_s * 1e9, len(faulty))), 0.0).astype(np.int64)
+    return replace(run, ins=replace(run.ins, time_ns=run.ins.time_ns + late_ns))
+
+
+def stars_turned(run: SimulatedRun, turn_n: FloatArray, from_s: float, until_s: float) -> SimulatedRun:
+    """All star attitudes turned by a rotation vector about North, Up and East, rad."""
+    stars = {}
+    for id_, star in run.stars.items():
+        rotation_nv, faulty = star.rotation_nv.copy(), _faulty(run, star.time_ns, from_s, until_s)
+        rotation_nv[faulty] = exp_rotation(turn_n) @ rotation_nv[faulty]
+        stars[id_] = replace(star, rotation_nv=rotation_nv)
+    return replace(run, stars=stars)
+
+
+def claims(run: SimulatedRun, exchanged_s: tuple[float, float] = (0.0, 0.0), from_s: float = 0.0) -> Claims:
+    """Give a voyage to a core; returns what it publishes.
+
+    Args:
+        run: the voyage.
+        exchanged_s: from when until when the cables of two star sensors are exchanged.
+        from_s: no attitude is asked for before.
+    """
+    core, carrier, found = core_for(run.scenario), carrier_of(run.scenario.carrier, run.seed), []
+    for log_ns, source, index in run.arrivals():
+        if source == "ins":
+            time_ns = int(run.ins.time_ns[index])
+            sample = AttitudeSample(time_ns, run.ins.rotation_nd[index], run.ins.rate_d[index])
+            outcome = core.add_ins(sample, estimate=(time_ns - run.start_ns) * 1e-9 >= from_s)
+        elif source.startswith("star."):
+            star = run.stars[source.removeprefix("star.")]
+            values = int(star.time_ns[index]), star.rotation_nv[index], star.noise_v, star.common_n
+            if exchanged_s[0] <= (log_ns - run.start_ns) * 1e-9 < exchanged_s[1]:
+                source = _OTHER[source]
+            outcome = core.add_measurement(AttitudeMeasurement(source, *values))
+        else:
+            continue
+        for estimate in outcome.estimates:
+            since_s = (estimate.time_ns - run.start_ns) * 1e-9
+            error_n = log_rotation(carrier.attitude(np.array(since_s)) @ estimate.rotation_nd.T)
+            sigmas = float(np.max(np.abs(error_n) / np.sqrt(np.diagonal(estimate.covariance_n))))
+            found.append(Claim(since_s, estimate.status, sigmas, estimate.sources))
+    return Claims(found, core)
+
+
+_OTHER: Mapping[str, str] = {"star.fore": "star.starboard", "star.starboard": "star.fore"}
+
+
+def up(arcsec: float) -> FloatArray:
+    """A rotation vector about Up, rad."""
+    return np.array([0.0, arcsec * ARCSEC, 0.0])
+
+
+def _faulty(run: SimulatedRun, time_ns: np.ndarray, from_s: float, until_s: float) -> np.ndarray:
+    since_s = (time_ns - run.start_ns) * 1e-9
+    faulty: np.ndarray = (since_s >= from_s) & (since_s < until_s)
+    return faulty
