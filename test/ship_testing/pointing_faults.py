@@ -67,6 +67,39 @@ def encoders_slipped(
     return replace(run, theodolite=replace(run.theodolite, encoder=slipped))
 
 
+def encoders_stand(run: SimulatedRun, until_s: float = np.inf) -> SimulatedRun:
+    """The encoders read what they read at FAULT_S."""
+    readings = run.theodolite.encoder
+    faulty = _lying(run, readings.time_ns, until_s)
+    first = int(np.argmax(faulty))
+    azimuth = np.where(faulty, readings.azimuth[first], readings.azimuth)
+    elevation = np.where(faulty, readings.elevation[first], readings.elevation)
+    standing = replace(readings, azimuth=azimuth, elevation=elevation)
+    return replace(run, theodolite=replace(run.theodolite, encoder=standing))
+
+
+def encoders_read_twice(run: SimulatedRun, azimuth_arcsec: float, until_s: float = np.inf) -> SimulatedRun:
+    """From FAULT_S on each reading comes a second time with its stamp, a millisecond later and with another azimuth."""
+    readings = run.theodolite.encoder
+    again = np.flatnonzero(_lying(run, readings.time_ns, until_s))
+    both = replace(
+        readings,
+        time_ns=np.append(readings.time_ns, readings.time_ns[again]),
+        log_time_ns=np.append(readings.log_time_ns, readings.log_time_ns[again] + 1_000_000),
+        azimuth=np.append(readings.azimuth, readings.azimuth[again] + azimuth_arcsec * ARCSEC),
+        elevation=np.append(readings.elevation, readings.elevation[again]),
+    )
+    return replace(run, theodolite=replace(run.theodolite, encoder=both))
+
+
+def encoders_stamped_late(run: SimulatedRun, delay_s: float, until_s: float = np.inf) -> SimulatedRun:
+    """The readings bear stamps later than the moments that they are of from FAULT_S on, or earlier ones."""
+    readings = run.theodolite.encoder
+    late_ns = round(delay_s * 1e9) * _lying(run, readings.time_ns, until_s)
+    late = replace(readings, time_ns=readings.time_ns + late_ns)
+    return replace(run, theodolite=replace(run.theodolite, encoder=late))
+
+
 def encoders_crept(run: SimulatedRun, azimuth_arcsec_per_s: float, until_s: float = np.inf) -> SimulatedRun:
     """The encoders' azimuth creeps from FAULT_S on."""
     readings = run.theodolite.encoder
@@ -92,10 +125,10 @@ def telescope_knocked(
     return replace(run, theodolite=replace(run.theodolite, images=knocked))
 
 
-def lights_stamped_late(run: SimulatedRun, delay_s: float) -> SimulatedRun:
-    """The images bear stamps later than the moments that they show from FAULT_S on."""
+def lights_stamped_late(run: SimulatedRun, delay_s: float, until_s: float = np.inf) -> SimulatedRun:
+    """The images bear stamps later than the moments that they show from FAULT_S on, or earlier ones."""
     images = run.theodolite.images
-    late_ns = round(delay_s * 1e9) * _lying(run, images.time_ns, np.inf)
+    late_ns = round(delay_s * 1e9) * _lying(run, images.time_ns, until_s)
     late = replace(images, time_ns=images.time_ns + late_ns, log_time_ns=images.log_time_ns + late_ns)
     return replace(run, theodolite=replace(run.theodolite, images=late))
 
@@ -192,14 +225,21 @@ The newest few: each is tens of megabytes.
 _MOST_KEPT = 3
 
 
-def claims(run: SimulatedRun, **changes: object) -> Claims:
-    """Feed a session into a core, with dotted parameters changed (``__`` for the dot), and compare with the truth."""
+def claims(run: SimulatedRun, stamps_of: SimulatedRun | None = None, **changes: object) -> Claims:
+    """Feed a session into a core, with dotted parameters changed (``__`` for the dot), and compare with the truth.
+
+    Args:
+        run: the session.
+        stamps_of: the same session with right stamps of the encoders, where these are wrong.
+        changes: parameters.
+    """
     config = build(OpticalAxisConfig, optical_axis_configuration(run.scenario))
     if changes:
         values = {**flatten(config), **{name.replace("__", "."): value for name, value in changes.items()}}
         config = build(OpticalAxisConfig, nest(values))
     truth = run.theodolite.truth
-    rows = {int(stamp): row for row, stamp in enumerate(run.theodolite.encoder.time_ns[truth.encoder_index])}
+    stamps_ns = (stamps_of or run).theodolite.encoder.time_ns
+    rows = {int(stamp): row for row, stamp in enumerate(stamps_ns[truth.encoder_index])}
     arrivals, fault_ns = run.pointing_arrivals(), run.start_ns + round(FAULT_S * 1e9)
     before = sum(log_ns < fault_ns for log_ns, _, _ in arrivals)
     key = id(truth), repr(config)

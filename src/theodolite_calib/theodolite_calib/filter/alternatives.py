@@ -2,8 +2,9 @@
 
 One row for each source but the telescope: to the lights its knock is what a slip of the encoders is, and the estimate
 before it goes on. A row without a drone gives its light no weight. A row without the encoders, or without the
-ship's attitude, takes their error for unknown at every sighting: what they say of the turn from one sighting to the
-next is used, or there would be no pointing between them. A source that is excluded is left out of every row.
+ship's attitude, lets their error change by an unknown amount before every sighting: what they say of the turn from one
+sighting to the next is used, or there would be no pointing between them. A source that is excluded is left out of every
+row.
 
 The rows have no error budget: their covariance is one matrix, and a sighting changes all of them in one step.
 """
@@ -33,8 +34,9 @@ CHAIN = frozenset({ENCODER, SHIP, TELESCOPE})
 """What leads from the horizon to the telescope."""
 
 _UNKNOWN = {ENCODER: 72_000.0 * ARCSEC, SHIP: 3600.0 * ARCSEC, TELESCOPE: 3600.0 * ARCSEC}
-"""Sigma of an error of which nothing is known: of encoders that stood still while the axis turned; of a ship's
-attitude that crept away, for its rates tell a larger step; of a telescope that was knocked on the main axis."""
+"""Standard deviation of the unknown change of an error from one sighting to the next: of encoders that stood still
+while the axis turned; of a ship's attitude that crept away, for its rates tell a larger step; of a telescope that was
+knocked on the main axis."""
 _ONLY_SOURCE = 0
 
 
@@ -150,18 +152,18 @@ class SourceRows:
         return replace(rows, parts=parts)
 
     def unknown(self, rows: Alternatives, excluded: Set[str]) -> Alternatives:
-        """The rows before a sighting: nothing is known of the errors of the sources that they do without."""
+        """The rows before a sighting: the errors of the sources that they do without may have changed by any amount."""
         parts = rows.parts.copy()
         for row, source in enumerate(self.sources):
             for name in {source, *excluded} & self._states.keys():
-                forget(parts[row], self._states[name], _ONLY_SOURCE, _UNKNOWN[name])
+                add_unknown_change(parts[row], self._states[name], _ONLY_SOURCE, _UNKNOWN[name])
         return replace(rows, parts=parts)
 
-    def forget(self, parts: FloatArray, source_index: int, excluded: Set[str]) -> FloatArray:
+    def with_unknown(self, parts: FloatArray, source_index: int, excluded: Set[str]) -> FloatArray:
         """The same for covariance parts (n_sources, n, n) of the estimate by all sources that are not excluded."""
         parts = parts.copy()
         for name in sorted(excluded & self._states.keys()):
-            forget(parts, self._states[name], source_index, _UNKNOWN[name])
+            add_unknown_change(parts, self._states[name], source_index, _UNKNOWN[name])
         return parts
 
     def _pattern(self, names: tuple[str, ...], excluded: frozenset[str], probability: float) -> "_Pattern":
@@ -263,11 +265,15 @@ class SourceRows:
         return replace(rows, mean=rows.mean + corrections, parts=stack[:, None])
 
 
-def forget(parts: FloatArray, states: NDArray[np.intp], source_index: int, sigma_rad: float) -> None:
-    """Give states a new sigma in place, independent of all others, in parts of shape (n_sources, n, n)."""
-    parts[:, states, :] = 0.0
-    parts[:, :, states] = 0.0
-    parts[source_index, states, states] = sigma_rad**2
+def add_unknown_change(
+    parts: FloatArray, states: NDArray[np.intp], source_index: int, sigma_rad: float
+) -> None:
+    """Add to the covariance what states may have changed since the last sighting, in parts of shape (n_sources, n, n).
+
+    The correlations with the other states stay. Were the states drawn again at every sighting, an error that stays
+    would count as so many independent ones: their mean would seem known to sigma / sqrt(sightings).
+    """
+    parts[source_index, states, states] += sigma_rad**2
 
 
 def light_compared(residual: FloatArray, covariance: FloatArray, noise: FloatArray) -> RowsCompared:

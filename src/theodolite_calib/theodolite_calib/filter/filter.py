@@ -204,16 +204,16 @@ class CalibrationFilter:
         )
 
     def unknown(self, state: CalibrationState) -> CalibrationState:
-        """The predicted state before a sighting: nothing is known of the errors of sources that are excluded."""
+        """The predicted state before a sighting: the errors of excluded sources may have changed by any amount."""
         excluded, parts = state.trust.excluded, state.parts
         if excluded:
-            parts = self.rows.forget(parts, self.model.sources.index(SOURCE_AXES), excluded)
+            parts = self.rows.with_unknown(parts, self.model.sources.index(SOURCE_AXES), excluded)
         return replace(state, parts=parts, alternatives=self.rows.unknown(state.alternatives, excluded))
 
     def aligned(self, state: CalibrationState, sighting: Sighting) -> CalibrationState:
         """The state with the errors that are unknown (:meth:`unknown`) where a sighting has them.
 
-        They may be degrees away, and the gate is linear. What stood there was of no weight.
+        They may be degrees away, and the gate is linear. What stood there has no weight.
         """
         comparison = self.compare(state, sighting)
         if comparison is None:

@@ -40,6 +40,8 @@ class SightingStep:
             not asked, or it is too long ago.
         ship_crept: whether the ship's attitude has left its own rates in the time before a moment, ns; None where
             nothing tells.
+        own_faults: of encoders and ship, those whose own stream stood, jumped or repeated a stamp not long before a
+            time, ns.
     """
 
     def __init__(
@@ -48,8 +50,9 @@ class SightingStep:
         filter_: CalibrationFilter,
         streams_since: Callable[[int, int], Streams | None] = lambda since_ns, until_ns: None,
         ship_crept: Callable[[int], bool | None] = lambda time_ns: None,
+        own_faults: Callable[[int], Set[str]] = lambda time_ns: frozenset(),
     ) -> None:
-        self._streams_since, self._ship_crept = streams_since, ship_crept
+        self._streams_since, self._ship_crept, self._own_faults = streams_since, ship_crept, own_faults
         self._filter, self._gate, self._config = filter_, config.gate, config.integrity
         self._judge = SightingJudge(filter_, config.gate)
         self._factors = hypothesis_factors(config.integrity, filter_.rows.sources)
@@ -166,6 +169,7 @@ class SightingStep:
         if fault and not trust.excluded:
             alike = self._referee.creep_alike(trust, time_ns)
             source = crept(source, explaining, alike, self._ship_crept(time_ns))
+            source = self._faulty(source, explaining, time_ns)
         elif not fault and self._referee.suspects_ship(trust, time_ns) and self._ship_crept(time_ns):
             source = SHIP
         if source is not None:
@@ -200,6 +204,7 @@ class SightingStep:
         source = found
         if found in (ENCODER, SHIP) and not held.trust.excluded:
             source = self._blamed(held, found, explaining, decision)
+            source = self._faulty(source, explaining, time_ns)
         if source is not None:
             return self._attributed(replace(after, refusals=held.refusals + 1), source, decision, found)
         trust = self._referee.disagreed(trust, _spread_n(comparison), lasting=fault)
@@ -214,6 +219,14 @@ class SightingStep:
         if told is None:
             return source
         return blamed(source, explaining, told, float(np.max(np.abs(decision.residual))))
+
+    def _faulty(self, source: str | None, explaining: Set[str], time_ns: int) -> str | None:
+        """Return the source to exclude: where another one has shown a fault of its own just now, that one or none."""
+        own = self._own_faults(time_ns)
+        if source not in CHAIN or source in own or len(own) != 1:
+            return source
+        (other,) = own
+        return other if other in explaining else None
 
     def _attributed(
         self, state: CalibrationState, source: str, decision: ExposureDecision, seen_by: str | None = None

@@ -325,6 +325,9 @@ class Referee:
             return trust
         if not conflict.lasting:
             return replace(trust, conflict=None)
-        since_ns = time_ns if conflict.agrees_since_ns is None else conflict.agrees_since_ns
-        over = time_ns - since_ns >= self._config.return_after_s * SECOND_NS
-        return replace(trust, conflict=None if over else replace(conflict, agrees_since_ns=since_ns))
+        if conflict.agrees_since_ns is None:
+            # What the subfilters have seen while all lights were rejected is over: it isolates no source from now on.
+            means = forgotten(trust.means, slice(None), slice(None))
+            return replace(trust, means=means, conflict=replace(conflict, agrees_since_ns=time_ns))
+        over = time_ns - conflict.agrees_since_ns >= self._config.return_after_s * SECOND_NS
+        return replace(trust, conflict=None if over else conflict)

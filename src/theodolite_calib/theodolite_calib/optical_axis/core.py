@@ -61,6 +61,8 @@ if TYPE_CHECKING:
     from theodolite_calib.escort.advice import EscortAdvice
     from theodolite_calib.optical_axis.escorting import Escort
 
+_OWN_FAULTS = frozenset({Reason.STUCK, Reason.CONFLICT, Reason.GATE})
+"""A reading, or an attitude, is rejected for these because its own stream stands, repeats a stamp or jumps."""
 _TOLD_TWICE = "encoders and ship both say different things of one moment: a clock has told a time twice"
 
 
@@ -141,6 +143,7 @@ class OpticalAxisCore:
         self._ship_arrival_ns: int | None = None
         self._newest_stars: tuple[StarExposure, int] | None = None
         self._told_twice: tuple[int, int] | None = None
+        self._own_fault_ns: dict[str, int] = {}
         self._ship_covered_until_ns: int | None = None
         return remarks
 
@@ -166,6 +169,7 @@ class OpticalAxisCore:
         track, shell = self._tracks.encoder, self._shell
         judged = self._watch.judge(sample, track, shell.window.late(sample.time_ns))
         outcome = PointingOutcome(judged.refusal)
+        self._note_own_fault(ENCODER, sample.time_ns, judged.refusal, judged.jump is not None)
         if judged.jump is not None and (track.newest is None or sample.time_ns > track.newest.time_ns):
             shell.add_jump(judged.jump.time_ns, ENCODER, judged.jump, track.cut(judged.jump.time_ns))
         if judged.refusal is not None:
@@ -174,6 +178,7 @@ class OpticalAxisCore:
             return outcome
         shell.add_sample(ENCODER, track, sample, outcome)
         if outcome.refusal is not None:
+            self._note_own_fault(ENCODER, sample.time_ns, outcome.refusal)
             self._watch_time()
         elif track.newest is sample:
             self._encoder_arrival_ns = arrival_ns
@@ -193,6 +198,7 @@ class OpticalAxisCore:
             self._ship_covered_until_ns = self._tracks.ship_covered_until_ns
             self._ship_arrival_ns = sample.time_ns if arrival_ns is None else arrival_ns
         if outcome.refusal is not None:
+            self._note_own_fault(SHIP, sample.time_ns, outcome.refusal)
             self._watch_time()
         self._publish(outcome, sample.time_ns if arrival_ns is None else arrival_ns)
         return outcome
@@ -312,7 +318,7 @@ class OpticalAxisCore:
     def _take_models(self, config: OpticalAxisConfig) -> None:
         self.config = config
         self.filter = self.filter_class(config)
-        self._step_to = SightingStep(config, self.filter, self._streams_since, self._ship_crept)
+        self._step_to = SightingStep(config, self.filter, self._streams_since, self._ship_crept, self._own_faults)
         watch = self._sky
         self._step_to_stars = None if watch is None else StarStep(config, self.filter, watch)
         self._pointing = PointingOutput(config, self.filter)
@@ -342,7 +348,11 @@ class OpticalAxisCore:
             if changed_after_ns is not None:
                 self._shell.data_changed(changed_after_ns + self._tracks.ship_shift_ns)
                 self._shell.apply(outcome)
+        if judged.noise is not None:
+            self._shell.data_changed(self._tracks.ship.add_noise(judged.noise) + self._tracks.ship_shift_ns)
+            self._shell.apply(outcome)
         for jump in judged.jumps:
+            self._note_own_fault(SHIP, jump.time_ns, None, jumped=True)
             changed_after_ns = self._tracks.ship.cut(jump.time_ns)
             time_ns = jump.time_ns + self._tracks.ship_shift_ns  # in the time of the exposures
             if changed_after_ns is not None:
@@ -392,6 +402,16 @@ class OpticalAxisCore:
     def _ship_crept(self, time_ns: int) -> bool | None:
         """Whether the ship's attitude has left its own rates in the time before a moment."""
         return self._tracks.ship_crept(time_ns)
+
+    def _note_own_fault(self, source: str, time_ns: int, refusal: Refusal | None, jumped: bool = False) -> None:
+        """Note that the stream of the encoders or of the ship has stood, jumped or repeated a stamp by itself."""
+        if jumped or (refusal is not None and refusal.reason in _OWN_FAULTS):
+            self._own_fault_ns[source] = max(time_ns, self._own_fault_ns.get(source, time_ns))
+
+    def _own_faults(self, time_ns: int) -> set[str]:
+        """Of encoders and ship, those whose stream showed a fault of its own not long before a time."""
+        since_ns = time_ns - round(self.config.integrity.return_after_s * SECOND_NS)
+        return {source for source, fault_ns in self._own_fault_ns.items() if fault_ns >= since_ns}
 
     def _forget_before(self, time_ns: int) -> None:
         """Forget what no exposure at or after a stamp is compared with."""
