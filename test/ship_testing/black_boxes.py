@@ -18,6 +18,7 @@ from ship_bags.message_factory import RosidlFactory, message_class
 from ship_estimation.parameters import ParameterError
 from ship_node.black_box.black_box import BlackBox
 from ship_node.documents.saved_document import NotedFiles
+from ship_node.edge.overload import Overload
 from ship_node.live.adapter_calls import AdapterCalls
 from ship_node.live.node_clock import TickGrid
 from ship_node.parameters.parameter_file import load_config
@@ -74,6 +75,7 @@ def make_box(
     node_ns: Callable[[int], int] = lambda ns: ns,
     lost: Callable[[int], bool] = lambda ns: False,
     autosave_s: float = 0.0,
+    is_overloaded: bool = False,
 ) -> BlackBox:
     """Eight seconds of a bag, with all that can happen to a node; the clock goes back at the end.
 
@@ -85,6 +87,7 @@ def make_box(
         node_ns: what the node's clock shows at a time of waiting, which is that of the bag; both ns since its start.
         lost: times of waiting, ns since the bag's start, at which nothing comes.
         autosave_s: so often the node saves by itself; 0 for never.
+        is_overloaded: whether it is behind its inputs from 6.5 s to 7.8 s.
     """
     name = node.adapter_class.node_name
     with read_bag(node.bag) as bag:
@@ -106,6 +109,10 @@ def make_box(
     box = BlackBox(str(path), adapter, config, adapter.outputs, "/", print)
     calls = AdapterCalls(adapter, {output.topic: Nobody() for output in adapter.outputs}, files, box)
     plan = _plan(calls, node)
+    if is_overloaded:
+        busiest = adapter.inputs[0].topic
+        plan.append((6_500_000_000, lambda ns: calls.overload(Overload(3.2, 2, 12.0, {busiest: 320}), ns)))
+        plan.append((7_800_000_000, lambda ns: calls.overload(Overload(0.0, 2, 12.0), ns)))
     planned = len(plan)
     grid = TickGrid()
     for record in [*records, *records[:300]]:

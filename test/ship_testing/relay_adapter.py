@@ -15,6 +15,7 @@ from ship_node.edge.adapter import ServiceResult
 from ship_node.edge.input_health import InputHealthBook
 from ship_node.edge.messages_in import Refused, frame, stamp_ns, unit_quaternion
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, diagnostic_array
+from ship_node.edge.overload import Overload
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
 
 EXPLOSIVE_FRAME = "explosive"
@@ -71,6 +72,7 @@ class RelayAdapter:
         self.node_times: list[int] = []
         self.resets: list[int] = []
         self.handled: list[int] = []
+        self.overloads: list[Overload] = []
 
     def handle(self, topic: str, message: Any, receive_ns: int, waiting_ns: int | None = None) -> list[Published]:
         self.health.arrived(topic, receive_ns if waiting_ns is None else waiting_ns)
@@ -110,6 +112,12 @@ class RelayAdapter:
         statuses = self.health.statuses(now_ns, waiting_ns)
         published = [(DIAGNOSTICS_TOPIC, diagnostic_array(now_ns, self.node_name, statuses))]
         return published + [("input_health", m) for m in self.health.messages(self.factory, now_ns, waiting_ns)]
+
+    def overload(self, told: Overload, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
+        self.overloads.append(told)
+        for topic, count in told.cut.items():
+            self.health.cut_behind(topic, count, told.text(self.node_name), now_ns)
+        return []
 
     def clock_jumped_back(self, now_ns: int) -> list[Published]:
         self.resets.append(now_ns)

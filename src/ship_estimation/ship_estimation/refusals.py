@@ -2,18 +2,19 @@
 
 This module names the reasons. A measurement meets those who decide in this order:
 
-1. the reader of its message (``ros/`` of each estimator, with the checks of ``ship_node/edge/messages_in``): fields;
+1. the inbox of a live node that cannot keep up (``ship_node/live/backlog``): BEHIND;
+2. the reader of its message (``ros/`` of each estimator, with the checks of ``ship_node/edge/messages_in``): fields;
    and the adapter (``ship_node/edge/reporting_adapter``), where people have taken the source out: OFF;
-2. :class:`ship_estimation.estimator_shell.LagWindow`: LATE;
-3. the guards, which look at one stream by itself: :mod:`ship_estimation.ins_guard` at an INS, ``guards/`` at star
+3. :class:`ship_estimation.estimator_shell.LagWindow`: LATE;
+4. the guards, which look at one stream by itself: :mod:`ship_estimation.ins_guard` at an INS, ``guards/`` at star
    sensors and references, ``theodolite_calib/measured/encoder_watch`` at encoders: STUCK, UNITS, and GATE for one
    sample that jumps; ``sky/stamped_values`` at the fix and the air: JUMP;
-4. :class:`ship_estimation.estimator_shell.EstimatorShell`: DUPLICATE, CONFLICT, OVERFLOW, and FAILED for our own
+5. :class:`ship_estimation.estimator_shell.EstimatorShell`: DUPLICATE, CONFLICT, OVERFLOW, and FAILED for our own
    defects;
-5. the filter that compares it with its state (``ship_attitude/filter``, ``theodolite_calib/filter/judgement``) and, in
+6. the filter that compares it with its state (``ship_attitude/filter``, ``theodolite_calib/filter/judgement``) and, in
    it, what it is compared with (``ship_attitude/comparison``, ``theodolite_calib/measured/sighting``): all others.
 
-``star_attitude`` asks 4 before 3, and a reading of the encoders in degrees is told before its age.
+``star_attitude`` asks 5 before 4, and a reading of the encoders in degrees is told before its age.
 """
 
 import enum
@@ -77,6 +78,7 @@ class Reason(enum.IntEnum):
     EXCLUDED = 30
     JUMP = 31
     OFF = 32
+    BEHIND = 33
 
     @property
     def word(self) -> str:

@@ -21,7 +21,7 @@ from ship_bags.stamps import ns_from_stamp
 from ship_node.edge.adapter import TICK_PERIOD_NS
 from ship_node.live.node_clock import DEAD_AFTER_NS
 from ship_node.live.node_events import LARGEST_MESSAGE_BYTES
-from ship_testing.live_relay import RELIABLE_INPUT, SIM_TIME, imu_message
+from ship_testing.live_relay import RELIABLE_INPUT, SIM_TIME, TIMEOUT_S, imu_message
 from ship_testing.relay_adapter import EXPLOSIVE_FRAME
 
 IMU = "sensor_msgs/msg/Imu"
@@ -242,6 +242,40 @@ def test_mend_04_a_node_that_stood_still_takes_what_came_before_it_judges_silenc
     stop_ns = max(later - earlier for earlier, later in pairwise(uses))
     assert stop_ns <= 2 * TICK_PERIOD_NS
     assert sum(uses[0] < tick_ns <= uses[1] for tick_ns in relay.adapter.ticks) <= 2
+
+
+def test_mend_7_a_node_that_cannot_keep_up_is_behind_and_keeps_up_again_when_the_load_ends(live_relay):
+    """Ten times more than it can take, whatever the machine: each message takes 0.1 s."""
+    relay = live_relay(*RELIABLE_INPUT)
+    handle, load_s, used = relay.adapter.handle, 0.1, []
+
+    def handle_slowly(topic, message, receive_ns, waiting_ns):
+        time.sleep(load_s)
+        used.append(ns_from_stamp(message.header.stamp))
+        return handle(topic, message, receive_ns, waiting_ns)
+
+    relay.adapter.handle = handle_slowly
+    publisher = relay.imu_publisher()
+
+    def publish_until(happened):
+        end_s = time.monotonic() + TIMEOUT_S
+        while not happened():
+            assert time.monotonic() < end_s, (relay.adapter.overloads, relay.diagnostics)
+            publisher.publish(imu_message(time.time_ns()))
+            relay.spin()
+            time.sleep(0.01)
+
+    publish_until(lambda: len(relay.adapter.overloads) == 2)
+    publish_until(lambda: len(used) > 3 and used[-1] > used[-2])
+    for told in relay.adapter.overloads:
+        assert told.behind_s > 1.0
+        assert told.cut["ins/imu"] > 10
+    load_s = 0.0
+    publish_until(lambda: relay.adapter.overloads[-1].behind_s == 0.0)
+    assert used == sorted(used)
+    received = relay.adapter.health.records["ins/imu"].received
+    publish_until(lambda: relay.adapter.health.records["ins/imu"].received > received + 20)
+    assert relay.adapter.overloads[-1].behind_s == 0.0
 
 
 def test_mend_18_a_message_too_large_to_decode_is_counted_and_harms_nothing(live_relay):

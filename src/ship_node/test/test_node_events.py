@@ -102,3 +102,38 @@ def test_mend_18_a_message_of_megabytes_is_not_kept() -> None:
     inbox.put(Arrival("star", bytes(LARGEST_MESSAGE_BYTES), 2, 2))
     assert list(inbox.take_cuts().items()) == [(("star", f"larger than {LARGEST_MESSAGE_BYTES} bytes"), 1)]
     assert taken(inbox) == [("star", 2)]
+
+
+def stamped(topic: str, *seconds: int) -> list[Arrival]:
+    stamps = [second.to_bytes(4, "little") + bytes(4) for second in seconds]
+    return [Arrival(topic, bytes([0, 1, 0, 0]) + stamp, 7, 7, 7) for stamp in stamps]
+
+
+def test_where_a_node_is_behind_all_topics_are_cut_to_one_time() -> None:
+    inbox = Inbox({"ins": 100, "star": 100, "fix": 10}, lasting={"fix"})
+    for arrival in stamped("star", 1) + stamped("ins", *range(1, 50)) + stamped("fix", 2) + stamped("star", 40):
+        inbox.put(arrival)
+    assert inbox.since_ns == 7
+    inbox.cut(now_ns=90, waiting_ns=91, since_ns=92)
+    assert inbox.take_behind() == {"star": 2, "ins": 49}
+    assert inbox.take_behind() == {}
+    # A position holds until the next one. It is used now.
+    assert [arrival[2:] for arrival in iter(lambda: inbox.take() if inbox else None, None)] == [(90, 91, 92)]
+    # Stars of before the newest INS sample that was cut would be compared with nothing.
+    for arrival in stamped("star", 48, 49, 50) + stamped("ins", 50) + stamped("fix", 3):
+        inbox.put(arrival)
+    assert inbox.take_behind() == {"star": 2}
+    assert [topic for topic, _ in taken(inbox)] == ["star", "ins", "fix"]
+    assert inbox.take_cuts() == {}
+    inbox.keeps_up()
+    inbox.put(stamped("star", 48)[0])
+    assert len(inbox) == 1
+
+
+def test_a_message_without_a_stamp_is_cut_with_all_others_and_taken_after_that() -> None:
+    inbox = Inbox({"ins": 10})
+    inbox.put(Arrival("ins", bytes(3), 1, 1))
+    inbox.cut(2, 2, 2)
+    inbox.put(Arrival("ins", bytes(3), 3, 3))
+    assert inbox.take_behind() == {"ins": 1}
+    assert taken(inbox) == [("ins", 3)]

@@ -19,6 +19,7 @@ from ship_node.documents.saved_document import DISK, SavedFormat, section, stamp
 from ship_node.documents.saved_start import SavedStart
 from ship_node.edge.messages_in import ReadMessage, Refused
 from ship_node.edge.messages_out import DiagnosticStatus, Level
+from ship_node.edge.overload import Overload
 from ship_node.edge.reporting_adapter import Feed, ReportingAdapter, untimed
 from ship_node.edge.topics import InputTopic, Published
 
@@ -294,3 +295,42 @@ def test_a_source_that_cannot_be_taken_out_is_refused_live_and_at_the_start(
     assert (adapter.config, adapter.core.calls, adapter.is_off(JUDGED)) == (before, calls, True)
     with pytest.raises(ParameterError, match=said):
         TinyAdapter(TinyConfig(sources_off=(source,)), TinyCore(), FACTORY)
+
+
+def test_a_node_that_is_behind_claims_nothing_and_says_why_until_it_keeps_up(adapter: TinyAdapter) -> None:
+    adapter.no_output = lambda now_ns, text: SimpleNamespace(status=Status.INVALID, text=text)  # type: ignore[method-assign]
+    why = "tiny is 3.2 s behind: the computer is too slow (2 cores, load 12)"
+    published = adapter.overload(Overload(3.2, 2, 12.0, {FAST: 320, JUDGED: 5}), NOW_NS)
+    told = [(m.source, m.reason, m.reason_text) for topic, m in published if topic == "tiny/innovation"]
+    assert told == [
+        ("fast", Reason.BEHIND, f"320 messages cut: {why}"),
+        ("device", Reason.BEHIND, f"5 messages cut: {why}"),
+        ("tiny", Reason.BEHIND, why),
+    ]
+    ((_, invalid),) = [message for message in published if message[0] == "tiny/value"]
+    assert (invalid.status, invalid.text) == (Status.INVALID, why)
+    assert health(adapter, FAST) == (320, 0, 320, {"behind": 320})
+    statuses = {status.name: status for status in adapter.health.statuses(NOW_NS)}
+    assert statuses[f"input {FAST}"].level is Level.WARN
+    assert "refused, behind: 320 messages cut" in statuses[f"input {FAST}"].message
+
+    adapter.core.next = Outcome(estimates=[SimpleNamespace(status=Status.VALID)])
+    assert adapter.handle(FAST, message(), NOW_NS + 1) == []
+    assert adapter.latest is invalid
+    ticks = [adapter.tick(NOW_NS + tenth * S // 10) for tenth in range(1, 21)]
+    assert [tenth for tenth, told in enumerate(ticks, 1) if "tiny/value" in dict(told)] == [10, 20]
+    *_, array = [message for told in ticks for topic, message in told if topic == "/diagnostics"]
+    (status,) = [status for status in array.status if status.name == "tiny: overload"]
+    assert (status.level, status.message) == (Level.ERROR, why)
+
+    assert adapter.overload(Overload(0.0, 2, 12.0), NOW_NS + 3 * S) == []
+    assert adapter.handle(FAST, message(), NOW_NS + 3 * S) == [("tiny/value", adapter.core.next.estimates[0])]
+    assert adapter.latest.status is Status.VALID
+
+
+def test_what_is_cut_is_no_silence_of_its_source(adapter: TinyAdapter) -> None:
+    for tenth in range(10):
+        adapter.handle(FAST, message(), NOW_NS + tenth * S // 10)
+    adapter.overload(Overload(3.2, 2, 12.0, {FAST: 30}), NOW_NS + 4 * S)
+    (status,) = [s for s in adapter.health.statuses(NOW_NS + 4 * S) if s.name == f"input {FAST}"]
+    assert "silent" not in status.message

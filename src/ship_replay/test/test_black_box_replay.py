@@ -156,6 +156,22 @@ def older(kind):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship", "axis"])
+def test_mend_7_a_box_of_a_node_that_was_behind_is_equal_to_the_last_bit(tmp_path, capsys, node):
+    box = make_box(tmp_path / "box.mcap", tmp_path / "saved.yaml", node=node, is_overloaded=True).path
+    code, out, _ = verify(capsys, box)
+    assert code == 0, out
+    assert "overload 2" in out
+    with read_bag(box) as bag:
+        topic, start_ns = node.adapter_class.outputs[0].topic, bag.start_ns
+        given = [(r.log_time_ns - start_ns, r.decode().status) for r in bag.records({topic})]
+    behind = [status for time_ns, status in given if 6_510_000_000 < time_ns < 7_790_000_000]
+    # Once when it is found, and once a second.
+    assert behind == [3]
+    assert {status for time_ns, status in given if time_ns > 7_820_000_000} != {3}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship", "axis"])
 def test_a_box_of_before_a_topic_was_published_is_still_equal_to_the_last_bit(tmp_path, capsys, node):
     box = tmp_path / "box.mcap"
     make_box(box, tmp_path / "saved.yaml", node=replace(node, adapter_class=older(node.adapter_class)))

@@ -206,7 +206,7 @@ class ShipAttitudeAdapter(BlockAdapter):
         elif config.follows_vertical:
             yield surroundings_in.place_feed(config.sky, untimed(core.add_sky_input))
         if config.gravity.deflection == TOPIC:
-            given = InputTopic("gravity/deflection", DEFLECTION_TYPE, False, depth=100)
+            given = InputTopic("gravity/deflection", DEFLECTION_TYPE, False, depth=100, lasting=True)
             yield Feed(given, "gravity/deflection", messages_in.deflection, untimed(core.add_deflection))
 
     def _star_readers(
@@ -251,6 +251,11 @@ class ShipAttitudeAdapter(BlockAdapter):
         if estimate is not None and self.config.gravity.is_modelled:
             published.append((DEFLECTION_TOPIC, deflection_message(factory, self.core.deflection(estimate.time_ns))))
         return [*published, ("ship/alignment", alignment_state(factory, self.core.alignment(), now_ns))]
+
+    def no_output(self, now_ns: int, text: str) -> AttitudeEstimate:
+        """See :meth:`ReportingAdapter.no_output`."""
+        core: ShipAttitudeCore = self.core
+        return core.no_output(now_ns, text)
 
     def _observability_statuses(self) -> list[DiagnosticStatus]:
         """What the stars have told of the states, and what a turn would tell; looked at again once a minute."""
@@ -418,5 +423,7 @@ def attitude_status(
         text += f": {'; '.join(lacking)}"
     elif estimate.status is Status.DEGRADED:
         text += f": {estimate.text}"
+    elif estimate.status is Status.INVALID and estimate.text:
+        text = f"INVALID: {estimate.text}"
     values |= {"sources": ", ".join(estimate.sources), "star age (s)": f"{estimate.star_age_s:.1f}"}
     return DiagnosticStatus("attitude", level, text, values)

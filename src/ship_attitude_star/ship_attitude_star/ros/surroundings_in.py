@@ -150,5 +150,6 @@ def place_feed(config: SkyConfig, take: Callable[[Any, int], Any]) -> Feed:
 
 
 def _surroundings_feed(topic: str, config: SkyConfig, take: Callable[[Any, int], Any], required: bool) -> Feed:
-    needed = InputTopic(topic, SURROUNDINGS[topic], required=required and topic == "gnss/fix", depth=100)
+    required = required and topic == "gnss/fix"
+    needed = InputTopic(topic, SURROUNDINGS[topic], required, depth=100, lasting=True)
     return Feed(needed, topic, surroundings_reader(topic, config), take)

@@ -313,6 +313,10 @@ class ShipAttitudeCore:
         self._shell.say_invalid(outcome, waiting_ns, lambda: no_estimate(self.filter, self.state, now_ns))
         return outcome
 
+    def no_output(self, now_ns: int, text: str) -> AttitudeEstimate:
+        """Return the output that claims no attitude, for the reason that the text gives."""
+        return no_estimate(self.filter, self.state, now_ns, text)
+
     def linearised(self, measurement: Measurement) -> Linearised | None:
         """A measurement against the INS, linearised at the estimate of now; None where it cannot be compared.
 

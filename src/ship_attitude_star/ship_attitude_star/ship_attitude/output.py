@@ -107,8 +107,8 @@ def estimate_from_star(
     )
 
 
-def no_estimate(filter_: ShipFilter, state: FilterState, now_ns: int) -> AttitudeEstimate:
-    """Neither INS nor star: no attitude is claimed."""
+def no_estimate(filter_: ShipFilter, state: FilterState, now_ns: int, text: str = "") -> AttitudeEstimate:
+    """No attitude is claimed: there is neither INS nor star, or what the text says."""
     return AttitudeEstimate(
         time_ns=now_ns,
         rotation_nd=np.full((3, 3), np.nan),
@@ -121,6 +121,7 @@ def no_estimate(filter_: ShipFilter, state: FilterState, now_ns: int) -> Attitud
         sources=(),
         star_age_s=_age_s(newest_star_ns(filter_, state), now_ns),
         state=state,
+        text=text,
     )
 
 

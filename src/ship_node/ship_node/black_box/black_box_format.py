@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from ship_bags.errors import BadInput
+from ship_node.edge.overload import Overload
 
 FORMAT = "2"
 """Version of this description."""
@@ -92,11 +93,22 @@ class Closed:
     """The node ended in order; a box without it ends suddenly."""
 
 
-Event = Tick | ClockJumpedBack | ParametersChanged | ChangeRefused | ServiceCalled | FileUsed | EntriesLost | Closed
+Event = (
+    Tick
+    | ClockJumpedBack
+    | Overload
+    | ParametersChanged
+    | ChangeRefused
+    | ServiceCalled
+    | FileUsed
+    | EntriesLost
+    | Closed
+)
 
 _KINDS: dict[str, type[Event]] = {
     "tick": Tick,
     "clock_jumped_back": ClockJumpedBack,
+    "overload": Overload,
     "parameters": ParametersChanged,
     "change_refused": ChangeRefused,
     "service": ServiceCalled,

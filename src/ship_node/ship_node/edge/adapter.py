@@ -10,6 +10,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 from ship_bags.message_factory import MessageFactory
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.edge.input_health import InputHealthBook
+from ship_node.edge.overload import Overload
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
 
 TICK_PERIOD_NS = 100_000_000
@@ -51,6 +52,10 @@ class Adapter(Protocol):
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
         """Do what depends on waiting; called every ``TICK_PERIOD_NS``."""
+        ...
+
+    def overload(self, told: Overload, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
+        """Claim nothing while the node is behind its inputs; called where messages are cut, and where it keeps up."""
         ...
 
     def clock_jumped_back(self, now_ns: int) -> list[Published]:

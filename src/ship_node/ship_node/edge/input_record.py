@@ -130,6 +130,14 @@ class InputRecord:
         cut = self.reasons[Reason.OVERFLOW]
         self.last_refusal = Refusal(Reason.OVERFLOW, f"{cut} messages cut, the last {why}")
 
+    def add_behind(self, count: int, why: str, waiting_ns: int) -> None:
+        """Messages came and were cut because the node is behind: that is no silence of their source."""
+        self.received += count
+        self.rejected += count
+        self.reasons[Reason.BEHIND] += count
+        self.last_arrival_ns = waiting_ns
+        self.last_refusal_ns, self.last_refusal = waiting_ns, Refusal(Reason.BEHIND, why)
+
     @property
     def mean_period_ns(self) -> float:
         """Mean time between arrivals, NaN before three came.
@@ -295,6 +303,10 @@ class InputRecords:
             waiting_ns: when that is told.
         """
         self.records[topic].add_overflow(count, why, self._now(waiting_ns))
+
+    def cut_behind(self, topic: str, count: int, why: str, waiting_ns: int) -> None:
+        """Count messages that were cut because the node is behind; arguments as in :meth:`overflowed`."""
+        self.records[topic].add_behind(count, why, self._now(waiting_ns))
 
     def failed(self, text: str) -> None:
         """Our own code raised, and that was caught: for the log of a live node."""

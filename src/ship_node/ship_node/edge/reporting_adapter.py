@@ -28,6 +28,7 @@ from ship_node.edge.blocks import BlockFeed, StampArray
 from ship_node.edge.input_health import InputHealthBook
 from ship_node.edge.messages_in import ReadMessage, Refused
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, DiagnosticStatus
+from ship_node.edge.overload import OVERLOAD, Overload
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
 from ship_node.edge.verdict_report import VerdictReport
 
@@ -95,6 +96,7 @@ class ReportingAdapter(ABC):
         conflicts: source → the text of its disagreement, for sources that keep disagreeing.
         verdicts: what the innovations say of the sources.
         clock_jumps: how often the clock went back.
+        behind: how far the node is behind its inputs; None where it keeps up.
     """
 
     node_name: ClassVar[str]
@@ -141,6 +143,8 @@ class ReportingAdapter(ABC):
         self.verdicts = VerdictReport()
         self.slow_due_ns: int | None = None
         self.told_levels = ToldLevels()
+        self.behind: Overload | None = None
+        self._invalid_due_ns = 0
 
     # -- what a node adds -----------------------------------------------------------------------------------
 
@@ -155,6 +159,15 @@ class ReportingAdapter(ABC):
     @abstractmethod
     def own_statuses(self, waiting_ns: int) -> Iterable[DiagnosticStatus]:
         """What the diagnostics say beside the inputs."""
+
+    def no_output(self, now_ns: int, text: str) -> Any | None:
+        """Return the INVALID output of a node that is behind; None where its outputs have no such status.
+
+        Args:
+            now_ns: the node's time.
+            text: why there is none.
+        """
+        return None
 
     def left_out_message(self, source: str, time_ns: int, name: str, refusal: Refusal) -> Any:
         """ship_msgs/Innovation of a part of a measurement, a star or a light, that was not used."""
@@ -217,6 +230,7 @@ class ReportingAdapter(ABC):
         if self.saved is not None and self.saved.is_due:
             self.saved.start(now_ns)
         published = self.published(self.core.tick(now_ns, waiting_ns), now_ns, waiting_ns)
+        published += self._invalid_while_behind(now_ns, waiting_ns)
         self._save_by_itself(waiting_ns)
         if self.slow_due_ns is None or waiting_ns >= self.slow_due_ns:
             self.slow_due_ns = waiting_ns + round(self.config.slow_topics_period_s * _SECOND_NS)
@@ -226,6 +240,19 @@ class ReportingAdapter(ABC):
                 # An INVALID of this very tick must go out nevertheless.
                 published.append(self.failed(_SLOW_TOPICS, now_ns, failure(error)))
         return published
+
+    def overload(self, told: Overload, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
+        """See :meth:`ship_node.edge.adapter.Adapter.overload`; what was cut is counted and published as refused."""
+        waiting_ns = now_ns if waiting_ns is None else waiting_ns
+        why = (told if told.behind_s else self.behind or told).text(self.node_name)
+        published = []
+        for topic, count in told.cut.items():
+            text = f"{count} messages cut: {why}"
+            self.health.cut_behind(topic, count, text, waiting_ns)
+            published.append(self.refused(self.feeds[topic].source, now_ns, Refusal(Reason.BEHIND, text)))
+        self.behind = told if told.behind_s else None
+        self._invalid_due_ns = waiting_ns
+        return published + self._invalid_while_behind(now_ns, waiting_ns)
 
     def clock_jumped_back(self, now_ns: int) -> list[Published]:
         """Start anew at the earlier time."""
@@ -286,7 +313,7 @@ class ReportingAdapter(ABC):
             published.append((self.innovation_topic, message))
         for time_ns, refusal in outcome.failures:
             published.append(self.failed(self.main_topic, time_ns, refusal))
-        for estimate in outcome.estimates:
+        for estimate in outcome.estimates if self.behind is None else ():
             self.latest = estimate
             self.budget_due = None if estimate.status is Status.INVALID else estimate
             if self.integrity_topic and estimate.status is not Status.INVALID:
@@ -340,6 +367,30 @@ class ReportingAdapter(ABC):
         text = f"taken out by sources_off: {', '.join(names)}"
         return [DiagnosticStatus("sources off", messages_out.Level.WARN, text)] if names else []
 
+    def _invalid_while_behind(self, now_ns: int, waiting_ns: int) -> list[Published]:
+        """Once a second, the output of a node that is behind, and why there is no other."""
+        if self.behind is None or waiting_ns < self._invalid_due_ns:
+            return []
+        self._invalid_due_ns = waiting_ns + _SECOND_NS
+        text = self.behind.text(self.node_name)
+        published = [self.refused(self.node_name, now_ns, Refusal(Reason.BEHIND, text))]
+        invalid = self.no_output(now_ns, text)
+        if invalid is not None:
+            self.latest, self.budget_due = invalid, None
+            published += self._estimate_messages(invalid)
+        return published
+
+    def _overload_status(self) -> DiagnosticStatus:
+        """Whether the node keeps up with its inputs."""
+        if self.behind is None:
+            return DiagnosticStatus(OVERLOAD, messages_out.Level.OK, "keeps up with its inputs")
+        values = {
+            "behind [s]": f"{self.behind.behind_s:.1f}",
+            "cores": str(self.behind.cores),
+            "load": f"{self.behind.load:.1f}",
+        }
+        return DiagnosticStatus(OVERLOAD, messages_out.Level.ERROR, self.behind.text(self.node_name), values)
+
     def _save_by_itself(self, waiting_ns: int) -> None:
         """Save what the core has learned, once a period, while it is sure of it."""
         if self.saved is None or not self.saved.is_time(waiting_ns, self.config.alignment_autosave_s):
@@ -354,7 +405,7 @@ class ReportingAdapter(ABC):
         self.budget_due = None  # no estimate has its budget told twice
         messages, statuses = self.health.told(self.factory, now_ns, waiting_ns)
         published += [(INPUT_HEALTH_TOPIC, message) for message in messages]
-        statuses += [*self.own_statuses(waiting_ns), *self._off_statuses()]
+        statuses += [*self.own_statuses(waiting_ns), *self._off_statuses(), self._overload_status()]
         array = messages_out.diagnostic_array(now_ns, self.node_name, statuses)
         return [*published, (DIAGNOSTICS_TOPIC, array)]
 

@@ -18,6 +18,7 @@ class InputTopic:
         depth: messages that may wait for the node: a second of data.
         named: whether the configuration names the device behind it, so that its silence from the start is a fault.
         at_times: whether it comes only when there is something to tell, so that its silence tells nothing.
+        lasting: True where a message holds until the next one, as a position does: it is used however long it waited.
     """
 
     topic: str
@@ -26,6 +27,7 @@ class InputTopic:
     depth: int
     named: bool = False
     at_times: bool = False
+    lasting: bool = False
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from ship_node.black_box.black_box_format import (
 from ship_node.documents.saved_document import NotedFiles
 from ship_node.edge.adapter import Adapter, ServiceResult
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DiagnosticStatus, Level
+from ship_node.edge.overload import Overload
 from ship_node.edge.topics import Published
 from ship_node.live.node_report import StatusLog
 
@@ -77,6 +78,15 @@ class AdapterCalls:
             for topic, message in published:
                 if topic == DIAGNOSTICS_TOPIC:
                     self._status_log.see(_told_in_the_log(message))
+
+    def overload(self, told: Overload, now_ns: int, waiting_ns: int | None = None) -> None:
+        """Tell the adapter that the node is behind, or keeps up again."""
+        published: list[Published] = []
+        try:
+            published = self._adapter.overload(told, now_ns, waiting_ns)
+        finally:
+            self._note(told, now_ns, waiting_ns)
+        self.publish(published, now_ns)
 
     def clock_jumped_back(self, now_ns: int) -> None:
         """Tell the adapter that the clock went back."""

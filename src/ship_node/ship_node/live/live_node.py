@@ -31,6 +31,7 @@ from ship_node.edge.adapter import TICK_PERIOD_NS, Adapter, ServiceResult
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, diagnostic_array
 from ship_node.edge.topics import InputTopic, OutputTopic
 from ship_node.live.adapter_calls import AdapterCalls
+from ship_node.live.backlog import Backlog, Change, overload
 from ship_node.live.node_clock import NodeClock, TickGrid
 from ship_node.live.node_events import Arrival, Inbox, NodeEvents
 from ship_node.live.node_log import NodeLog
@@ -96,7 +97,11 @@ class LiveNode:
         self._grid = TickGrid()
         self._last_node_ns = self._last_ns = 0
         self._status_log = StatusLog(self._log)
-        self._inbox = Inbox({i.topic: qos.depth for i, qos in wanted.items()})
+        lasting = {i.topic for i in self.adapter.inputs if i.lasting}
+        self._inbox = Inbox({i.topic: qos.depth for i, qos in wanted.items()}, lasting)
+        self._backlog = Backlog(time.monotonic_ns)
+        # All that comes now has come after this, by steady time.
+        self._heard_all_ns = 0
         for name in adapter_class.services:
             self.node.create_service(Trigger, f"~/{name}", partial(self._serve, name))
         # The box has said its path itself, which is another one where a box was there.
@@ -111,8 +116,11 @@ class LiveNode:
 
     def spin(self, stop: Callable[[], bool]) -> None:
         """Work until ``stop()`` or until the context ends."""
+        self._heard_all_ns = time.monotonic_ns()
         while not stop() and self._context.ok():
-            self._events.take(0.0 if self._inbox and self._last_ns else SPIN_TIMEOUT_S)
+            if self._events.take(0.0 if self._inbox and self._last_ns else SPIN_TIMEOUT_S):
+                self._heard_all_ns = time.monotonic_ns()
+            self._guard.call("backlog", self._judge_backlog)
             self._guard.call("work", self._work)
             if self._clock.is_dead() and not self._status_log.tells_of("clock"):
                 self._guard.call("watch", self._watch)
@@ -180,7 +188,25 @@ class LiveNode:
 
     def _on_message(self, topic: str, data: bytes) -> None:
         self._events.came()
-        self._inbox.put(Arrival(topic, data, *self._clock.times()))
+        now_ns, waiting_ns = self._clock.times()
+        # The middleware does not tell an EventsExecutor when a message came. /clock waits in the same queue as it does.
+        since_ns = now_ns if self._clock.is_simulated() else self._heard_all_ns
+        self._inbox.put(Arrival(topic, data, now_ns, waiting_ns, since_ns))
+
+    def _judge_backlog(self) -> None:
+        """Cut what waits where the node is behind, and tell the adapter; tell it too where the node keeps up again."""
+        running_ns, since_ns = self._clock.running_ns(), self._inbox.since_ns
+        waited_ns = running_ns - since_ns if since_ns else 0
+        change = self._backlog.judge(waited_ns, running_ns)
+        if change is Change.NONE:
+            return
+        now_ns, waiting_ns = self._clock.times()
+        if change is Change.BEHIND:
+            self._inbox.cut(now_ns, waiting_ns, running_ns)
+        else:
+            self._inbox.keeps_up()
+            waited_ns = 0
+        self._calls.overload(overload(waited_ns, self._inbox.take_behind()), now_ns, waiting_ns)
 
     def _work(self) -> None:
         """Give the adapter the next message at the time at which it came, or where none waits the time now."""
@@ -228,6 +254,8 @@ class LiveNode:
     def _on_jump_back(self, jump: TimeJump) -> None:
         self._handle_all()
         self._clock.start_anew()
+        self._backlog.restart()
+        self._inbox.keeps_up()
         now_ns, waiting_ns = self._clock.times()
         self._log.warning(f"clock went back by {-jump.delta.nanoseconds * 1e-9:.3f} s: starting anew")
         self._grid.restart(waiting_ns)

@@ -38,6 +38,7 @@ class NodeClock:
     def __init__(self, node: "Node", steady_ns: Callable[[], int], on_event: Callable[[], None]) -> None:
         self._clock = node.get_clock()
         self._on_event = on_event
+        self._steady_ns = steady_ns
         self._waiting = WaitingClock(steady_ns)
         self._listening = WaitingClock(steady_ns)
         self._heard_ns, self._was_heard = self._listening.now_ns(0), False
@@ -57,6 +58,10 @@ class NodeClock:
         now_ns = self.now_ns()
         stood_still_ns = self._stood_still_ns()
         return (now_ns, now_ns + stood_still_ns) if now_ns else (0, 0)
+
+    def running_ns(self) -> int:
+        """Return the time by which messages wait for the node: steady time, or that of /clock where it rules."""
+        return self.now_ns() if self.is_simulated() else self._steady_ns()
 
     def start_anew(self) -> None:
         """The clock went back: the two times are one again."""

@@ -4,8 +4,9 @@
 wait for the adapter in order of arrival, so many of each topic and no more.
 """
 
+import struct
 from collections import Counter, OrderedDict, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import NamedTuple
 
 from rclpy.clock import Clock, ClockType
@@ -35,6 +36,9 @@ _WAITED_NS = 200_000
 """An event that is there is taken, and its callback is called, in less than that, ns."""
 
 _SHOWN_NS = 10_000_000_000
+
+_STAMP_END = 12
+"""Place behind the stamp of a header in CDR bytes: 4 of the encapsulation, seconds, nanoseconds."""
 
 
 class NodeEvents:
@@ -83,10 +87,11 @@ class NodeEvents:
         """Every callback calls this: another event may wait."""
         self._event_came = True
 
-    def take(self, timeout_s: float) -> None:
+    def take(self, timeout_s: float) -> bool:
         """Call back for what happened, until nothing is left; wait at most so long for the first.
 
         Where the first one had to be waited for, no other was there, and none is looked for: that takes 20 us and more.
+        The answer is False where something may be left.
         """
         begin_ns = self._steady_ns()
         may_be_more = self._take_one(timeout_s or _AT_ONCE_S) and self._steady_ns() - begin_ns < _WAITED_NS
@@ -96,6 +101,7 @@ class NodeEvents:
             taken += 1
         if self._listening.now_ns(0) - self._pulse_ns > LONGEST_BEHIND_NS + round(_PULSE_S * 1e9):
             self._drop()
+        return not may_be_more
 
     def _take_one(self, timeout_s: float) -> bool:
         """Call back for one event, and wait at most so long for it; returns whether there was one."""
@@ -123,12 +129,17 @@ class NodeEvents:
 
 
 class Arrival(NamedTuple):
-    """A message as it came: topic, CDR bytes, node's time and time of waiting then, ns (0 before the first /clock)."""
+    """A message as it came: topic, CDR bytes, node's time and time of waiting then, ns (0 before the first /clock).
+
+    Its waiting time runs from ``since_ns`` on, by :meth:`ship_node.live.node_clock.NodeClock.running_ns`; 0: it counts
+    as if it had just come.
+    """
 
     topic: str
     data: bytes
     now_ns: int
     waiting_ns: int
+    since_ns: int = 0
 
 
 class Inbox:
@@ -137,16 +148,22 @@ class Inbox:
     Where a queue is full, its oldest message makes room for the newest: the data of a node that does not keep up are
     at most so old, and a flood on one topic displaces nothing of another.
 
+    Where a node is behind (:mod:`ship_node.live.backlog`), all topics are cut to one time: the newest stamp on the
+    topic of which most is cut. What comes after that with an earlier stamp would be compared with nothing.
+
     Args:
         depths: topic → messages that may wait.
+        lasting: topics whose messages hold until the next one: they are not cut where the node is behind.
     """
 
-    def __init__(self, depths: Mapping[str, int]) -> None:
-        self._depths = depths
+    def __init__(self, depths: Mapping[str, int], lasting: Collection[str] = ()) -> None:
+        self._depths, self._lasting = depths, lasting
         self._waiting: OrderedDict[int, Arrival] = OrderedDict()
         self._numbers: dict[str, deque[int]] = {topic: deque() for topic in depths}
         self._next_number = 0
         self._cuts: Counter[tuple[str, str]] = Counter()
+        self._behind: Counter[str] = Counter()
+        self._cut_until_ns: int | None = None
 
     def __len__(self) -> int:
         return len(self._waiting)
@@ -157,6 +174,11 @@ class Inbox:
         if size > LARGEST_MESSAGE_BYTES:
             self._cuts[topic, f"larger than {LARGEST_MESSAGE_BYTES} bytes"] += 1
             return
+        if self._cut_until_ns is not None and topic not in self._lasting:
+            stamp_ns = stamp_of(arrival.data)
+            if stamp_ns is not None and stamp_ns <= self._cut_until_ns:
+                self._behind[topic] += 1
+                return
         numbers = self._numbers[topic]
         if len(numbers) == self._depths[topic]:
             del self._waiting[numbers.popleft()]
@@ -171,9 +193,58 @@ class Inbox:
         self._numbers[arrival.topic].popleft()
         return arrival
 
+    @property
+    def since_ns(self) -> int:
+        """Time from which on the oldest message waits; 0 where none waits."""
+        return next(iter(self._waiting.values())).since_ns if self._waiting else 0
+
+    def cut(self, now_ns: int, waiting_ns: int, since_ns: int) -> None:
+        """Cut all that waits, up to one time, because the node is behind.
+
+        Args:
+            now_ns: the node's time now, which the messages that are kept get as that of their arrival.
+            waiting_ns: the same in the time of waiting.
+            since_ns: the same by the clock of waiting times.
+        """
+        cut = [arrival for arrival in self._waiting.values() if arrival.topic not in self._lasting]
+        kept = [arrival for arrival in self._waiting.values() if arrival.topic in self._lasting]
+        counts = Counter(arrival.topic for arrival in cut)
+        if counts:
+            most = counts.most_common(1)[0][0]
+            stamps_ns = [stamp_of(arrival.data) for arrival in cut if arrival.topic == most]
+            self._cut_until_ns = max((stamp_ns for stamp_ns in stamps_ns if stamp_ns is not None), default=None)
+        self._behind += counts
+        self._waiting.clear()
+        for numbers in self._numbers.values():
+            numbers.clear()
+        for arrival in kept:
+            self.put(arrival._replace(now_ns=now_ns, waiting_ns=waiting_ns, since_ns=since_ns))
+
+    def take_behind(self) -> Counter[str]:
+        """Topic → messages that were cut since the last call because the node is behind."""
+        cut, self._behind = self._behind, Counter()
+        return cut
+
+    def keeps_up(self) -> None:
+        """Take messages with stamps before the last cut again: the node keeps up, or its clock went back."""
+        self._cut_until_ns = None
+
     def take_cuts(self) -> Counter[tuple[str, str]]:
         """(topic, why) → messages that were not kept since the last call."""
         if not self._cuts:
             return self._cuts
         cuts, self._cuts = self._cuts, Counter()
         return cuts
+
+
+def stamp_of(data: bytes) -> int | None:
+    """Return the stamp of a message that begins with a header, by its CDR bytes, ns; None where it is too short.
+
+    Example:
+        >>> stamp_of(bytes.fromhex("00010000 05000000 e8030000"))
+        5000001000
+    """
+    if len(data) < _STAMP_END:
+        return None
+    seconds, nanoseconds = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, 4)
+    return int(seconds) * 1_000_000_000 + int(nanoseconds)

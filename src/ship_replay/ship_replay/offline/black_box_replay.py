@@ -30,6 +30,7 @@ from ship_node.black_box.black_box_format import (
 )
 from ship_node.documents.saved_document import FileUse
 from ship_node.edge.adapter import Adapter
+from ship_node.edge.overload import Overload
 from ship_node.edge.topics import Published
 from ship_replay.offline.adapter_chain import suite_text
 from ship_replay.offline.black_box_identity import box_adapter, box_config, check_definitions, check_topics
@@ -192,6 +193,8 @@ class _BoxReplay:
             self._use("tick", time_ns, lambda: adapter.tick(time_ns, waiting_ns))
         elif isinstance(event, ClockJumpedBack):
             self._use("clock jump back", time_ns, lambda: adapter.clock_jumped_back(time_ns))
+        elif isinstance(event, Overload):
+            self._use("overload", time_ns, lambda: adapter.overload(event, time_ns, waiting_ns))
         elif isinstance(event, ServiceCalled):
             answer = self._call(f"~/{event.name}", time_ns, lambda: adapter.service(event.name, time_ns))
             success, message = answer or (None, None)

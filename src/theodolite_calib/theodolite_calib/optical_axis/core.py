@@ -279,6 +279,10 @@ class OpticalAxisCore:
         self._answer_targets(outcome, waiting_ns)
         return outcome
 
+    def no_output(self, now_ns: int, text: str) -> PointingEstimate:
+        """Return the output that claims no pointing, for the reason that the text gives."""
+        return no_pointing(self.filter, self.state, now_ns, text)
+
     def estimates_due(self) -> list[tuple[slice, PointingRun | Refusal]]:
         """The pointings that are due, as numbers among them and runs; see :meth:`PointingOutput.of_due`."""
         due, self.due = self.due or [], []

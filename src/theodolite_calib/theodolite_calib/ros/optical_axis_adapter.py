@@ -234,6 +234,11 @@ class OpticalAxisAdapter(DeferringAdapter):
         calibration = calibration_message(factory, self.core.calibration(), now_ns)
         return [*published, ("theodolite/calibration", calibration)]
 
+    def no_output(self, now_ns: int, text: str) -> PointingEstimate:
+        """See :meth:`ReportingAdapter.no_output`."""
+        core: OpticalAxisCore = self.core
+        return core.no_output(now_ns, text)
+
     def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
         """The pointing, the calibration, lights in conflict with the rest, verdicts."""
         return [

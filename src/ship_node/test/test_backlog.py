@@ -1,0 +1,85 @@
+"""When a node is behind, and when it keeps up again, by made-up waiting times."""
+
+import pytest
+
+from ship_node.live.backlog import Backlog, Change, overload
+
+MS = 1_000_000
+STEP_NS = 10 * MS
+
+
+class Node:
+    """A node that takes a message every 10 ms of steady time; ``rate`` is the rate of /clock."""
+
+    def __init__(self, rate: float = 1.0) -> None:
+        self.steady_ns, self.running_ns = 10**12, 10**15
+        self._rate = rate
+        self.backlog = Backlog(lambda: self.steady_ns)
+        self.judge(0)
+
+    def judge(self, waited_ms: float, step_ns: int = STEP_NS) -> Change:
+        self.steady_ns += step_ns
+        self.running_ns += round(self._rate * step_ns)
+        return self.backlog.judge(round(waited_ms * MS), self.running_ns)
+
+    def judge_for(self, seconds: float, waited_ms: float) -> list[Change]:
+        changes = [self.judge(waited_ms) for _ in range(round(seconds * 1e9 / STEP_NS))]
+        return [change for change in changes if change is not Change.NONE]
+
+
+def test_a_node_whose_messages_wait_long_all_the_while_is_behind_after_a_second() -> None:
+    node = Node()
+    assert node.judge_for(10.0, 900.0) == []
+    assert node.judge_for(0.9, 1100.0) == []
+    assert node.judge_for(0.2, 1100.0) == [Change.BEHIND]
+    assert node.backlog.is_behind
+
+
+def test_a_node_that_stood_still_and_takes_what_came_meanwhile_is_not_behind() -> None:
+    node = Node()
+    assert node.judge(2900.0, step_ns=2900 * MS) is Change.NONE
+    # It takes messages faster than they came.
+    assert [node.judge(waited_ms) for waited_ms in range(2900, 0, -40)] == [Change.NONE] * 73
+    assert not node.backlog.is_behind
+
+
+def test_what_waited_for_more_than_three_seconds_is_cut_at_once() -> None:
+    assert Node().judge(3100.0) is Change.BEHIND
+
+
+@pytest.mark.parametrize("rate", [1.0, 20.0])
+def test_the_time_of_the_clock_that_rules_is_what_counts(rate: float) -> None:
+    node = Node(rate)
+    assert node.judge_for(0.9 / rate, 1100.0) == []
+    assert node.judge_for(0.4 / rate, 1100.0) == [Change.BEHIND]
+
+
+def test_a_node_keeps_up_again_after_a_second_of_short_waits_though_its_clock_stands() -> None:
+    node = Node()
+    node.judge(3100.0)
+    assert node.judge_for(0.5, 250.0) == []
+    assert node.judge_for(0.9, 150.0) == []
+    assert node.judge(250.0) is Change.NONE
+    running_ns = node.running_ns
+    for _ in range(99):
+        node.steady_ns += STEP_NS
+        assert node.backlog.judge(0, running_ns) is Change.NONE
+    node.steady_ns += STEP_NS
+    assert node.backlog.judge(0, running_ns) is Change.KEEPS_UP
+    assert not node.backlog.is_behind
+
+
+def test_a_clock_that_goes_back_begins_another_time_of_work() -> None:
+    node = Node()
+    node.judge_for(0.9, 1100.0)
+    node.running_ns -= 10**12
+    node.backlog.restart()
+    assert node.judge_for(0.9, 1100.0) == []
+    assert node.judge_for(0.2, 1100.0) == [Change.BEHIND]
+
+
+def test_the_text_names_node_seconds_cores_and_load() -> None:
+    told = overload(3_240 * MS, {"ins/imu": 320})
+    assert (told.behind_s, told.cut) == (3.24, {"ins/imu": 320})
+    assert told.cores >= 1
+    assert told.text("relay").startswith("relay is 3.2 s behind: the computer is too slow (")
