@@ -51,6 +51,9 @@ _LINE_STATUSES = {
 """Statuses of lines that NMEA goes out or comes in by, by the first word of their names: urgency of an error, words.
 The second word is the line. What a dead source takes away is told by the inputs that it gives."""
 
+_OVERLOAD = "overload"
+"""Status by which a node tells that it cannot keep up with its inputs: what is lost by that says so too."""
+
 _ERROR = 2
 _ITS_NODE = "its node"
 
@@ -220,6 +223,8 @@ def _nodes(statuses: Iterable[NodeStatus], limits: Limits) -> Iterable[Condition
         if kind in _LINE_STATUSES:
             priority, words = _LINE_STATUSES[kind]
             yield Condition(f"{status.node}.{kind}.{line}", priority, "", f"{status.node}: {words} {line}")
+        if status.name == _OVERLOAD:
+            yield _overload(status)
         if status.name not in _NODE_STATUSES:
             continue
         ending, priority = _NODE_STATUSES[status.name]
@@ -230,6 +235,15 @@ def _nodes(statuses: Iterable[NodeStatus], limits: Limits) -> Iterable[Condition
         value = (float(lost), float(limits.machine.box_lost), "entries") if lost else (math.nan, math.nan, "")
         text = f"{status.node}, {status.name}: {status.text}".replace(f"{lost} entries", "entries")
         yield Condition(f"{status.node}.{ending}", priority, "", text, *value)
+
+
+def _overload(status: NodeStatus) -> Condition:
+    output = POINTING if status.node == "optical_axis" else ATTITUDE
+    value = float(status.values.get("behind [s]", "nan"))
+    return Condition(
+        f"{status.node}.{_OVERLOAD}", Priority.WARNING, "", still(status.text), value, unit="s",
+        under=(f"{output}.degraded",),
+    )
 
 
 def _disk(machine: Machine, limits: Limits) -> Iterable[Condition]:

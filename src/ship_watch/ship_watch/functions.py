@@ -23,7 +23,7 @@ _THEODOLITE = ("encoder", "lights", "baselines", "ship_attitude")
 
 _WORDS = {None: "safe", Priority.ALARM: "lost", Priority.WARNING: "over its limit", Priority.CAUTION: "unchecked"}
 
-_RUNNING = re.compile(r" for \d+ s\b|\b\d+ (?=refused|accepted)")
+_RUNNING = re.compile(r" for \d+ s\b|\b\d+ (?=refused|accepted)|\b[\d.]+ s (?=behind)|, load \d+")
 
 
 @dataclass(frozen=True)

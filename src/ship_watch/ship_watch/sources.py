@@ -45,6 +45,10 @@ class SourceBook:
         """The topics on which nodes report, in the order of their names."""
         return [self._reports[topic] for topic in sorted(self._reports)]
 
+    def reads(self, topic: str) -> bool:
+        """Return True if a node reports on that input topic."""
+        return topic in self._reports
+
     def used_age_s(self, name: str, now_ns: int) -> float:
         """Time since a measurement of a source was used, as told by innovations, s; infinite where none was."""
         source = self._sources.get(name)
@@ -130,9 +134,8 @@ class SourceBook:
         standings += [standing_off(name) for name in self._not_configured()]
         return sorted(standings, key=_order)
 
-    def shown(self, now_ns: int, utc_offset_ns: int) -> list[SourceShown]:
-        """All sources with all that is known of them, in the order of :meth:`standings`, for the same times."""
-        standings = self.standings(now_ns, utc_offset_ns)
+    def shown(self, standings: Iterable[SourceStanding], now_ns: int) -> list[SourceShown]:
+        """Return all sources with all that is known of them, as they stand by :meth:`standings`."""
         return [(self._sources.get(each.name) or HeardSource(each.name)).shown(each, now_ns) for each in standings]
 
     def _not_configured(self) -> list[str]:

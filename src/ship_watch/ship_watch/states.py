@@ -53,6 +53,7 @@ class AngleClaim:
         is_lessened: whether the hint alone makes it a CAUTION: one of two lights.
         protection: what the integrity says.
         guilty: the source that is out by a fault of its own; None where none is known.
+        behind: that a node which the angle rests on cannot keep up with its inputs; empty where all can.
     """
 
     topic: str
@@ -67,10 +68,16 @@ class AngleClaim:
     is_lessened: bool
     protection: Protection
     guilty: SourceStanding | None
+    behind: str = ""
 
 
 def judged(claim: AngleClaim) -> tuple[Safety, str]:
     """The word of an angle, and why it is not SAFE."""
+    word, reason = _judged(claim)
+    return word, (claim.behind or reason) if word else ""
+
+
+def _judged(claim: AngleClaim) -> tuple[Safety, str]:
     if not claim.is_heard:
         return Safety.UNSAFE, f"waiting for {claim.topic}"
     guilty = _guilty(claim.guilty)

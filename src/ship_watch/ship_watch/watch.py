@@ -15,6 +15,8 @@ import numpy as np
 
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_estimation.outcome import Status
+from ship_estimation.refusals import Reason
+from ship_watch.behind import BehindBook
 from ship_watch.events import SETTLED_NS, EventBook, alerts_shown
 from ship_watch.history import History
 from ship_watch.history_keeper import HistoryKeeper
@@ -78,6 +80,7 @@ class Watch:
         self._takers.clear()
         self._attitude, self._pointing = AttitudeHeard(self.limits), PointingHeard(self.limits)
         self._book = SourceBook(self.limits)
+        self._behind = BehindBook()
         self._words = {name: HeldWord(self.limits.better_after_s) for name in ANGLES}
         self._over = {name: TimeOver() for name in ANGLES}
         self._events = EventBook()
@@ -140,6 +143,9 @@ class Watch:
         self._keeper.note_output(output.topic, message, stamp_ns)
 
     def _take_innovation(self, topic: str, message: Any, now_ns: int) -> None:
+        if message.reason == Reason.BEHIND:
+            self._behind.note(message, now_ns)
+            return
         source = self._book.note_innovation(topic, message, now_ns)
         if source and topic != STAR_INNOVATION:
             self._keeper.note_innovation(source, message, now_ns)
@@ -182,7 +188,7 @@ class Watch:
     def look(self, now_ns: int) -> Picture:
         """The picture of this moment, by the caller's time; it is the same however often somebody looks."""
         self._judge_until(now_ns)
-        sources = self._book.shown(now_ns, self._utc_offset_ns)
+        sources = self._book.shown(self._standings(now_ns), now_ns)
         shown = [self._shown(name, claim, now_ns) for name, claim in self._claims(sources, now_ns).items()]
         return Picture(
             utc_ns=now_ns + self._utc_offset_ns if self._newest_ns else 0,
@@ -211,8 +217,11 @@ class Watch:
             self._judged_ns += STEP_NS
             self._judge(self._judged_ns)
 
+    def _standings(self, now_ns: int) -> list[SourceStanding]:
+        return self._behind.excused(self._book.standings(now_ns, self._utc_offset_ns), now_ns)
+
     def _judge(self, now_ns: int) -> None:
-        sources = self._book.standings(now_ns, self._utc_offset_ns)
+        sources = self._standings(now_ns)
         self._events.tell_sources(sources, now_ns + self._utc_offset_ns)
         for name, claim in self._claims(sources, now_ns).items():
             word, reason = judged(claim)
@@ -239,6 +248,7 @@ class Watch:
 
     def _claim(self, name: str, guilty: SourceStanding | None, now_ns: int) -> AngleClaim:
         output, beacons = self._output(name), self._book.beacon_count
+        behind = self._behind.text(now_ns, output is self._pointing, self._book.reads(self._attitude.topic))
         return AngleClaim(
             topic=output.topic,
             is_heard=output.is_heard,
@@ -251,7 +261,8 @@ class Watch:
             hint=output.hint(now_ns, beacons),
             is_lessened=output.is_lessened(beacons),
             protection=output.protection(name, now_ns),
-            guilty=guilty,
+            guilty=None if behind else guilty,
+            behind=behind,
         )
 
     def _shown(self, name: str, claim: AngleClaim, now_ns: int) -> AngleShown:

@@ -69,6 +69,7 @@ CASES: dict[tuple[str, str], tuple[Picture, Machine | None]] = {
     ("NODE.clock", "warning"): (picture(), node("clock")),
     ("NODE.stamps", "warning"): (picture(), node("stamps")),
     ("NODE.name", "warning"): (picture(), node("name")),
+    ("NODE.overload", "warning"): (picture(), node("overload")),
     ("NODE.software", "caution"): (picture(), node("callbacks")),
     ("NODE.sink.ID", "warning"): (picture(), node("sink bridge")),
     ("NODE.source.ID", "caution"): (picture(), node("source gyro")),

@@ -432,3 +432,53 @@ def test_one_stamp_of_another_year_does_not_set_the_time_for_long() -> None:
     watch.take("input_health", health(UTC + 10**17, "ins/imu", 1000, 100.0, 0.1), at(10.05))
     go_on(watch, 10.1, 17.0)
     assert watch.look(at(17.0)).utc_ns == UTC + 17 * SECOND
+
+
+def behind(ns: int, node: str, text: str) -> SimpleNamespace:
+    told = refused(ns, node, Reason.BEHIND)
+    told.reason_text = text
+    return told
+
+
+def test_a_node_that_is_behind_is_the_reason_and_no_source_is_to_blame_until_it_is_in_again() -> None:
+    """The INVALID of `ship_attitude` and the refusals that follow from what it cut."""
+    text = "ship_attitude is 3.2 s behind: the computer is too slow (2 cores, load 12)"
+    watch = heard(10.0)
+    for fifth in range(51, 70):
+        ns, now = UTC + fifth * SECOND // 5, at(fifth / 5)
+        watch.take("input_health", health(ns, "ins/imu", 20 * fifth, 100.0, 0.1), now)
+        watch.take("input_health", health(ns, "star/bow/solution", fifth + 1), now)
+        watch.take("ship/innovation", refused(ns, "star.bow", Reason.GAP), now)
+        if fifth % 5 == 0:
+            watch.take("ship/attitude", attitude(ns, status=3, heading=math.nan), now)
+            watch.take("ship/innovation", behind(ns, "ins", f"320 messages cut: {text}"), now)
+            watch.take("ship/innovation", behind(ns, "ship_attitude", text), now)
+    picture = watch.look(at(13.9))
+    (heading, *_), (star, ins, *_) = picture.angles, picture.sources
+    assert (heading.safety, heading.reason, heading.because_of) == (Safety.UNSAFE, text, "")
+    assert (star.name, star.presence, star.reason) == ("star.bow", Presence.OUT, "ship_attitude is behind")
+    assert (star.because_of, ins.presence) == ("ship_attitude", Presence.IN)
+    (alert,) = conditions(picture, Limits())
+    assert alert.id == "attitude.degraded"
+    still = "ship_attitude is behind: the computer is too slow (2 cores)"
+    assert alert.text == f"heading and tilt lost: {still}"
+    # The node keeps up again; the sensor is in again after ten measurements.
+    watch.take("ship/attitude", attitude(UTC + 14 * SECOND), at(14.0))
+    picture = watch.look(at(14.1))
+    assert picture.sources[0].because_of == "ship_attitude"
+    go_on(watch, 14.2, 21.0)
+    picture = watch.look(at(21.0))
+    assert all(source.presence is not Presence.OUT for source in picture.sources)
+    assert {angle.safety for angle in picture.angles} == {Safety.SAFE}
+
+
+def test_a_source_that_was_out_before_a_node_was_behind_keeps_the_blame() -> None:
+    watch = heard(10.0)
+    for second in range(10, 18):
+        ns = UTC + second * SECOND
+        watch.take("ship/integrity", integrity(ns, 2, ("star.bow",)), at(second))
+        watch.take("input_health", health(ns, "star/bow/solution", 5 * second), at(second))
+        watch.take("ship/attitude", attitude(ns, status=2), at(second))
+    watch.take("ship/innovation", behind(UTC + 17 * SECOND, "ship_attitude", "ship_attitude is 3.2 s behind"), at(17.1))
+    (star, *_) = watch.look(at(17.2)).sources
+    assert (star.name, star.reason, star.because_of) == ("star.bow", "excluded", "")
