@@ -2,6 +2,7 @@
 
 import math
 import re
+import struct
 from datetime import datetime, timezone
 from typing import Any
 
@@ -14,6 +15,9 @@ NS_PER_S = 1_000_000_000
 
 END_OF_TIME_NS = 2**31 * NS_PER_S
 """In 2038: the seconds of a stamp are a signed 32-bit number."""
+
+_ENCAPSULATION = 4
+_STAMP_END = _ENCAPSULATION + 8
 
 _UTC_TEXT = re.compile(r"(\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d)(?:\.(\d{1,9}))?(?:Z|\+00:00)?")
 
@@ -29,6 +33,19 @@ _UNITS = (
 def ns_from_stamp(stamp: Any) -> int:
     """Nanoseconds of a builtin_interfaces/Time."""
     return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
+
+
+def stamp_of_bytes(data: bytes) -> int | None:
+    """Return the stamp of a message that begins with a header, by its CDR bytes, ns; None where they are too few.
+
+    Example:
+        >>> stamp_of_bytes(bytes.fromhex("00010000 05000000 e8030000"))
+        5000001000
+    """
+    if len(data) < _STAMP_END:
+        return None
+    sec, nanosec = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, _ENCAPSULATION)
+    return int(sec) * NS_PER_S + int(nanosec)
 
 
 def stamps_of_rows(numbers: np.ndarray) -> NDArray[np.int64]:

@@ -31,17 +31,19 @@ from ship_bringup.suite.plan import without_saved_file
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.preflight.check_config import CheckedNode, Findings, check_file
+from ship_replay.preflight.load import load_text, load_warnings, loads, measured_slowness
 from ship_watch.limits import Limits, read_limits
 
 _DESCRIPTION = """\
 Checks before the voyage that a suite can run here: its file, DDS security with the ship's keystore and policies, the
 clock (chrony or PTP; its offset in ms, and in arcseconds at a turn of 5 deg/s), the domain and who is in it, the disk
-for the night's record and black boxes, files and rights, the ports and devices of nmea_in and nmea_out, and whether
-every sensor of the file is heard. All checks are made, whatever the first ones find; nothing is changed on the machine.
-Start the drivers first, and the suite after it.
+for the night's record and black boxes, files and rights, the ports and devices of nmea_in and nmea_out, whether
+every sensor of the file is heard, and whether this computer is fast enough for their rates. All checks are made,
+whatever the first ones find; nothing is changed on the machine. Start the drivers first, and the suite after it.
 """
 _EPILOG = "exit code: 0 no check failed, perhaps warnings; 1 a check failed; 2 bad input or usage"
 _HOURS, _DAYS, _LISTEN_S = 12.0, 30.0, 5.0
+_LOAD = "load"
 
 
 @dataclass(frozen=True)
@@ -120,7 +122,7 @@ def _preflight(options: argparse.Namespace) -> int:
     network = _network(suite, settings)
     domain = [*settings, *judge_domain(network, suite.names, suite.companion_names)]
     checks = [_parameters(suite), security, _clock(suite), domain, _disk(suite, network)]
-    checks += [_files(suite), _ports(suite, network), _sensors(suite, network)]
+    checks += [_files(suite), _ports(suite, network), _sensors(suite, network), _load(suite, network)]
     lines = worst_first(checks)
     print("\n".join(table(lines)))
     print(f"{options.file}: {verdict(lines)}")
@@ -200,6 +202,17 @@ def _sensors(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
             lags_s[topic.topic] = min(lag_s, lags_s.get(topic.topic, lag_s))
     asked = asked_qualities(options.file, lags_s, options.namespace, options.reliable_inputs)
     yield from judge_sensors(network, suite.limits, lags_s, asked, heard_by_nmea(suite.companions), _nmea_in(suite))
+
+
+def _load(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
+    """The load by the rates that were heard; nothing where nothing was."""
+    rates_hz = {heard.input.topic: heard.rate_hz for heard in network.heard if heard.rate_hz > 0.0}
+    if not rates_hz:
+        return
+    found = loads(suite.chain.adapters, rates_hz, measured_slowness())
+    for text in load_warnings(found, len(os.sched_getaffinity(0))):
+        yield CheckLine(_LOAD, Result.WARN, text, "lower the rates, or take a faster computer")
+    yield CheckLine(_LOAD, Result.OK, load_text(found).removeprefix(f"{_LOAD}: "))
 
 
 def _nmea_in(suite: _Suite) -> str:

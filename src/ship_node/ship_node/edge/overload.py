@@ -3,9 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-OVERLOAD = "overload"
-"""Name of the diagnostic status."""
-
 
 @dataclass(frozen=True)
 class Overload:

@@ -28,7 +28,7 @@ from ship_node.edge.blocks import BlockFeed, StampArray
 from ship_node.edge.input_health import InputHealthBook
 from ship_node.edge.messages_in import ReadMessage, Refused
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, DiagnosticStatus
-from ship_node.edge.overload import OVERLOAD, Overload
+from ship_node.edge.overload import Overload
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
 from ship_node.edge.verdict_report import VerdictReport
 
@@ -383,13 +383,13 @@ class ReportingAdapter(ABC):
     def _overload_status(self) -> DiagnosticStatus:
         """Whether the node keeps up with its inputs."""
         if self.behind is None:
-            return DiagnosticStatus(OVERLOAD, messages_out.Level.OK, "keeps up with its inputs")
+            return DiagnosticStatus("overload", messages_out.Level.OK, "keeps up with its inputs")
         values = {
             "behind [s]": f"{self.behind.behind_s:.1f}",
             "cores": str(self.behind.cores),
             "load": f"{self.behind.load:.1f}",
         }
-        return DiagnosticStatus(OVERLOAD, messages_out.Level.ERROR, self.behind.text(self.node_name), values)
+        return DiagnosticStatus("overload", messages_out.Level.ERROR, self.behind.text(self.node_name), values)
 
     def _save_by_itself(self, waiting_ns: int) -> None:
         """Save what the core has learned, once a period, while it is sure of it."""

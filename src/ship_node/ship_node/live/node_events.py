@@ -4,7 +4,6 @@
 wait for the adapter in order of arrival, so many of each topic and no more.
 """
 
-import struct
 from collections import Counter, OrderedDict, deque
 from collections.abc import Callable, Collection, Mapping
 from typing import NamedTuple
@@ -14,6 +13,7 @@ from rclpy.context import Context
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 
+from ship_bags.stamps import stamp_of_bytes
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 from ship_node.live.node_clock import WaitingClock
 from ship_node.live.node_report import Guard
@@ -36,9 +36,6 @@ _WAITED_NS = 200_000
 """An event that is there is taken, and its callback is called, in less than that, ns."""
 
 _SHOWN_NS = 10_000_000_000
-
-_STAMP_END = 12
-"""Place behind the stamp of a header in CDR bytes: 4 of the encapsulation, seconds, nanoseconds."""
 
 
 class NodeEvents:
@@ -175,7 +172,7 @@ class Inbox:
             self._cuts[topic, f"larger than {LARGEST_MESSAGE_BYTES} bytes"] += 1
             return
         if self._cut_until_ns is not None and topic not in self._lasting:
-            stamp_ns = stamp_of(arrival.data)
+            stamp_ns = stamp_of_bytes(arrival.data)
             if stamp_ns is not None and stamp_ns <= self._cut_until_ns:
                 self._behind[topic] += 1
                 return
@@ -211,7 +208,7 @@ class Inbox:
         counts = Counter(arrival.topic for arrival in cut)
         if counts:
             most = counts.most_common(1)[0][0]
-            stamps_ns = [stamp_of(arrival.data) for arrival in cut if arrival.topic == most]
+            stamps_ns = [stamp_of_bytes(arrival.data) for arrival in cut if arrival.topic == most]
             self._cut_until_ns = max((stamp_ns for stamp_ns in stamps_ns if stamp_ns is not None), default=None)
         self._behind += counts
         self._waiting.clear()
@@ -235,16 +232,3 @@ class Inbox:
             return self._cuts
         cuts, self._cuts = self._cuts, Counter()
         return cuts
-
-
-def stamp_of(data: bytes) -> int | None:
-    """Return the stamp of a message that begins with a header, by its CDR bytes, ns; None where it is too short.
-
-    Example:
-        >>> stamp_of(bytes.fromhex("00010000 05000000 e8030000"))
-        5000001000
-    """
-    if len(data) < _STAMP_END:
-        return None
-    seconds, nanoseconds = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, 4)
-    return int(seconds) * 1_000_000_000 + int(nanoseconds)

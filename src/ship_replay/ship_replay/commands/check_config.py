@@ -31,7 +31,8 @@ def _parser() -> CommandParser:
         "with the sections of nmea_in and nmea_out, "
         "and, with a bag, whether it fits: topics, types, frame_ids, rates; installation angles and focal lengths of "
         "star sensors and references, by their attitudes against ins/imu; the telescope's focal length; what a node "
-        "would refuse. Exit code 2 when something is wrong, 0 when there is nothing but warnings.",
+        "would refuse; about how much of a core each node will take. Exit code 2 when something is wrong, 0 when there "
+        "is nothing but warnings.",
     )
     parser.add_argument("config", type=Path, metavar="FILE", help="suite configuration")
     parser.add_argument(
@@ -59,6 +60,8 @@ def _run(options: argparse.Namespace) -> int:
     for line in findings.warnings:
         print(f"warning: {one_line(line)}")
     if not findings.errors:
+        for line in findings.notes:
+            print(line)
         print(f"{options.config}: good" + (f" for {options.bag}" if options.bag is not None else ""))
         return EXIT_DONE
     errors, warnings = len(findings.errors), len(findings.warnings)

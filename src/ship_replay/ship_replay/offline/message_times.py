@@ -4,7 +4,6 @@ A recorder that stalls notes what came meanwhile when it goes on, so that a repl
 flood. By the stamps, every message arrives at its own time of validity, whatever the recorder did.
 """
 
-import struct
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ import numpy as np
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_bags.mcap.bag_reader import BagRecord
-from ship_bags.stamps import NS_PER_S, utc_text
+from ship_bags.stamps import NS_PER_S, stamp_of_bytes, utc_text
 from ship_estimation.parameters import flatten
 from theodolite_calib.config import OpticalAxisConfig
 
@@ -30,8 +29,6 @@ _REACH = 1000
 """Times that wait to be put in order."""
 
 _GAP_RESOLUTION_NS = 100_000
-_ENCAPSULATION = 4
-_STAMP_END = _ENCAPSULATION + 8
 
 LATE_NS = NS_PER_S // 2
 """A message that was logged so much later after its stamp than its topic's usually are was held up, ns."""
@@ -113,6 +110,15 @@ class Gaps:
         lengths = sorted(self._counts)
         return np.array(lengths) * _GAP_RESOLUTION_NS / NS_PER_S, np.array([self._counts[length] for length in lengths])
 
+    @property
+    def rate_hz(self) -> float:
+        """Rate by the median of the gaps; 0 where there is none."""
+        lengths_s, counts = self.seconds()
+        if not len(counts):
+            return 0.0
+        median_s = lengths_s[np.searchsorted(np.cumsum(counts), 0.5 * counts.sum())]
+        return float(1.0 / median_s) if median_s > 0.0 else 0.0
+
     def _take(self, time_ns: int) -> None:
         if self._last_ns is not None and time_ns > self._last_ns:
             self._counts[round((time_ns - self._last_ns) / _GAP_RESOLUTION_NS)] += 1
@@ -136,14 +142,6 @@ class MessageTimes:
         """Note messages, as by :meth:`add` of each."""
         self.arrivals.add_block(log_times_ns)
         self.stamps.add_block(stamps_ns)
-
-
-def stamp_of_bytes(data: bytes) -> int | None:
-    """Stamp of a message that begins with a header, by its CDR bytes, ns; None where they are too few."""
-    if len(data) < _STAMP_END:
-        return None
-    sec, nanosec = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, _ENCAPSULATION)
-    return int(sec) * NS_PER_S + int(nanosec)
 
 
 def gap_limits(config: Any) -> Iterator[GapLimit]:

@@ -3,6 +3,7 @@
 Topics, types and frames; inputs that come too seldom; and what the nodes refuse of the bag's beginning, tried out.
 """
 
+import os
 import re
 from collections.abc import Collection, Iterator
 from typing import Any
@@ -16,6 +17,7 @@ from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.message_times import MessageTimes, exceeded
 from ship_replay.offline.status_course import hardly_used, most_frequent_refusal
 from ship_replay.preflight.check_config import BagCheck, CheckedNode
+from ship_replay.preflight.load import load_text, load_warnings, loads, measured_slowness
 
 _INS_TOPIC = "ins/imu"
 _SENSOR_TOPIC = re.compile(
@@ -136,7 +138,7 @@ def _section(topic: str) -> str:
 
 
 def check_rates(check: BagCheck) -> None:
-    """Compare the gaps between the messages of a bag with what the parameters allow."""
+    """Compare the gaps between the messages of a bag with what the parameters allow; estimate the load by its rates."""
     taken = {topic.topic for node in check.nodes for topic in node.adapter.inputs} & check.found.keys()
     times = {topic: MessageTimes() for topic in taken}
     relative_names = {check.found[topic]: topic for topic in taken}
@@ -145,6 +147,11 @@ def check_rates(check: BagCheck) -> None:
     for node in check.nodes:
         for excess in exceeded(node.config, times, str(check.bag.path)):
             check.say(excess.mostly, f"{node.place(check.path, excess.limit.parameter)}: {excess.text}")
+    rates_hz = {topic: found.arrivals.rate_hz for topic, found in times.items()}
+    if any(rates_hz.values()):
+        found = loads([node.adapter for node in check.nodes], rates_hz, measured_slowness())
+        check.findings.notes.append(load_text(found))
+        check.findings.warnings += load_warnings(found, len(os.sched_getaffinity(0)))
 
 
 def check_trial(check: BagCheck) -> None:

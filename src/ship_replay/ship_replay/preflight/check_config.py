@@ -36,10 +36,12 @@ class Findings:
     Attributes:
         errors: one line each: with these the node would not start, or would refuse what the bag holds.
         warnings: one line each: probably not meant so.
+        notes: one line each: good to know.
     """
 
     errors: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
 
 
 @dataclass

@@ -20,13 +20,12 @@ from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.solution import SolutionStatus
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag, BagRecord
-from ship_bags.stamps import NS_PER_S
+from ship_bags.stamps import NS_PER_S, stamp_of_bytes
 from ship_estimation.refusals import Refusal
 from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.rotations import FloatArray, angle_between
 from ship_node.edge.ins_messages import ins_sample
 from ship_node.edge.messages_in import Refused
-from ship_replay.offline.message_times import stamp_of_bytes
 
 _EPOCHS = 30
 """Moments of the bag at which a device is compared with the INS: all that a check needs."""

@@ -1,0 +1,141 @@
+"""The load that a suite will be for this computer, estimated from the rates of its inputs.
+
+The costs of a message are those of live nodes as measured on one computer, with all that a node does for it: taking it,
+its part of the estimate, what is published. The speed of another computer is measured by a small sum of the same kind.
+So the load is right to within a factor of about 1.5; it is meant to tell a third of a core from a whole one.
+"""
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ship_node.edge.adapter import Adapter
+
+MOST_SHARE = 0.7
+"""Share of a core above which a node is expected to fall behind at times."""
+
+_IDLE_SHARE = 0.06
+"""Share of a core that a node takes without inputs: ticks, diagnostics."""
+
+_COST_MS: Mapping[str, tuple[tuple[str, float], ...]] = {
+    "ship_attitude": (("ins/", 0.7), ("star/", 1.5), ("", 0.6)),
+    "star_attitude": (("star/", 2.0), ("", 0.4)),
+}
+"""Node → beginning of a topic and cost of a message on it, ms; the first row that fits counts."""
+
+_OTHER_COST_MS = 0.6
+"""Cost of a message of any other node, ms."""
+
+_REFERENCE_S = 14e-6
+"""Time of the sum on the computer on which the costs were measured, s."""
+
+_MEASURED_S, _SLICES = 0.2, 10
+
+
+@dataclass(frozen=True)
+class NodeLoad:
+    """The load of one node.
+
+    Attributes:
+        node: its name.
+        share: of one core of this computer.
+        busiest: the input that takes most of it, with its rate.
+    """
+
+    node: str
+    share: float
+    busiest: str
+
+    @property
+    def is_too_much(self) -> bool:
+        """True if the node is expected to fall behind at times."""
+        return self.share > MOST_SHARE
+
+
+def loads(adapters: Sequence[Adapter], rates_hz: Mapping[str, float], slowness: float) -> list[NodeLoad]:
+    """Return the load of each node.
+
+    Args:
+        adapters: of the nodes.
+        rates_hz: topic → rate, of inputs from outside; that of what the nodes give one another follows from them.
+        slowness: of this computer, see :func:`measured_slowness`.
+    """
+    found = []
+    for adapter in adapters:
+        rates = {topic.topic: rate for topic in adapter.inputs if (rate := _rate_hz(topic.topic, rates_hz)) > 0.0}
+        shares = {topic: rate * _cost_s(adapter.node_name, topic) for topic, rate in rates.items()}
+        busiest = max(shares, key=lambda topic: shares[topic], default="")
+        text = f"{busiest} at {rates[busiest]:.4g} Hz" if busiest else ""
+        found.append(NodeLoad(adapter.node_name, slowness * (_IDLE_SHARE + sum(shares.values())), text))
+    return found
+
+
+def load_text(found: Sequence[NodeLoad]) -> str:
+    """Return the words for people.
+
+    Example:
+        >>> load_text([NodeLoad("ship_attitude", 0.142, ""), NodeLoad("star_attitude", 0.093, "")])
+        'load: about 14 % of one core for ship_attitude, 9 % for star_attitude'
+    """
+    first, *others = found
+    words = [f"load: about {100.0 * first.share:.0f} % of one core for {first.node}"]
+    return ", ".join([*words, *(f"{100.0 * load.share:.0f} % for {load.node}" for load in others)])
+
+
+def load_warnings(found: Sequence[NodeLoad], cores: int) -> Iterator[str]:
+    """Return what is expected to be too much for this computer.
+
+    Args:
+        found: the loads of the nodes.
+        cores: processor cores of this computer.
+
+    Example:
+        >>> for text in load_warnings([NodeLoad("ship_attitude", 0.84, "ins/imu at 1000 Hz")], cores=1):
+        ...     print(text)
+        ship_attitude takes about 84 % of one core, limit 70 %: it may fall behind. Most of it is ins/imu at 1000 Hz
+    """
+    for load in found:
+        if load.is_too_much:
+            yield (
+                f"{load.node} takes about {100.0 * load.share:.0f} % of one core, limit {100.0 * MOST_SHARE:.0f} %: "
+                f"it may fall behind. Most of it is {load.busiest}"
+            )
+    total = sum(load.share for load in found)
+    if len(found) > 1 and total > MOST_SHARE * cores:
+        limit = f"limit {100.0 * MOST_SHARE:.0f} % of each"
+        yield f"all nodes together take about {100.0 * total:.0f} % of a core, {limit}, and there are {cores}"
+
+
+def measured_slowness() -> float:
+    """Return how many times longer this computer takes than that of the costs; measuring takes 0.2 s."""
+    matrix, times_s = np.eye(21) + 0.01, []
+    for _ in range(_SLICES):
+        begin_s, count = time.process_time(), 0
+        while time.process_time() - begin_s < _MEASURED_S / _SLICES:
+            _sum(matrix)
+            count += 1
+        times_s.append((time.process_time() - begin_s) / count)
+    # What other programs do to the caches only makes it longer.
+    return min(times_s) / _REFERENCE_S
+
+
+def _sum(matrix: np.ndarray) -> None:
+    """Do what a step of a filter does most: small matrices, and Python around them."""
+    known = {str(number): 0.5 * number for number in range(40)}
+    matrix = matrix @ (known["2"] * (matrix + matrix.T))
+    np.linalg.cholesky(matrix @ matrix.T + np.eye(len(matrix)))
+
+
+def _cost_s(node: str, topic: str) -> float:
+    rows = _COST_MS.get(node, ())
+    return 1e-3 * next((cost_ms for begin, cost_ms in rows if topic.startswith(begin)), _OTHER_COST_MS)
+
+
+def _rate_hz(topic: str, rates_hz: Mapping[str, float]) -> float:
+    """Rate of a topic; of one that another node gives, where that is not known, that of what it is made of."""
+    if topic in rates_hz:
+        return rates_hz[topic]
+    made_of = "ins/imu" if topic == "ship/attitude" else topic.replace("/solution", "/observations")
+    return rates_hz.get(made_of, 0.0)
