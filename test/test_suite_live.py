@@ -87,7 +87,8 @@ def test_a_bag_without_what_the_nodes_need_starts_nothing():
 @pytest.mark.smoke
 def test_a_bag_is_played_to_its_end_into_the_suite_that_is_attached_to_it(tmp_path, domain):
     environment = live_environment(domain, tmp_path)
-    with LiveProcess(suite("--bag", DEMO, "--rate", "20"), tmp_path / "suite.log", environment) as process:
+    # At 20 times its speed the bag takes more than a core: the attitude is INVALID.
+    with LiveProcess(suite("--bag", DEMO, "--rate", "8"), tmp_path / "suite.log", environment) as process:
         assert process.wait(120) == 0, process.log()
         log = process.log()
     assert re.search(r"^\[ship_attitude\] .*attitude: VALID: INS and stars", log, re.MULTILINE), log
@@ -101,7 +102,7 @@ def test_the_attitude_of_a_bag_goes_out_as_sentences_that_say_it_is_played(tmp_p
     path, told = tmp_path / "suite.yaml", tmp_path / "told.nmea"
     nodes = {
         "/**/nmea_in": {"sources": {"gyro": {"kind": "serial", "device": "/dev/ttyUSB7", "becomes": "gyro"}}},
-        # Of a bag at 20 times its speed a moment on the way is a second of the ship.
+        # Of a bag at 5 times its speed a moment on the way is a quarter of a second of the ship.
         "/**/nmea_out": {
             "longest_age_s": 30.0,
             "tell_simulated": tell_simulated,
@@ -109,12 +110,15 @@ def test_the_attitude_of_a_bag_goes_out_as_sentences_that_say_it_is_played(tmp_p
         },
     }
     path.write_text((ROOT / "examples" / "two_sensors.yaml").read_text() + sections_text(nodes))
-    command = suite(path, "--bag", DEMO, "--rate", "20", "--namespace", "aurora")
+    command = suite(path, "--bag", DEMO, "--rate", "5", "--namespace", "aurora")
     with LiveProcess(command, tmp_path / "suite.log", live_environment(domain, tmp_path)) as process:
-        assert process.wait(120) == 0, process.log()
+        end_s = time.monotonic() + 60.0
+        while not (told.exists() and told.read_text().count(",S*") > 50):
+            assert time.monotonic() < end_s, process.log()
+            time.sleep(0.1)
+        process.end()
         assert "nmea_in" not in process.log()
     lines = told.read_text().split()
-    assert sum(",S*" in line for line in lines) > 50
     headings = [line for line in lines if line.startswith("$INHDT")]
     others = [line for line in lines if line not in headings]
     assert not [line for line in others if not re.fullmatch(r"\$INTHS,(\d+\.\d{4},S|,V)\*[0-9A-F]{2}", line)]
