@@ -251,6 +251,7 @@ class ReportingAdapter(ABC):
             self.health.cut_behind(topic, count, text, waiting_ns)
             published.append(self.refused(self.feeds[topic].source, now_ns, Refusal(Reason.BEHIND, text)))
         self.behind = told if told.behind_s else None
+        self.told_levels = ToldLevels()  # those told before say nothing of the next output
         self._invalid_due_ns = waiting_ns
         return published + self._invalid_while_behind(now_ns, waiting_ns)
 
