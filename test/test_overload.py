@@ -1,4 +1,4 @@
-"""The nodes of a suite on a core that is far too slow: they say so, claim nothing wrong, blame no source, and return.
+"""The nodes of a suite on a core that is far too slow: the state has a name and an end.
 
 A bag is played at twenty times its speed, and sixteen busy loops share one core with the nodes, so that on any machine
 they get a small part of what they need. When that is over, the same nodes take the bag at twice its speed.
@@ -43,7 +43,7 @@ LIMIT_S = 60.0
 
 
 class Heard:
-    """What the nodes publish, as an observer hears it.
+    """Messages of the nodes, as an observer receives them.
 
     Attributes:
         claims: topic → status of each output.

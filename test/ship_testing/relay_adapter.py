@@ -113,10 +113,10 @@ class RelayAdapter:
         published = [(DIAGNOSTICS_TOPIC, diagnostic_array(now_ns, self.node_name, statuses))]
         return published + [("input_health", m) for m in self.health.messages(self.factory, now_ns, waiting_ns)]
 
-    def overload(self, told: Overload, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
-        self.overloads.append(told)
-        for topic, count in told.cut.items():
-            self.health.cut_behind(topic, count, told.text(self.node_name), now_ns)
+    def overload(self, change: Overload, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
+        self.overloads.append(change)
+        for topic, count in change.cut.items():
+            self.health.cut_behind(topic, count, change.text(self.node_name), now_ns)
         return []
 
     def clock_jumped_back(self, now_ns: int) -> list[Published]:

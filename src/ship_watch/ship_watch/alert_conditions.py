@@ -52,7 +52,7 @@ _LINE_STATUSES = {
 The second word is the line. What a dead source takes away is told by the inputs that it gives."""
 
 _OVERLOAD = "overload"
-"""Status by which a node tells that it cannot keep up with its inputs: what is lost by that says so too."""
+"""Status of a node that cannot keep up with its inputs. The alert of an output lost by it has the same words."""
 
 _ERROR = 2
 _ITS_NODE = "its node"

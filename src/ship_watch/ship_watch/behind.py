@@ -21,7 +21,7 @@ _BEFORE_NS = FRESH_NS
 """Time before the first report of a node in which sources may have gone out because it was nearly behind, ns."""
 
 _NODES = ("ship_attitude", "star_attitude", "optical_axis")
-"""The nodes that say so, each before those that use what it publishes less directly."""
+"""The nodes that report it, in the order in which their texts are preferred."""
 
 _ATTITUDE_NODES = _NODES[:2]
 
@@ -39,7 +39,7 @@ class BehindBook:
     def __init__(self) -> None:
         self._nodes: dict[str, _Behind] = {}
         self._out_since_ns: dict[str, int] = {}
-        self._excused: dict[str, str] = {}
+        self._causes: dict[str, str] = {}
 
     def note(self, message: Any, now_ns: int) -> None:
         """Take an Innovation with the reason BEHIND: of a node, or of messages that it cut, which adds nothing."""
@@ -62,29 +62,29 @@ class BehindBook:
         nodes = (*own, *(_ATTITUDE_NODES if by_attitude or not is_pointing else ()))
         return next((self._nodes[node].text for node in nodes if self._is_behind(node, now_ns)), "")
 
-    def excused(self, sources: Sequence[SourceStanding], now_ns: int) -> list[SourceStanding]:
-        """Return how the sources stand, where those that went out since a node is behind are not to blame.
+    def attributed(self, sources: Sequence[SourceStanding], now_ns: int) -> list[SourceStanding]:
+        """Return how the sources stand; those that went out since a node is behind are out because of that node.
 
-        A source stays without blame until it is in again: it must be accepted some times for that.
+        A source stays so until it is in again: it must be accepted some times for that.
 
         Args:
             sources: as their measurements say.
             now_ns: the caller's time.
         """
         node = next((node for node in _NODES if self._is_behind(node, now_ns)), "")
-        return [self._without_blame(source, node, now_ns) for source in sources]
+        return [self._with_cause(source, node, now_ns) for source in sources]
 
-    def _without_blame(self, source: SourceStanding, node: str, now_ns: int) -> SourceStanding:
+    def _with_cause(self, source: SourceStanding, node: str, now_ns: int) -> SourceStanding:
         name = source.name
         if source.presence is not Presence.OUT:
             self._out_since_ns.pop(name, None)
-            self._excused.pop(name, None)
+            self._causes.pop(name, None)
         elif not source.because_of:
             since_ns = self._out_since_ns.setdefault(name, now_ns)
             if node and since_ns >= self._nodes[node].since_ns - _BEFORE_NS:
-                self._excused[name] = node
-            if name in self._excused:
-                node = self._excused[name]
+                self._causes[name] = node
+            if name in self._causes:
+                node = self._causes[name]
                 return replace(source, reason=f"{node} is behind", disagreement="", because_of=node)
         return source
 

@@ -218,7 +218,7 @@ class Watch:
             self._judge(self._judged_ns)
 
     def _standings(self, now_ns: int) -> list[SourceStanding]:
-        return self._behind.excused(self._book.standings(now_ns, self._utc_offset_ns), now_ns)
+        return self._behind.attributed(self._book.standings(now_ns, self._utc_offset_ns), now_ns)
 
     def _judge(self, now_ns: int) -> None:
         sources = self._standings(now_ns)

@@ -108,7 +108,7 @@ def estimate_from_star(
 
 
 def no_estimate(filter_: ShipFilter, state: FilterState, now_ns: int, text: str = "") -> AttitudeEstimate:
-    """No attitude is claimed: there is neither INS nor star, or what the text says."""
+    """No attitude is claimed: there is neither INS nor star, or for the reason in the text."""
     return AttitudeEstimate(
         time_ns=now_ns,
         rotation_nd=np.full((3, 3), np.nan),

@@ -54,7 +54,7 @@ class Adapter(Protocol):
         """Do what depends on waiting; called every ``TICK_PERIOD_NS``."""
         ...
 
-    def overload(self, told: Overload, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
+    def overload(self, change: Overload, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
         """Claim nothing while the node is behind its inputs; called where messages are cut, and where it keeps up."""
         ...
 

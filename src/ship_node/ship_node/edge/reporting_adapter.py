@@ -241,17 +241,17 @@ class ReportingAdapter(ABC):
                 published.append(self.failed(_SLOW_TOPICS, now_ns, failure(error)))
         return published
 
-    def overload(self, told: Overload, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
+    def overload(self, change: Overload, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
         """See :meth:`ship_node.edge.adapter.Adapter.overload`; what was cut is counted and published as refused."""
         waiting_ns = now_ns if waiting_ns is None else waiting_ns
-        why = (told if told.behind_s else self.behind or told).text(self.node_name)
+        why = (change if change.behind_s else self.behind or change).text(self.node_name)
         published = []
-        for topic, count in told.cut.items():
+        for topic, count in change.cut.items():
             text = f"{count} messages cut: {why}"
             self.health.cut_behind(topic, count, text, waiting_ns)
             published.append(self.refused(self.feeds[topic].source, now_ns, Refusal(Reason.BEHIND, text)))
-        self.behind = told if told.behind_s else None
-        self.told_levels = ToldLevels()  # those told before say nothing of the next output
+        self.behind = change if change.behind_s else None
+        self.told_levels = ToldLevels()  # the levels published before do not hold for the next output
         self._invalid_due_ns = waiting_ns
         return published + self._invalid_while_behind(now_ns, waiting_ns)
 
@@ -369,7 +369,7 @@ class ReportingAdapter(ABC):
         return [DiagnosticStatus("sources off", messages_out.Level.WARN, text)] if names else []
 
     def _invalid_while_behind(self, now_ns: int, waiting_ns: int) -> list[Published]:
-        """Once a second, the output of a node that is behind, and why there is no other."""
+        """Return, once a second, the output of a node that is behind, and why there is no other."""
         if self.behind is None or waiting_ns < self._invalid_due_ns:
             return []
         self._invalid_due_ns = waiting_ns + _SECOND_NS
@@ -382,7 +382,7 @@ class ReportingAdapter(ABC):
         return published
 
     def _overload_status(self) -> DiagnosticStatus:
-        """Whether the node keeps up with its inputs."""
+        """Return the status that shows whether the node keeps up with its inputs."""
         if self.behind is None:
             return DiagnosticStatus("overload", messages_out.Level.OK, "keeps up with its inputs")
         values = {

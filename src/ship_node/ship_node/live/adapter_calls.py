@@ -79,13 +79,13 @@ class AdapterCalls:
                 if topic == DIAGNOSTICS_TOPIC:
                     self._status_log.see(_told_in_the_log(message))
 
-    def overload(self, told: Overload, now_ns: int, waiting_ns: int | None = None) -> None:
-        """Tell the adapter that the node is behind, or keeps up again."""
+    def overload(self, change: Overload, now_ns: int, waiting_ns: int | None = None) -> None:
+        """Pass on to the adapter that the node is behind, or keeps up again."""
         published: list[Published] = []
         try:
-            published = self._adapter.overload(told, now_ns, waiting_ns)
+            published = self._adapter.overload(change, now_ns, waiting_ns)
         finally:
-            self._note(told, now_ns, waiting_ns)
+            self._note(change, now_ns, waiting_ns)
         self.publish(published, now_ns)
 
     def clock_jumped_back(self, now_ns: int) -> None:

@@ -31,7 +31,7 @@ KEPT_UP_NS = 1_000_000_000
 
 
 class Change(enum.Enum):
-    """What the waiting time of the oldest message means."""
+    """Result of judging the waiting time of the oldest message."""
 
     NONE = enum.auto()
     BEHIND = enum.auto()

@@ -189,12 +189,12 @@ class LiveNode:
     def _on_message(self, topic: str, data: bytes) -> None:
         self._events.came()
         now_ns, waiting_ns = self._clock.times()
-        # The middleware does not tell an EventsExecutor when a message came. /clock waits in the same queue as it does.
+        # An EventsExecutor of rclpy 7.1.6 cannot pass on the time of reception. /clock waits in the same queue.
         since_ns = now_ns if self._clock.is_simulated() else self._heard_all_ns
         self._inbox.put(Arrival(topic, data, now_ns, waiting_ns, since_ns))
 
     def _judge_backlog(self) -> None:
-        """Cut what waits where the node is behind, and tell the adapter; tell it too where the node keeps up again."""
+        """Cut what waits where the node is behind; pass on to the adapter when it is and when it keeps up again."""
         running_ns, since_ns = self._clock.running_ns(), self._inbox.since_ns
         waited_ns = running_ns - since_ns if since_ns else 0
         change = self._backlog.judge(waited_ns, running_ns)

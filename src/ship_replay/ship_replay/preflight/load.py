@@ -2,7 +2,7 @@
 
 The costs of a message are those of live nodes as measured on one computer, with all that a node does for it: taking it,
 its part of the estimate, what is published. The speed of another computer is measured by a small sum of the same kind.
-So the load is right to within a factor of about 1.5; it is meant to tell a third of a core from a whole one.
+So the load is right to within a factor of about 1.5; it distinguishes a third of a core from a whole one.
 """
 
 import time
