@@ -73,6 +73,7 @@ class RelayAdapter:
         self.resets: list[int] = []
         self.handled: list[int] = []
         self.overloads: list[Overload] = []
+        self.contested: list[tuple[str, str]] = []
 
     def handle(self, topic: str, message: Any, receive_ns: int, waiting_ns: int | None = None) -> list[Published]:
         self.health.arrived(topic, receive_ns if waiting_ns is None else waiting_ns)
@@ -129,6 +130,10 @@ class RelayAdapter:
             raise RuntimeError("a defect of a service")
         self.health.restart()
         return ServiceResult(True, "reset")
+
+    def contest(self, topic: str, text: str) -> None:
+        self.health.contested(topic, text)
+        self.contested.append((topic, text))
 
     def set_parameters(self, changes: Mapping[str, Any]) -> None:
         if changes.get("gate.count") == 13:

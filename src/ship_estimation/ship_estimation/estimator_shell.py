@@ -338,6 +338,7 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
     def __init__(self, model: Model[State, Measured, Judged, Jump], state: State, lag_s: float, reach_ns: int) -> None:
         self._model = model
         self._lag_s, self._reach_ns = lag_s, reach_ns
+        self.contradictions = Contradictions()
         self.reset(state, clock_jumped=True)
 
     def reset(self, state: State, clock_jumped: bool = False) -> None:
@@ -345,7 +346,7 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         self.state = state
         self._jumped = False
         self.window = LagWindow(self._lag_s)
-        self.contradictions = Contradictions()
+        self.contradictions.forget()
         self._overtaking: dict[str, _Allowance] = {}
         self._log: TimeOrderedLog[State, Measured | _Opening[Jump], Judged | _Opening[Jump]] = TimeOrderedLog(state)
         if clock_jumped:

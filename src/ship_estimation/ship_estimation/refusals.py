@@ -28,6 +28,9 @@ AGREES_AGAIN_AFTER_S = 10.0
 """So long a source that contradicted itself must have agreed with itself before what rests on it is VALID again."""
 _AGREES_AGAIN_AFTER_NS = round(AGREES_AGAIN_AFTER_S * SECOND_NS)
 
+FOUND_WITHIN_S = 2.0
+"""Two publishers of one source are found within this time from their second message on."""
+
 LONGEST_TEXT = 200
 """Characters of a reason; and what comes from outside is never longer than that in anything that goes out."""
 
@@ -161,11 +164,13 @@ def same_stamp(known: Content, new: Content) -> tuple[bool, Refusal]:
 class Contradictions:
     """The sources that said different things of one moment not long ago.
 
-    Of the two things one is kept, which may as well be the wrong one: what rests on such a source is not VALID.
+    Of the two things one is kept, which may as well be the wrong one: what rests on such a source is not VALID. Nor is
+    what rests on a contested source, as which two publishers send.
 
     Attributes:
         latest_ns: by source, the stamp of its last conflict, however long ago.
         since_ns: by source, the stamp of the first of the conflicts that led to it, each within ten seconds of another.
+        contested: by source, the stamp from which on two publishers send, and a text for people that names them.
 
     Example:
         >>> told = Contradictions()
@@ -177,11 +182,37 @@ class Contradictions:
         {}
         >>> told.together({"ship", "encoder"}), told.together({"ship"})
         (None, (5000000000, 15000000000))
+        >>> told.contest("ins", 20 * SECOND_NS, "two publishers send on ins/imu")
+        >>> told.at(30 * SECOND_NS), told.text({"ins"})
+        ({'ins': 18000000000}, 'two publishers send on ins/imu')
     """
 
     def __init__(self) -> None:
+        self.contested: dict[str, tuple[int, str]] = {}
+        self.forget()
+
+    def __bool__(self) -> bool:
+        """True if any source has contradicted itself, or is contested."""
+        return bool(self.latest_ns or self.contested)
+
+    def forget(self) -> None:
+        """Forget the conflicts; a contested source stays contested until :meth:`contest` ends that."""
         self.latest_ns: dict[str, int] = {}
         self.since_ns: dict[str, int] = {}
+
+    def contest(self, source: str, time_ns: int, text: str) -> None:
+        """Set that two publishers send as a source; an empty text ends it.
+
+        Args:
+            source: the source.
+            time_ns: stamp at which that is found: they may have sent for :data:`FOUND_WITHIN_S` before.
+            text: for people, with the names of the publishers.
+        """
+        if text:
+            since_ns = time_ns - round(FOUND_WITHIN_S * SECOND_NS)
+            self.contested[source] = self.contested.get(source, (since_ns,))[0], text
+        else:
+            self.contested.pop(source, None)
 
     def note(self, source: str, time_ns: int, refusal: Refusal | None) -> None:
         """Take note of what was said of an input with this stamp; only CONFLICT counts."""
@@ -195,11 +226,28 @@ class Contradictions:
             self.since_ns[source], self.latest_ns[source] = since_ns, max(time_ns, latest_ns)
 
     def at(self, time_ns: int) -> dict[str, int]:
-        """The sources that have not agreed with themselves for long, each with the stamp of its last conflict."""
-        if not self.latest_ns:
+        """The sources that have not agreed with themselves for long, each with the stamp of its last conflict.
+
+        A contested source comes with the stamp since when it is contested.
+        """
+        if not self:
             return {}
         since_ns = time_ns - _AGREES_AGAIN_AFTER_NS
-        return {source: latest_ns for source, latest_ns in self.latest_ns.items() if latest_ns >= since_ns}
+        latest = {source: latest_ns for source, latest_ns in self.latest_ns.items() if latest_ns >= since_ns}
+        return latest | {source: since_ns for source, (since_ns, _) in self.contested.items()}
+
+    def text(self, sources: Iterable[str]) -> str:
+        """Words for sources that contradict themselves or are contested; empty where there are none.
+
+        Example:
+            >>> Contradictions().text(["ship"])
+            'ship says different things of one moment'
+        """
+        words = [
+            self.contested[source][1] if source in self.contested else f"{source} says different things of one moment"
+            for source in sorted(sources)
+        ]
+        return " and ".join(words)
 
     def together(self, sources: Set[str]) -> tuple[int, int] | None:
         """From when until when sources all contradict themselves, each since its first conflict; None for never."""
@@ -208,13 +256,3 @@ class Contradictions:
         first_ns = max(self.since_ns[source] for source in sources)
         until_ns = min(self.latest_ns[source] for source in sources) + _AGREES_AGAIN_AFTER_NS
         return (first_ns, until_ns) if first_ns <= until_ns else None
-
-
-def contradiction_text(sources: Iterable[str]) -> str:
-    """Words for sources that contradict themselves; empty where there are none.
-
-    Example:
-        >>> contradiction_text(["ship"])
-        'ship says different things of one moment'
-    """
-    return " and ".join(f"{source} says different things of one moment" for source in sorted(sources))

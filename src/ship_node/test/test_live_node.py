@@ -1,7 +1,10 @@
 """A real node over real DDS: relays, survives, refuses, follows the clock."""
 
 import math
+import os
 import re
+import subprocess
+import sys
 import time
 from itertools import pairwise
 
@@ -11,9 +14,10 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Imu
 from std_srvs.srv import Trigger
 
 from ship_bags.message_store import message_store
@@ -25,6 +29,7 @@ from ship_testing.live_relay import RELIABLE_INPUT, SIM_TIME, TIMEOUT_S, imu_mes
 from ship_testing.relay_adapter import EXPLOSIVE_FRAME
 
 IMU = "sensor_msgs/msg/Imu"
+RELIABLE = QoSProfile(depth=2000, reliability=ReliabilityPolicy.RELIABLE)
 
 pytestmark = pytest.mark.live
 
@@ -411,3 +416,86 @@ def test_mend_13_a_bag_of_another_year_is_named_with_what_to_do(live_relay, capf
     assert re.match(text, relay.diagnostics[name].message)
     assert len(relay.attitudes) == 3
     assert capfd.readouterr().err.count("years before the node's clock") == 1
+
+
+class Sender:
+    """A node of its own that publishes ins/imu."""
+
+    def __init__(self, relay, name: str) -> None:
+        self.node = rclpy.create_node(name, context=relay.context, use_global_arguments=False)
+        self.publisher = self.node.create_publisher(Imu, "ins/imu", RELIABLE)
+        relay.wait_until(lambda: self.publisher.get_subscription_count() == 1)
+
+    def send(self) -> None:
+        self.publisher.publish(imu_message(time.time_ns()))
+
+
+@pytest.fixture
+def two_senders(live_relay):
+    relay = live_relay(*RELIABLE_INPUT)
+    senders = Sender(relay, "ins_a"), Sender(relay, "ins_b")
+    yield relay, *senders
+    for sender in senders:
+        sender.node.destroy_node()
+
+
+TWO = "two publishers send on ins/imu: /ins_a and /ins_b; end all but one"
+
+
+def send_until(relay, senders, happened) -> float:
+    """Time until something has happened while all senders go on at 20 Hz, s."""
+    start_s = time.monotonic()
+
+    def all_sent_and_happened() -> bool:
+        for sender in senders:
+            sender.send()
+        time.sleep(0.05)
+        return happened()
+
+    relay.wait_until(all_sent_and_happened)
+    return time.monotonic() - start_s
+
+
+def test_two_publishers_that_send_are_named_at_once_and_forgotten_after_one_has_stopped(two_senders):
+    relay, first, second = two_senders
+    send_until(relay, [first], lambda: len(relay.attitudes) >= 20)
+    assert relay.adapter.contested == []
+    found_s = send_until(relay, [first, second], lambda: relay.adapter.contested == [("ins/imu", TWO)])
+    send_until(relay, [first, second], lambda: relay.reports("relay: input ins/imu", DiagnosticStatus.ERROR))
+    assert relay.diagnostics["relay: input ins/imu"].message == TWO
+    over_s = send_until(relay, [first], lambda: relay.adapter.contested[1:] == [("ins/imu", "")])
+    send_until(relay, [first], lambda: relay.reports("relay: input ins/imu", DiagnosticStatus.OK))
+    print(f"found after {found_s:.2f} s, over {over_s:.2f} s after one has stopped")
+
+
+def test_one_of_two_publishers_that_never_sends_is_a_hint_in_the_diagnostics(two_senders):
+    relay, first, _ = two_senders
+    send_until(relay, [first], lambda: relay.reports("relay: input ins/imu", DiagnosticStatus.OK))
+
+    def hint() -> str:
+        values = relay.diagnostics["relay: input ins/imu"].values
+        return next((value.value for value in values if value.key == "publishers"), "")
+
+    send_until(relay, [first], lambda: hint() == "2: /ins_a, /ins_b")
+    assert relay.adapter.contested == []
+
+
+@pytest.mark.slow
+def test_a_publisher_that_was_killed_and_started_again_is_one(live_relay):
+    relay = live_relay(*RELIABLE_INPUT)
+    script = (
+        "import rclpy, time; from sensor_msgs.msg import Imu; from ship_testing.live_relay import imu_message\n"
+        "rclpy.init(); node = rclpy.create_node('ins'); publisher = node.create_publisher(Imu, 'ins/imu', 100)\n"
+        "while True: publisher.publish(imu_message(time.time_ns())); time.sleep(0.02)"
+    )
+    path = os.pathsep.join(sys.path)
+    for _ in range(2):
+        count = len(relay.attitudes)
+        process = subprocess.Popen([sys.executable, "-c", script], env=os.environ | {"PYTHONPATH": path})
+        try:
+            relay.wait_until(lambda: len(relay.attitudes) >= count + 100)  # noqa: B023 - asked in this round alone
+        finally:
+            process.kill()
+            process.wait()
+    assert relay.live.node.count_publishers("/ins/imu") == 2, "the lease of the first one has not ended"
+    assert relay.adapter.contested == []

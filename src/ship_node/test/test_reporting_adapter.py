@@ -63,6 +63,9 @@ class TinyCore:
     def reset(self, clock_jumped: bool) -> None:
         self.calls.append(("reset", clock_jumped))
 
+    def contest(self, source: str, text: str) -> None:
+        self.calls.append(("contest", source, text))
+
     def reconfigure(self, config: TinyConfig) -> None:
         self.calls.append(config)
 

@@ -49,6 +49,7 @@ from ship_node.documents.saved_start import SavedStart
 from ship_node.edge.block_adapter import BlockAdapter
 from ship_node.edge.blocks import BlockFeed, PublishedRows
 from ship_node.edge.columns_in import ReadRows
+from ship_node.edge.contested import ATTITUDE, INNOVATION
 from ship_node.edge.ins_messages import ins_block, ins_sample
 from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.messages_out import (
@@ -188,15 +189,17 @@ class ShipAttitudeAdapter(BlockAdapter):
         core: ShipAttitudeCore = self.core
         ins = InputTopic("ins/imu", IMU_TYPE, required=True, depth=1000)
         block = BlockFeed(functools.partial(ins_block, config=config.ins), core)
-        yield Feed(ins, "ins", functools.partial(ins_sample, config=config.ins), core.add_ins, block=block)
+        read_ins = functools.partial(ins_sample, config=config.ins)
+        yield Feed(ins, "ins", read_ins, core.add_ins, block=block, continuous=ATTITUDE)
         for id_, star in config.star_sensors.items():
             topic = InputTopic(f"star/{id_}/{star.input}", _STAR_TYPES[star.input], False, depth=1000, named=True)
             read, read_rows = self._star_readers(id_, star)
-            yield Feed(topic, f"star.{id_}", read, core.add_measurement, judged=True, read_rows=read_rows)
+            take, source = core.add_measurement, f"star.{id_}"
+            yield Feed(topic, source, read, take, judged=True, read_rows=read_rows, continuous=INNOVATION)
         for name, reference in config.references.items():
             topic = InputTopic(f"reference/{name}/imu", IMU_TYPE, False, depth=1000, named=True)
             read = functools.partial(messages_in.reference_measurement, name=name, config=reference)
-            yield Feed(topic, f"reference.{name}", read, core.add_measurement, judged=True)
+            yield Feed(topic, f"reference.{name}", read, core.add_measurement, judged=True, continuous=INNOVATION)
         if config.ship_baseline.is_aboard:
             antennas = InputTopic("ship/baseline", "ship_msgs/msg/RtkBaseline", False, depth=1000, named=True)
             read_baseline = functools.partial(messages_in.baseline, config=config.ship_baseline)

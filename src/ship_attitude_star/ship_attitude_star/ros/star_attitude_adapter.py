@@ -24,6 +24,7 @@ from ship_geometry.rotations import ARCSEC
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.edge.block_adapter import BlockAdapter
 from ship_node.edge.blocks import BlockFeed, PublishedRows
+from ship_node.edge.contested import ATTITUDE
 from ship_node.edge.ins_messages import ins_block, ins_sample
 from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.messages_out import (
@@ -125,7 +126,7 @@ class StarAttitudeAdapter(BlockAdapter):
             ins = InputTopic("ins/imu", "sensor_msgs/msg/Imu", False, depth=1000)
             read_ins = functools.partial(ins_sample, config=config.ins)
             block = BlockFeed(functools.partial(ins_block, config=config.ins), core)
-            yield Feed(ins, "ins", read_ins, untimed(core.add_ins), block=block)
+            yield Feed(ins, "ins", read_ins, untimed(core.add_ins), block=block, continuous=ATTITUDE)
 
     def _take_stars(self, seen: SeenStars, waiting_ns: int) -> StarOutcome:
         core: StarCore = self.core

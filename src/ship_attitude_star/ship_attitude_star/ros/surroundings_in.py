@@ -15,6 +15,7 @@ from ship_attitude_star.sky.config import SkyConfig
 from ship_estimation.refusals import Reason
 from ship_geometry.geodetic import GeodeticPosition
 from ship_geometry.ros_axes import horizon_covariance
+from ship_node.edge.contested import POSITION
 from ship_node.edge.messages_in import ReadMessage, Refused, covariance_3x3, finite_numbers, stamp_ns
 from ship_node.edge.reporting_adapter import Feed
 from ship_node.edge.topics import InputTopic
@@ -152,4 +153,5 @@ def place_feed(config: SkyConfig, take: Callable[[Any, int], Any]) -> Feed:
 def _surroundings_feed(topic: str, config: SkyConfig, take: Callable[[Any, int], Any], required: bool) -> Feed:
     required = required and topic == "gnss/fix"
     needed = InputTopic(topic, SURROUNDINGS[topic], required, depth=100, lasting=True)
-    return Feed(needed, topic, surroundings_reader(topic, config), take)
+    continuous = POSITION if topic == PositionFix.source else None
+    return Feed(needed, topic, surroundings_reader(topic, config), take, continuous=continuous)

@@ -48,7 +48,7 @@ from ship_estimation.ins_guard import JudgedIns
 from ship_estimation.outcome import Measurement, Status
 from ship_estimation.protection import IntegrityReport
 from ship_estimation.rate_guard import Rates
-from ship_estimation.refusals import Refusal, contradiction_text
+from ship_estimation.refusals import Refusal
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, SampleBlock
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes
 from ship_geometry.rotations import FloatArray
@@ -200,7 +200,7 @@ class ShipAttitudeCore:
                 if outcome.decisions or outcome.failures:
                     ahead.told.append((ahead.taken, outcome))
             doubts = None
-            if self._shell.contradictions.latest_ns:
+            if self._shell.contradictions:
                 doubts = [self._doubt(sample.time_ns) for sample in ahead.samples[ahead.taken : end]]
             ahead.had_turn(self._shell.state_now, end, doubts)
             self._ins_arrival_ns = int(ahead.arrivals_ns[end - 1])
@@ -280,6 +280,10 @@ class ShipAttitudeCore:
         self._compare_anew(self.vertical.insert(reading), lambda _used: True)
         self._shell.apply(outcome)
         return outcome
+
+    def contest(self, source: str, text: str) -> None:
+        """Set that two publishers send as a source; an empty text ends it."""
+        self._shell.contradictions.contest(source, self._shell.window.newest_ns, text)
 
     def add_measurement(self, measurement: Measurement, arrival_ns: int | None = None) -> AttitudeOutcome:
         """What a star sensor or another attitude system has measured.
@@ -441,7 +445,7 @@ class ShipAttitudeCore:
 
     def _doubt(self, time_ns: int) -> str:
         """Which sources that an attitude now rests on contradicted themselves not long ago; empty for none."""
-        if not self._shell.contradictions.latest_ns:
+        if not self._shell.contradictions:
             return ""
         used_ns, devices = self.state.used_ns, self.filter.devices
         contradictory = [
@@ -449,7 +453,7 @@ class ShipAttitudeCore:
             for source, since_ns in self._shell.contradictions.at(time_ns).items()
             if source not in devices or used_ns.get(source, since_ns - 1) >= since_ns
         ]
-        return contradiction_text(contradictory)
+        return self._shell.contradictions.text(contradictory)
 
     def _carry(self, outcome: AttitudeOutcome, waiting_ns: int) -> None:
         """With the INS gone, put out the attitude by the newest star measurement, once, while it is young."""

@@ -26,7 +26,7 @@ from ship_attitude_star.star_attitude.exposure_solver import (
     solve_deck,
     solve_exposure,
 )
-from ship_attitude_star.star_attitude.ins_motion import InsMotion, InsTurns
+from ship_attitude_star.star_attitude.ins_motion import INS, InsMotion, InsTurns
 from ship_attitude_star.stars.config import JOINT
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.solution import no_attitude
@@ -36,7 +36,6 @@ from ship_estimation.refusals import (
     Contradictions,
     Reason,
     Refusal,
-    contradiction_text,
     failure,
     same_stamp,
 )
@@ -151,18 +150,21 @@ class StarCore:
         self._config = config
         self._watch = watch
         self._wait_ns = round(config.joint.wait_s * SECOND_NS)
+        self._contradictions = Contradictions()
+        self._of_ins = Contradictions()
         self.reset()
 
     def reset(self, clock_jumped: bool = False) -> None:
         """Forget all inputs; outputs may start again at earlier times, whether the clock jumped or not."""
         self._watch.reset()
         self._guards = StreamGuards(self._config.ins)
-        self._ins = InsMotion(self._config.ins, self._guards)
+        self._contradictions.forget()
+        self._of_ins.forget()
+        self._ins = InsMotion(self._config.ins, self._guards, self._of_ins)
         self._sources = [f"star.{id_}" for id_ in self._config.star_sensors]
         self._taken: dict[tuple[str, int], StarExposure] = {}
         self._waiting: list[_Waiting] = []
         self._window = JointWindow(self._sources, self._config.joint)
-        self._contradictions = Contradictions()
         self._arrivals = LagWindow(self._config.lag_s)
         self.joined_by_ins = False
 
@@ -236,6 +238,11 @@ class StarCore:
         outcome = StarOutcome(refusal)
         self._advance(outcome)
         return outcome
+
+    def contest(self, source: str, text: str) -> None:
+        """Set that two publishers send as a source; an empty text ends it."""
+        contradictions = self._of_ins if source == INS else self._contradictions
+        contradictions.contest(source, self._arrivals.newest_ns, text)
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> StarOutcome:
         """Solve what has waited long enough.
@@ -352,11 +359,14 @@ class StarCore:
         return solve_deck(time_ns, mounted, turns.covariance_d, self._config.star_sensors, prior)
 
     def _contradiction(self, source: str, time_ns: int) -> Refusal | None:
-        """Why an exposure is not solved: not long ago its sensor said different things of one moment."""
+        """Why an exposure is not solved: its sensor, place or air is contested, or its sensor contradicted itself."""
+        contested = [name for name in self._contradictions.contested if name == source or name not in self._sources]
+        if contested:
+            return Refusal(Reason.CONFLICT, self._contradictions.text(contested))
         if source not in self._contradictions.at(time_ns):
             return None
         text = f"its stars are used again when it has agreed with itself for {AGREES_AGAIN_AFTER_S:g} s"
-        return Refusal(Reason.CONFLICT, f"{contradiction_text([source])}: {text}")
+        return Refusal(Reason.CONFLICT, f"{self._contradictions.text([source])}: {text}")
 
     def _sensor(self, source: str) -> ObservingSensorConfig:
         return self._config.star_sensors[source.partition(".")[2]]

@@ -88,18 +88,21 @@ class InsMotion:
     Args:
         config: the INS.
         guards: watch its samples.
+        contradictions: of the INS; None for new ones.
 
     Attributes:
         track: the samples by their stamps.
     """
 
-    def __init__(self, config: StarInsConfig, guards: StreamGuards) -> None:
+    def __init__(
+        self, config: StarInsConfig, guards: StreamGuards, contradictions: Contradictions | None = None
+    ) -> None:
         self._config = config
         self._guards = guards
         self._max_gap_ns = round(config.max_gap_s * SECOND_NS)
         self._offset_ns = round(config.time_offset_s * SECOND_NS)
         self.track = AttitudeTrack(self._max_gap_ns)
-        self._contradictions = Contradictions()
+        self._contradictions = Contradictions() if contradictions is None else contradictions
         self._jumps: list[InsJump] = []
 
     def reconfigure(self, config: StarInsConfig) -> None:

@@ -37,6 +37,14 @@ class ClockJumpedBack:
 
 
 @dataclass(frozen=True)
+class Contested:
+    """The adapter was told that two publishers send on an input topic; an empty text: that they do no more."""
+
+    topic: str
+    text: str
+
+
+@dataclass(frozen=True)
 class ParametersChanged:
     """Live parameters were given to the adapter, dotted name → value.
 
@@ -97,6 +105,7 @@ Event = (
     Tick
     | ClockJumpedBack
     | Overload
+    | Contested
     | ParametersChanged
     | ChangeRefused
     | ServiceCalled
@@ -109,6 +118,7 @@ _KINDS: dict[str, type[Event]] = {
     "tick": Tick,
     "clock_jumped_back": ClockJumpedBack,
     "overload": Overload,
+    "contested": Contested,
     "parameters": ParametersChanged,
     "change_refused": ChangeRefused,
     "service": ServiceCalled,

@@ -66,6 +66,13 @@ class Adapter(Protocol):
         """Do one of ``services``."""
         ...
 
+    def contest(self, topic: str, text: str) -> None:
+        """Set that two publishers send on an input topic, with a text that names them; an empty text ends it.
+
+        Which of the two is right cannot be known: what rests on the topic meanwhile is not VALID.
+        """
+        ...
+
     def set_parameters(self, changes: Mapping[str, Any]) -> None:
         """Take live parameters, dotted name → value.
 

@@ -42,6 +42,7 @@ class BlockAdapter(ReportingAdapter):
             return self.set_aside(feed, reading, receive_ns, receive_ns)
         if self.saved is not None and self.saved.is_due:
             self.saved.start(receive_ns)
+        self.see(feed, reading)
         return self.told(feed, reading, feed.take(reading.value, receive_ns), receive_ns, receive_ns)
 
     @property
@@ -63,6 +64,10 @@ class BlockAdapter(ReportingAdapter):
         if block is None or (self.saved is not None and self.saved.is_due):
             return None
         reading = block.read(messages, receive_ns)
+        samples = reading.samples
+        if len(samples.times_ns):
+            count = self._contested.count_before_change(topic, samples.times_ns, samples.rotations_nd)
+            reading = reading._replace(samples=samples.some(slice(count)))
         count = len(reading.samples.times_ns)
         ahead = block.core.look_ahead(reading.samples, receive_ns[:count]) if count else None
         return None if ahead is None else BlockTurn(topic, reading, receive_ns[: ahead.followed.count], ahead)
@@ -83,6 +88,8 @@ class BlockAdapter(ReportingAdapter):
         """All messages of a block had their turn: what they lead to besides."""
         feed, usual, known = self.feeds[turn.topic], turn.ahead.followed.usual, turn.reading.covariance_known
         assert feed.block is not None
+        samples = turn.reading.samples.some(slice(len(turn.receive_ns)))
+        self._contested.see_block(turn.topic, samples.times_ns, samples.rotations_nd)
         if usual:
             times_ns = turn.reading.samples.times_ns[:usual]
             self.health.took_block(turn.topic, turn.receive_ns[:usual], times_ns, known)

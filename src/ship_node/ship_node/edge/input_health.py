@@ -1,7 +1,7 @@
 """How the inputs of a node do: their records judged, for ``input_health`` and ``/diagnostics``."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 from ship_bags.message_factory import MessageFactory
@@ -68,13 +68,20 @@ class InputHealthBook(InputRecords):
         self._is_clock_unused = False
         self._publishers: dict[str, int] = {}
         self._incompatible: dict[str, str] = {}
+        self._contested: dict[str, str] = {}
+        self._names: dict[str, str] = {}
         self._lost: dict[str, int] = {}
 
-    def publisher_count(self, topic: str, count: int) -> None:
-        """How many publishers a topic has now; without any, none is incompatible."""
+    def publisher_count(self, topic: str, count: int, names: Sequence[str] = ()) -> None:
+        """Set the number of publishers of a topic, and the names of several; without any, none is incompatible."""
         self._publishers[topic] = count
+        self._names[topic] = ", ".join(names)
         if count == 0:
             self._incompatible.pop(topic, None)
+
+    def contested(self, topic: str, text: str) -> None:
+        """Two publishers send on a topic, with a text that names them; an empty text ends it."""
+        self._contested[topic] = text
 
     def incompatible_qos(self, topic: str, text: str) -> None:
         """A publisher's quality of service does not fit: nothing of it will ever arrive."""
@@ -131,7 +138,8 @@ class InputHealthBook(InputRecords):
         values |= {f"late {edge}": str(n) for edge, n in zip(_EDGES, record.late_delays, strict=True) if n}
         topic = record.input.topic
         if topic in self._publishers:
-            values["publishers"] = str(self._publishers[topic])
+            names = self._names.get(topic, "")
+            values["publishers"] = f"{self._publishers[topic]}{f': {names}' if names else ''}"
         if topic in self._lost:
             values["lost by the middleware"] = str(self._lost[topic])
         return DiagnosticStatus(f"input {topic}", state.level, state.text, values)
@@ -158,6 +166,8 @@ class InputHealthBook(InputRecords):
         topic, verdicts = record.input.topic, []
         if topic in self._incompatible:
             verdicts.append((Level.ERROR, f"incompatible QoS: {self._incompatible[topic]}"))
+        if self._contested.get(topic):
+            verdicts.append((Level.ERROR, self._contested[topic]))
         waited = self.start_ns is not None and waiting_ns - self.start_ns >= WATCHDOG_NS
         if waited and record.last_arrival_ns is None:
             publishers = self._publishers.get(topic)

@@ -25,6 +25,7 @@ from ship_node.documents.saved_start import SavedStart
 from ship_node.edge import messages_out
 from ship_node.edge.adapter import ServiceResult
 from ship_node.edge.blocks import BlockFeed, StampArray
+from ship_node.edge.contested import ContestedInputs, Continuous
 from ship_node.edge.input_health import InputHealthBook
 from ship_node.edge.messages_in import ReadMessage, Refused
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, DiagnosticStatus
@@ -41,6 +42,8 @@ OWN_OUTPUTS = (
 
 _TAKEN_OUT = Refusal(Reason.OFF, "taken out by sources_off")
 _SLOW_TOPICS = "slow topics"
+_OF_ATTITUDE = (3, 3)
+"""Shape of the covariance of an attitude's innovation."""
 _SECOND_NS = 1_000_000_000
 
 
@@ -58,6 +61,8 @@ class Feed:
         measured_by: what measurements call the device; empty where that is ``source``.
         block: the way of many messages at once (:mod:`ship_node.edge.block_adapter`); None where each is taken alone.
         read_rows: the reader of many messages, and of when each came: None for each that ``read`` is to read by itself.
+        continuous: by which two publishers are told in a recording: of a decision where ``judged``, otherwise of what
+            is read; None where nothing tells.
     """
 
     input: InputTopic
@@ -68,6 +73,7 @@ class Feed:
     measured_by: str = ""
     block: BlockFeed | None = None
     read_rows: Callable[[CdrRows, StampArray], Sequence[ReadMessage[Any] | None]] | None = None
+    continuous: Continuous | None = None
 
 
 def untimed(take: Callable[[Any], Any]) -> Callable[[Any, int], Any]:
@@ -133,6 +139,8 @@ class ReportingAdapter(ABC):
         self._estimate_messages, self.saved = estimate_messages, saved
         self._bind()
         self._topics_off = self._without(config)
+        continuous = {topic: feed.continuous for topic, feed in self.feeds.items() if feed.continuous is not None}
+        self._contested = ContestedInputs(continuous)
         self.inputs: tuple[InputTopic, ...] = tuple(feed.input for feed in self.feeds.values())
         self.health = InputHealthBook(self.inputs, config.max_age_s)
         self.notices: list[str] = [] if saved is None else saved.notices
@@ -188,6 +196,7 @@ class ReportingAdapter(ABC):
             reading = feed.read(message, receive_ns=receive_ns)
             if is_off:
                 return self.set_aside(feed, reading, receive_ns, waiting_ns)
+            self.see(feed, reading)
             outcome = None if reading.empty else feed.take(reading.value, waiting_ns)
         except Refused as refused:
             known = refused.refusal.reason is not Reason.BAD_STAMP
@@ -214,6 +223,25 @@ class ReportingAdapter(ABC):
         if refusal is not None:
             published.append(self.refused(feed.source, time_ns, refusal))
         return published if outcome is None else published + self.published(outcome, receive_ns, waiting_ns)
+
+    def see(self, feed: Feed, reading: ReadMessage[Any]) -> None:
+        """Look whether what was read is of one stream, before the core takes it."""
+        if feed.continuous is None or feed.judged or reading.empty:
+            return
+        topic = feed.input.topic
+        if self._contested.see(topic, reading.value.time_ns, reading.value):
+            self._tell_contested(topic)
+
+    def contest(self, topic: str, text: str) -> None:
+        """See :class:`ship_node.edge.adapter.Adapter`."""
+        self._contested.name(topic, text)
+        self._tell_contested(topic)
+
+    def _tell_contested(self, topic: str) -> None:
+        """What rests on an input of two publishers is not VALID; one that is taken out is no part of anything."""
+        feed, text = self.feeds[topic], self._contested.text(topic)
+        self.health.contested(topic, text)
+        self.core.contest(feed.measured_by or feed.source, "" if self.is_off(topic) else text)
 
     def is_off(self, topic: str) -> bool:
         """Whether people have taken out the source behind a topic."""
@@ -290,6 +318,8 @@ class ReportingAdapter(ABC):
         self.config = config
         self.core.reconfigure(self.config)
         self._bind()
+        for topic in filter(self._contested.text, self.feeds):
+            self._tell_contested(topic)
 
     # -- results of the core --------------------------------------------------------------------------------
 
@@ -303,6 +333,9 @@ class ReportingAdapter(ABC):
                 self.conflicts[feed.source] = decision.text
             elif decision.accepted:
                 self.conflicts.pop(feed.source, None)
+            topic, is_attitude = feed.input.topic, decision.noise.shape == _OF_ATTITUDE and not decision.revised
+            if is_attitude and self._contested.see(topic, decision.measurement.time_ns, decision):
+                self._tell_contested(topic)
             judged.append((feed.source, decision))
         self.verdicts.pending += judged
         published: list[Published] = []
@@ -444,6 +477,7 @@ class ReportingAdapter(ABC):
 
     def _restart(self, clock_jumped: bool) -> None:
         self.core.reset(clock_jumped)
+        self._contested.restart()
         self.health.restart()
         if self.saved is not None:
             self.saved.restarted()

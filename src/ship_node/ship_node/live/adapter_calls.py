@@ -11,6 +11,7 @@ from ship_estimation.parameters import ParameterError
 from ship_node.black_box.black_box_format import (
     ChangeRefused,
     ClockJumpedBack,
+    Contested,
     Event,
     ParametersChanged,
     ServiceCalled,
@@ -87,6 +88,13 @@ class AdapterCalls:
         finally:
             self._note(change, now_ns, waiting_ns)
         self.publish(published, now_ns)
+
+    def contest(self, topic: str, text: str, now_ns: int, waiting_ns: int) -> None:
+        """Tell the adapter that two publishers send on a topic, or with an empty text that they do no more."""
+        try:
+            self._adapter.contest(topic, text)
+        finally:
+            self._note(Contested(topic, text), now_ns, waiting_ns)
 
     def clock_jumped_back(self, now_ns: int) -> None:
         """Tell the adapter that the clock went back."""

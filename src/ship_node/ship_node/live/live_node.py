@@ -7,10 +7,10 @@ messages into an inbox, which is bounded; the events that wait for a callback ar
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
 from rclpy.context import Context
@@ -38,6 +38,7 @@ from ship_node.live.node_log import NodeLog
 from ship_node.live.node_report import Guard, StatusLog, name_status, stamps_status, start_line
 from ship_node.live.qos import input_qos, output_qos, overridable, overrides_checked
 from ship_node.live.ros_parameters import NodeParameters, ParameterNode
+from ship_node.live.senders import Senders, contested_text, publisher_names
 from ship_node.parameters.parameter_file import misfit_warnings, placed
 
 if TYPE_CHECKING:
@@ -86,6 +87,8 @@ class LiveNode:
             self.adapter = adapter_class(self._parameters.config, self._factory, files)
             self._publishers = {o.topic: self._create_publisher(o) for o in _outputs(self.adapter)}
             wanted = {i: input_qos(i, self._parameters.has_reliable_inputs) for i in self.adapter.inputs}
+            self._senders = {i.topic: Senders() for i in self.adapter.inputs}
+            self._contested: dict[str, str] = {}
             self._subscriptions = {i.topic: self._create_subscription(i, qos) for i, qos in wanted.items()}
             self._readers = {i.topic: CdrReader(i.type_name, self._factory.definition) for i in self.adapter.inputs}
             self._box = self._open_box()
@@ -145,7 +148,7 @@ class LiveNode:
             message_lost=partial(self._guard.call, "QoS event", self._on_lost, topic),
         )
         with overrides_checked(self.node, topic):
-            return self.node.create_subscription(
+            subscription = self.node.create_subscription(
                 message_class(input_topic.type_name),
                 topic,
                 partial(self._guard.call, topic, self._on_message, topic),
@@ -155,6 +158,10 @@ class LiveNode:
                 # The bytes as they came are what the black box keeps.
                 raw=True,
             )
+        # rclpy would find this out by the callback's signature, but its events executor then calls with one argument:
+        # the message and its information as a tuple.
+        subscription._callback_type = Subscription.CallbackType.WithMessageInfo
+        return subscription
 
     def _open_box(self) -> "BlackBox | None":
         path, config = self._parameters.black_box, self._parameters.config
@@ -186,12 +193,16 @@ class LiveNode:
             if name.startswith("qos_overrides.") and not self.node.has_parameter(name):
                 self._log.warning(f"parameter '{name}' names no topic and policy of this node")
 
-    def _on_message(self, topic: str, data: bytes) -> None:
+    def _on_message(self, topic: str, message: tuple[bytes, Mapping[str, Any]]) -> None:
         self._events.came()
+        data, information = message
         now_ns, waiting_ns = self._clock.times()
         # An EventsExecutor of rclpy 7.1.6 cannot pass on the time of reception. /clock waits in the same queue.
         since_ns = now_ns if self._clock.is_simulated() else self._heard_all_ns
         self._inbox.put(Arrival(topic, data, now_ns, waiting_ns, since_ns))
+        are_two = self._senders[topic].came(information["publication_sequence_number"], time.monotonic_ns())
+        if are_two and topic not in self._contested:
+            self._look_at_publishers(topic)
 
     def _judge_backlog(self) -> None:
         """Cut what waits where the node is behind; pass on to the adapter when it is and when it keeps up again."""
@@ -207,6 +218,27 @@ class LiveNode:
             self._inbox.keeps_up()
             waited_ns = 0
         self._calls.overload(overload(waited_ns, self._inbox.take_behind()), now_ns, waiting_ns)
+
+    def _look_at_publishers(self, topic: str) -> None:
+        """Tell the adapter whether two publishers send on a topic, by their messages and the graph."""
+        name = self._subscriptions[topic].topic_name
+        count, senders, names = self.node.count_publishers(name), self._senders[topic], []
+        if count > 1:
+            names = publisher_names(self.node.get_publishers_info_by_topic(name))
+        elif topic in self._contested:
+            senders.end()
+        self.adapter.health.publisher_count(topic, count, names)
+        text = contested_text(topic, names) if senders.are_two(time.monotonic_ns()) else ""
+        now_ns, waiting_ns = self._clock.times()
+        if text == self._contested.get(topic, "") or not now_ns:
+            return
+        self._contested[topic] = text
+        if text:
+            self._log.error(text)
+        else:
+            del self._contested[topic]
+            self._log.info(f"one publisher sends on {topic}")
+        self._calls.contest(topic, text, now_ns, waiting_ns)
 
     def _work(self) -> None:
         """Give the adapter the next message at the time at which it came, or where none waits the time now."""
@@ -285,8 +317,8 @@ class LiveNode:
     def _watch(self) -> None:
         """What time does not bring: publishers of the inputs, a clock that never starts, exceptions."""
         self._events.came()
-        for topic, subscription in self._subscriptions.items():
-            self.adapter.health.publisher_count(topic, self.node.count_publishers(subscription.topic_name))
+        for topic in self._subscriptions:
+            self._look_at_publishers(topic)
         self.adapter.health.clock_unused(not self._clock.is_simulated() and self.node.count_publishers("/clock") > 0)
         statuses = [self._clock.status(), name_status(self.node), self._events.status()]
         self._status_log.see([*statuses, stamps_status(self.adapter.health)])

@@ -20,6 +20,7 @@ from ship_node.black_box.black_box_format import (
     ChangeRefused,
     ClockJumpedBack,
     Closed,
+    Contested,
     EntriesLost,
     Event,
     FileUsed,
@@ -195,6 +196,8 @@ class _BoxReplay:
             self._use("clock jump back", time_ns, lambda: adapter.clock_jumped_back(time_ns))
         elif isinstance(event, Overload):
             self._use("overload", time_ns, lambda: adapter.overload(event, time_ns, waiting_ns))
+        elif isinstance(event, Contested):
+            self._call("publishers", time_ns, lambda: adapter.contest(event.topic, event.text))
         elif isinstance(event, ServiceCalled):
             answer = self._call(f"~/{event.name}", time_ns, lambda: adapter.service(event.name, time_ns))
             success, message = answer or (None, None)

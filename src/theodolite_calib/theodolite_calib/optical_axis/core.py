@@ -18,7 +18,7 @@ from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_estimation.estimator_shell import EstimatorShell, Model
 from ship_estimation.protection import IntegrityReport
-from ship_estimation.refusals import Reason, Refusal, contradiction_text
+from ship_estimation.refusals import Contradictions, Reason, Refusal
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.rotations import ARCSEC
 from ship_geometry.sample_track import SampleTrack
@@ -97,6 +97,7 @@ class OpticalAxisCore:
     ) -> None:
         self.due: list[DuePointing] | None = None
         self._sky = watch
+        self._of_targets = Contradictions()
         self._start: tuple[CalibrationPrior, int] | None = None
         self._calibration: tuple[CalibrationState, Calibration] | None = None
         self._take_models(config)
@@ -136,7 +137,8 @@ class OpticalAxisCore:
         self._sightings = SightingAssembler(self.config, self._tracks)
         self._watch = EncoderWatch(*_encoder_limits(self.config))
         self._ship_watch = ShipWatch(self.config, self._tracks.ship_shift_ns)
-        self._targets = TargetAnswers(self.config, self.filter, self._pointing, self._tracks)
+        self._of_targets.forget()
+        self._targets = TargetAnswers(self.config, self.filter, self._pointing, self._tracks, self._of_targets)
         self._escort = self._new_escort()
         self._waiting: deque[_WaitingReading] = deque()
         self._encoder_arrival_ns: int | None = None
@@ -261,6 +263,11 @@ class OpticalAxisCore:
             self._targets.add(sample, waiting_ns, outcome)
             self._answer_targets(outcome, waiting_ns)
         return outcome
+
+    def contest(self, source: str, text: str) -> None:
+        """Set that two publishers send as a source; an empty text ends it."""
+        contradictions = self._of_targets if source == TargetSample.source else self._shell.contradictions
+        contradictions.contest(source, self._shell.window.newest_ns, text)
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> PointingOutcome:
         """Says INVALID, once a second, when no pointing was put out for a second, whatever came in.
@@ -506,7 +513,7 @@ class OpticalAxisCore:
 
     def _contradiction(self, time_ns: int) -> str:
         """Why what a pointing rests on is in doubt since a source contradicted itself; empty where none did."""
-        return contradiction_text(self._shell.contradictions.at(time_ns))
+        return self._shell.contradictions.text(self._shell.contradictions.at(time_ns))
 
 
 def _is_silent(arrival_ns: int | None, waiting_ns: int) -> bool:

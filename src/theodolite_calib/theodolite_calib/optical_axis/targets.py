@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ship_estimation.outcome import Decision, Status
-from ship_estimation.refusals import Reason, Refusal, failure
+from ship_estimation.refusals import Contradictions, Reason, Refusal, failure
 from ship_geometry.rotations import ARCSEC, FloatArray, skew
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.chain.axes import AXES, SHIP, AxisErrors, axis_chain
@@ -44,12 +44,18 @@ class TargetAnswers:
         filter_: the filter of that configuration.
         pointing: makes the pointings.
         tracks: what was measured.
+        contradictions: of the source of the images.
     """
 
     def __init__(
-        self, config: OpticalAxisConfig, filter_: CalibrationFilter, pointing: PointingOutput, tracks: MeasuredTracks
+        self,
+        config: OpticalAxisConfig,
+        filter_: CalibrationFilter,
+        pointing: PointingOutput,
+        tracks: MeasuredTracks,
+        contradictions: Contradictions,
     ) -> None:
-        self._waiting = WaitingTargets()
+        self._waiting = WaitingTargets(contradictions)
         self._put_out: deque[DuePointing] = deque()
         self._tracks = tracks
         self.reconfigure(config, filter_, pointing)

@@ -19,6 +19,7 @@ from ship_geometry.rotations import ARCSEC
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.documents.saved_start import SavedStart
 from ship_node.edge.blocks import PublishedRows, StampArray
+from ship_node.edge.contested import ATTITUDE, BASELINE, ENCODERS
 from ship_node.edge.deferring_adapter import DeferringAdapter
 from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.messages_out import (
@@ -143,12 +144,13 @@ class OpticalAxisAdapter(DeferringAdapter):
         encoder = InputTopic("theodolite/encoder", "ship_msgs/msg/TheodoliteEncoder", required=True, depth=1000)
         read_encoder = functools.partial(messages_in.encoder, config=config)
         read_encoders = functools.partial(rows_in.encoders, config=config)
-        yield Feed(encoder, "encoder", read_encoder, core.add_encoder, read_rows=read_encoders)
+        yield Feed(encoder, "encoder", read_encoder, core.add_encoder, read_rows=read_encoders, continuous=ENCODERS)
         type_name, read_ship = _SHIP[config.ship.source]
         ship = InputTopic(config.ship.source, type_name, required=True, depth=1000)
         by_ins = config.ship.source == "ins/imu"
         read_ships = None if by_ins else functools.partial(self._read_ships, config=config)
-        yield Feed(ship, "ship", functools.partial(read_ship, config=config), core.add_ship, read_rows=read_ships)
+        read_ship = functools.partial(read_ship, config=config)
+        yield Feed(ship, "ship", read_ship, core.add_ship, read_rows=read_ships, continuous=ATTITUDE)
         image = InputTopic("theodolite/beacons", "ship_msgs/msg/BeaconImage", required=False, depth=1000)
         read_image, take_image = functools.partial(messages_in.exposure, config=config), untimed(core.add_exposure)
         yield Feed(image, "lights", read_image, take_image, judged=True, measured_by=Exposure.source)
@@ -162,13 +164,13 @@ class OpticalAxisAdapter(DeferringAdapter):
             topic = InputTopic(f"beacon/{id_}/baseline", "ship_msgs/msg/RtkBaseline", required=False, depth=1000)
             read_baseline = functools.partial(messages_in.baseline, beacon=beacon, least_fix=config.least_fix)
             take = untimed(functools.partial(core.add_baseline, id_))
-            yield Feed(topic, f"baseline.{id_}", read_baseline, take)
+            yield Feed(topic, f"baseline.{id_}", read_baseline, take, continuous=BASELINE)
         for id_, beacon in config.beacons.items():
             topic = InputTopic(f"beacon/{id_}/imu", _IMU_TYPE, required=False, depth=1000)
             read_imu = functools.partial(messages_in.drone_attitude, beacon=beacon)
             read_imus = functools.partial(rows_in.drone_attitudes, beacon=beacon)
             take = untimed(functools.partial(core.add_drone_attitude, id_))
-            yield Feed(topic, f"drone.{id_}", read_imu, take, read_rows=read_imus)
+            yield Feed(topic, f"drone.{id_}", read_imu, take, read_rows=read_imus, continuous=ATTITUDE)
 
     def _star_feeds(self, config: OpticalAxisConfig) -> Iterator[Feed]:
         """Stars in cameras on the theodolite, and what tells where they stand in the sky."""

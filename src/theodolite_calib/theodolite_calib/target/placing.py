@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ship_estimation.outcome import Decision, Measurement, Outcome, Status
-from ship_estimation.refusals import Contradictions, Reason, Refusal, contradiction_text, failure, same_stamp
+from ship_estimation.refusals import Contradictions, Reason, Refusal, failure, same_stamp
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.target.common_moments import DirectionSample, SeenByStation, leads, placed_at
@@ -92,6 +92,7 @@ class TriangulationCore:
         self.config = config
         self._lag_ns = round(config.lag_s * SECOND_NS)
         self._stations: list[Station] = [config.stations[name].station(name) for name in sorted(config.stations)]
+        self._contradictions = Contradictions()
         self._numbers = {f"station.{station.name}": number for number, station in enumerate(self._stations)}
         self.reset()
 
@@ -99,7 +100,7 @@ class TriangulationCore:
         """Forget all directions."""
         self._targets: dict[str, _Target] = {}
         self._forgotten_ns = 0
-        self._contradictions = Contradictions()
+        self._contradictions.forget()
         return []
 
     def reconfigure(self, config: TriangulationConfig) -> None:
@@ -115,6 +116,10 @@ class TriangulationCore:
         outcome.refusal = self._take(target, number, sample, waiting_ns)
         self._answer(sample.target_id, target, waiting_ns, outcome)
         return outcome
+
+    def contest(self, source: str, text: str) -> None:
+        """Set that two publishers send as a source; an empty text ends it."""
+        self._contradictions.contest(source, 0, text)
 
     def tick(self, now_ns: int, waiting_ns: int) -> PlacingOutcome:
         """Answer what has waited long enough."""
@@ -214,7 +219,7 @@ class TriangulationCore:
     def _doubt(self, time_ns: int, stations: tuple[str, ...]) -> str:
         """Why the directions of some theodolites are in doubt; empty where they are not."""
         sources = {f"station.{name}" for name in stations}
-        return contradiction_text(source for source in self._contradictions.at(time_ns) if source in sources)
+        return self._contradictions.text(sources & self._contradictions.at(time_ns).keys())
 
 
 def _no_place(

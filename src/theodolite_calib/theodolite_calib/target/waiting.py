@@ -5,7 +5,7 @@ An image touches nothing else: the pointings, and all that they rest on, are to 
 
 from collections import deque
 
-from ship_estimation.refusals import Contradictions, Refusal, contradiction_text, same_stamp
+from ship_estimation.refusals import Contradictions, Refusal, same_stamp
 from theodolite_calib.measured.samples import TargetSample
 
 MOST_WAITING = 1000
@@ -18,13 +18,17 @@ _Key = tuple[int, str]
 
 
 class WaitingTargets:
-    """The images of one run that wait, and those that were answered not long ago."""
+    """The images of one run that wait, and those that were answered not long ago.
 
-    def __init__(self) -> None:
+    Args:
+        contradictions: of their source.
+    """
+
+    def __init__(self, contradictions: Contradictions) -> None:
         self._waiting: dict[_Key, tuple[TargetSample, int]] = {}
         self._answered: dict[_Key, TargetSample] = {}
         self._order: deque[_Key] = deque()
-        self._contradictions = Contradictions()
+        self._contradictions = contradictions
 
     def __len__(self) -> int:
         return len(self._waiting)
@@ -66,4 +70,4 @@ class WaitingTargets:
 
         Of all targets alike, for names come from outside and could be any number.
         """
-        return contradiction_text(self._contradictions.at(time_ns))
+        return self._contradictions.text(self._contradictions.at(time_ns))

@@ -1,0 +1,158 @@
+"""Two streams in one: values that run alternately, each of the two continuous with itself.
+
+Two publishers on one topic look like that in a recording, where no middleware names them. A window of values is
+fitted by a cubic in time. Where the remainders fall into two narrow groups far apart, between which the stream
+changes again and again, the window holds two streams.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ship_geometry.rotations import FloatArray
+from ship_geometry.time_scales import SECOND_NS
+
+WINDOW = 32
+"""Number of values that are judged together."""
+
+_EVERY_NS = SECOND_NS // 2
+"""Time from the first value of a window to the first value of the next one; slower streams use each value."""
+
+_FEWEST, _FEWEST_CHANGES = 3, 4
+"""Least number of values in the smaller group, and of changes between the two groups."""
+
+_SCATTERS = 8.0
+"""Least distance of the two groups, in standard deviations within a group: 3 is usual for noise cut in two."""
+
+_STEPS = 5.0
+"""Least distance of the two groups, in smallest steps of values that repeat: rounding makes groups one digit apart."""
+
+_MOVES = 2.0
+"""Least distance of the two groups, in changes of the value between two samples: wrong stamps feign up to one."""
+
+_CLEAN = 2
+"""Number of successive windows with one stream after which the stream is one again."""
+
+StampArray = NDArray[np.int64]
+
+
+class _Judged(NamedTuple):
+    """The distance of two streams in a window, 0 where there is one, and whether the motion may feign it."""
+
+    apart: float
+    may_be_feigned: bool = False
+
+
+_ONE = _Judged(0.0)
+
+
+class InterleavedStreams:
+    """Detects two streams in the values of one source, in their order of arrival.
+
+    Args:
+        least: distance below which two streams count as one, in the unit of the values.
+
+    Attributes:
+        apart: distance of the two streams in the unit of the values; 0 where there is one.
+
+    >>> streams = InterleavedStreams(least=0.01)
+    >>> for n in range(64):
+    ...     turned_on = streams.add(n * 50_000_000, np.array([0.001 * math.sin(0.7 * n) + n % 2]))
+    >>> round(streams.apart, 1)
+    1.0
+    """
+
+    def __init__(self, least: float) -> None:
+        self._least = least
+        self.apart = 0.0
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the values; what was found stays until windows with one stream end it."""
+        self._times: list[int] = []
+        self._values: list[FloatArray] = []
+        self._due_ns = -1
+        self._clean = 0
+
+    def add(self, time_ns: int, value: FloatArray) -> bool:
+        """Add a value, shape (n,); returns whether one stream has become two, or two have become one."""
+        if not self._times and self._due_ns - _EVERY_NS < time_ns < self._due_ns:
+            return False
+        self._times.append(time_ns)
+        self._values.append(value)
+        if len(self._times) < WINDOW:
+            return False
+        return self._judge()
+
+    def count_before_change(self, times_ns: StampArray, values: FloatArray) -> int:
+        """Number of values, from the first one on, after which the answer is what it is now.
+
+        Args:
+            times_ns: stamps in ascending order, shape (N,).
+            values: shape (N, n).
+        """
+        tried = InterleavedStreams(self._least)
+        tried.apart, tried._due_ns, tried._clean = self.apart, self._due_ns, self._clean
+        tried._times, tried._values = self._times.copy(), self._values.copy()
+        return tried.add_all(times_ns, values)
+
+    def add_all(self, times_ns: StampArray, values: FloatArray) -> int:
+        """Add values as by :meth:`add`, up to the one that changes the answer; returns the number before that one."""
+        start = 0
+        while start < len(times_ns):
+            if not self._times:
+                start += int(times_ns[start:].searchsorted(self._due_ns)) if times_ns[start] < self._due_ns else 0
+            stop = min(start + WINDOW - len(self._times), len(times_ns))
+            self._times += times_ns[start:stop].tolist()
+            self._values += list(values[start:stop])
+            if len(self._times) == WINDOW and self._judge():
+                return stop - 1
+            start = stop
+        return len(times_ns)
+
+    def _judge(self) -> bool:
+        """Judge a full window and begin another; returns as :meth:`add`."""
+        judged = _judged(np.array(self._times), np.array(self._values), self._least)
+        self._due_ns = self._times[0] + _EVERY_NS
+        self._times, self._values = [], []
+        was_two = self.apart > 0.0
+        if judged.apart and (was_two or not judged.may_be_feigned):
+            self._clean, self.apart = 0, judged.apart
+        elif was_two:
+            self._clean += 1
+            if self._clean >= _CLEAN:
+                self._clean, self.apart = 0, 0.0
+        return (self.apart > 0.0) is not was_two
+
+
+def _judged(times_ns: StampArray, values: FloatArray, least: float) -> _Judged:
+    """Judge the values of a window, in their order of arrival."""
+    span_ns = int(times_ns.max() - times_ns.min())
+    if span_ns == 0 or not np.isfinite(values).all():
+        return _ONE
+    at = (times_ns - times_ns.min()) / span_ns
+    moved, design = values - values[0], np.column_stack([np.ones(WINDOW), at, at**2, at**3])
+    left = moved - design @ np.linalg.lstsq(design, moved, rcond=None)[0]
+    along = left @ left[np.argmax(np.einsum("ij,ij->i", left, left))]
+    order = np.sort(along)
+    widest = int(np.argmax(np.diff(order)[_FEWEST - 1 : WINDOW - _FEWEST])) + _FEWEST - 1
+    upper = along > 0.5 * (order[widest] + order[widest + 1])
+    if np.count_nonzero(upper[1:] != upper[:-1]) < _FEWEST_CHANGES:
+        return _ONE
+    design = np.column_stack([design, upper])
+    fit = np.linalg.lstsq(design, moved, rcond=None)[0]
+    left, apart = moved - design @ fit, float(np.linalg.norm(fit[4]))
+    scatter = math.sqrt(float(np.sum(left * left)) / (WINDOW - 5))
+    if not apart >= max(least, _SCATTERS * scatter, _STEPS * _smallest_step(moved, upper)):
+        return _ONE
+    ends = fit[1], fit[1] + 2.0 * fit[2] + 3.0 * fit[3]
+    fastest = max(float(np.linalg.norm(slope)) for slope in ends)
+    return _Judged(apart, apart < _MOVES * fastest * float(np.abs(np.diff(at)).max()))
+
+
+def _smallest_step(values: FloatArray, upper: NDArray[np.bool_]) -> float:
+    """Smallest step of successive values within a group, infinite where there is none; 0 where no value repeats."""
+    steps = np.concatenate([np.linalg.norm(np.diff(values[group], axis=0), axis=1) for group in (upper, ~upper)])
+    return float(steps[steps > 0.0].min(initial=math.inf)) if np.any(steps == 0.0) else 0.0

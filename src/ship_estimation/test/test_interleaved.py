@@ -1,0 +1,108 @@
+"""Two streams in one: found where there are two, never in healthy streams, and over when one has ended."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ship_estimation.interleaved import WINDOW, InterleavedStreams
+from ship_geometry.attitude_track import AttitudeSample
+from ship_geometry.rotations import ARCSEC, exp_rotation
+from ship_testing.ins_streams import CALM, STORM, SWELL, stream
+
+LEAST = 40.0 * ARCSEC
+
+
+def seen(samples: list[AttitudeSample]) -> list[float]:
+    """The distance of two streams after each sample."""
+    streams, apart = InterleavedStreams(LEAST), []
+    for sample in samples:
+        streams.add(sample.time_ns, sample.rotation_nd.ravel())
+        apart.append(streams.apart)
+    return apart
+
+
+def with_another(samples: list[AttitudeSample], off_deg: float, every: int = 2) -> list[AttitudeSample]:
+    """The samples, of which some are those of another INS."""
+    other_d = exp_rotation([0.0, np.deg2rad(off_deg), 0.0])
+    return [
+        sample if n % every else replace(sample, rotation_nd=sample.rotation_nd @ other_d)
+        for n, sample in enumerate(samples)
+    ]
+
+
+@pytest.mark.parametrize("amplitude_deg", [CALM, SWELL])
+@pytest.mark.parametrize(
+    ("rate_hz", "off_deg", "every"), [(200.0, 0.1, 2), (200.0, 1.0, 5), (40.0, 0.3, 2), (20.0, 1.0, 3)]
+)
+def test_two_streams_are_found_within_two_windows(
+    rate_hz: float, off_deg: float, every: int, amplitude_deg: Any
+) -> None:
+    samples = with_another(stream(20.0, rate_hz, amplitude_deg), off_deg, every)
+    apart = np.array(seen(samples))
+    assert np.all(apart[2 * WINDOW :] > 0.0)
+    np.testing.assert_allclose(np.rad2deg(apart[2 * WINDOW :]) / np.sqrt(2.0), off_deg, rtol=0.2)
+
+
+def test_two_streams_are_one_again_after_two_windows_of_one() -> None:
+    samples = stream(30.0, 100.0)
+    apart = np.array(seen(with_another(samples[:1000], 0.5) + samples[1000:]))
+    assert apart[999] > 0.0
+    assert np.all(apart[1000 + 150 :] == 0.0)
+
+
+HEALTHY: dict[str, dict[str, Any]] = {
+    "in swell": {"rate_hz": 100.0},
+    "in a storm": {"rate_hz": 20.0, "amplitude_deg": STORM},
+    "0.1° at 50 Hz": {"rate_hz": 50.0, "amplitude_deg": CALM, "printed_deg": 0.1},
+    "0.01° at 10 Hz": {"rate_hz": 10.0, "amplitude_deg": CALM, "printed_deg": 0.01},
+    "0.1° at rest": {"rate_hz": 20.0, "amplitude_deg": (0.0, 0.0, 0.0), "printed_deg": 0.1, "white_arcsec": 200.0},
+    "noise": {"rate_hz": 50.0, "white_arcsec": 100.0},
+    "2 Hz": {"rate_hz": 2.0},
+}
+
+
+@pytest.mark.parametrize("name", HEALTHY)
+def test_a_healthy_stream_is_one(name: str) -> None:
+    assert not any(seen(stream(600.0, **HEALTHY[name])))
+
+
+def test_values_sent_twice_or_stamped_in_pairs_are_one_stream() -> None:
+    samples = stream(120.0, 100.0, SWELL)
+    twice = [replace(samples[n - n % 2], time_ns=sample.time_ns) for n, sample in enumerate(samples)]
+    assert not any(seen(twice))
+    pairs = [replace(sample, time_ns=samples[n | 1].time_ns - n % 2) for n, sample in enumerate(samples[:-1])]
+    assert not any(seen(pairs))
+
+
+def test_jitter_of_stamps_is_one_stream() -> None:
+    rng = np.random.default_rng(3)
+    samples = stream(300.0, 20.0, SWELL)
+    assert not any(seen([replace(s, time_ns=s.time_ns + int(rng.uniform(0.0, 12e6))) for s in samples]))
+
+
+def test_what_is_no_number_is_one_stream() -> None:
+    samples = with_another(stream(10.0, 100.0), 0.5)
+    assert not any(seen([replace(sample, rotation_nd=np.nan * sample.rotation_nd) for sample in samples]))
+
+
+@pytest.mark.parametrize("block", [1, 10, 333])
+def test_a_block_is_seen_as_its_samples_one_by_one(block: int) -> None:
+    samples = stream(4.0, 100.0) + [
+        replace(s, time_ns=s.time_ns + 4_000_000_000) for s in with_another(stream(2.0, 100.0), 0.5)
+    ]
+    times, values = np.array([s.time_ns for s in samples]), np.array([s.rotation_nd.ravel() for s in samples])
+    single = seen(samples)
+    streams, start = InterleavedStreams(LEAST), 0
+    while start < len(samples):
+        some = slice(start, start + block)
+        count = streams.count_before_change(times[some], values[some])
+        assert streams.add_all(times[some][:count], values[some][:count]) == count
+        start += count
+        assert streams.apart == single[start - 1] if start else True
+        assert len({value > 0.0 for value in single[start - count : start]}) <= 1
+        if count < len(times[some]):
+            assert streams.add(int(times[start]), values[start])
+            assert streams.apart == single[start]
+            start += 1

@@ -1,0 +1,111 @@
+"""The inputs of a node on which two publishers send: which of them is right, no data tell.
+
+A live node learns of them from the middleware (:mod:`ship_node.live.senders`). In a recording only the values tell:
+those of two publishers run alternately, each continuous with itself (:mod:`ship_estimation.interleaved`).
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ship_estimation.interleaved import InterleavedStreams, StampArray
+from ship_geometry.geodetic import ecef_from_geodetic
+from ship_geometry.rotations import ARCSEC, FloatArray
+
+_ROTATION = np.sqrt(2.0)
+"""Distance of two rotation matrices, all nine elements, for a small angle of one radian between them."""
+
+
+class Continuous(NamedTuple):
+    """What is continuous in the values of an input.
+
+    Attributes:
+        of: the quantity of a value, shape (n,).
+        least: distance of two streams below which they count as one.
+        words: a distance for people.
+    """
+
+    of: Callable[[Any], FloatArray]
+    least: float
+    words: Callable[[float], str]
+
+
+def _degrees(angle_rad: float) -> str:
+    return f"{np.degrees(angle_rad):.3g}° apart"
+
+
+def _metres(distance_m: float) -> str:
+    return f"{distance_m:.3g} m apart"
+
+
+ATTITUDE = Continuous(
+    lambda sample: sample.rotation_nd.ravel(),
+    30.0 * ARCSEC * _ROTATION,
+    lambda distance: _degrees(2.0 * np.arcsin(min(distance / (2.0 * _ROTATION), 1.0))),
+)
+"""An attitude; 30″ are six times the noise of a coarse one."""
+
+INNOVATION = Continuous(
+    lambda decision: np.linalg.solve(np.linalg.cholesky(decision.noise), decision.residual),
+    10.0,
+    lambda distance: f"{distance:.0f} sigma of their noise apart",
+)
+"""The innovation of an attitude, whitened by its own noise; it does not move with the ship."""
+
+POSITION = Continuous(lambda fix: ecef_from_geodetic(fix.position), 5.0, _metres)
+"""A position fix; 5 m make 0.2″."""
+
+BASELINE = Continuous(lambda sample: sample.vector, 0.05, _metres)
+"""A baseline to a drone."""
+
+ENCODERS = Continuous(
+    lambda sample: np.concatenate([np.cos(sample.vector), np.sin(sample.vector)]), 10.0 * ARCSEC, _degrees
+)
+"""Both encoders, modulo a turn."""
+
+
+class ContestedInputs:
+    """The inputs on which two publishers send, by what the middleware and the values say.
+
+    Args:
+        continuous: topic → what is continuous in its values, of the inputs that are judged by their values.
+    """
+
+    def __init__(self, continuous: dict[str, Continuous]) -> None:
+        self._continuous = continuous
+        self._streams = {topic: InterleavedStreams(kind.least) for topic, kind in continuous.items()}
+        self._named: dict[str, str] = {}
+
+    def restart(self) -> None:
+        """The clock went back or the node was reset: what was found stays until the values tell otherwise."""
+        for streams in self._streams.values():
+            streams.restart()
+
+    def name(self, topic: str, text: str) -> None:
+        """Set what the middleware tells of a topic: two publishers that send; an empty text ends it."""
+        if text:
+            self._named[topic] = text
+        else:
+            self._named.pop(topic, None)
+
+    def text(self, topic: str) -> str:
+        """For people, that two publishers send on a topic; empty where one does."""
+        streams = self._streams.get(topic)
+        if topic in self._named or streams is None or not streams.apart:
+            return self._named.get(topic, "")
+        apart = self._continuous[topic].words(streams.apart)
+        return f"two streams alternate on {topic}, {apart}: end one of its two publishers"
+
+    def see(self, topic: str, time_ns: int, value: Any) -> bool:
+        """See a value of a topic; returns whether the text may have changed."""
+        streams = self._streams.get(topic)
+        return streams is not None and streams.add(time_ns, self._continuous[topic].of(value))
+
+    def count_before_change(self, topic: str, times_ns: StampArray, rotations_nd: FloatArray) -> int:
+        """Number of attitudes of a block, from the first one on, that change no text."""
+        return self._streams[topic].count_before_change(times_ns, rotations_nd.reshape(-1, 9))
+
+    def see_block(self, topic: str, times_ns: StampArray, rotations_nd: FloatArray) -> None:
+        """See the attitudes of a block, which change no text."""
+        self._streams[topic].add_all(times_ns, rotations_nd.reshape(-1, 9))
