@@ -1,7 +1,7 @@
 """Values of which those that jump are left out: what is a jump, when it is believed, in any order of arrival."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -205,3 +205,65 @@ def test_a_jump_that_lasts_for_long_takes_no_memory_and_what_comes_too_late_is_t
     assert values.insert(ns(500), Reading(500.0)) is None
     assert values.refusal(ns(1002), Reading(500.0)).reason is Reason.JUMP
     assert values.refusal(ns(1002), Reading(0.0)) is None
+
+
+SETTLES = JumpLimits(at_once=10.0, per_s=2.0, lasts_s=60.0, unit="m", settled_by=4)
+
+
+def settling(*stamped: tuple[float, float]) -> tuple[list[float], list[bool]]:
+    """Times of the values refused, and after each value whether the one believed is disputed."""
+    values, refused, disputed = StampedValues[Reading](SETTLES), [], []
+    for since_s, value in stamped:
+        if values.refusal(ns(since_s), Reading(value)) is not None:
+            refused.append(since_s)
+        values.insert(ns(since_s), Reading(value))
+        disputed.append(values.is_disputed(ns(since_s)))
+    return refused, disputed
+
+
+GOOD = [(float(t), 1000.0 + t) for t in range(5, 15)]
+
+
+def test_a_provisional_value_is_replaced_by_as_many_as_settle_it_however_often_it_has_stood() -> None:
+    for stood in (2, 5):
+        refused, disputed = settling(*((float(t), 0.0) for t in range(stood)), *GOOD)
+        assert refused == [5.0, 6.0, 7.0]
+        assert disputed == [False] * stood + [True] * 3 + [False] * 7
+
+
+def test_several_provisional_values_are_disputed_by_two() -> None:
+    refused, disputed = settling((2.0, 0.0), (3.0, 1.0), (4.0, 2.0), *GOOD)
+    assert refused == [5.0, 6.0, 7.0]
+    assert disputed == [False] * 4 + [True, True] + [False] * 7
+
+
+def test_a_settled_value_is_replaced_only_by_what_lasts() -> None:
+    settled = [(0.1 * t, float(t)) for t in range(4)]
+    refused, disputed = settling(*settled, *((float(t), 1000.0) for t in range(5, 70)))
+    assert refused == [float(t) for t in range(5, 65)]
+    assert not any(disputed)
+
+
+def test_opponents_that_do_not_agree_replace_nothing() -> None:
+    refused, disputed = settling((0.0, 0.0), (1.0, 0.0), *((float(t), 500.0 * (t % 3)) for t in range(2, 60)))
+    assert refused == [float(t) for t in range(2, 60) if t % 3]
+    assert disputed[2]
+    assert not disputed[3]
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_any_order_of_arrival_ends_in_the_same_disputes(seed: int) -> None:
+    rng, limits = np.random.default_rng(seed), replace(BRIEF, settled_by=6)
+    stamped = sorted(drawn(rng), key=lambda one: one[0])
+    in_order = StampedValues[Reading](limits)
+    for one in stamped:
+        in_order.insert(*one)
+    shuffled, moments = StampedValues[Reading](limits), [ns(t) for t in range(100)]
+    for index in rng.permutation(len(stamped)):
+        before = [shuffled.is_disputed(time_ns) for time_ns in moments]
+        shuffled.insert(*stamped[index])
+        changed = [t for t, was in zip(moments, before, strict=True) if shuffled.is_disputed(t) != was]
+        since_ns = shuffled.disputed_since_ns
+        assert not changed or (since_ns is not None and since_ns <= changed[0])
+    assert believed(shuffled) == believed(in_order)
+    assert [shuffled.is_disputed(t) for t in moments] == [in_order.is_disputed(t) for t in moments]

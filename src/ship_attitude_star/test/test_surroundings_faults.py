@@ -9,9 +9,10 @@ import pytest
 from ship_estimation.outcome import Status
 from ship_estimation.refusals import Reason
 from ship_testing import ship_observations, star_voyage
-from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, changed_where, delayed
+from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, changed_where, delayed, in_order
 from ship_testing.small_voyage import INS
-from ship_testing.star_voyage import FIX, FORE, PRESSURE, STARBOARD, voyage
+from ship_testing.star_voyage import FIX, FORE, PRESSURE, STARBOARD, except_, fix
+from ship_testing.star_voyage import voyage as short_voyage
 
 Change = Callable[[Any], None]
 NODES = {"ship_attitude": ship_observations.sail, "star_attitude": star_voyage.sail}
@@ -32,6 +33,12 @@ FAULTS = {
     "20 hPa up": (PRESSURE, off("fluid_pressure", 2000.0)),
     "30 hPa down": (PRESSURE, off("fluid_pressure", -3000.0)),
 }
+
+
+def voyage() -> tuple[Arrival, ...]:
+    """The voyage of a ship whose position is established before."""
+    before = [since_s * SECOND_NS for since_s in range(-12, -2)]
+    return (*(Arrival(FIX, fix(since_ns), START_NS + since_ns + 50_000_000) for since_ns in before), *short_voyage())
 
 
 def is_hit(arrival: Arrival, topic: str) -> bool:
@@ -74,6 +81,30 @@ def test_any_order_within_the_lag_ends_in_the_same_state(seed: int) -> None:
     late = np.array([arrival.topic in (FIX, PRESSURE, FORE, STARBOARD, INS) for arrival in wrong])
     delays_s = np.where(late, np.random.default_rng(seed).uniform(0.0, 1.99, late.size), 0.005)
     run = ship_observations.sail(delayed(wrong, delays_s))
-    in_order = ship_observations.sail(delayed(wrong, np.full(late.size, 0.005)))
-    assert in_order.reasons(FIX) == {"jump": 2}
-    assert run.state() == in_order.state()
+    ordered = ship_observations.sail(delayed(wrong, np.full(late.size, 0.005)))
+    assert ordered.reasons(FIX) == {"jump": 2}
+    assert run.state() == ordered.state()
+
+
+def to_zero(message: Any) -> None:
+    message.latitude = message.longitude = 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("node", NODES)
+def test_a_first_position_that_others_contradict_is_replaced_by_ten_of_them(node: str) -> None:
+    """Five fixes at 0° N 0° E, then good ones, at 5 Hz: no star is used before ten of these have come."""
+    period_ns, first_ns = SECOND_NS // 5, -2 * SECOND_NS // 5
+    fixes = [
+        Arrival(FIX, fix(since_ns), START_NS + since_ns + 50_000_000)
+        for since_ns in range(first_ns, 5 * SECOND_NS, period_ns)
+    ]
+    good_ns, settled_ns = (START_NS + first_ns + count * period_ns for count in (5, 14))
+    fixes = changed_where(fixes, lambda arrival: arrival.stamp_ns < good_ns, to_zero)
+    run = NODES[node](in_order([*except_(short_voyage(5.0), FIX), *fixes]))
+    assert run.reasons(FIX) == {"jump": 9}
+    assert "10 in a row agree" in run.innovations(Reason.JUMP)[0].reason_text
+    output, valid = ("ship/attitude", Status.VALID) if node == "ship_attitude" else ("star/fore/solution", 0)
+    told = [(ns, message.status) for ns, topic, message in run.published if topic == output]
+    assert valid not in {status for ns, status in told if START_NS < ns < settled_ns}
+    assert {status for ns, status in told if settled_ns + 1.2 * SECOND_NS < ns < START_NS + 5 * SECOND_NS} == {valid}

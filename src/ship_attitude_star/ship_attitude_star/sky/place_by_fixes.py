@@ -4,8 +4,9 @@ The place is extrapolated from fixes that were stamped ``gnss_delay_s`` or more 
 lie on. A fix that comes within this delay changes no answer, so that nothing is compared anew because of it. In 1.5 s
 a ship leaves the line by half a metre, 0.016″ (0.1 m/s²). The line is straight in Earth-fixed coordinates, so that
 neither the date line nor a pole is special. At the beginning, and after a time without fixes, such a line is not known
-yet: the place then lies on the line through the two fixes nearest in time, later ones too. Whatever the order of
-arrival, the answers are the same.
+yet: the place then lies on the line through the two fixes nearest in time, later ones too. The first fixes are
+provisional until ten agree (:mod:`ship_attitude_star.sky.stamped_values`); while others contradict them, no place is
+known. Whatever the order of arrival, the answers are the same.
 """
 
 import bisect
@@ -43,6 +44,9 @@ After one second more it errs by 0.3 m, as the ship accelerates. Of an error tha
 
 SPEED_SIGMA_M_PER_S = 10.0
 """Speed of a ship of which only one fix is known, standard deviation of each horizontal axis."""
+
+SETTLED_BY_FIXES = 10
+"""Number of different fixes that agree after which a position is established; before, as many others replace it."""
 
 FIX_AT_ONCE_M = 50.0
 """What a position may change at once: from one antenna to another, from one solution of a receiver to a better one.
@@ -103,7 +107,7 @@ class PlaceByFixes:
         self._fix_max_age_ns = round(config.fix_max_age_s * SECOND_NS)
         self._delay_ns = round(config.gnss_delay_s * SECOND_NS)
         self._oldest_ns: int | None = None
-        reach = JumpLimits(FIX_AT_ONCE_M, config.max_speed_m_per_s, config.fix_max_age_s, "m")
+        reach = JumpLimits(FIX_AT_ONCE_M, config.max_speed_m_per_s, config.fix_max_age_s, "m", SETTLED_BY_FIXES)
         self._fixes: StampedValues[_Fix] = StampedValues(reach)
 
     def refusal(self, fix: PositionFix) -> Refusal | None:
@@ -113,8 +117,14 @@ class PlaceByFixes:
     def insert(self, fix: PositionFix) -> int | None:
         """Take a fix; returns the moment (ns) after which answers may have changed, None for nothing."""
         changed_ns = self._fixes.insert(fix.time_ns, _earth_fixed(fix))
-        if changed_ns is None:
-            return None
+        disputed_ns = self._fixes.disputed_since_ns
+        told_ns = [] if disputed_ns is None else [disputed_ns + self._delay_ns - 1]
+        if changed_ns is not None:
+            told_ns.append(self._after_change(changed_ns))
+        return min(told_ns, default=None)
+
+    def _after_change(self, changed_ns: int) -> int:
+        """The moment after which answers may differ where the fixes believed differ from a stamp on."""
         times, index = self._fixes.times, bisect.bisect_left(self._fixes.times, changed_ns)
         if index < 2:
             return 0  # the first two fixes give the velocity for all times before them
@@ -142,11 +152,14 @@ class PlaceByFixes:
         self._fixes.drop_before(self._fixes.times[self._first(last)] if last >= 0 else time_ns - self._delay_ns)
 
     def at(self, time_ns: int) -> Place | Refusal:
-        """The place at a moment, or NO_FIX where no fix is near enough in time.
+        """The place at a moment, or NO_FIX where no fix is near enough in time, or a provisional one is disputed.
 
         Errors of successive fixes are taken to be alike, as those of GNSS are: no averaging makes them better. The
         error that the straight line leaves out grows with the time to its two fixes.
         """
+        if self._fixes.is_disputed(time_ns - self._delay_ns):
+            disputed = "the first position fixes contradict one another"
+            return Refusal(Reason.NO_FIX, f"{disputed}: known once {SETTLED_BY_FIXES} in a row agree")
         line = self._line(time_ns)
         return self._place_by_nearest(time_ns) if line is None else self._place_on_line(*line, time_ns)
 

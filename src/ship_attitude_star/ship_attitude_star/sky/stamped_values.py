@@ -8,8 +8,10 @@ jumped. It is refused, and so are those after it that hang together with it, unt
 - a value is again where the last one believed allows it, and not where the refused ones lead; or
 - they have hung together for as long as a value holds: then nothing older holds any more, and they are believed anew.
 
-Nothing speaks for a first value but itself: where the second contradicts it, the third decides. A value that stands to
-the last bit tells nothing new, be it that the source is frozen: meanwhile the ship may have sailed.
+Nothing speaks for a first value but itself: where the second contradicts it, the third decides. Where
+``JumpLimits.settled_by`` is given, values without a predecessor are provisional until that number of different ones
+agree; before, the same number of refused values that hang together replace them. A value that stands to the last bit
+tells nothing new, be it that the source is frozen: meanwhile the ship may have sailed.
 
 Each verdict follows from the values before it alone, by their stamps. A late value is judged at its place, and those
 after it anew.
@@ -58,12 +60,15 @@ class JumpLimits:
         per_s: more for each second between the two.
         lasts_s: what is further away is believed after it has lasted for so long.
         unit: of all these, for people.
+        settled_by: number of different values that agree after which they are no longer provisional; also number of
+            refused ones that replace provisional ones. 1: no value is provisional.
     """
 
     at_once: float
     per_s: float
     lasts_s: float
     unit: str
+    settled_by: int = 1
 
     def between(self, earlier: Quantity, later: Quantity, seconds: float) -> float:
         """How far two values may be apart that are both as good as they say."""
@@ -89,6 +94,9 @@ class _Belief(Generic[Value]):
         refused: the last one of those that hang together and are refused; None where the last value was believed.
         since_ns: stamp of the first of them.
         anew: whether the last value was believed although it had jumped.
+        agreed: number of different values that agree with the last one believed, itself included; no more are counted
+            than make it settled.
+        opposed: number of refused values that hang together.
     """
 
     good: _Stamped[Value] | None = None
@@ -97,6 +105,8 @@ class _Belief(Generic[Value]):
     refused: _Stamped[Value] | None = None
     since_ns: int = 0
     anew: bool = False
+    agreed: int = 1
+    opposed: int = 0
 
 
 class StampedValues(Generic[Value]):
@@ -109,6 +119,7 @@ class StampedValues(Generic[Value]):
         times: stamps of the values that are believed, increasing.
         values: of the same length.
         anew: whether the value had jumped, so that nothing leads from the one before to it; of the same length.
+        disputed_since_ns: stamp from which on the last :meth:`insert` has changed :meth:`is_disputed`; None for none.
     """
 
     def __init__(self, limits: JumpLimits) -> None:
@@ -123,6 +134,7 @@ class StampedValues(Generic[Value]):
         self._beliefs: list[_Belief[Value]] = []
         self._before: _Belief[Value] = _Belief()
         self._forgotten_ns: int | None = None
+        self.disputed_since_ns: int | None = None
 
     # -- inputs ---------------------------------------------------------------------------------------------
 
@@ -143,10 +155,14 @@ class StampedValues(Generic[Value]):
             jumped += f": more than {allowed:.3g} {limits.unit} cannot be"
         else:
             jumped += ": it hangs together with others that had jumped"
-        return Refusal(Reason.JUMP, f"{jumped}; believed once it has lasted for {limits.lasts_s:g} s")
+        lasts = f"it has lasted for {limits.lasts_s:g} s"
+        if self._is_provisional(before):
+            lasts = f"{limits.settled_by} in a row agree, as the one believed is provisional, or {lasts}"
+        return Refusal(Reason.JUMP, f"{jumped}; believed once {lasts}")
 
     def insert(self, time_ns: int, value: Value) -> int | None:
         """Put a value in its place; returns the stamp from which on what is believed has changed, None for nothing."""
+        self.disputed_since_ns = None
         if self._is_forgotten(time_ns):
             return None
         place = bisect.bisect_left(self._stamps, time_ns)
@@ -157,7 +173,7 @@ class StampedValues(Generic[Value]):
         else:
             self._stamps.insert(place, time_ns)
             self._taken.insert(place, _Stamped(time_ns, value))
-            self._beliefs.insert(place, _Belief())
+            self._beliefs.insert(place, self._belief_before(place))
         return self._judge_from(place)
 
     def drop_before(self, time_ns: int, keep: int = 1) -> None:
@@ -180,6 +196,10 @@ class StampedValues(Generic[Value]):
         """Index of the last value believed at or before a moment; -1 where there is none."""
         return bisect.bisect_right(self.times, time_ns) - 1
 
+    def is_disputed(self, time_ns: int) -> bool:
+        """True if a provisional value was contradicted last before a moment, more than by one outlier among several."""
+        return self._disputes(self._belief_before(bisect.bisect_right(self._stamps, time_ns)))
+
     # -- verdicts -------------------------------------------------------------------------------------------
 
     def _judge_from(self, place: int) -> int | None:
@@ -188,6 +208,8 @@ class StampedValues(Generic[Value]):
         while place < len(self._taken):
             belief = self._believed(belief, self._taken[place])
             as_before = place > first and belief == self._beliefs[place]
+            if self.disputed_since_ns is None and self._disputes(belief) != self._disputes(self._beliefs[place]):
+                self.disputed_since_ns = self._stamps[place]
             self._beliefs[place] = belief
             place += 1
             if as_before:
@@ -221,19 +243,33 @@ class StampedValues(Generic[Value]):
         if good is None:
             return _Belief(new, new.time_ns)
         away, step_s = new.value.away(good.value), 0.0
-        taken = _Belief(new, before.stood_ns if away == 0.0 else new.time_ns, alone=False)
+        agreed = min(before.agreed + (away != 0.0), limits.settled_by)
+        taken = _Belief(new, before.stood_ns if away == 0.0 else new.time_ns, alone=False, agreed=agreed)
         if refused is not None:
             step_s = (new.time_ns - refused.time_ns) / SECOND_NS
         if refused is None or not new.value.away(refused.value) <= limits.between(refused.value, new.value, step_s):
             # Written so that NaN is not believed.
             is_near = away <= self._reach(before, new.time_ns, new.value)
-            return taken if is_near else _Belief(good, before.stood_ns, before.alone, new, new.time_ns)
+            opposed = replace(before, refused=new, since_ns=new.time_ns, anew=False, opposed=1)
+            return taken if is_near else opposed
         # What hangs together with refused values does not profit from the time that has passed since the last good one.
         if away <= limits.between(good.value, new.value, step_s):
             return taken
-        if before.alone or new.time_ns - before.since_ns >= self._lasts_ns:
-            return _Belief(new, new.time_ns, alone=False, anew=True)
-        return replace(before, refused=new, anew=False)
+        opposed = before.opposed + 1
+        has_lasted = new.time_ns - before.since_ns >= self._lasts_ns
+        if before.alone or has_lasted or (self._is_provisional(before) and opposed >= limits.settled_by):
+            agreed = limits.settled_by if has_lasted else min(opposed, limits.settled_by)
+            return _Belief(new, new.time_ns, alone=False, anew=True, agreed=agreed)
+        return replace(before, refused=new, anew=False, opposed=opposed)
+
+    def _is_provisional(self, belief: _Belief[Value]) -> bool:
+        """True if too few values agree with the last one believed."""
+        return belief.agreed < self._limits.settled_by
+
+    def _disputes(self, belief: _Belief[Value]) -> bool:
+        """True if a value contradicts a single provisional one, or two values contradict several."""
+        opposed = 0 if belief.refused is None else belief.opposed
+        return opposed >= min(2, belief.agreed) and self._is_provisional(belief)
 
     def _reach(self, before: _Belief[Value], time_ns: int, value: Value) -> float:
         """How far a value may be from the last one believed."""
