@@ -255,12 +255,12 @@ class StampedValues(Generic[Value]):
         # What hangs together with refused values does not profit from the time that has passed since the last good one.
         if away <= limits.between(good.value, new.value, step_s):
             return taken
-        opposed = before.opposed + 1
+        count = before.opposed + 1
         has_lasted = new.time_ns - before.since_ns >= self._lasts_ns
-        if before.alone or has_lasted or (self._is_provisional(before) and opposed >= limits.settled_by):
-            agreed = limits.settled_by if has_lasted else min(opposed, limits.settled_by)
+        if before.alone or has_lasted or (self._is_provisional(before) and count >= limits.settled_by):
+            agreed = limits.settled_by if has_lasted else min(count, limits.settled_by)
             return _Belief(new, new.time_ns, alone=False, anew=True, agreed=agreed)
-        return replace(before, refused=new, anew=False, opposed=opposed)
+        return replace(before, refused=new, anew=False, opposed=count)
 
     def _is_provisional(self, belief: _Belief[Value]) -> bool:
         """True if too few values agree with the last one believed."""
