@@ -16,6 +16,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_estimation.outcome import Status
 from ship_geometry.rotations import exp_rotation
+from ship_replay.commands.check_config import main as check_config
 from ship_replay.commands.replay import main as replay
 from ship_testing import small_session, small_voyage, star_voyage
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrivals
@@ -118,6 +119,13 @@ def test_two_ins_in_a_bag_are_found_named_and_over(
     assert {status for ns, status in told if 4.2e9 < ns < 8e9} == {Status.DEGRADED}
     assert {status for ns, status in told if ns > 10e9} == {Status.VALID}
     assert {status for ns, status in told if 1e9 < ns < 4e9} == {Status.VALID}
+
+
+def test_check_config_names_two_ins_in_a_bag(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with read_bag(bag) as opened:
+        (tmp_path / "suite.yaml").write_bytes(opened.attachments["suite.yaml"])
+    assert check_config([str(tmp_path / "suite.yaml"), str(bag)]) == 0
+    assert "two streams alternate on ins/imu, 0.5° apart" in capsys.readouterr().out
 
 
 def test_blocks_and_single_messages_find_two_ins_alike(bag: Path, tmp_path: Path) -> None:

@@ -61,6 +61,9 @@ class InputHealthBook(InputRecords):
     Args:
         inputs: the topics; others are unknown (KeyError).
         max_age_s: stamps further than this before the node's clock are of another time, s.
+
+    Attributes:
+        first_contested: topic → the first text that two publishers send on it, of topics where they ever did.
     """
 
     def __init__(self, inputs: Iterable[InputTopic], max_age_s: float = MAX_AGE_S) -> None:
@@ -69,6 +72,7 @@ class InputHealthBook(InputRecords):
         self._publishers: dict[str, int] = {}
         self._incompatible: dict[str, str] = {}
         self._contested: dict[str, str] = {}
+        self.first_contested: dict[str, str] = {}
         self._names: dict[str, str] = {}
         self._lost: dict[str, int] = {}
 
@@ -80,8 +84,10 @@ class InputHealthBook(InputRecords):
             self._incompatible.pop(topic, None)
 
     def contested(self, topic: str, text: str) -> None:
-        """Two publishers send on a topic, with a text that names them; an empty text ends it."""
+        """Set that two publishers send on a topic, with a text that names them; an empty text ends it."""
         self._contested[topic] = text
+        if text:
+            self.first_contested.setdefault(topic, text)
 
     def incompatible_qos(self, topic: str, text: str) -> None:
         """A publisher's quality of service does not fit: nothing of it will ever arrive."""

@@ -36,11 +36,15 @@ class VerdictReport:
         self.pending.clear()
         self._book.clear()
 
-    def statuses(self) -> list[DiagnosticStatus]:
-        """One status for each source whose measurements were compared with a prediction."""
+    def verdicts(self) -> dict[str, SourceVerdict]:
+        """Verdict on each source whose measurements were compared with a prediction."""
         while self.pending:
             self._book.add(*self.pending.popleft())
-        return [_status(source, verdict) for source, verdict in self._book.verdicts().items()]
+        return self._book.verdicts()
+
+    def statuses(self) -> list[DiagnosticStatus]:
+        """One status for each of these verdicts."""
+        return [_status(source, verdict) for source, verdict in self.verdicts().items()]
 
 
 def clock_status(model: StateModel, mean: FloatArray, groups: Mapping[str, str]) -> DiagnosticStatus:

@@ -5,13 +5,14 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from ship_bags.command_line import EXIT_BAD_INPUT, EXIT_DONE, CommandParser, run_command
+from ship_bags.command_line import EXIT_BAD_INPUT, EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import one_line
 from ship_bags.mcap.bag_reader import read_bag
 from ship_replay.offline.nodes import ADAPTERS
-from ship_replay.preflight.check_bag import check_bag, check_rates, check_trial
+from ship_replay.preflight.check_bag import check_bag, check_rates
 from ship_replay.preflight.check_config import BagCheck, Findings, check_file
 from ship_replay.preflight.check_installation import check_installation, check_telescope
+from ship_replay.preflight.check_trial import check_trial
 
 _CHECKS = (check_bag, check_installation, check_telescope, check_rates)
 """In the order in which they are told."""
@@ -26,13 +27,15 @@ def _parser() -> CommandParser:
     parser = CommandParser(
         prog="check_config",
         example="./ros2run ship_replay check_config examples/two_sensors.yaml bags/demo.mcap",
-        epilog="exit code: 0 good, or warnings only; 2 something is wrong, or bad usage",
+        epilog="exit code: 0 good, or warnings only; 1 more than half of an input would not be used; "
+        "2 something is wrong, or bad usage",
         description="Check a suite configuration (ROS 2 parameter file; units stand in the names of the parameters), "
         "with the sections of nmea_in and nmea_out, "
         "and, with a bag, whether it fits: topics, types, frame_ids, rates; installation angles and focal lengths of "
         "star sensors and references, by their attitudes against ins/imu; the telescope's focal length; what a node "
-        "would refuse; about how much of a core each node will take. Exit code 2 when something is wrong, 0 when there "
-        "is nothing but warnings.",
+        "would refuse; sigmas that the innovations contradict by a factor of 1.5 or more; about how much of a core each "
+        "node will take. Exit code 2 when something is wrong, 1 when more than half of an input would not be used, 0 "
+        "when there is nothing but warnings.",
     )
     parser.add_argument("config", type=Path, metavar="FILE", help="suite configuration")
     parser.add_argument(
@@ -57,13 +60,16 @@ def _run(options: argparse.Namespace) -> int:
                 check_trial(check)
     for line in findings.errors:
         print(f"error: {one_line(line)}", file=sys.stderr)
+    for line in findings.unused:
+        print(f"not used: {one_line(line)}", file=sys.stderr)
     for line in findings.warnings:
         print(f"warning: {one_line(line)}")
-    if not findings.errors:
+    if not (findings.errors or findings.unused):
         for line in findings.notes:
             print(line)
         print(f"{options.config}: good" + (f" for {options.bag}" if options.bag is not None else ""))
         return EXIT_DONE
-    errors, warnings = len(findings.errors), len(findings.warnings)
-    print(f"check_config: {options.config}: errors: {errors}, warnings: {warnings}", file=sys.stderr)
-    return EXIT_BAD_INPUT
+    found = {"errors": findings.errors, "inputs not used": findings.unused, "warnings": findings.warnings}
+    counts = ", ".join(f"{kind}: {len(lines)}" for kind, lines in found.items() if lines or kind != "inputs not used")
+    print(f"check_config: {options.config}: {counts}", file=sys.stderr)
+    return EXIT_BAD_INPUT if findings.errors else EXIT_BOUND_NOT_MET

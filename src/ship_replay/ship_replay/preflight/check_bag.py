@@ -1,6 +1,6 @@
 """What of a suite configuration does not fit a bag recorded with its sensors, said before the voyage.
 
-Topics, types and frames; inputs that come too seldom; and what the nodes refuse of the bag's beginning, tried out.
+Topics, types and frames, and inputs that come too seldom.
 """
 
 import os
@@ -8,14 +8,8 @@ import re
 from collections.abc import Collection, Iterator
 from typing import Any
 
-from ship_bags.errors import BadInput
-from ship_bags.message_store import RosbagsFactory
-from ship_bags.stamps import NS_PER_S
 from ship_bags.topic_names import likely_namespace
-from ship_estimation.refusals import Reason
-from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.message_times import MessageTimes, exceeded
-from ship_replay.offline.status_course import hardly_used, most_frequent_refusal
 from ship_replay.preflight.check_config import BagCheck, CheckedNode
 from ship_replay.preflight.load import load_text, load_warnings, loads, measured_slowness
 
@@ -24,23 +18,6 @@ _SENSOR_TOPIC = re.compile(
     r"(?P<group>star|reference)/(?P<name>[^/]+)/(horizon_attitude|inertial_attitude|observations|solution|imu)"
 )
 _GROUPS = {"star": "star_sensors", "reference": "references"}
-
-TRIAL_S = 20.0
-_FEWEST = 10
-_OF_THE_CONFIGURATION = frozenset(
-    reason.word
-    for reason in (
-        Reason.ATTITUDE_CONFLICT,
-        Reason.BAD_QUATERNION,
-        Reason.EXCLUDED,
-        Reason.FRAME,
-        Reason.GATE,
-        Reason.LIGHT_CONFLICT,
-        Reason.UNITS,
-        Reason.UNKNOWN_SENSOR,
-    )
-)
-"""Where these refuse all of an input, no change of the weather will mend it."""
 
 
 def check_bag(check: BagCheck) -> None:
@@ -152,27 +129,3 @@ def check_rates(check: BagCheck) -> None:
         found = loads([node.adapter for node in check.nodes], rates_hz, measured_slowness())
         check.findings.notes.append(load_text(found))
         check.findings.warnings += load_warnings(found, len(os.sched_getaffinity(0)))
-
-
-def check_trial(check: BagCheck) -> None:
-    """Give the beginning of a bag to the nodes, which are used up, and name the inputs that were hardly used."""
-    bag, findings = check.bag, check.findings
-    chain = AdapterChain([node.adapter for node in check.nodes])
-    names = {check.found[topic.topic]: topic.topic for topic in chain.inputs if topic.topic in check.found}
-    last_ns = 0
-    for record in bag.records(names) if names else ():
-        if record.log_time_ns > (bag.start_ns or 0) + TRIAL_S * NS_PER_S:
-            break
-        last_ns = record.log_time_ns
-        try:
-            chain.handle(names[record.topic], record.decode(), last_ns)
-        except BadInput as problem:
-            findings.errors.append(f"{bag.path}: {problem}")
-            return
-    for node in check.nodes:
-        for message in node.adapter.health.messages(RosbagsFactory(), last_ns):
-            line = hardly_used(message) if message.received >= _FEWEST else ""
-            if line:
-                wrong = not message.accepted and most_frequent_refusal(message)[0] in _OF_THE_CONFIGURATION
-                where = findings.errors if wrong else findings.warnings
-                where.append(f"{bag.path}: in the first {TRIAL_S:.0f} s: {node.adapter.node_name}: {line}")

@@ -35,11 +35,13 @@ class Findings:
 
     Attributes:
         errors: one line each: with these the node would not start, or would refuse what the bag holds.
+        unused: one line each: inputs of which more than half would not be used.
         warnings: one line each: probably not meant so.
         notes: one line each: good to know.
     """
 
     errors: list[str] = field(default_factory=list)
+    unused: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 

@@ -1,0 +1,179 @@
+"""Sigmas that the data of a bag contradict: of measurements by their innovations, of the INS by its own rates."""
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ship_attitude_star.measurements.baseline import BASELINE
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.star_attitude.config import StarAttitudeConfig
+from ship_bags.errors import BadInput
+from ship_estimation.refusals import Reason
+from ship_estimation.verdicts import SourceVerdict, VerdictKind
+from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
+from ship_node.edge.ins_messages import ins_sample
+from ship_node.edge.messages_in import Refused
+from ship_node.edge.reporting_adapter import ReportingAdapter
+from ship_replay.preflight.check_config import BagCheck, CheckedNode
+
+CONTRADICTED_FACTOR = 1.5
+"""Ratio of the measured to the stated sigma, or its inverse, from which on the data contradict it."""
+
+_INS_TOPIC = "ins/imu"
+_LEAST_FACTOR = 0.01
+_FEWEST_STEPS, _LONGEST_STEP_S = 200, 0.15
+_RATE_SIGMAS = 5.0
+_OUTLIER, _MOST_LASTING = 8.0, 0.2
+
+
+class InsNoise(NamedTuple):
+    """Noise of an INS by its attitudes against its own rates, standard deviation of each axis.
+
+    Attributes:
+        white_rad: of a single attitude.
+        rate_rad_per_s: of a single rate; 0 where that of the attitudes hides it, NaN where errors that last do.
+    """
+
+    white_rad: float
+    rate_rad_per_s: float
+
+
+def check_sigmas(check: BagCheck, until_ns: int) -> None:
+    """Name the sigmas that the data contradict, with the values that fit.
+
+    Args:
+        check: whose nodes have been given the bag.
+        until_ns: log time up to which they were.
+    """
+    for node in check.nodes:
+        rests_on_ins = isinstance(node.config, (ShipAttitudeConfig, StarAttitudeConfig)) and _INS_TOPIC in check.usable
+        # The innovations of all others rest on the INS too.
+        if rests_on_ins and _contradicts_ins(check, node, until_ns):
+            continue
+        if isinstance(node.adapter, ReportingAdapter):
+            for source, verdict in node.adapter.verdicts.verdicts().items():
+                _check_source(check, node, node.adapter, source, verdict)
+
+
+def _check_source(
+    check: BagCheck, node: CheckedNode, adapter: ReportingAdapter, source: str, verdict: SourceVerdict
+) -> None:
+    """Hold the verdict on one source against its sigmas."""
+    if verdict.kind not in (VerdictKind.OPTIMISTIC, VerdictKind.CONSERVATIVE):
+        return
+    factor = verdict.factor
+    # Data without any noise are made by hand, and tell nothing.
+    if not (factor >= CONTRADICTED_FACTOR or _LEAST_FACTOR <= factor <= 1.0 / CONTRADICTED_FACTOR):
+        return
+    feed = next(feed for feed in adapter.feeds.values() if feed.source == source)
+    record = adapter.health.records[feed.input.topic]
+    said = f"the innovations of {source} in {check.bag.path} are those of {factor:.2g} times this noise"
+    names = list(_parameters(node.config, source))
+    if not names or 2 * record.noted[Reason.COVARIANCE_UNKNOWN] < record.received:
+        text = f"{check.bag.path}: topic '{feed.input.topic}' states a noise, but {said} ({verdict.count} measurements)"
+        check.say(False, f"{text}: {factor**2:.2g} times its variance fits")
+        return
+    for name in names:
+        value = _value(node.config, name)
+        text = f"{node.place(check.path, name)}: parameter '{name}' = {value:.3g}, but {said}"
+        check.say(False, f"{text} ({verdict.count} measurements): {factor * value:.2g} fits")
+
+
+def _parameters(config: Any, source: str) -> Iterator[str]:
+    """Dotted names of the parameters of the noise of a source, which hold where its messages give none."""
+    group, _, id_ = source.partition(".")
+    if group == "star":
+        section = "star_sensors" if id_ in getattr(config, "star_sensors", {}) else "telescopes"
+        device = getattr(config, section)[id_]
+        if getattr(device, "input", "observations") == "observations":
+            yield f"{section}.{id_}.camera.centroid_sigma_px"
+        else:
+            yield from (f"{section}.{id_}.sigma_{axis}_arcsec" for axis in ("forward", "up", "right"))
+    elif group == "reference":
+        yield from (f"references.{id_}.sigma_{axis}_arcsec" for axis in ("heading", "pitch", "roll"))
+    elif source == BASELINE:
+        yield "ship_baseline.noise_sigma_m"
+    elif source == "lights":
+        yield "telescope.sigma_m"
+
+
+def _value(config: Any, name: str) -> float:
+    value = config
+    for part in name.split("."):
+        value = value[part] if isinstance(value, dict) else getattr(value, part)
+    return float(value)
+
+
+def _contradicts_ins(check: BagCheck, node: CheckedNode, until_ns: int) -> bool:
+    """Hold the noise of the INS, as its own rates show it, against the configured one; returns whether it is larger.
+
+    A smaller one is no contradiction: errors that last have no part in it.
+    """
+    times, rotations, rates = [], [], []
+    for record in check.bag.records({check.found[_INS_TOPIC]}):
+        if record.log_time_ns > until_ns:
+            break
+        try:
+            sample = ins_sample(record.decode(), node.config.ins, record.log_time_ns).value
+        except (Refused, BadInput):
+            continue
+        if sample.rate_d is not None:
+            times.append(sample.time_ns)
+            rotations.append(sample.rotation_nd)
+            rates.append(sample.rate_d)
+    noise = ins_noise(np.array(times), np.array(rotations), np.array(rates))
+    if noise is None:
+        return False
+    measured = {
+        "ins.white_sigma_arcsec": (noise.white_rad / ARCSEC, "arcsec"),
+        "ins.rate_sigma_arcsec_per_s": (noise.rate_rad_per_s / ARCSEC, "arcsec/s"),
+    }
+    found = False
+    for name, (value, unit) in measured.items():
+        stated = _value(node.config, name)
+        # A rate sigma of zero is learnt.
+        if stated > 0.0 and value >= CONTRADICTED_FACTOR * stated:
+            text = f"{node.place(check.path, name)}: parameter '{name}' = {stated:.3g} {unit}, but '{_INS_TOPIC}'"
+            against = "attitudes scatter against their own rates" if "white" in name else "rates scatter"
+            check.say(False, f"{text} in {check.bag.path}: {against} by {value:.2g} {unit}, 1 sigma: that fits")
+            found = True
+    return found
+
+
+def ins_noise(times_ns: Any, rotations_nd: FloatArray, rates_d: FloatArray) -> InsNoise | None:
+    """Return the noise of an INS by the turns between its attitudes, less those by the mean of both rates.
+
+    Noise of an attitude is in two such differences, with opposite signs; noise of a rate in two with equal signs.
+
+    Args:
+        times_ns: stamps, shape (N,).
+        rotations_nd: shape (N, 3, 3).
+        rates_d: rad/s, shape (N, 3).
+
+    Returns:
+        None where there are too few samples, or where they are too far apart in time.
+    """
+    if len(times_ns) < _FEWEST_STEPS:
+        return None
+    steps_s = 1e-9 * np.diff(times_ns)
+    usual_s = float(np.median(steps_s))
+    turns = log_rotation(np.swapaxes(rotations_nd[:-1], 1, 2) @ rotations_nd[1:])
+    coning = np.cross(rates_d[:-1], rates_d[1:]) * steps_s[:, None] ** 2 / 12.0
+    left = turns - 0.5 * (rates_d[:-1] + rates_d[1:]) * steps_s[:, None] - coning
+    left -= np.median(left, axis=0)
+    size = np.linalg.norm(left, axis=1)
+    good = (np.abs(steps_s - usual_s) <= 0.5 * usual_s) & (size <= _OUTLIER * np.median(size))
+    pairs, skipping = good[1:] & good[:-1], good[2:] & good[:-2]
+    if not 0.0 < usual_s <= _LONGEST_STEP_S or np.count_nonzero(pairs) < _FEWEST_STEPS:
+        return None
+    variance = float(np.mean(left[good] ** 2))
+    next_one = float(np.mean((left[1:] * left[:-1])[pairs]))
+    one_further = float(np.mean((left[2:] * left[:-2])[skipping]))
+    of_rates = variance + 2.0 * next_one
+    if of_rates < _RATE_SIGMAS * variance * np.sqrt(2.0 / np.count_nonzero(pairs)):
+        of_rates = 0.0
+    lasts = abs(one_further) > _MOST_LASTING * variance
+    return InsNoise(
+        np.sqrt(max(variance - 0.5 * of_rates, 0.0) / 2.0), np.nan if lasts else np.sqrt(of_rates) / usual_s
+    )

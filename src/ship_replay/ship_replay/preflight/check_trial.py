@@ -1,0 +1,116 @@
+"""What the nodes of a configuration make of a bag, tried out: inputs that they would hardly use, and their sigmas."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from ship_bags.errors import BadInput
+from ship_bags.message_store import RosbagsFactory
+from ship_bags.stamps import NS_PER_S
+from ship_estimation.refusals import LONGEST_TEXT, Reason, shortened
+from ship_node.edge.blocks import StampArray
+from ship_replay.offline.adapter_chain import AdapterChain
+from ship_replay.offline.block_run import BlockRun
+from ship_replay.offline.replay_run import ReplaySummary
+from ship_replay.offline.status_course import hardly_used, most_frequent_refusal
+from ship_replay.preflight.check_config import BagCheck, CheckedNode
+from ship_replay.preflight.check_sigmas import check_sigmas
+
+TRIAL_S = 600.0
+"""Length of the beginning of a bag that is tried: ten minutes of data take half a minute."""
+
+_FEWEST = 10
+_OF_THE_CONFIGURATION = (
+    Reason.ATTITUDE_CONFLICT,
+    Reason.BAD_QUATERNION,
+    Reason.EXCLUDED,
+    Reason.FRAME,
+    Reason.GATE,
+    Reason.LIGHT_CONFLICT,
+    Reason.UNITS,
+    Reason.UNKNOWN_SENSOR,
+)
+"""Where these refuse all of an input, no change of the weather will mend it."""
+
+_OF_THE_WEATHER = (Reason.TOO_FEW_STARS, Reason.BELOW_HORIZON, Reason.DUPLICATE, Reason.OFF)
+"""Where these refuse most of an input, nothing is wrong with it."""
+
+_ADVICE = {
+    Reason.FUTURE: "set the device's clock to UTC (GPS time is 18 s ahead), or have its driver stamp by the computer",
+    Reason.LATE: "set the device's clock, or raise lag_s to its delay",
+    Reason.GAP: "the samples of ins/imu around it are missing or refused: see there first",
+    Reason.NO_FIX: "give position fixes on gnss/fix at least every sky.fix_max_age_s, stamped in UTC",
+    Reason.UNIDENTIFIED: "check the camera's focal length, the installation angles, gnss/fix and the stamps (UTC)",
+    Reason.JUMP: "these values cannot follow one another at a ship: check what the receiver or instrument gives first",
+    Reason.NOT_FIXED: "the receiver has no fixed solution: check its corrections, or set least_fix",
+}
+"""What to do about an input that is refused for a reason."""
+
+
+class _NoOutput:
+    """Takes the outputs of a trial, which are not kept."""
+
+    def write(self, topic: str, message: Any, log_time_ns: int) -> None:
+        """Take a message."""
+
+    def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
+        """Take a message given by its bytes."""
+
+    def write_many(
+        self, topics: Sequence[tuple[str, str]], of_topic: StampArray, data: Sequence[bytes], log_times_ns: StampArray
+    ) -> None:
+        """Take many messages."""
+
+
+def check_trial(check: BagCheck) -> None:
+    """Replay the beginning of a bag through the nodes, which are used up; name inputs hardly used and wrong sigmas."""
+    bag = check.bag
+    chain = AdapterChain([node.adapter for node in check.nodes])
+    names = {check.found[topic.topic]: topic.topic for topic in chain.inputs if topic.topic in check.found}
+    run = BlockRun(chain, _NoOutput(), ReplaySummary(), truth_topics=())
+    is_cut, until_ns = False, (bag.start_ns or 0) + round(TRIAL_S * NS_PER_S)
+    try:
+        for record in bag.records(names) if names else ():
+            if record.log_time_ns > until_ns:
+                is_cut = True
+                break
+            run.take(names[record.topic], record)
+        run.finish()
+    except BadInput as problem:
+        check.findings.errors.append(f"{bag.path}: {problem}")
+        return
+    span = f"in the first {TRIAL_S:.0f} s: " if is_cut else ""
+    for node in check.nodes:
+        _check_use(check, node, run.last_time_ns or 0, span)
+    if not check.findings.errors:
+        check_sigmas(check, until_ns)
+
+
+def _check_use(check: BagCheck, node: CheckedNode, last_ns: int, span: str) -> None:
+    """Name the inputs of which a node has used at most half, and those on which two publishers send."""
+    for text in node.adapter.health.first_contested.values():
+        check.say(False, f"{check.bag.path}: {span}{text}; what rests on both is not VALID")
+    records, factory = node.adapter.health.records, RosbagsFactory()
+    for health in node.adapter.health.messages(factory, last_ns):
+        line = hardly_used(health) if health.received >= _FEWEST else ""
+        if not line:
+            continue
+        word = most_frequent_refusal(health)[0]
+        said = f"{check.bag.path}: {span}{node.adapter.node_name}: {line}"
+        if not health.accepted and word in _words(_OF_THE_CONFIGURATION):
+            check.findings.errors.append(said)
+        elif 2 * health.rejected <= health.received or word in _words(_OF_THE_WEATHER):
+            check.findings.warnings.append(said)
+        else:
+            share = f" ({100.0 * health.rejected / health.received:.0f} % not used)"
+            check.findings.unused.append(said + share + _why(records[health.topic].last_refusal, word))
+
+
+def _words(reasons: Sequence[Reason]) -> Iterator[str]:
+    return (reason.word for reason in reasons)
+
+
+def _why(last: Any, word: str) -> str:
+    """What the node said of the last one, and what to do."""
+    told = f": {shortened(last.text, LONGEST_TEXT)}" if last is not None and last.reason.word == word else ""
+    advice = next((advice for reason, advice in _ADVICE.items() if reason.word == word), "")
+    return f"{told}; {advice}" if advice else told
