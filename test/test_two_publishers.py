@@ -136,3 +136,26 @@ def test_blocks_and_single_messages_find_two_ins_alike(bag: Path, tmp_path: Path
         with read_bag(out) as told:
             replayed.append([(r.topic, r.log_time_ns, bytes(r.data)) for r in told.records()])
     assert replayed[0] == replayed[1]
+
+
+def test_two_star_sensors_on_one_topic_of_a_bag_are_found_by_their_innovations(tmp_path: Path) -> None:
+    path, out = tmp_path / "two.mcap", tmp_path / "out.mcap"
+    with read_bag(DEMO) as bag, BagWriter(path) as written:
+        for name, content in bag.attachments.items():
+            written.add_attachment(name, content)
+        assert bag.start_ns is not None
+        for record in bag.records():
+            since_s = (record.log_time_ns - bag.start_ns) / SECOND_NS
+            if since_s > 30.0:
+                break
+            message = record.decode()
+            written.write(record.topic, message, record.log_time_ns)
+            if record.topic == small_voyage.FORE and since_s > 10.0:
+                message.azimuth += np.deg2rad(0.1)
+                message.header.stamp.nanosec += 1000
+                written.write(record.topic, message, record.log_time_ns)
+    assert replay([str(path), "--out", str(out)]) == 0
+    with read_bag(out) as replayed:
+        told = [s for record in replayed.records({"/diagnostics"}) for s in record.decode().status]
+    found = f"two streams alternate on {small_voyage.FORE}, "
+    assert any(status.message.startswith(found) for status in told)

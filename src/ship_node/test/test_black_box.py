@@ -24,6 +24,7 @@ from ship_node.black_box.black_box_format import (
     ChangeRefused,
     ClockJumpedBack,
     Closed,
+    Contested,
     EntriesLost,
     Event,
     FileUsed,
@@ -44,6 +45,7 @@ CONFIG = build(RelayConfig, {"sensors": {"fore": {"elevation_deg": 45}}})
 EVENTS: list[Event] = [
     Tick(),
     ClockJumpedBack(),
+    Contested("ins/imu", "two publishers send on ins/imu: /a and /b; end all but one"),
     ParametersChanged({"gate.probability": 0.1 + 0.2, "offsets_s": [1e-300, 2.0]}, None),
     ParametersChanged({"gate.count": 13}, "not wanted"),
     ChangeRefused({"gate.probability": 1.5, "frame_id": "ins"}, "out of range"),

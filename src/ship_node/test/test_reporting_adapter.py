@@ -337,3 +337,18 @@ def test_what_is_cut_is_no_silence_of_its_source(adapter: TinyAdapter) -> None:
     adapter.overload(Overload(3.2, 2, 12.0, {FAST: 30}), NOW_NS + 4 * S)
     (status,) = [s for s in adapter.health.statuses(NOW_NS + 4 * S) if s.name == f"input {FAST}"]
     assert "silent" not in status.message
+
+
+def test_two_publishers_of_a_topic_reach_the_core_and_the_health_unless_it_is_taken_out(adapter: TinyAdapter) -> None:
+    adapter.contest(JUDGED, "two publishers send")
+    assert adapter.core.calls == [("contest", "camera", "two publishers send")]
+    (status,) = [status for status in adapter.health.statuses(NOW_NS) if status.name == f"input {JUDGED}"]
+    assert (status.level, status.message) == (Level.ERROR, "two publishers send")
+    adapter.set_parameters({"sources_off": ["device"]})
+    assert adapter.core.calls[-1] == ("contest", "camera", "")
+    adapter.set_parameters({"sources_off": []})
+    assert adapter.core.calls[-1] == ("contest", "camera", "two publishers send")
+    adapter.contest(JUDGED, "")
+    assert adapter.core.calls[-1] == ("contest", "camera", "")
+    (status,) = [status for status in adapter.health.statuses(NOW_NS) if status.name == f"input {JUDGED}"]
+    assert status.level is Level.OK

@@ -46,8 +46,22 @@ ATTITUDE = Continuous(
 )
 """An attitude; 30″ are six times the noise of a coarse one."""
 
+def _whitened(decision: Any) -> FloatArray:
+    """The innovation of a measurement whitened by its own noise, which is 0.1″ at least.
+
+    The symmetric root keeps its axes: those of an eigenvector may turn round from one measurement to the next.
+    """
+    noise = decision.noise
+    if not np.isfinite(noise).all():
+        return np.full(len(decision.residual), np.nan)
+    variance, axes = np.linalg.eigh(noise)
+    sigma = np.sqrt(np.maximum(variance, (0.1 * ARCSEC) ** 2))
+    whitened: FloatArray = (decision.residual @ axes / sigma) @ axes.T
+    return whitened
+
+
 INNOVATION = Continuous(
-    lambda decision: np.linalg.solve(np.linalg.cholesky(decision.noise), decision.residual),
+    _whitened,
     10.0,
     lambda distance: f"{distance:.0f} sigma of their noise apart",
 )
@@ -83,11 +97,14 @@ class ContestedInputs:
             streams.restart()
 
     def name(self, topic: str, text: str) -> None:
-        """Set what the middleware tells of a topic: two publishers that send; an empty text ends it."""
+        """Set what the middleware tells of a topic: two publishers that send; an empty text ends it.
+
+        Then the values need not tell it too: of slow messages they would take a minute.
+        """
         if text:
             self._named[topic] = text
-        else:
-            self._named.pop(topic, None)
+        elif self._named.pop(topic, None) is not None and topic in self._streams:
+            self._streams[topic] = InterleavedStreams(self._continuous[topic].least)
 
     def text(self, topic: str) -> str:
         """For people, that two publishers send on a topic; empty where one does."""

@@ -1,0 +1,47 @@
+"""The inputs on which two publishers send: by name, and by their values."""
+
+import numpy as np
+
+from ship_estimation.interleaved import WINDOW
+from ship_geometry.attitude_track import AttitudeSample
+from ship_geometry.rotations import exp_rotation
+from ship_node.edge.contested import ATTITUDE, ContestedInputs
+
+NAMES = "two publishers send on ins/imu: /a and /b; end all but one"
+
+
+def see(inputs: ContestedInputs, first: int, count: int, off_deg: float) -> list[int]:
+    """Numbers of the samples with which the text may have changed; every second one is off."""
+    changed = []
+    for number in range(first, first + count):
+        up = 0.001 * np.sin(0.1 * number) + np.deg2rad(off_deg) * (number % 2)
+        sample = AttitudeSample(number * 50_000_000, exp_rotation([0.0, up, 0.0]))
+        if inputs.see("ins/imu", sample.time_ns, sample):
+            changed.append(number)
+    return changed
+
+
+def test_the_values_tell_two_streams_and_that_there_is_one_again() -> None:
+    inputs = ContestedInputs({"ins/imu": ATTITUDE})
+    assert see(inputs, 0, 100, 0.5) == [WINDOW - 1]
+    assert inputs.text("ins/imu") == "two streams alternate on ins/imu, 0.5° apart: end one of its two publishers"
+    assert len(see(inputs, 100, 100, 0.0)) == 1
+    assert inputs.text("ins/imu") == ""
+
+
+def test_names_come_first_and_end_what_the_values_have_told() -> None:
+    inputs = ContestedInputs({"ins/imu": ATTITUDE})
+    see(inputs, 0, 100, 0.5)
+    inputs.name("ins/imu", NAMES)
+    assert inputs.text("ins/imu") == NAMES
+    inputs.name("ins/imu", "")
+    assert inputs.text("ins/imu") == ""
+
+
+def test_an_input_without_continuous_values_has_names_alone() -> None:
+    inputs = ContestedInputs({})
+    assert see(inputs, 0, 100, 0.5) == []
+    inputs.name("theodolite/beacons", NAMES)
+    assert inputs.text("theodolite/beacons") == NAMES
+    inputs.name("theodolite/beacons", "")
+    assert inputs.text("theodolite/beacons") == ""
