@@ -67,10 +67,6 @@ class InterleavedStreams:
     def __init__(self, least: float) -> None:
         self._least = least
         self.apart = 0.0
-        self.restart()
-
-    def restart(self) -> None:
-        """Forget the values; what was found stays until windows with one stream end it."""
         self._times: list[int] = []
         self._values: list[FloatArray] = []
         self._due_ns = -1

@@ -29,6 +29,16 @@ def test_the_values_tell_two_streams_and_that_there_is_one_again() -> None:
     assert inputs.text("ins/imu") == ""
 
 
+def test_a_restart_forgets_what_the_values_have_told_and_keeps_the_names() -> None:
+    inputs = ContestedInputs({"ins/imu": ATTITUDE})
+    see(inputs, 0, 100, 0.5)
+    inputs.restart()
+    assert inputs.text("ins/imu") == ""
+    inputs.name("ins/imu", NAMES)
+    inputs.restart()
+    assert inputs.text("ins/imu") == NAMES
+
+
 def test_names_come_first_and_end_what_the_values_have_told() -> None:
     inputs = ContestedInputs({"ins/imu": ATTITUDE})
     see(inputs, 0, 100, 0.5)

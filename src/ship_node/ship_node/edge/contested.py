@@ -88,13 +88,12 @@ class ContestedInputs:
 
     def __init__(self, continuous: dict[str, Continuous]) -> None:
         self._continuous = continuous
-        self._streams = {topic: InterleavedStreams(kind.least) for topic, kind in continuous.items()}
+        self.restart()
         self._named: dict[str, str] = {}
 
     def restart(self) -> None:
-        """The clock went back or the node was reset: what was found stays until the values tell otherwise."""
-        for streams in self._streams.values():
-            streams.restart()
+        """Forget what the values have told: the clock went back, or the node was reset."""
+        self._streams = {topic: InterleavedStreams(kind.least) for topic, kind in self._continuous.items()}
 
     def name(self, topic: str, text: str) -> None:
         """Set what the middleware tells of a topic: two publishers that send; an empty text ends it.

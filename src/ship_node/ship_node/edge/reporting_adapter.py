@@ -477,7 +477,10 @@ class ReportingAdapter(ABC):
 
     def _restart(self, clock_jumped: bool) -> None:
         self.core.reset(clock_jumped)
+        contested = list(filter(self._contested.text, self.feeds))
         self._contested.restart()
+        for topic in contested:
+            self._tell_contested(topic)
         self.health.restart()
         if self.saved is not None:
             self.saved.restarted()
