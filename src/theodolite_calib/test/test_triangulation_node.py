@@ -187,6 +187,18 @@ def test_a_theodolite_that_contradicts_itself_is_in_doubt() -> None:
     assert "station.t0 says different things of one moment" in statuses["position"].message
 
 
+def test_a_place_by_directions_of_two_publishers_is_degraded_while_both_send() -> None:
+    adapter, published = adapter_of(2), []
+    topic, text = next(iter(adapter.feeds)), "two publishers send on it: /a and /b; end all but one"
+    for index in range(6):
+        adapter.contest(topic, text if index in (2, 3) else "")
+        for number in range(2):
+            published += give(adapter, number, seen(number, START_NS + index * PERIOD_NS))
+    statuses = [place.status for place in places(published)]
+    # The first direction has none of the other theodolite to go with it.
+    assert statuses[1:] == [Status.VALID, Status.DEGRADED, Status.DEGRADED, Status.VALID, Status.VALID]
+
+
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
