@@ -1,7 +1,7 @@
 """A leap second inside a voyage: 2016-12-31T23:59:60, a second that clocks which count seconds since 1970 tell twice.
 
-The ship and the sky go on; the stamps and the clock of the node step back by a second at midnight. Nothing tells the
-two seconds of the same stamps apart, so that every source contradicts itself in the second.
+The ship and the sky go on; the stamps and the clock of the node step back by a second at midnight. All inputs show the
+step: the nodes go on from what they know, and use no star of which the stamp is wrong by a second.
 """
 
 import copy
@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 
 import ship_simulation.stars.sky as simulated_sky
+from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_estimation.outcome import Status
 from ship_estimation.refusals import Reason
 from ship_geometry.earth_orientation import earth_orientation_table
-from ship_testing.adapter_runs import SECOND_NS, AdapterRun, Arrival, hand_over, stamp_of
+from ship_testing.adapter_runs import FACTORY, SECOND_NS, AdapterRun, Arrival, hand_over, in_order, stamp_of
 from ship_testing.every_input import Voyage, scenario, sigmas, voyage_of
 
 MIDNIGHT_NS = 1_483_228_800 * SECOND_NS
@@ -42,13 +43,9 @@ def across(node: str) -> tuple[Voyage, AdapterRun]:
         # At Greenwich it is night.
         known = voyage_of(node, replace(given, position=replace(given.position, longitude_deg=0.0)))
     arrivals = tuple(Arrival(a.topic, stepped(a.message), a.receive_ns) for a in known.arrivals)
-    told = Voyage(known.new_adapter, arrivals, {})
-    for true in known.truth.values():
-        message = stepped(true)
-        told.truth.setdefault(stamp_of(message), message)
-    run = AdapterRun(told.new_adapter())
-    hand_over(run, told.arrivals, node_ns=node_ns)
-    return told, run
+    run = AdapterRun(known.new_adapter())
+    hand_over(run, arrivals, node_ns=node_ns)
+    return replace(known, arrivals=arrivals), run
 
 
 def node_ns(waiting_ns: int) -> int:
@@ -75,42 +72,56 @@ def test_the_step_is_there(node: str) -> None:
 @pytest.mark.parametrize(
     ("node", "topic"), [("ship_attitude", "ship/attitude"), ("optical_axis", "theodolite/pointing")]
 )
-def test_what_is_claimed_is_honest_and_in_doubt_for_ten_seconds(node: str, topic: str) -> None:
+def test_what_is_claimed_is_right_and_valid_all_along(node: str, topic: str) -> None:
     known, run = across(node)
-    attitudes = [message for message in run.messages(topic) if message.status != Status.INVALID]
-    since_s = np.array([(stamp_of(message) - MIDNIGHT_NS) / SECOND_NS for message in attitudes])
-    status = np.array([message.status for message in attitudes])
-    assert np.all(np.diff(since_s) > 0.0)
-    wrong = [
-        (stamp_of(message) - MIDNIGHT_NS) / SECOND_NS
-        for message in attitudes
-        if message.status in (Status.VALID, Status.COASTING) and not sigmas(known, message) < SIGMAS
-    ]
-    assert not wrong
-    assert set(status[(since_s > 0.3) & (since_s < 9.5)]) == {Status.DEGRADED}
-    assert status[-1] == Status.VALID
-    assert run.innovations(Reason.CONFLICT)
+    outputs = [(ns, m) for ns, name, m in run.published if name == topic and ns >= MIDNIGHT_NS - 5 * SECOND_NS]
+    assert {message.status for _, message in outputs} == {Status.VALID}
+    before = [message for ns, message in outputs if ns < MIDNIGHT_NS]
+    after = [message for ns, message in outputs if ns >= MIDNIGHT_NS]
+    stamps = np.array([*map(stamp_of, before), *(stamp_of(message) + SECOND_NS for message in after)])
+    assert np.all(np.diff(stamps) > 0)
+    assert np.max(np.diff(stamps)) < 0.5 * SECOND_NS
+    as_stamped = replace(known, truth={true_ns - SECOND_NS: true for true_ns, true in known.truth.items()})
+    assert [message for message in before if not sigmas(known, message) < SIGMAS] == []
+    assert [message for message in after if not sigmas(as_stamped, message) < SIGMAS] == []
+    assert run.adapter.notices == ["time base stepped by -1.000 s: reset, mountings and calibration kept"]
+    assert not {source for told in run.messages(run.adapter.integrity_topic) for source in told.excluded}
 
 
-def test_stars_are_not_solved_in_doubt_and_right_afterwards() -> None:
+def test_stars_of_the_second_that_is_told_twice_are_not_used() -> None:
+    """Five of them, and those of before the step of which the stamp may as well be wrong."""
     _, run = across("star_attitude")
-    solutions = run.messages("star/starboard/solution")
-    since_s = np.array([(stamp_of(message) - MIDNIGHT_NS) / SECOND_NS for message in solutions])
-    status = np.array([message.status for message in solutions])
-    assert set(status[since_s < -1.1]) == {0}
-    assert set(status[(since_s > 0.3) & (since_s < 9.5)]) == {3}
-    assert status[-1] == 0
+    solutions = [(ns, m) for ns, name, m in run.published if name == "star/starboard/solution"]
+    since_s = np.array([(ns - MIDNIGHT_NS) / SECOND_NS for ns, _ in solutions])
+    assert {message.status for _, message in solutions} == {0}
+    assert not np.any((since_s > 0.2) & (since_s < 1.0))
+    assert np.min(since_s[since_s > 1.0]) < 1.5
+    refused = [m for m in run.messages("star/innovation") if m.reason == Reason.CLOCK]
+    assert {"a leap second is inserted" in m.reason_text for m in refused} == {True}
+    assert len(refused) == 5
 
 
-def test_lights_are_not_used_in_doubt_and_nobody_is_excluded() -> None:
+def test_the_attitude_by_solutions_of_star_attitude_is_valid_within_two_seconds() -> None:
+    """``ship_attitude`` has its stars by ``star_attitude``, which gives no solution for a second."""
+    known, _ = across("ship_attitude")
+    config = known.new_adapter().config
+    starboard = replace(config.star_sensors["starboard"], input="solution")
+    adapter = ShipAttitudeAdapter(replace(config, star_sensors={"starboard": starboard}, references={}), FACTORY)
+    topic = "star/starboard/solution"
+    _, solved = across("star_attitude")
+    stars = [Arrival(topic, m, ns) for ns, name, m in solved.published if name == topic]
+    others = [arrival for arrival in known.arrivals if not arrival.topic.startswith(("star/", "reference/"))]
+    run = AdapterRun(adapter)
+    hand_over(run, in_order([*others, *stars]), node_ns=node_ns)
+    since_s = [(ns - MIDNIGHT_NS) / SECOND_NS for ns, name, m in run.published if name == "ship/attitude" and m.status]
+    assert not [s for s in since_s if -5.0 < s < 0.0 or s > 2.0]
+    assert run.adapter.time_base.steps == 1
+
+
+def test_lights_are_used_after_the_step_and_nobody_is_excluded() -> None:
     _, run = across("optical_axis")
-    lights = [message for message in run.messages("theodolite/innovation") if message.source == "lights"]
-    since_s = {
-        used: np.array([(stamp_of(m) - MIDNIGHT_NS) / SECOND_NS for m in lights if m.accepted is used])
-        for used in (True, False)
-    }
-    assert not np.any((since_s[True] > 0.3) & (since_s[True] < 9.5))
-    assert np.count_nonzero((since_s[False] > 0.3) & (since_s[False] < 9.5)) > 40
-    assert np.count_nonzero(since_s[True] > 11.0) > 10
-    assert not {source for told in run.messages("theodolite/integrity") for source in told.excluded}
+    lights = [(ns, m) for ns, topic, m in run.published if topic == "theodolite/innovation" and m.source == "lights"]
+    used_s = [(ns - MIDNIGHT_NS) / SECOND_NS for ns, m in lights if m.accepted and ns >= MIDNIGHT_NS]
+    assert used_s[0] < 2.0
+    assert len(used_s) > 50
     assert run.messages("theodolite/pointing")[-1].light_count == 2

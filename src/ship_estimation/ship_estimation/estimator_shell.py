@@ -354,6 +354,12 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
             self._silent_after_ns: int | None = None
             self._said_invalid_ns: int | None = None
 
+    def step_time_base(self, state: State, step_ns: int) -> None:
+        """Forget all measurements and go on from a state by clocks that have stepped; outputs go on in order."""
+        self.reset(state)
+        if self._last_claim_ns is not None:
+            self._last_claim_ns += step_ns
+
     # -- inputs ---------------------------------------------------------------------------------------------
 
     def add(self, measurement: Measured, outcome: Outcome[Judged, Estimate]) -> bool:

@@ -40,6 +40,7 @@ from ship_attitude_star.ship_attitude.manoeuvre import RecentSource, TurnHint, w
 from ship_attitude_star.ship_attitude.observability import ToldStates, learnt
 from ship_attitude_star.ship_attitude.output import attitude_alone, estimate_from_star, no_estimate
 from ship_attitude_star.ship_attitude.state import FilterState
+from ship_attitude_star.ship_attitude.utc_steps import with_utc_compared, with_utc_step
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
 from ship_estimation.estimator_shell import EstimatorShell, Model, surely_in_time
@@ -49,6 +50,7 @@ from ship_estimation.outcome import Measurement, Status
 from ship_estimation.protection import IntegrityReport
 from ship_estimation.rate_guard import Rates
 from ship_estimation.refusals import Refusal
+from ship_estimation.time_shift import with_shifted_stamps
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, SampleBlock
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes
 from ship_geometry.rotations import FloatArray
@@ -118,16 +120,39 @@ class ShipAttitudeCore:
         """Forget all measurements. After a jump of the clock, outputs may start again at earlier times."""
         initial, _ = self._initial()
         self._shell.reset(initial, clock_jumped)
-        self._corrected = CorrectedIns(self.filter, initial, self.config.horizon)
+        if self._watch is not None:
+            self._watch.reset()
+        if self.vertical is not None:
+            self.vertical.reset()
+        self._begin(initial)
+
+    def step_time_base(self, step_ns: int, state: FilterState) -> None:
+        """Go on by clocks that have stepped: no time has passed for the INS, the mountings and the ship's place.
+
+        Args:
+            step_ns: the step.
+            state: before it.
+        """
+        stars = [source for source, device in self.filter.devices.items() if device.is_star]
+        if stars and all(source in state.excluded for source in stars):
+            # What they contradicted may have been UTC.
+            state = self.filter.suspects.begun_anew(state)
+        state = with_utc_step(with_shifted_stamps(state, step_ns), self.filter.model, step_ns)
+        self._shell.step_time_base(state, step_ns)
+        if self._watch is not None:
+            self._watch.step_time_base(step_ns)
+        if self.vertical is not None:
+            self.vertical.step_time_base(step_ns)
+        self._begin(state)
+
+    def _begin(self, state: FilterState) -> None:
+        """Start from a state, without samples of the INS."""
+        self._corrected = CorrectedIns(self.filter, state, self.config.horizon)
         self._track = AttitudeTrack(self._max_gap_ns)
         self._guards = StreamGuards(self.config.ins)
         self._ins_arrival_ns: int | None = None
         self._newest_star: tuple[Measurement, int] | None = None
         self._lately: dict[str, RecentSource] = {}
-        if self._watch is not None:
-            self._watch.reset()
-        if self.vertical is not None:
-            self.vertical.reset()
 
     def reconfigure(self, config: ShipAttitudeConfig) -> None:
         """Go on with other noise and gates; geometry and the set of devices stay."""
@@ -383,7 +408,15 @@ class ShipAttitudeCore:
     def _step(
         self, state: FilterState, measurement: Measurement, may_wait: bool
     ) -> tuple[FilterState, AttitudeDecision] | None:
-        return self.filter.step(state, measurement, self._track, self._watch, may_wait)
+        found = self.filter.step(state, measurement, self._track, self._watch, may_wait)
+        if state.utc is None or found is None or not self.filter.devices[measurement.source].is_star:
+            return found
+        predicted = self.filter.predicted(state, measurement.time_ns)
+        compared = with_utc_compared(state, predicted, self.filter.model, *found)
+        if compared[0].utc is None:
+            # UTC is right, or that cannot be told any more: the measurement is used.
+            return self.filter.step(compared[0], measurement, self._track, self._watch, may_wait)
+        return compared
 
     def _opened(self, state: FilterState, change: InsChange) -> FilterState:
         return self.filter.opened(state, change)

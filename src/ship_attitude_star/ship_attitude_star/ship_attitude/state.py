@@ -17,7 +17,7 @@ from ship_estimation.running_means import Means
 from ship_estimation.unconfirmed import Unconfirmed
 from ship_geometry.rotations import FloatArray
 
-__all__ = ["NO_STAYS", "Apart", "Doubt", "FilterState", "Lately", "changed", "with_entry", "without"]
+__all__ = ["NO_STAYS", "Apart", "Doubt", "FilterState", "Lately", "UtcStep", "changed", "with_entry", "without"]
 
 Value = TypeVar("Value")
 
@@ -76,6 +76,19 @@ class Apart(NamedTuple):
         return turn_n
 
 
+class UtcStep(NamedTuple):
+    """A step of the time base that may have made UTC wrong, or right.
+
+    Attributes:
+        step_s: sum of the steps since UTC was last compared with the INS's attitude.
+        log_ratio: natural logarithm of the likelihood ratio, by the stars since, of the sky being turned by the step to
+            its not being turned.
+    """
+
+    step_s: float
+    log_ratio: float = 0.0
+
+
 class Lately(NamedTuple):
     """How far the measurements of a source have been from the first row.
 
@@ -119,6 +132,7 @@ class FilterState:
         departures: by source, its last measurement refused.
         jumped_ns: the INS's stamp just before its last jump that the state is open for; None where there was none.
         vertical: at the moment of the state; None where no deflection of it is modelled.
+        utc: whether UTC is right since the time base stepped; None where that is not in question.
     """
 
     time_ns: int | None
@@ -140,6 +154,7 @@ class FilterState:
     jumped_ns: int | None = None
     disputed_n: FloatArray | None = None
     vertical: VerticalHere | None = None
+    utc: UtcStep | None = None
 
     @property
     def mean(self) -> FloatArray:

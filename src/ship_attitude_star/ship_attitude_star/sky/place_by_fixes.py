@@ -151,6 +151,10 @@ class PlaceByFixes:
         last = self._fixes.last_before(time_ns - self._delay_ns)
         self._fixes.drop_before(self._fixes.times[self._first(last)] if last >= 0 else time_ns - self._delay_ns)
 
+    def step_time_base(self, step_ns: int) -> None:
+        """Carry the fixes that are believed over a step of the clocks."""
+        self._oldest_ns, self._fixes = None, self._fixes.with_shifted_stamps(step_ns)
+
     def at(self, time_ns: int) -> Place | Refusal:
         """The place at a moment, or NO_FIX where no fix is near enough in time, or a provisional one is disputed.
 

@@ -205,6 +205,11 @@ class SkyWatch:
         self.surroundings = Surroundings(self._config)
         self._moments: dict[int, SkyMoment] = {}
 
+    def step_time_base(self, step_ns: int) -> None:
+        """Carry fixes and readings of the air over a step of their clocks."""
+        self.surroundings.step_time_base(step_ns)
+        self._moments.clear()
+
     def at(self, time_ns: int) -> SkyMoment | Refusal:
         """The sky at a moment, or why no star can be placed then: NO_EARTH_ORIENTATION or NO_FIX."""
         found, known = self.surroundings.at(time_ns), self._moments.get(time_ns)

@@ -31,6 +31,9 @@ _SIGMAS = 5.0
 _STANDS_S = 60.0
 """What a frozen source has not told counts for so long: a ship at anchor may truly stand for days."""
 
+_CARRIED_NS = 10 * SECOND_NS
+"""Values that are older than this before the last one are not carried over a step of the clocks, ns."""
+
 _REMEMBERED = 100
 """So many refused values are kept with their stamps; what comes later than that behind its own stream is late."""
 
@@ -189,6 +192,14 @@ class StampedValues(Generic[Value]):
         if forgotten > 0:
             self._before, self._forgotten_ns = self._beliefs[forgotten - 1], self._stamps[forgotten - 1]
             del self._stamps[:forgotten], self._taken[:forgotten], self._beliefs[:forgotten]
+
+    def with_shifted_stamps(self, step_ns: int) -> "StampedValues[Value]":
+        """Return the values that are believed, of the last seconds or the last one, with stamps later by a step."""
+        shifted: StampedValues[Value] = StampedValues(self._limits)
+        for time_ns, value in zip(self.times, self.values, strict=True):
+            if time_ns >= self.times[-1] - _CARRIED_NS:
+                shifted.insert(time_ns + step_ns, value)
+        return shifted
 
     # -- answers --------------------------------------------------------------------------------------------
 

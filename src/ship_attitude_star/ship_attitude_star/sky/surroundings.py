@@ -178,6 +178,13 @@ class Surroundings:
         for quantity in self._air.values():
             quantity.drop_before(time_ns)
 
+    def step_time_base(self, step_ns: int) -> None:
+        """Carry what is believed over a step of the clocks."""
+        self._answers.clear()
+        self._place.step_time_base(step_ns)
+        for quantity in self._air.values():
+            quantity.readings = quantity.readings.with_shifted_stamps(step_ns)
+
     # -- answers --------------------------------------------------------------------------------------------
 
     def at(self, time_ns: int) -> tuple[Place, Air] | Refusal:

@@ -69,9 +69,9 @@ class SmoothingCore(ShipAttitudeCore):
         self._told: deque[_ToldAtOnce] = deque()
         super().__init__(config, watch, self._closed.extend)
 
-    def reset(self, clock_jumped: bool = False) -> None:
-        """See :meth:`ShipAttitudeCore.reset`; what was not told again is not told again any more."""
-        super().reset(clock_jumped)
+    def _begin(self, state: FilterState) -> None:
+        """See :meth:`ShipAttitudeCore._begin`; what was not told again is not told again any more."""
+        super()._begin(state)
         self.forget_told()
 
     def forget_told(self) -> None:

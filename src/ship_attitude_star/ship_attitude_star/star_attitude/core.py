@@ -157,6 +157,14 @@ class StarCore:
     def reset(self, clock_jumped: bool = False) -> None:
         """Forget all inputs; outputs may start again at earlier times, whether the clock jumped or not."""
         self._watch.reset()
+        self._begin()
+
+    def step_time_base(self, step_ns: int, _state: None = None) -> None:
+        """Go on by clocks that have stepped: place and air are carried over the step, all exposures are forgotten."""
+        self._watch.step_time_base(step_ns)
+        self._begin()
+
+    def _begin(self) -> None:
         self._guards = StreamGuards(self._config.ins)
         self._contradictions.forget()
         self._of_ins.forget()

@@ -6,6 +6,7 @@ changes by 60″ in 50 km at 20 kn; and whatever the order of arrival, they are 
 
 import bisect
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -102,6 +103,14 @@ class VerticalTrack:
         self._stamps: list[int] = []
         self._knots: dict[int, _Knot] = {}
         self._newest_step: int | None = None
+
+    def step_time_base(self, step_ns: int) -> None:
+        """Carry fixes and deflections over a step of their clocks; the way begins where the ship is."""
+        self._place.step_time_base(step_ns)
+        self._messages = [replace(message, time_ns=message.time_ns + step_ns) for message in self._messages]
+        self._stamps = [stamp_ns + step_ns for stamp_ns in self._stamps]
+        self._knots.clear()
+        self._newest_step = None
 
     # -- inputs ---------------------------------------------------------------------------------------------
 

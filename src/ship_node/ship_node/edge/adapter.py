@@ -62,6 +62,10 @@ class Adapter(Protocol):
         """Start anew: the clock went back, as when a bag starts over."""
         ...
 
+    def clock_stepped(self, step_ns: int, now_ns: int, waiting_ns: int) -> list[Published]:
+        """Take note that the computer's clock was set by ``step_ns``; ``now_ns`` is by the clock as it is set."""
+        ...
+
     def service(self, name: str, now_ns: int) -> ServiceResult:
         """Do one of ``services``."""
         ...

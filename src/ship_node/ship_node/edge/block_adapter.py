@@ -23,7 +23,7 @@ class BlockAdapter(ReportingAdapter):
 
     def takes_blocks(self, topic: str) -> bool:
         """Whether the messages of a topic can be given many at once."""
-        return self.feeds[topic].block is not None and not self.is_off(topic)
+        return self.feeds[topic].block is not None and not self.is_off(topic) and not self.time_base.is_in_question
 
     def reads_rows(self, topic: str) -> bool:
         """Whether the messages of a topic can be read many at once, each of which is then taken by itself."""
@@ -42,6 +42,10 @@ class BlockAdapter(ReportingAdapter):
             return self.set_aside(feed, reading, receive_ns, receive_ns)
         if self.saved is not None and self.saved.is_due:
             self.saved.start(receive_ns)
+        refusal = self.check_clock(feed, reading.value.time_ns, receive_ns, receive_ns)
+        if refusal is not None:
+            self.health.turned_away(topic, receive_ns, receive_ns, reading.value.time_ns, refusal)
+            return [self.refused(feed.source, reading.value.time_ns, refusal)]
         self.see(feed, reading)
         return self.told(feed, reading, feed.take(reading.value, receive_ns), receive_ns, receive_ns)
 
@@ -65,12 +69,17 @@ class BlockAdapter(ReportingAdapter):
             return None
         reading = block.read(messages, receive_ns)
         samples = reading.samples
-        if len(samples.times_ns):
-            count = self._contested.count_before_change(topic, samples.times_ns, samples.rotations_nd)
-            reading = reading._replace(samples=samples.some(slice(count)))
-        count = len(reading.samples.times_ns)
-        ahead = block.core.look_ahead(reading.samples, receive_ns[:count]) if count else None
-        return None if ahead is None else BlockTurn(topic, reading, receive_ns[: ahead.followed.count], ahead)
+        stamps_ns = samples.times_ns.tolist()
+        count = self.time_base.count_unmoved(topic, stamps_ns, receive_ns[: len(stamps_ns)].tolist())
+        if count:
+            unmoved = samples.some(slice(count))
+            count = self._contested.count_before_change(topic, unmoved.times_ns, unmoved.rotations_nd)
+        ahead = block.core.look_ahead(samples.some(slice(count)), receive_ns[:count]) if count else None
+        if ahead is None:
+            return None
+        count = ahead.followed.count
+        self.time_base.add_block(topic, stamps_ns[count - 1], int(receive_ns[count - 1]), count)
+        return BlockTurn(topic, reading, receive_ns[:count], ahead)
 
     def take_ahead(self, turn: BlockTurn, stop: int) -> list[BlockPart]:
         """The messages of a block have their turn, up to one that is not included; what is to be published at once."""

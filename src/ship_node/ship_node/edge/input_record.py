@@ -55,13 +55,17 @@ class InputRecord:
 
     def forget_times(self) -> None:
         """Keep the counts, start anew with everything that has to do with time."""
-        self.refused_in_a_row = self.future_in_a_row = 0
         self.last_refusal_ns: int | None = None
         self.last_refusal: Refusal | None = None
         self.last_arrival_ns: int | None = None
+        self._intervals_ns: deque[int] = deque(maxlen=WINDOW)
+        self.forget_stamps()
+
+    def forget_stamps(self) -> None:
+        """Keep the counts and when messages came."""
+        self.refused_in_a_row = self.future_in_a_row = 0
         self.is_too_old = False
         self._newest_stamp_ns: int | None = None
-        self._intervals_ns: deque[int] = deque(maxlen=WINDOW)
         self._latencies_ns: deque[int] = deque(maxlen=WINDOW)
 
     def add_arrival(self, waiting_ns: int) -> None:
@@ -323,6 +327,11 @@ class InputRecords:
         self.start_ns = None
         for record in self.records.values():
             record.forget_times()
+
+    def forget_stamps(self) -> None:
+        """All clocks stepped: what rests on stamps of before is forgotten."""
+        for record in self.records.values():
+            record.forget_stamps()
 
     def refused_and_noted(self) -> dict[str, tuple[Counter[Reason], Counter[Reason]]]:
         """Topic → reason → messages that were not used, and messages used with a note, of topics that had either."""

@@ -16,7 +16,7 @@ import numpy as np
 from ship_bags.cdr_template import CdrRows
 from ship_bags.errors import BadInput
 from ship_bags.message_factory import MessageFactory
-from ship_bags.stamps import ns_from_stamp
+from ship_bags.stamps import duration_text, ns_from_stamp
 from ship_estimation.outcome import Status
 from ship_estimation.parameters import ParameterError, changed
 from ship_estimation.refusals import Reason, Refusal, failure
@@ -30,6 +30,7 @@ from ship_node.edge.input_health import InputHealthBook
 from ship_node.edge.messages_in import ReadMessage, Refused
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, DiagnosticStatus
 from ship_node.edge.overload import Overload
+from ship_node.edge.time_base import TimeBase
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
 from ship_node.edge.verdict_report import VerdictReport
 
@@ -44,7 +45,18 @@ _TAKEN_OUT = Refusal(Reason.OFF, "taken out by sources_off")
 _SLOW_TOPICS = "slow topics"
 _OF_ATTITUDE = (3, 3)
 """Shape of the covariance of an attitude's innovation."""
+_STARS = "star."
+_LEAP_SECOND = "a leap second is inserted: UTC gives two seconds the same number, and this may be the wrong one"
+_LONGEST_QUESTION_NS = 60_000_000_000
+"""Age up to which the state of before a step is gone back to, ns."""
+_STEP_SHOWN_NS = 60_000_000_000
+"""Time for which a step of the time base is a warning, ns."""
 _SECOND_NS = 1_000_000_000
+
+
+def _seconds(step_ns: int) -> str:
+    """A step for people."""
+    return f"{step_ns / _SECOND_NS:+.3f} s"
 
 
 @dataclass(frozen=True)
@@ -103,6 +115,7 @@ class ReportingAdapter(ABC):
         verdicts: what the innovations say of the sources.
         clock_jumps: how often the clock went back.
         behind: how far the node is behind its inputs; None where it keeps up.
+        time_base: the clocks of the inputs.
     """
 
     node_name: ClassVar[str]
@@ -145,6 +158,10 @@ class ReportingAdapter(ABC):
         self.health = InputHealthBook(self.inputs, config.max_age_s)
         self.notices: list[str] = [] if saved is None else saved.notices
         self.clock_jumps = 0
+        self.time_base = TimeBase()
+        # The core's state when some input's clock was first seen to have moved, and when that was.
+        self._unstepped: tuple[Any, int] | None = None
+        self._stepped_at_ns = 0
         self.latest: Any = None
         self.budget_due: Any = None
         self.conflicts: dict[str, str] = {}
@@ -196,11 +213,16 @@ class ReportingAdapter(ABC):
             reading = feed.read(message, receive_ns=receive_ns)
             if is_off:
                 return self.set_aside(feed, reading, receive_ns, waiting_ns)
+            refusal = self.check_clock(feed, reading.value.time_ns, receive_ns, waiting_ns)
+            if refusal is not None:
+                raise Refused(refusal.reason, refusal.text)
             self.see(feed, reading)
             outcome = None if reading.empty else feed.take(reading.value, waiting_ns)
         except Refused as refused:
             known = refused.refusal.reason is not Reason.BAD_STAMP
             time_ns = ns_from_stamp(message.header.stamp) if known else receive_ns
+            if refused.refusal.reason is Reason.FUTURE and not is_off:
+                self.check_clock(feed, time_ns, receive_ns, waiting_ns)
             self.health.turned_away(topic, waiting_ns, receive_ns, time_ns, refused.refusal)
             return [self.refused(feed.source, time_ns, refused.refusal)]
         except Exception:
@@ -242,6 +264,26 @@ class ReportingAdapter(ABC):
         feed, text = self.feeds[topic], self._contested.text(topic)
         self.health.contested(topic, text)
         self.core.contest(feed.measured_by or feed.source, "" if self.is_off(topic) else text)
+
+    def check_clock(self, feed: Feed, time_ns: int, receive_ns: int, waiting_ns: int) -> Refusal | None:
+        """Return why a message with this stamp is not used, after a step of the time base that it shows is taken."""
+        topic, clocks = feed.input.topic, self.time_base
+        was_in_question = clocks.is_in_question
+        step_ns = clocks.add_arrival(topic, time_ns, receive_ns, waiting_ns)
+        if step_ns is not None:
+            self._step_time_base(step_ns, waiting_ns)
+        elif not clocks.is_in_question:
+            self._unstepped = None
+        else:
+            if not was_in_question:
+                self._unstepped = getattr(self.core, "state", None), waiting_ns
+            ahead_ns = clocks.ahead_ns(topic)
+            if ahead_ns:
+                text = f"stamp is {duration_text(ahead_ns)} ahead of the other inputs: check the clock of {feed.source}"
+                return Refusal(Reason.FUTURE, text)
+        if feed.source.startswith(_STARS) and clocks.is_misdated(time_ns):
+            return Refusal(Reason.CLOCK, _LEAP_SECOND)
+        return None
 
     def is_off(self, topic: str) -> bool:
         """Whether people have taken out the source behind a topic."""
@@ -287,6 +329,12 @@ class ReportingAdapter(ABC):
         """Start anew at the earlier time."""
         self.clock_jumps += 1
         self._restart(clock_jumped=True)
+        return []
+
+    def clock_stepped(self, step_ns: int, now_ns: int, waiting_ns: int) -> list[Published]:
+        """Take note that the computer's clock was set; whether the time base has stepped, the inputs show."""
+        self.time_base.note_computer_step(step_ns, waiting_ns)
+        self.notices.append(f"the computer's clock stepped by {_seconds(step_ns)}")
         return []
 
     def service(self, name: str, now_ns: int) -> ServiceResult:
@@ -439,7 +487,8 @@ class ReportingAdapter(ABC):
         self.budget_due = None  # no estimate has its budget told twice
         messages, statuses = self.health.told(self.factory, now_ns, waiting_ns)
         published += [(INPUT_HEALTH_TOPIC, message) for message in messages]
-        statuses += [*self.own_statuses(waiting_ns), *self._off_statuses(), self._overload_status()]
+        statuses += [*self.own_statuses(waiting_ns), *self._off_statuses()]
+        statuses += [*self._time_base_statuses(waiting_ns), self._overload_status()]
         array = messages_out.diagnostic_array(now_ns, self.node_name, statuses)
         return [*published, (DIAGNOSTICS_TOPIC, array)]
 
@@ -477,13 +526,44 @@ class ReportingAdapter(ABC):
 
     def _restart(self, clock_jumped: bool) -> None:
         self.core.reset(clock_jumped)
+        self._restart_streams()
+        self.health.restart()
+        self.time_base.restart()
+        self._unstepped = None
+        if self.saved is not None:
+            self.saved.restarted()
+        self._forget_outputs()
+
+    def _restart_streams(self) -> None:
+        """Look for two streams on one topic from now on: the stamps do not continue those before."""
         contested = list(filter(self._contested.text, self.feeds))
         self._contested.restart()
         for topic in contested:
             self._tell_contested(topic)
-        self.health.restart()
-        if self.saved is not None:
-            self.saved.restarted()
+
+    def _step_time_base(self, step_ns: int, waiting_ns: int) -> None:
+        """Reset by a step of the time base: what is known of mountings, clocks and calibration is kept."""
+        state = getattr(self.core, "state", None)
+        if self._unstepped is not None and waiting_ns - self._unstepped[1] <= _LONGEST_QUESTION_NS:
+            # Some messages of after the step may have been taken for late ones of before it.
+            state = self._unstepped[0]
+        self._unstepped = None
+        self.core.step_time_base(step_ns, state)
+        self._restart_streams()
+        self.health.forget_stamps()
+        self._forget_outputs()
+        self._stepped_at_ns = waiting_ns
+        self.notices.append(f"time base stepped by {_seconds(step_ns)}: reset, mountings and calibration kept")
+
+    def _time_base_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
+        """One status with the last step of the time base; none where there was none."""
+        if not self.time_base.steps:
+            return []
+        level = messages_out.Level.WARN if waiting_ns - self._stepped_at_ns <= _STEP_SHOWN_NS else messages_out.Level.OK
+        text = f"stepped by {_seconds(self.time_base.last_step_ns)}: reset, mountings and calibration kept"
+        return [DiagnosticStatus("time base", level, text, {"steps": str(self.time_base.steps)})]
+
+    def _forget_outputs(self) -> None:
         self.latest, self.budget_due, self.slow_due_ns = None, None, None
         self.told_levels = ToldLevels()
         self.conflicts.clear()

@@ -19,6 +19,7 @@ from ship_attitude_star.stars.exposure import StarExposure
 from ship_estimation.estimator_shell import EstimatorShell, Model
 from ship_estimation.protection import IntegrityReport
 from ship_estimation.refusals import Contradictions, Reason, Refusal
+from ship_estimation.time_shift import with_shifted_stamps
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.rotations import ARCSEC
 from ship_geometry.sample_track import SampleTrack
@@ -133,6 +134,23 @@ class OpticalAxisCore:
         self._shell.reset(initial, clock_jumped)
         if self._sky is not None:
             self._sky.reset()
+        self._begin()
+        return remarks
+
+    def step_time_base(self, step_ns: int, state: CalibrationState) -> None:
+        """Go on by clocks that have stepped: no time has passed for the calibration.
+
+        Args:
+            step_ns: the step.
+            state: before it.
+        """
+        self._shell.step_time_base(with_shifted_stamps(state, step_ns), step_ns)
+        if self._sky is not None:
+            self._sky.step_time_base(step_ns)
+        self._begin()
+
+    def _begin(self) -> None:
+        """Start without samples."""
         self._tracks = MeasuredTracks(self.config)
         self._sightings = SightingAssembler(self.config, self._tracks)
         self._watch = EncoderWatch(*_encoder_limits(self.config))
@@ -147,7 +165,6 @@ class OpticalAxisCore:
         self._told_twice: tuple[int, int] | None = None
         self._own_fault_ns: dict[str, int] = {}
         self._ship_covered_until_ns: int | None = None
-        return remarks
 
     def reconfigure(self, config: OpticalAxisConfig) -> None:
         """Go on with other noise and gates; geometry and the set of lights stay."""

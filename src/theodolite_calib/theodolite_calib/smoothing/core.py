@@ -71,15 +71,14 @@ class SmoothingAxisCore(OpticalAxisCore):
     def __init__(self, config: OpticalAxisConfig, watch: SkyWatch | None = None) -> None:
         super().__init__(config, watch, self._take)
 
-    def reset(self, clock_jumped: bool = False) -> list[str]:
-        """See :meth:`OpticalAxisCore.reset`; what was told until then is not told again any more."""
-        remarks = super().reset(clock_jumped)
+    def _begin(self) -> None:
+        """See :meth:`OpticalAxisCore._begin`; what was told until then is not told again any more."""
+        super()._begin()
         self._told: deque[_ToldAtOnce] = deque()
         self._stated_n: dict[int, FloatArray] = {}
         oldest = self._shell.oldest_state
         assert isinstance(oldest, TracedState)
         self._chain: Chain[FloatArray | None] = Chain(self._between(), oldest)
-        return remarks
 
     def reconfigure(self, config: OpticalAxisConfig) -> None:
         """See :meth:`OpticalAxisCore.reconfigure`."""

@@ -103,6 +103,10 @@ class TriangulationCore:
         self._contradictions.forget()
         return []
 
+    def step_time_base(self, _step_ns: int, _state: None) -> None:
+        """Forget all directions: their clocks have stepped."""
+        self.reset()
+
     def reconfigure(self, config: TriangulationConfig) -> None:
         """Go on with other noise and another gate."""
         self.config = config

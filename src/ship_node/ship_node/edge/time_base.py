@@ -1,0 +1,321 @@
+"""Steps of the time base: all clocks aboard, or all that the inputs are stamped by, jump by the same time at once.
+
+The clock of an input is known by its stamps minus the time of waiting, which no one sets. A late message looks like a
+clock that is behind. A clock has moved only if no delay explains it:
+
+- back: its stamp is no newer than the newest one of its own input;
+- forward: its stamp is ahead of the node's clock, or by more than :data:`_LONGEST_DELAY_NS`;
+- either way: it follows a step of the computer's clock within a second.
+
+The time base has stepped if every input that is there has moved by the same time and nothing has contradicted it for
+0.3 s. Two clocks must agree, of which the computer's is one. One device alone is never a step of the time base. A step
+back of the computer's clock is confirmed by the first input that follows it: an input that does not follow is ahead of
+the node's clock, and could not be used either way.
+"""
+
+import bisect
+from dataclasses import dataclass, field
+
+from ship_geometry.time_scales import SECOND_NS, leap_seconds
+
+_LEAST_MOVE_NS = SECOND_NS // 2
+"""Smallest step of stamps that counts without a step of the computer's clock, ns."""
+
+_LONGEST_DELAY_NS = 10 * SECOND_NS
+"""Largest change forward of stamps against arrival that a shorter delay explains, ns."""
+
+_AHEAD_NS = SECOND_NS // 20
+"""Tolerance for stamps ahead of the node's clock, ns."""
+
+_FOLLOWS_WITHIN_NS = SECOND_NS
+"""Longest time between the steps of the computer's clock and of an input that follows it, ns."""
+
+_UNCONTRADICTED_NS = 3 * SECOND_NS // 10
+"""Time for which nothing may contradict a step before it counts, ns."""
+
+_LONGEST_PERIOD_NS = SECOND_NS
+"""Longest mean period of an input that a decision waits for, ns."""
+
+_THERE_PERIODS = 3.0
+"""Number of mean periods after which an input without a message is no longer there."""
+
+_OWN_CLOCK_AFTER_NS = 60 * SECOND_NS
+"""Time after which an input that alone has moved is compared with its own new clock, ns."""
+
+_TOLERANCE, _LARGEST_TOLERANCE_NS = 0.1, 2 * SECOND_NS
+"""Largest difference between two equal steps, as a share of them and at most, ns."""
+
+_SMALL_STEP_NS, _LEAST_MESSAGES = 3 * SECOND_NS, 8
+"""Size below which a step may be disorder, as messages come up to two seconds late, ns; so many in a row must agree."""
+
+_STEADY_AFTER_NS = 10 * SECOND_NS
+"""Time for which a small movement does not count after another one was undone, ns."""
+
+_LEAP_NS = -SECOND_NS
+_LEAP_TOLERANCE_NS = SECOND_NS // 4
+_LEAP_KNOWN_NS = 3 * SECOND_NS
+"""Time for which a leap second that was inserted is remembered, ns."""
+
+
+@dataclass(slots=True)
+class _InputClock:
+    """The clock of one input.
+
+    Attributes:
+        level_ns: stamp minus time of waiting, as of the last message that had not moved.
+        alone_ns: by how much it has been off alone for long; what is below is counted from there.
+        newest_ns: newest stamp.
+        arrival_ns: time of waiting of the last message.
+        period_ns: mean time between messages.
+        moved_ns: how far it has moved from the level; 0 for not at all.
+        moved_since_ns: time of waiting since when it has.
+        late_ns: how far it was behind its level when a delay last explained that.
+        late_at_ns: time of waiting of then.
+        came_back_ns: time of waiting when it was last as before after it had moved a little; None for never.
+    """
+
+    level_ns: int
+    newest_ns: int
+    arrival_ns: int
+    period_ns: float = 0.0
+    alone_ns: int = 0
+    moved_ns: int = 0
+    moved_since_ns: int = 0
+    late_ns: int = 0
+    late_at_ns: int = 0
+    came_back_ns: int | None = None
+
+
+@dataclass(slots=True)
+class _Candidate:
+    """A step that some input has made.
+
+    Attributes:
+        step_ns: the step.
+        since_ns: time of waiting since when nothing has contradicted it.
+        agree: the inputs that have moved by it since then.
+        messages: number of their messages since then.
+    """
+
+    step_ns: int
+    since_ns: int
+    agree: set[str] = field(default_factory=set)
+    messages: int = 0
+
+
+class TimeBase:
+    """The clocks of all inputs of a node.
+
+    Attributes:
+        steps: number of steps of the time base.
+        last_step_ns: the last of them; 0 for none.
+    """
+
+    def __init__(self) -> None:
+        self.steps, self.last_step_ns = 0, 0
+        self._leaps_ns = leap_seconds().starts_ns.tolist()
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget all clocks; the count stays."""
+        self._clocks: dict[str, _InputClock] = {}
+        self._candidate: _Candidate | None = None
+        self._computer: tuple[int, int] | None = None
+        self._leap_at_ns: int | None = None
+
+    @property
+    def is_in_question(self) -> bool:
+        """True if some input has moved and it is not decided yet whether all have."""
+        return self._candidate is not None
+
+    def note_computer_step(self, step_ns: int, waiting_ns: int) -> None:
+        """Take a step of the computer's clock, which inputs may follow.
+
+        Args:
+            step_ns: its step.
+            waiting_ns: the time of waiting.
+        """
+        self._computer = step_ns, waiting_ns + _FOLLOWS_WITHIN_NS
+
+    def add_arrival(self, topic: str, stamp_ns: int, receive_ns: int, waiting_ns: int) -> int | None:
+        """Return the step of the time base if this message decides that there was one.
+
+        Args:
+            topic: of the message.
+            stamp_ns: its stamp.
+            receive_ns: its arrival by the node's clock.
+            waiting_ns: the same in the time of waiting.
+        """
+        self._forget_old(waiting_ns)
+        clock, offset_ns = self._clocks.get(topic), stamp_ns - waiting_ns
+        if clock is None:
+            self._clocks[topic] = _InputClock(offset_ns, stamp_ns, waiting_ns)
+            return None
+        interval_ns, clock.arrival_ns = waiting_ns - clock.arrival_ns, waiting_ns
+        clock.period_ns += (interval_ns - clock.period_ns) / (8.0 if clock.period_ns else 1.0)
+        if clock.alone_ns and abs(offset_ns - clock.level_ns) < _LEAST_MOVE_NS:
+            clock.alone_ns = 0
+        moved_ns = offset_ns - clock.level_ns - clock.alone_ns
+        if not self._has_moved(clock, moved_ns, stamp_ns, receive_ns, waiting_ns):
+            if 0 < abs(clock.moved_ns) < _SMALL_STEP_NS:
+                clock.came_back_ns = waiting_ns
+            if moved_ns <= -_LEAST_MOVE_NS:
+                clock.late_ns, clock.late_at_ns = moved_ns, waiting_ns
+            clock.level_ns, clock.moved_ns = offset_ns - clock.alone_ns, 0
+            clock.newest_ns = max(clock.newest_ns, stamp_ns)
+        elif not clock.moved_ns:
+            clock.moved_ns, clock.moved_since_ns = moved_ns, waiting_ns
+        else:
+            clock.moved_ns = moved_ns
+        if self._candidate is None and not clock.moved_ns:
+            return None
+        return self._decide(topic, clock, waiting_ns)
+
+    def count_unmoved(self, topic: str, stamps_ns: list[int], arrivals_ns: list[int]) -> int:
+        """Number of messages, from the first one on, that show no movement of their input's clock.
+
+        Args:
+            topic: of the messages.
+            stamps_ns: their stamps, in ascending order.
+            arrivals_ns: when each came, by the node's clock, which is the time of waiting too.
+        """
+        clock = self._clocks.get(topic)
+        if clock is None or clock.moved_ns or clock.alone_ns or self._computer is not None:
+            return 0
+        level_ns = clock.level_ns
+        for number, (stamp_ns, arrival_ns) in enumerate(zip(stamps_ns, arrivals_ns, strict=True)):
+            offset_ns = stamp_ns - arrival_ns
+            if abs(offset_ns - level_ns) >= _LEAST_MOVE_NS:
+                return number
+            level_ns = offset_ns
+        return len(stamps_ns)
+
+    def add_block(self, topic: str, stamp_ns: int, arrival_ns: int, count: int) -> None:
+        """Take messages that show no movement (:meth:`count_unmoved`): stamp and arrival of the last, and number."""
+        clock = self._clocks[topic]
+        clock.period_ns = (arrival_ns - clock.arrival_ns) / count
+        clock.level_ns, clock.newest_ns, clock.arrival_ns = stamp_ns - arrival_ns, stamp_ns, arrival_ns
+
+    def ahead_ns(self, topic: str) -> int:
+        """Time by which a clock is ahead of what it was, if no delay explains it and other inputs are there; else 0.
+
+        It is not used before it is decided whether the others have moved too, or as long as they have not.
+        """
+        clock = self._clocks[topic]
+        if clock.moved_ns <= (_LONGEST_DELAY_NS if self._computer is None else 0):
+            return 0
+        others = (other for name, other in self._clocks.items() if name != topic)
+        return clock.moved_ns if any(_is_awaited(other, clock.arrival_ns) for other in others) else 0
+
+    def is_misdated(self, stamp_ns: int) -> bool:
+        """True if UTC as stamped is wrong by a second because a leap second is being inserted.
+
+        Clocks that count seconds since 1970 give two seconds the same numbers, either the last of the old day or the
+        first of the new one. The stamps alone do not show which; the step back by a second does.
+        """
+        number = bisect.bisect_right(self._leaps_ns, stamp_ns + SECOND_NS) - 1
+        since_ns = stamp_ns - self._leaps_ns[number] if number >= 0 else SECOND_NS
+        if since_ns >= SECOND_NS:
+            return False
+        return self.is_in_question or (since_ns < 0) == (self._leap_at_ns is not None)
+
+    # -- decisions ------------------------------------------------------------------------------------------
+
+    def _forget_old(self, waiting_ns: int) -> None:
+        """Forget steps that no input follows any more."""
+        if self._computer is not None and waiting_ns > self._computer[1]:
+            self._computer = None
+        if self._leap_at_ns is not None and waiting_ns > self._leap_at_ns + _LEAP_KNOWN_NS:
+            self._leap_at_ns = None
+
+    def _has_moved(self, clock: _InputClock, moved_ns: int, stamp_ns: int, receive_ns: int, waiting_ns: int) -> bool:
+        """True if no delay explains where the clock of an input is."""
+        computer_ns = 0 if self._computer is None else self._computer[0]
+        if computer_ns and _are_equal(moved_ns, computer_ns):
+            return True
+        if abs(moved_ns) < _LEAST_MOVE_NS:
+            return False
+        if abs(moved_ns) < _SMALL_STEP_NS and clock.came_back_ns is not None:
+            # Messages that are repeated later, or in disorder, look like a clock that steps to and fro.
+            if waiting_ns - clock.came_back_ns <= _STEADY_AFTER_NS:
+                return False
+            clock.came_back_ns = None
+        is_future = stamp_ns > receive_ns + _AHEAD_NS
+        if clock.moved_ns and _are_equal(moved_ns, clock.moved_ns):
+            # One that is ahead of others is not used as long as they are there; the node's clock may refuse it anyway.
+            keeps = moved_ns > _LONGEST_DELAY_NS and not is_future and self._has_unmoved_other(clock, waiting_ns)
+            if not keeps and waiting_ns - clock.moved_since_ns > _OWN_CLOCK_AFTER_NS:
+                clock.alone_ns += moved_ns
+                return False
+            return True
+        if self._candidate is not None and _are_equal(moved_ns, self._candidate.step_ns):
+            return True
+        return stamp_ns <= clock.newest_ns if moved_ns < 0 else is_future or moved_ns > _LONGEST_DELAY_NS
+
+    def _mark_late_inputs(self, first: _InputClock, waiting_ns: int) -> set[str]:
+        """Mark and return the inputs that moved with the first one, and seemed to be late before it came."""
+        found = set()
+        for name, clock in self._clocks.items():
+            is_recent = clock.late_ns and waiting_ns - clock.late_at_ns <= _FOLLOWS_WITHIN_NS
+            if is_recent and not clock.moved_ns and _are_equal(clock.late_ns, first.moved_ns):
+                clock.level_ns -= clock.late_ns
+                clock.moved_ns, clock.moved_since_ns, clock.late_ns = clock.late_ns, clock.late_at_ns, 0
+                found.add(name)
+        return found
+
+    def _has_unmoved_other(self, clock: _InputClock, waiting_ns: int) -> bool:
+        """True if another input is there that has not moved."""
+        others = (other for other in self._clocks.values() if other is not clock and not other.moved_ns)
+        return any(_is_awaited(other, waiting_ns) for other in others)
+
+    def _decide(self, topic: str, clock: _InputClock, waiting_ns: int) -> int | None:
+        """Return the step if the last message of an input decides that there was one."""
+        candidate = self._candidate
+        if not any(other.moved_ns for other in self._clocks.values()):
+            self._candidate = None
+            return None
+        if candidate is None or (clock.moved_ns and not _are_equal(clock.moved_ns, candidate.step_ns)):
+            agree = self._mark_late_inputs(clock, waiting_ns)
+            candidate = self._candidate = _Candidate(clock.moved_ns, waiting_ns, agree)
+        elif not clock.moved_ns:
+            candidate.since_ns = waiting_ns
+            candidate.agree.clear()
+            candidate.messages = 0
+            return None
+        candidate.agree.add(topic)
+        candidate.messages += 1
+        computer_ns = 0 if self._computer is None else self._computer[0]
+        with_computer = computer_ns != 0 and _are_equal(candidate.step_ns, computer_ns)
+        if not (with_computer and computer_ns < 0):
+            awaited = {name for name, other in self._clocks.items() if _is_awaited(other, waiting_ns)}
+            if len(candidate.agree) + with_computer < 2 or not awaited <= candidate.agree:
+                return None
+            may_be_disorder = abs(candidate.step_ns) < _SMALL_STEP_NS and candidate.messages < _LEAST_MESSAGES
+            if waiting_ns - candidate.since_ns < _UNCONTRADICTED_NS or (may_be_disorder and not with_computer):
+                return None
+        fastest = min(candidate.agree, key=lambda name: (self._clocks[name].period_ns, name))
+        return self._accept_step(computer_ns if with_computer else self._clocks[fastest].moved_ns, waiting_ns)
+
+    def _accept_step(self, step_ns: int, waiting_ns: int) -> int:
+        """Count a step of the time base, from which all clocks are measured; return it."""
+        for clock in self._clocks.values():
+            clock.level_ns += step_ns
+            clock.newest_ns += step_ns
+            clock.moved_ns = 0
+        self._candidate = None
+        self.steps, self.last_step_ns = self.steps + 1, step_ns
+        if abs(step_ns - _LEAP_NS) <= _LEAP_TOLERANCE_NS:
+            self._leap_at_ns = waiting_ns
+        return step_ns
+
+
+def _are_equal(step_ns: int, other_ns: int) -> bool:
+    """True if two steps are equal, as far as delays let them be compared."""
+    return abs(step_ns - other_ns) <= min(_TOLERANCE * abs(other_ns), _LARGEST_TOLERANCE_NS)
+
+
+def _is_awaited(clock: _InputClock, waiting_ns: int) -> bool:
+    """True if an input is there and comes so often that a decision waits for its next message."""
+    if not 0.0 < clock.period_ns <= _LONGEST_PERIOD_NS:
+        return False
+    return waiting_ns - clock.arrival_ns <= _THERE_PERIODS * clock.period_ns

@@ -1,0 +1,154 @@
+"""Steps of the time base are found by the clocks of all inputs; one clock alone, delays and disorder make none."""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from ship_node.edge.time_base import TimeBase
+
+S = 1_000_000_000
+START_NS = 1_700_000_000 * S
+PERIODS_S = {"ins/imu": 0.01, "star/fore": 0.2, "gnss/fix": 1.0, "met/pressure": 10.0}
+LATENCY_S = {"ins/imu": 0.003, "star/fore": 0.12, "gnss/fix": 0.2, "met/pressure": 0.05}
+
+Delay = Callable[[str, float], float]
+Step = Callable[[str, float], float]
+
+
+def arrivals(duration_s: float, step_s: Step, delay_s: Delay, **periods_s: float) -> Iterator[tuple[float, str, float]]:
+    """(waiting s, topic, stamp s) in the order of arrival."""
+    found = []
+    for number, (topic, period_s) in enumerate({**PERIODS_S, **periods_s}.items()):
+        for valid_s in np.arange(0.0017 * number, duration_s, period_s):
+            waiting_s = valid_s + LATENCY_S[topic] + delay_s(topic, valid_s)
+            found.append((waiting_s, topic, valid_s + step_s(topic, valid_s)))
+    yield from sorted(found)
+
+
+def found(
+    step_s: Step,
+    delay_s: Delay = lambda topic, valid_s: 0.0,
+    duration_s: float = 60.0,
+    computer_s: Callable[[float], float] | None = None,
+    node_follows: bool = True,
+    clocks: TimeBase | None = None,
+) -> list[tuple[float, float]]:
+    """(waiting s, step s) of each step of the time base that is found.
+
+    Args:
+        step_s: how far the clock of a topic is off at a time.
+        delay_s: of a message, beside the usual latency.
+        duration_s: of all.
+        computer_s: how far the computer's clock is off at a time, where a live node tells of its steps.
+        node_follows: whether the node's clock is off as that of the INS, where no live node tells.
+    """
+    clocks, steps, last_s = TimeBase() if clocks is None else clocks, [], 0.0
+    for waiting_s, topic, stamp_s in arrivals(duration_s, step_s, delay_s):
+        waiting_ns = START_NS + round(waiting_s * S)
+        off_s = computer_s(waiting_s) if computer_s else step_s("ins/imu", waiting_s) if node_follows else 0.0
+        if computer_s is not None and off_s != last_s:
+            clocks.note_computer_step(round((off_s - last_s) * S), waiting_ns)
+            last_s = off_s
+        step_ns = clocks.add_arrival(topic, START_NS + round(stamp_s * S), waiting_ns + round(off_s * S), waiting_ns)
+        if step_ns is not None:
+            steps.append((waiting_s, step_ns / S))
+    return steps
+
+
+@pytest.mark.parametrize("step_s", [-900.0, -300.0, -10.0, -1.0, -0.7, 2.0, 10.5, 300.0, 900.0])
+@pytest.mark.parametrize("at_s", [20.0, 20.005, 20.3])
+def test_a_step_of_all_stamps_is_found_within_1_3_s(step_s: float, at_s: float) -> None:
+    # A small step forward is in the future of the node's clock, or it is the end of a delay.
+    follows = step_s < 0.0 or step_s > 10.0
+    steps = found(lambda topic, valid_s: step_s if valid_s >= at_s else 0.0, node_follows=follows)
+    ((waiting_s, told_s),) = steps
+    assert waiting_s - at_s < 1.55, "the fix comes once a second"
+    assert told_s == pytest.approx(step_s, abs=1e-6)
+
+
+@pytest.mark.parametrize("step_s", [-900.0, -1.0, -0.15])
+def test_a_step_back_of_the_computers_clock_is_confirmed_by_the_first_input(step_s: float) -> None:
+    def stepped(waiting_s: float) -> float:
+        return step_s if waiting_s >= 20.0 else 0.0
+
+    ((waiting_s, told_s),) = found(lambda topic, valid_s: stepped(valid_s), computer_s=stepped)
+    assert 20.0 <= waiting_s < 20.02
+    assert told_s == step_s
+
+
+@pytest.mark.parametrize("step_s", [0.2, 1.0, 900.0])
+def test_a_step_forward_of_the_computers_clock_is_confirmed_by_all_inputs(step_s: float) -> None:
+    def stepped(waiting_s: float) -> float:
+        return step_s if waiting_s >= 20.0 else 0.0
+
+    ((waiting_s, told_s),) = found(lambda topic, valid_s: stepped(valid_s), computer_s=stepped)
+    assert 20.3 <= waiting_s < 21.5
+    assert told_s == step_s
+
+
+def test_ahead_for_30_s_and_then_right_are_two_steps() -> None:
+    steps = found(lambda topic, valid_s: 900.0 if 20.0 <= valid_s < 50.0 else 0.0, duration_s=80.0)
+    assert [step_s for _, step_s in steps] == [pytest.approx(900.0), pytest.approx(-900.0)]
+
+
+@pytest.mark.parametrize("alone", PERIODS_S)
+@pytest.mark.parametrize("step_s", [-300.0, -1.0, 300.0])
+@pytest.mark.parametrize("lasts_s", [5.0, 100.0])
+def test_one_device_alone_is_never_a_step_of_the_time_base(alone: str, step_s: float, lasts_s: float) -> None:
+    def step(topic: str, valid_s: float) -> float:
+        return step_s if topic == alone and 20.0 <= valid_s < 20.0 + lasts_s else 0.0
+
+    assert found(step, duration_s=150.0, node_follows=False) == []
+
+
+def test_the_computers_clock_alone_is_no_step_of_the_time_base() -> None:
+    assert found(lambda topic, valid_s: 0.0, computer_s=lambda waiting_s: -300.0 if waiting_s >= 20.0 else 0.0) == []
+
+
+def test_devices_that_follow_one_after_another_are_one_step() -> None:
+    """The INS first, the star sensor five seconds later, the receiver after ten."""
+    at_s = {"ins/imu": 20.0, "star/fore": 25.0, "gnss/fix": 30.0, "met/pressure": 20.0}
+    ((waiting_s, step_s),) = found(lambda topic, valid_s: -300.0 if valid_s >= at_s[topic] else 0.0)
+    assert 30.0 < waiting_s < 31.6
+    assert step_s == pytest.approx(-300.0)
+
+
+def test_an_input_that_is_silent_follows_unseen() -> None:
+    def delay_s(topic: str, valid_s: float) -> float:
+        return 1e6 if topic == "star/fore" and 15.0 <= valid_s < 40.0 else 0.0
+
+    ((waiting_s, _),) = found(lambda topic, valid_s: -300.0 if valid_s >= 20.0 else 0.0, delay_s)
+    assert waiting_s < 21.6
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_disorder_within_two_seconds_is_no_step(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    assert found(lambda topic, valid_s: 0.0, lambda topic, valid_s: float(rng.uniform(0.0, 2.0))) == []
+
+
+@pytest.mark.parametrize("held_up_s", [0.8, 3.0, 30.0])
+def test_a_link_that_holds_everything_up_is_no_step(held_up_s: float) -> None:
+    """All that was sent meanwhile comes at once, as after a stall of the network or of the node."""
+
+    def delay_s(topic: str, valid_s: float) -> float:
+        return max(20.0 + held_up_s - valid_s, 0.0) if valid_s >= 20.0 else 0.0
+
+    assert found(lambda topic, valid_s: 0.0, delay_s) == []
+
+
+def test_utc_is_ambiguous_in_the_second_that_is_told_twice() -> None:
+    midnight_ns = 1_483_228_800 * S  # 2017-01-01, after 2016-12-31T23:59:60
+    clocks = TimeBase()
+    told = [clocks.is_misdated(midnight_ns + round(s * S)) for s in (-1.5, -0.5, 0.0, 0.5, 1.0)]
+    assert told == [False, False, True, True, False], "the first of the new day, as long as no clock stepped"
+    start_ns = midnight_ns - 20 * S
+    for waiting_s, topic, stamp_s in arrivals(20.5, lambda _, s: -1.0 if s >= 20.0 else 0.0, lambda _, s: 0.0):
+        now_ns = start_ns + round(waiting_s * S)
+        if waiting_s >= 20.0 and not clocks.steps:
+            clocks.note_computer_step(-S, now_ns)
+        clocks.add_arrival(topic, start_ns + round(stamp_s * S), now_ns, now_ns)
+    assert clocks.steps == 1
+    told = [clocks.is_misdated(midnight_ns + round(s * S)) for s in (-1.5, -0.5, 0.0, 0.5)]
+    assert told == [False, True, False, False], "the last of the old day, told again"
