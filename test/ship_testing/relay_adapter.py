@@ -71,6 +71,7 @@ class RelayAdapter:
         self.ticks: list[int] = []
         self.node_times: list[int] = []
         self.resets: list[int] = []
+        self.clock_steps: list[int] = []
         self.handled: list[int] = []
         self.overloads: list[Overload] = []
         self.contested: list[tuple[str, str]] = []
@@ -123,6 +124,10 @@ class RelayAdapter:
     def clock_jumped_back(self, now_ns: int) -> list[Published]:
         self.resets.append(now_ns)
         self.health.restart()
+        return []
+
+    def clock_stepped(self, step_ns: int, now_ns: int, waiting_ns: int) -> list[Published]:
+        self.clock_steps.append(step_ns)
         return []
 
     def service(self, name: str, now_ns: int) -> ServiceResult:

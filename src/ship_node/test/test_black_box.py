@@ -23,6 +23,7 @@ from ship_node.black_box.black_box_format import (
     VERSIONS_ATTACHMENT,
     ChangeRefused,
     ClockJumpedBack,
+    ClockStepped,
     Closed,
     Contested,
     EntriesLost,
@@ -45,6 +46,7 @@ CONFIG = build(RelayConfig, {"sensors": {"fore": {"elevation_deg": 45}}})
 EVENTS: list[Event] = [
     Tick(),
     ClockJumpedBack(),
+    ClockStepped(-300_000_000_123),
     Contested("ins/imu", "two publishers send on ins/imu: /a and /b; end all but one"),
     ParametersChanged({"gate.probability": 0.1 + 0.2, "offsets_s": [1e-300, 2.0]}, None),
     ParametersChanged({"gate.count": 13}, "not wanted"),

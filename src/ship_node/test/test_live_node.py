@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from itertools import pairwise
+from types import SimpleNamespace
 
 import pytest
 import rclpy
@@ -20,6 +21,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
 from std_srvs.srv import Trigger
 
+import ship_node.live.node_clock as node_clock
 from ship_bags.message_store import message_store
 from ship_bags.stamps import ns_from_stamp
 from ship_node.edge.adapter import TICK_PERIOD_NS
@@ -89,6 +91,18 @@ def test_message_refused_by_the_adapter_is_counted_and_shown(live_relay):
     assert status.message == "refused, frame: frame_id is 'radar': expected 'ins'"
     assert {v.key: v.value for v in status.values}["reason frame"] == "1"
     assert relay.attitudes == []
+
+
+def test_a_step_of_the_systems_clock_is_reported_once(live_relay, monkeypatch):
+    off_ns = [0]
+    monkeypatch.setattr(node_clock, "time", SimpleNamespace(time_ns=lambda: time.time_ns() + off_ns[0]))
+    relay = live_relay(*RELIABLE_INPUT)
+    publisher = relay.imu_publisher()
+    for number, step_s in enumerate((0, -300, 900), start=1):
+        off_ns[0] += step_s * 10**9
+        publisher.publish(imu_message(time.time_ns() + off_ns[0]))
+        relay.wait_until(lambda number=number: len(relay.attitudes) == number)
+    assert [round(step_ns / 1e9, 2) for step_ns in relay.adapter.clock_steps] == [-300.0, 900.0]
 
 
 def test_services_answer_also_where_the_adapter_raises(live_relay):

@@ -45,6 +45,13 @@ class Contested:
 
 
 @dataclass(frozen=True)
+class ClockStepped:
+    """The computer's clock was set by ``step_ns`` against a steady clock; the log time is by the clock as it is set."""
+
+    step_ns: int
+
+
+@dataclass(frozen=True)
 class ParametersChanged:
     """Live parameters were given to the adapter, dotted name → value.
 
@@ -104,6 +111,7 @@ class Closed:
 Event = (
     Tick
     | ClockJumpedBack
+    | ClockStepped
     | Overload
     | Contested
     | ParametersChanged
@@ -117,6 +125,7 @@ Event = (
 _KINDS: dict[str, type[Event]] = {
     "tick": Tick,
     "clock_jumped_back": ClockJumpedBack,
+    "clock_stepped": ClockStepped,
     "overload": Overload,
     "contested": Contested,
     "parameters": ParametersChanged,

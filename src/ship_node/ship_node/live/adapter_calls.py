@@ -11,6 +11,7 @@ from ship_estimation.parameters import ParameterError
 from ship_node.black_box.black_box_format import (
     ChangeRefused,
     ClockJumpedBack,
+    ClockStepped,
     Contested,
     Event,
     ParametersChanged,
@@ -103,6 +104,15 @@ class AdapterCalls:
             published = self._adapter.clock_jumped_back(now_ns)
         finally:
             self._note(ClockJumpedBack(), now_ns)
+        self.publish(published, now_ns)
+
+    def clock_stepped(self, step_ns: int, now_ns: int, waiting_ns: int) -> None:
+        """Tell the adapter that the computer's clock was set."""
+        published: list[Published] = []
+        try:
+            published = self._adapter.clock_stepped(step_ns, now_ns, waiting_ns)
+        finally:
+            self._note(ClockStepped(step_ns), now_ns, waiting_ns)
         self.publish(published, now_ns)
 
     def service(self, name: str, now_ns: int) -> ServiceResult:

@@ -98,7 +98,7 @@ class LiveNode:
         self._calls = AdapterCalls(self.adapter, self._publishers, files, self._box, StatusLog(self._log))
         self._parameters.give_changes_to(self._calls, self._clock.now_ns, self._handle_all)
         self._grid = TickGrid()
-        self._last_node_ns = self._last_ns = 0
+        self._last_node_ns = self._last_ns = self._stepped_ns = 0
         self._status_log = StatusLog(self._log)
         lasting = {i.topic for i in self.adapter.inputs if i.lasting}
         self._inbox = Inbox({i.topic: qos.depth for i, qos in wanted.items()}, lasting)
@@ -199,7 +199,7 @@ class LiveNode:
         now_ns, waiting_ns = self._clock.times()
         # An EventsExecutor of rclpy 7.1.6 cannot pass on the time of reception. /clock waits in the same queue.
         since_ns = now_ns if self._clock.is_simulated() else self._heard_all_ns
-        self._inbox.put(Arrival(topic, data, now_ns, waiting_ns, since_ns))
+        self._inbox.put(Arrival(topic, data, now_ns, waiting_ns, since_ns, self._clock.stepped_ns))
         are_two = self._senders[topic].came(information["publication_sequence_number"], time.monotonic_ns())
         if are_two and topic not in self._contested:
             self._look_at_publishers(topic)
@@ -243,13 +243,22 @@ class LiveNode:
     def _work(self) -> None:
         """Give the adapter the next message at the time at which it came, or where none waits the time now."""
         if not self._inbox:
-            self._advance(*self._clock.times())
+            times_ns = self._clock.times()
+            self._see_clock_step(self._clock.stepped_ns, *times_ns)
+            self._advance(*times_ns)
         elif self._last_ns or self._clock.now_ns():
             arrival = self._inbox.take()
             now_ns, waiting_ns = (arrival.now_ns, arrival.waiting_ns) if arrival.now_ns else self._clock.times()
+            self._see_clock_step(arrival.stepped_ns, now_ns, waiting_ns)
             self._advance(now_ns, waiting_ns)
             self._guard.call(arrival.topic, self._handle, arrival.topic, arrival.data, now_ns, waiting_ns)
         self._tell_notices()
+
+    def _see_clock_step(self, stepped_ns: int, now_ns: int, waiting_ns: int) -> None:
+        """Tell the adapter where the system's clock was set, in its place among the messages."""
+        step_ns, self._stepped_ns = stepped_ns - self._stepped_ns, stepped_ns
+        if step_ns:
+            self._guard.call("clock step", self._calls.clock_stepped, step_ns, now_ns, waiting_ns)
 
     def _tell_notices(self) -> None:
         for notice in self.adapter.notices:

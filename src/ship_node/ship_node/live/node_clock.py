@@ -19,6 +19,12 @@ DEAD_AFTER_NS = 2_000_000_000
 _START_NS = 5_000_000_000
 """The first /clock may take so long, ns: its publisher is still to be found."""
 
+LEAST_STEP_NS = 100_000_000
+"""Smallest step of the system's clock, from one look to the next, that counts, ns: no daemon slews so fast."""
+
+_LONGEST_LOOK_NS = 10_000_000
+"""Where reading both clocks took longer, they do not belong together, ns."""
+
 CLOCK_DEPTH = 1000
 """Messages of /clock that may wait for the node: ten seconds of a bag's time at the usual 100 Hz."""
 
@@ -33,12 +39,16 @@ class NodeClock:
         node: has its subscriptions still to come, so that /clock can be queued beside them.
         steady_ns: a clock that never jumps.
         on_event: called after each message of /clock.
+
+    Attributes:
+        stepped_ns: sum of the steps of the system's clock since the start, against the steady clock; /clock aside.
     """
 
     def __init__(self, node: "Node", steady_ns: Callable[[], int], on_event: Callable[[], None]) -> None:
-        self._clock = node.get_clock()
+        self._clock, self._steady_ns = node.get_clock(), steady_ns
+        self.stepped_ns = 0
+        self._ahead_ns: int | None = None
         self._on_event = on_event
-        self._steady_ns = steady_ns
         self._waiting = WaitingClock(steady_ns)
         self._listening = WaitingClock(steady_ns)
         self._heard_ns, self._was_heard = self._listening.now_ns(0), False
@@ -53,7 +63,7 @@ class NodeClock:
     def times(self) -> tuple[int, int]:
         """The node's time and the time of waiting, ns; zeros while the node waits for its first /clock."""
         if not self.is_simulated():
-            now_ns = time.time_ns()
+            now_ns = self._system_ns()
             return now_ns, self._waiting.now_ns(now_ns)
         now_ns = self.now_ns()
         stood_still_ns = self._stood_still_ns()
@@ -62,6 +72,15 @@ class NodeClock:
     def running_ns(self) -> int:
         """Return the time by which messages wait for the node: steady time, or that of /clock where it rules."""
         return self.now_ns() if self.is_simulated() else self._steady_ns()
+
+    def _system_ns(self) -> int:
+        """The system's time; a step of it since the last look is added to :attr:`stepped_ns`."""
+        before_ns, now_ns, after_ns = self._steady_ns(), time.time_ns(), self._steady_ns()
+        if after_ns - before_ns <= _LONGEST_LOOK_NS:
+            last_ns, self._ahead_ns = self._ahead_ns, now_ns - before_ns
+            if last_ns is not None and abs(self._ahead_ns - last_ns) >= LEAST_STEP_NS:
+                self.stepped_ns += self._ahead_ns - last_ns
+        return now_ns
 
     def start_anew(self) -> None:
         """The clock went back: the two times are one again."""

@@ -126,10 +126,16 @@ class NodeEvents:
 
 
 class Arrival(NamedTuple):
-    """A message as it came: topic, CDR bytes, node's time and time of waiting then, ns (0 before the first /clock).
+    """A message as it came.
 
-    Its waiting time runs from ``since_ns`` on, by :meth:`ship_node.live.node_clock.NodeClock.running_ns`; 0: it counts
-    as if it had just come.
+    Attributes:
+        topic: of the message.
+        data: its CDR bytes.
+        now_ns: the node's time then; 0 before the first /clock.
+        waiting_ns: the time of waiting then; 0 before the first /clock.
+        since_ns: from when on it waits, by :meth:`ship_node.live.node_clock.NodeClock.running_ns`; 0: it counts as if it
+            had just come.
+        stepped_ns: :attr:`ship_node.live.node_clock.NodeClock.stepped_ns` then.
     """
 
     topic: str
@@ -137,6 +143,7 @@ class Arrival(NamedTuple):
     now_ns: int
     waiting_ns: int
     since_ns: int = 0
+    stepped_ns: int = 0
 
 
 class Inbox:

@@ -19,6 +19,7 @@ from ship_node.black_box.black_box_format import (
     EVENTS_TOPIC,
     ChangeRefused,
     ClockJumpedBack,
+    ClockStepped,
     Closed,
     Contested,
     EntriesLost,
@@ -194,6 +195,9 @@ class _BoxReplay:
             self._use("tick", time_ns, lambda: adapter.tick(time_ns, waiting_ns))
         elif isinstance(event, ClockJumpedBack):
             self._use("clock jump back", time_ns, lambda: adapter.clock_jumped_back(time_ns))
+        elif isinstance(event, ClockStepped):
+            step_ns = event.step_ns
+            self._use("clock step", time_ns, lambda: adapter.clock_stepped(step_ns, time_ns, waiting_ns))
         elif isinstance(event, Overload):
             self._use("overload", time_ns, lambda: adapter.overload(event, time_ns, waiting_ns))
         elif isinstance(event, Contested):
