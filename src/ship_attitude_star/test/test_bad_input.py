@@ -166,6 +166,19 @@ def test_a_quaternion_a_little_long_is_renormalised() -> None:
         assert np.allclose([one.heading, one.pitch, one.roll], [other.heading, other.pitch, other.roll], atol=1e-14)
 
 
+def test_angles_counted_past_a_turn_are_the_same_attitude() -> None:
+    def further(message: Any) -> None:
+        message.azimuth += 2.0 * np.pi
+        message.roll -= 4.0 * np.pi
+
+    run = drive(new_adapter(), changed_where(voyage(), lambda a: a.topic == FORE, further))
+    assert run.reasons(FORE) == {}
+    clean = clean_run()
+    for one, other in zip(run.messages("ship/attitude"), clean.messages("ship/attitude"), strict=True):
+        # The sine of an angle of some turns is right to 1e-15.
+        assert np.allclose([one.heading, one.pitch, one.roll], [other.heading, other.pitch, other.roll], atol=1e-13)
+
+
 def test_a_quaternion_with_all_signs_changed_is_the_same_attitude() -> None:
     run = drive(new_adapter(), changed_where(voyage(), lambda a: a.topic == INS, scale_quaternion(-1.0)))
     assert run.results() == clean_run().results()

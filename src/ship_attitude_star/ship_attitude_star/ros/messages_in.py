@@ -46,8 +46,8 @@ from ship_node.edge.messages_in import (
 Measured = TypeVar("Measured", bound=Measurement)
 
 STAR_INVALID = 3
-LARGEST_ELEVATION, LARGEST_ANGLE = 0.5 * np.pi + 1e-9, 2.0 * np.pi + 1e-9
-"""Of a star sensor, and of its azimuth and its roll, rad."""
+LARGEST_ELEVATION, LARGEST_ANGLE = 0.5 * np.pi + 1e-9, 6.0 * np.pi
+"""Of a star sensor, and of its azimuth and its roll, rad: these are taken modulo a turn, counted two turns too far."""
 _COVARIANCE_TOLERANCE = 1e-6
 
 _LARGEST_DEFLECTION = 300.0 * ARCSEC
