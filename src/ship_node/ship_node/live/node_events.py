@@ -133,8 +133,7 @@ class Arrival(NamedTuple):
         data: its CDR bytes.
         now_ns: the node's time then; 0 before the first /clock.
         waiting_ns: the time of waiting then; 0 before the first /clock.
-        since_ns: from when on it waits, by :meth:`ship_node.live.node_clock.NodeClock.running_ns`; 0: it counts as if it
-            had just come.
+        since_ns: from when on it waits, by :meth:`ship_node.live.node_clock.NodeClock.running_ns`; 0: from now on.
         stepped_ns: :attr:`ship_node.live.node_clock.NodeClock.stepped_ns` then.
     """
 

@@ -33,9 +33,9 @@ def _parser() -> CommandParser:
         "with the sections of nmea_in and nmea_out, "
         "and, with a bag, whether it fits: topics, types, frame_ids, rates; installation angles and focal lengths of "
         "star sensors and references, by their attitudes against ins/imu; the telescope's focal length; what a node "
-        "would refuse; sigmas that the innovations contradict by a factor of 1.5 or more; about how much of a core each "
-        "node will take. Exit code 2 when something is wrong, 1 when more than half of an input would not be used, 0 "
-        "when there is nothing but warnings.",
+        "would refuse; sigmas that the innovations contradict by a factor of 1.5 or more; about how much of a core "
+        "each node will take. Exit code 2 when something is wrong, 1 when more than half of an input would not be "
+        "used, 0 when there is nothing but warnings.",
     )
     parser.add_argument("config", type=Path, metavar="FILE", help="suite configuration")
     parser.add_argument(
