@@ -7,8 +7,8 @@ the stamps; noise about all axes is that of the attitude itself, as coarse digit
 and nothing is reported.
 
 A small excess shows in the samples that pass the step check. A large excess makes samples fail it: from the first such
-sample on, all samples are collected, rejected ones included, until the median difference tells noise from a step. While
-there is an excess, samples are collected on, so that a change and the end of it are seen within seconds.
+sample on, and at the start, all samples are collected, rejected ones included, until the median difference tells noise
+from a step. While there is an excess, samples are collected on, so that a change and the end of it are seen in seconds.
 """
 
 import math
@@ -26,19 +26,23 @@ from ship_geometry.time_scales import SECOND_NS
 _LONG_NS, _MEMORY_NS, _SHORT_NS = 30 * SECOND_NS, 10 * SECOND_NS, 2 * SECOND_NS
 """A small excess is looked for in means over up to the first; once found, noise is averaged over up to the second; a
 large excess, and its end, show within the third."""
+_SETTLED_NS = _MEMORY_NS - SECOND_NS
+"""Length of a mean over the second of these, at least."""
 _LEAST_RATIO2 = 1.25**2
 """Smallest ratio of measured to stated variance that is reported."""
 _ESTIMATED, _SIGMAS = 1.25, 6.0
 """Standard deviation of a variance estimated from N steps, times sqrt(N), as a share of it; the excess that is reported
 is so many of them."""
-_MEDIAN_RATIO = 2.0
-"""Ratio of the median difference to the usual one from which on rejected samples show noise and not a step."""
-_LARGER, _OTHER = 1.5, 1.25
-"""Ratio of standard deviations from which on a new estimate over the short time, or the long, replaces that in use."""
+_MEDIAN_RATIO, _START_RATIO = 2.0, 4.0
+"""Ratio of the median difference to the usual one from which on rejected samples show noise and not a step; at the
+start it is not known what is usual, and the rates may be noisy."""
+_LARGER, _OTHER, _MORE_STEPS = 1.5, 1.25, 3
+"""Ratio of standard deviations from which on a new estimate over the short time, or the long, replaces that in use; the
+long one by that many times as many steps."""
 _OVER_SHORT, _OVER_LONG, _WOULD_SHOW = 1.5, 1.2, 1.4
 """An excess is over where the noise has fallen below so many times the stated, over the short time or the long, and the
 excess would show by twice the first, or by the third."""
-_FIRST_NS, _EVERY_NS, _LEAST_STEPS = SECOND_NS, SECOND_NS // 4, 20
+_FIRST_NS, _EVERY_NS, _LEAST_STEPS = SECOND_NS // 2, SECOND_NS // 4, 10
 """Collected samples are evaluated after the first time, with so many steps at least, and then every so often."""
 _MEDIAN_OF_DIFFERENCE = 1.538 * math.sqrt(2.0)
 """Median length of the difference of two samples with unit noise about each of three axes."""
@@ -195,12 +199,13 @@ class ExcessNoise:
                 return self._use(MeasuredNoise(recent[0].first_ns, variance, 0.0, 0.0, count))
         return None
 
-    def observe(self, sample: AttitudeSample, integrated: Integrated) -> ExtraNoise | None:
+    def observe(self, sample: AttitudeSample, integrated: Integrated, rates_proven: bool = True) -> ExtraNoise | None:
         """Collect a sample; return the excess where it is a new one.
 
         Args:
             sample: the sample, with a rate.
             integrated: attitude by the rates alone at its stamp.
+            rates_proven: whether the rates are known to be right; before that there is no excess.
         """
         time_ns, collected = sample.time_ns, self._collected
         if self._suspected_ns is not None and time_ns - self._suspected_ns > _SHORT_NS:
@@ -215,7 +220,7 @@ class ExcessNoise:
         since_ns = time_ns - (_SHORT_NS if self.found is None else _MEMORY_NS)
         while len(collected) > _LEAST_STEPS + 1 and collected[0][0].time_ns < since_ns:
             collected.popleft()
-        if time_ns < self._due_ns or len(collected) <= _LEAST_STEPS:
+        if not rates_proven or time_ns < self._due_ns or len(collected) <= _LEAST_STEPS:
             return None
         self._due_ns = time_ns + _EVERY_NS
         steps = self._steps()
@@ -224,9 +229,11 @@ class ExcessNoise:
     def _first(self, steps: "_Steps") -> ExtraNoise | None:
         """Return the excess of the samples collected; None where their median difference is no larger than usual."""
         usual_sigma_rad = max(self._stated_rad, self._usual_rad / math.sqrt(6.0))
-        if not steps.median_sigma_rad >= _MEDIAN_RATIO * usual_sigma_rad:
+        ratio = _MEDIAN_RATIO if self._usual_rad else _START_RATIO
+        if not steps.median_sigma_rad >= ratio * usual_sigma_rad:
             return None
-        return self._use(steps.measured(), steps.fastest2)
+        measured = steps.measured()
+        return self._use(measured, steps.fastest2) if measured.sigma_rad() >= ratio * self._stated_rad else None
 
     def _changed(self, found: MeasuredNoise, steps: "_Steps") -> ExtraNoise | None:
         """Return the excess where it has changed, or is over; None otherwise, or where it does not show."""
@@ -239,7 +246,7 @@ class ExcessNoise:
             return self._use(over_short, self._fastest2)
         if over_short.sigma_rad() <= _OVER_SHORT * stated_rad and was_rad >= 2.0 * _OVER_SHORT * stated_rad:
             return self._end(found, int(steps.times_ns[-1]))
-        if steps.times_ns[-1] - steps.times_ns[0] < _MEMORY_NS - SECOND_NS:
+        if len(steps.times_ns) < _MORE_STEPS * found.steps and steps.times_ns[-1] - steps.times_ns[0] < _SETTLED_NS:
             return None
         was_rad = found.sigma_rad(over_long.rate2)
         if over_long.sigma_rad() <= _OVER_LONG * stated_rad and was_rad >= _WOULD_SHOW * stated_rad:

@@ -313,6 +313,7 @@ class InsGuard:
             self._smooth_since_taken = False
             return JudgedIns(sample, _STUCK)
         if self._taken is None or previous is None:
+            self._excess.suspect(sample.time_ns, 0.0)
             self._take(seen, None)
             return JudgedIns(sample)
         return self._compare(self._taken, previous, seen)
@@ -327,14 +328,14 @@ class InsGuard:
             on_line = self._steps.look(sample, seen.integrated, *errors_rad)
             if on_line is False:
                 self._excess.suspect(sample.time_ns, self._leads.by_rates.typical_rad)
-            if self._excess.collects:
-                self._new_noise = self._excess.observe(sample, seen.integrated)
-            if on_line and previous is taken:
-                # Nearly all samples of a healthy INS go this way.
-                jumps = self._kept(seen)
-                self._take(seen, None if jumps else taken)
-                due = sample.time_ns >= self._rates.due_ns
-                return JudgedIns(sample, _stepped(jumps), jumps, self._judge_rates(previous, seen) if due else None)
+        if seen.integrated is not None and self._excess.collects:
+            self._new_noise = self._excess.observe(sample, seen.integrated, measured)
+        if on_line and previous is taken:
+            # Nearly all samples of a healthy INS go this way.
+            jumps = self._kept(seen)
+            self._take(seen, None if jumps else taken)
+            due = sample.time_ns >= self._rates.due_ns
+            return JudgedIns(sample, _stepped(jumps), jumps, self._judge_rates(previous, seen) if due else None)
         match = self._leads.match(taken, seen, measured) if on_line is None else self._steps.match()
         step = match if previous is taken else self._leads.match(previous, seen, measured)
         fits = match.fits
