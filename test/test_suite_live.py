@@ -141,7 +141,7 @@ def test_a_port_that_another_program_has_ends_nmea_out_and_not_the_suite(tmp_pat
     line = path.read_text().splitlines().index(sink.splitlines()[-1]) + 1
     told = rf"^\[nmea_out\] nmea_out: {path}:{line}: parameter 'sinks.bridge.port' = .* in use"
     assert re.search(told, log, re.MULTILINE), log
-    assert re.search(r"^\[suite\] nmea_out ended .*not started again; the suite goes on without it$", log, re.MULTILINE)
+    assert re.search(r"^\[suite\] nmea_out ended .*: exit code 2; started again ", log, re.MULTILINE)
     assert re.search(r"^\[suite\] play ended after .*: exit code 0; the suite ends with it$", log, re.MULTILINE), log
 
 
@@ -219,7 +219,7 @@ def test_a_node_that_is_killed_is_back_within_two_seconds_with_its_last_saved_al
         folder.mkdir()
         gap_s, log, saved = killed_once(folder, live_environment(domain, folder))
         gaps_s.append(gap_s)
-        assert "signal 9, SIGKILL; started again at once (1 of 5)" in log
+        assert "signal 9, SIGKILL; started again at once (restart 1 in a row)" in log
         assert f"alignment {saved}, 0 min old" in log
     print("gaps in ship/attitude", gaps_s)
     assert 0.1 < min(gaps_s) < 2.0, (gaps_s, log)
@@ -260,6 +260,26 @@ def killed_once(folder, environment):
     return max(later - earlier for earlier, later in itertools.pairwise(sorted(stamps))) / NS_PER_S, log, saved
 
 
+@pytest.mark.slow
+def test_a_node_that_is_stopped_is_reported_and_replaced(tmp_path, domain):
+    """With the process in reserve, as by whoever stops all processes of that name."""
+    command = suite("--bag", DEMO, "--loop", "0", "--frozen-report", "2", "--frozen-restart", "5")
+    with LiveProcess(command, tmp_path / "suite.log", live_environment(domain, tmp_path)) as process:
+        valid = "[ship_attitude]: attitude: VALID"
+        wait_for(lambda: valid in process.log() and has_reserve(process.pid, "ship_attitude"), process)
+        time.sleep(2.0)  # the reserve's own sign of life
+        pids = processes_of(process.pid, "ship_attitude")
+        for pid in pids:
+            os.kill(pid, signal.SIGSTOP)
+        wait_for(lambda: process.log().count(valid) > 1, process)
+        assert not set(pids) & set(processes_of(process.pid, "ship_attitude"))
+        assert process.end(signal.SIGTERM) == 0
+        log = process.log()
+    assert "[suite] ship_attitude is frozen: no sign of life for 2 s" in log
+    assert "[suite] ship_attitude sent no sign of life for 5 s: killed" in log
+    assert log.count("[suite] ship_attitude ended") == 1, log
+
+
 def wait_for(condition, process, timeout_s=60.0):
     """Wait until a condition holds, while a process runs."""
     deadline_s = time.monotonic() + timeout_s
@@ -291,7 +311,7 @@ def node_of(suite_pid, name):
 def has_reserve(suite_pid, name):
     """Whether one has read its libraries, and waits to be told to begin."""
     others = [pid for pid in processes_of(suite_pid, name) if not ports_of(pid)]
-    return any("pipe_read" in Path(f"/proc/{pid}/wchan").read_text() for pid in others)
+    return any("poll" in Path(f"/proc/{pid}/wchan").read_text() for pid in others)
 
 
 def test_every_status_that_the_nodes_tell_has_one_place_in_the_aggregator_file(tmp_path, domain):

@@ -1,6 +1,9 @@
-"""Programs kept running: lines, restarts, order of the end, exit codes, nothing left behind."""
+"""Programs kept running: lines, restarts, signs of life, order of the end, exit codes, nothing left behind."""
 
+import errno
 import os
+import re
+import resource
 import signal
 import subprocess
 import sys
@@ -9,7 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from ship_bringup.suite.keeper import Keeper, Program, Role
+from ship_bringup.suite import process as process_module
+from ship_bringup.suite.keeper import Keeper
+from ship_bringup.suite.program import Program, Role
 from ship_bringup.suite.restarts import STEADY_S, Restarts, failure_of
 
 FAR_S = 20.0
@@ -19,26 +24,29 @@ def program(name, text, role=Role.NODE):
     return Program(name, (sys.executable, "-c", text), role)
 
 
-def kept(*programs, most_restarts=0):
+def kept(*programs, until="", count=1, **limits):
+    """Exit code and lines of a suite, which its user ends once so many lines contain a text."""
     lines = []
-    return Keeper(programs, most_restarts, lines.append).run(), lines
+
+    def write(line):
+        lines.append(line)
+        if until and sum(until in each for each in lines) == count and until in line:
+            signal.raise_signal(signal.SIGINT)
+
+    return Keeper(programs, write, **limits).run(), lines
 
 
-def test_the_first_restart_is_at_once_and_each_further_one_after_twice_the_time():
-    restarts = Restarts(9)
-    assert [restarts.delay_s(-9, 3.0) for _ in range(10)] == [0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0, 30.0, None]
+def test_the_first_restart_is_at_once_and_each_further_one_after_twice_the_time_up_to_30_s_for_ever():
+    restarts = Restarts()
+    assert [restarts.delay_s(3.0) for _ in range(9)] == [0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0, 30.0]
+    assert [restarts.delay_s(3.0) for _ in range(5000)] == [30.0] * 5000
 
 
 def test_a_run_of_a_minute_ends_the_row():
-    restarts = Restarts(2)
-    assert [restarts.delay_s(1, 1.0), restarts.delay_s(1, 1.0)] == [0.0, 1.0]
-    assert restarts.delay_s(1, STEADY_S) == 0.0
-    assert [restarts.delay_s(1, 1.0), restarts.delay_s(1, 1.0)] == [1.0, None]
-
-
-@pytest.mark.parametrize("code", [0, 2, 130, -signal.SIGINT, -signal.SIGTERM])
-def test_bad_input_and_an_end_by_wish_are_not_started_again(code):
-    assert Restarts(5).delay_s(code, 1.0) is None
+    restarts = Restarts()
+    assert [restarts.delay_s(1.0), restarts.delay_s(1.0)] == [0.0, 1.0]
+    assert restarts.delay_s(STEADY_S) == 0.0
+    assert [restarts.delay_s(1.0), restarts.delay_s(1.0)] == [1.0, 2.0]
 
 
 @pytest.mark.parametrize(("code", "failure"), [(0, 0), (1, 1), (2, 2), (130, 0), (-15, 0), (-9, 137), (-11, 139)])
@@ -48,26 +56,27 @@ def test_the_exit_code_of_a_failure(code, failure):
 
 def test_each_line_has_the_name_in_front_and_none_is_lost_at_the_end():
     text = "import sys; print('one'); print('two', file=sys.stderr); sys.stdout.write('no end'); sys.stdout.flush()"
-    code, lines = kept(program("talker", text))
-    assert code == 0
+    _, lines = kept(program("talker", text), until="talker ended")
     assert lines[:3] == ["[talker] one", "[talker] two", "[talker] no end"]
 
 
 def test_a_line_without_end_is_cut_and_nothing_of_it_lost():
-    _, lines = kept(program("long", "print('x' * 300_000)"))
+    _, lines = kept(program("long", "print('x' * 300_000)"), until="long ended")
     said = [line.removeprefix("[long] ") for line in lines if line.startswith("[long]")]
     assert len(said) > 1
     assert "".join(said) == "x" * 300_000
 
 
-def test_a_program_that_dies_is_started_again_up_to_the_limit():
-    code, lines = kept(program("mayfly", "import os, signal; os.kill(os.getpid(), signal.SIGKILL)"), most_restarts=2)
-    assert code == 137
-    ends = [line for line in lines if "ended" in line]
-    assert len(ends) == 3
-    assert ends[0].endswith("signal 9, SIGKILL; started again at once (1 of 2)")
-    assert ends[1].endswith("started again in 1 s (2 of 2)")
-    assert ends[2].endswith("not started again")
+@pytest.mark.slow
+@pytest.mark.parametrize("code", [0, 1, 2, 130, -signal.SIGKILL, -signal.SIGTERM])
+def test_a_program_that_ends_is_started_again_however_it_ended_and_however_often(code):
+    text = f"import os; os.kill(os.getpid(), {-code})" if code < 0 else f"raise SystemExit({code})"
+    lives = program("lives", WAITS)
+    ended, lines = kept(program("mayfly", text), lives, until="mayfly ended", count=4)
+    assert ended == failure_of(code)  # it was down when the user ended the suite
+    ends = [line for line in lines if "mayfly ended" in line]
+    assert ends[0].endswith("; started again at once (restart 1 in a row)")
+    assert ends[3].endswith("; started again in 4 s (restart 4 in a row)")
 
 
 SUCCESSOR = """
@@ -91,14 +100,15 @@ def test_a_process_in_reserve_succeeds_the_one_that_died(monkeypatch, tmp_path):
     monkeypatch.setattr("ship_bringup.suite.keeper._RESERVE_AFTER_S", 0.2)
     then = "waited or wait_for_reserve()\nos.kill(os.getpid(), signal.SIGKILL)"
     text = SUCCESSOR.format(mark=str(tmp_path / "reserve"), then=then)
-    code, lines = kept(Program("node", (sys.executable, "-c", text), has_reserve=True), most_restarts=1)
+    node = Program("node", (sys.executable, "-c", text), has_reserve=True)
+    code, lines = kept(node, until="node ended", count=2)
     assert code == 137
     said = [line for line in lines if line.startswith("[node]")]
     assert said == ["[node] from the start", "[node] in reserve"]
     # It counts from when it was told to begin, and is no death of its own before.
     assert [line.partition(": ")[2] for line in lines if "ended" in line] == [
-        "signal 9, SIGKILL; started again at once (1 of 1)",
-        "signal 9, SIGKILL; not started again",
+        "signal 9, SIGKILL; started again at once (restart 1 in a row)",
+        "signal 9, SIGKILL; started again in 1 s (restart 2 in a row)",
     ]
 
 
@@ -107,7 +117,8 @@ def test_a_program_whose_reserve_has_died_is_started_as_before(monkeypatch, tmp_
     monkeypatch.setattr("ship_bringup.suite.keeper._RESERVE_AFTER_S", 0.2)
     dies = SUCCESSOR.replace("waited = bool", "if WAITS in os.environ: raise SystemExit(3)\nwaited = bool")
     text = dies.format(mark=str(tmp_path / "reserve"), then="time.sleep(2.0)\nraise SystemExit(1)")
-    code, lines = kept(Program("node", (sys.executable, "-c", text), has_reserve=True), most_restarts=1)
+    node = Program("node", (sys.executable, "-c", text), has_reserve=True)
+    code, lines = kept(node, until="node ended", count=2)
     assert code == 1
     assert [line for line in lines if line.startswith("[node]")] == ["[node] from the start"] * 2
     assert lines.count("[suite] node in reserve ended: exit code 3") == 2
@@ -117,22 +128,10 @@ def test_a_process_in_reserve_does_not_outlive_its_program(monkeypatch, tmp_path
     monkeypatch.setattr("ship_bringup.suite.keeper._RESERVE_AFTER_S", 0.2)
     text = SUCCESSOR.format(mark=str(tmp_path / "reserve"), then="wait_for_reserve()")
     text = text.replace("waited = bool", "print(os.getpid())\nwaited = bool")
-    _, lines = kept(Program("node", (sys.executable, "-u", "-c", text), has_reserve=True))
+    _, lines = kept(Program("node", (sys.executable, "-u", "-c", text), has_reserve=True), until="node ended")
     pids = [int(line.split()[1]) for line in lines if line.split()[1].isdecimal()]
     assert len(pids) == 2
     assert all(map(is_gone, pids))
-
-
-def test_bad_input_is_never_started_again_and_the_others_go_on():
-    code, lines = kept(
-        program("wrong", "raise SystemExit(2)"),
-        program("right", "import time; time.sleep(0.6); print('still here')"),
-        program("late", "import time; time.sleep(0.9); raise SystemExit(3)"),
-        most_restarts=0,
-    )
-    assert code == 2  # of the first that failed for good
-    assert sum("wrong ended" in line for line in lines) == 1
-    assert "[right] still here" in lines
 
 
 WAITS = (
@@ -148,7 +147,6 @@ def test_the_suite_ends_with_its_player_and_in_the_opposite_order():
         program("second", WAITS),
         program("watcher", WAITS, Role.WATCHER),
         program("player", "import time; time.sleep(1.5); raise SystemExit(1)", Role.PLAYER),
-        most_restarts=5,
     )
     assert code == 1
     assert [line for line in lines if line.endswith("ends")] == ["[watcher] ends", "[second] ends", "[first] ends"]
@@ -163,7 +161,7 @@ def test_who_feeds_the_nodes_ends_before_them_and_they_go_on_without_it():
         program("player", "import time; time.sleep(1.5)", Role.PLAYER),
     )
     assert code == 2
-    assert any("broken ended" in line and line.endswith("the suite goes on without it") for line in lines)
+    assert any("broken ended" in line and "started again" in line for line in lines)
     assert [line for line in lines if line.endswith("ends")] == ["[feeder] ends", "[node] ends"]
 
 
@@ -174,32 +172,209 @@ def test_who_watches_ends_before_who_plays():
         program("page", WAITS, Role.WATCHER),
         program("alerts", WAITS, Role.WATCHER),
         program("player", WAITS, Role.PLAYER),
+        until="node ended",
     )
     assert code == 0
     assert [line for line in lines if line.endswith("ends")] == ["[alerts] ends", "[page] ends", "[player] ends"]
 
 
-def test_a_watcher_that_cannot_be_is_missed_by_nobody_and_said():
+def test_bad_input_of_one_program_at_the_start_is_tried_again_and_the_others_go_on():
     code, lines = kept(
-        program("node", "import time; time.sleep(1.0)"), program("page", "raise SystemExit(2)", Role.WATCHER)
+        program("wrong", "raise SystemExit(2)"),
+        program("page", "raise SystemExit(2)", Role.WATCHER),
+        program("right", WAITS),
+        until="wrong ended",
+        count=3,
+    )
+    assert code == 2  # of the first that was down at the end
+    assert any(re.fullmatch(r".*page ended .*: exit code 2; started again at once .*", line) for line in lines)
+    assert "[right] ends" in lines
+
+
+def test_bad_input_of_all_nodes_at_the_start_ends_the_suite():
+    started_s = time.monotonic()
+    code, lines = kept(
+        program("one", "import time; time.sleep(0.3); raise SystemExit(2)"),
+        program("other", "raise SystemExit(2)"),
+        program("page", "import time; time.sleep(60)", Role.WATCHER),
     )
     assert code == 2
-    assert any(line.endswith("exit code 2; not started again; the suite goes on without it") for line in lines)
-
-
-def test_watchers_do_not_keep_a_suite_without_nodes():
-    started_s = time.monotonic()
-    code, _ = kept(program("node", "raise SystemExit(2)"), program("page", "import time; time.sleep(60)", Role.WATCHER))
-    assert code == 2
     assert time.monotonic() - started_s < FAR_S
+    assert any(line.endswith("exit code 2; bad input at the start: the suite ends") for line in lines)
 
 
-def run_keeper(*texts):
+BEATS = """
+import os, signal, sys, time
+from ship_bags.live.heartbeat import heartbeat
+def beat_for(time_s):
+    end_s = time.monotonic() + time_s
+    while time.monotonic() < end_s:
+        heartbeat().beat(time.monotonic_ns())
+        time.sleep(0.02)
+"""
+
+
+def test_bad_input_of_a_node_that_has_run_before_ends_nothing():
+    """As a parameter file that was changed at sea: the suite waits for it to be mended."""
+    text = BEATS + "beat_for(0.5)\nraise SystemExit(2)"
+    code, lines = kept(program("node", text), until="node ended", count=3)
+    assert code == 2
+    assert sum("started again" in line for line in lines) == 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", ["os.kill(os.getpid(), signal.SIGSTOP)", "time.sleep(60)", "while True: pass"])
+def test_a_frozen_program_is_reported_killed_and_started_again(how):
+    text = BEATS + f"print('starts', flush=True)\nbeat_for(1.5)\n{how}"
+    started_s = time.monotonic()
+    code, lines = kept(
+        program("node", text), until="[node] starts", count=2, frozen_report_s=2.0, frozen_restart_s=4.0
+    )
+    assert code == 0  # it ran when the user ended the suite
+    assert time.monotonic() - started_s < FAR_S
+    own = [line for line in lines if line.startswith("[suite]")]
+    assert re.fullmatch(r"\[suite\] node is frozen: no sign of life for 2 s, .*started again in 2 s", own[0]), own
+    assert own[1] == "[suite] node sent no sign of life for 4 s: killed"
+    assert re.fullmatch(r"\[suite\] node ended .* signal 9, SIGKILL; started again at once .*", own[2])
+
+
+@pytest.mark.slow
+def test_a_program_that_works_again_in_time_is_left_alone():
+    text = BEATS + "beat_for(1.0)\ntime.sleep(4.0)\nbeat_for(60.0)"
+    code, lines = kept(program("node", text), until="works again", frozen_report_s=2.0, frozen_restart_s=10.0)
+    assert code == 0
+    assert [line for line in lines if "ended" in line] == []
+    assert re.search(r"node works again after [3-5] s without a sign of life", "\n".join(lines))
+
+
+@pytest.mark.slow
+def test_a_program_without_a_first_sign_of_life_is_started_again(monkeypatch):
+    monkeypatch.setattr("ship_bringup.suite.frozen_check._LONGEST_START_S", 2.0)
+    code, lines = kept(program("node", "import time; time.sleep(60)"), until="node ended", frozen_restart_s=1.0)
+    assert code == 137
+    assert "[suite] node sent no sign of life for 2 s: killed" in lines
+
+
+@pytest.mark.slow
+def test_a_stopped_process_in_reserve_is_no_successor(monkeypatch):
+    """Who stops a node by its name stops the one in reserve, too."""
+    monkeypatch.setattr("ship_bringup.suite.keeper._RESERVE_AFTER_S", 0.2)
+    text = BEATS + (
+        "from ship_node.live.start import WAITS\n"
+        "waited = bool(os.environ.pop(WAITS, ''))\n"
+        "print('reserve' if waited else 'starts', flush=True)\n"
+        "if waited:\n    beat_for(1.5)\n    os.kill(os.getpid(), signal.SIGSTOP)\n"
+        "beat_for(2.0)\nos.kill(os.getpid(), signal.SIGSTOP)"
+    )
+    node = Program("node", (sys.executable, "-c", text), has_reserve=True)
+    _, lines = kept(node, until="[node] starts", count=2, frozen_report_s=2.0, frozen_restart_s=4.0)
+    assert "[suite] node in reserve sent no sign of life for 4 s: killed" in lines
+
+
+@pytest.mark.slow
+def test_a_standstill_of_the_keeper_is_no_silence_of_its_programs():
+    """All are stopped and go on together, as on a computer that sleeps."""
+    keeper = run_keeper(BEATS + "print(os.getpid(), flush=True)\nbeat_for(60.0)", limits="2.0, 4.0")
+    pid = ids(keeper, 1)[0]
+    time.sleep(1.5)
+    for number in (signal.SIGSTOP, signal.SIGCONT):
+        os.kill(keeper.pid, number)
+        os.kill(pid, number)
+        if number == signal.SIGSTOP:
+            time.sleep(8.0)
+    time.sleep(3.0)
+    keeper.send_signal(signal.SIGINT)
+    said = keeper.communicate(timeout=FAR_S)[0]
+    assert keeper.returncode == 0
+    assert "[suite]" not in said
+
+
+@pytest.mark.slow
+def test_a_program_that_gets_no_processor_is_not_frozen():
+    """It shares one core with what has a thousand times its weight."""
+    core = str(min(os.sched_getaffinity(0)))
+    hog_text = f"import os\nos.sched_setaffinity(0, [{core}])\nwhile True: pass"
+    hogs = [subprocess.Popen([sys.executable, "-c", hog_text]) for _ in range(3)]
+    try:
+        text = BEATS + (
+            f"os.sched_setaffinity(0, [{core}])\nbeat_for(1.0)\nos.sched_setscheduler(0, os.SCHED_IDLE, "
+            "os.sched_param(0))\nwhile True:\n    heartbeat().beat(time.monotonic_ns())\n    sum(range(20_000_000))"
+        )
+        keeper = run_keeper("print('runs', flush=True)\n" + text, limits="1.0, 2.0")
+        time.sleep(12.0)
+        keeper.send_signal(signal.SIGINT)
+        said = keeper.communicate(timeout=FAR_S)[0]
+    finally:
+        for hog in hogs:
+            hog.kill()
+            hog.wait()
+    assert "killed" not in said.replace("does not end: killed", ""), said
+
+
+@pytest.mark.parametrize("number", [errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN])
+@pytest.mark.parametrize("where", ["subprocess.Popen", "os.pidfd_open"])
+def test_a_start_that_fails_for_want_of_something_is_tried_again(monkeypatch, number, where):
+    holder, name = (process_module.subprocess, "Popen") if "Popen" in where else (process_module.os, "pidfd_open")
+    real, left = getattr(holder, name), [2]
+
+    def failing(*arguments, **options):
+        if left[0]:
+            left[0] -= 1
+            raise OSError(number, os.strerror(number))
+        return real(*arguments, **options)
+
+    monkeypatch.setattr(holder, name, failing)
+    before = set(os.listdir("/proc/self/fd"))
+    code, lines = kept(program("node", "import time; print('runs', flush=True); time.sleep(60)"), until="[node] runs")
+    assert code == 0
+    assert lines[0] == f"[suite] node cannot be started: {os.strerror(number)}; tried again in 1 s"
+    assert set(os.listdir("/proc/self/fd")) <= before
+
+
+@pytest.mark.slow
+def test_a_restart_without_file_descriptors_or_processes_ends_nothing():
+    """The limits of a keeper that runs are lowered below what it uses, and raised again."""
+    text = BEATS + "heartbeat().beat(time.monotonic_ns())\nprint(os.getpid(), flush=True)\nbeat_for(60.0)"
+    keeper = run_keeper(text, text)
+    first, other = ids(keeper, 2)
+    before = resource.prlimit(keeper.pid, resource.RLIMIT_NOFILE)
+    resource.prlimit(keeper.pid, resource.RLIMIT_NOFILE, (4, before[1]))
+    os.kill(first, signal.SIGKILL)
+    told = [keeper.stdout.readline() for _ in range(4)]
+    assert "started again at once" in told[0]
+    assert all(re.search(r"cannot be started: Too many open files; tried again in [124] s", each) for each in told[1:])
+    assert keeper.poll() is None
+    os.kill(other, 0)
+    resource.prlimit(keeper.pid, resource.RLIMIT_NOFILE, before)
+    while (line := keeper.stdout.readline()).startswith("[suite]"):
+        pass
+    assert re.match(r"\[p0\] \d+", line)
+    keeper.send_signal(signal.SIGTERM)
+    assert keeper.wait(FAR_S) == 0
+
+
+def test_an_exception_in_the_keeper_itself_ends_nothing(monkeypatch):
+    failures = [MemoryError("none left"), OSError(errno.EIO, "Input/output error")]
+    real = Keeper._wait
+
+    def wait(self):
+        if failures:
+            raise failures.pop()
+        real(self)
+
+    monkeypatch.setattr(Keeper, "_wait", wait)
+    code, lines = kept(program("node", "import time; print('runs', flush=True); time.sleep(60)"), until="[node] runs")
+    assert code == 0
+    assert "MemoryError: none left" in "\n".join(lines)
+
+
+def run_keeper(*texts, limits=""):
     """A keeper as a process of its own, which runs programs and tells their process ids."""
     programs = ", ".join(f"Program('p{i}', (sys.executable, '-c', {text!r}))" for i, text in enumerate(texts))
     code = (
-        "import sys\nfrom ship_bringup.suite.keeper import Keeper, Program, say_line\n"
-        f"raise SystemExit(Keeper(({programs},), 5, say_line).run())"
+        "import sys\nfrom pathlib import Path\nfrom ship_bringup.suite.keeper import Keeper, Program\n"
+        "from ship_bringup.suite.suite_log import SuiteLog\n"
+        f"raise SystemExit(Keeper(({programs},), SuiteLog(Path('/dev/null')).write, {limits}).run())"
     )
     return subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
 

@@ -12,27 +12,32 @@ from ship_bags.live.dds import dds_has_security, loaded_libraries, require_deman
 from ship_bags.live.ros_process import namespace_name, positive
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bringup.security.demand import require_profile
-from ship_bringup.suite.keeper import Keeper, say_line
+from ship_bringup.suite.frozen_check import FROZEN_REPORT_S, FROZEN_RESTART_S
+from ship_bringup.suite.keeper import Keeper
 from ship_bringup.suite.plan import SuiteOptions, attached_suite, plan_of
+from ship_bringup.suite.suite_log import SuiteLog, log_path
 from ship_watch.limits import read_limits
 
 _DESCRIPTION = """\
 Starts a node for each section of a suite file (ROS 2 parameter file with sections as '/**/ship_attitude:'), each as a
-process of its own, and shows their lines with the node's name in front. A node that dies is started again, at once the
-first time, then after 1 s, 2 s, 4 s and so on; it begins from the alignment that it saved (parameters alignment_file
-and alignment_autosave_s). What ended with exit code 2, bad input, is not started again. When one fails for good, the
-others go on. Ctrl-C or SIGTERM ends all in order, a second one at once; when this process is killed, they end too.
-With --bag the bag is played into the nodes and sets their time; the suite ends with it. Topics that the nodes give
+process of its own, and shows their lines with the node's name in front. A node that ends is started again, at once the
+first time, then after 1 s, 2 s, 4 s and so on, up to 30 s, for ever; it begins from the alignment that it saved
+(parameters alignment_file and alignment_autosave_s). A node that sends no sign of life is frozen: it is reported, and
+later killed and started again. Only where no node has run yet and each has ended with exit code 2, bad input, the suite
+ends. Ctrl-C, SIGTERM or SIGHUP ends all in order, a second one at once; when this process is killed, they end too. With
+--bag the bag is played into the nodes and sets their time; the suite ends with it. Topics that the nodes give
 themselves are not played.
+
+While stdout takes no lines (no reader, disk full), they go to suite.log, or suite_NAMESPACE.log, in the folder of ROS's
+logs (ROS_LOG_DIR, else ~/.ros/log): 5 MB and the 5 MB before.
 
 Sections for nmea_in and nmea_out, as '/**/nmea_out:', start these nodes of ship_nmea, too: attitude and alerts go out
 as NMEA sentences, and instruments' sentences become topics, but not with --bag. The others do not need them.
 """
 _EPILOG = (
-    "exit code: that of the first program that failed for good (128 + n after signal n); 0 where none did,\n"
-    "also after Ctrl-C or SIGTERM; 2 bad input or usage"
+    "exit code: 0 ended by Ctrl-C, SIGTERM, SIGHUP or the end of the bag while all programs ran; otherwise that of\n"
+    "the player, or of the first program that was down then (128 + n after signal n); 2 bad input or usage"
 )
-_MOST_RESTARTS = 5
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -79,11 +84,18 @@ def _parser() -> CommandParser:
     )
     parser.add_argument("--box", type=Path, metavar="FOLDER", help="a black box of each node goes into this folder")
     parser.add_argument(
-        "--restarts",
-        type=_count,
-        default=_MOST_RESTARTS,
-        metavar="N",
-        help=f"start a program again N times in a row at most ({_MOST_RESTARTS}); a run of 60 s ends the row",
+        "--frozen-report",
+        type=positive,
+        default=FROZEN_REPORT_S,
+        metavar="S",
+        help=f"report a program that has sent no sign of life for S seconds ({FROZEN_REPORT_S:.0f})",
+    )
+    parser.add_argument(
+        "--frozen-restart",
+        type=positive,
+        default=FROZEN_RESTART_S,
+        metavar="S",
+        help=f"kill it after S seconds without one, and start it again ({FROZEN_RESTART_S:.0f})",
     )
     return parser
 
@@ -114,10 +126,12 @@ def _suite(parsed: argparse.Namespace) -> int:
             raise BadInput(_named(str(problem), path, parsed)) from problem
         if parsed.box is not None:
             _make_folder(parsed.box)
+        kept_lines = log_path(parsed.namespace)
+        errors, log = SuiteLog(kept_lines, sys.stderr.fileno()), SuiteLog(kept_lines, sys.stdout.fileno())
         for warning in plan.warnings:
-            print(f"suite: warning: {one_line(_named(warning, path, parsed))}", file=sys.stderr)
-        say_line(f"[suite] starts {', '.join(program.name for program in plan.programs)}")
-        return Keeper(plan.programs, parsed.restarts, say_line).run()
+            errors.write(f"suite: warning: {one_line(_named(warning, path, parsed))}")
+        log.write(f"[suite] starts {', '.join(program.name for program in plan.programs)}")
+        return Keeper(plan.programs, log.write, parsed.frozen_report, parsed.frozen_restart).run()
 
 
 def _make_folder(box: Path) -> None:

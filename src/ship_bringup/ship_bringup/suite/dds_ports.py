@@ -30,7 +30,10 @@ class HeldPorts:
         self._held: list[tuple[float, list[socket.socket]]] = []
 
     def hold(self, ports: frozenset[int]) -> None:
-        """Take those of some ports that are free; give back those whose time is over."""
+        """Take those of some ports that are free; give back those whose time is over.
+
+        Without them the successor is met later, which is no reason to fail: the process may have no file descriptors.
+        """
         now_s = time.monotonic()
         for until_s, sockets in self._held:
             if until_s <= now_s:
@@ -38,10 +41,10 @@ class HeldPorts:
         self._held = [(until_s, sockets) for until_s, sockets in self._held if until_s > now_s]
         taken = []
         for port in sorted(ports):
-            own = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
             with contextlib.suppress(OSError):
+                own = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+                taken.append(own)
                 own.bind(("", port))
-            taken.append(own)
         self._held.append((now_s + _LEASE_S + _MARGIN_S, taken))
 
     def close(self) -> None:

@@ -11,7 +11,7 @@ from ship_bags.parameter_yaml import full_name
 from ship_bringup.security.demand import KEYSTORE, domain_of, enclave_command
 from ship_bringup.security.keystore import KeystoreUse, require_keystore
 from ship_bringup.security.rights import Rights
-from ship_bringup.suite.keeper import Program
+from ship_bringup.suite.program import Program
 from ship_watch.limits import Limits
 
 

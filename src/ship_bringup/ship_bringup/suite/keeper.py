@@ -1,24 +1,27 @@
 """The programs of a suite as processes of their own: started, their lines shown, started again, ended in order.
 
-One thread waits for all of them: for lines, for their ends (by process descriptors), for signals and for the time of
-the next start. The programs are told by the kernel to end when this process ends, however that happens.
+One thread waits for all of them: for lines, for their ends (by process descriptors), for their signs of life, for
+signals and for the time of the next start. The programs are told by the kernel to end when this process ends, however
+that happens. Nothing but a signal or the end of a bag ends this process.
 """
 
 import contextlib
 import selectors
 import signal
 import socket
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from enum import Enum
+from functools import partial
 from types import FrameType
 
-from ship_bags.command_line import EXIT_DONE
+from ship_bags.command_line import EXIT_BAD_INPUT, EXIT_DONE
 from ship_bringup.suite.dds_ports import HeldPorts, ports_of
+from ship_bringup.suite.frozen_check import FROZEN_REPORT_S, FROZEN_RESTART_S, FrozenCheck
+from ship_bringup.suite.kept_program import KeptProgram
 from ship_bringup.suite.process import Process
-from ship_bringup.suite.restarts import Restarts, end_words, failure_of
+from ship_bringup.suite.program import Program, Role
+from ship_bringup.suite.restarts import LONGEST_DELAY_S, end_words, failure_of
+from ship_estimation.refusals import failure
 
 _END_SIGNALS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 _END_S = 10.0
@@ -27,127 +30,121 @@ _RESERVE_AFTER_S = 5.0
 """A process in reserve is started so long after the program began, when the start of the others is over."""
 _SUITE = "suite"
 
-
-class Role(Enum):
-    """What the end of a program means for the others."""
-
-    NODE = "node"
-    """The suite ends with the last of these."""
-    WATCHER = "watcher"
-    """It looks at the nodes; they do not need it."""
-    FEEDER = "feeder"
-    """It gives the nodes what instruments say; they live without it, if not for long."""
-    PLAYER = "player"
-    """It feeds the nodes, once: the suite ends with it, and it is not started again."""
-
-
 _END_ORDER = (Role.WATCHER, Role.PLAYER, Role.FEEDER, Role.NODE)
 
 
-@dataclass(frozen=True)
-class Program:
-    """One program of the suite.
-
-    Attributes:
-        name: stands before its lines.
-        command: its command line.
-        role: what its end means.
-        has_reserve: whether a second process of it waits, with its libraries read, to be its successor.
-    """
-
-    name: str
-    command: tuple[str, ...]
-    role: Role = Role.NODE
-    has_reserve: bool = False
-
-
-@dataclass
-class _Kept:
-    """A program with its process, if it runs, the one in reserve, and the times at which they are to be started."""
-
-    program: Program
-    restarts: Restarts
-    process: Process | None = None
-    due_s: float | None = None
-    reserve: Process | None = None
-    reserve_due_s: float | None = None
-    ports: frozenset[int] = frozenset()
-
-    @property
-    def is_alive(self) -> bool:
-        """Whether it runs or is to run again."""
-        return self.process is not None or self.due_s is not None
-
-    @property
-    def processes(self) -> list[Process]:
-        """Those that there are."""
-        return [process for process in (self.process, self.reserve) if process is not None]
-
-
 class Keeper:
-    """Runs programs until they have ended, or until a signal asks for the end.
+    """Runs programs until a signal asks for the end, or a bag is at its end.
 
     Args:
         programs: in the order of their start. They are ended in the opposite one, but first who watches, for whom the
             end of the others would be a fault, then who plays a bag or reads instruments, then the nodes.
-        most_restarts: of one program in a row.
-        write: takes each line, without its end.
+        write: takes each line, without its end, and does not raise.
+        frozen_report_s: time without a sign of life after which a program is reported, s.
+        frozen_restart_s: time without a sign of life after which it is killed and started again, s.
     """
 
     def __init__(
-        self, programs: Sequence[Program], most_restarts: int, write: Callable[[str], None] = print
+        self,
+        programs: Sequence[Program],
+        write: Callable[[str], None] = print,
+        frozen_report_s: float = FROZEN_REPORT_S,
+        frozen_restart_s: float = FROZEN_RESTART_S,
     ) -> None:
-        self._kept = [_Kept(program, Restarts(most_restarts)) for program in programs]
+        self._kept = [KeptProgram(program, due_s=0.0) for program in programs]
         self._write = write
         self._selector = selectors.DefaultSelector()
-        self._ending = False
+        self._end_requested = self._ending = False
         self._kill_due_s: float | None = None
         self._failure = EXIT_DONE
         self._held_ports = HeldPorts()
+        self._frozen_check = FrozenCheck(frozen_report_s, frozen_restart_s, partial(self._say, _SUITE))
 
     def run(self) -> int:
-        """Start the programs and keep them; returns the exit code of the first that failed for good, or 0."""
+        """Run the programs; return the exit code of the player or of the first program that was down at the end, or 0.
+
+        At the start, where no node has ever run, bad input of all of them ends the suite.
+        """
+        heartbeats = self._frozen_check.heartbeats
+        self._selector.register(
+            heartbeats.receiver, selectors.EVENT_READ, lambda: self._frozen_check.receive(self._kept)
+        )
         with self._signals():
             try:
-                for kept in self._kept:
-                    self._start(kept)
                 while any(kept.is_alive for kept in self._kept):
-                    self._wait()
-                    self._start_due()
-                    self._end_step_by_step()
+                    self._guarded_work()
             finally:
                 self._kill_all()
                 self._held_ports.close()
+                heartbeats.close()
         return self._failure
 
-    def _start(self, kept: _Kept) -> None:
+    def _guarded_work(self) -> None:
+        """Work; whatever it raises, the end of this process would be the end of all nodes."""
+        try:
+            self._work()
+        except Exception as error:
+            self._say(_SUITE, f"exception in the suite's keeper, which goes on: {failure(error).text}")
+            time.sleep(1.0)
+
+    def _work(self) -> None:
+        """Do what is due, and wait for the next event or time."""
+        if self._end_requested and not self._ending:
+            self._end()
+        if self._ending:
+            self._end_step_by_step()
+        else:
+            self._start_due()
+            self._frozen_check.look(self._kept)
+        self._wait()
+
+    def _start(self, kept: KeptProgram) -> None:
         """Start a program, or let the process that waits in reserve begin."""
         kept.due_s, kept.ports = None, frozenset()
         kept.process, kept.reserve = kept.reserve, None
-        if kept.process is None:
-            kept.process = self._started(kept, waits=False)
-        else:
+        if kept.process is not None:
             kept.process.begin()
+        else:
+            try:
+                kept.process = self._started(kept, waits=False)
+            except Exception as problem:
+                delay_s = max(1.0, kept.restarts.delay_s(ran_s=0.0))
+                kept.due_s = time.monotonic() + delay_s
+                text = f"{kept.program.name} cannot be started: {_reason(problem)}"
+                self._say(_SUITE, f"{text}; tried again in {delay_s:.0f} s")
+                return
         if kept.program.has_reserve:
             kept.reserve_due_s = kept.process.began_s + _RESERVE_AFTER_S
 
-    def _started(self, kept: _Kept, waits: bool) -> Process:
-        process = Process(kept.program.command, waits)
-        self._selector.register(process.output, selectors.EVENT_READ, lambda: self._read(kept, process))
-        self._selector.register(process.pidfd, selectors.EVENT_READ, lambda: self._ended(kept, process))
+    def _started(self, kept: KeptProgram, waits: bool) -> Process:
+        """Return a new process, which is waited for.
+
+        Raises:
+            OSError: it cannot be started, for want of memory or file descriptors as a rule.
+        """
+        process = Process(kept.program.command, self._frozen_check.heartbeats.sender_descriptor, waits)
+        try:
+            self._selector.register(process.output, selectors.EVENT_READ, lambda: self._read(kept, process))
+            self._selector.register(process.pidfd, selectors.EVENT_READ, lambda: self._ended(kept, process))
+        except OSError:
+            self._forget(process)
+            process.kill()
+            process.close()
+            raise
         return process
 
     def _wait(self) -> None:
         """Wait for the next event or time, and handle it."""
         due = [s for kept in self._kept for s in (kept.due_s, kept.reserve_due_s) if s is not None]
         due += [] if self._kill_due_s is None else [self._kill_due_s]
+        due += [] if self._ending else [self._frozen_check.due_s]
         timeout_s = max(0.0, min(due) - time.monotonic()) if due else None
         for key, _ in self._selector.select(timeout_s):
             # One event of this round may have taken away the ground of the next.
             if key.fd in self._selector.get_map():
                 key.data()
 
-    def _read(self, kept: _Kept, process: Process) -> bool:
+    def _read(self, kept: KeptProgram, process: Process) -> bool:
         """Show the whole lines of what a program has written; returns whether there may be more to read."""
         lines, may_be_more = process.lines()
         for line in lines:
@@ -159,42 +156,42 @@ class Keeper:
             self._selector.unregister(process.output)
         return may_be_more
 
-    def _ended(self, kept: _Kept, process: Process) -> None:
-        """Take note of the end of a process: its program is started again, or it is not."""
+    def _ended(self, kept: KeptProgram, process: Process) -> None:
+        """Take note of the end of a process: its program is started again unless the suite ends."""
         while not process.has_said_all and self._read(kept, process):
             pass
         self._forget(process)
         code, ran_s = process.close(), time.monotonic() - process.began_s
         if process is kept.reserve:
-            kept.reserve = None
+            kept.reserve, kept.reserve_due_s = None, time.monotonic() + LONGEST_DELAY_S
             self._say(_SUITE, f"{kept.program.name} in reserve ended: {end_words(code)}")
-            return
-        kept.process = None
-        if self._ending:
-            self._kill_due_s = None
-        else:
-            self._judge(kept, code, ran_s)
+        elif process is kept.process:
+            kept.process = None
+            if self._ending:
+                self._kill_due_s = None
+            else:
+                self._judge_end(kept, code, ran_s)
 
-    def _judge(self, kept: _Kept, code: int, ran_s: float) -> None:
-        name, role = kept.program.name, kept.program.role
-        delay_s = None if role is Role.PLAYER else kept.restarts.delay_s(code, ran_s)
-        how = f"{name} ended after {ran_s:.1f} s: {end_words(code)}"
-        if delay_s is not None:
-            when = "at once" if delay_s == 0.0 else f"in {delay_s:.0f} s"
-            self._say(_SUITE, f"{how}; started again {when} ({kept.restarts.in_a_row} of {kept.restarts.most})")
-            kept.due_s = time.monotonic() + delay_s
-            self._held_ports.hold(kept.ports)
-            return
-        self._drop_reserve(kept)
-        failure = failure_of(code)
-        self._failure = self._failure or failure
-        if failure:
-            without = "; the suite goes on without it" if role in (Role.WATCHER, Role.FEEDER) else ""
-            how += f"; not started again{without}"
-        self._say(_SUITE, f"{how}; the suite ends with it" if role is Role.PLAYER else how)
-        nodes_left = any(each.is_alive for each in self._kept if each.program.role is Role.NODE)
-        if role is Role.PLAYER or not nodes_left:
+    def _judge_end(self, kept: KeptProgram, code: int, ran_s: float) -> None:
+        """Decide what follows from an end that the suite did not ask for."""
+        how = f"{kept.program.name} ended after {ran_s:.1f} s: {end_words(code)}"
+        if kept.program.role is Role.PLAYER:
+            self._failure = failure_of(code)
+            how += "; not started again" if self._failure else ""
+            self._say(_SUITE, f"{how}; the suite ends with it")
             self._end()
+            return
+        kept.failure = failure_of(code)
+        nodes = [each for each in self._kept if each.program.role is Role.NODE]
+        if nodes and all(node.failure == EXIT_BAD_INPUT and not node.has_run for node in nodes):
+            self._say(_SUITE, f"{how}; bad input at the start: the suite ends")
+            self._end()
+            return
+        delay_s = kept.restarts.delay_s(ran_s)
+        when = "at once" if delay_s == 0.0 else f"in {delay_s:.0f} s"
+        self._say(_SUITE, f"{how}; started again {when} (restart {kept.restarts.in_a_row} in a row)")
+        kept.due_s = time.monotonic() + delay_s
+        self._held_ports.hold(kept.ports)
 
     def _start_due(self) -> None:
         now_s = time.monotonic()
@@ -202,16 +199,20 @@ class Keeper:
             if kept.due_s is not None and kept.due_s <= now_s:
                 self._start(kept)
             if kept.reserve_due_s is not None and kept.reserve_due_s <= now_s:
-                kept.reserve_due_s = None
-                kept.reserve = self._started(kept, waits=True)
+                try:
+                    kept.reserve_due_s = None
+                    kept.reserve = self._started(kept, waits=True)
+                except Exception as problem:
+                    kept.reserve_due_s = now_s + LONGEST_DELAY_S
+                    self._say(_SUITE, f"{kept.program.name} in reserve cannot be started: {_reason(problem)}")
 
     def _forget(self, process: Process) -> None:
         """Wait for a process no more; something that it has started may hold its output still."""
-        self._selector.unregister(process.pidfd)
-        if not process.has_said_all:
-            self._selector.unregister(process.output)
+        for descriptor in (process.pidfd, process.output.fileno()):
+            if descriptor in self._selector.get_map():
+                self._selector.unregister(descriptor)
 
-    def _drop_reserve(self, kept: _Kept) -> None:
+    def _drop_reserve(self, kept: KeptProgram) -> None:
         """End the process in reserve, which holds nothing; none is started any more."""
         kept.reserve_due_s = None
         if kept.reserve is not None:
@@ -224,13 +225,15 @@ class Keeper:
         """Begin to end everything; what waited to be started is not."""
         self._ending, self._kill_due_s = True, None
         for kept in self._kept:
+            if kept.process is None or not kept.has_run:
+                self._failure = self._failure or kept.failure
             kept.due_s = None
             self._drop_reserve(kept)
 
     def _end_step_by_step(self) -> None:
         """While the suite ends: ask the next program that runs to end; kill it where it does not."""
         running = [kept for kept in self._kept if kept.process is not None]
-        if not self._ending or not running:
+        if not running:
             return
         ending = min(reversed(running), key=lambda kept: _END_ORDER.index(kept.program.role))
         process = ending.process
@@ -249,12 +252,7 @@ class Keeper:
             process.close()
 
     def _say(self, name: str, line: str) -> None:
-        try:
-            self._write(f"[{name}] {line}")
-        except OSError:
-            # Nobody reads any more: the terminal, or the program behind a pipe, is gone.
-            if not self._ending:
-                self._end()
+        self._write(f"[{name}] {line}")
 
     @contextlib.contextmanager
     def _signals(self) -> Iterator[None]:
@@ -264,10 +262,9 @@ class Keeper:
             end.setblocking(False)
 
         def asked(_number: int, _frame: FrameType | None) -> None:
-            if self._ending:
+            if self._end_requested:
                 self._kill_all_now()
-            else:
-                self._end()
+            self._end_requested = True
 
         before = {number: signal.signal(number, asked) for number in _END_SIGNALS}
         former = signal.set_wakeup_fd(waker.fileno(), warn_on_full_buffer=False)
@@ -287,7 +284,6 @@ class Keeper:
             process.kill()
 
 
-def say_line(line: str) -> None:
-    """Write a line to stdout at once."""
-    sys.stdout.write(line + "\n")
-    sys.stdout.flush()
+def _reason(problem: Exception) -> str:
+    """Why something failed, for people."""
+    return (isinstance(problem, OSError) and problem.strerror) or failure(problem).text

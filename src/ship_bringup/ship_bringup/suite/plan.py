@@ -13,7 +13,7 @@ from ship_bags.parameter_yaml import anywhere, full_name, read_sections
 from ship_bags.topic_names import TRUTH_PREFIX, likely_namespace, relative_topics
 from ship_bringup.security.rights import companions_of, suite_rights
 from ship_bringup.suite.enclaves import in_enclaves
-from ship_bringup.suite.keeper import Program, Role
+from ship_bringup.suite.program import Program, Role
 from ship_node.edge.messages_out import TF_STATIC_TOPIC, TF_TOPIC
 from ship_node.parameters.companions import COMPANIONS, Companion, named_companions
 from ship_node.parameters.parameter_file import unknown_sections
@@ -145,7 +145,7 @@ def without_saved_file(path: Path, nodes: Sequence[CheckedNode]) -> Iterator[str
 
 
 def _companion(companion: Companion, path: Path, ros: tuple[str, ...], is_alone: bool) -> Program:
-    """The program of a node beside the estimators; without any, the suite ends with the last of these instead."""
+    """The program of a node beside the estimators; without any, the suite is there for these."""
     command = executable(companion.package, companion.node_name)
     role = Role.NODE if is_alone else Role.FEEDER if companion.feeds else Role.WATCHER
     return Program(companion.node_name, (*command, "--ros-args", "--params-file", str(path.resolve()), *ros), role)

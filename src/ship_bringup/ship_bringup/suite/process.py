@@ -13,7 +13,9 @@ import time
 from collections.abc import Sequence
 from typing import IO
 
+from ship_bags.live.heartbeat import HEARTBEAT_SOCKET
 from ship_bringup.suite.dds_ports import UDP_ALONE
+from ship_bringup.suite.signs_of_life import Silence
 from ship_node.live.start import WAITS
 
 _LONGEST_LINE = 65536
@@ -29,13 +31,18 @@ class Process:
         pidfd: file descriptor that can be read once it has ended.
         began_s: steady time at which it was told to begin, or was started where it need not be told.
         has_said_all: whether its output is at its end.
+        silence: time for which it has sent no sign of life.
 
     Args:
         command: program and arguments.
+        heartbeats: file descriptor of the socket for its signs of life.
         waits: whether it reads its libraries and then waits for :meth:`begin`.
+
+    Raises:
+        OSError: it cannot be started; nothing is left of the attempt.
     """
 
-    def __init__(self, command: Sequence[str], waits: bool = False) -> None:
+    def __init__(self, command: Sequence[str], heartbeats: int, waits: bool = False) -> None:
         parent = os.getpid()
 
         def end_with_parent() -> None:
@@ -43,20 +50,29 @@ class Process:
             if os.getppid() != parent:
                 os._exit(1)
 
+        own = {"PYTHONUNBUFFERED": "1", HEARTBEAT_SOCKET: str(heartbeats)} | ({WAITS: "1"} if waits else {})
         # In a session of its own: Ctrl-C on the terminal comes to this process alone, which ends the others in order.
         self._process = subprocess.Popen(
             command,
             stdin=subprocess.PIPE if waits else subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
-            env=UDP_ALONE | os.environ | {"PYTHONUNBUFFERED": "1"} | ({WAITS: "1"} if waits else {}),
+            env=UDP_ALONE | os.environ | own,
             start_new_session=True,
+            pass_fds=(heartbeats,),
             preexec_fn=end_with_parent,  # noqa: PLW1509 - there are no threads here
         )
         self.pid = self._process.pid
-        self.pidfd = os.pidfd_open(self.pid)
+        try:
+            self.pidfd = os.pidfd_open(self.pid)
+        except OSError:
+            self.kill()
+            self._process.wait()
+            self._close_pipes()
+            raise
         self.began_s = time.monotonic()
         self.has_said_all = False
+        self.silence = Silence(self.pid)
         self._rest = b""
         os.set_blocking(self.output.fileno(), False)
 
@@ -69,6 +85,7 @@ class Process:
     def begin(self) -> None:
         """Tell a process that waits to begin; one that has died meanwhile is not told."""
         self.began_s = time.monotonic()
+        self.silence.restart(has_beaten=False)
         if self._process.stdin is not None:
             with contextlib.suppress(BrokenPipeError):
                 self._process.stdin.write(b"\n")
@@ -99,8 +116,11 @@ class Process:
         """Exit code of a process that has ended or was killed; nothing of it is left."""
         code = self._process.wait()
         os.close(self.pidfd)
+        self._close_pipes()
+        return code
+
+    def _close_pipes(self) -> None:
         self.output.close()
         if self._process.stdin is not None:
             with contextlib.suppress(BrokenPipeError):
                 self._process.stdin.close()
-        return code

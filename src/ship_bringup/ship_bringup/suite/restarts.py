@@ -3,43 +3,40 @@
 import signal
 from dataclasses import dataclass, field
 
-from ship_bags.command_line import EXIT_BAD_INPUT, EXIT_DONE, EXIT_INTERRUPTED
+from ship_bags.command_line import EXIT_DONE, EXIT_INTERRUPTED
 
 STEADY_S = 60.0
 """A program that ran so long was well: what happened before does not count against it any more, s."""
 
-_FIRST_DELAY_S, _LONGEST_DELAY_S = 1.0, 30.0
+LONGEST_DELAY_S = 30.0
+"""Longest pause before a restart, s."""
+
+_FIRST_DELAY_S = 1.0
 _ENDED_BY_WISH = (EXIT_DONE, EXIT_INTERRUPTED, -signal.SIGINT, -signal.SIGTERM)
 _SIGNAL_BASE = 128
 
 
 @dataclass
 class Restarts:
-    """The restarts of one program: the first at once, each further one after twice the time, up to a limit.
+    """The restarts of one program: the first at once, each further one after twice the time, up to 30 s, for ever.
 
     Attributes:
-        most: deaths in a row after which the program is left as it is; a run of :data:`STEADY_S` ends the row.
-        in_a_row: deaths so far.
+        in_a_row: ends so far; a run of :data:`STEADY_S` ends the row.
     """
 
-    most: int
     in_a_row: int = field(default=0, init=False)
 
-    def delay_s(self, code: int, ran_s: float) -> float | None:
-        """Time until the next start, s; None where there is to be none.
-
-        Bad input stays bad, and who ended a program by a signal that asks for it did not want it back.
+    def delay_s(self, ran_s: float) -> float:
+        """Return the pause before the next start, s.
 
         Args:
-            code: exit code; negative after a signal.
-            ran_s: how long the program ran.
+            ran_s: time for which the program ran.
         """
-        if code == EXIT_BAD_INPUT or code in _ENDED_BY_WISH:
-            return None
         self.in_a_row = 1 if ran_s >= STEADY_S else self.in_a_row + 1
-        if self.in_a_row > self.most:
-            return None
-        return 0.0 if self.in_a_row == 1 else min(_FIRST_DELAY_S * 2.0 ** (self.in_a_row - 2), _LONGEST_DELAY_S)
+        if self.in_a_row == 1:
+            return 0.0
+        # The exponent stays small: a program may end ten thousand times.
+        return min(_FIRST_DELAY_S * 2.0 ** min(self.in_a_row - 2, 10), LONGEST_DELAY_S)
 
 
 def failure_of(code: int) -> int:

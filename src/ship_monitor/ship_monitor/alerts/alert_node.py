@@ -15,6 +15,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_srvs.srv import Trigger
 
 from ship_bags.command_line import EXIT_DONE, CommandParser
+from ship_bags.live.heartbeat import heartbeat
 from ship_bags.live.ros_process import command_node, on_end_signals, run_ros_command
 from ship_bags.message_factory import RosidlFactory
 from ship_bags.stamps import NS_PER_S
@@ -140,6 +141,7 @@ class AlertNode:
         try:
             while not self._is_stopped:
                 now_ns = steady_ns()
+                heartbeat().beat(now_ns)
                 if now_ns >= next_look_ns:
                     next_look_ns = now_ns + LOOK_NS
                     self._guard.call("the suite", self._look)

@@ -2,12 +2,14 @@
 
 import argparse
 import contextlib
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
+from ship_bags.live.heartbeat import heartbeat
 from ship_bags.live.ros_process import on_end_signals
 from ship_monitor.after.recorded_pictures import RecordedPictures
 from ship_monitor.after.recorded_suite import RecordedSuite
@@ -125,7 +127,11 @@ def _serve(
     shown: str,
     foxglove: "FoxgloveServer | None" = None,
 ) -> int:
-    server = PageServer(page_maker(open_source, parsed.theme), parsed.address, parsed.port, tick)
+    def tick_and_beat() -> None:
+        heartbeat().beat(time.monotonic_ns())
+        tick()
+
+    server = PageServer(page_maker(open_source, parsed.theme), parsed.address, parsed.port, tick_and_beat)
     on_end_signals(server.stop)
     if foxglove is not None:
         print(f"monitor: {foxglove.address} for Foxglove", flush=True)

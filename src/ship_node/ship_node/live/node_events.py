@@ -13,6 +13,7 @@ from rclpy.context import Context
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 
+from ship_bags.live.heartbeat import heartbeat
 from ship_bags.stamps import stamp_of_bytes
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 from ship_node.live.node_clock import WaitingClock
@@ -57,6 +58,7 @@ class NodeEvents:
         self._context = context
         self._guard = guard
         self._steady_ns = steady_ns
+        self._heartbeat = heartbeat()
         self._event_came = False
         self._dropped_count = 0
         self._dropped_ns = 0
@@ -91,6 +93,7 @@ class NodeEvents:
         The answer is False where something may be left.
         """
         begin_ns = self._steady_ns()
+        self._heartbeat.beat(begin_ns)
         may_be_more = self._take_one(timeout_s or _AT_ONCE_S) and self._steady_ns() - begin_ns < _WAITED_NS
         taken = 1
         while may_be_more and taken < MOST_EVENTS:

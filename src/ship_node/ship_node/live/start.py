@@ -3,9 +3,13 @@
 import gc
 import importlib
 import os
+import select
 import signal
 import sys
+import time
 from typing import NoReturn
+
+from ship_bags.live.heartbeat import HEARTBEAT_PERIOD_NS, heartbeat
 
 WAITS = "SHIP_NODE_WAITS"
 """Where the environment has this, a node reads its libraries and then waits for a line on stdin before it runs."""
@@ -33,6 +37,16 @@ def start_node(module: str, adapter: str) -> NoReturn:
 
     gc.freeze()
     gc.enable()
-    if os.environ.pop(WAITS, "") and not os.read(sys.stdin.fileno(), 1):
-        os._exit(0)  # who would have told it to begin is gone
+    if os.environ.pop(WAITS, ""):
+        _wait_for_begin()
     sys.exit(run(adapter_class))
+
+
+def _wait_for_begin() -> None:
+    """Wait for a line on stdin; a process that was stopped meanwhile is known by its missing signs of life."""
+    stdin = select.poll()
+    stdin.register(sys.stdin.fileno(), select.POLLIN)
+    while not stdin.poll(HEARTBEAT_PERIOD_NS // 1_000_000):
+        heartbeat().beat(time.monotonic_ns())
+    if not os.read(sys.stdin.fileno(), 1):
+        os._exit(0)  # who would have told it to begin is gone

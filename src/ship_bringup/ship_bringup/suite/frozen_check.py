@@ -1,0 +1,90 @@
+"""Programs of a suite that exist and do not work: reported, and after a longer time killed."""
+
+import time
+from collections.abc import Callable, Sequence
+
+from ship_bringup.suite.kept_program import KeptProgram
+from ship_bringup.suite.process import Process
+from ship_bringup.suite.program import Role
+from ship_bringup.suite.restarts import LONGEST_DELAY_S
+from ship_bringup.suite.signs_of_life import HeartbeatSocket
+
+FROZEN_REPORT_S = 5.0
+"""Time without a sign of life after which a program is reported, s."""
+
+FROZEN_RESTART_S = 15.0
+"""Time without a sign of life after which a program is killed and started again, s."""
+
+LOOK_PERIOD_S = 0.5
+"""Period at which the times without a sign of life are checked, s."""
+
+_LONGEST_START_S = 60.0
+"""A program has at least this long for its first sign of life: a slow computer reads libraries for a while, s."""
+
+
+class FrozenCheck:
+    """Checks the signs of life of programs.
+
+    Attributes:
+        heartbeats: socket at which they arrive.
+
+    Args:
+        report_s: time without a sign of life after which a program is reported, s.
+        restart_s: time without a sign of life after which it is killed, s.
+        say: takes a line for people.
+    """
+
+    def __init__(self, report_s: float, restart_s: float, say: Callable[[str], None]) -> None:
+        self._report_s, self._restart_s, self._say = report_s, restart_s, say
+        self.heartbeats = HeartbeatSocket()
+        self._looked_s = time.monotonic()
+
+    @property
+    def due_s(self) -> float:
+        """Steady time of the next check, s."""
+        return self._looked_s + LOOK_PERIOD_S
+
+    def receive(self, programs: Sequence[KeptProgram]) -> None:
+        """Take note of the signs of life that have arrived."""
+        pids = self.heartbeats.receive()
+        for kept in programs:
+            for process in kept.processes:
+                if process.pid not in pids:
+                    continue
+                silence = process.silence
+                if silence.is_reported and not silence.is_ended:
+                    name = _name(kept, process)
+                    self._say(f"{name} works again after {silence.time_s:.0f} s without a sign of life")
+                silence.restart(has_beaten=True)
+                if process is kept.process:
+                    kept.has_run = True
+
+    def look(self, programs: Sequence[KeptProgram]) -> None:
+        """Report programs without a sign of life, and kill those without one for long."""
+        now_s = time.monotonic()
+        if now_s < self.due_s:
+            return
+        step_s, self._looked_s = now_s - self._looked_s, now_s
+        for kept in programs:
+            for process in kept.processes if kept.program.role is not Role.PLAYER else ():
+                process.silence.add(step_s)
+                self._judge(kept, process)
+
+    def _judge(self, kept: KeptProgram, process: Process) -> None:
+        silence, name = process.silence, _name(kept, process)
+        limit_s = self._restart_s if silence.has_beaten else max(_LONGEST_START_S, self._restart_s)
+        if silence.time_s >= limit_s and not silence.is_ended:
+            silence.is_ended = True
+            self._say(f"{name} sent no sign of life for {silence.time_s:.0f} s: killed")
+            process.kill()
+            if process is kept.reserve:
+                kept.reserve, kept.reserve_due_s = None, time.monotonic() + LONGEST_DELAY_S
+        elif silence.has_beaten and silence.time_s >= self._report_s and not silence.is_reported:
+            silence.is_reported = True
+            how = f"no sign of life for {silence.time_s:.0f} s, stopped or in a callback that does not return"
+            left_s = max(0.0, self._restart_s - silence.time_s)
+            self._say(f"{name} is frozen: {how}; it is killed and started again in {left_s:.0f} s")
+
+
+def _name(kept: KeptProgram, process: Process) -> str:
+    return kept.program.name if process is kept.process else f"{kept.program.name} in reserve"

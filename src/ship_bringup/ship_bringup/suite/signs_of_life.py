@@ -1,0 +1,76 @@
+"""Signs of life of the suite's processes: received by the keeper, and the time for which each has sent none.
+
+Only time in which a process could have worked counts. Time does not count while the keeper itself stood still, as on a
+computer that sleeps, nor while the process waited for a processor on an overloaded computer.
+"""
+
+import contextlib
+import socket
+from pathlib import Path
+
+LONGEST_STEP_S = 1.0
+"""Longest time between two looks of the keeper that counts; a longer one is a standstill of the keeper itself, s."""
+
+_LONGEST_MESSAGE = 32
+
+
+class HeartbeatSocket:
+    """The socket at which signs of life arrive."""
+
+    def __init__(self) -> None:
+        self.receiver, self._sender = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.receiver.setblocking(False)
+
+    @property
+    def sender_descriptor(self) -> int:
+        """File descriptor that the programs inherit."""
+        return self._sender.fileno()
+
+    def receive(self) -> set[int]:
+        """Return the ids of the processes that have sent a sign of life since the last call."""
+        pids = set()
+        with contextlib.suppress(OSError):
+            while True:
+                with contextlib.suppress(ValueError):
+                    pids.add(int(self.receiver.recv(_LONGEST_MESSAGE)))
+        return pids
+
+    def close(self) -> None:
+        """Close both ends."""
+        self.receiver.close()
+        self._sender.close()
+
+
+class Silence:
+    """The time for which a process has sent no sign of life.
+
+    Attributes:
+        time_s: that time, s.
+        has_beaten: whether it has sent a sign of life since it began.
+        is_reported: whether the time was reported as too long.
+        is_ended: whether the process was killed for it.
+
+    Args:
+        pid: id of the process.
+    """
+
+    def __init__(self, pid: int) -> None:
+        self._schedstat = Path(f"/proc/{pid}/schedstat")
+        self._waited_s = self._processor_wait_s()
+        self.has_beaten = self.is_reported = self.is_ended = False
+        self.time_s = 0.0
+
+    def restart(self, has_beaten: bool) -> None:
+        """Start again at 0: with a sign of life, or because the process begins its work only now."""
+        self.time_s, self.has_beaten, self.is_reported = 0.0, has_beaten, False
+
+    def add(self, step_s: float) -> None:
+        """Add the time since the last look, without the time for which the process waited for a processor."""
+        before_s, self._waited_s = self._waited_s, self._processor_wait_s()
+        self.time_s += max(0.0, min(step_s, LONGEST_STEP_S) - (self._waited_s - before_s))
+
+    def _processor_wait_s(self) -> float:
+        """Time for which the main thread was ready to run and had no processor, s; 0 where the kernel does not say."""
+        with contextlib.suppress(OSError, IndexError, ValueError):
+            return int(self._schedstat.read_text(encoding="ascii").split()[1]) * 1e-9
+        return 0.0

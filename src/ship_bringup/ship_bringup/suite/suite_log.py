@@ -1,0 +1,82 @@
+"""The lines of a suite: on stdout, and in a file of bounded size while stdout does not take them.
+
+Where the reader of stdout is gone or does not read, or the disk under it is full, the suite must go on.
+"""
+
+import contextlib
+import errno
+import os
+import select
+from pathlib import Path
+
+LARGEST_FILE_BYTES = 5_000_000
+"""A longer file becomes the older one of two, ``NAME.log.1``."""
+
+_PATIENCE_MS = 200
+
+
+class SuiteLog:
+    """Writes lines; it neither raises nor waits for a reader for longer than a moment.
+
+    Args:
+        path: of the file that takes what stdout does not take.
+        descriptor: file descriptor of stdout.
+    """
+
+    def __init__(self, path: Path, descriptor: int = 1) -> None:
+        self._path, self._descriptor = path, descriptor
+        self._file: int | None = None
+        self._missed = 0
+
+    def write(self, line: str) -> None:
+        """Write a line, without its end, to stdout or else into the file."""
+        try:
+            if self._missed:
+                self._put(f"[suite] {self._missed} lines that were not taken here are in {self._path}")
+                self._missed = 0
+            self._put(line)
+        except OSError as problem:
+            if not self._missed:
+                reason = os.strerror(problem.errno or errno.EIO)
+                self._keep(f"[suite] lines go on here, because stdout does not take them: {reason}")
+            self._missed += 1
+            self._keep(line)
+
+    def _put(self, line: str) -> None:
+        """Write a line to stdout.
+
+        Raises:
+            OSError: stdout does not take it.
+        """
+        data = _bytes(line)
+        is_taking = select.poll()
+        is_taking.register(self._descriptor, select.POLLOUT)
+        while data:
+            # A pipe that has room takes so many bytes at once; with more the write could wait for the reader.
+            if not is_taking.poll(0 if self._missed else _PATIENCE_MS):
+                raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+            data = data[os.write(self._descriptor, data[: select.PIPE_BUF]) :]
+
+    def _keep(self, line: str) -> None:
+        """Append a line to the file; where that fails, too, the line is lost."""
+        with contextlib.suppress(OSError):
+            if self._file is None:
+                self._path.parent.mkdir(parents=True, exist_ok=True)
+                flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
+                self._file = os.open(self._path, flags, 0o644)
+            os.write(self._file, _bytes(line))
+            if os.fstat(self._file).st_size > LARGEST_FILE_BYTES:
+                os.close(self._file)
+                self._file = None
+                self._path.replace(f"{self._path}.1")
+
+
+def log_path(namespace: str) -> Path:
+    """Return the path of a suite's own log: in the folder in which ROS keeps the logs of nodes."""
+    home = os.environ.get("ROS_HOME") or "~/.ros"
+    folder = Path(os.environ.get("ROS_LOG_DIR") or f"{home}/log").expanduser()
+    return folder / f"{'_'.join(['suite', *namespace.split('/')] if namespace else ['suite'])}.log"
+
+
+def _bytes(line: str) -> bytes:
+    return f"{line}\n".encode("utf-8", errors="replace")

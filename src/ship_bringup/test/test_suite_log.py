@@ -1,0 +1,123 @@
+"""Lines of a suite that stdout does not take: a reader that is gone or does not read, a full disk."""
+
+import contextlib
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+
+from ship_bringup.suite import suite_log
+from ship_bringup.suite.suite_log import SuiteLog, log_path
+
+
+@pytest.fixture
+def pipe():
+    reader, writer = os.pipe()
+    yield reader, writer
+    for number in (reader, writer):
+        with contextlib.suppress(OSError):
+            os.close(number)
+
+
+def test_lines_go_to_stdout_and_no_file_is_made(tmp_path, pipe):
+    reader, writer = pipe
+    SuiteLog(tmp_path / "suite.log", writer).write("one ″")
+    assert os.read(reader, 100) == "one ″\n".encode()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_a_reader_lines_go_to_the_file(tmp_path, pipe):
+    reader, writer = pipe
+    os.close(reader)
+    log = SuiteLog(tmp_path / "logs" / "suite.log", writer)
+    for line in ("one", "two"):
+        log.write(line)
+    kept = (tmp_path / "logs" / "suite.log").read_text().splitlines()
+    assert kept == ["[suite] lines go on here, because stdout does not take them: Broken pipe", "one", "two"]
+
+
+def test_on_a_full_disk_lines_go_to_the_file(tmp_path):
+    full = os.open("/dev/full", os.O_WRONLY)
+    SuiteLog(tmp_path / "suite.log", full).write("one")
+    os.close(full)
+    assert (tmp_path / "suite.log").read_text().splitlines()[0].endswith("No space left on device")
+
+
+def test_a_line_that_neither_takes_is_lost_and_nothing_else(tmp_path, pipe):
+    reader, writer = pipe
+    os.close(reader)
+    SuiteLog(tmp_path, writer).write("a folder of that name is there")
+    SuiteLog(tmp_path / ("n" * 300), writer).write("no such name")
+
+
+def test_a_reader_that_does_not_read_holds_up_nothing_and_gets_the_next_lines_when_it_reads(tmp_path, pipe):
+    reader, writer = pipe
+    log = SuiteLog(tmp_path / "suite.log", writer)
+    began_s = time.monotonic()
+    for number in range(3000):
+        log.write(f"{number:099d}")  # 300 kB into 64 kB
+    assert time.monotonic() - began_s < 5.0
+    got = b""
+    while len(got) < 60_000:
+        got += os.read(reader, 65536)
+    log.write("last")
+    got += os.read(reader, 65536)
+    *lines, notice, last = got.decode().splitlines()
+    missed = int(notice.split()[1])
+    kept = (tmp_path / "suite.log").read_text().splitlines()[1:]
+    assert [int(line) for line in [*lines, *kept]] == list(range(3000))
+    assert notice == f"[suite] {missed} lines that were not taken here are in {tmp_path}/suite.log"
+    assert (len(kept), last) == (missed, "last")
+
+
+def test_the_file_is_bounded(tmp_path, pipe, monkeypatch):
+    monkeypatch.setattr(suite_log, "LARGEST_FILE_BYTES", 1000)
+    os.close(pipe[0])
+    log = SuiteLog(tmp_path / "suite.log", pipe[1])
+    for number in range(500):
+        log.write(f"{number:019d}")
+    sizes = {path.name: path.stat().st_size for path in tmp_path.iterdir()}
+    assert set(sizes) == {"suite.log", "suite.log.1"}
+    assert max(sizes.values()) <= 1020
+    assert sum(sizes.values()) > 1000
+
+
+def test_the_file_is_where_ros_has_its_logs(monkeypatch, tmp_path):
+    monkeypatch.delenv("ROS_LOG_DIR", raising=False)
+    monkeypatch.setenv("ROS_HOME", str(tmp_path))
+    assert log_path("") == tmp_path / "log" / "suite.log"
+    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "other"))
+    assert log_path("fleet/aurora") == tmp_path / "other" / "suite_fleet_aurora.log"
+
+
+KEEPER = """
+import sys
+from pathlib import Path
+from ship_bringup.suite.keeper import Keeper
+from ship_bringup.suite.program import Program
+from ship_bringup.suite.suite_log import SuiteLog
+text = "import os, time\\nopen({pid!r}, 'w').write(str(os.getpid()))\\n"
+text += "while True: print('x', flush=True); time.sleep(.1)"
+raise SystemExit(Keeper([Program("p", (sys.executable, "-c", text))], SuiteLog(Path({log!r})).write).run())
+"""
+
+
+@pytest.mark.parametrize("stdout", ["closed pipe", "/dev/full"])
+def test_the_suite_goes_on_without_its_stdout_until_its_user_ends_it(tmp_path, stdout):
+    pid, log = tmp_path / "pid", tmp_path / "suite.log"
+    command = [sys.executable, "-c", KEEPER.format(pid=str(pid), log=str(log))]
+    with open("/dev/full", "wb") as full:
+        keeper = subprocess.Popen(command, stdout=subprocess.PIPE if stdout == "closed pipe" else full)
+    if keeper.stdout:
+        keeper.stdout.readline()
+        keeper.stdout.close()
+    deadline_s = time.monotonic() + 20.0
+    while not log.exists() or log.stat().st_size < 200:
+        assert time.monotonic() < deadline_s
+        time.sleep(0.05)
+    assert keeper.poll() is None
+    os.kill(int(pid.read_text()), 0)
+    keeper.terminate()
+    assert keeper.wait(20.0) == 0
