@@ -65,6 +65,17 @@ def test_a_bad_suite_file_is_one_line_with_file_line_and_what_was_expected(tmp_p
     assert re.fullmatch(rf"suite: {re.escape(str(path))}{told}.*\n", ended.stderr), ended.stderr
 
 
+def test_a_pipe_in_place_of_a_file_is_refused_at_once(tmp_path):
+    path, pipe = tmp_path / "suite.yaml", tmp_path / "pipe"
+    os.mkfifo(pipe)
+    path.write_text(f"{NODE}    alignment_file: {pipe}\n")
+    for arguments, begin in (([path], f"{path}: {pipe}: the alignment"), ([pipe], pipe), (["--bag", pipe], pipe)):
+        ended = run(*arguments)
+        assert (ended.returncode, ended.stdout) == (2, "")
+        reason = "cannot be read: it is a pipe, a device or a socket: expected a file"
+        assert ended.stderr == f"suite: {begin}{' ' if begin != pipe else ': '}{reason}\n"
+
+
 def test_neither_a_file_nor_a_bag():
     ended = run()
     assert ended.returncode == 2

@@ -12,6 +12,7 @@ import yaml
 from ship_attitude_star.ros.alignment_file import ALIGNMENT_FILE
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_bags.errors import BadInput
+from ship_estimation.outcome import Status
 from ship_geometry.rotations import ARCSEC, log_rotation
 from ship_node.documents.saved_document import NotedFiles
 from ship_node.documents.saved_start import worse_in
@@ -19,6 +20,7 @@ from ship_testing.adapter_runs import FACTORY, START_NS
 from ship_testing.small_voyage import FORE, INS, clean_run, config, drive, new_adapter, voyage
 
 DAY_NS = 86_400 * 10**9
+END_NS = START_NS + 60 * 10**9
 
 
 @pytest.fixture
@@ -175,15 +177,16 @@ BROKEN = [
 
 
 @pytest.mark.parametrize(("change", "text"), BROKEN, ids=[text for _, text in BROKEN])
-def test_a_broken_file_is_named_at_the_start(saved: Path, change: Any, text: str) -> None:
+def test_a_broken_file_is_set_aside_and_named_at_the_start(saved: Path, change: Any, text: str) -> None:
     content = document(saved)
     change(content)
     saved.write_text(yaml.safe_dump(content), encoding="utf-8")
-    with pytest.raises(BadInput) as caught:
-        new_adapter(alignment_file=str(saved))
-    assert str(caught.value).startswith(f"{saved}: ")
-    assert text in str(caught.value)
-    assert "\n" not in str(caught.value)
+    *_, warning = new_adapter(alignment_file=str(saved)).start_warnings
+    assert warning.startswith(f"{saved}: ")
+    assert text in warning
+    assert warning.endswith(f"; set aside as {saved}.unreadable; the filter starts as configured")
+    assert "\n" not in warning
+    assert not saved.exists()
 
 
 @pytest.mark.parametrize(
@@ -192,8 +195,15 @@ def test_a_broken_file_is_named_at_the_start(saved: Path, change: Any, text: str
 def test_what_is_no_alignment_at_all_is_named(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "alignment.yaml"
     path.write_bytes(content)
-    with pytest.raises(BadInput, match="alignment"):
-        new_adapter(alignment_file=str(path))
+    adapter = new_adapter(alignment_file=str(path))
+    assert "alignment" in adapter.start_warnings[-1]
+    attitudes = drive(adapter, voyage()).messages("ship/attitude")
+    assert (attitudes[0].status, attitudes[-1].status) == (Status.DEGRADED, Status.VALID)
+    level, told = alignment_text(adapter, END_NS)
+    assert (level, f"set aside as {path}.unreadable" in told) == (1, True)
+    assert path.with_name("alignment.yaml.unreadable").read_bytes() == content
+    assert adapter.service("save_alignment", END_NS).success
+    assert alignment_text(adapter, END_NS + 10 * 10**9) == (0, "as configured or saved")
 
 
 def test_a_directory_in_place_of_the_file_is_named(tmp_path: Path) -> None:

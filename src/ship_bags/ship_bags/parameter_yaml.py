@@ -13,6 +13,7 @@ from typing import Any
 import yaml
 
 from ship_bags.errors import BadInput
+from ship_bags.regular_files import check_regular
 from ship_bags.yaml_text import composed
 from ship_geometry.input_error import InputError
 
@@ -170,6 +171,7 @@ def _text(source: Path | str) -> tuple[str, str]:
     if isinstance(source, str):
         return "configuration", source
     try:
+        check_regular(source)
         return str(source), source.read_text(encoding="utf-8")
     except OSError as error:
         raise BadInput(f"cannot be read: {error.strerror}", file=source) from error

@@ -1,6 +1,7 @@
 """Sections of parameter files: values as ROS reads them, the line of each, and what is refused with its place."""
 
 import math
+import os
 from pathlib import Path
 
 import pytest
@@ -140,6 +141,10 @@ def test_what_is_no_parameter_file(text, complaint):
 
 
 def test_file_that_cannot_be_whole(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", Path("/dev/zero")):
+        with pytest.raises(BadInput, match="cannot be read: it is a pipe, a device or a socket: expected a file"):
+            read_plain(path)
     with pytest.raises(BadInput, match=r"absent\.yaml: cannot be read: No such file"):
         whole(tmp_path / "absent.yaml")
     (tmp_path / "bag.mcap").write_bytes(b"\x89MCAP\xff\x00")

@@ -1,12 +1,29 @@
 """What is read back of a saved document: a covariance is one, or is refused."""
 
+import errno
+import os
+import socket
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from ship_bags.errors import BadInput
-from ship_node.documents.saved_document import SavedFormat, finite_numbers, joint_covariance, section, stamp_ns, texts
+from ship_node.documents.saved_document import (
+    DISK,
+    UNTOUCHED,
+    DiskFiles,
+    NotedFiles,
+    SavedFormat,
+    finite_numbers,
+    joint_covariance,
+    section,
+    stamp_ns,
+    texts,
+)
+from ship_node.documents.saved_start import SavedStart
+from ship_replay.offline.black_box_replay import RecordedFiles
 
 
 @pytest.mark.parametrize(
@@ -100,6 +117,132 @@ def test_mend_25_what_is_no_document_is_one_line(tmp_path, text, complaint):
     assert len(str(caught.value)) < 300
 
 
-def test_mend_25_a_file_without_end_is_not_read_to_its_end(tmp_path):
-    with pytest.raises(BadInput, match="/dev/zero: the alignment cannot be read: File too large"):
-        FORMAT.load(Path("/dev/zero"))
+def test_a_pipe_or_a_device_is_refused_at_once(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with socket.socket(socket.AF_UNIX) as other:
+        other.bind(str(tmp_path / "socket"))
+        for path in (Path("/dev/zero"), tmp_path / "pipe", tmp_path / "socket"):
+            with pytest.raises(BadInput, match=r"the alignment cannot be read: it is a pipe, a device or a socket"):
+                FORMAT.load(path)
+    with pytest.raises(BadInput, match="the alignment cannot be read: it is a folder: expected a file"):
+        FORMAT.load(tmp_path)
+
+
+def test_a_file_longer_than_anything_that_is_saved_is_not_read_to_its_end(tmp_path):
+    with open(tmp_path / "long.yaml", "wb") as long:
+        long.truncate(1_000_000_000_000)
+    with pytest.raises(BadInput, match="the alignment cannot be read: File too large"):
+        FORMAT.load(tmp_path / "long.yaml")
+
+
+@dataclass
+class Content:
+    """What a start is made from: one angle, and its sigma."""
+
+    time_ns: int = 0
+    sigma: float = 1.0
+
+    def sigmas(self):
+        return {"angle": np.array([self.sigma])}
+
+
+STARTS = SavedFormat(
+    "test alignment",
+    1,
+    "alignment",
+    asdict,
+    lambda document: Content(section(document, "time_ns", stamp_ns), section(document, "sigma", float)),
+)
+WRITTEN = "format: test alignment\nversion: 1\ntime_ns: 5\nsigma: 1.0\n"
+UNREADABLE = {
+    "broken": "a: {b: *c}",
+    "no document": "",
+    "truncated": WRITTEN[:-12],
+    "other version": WRITTEN.replace("version: 1", "version: 2"),
+    "binary": "\udcff\udcfe",
+}
+
+
+def start(path, files=DISK, to_save=lambda: None):
+    return SavedStart(STARTS, str(path), files, lambda content, now_ns: [], to_save, "nothing")
+
+
+@pytest.mark.parametrize("text", UNREADABLE.values(), ids=UNREADABLE)
+def test_a_saved_file_that_cannot_be_used_is_set_aside_and_told_until_another_one_is_saved(tmp_path, text):
+    path = tmp_path / "alignment.yaml"
+    raw = text.encode(errors="surrogateescape")
+    path.write_bytes(raw)
+    files = NotedFiles()
+    saved = start(path, files, lambda: Content(7))
+    assert not saved.is_due
+    assert str(path) in saved.unreadable
+    assert saved.unreadable.endswith(f"; set aside as {path}.unreadable")
+    assert {each.name: each.read_bytes() for each in tmp_path.iterdir()} == {"alignment.yaml.unreadable": raw}
+    # A replay of the black box is given the same.
+    recorded = RecordedFiles()
+    for use in files.uses:
+        recorded.expect(use)
+    assert start(path, recorded).unreadable == saved.unreadable
+    saved.save_by_itself()
+    assert (saved.unreadable, saved.trouble) == ("", "")
+    assert STARTS.load(path) == Content(7)
+
+
+def test_a_second_unreadable_file_does_not_replace_the_first(tmp_path):
+    path = tmp_path / "alignment.yaml"
+    for text in ("one", "two", "three"):
+        path.write_text(text)
+        start(path)
+    names = [path.with_name(f"alignment.yaml.unreadable{end}") for end in ("", ".2", ".3")]
+    assert [name.read_text() for name in names] == ["one", "two", "three"]
+
+
+def test_a_file_that_becomes_unreadable_while_the_node_runs_is_set_aside_at_the_next_save(tmp_path):
+    path = tmp_path / "alignment.yaml"
+    path.write_text(WRITTEN)
+    saved = start(path, to_save=lambda: Content(7))
+    path.write_text("broken")
+    saved.save_by_itself()
+    assert STARTS.load(path) == Content(7)
+    assert any("set aside" in notice for notice in saved.notices)
+    assert (saved.unreadable, saved.trouble) == ("", "")
+
+
+class CannotRename(DiskFiles):
+    """A disk that takes no changes."""
+
+    def set_aside(self, path):
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
+
+
+def test_where_it_cannot_be_renamed_the_node_starts_and_overwrites_nothing(tmp_path):
+    path = tmp_path / "alignment.yaml"
+    path.write_text("broken")
+    saved = start(path, CannotRename(), lambda: Content(7))
+    assert "it cannot be renamed (Read-only file system): remove it" in saved.unreadable
+    saved.save_by_itself()
+    assert saved.trouble == saved.unreadable
+    assert path.read_text() == "broken"
+    path.unlink()
+    saved.save_by_itself()
+    assert (saved.trouble, saved.unreadable) == ("", "")
+
+
+def test_a_look_at_a_suite_sets_nothing_aside(tmp_path):
+    path = tmp_path / "alignment.yaml"
+    path.write_text("broken")
+    assert "set aside as" in start(path, UNTOUCHED).unreadable
+    assert path.read_text() == "broken"
+
+
+@pytest.mark.parametrize("number", [errno.EMFILE, errno.ENFILE, errno.ENOMEM])
+def test_a_good_file_is_not_set_aside_for_want_of_something(tmp_path, number):
+    class Poor(DiskFiles):
+        def read(self, path):
+            raise OSError(number, os.strerror(number), str(path))
+
+    path = tmp_path / "alignment.yaml"
+    path.write_text(WRITTEN)
+    with pytest.raises(BadInput, match="cannot be read"):
+        start(path, Poor())
+    assert path.read_text() == WRITTEN

@@ -139,11 +139,14 @@ def test_the_node_starts_from_the_file_that_is_there(tmp_path: Path) -> None:
     assert traces[0] < 0.9 * traces[1]
 
 
-def test_a_file_that_cannot_be_read_stops_the_start(tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_read_is_set_aside_and_the_start_is_as_configured(tmp_path: Path) -> None:
     path = tmp_path / "calibration.yaml"
     path.write_text("nonsense")
-    with pytest.raises(BadInput, match="not a calibration"):
-        OpticalAxisAdapter(config(calibration_file=str(path)), FACTORY)
+    adapter = OpticalAxisAdapter(config(calibration_file=str(path)), FACTORY)
+    (warning,) = adapter.start_warnings
+    assert "not a calibration" in warning
+    assert warning.endswith(f"; set aside as {path}.unreadable; the filter starts as configured")
+    assert drive(adapter, session()).pointings[-1].status == Status.VALID
 
 
 def test_what_is_published_is_the_state() -> None:

@@ -157,7 +157,7 @@ class ShipAttitudeAdapter(BlockAdapter):
             to_save=core.alignment_to_save,
             nothing="no star attitude was used yet: there is no alignment to save",
         )
-        self.start_warnings = start_warnings(config)
+        self.start_warnings = self._lacking = start_warnings(config)
         self._observed: tuple[int, DiagnosticStatus] | None = None
         super().__init__(config, core, factory, functools.partial(attitude_messages, factory), saved)
 
@@ -289,7 +289,7 @@ class ShipAttitudeAdapter(BlockAdapter):
         told = self.saved_remarks()
         text = "; ".join(told) or "as configured or saved"
         return [
-            attitude_status(self.latest, self.clock_jumps, self.start_warnings),
+            attitude_status(self.latest, self.clock_jumps, self._lacking),
             DiagnosticStatus("alignment", Level.WARN if told else Level.OK, text),
             DiagnosticStatus("ins rates", *_RATES[self.core.rates]),
             self._noise_status(),

@@ -30,6 +30,7 @@ from ship_bags.errors import BadInput
 from ship_bags.mcap.chunk_content import COMPRESSIONS, DamagedChunk, parsed
 from ship_bags.mcap.mcap_writer import MAGIC
 from ship_bags.mcap.records import ChunkPlace, Gap, RecordFile, WalkedRecord, has_header, walk
+from ship_bags.regular_files import check_regular
 from ship_bags.stamps import utc_text
 
 _FOOTER = struct.Struct("<BQQQI8s")
@@ -91,6 +92,7 @@ def open_mcap(path: Path) -> McapFile:
         BadInput: the file is missing, unreadable, empty, not MCAP, or compressed in a way unknown here.
     """
     try:
+        check_regular(path)
         stream = open(path, "rb")  # noqa: SIM115 - closed by the bag that owns it
     except OSError as problem:
         raise BadInput(f"cannot be read: {problem.strerror}", file=path) from problem

@@ -72,7 +72,9 @@ class FileOutlet(Outlet):
 
     def open(self, _selector: selectors.BaseSelector) -> None:
         """See :meth:`Outlet.open`."""
-        self._file = os.open(self._config.path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        # To open a pipe without a reader would wait for one.
+        flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NONBLOCK
+        self._file = os.open(self._config.path, flags, 0o644)
 
     def send(self, sentence: bytes) -> bool:
         """See :meth:`Outlet.send`."""

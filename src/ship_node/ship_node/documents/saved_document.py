@@ -18,6 +18,7 @@ import yaml
 
 from ship_bags.errors import BadInput
 from ship_bags.output_files import write_whole
+from ship_bags.regular_files import check_regular, open_refusal
 from ship_bags.stamps import END_OF_TIME_NS
 from ship_bags.yaml_text import plain_data
 
@@ -36,8 +37,8 @@ class FileUse:
 
     Attributes:
         path: as the adapter named it.
-        written: whether it was written, not read.
-        content: the bytes; None where it failed.
+        written: whether it was written or set aside, not read.
+        content: the bytes; of a file set aside its new path; None where it failed.
         error: error number (errno) where it failed.
     """
 
@@ -58,14 +59,25 @@ class Files(Protocol):
         """Write a file that is either the old or the new one, never a part; folders are made."""
         ...
 
+    def set_aside(self, path: Path) -> Path:
+        """Rename a file that cannot be used, so that it stays and another one can take its place; return its new path.
+
+        The new name ends with ``.unreadable``, or ``.unreadable.2`` and so on where such a file is there already.
+        """
+        ...
+
 
 class DiskFiles:
     """The files themselves."""
 
     def read(self, path: Path) -> bytes:
         """See :meth:`Files.read`; a file longer than anything that is saved is an OSError, too."""
-        with path.open("rb") as stream:
-            content = stream.read(LONGEST_FILE_BYTES + 1)
+        try:
+            check_regular(path)
+            with path.open("rb") as stream:
+                content = stream.read(LONGEST_FILE_BYTES + 1)
+        except OSError as error:
+            raise _plain(error.errno or errno.EIO, path) from error
         if len(content) > LONGEST_FILE_BYTES:
             raise _plain(errno.EFBIG, path)
         return content
@@ -78,6 +90,15 @@ class DiskFiles:
         except OSError as error:
             raise _plain(error.errno or errno.EIO, path) from error
 
+    def set_aside(self, path: Path) -> Path:
+        """See :meth:`Files.set_aside`."""
+        aside = _free_name(path)
+        try:
+            path.rename(aside)
+        except OSError as error:
+            raise _plain(error.errno or errno.EIO, path) from error
+        return aside
+
 
 class UntouchedFiles(DiskFiles):
     """The files themselves, read as they are and never changed: what is written is forgotten.
@@ -87,6 +108,10 @@ class UntouchedFiles(DiskFiles):
 
     def write(self, path: Path, content: bytes) -> None:
         """See :meth:`Files.write`: nothing happens."""
+
+    def set_aside(self, path: Path) -> Path:
+        """See :meth:`Files.set_aside`: nothing happens; the path is that which a node would use."""
+        return _free_name(path)
 
 
 class NotedFiles:
@@ -118,6 +143,16 @@ class NotedFiles:
             self.uses.append(FileUse(str(path), True, None, error.errno or errno.EIO))
             raise
         self.uses.append(FileUse(str(path), True, content))
+
+    def set_aside(self, path: Path) -> Path:
+        """See :meth:`Files.set_aside`."""
+        try:
+            aside = self._disk.set_aside(path)
+        except OSError as error:
+            self.uses.append(FileUse(str(path), True, None, error.errno or errno.EIO))
+            raise
+        self.uses.append(FileUse(str(path), True, str(aside).encode()))
+        return aside
 
 
 DISK, UNTOUCHED = DiskFiles(), UntouchedFiles()
@@ -184,7 +219,7 @@ class SavedFormat(Generic[Content]):
             raise self._unreadable(path, error) from error
 
     def _unreadable(self, path: Path, error: OSError) -> BadInput:
-        return BadInput(f"the {self.what} cannot be read: {error.strerror}", file=path)
+        return BadInput(f"the {self.what} cannot be read: {open_refusal(error.errno or errno.EIO)}", file=path)
 
     def parsed(self, path: Path, written: bytes) -> Content:
         """What the bytes of a document say.
@@ -279,6 +314,12 @@ def joint_covariance(rows: list[list[float]], size: int) -> npt.NDArray[np.float
     if np.linalg.eigvalsh(correlation)[0] < -_ROUNDING:
         raise ValueError("not positive semidefinite")
     return covariance
+
+
+def _free_name(path: Path) -> Path:
+    """Return the first name for a file set aside that is not taken."""
+    names = (path.with_name(f"{path.name}.unreadable{number}") for number in ("", *(f".{n}" for n in range(2, 100))))
+    return next((name for name in names if not os.path.lexists(name)), path.with_name(f"{path.name}.unreadable"))
 
 
 def _plain(number: int, path: Path) -> OSError:

@@ -1,5 +1,6 @@
 """The saved document that a node starts from, and what people are told of it."""
 
+import errno
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Generic, Protocol, TypeVar
@@ -12,6 +13,12 @@ from ship_node.documents.saved_document import Files, SavedFormat
 
 _WORSE = 1.1
 """A sigma that is larger than another one by this factor is worse: by less it wavers with the stars in view."""
+
+_NOT_OF_THE_CONTENT = (
+    *(errno.EISDIR, errno.ESPIPE),  # the path is meant otherwise
+    *(errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN, errno.EINTR),  # the file may be good
+)
+"""Errors that say nothing of what a file holds: it stays where it is."""
 
 _NEVER_NS = 1 << 62
 """Later than any time, ns."""
@@ -48,10 +55,11 @@ class SavedStart(Generic[Prior]):
         notices: what a log should tell, until somebody has taken it.
         messages: what the core said of the content that it started from.
         trouble: why the node does not save by itself at the moment; empty where it does.
+        unreadable: why the file was set aside, until another one is saved or read; empty where it was not.
         is_due: whether a content was read and the core has not been given it yet.
 
     Raises:
-        BadInput: the file is there and cannot be read.
+        BadInput: the path names a folder, a pipe or a device; or the computer has no file descriptors or memory.
     """
 
     def __init__(
@@ -67,15 +75,15 @@ class SavedStart(Generic[Prior]):
         self._start_from, self._to_save, self._nothing = start_from, to_save, nothing
         self.notices: list[str] = []
         self.messages: list[str] = []
-        self.trouble = ""
+        self.trouble = self.unreadable = ""
+        self._is_in_the_way = False
         # The bytes of the file that the core's state has grown out of; None where it has grown out of none.
         self._origin: bytes | None = None
         self._saved_ns = 0
         self._looked_ns: int | None = None
-        self._read = kind.written_at(Path(path), files) if path else None
-        self._content = None if self._read is None else kind.parsed(Path(path), self._read)
-        self.is_due = self._read is not None
-        if path and not self.is_due:
+        self._read, self._content = self._usable(Path(path)) if path else (None, None)
+        self.is_due = self._content is not None
+        if path and not self.is_due and not self.unreadable:
             self.notices.append(f"no {kind.what} at {path} yet: the filter starts as configured")
 
     def start(self, now_ns: int) -> None:
@@ -135,23 +143,50 @@ class SavedStart(Generic[Prior]):
         path = self._file()
         self._read = self._kind.read_at(path, self._files)
         self._give(self._kind.parsed(path, self._read), now_ns)
+        self.unreadable = ""
         return "; ".join([f"{self._kind.what} loaded from {path}", *self.messages])
 
     def _saved_unless_worse(self, path: Path) -> str:
         content = self._to_save()
         if content is None or content.time_ns == self._saved_ns:
             return ""
-        there = self._kind.written_at(path, self._files)
+        there, known = self._usable(path)
+        if self._is_in_the_way:
+            return self.unreadable
+        if self.unreadable and there is None:
+            self.notices.append(self.unreadable)
         # What the core's state has grown out of, or is itself, it cannot be worse than.
-        if there is not None and there != self._origin:
-            worse = worse_in(content, self._kind.parsed(path, there))
+        if known is not None and there != self._origin:
+            worse = worse_in(content, known)
             if worse:
                 return f"{self._kind.what} not saved by itself: {path} knows {worse}; ~/save_alignment replaces it"
         self._write(path, content)
         return ""
 
+    def _usable(self, path: Path) -> tuple[bytes | None, Prior | None]:
+        """Return the file's bytes and its content, or None twice; a file that cannot be used is set aside.
+
+        Raises:
+            BadInput: see the class.
+        """
+        self._is_in_the_way = False
+        try:
+            written = self._kind.written_at(path, self._files)
+            return written, None if written is None else self._kind.parsed(path, written)
+        except BadInput as error:
+            if isinstance(error.__cause__, OSError) and error.__cause__.errno in _NOT_OF_THE_CONTENT:
+                raise
+            reason = str(error)
+        try:
+            self.unreadable = f"{reason}; set aside as {self._files.set_aside(path)}"
+        except OSError as error:
+            self._is_in_the_way = True
+            self.unreadable = f"{reason}; it cannot be renamed ({error.strerror}): remove it, so that one can be saved"
+        return None, None
+
     def _write(self, path: Path, content: Prior) -> None:
         self._origin, self._saved_ns = self._kind.save(path, content, self._files), content.time_ns
+        self.unreadable = ""
 
     def _give(self, content: Prior, now_ns: int) -> None:
         self.messages = self._start_from(content, now_ns)

@@ -157,6 +157,8 @@ class ReportingAdapter(ABC):
         self.inputs: tuple[InputTopic, ...] = tuple(feed.input for feed in self.feeds.values())
         self.health = InputHealthBook(self.inputs, config.max_age_s)
         self.notices: list[str] = [] if saved is None else saved.notices
+        if saved is not None and saved.unreadable:
+            self.start_warnings = (*self.start_warnings, f"{saved.unreadable}; the filter starts as configured")
         self.clock_jumps = 0
         self.time_base = TimeBase()
         # The core's state when some input's clock was first seen to have moved, and when that was.
@@ -510,7 +512,9 @@ class ReportingAdapter(ABC):
 
     def saved_remarks(self) -> list[str]:
         """What people must know of the saved document: of the start from it, and of what hinders a new one."""
-        return [] if self.saved is None else [*self.saved.messages, *filter(None, [self.saved.trouble])]
+        if self.saved is None:
+            return []
+        return [*self.saved.messages, *filter(None, dict.fromkeys([self.saved.unreadable, self.saved.trouble]))]
 
     def integrity_statuses(self) -> list[DiagnosticStatus]:
         """One status with the protection levels told last and the sources excluded."""

@@ -12,6 +12,7 @@ from ship_bags.mcap.bag_reader import Bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.message_factory import MessageFactory
 from ship_bags.parameter_yaml import full_name
+from ship_bags.regular_files import check_regular
 from ship_bags.topic_names import relative_topics
 from ship_node.documents.saved_document import UNTOUCHED
 from ship_node.edge.adapter import Adapter
@@ -32,6 +33,7 @@ def suite_text(bag: Bag, config_path: Path | None) -> str:
     """
     if config_path is not None:
         try:
+            check_regular(config_path)
             return config_path.read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as problem:
             raise BadInput(f"cannot be read: {problem}", file=config_path) from problem

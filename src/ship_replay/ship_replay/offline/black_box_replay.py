@@ -83,6 +83,15 @@ class RecordedFiles:
         if recorded != content:
             raise AnotherFileUse(_content_difference(path, self.time_ns, recorded, content))
 
+    def set_aside(self, path: Path) -> Path:
+        """Return the path to which the node renamed a file at this moment.
+
+        Raises:
+            OSError: as it failed for the node.
+            AnotherFileUse: the node set nothing aside, or another file.
+        """
+        return Path((self._next(path, written=True).content or b"").decode())
+
     def _next(self, path: Path, written: bool) -> FileUse:
         use = self._uses.popleft() if self._uses else None
         if use is None or (use.path, use.written) != (str(path), written):
