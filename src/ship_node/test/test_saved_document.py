@@ -184,7 +184,7 @@ def test_a_saved_file_that_cannot_be_used_is_set_aside_and_told_until_another_on
         recorded.expect(use)
     assert start(path, recorded).unreadable == saved.unreadable
     saved.save_by_itself()
-    assert (saved.unreadable, saved.trouble) == ("", "")
+    assert (saved.unreadable, saved.trouble, saved.notices) == ("", "", [])
     assert STARTS.load(path) == Content(7)
 
 

@@ -150,10 +150,11 @@ class SavedStart(Generic[Prior]):
         content = self._to_save()
         if content is None or content.time_ns == self._saved_ns:
             return ""
+        unreadable_before = self.unreadable
         there, known = self._usable(path)
         if self._is_in_the_way:
             return self.unreadable
-        if self.unreadable and there is None:
+        if self.unreadable != unreadable_before:
             self.notices.append(self.unreadable)
         # What the core's state has grown out of, or is itself, it cannot be worse than.
         if known is not None and there != self._origin:
