@@ -271,6 +271,24 @@ def test_a_stopped_process_in_reserve_is_no_successor(monkeypatch):
     assert "[suite] node in reserve sent no sign of life for 4 s: killed" in lines
 
 
+def test_a_process_in_reserve_that_was_stopped_before_its_first_sign_of_life_is_no_successor(monkeypatch, tmp_path):
+    monkeypatch.setattr("ship_bringup.suite.keeper._RESERVE_AFTER_S", 0.2)
+    mark = str(tmp_path / "reserve")
+    text = BEATS + (
+        "from ship_node.live.start import WAITS\n"
+        f"waited, mark = bool(os.environ.pop(WAITS, '')), {mark!r}\n"
+        "if waited:\n    open(mark, 'w').close()\n    os.kill(os.getpid(), signal.SIGSTOP)\n"
+        "print('starts', flush=True)\n"
+        "while not os.path.exists(mark):\n    beat_for(0.1)\n"
+        "beat_for(0.5)\nraise SystemExit(1)"
+    )
+    node = Program("node", (sys.executable, "-c", text), has_reserve=True)
+    started_s = time.monotonic()
+    _, lines = kept(node, until="[node] starts", count=2)
+    assert time.monotonic() - started_s < FAR_S
+    assert sum("node ended" in line for line in lines) == 1
+
+
 @pytest.mark.slow
 def test_a_standstill_of_the_keeper_is_no_silence_of_its_programs():
     """All are stopped and go on together, as on a computer that sleeps."""

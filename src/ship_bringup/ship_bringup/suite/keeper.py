@@ -100,6 +100,9 @@ class Keeper:
 
     def _start(self, kept: KeptProgram) -> None:
         """Start a program, or let the process that waits in reserve begin."""
+        if kept.reserve is not None and kept.reserve.is_stopped:
+            kept.reserve.kill()
+            kept.reserve = None
         kept.due_s, kept.ports = None, frozenset()
         kept.process, kept.reserve = kept.reserve, None
         if kept.process is not None:

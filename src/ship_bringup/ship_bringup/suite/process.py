@@ -11,6 +11,7 @@ import signal
 import subprocess
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import IO
 
 from ship_bags.live.heartbeat import HEARTBEAT_SOCKET
@@ -81,6 +82,15 @@ class Process:
         """What it writes, stdout and stderr."""
         assert self._process.stdout is not None
         return self._process.stdout
+
+    @property
+    def is_stopped(self) -> bool:
+        """True if a signal has stopped it."""
+        with contextlib.suppress(OSError, IndexError):
+            # The name, which stands in brackets before the state, may hold anything.
+            state = Path(f"/proc/{self.pid}/stat").read_text(errors="replace").rpartition(")")[2].split()[0]
+            return state in ("T", "t")
+        return False
 
     def begin(self) -> None:
         """Tell a process that waits to begin; one that has died meanwhile is not told."""
