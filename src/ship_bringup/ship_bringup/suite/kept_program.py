@@ -36,7 +36,7 @@ class KeptProgram:
 
     @property
     def is_alive(self) -> bool:
-        """Whether it runs or is to run again."""
+        """True if it runs or is to run again."""
         return self.process is not None or self.due_s is not None
 
     @property

@@ -5,7 +5,7 @@ from enum import Enum
 
 
 class Role(Enum):
-    """What the end of a program means for the others."""
+    """Role of a program: what its end means for the others."""
 
     NODE = "node"
     """The suite is there for these."""

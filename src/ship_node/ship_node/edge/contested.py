@@ -1,4 +1,4 @@
-"""The inputs of a node on which two publishers send: which of them is right, no data tell.
+"""The inputs of a node on which two publishers send; which of them is right cannot be known.
 
 A live node learns of them from the middleware (:mod:`ship_node.live.senders`). In a recording only the values tell:
 those of two publishers run alternately, each continuous with itself (:mod:`ship_estimation.interleaved`).
@@ -18,7 +18,7 @@ _ROTATION = np.sqrt(2.0)
 
 
 class Continuous(NamedTuple):
-    """What is continuous in the values of an input.
+    """Continuous part of the values of an input.
 
     Attributes:
         of: the quantity of a value, shape (n,).
@@ -92,13 +92,13 @@ class ContestedInputs:
         self._named: dict[str, str] = {}
 
     def restart(self) -> None:
-        """Forget what the values have told: the clock went back, or the node was reset."""
+        """Forget the values: the clock went back, or the node was reset."""
         self._streams = {topic: InterleavedStreams(kind.least) for topic, kind in self._continuous.items()}
 
     def name(self, topic: str, text: str) -> None:
-        """Set what the middleware tells of a topic: two publishers that send; an empty text ends it.
+        """Set the text of a topic on which the middleware sees two publishers that send; an empty text ends it.
 
-        Then the values need not tell it too: of slow messages they would take a minute.
+        Then the values need not show it too: of slow messages they would take a minute.
         """
         if text:
             self._named[topic] = text

@@ -262,7 +262,7 @@ class ReportingAdapter(ABC):
         self._tell_contested(topic)
 
     def _tell_contested(self, topic: str) -> None:
-        """What rests on an input of two publishers is not VALID; one that is taken out is no part of anything."""
+        """Pass on to health and core that an input has two publishers; of one that is taken out, to health alone."""
         feed, text = self.feeds[topic], self._contested.text(topic)
         self.health.contested(topic, text)
         self.core.contest(feed.measured_by or feed.source, "" if self.is_off(topic) else text)

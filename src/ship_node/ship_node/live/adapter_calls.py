@@ -91,7 +91,7 @@ class AdapterCalls:
         self.publish(published, now_ns)
 
     def contest(self, topic: str, text: str, now_ns: int, waiting_ns: int) -> None:
-        """Tell the adapter that two publishers send on a topic, or with an empty text that they do no more."""
+        """Pass on to the adapter that two publishers send on a topic; an empty text: no longer."""
         try:
             self._adapter.contest(topic, text)
         finally:
@@ -107,7 +107,7 @@ class AdapterCalls:
         self.publish(published, now_ns)
 
     def clock_stepped(self, step_ns: int, now_ns: int, waiting_ns: int) -> None:
-        """Tell the adapter that the computer's clock was set."""
+        """Pass on to the adapter that the computer's clock was set."""
         published: list[Published] = []
         try:
             published = self._adapter.clock_stepped(step_ns, now_ns, waiting_ns)

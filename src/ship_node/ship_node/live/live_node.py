@@ -220,7 +220,7 @@ class LiveNode:
         self._calls.overload(overload(waited_ns, self._inbox.take_behind()), now_ns, waiting_ns)
 
     def _look_at_publishers(self, topic: str) -> None:
-        """Tell the adapter whether two publishers send on a topic, by their messages and the graph."""
+        """Pass on to the adapter whether two publishers send on a topic, by their messages and the graph."""
         name = self._subscriptions[topic].topic_name
         count, senders, names = self.node.count_publishers(name), self._senders[topic], []
         if count > 1:
@@ -255,7 +255,7 @@ class LiveNode:
         self._tell_notices()
 
     def _see_clock_step(self, stepped_ns: int, now_ns: int, waiting_ns: int) -> None:
-        """Tell the adapter where the system's clock was set, in its place among the messages."""
+        """Pass on to the adapter that the system's clock was set, in its place among the messages."""
         step_ns, self._stepped_ns = stepped_ns - self._stepped_ns, stepped_ns
         if step_ns:
             self._guard.call("clock step", self._calls.clock_stepped, step_ns, now_ns, waiting_ns)

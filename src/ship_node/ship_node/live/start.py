@@ -49,4 +49,4 @@ def _wait_for_begin() -> None:
     while not stdin.poll(HEARTBEAT_PERIOD_NS // 1_000_000):
         heartbeat().beat(time.monotonic_ns())
     if not os.read(sys.stdin.fileno(), 1):
-        os._exit(0)  # who would have told it to begin is gone
+        os._exit(0)  # the process that would start it is gone

@@ -63,7 +63,7 @@ def _check_source(
     if verdict.kind not in (VerdictKind.OPTIMISTIC, VerdictKind.CONSERVATIVE):
         return
     factor = verdict.factor
-    # Data without any noise are made by hand, and tell nothing.
+    # Data without any noise are made by hand, and show nothing.
     if not (factor >= CONTRADICTED_FACTOR or _LEAST_FACTOR <= factor <= 1.0 / CONTRADICTED_FACTOR):
         return
     feed = next(feed for feed in adapter.feeds.values() if feed.source == source)

@@ -1,4 +1,4 @@
-"""What the nodes of a configuration make of a bag, tried out: inputs that they would hardly use, and their sigmas."""
+"""Try a bag on the nodes of a configuration: inputs that they would hardly use, and their sigmas."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -110,7 +110,7 @@ def _words(reasons: Sequence[Reason]) -> Iterator[str]:
 
 
 def _why(last: Any, word: str) -> str:
-    """What the node said of the last one, and what to do."""
+    """Return the node's text about the last one, and what to do."""
     told = f": {shortened(last.text, LONGEST_TEXT)}" if last is not None and last.reason.word == word else ""
     advice = next((advice for reason, advice in _ADVICE.items() if reason.word == word), "")
     return f"{told}; {advice}" if advice else told

@@ -437,7 +437,7 @@ class OpticalAxisCore:
             self._own_fault_ns[source] = max(time_ns, self._own_fault_ns.get(source, time_ns))
 
     def _own_faults(self, time_ns: int) -> set[str]:
-        """Of encoders and ship, those whose stream showed a fault of its own not long before a time."""
+        """Return those of encoders and ship whose stream showed a fault of its own not long before a time."""
         since_ns = time_ns - round(self.config.integrity.return_after_s * SECOND_NS)
         return {source for source, fault_ns in self._own_fault_ns.items() if fault_ns >= since_ns}
 

@@ -72,7 +72,7 @@ class SmoothingAxisCore(OpticalAxisCore):
         super().__init__(config, watch, self._take)
 
     def _begin(self) -> None:
-        """See :meth:`OpticalAxisCore._begin`; what was told until then is not told again any more."""
+        """See :meth:`OpticalAxisCore._begin`; pointings published until then are not published again."""
         super()._begin()
         self._told: deque[_ToldAtOnce] = deque()
         self._stated_n: dict[int, FloatArray] = {}
