@@ -106,24 +106,27 @@ class MeasuredNoise(NamedTuple):
         return f"{jitter}: attitude noise is {sigma:.1f}″ at this rate of turn, stated {stated:.1f}″"
 
 
-def noise_sums(first_ns: int, last_ns: int, differences: FloatArray) -> NoiseSums:
+def noise_sums(times_ns: NDArray[np.int64], differences: FloatArray, longest_ns: float) -> NoiseSums:
     """Return the noise that steps show.
 
     Args:
-        first_ns: stamp of the first sample.
-        last_ns: stamp of the last sample.
+        times_ns: stamps of the samples, shape (n + 1,).
         differences: of each sample's attitude from that before it carried on by the rates, rad, shape (n, 3).
+        longest_ns: in longer steps what the integration of the rates misses is no noise; they are left out.
 
     Example:
         Noise of a tenth of a milliradian about each axis:
 
         >>> noise = np.random.default_rng(1).normal(0.0, 1e-4, (4001, 3))
-        >>> sums = noise_sums(0, 1, np.diff(noise, axis=0))
+        >>> sums = noise_sums(np.arange(4001), np.diff(noise, axis=0), longest_ns=2.0)
         >>> print(f"{math.sqrt(sums.variance_sum / sums.steps):.1e}")
         1.0e-04
     """
-    squares, products = np.vdot(differences[1:], differences[1:]), np.vdot(differences[1:], differences[:-1])
-    return NoiseSums(first_ns, last_ns, len(differences) - 1, float(0.5 * squares - products) / 6.0)
+    is_short = np.diff(times_ns) <= longest_ns
+    both = is_short[1:] & is_short[:-1]
+    before, after = differences[:-1][both], differences[1:][both]
+    squares, products = np.vdot(after, after), np.vdot(after, before)
+    return NoiseSums(int(times_ns[0]), int(times_ns[-1]), len(after), float(0.5 * squares - products) / 6.0)
 
 
 class ExcessNoise:
@@ -136,7 +139,7 @@ class ExcessNoise:
         found: noise that is in excess now; None where none is.
 
     >>> excess, noise = ExcessNoise(1e-5), np.random.default_rng(1).normal(0.0, 3e-5, (201, 3))
-    >>> extra = excess.add(noise_sums(0, 2 * SECOND_NS, np.diff(noise, axis=0)))
+    >>> extra = excess.add(noise_sums(10_000_000 * np.arange(201), np.diff(noise, axis=0), longest_ns=2e7))
     >>> print(f"{excess.found.sigma_rad():.0e} {math.sqrt(extra.white_rad2):.1e}")
     3e-05 2.6e-05
     """
@@ -192,7 +195,7 @@ class ExcessNoise:
         self._sums.append(sums)
         for over_ns in (_SHORT_NS, _LONG_NS):
             recent = [one for one in self._sums if one.first_ns >= sums.last_ns - over_ns] or [sums]
-            count = sum(one.steps for one in recent)
+            count = max(sum(one.steps for one in recent), 1)
             variance = sum(one.variance_sum for one in recent) / count
             least_ratio2 = max(_LEAST_RATIO2, 1.0 + _SIGMAS * _ESTIMATED / math.sqrt(count))
             if variance >= least_ratio2 * self._stated_rad**2:  # NaN is not
@@ -228,7 +231,7 @@ class ExcessNoise:
 
     def _first(self, steps: "_Steps") -> ExtraNoise | None:
         """Return the excess of the samples collected; None where their median difference is no larger than usual."""
-        usual_sigma_rad = max(self._stated_rad, self._usual_rad / math.sqrt(6.0))
+        usual_sigma_rad = max(self._stated_rad, self._usual_rad / math.sqrt(6.0), steps.missed_rad)
         ratio = _MEDIAN_RATIO if self._usual_rad else _START_RATIO
         if not steps.median_sigma_rad >= ratio * usual_sigma_rad:
             return None
@@ -264,6 +267,7 @@ class ExcessNoise:
             np.array([sample.rotation_nd for sample in samples]),
             np.array([integrated.rotation for _, integrated in self._collected]),
             np.array([sample.rate_d for sample in samples]),
+            np.array([integrated.missed_rad for _, integrated in self._collected]),
         )
 
     def _use(self, measured: MeasuredNoise, fastest2: float = 0.0) -> ExtraNoise:
@@ -290,25 +294,34 @@ class _Steps(NamedTuple):
         times_ns: stamps of the samples that they lead to, shape (n,).
         differences: of their attitudes from those before, carried on by the rates, horizon frame, rad, shape (n, 3).
         rates: of turn, horizon frame, rad/s, shape (n, 3).
+        missed_rad: how much more the integration of the rates may miss in a step than in the one before, root mean
+            square: steps of unequal length hide noise.
     """
 
     times_ns: NDArray[np.int64]
     differences: FloatArray
     rates: FloatArray
+    missed_rad: float
 
     @classmethod
     def between(
-        cls, times_ns: NDArray[np.int64], rotation_nd: FloatArray, by_rates: FloatArray, rates_d: FloatArray
+        cls,
+        times_ns: NDArray[np.int64],
+        rotation_nd: FloatArray,
+        by_rates: FloatArray,
+        rates_d: FloatArray,
+        missed_rad: FloatArray,
     ) -> "_Steps":
-        """The steps between samples, by their attitudes, those by the rates alone, and the rates."""
+        """The steps between samples, by their attitudes, those by the rates alone, the rates and what these miss."""
         carried_nd = rotation_nd[:-1] @ by_rates[:-1].swapaxes(-1, -2) @ by_rates[1:]
         differences = log_rotation(rotation_nd[1:] @ carried_nd.swapaxes(-1, -2))
-        return cls(times_ns[1:], differences, (rotation_nd[1:] @ rates_d[1:, :, None])[..., 0])
+        missed = float(np.sqrt(np.mean(np.diff(missed_rad, n=2) ** 2)))
+        return cls(times_ns[1:], differences, (rotation_nd[1:] @ rates_d[1:, :, None])[..., 0], missed)
 
     def since(self, since_ns: int) -> "_Steps":
         """Those to samples from a stamp on, or the last ones where these are few."""
         first = min(int(np.searchsorted(self.times_ns, since_ns)), len(self.times_ns) - _LEAST_STEPS)
-        return _Steps(self.times_ns[first:], self.differences[first:], self.rates[first:])
+        return _Steps(self.times_ns[first:], self.differences[first:], self.rates[first:], self.missed_rad)
 
     @property
     def fastest2(self) -> float:

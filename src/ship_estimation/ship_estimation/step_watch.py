@@ -25,6 +25,8 @@ _BEFORE_S, _AFTER_S = (0.5, 0.25, 0.125), 0.2
 """Samples of so long tell the line, the shorter the noisier the rates; of up to so long whether there was a step."""
 _LEAST_BEFORE, _LONGEST_PERIOD_NS = 16, SECOND_NS // 5
 """At fewer than five samples a second the waves between two of them hide small steps, and nothing is looked for."""
+_MISSING = 1.8
+"""Samples further apart than so many periods have lost one between them."""
 _GAP = 8
 """The line does not lead over a gap of more than so many periods."""
 _SIGMAS = 7.3
@@ -372,8 +374,8 @@ class StepWatch:
 
     def _sum_noise(self) -> FloatArray:
         """Sum up the noise of the samples kept; returns the differences of each from the one before."""
-        times_ns, differences = self._times[: self._end], np.diff(self._rows[: self._end], axis=0)
-        self.noise = noise_sums(int(times_ns[0]), int(times_ns[-1]), differences)
+        differences = np.diff(self._rows[: self._end], axis=0)
+        self.noise = noise_sums(self._times[: self._end], differences, _MISSING * self._period.ns)
         return differences
 
     def _found(self) -> FoundStep:

@@ -118,7 +118,7 @@ def test_where_a_node_is_behind_all_topics_are_cut_to_one_time() -> None:
     assert inbox.take_behind() == {"star": 2, "ins": 49}
     assert inbox.take_behind() == {}
     # A position holds until the next one. It is used now.
-    assert [arrival[2:] for arrival in iter(lambda: inbox.take() if inbox else None, None)] == [(90, 91, 92)]
+    assert [arrival[2:5] for arrival in iter(lambda: inbox.take() if inbox else None, None)] == [(90, 91, 92)]
     # Stars of before the newest INS sample that was cut would be compared with nothing.
     for arrival in stamped("star", 48, 49, 50) + stamped("ins", 50) + stamped("fix", 3):
         inbox.put(arrival)
