@@ -75,6 +75,7 @@ class FileOutlet(Outlet):
         # To open a pipe without a reader would wait for one.
         flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NONBLOCK
         self._file = os.open(self._config.path, flags, 0o644)
+        os.set_blocking(self._file, True)
 
     def send(self, sentence: bytes) -> bool:
         """See :meth:`Outlet.send`."""
