@@ -286,8 +286,8 @@ def test_a_node_that_is_stopped_is_reported_and_replaced(tmp_path, domain):
         assert not set(pids) & set(processes_of(process.pid, "ship_attitude"))
         assert process.end(signal.SIGTERM) == 0
         log = process.log()
-    assert "[suite] ship_attitude is frozen: no sign of life for 2 s" in log
-    assert "[suite] ship_attitude sent no sign of life for 5 s: killed" in log
+    assert re.search(r"\[suite\] ship_attitude is frozen: no sign of life for \d+ s", log)
+    assert re.search(r"\[suite\] ship_attitude sent no sign of life for \d+ s: killed", log)
     assert log.count("[suite] ship_attitude ended") == 1, log
 
 

@@ -318,7 +318,7 @@ def test_a_program_that_gets_no_processor_is_not_frozen():
             f"os.sched_setaffinity(0, [{core}])\nbeat_for(1.0)\nos.sched_setscheduler(0, os.SCHED_IDLE, "
             "os.sched_param(0))\nwhile True:\n    heartbeat().beat(time.monotonic_ns())\n    sum(range(20_000_000))"
         )
-        keeper = run_keeper("print('runs', flush=True)\n" + text, limits="1.0, 2.0")
+        keeper = run_keeper("print('runs', flush=True)\n" + text, limits="1.0, 6.0")
         time.sleep(12.0)
         keeper.send_signal(signal.SIGINT)
         said = keeper.communicate(timeout=FAR_S)[0]
@@ -326,7 +326,7 @@ def test_a_program_that_gets_no_processor_is_not_frozen():
         for hog in hogs:
             hog.kill()
             hog.wait()
-    assert "killed" not in said.replace("does not end: killed", ""), said
+    assert not re.search(r"sent no sign of life for \d+ s: killed", said), said
 
 
 @pytest.mark.parametrize("number", [errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN])
@@ -366,7 +366,7 @@ def test_a_restart_without_file_descriptors_or_processes_ends_nothing():
     resource.prlimit(keeper.pid, resource.RLIMIT_NOFILE, before)
     while (line := keeper.stdout.readline()).startswith("[suite]"):
         pass
-    assert re.match(r"\[p0\] \d+", line)
+    assert re.match(r"\[p[01]\] \d+", line)
     keeper.send_signal(signal.SIGTERM)
     assert keeper.wait(FAR_S) == 0
 

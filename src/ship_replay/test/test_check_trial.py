@@ -61,7 +61,8 @@ def rewritten(path, source, change, until_s=30.0):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["demo", "theodolite"])
 def test_a_healthy_bag_is_good(check, name):
-    assert check(BAGS / f"{name}.mcap") == (0, ["suite.yaml: good for BAG"])
+    code, lines = check(BAGS / f"{name}.mcap")
+    assert (code, [line for line in lines if not line.startswith("load: ")]) == (0, ["suite.yaml: good for BAG"])
 
 
 @pytest.mark.slow
