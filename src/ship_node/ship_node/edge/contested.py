@@ -46,26 +46,18 @@ ATTITUDE = Continuous(
 )
 """An attitude; 30″ are six times the noise of a coarse one."""
 
-def _whitened(decision: Any) -> FloatArray:
-    """The innovation of a measurement whitened by its own noise, which is 0.1″ at least.
-
-    The symmetric root keeps its axes: those of an eigenvector may turn round from one measurement to the next.
-    """
-    noise = decision.noise
-    if not np.isfinite(noise).all():
-        return np.full(len(decision.residual), np.nan)
-    variance, axes = np.linalg.eigh(noise)
-    sigma = np.sqrt(np.maximum(variance, (0.1 * ARCSEC) ** 2))
-    whitened: FloatArray = (decision.residual @ axes / sigma) @ axes.T
-    return whitened
+def _in_sigmas(decision: Any) -> FloatArray:
+    """The innovation of a measurement in standard deviations of its own noise, which is 0.1″ at least."""
+    in_sigmas: FloatArray = decision.residual / np.sqrt(np.maximum(decision.noise.diagonal(), (0.1 * ARCSEC) ** 2))
+    return in_sigmas
 
 
 INNOVATION = Continuous(
-    _whitened,
+    _in_sigmas,
     10.0,
     lambda distance: f"{distance:.0f} sigma of their noise apart",
 )
-"""The innovation of an attitude, whitened by its own noise; it does not move with the ship."""
+"""The innovation of an attitude in standard deviations of its own noise; it does not move with the ship."""
 
 POSITION = Continuous(lambda fix: ecef_from_geodetic(fix.position), 5.0, _metres)
 """A position fix; 5 m make 0.2″."""
