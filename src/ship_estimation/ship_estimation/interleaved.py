@@ -27,7 +27,7 @@ _SCATTERS = 8.0
 """Least distance of the two groups, in standard deviations within a group: 3 is usual for noise cut in two."""
 
 _STEPS = 5.0
-"""Least distance of the two groups, in smallest steps of values that repeat: rounding makes groups one digit apart."""
+"""Least distance of the two groups, in smallest steps of values that repeat: rounding makes groups a digit apart."""
 
 _MOVES = 2.0
 """Least distance of the two groups, in changes of the value between two samples: wrong stamps feign up to one."""
@@ -41,7 +41,7 @@ StampArray = NDArray[np.int64]
 class _Judged(NamedTuple):
     """The distance of two streams in a window, 0 where there is one, and whether the motion may feign it."""
 
-    apart: float
+    distance: float
     may_be_feigned: bool = False
 
 
@@ -55,18 +55,18 @@ class InterleavedStreams:
         least: distance below which two streams count as one, in the unit of the values.
 
     Attributes:
-        apart: distance of the two streams in the unit of the values; 0 where there is one.
+        distance: distance of the two streams in the unit of the values; 0 where there is one.
 
     >>> streams = InterleavedStreams(least=0.01)
     >>> for n in range(64):
     ...     turned_on = streams.add(n * 50_000_000, np.array([0.001 * math.sin(0.7 * n) + n % 2]))
-    >>> round(streams.apart, 1)
+    >>> round(streams.distance, 1)
     1.0
     """
 
     def __init__(self, least: float) -> None:
         self._least = least
-        self.apart = 0.0
+        self.distance = 0.0
         self._times: list[int] = []
         self._values: list[FloatArray] = []
         self._due_ns = -1
@@ -90,7 +90,7 @@ class InterleavedStreams:
             values: shape (N, n).
         """
         tried = InterleavedStreams(self._least)
-        tried.apart, tried._due_ns, tried._clean = self.apart, self._due_ns, self._clean
+        tried.distance, tried._due_ns, tried._clean = self.distance, self._due_ns, self._clean
         tried._times, tried._values = self._times.copy(), self._values.copy()
         return tried.add_all(times_ns, values)
 
@@ -113,14 +113,14 @@ class InterleavedStreams:
         judged = _judged(np.array(self._times), np.array(self._values), self._least)
         self._due_ns = self._times[0] + _EVERY_NS
         self._times, self._values = [], []
-        was_two = self.apart > 0.0
-        if judged.apart and (was_two or not judged.may_be_feigned):
-            self._clean, self.apart = 0, judged.apart
+        was_two = self.distance > 0.0
+        if judged.distance and (was_two or not judged.may_be_feigned):
+            self._clean, self.distance = 0, judged.distance
         elif was_two:
             self._clean += 1
             if self._clean >= _CLEAN:
-                self._clean, self.apart = 0, 0.0
-        return (self.apart > 0.0) is not was_two
+                self._clean, self.distance = 0, 0.0
+        return (self.distance > 0.0) is not was_two
 
 
 def _judged(times_ns: StampArray, values: FloatArray, least: float) -> _Judged:
@@ -142,13 +142,13 @@ def _judged(times_ns: StampArray, values: FloatArray, least: float) -> _Judged:
         return _ONE
     design = np.column_stack([design, upper])
     fit = np.linalg.lstsq(design, moved, rcond=None)[0]
-    left, apart = moved - design @ fit, float(np.linalg.norm(fit[4]))
+    left, distance = moved - design @ fit, float(np.linalg.norm(fit[4]))
     scatter = math.sqrt(float(np.sum(left * left)) / (WINDOW - 5))
-    if not apart >= max(least, _SCATTERS * scatter, _STEPS * _smallest_step(moved, upper)):
+    if not distance >= max(least, _SCATTERS * scatter, _STEPS * _smallest_step(moved, upper)):
         return _ONE
     ends = fit[1], fit[1] + 2.0 * fit[2] + 3.0 * fit[3]
     fastest = max(float(np.linalg.norm(slope)) for slope in ends)
-    return _Judged(apart, apart < _MOVES * fastest * float(np.abs(np.diff(at)).max()))
+    return _Judged(distance, distance < _MOVES * fastest * float(np.abs(np.diff(at)).max()))
 
 
 def _smallest_step(values: FloatArray, upper: NDArray[np.bool_]) -> float:

@@ -19,7 +19,7 @@ def seen(samples: list[AttitudeSample]) -> list[float]:
     streams, apart = InterleavedStreams(LEAST), []
     for sample in samples:
         streams.add(sample.time_ns, sample.rotation_nd.ravel())
-        apart.append(streams.apart)
+        apart.append(streams.distance)
     return apart
 
 
@@ -100,9 +100,9 @@ def test_a_block_is_seen_as_its_samples_one_by_one(block: int) -> None:
         count = streams.count_before_change(times[some], values[some])
         assert streams.add_all(times[some][:count], values[some][:count]) == count
         start += count
-        assert streams.apart == single[start - 1] if start else True
+        assert streams.distance == single[start - 1] if start else True
         assert len({value > 0.0 for value in single[start - count : start]}) <= 1
         if count < len(times[some]):
             assert streams.add(int(times[start]), values[start])
-            assert streams.apart == single[start]
+            assert streams.distance == single[start]
             start += 1

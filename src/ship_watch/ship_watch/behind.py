@@ -30,7 +30,7 @@ _ATTITUDE_NODES = _NODES[:2]
 class _Behind:
     text: str
     since_ns: int
-    told_ns: int
+    reported_ns: int
 
 
 class BehindBook:
@@ -47,7 +47,7 @@ class BehindBook:
         if node not in _NODES:
             return
         known = self._nodes.get(node)
-        since_ns = now_ns if known is None or now_ns - known.told_ns > _APART_NS else known.since_ns
+        since_ns = now_ns if known is None or now_ns - known.reported_ns > _APART_NS else known.since_ns
         self._nodes[node] = _Behind(str(message.reason_text), since_ns, now_ns)
 
     def text(self, now_ns: int, is_pointing: bool, by_attitude: bool) -> str:
@@ -90,4 +90,4 @@ class BehindBook:
 
     def _is_behind(self, node: str, now_ns: int) -> bool:
         known = self._nodes.get(node)
-        return known is not None and now_ns - known.told_ns <= FRESH_NS
+        return known is not None and now_ns - known.reported_ns <= FRESH_NS

@@ -100,9 +100,9 @@ class ContestedInputs:
     def text(self, topic: str) -> str:
         """For people, that two publishers send on a topic; empty where one does."""
         streams = self._streams.get(topic)
-        if topic in self._named or streams is None or not streams.apart:
+        if topic in self._named or streams is None or not streams.distance:
             return self._named.get(topic, "")
-        apart = self._continuous[topic].words(streams.apart)
+        apart = self._continuous[topic].words(streams.distance)
         return f"two streams alternate on {topic}, {apart}: end one of its two publishers"
 
     def see(self, topic: str, time_ns: int, value: Any) -> bool:

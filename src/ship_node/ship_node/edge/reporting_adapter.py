@@ -254,14 +254,14 @@ class ReportingAdapter(ABC):
             return
         topic = feed.input.topic
         if self._contested.see(topic, reading.value.time_ns, reading.value):
-            self._tell_contested(topic)
+            self._pass_on_contested(topic)
 
     def contest(self, topic: str, text: str) -> None:
         """See :class:`ship_node.edge.adapter.Adapter`."""
         self._contested.name(topic, text)
-        self._tell_contested(topic)
+        self._pass_on_contested(topic)
 
-    def _tell_contested(self, topic: str) -> None:
+    def _pass_on_contested(self, topic: str) -> None:
         """Pass on to health and core that an input has two publishers; of one that is taken out, to health alone."""
         feed, text = self.feeds[topic], self._contested.text(topic)
         self.health.contested(topic, text)
@@ -369,7 +369,7 @@ class ReportingAdapter(ABC):
         self.core.reconfigure(self.config)
         self._bind()
         for topic in filter(self._contested.text, self.feeds):
-            self._tell_contested(topic)
+            self._pass_on_contested(topic)
 
     # -- results of the core --------------------------------------------------------------------------------
 
@@ -385,7 +385,7 @@ class ReportingAdapter(ABC):
                 self.conflicts.pop(feed.source, None)
             topic, is_attitude = feed.input.topic, decision.noise.shape == _OF_ATTITUDE and not decision.revised
             if is_attitude and self._contested.see(topic, decision.measurement.time_ns, decision):
-                self._tell_contested(topic)
+                self._pass_on_contested(topic)
             judged.append((feed.source, decision))
         self.verdicts.pending += judged
         published: list[Published] = []
@@ -543,7 +543,7 @@ class ReportingAdapter(ABC):
         contested = list(filter(self._contested.text, self.feeds))
         self._contested.restart()
         for topic in contested:
-            self._tell_contested(topic)
+            self._pass_on_contested(topic)
 
     def _step_time_base(self, step_ns: int, waiting_ns: int) -> None:
         """Reset by a step of the time base: what is known of mountings, clocks and calibration is kept."""

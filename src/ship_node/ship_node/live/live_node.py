@@ -104,7 +104,7 @@ class LiveNode:
         self._inbox = Inbox({i.topic: qos.depth for i, qos in wanted.items()}, lasting)
         self._backlog = Backlog(time.monotonic_ns)
         # All that comes now has come after this, by steady time.
-        self._heard_all_ns = 0
+        self._all_received_ns = 0
         for name in adapter_class.services:
             self.node.create_service(Trigger, f"~/{name}", partial(self._serve, name))
         # The box has said its path itself, which is another one where a box was there.
@@ -119,10 +119,10 @@ class LiveNode:
 
     def spin(self, stop: Callable[[], bool]) -> None:
         """Work until ``stop()`` or until the context ends."""
-        self._heard_all_ns = time.monotonic_ns()
+        self._all_received_ns = time.monotonic_ns()
         while not stop() and self._context.ok():
             if self._events.take(0.0 if self._inbox and self._last_ns else SPIN_TIMEOUT_S):
-                self._heard_all_ns = time.monotonic_ns()
+                self._all_received_ns = time.monotonic_ns()
             self._guard.call("backlog", self._judge_backlog)
             self._guard.call("work", self._work)
             if self._clock.is_dead() and not self._status_log.tells_of("clock"):
@@ -198,7 +198,7 @@ class LiveNode:
         data, information = message
         now_ns, waiting_ns = self._clock.times()
         # An EventsExecutor of rclpy 7.1.6 cannot pass on the time of reception. /clock waits in the same queue.
-        since_ns = now_ns if self._clock.is_simulated() else self._heard_all_ns
+        since_ns = now_ns if self._clock.is_simulated() else self._all_received_ns
         self._inbox.put(Arrival(topic, data, now_ns, waiting_ns, since_ns, self._clock.stepped_ns))
         are_two = self._senders[topic].came(information["publication_sequence_number"], time.monotonic_ns())
         if are_two and topic not in self._contested:
