@@ -108,6 +108,25 @@ def test_the_error_of_the_turn_is_what_noise_and_time_offset_make_of_it() -> Non
     assert 3 - 3.3 * np.sqrt(6 / draws) < total / draws < 3 + 3.3 * np.sqrt(6 / draws)
 
 
+def test_noise_beyond_what_is_stated_counts_in_a_turn() -> None:
+    """Samples 50 ms apart with noise of 20″, of which one is stated; found by the guard itself."""
+    config = StarInsConfig(white_sigma_arcsec=1.0, time_offset_sigma_s=0.0)
+    expected = attitude(5.0, HEADING_DEG).T @ attitude(5.15, HEADING_DEG)
+    true, draws = [sample(t) for t in range(0, 6000, 50)], 100
+    squares = variances = 0.0
+    for draw in range(draws):
+        noise = exp_rotation(20.0 * ARCSEC * np.random.default_rng(draw).standard_normal((len(true), 3)))
+        some = InsMotion(config, StreamGuards(config))
+        for one, turned in zip(true, noise, strict=True):
+            some.add(replace(one, rotation_nd=turned @ one.rotation_nd))
+        turn, covariance_d = turn_of(some, 5000, 5150)
+        squares += float(np.sum(log_rotation(expected @ turn.T) ** 2))
+        variances += float(np.trace(covariance_d))
+    # The measured noise counts with how well it is known: sigma is a few per cent too large.
+    low, high = sigma_ratio_band(3 * draws)
+    assert 0.9 * low < np.sqrt(squares / variances) < high
+
+
 @pytest.mark.parametrize(
     ("periods", "rates"),
     # Without measured rates the estimate of the interpolation's error is made of the samples' noise, and is a fifth of

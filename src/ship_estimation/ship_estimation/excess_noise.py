@@ -153,9 +153,16 @@ class ExcessNoise:
         self._due_ns = 0
         self._usual_rad = self._fastest2 = 0.0
 
-    def reconfigure(self, stated_rad: float) -> None:
-        """Go on with another stated noise."""
-        self._stated_rad = stated_rad
+    def reconfigure(self, stated_rad: float) -> ExtraNoise | None:
+        """Go on with another stated noise; return the excess over that, where there was one over the stated before."""
+        changed, self._stated_rad = stated_rad != self._stated_rad, stated_rad
+        found = self.found
+        if found is None or not changed:
+            return None
+        newest_ns = self._collected[-1][0].time_ns if self._collected else found.first_ns
+        if found.sigma_rad(self._fastest2) ** 2 >= _LEAST_RATIO2 * stated_rad**2:
+            return self._use(found._replace(first_ns=newest_ns), self._fastest2)
+        return self._end(found, newest_ns)
 
     def forget(self) -> None:
         """Forget what was measured: the rates have changed, or are not measured."""

@@ -126,6 +126,7 @@ class InsGuard:
         # How often a drift of the rates was learnt.
         self._learnt = 0
         self._excess = ExcessNoise(ARCSEC)
+        # Noise that is known but not returned yet, with the judgement of a sample.
         self._new_noise: ExtraNoise | None = None
         self.by_rates: Witness | None = None
         self.reconfigure(config)
@@ -134,7 +135,7 @@ class InsGuard:
         """Go on with another noise, an arcsecond at least."""
         self._stated_rad = max(config.white_sigma_arcsec * ARCSEC, ARCSEC)
         self._rate_sigma = config.rate_sigma_arcsec_per_s * ARCSEC
-        self._excess.reconfigure(self._stated_rad)
+        self._new_noise = self._excess.reconfigure(self._stated_rad) or self._new_noise
         self._jumps.samples = config.jump_samples
         self._leads.drift.with_earth = config.rate_has_earth_rate
         self._set_sigma()
@@ -329,7 +330,7 @@ class InsGuard:
             if on_line is False:
                 self._excess.suspect(sample.time_ns, self._leads.by_rates.typical_rad)
         if seen.integrated is not None and self._excess.collects:
-            self._new_noise = self._excess.observe(sample, seen.integrated, measured)
+            self._new_noise = self._excess.observe(sample, seen.integrated, measured) or self._new_noise
         if on_line and previous is taken:
             # Nearly all samples of a healthy INS go this way.
             jumps = self._kept(seen)
@@ -418,7 +419,7 @@ class InsGuard:
         """Learn from what samples on a line tell; the jump as large as what has crept where it does not fit."""
         sums, self._steps.noise = self._steps.noise, None
         if sums is not None:
-            self._new_noise = self._excess.add(sums)
+            self._new_noise = self._excess.add(sums) or self._new_noise
         learnt, self._steps.learnt = self._steps.learnt, None
         if learnt is None:
             return ()

@@ -125,6 +125,22 @@ def test_a_larger_stated_noise_has_no_excess() -> None:
     assert changes(samples, white_sigma_arcsec=1.0) != []
 
 
+def test_an_excess_is_over_or_another_one_when_the_stated_noise_becomes_larger() -> None:
+    """Noise of 1″ and further noise of 5″ make 5.1″ together."""
+    samples = noisy(stream(20.0, 20.0), 5.0, 0)
+    for stated_arcsec, excess_arcsec in ((5.1, 0.0), (2.0, np.sqrt(26.0 - 4.0))):
+        guard = InsGuard(GuardedInsConfig(white_sigma_arcsec=1.0))
+        for sample in samples[:-1]:
+            guard.judge(sample, NOTHING_LATE, {})
+        assert guard.excess_text != ""
+        guard.reconfigure(GuardedInsConfig(white_sigma_arcsec=stated_arcsec))
+        noise = guard.judge(samples[-1], NOTHING_LATE, {}).noise
+        assert noise is not None
+        assert noise.from_ns == samples[-2].time_ns
+        assert sigma_arcsec(noise) == pytest.approx(excess_arcsec, rel=0.3)
+        assert (guard.excess_text != "") == (excess_arcsec > 0.0)
+
+
 def test_extra_noise_counts_from_its_stamp_on_between_samples_and_at_the_newest() -> None:
     track, rate_d = AttitudeTrack(10**9), np.array([0.1, 0.0, 0.0])
     for number in range(5):

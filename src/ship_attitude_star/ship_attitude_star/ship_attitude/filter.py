@@ -113,7 +113,7 @@ class ShipFilter:
         add_error(stack, count, part, slice(None), everywhere)
 
     def opened(self, state: FilterState, jump: InsChange) -> FilterState:
-        """The state after a jump of the INS: its slow error may be as large as that. Or where its noise has changed.
+        """The state after a jump of the INS, by which its slow error may have changed, or after a change of its noise.
 
         The stamps of the INS and of a device may differ for the same moment. The state is opened so much earlier that
         no measurement with the attitude of after the jump comes before; one with the attitude of before is refused.

@@ -159,6 +159,8 @@ class InsMotion:
         for jump in judged.jumps:
             self.track.cut(jump.time_ns)
             self._jumps.append(jump)
+        if judged.noise is not None:
+            self.track.add_noise(judged.noise)
         if judged.refusal is not None:
             return judged.refusal
         sample = judged.sample
@@ -213,7 +215,7 @@ class InsMotion:
         noise = self.track.noise_covariance_of_sums(
             [self._noise_of_turn(to_ns if row in moved else e.time_ns, e) for row, e in enumerate(exposures)]
         )
-        noise *= (self._config.white_sigma_arcsec * ARCSEC) ** 2
+        noise *= self._noise_variance(to_ns)
         rotations = np.tile(np.eye(3), (len(exposures), 1, 1))
         covariance_d = noise[:, None, :, None] * np.eye(3)[:, None, :]
         if moved:
@@ -284,6 +286,14 @@ class InsMotion:
         if to_ns == exposure.time_ns:
             return []
         return [(middle_ns, 1.0), (to_ns - self._offset_ns, -1.0)]
+
+    def _noise_variance(self, time_ns: int) -> float:
+        """Variance of an attitude's noise about its worst axis at a moment, rad²."""
+        stated = (self._config.white_sigma_arcsec * ARCSEC) ** 2
+        extra, found = self.track.extra_noise(time_ns - self._offset_ns), self._at(time_ns)
+        if extra is None or found is None:
+            return stated
+        return stated + extra.white_rad2 + extra.jitter_s2 * float(found.rate_d @ found.rate_d)
 
     def _jumped_n(self, time_ns: int) -> FloatArray:
         """Sum of all jumps of the INS until a moment, rotation vector, rad: its attitude may be wrong by as much."""

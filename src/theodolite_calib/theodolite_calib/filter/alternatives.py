@@ -265,9 +265,7 @@ class SourceRows:
         return replace(rows, mean=rows.mean + corrections, parts=stack[:, None])
 
 
-def add_unknown_change(
-    parts: FloatArray, states: NDArray[np.intp], source_index: int, sigma_rad: float
-) -> None:
+def add_unknown_change(parts: FloatArray, states: NDArray[np.intp], source_index: int, sigma_rad: float) -> None:
     """Add to the covariance what states may have changed since the last sighting, in parts of shape (n_sources, n, n).
 
     The correlations with the other states stay. Were the states drawn again at every sighting, an error that stays
