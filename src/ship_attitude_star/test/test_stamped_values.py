@@ -244,6 +244,18 @@ def test_a_settled_value_is_replaced_only_by_what_lasts() -> None:
     assert not any(disputed)
 
 
+def test_a_settled_value_stays_settled_over_a_step_of_the_clocks_and_a_provisional_one_provisional() -> None:
+    """Values come each fifth second, so that two of them are carried."""
+    for count, is_settled in ((3, False), (4, True)):
+        values = StampedValues[Reading](SETTLES)
+        for number in range(count):
+            values.insert(ns(5.0 * number), Reading(float(number)))
+        shifted = values.with_shifted_stamps(ns(-300.0) - ns(0.0))
+        for number in range(2):
+            shifted.insert(ns(5.0 * (count + number) - 300.0), Reading(1000.0))
+        assert shifted.is_disputed(ns(0.0)) is not is_settled
+
+
 def test_opponents_that_do_not_agree_replace_nothing() -> None:
     refused, disputed = settling((0.0, 0.0), (1.0, 0.0), *((float(t), 500.0 * (t % 3)) for t in range(2, 60)))
     assert refused == [float(t) for t in range(2, 60) if t % 3]

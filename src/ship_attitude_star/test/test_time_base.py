@@ -13,7 +13,9 @@ import pytest
 
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_estimation.outcome import Status
+from ship_estimation.refusals import Reason
 from ship_geometry.rotations import log_rotation
+from ship_node.edge.time_base import TimeBase
 from ship_testing.adapter_runs import (
     FACTORY,
     SECOND_NS,
@@ -289,6 +291,32 @@ def test_an_ins_that_drifts_until_stars_come_back_no_longer_tells_utc() -> None:
     run = sailed(ShipAttitudeAdapter(observing(ins=drifting), FACTORY), dark, off_ns, live=True)
     assert run.adapter.core.state.utc is None
     assert not_valid_s(run, 35.0) < 2.0
+
+
+def test_a_contested_sensor_stays_contested_after_a_step() -> None:
+    off_ns = clock((10.0, -300.0))
+    adapter = new_adapter()
+    sailed(adapter, [a for a in voyage(15.0) if a.receive_ns < START_NS + 5 * SECOND_NS], off_ns)
+    adapter.contest(FORE, "two publishers send")
+    run = sailed(adapter, [a for a in voyage(15.0) if a.receive_ns >= START_NS + 5 * SECOND_NS], off_ns)
+    assert {m.status for since_s, m in attitudes(run) if since_s > 6.0} == {Status.DEGRADED}
+    assert steps(run) != []
+    adapter.contest(FORE, "")
+    assert not_valid_s(run, 15.0) == 0.0
+
+
+def test_a_message_ahead_of_the_others_is_counted_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    counted, count = [], TimeBase.add_arrival
+
+    def add_arrival(self: TimeBase, topic: str, *times_ns: int) -> int | None:
+        counted.append((topic, *times_ns))
+        return count(self, topic, *times_ns)
+
+    monkeypatch.setattr(TimeBase, "add_arrival", add_arrival)
+    run = sailed(new_adapter(), voyage(8.0), clock((5.0, 900.0)))
+    assert len(steps(run)) == 1
+    assert run.innovations(Reason.FUTURE) != []
+    assert len(counted) == len(set(counted))
 
 
 @pytest.mark.slow

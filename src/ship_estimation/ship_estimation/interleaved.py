@@ -56,6 +56,7 @@ class InterleavedStreams:
 
     Attributes:
         distance: distance of the two streams in the unit of the values; 0 where there is one.
+        newest_ns: stamp of the last value; None before the first one.
 
     >>> streams = InterleavedStreams(least=0.01)
     >>> for n in range(64):
@@ -67,6 +68,7 @@ class InterleavedStreams:
     def __init__(self, least: float) -> None:
         self._least = least
         self.distance = 0.0
+        self.newest_ns: int | None = None
         self._times: list[int] = []
         self._values: list[FloatArray] = []
         self._due_ns = -1
@@ -74,6 +76,7 @@ class InterleavedStreams:
 
     def add(self, time_ns: int, value: FloatArray) -> bool:
         """Add a value, shape (n,); returns whether one stream has become two, or two have become one."""
+        self.newest_ns = time_ns
         if not self._times and self._due_ns - _EVERY_NS < time_ns < self._due_ns:
             return False
         self._times.append(time_ns)
@@ -97,6 +100,8 @@ class InterleavedStreams:
     def add_all(self, times_ns: StampArray, values: FloatArray) -> int:
         """Add values as by :meth:`add`, up to the one that changes the answer; returns the number before that one."""
         start = 0
+        if len(times_ns):
+            self.newest_ns = int(times_ns[-1])
         while start < len(times_ns):
             if not self._times:
                 start += int(times_ns[start:].searchsorted(self._due_ns)) if times_ns[start] < self._due_ns else 0

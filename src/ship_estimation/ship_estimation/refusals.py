@@ -28,6 +28,9 @@ AGREES_AGAIN_AFTER_S = 10.0
 """So long a source that contradicted itself must have agreed with itself before what rests on it is VALID again."""
 _AGREES_AGAIN_AFTER_NS = round(AGREES_AGAIN_AFTER_S * SECOND_NS)
 
+_AT_ALL_STAMPS_NS = -(2**62)
+"""Stamp since when a source is contested where the stamps may have begun anew meanwhile."""
+
 FOUND_WITHIN_S = 2.0
 """Two publishers of one source are found within this time from their second message on."""
 
@@ -196,9 +199,13 @@ class Contradictions:
         return bool(self.latest_ns or self.contested)
 
     def forget(self) -> None:
-        """Forget the conflicts; a contested source stays contested until :meth:`contest` ends that."""
+        """Forget the conflicts; a contested source stays so until :meth:`contest` ends that, at all stamps from now on.
+
+        Stamps may begin anew, before the one from which on it was contested.
+        """
         self.latest_ns: dict[str, int] = {}
         self.since_ns: dict[str, int] = {}
+        self.contested = {source: (_AT_ALL_STAMPS_NS, text) for source, (_, text) in self.contested.items()}
 
     def contest(self, source: str, time_ns: int, text: str) -> None:
         """Set that two publishers send as a source; an empty text ends it.

@@ -29,6 +29,18 @@ def test_the_values_tell_two_streams_and_that_there_is_one_again() -> None:
     assert inputs.text("ins/imu") == ""
 
 
+def test_what_the_values_have_told_ends_with_both_streams() -> None:
+    """Ticks come each second; both streams end at 5 s."""
+    inputs = ContestedInputs({"ins/imu": ATTITUDE})
+    ended_s = []
+    for now_s in range(60):
+        if now_s < 5:
+            see(inputs, 20 * now_s, 20, 0.5)
+        ended_s += [now_s] * len(inputs.end_silent(now_s * 1_000_000_000))
+        assert (inputs.text("ins/imu") != "") is (1 <= now_s < 35)
+    assert ended_s == [35]
+
+
 def test_a_restart_forgets_what_the_values_have_told_and_keeps_the_names() -> None:
     inputs = ContestedInputs({"ins/imu": ATTITUDE})
     see(inputs, 0, 100, 0.5)

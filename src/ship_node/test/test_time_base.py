@@ -17,12 +17,13 @@ Step = Callable[[str, float], float]
 
 
 def arrivals(duration_s: float, step_s: Step, delay_s: Delay, **periods_s: float) -> Iterator[tuple[float, str, float]]:
-    """(waiting s, topic, stamp s) in the order of arrival."""
+    """(waiting s, topic, stamp s) in the order of arrival; what is delayed by a day or more never comes."""
     found = []
     for number, (topic, period_s) in enumerate({**PERIODS_S, **periods_s}.items()):
         for valid_s in np.arange(0.0017 * number, duration_s, period_s):
             waiting_s = valid_s + LATENCY_S[topic] + delay_s(topic, valid_s)
-            found.append((waiting_s, topic, valid_s + step_s(topic, valid_s)))
+            if waiting_s < valid_s + 86_400.0:
+                found.append((waiting_s, topic, valid_s + step_s(topic, valid_s)))
     yield from sorted(found)
 
 
@@ -100,6 +101,19 @@ def test_one_device_alone_is_never_a_step_of_the_time_base(alone: str, step_s: f
         return step_s if topic == alone and 20.0 <= valid_s < 20.0 + lasts_s else 0.0
 
     assert found(step, duration_s=150.0, node_follows=False) == []
+
+
+@pytest.mark.parametrize("step_s", [-1.0, -5.0])
+def test_an_input_that_moved_and_fell_silent_keeps_nothing_in_question(step_s: float) -> None:
+    """The star sensor steps alone and ends two seconds later; then a link delays all others by as much for good."""
+
+    def delay_s(topic: str, valid_s: float) -> float:
+        return 1e6 if topic == "star/fore" and valid_s > 22.0 else -step_s * (topic != "star/fore" and valid_s > 30.0)
+
+    clocks = TimeBase()
+    steps = found(lambda topic, valid_s: step_s * (topic == "star/fore" and valid_s > 20.0), delay_s, clocks=clocks)
+    assert steps == []
+    assert not clocks.is_in_question
 
 
 def test_the_computers_clock_alone_is_no_step_of_the_time_base() -> None:

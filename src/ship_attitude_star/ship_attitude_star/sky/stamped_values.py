@@ -194,11 +194,16 @@ class StampedValues(Generic[Value]):
             del self._stamps[:forgotten], self._taken[:forgotten], self._beliefs[:forgotten]
 
     def with_shifted_stamps(self, step_ns: int) -> "StampedValues[Value]":
-        """Return the values that are believed, of the last seconds or the last one, with stamps later by a step."""
+        """Return the values that are believed, of the last seconds or the last one, with stamps later by a step.
+
+        They are provisional only where the last one is.
+        """
         shifted: StampedValues[Value] = StampedValues(self._limits)
         for time_ns, value in zip(self.times, self.values, strict=True):
             if time_ns >= self.times[-1] - _CARRIED_NS:
                 shifted.insert(time_ns + step_ns, value)
+        if not self._is_provisional(self._belief_before(len(self._stamps))):
+            shifted._beliefs = [replace(belief, agreed=self._limits.settled_by) for belief in shifted._beliefs]
         return shifted
 
     # -- answers --------------------------------------------------------------------------------------------

@@ -212,7 +212,7 @@ class ReportingAdapter(ABC):
         if self.saved is not None and self.saved.is_due and not is_off:
             self.saved.start(receive_ns)
         try:
-            reading = feed.read(message, receive_ns=receive_ns)
+            reading = self._read(feed, message, receive_ns, waiting_ns)
             if is_off:
                 return self.set_aside(feed, reading, receive_ns, waiting_ns)
             refusal = self.check_clock(feed, reading.value.time_ns, receive_ns, waiting_ns)
@@ -223,8 +223,6 @@ class ReportingAdapter(ABC):
         except Refused as refused:
             known = refused.refusal.reason is not Reason.BAD_STAMP
             time_ns = ns_from_stamp(message.header.stamp) if known else receive_ns
-            if refused.refusal.reason is Reason.FUTURE and not is_off:
-                self.check_clock(feed, time_ns, receive_ns, waiting_ns)
             self.health.turned_away(topic, waiting_ns, receive_ns, time_ns, refused.refusal)
             return [self.refused(feed.source, time_ns, refused.refusal)]
         except Exception:
@@ -232,6 +230,15 @@ class ReportingAdapter(ABC):
             self.health.arrived(topic, waiting_ns)
             raise
         return self.told(feed, reading, outcome, receive_ns, waiting_ns)
+
+    def _read(self, feed: Feed, message: Any, receive_ns: int, waiting_ns: int) -> ReadMessage[Any]:
+        """Return what is read of a message; one that is refused as ahead of the node's clock may show a step of all."""
+        try:
+            return feed.read(message, receive_ns=receive_ns)
+        except Refused as refused:
+            if refused.refusal.reason is Reason.FUTURE and not self.is_off(feed.input.topic):
+                self.check_clock(feed, ns_from_stamp(message.header.stamp), receive_ns, waiting_ns)
+            raise
 
     def told(
         self, feed: Feed, reading: ReadMessage[Any], outcome: Any, receive_ns: int, waiting_ns: int
@@ -303,6 +310,8 @@ class ReportingAdapter(ABC):
             self.saved.start(now_ns)
         published = self.published(self.core.tick(now_ns, waiting_ns), now_ns, waiting_ns)
         published += self._invalid_while_behind(now_ns, waiting_ns)
+        for topic in self._contested.end_silent(waiting_ns):
+            self._pass_on_contested(topic)
         self._save_by_itself(waiting_ns)
         if self.slow_due_ns is None or waiting_ns >= self.slow_due_ns:
             self.slow_due_ns = waiting_ns + round(self.config.slow_topics_period_s * _SECOND_NS)

@@ -39,6 +39,9 @@ _LONGEST_PERIOD_NS = SECOND_NS
 _THERE_PERIODS = 3.0
 """Number of mean periods after which an input without a message is no longer there."""
 
+_GONE_AFTER_NS = 2 * SECOND_NS
+"""Time, of at least :data:`_THERE_PERIODS`, after which a silent input that has moved keeps nothing in question, ns."""
+
 _OWN_CLOCK_AFTER_NS = 60 * SECOND_NS
 """Time after which an input that alone has moved is compared with its own new clock, ns."""
 
@@ -270,6 +273,11 @@ class TimeBase:
 
     def _decide(self, topic: str, clock: _InputClock, waiting_ns: int) -> int | None:
         """Return the step if the last message of an input decides that there was one."""
+        for other in self._clocks.values():
+            if other.moved_ns and waiting_ns - other.arrival_ns > max(
+                _GONE_AFTER_NS, _THERE_PERIODS * other.period_ns
+            ):
+                other.alone_ns, other.moved_ns = other.alone_ns + other.moved_ns, 0
         candidate = self._candidate
         if not any(other.moved_ns for other in self._clocks.values()):
             self._candidate = None
