@@ -66,11 +66,14 @@ class Silence:
 
     def add(self, step_s: float) -> None:
         """Add the time since the last look, without the time for which the process waited for a processor."""
-        before_s, self._waited_s = self._waited_s, self._processor_wait_s()
-        self.time_s += max(0.0, min(step_s, LONGEST_STEP_S) - (self._waited_s - before_s))
+        before_s, waited_s, waiting_s = self._waited_s, self._processor_wait_s(), 0.0
+        if waited_s is not None:
+            self._waited_s = waited_s
+            waiting_s = 0.0 if before_s is None else max(0.0, waited_s - before_s)
+        self.time_s += max(0.0, min(step_s, LONGEST_STEP_S) - waiting_s)
 
-    def _processor_wait_s(self) -> float:
-        """Time for which the main thread was ready to run and had no processor, s; 0 where the kernel does not say."""
+    def _processor_wait_s(self) -> float | None:
+        """Time for which the main thread was ready to run and had no processor, s; None where it cannot be read."""
         with contextlib.suppress(OSError, IndexError, ValueError):
             return int(self._schedstat.read_text(encoding="ascii").split()[1]) * 1e-9
-        return 0.0
+        return None

@@ -1,0 +1,43 @@
+"""The time without a sign of life, by made-up times for which a process waited for a processor."""
+
+import errno
+import os
+
+import pytest
+
+from ship_bringup.suite.signs_of_life import Silence
+
+MISSING = OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+
+class Schedstat:
+    """The file of a process with these times of waiting at one reading after another, s; an exception is raised."""
+
+    def __init__(self, *waited_s: float | Exception) -> None:
+        self._waited_s = list(waited_s)
+
+    def read_text(self, encoding: str) -> str:
+        waited_s = self._waited_s.pop(0)
+        if isinstance(waited_s, Exception):
+            raise waited_s
+        return f"5000000 {waited_s * 1e9:.0f} 17\n"
+
+
+@pytest.mark.parametrize(
+    ("waited_s", "time_s"),
+    [
+        ((20.0, 20.0, 20.0), 1.5),
+        ((20.0, 20.4, 25.0), 0.1),  # the last step was all waiting
+        ((20.0, MISSING, 20.0), 1.5),  # the keeper had no file descriptor left
+        ((20.0, MISSING, MISSING), 1.5),
+        ((20.0, MISSING, 20.3), 1.2),
+        ((MISSING, 20.0, 20.3), 1.2),
+        ((20.0, 0.0, 0.0), 1.5),
+    ],
+)
+def test_no_more_than_the_step_counts_whatever_can_be_read(monkeypatch, waited_s, time_s):
+    monkeypatch.setattr("ship_bringup.suite.signs_of_life.Path", lambda _path: Schedstat(*waited_s))
+    silence = Silence(1)
+    silence.add(0.5)
+    silence.add(1.0)
+    assert silence.time_s == pytest.approx(time_s)
