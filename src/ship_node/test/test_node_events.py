@@ -15,6 +15,7 @@ from ship_node.live.node_events import LARGEST_MESSAGE_BYTES, MOST_EVENTS, Arriv
 from ship_node.live.node_report import Guard
 
 DEPTH = 100
+S = 1_000_000_000
 
 
 @pytest.fixture
@@ -114,11 +115,11 @@ def test_where_a_node_is_behind_all_topics_are_cut_to_one_time() -> None:
     for arrival in stamped("star", 1) + stamped("ins", *range(1, 50)) + stamped("fix", 2) + stamped("star", 40):
         inbox.put(arrival)
     assert inbox.since_ns == 7
-    inbox.cut(now_ns=90, waiting_ns=91, since_ns=92)
+    inbox.cut(now_ns=90 * S, waiting_ns=91, since_ns=92)
     assert inbox.take_behind() == {"star": 2, "ins": 49}
     assert inbox.take_behind() == {}
     # A position holds until the next one. It is used now.
-    assert [arrival[2:5] for arrival in iter(lambda: inbox.take() if inbox else None, None)] == [(90, 91, 92)]
+    assert [arrival[2:5] for arrival in iter(lambda: inbox.take() if inbox else None, None)] == [(90 * S, 91, 92)]
     # Stars of before the newest INS sample that was cut would be compared with nothing.
     for arrival in stamped("star", 48, 49, 50) + stamped("ins", 50) + stamped("fix", 3):
         inbox.put(arrival)
@@ -128,6 +129,24 @@ def test_where_a_node_is_behind_all_topics_are_cut_to_one_time() -> None:
     inbox.keeps_up()
     inbox.put(stamped("star", 48)[0])
     assert len(inbox) == 1
+
+
+@pytest.mark.parametrize(
+    ("ins_s", "first_taken_s"),
+    [
+        ([*range(1, 50), 2_000_000_000], 50),  # one stamp of the year 2033
+        (range(19, 69), 51),  # a device that stamps by GPS time, 18 s ahead
+        ([2_000_000_000] * 50, 51),
+    ],
+)
+def test_a_stamp_ahead_of_the_clock_of_the_node_drops_nothing_that_comes_later(ins_s, first_taken_s) -> None:
+    inbox = Inbox({"ins": 100, "star": 100})
+    for arrival in stamped("star", 40) + stamped("ins", *ins_s):
+        inbox.put(arrival)
+    inbox.cut(now_ns=50 * S, waiting_ns=7, since_ns=7)
+    for arrival in stamped("star", first_taken_s - 1, first_taken_s) + stamped("ins", first_taken_s):
+        inbox.put(arrival)
+    assert [arrival.topic for arrival in iter(lambda: inbox.take() if inbox else None, None)] == ["star", "ins"]
 
 
 def test_a_message_without_a_stamp_is_cut_with_all_others_and_taken_after_that() -> None:

@@ -155,7 +155,8 @@ class Inbox:
     at most so old, and a flood on one topic displaces nothing of another.
 
     Where a node is behind (:mod:`ship_node.live.backlog`), all topics are cut to one time: the newest stamp on the
-    topic of which most is cut. What comes after that with an earlier stamp would be compared with nothing.
+    topic of which most is cut, of those that are not ahead of the node's clock. What comes after that with an earlier
+    stamp would be compared with nothing.
 
     Args:
         depths: topic → messages that may wait.
@@ -217,8 +218,11 @@ class Inbox:
         counts = Counter(arrival.topic for arrival in cut)
         if counts:
             most = counts.most_common(1)[0][0]
-            stamps_ns = [stamp_of_bytes(arrival.data) for arrival in cut if arrival.topic == most]
-            self._cut_until_ns = max((stamp_ns for stamp_ns in stamps_ns if stamp_ns is not None), default=None)
+            all_ns = [stamp_of_bytes(arrival.data) for arrival in cut if arrival.topic == most]
+            stamps_ns = [stamp_ns for stamp_ns in all_ns if stamp_ns is not None]
+            # By a stamp ahead of that, good messages would be dropped until its time comes.
+            past_ns = [stamp_ns for stamp_ns in stamps_ns if stamp_ns <= now_ns]
+            self._cut_until_ns = max(past_ns, default=now_ns if stamps_ns else None)
         self._behind += counts
         self._waiting.clear()
         for numbers in self._numbers.values():
