@@ -78,6 +78,15 @@ def test_a_clock_that_goes_back_begins_another_time_of_work() -> None:
     assert node.judge_for(0.2, 1100.0) == [Change.BEHIND]
 
 
+def test_work_before_a_clock_that_went_back_puts_nothing_off() -> None:
+    node = Node()
+    node.judge_for(100.0, 0.0)
+    node.running_ns -= 10**12
+    node.backlog.restart()
+    assert node.judge_for(0.9, 1500.0) == []
+    assert node.judge_for(0.2, 1500.0) == [Change.BEHIND]
+
+
 def test_the_text_names_node_seconds_cores_and_load() -> None:
     told = overload(3_240 * MS, {"ins/imu": 320})
     assert (told.behind_s, told.cut) == (3.24, {"ins/imu": 320})
