@@ -69,6 +69,33 @@ def test_a_node_keeps_up_again_after_a_second_of_short_waits_though_its_clock_st
     assert not node.backlog.is_behind
 
 
+def judge_hiccups(node: Node, seconds: float, hiccup_ms: int, rate: float) -> list[Change]:
+    """What changes while the node stands still for so long each 0.9 s, and then takes what came meanwhile."""
+    changes = []
+    for _ in range(round(seconds / 0.9)):
+        changes += node.judge_for(0.9, 0.0)
+        changes.append(node.judge(hiccup_ms * rate, step_ns=hiccup_ms * MS))
+        changes.append(node.judge(hiccup_ms * rate / 2))
+    return [change for change in changes if change is not Change.NONE]
+
+
+@pytest.mark.parametrize("rate", [1.0, 5.0, 10.0, 20.0])
+@pytest.mark.parametrize("hiccup_ms", [25, 50, 140])
+def test_small_hiccups_with_a_fast_clock_keep_no_node_behind(rate: float, hiccup_ms: int) -> None:
+    node = Node(rate)
+    node.judge(3100.0)
+    assert judge_hiccups(node, 3.0, hiccup_ms, rate) == [Change.KEEPS_UP]
+    assert judge_hiccups(node, 10.0, hiccup_ms, rate) == []
+
+
+@pytest.mark.parametrize("rate", [1.0, 5.0, 10.0])
+def test_long_hiccups_with_a_fast_clock_keep_a_node_behind(rate: float) -> None:
+    node = Node(rate)
+    node.judge(3100.0)
+    assert judge_hiccups(node, 10.0, 250, rate) == []
+    assert node.backlog.is_behind
+
+
 def test_a_clock_that_goes_back_begins_another_time_of_work() -> None:
     node = Node()
     node.judge_for(0.9, 1100.0)

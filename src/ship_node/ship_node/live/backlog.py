@@ -24,7 +24,8 @@ LONGEST_WAIT_NS = 3_000_000_000
 """Waiting time from which on a node is behind at once, ns."""
 
 SHORT_WAIT_NS = 200_000_000
-"""Waiting time of a node that keeps up, ns: twice the time for which it waits in one go while nothing comes."""
+"""Waiting time of a node that keeps up, ns: twice the time for which it waits in one go while nothing comes.
+Where /clock is faster than real time, this is real time."""
 
 KEPT_UP_NS = 1_000_000_000
 """Steady time with short waiting times after which a node keeps up again, ns."""
@@ -52,7 +53,7 @@ class Backlog:
     def __init__(self, steady_ns: Callable[[], int]) -> None:
         self._steady_ns = steady_ns
         self.is_behind = False
-        self._last_long_ns = 0
+        self._last_long_ns = self._last_long_running_ns = 0
         self.restart()
 
     def restart(self) -> None:
@@ -73,15 +74,18 @@ class Backlog:
         if waited_ns < LONG_WAIT_NS or self._last_short_ns is None:
             self._last_short_ns = worked_ns
         if waited_ns > LONGEST_WAIT_NS or worked_ns - self._last_short_ns > WORKED_NS:
-            self._last_short_ns, self._last_long_ns = worked_ns, self._steady_ns()
+            self._last_short_ns = worked_ns
+            self._last_long_ns, self._last_long_running_ns = self._steady_ns(), running_ns
             self.is_behind = True
             return Change.BEHIND
         if not self.is_behind:
             return Change.NONE
         steady_ns = self._steady_ns()
-        if waited_ns > SHORT_WAIT_NS:
-            self._last_long_ns = steady_ns
-        if steady_ns - self._last_long_ns < KEPT_UP_NS:
+        since_long_ns = steady_ns - self._last_long_ns
+        # By the rate of /clock since the last long wait; a clock that is slow or stands makes no wait shorter.
+        if waited_ns * since_long_ns > SHORT_WAIT_NS * max(since_long_ns, running_ns - self._last_long_running_ns):
+            self._last_long_ns, self._last_long_running_ns, since_long_ns = steady_ns, running_ns, 0
+        if since_long_ns < KEPT_UP_NS:
             return Change.NONE
         self.is_behind = False
         return Change.KEEPS_UP
