@@ -235,14 +235,73 @@ def test_a_look_at_a_suite_sets_nothing_aside(tmp_path):
     assert path.read_text() == "broken"
 
 
+class Poor(DiskFiles):
+    """A disk from which nothing can be read while there is the number of an error."""
+
+    def __init__(self, number):
+        self.number = number
+
+    def read(self, path):
+        if self.number:
+            raise OSError(self.number, os.strerror(self.number), str(path))
+        return super().read(path)
+
+
 @pytest.mark.parametrize("number", [errno.EMFILE, errno.ENFILE, errno.ENOMEM])
 def test_a_good_file_is_not_set_aside_for_want_of_something(tmp_path, number):
-    class Poor(DiskFiles):
-        def read(self, path):
-            raise OSError(number, os.strerror(number), str(path))
-
     path = tmp_path / "alignment.yaml"
     path.write_text(WRITTEN)
     with pytest.raises(BadInput, match="cannot be read"):
-        start(path, Poor())
+        start(path, Poor(number))
     assert path.read_text() == WRITTEN
+
+
+NOT_OF_THE_FILE = [
+    *(errno.EACCES, errno.EPERM),
+    *(errno.EIO, errno.ESTALE, errno.ETIMEDOUT, errno.ENODEV, errno.ENXIO),
+]
+
+
+@pytest.mark.parametrize("number", NOT_OF_THE_FILE)
+def test_a_good_file_that_cannot_be_read_at_the_start_stays_and_is_told_until_it_can(tmp_path, number):
+    path, disk = tmp_path / "alignment.yaml", Poor(number)
+    path.write_text(WRITTEN)
+    saved = start(path, disk, lambda: Content(7, 2.0))
+    assert not saved.is_due
+    assert saved.unreadable.startswith(f"{path}: the alignment cannot be read: {os.strerror(number)}; not saved")
+    saved.save_by_itself()
+    assert (saved.trouble, saved.notices) == (saved.unreadable, [saved.unreadable])
+    assert [each.read_text() for each in tmp_path.iterdir()] == [WRITTEN]
+    disk.number = 0
+    saved.save_by_itself()
+    assert saved.unreadable == ""
+    assert "knows angle better" in saved.trouble
+    assert path.read_text() == WRITTEN
+    saved.save()
+    assert STARTS.load(path) == Content(7, 2.0)
+
+
+@pytest.mark.parametrize("number", [errno.EMFILE, errno.ENOMEM, *NOT_OF_THE_FILE])
+def test_a_good_file_that_cannot_be_read_once_while_the_node_runs_stays(tmp_path, number):
+    path, disk = tmp_path / "alignment.yaml", Poor(0)
+    path.write_text(WRITTEN)
+    saved = start(path, disk, lambda: Content(7))
+    disk.number = number
+    saved.save_by_itself()
+    assert os.strerror(number) in saved.trouble
+    assert [each.read_text() for each in tmp_path.iterdir()] == [WRITTEN]
+    disk.number = 0
+    saved.save_by_itself()
+    assert (saved.unreadable, saved.trouble) == ("", "")
+    assert STARTS.load(path) == Content(7)
+
+
+def test_a_file_that_is_mended_while_the_node_runs_is_told_of_no_more(tmp_path):
+    path = tmp_path / "alignment.yaml"
+    path.write_text("broken")
+    saved = start(path, to_save=lambda: Content(7, 2.0))
+    assert "set aside" in saved.unreadable
+    path.write_text(WRITTEN)
+    saved.save_by_itself()
+    assert saved.unreadable == ""
+    assert "knows angle better" in saved.trouble

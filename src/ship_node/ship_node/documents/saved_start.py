@@ -14,11 +14,14 @@ from ship_node.documents.saved_document import Files, SavedFormat
 _WORSE = 1.1
 """A sigma that is larger than another one by this factor is worse: by less it wavers with the stars in view."""
 
-_NOT_OF_THE_CONTENT = (
+_NO_START = (
     *(errno.EISDIR, errno.ESPIPE),  # the path is meant otherwise
-    *(errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN, errno.EINTR),  # the file may be good
+    *(errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN, errno.EINTR),  # the next start may have them
 )
-"""Errors that say nothing of what a file holds: it stays where it is."""
+"""Errors for which a node does not start."""
+
+_NEVER_READABLE = (errno.EFBIG, errno.ELOOP)
+"""Errors for which a file is set aside, as for its content. All others say nothing of the file: it may be good."""
 
 _NEVER_NS = 1 << 62
 """Later than any time, ns."""
@@ -55,7 +58,7 @@ class SavedStart(Generic[Prior]):
         notices: what a log should tell, until somebody has taken it.
         messages: what the core said of the content that it started from.
         trouble: why the node does not save by itself at the moment; empty where it does.
-        unreadable: why the file was set aside, until another one is saved or read; empty where it was not.
+        unreadable: why the file was set aside or cannot be read, until one is saved or read; empty where it can.
         is_due: whether a content was read and the core has not been given it yet.
 
     Raises:
@@ -165,7 +168,9 @@ class SavedStart(Generic[Prior]):
         return ""
 
     def _usable(self, path: Path) -> tuple[bytes | None, Prior | None]:
-        """Return the file's bytes and its content, or None twice; a file that cannot be used is set aside.
+        """Return the file's bytes and its content, or None twice.
+
+        A file whose content cannot be used is set aside. One that cannot be read stays where it is.
 
         Raises:
             BadInput: see the class.
@@ -173,11 +178,20 @@ class SavedStart(Generic[Prior]):
         self._is_in_the_way = False
         try:
             written = self._kind.written_at(path, self._files)
-            return written, None if written is None else self._kind.parsed(path, written)
+            if written is None:
+                return None, None
+            content = self._kind.parsed(path, written)
+            self.unreadable = ""
+            return written, content
         except BadInput as error:
-            if isinstance(error.__cause__, OSError) and error.__cause__.errno in _NOT_OF_THE_CONTENT:
+            number = error.__cause__.errno if isinstance(error.__cause__, OSError) else None
+            if number in _NO_START:
                 raise
             reason = str(error)
+            if number is not None and number not in _NEVER_READABLE:
+                self._is_in_the_way = True
+                self.unreadable = f"{reason}; not saved by itself until it can be read; ~/save_alignment replaces it"
+                return None, None
         try:
             self.unreadable = f"{reason}; set aside as {self._files.set_aside(path)}"
         except OSError as error:
