@@ -2,10 +2,12 @@
 
 import errno
 import os
+import sys
 
 import pytest
 
-from ship_bringup.suite.signs_of_life import Silence
+from ship_bringup.suite.process import Process
+from ship_bringup.suite.signs_of_life import HeartbeatSocket, Silence
 
 MISSING = OSError(errno.EMFILE, os.strerror(errno.EMFILE))
 
@@ -41,3 +43,15 @@ def test_no_more_than_the_step_counts_whatever_can_be_read(monkeypatch, waited_s
     silence.add(0.5)
     silence.add(1.0)
     assert silence.time_s == pytest.approx(time_s)
+
+
+def test_a_process_told_to_begin_has_as_long_for_its_first_sign_of_life_as_any_start():
+    """What it sent in reserve says nothing of its work."""
+    heartbeats = HeartbeatSocket()
+    process = Process([sys.executable, "-c", "input()"], heartbeats.sender_descriptor, waits=True)
+    process.silence.restart(has_beaten=True)
+    process.silence.time_s = 4.0
+    process.begin()
+    assert (process.silence.has_beaten, process.silence.time_s) == (False, 0.0)
+    assert process.close() == 0
+    heartbeats.close()

@@ -480,5 +480,8 @@ def test_a_source_that_was_out_before_a_node_was_behind_keeps_the_blame() -> Non
         watch.take("input_health", health(ns, "star/bow/solution", 5 * second), at(second))
         watch.take("ship/attitude", attitude(ns, status=2), at(second))
     watch.take("ship/innovation", behind(UTC + 17 * SECOND, "ship_attitude", "ship_attitude is 3.2 s behind"), at(17.1))
-    (star, *_) = watch.look(at(17.2)).sources
+    picture = watch.look(at(17.2))
+    (star, *_) = picture.sources
     assert (star.name, star.reason, star.because_of) == ("star.bow", "excluded", "")
+    assert {angle.now for angle in picture.angles[:3]} == {(Safety.CAUTION, "ship_attitude is 3.2 s behind")}
+    assert {angle.because_of for angle in picture.angles[:3]} == {""}  # for that a node is to blame
