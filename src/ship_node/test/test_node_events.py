@@ -7,8 +7,9 @@ import time
 
 import pytest
 import rclpy
-from rclpy.serialization import serialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Int32
+from std_srvs.srv import SetBool
 
 from ship_node.edge.messages_out import Level
 from ship_node.live.node_events import LARGEST_MESSAGE_BYTES, MOST_EVENTS, Arrival, Inbox, NodeEvents
@@ -65,6 +66,51 @@ def test_mend_18_events_do_not_pile_up_in_the_executor(context):
     assert seen[-1] == sent[1]
     steady_ns += 60_000_000_000
     assert events.status().level is Level.WARN
+    events.close()
+    node.destroy_node()
+
+
+@pytest.mark.live
+def test_after_events_were_dropped_no_message_and_no_request_comes_late(context):
+    node = rclpy.create_node("flooded", context=context)
+    events = NodeEvents(context, Guard(node.get_logger(), time.monotonic_ns), time.monotonic_ns)
+    seen, requests = [], []
+
+    def take(data):
+        events.came()
+        seen.append(deserialize_message(data, Int32).data)
+
+    def serve(request, response):
+        events.came()
+        requests.append(request.data)
+        return response
+
+    def take_until(happened):
+        deadline_s = time.monotonic() + 15.0
+        while not happened() and time.monotonic() < deadline_s:
+            events.take(0.01)
+        assert happened()
+
+    node.create_subscription(Int32, "data", take, DEPTH, raw=True)
+    node.create_service(SetBool, "switch", serve)
+    publisher = node.create_publisher(Int32, "data", DEPTH)
+    client = node.create_client(SetBool, "switch")
+    events.start(node)
+    take_until(lambda: publisher.get_subscription_count() == 1 and client.service_is_ready())
+    for number in range(2 * DEPTH):
+        publisher.publish(Int32(data=number))
+    futures = [client.call_async(SetBool.Request(data=True))]
+    time.sleep(1.0)  # the middleware has told of them
+    seen.clear()
+    events._drop()
+    assert (seen[-1], requests) == (2 * DEPTH - 1, [True])
+    for number in range(1000, 1010):
+        publisher.publish(Int32(data=number))
+        take_until(lambda: seen[-1] >= 1000)
+        futures.append(client.call_async(SetBool.Request(data=False)))
+        take_until(lambda: len(requests) == len(futures))
+        assert seen.pop() == number
+    take_until(lambda: all(future.done() for future in futures))
     events.close()
     node.destroy_node()
 

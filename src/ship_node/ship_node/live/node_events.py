@@ -12,6 +12,8 @@ from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
+from rclpy.service import Service
+from rclpy.subscription import Subscription
 
 from ship_bags.live.heartbeat import heartbeat
 from ship_bags.stamps import stamp_of_bytes
@@ -45,8 +47,11 @@ class NodeEvents:
     The events executor of rclpy takes half the processor time of the single-threaded one, and learns of messages of all
     topics in the order in which they came. But it queues an event for each message, without bound, even where the
     message has been displaced meanwhile. So callbacks must be quick, and where more comes than even they can take, the
-    queue is thrown away: the newest messages of each topic are still in the middleware, which tells of them anew. How
-    far the node is behind is told by a timer, whose event waits in the queue like all others.
+    queue is thrown away. How far the node is behind is told by a timer, whose event waits in the queue like all others.
+
+    The middleware tells of each message once. What it told in a queue that is thrown away would stay there, and every
+    later message would be taken that many messages late, for ever. So it is taken without an event: the newest message
+    of each topic is used, and each request is answered.
 
     Args:
         context: of the node.
@@ -121,11 +126,38 @@ class NodeEvents:
         self._dropped_count += 1
         self._dropped_ns = self._steady_ns()
         self.close()
+        for subscription in self._node.subscriptions:
+            self._guard.call(subscription.topic, _use_newest, subscription)
+        for service in self._node.services:
+            self._guard.call(service.srv_name, _answer_all, service)
         self._listen()
 
     def _pulse(self) -> None:
         self.came()
         self._pulse_ns = self._listening.now_ns(0)
+
+
+def _use_newest(subscription: Subscription) -> None:
+    """Take what waits on a topic, without an event, and call back for the newest message."""
+    newest = None
+    # What comes meanwhile is told of by an event.
+    for _ in range(subscription.qos_profile.depth):
+        taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+        if taken is None:
+            break
+        newest = taken
+    if newest is not None:
+        is_message_alone = subscription._callback_type is Subscription.CallbackType.MessageOnly
+        subscription.callback(newest[0] if is_message_alone else newest)
+
+
+def _answer_all(service: Service) -> None:
+    """Answer the requests that wait at a service, without an event."""
+    while True:
+        request, header = service.handle.service_take_request(service.srv_type.Request)
+        if header is None:
+            return
+        service.send_response(service.callback(request, service.srv_type.Response()), header)
 
 
 class Arrival(NamedTuple):
