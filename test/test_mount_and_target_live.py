@@ -120,8 +120,8 @@ def _stations(tmp_path_factory: pytest.TempPathFactory) -> tuple[Messages, Messa
 def test_places_come_live_and_are_those_of_replay_and_truth(stations: tuple[Messages, Messages, Path]) -> None:
     live, offline, _ = stations
     told, replayed = by_stamp(live[POSITION_TOPIC]), by_stamp(offline[POSITION_TOPIC])
-    assert len(told) >= 95
-    assert {(time_ns - START_NS) % PERIOD_NS for time_ns in sorted(told)[2:]} == {0}
+    # Before the first direction of the first theodolite, and where one comes too late, another leads.
+    assert sum((time_ns - START_NS) % PERIOD_NS == 0 for time_ns in told) >= 95
     same = sorted(told.keys() & replayed.keys())
     assert len(same) >= 95
     off_m = [np.linalg.norm(vector(told[ns].position) - vector(replayed[ns].position)) for ns in same]
