@@ -263,8 +263,8 @@ def test_a_stopped_process_in_reserve_is_no_successor(monkeypatch):
         "from ship_node.live.start import WAITS\n"
         "waited = bool(os.environ.pop(WAITS, ''))\n"
         "print('reserve' if waited else 'starts', flush=True)\n"
-        "if waited:\n    beat_for(1.5)\n    os.kill(os.getpid(), signal.SIGSTOP)\n"
-        "beat_for(2.0)\nos.kill(os.getpid(), signal.SIGSTOP)"
+        "if waited:\n    beat_for(0.3)\n    os.kill(os.getpid(), signal.SIGSTOP)\n"
+        "beat_for(4.0)\nos.kill(os.getpid(), signal.SIGSTOP)"
     )
     node = Program("node", (sys.executable, "-c", text), has_reserve=True)
     _, lines = kept(node, until="[node] starts", count=2, frozen_report_s=2.0, frozen_restart_s=4.0)

@@ -310,11 +310,11 @@ class ReportingAdapter(ABC):
             self.saved.start(now_ns)
         published = self.published(self.core.tick(now_ns, waiting_ns), now_ns, waiting_ns)
         published += self._invalid_while_behind(now_ns, waiting_ns)
-        for topic in self._contested.end_silent(waiting_ns):
-            self._pass_on_contested(topic)
         self._save_by_itself(waiting_ns)
         if self.slow_due_ns is None or waiting_ns >= self.slow_due_ns:
             self.slow_due_ns = waiting_ns + round(self.config.slow_topics_period_s * _SECOND_NS)
+            for topic in self._contested.end_silent(waiting_ns):
+                self._pass_on_contested(topic)
             try:
                 published += self._slow_topics(now_ns, waiting_ns)
             except Exception as error:
