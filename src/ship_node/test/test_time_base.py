@@ -155,7 +155,7 @@ def test_a_link_that_holds_everything_up_is_no_step(held_up_s: float) -> None:
 def test_utc_is_ambiguous_in_the_second_that_is_told_twice() -> None:
     midnight_ns = 1_483_228_800 * S  # 2017-01-01, after 2016-12-31T23:59:60
     clocks = TimeBase()
-    told = [clocks.is_misdated(midnight_ns + round(s * S)) for s in (-1.5, -0.5, 0.0, 0.5, 1.0)]
+    told = [clocks.is_misdated(midnight_ns + round(s * S), 0) for s in (-1.5, -0.5, 0.0, 0.5, 1.0)]
     assert told == [False, False, True, True, False], "the first of the new day, as long as no clock stepped"
     start_ns = midnight_ns - 20 * S
     for waiting_s, topic, stamp_s in arrivals(20.5, lambda _, s: -1.0 if s >= 20.0 else 0.0, lambda _, s: 0.0):
@@ -164,5 +164,6 @@ def test_utc_is_ambiguous_in_the_second_that_is_told_twice() -> None:
             clocks.note_computer_step(-S, now_ns)
         clocks.add_arrival(topic, start_ns + round(stamp_s * S), now_ns, now_ns)
     assert clocks.steps == 1
-    told = [clocks.is_misdated(midnight_ns + round(s * S)) for s in (-1.5, -0.5, 0.0, 0.5)]
+    told = [clocks.is_misdated(midnight_ns + round(s * S), now_ns) for s in (-1.5, -0.5, 0.0, 0.5)]
     assert told == [False, True, False, False], "the last of the old day, told again"
+    assert clocks.is_misdated(midnight_ns, now_ns + 4 * S), "another one is not known"

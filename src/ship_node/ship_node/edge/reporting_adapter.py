@@ -211,8 +211,9 @@ class ReportingAdapter(ABC):
         # As without its topic, a source that is off begins nothing.
         if self.saved is not None and self.saved.is_due and not is_off:
             self.saved.start(receive_ns)
+        reading: ReadMessage[Any] | None = None
         try:
-            reading = self._read(feed, message, receive_ns, waiting_ns)
+            reading = feed.read(message, receive_ns=receive_ns)
             if is_off:
                 return self.set_aside(feed, reading, receive_ns, waiting_ns)
             refusal = self.check_clock(feed, reading.value.time_ns, receive_ns, waiting_ns)
@@ -221,8 +222,11 @@ class ReportingAdapter(ABC):
             self.see(feed, reading)
             outcome = None if reading.empty else feed.take(reading.value, waiting_ns)
         except Refused as refused:
-            known = refused.refusal.reason is not Reason.BAD_STAMP
-            time_ns = ns_from_stamp(message.header.stamp) if known else receive_ns
+            reason = refused.refusal.reason
+            time_ns = receive_ns if reason is Reason.BAD_STAMP else ns_from_stamp(message.header.stamp)
+            if reading is None and reason is Reason.FUTURE and not is_off:
+                # One that is ahead of the node's clock may show a step of all clocks.
+                self.check_clock(feed, time_ns, receive_ns, waiting_ns)
             self.health.turned_away(topic, waiting_ns, receive_ns, time_ns, refused.refusal)
             return [self.refused(feed.source, time_ns, refused.refusal)]
         except Exception:
@@ -230,15 +234,6 @@ class ReportingAdapter(ABC):
             self.health.arrived(topic, waiting_ns)
             raise
         return self.told(feed, reading, outcome, receive_ns, waiting_ns)
-
-    def _read(self, feed: Feed, message: Any, receive_ns: int, waiting_ns: int) -> ReadMessage[Any]:
-        """Return what is read of a message; one that is refused as ahead of the node's clock may show a step of all."""
-        try:
-            return feed.read(message, receive_ns=receive_ns)
-        except Refused as refused:
-            if refused.refusal.reason is Reason.FUTURE and not self.is_off(feed.input.topic):
-                self.check_clock(feed, ns_from_stamp(message.header.stamp), receive_ns, waiting_ns)
-            raise
 
     def told(
         self, feed: Feed, reading: ReadMessage[Any], outcome: Any, receive_ns: int, waiting_ns: int
@@ -277,20 +272,19 @@ class ReportingAdapter(ABC):
     def check_clock(self, feed: Feed, time_ns: int, receive_ns: int, waiting_ns: int) -> Refusal | None:
         """Return why a message with this stamp is not used, after a step of the time base that it shows is taken."""
         topic, clocks = feed.input.topic, self.time_base
-        was_in_question = clocks.is_in_question
         step_ns = clocks.add_arrival(topic, time_ns, receive_ns, waiting_ns)
         if step_ns is not None:
             self._step_time_base(step_ns, waiting_ns)
         elif not clocks.is_in_question:
             self._unstepped = None
         else:
-            if not was_in_question:
+            if self._unstepped is None:
                 self._unstepped = getattr(self.core, "state", None), waiting_ns
             ahead_ns = clocks.ahead_ns(topic)
             if ahead_ns:
                 text = f"stamp is {duration_text(ahead_ns)} ahead of the other inputs: check the clock of {feed.source}"
                 return Refusal(Reason.FUTURE, text)
-        if feed.source.startswith(_STARS) and clocks.is_misdated(time_ns):
+        if feed.source.startswith(_STARS) and clocks.is_misdated(time_ns, waiting_ns):
             return Refusal(Reason.CLOCK, _LEAP_SECOND)
         return None
 

@@ -149,13 +149,28 @@ class TimeBase:
             receive_ns: its arrival by the node's clock.
             waiting_ns: the same in the time of waiting.
         """
-        self._forget_old(waiting_ns)
         clock, offset_ns = self._clocks.get(topic), stamp_ns - waiting_ns
         if clock is None:
             self._clocks[topic] = _InputClock(offset_ns, stamp_ns, waiting_ns)
             return None
         interval_ns, clock.arrival_ns = waiting_ns - clock.arrival_ns, waiting_ns
         clock.period_ns += (interval_ns - clock.period_ns) / (8.0 if clock.period_ns else 1.0)
+        nothing_moves = self._candidate is None and self._computer is None and not (clock.moved_ns or clock.alone_ns)
+        if nothing_moves and abs(offset_ns - clock.level_ns) < _LEAST_MOVE_NS:
+            # Nearly all messages go this way.
+            clock.level_ns = offset_ns
+            if stamp_ns > clock.newest_ns:
+                clock.newest_ns = stamp_ns
+            return None
+        return self._look_at_move(topic, clock, stamp_ns, receive_ns, waiting_ns)
+
+    def _look_at_move(
+        self, topic: str, clock: _InputClock, stamp_ns: int, receive_ns: int, waiting_ns: int
+    ) -> int | None:
+        """Return as :meth:`add_arrival` what a message shows where some clock has moved, or may have."""
+        if self._computer is not None and waiting_ns > self._computer[1]:
+            self._computer = None
+        offset_ns = stamp_ns - waiting_ns
         if clock.alone_ns and abs(offset_ns - clock.level_ns) < _LEAST_MOVE_NS:
             clock.alone_ns = 0
         moved_ns = offset_ns - clock.level_ns - clock.alone_ns
@@ -210,7 +225,7 @@ class TimeBase:
         others = (other for name, other in self._clocks.items() if name != topic)
         return clock.moved_ns if any(_is_awaited(other, clock.arrival_ns) for other in others) else 0
 
-    def is_misdated(self, stamp_ns: int) -> bool:
+    def is_misdated(self, stamp_ns: int, waiting_ns: int) -> bool:
         """True if UTC as stamped is wrong by a second because a leap second is being inserted.
 
         Clocks that count seconds since 1970 give two seconds the same numbers, either the last of the old day or the
@@ -220,16 +235,10 @@ class TimeBase:
         since_ns = stamp_ns - self._leaps_ns[number] if number >= 0 else SECOND_NS
         if since_ns >= SECOND_NS:
             return False
-        return self.is_in_question or (since_ns < 0) == (self._leap_at_ns is not None)
+        was_inserted = self._leap_at_ns is not None and waiting_ns <= self._leap_at_ns + _LEAP_KNOWN_NS
+        return self.is_in_question or (since_ns < 0) == was_inserted
 
     # -- decisions ------------------------------------------------------------------------------------------
-
-    def _forget_old(self, waiting_ns: int) -> None:
-        """Forget steps that no input follows any more."""
-        if self._computer is not None and waiting_ns > self._computer[1]:
-            self._computer = None
-        if self._leap_at_ns is not None and waiting_ns > self._leap_at_ns + _LEAP_KNOWN_NS:
-            self._leap_at_ns = None
 
     def _has_moved(self, clock: _InputClock, moved_ns: int, stamp_ns: int, receive_ns: int, waiting_ns: int) -> bool:
         """True if no delay explains where the clock of an input is."""
