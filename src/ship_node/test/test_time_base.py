@@ -20,7 +20,7 @@ def arrivals(duration_s: float, step_s: Step, delay_s: Delay, **periods_s: float
     """(waiting s, topic, stamp s) in the order of arrival; what is delayed by a day or more never comes."""
     found = []
     for number, (topic, period_s) in enumerate({**PERIODS_S, **periods_s}.items()):
-        for valid_s in np.arange(0.0017 * number, duration_s, period_s):
+        for valid_s in np.arange(0.0017 * number, duration_s, period_s) if np.isfinite(period_s) else ():
             waiting_s = valid_s + LATENCY_S[topic] + delay_s(topic, valid_s)
             if waiting_s < valid_s + 86_400.0:
                 found.append((waiting_s, topic, valid_s + step_s(topic, valid_s)))
@@ -34,6 +34,7 @@ def found(
     computer_s: Callable[[float], float] | None = None,
     node_follows: bool = True,
     clocks: TimeBase | None = None,
+    **periods_s: float,
 ) -> list[tuple[float, float]]:
     """(waiting s, step s) of each step of the time base that is found.
 
@@ -43,9 +44,11 @@ def found(
         duration_s: of all.
         computer_s: how far the computer's clock is off at a time, where a live node tells of its steps.
         node_follows: whether the node's clock is off as that of the INS, where no live node tells.
+        clocks: that follow; new ones without.
+        periods_s: topic → its period, where it is not the usual one; infinite for none.
     """
     clocks, steps, last_s = TimeBase() if clocks is None else clocks, [], 0.0
-    for waiting_s, topic, stamp_s in arrivals(duration_s, step_s, delay_s):
+    for waiting_s, topic, stamp_s in arrivals(duration_s, step_s, delay_s, **periods_s):
         waiting_ns = START_NS + round(waiting_s * S)
         off_s = computer_s(waiting_s) if computer_s else step_s("ins/imu", waiting_s) if node_follows else 0.0
         if computer_s is not None and off_s != last_s:
@@ -116,8 +119,39 @@ def test_an_input_that_moved_and_fell_silent_keeps_nothing_in_question(step_s: f
     assert not clocks.is_in_question
 
 
-def test_the_computers_clock_alone_is_no_step_of_the_time_base() -> None:
-    assert found(lambda topic, valid_s: 0.0, computer_s=lambda waiting_s: -300.0 if waiting_s >= 20.0 else 0.0) == []
+@pytest.mark.parametrize("later_s", [0.0, -300.0])
+def test_the_computers_clock_alone_is_no_step_of_the_time_base(later_s: float) -> None:
+    """Nor is it together with the clock of one device, twenty seconds later."""
+
+    def step(topic: str, valid_s: float) -> float:
+        return later_s if topic == "star/fore" and valid_s >= 40.0 else 0.0
+
+    assert found(step, computer_s=lambda waiting_s: -300.0 if waiting_s >= 20.0 else 0.0) == []
+
+
+@pytest.mark.parametrize("alone_s", [-300.0, 300.0])
+def test_a_device_that_was_off_alone_for_long_steps_with_the_others(alone_s: float) -> None:
+    def step(topic: str, valid_s: float) -> float:
+        return alone_s * (topic == "star/fore" and valid_s >= 20.0) - 5.0 * (valid_s >= 120.0)
+
+    ((waiting_s, step_s),) = found(step, duration_s=150.0, node_follows=False)
+    assert 120.0 < waiting_s < 122.0
+    assert step_s == pytest.approx(-5.0)
+
+
+def test_a_clock_that_drifts_ahead_has_not_moved() -> None:
+    clocks = TimeBase()
+    assert found(lambda topic, valid_s: 0.02 * valid_s * (topic == "star/fore"), clocks=clocks) == []
+    assert not clocks.is_in_question
+
+
+def test_an_input_that_says_both_agrees_with_no_step() -> None:
+    """Every other sample of the INS goes on as before: a second publisher has the clock that all others have."""
+
+    def step(topic: str, valid_s: float) -> float:
+        return 0.0 if topic == "ins/imu" and round(100.0 * valid_s) % 2 else -300.0 * (valid_s >= 20.0)
+
+    assert found(step, node_follows=False, **{"gnss/fix": np.inf, "met/pressure": np.inf}) == []
 
 
 def test_devices_that_follow_one_after_another_are_one_step() -> None:
@@ -140,6 +174,61 @@ def test_an_input_that_is_silent_follows_unseen() -> None:
 def test_disorder_within_two_seconds_is_no_step(seed: int) -> None:
     rng = np.random.default_rng(seed)
     assert found(lambda topic, valid_s: 0.0, lambda topic, valid_s: float(rng.uniform(0.0, 2.0))) == []
+
+
+@pytest.mark.parametrize(("periods_s", "late_s", "share", "end_s"), [
+    ({"star/fore": np.inf, "met/pressure": 5.0}, 1.9, 0.95, 40.0), ({"ins/imu": np.inf}, 1.0, 0.5, 22.0),
+])  # fmt: skip
+def test_bursts_that_come_late_are_no_step(periods_s, late_s: float, share: float, end_s: float) -> None:
+    """From 20 s on the first part of what is sent in each second comes seconds later, together with the rest."""
+
+    def delay_s(topic: str, valid_s: float) -> float:
+        return late_s if 20.0 <= valid_s < end_s and valid_s % 1.0 < share else 0.0
+
+    assert found(lambda topic, valid_s: 0.0, delay_s, **periods_s) == []
+
+
+def test_a_longer_way_after_a_step_is_no_other_step() -> None:
+    """The clocks step back by 300 s; from 40 s on all messages take a second more."""
+    steps = found(
+        lambda topic, valid_s: -300.0 * (valid_s >= 20.0), lambda topic, valid_s: float(valid_s >= 40.0), 80.0
+    )
+    assert [step_s for _, step_s in steps] == [-300.0]
+
+
+@pytest.mark.parametrize("step_s", [-0.7, -15.0])
+def test_a_slow_input_that_seemed_late_has_stepped_with_the_next_one(step_s: float) -> None:
+    """After the step the first message is one of the air: by itself it is late. The star sensor shows that it is not.
+
+    Afterwards nothing is in question.
+    """
+    clocks = TimeBase()
+    periods_s = {"ins/imu": np.inf, "gnss/fix": np.inf, "met/pressure": 20.0}
+    steps = found(lambda topic, valid_s: step_s * (valid_s >= 20.0), clocks=clocks, duration_s=50.0, **periods_s)
+    assert [told_s for _, told_s in steps] == [pytest.approx(step_s)]
+    assert steps[0][0] < 22.0
+    assert not clocks.is_in_question
+
+
+def test_the_step_is_that_of_the_fastest_input() -> None:
+    """The way of the first fix after it is longer by 0.3 s."""
+    ((_, step_s),) = found(
+        lambda topic, valid_s: -300.0 * (valid_s >= 20.0),
+        lambda topic, valid_s: 0.3 if topic == "gnss/fix" and 20.0 <= valid_s < 21.0 else 0.0,
+        **{"met/pressure": np.inf},
+    )
+    assert step_s == -300.0
+
+
+def test_an_input_far_ahead_stays_unused_while_others_are_there() -> None:
+    """Also where the node's clock does not refuse it, because it is ahead itself."""
+    clocks = TimeBase()
+
+    def ahead_s(topic: str, valid_s: float) -> float:
+        return 300.0 if topic == "ins/imu" and valid_s >= 20.0 else 0.0
+
+    assert found(ahead_s, duration_s=150.0, clocks=clocks) == []
+    assert clocks.ahead_ns("ins/imu") == 300 * S
 
 
 @pytest.mark.parametrize("held_up_s", [0.8, 3.0, 30.0])

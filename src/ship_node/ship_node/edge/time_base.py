@@ -49,7 +49,7 @@ _TOLERANCE, _LARGEST_TOLERANCE_NS = 0.1, 2 * SECOND_NS
 """Largest difference between two equal steps, as a share of them and at most, ns."""
 
 _SMALL_STEP_NS, _LEAST_MESSAGES = 3 * SECOND_NS, 8
-"""Size below which a step may be disorder, as messages come up to two seconds late, ns; so many in a row must agree."""
+"""Size below which a step may be disorder, as messages come up to two seconds late, ns; so many messages must agree."""
 
 _STEADY_AFTER_NS = 10 * SECOND_NS
 """Time for which a small movement does not count after another one was undone, ns."""
@@ -97,7 +97,7 @@ class _Candidate:
         step_ns: the step.
         since_ns: time of waiting since when nothing has contradicted it.
         agree: the inputs that have moved by it since then.
-        messages: number of their messages since then.
+        messages: number of messages of inputs that have moved by it.
     """
 
     step_ns: int
@@ -297,7 +297,6 @@ class TimeBase:
         elif not clock.moved_ns:
             candidate.since_ns = waiting_ns
             candidate.agree.clear()
-            candidate.messages = 0
             return None
         candidate.agree.add(topic)
         candidate.messages += 1
