@@ -63,7 +63,7 @@ class FoxgloveServer:
         self._newcomers = _Newcomers()
         self._offered: dict[str, _Offered] = {}
         try:
-            self._server = foxglove.start_server(
+            server = foxglove.start_server(
                 name=name,
                 host=host,
                 port=port,
@@ -75,7 +75,8 @@ class FoxgloveServer:
             if f"os error {errno.EADDRINUSE}" in str(problem):
                 raise BadInput(f"port {port} of {host} is in use: give another one with --foxglove N") from problem
             raise BadInput(f"cannot serve Foxglove on {host}, port {port}: {problem}") from problem
-        self.address = f"ws://{f'[{host}]' if ':' in host else host}:{self._server.port}"
+        self.address = f"ws://{f'[{host}]' if ':' in host else host}:{server.port}"
+        self._goodbye = threading.Thread(target=server.stop, name="goodbye", daemon=True)
 
     def offer(self, topic: str, type_name: str, definition: str) -> None:
         """Let clients see a topic. One whose type has changed is another one to them.
@@ -116,7 +117,7 @@ class FoxgloveServer:
         self._offered[topic].channel.log(data, log_time=arrival_utc_ns)
 
     def close(self) -> None:
-        """Take leave of all clients."""
-        goodbye = threading.Thread(target=self._server.stop, name="goodbye", daemon=True)
-        goodbye.start()
-        goodbye.join(_END_S)
+        """Take leave of all clients, once."""
+        if self._goodbye.ident is None:
+            self._goodbye.start()
+        self._goodbye.join(_END_S)
