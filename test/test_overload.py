@@ -1,7 +1,7 @@
 """The nodes of a suite on a core that is far too slow: the state has a name and an end.
 
 A bag is played at twenty times its speed, and sixteen busy loops share one core with the nodes, so that on any machine
-they get a small part of what they need. When that is over, the same nodes take the bag at its own speed, on all cores.
+they get a small part of what they need. When that is over, the same nodes take the bag at twice its speed.
 """
 
 import contextlib
@@ -36,7 +36,7 @@ NODES = {
     "optical_axis": "theodolite_calib",
 }
 LOOPS = 16
-FASTEST, USUAL = "20", "1"
+FASTEST, USUAL = "20", "2"
 BEHIND = r"{node} is \d+\.\d s behind: the computer is too slow \(1 core, load \d+\)"
 MOST_SIGMAS = 6.0
 LIMIT_S = 60.0
@@ -130,7 +130,6 @@ def test_mend_7_overload_is_a_state_with_a_name(bag, tmp_path, monkeypatch):
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     domain = free_domain_id()
     environment, core = live_environment(domain, tmp_path), max(os.sched_getaffinity(0))
-    cores = ",".join(map(str, sorted(os.sched_getaffinity(0))))
     with read_bag(bag) as recorded:
         (tmp_path / "suite.yaml").write_bytes(recorded.attachments[SUITE_ATTACHMENT])
         inputs = [topic for topic in recorded.topics if not topic.startswith("truth")]
@@ -149,28 +148,24 @@ def test_mend_7_overload_is_a_state_with_a_name(bag, tmp_path, monkeypatch):
     with contextlib.ExitStack() as stack:
         observer = stack.enter_context(GraphObserver(domain))
         heard = Heard(observer, truth)
-        nodes = []
         for name, package in NODES.items():
             options = ["--ros-args", "--params-file", str(tmp_path / "suite.yaml"), "-p", "use_sim_time:=true"]
             options += ["-p", f"black_box:={tmp_path / name}.mcap"]
             command = ["taskset", "-c", str(core), *executable(package, name), *options]
-            nodes.append(stack.enter_context(LiveProcess(command, tmp_path / f"{name}.log", environment)))
+            stack.enter_context(LiveProcess(command, tmp_path / f"{name}.log", environment))
         assert observer.spin_until(lambda: set(NODES) <= set(observer.node.get_node_names()), LIMIT_S)
         with busy_core(core), play(FASTEST):
-            # Beside other work the player may be too slow to overload the lighter nodes too.
-            told = waited_s(observer, lambda: "ship_attitude" in heard.behind)
-            shown = waited_s(observer, lambda: heard.overload.get("ship_attitude", (0, ""))[0] == 2)
-            for node, (level, text) in heard.overload.items():
-                assert level == 0 or re.fullmatch(BEHIND.format(node=node), text), text
-            cut = waited_s(observer, lambda: {"ins", "star.bow"} <= set(heard.behind))
+            told = waited_s(observer, lambda: set(NODES) <= set(heard.behind))
+            shown = waited_s(observer, lambda: {level for level, _ in heard.overload.values()} == {2})
+            for node, (_, text) in heard.overload.items():
+                assert re.fullmatch(BEHIND.format(node=node), text), text
+            cut = waited_s(observer, lambda: {"ins", "star.bow", "encoder", "lights"} <= set(heard.behind))
             for claims in heard.claims.values():
                 claims.clear()
             waited_s(observer, lambda: all(Status.INVALID in claims for claims in heard.claims.values()))
         for claims in heard.claims.values():
             claims.clear()
         heard.refusals.clear()
-        for node in nodes:  # beside other work one core may be too slow for three nodes for good
-            subprocess.run(["taskset", "-a", "-p", "-c", cores, str(node.pid)], check=True, capture_output=True)
         with play(USUAL):
             valid = waited_s(observer, lambda: all(Status.VALID in claims for claims in heard.claims.values()))
             ok = waited_s(observer, lambda: {level for level, _ in heard.overload.values()} == {0})
@@ -182,4 +177,4 @@ def test_mend_7_overload_is_a_state_with_a_name(bag, tmp_path, monkeypatch):
         command = [*executable("ship_replay", "replay"), str(tmp_path / f"{name}.mcap"), "--verify"]
         verified = subprocess.run(command, capture_output=True, text=True, timeout=300.0, check=False)
         assert verified.returncode == 0, verified.stdout + verified.stderr
-        assert "overload" in verified.stdout or name not in heard.behind
+        assert "overload" in verified.stdout

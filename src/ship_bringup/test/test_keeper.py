@@ -233,7 +233,12 @@ def test_a_frozen_program_is_reported_killed_and_started_again(how):
     assert code == 0  # it ran when the user ended the suite
     assert time.monotonic() - started_s < FAR_S
     own = [line for line in lines if line.startswith("[suite]")]
-    assert re.fullmatch(r"\[suite\] node is frozen: no sign of life for [23] s, .*started again in [12] s", own[0]), own
+    times = re.fullmatch(r"\[suite\] node is frozen: no sign of life for (\d) s, .*started again in (\d) s", own[0])
+    assert times, own
+    # A machine with other work looks later; both times are of one look.
+    silent_s, left_s = map(int, times.groups())
+    assert silent_s in (2, 3)
+    assert silent_s + left_s == 4
     assert own[1] == "[suite] node sent no sign of life for 4 s: killed"
     assert re.fullmatch(r"\[suite\] node ended .* signal 9, SIGKILL; started again at once .*", own[2])
 

@@ -29,7 +29,7 @@ AGREES_AGAIN_AFTER_S = 10.0
 _AGREES_AGAIN_AFTER_NS = round(AGREES_AGAIN_AFTER_S * SECOND_NS)
 
 _AT_ALL_STAMPS_NS = -(2**62)
-"""Stamp since when a source is contested where the stamps may have begun anew meanwhile."""
+"""Stamp from which a source is contested where its stamps may have restarted meanwhile."""
 
 FOUND_WITHIN_S = 2.0
 """Two publishers of one source are found within this time from their second message on."""

@@ -5,6 +5,7 @@ import os
 import re
 import subprocess
 import sys
+import threading
 import time
 from itertools import pairwise
 from types import SimpleNamespace
@@ -22,6 +23,7 @@ from sensor_msgs.msg import Imu
 from std_srvs.srv import Trigger
 
 import ship_node.live.node_clock as node_clock
+import ship_node.live.node_events as node_events
 from ship_bags.message_store import message_store
 from ship_bags.stamps import ns_from_stamp
 from ship_node.edge.adapter import TICK_PERIOD_NS
@@ -295,6 +297,36 @@ def test_mend_7_a_node_that_cannot_keep_up_is_behind_and_keeps_up_again_when_the
     received = relay.adapter.health.records["ins/imu"].received
     publish_until(lambda: relay.adapter.health.records["ins/imu"].received > received + 20)
     assert relay.adapter.overloads[-1].behind_s == 0.0
+
+
+def test_a_queue_of_events_that_is_never_empty_is_waiting_time_of_bag_time(live_relay, monkeypatch):
+    """A node that takes one event at a time uses each message at once, but six seconds of the bag wait as events."""
+    relay = live_relay(*SIM_TIME, *RELIABLE_INPUT)
+    set_time, publisher = relay.clock_publisher(), relay.imu_publisher()
+    clock = relay.peer.create_publisher(Clock, "/clock", 100)
+    relay.wait_until(lambda: clock.get_subscription_count() == 1)
+    set_time(1000.0)
+    relay.wait_until(lambda: relay.live._last_ns == 1000_000_000_000)
+    take, stands, goes_on = relay.live._events.take, threading.Event(), threading.Event()
+
+    def take_after_standstill(timeout_s):
+        stands.set()
+        assert goes_on.wait(TIMEOUT_S)
+        return take(timeout_s)
+
+    # On a busy machine the first event may take long without having been waited for.
+    monkeypatch.setattr(node_events, "_WAITED_NS", 10**10)
+    monkeypatch.setattr(node_events, "MOST_EVENTS", 1)
+    monkeypatch.setattr(relay.live._events, "take", take_after_standstill)
+    assert stands.wait(TIMEOUT_S)
+    for tenth in range(61):
+        bag_ns = 1000_000_000_000 + tenth * 100_000_000
+        clock.publish(Clock(clock=imu_message(bag_ns).header.stamp))
+        publisher.publish(imu_message(bag_ns))
+    assert publisher.wait_for_all_acked()
+    goes_on.set()
+    relay.wait_until(lambda: relay.adapter.overloads)
+    assert relay.adapter.overloads[0].behind_s > 1.0
 
 
 def test_mend_18_a_message_too_large_to_decode_is_counted_and_harms_nothing(live_relay):

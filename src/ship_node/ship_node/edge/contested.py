@@ -18,7 +18,7 @@ _ROTATION = np.sqrt(2.0)
 """Distance of two rotation matrices, all nine elements, for a small angle of one radian between them."""
 
 _SILENT_NS = 30 * SECOND_NS
-"""Time of waiting without a value after which what the values have told of two streams is over."""
+"""Time of waiting without a value after which the two streams found by the values count as one again."""
 
 
 class Continuous(NamedTuple):
@@ -91,7 +91,7 @@ class ContestedInputs:
         """Forget the values: the clock went back, or the node was reset."""
         self._streams = {topic: InterleavedStreams(kind.least) for topic, kind in self._continuous.items()}
         # Of each topic with two streams, the stamp of its newest value, and the time of waiting when that was seen.
-        self._heard: dict[str, tuple[int | None, int]] = {}
+        self._newest: dict[str, tuple[int | None, int]] = {}
 
     def end_silent(self, waiting_ns: int) -> list[str]:
         """Forget two streams that have ended, both, without a stream that goes on; returns their topics.
@@ -100,12 +100,12 @@ class ContestedInputs:
             waiting_ns: the time of waiting.
         """
         two = {topic: streams.newest_ns for topic, streams in self._streams.items() if streams.distance}
-        self._heard = {topic: self._heard.get(topic, (None, 0)) for topic in two}
+        self._newest = {topic: self._newest.get(topic, (None, 0)) for topic in two}
         silent = []
         for topic, newest_ns in two.items():
-            if newest_ns != self._heard[topic][0]:
-                self._heard[topic] = newest_ns, waiting_ns
-            elif waiting_ns - self._heard[topic][1] > _SILENT_NS:
+            if newest_ns != self._newest[topic][0]:
+                self._newest[topic] = newest_ns, waiting_ns
+            elif waiting_ns - self._newest[topic][1] > _SILENT_NS:
                 self._streams[topic] = InterleavedStreams(self._continuous[topic].least)
                 silent.append(topic)
         return silent

@@ -24,7 +24,7 @@ LONGEST_WAIT_NS = 3_000_000_000
 """Waiting time from which on a node is behind at once, ns."""
 
 SHORT_WAIT_NS = 200_000_000
-"""Waiting time of a node that keeps up, ns: twice the time for which it waits in one go while nothing comes.
+"""Longest waiting time of a node that keeps up, ns: twice the longest wait for an event.
 Where /clock is faster than real time, this is real time."""
 
 KEPT_UP_NS = 1_000_000_000

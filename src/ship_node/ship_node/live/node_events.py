@@ -99,7 +99,8 @@ class NodeEvents:
         """
         begin_ns = self._steady_ns()
         self._heartbeat.beat(begin_ns)
-        may_be_more = self._take_one(timeout_s or _AT_ONCE_S) and self._steady_ns() - begin_ns < _WAITED_NS
+        may_be_more = self._take_one(timeout_s or _AT_ONCE_S)
+        may_be_more &= not timeout_s or self._steady_ns() - begin_ns < _WAITED_NS
         taken = 1
         while may_be_more and taken < MOST_EVENTS:
             may_be_more = self._take_one(_AT_ONCE_S)
