@@ -108,6 +108,24 @@ class StarCamera:
             point = self.distortion.distorted(point)
         return self._principal_px + point / self._pixel
 
+    def displacements(self, directions_s: FloatArray, shift_px: FloatArray) -> FloatArray:
+        """Displacements of measured directions by some shifts of their centroids, in the sensor frame, rad.
+
+        Args:
+            directions_s: as measured, unit vectors, shape (k, 3).
+            shift_px: of the centroid of each by each of m errors, shape (k, m, 2).
+
+        Returns:
+            Shape (k, 3, m).
+        """
+        pixels = self.pixels(directions_s)[:, None]
+        moved_s = self.directions(pixels + shift_px) - directions_s[:, None]
+        # At the fold of a distortion there is nothing on the one side.
+        lost = ~np.isfinite(moved_s)
+        if lost.any():
+            moved_s[lost] = (directions_s[:, None] - self.directions(pixels - shift_px))[lost]
+        return np.swapaxes(moved_s, -1, -2)
+
     def sighted(self, pixels: FloatArray, sigma_px: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Directions of centroids and their errors; NaN where a pixel, and of the errors where a sigma, is not finite.
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from ship_attitude_star.sky.masks import MaskConfig, MountedSensor, refuse_covered, sensor_masks
 from ship_attitude_star.stars.camera import Distortion, StarCamera
+from ship_attitude_star.stars.optics_errors import SURVEYED_FOCAL_SIGMA, OpticsErrors
 from ship_attitude_star.stars.spatial_errors import SpatialErrors
 from ship_estimation.parameter_fields import arcsec, degrees, mapping_of, parameter
 from ship_estimation.parameters import ParameterError
@@ -73,6 +74,17 @@ class CameraConfig:
     distortion_k3: float = _coefficient("radial distortion, r⁶")
     distortion_p1: float = _coefficient("tangential distortion, first")
     distortion_p2: float = _coefficient("tangential distortion, second")
+    focal_length_sigma_m: float = parameter(
+        0.0, doc="error of focal_length_m; 0: 0.02 % of it, an honest survey", unit="m", minimum=0.0, maximum=1.0
+    )
+    principal_sigma_px: float = parameter(
+        1.0,
+        doc="error of the principal point, each axis, beyond that which the mounting has taken up",
+        unit="px",
+        minimum=0.0,
+        maximum=1000.0,
+    )
+    distortion_sigma: float = parameter(0.01, doc="error of distortion_k1", minimum=0.0, maximum=100.0)
     centroid_sigma_px: float = parameter(
         0.1, doc="error of u and of v where the message gives none", unit="px", minimum=1e-6, maximum=100.0, live=True
     )
@@ -133,6 +145,11 @@ class CameraConfig:
             self.principal_v_px,
             None if distortion == Distortion() else distortion,
         )
+
+    def optics_errors(self, camera: StarCamera) -> OpticsErrors:
+        """The errors of the parameters of this camera's optics."""
+        focal_sigma = self.focal_length_sigma_m / self.focal_length_m or SURVEYED_FOCAL_SIGMA
+        return OpticsErrors(camera, focal_sigma, self.principal_sigma_px, self.distortion_sigma)
 
     def spatial_errors(self, camera: StarCamera) -> SpatialErrors | None:
         """The errors that stay with the place on the detector of this camera; None where there are none."""

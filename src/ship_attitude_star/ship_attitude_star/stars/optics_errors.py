@@ -1,0 +1,84 @@
+"""Errors of the parameters of a camera's optics: focal length, principal point, leading radial distortion.
+
+They last, and all exposures of the camera share them. Each displaces the measured directions in a pattern over the
+field. With the point (x, y) of a star in focal lengths from the principal point, its centroid moves
+
+* by e (x, y) for a focal length that is longer by the relative error e,
+* by the error of the principal point, alike everywhere,
+* by the error of k1 times (x² + y²) (x, y).
+
+An error of the principal point is nearly a turn of the camera. The mounting is calibrated through the camera's own
+stars, with the same parameters, so it holds that turn already. What remains is the part that no turn explains: an error
+of a pixels in u displaces a star by -a (x², x y), in the measure of a pixel; in v accordingly.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ship_attitude_star.stars.camera import StarCamera
+from ship_estimation.kalman import StateBlock, block
+from ship_geometry.rotations import FloatArray
+
+SOURCE_OPTICS = "optics"
+"""Source of error in budgets."""
+
+OPTICS_MODES = 4
+"""Number of errors: focal length, principal point in u and in v, k1."""
+
+SURVEYED_FOCAL_SIGMA = 2e-4
+"""Relative standard deviation of a surveyed focal length."""
+
+
+@dataclass(frozen=True)
+class OpticsErrors:
+    """The errors of one camera's optics.
+
+    Attributes:
+        camera: its geometry as configured.
+        focal_sigma: relative standard deviation of the focal length.
+        principal_sigma_px: standard deviation of the principal point, each axis.
+        distortion_sigma: standard deviation of k1.
+    """
+
+    camera: StarCamera
+    focal_sigma: float
+    principal_sigma_px: float
+    distortion_sigma: float
+
+    @property
+    def sigmas(self) -> FloatArray:
+        """Standard deviations: focal length (relative), principal u and v (px), k1, shape (OPTICS_MODES,)."""
+        return np.array([self.focal_sigma, self.principal_sigma_px, self.principal_sigma_px, self.distortion_sigma])
+
+    def modes(self, directions_s: FloatArray) -> FloatArray:
+        """Displacements of measured directions by one sigma of each error, in the sensor frame, rad.
+
+        Args:
+            directions_s: as measured, unit vectors, shape (k, 3).
+
+        Returns:
+            Shape (k, 3, OPTICS_MODES).
+        """
+        camera, (_, up, right) = self.camera, directions_s.T
+        pixel = camera.pixel_pitch_m / camera.focal_length_m
+        from_principal_px = camera.pixels(directions_s) - [camera.principal_u_px, camera.principal_v_px]
+        radius2 = (up**2 + right**2) / directions_s[:, 0] ** 2
+        ideal_px = np.stack([right, -up], axis=-1) / (directions_s[:, :1] * pixel)
+        shift_px = np.zeros((len(directions_s), OPTICS_MODES, 2))
+        shift_px[:, 0] = self.focal_sigma * from_principal_px
+        shift_px[:, 1, 0] = shift_px[:, 2, 1] = self.principal_sigma_px
+        shift_px[:, 3] = self.distortion_sigma * radius2[:, None] * ideal_px
+        displacement_s = camera.displacements(directions_s, shift_px)
+        # The turns that displace the boresight as much, about the axes up and right: u goes right, and v down.
+        turn = self.principal_sigma_px * pixel
+        displacement_s[:, 0, 1] += turn * right
+        displacement_s[:, 2, 1] -= turn * directions_s[:, 0]
+        displacement_s[:, 0, 2] -= turn * up
+        displacement_s[:, 1, 2] += turn * directions_s[:, 0]
+        return displacement_s
+
+
+def optics_block(name: str) -> StateBlock:
+    """The states of a camera's optics, counted in their sigmas."""
+    return block(name, np.ones(OPTICS_MODES), SOURCE_OPTICS)
