@@ -48,6 +48,15 @@ CAMERA_PARAMETERS = {
     "principal_v_px": 511.5,
     "centroid_sigma_px": 0.04,
 }
+EXACT_CAMERA = {
+    **CAMERA_PARAMETERS,
+    "focal_length_sigma_m": 1e-12,
+    "principal_sigma_px": 0.0,
+    "distortion_sigma": 0.0,
+}
+"""The same camera, whose optics have no errors."""
+EXACT = {f"star_sensors__{id_}__camera": EXACT_CAMERA for id_ in ("fore", "starboard")}
+"""Changes of :func:`config` by which both sensors have it."""
 SIGMA_PX = 0.04
 """3.3″."""
 

@@ -35,7 +35,17 @@ from ship_testing.ship_observations import SENSORS as OBSERVING
 from ship_testing.ship_observations import sail
 from ship_testing.small_voyage import INS, Run
 from ship_testing.star_sky import POSITION, SENSORS, TIME_NS, configuration, exposure_of, ins_track
-from ship_testing.star_voyage import FIX, HUMIDITY, PRESSURE, TEMPERATURE, clean_run, except_
+from ship_testing.star_voyage import (
+    EXACT,
+    EXACT_CAMERA,
+    FIX,
+    HUMIDITY,
+    PRESSURE,
+    TEMPERATURE,
+    clean_run,
+    except_,
+)
+from ship_testing.star_voyage import sail as solved_by
 from ship_testing.star_voyage import voyage as star_voyage
 
 SECOND_NS = 1_000_000_000
@@ -334,11 +344,11 @@ def test_what_stars_share_cannot_be_configured_away(input_: str) -> None:
 # -- the node -------------------------------------------------------------------------------------------------
 
 
-def solved_voyage() -> tuple[Arrival, ...]:
-    """INS, fixes and weather of the voyage, and the solutions of star_attitude as they came out."""
+def solved_voyage(run: Run | None = None) -> tuple[Arrival, ...]:
+    """INS, fixes and weather of the voyage, and the solutions of star_attitude as they came out of a run."""
     solved = [
         Arrival(topic, message, receive_ns)
-        for receive_ns, topic, message in clean_run().published
+        for receive_ns, topic, message in (run or clean_run()).published
         if topic in ("star/fore/solution", "star/starboard/solution")
     ]
     return in_order([*(a for a in star_voyage() if "observations" not in a.topic), *solved])
@@ -352,7 +362,10 @@ def sail_solved(arrivals: Iterable[Arrival], shared: str = "by_input") -> Run:
 
 
 def test_the_node_knows_from_solutions_what_it_knows_from_stars() -> None:
-    by_stars, by_solutions = sail(star_voyage()), sail_solved(solved_voyage())
+    """With exact optics: the filter learns errors of the optics from stars, and not from solutions."""
+    exact = {id_: {**values, "camera": EXACT_CAMERA} for id_, values in OBSERVING.items()}
+    by_stars = sail(star_voyage(), star_sensors=exact)
+    by_solutions = sail_solved(solved_voyage(solved_by(star_voyage(), **EXACT)))
     sigmas = [
         np.sqrt(np.diagonal(run.messages("ship/attitude")[-1].rotation_covariance.reshape(3, 3)))
         for run in (by_stars, by_solutions)

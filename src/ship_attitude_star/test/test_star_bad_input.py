@@ -41,6 +41,7 @@ from ship_testing.star_bad_input import (
     without_star,
 )
 from ship_testing.star_voyage import (
+    EXACT,
     FIX,
     FORE,
     HUMIDITY,
@@ -132,7 +133,7 @@ def test_a_false_star_is_named_with_its_angle(ins: bool) -> None:
     u, v = (getattr(voyage()[index].message.stars[2], name) for name in "uv")
     # 3 px right and 4 px down: 5 px of 82.5″, less off axis.
     arrivals = replaced(voyage(), index, star(2, u=u + 3.0, v=v + 4.0))
-    run = sail(arrivals if ins else except_(arrivals, INS))
+    run = sail(arrivals if ins else except_(arrivals, INS), **EXACT)
     (innovation,) = innovations(run, Reason.MISIDENTIFIED)
     hip = voyage()[index].message.stars[2].catalogue_id
     assert innovation.reason_text.startswith(f"HIP {hip}: ")

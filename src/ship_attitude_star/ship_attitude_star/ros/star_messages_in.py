@@ -120,6 +120,7 @@ def star_exposure(
         magnitude=told.magnitude[kept],
         length=ExposureLength(exposure_s, camera, camera_config.psf_sigma_px) if exposure_s > 0.0 else None,
         masks=masks,
+        optics=camera_config.optics_errors(camera),
         spatial=camera_config.spatial_errors(camera),
     )
     left_out = _left_out(message.stars, refusals, named_by_number)

@@ -12,6 +12,7 @@ from ship_attitude_star.measurements.baseline import BASELINE_COMPONENTS, Baseli
 from ship_attitude_star.measurements.samples import ATTITUDE_COMPONENTS, AttitudeMeasurement
 from ship_attitude_star.ship_attitude.model import SOURCE_INTERPOLATION, Device, ShipStateModel
 from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.stars.camera_states import camera_rows
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.residuals import star_residuals
 from ship_attitude_star.stars.selection import StarPrior
@@ -163,7 +164,7 @@ def compare(
         model.sky_rows,
         mean,
         None if expected is None else predicted.rotation_nv,
-        model.slices.get(f"{device.name}.field"),
+        camera_rows(model.slices, device.name),
     )
     if isinstance(stars, Refusal):
         return stars

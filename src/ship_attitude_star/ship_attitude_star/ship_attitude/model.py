@@ -19,6 +19,8 @@ star.<id>.installation (3)      sensor   m: R(sensor -> deck) = R(A0, E0, roll0)
 star.<id>.common (3)            horizon  error shared by successive solutions: R_measured = exp(c) R_true ...
 star.<id>.time_offset (1)                a message is valid at its stamp + this; only where it has a sigma
 star.<id>.flexure (3)           deck     hull between INS and sensor; only where it has a sigma
+star.<id>.optics (4)                     errors of focal length, principal point (u, v) and k1, in their sigmas;
+                                         only of a sensor that gives single stars
 star.<id>.field (18)                     the sensor's field-spatial error, coefficients in their own sigmas; only where
                                          it gives single stars and has such an error
 sky.refraction (1)                       error of refraction, in its own sigmas; this and the next two only where the
@@ -63,8 +65,9 @@ from ship_attitude_star.ship_attitude.config import (
     StarSensorConfig,
 )
 from ship_attitude_star.sky.shared_states import sky_blocks, sky_rows
+from ship_attitude_star.stars.camera_states import camera_blocks
 from ship_attitude_star.stars.residuals import SOURCE_STAR_NOISE
-from ship_attitude_star.stars.spatial_errors import SOURCE_PIXEL, field_block
+from ship_attitude_star.stars.spatial_errors import SOURCE_PIXEL
 from ship_estimation.kalman import StateBlock, StateModel, block
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
@@ -315,8 +318,8 @@ def _star_blocks(name: str, star: StarSensorConfig) -> list[StateBlock]:
     if star.flexure_sigma_arcsec > 0.0:
         sigma_flexure = [star.flexure_sigma_arcsec * ARCSEC] * 3
         blocks.append(block(f"{name}.flexure", sigma_flexure, SOURCE_FLEXURE, time_s=star.flexure_time_s))
-    if star.input == "observations" and star.camera.field_spatial_sigma_px > 0.0:
-        blocks.append(field_block(f"{name}.field"))
+    if star.input == "observations":
+        blocks += camera_blocks(name, star.camera)
     return blocks
 
 

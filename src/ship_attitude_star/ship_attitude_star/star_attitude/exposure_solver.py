@@ -221,6 +221,7 @@ def _in_deck(
         rivals=_rivals(stars),
         pixel_sigma=_pixel_sigma(stars),
         field_b=_field_in_deck(stars, group),
+        field_sources=tuple(source for s in stars for source in s.field_sources),
     )
 
 
@@ -261,15 +262,16 @@ def _pixel_sigma(stars: Sequence[SightedStars]) -> FloatArray | None:
 
 
 def _field_in_deck(stars: Sequence[SightedStars], group: Sequence[Mounted]) -> FloatArray | None:
-    """What the coefficients of each sensor's field-spatial error do to its stars, in the deck frame, rad, (k, 3, f)."""
-    count = sum(s.field_count for s in stars)
+    """Displacement of each sensor's stars by the lasting errors of its camera, in the deck frame, rad, (k, 3, f)."""
+    count = sum(len(s.field_sources) for s in stars)
     if not count:
         return None
     of_all, begin, rows = np.zeros((sum(len(s) for s in stars), 3, count)), 0, _rows(group)
     for s, mounted, own in zip(stars, group, rows, strict=True):
         if s.field_b is not None:
-            of_all[own, :, begin : begin + s.field_count] = mounted.rotation_ds @ s.field_b
-            begin += s.field_count
+            end = begin + len(s.field_sources)
+            of_all[own, :, begin:end] = mounted.rotation_ds @ s.field_b
+            begin = end
     return of_all
 
 

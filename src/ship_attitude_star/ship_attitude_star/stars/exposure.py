@@ -25,8 +25,9 @@ from ship_attitude_star.stars.camera import StarCamera, equivalent_sigma
 from ship_attitude_star.stars.chance import WRONG_NAMES
 from ship_attitude_star.stars.fit import SightedStars
 from ship_attitude_star.stars.identification import MAGNITUDE_TOLERANCE, WIDEST, candidates
+from ship_attitude_star.stars.optics_errors import OPTICS_MODES, SOURCE_OPTICS, OpticsErrors
 from ship_attitude_star.stars.selection import LINEAR_RANGE, StarPrior
-from ship_attitude_star.stars.spatial_errors import PixelStay, SpatialErrors
+from ship_attitude_star.stars.spatial_errors import FIELD_MODES, SOURCE_FIELD, PixelStay, SpatialErrors
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.deck_masks import SensorMasks
 from ship_geometry.exposure_mean import Nodes, exposure_nodes
@@ -88,6 +89,7 @@ class StarExposure:
             rad², shape (k, 3, 3); None before :func:`at_middle`.
         streak: how far each star went on the detector meanwhile, rad, shape (k,); None before :func:`at_middle`.
         masks: what stands on deck in the sensor's way; None where nothing does.
+        optics: errors of the parameters of its camera's optics; None where they are exact.
         spatial: errors that stay with a star's place on the detector; None where there are none.
         stay: how long the stars have kept their pixels; None before :meth:`after`, and where nothing depends on it.
     """
@@ -104,6 +106,7 @@ class StarExposure:
     smear_s: FloatArray | None = None
     streak: FloatArray | None = None
     masks: SensorMasks | None = None
+    optics: OpticsErrors | None = None
     spatial: SpatialErrors | None = None
     stay: PixelStay | None = None
     covariance_known = True  # a star whose message gives no error of its centroid has the configured one
@@ -147,6 +150,7 @@ class StarExposure:
             None if self.smear_s is None else self.smear_s[rows],
             None if self.streak is None else self.streak[rows],
             self.masks,
+            self.optics,
             self.spatial,
             self.stay,
         )
@@ -159,14 +163,31 @@ class StarExposure:
 
     @property
     def lone_sigma(self) -> FloatArray:
-        """Error of a direction taken by itself, spatial errors included, rad per axis, shape (k,)."""
-        if self.spatial is None:
-            return self.sigma
-        field_s = self.spatial.field_modes(self.directions_s)
+        """Error of a direction taken by itself, those of optics and place included, rad per axis, shape (k,)."""
+        field_s = self.field_modes
         of_field = 0.0 if field_s is None else 0.5 * np.sum(field_s**2, axis=(-2, -1))
         of_pixels = 0.0 if self.pixel_sigma is None else self.pixel_sigma**2
         sigma: FloatArray = np.sqrt(self.sigma**2 + of_field + of_pixels)
         return sigma
+
+    @cached_property
+    def field_modes(self) -> FloatArray | None:
+        """Displacement of the directions by one sigma of each of f lasting errors of the camera, rad, shape (k, 3, f).
+
+        The errors are those of the optics, then the field-spatial ones; None where there are none.
+        """
+        of_optics = None if self.optics is None else self.optics.modes(self.directions_s)
+        of_field = None if self.spatial is None else self.spatial.field_modes(self.directions_s)
+        if of_optics is None or of_field is None:
+            return of_field if of_optics is None else of_optics
+        return np.concatenate([of_optics, of_field], axis=-1)
+
+    @property
+    def field_sources(self) -> tuple[str, ...]:
+        """Source of each of these errors."""
+        of_field = self.spatial is not None and self.spatial.field_sigma_px > 0.0
+        of_optics = self.optics is not None
+        return (SOURCE_OPTICS,) * (OPTICS_MODES * of_optics) + (SOURCE_FIELD,) * (FIELD_MODES * of_field)
 
     @cached_property
     def pixel_sigma(self) -> FloatArray | None:
@@ -272,7 +293,8 @@ def visible_stars(
         smear_b=exposure.smear_s,
         rivals=rivals,
         pixel_sigma=exposure.pixel_sigma,
-        field_b=None if exposure.spatial is None else exposure.spatial.field_modes(exposure.directions_s),
+        field_b=exposure.field_modes,
+        field_sources=exposure.field_sources,
     )
     return exposure, stars, refused
 

@@ -54,8 +54,9 @@ class SightedStars:
         rivals: how often per steradian a detection of the exposure and a star of the sky may be taken for this star by
             mistake, shape (k,); None where names are sure.
         pixel_sigma: pixel-spatial error of a measured direction, rad per axis, shape (k,); None where there is none.
-        field_b: displacement of the measured direction by one sigma of each of f coefficients of field-spatial errors,
-            rad, shape (k, 3, f); None where there is no such error.
+        field_b: displacement of the measured direction by one sigma of each of f lasting errors of the cameras over
+            their fields, optics and field-spatial, rad, shape (k, 3, f); None where there is no such error.
+        field_sources: source of each of these errors.
     """
 
     measured_b: FloatArray
@@ -70,17 +71,13 @@ class SightedStars:
     rivals: FloatArray | None = None
     pixel_sigma: FloatArray | None = None
     field_b: FloatArray | None = None
+    field_sources: tuple[str, ...] = ()
 
     @cached_property
     def white_sigma(self) -> FloatArray:
         """Standard deviation of what differs from star to star, centroid and catalogue, rad per axis, shape (k,)."""
         sigma = np.hypot(self.sigma, self.position_sigma)
         return sigma if self.pixel_sigma is None else np.hypot(sigma, self.pixel_sigma)
-
-    @property
-    def field_count(self) -> int:
-        """Number of coefficients of field-spatial errors."""
-        return 0 if self.field_b is None else self.field_b.shape[-1]
 
     @cached_property
     def lone_sigma(self) -> FloatArray:
@@ -227,8 +224,10 @@ class Agreement:
     """The attitude that some of the stars give, and how well they agree with it.
 
     Attributes:
-        rotation_nb: horizon from b, shape (3, 3): the solution of Wahba's problem, corrected where stars are streaks.
-        white_covariance_n: of its error by what differs from star to star, rad², shape (3, 3).
+        rotation_nb: horizon from b, shape (3, 3): the solution of Wahba's problem, corrected where stars are streaks
+            or cameras have errors over their fields.
+        white_covariance_n: of its error by what differs from star to star, and by the errors over the fields, rad²,
+            shape (3, 3).
         fit: all stars, linearised at that attitude.
         judgement: of the stars that gave the attitude.
     """
@@ -246,14 +245,37 @@ def agreement(stars: SightedStars, members: NDArray[np.bool_] | None = None) -> 
     if not solution.solved:
         return None
     fit = linearized(stars, solution.rotation_nd)
-    if stars.smear_b is None:
+    if stars.smear_b is None and stars.field_b is None:
         return Agreement(solution.rotation_nd, solution.covariance_n, fit, fit.judge(members))
-    # Wahba's problem has one sigma a star, also along a streak. From its solution one step leads to the best attitude.
+    # Wahba's problem has one sigma a star, also along a streak, and no error that stars share over a field. From its
+    # solution one step leads to the best attitude.
     information, right_side = fit.normal_equations(members)
+    fields = field_columns(stars, len(information))
+    weight = field_weight(information, fields)
+    information = information - weight @ information[fields]
+    right_side = right_side - weight @ right_side[fields]
     covariance_n: FloatArray = np.asarray(np.linalg.inv(information[ATTITUDE, ATTITUDE]), dtype=float)
     rotation_nb = exp_rotation(covariance_n @ right_side[ATTITUDE]) @ solution.rotation_nd
     fit = linearized(stars, rotation_nb)
     return Agreement(rotation_nb, covariance_n, fit, fit.judge(members))
+
+
+def field_columns(stars: SightedStars, unknowns: int) -> slice:
+    """Columns of the cameras' errors over their fields among the unknowns; the shared errors are behind them."""
+    end = unknowns - stars.shared_n.shape[-1]
+    return slice(end - len(stars.field_sources), end)
+
+
+def field_weight(information: FloatArray, fields: slice) -> FloatArray:
+    """Share of each unknown in the errors over the fields: what is subtracted to eliminate them, shape (q, f).
+
+    Args:
+        information: of all unknowns by the stars, shape (q, q). The errors have the prior sigma 1.
+        fields: their columns.
+    """
+    own = information[fields, fields]
+    weight: FloatArray = np.linalg.solve(own + np.eye(len(own)), information[fields]).T
+    return weight
 
 
 def square_roots(covariance: FloatArray) -> FloatArray:

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_attitude_star.stars.camera import StarCamera
-from ship_estimation.kalman import StateBlock, block
 from ship_geometry.rotations import FloatArray
 
 SOURCE_OPTICS = "optics"
@@ -77,8 +76,3 @@ class OpticsErrors:
         displacement_s[:, 0, 2] -= turn * up
         displacement_s[:, 1, 2] += turn * directions_s[:, 0]
         return displacement_s
-
-
-def optics_block(name: str) -> StateBlock:
-    """The states of a camera's optics, counted in their sigmas."""
-    return block(name, np.ones(OPTICS_MODES), SOURCE_OPTICS)

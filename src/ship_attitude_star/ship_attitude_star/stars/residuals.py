@@ -5,8 +5,9 @@ sensor), v the star's place in the sky and u its measured direction, the residua
 line of sight. A rotation ε of the sensor (rotation vector in its own frame) moves the predicted direction p = Rᵀ v by
 p × ε. The errors that all stars share (refraction, Earth rotation, position) are states of the filter
 (:mod:`ship_attitude_star.sky.shared_states`): one sigma of such an error displaces v by g, and the predicted direction
-by Rᵀ g. The coefficients of the sensor's field-spatial error are states too
-(:mod:`ship_attitude_star.stars.spatial_errors`); they displace the measured direction.
+by Rᵀ g. The errors of the camera's optics (:mod:`ship_attitude_star.stars.optics_errors`) and the coefficients of its
+field-spatial error (:mod:`ship_attitude_star.stars.spatial_errors`) are states too; they displace the measured
+direction.
 """
 
 from dataclasses import dataclass, replace
@@ -75,7 +76,7 @@ def star_residuals(
         sky_rows: where the states of the shared errors are.
         mean: of the state, shape (n,).
         near_ns: an attitude near the truth, where the prior's own is perhaps not, shape (3, 3).
-        field_rows: where the states of the sensor's field-spatial error are; None where it has none.
+        field_rows: where the states of the lasting errors of the sensor's camera are; None where it has none.
 
     Returns:
         The refusal of the whole exposure where no star can be placed in the sky at its moment, or none can be used.

@@ -14,7 +14,16 @@ from numpy.typing import NDArray
 from ship_attitude_star.sky.sky_watch import SHARED_TERMS, UTC
 from ship_attitude_star.stars import compiled_fit
 from ship_attitude_star.stars.chance import improbable_identity
-from ship_attitude_star.stars.fit import ATTITUDE, Agreement, SightedStars, agreement, linearized
+from ship_attitude_star.stars.fit import (
+    ATTITUDE,
+    Agreement,
+    SightedStars,
+    agreement,
+    field_columns,
+    field_weight,
+    linearized,
+)
+from ship_attitude_star.stars.optics_errors import SOURCE_OPTICS
 from ship_attitude_star.stars.selection import FEWEST_VERIFIED, StarPrior, select
 from ship_attitude_star.stars.spatial_errors import SOURCE_FIELD, SOURCE_PIXEL
 from ship_estimation.compiled_integrity import square_root
@@ -29,6 +38,7 @@ SOLUTION_TERMS = (
     "earth_rotation",
     "ship_position",
     "catalogue",
+    SOURCE_OPTICS,
     UTC,
     SOURCE_FIELD,
     SOURCE_PIXEL,
@@ -39,8 +49,9 @@ The spatial errors at the end are missing where the camera has none; and so is t
 right.
 """
 
-_STAR_NOISE, _INSTALLATION, _CATALOGUE, _FIELD, _PIXEL = (
-    SOLUTION_TERMS.index(term) for term in ("star_noise", "installation", "catalogue", SOURCE_FIELD, SOURCE_PIXEL)
+_STAR_NOISE, _INSTALLATION, _CATALOGUE, _OPTICS, _FIELD, _PIXEL = (
+    SOLUTION_TERMS.index(term)
+    for term in ("star_noise", "installation", "catalogue", SOURCE_OPTICS, SOURCE_FIELD, SOURCE_PIXEL)
 )
 _TERMS_OF_SHARED = np.array([SOLUTION_TERMS.index(term) for term in SHARED_TERMS], dtype=np.intp)
 """Index of the term to which each of the shared errors belongs."""
@@ -210,23 +221,31 @@ def _parts(stars: SightedStars, found: Agreement, members: NDArray[np.bool_]) ->
     """Covariance of the attitude by SOLUTION_TERMS, shape (n_terms, 3, 3)."""
     share = stars.position_sigma / stars.white_sigma
     share[~members] = 0.0
-    information = found.judgement.information
+    information, jacobian = found.judgement.information, found.fit.jacobian
     # Errors of mounting and of turns stand before those of the field, and these before the shared ones.
-    shared, of_field = stars.shared_n.shape[-1], stars.field_count
-    installed = len(information) - ATTITUDE.stop - of_field - shared
-    kinds = [np.full(installed, _INSTALLATION), np.full(of_field, _FIELD), _TERMS_OF_SHARED[:shared]]
-    spatial = stars.pixel_sigma is not None or of_field > 0
+    shared, of_field = stars.shared_n.shape[-1], [SOLUTION_TERMS.index(source) for source in stars.field_sources]
+    installed = len(information) - ATTITUDE.stop - len(of_field) - shared
+    kinds = [np.full(installed, _INSTALLATION), np.array(of_field, dtype=np.intp), _TERMS_OF_SHARED[:shared]]
+    spatial = stars.pixel_sigma is not None or SOURCE_FIELD in stars.field_sources
     terms = len(SOLUTION_TERMS) if spatial else _FIELD - (len(SHARED_TERMS) - shared)
+    if of_field:
+        fields = field_columns(stars, len(information))
+        weight = field_weight(information, fields)
+        jacobian = jacobian.copy()
+        jacobian[..., ATTITUDE] -= jacobian[..., fields] @ weight[ATTITUDE].T
+        information = information - weight @ information[fields]
     parts, by_catalogue = compiled_fit.covariances(
-        found.white_covariance_n, information, found.fit.jacobian, share, np.concatenate(kinds), terms
+        found.white_covariance_n, information, jacobian, share, np.concatenate(kinds), terms
     )
+    # Errors of the fields are in that covariance already; those of mountings and of the sky come on top of it.
+    by_fields = parts[_OPTICS] + parts[_FIELD] if spatial else parts[_OPTICS]
     parts[_CATALOGUE] = by_catalogue
-    parts[_STAR_NOISE] = found.white_covariance_n - by_catalogue
+    parts[_STAR_NOISE] = found.white_covariance_n - by_fields - by_catalogue
     if stars.pixel_sigma is not None:
         share = np.where(members, stars.pixel_sigma / stars.white_sigma, 0.0)
         no_terms = np.zeros(len(information) - ATTITUDE.stop, dtype=np.intp)
         _, parts[_PIXEL] = compiled_fit.covariances(
-            found.white_covariance_n, information, found.fit.jacobian, share, no_terms, 1
+            found.white_covariance_n, information, jacobian, share, no_terms, 1
         )
         parts[_STAR_NOISE] -= parts[_PIXEL]
     solved: FloatArray = parts

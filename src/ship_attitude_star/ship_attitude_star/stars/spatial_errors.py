@@ -22,7 +22,6 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss, legvander
 
 from ship_attitude_star.stars.camera import StarCamera, equivalent_sigma
-from ship_estimation.kalman import StateBlock, block
 from ship_geometry.rotations import FloatArray
 
 SOURCE_FIELD, SOURCE_PIXEL = "field_spatial", "pixel_spatial"
@@ -154,11 +153,6 @@ def _mean_square_way(pixels: FloatArray, way: FloatArray) -> float:
     arms = float(np.sum(arm**2))
     turn = float(np.sum(arm[:, 0] * way[:, 1] - arm[:, 1] * way[:, 0])) / arms if arms > 0.0 else 0.0
     return float(shift @ shift) + turn**2 * arms / len(way)
-
-
-def field_block(name: str) -> StateBlock:
-    """The states of a camera's map: its coefficients, counted in their sigmas."""
-    return block(name, np.ones(FIELD_MODES), SOURCE_FIELD)
 
 
 def _modes_at(place: FloatArray) -> FloatArray:

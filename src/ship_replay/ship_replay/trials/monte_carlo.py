@@ -234,8 +234,15 @@ def _seen_stars(source: str, config: StarImaging, sightings: StarSightings, inde
     if exposure_s:
         length = ExposureLength(exposure_s, camera, config.camera.psf_sigma_px)
     stars, time_ns = sightings.stars[sightings.rows(index)], int(sightings.time_ns[index])
-    spatial = config.camera.spatial_errors(camera)
-    return StarExposure(source, time_ns, **vars(stars), length=length, masks=config.sight_masks, spatial=spatial)
+    return StarExposure(
+        source,
+        time_ns,
+        **vars(stars),
+        length=length,
+        masks=config.sight_masks,
+        optics=config.camera.optics_errors(camera),
+        spatial=config.camera.spatial_errors(camera),
+    )
 
 
 @dataclass(frozen=True)

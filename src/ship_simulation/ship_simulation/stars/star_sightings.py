@@ -14,13 +14,14 @@ from ship_attitude_star.sky.catalogue import UNKNOWN
 from ship_attitude_star.stars.camera import equivalent_sigma
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_geometry.star_directions import StarPositions, fixed_stars
-from ship_simulation.draws.noise import arrival_times, centroids, outside
+from ship_simulation.draws.noise import arrival_times, centroids, outside, random_stream
 from ship_simulation.draws.stretch import Draws
 from ship_simulation.scenario.scenario import Scenario, StarImaging
 from ship_simulation.ship.attitude_device import ExposedMotion, MountedMotion, sigma_of_attitudes
 from ship_simulation.stars.sky import TrueSky, place_of_date, year_of
 from ship_simulation.stars.spatial_errors import DetectorErrors
 from ship_simulation.stars.star_field import stars_in_field, swapped_identities
+from ship_simulation.stars.true_optics import draw_optics
 
 MAGNITUDE_SIGMA = 0.2
 """Error of the magnitudes that a sensor measures."""
@@ -170,11 +171,12 @@ def _true_spots(
     )
     exposure = np.flatnonzero(seeing)[field.exposure]
     # Where each star goes on the detector; the sky stands still meanwhile.
-    way = field.pixel[None]
+    way_s = field.direction_s[None]
     if config.exposure_s > 0.0:
         place_n = (motion.rotation_nv[exposure] @ field.direction_s[..., None])[..., 0]
-        way = config.camera.camera(source).pixels(np.einsum("mkji,kj->mki", motion.passing_nv[:, exposure], place_n))
+        way_s = np.einsum("mkji,kj->mki", motion.passing_nv[:, exposure], place_n)
     detector = config.camera
+    way = draw_optics(random_stream(draws.seed, source + ".optics"), detector, source).pixels(way_s)
     if detector.field_spatial_sigma_px or detector.pixel_spatial_sigma_px:
         errors = draws.lasting(source + ".detector", lambda rng: DetectorErrors(rng, detector))
         way = way + errors.at(way)

@@ -13,6 +13,8 @@ ship_antenna (3)           horizon    error of all baselines, m; this and the fo
 lever (3)                  deck       from the ship's antenna to the theodolite, m
 lens (3)                   main       from the crossing of the axes to N', m
 telescope.<id>.parallelism            as parallelism, of another camera that sees stars (3)
+telescope.<id>.optics (4)             errors of the optics of a camera that sees stars: focal length, principal
+                                      point (u, v) and k1, in their sigmas
 telescope.<id>.field (18)             field-spatial error of a camera that sees stars, in sigmas
 sky.<cause>                           what all stars share, in sigmas (ship_attitude_star.sky.shared_states); only where
                                       there are such cameras
@@ -30,8 +32,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.sky.shared_states import sky_blocks
+from ship_attitude_star.stars.camera_states import camera_blocks
 from ship_attitude_star.stars.residuals import SOURCE_STAR_NOISE
-from ship_attitude_star.stars.spatial_errors import SOURCE_PIXEL, field_block
+from ship_attitude_star.stars.spatial_errors import SOURCE_PIXEL
 from ship_estimation.kalman import StateBlock, StateModel, block, lasting, slow_error_later
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.chain.axes import CHAIN_STATES
@@ -102,11 +105,6 @@ def parallelism_block(id_: str, config: OpticalAxisConfig) -> str:
     return "parallelism" if id_ == config.telescope.telescope_id else f"telescope.{id_}.parallelism"
 
 
-def camera_field(id_: str) -> str:
-    """Name of the states of a star camera's field-spatial error; there are none where it has no such error."""
-    return f"telescope.{id_}.field"
-
-
 def _ship_blocks(config: OpticalAxisConfig) -> list[StateBlock]:
     if config.ship.source == "ship/attitude":
         # Its size comes with the messages, so it starts without any.
@@ -146,9 +144,7 @@ def _camera_blocks(id_: str, camera: StarCameraConfig, config: OpticalAxisConfig
     blocks = []
     if id_ != config.telescope.telescope_id:
         blocks.append(block(parallelism_block(id_, config), camera.parallelism_sigma, SOURCE_PARALLELISM))
-    if camera.camera.field_spatial_sigma_px > 0.0:
-        blocks.append(field_block(camera_field(id_)))
-    return blocks
+    return blocks + camera_blocks(f"telescope.{id_}", camera.camera)
 
 
 def _light_blocks(id_: str, beacon: BeaconConfig, config: OpticalAxisConfig) -> list[StateBlock]:

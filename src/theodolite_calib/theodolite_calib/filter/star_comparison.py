@@ -16,6 +16,7 @@ import numpy as np
 
 from ship_attitude_star.sky.shared_states import sky_rows
 from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.stars.camera_states import camera_rows
 from ship_attitude_star.stars.residuals import StarResiduals, star_residuals
 from ship_attitude_star.stars.selection import StarPrior
 from ship_estimation.hypotheses import RowsCompared, compare_rows
@@ -25,7 +26,7 @@ from ship_geometry.rotations import FloatArray
 from theodolite_calib.chain.axes import axis_chain
 from theodolite_calib.chain.parallelism import telescope_from_main
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.model import SOURCE_ENCODER, SOURCE_SHIP_NOISE, camera_field, parallelism_block
+from theodolite_calib.filter.model import SOURCE_ENCODER, SOURCE_SHIP_NOISE, parallelism_block
 from theodolite_calib.filter.prediction import SightingModel
 from theodolite_calib.measured.star_sighting import StarSighting
 
@@ -120,7 +121,7 @@ class StarModel:
             self._sky_rows,
             mean,
             near_ns,
-            self._model.slices.get(camera_field(sighting.camera_id)),
+            camera_rows(self._model.slices, f"telescope.{sighting.camera_id}"),
         )
 
     def compare(

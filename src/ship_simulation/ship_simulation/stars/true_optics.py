@@ -1,0 +1,59 @@
+"""The true optics of a camera, which differ from those that the suite is given by errors of the stated sigmas.
+
+The mounting is calibrated through the camera, so that a star in the direction that is called the boresight stands on
+the pixel that is called the principal point. So a camera whose true principal point is another one is turned.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ship_attitude_star.stars.camera import Distortion, StarCamera
+from ship_geometry.rotations import FloatArray
+from ship_simulation.scenario.scenario import Detector
+
+_SURVEYED_FOCAL_SIGMA = 2e-4
+"""Relative standard deviation of a focal length whose sigma is not given, as the parameter says."""
+
+
+@dataclass(frozen=True)
+class TrueOptics:
+    """The optics of a camera as they are.
+
+    Attributes:
+        camera: true parameters.
+        rotation_cs: frame of the true optical axis from the frame of the sensor, shape (3, 3).
+    """
+
+    camera: StarCamera
+    rotation_cs: FloatArray
+
+    def pixels(self, directions_s: FloatArray) -> FloatArray:
+        """Pixels (u, v) of directions in the sensor frame, shape (..., 3) → (..., 2)."""
+        return self.camera.pixels(directions_s @ self.rotation_cs.T)
+
+
+def draw_optics(rng: np.random.Generator, detector: Detector, name: str) -> TrueOptics:
+    """Draw the true optics of a camera around those configured.
+
+    Args:
+        rng: of the optics of this camera.
+        detector: as configured, with the sigmas.
+        name: of the camera, for an error message.
+    """
+    told = detector.camera(name)
+    focal, principal_u, principal_v, k1 = rng.standard_normal(4)
+    focal *= detector.focal_length_sigma_m / told.focal_length_m or _SURVEYED_FOCAL_SIGMA
+    distortion = told.distortion or Distortion()
+    true = StarCamera(
+        told.focal_length_m * (1.0 + focal),
+        told.pixel_pitch_m,
+        told.principal_u_px + detector.principal_sigma_px * principal_u,
+        told.principal_v_px + detector.principal_sigma_px * principal_v,
+        replace(distortion, k1=distortion.k1 + detector.distortion_sigma * k1),
+    )
+    # The first axis of the sensor, seen from the true camera, and two others across it.
+    forward_c = true.directions(np.array([told.principal_u_px, told.principal_v_px]))
+    right_c = np.cross(forward_c, [0.0, 1.0, 0.0])
+    right_c /= np.linalg.norm(right_c)
+    return TrueOptics(true, np.stack([forward_c, np.cross(right_c, forward_c), right_c], axis=-1))
