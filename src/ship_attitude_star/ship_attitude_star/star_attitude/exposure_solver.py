@@ -12,6 +12,7 @@ from ship_attitude_star.stars.camera import tangent_basis
 from ship_attitude_star.stars.config import JOINT
 from ship_attitude_star.stars.exposure import StarExposure, visible_stars
 from ship_attitude_star.stars.fit import SightedStars, square_roots
+from ship_attitude_star.stars.scale_check import contradicted_scale
 from ship_attitude_star.stars.selection import StarPrior
 from ship_attitude_star.stars.solution import SolutionStatus, StarSolution, no_attitude, solve_in_doubt_alone
 from ship_estimation.refusals import Reason, Refusal
@@ -150,10 +151,14 @@ def solve_exposure(
     visible = visible_stars(exposure, watch, prior)
     if isinstance(visible, Refusal):
         return not_solved(exposure, refused, visible)
+    detections = exposure
     exposure, stars, invisible = visible
     if invisible:
         refused += tuple(RefusedStar(source, time_ns, name, refusal) for name, refusal in invisible)
     solution, against_prior = solve_in_doubt_alone(stars, prior)
+    contradicted = contradicted_scale(detections, watch, prior, solution.star_count)
+    if contradicted is not None:
+        return not_solved(detections, refused, contradicted)
     if noise_variance + turn_variance > 0.0:
         solution = solution.with_more_noise(noise_variance + turn_variance)
     placed = PlacedExposure(source, time_ns, exposure, stars, refused, turn_variance)

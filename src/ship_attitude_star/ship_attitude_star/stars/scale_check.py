@@ -1,0 +1,78 @@
+"""Whether stars contradict the focal length of their camera: by the angles between them, which need no attitude.
+
+A focal length that is wrong by more than its stated error makes the stars of a field contradict one another: few of
+them fit any one attitude. Then the field is solved again with a focal length that is nearly free. Where the stars agree
+with a focal length far from the configured one, the whole exposure is rejected: what few of its stars fit would be a
+wrong attitude.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.stars.exposure import StarExposure, visible_stars
+from ship_attitude_star.stars.fit import agreement, field_columns
+from ship_attitude_star.stars.optics_errors import OpticsErrors
+from ship_attitude_star.stars.selection import FEWEST_VERIFIED, StarPrior, select
+from ship_estimation.refusals import Reason, Refusal
+
+FREE_FOCAL_SIGMA = 0.01
+"""Relative standard deviation of a focal length that is nearly free."""
+
+MOST_SIGMAS = 4.0
+"""Threshold of the difference between the focal length that fits and the configured one, standard deviations."""
+
+_ENOUGH = 6
+"""Number of stars that fit no one attitude where the focal length is off by more than the threshold."""
+
+
+def contradicted_scale(
+    exposure: StarExposure, watch: SkyWatch, prior: StarPrior | None, used_count: int
+) -> Refusal | None:
+    """Return the rejection of an exposure whose stars contradict the focal length; None where they do not.
+
+    Args:
+        exposure: all detections.
+        watch: the sky.
+        prior: attitude of the sensor known without these stars; None where there is none.
+        used_count: number of detections that fit one attitude with the configured optics. Where these are all, or
+            enough to determine the focal length with them, the field is not solved again.
+    """
+    optics = exposure.optics
+    if optics is None or used_count >= min(len(exposure), _ENOUGH) or len(exposure) < FEWEST_VERIFIED:
+        return None
+    free = replace(exposure, optics=replace(optics, focal_sigma=max(FREE_FOCAL_SIGMA, optics.focal_sigma)))
+    visible = visible_stars(free, watch, prior)
+    if isinstance(visible, Refusal):
+        return None
+    stars = visible[1]
+    members = select(stars, prior).members
+    count = int(np.count_nonzero(members))
+    if count < FEWEST_VERIFIED or count <= used_count:
+        return None
+    found = agreement(stars, members)
+    if found is None:
+        return None
+    judgement, focal = found.judgement, field_columns(stars, len(found.judgement.information)).start
+    scale = free.optics.focal_sigma * float(judgement.solution[focal])
+    scale_sigma = free.optics.focal_sigma * float(np.sqrt(np.linalg.inv(judgement.constrained)[focal, focal]))
+    if not abs(scale) > MOST_SIGMAS * np.hypot(optics.focal_sigma, scale_sigma):
+        return None
+    return wrong_focal_length(optics, scale, f"the angles between {count} stars")
+
+
+def wrong_focal_length(optics: OpticsErrors, scale: float, by_what: str) -> Refusal:
+    """Return a rejection that names the focal length that fits.
+
+    Args:
+        optics: as configured.
+        scale: relative error of the focal length, fitting minus configured.
+        by_what: it is fitted.
+    """
+    told_mm = 1e3 * optics.camera.focal_length_m
+    text = (
+        f"focal length {told_mm * (1.0 + scale):.3f} mm fits {by_what}, configured {told_mm:.3f} mm, "
+        f"sigma {told_mm * optics.focal_sigma:.3f} mm: check camera.focal_length_m"
+    )
+    return Refusal(Reason.MISIDENTIFIED, text)
