@@ -1,0 +1,63 @@
+"""A focal length that is wrong by 0.02 to 0.3 %: no VALID attitude beyond its covariance or its protection level.
+
+The stated sigma is the default one, 0.02 %. Seeds are few, so each bound is one that an honest attitude never reaches:
+five standard deviations, and the protection level.
+"""
+
+import re
+from dataclasses import replace
+
+import pytest
+
+from ship_simulation.run import simulate
+from ship_simulation.scenario.scenario import Scenario
+from ship_simulation.scenario.scenario_file import load_scenario
+from ship_testing.places import SCENARIOS
+from ship_testing.wrong_optics import Judged, told_focal_length, with_exact_focal_length
+
+SEEDS = 20
+SCALES = [2e-4, 5e-4, 1e-3, 3e-3]
+BOTH, ONE = ("fore", "starboard"), ("fore",)
+
+
+def scenario(named: bool) -> Scenario:
+    """Ten stars a field of 13°, an exposure a second for ten seconds."""
+    whole = load_scenario(SCENARIOS / "paper_stars.yaml")
+    sensors = {
+        id_: replace(one, rate_hz=1.0, most_stars=10, identified=named) for id_, one in whole.star_sensors.items()
+    }
+    short = replace(whole, duration_s=10.0, ins=replace(whole.ins, rate_hz=10.0), star_sensors=sensors)
+    return with_exact_focal_length(short)
+
+
+def judged(scale: float, sensor_ids: tuple[str, ...], named: bool, by_solutions: bool, seeds: int = SEEDS) -> Judged:
+    found = Judged()
+    for seed in range(seeds):
+        found.judge(told_focal_length(simulate(scenario(named), seed), sensor_ids, scale), by_solutions)
+    return found
+
+
+@pytest.mark.statistics
+@pytest.mark.parametrize("scale", SCALES)
+@pytest.mark.parametrize("named", [True, False])
+@pytest.mark.parametrize("sensor_ids", [BOTH, ONE])
+@pytest.mark.parametrize("by_solutions", [False, True])
+def test_no_valid_attitude_is_wrong_by_more_than_it_states(scale, named, sensor_ids, by_solutions):
+    found = judged(scale, sensor_ids, named, by_solutions)
+    print(f"VALID {found.valid_count}/{found.count}, {found.worst_sigmas:.1f}σ, {found.worst_over_level:.2f} of level")
+    assert found.worst_sigmas < 5.0
+    assert found.worst_over_level < 1.0
+    if scale < 1e-3 or sensor_ids == ONE:
+        # Within three sigmas nothing is lost; and a wrong camera does not cost the other one its identities.
+        assert found.valid_count > 0.9 * found.count
+    elif scale == SCALES[-1]:
+        assert found.valid_count == 0
+
+
+def test_a_focal_length_that_stars_contradict_is_named_with_the_value_that_fits():
+    found = judged(SCALES[-1], ONE, named=False, by_solutions=False, seeds=1)
+    named = [re.match(r"focal length (\d+\.\d+) mm fits the angles between \d+ stars, ", text) for text in found.texts]
+    fitting_mm = [float(match[1]) for match in named if match]
+    assert fitting_mm
+    # Ten stars of 3″ over 13° give 0.01 %.
+    assert fitting_mm == pytest.approx([50.0] * len(fitting_mm), abs=0.02)
