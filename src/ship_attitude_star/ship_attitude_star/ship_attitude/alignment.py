@@ -16,6 +16,9 @@ from ship_attitude_star.ship_attitude.state import FilterState
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, log_rotation, wrap_pi
 
+_OPTICS = ("focal_length", "1"), ("principal_u", "px"), ("principal_v", "px"), ("distortion_k1", "1")
+"""Names and units of the errors of a camera's optics: true minus configured; of the focal length the relative one."""
+
 
 @dataclass(frozen=True)
 class Alignment:
@@ -23,9 +26,9 @@ class Alignment:
 
     Attributes:
         names: as in ship_msgs/AlignmentState.
-        values: rad or s, shape (n,).
+        values: shape (n,).
         covariance: of the values, shape (n, n).
-        units: "rad" or "s" for each.
+        units: of each: "rad", "s", "px", or "1" for a ratio.
     """
 
     names: tuple[str, ...]
@@ -95,6 +98,11 @@ def alignment_of(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterS
         for name, angle, row in zip(("azimuth", "elevation", "roll"), angles, jacobian, strict=True):
             add(f"star.{id_}.{name}", angle, "rad", row)
         add_time_offset(f"star.{id_}.time_offset", star.time_offset_s)
+        optics = model.slices.get(f"star.{id_}.optics")
+        if optics is not None:
+            sigmas = star.camera.optics_errors(star.camera.camera(f"star_sensors.{id_}.camera")).sigmas
+            for (name, unit), index, sigma in zip(_OPTICS, range(optics.start, optics.stop), sigmas, strict=True):
+                add(f"star.{id_}.{name}", sigma * state.mean[index], unit, sigma * np.eye(model.size)[index])
     for id_, reference in config.references.items():
         angles, jacobian = _installation(filter_, state, f"reference.{id_}")
         for name, index in (("roll", 2), ("pitch", 1), ("heading", 0)):

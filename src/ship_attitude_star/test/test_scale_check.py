@@ -1,0 +1,85 @@
+"""A focal length against the angles between stars: what is named, and what is not."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ship_attitude_star.sky.sky_watch import SkyWatch
+from ship_attitude_star.star_attitude.exposure_solver import solve_exposure
+from ship_attitude_star.stars.camera import StarCamera
+from ship_attitude_star.stars.exposure import StarExposure
+from ship_attitude_star.stars.optics_errors import OpticsErrors
+from ship_attitude_star.stars.scale_check import contradicted_scale
+from ship_attitude_star.stars.selection import StarPrior
+from ship_estimation.refusals import Reason
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.rotations import ARCSEC, exp_rotation
+from ship_testing.star_sky import ROTATION_ND, configuration, exposure_of, told_sky, without_identity
+
+CAMERA = StarCamera(0.05, 5.5e-6, 1023.5, 1023.5)
+OPTICS = OpticsErrors(CAMERA, 2e-4, 1.0, 0.01)
+STARS = 10
+TEXT = re.compile(
+    r"focal length (\d+\.\d+) mm fits the angles between (\d+) stars, configured 50.000 mm, sigma 0.010 mm"
+)
+
+
+@pytest.fixture(scope="module")
+def watch() -> SkyWatch:
+    return told_sky(configuration())
+
+
+def exposure(watch: SkyWatch, scale: float, rng: np.random.Generator, count: int = STARS) -> StarExposure:
+    """Stars with noise of 3″ by a camera whose true focal length is longer by ``scale`` than the configured one."""
+    seen = exposure_of(watch, "fore", count, rng)
+    true = replace(CAMERA, focal_length_m=CAMERA.focal_length_m * (1.0 + scale))
+    return replace(seen, directions_s=CAMERA.directions(true.pixels(seen.directions_s)), optics=OPTICS)
+
+
+def prior(rng: np.random.Generator, sigma: float) -> StarPrior:
+    rotation_ns = ROTATION_ND @ rotation_from_angles(0.0, np.deg2rad(45.0), 0.0)
+    return StarPrior(exp_rotation(sigma * rng.standard_normal(3)) @ rotation_ns, sigma**2 * np.eye(3))
+
+
+@pytest.mark.parametrize("scale", [-3e-3, 3e-3])
+@pytest.mark.parametrize("named", [True, False])
+def test_a_wrong_focal_length_is_named_with_the_value_that_fits(watch, scale, named):
+    for seed in range(10):
+        rng = np.random.default_rng([1, seed])
+        seen = exposure(watch, scale, rng)
+        seen = seen if named else without_identity(seen)
+        _, solved = solve_exposure(seen, (), prior(rng, 30.0 * ARCSEC), watch)
+        refusal = solved.solution.refusal
+        assert refusal is not None
+        assert refusal.reason is Reason.MISIDENTIFIED
+        found = TEXT.match(refusal.text)
+        assert found, refusal.text
+        # Ten stars of 3″ in a field of 14° give 0.01 % at worst; four times that.
+        assert float(found[1]) == pytest.approx(50.0 * (1.0 + scale), abs=0.02)
+
+
+def test_named_stars_need_no_attitude_for_it(watch):
+    rng = np.random.default_rng(2)
+    refusal = contradicted_scale(exposure(watch, 3e-3, rng), watch, None, used_count=0)
+    assert refusal is not None
+    assert TEXT.match(refusal.text)
+
+
+@pytest.mark.parametrize("scale", [0.0, 2e-4, -4e-4])
+@pytest.mark.parametrize("false_count", [0, 3])
+def test_a_focal_length_within_its_error_is_not_named(watch, scale, false_count):
+    for seed in range(10):
+        rng = np.random.default_rng([3, seed])
+        seen = exposure(watch, scale, rng)
+        directions_s = seen.directions_s.copy()
+        directions_s[:false_count] = exp_rotation(0.02 * rng.standard_normal((false_count, 3))) @ directions_s[0]
+        seen = replace(seen, directions_s=directions_s)
+        for used_count in (0, STARS - false_count):
+            assert contradicted_scale(seen, watch, prior(rng, 30.0 * ARCSEC), used_count) is None
+
+
+def test_two_stars_are_too_few(watch):
+    rng = np.random.default_rng(4)
+    assert contradicted_scale(exposure(watch, 3e-3, rng, 2), watch, prior(rng, 30.0 * ARCSEC), 0) is None
