@@ -42,8 +42,8 @@ def contradicted_scale(
     optics = exposure.optics
     if optics is None or used_count >= min(len(exposure), _ENOUGH) or len(exposure) < FEWEST_VERIFIED:
         return None
-    free = replace(exposure, optics=replace(optics, focal_sigma=max(FREE_FOCAL_SIGMA, optics.focal_sigma)))
-    visible = visible_stars(free, watch, prior)
+    free_sigma = max(FREE_FOCAL_SIGMA, optics.focal_sigma)
+    visible = visible_stars(replace(exposure, optics=replace(optics, focal_sigma=free_sigma)), watch, prior)
     if isinstance(visible, Refusal):
         return None
     stars = visible[1]
@@ -55,8 +55,8 @@ def contradicted_scale(
     if found is None:
         return None
     judgement, focal = found.judgement, field_columns(stars, len(found.judgement.information)).start
-    scale = free.optics.focal_sigma * float(judgement.solution[focal])
-    scale_sigma = free.optics.focal_sigma * float(np.sqrt(np.linalg.inv(judgement.constrained)[focal, focal]))
+    scale = free_sigma * float(judgement.solution[focal])
+    scale_sigma = free_sigma * float(np.sqrt(np.linalg.inv(judgement.constrained)[focal, focal]))
     if not abs(scale) > MOST_SIGMAS * np.hypot(optics.focal_sigma, scale_sigma):
         return None
     return wrong_focal_length(optics, scale, f"the angles between {count} stars")
