@@ -13,7 +13,7 @@ from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_testing.places import SCENARIOS
-from ship_testing.wrong_optics import Judged, told_focal_length, with_exact_focal_length
+from ship_testing.wrong_optics import Judged, changed_focal_length, told_focal_length, with_exact_focal_length
 
 SEEDS = 20
 SCALES = [2e-4, 5e-4, 1e-3, 3e-3]
@@ -52,6 +52,19 @@ def test_no_valid_attitude_is_wrong_by_more_than_it_states(scale, named, sensor_
         assert found.valid_count > 0.9 * found.count
     elif scale == SCALES[-1]:
         assert found.valid_count == 0
+
+
+@pytest.mark.parametrize("scale", [5e-4, 8e-4, 1.3e-3, 3e-3])
+def test_the_attitude_is_valid_again_after_a_change_of_the_focal_length_has_ended(scale):
+    """The filter has learned the focal length to 0.003 % by then, so that each change contradicts what it knows."""
+    whole = scenario(named=True)
+    sensors = {id_: replace(one, rate_hz=2.0) for id_, one in whole.star_sensors.items()}
+    run = simulate(replace(whole, duration_s=40.0, star_sensors=sensors), seed=1)
+    found = Judged()
+    found.judge(changed_focal_length(run, scale, from_s=10.0, until_s=25.0), by_solutions=False)
+    assert found.worst_sigmas < 5.0
+    assert found.worst_over_level < 1.0
+    assert found.last_invalid_s < 30.0
 
 
 def test_a_focal_length_that_stars_contradict_is_named_with_the_value_that_fits():

@@ -57,6 +57,20 @@ def told_focal_length(run: SimulatedRun, sensor_ids: Sequence[str], scale: float
     return replace(run, scenario=replace(run.scenario, star_sensors=sensors), stars=stars)
 
 
+def changed_focal_length(run: SimulatedRun, scale: float, from_s: float, until_s: float) -> SimulatedRun:
+    """The run in which all cameras have a focal length longer by ``scale`` for some time after the first exposure."""
+    stars = dict(run.stars)
+    for id_, seen in stars.items():
+        told = run.scenario.star_sensors[id_].camera
+        principal = np.array([told.principal_u_px, told.principal_v_px])
+        since_s = (seen.time_ns - seen.time_ns[0]) * 1e-9
+        is_changed = np.repeat((since_s >= from_s) & (since_s < until_s), np.diff(seen.first))
+        pixel = principal + (seen.pixel - principal) * (1.0 + scale * is_changed[:, None])
+        directions_s = told.camera(id_).directions(pixel)
+        stars[id_] = replace(seen, pixel=pixel, stars=replace(seen.stars, directions_s=directions_s))
+    return replace(run, stars=stars)
+
+
 @dataclass
 class Judged:
     """The attitudes of runs against the truth.
@@ -64,6 +78,7 @@ class Judged:
     Attributes:
         valid_count: VALID attitudes.
         count: all attitudes.
+        last_invalid_s: time after the first stamp of the truth of the last attitude that is not VALID.
         worst_sigmas: largest error of a VALID one about an axis, in its own standard deviations.
         worst_over_level: largest error of a VALID one over its protection level.
         texts: why measurements were rejected.
@@ -71,6 +86,7 @@ class Judged:
 
     valid_count: int = 0
     count: int = 0
+    last_invalid_s: float = 0.0
     worst_sigmas: float = 0.0
     worst_over_level: float = 0.0
     texts: set[str] = field(default_factory=set)
@@ -88,6 +104,8 @@ class Judged:
     def _judge_attitude(self, core: ShipAttitudeCore, run: SimulatedRun, estimate: AttitudeEstimate) -> None:
         self.count += 1
         if estimate.status is not Status.VALID:
+            first_ns = int(run.ins.time_ns[run.truth.ins_index[0]])
+            self.last_invalid_s = max(self.last_invalid_s, (estimate.time_ns - first_ns) * 1e-9)
             return
         self.valid_count += 1
         row = np.searchsorted(run.ins.time_ns[run.truth.ins_index], estimate.time_ns)

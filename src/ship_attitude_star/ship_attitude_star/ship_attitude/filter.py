@@ -23,6 +23,8 @@ from ship_attitude_star.ship_attitude.state import NO_STAYS, FilterState, change
 from ship_attitude_star.ship_attitude.suspects import Suspects
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.stars.exposure import StarExposure
+from ship_attitude_star.stars.optics_errors import SOURCE_OPTICS
+from ship_attitude_star.stars.scale_check import learned_contradiction
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
 from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.hypotheses import RowsCompared, add_error, compare_rows
@@ -36,6 +38,9 @@ from ship_geometry.time_scales import SECOND_NS
 
 _CLOCK_SIGMAS = 8.0
 """A clock that has stepped by up to so many sigmas of its configured offset is estimated anew."""
+
+_AGAINST_PREDICTION = (Reason.GATE, Reason.ATTITUDE_CONFLICT, Reason.MISIDENTIFIED, Reason.UNIDENTIFIED)
+"""Reasons of a rejection that rests on the prediction."""
 
 
 class ShipFilter:
@@ -172,6 +177,10 @@ class ShipFilter:
         The track must span the moment of the measurement; in a gap of it the measurement is refused. Of a measurement
         that no row uses not even the prediction is kept: the estimate stays, to the last bit, as without it.
 
+        The optics of a camera may have changed, by heat or a knock: where its stars are rejected, they are compared
+        again with its optics as configured. An exposure by which its focal length were far from the configured one is
+        rejected.
+
         Args:
             state: after the measurement before.
             measurement: to be used.
@@ -182,6 +191,32 @@ class ShipFilter:
         Returns:
             The next state and the decision; None where samples that may still come belong to the measurement.
         """
+        result = self._step(state, measurement, track, watch, may_wait)
+        optics = self.model.slices.get(f"{measurement.source}.optics")
+        if result is None or optics is None or not isinstance(measurement, StarExposure):
+            return result
+        if result[1].reason in _AGAINST_PREDICTION:
+            again = self._step(self._with_reset_optics(state, optics), measurement, track, watch)
+            if again is not None and again[1].reason not in _AGAINST_PREDICTION:
+                result = again
+            elif again is not None and not again[1].components:
+                # Its stars contradict one another also with the optics as configured: its attitude tells nothing.
+                refusal = Refusal(again[1].reason, again[1].text)
+                return self._refused(state, measurement, NotCompared(refusal, again[1].ins_time_ns))
+        contradiction = self._optics_contradiction(result[0], measurement, optics)
+        if contradiction is not None:
+            return self._refused(state, measurement, NotCompared(contradiction, result[1].ins_time_ns))
+        return result
+
+    def _step(
+        self,
+        state: FilterState,
+        measurement: Measurement,
+        track: AttitudeTrack,
+        watch: SkyWatch | None,
+        may_wait: bool = False,
+    ) -> tuple[FilterState, AttitudeDecision] | None:
+        """The step with the optics as they have been learned; see :meth:`step`."""
         if self._lacks_latitude(measurement.time_ns):
             # Whatever were learnt at another latitude would be wrong, and stay.
             lacking = Refusal(Reason.NO_FIX, "no position fix yet: ins.model 'schuler' needs the latitude (gnss/fix)")
@@ -201,6 +236,26 @@ class ShipFilter:
         if isinstance(found.measured, AttitudeMeasurement):
             predicted = self._with_common(predicted, found.measured)
         return self._judged(state, predicted, measurement, found)
+
+    def _optics_contradiction(
+        self, state: FilterState, exposure: StarExposure, optics: slice
+    ) -> Refusal | None:
+        """The rejection of an exposure whose camera has another focal length than configured, by the state after it."""
+        if exposure.optics is None:
+            return None
+        variance = float(state.parts[:, optics.start, optics.start].sum())
+        return learned_contradiction(exposure.optics, state.mean.item(optics.start), variance)
+
+    def _with_reset_optics(self, state: FilterState, optics: slice) -> FilterState:
+        """The state with a camera's optics as configured again.
+
+        What they were learned to be is added to the covariance: they may still be that.
+        """
+        means, stack, learned = state.means.copy(), state.stack.copy(), state.mean[optics]
+        part = self.model.source_indices[SOURCE_OPTICS]
+        add_error(stack, len(means), part, optics, np.diag(1.0 + learned**2))
+        means[:, optics] = 0.0
+        return changed(state, means=means, stack=stack)
 
     def _judged(
         self, state: FilterState, predicted: FilterState, measurement: Measurement, found: Linearised

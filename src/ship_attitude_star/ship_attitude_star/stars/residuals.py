@@ -20,7 +20,7 @@ from ship_attitude_star.stars import compiled_fit
 from ship_attitude_star.stars.chance import improbable_identity
 from ship_attitude_star.stars.exposure import StarExposure, visible_stars
 from ship_attitude_star.stars.fit import SightedStars
-from ship_attitude_star.stars.scale_check import MOST_SIGMAS, contradicted_scale, wrong_focal_length
+from ship_attitude_star.stars.scale_check import contradicted_scale
 from ship_attitude_star.stars.selection import StarPrior, select
 from ship_attitude_star.stars.solution import SolutionStatus, solve_stars
 from ship_attitude_star.stars.spatial_errors import SOURCE_PIXEL, PixelStay
@@ -83,12 +83,6 @@ def star_residuals(
         The refusal of the whole exposure where no star can be placed in the sky at its moment, none can be used, or
         the stars contradict the focal length of their camera.
     """
-    if field_rows is not None and exposure.optics is not None:
-        # The states of a camera begin with the error of its focal length, in sigmas.
-        learned = mean.item(field_rows.start)
-        if not abs(learned) <= MOST_SIGMAS:
-            scale = learned * exposure.optics.focal_sigma
-            return wrong_focal_length(exposure.optics, scale, f"the stars of {exposure.source} up to now")
     found = _compared(exposure, rotation_ns, to_sensor, prior, watch, sky_rows, mean, near_ns, field_rows)
     used_count = 0 if isinstance(found, Refusal) else len(found.components) // 2
     return contradicted_scale(exposure, watch, prior, used_count) or found

@@ -62,6 +62,19 @@ def contradicted_scale(
     return wrong_focal_length(optics, scale, f"the angles between {count} stars")
 
 
+def learned_contradiction(optics: OpticsErrors, error: float, variance: float) -> Refusal | None:
+    """Return the rejection of an exposure whose camera's focal length a filter has learned to be another one.
+
+    Args:
+        optics: as configured.
+        error: state of the focal length's error, in its sigmas.
+        variance: of that state.
+    """
+    if abs(error) <= MOST_SIGMAS * np.sqrt(1.0 + variance):
+        return None
+    return wrong_focal_length(optics, error * optics.focal_sigma, "the stars up to now")
+
+
 def wrong_focal_length(optics: OpticsErrors, scale: float, by_what: str) -> Refusal:
     """Return a rejection that names the focal length that fits.
 
