@@ -91,6 +91,15 @@ def negative_variance(arrival: Arrival) -> Arrival:
     return changed_copy(arrival, put)
 
 
+def no_orientation(arrival: Arrival) -> Arrival:
+    """The first element of the covariance at -1: Imu.msg says with it that there is no orientation."""
+
+    def put(message: Any) -> None:
+        message.orientation_covariance[0] = -1.0
+
+    return changed_copy(arrival, put)
+
+
 VARIANCES = ("rotation_covariance", "orientation_covariance", "position_covariance", "covariance", "variance", "sigma")
 UNUSABLE: dict[str, tuple[str, Change]] = {
     "stamp zero": ("bad_stamp", stamped(lambda arrival: 0)),
@@ -100,6 +109,7 @@ UNUSABLE: dict[str, tuple[str, Change]] = {
     "frame": ("frame", another_frame),
     "quaternion": ("bad_quaternion", bad_quaternion),
     "variance": ("bad_covariance", negative_variance),
+    "orientation": ("not_given", no_orientation),
     "again at once": ("duplicate", again(1e-6)),
     "again later": ("duplicate", again(0.7)),
     "again too late": ("late", again(2.5)),
@@ -113,12 +123,13 @@ def lacks(topic: str) -> tuple[str, ...]:
     the covariance of a drone's attitude.
     """
     if topic in ("gnss/fix", "met/humidity", "met/pressure", "met/temperature"):
-        return "late", "again too late", "frame", "quaternion"
-    if topic.startswith("beacon/") and topic.endswith("/imu"):
-        return ("variance",)
+        return "late", "again too late", "frame", "quaternion", "orientation"
+    if topic.endswith("/imu"):
+        return ("variance",) if topic.startswith("beacon/") else ()
     if topic.endswith(("/observations", "/beacons")):
-        return "quaternion", "variance"
-    return ("quaternion",) if topic.endswith(("/horizon_attitude", "/encoder", "/baseline")) else ()
+        return "quaternion", "variance", "orientation"
+    without_quaternion = topic.endswith(("/horizon_attitude", "/encoder", "/baseline"))
+    return ("quaternion", "orientation") if without_quaternion else ("orientation",)
 
 
 @pytest.mark.slow

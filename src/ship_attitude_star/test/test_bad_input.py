@@ -90,6 +90,7 @@ DROPPED = [
     ("ins quaternion infinite", INS, put("orientation.w", -np.inf), "non_finite", "orientation"),
     ("ins rate NaN", INS, put("angular_velocity.y", np.nan), "non_finite", "angular_velocity"),
     ("ins covariance NaN", INS, put("orientation_covariance.4", np.nan), "non_finite", "orientation_covariance"),
+    ("ins orientation not given", INS, put("orientation_covariance.0", -1.0), "not_given", "accept_unset_covariance"),
     ("ins quaternion zero", INS, scale_quaternion(0.0), "bad_quaternion", "no orientation"),
     ("ins quaternion 2 % long", INS, scale_quaternion(1.02), "bad_quaternion", "1.02"),
     ("ins quaternion overflows", INS, put("orientation.x", 1e300), "bad_quaternion", "1e+300"),
@@ -227,11 +228,32 @@ def test_another_configured_sigma_rules_where_the_message_gives_none() -> None:
     assert sigma[1] > 10.0 * sigma[0]
 
 
-@pytest.mark.parametrize("unknown", [put("orientation_covariance", 0.0), put("orientation_covariance.0", -1.0)])
-def test_an_ins_without_covariance_is_used_as_configured(unknown: Change) -> None:
-    run = drive(new_adapter(), changed_where(voyage(), lambda a: a.topic == INS, unknown))
+@pytest.mark.parametrize(
+    ("unknown", "accepted"),
+    [(put("orientation_covariance", 0.0), False), (put("orientation_covariance.0", -1.0), True)],
+)
+def test_an_ins_without_covariance_is_used_as_configured(unknown: Change, accepted: bool) -> None:
+    adapter = new_adapter(ins__accept_unset_covariance=accepted)
+    run = drive(adapter, changed_where(voyage(), lambda a: a.topic == INS, unknown))
     assert run.reasons(INS) == {"covariance_unknown": sum(a.topic == INS for a in voyage())}
     assert run.results() == clean_run().results()
+
+
+@pytest.mark.parametrize("accepted", [False, True])
+def test_a_reference_without_an_orientation_is_refused_unless_accepted(accepted: bool) -> None:
+    """The message that an INS of the same attitude sends, with the first element of its covariance at -1."""
+    topic, index = "reference/gyro/imu", index_at(voyage(), INS, MOMENT_S)
+    arrival = changed_copy(voyage()[index], put("orientation_covariance.0", -1.0))
+    unset = replace(arrival, topic=topic, receive_ns=arrival.receive_ns + 1)
+    adapter = new_adapter(references={"gyro": {"accept_unset_covariance": accepted}})
+    run = drive(adapter, in_order((*voyage(), unset)))
+    assert run.reasons(topic) == {"covariance_unknown" if accepted else "not_given": 1}
+    assert (run.health(topic).accepted, run.health(topic).rejected) == ((1, 0) if accepted else (0, 1))
+    if not accepted:
+        (innovation,) = run.innovations(Reason.NOT_GIVEN)
+        assert (innovation.source, innovation.accepted) == ("reference.gyro", False)
+        without_it = drive(new_adapter(references={"gyro": {}}), voyage())
+        assert (run.results(), run.state()) == (without_it.results(), without_it.state())
 
 
 def test_an_ins_without_rates_is_used_without_them() -> None:

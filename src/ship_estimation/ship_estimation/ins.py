@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ship_estimation.parameter_fields import arcsec, degrees, parameter
+from ship_estimation.parameter_fields import accept_unset_covariance, arcsec, degrees, parameter
 from ship_estimation.value_guards import JUMP_SAMPLES, size
 from ship_geometry.attitude_track import ExtraNoise
 from ship_geometry.frames import rotation_from_angles
@@ -26,6 +26,7 @@ class InsInputConfig:
         "enu_flu", doc="axes of ins/imu: ENU <- FLU (REP-103) or NED <- FRD", choices=("enu_flu", "ned_frd")
     )
     frame_id: str = parameter("", doc="frame_id that ins/imu must carry; empty accepts any")
+    accept_unset_covariance: bool = accept_unset_covariance()
     installation_heading_deg: float = degrees(0.0, doc="azimuth of the INS's forward axis in the deck")
     installation_pitch_deg: float = degrees(0.0, doc="elevation of the INS's forward axis in the deck")
     installation_roll_deg: float = degrees(0.0, doc="roll of the INS in the deck, right side down")
@@ -62,7 +63,7 @@ class GuardedInsConfig(InsInputConfig):
     )
     rate_sigma_arcsec_per_s: float = parameter(
         0.0,
-        doc="noise of the angular rate, each axis; what is met is learnt where it is larger",
+        doc="noise of the angular rate, each axis, 0 where it is not known; what is met is learnt where it is larger",
         unit="arcsec/s",
         minimum=0.0,
         maximum=36_000.0,

@@ -92,6 +92,23 @@ def stamp_age() -> Any:
     )
 
 
+def accept_unset_covariance() -> Any:
+    """The parameter ``accept_unset_covariance`` of every input of type sensor_msgs/Imu.
+
+    Example:
+        >>> @dataclasses.dataclass(frozen=True)
+        ... class Input:
+        ...     accept_unset_covariance: bool = accept_unset_covariance()
+        >>> Input().accept_unset_covariance
+        False
+    """
+    return parameter(
+        False,
+        doc="use orientations whose covariance begins with -1, which means in sensor_msgs/Imu that none is given:"
+        " for drivers that set it and give one all the same",
+    )
+
+
 def autosave_period() -> Any:
     """The parameter ``alignment_autosave_s`` of a node that learns: how often it saves what it has learned, s.
 

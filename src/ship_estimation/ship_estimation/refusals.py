@@ -85,6 +85,7 @@ class Reason(enum.IntEnum):
     JUMP = 31
     OFF = 32
     BEHIND = 33
+    NOT_GIVEN = 34
 
     @property
     def word(self) -> str:

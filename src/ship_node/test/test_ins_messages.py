@@ -74,6 +74,7 @@ REFUSED = {
     "no ship's rate": {"angular_velocity": {"x": 0.0, "y": -101.0, "z": 0.0}},
     "another covariance": {"orientation_covariance": 2e-9 * np.eye(3).ravel()},
     "no covariance": {"orientation_covariance": np.full(9, NAN)},
+    "no orientation": {"orientation_covariance": np.r_[-1.0, np.zeros(8)]},
     "no rate": {"angular_velocity_covariance": np.r_[-1.0, np.zeros(8)]},
 }
 
@@ -94,9 +95,10 @@ def test_a_block_ends_before_a_second_of_nanoseconds() -> None:
     ("changes", "config"),
     [
         ({"orientation_covariance": np.full(9, NAN)}, InsInputConfig()),
+        ({"orientation_covariance": np.r_[-1.0, np.zeros(8)]}, InsInputConfig()),
         ({}, InsInputConfig(frame_id="another")),
     ],
-    ids=["covariance", "frame"],
+    ids=["covariance", "no orientation", "frame"],
 )
 def test_of_a_block_of_bad_messages_nothing_is_read(changes: dict[str, Any], config: InsInputConfig) -> None:
     messages = [message(number, **changes) for number in range(COUNT)]
@@ -105,8 +107,14 @@ def test_of_a_block_of_bad_messages_nothing_is_read(changes: dict[str, Any], con
         ins_sample(messages[0], config, int(received()[0]))
 
 
-@pytest.mark.parametrize("unknown", [np.zeros(9), np.r_[-1.0, np.zeros(8)]], ids=["zero", "minus one"])
-def test_an_unknown_covariance_is_told(unknown: np.ndarray) -> None:
+@pytest.mark.parametrize(
+    ("unknown", "config"),
+    [(np.zeros(9), InsInputConfig()), (np.r_[-1.0, np.zeros(8)], InsInputConfig(accept_unset_covariance=True))],
+    ids=["zero", "minus one accepted"],
+)
+def test_an_unknown_covariance_is_told(unknown: np.ndarray, config: InsInputConfig) -> None:
     messages = [message(number, orientation_covariance=unknown) for number in range(COUNT)]
-    found = ins_block(rows(messages), received(), InsInputConfig())
+    found = ins_block(rows(messages), received(), config)
     assert (len(found.samples.times_ns), found.covariance_known) == (COUNT, False)
+    alone = ins_sample(messages[0], config, int(received()[0]))
+    assert (alone.value.content(), alone.covariance_known) == (found.samples.one(0).content(), False)

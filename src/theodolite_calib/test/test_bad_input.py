@@ -101,6 +101,7 @@ DROPPED = [
     ("baseline variance negative", ALPHA, put("covariance", NEGATIVE), "bad_covariance", "negative"),
     ("baseline from the future", ALPHA, stamp_moved(1.0), "future", "ahead"),
     ("drone quaternion", IMU["alpha"], put("orientation.w", 10.0), "bad_quaternion", "expected 1"),
+    ("drone orientation not given", IMU["alpha"], put("orientation_covariance", -1.0), "not_given", "no orientation"),
     ("image of another telescope", BEACONS, put("telescope_id", "finder"), "unknown_sensor", "expected 'main'"),
     ("image frame", BEACONS, put("header.frame_id", "main"), "frame", "'main': expected 'telescope'"),
     ("image of negative length", BEACONS, put("exposure_s", -0.01), "units", "exposure_s is -0.01"),
@@ -507,6 +508,17 @@ def test_covariances_that_are_not_given_are_not_perfect() -> None:
     of_each = ([m.rotation_covariance[0] for m in one.pointings] for one in (run, clean_run()))
     assert np.greater(*(np.median(covariance) for covariance in of_each))
     assert never_wrong(run)
+
+
+def test_a_drone_without_covariance_is_used_where_that_is_accepted() -> None:
+    imus = tuple(IMU.values())
+    unset = changed_where(session(), lambda a: a.topic in imus, put("orientation_covariance", -1.0))
+    accepted = {f"beacons__{id_}__imu__accept_unset_covariance": True for id_ in IMU}
+    run = drive(new_adapter(**accepted), unset)
+    assert all(run.health(topic).rejected == 0 for topic in imus)
+    assert run.results() == clean_run().results()
+    refused = drive(new_adapter(), unset)
+    assert all(refused.reasons(topic) == {"not_given": refused.health(topic).received} for topic in imus)
 
 
 def test_without_the_ship_no_pointing_is_claimed() -> None:

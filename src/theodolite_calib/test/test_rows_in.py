@@ -55,7 +55,10 @@ KINDS: dict[str, tuple[str, Callable[..., Any], Callable[..., Any], dict[str, li
         "sensor_msgs/msg/Imu",
         functools.partial(messages_in.drone_attitude, beacon=BEACON),
         functools.partial(rows_in.drone_attitudes, beacon=BEACON),
-        {"orientation": [dict.fromkeys("xyzw", 0.0), {**dict.fromkeys("xyz", NAN), "w": 1.0}]},
+        {
+            "orientation": [dict.fromkeys("xyzw", 0.0), {**dict.fromkeys("xyz", NAN), "w": 1.0}],
+            "orientation_covariance": [np.r_[-1.0, np.zeros(8)]],
+        },
     ),
 }
 FRAMES = {"encoder": "theodolite_base", "ship": "deck", "drone": ""}

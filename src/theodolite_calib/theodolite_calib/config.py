@@ -10,6 +10,7 @@ from ship_attitude_star.stars.config import GivenCameraConfig
 from ship_estimation.gates import GateConfig
 from ship_estimation.ins import InsErrorConfig, StarInsConfig
 from ship_estimation.parameter_fields import (
+    accept_unset_covariance,
     arcsec,
     autosave_period,
     degrees,
@@ -335,6 +336,7 @@ class DroneImuConfig:
     """What the drone says of its own attitude; used only where its light has a lever."""
 
     frame_id: str = parameter("", doc="frame_id that beacon/<id>/imu must carry; empty accepts any")
+    accept_unset_covariance: bool = accept_unset_covariance()
     convention: str = parameter(
         "enu_flu", doc="axes of its messages: ENU <- FLU (REP-103) or NED <- FRD", choices=("enu_flu", "ned_frd")
     )

@@ -159,7 +159,7 @@ def reference_measurement(
     """
     time_ns = stamp_ns(message.header, receive_ns)
     frame(message.header.frame_id, config.frame_id)
-    rotation_nr = imu_rotation(message, config.convention)
+    rotation_nr = imu_rotation(message, config.convention, config.accept_unset_covariance)
     covariance_enu = angular_covariance(message.orientation_covariance, "orientation_covariance")
     if covariance_enu is None:
         sigma = [config.sigma_roll_arcsec, config.sigma_heading_arcsec, config.sigma_pitch_arcsec]

@@ -14,6 +14,7 @@ from ship_attitude_star.vertical.config import GravityConfig
 from ship_estimation.gates import GateConfig
 from ship_estimation.ins import InsErrorConfig, StarInsConfig
 from ship_estimation.parameter_fields import (
+    accept_unset_covariance,
     arcsec,
     autosave_period,
     degrees,
@@ -140,6 +141,7 @@ class ReferenceConfig:
         "enu_flu", doc="axes of its messages: ENU <- FLU (REP-103) or NED <- FRD", choices=("enu_flu", "ned_frd")
     )
     frame_id: str = parameter("", doc="frame_id that its messages must carry; empty accepts any")
+    accept_unset_covariance: bool = accept_unset_covariance()
     heading_deg: float = degrees(0.0, doc="heading of the reference minus heading of the INS")
     pitch_deg: float = degrees(0.0, doc="pitch of the reference minus pitch of the INS")
     roll_deg: float = degrees(0.0, doc="roll of the reference minus roll of the INS")

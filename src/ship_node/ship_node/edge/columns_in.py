@@ -22,6 +22,7 @@ from ship_node.edge.messages_in import (
     LARGEST_RATE,
     LARGEST_VARIANCE,
     LEAST_QUATERNION_NORM,
+    NOT_GIVEN,
     QUATERNION_NORM_TOLERANCE,
     ReadMessage,
 )
@@ -73,6 +74,13 @@ def unit_quaternions(numbers: np.ndarray, field: str = "orientation") -> tuple[F
         unit: FloatArray = quaternions / norms[:, None]
     good: Good = (norms >= LEAST_QUATERNION_NORM) & (np.abs(norms - 1.0) <= QUATERNION_NORM_TOLERANCE)
     return unit, good
+
+
+def imu_quaternions(numbers: np.ndarray, accept_unset_covariance: bool) -> tuple[FloatArray, Good]:
+    """Orientations of sensor_msgs/Imu, x, y, z, w with norm 1, shape (N, 4)."""
+    quaternions, good = unit_quaternions(numbers)
+    given: Good = numbers["orientation_covariance"][:, 0] != NOT_GIVEN
+    return quaternions, good & (given | accept_unset_covariance)
 
 
 def ship_rates(numbers: np.ndarray) -> tuple[FloatArray, Good]:

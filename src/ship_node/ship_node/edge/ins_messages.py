@@ -10,18 +10,17 @@ from ship_geometry.attitude_track import AttitudeSample, SampleBlock
 from ship_geometry.ros_axes import device_vector_from_ros, rotation_from_quaternion
 from ship_geometry.rotations import FloatArray
 from ship_node.edge.blocks import ReadBlock, StampArray
-from ship_node.edge.columns_in import ship_rates, stamps, unit_quaternions
+from ship_node.edge.columns_in import imu_quaternions, ship_rates, stamps
 from ship_node.edge.messages_in import (
+    NOT_GIVEN,
     ReadMessage,
     Refused,
     covariance_3x3,
     frame,
+    imu_quaternion,
     ship_rate,
     stamp_ns,
-    unit_quaternion,
 )
-
-_RATE_NOT_GIVEN = -1.0
 
 
 def ins_sample(message: Any, config: InsInputConfig, receive_ns: int) -> ReadMessage[AttitudeSample]:
@@ -34,11 +33,11 @@ def ins_sample(message: Any, config: InsInputConfig, receive_ns: int) -> ReadMes
     """
     time_ns = stamp_ns(message.header, receive_ns)
     frame(message.header.frame_id, config.frame_id)
-    quaternion = unit_quaternion(message.orientation)
+    quaternion = imu_quaternion(message, config.accept_unset_covariance)
     covariance = covariance_3x3(message.orientation_covariance, "orientation_covariance")
     (rotation_nd,) = _rotations_nd(quaternion[None], config)
     rate_d = None
-    if message.angular_velocity_covariance[0] != _RATE_NOT_GIVEN:
+    if message.angular_velocity_covariance[0] != NOT_GIVEN:
         (rate_d,) = _rates_d(ship_rate(message.angular_velocity)[None], config)
     return ReadMessage(AttitudeSample(time_ns, rotation_nd, rate_d), covariance is not None)
 
@@ -61,11 +60,11 @@ def ins_block(messages: CdrRows, receive_ns: StampArray, config: InsInputConfig)
         # The first one will be refused by itself.
         numbers, covariance = numbers[:0], None
     times_ns, timely = stamps(numbers, receive_ns)
-    quaternions, of_norm_1 = unit_quaternions(numbers)
+    quaternions, of_norm_1 = imu_quaternions(numbers, config.accept_unset_covariance)
     rates_ros, of_ship = ship_rates(numbers)
     covariances = numbers["orientation_covariance"].view(np.int64)
     same_covariance = (covariances == covariances[:1]).all(axis=1)
-    rate_given = numbers["angular_velocity_covariance"][:, 0] != _RATE_NOT_GIVEN
+    rate_given = numbers["angular_velocity_covariance"][:, 0] != NOT_GIVEN
     good = timely & of_norm_1 & of_ship & same_covariance & rate_given
     count = len(good) if good.all() else int(np.argmin(good))
     rotations_nd = _rotations_nd(quaternions[:count], config)

@@ -29,6 +29,8 @@ QUATERNION_NORM_TOLERANCE = 1e-2
 COVARIANCE_TOLERANCE = 1e-6
 CLEAR_DETERMINANT = 1e-9
 """Of correlations: nothing above it is due to rounding."""
+NOT_GIVEN = -1.0
+"""First element of a covariance in sensor_msgs/Imu whose quantity is not given."""
 _LONGEST_ID = 64
 LARGEST_VARIANCE = (2.0 * math.pi) ** 2
 """Of an angle, rad²: no sigma is more than a full turn."""
@@ -214,7 +216,7 @@ def _covariance_of_bytes(content: bytes) -> FloatArray | None:
     errors are independent says its covariance twice.
     """
     numbers = struct.unpack("9d", content)
-    if numbers[0] == -1.0 or not any(numbers):
+    if numbers[0] == NOT_GIVEN or not any(numbers):
         return None
     if not all(map(math.isfinite, numbers)):
         raise Refused(Reason.NON_FINITE, "holds NaN or infinity")
@@ -285,10 +287,26 @@ def ship_rate(angular_velocity: Any) -> FloatArray:
     return rate_ros
 
 
-def imu_rotation(message: Any, convention: str) -> FloatArray:
-    """Orientation of a sensor_msgs/Imu as a rotation "horizon from device", shape (3, 3).
+def imu_quaternion(message: Any, accept_unset_covariance: bool) -> FloatArray:
+    """Return the orientation of a sensor_msgs/Imu, x, y, z, w with norm 1, shape (4,).
+
+    Args:
+        message: the message.
+        accept_unset_covariance: True to use an orientation whose covariance begins with -1.
 
     Raises:
-        Refused: NON_FINITE or BAD_QUATERNION.
+        Refused: NOT_GIVEN where the covariance begins with -1, NON_FINITE or BAD_QUATERNION.
     """
-    return rotation_from_quaternion(unit_quaternion(message.orientation, "orientation"), convention)
+    if message.orientation_covariance[0] == NOT_GIVEN and not accept_unset_covariance:
+        text = "orientation_covariance[0] is -1: no orientation is given (sensor_msgs/Imu)"
+        raise Refused(Reason.NOT_GIVEN, f"{text}; if the driver means one, set accept_unset_covariance of this input")
+    return unit_quaternion(message.orientation)
+
+
+def imu_rotation(message: Any, convention: str, accept_unset_covariance: bool) -> FloatArray:
+    """Return :func:`imu_quaternion` as a rotation "horizon from device", shape (3, 3).
+
+    Raises:
+        Refused: NOT_GIVEN, NON_FINITE or BAD_QUATERNION.
+    """
+    return rotation_from_quaternion(imu_quaternion(message, accept_unset_covariance), convention)

@@ -134,7 +134,8 @@ def drone_attitude(message: Any, beacon: BeaconConfig, receive_ns: int) -> ReadM
     """
     time_ns = stamp_ns(message.header, receive_ns)
     frame(message.header.frame_id, beacon.imu.frame_id)
-    return ReadMessage(AttitudeSample(time_ns, imu_rotation(message, beacon.imu.convention)))
+    rotation_nb = imu_rotation(message, beacon.imu.convention, beacon.imu.accept_unset_covariance)
+    return ReadMessage(AttitudeSample(time_ns, rotation_nb))
 
 
 def exposure(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMessage[Exposure]:

@@ -18,6 +18,7 @@ from ship_node.edge.blocks import StampArray
 from ship_node.edge.columns_in import (
     ReadRows,
     angular_covariances,
+    imu_quaternions,
     read_of_good,
     ship_rates,
     stamps,
@@ -69,8 +70,8 @@ def ship_attitudes(messages: CdrRows, receive_ns: StampArray, config: OpticalAxi
 def drone_attitudes(messages: CdrRows, receive_ns: StampArray, beacon: BeaconConfig) -> ReadRows:
     """``beacon/<id>/imu``; see :func:`theodolite_calib.ros.messages_in.drone_attitude`."""
     times_ns, timely = stamps(messages.numbers, receive_ns)
-    quaternions, of_norm_1 = unit_quaternions(messages.numbers)
-    good = timely & of_norm_1
+    quaternions, given = imu_quaternions(messages.numbers, beacon.imu.accept_unset_covariance)
+    good = timely & given
 
     def samples() -> Iterator[ReadMessage[Any]]:
         rotations_nb = rotation_from_quaternion(quaternions[good], beacon.imu.convention)
