@@ -8,6 +8,7 @@ from ship_bags.message_store import RosbagsFactory
 from ship_estimation.outcome import Status
 from ship_geometry.rotations import exp_rotation
 
+RATE_SIGMA = 2e-5
 KINDS = [
     (Status.VALID, ("ins", "star.fore", "star.starboard"), True),
     (Status.COASTING, ("ins",), True),
@@ -48,9 +49,10 @@ def test_rows_are_the_messages_of_each_attitude_in_their_order() -> None:
     factory = RosbagsFactory()
     numbers = AttitudeNumbers.of([AttitudeRun.of_one(attitude) for attitude in attitudes()])
     found: list[list[tuple[str, bytes]]] = [[] for _ in attitudes()]
-    for rows in attitude_rows(factory, numbers):
+    for rows in attitude_rows(factory, numbers, RATE_SIGMA):
         for number, place in enumerate(rows.places.tolist()):
             found[place].append((rows.topic, rows.messages.message(number).__cdr__))
     for messages, attitude in zip(found, attitudes(), strict=True):
-        assert messages == [(topic, message.__cdr__) for topic, message in attitude_messages(factory, attitude)]
+        alone = attitude_messages(factory, attitude, RATE_SIGMA)
+        assert messages == [(topic, message.__cdr__) for topic, message in alone]
     assert {len(messages) for messages in found} == {2, 4}

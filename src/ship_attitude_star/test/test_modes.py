@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from geometry_msgs.msg import Quaternion
+from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from ship_attitude_star.measurements.samples import Horizon
@@ -100,6 +101,50 @@ def test_angles_quaternion_and_imu_are_one_attitude() -> None:
         imu = imus[stamp_of(message)]
         assert imu.orientation == message.orientation
         assert np.array_equal(imu.orientation_covariance, message.rotation_covariance)
+
+
+@pytest.mark.parametrize("sigma_arcsec_per_s", [0.0, 20.0])
+def test_the_imu_states_the_configured_noise_of_the_rates(sigma_arcsec_per_s: float) -> None:
+    """Zeros, where it is not configured: by Imu.msg the covariance is not known then."""
+    run = drive(new_adapter(ins__rate_sigma_arcsec_per_s=sigma_arcsec_per_s), voyage())
+    stated = np.array([m.angular_velocity_covariance for m in run.messages("ship/imu")])
+    assert len(stated) == len(outputs(run))
+    expected = np.diag(np.full(3, (sigma_arcsec_per_s / 206_264.806) ** 2)).ravel()
+    np.testing.assert_allclose(stated, np.broadcast_to(expected, stated.shape), rtol=1e-8, atol=0.0)
+
+
+def test_a_changed_noise_of_the_rates_is_stated_from_then_on() -> None:
+    adapter = new_adapter(ins__rate_sigma_arcsec_per_s=20.0)
+    half = len(voyage()) // 2
+    before = drive(adapter, voyage()[:half])
+    adapter.set_parameters({"ins.rate_sigma_arcsec_per_s": 10.0})
+    after = drive(adapter, voyage()[half:])
+    first, last = (run.messages("ship/imu")[-1].angular_velocity_covariance[0] for run in (before, after))
+    assert first == pytest.approx((20.0 * ARCSEC) ** 2, rel=1e-12)
+    assert last == pytest.approx((10.0 * ARCSEC) ** 2, rel=1e-12)
+
+
+def test_the_stated_noise_of_the_rates_is_that_of_their_errors() -> None:
+    """Rates with noise of the configured sigma, against those without; between two samples noise is averaged."""
+    sigma, rng = 20.0 * ARCSEC, np.random.default_rng(36)
+
+    def noisy(message: Any) -> None:
+        for axis, noise in zip("xyz", sigma * rng.standard_normal(3), strict=True):
+            setattr(message.angular_velocity, axis, getattr(message.angular_velocity, axis) + float(noise))
+
+    fixed = {"ins__rate_sigma_arcsec_per_s": 20.0, "ins__time_offset_sigma_s": 0.0}
+    clean, run = (
+        drive(new_adapter(**fixed), arrivals)
+        for arrivals in (voyage(), changed_where(voyage(), lambda a: a.topic == INS, noisy))
+    )
+    rates, true_rates = (
+        np.array([[getattr(m.angular_velocity, axis) for axis in "xyz"] for m in one.messages("ship/imu")])
+        for one in (run, clean)
+    )
+    variances = np.array([m.angular_velocity_covariance[0] for m in run.messages("ship/imu")])
+    chi2 = np.sum((rates - true_rates) ** 2 / variances[:, None])
+    low, high = stats.chi2.ppf([0.0005, 0.9995], rates.size)
+    assert low < chi2 < high
 
 
 def test_the_error_budget_is_the_covariance() -> None:

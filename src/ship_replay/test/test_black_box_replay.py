@@ -5,6 +5,7 @@ import re
 import struct
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import yaml
 from mcap.records import Attachment, Message, Metadata, Schema
@@ -14,6 +15,7 @@ from ship_bags.mcap.bag_file import open_mcap
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.message_store import message_store
+from ship_estimation.refusals import Reason
 from ship_node.documents.saved_start import SavedStart
 from ship_node.edge.messages_out import INTEGRITY_TYPE
 from ship_replay.commands.check_config import main as check_config
@@ -238,6 +240,68 @@ def test_a_node_that_did_not_save_by_itself_yet_is_not_expected_to_have_saved(tm
         suite.write_text(yaml.safe_dump(told), encoding="utf-8")
         code, out, _ = verify(capsys, tmp_path / "old.mcap", "--config", suite)
         assert (code == 0) is same, out
+
+
+UNSET_INPUTS = {
+    ShipAttitudeAdapter: (("ins/imu",), ("ins",)),
+    OpticalAxisAdapter: (("beacon/a/imu", "beacon/b/imu"), ("beacons.a.imu", "beacons.b.imu")),
+}
+"""Inputs of type sensor_msgs/Imu, and the groups of their parameters."""
+
+
+def without_an_orientation(node, folder):
+    """The bag of a node with -1 as the first element of the covariances of its inputs from the third second on."""
+    faults, hit = folder / "faults.yaml", folder / "hit.mcap"
+    unset = "kind: corrupt, field: 'orientation_covariance[0]', value: -1.0, start_s: 3.0"
+    topics = enumerate(UNSET_INPUTS[node.adapter_class][0])
+    faults.write_text(f"faults: {{{', '.join(f'of_{n}: {{topic: {topic}, {unset}}}' for n, topic in topics)}}}")
+    assert inject([str(node.bag), "--faults", str(faults), "--out", str(hit)]) == 0
+    return hit
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship_attitude", "optical_axis"])
+def test_a_box_with_refused_orientations_is_equal_to_the_last_bit(tmp_path, capsys, node):
+    hit = without_an_orientation(node, tmp_path)
+    box = make_box(tmp_path / "box.mcap", tmp_path / "saved.yaml", node=replace(node, bag=hit)).path
+    with read_bag(box) as bag:
+        (topic,) = (name for name, type_name in bag.topics.items() if type_name == "ship_msgs/msg/Innovation")
+        assert "not_given" in {Reason(record.decode().reason).word for record in bag.records([topic])}
+    code, out, _ = verify(capsys, box)
+    assert code == 0, out
+    assert "outputs are equal to the last bit" in out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship_attitude", "optical_axis"])
+def test_a_box_of_before_orientations_were_refused_is_replayed_as_recorded(tmp_path, capsys, node):
+    """Its node used them without the parameter, and stated no covariance of the rates in ship/imu."""
+    hit = without_an_orientation(node, tmp_path)
+    parameters = {f"{group}.accept_unset_covariance": True for group in UNSET_INPUTS[node.adapter_class][1]}
+    parameters |= {"ins.rate_sigma_arcsec_per_s": 4.0} if node is SHIP_ATTITUDE else {}
+    like_then = replace(node, bag=hit, parameters={**node.parameters, **parameters})
+    box = make_box(tmp_path / "box.mcap", tmp_path / "saved.yaml", node=like_then).path
+
+    def as_then(record, topics):
+        if isinstance(record, Attachment) and record.name == SUITE_ATTACHMENT:
+            data = re.sub(rb'(?m)^ *"accept_unset_covariance": .*\n', b"", record.data)
+            assert data != record.data
+            return replace(record, data=data)
+        if isinstance(record, Message) and topics[record.channel_id] == "ship/imu":
+            store, kind = message_store(), "sensor_msgs/msg/Imu"
+            imu = store.deserialize_cdr(record.data, kind)
+            assert imu.angular_velocity_covariance[0] > 0.0
+            imu.angular_velocity_covariance = np.zeros(9)
+            return replace(record, data=bytes(store.serialize_cdr(imu, kind)))
+        return record
+
+    old = changed_copy(box, tmp_path / "old.mcap", as_then)
+    code, out, _ = verify(capsys, old, "--out", tmp_path / "replayed.mcap")
+    assert code == 0, out
+    assert "outputs are equal to the last bit" in out
+    if node is SHIP_ATTITUDE:
+        with read_bag(tmp_path / "replayed.mcap") as bag:
+            assert not any(record.decode().angular_velocity_covariance.any() for record in bag.records(["ship/imu"]))
 
 
 @pytest.mark.slow

@@ -36,9 +36,8 @@ IMU_TOPIC, IMU_TYPE = "ship/imu", "sensor_msgs/msg/Imu"
 SMOOTHED_TOPIC = "ship/attitude_smoothed"
 DEGREES_TOPIC, DEGREES_TYPE = "ship/attitude_deg", "ship_msgs/msg/AttitudeDeg"
 
-_ZEROS = (0.0,) * 9
-_NOT_GIVEN = (-1.0, *_ZEROS[1:])
-"""Covariance that tells readers of sensor_msgs/Imu that nothing was measured."""
+_NOT_GIVEN = (-1.0, *(0.0,) * 8)
+"""Covariance in sensor_msgs/Imu of a quantity that is not measured."""
 
 
 class AttitudeNumbers(NamedTuple):
@@ -63,33 +62,38 @@ class AttitudeNumbers(NamedTuple):
         return self if len(places) == len(self.time_ns) else AttitudeNumbers(*(chosen(each, places) for each in self))
 
 
-def attitude_messages(factory: MessageFactory, estimate: AttitudeEstimate) -> list[Published]:
+def attitude_messages(factory: MessageFactory, estimate: AttitudeEstimate, rate_sigma: float) -> list[Published]:
     """What one attitude becomes, as messages on their way out.
 
     Where no attitude is claimed the first two are all NaN, and the others, which are for standard tools, are not made.
+
+    Args:
+        factory: makes the messages.
+        estimate: the attitude.
+        rate_sigma: noise of the INS's angular rate, each axis, rad/s; 0 where it is not known.
     """
-    attitude = AttitudeNumbers.of([AttitudeRun.of_one(estimate)])
-    return [
-        (topic, factory.encoded(type_name, **fields)) for topic, type_name, fields in _messages(attitude, as_numbers)
-    ]
+    messages = _messages(AttitudeNumbers.of([AttitudeRun.of_one(estimate)]), as_numbers, rate_sigma)
+    return [(topic, factory.encoded(type_name, **fields)) for topic, type_name, fields in messages]
 
 
 def smoothed_message(factory: MessageFactory, estimate: AttitudeEstimate) -> Published:
     """What an attitude that is told again, by later measurements too, becomes: the first of those messages alone."""
     attitude = AttitudeNumbers.of([AttitudeRun.of_one(estimate)])
-    _, type_name, fields = next(_messages(attitude, as_numbers))
+    _, type_name, fields = next(_messages(attitude, as_numbers, rate_sigma=0.0))
     return SMOOTHED_TOPIC, factory.encoded(type_name, **fields)
 
 
-def attitude_rows(factory: MessageFactory, attitudes: AttitudeNumbers) -> Iterator[PublishedRows]:
+def attitude_rows(
+    factory: MessageFactory, attitudes: AttitudeNumbers, rate_sigma: float
+) -> Iterator[PublishedRows]:
     """What N attitudes become; the messages of one are in the same order as by :func:`attitude_messages`."""
     known: list[bool] = np.all(np.isfinite(attitudes.rate_d), axis=1).tolist()
     claimed = [status is not Status.INVALID for status in attitudes.status]
     kinds = zip(claimed, known, attitudes.sources, strict=True)
-    return rows_by_kind(factory, kinds, lambda _, places: _messages(attitudes.some(places), as_columns))
+    return rows_by_kind(factory, kinds, lambda _, places: _messages(attitudes.some(places), as_columns, rate_sigma))
 
 
-def _messages(attitudes: AttitudeNumbers, values_of: Callable[..., list[Any]]) -> MessageFields:
+def _messages(attitudes: AttitudeNumbers, values_of: Callable[..., list[Any]], rate_sigma: float) -> MessageFields:
     """Topic, type and fields of each message of attitudes that are alike."""
     of_angles = angles(attitudes.rotation_nd)
     covariances = angle_covariances(attitudes.covariance_n, of_angles, SINGULAR_ELEVATION)
@@ -129,7 +133,8 @@ def _messages(attitudes: AttitudeNumbers, values_of: Callable[..., list[Any]]) -
     )
     if is_claimed:
         rate_known = bool(np.isfinite(attitudes.rate_d[0]).all())
-        yield IMU_TOPIC, IMU_TYPE, _as_imu(header, orientation, rotation_covariance, rate if rate_known else None)
+        given_rate = rate if rate_known else None
+        yield IMU_TOPIC, IMU_TYPE, _as_imu(header, orientation, rotation_covariance, given_rate, rate_sigma)
     yield (
         DEGREES_TOPIC,
         DEGREES_TYPE,
@@ -149,14 +154,21 @@ def _messages(attitudes: AttitudeNumbers, values_of: Callable[..., list[Any]]) -
         yield TF_TOPIC, TF_TYPE, {"transforms": [deck]}
 
 
-def _as_imu(header: Fields, orientation: Fields, rotation_covariance: Any, rate: Fields | None) -> Fields:
-    """sensor_msgs/Imu without acceleration, with the rate where it is known."""
+def _as_imu(
+    header: Fields, orientation: Fields, rotation_covariance: Any, rate: Fields | None, rate_sigma: float
+) -> Fields:
+    """sensor_msgs/Imu without acceleration, with the rate where it is known.
+
+    The covariance of the rate is the same in all axes; zeros, for a ``rate_sigma`` of 0, mean that it is not known.
+    """
+    variance = rate_sigma**2
+    rate_covariance = (variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, variance)
     return {
         "header": header,
         "orientation": orientation,
         "orientation_covariance": rotation_covariance,
         "angular_velocity": ZERO_VECTOR if rate is None else rate,
-        "angular_velocity_covariance": _NOT_GIVEN if rate is None else _ZEROS,
+        "angular_velocity_covariance": _NOT_GIVEN if rate is None else rate_covariance,
         "linear_acceleration": ZERO_VECTOR,
         "linear_acceleration_covariance": _NOT_GIVEN,
     }

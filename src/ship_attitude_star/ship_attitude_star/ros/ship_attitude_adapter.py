@@ -159,7 +159,16 @@ class ShipAttitudeAdapter(BlockAdapter):
         )
         self.start_warnings = self._lacking = start_warnings(config)
         self._observed: tuple[int, DiagnosticStatus] | None = None
-        super().__init__(config, core, factory, functools.partial(attitude_messages, factory), saved)
+        super().__init__(config, core, factory, self._attitude_messages, saved)
+
+    def _attitude_messages(self, estimate: AttitudeEstimate) -> list[Published]:
+        """Return the messages of one attitude."""
+        return attitude_messages(self.factory, estimate, self._rate_sigma)
+
+    @property
+    def _rate_sigma(self) -> float:
+        """Noise of the INS's angular rate as configured now, each axis, rad/s."""
+        return float(self.config.ins.rate_sigma_arcsec_per_s * ARCSEC)
 
     def make_core(self, config: ShipAttitudeConfig, watch: SkyWatch | None) -> ShipAttitudeCore:
         """The estimator; one that tells attitudes again is made only where that is asked for."""
@@ -235,7 +244,7 @@ class ShipAttitudeAdapter(BlockAdapter):
 
     def block_messages(self, runs: Sequence[AttitudeRun]) -> Iterator[PublishedRows]:
         """See :meth:`BlockAdapter.block_messages`."""
-        return attitude_rows(self.factory, AttitudeNumbers.of(runs))
+        return attitude_rows(self.factory, AttitudeNumbers.of(runs), self._rate_sigma)
 
     def own_slow_topics(self, now_ns: int) -> list[Published]:
         """Budget and predicted errors of the latest attitude, once each; alignment and installation as now known."""

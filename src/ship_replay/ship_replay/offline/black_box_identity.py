@@ -1,16 +1,18 @@
 """Whether a black box can be replayed here: its format, node, versions, parameters and message definitions."""
 
 import json
-from collections.abc import Iterable
-from dataclasses import replace
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
+from ship_bags.message_store import message_store, serialize
 from ship_bags.parameter_yaml import anywhere, full_name
-from ship_estimation.parameters import flatten
+from ship_estimation.parameters import build, flatten, nest
 from ship_node.black_box.black_box_format import EVENTS_TOPIC, FORMAT, METADATA, VERSIONS_ATTACHMENT
 from ship_node.black_box.versions import versions
 from ship_node.edge.adapter import Adapter
@@ -18,8 +20,11 @@ from ship_node.parameters.parameter_file import read, read_whatever_fits
 from ship_replay.offline.adapter_chain import suite_config, suite_text
 from ship_replay.offline.verification import ASIDE
 
-_OFF = {"alignment_autosave_s": 0.0}
-"""Parameters that came after the first boxes, by the value with which a node does as those did that knew them not."""
+_OFF = {"alignment_autosave_s": 0.0, "accept_unset_covariance": True}
+"""Parameters that came after the first boxes, by the last part of their names, each with the value by which a node does
+as those did that did not know it."""
+_SINCE_RATE_COVARIANCE = "ins.accept_unset_covariance"
+"""Parameter that came with the covariance of the rates in ``ship/imu``."""
 
 
 def is_black_box(bag: Bag) -> bool:
@@ -67,6 +72,12 @@ def box_config(bag: Bag, adapter_class: type[Adapter], config_path: Path | None,
         changes = _changes(bag, config, adapter_class)
         notes.append(f"replayed with {config_path} instead of the box's own parameters{changes}")
     return config
+
+
+def older_messages(bag: Bag) -> dict[str, Callable[[Any], Any]]:
+    """Output topic → function that returns a message as the release that wrote the box made it; empty for this one."""
+    own = _own_parameters(bag)
+    return {"ship/imu": _without_rate_covariance} if own and _SINCE_RATE_COVARIANCE not in own else {}
 
 
 def check_definitions(bag: Bag) -> None:
@@ -121,10 +132,25 @@ def _as_the_node_knew_it(config: Any, bag: Bag, node: str, config_path: Path | N
 
     A box holds all parameters of its node, also those at their defaults: the node did not know one that is missing.
     """
-    known: set[str] = set() if config_path is None else set(read(config_path, node).values)
-    if SUITE_ATTACHMENT in bag.attachments:
-        known |= set(read_whatever_fits(suite_text(bag, None), anywhere(bag.metadata[METADATA]["node"])).values)
-    return replace(config, **{name: off for name, off in _OFF.items() if hasattr(config, name) and name not in known})
+    known = _own_parameters(bag) | (set() if config_path is None else set(read(config_path, node).lines))
+    values = flatten(config)
+    off = {name: _OFF[last] for name in values if (last := name.rpartition(".")[2]) in _OFF and name not in known}
+    return build(type(config), nest(values | off)) if off else config
+
+
+def _own_parameters(bag: Bag) -> set[str]:
+    """Dotted names of the parameters that the box holds, and of their groups; empty where its attachment is missing."""
+    if SUITE_ATTACHMENT not in bag.attachments:
+        return set()
+    return set(read_whatever_fits(suite_text(bag, None), anywhere(bag.metadata[METADATA]["node"])).lines)
+
+
+def _without_rate_covariance(message: Any) -> Any:
+    """Return a sensor_msgs/Imu with zeros in place of the covariance of its rates, where it has rates."""
+    imu: Any = message_store().deserialize_cdr(serialize(message), message.__msgtype__)
+    if imu.angular_velocity_covariance[0] > 0.0:
+        imu.angular_velocity_covariance = np.zeros(9)
+    return imu
 
 
 def _refuse_or_note(bag: Bag, text: str, config_path: Path | None, notes: list[str]) -> None:

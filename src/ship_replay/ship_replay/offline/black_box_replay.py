@@ -35,7 +35,13 @@ from ship_node.edge.adapter import Adapter
 from ship_node.edge.overload import Overload
 from ship_node.edge.topics import Published
 from ship_replay.offline.adapter_chain import suite_text
-from ship_replay.offline.black_box_identity import box_adapter, box_config, check_definitions, check_topics
+from ship_replay.offline.black_box_identity import (
+    box_adapter,
+    box_config,
+    check_definitions,
+    check_topics,
+    older_messages,
+)
 from ship_replay.offline.verification import ASIDE, Difference, Verification, message_difference, stamp_of
 
 Watcher = Callable[[Iterator[BagRecord], Bag], Iterator[BagRecord]]
@@ -160,6 +166,7 @@ class _BoxReplay:
         self._files = files
         self._result = result
         self._writer = writer
+        self._older_messages = older_messages(bag)
         self._inputs: set[str] = set()
         self._outputs: set[str] = set()
         self._awaited: deque[Published] = deque()
@@ -231,6 +238,8 @@ class _BoxReplay:
         """Use the adapter; its outputs wait for their records in the box."""
         published = self._call(what, time_ns, call) or []
         for topic, message in published:
+            if topic in self._older_messages:
+                message = self._older_messages[topic](message)
             if self._writer is not None:
                 self._writer.write(topic, message, time_ns)
             if topic in self._outputs:
