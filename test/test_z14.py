@@ -8,6 +8,8 @@ from ship_geometry.frames import angles_from_rotation
 from ship_geometry.rotations import wrap_pi
 from tools.papers.z14 import upright_attitudes
 from tools.papers.z14_conclusions import (
+    ABEAM,
+    AHEAD_ASTERN,
     CONCLUSIONS,
     HEADING,
     PITCH,
@@ -44,6 +46,20 @@ def test_there_are_as_many_conclusions_as_in_the_paper():
     assert [conclusion.place for conclusion in CONCLUSIONS] == places
     assert len({conclusion.holds for conclusion in CONCLUSIONS}) == 15
     assert all(conclusion.remark for conclusion in CONCLUSIONS if conclusion.place not in HOLD_PHYSICALLY)
+
+
+@pytest.mark.parametrize("reading", InstallationReading)
+@pytest.mark.parametrize(("figure", "turn_back_arcsec"), [(3, 1e-9), (6, 8.0)])
+def test_roll_does_not_grow_with_elevation_as_the_abstracts_have_it(reading, figure, turn_back_arcsec):
+    """Abeam both abstracts let roll grow; along the keel the English one does, the Chinese one has the heading."""
+    for azimuth_deg in (*AHEAD_ASTERN, *ABEAM):
+        roll = curve_arcsec(figure, azimuth_deg, reading)[:, ROLL]
+        assert not grows(roll, turn_back_arcsec)
+        assert roll[-1] <= roll[0] + 1.0
+    for azimuth_deg in AHEAD_ASTERN:
+        sizes = curve_arcsec(figure, azimuth_deg, reading)
+        assert grows(sizes[:, HEADING], turn_back_arcsec)
+        assert sizes[-1, ROLL] < 0.3 * sizes[0, ROLL]
 
 
 def test_what_a_trend_is():
