@@ -19,6 +19,7 @@ from ship_geometry.frames import SINGULAR_ELEVATION
 from ship_geometry.ros_axes import ENU_FROM_HORIZON, FLU_FROM_DEVICE, enu_covariance, flu_from_device_vector
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.edge.blocks import PublishedRows
+from ship_node.edge.messages_in import NOT_GIVEN
 from ship_node.edge.messages_out import DECK_FRAME, HORIZON_FRAME, TF_TOPIC, TF_TYPE, ZERO_VECTOR
 from ship_node.edge.output_numbers import (
     Fields,
@@ -36,7 +37,7 @@ IMU_TOPIC, IMU_TYPE = "ship/imu", "sensor_msgs/msg/Imu"
 SMOOTHED_TOPIC = "ship/attitude_smoothed"
 DEGREES_TOPIC, DEGREES_TYPE = "ship/attitude_deg", "ship_msgs/msg/AttitudeDeg"
 
-_NOT_GIVEN = (-1.0, *(0.0,) * 8)
+_NOT_GIVEN = (NOT_GIVEN, *(0.0,) * 8)
 """Covariance in sensor_msgs/Imu of a quantity that is not measured."""
 
 
