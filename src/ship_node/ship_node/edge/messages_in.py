@@ -299,7 +299,7 @@ def imu_quaternion(message: Any, accept_unset_covariance: bool) -> FloatArray:
     """
     if message.orientation_covariance[0] == NOT_GIVEN and not accept_unset_covariance:
         text = "orientation_covariance[0] is -1: no orientation is given (sensor_msgs/Imu)"
-        raise Refused(Reason.NOT_GIVEN, f"{text}; if the driver means one, set accept_unset_covariance of this input")
+        raise Refused(Reason.NOT_GIVEN, f"{text}; if the driver gives one all the same, set accept_unset_covariance")
     return unit_quaternion(message.orientation)
 
 
