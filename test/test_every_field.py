@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import ship_testing.copies  # noqa: F401
 from ship_estimation.outcome import Status
 from ship_geometry.attitude_track import AttitudeSample
 from ship_node.edge.adapter import Adapter

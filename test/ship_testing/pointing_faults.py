@@ -5,15 +5,14 @@ say, array by array, before the core is given it.
 """
 
 import copy
-import copyreg
 import dataclasses
 import functools
 from collections.abc import Container
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 import numpy as np
 
+import ship_testing.copies  # noqa: F401
 from ship_estimation.outcome import Status
 from ship_estimation.parameters import build, flatten, nest
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
@@ -27,9 +26,6 @@ from theodolite_calib.measured.samples import PointingEstimate, PointingOutcome
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 
 FAULT_S, DURATION_S = 40.0, 85.0
-
-# A configuration holds read-only mappings, which copy.deepcopy() cannot copy by itself.
-copyreg.pickle(MappingProxyType, lambda mapping: (MappingProxyType, (dict(mapping),)))
 
 
 @functools.cache

@@ -1,0 +1,7 @@
+"""Deep copies of adapters and cores in tests: importing this lets them hold read-only mappings."""
+
+import copyreg
+from types import MappingProxyType
+
+# A configuration holds read-only mappings, which copy.deepcopy() cannot copy by itself.
+copyreg.pickle(MappingProxyType, lambda mapping: (MappingProxyType, (dict(mapping),)))
