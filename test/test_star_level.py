@@ -49,7 +49,7 @@ def told_sky(run: SimulatedRun, configuration: ShipAttitudeConfig) -> SkyWatch:
 
 def sighted(exposures: dict[str, StarExposure], watch: SkyWatch, configuration: ShipAttitudeConfig) -> SightedStars:
     """All stars of several sensors in the deck."""
-    parts, mounting_b = [], []
+    parts, mounting_b, field_b, field_sources = [], [], [], ()
     for index, (id_, exposure) in enumerate(exposures.items()):
         sensor = configuration.star_sensors[id_]
         rotation_ds = rotation_from_angles(*np.deg2rad([sensor.azimuth_deg, sensor.elevation_deg, sensor.roll_deg]))
@@ -62,10 +62,18 @@ def sighted(exposures: dict[str, StarExposure], watch: SkyWatch, configuration: 
         apparent = watch.at(exposure.time_ns).apparent(exposure.positions)
         measured_b = exposure.directions_s @ rotation_ds.T
         of_sensor = np.full(len(exposure), index)
+        field_b.append(rotation_ds @ exposure.field_modes)
+        field_sources += exposure.field_sources
         parts.append(
             (measured_b, apparent.direction_n, exposure.sigma, exposure.position_sigma, apparent.shared_n, of_sensor)
         )
-    return SightedStars(*(np.concatenate(columns) for columns in zip(*parts, strict=True)), np.array(mounting_b))
+    columns = (np.concatenate(column) for column in zip(*parts, strict=True))
+    # Each camera has errors of its own.
+    rows, modes = np.cumsum([0, *map(len, field_b)]), np.cumsum([0, *(one.shape[-1] for one in field_b)])
+    of_all = np.zeros((rows[-1], 3, modes[-1]))
+    for index, one in enumerate(field_b):
+        of_all[rows[index] : rows[index + 1], :, modes[index] : modes[index + 1]] = one
+    return SightedStars(*columns, np.array(mounting_b), field_b=of_all, field_sources=field_sources)
 
 
 def normalised_errors(scenario: Scenario, told: Scenario | None = None, **sky: float) -> list[float]:

@@ -8,12 +8,25 @@ from ship_testing.places import ROOT
 
 PAPER_STARS = ROOT / "bags" / "scenarios" / "paper_stars.yaml"
 
+EXACT_OPTICS = {"focal_length_sigma_m": 1e-12, "principal_sigma_px": 0.0, "distortion_sigma": 0.0}
+
 
 def paper_stars(**changes) -> Scenario:
-    """Ten seconds of it with few INS samples, fields of the scenario changed."""
-    scenario = load_scenario(PAPER_STARS)
+    """Ten seconds of it with few INS samples and exact optics, fields of the scenario changed."""
+    scenario = with_exact_optics(load_scenario(PAPER_STARS))
     quick = dataclasses.replace(scenario, duration_s=10.0, ins=dataclasses.replace(scenario.ins, rate_hz=10.0))
     return dataclasses.replace(quick, **changes)
+
+
+def with_exact_optics(scenario: Scenario) -> Scenario:
+    """The scenario whose cameras are just as configured."""
+    changes = {}
+    for group in ("star_sensors", "telescopes"):
+        changes[group] = {
+            id_: dataclasses.replace(one, camera=dataclasses.replace(one.camera, **EXACT_OPTICS))
+            for id_, one in getattr(scenario, group).items()
+        }
+    return dataclasses.replace(scenario, **changes)
 
 
 def with_sensor(scenario: Scenario, **changes) -> Scenario:

@@ -14,6 +14,7 @@ from ship_simulation.run import simulate
 from ship_simulation.scenario.motion_scenario import Outage
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.theodolite.mount_stars import draw_parallelism
+from ship_testing.paper_stars import with_exact_optics
 from ship_testing.theodolite_scenes import SCENARIOS, replaced
 
 STARS = "theodolite/night/stars"
@@ -22,7 +23,7 @@ FOCAL_LENGTH_M, PIXEL_PITCH_M, MIDDLE_PX = 0.1, 6.5e-6, 1100.0
 
 def night(duration_s=4.0, **changes):
     """The scenario of the night without lights and targets; changes by path of its camera."""
-    scenario = load_scenario(SCENARIOS / "theodolite_night.yaml")
+    scenario = with_exact_optics(load_scenario(SCENARIOS / "theodolite_night.yaml"))
     camera = replaced(scenario.telescopes["night"], **changes)
     return dataclasses.replace(scenario, duration_s=duration_s, beacons={}, targets={}, telescopes={"night": camera})
 
