@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -72,6 +74,22 @@ def test_direction_covariance_equals_finite_differences(camera):
     expected = components @ np.swapaxes(components, -1, -2) * (sigma_px**2)[:, None, None]
     covariance = camera.direction_covariance(pixels, sigma_px)
     assert covariance / ARCSEC**2 == pytest.approx(expected / ARCSEC**2, rel=1e-6, abs=1e-6)
+
+
+@CAMERAS
+def test_slopes_by_the_optics_equal_finite_differences(camera):
+    pixels, step = pixels_all_over(60), 1e-5
+
+    def directions(number, change):
+        focal_length_m = camera.focal_length_m * np.exp(change * (number == 0))
+        u_px, v_px = camera.principal_u_px + change * (number == 1), camera.principal_v_px + change * (number == 2)
+        changed = replace(camera, focal_length_m=focal_length_m, principal_u_px=u_px, principal_v_px=v_px)
+        return changed.directions(pixels)
+
+    expected = [(directions(number, step) - directions(number, -step)) / (2.0 * step) for number in range(3)]
+    np.testing.assert_allclose(
+        camera.optics_slopes(camera.directions(pixels)), np.stack(expected, axis=-1), atol=2e-10, rtol=1e-6
+    )
 
 
 def test_a_tenth_of_a_pixel_at_the_boresight_is_two_arcseconds():

@@ -149,6 +149,31 @@ class StarCamera:
         """
         return self._covariance(self._ideal(pixels), sigma_px)
 
+    def optics_slopes(self, directions_s: FloatArray) -> FloatArray:
+        """Derivative of the directions of fixed pixels by the optics, rad, shape (..., 3, 3).
+
+        Args:
+            directions_s: as measured, unit vectors (forward, up, right), shape (..., 3).
+
+        Returns:
+            Columns: by the logarithm of the focal length, by ``principal_u_px`` and by ``principal_v_px`` (per pixel).
+        """
+        forward = directions_s[..., 0]
+        ideal = np.stack([directions_s[..., 2] / forward, -directions_s[..., 1] / forward], axis=-1)
+        by_optics = np.zeros((*ideal.shape, 3))
+        by_optics[..., 0] = -ideal
+        by_optics[..., 0, 1] = by_optics[..., 1, 2] = -self._pixel
+        if self.distortion is not None:
+            by_optics[..., 0] = -self.distortion.distorted(ideal)
+            by_optics = np.linalg.solve(self.distortion.jacobian(ideal), by_optics)
+        x, y = ideal[..., 0], ideal[..., 1]
+        by_ideal = np.empty((*x.shape, 3, 2))
+        by_ideal[..., 0, 0], by_ideal[..., 0, 1] = -x, -y
+        by_ideal[..., 1, 0], by_ideal[..., 1, 1] = x * y, -(1.0 + x * x)
+        by_ideal[..., 2, 0], by_ideal[..., 2, 1] = 1.0 + y * y, -x * y
+        slopes: FloatArray = (forward**3)[..., None, None] * by_ideal @ by_optics
+        return slopes
+
     def _covariance(self, ideal: FloatArray, sigma_px: FloatArray | float) -> FloatArray:
         """Covariance of directions, as :meth:`direction_covariance`, by their ideal points in focal lengths."""
         x, y = ideal[..., 0], ideal[..., 1]
