@@ -31,11 +31,13 @@ def _parser() -> CommandParser:
         "2 something is wrong, or bad usage",
         description="Check a suite configuration (ROS 2 parameter file; units stand in the names of the parameters), "
         "with the sections of nmea_in and nmea_out, "
-        "and, with a bag, whether it fits: topics, types, frame_ids, rates; installation angles and focal lengths of "
-        "star sensors and references, by their attitudes against ins/imu; the telescope's focal length; what a node "
-        "would refuse; sigmas that the innovations contradict by a factor of 1.5 or more; about how much of a core "
-        "each node will take. Exit code 2 when something is wrong, 1 when more than half of an input would not be "
-        "used, 0 when there is nothing but warnings.",
+        "and, with a bag, whether it fits: topics, types, frame_ids, rates; installation angles of star sensors and "
+        "references, by their attitudes against ins/imu; of cameras that give single stars, on the deck and on the "
+        "theodolite, the focal length by the angles between stars, mirrored axes, pixels counted from 1 (on the deck), "
+        "magnitudes of another band; the telescope's focal length; what a node would refuse; sigmas that the "
+        "innovations contradict by a factor of 1.5 or more; about how much of a core each node will take. Exit code 2 "
+        "when something is wrong, 1 when more than half of an input would not be used, 0 when there is nothing but "
+        "warnings.",
     )
     parser.add_argument("config", type=Path, metavar="FILE", help="suite configuration")
     parser.add_argument(

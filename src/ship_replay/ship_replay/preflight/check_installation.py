@@ -1,4 +1,4 @@
-"""Where a suite configuration contradicts the installations and focal lengths that a bag shows."""
+"""Where a suite configuration contradicts the installations, cameras and focal lengths that a bag shows."""
 
 from bisect import bisect_left
 from collections.abc import Iterator, Sequence
@@ -7,6 +7,7 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ship_attitude_star.ship_attitude.config import ReferenceConfig, ShipAttitudeConfig
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
@@ -15,8 +16,11 @@ from ship_bags.mcap.bag_reader import Bag
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, log_rotation
+from ship_replay.preflight.check_camera import camera_contradictions
 from ship_replay.preflight.check_config import BagCheck
+from ship_replay.preflight.measured_camera import AS_EXPECTED
 from ship_replay.preflight.measured_mounting import MeasuredMounting, measured_mountings
+from ship_replay.preflight.pixel_count import CameraTurn, counted_from_one, turn_at_rest
 from theodolite_calib.config import OpticalAxisConfig
 
 _SIGMAS = 5.0
@@ -25,7 +29,6 @@ _TOO_FAR = np.deg2rad(1.0)
 
 _WORTH_SAYING = np.deg2rad(0.01)
 _FEWEST = 3
-_FOCAL_LENGTH_TOLERANCE = 0.01
 _LOOKS_LIKE_RADIANS_DEG = 1.0
 
 _IMAGES = 30
@@ -46,23 +49,26 @@ class _Residual:
         mounting: what was measured.
         measured_dv: deck from device by the data, shape (3, 3).
         turn_d: rotation vector, deck frame, from the configured to the measured one, rad, shape (3,).
-        sigmas: the same in the device frame by its sigma, largest component.
+        kept: True for the moments compared that are no outliers, shape (n,).
+        sigmas: the turn in the device frame by its sigma, largest component.
     """
 
     mounting: MeasuredMounting
     measured_dv: FloatArray
     turn_d: FloatArray
+    kept: NDArray[np.bool_]
     sigmas: float
 
 
 def check_installation(check: BagCheck) -> None:
-    """Compare configured installations and focal lengths with those that the bag shows.
+    """Compare configured installations and cameras with those that the bag shows.
 
-    Each device's attitudes are held against the INS's at some moments of the bag.
+    The attitudes of each device are compared with the INS's at some moments of the bag, and the stars of each camera
+    with one another.
     """
     told = {*check.findings.errors, *check.findings.warnings}
     for node in check.nodes:
-        if not isinstance(node.config, (ShipAttitudeConfig, StarAttitudeConfig)):
+        if not isinstance(node.config, (ShipAttitudeConfig, StarAttitudeConfig, OpticalAxisConfig)):
             continue
         mountings = list(measured_mountings(node.config, check.bag, check.usable))
         for is_error, parameter, text in _contradictions(mountings, node.config, check.bag):
@@ -79,7 +85,7 @@ def _contradictions(
     """For each contradiction: whether it is an error, the parameter, and what to say."""
     residuals = []
     for mounting in mountings:
-        yield from _focal_length(mounting, bag)
+        yield from camera_contradictions(mounting, bag)
         if len(mounting.rotations_dv) >= _FEWEST:
             residuals.append(_residual(mounting, config))
     far = [residual for residual in residuals if np.linalg.norm(residual.turn_d) > _TOO_FAR]
@@ -89,20 +95,7 @@ def _contradictions(
         return
     for residual in residuals:
         yield from _installation(residual, bag)
-
-
-def _focal_length(mounting: MeasuredMounting, bag: Bag) -> Iterator[tuple[bool, str, str]]:
-    if mounting.focal_length_m is None:
-        return
-    configured_m = mounting.device.camera.focal_length_m
-    if not abs(mounting.focal_length_m / configured_m - 1.0) <= _FOCAL_LENGTH_TOLERANCE:
-        name = f"{mounting.section}.camera.focal_length_m"
-        pitch_m = mounting.device.camera.pixel_pitch_m
-        text = (
-            f"parameter '{name}' = {configured_m:g} m, but angles between stars on '{mounting.topic}' in {bag.path} "
-            f"are those of {mounting.focal_length_m:.4g} m with pixels of {pitch_m:g} m"
-        )
-        yield True, name, text
+    yield from _pixel_count(residuals, config, bag)
 
 
 def _residual(mounting: MeasuredMounting, config: Any) -> _Residual:
@@ -110,9 +103,9 @@ def _residual(mounting: MeasuredMounting, config: Any) -> _Residual:
     # Those far from most are left out: wrong stars, and moments of another clock.
     middle = _mean(rotations_dv)
     distances = np.linalg.norm(log_rotation(middle.T @ rotations_dv), axis=-1)
-    kept = rotations_dv[distances <= 3.0 * np.median(distances) + ARCSEC]
-    middle = _mean(kept)
-    scatter_v = log_rotation(middle.T @ kept).std(axis=0)
+    kept = distances <= 3.0 * np.median(distances) + ARCSEC
+    middle = _mean(rotations_dv[kept])
+    scatter_v = log_rotation(middle.T @ rotations_dv[kept]).std(axis=0)
     configured_dv, installation_sigma_v = _configured(mounting.device)
     ins = config.ins
     ins_sigma = ARCSEC * np.hypot(max(ins.tilt_sigma_arcsec, ins.heading_sigma_arcsec), ins.white_sigma_arcsec)
@@ -120,7 +113,7 @@ def _residual(mounting: MeasuredMounting, config: Any) -> _Residual:
     turn_v = log_rotation(configured_dv.T @ middle)
     # Both sigmas may be 0: then any turn contradicts.
     sigmas = float(np.max(np.abs(turn_v) / np.maximum(sigma_v, 0.1 * ARCSEC)))
-    return _Residual(mounting, middle, log_rotation(middle @ configured_dv.T), sigmas)
+    return _Residual(mounting, middle, log_rotation(middle @ configured_dv.T), kept, sigmas)
 
 
 def _mean(rotations: FloatArray) -> FloatArray:
@@ -184,6 +177,41 @@ def _installation(residual: _Residual, bag: Bag) -> Iterator[tuple[bool, str, st
             parameter = f"{mounting.section}.{name}"
             text = f"parameter '{parameter}' = {configured:g} deg, but {where} say {measured:.2f} deg{hint}"
             yield True, parameter, text
+
+
+def _pixel_count(residuals: Sequence[_Residual], config: Any, bag: Bag) -> Iterator[tuple[bool, str, str]]:
+    """Yield the cameras whose pixels are counted from 1."""
+    ins = config.ins
+    cameras = [residual for residual in residuals if _has_expected_axes(residual.mounting)]
+    ins_sigma_d = ARCSEC * np.array([ins.tilt_sigma_arcsec, ins.heading_sigma_arcsec, ins.tilt_sigma_arcsec])
+    for number in counted_from_one([_camera_turn(residual) for residual in cameras], np.diag(ins_sigma_d**2)):
+        mounting = cameras[number].mounting
+        name = f"{mounting.section}.camera.principal_u_px"
+        text = (
+            f"parameter '{name}': by '{mounting.topic}', other cameras and 'ins/imu' in {bag.path} the stars are one "
+            "pixel to the right and down: pixels counted from 1? Subtract 1 from u and v"
+        )
+        yield False, name, text
+
+
+def _has_expected_axes(mounting: MeasuredMounting) -> bool:
+    """True if the device is a camera, and its image is not mirrored."""
+    return mounting.camera is not None and mounting.camera.axes is AS_EXPECTED
+
+
+def _camera_turn(residual: _Residual) -> CameraTurn:
+    mounting, kept = residual.mounting, residual.kept
+    device, camera = mounting.device, mounting.device.camera
+    turns_d = log_rotation(mounting.rotations_dv[kept] @ device.rotation_ds.T)
+    turn_d, noise_d = turn_at_rest(turns_d, mounting.rates_d[kept])
+    installation_d = device.rotation_ds * device.installation_sigma_s
+    flexure = ARCSEC * getattr(device, "flexure_sigma_arcsec", 0.0)
+    pixel = camera.pixel_pitch_m / camera.focal_length_m
+    return CameraTurn(
+        turn_d=turn_d,
+        covariance_d=noise_d + installation_d @ installation_d.T + flexure**2 * np.eye(3),
+        pixel_d=device.rotation_ds @ np.array([0.0, pixel, pixel]),
+    )
 
 
 def _wrap_deg(angle_deg: float) -> float:

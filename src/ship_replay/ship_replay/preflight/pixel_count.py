@@ -1,0 +1,94 @@
+"""Cameras whose pixels are counted from 1: by their attitudes against one another's and the INS's.
+
+A camera that counts from 1 sees all stars one pixel to the right and down: its attitude is turned by one pixel about
+its up and right axes. Where the installations are known to less than a pixel, the turns of several cameras against one
+INS are far likelier with this pixel than without it. One camera beside an INS that is known to less is enough.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ship_estimation.chi_square import probability_above
+from ship_geometry.rotations import FloatArray
+
+_CLEARLY_LIKELIER = 12.0
+"""Difference of chi² by which one count is clearly likelier than another: 400 times. By chance: 3 in 10 000 at most."""
+
+_LEAST_PROBABILITY = 0.01
+"""Of the turns with a count from 1: below it something else is wrong."""
+
+
+@dataclass(frozen=True)
+class CameraTurn:
+    """The mean turn of a camera on the deck against its installation, by the attitude of the INS.
+
+    Attributes:
+        turn_d: rotation vector, deck frame, from the configured to the measured installation, rad, shape (3,).
+        covariance_d: of the errors that no other camera has: installation, noise of the mean, rad², shape (3, 3).
+        pixel_d: turn of a camera that counts from 1, rad, shape (3,).
+    """
+
+    turn_d: FloatArray
+    covariance_d: FloatArray
+    pixel_d: FloatArray
+
+
+def counted_from_one(cameras: Sequence[CameraTurn], ins_covariance_d: FloatArray) -> tuple[int, ...]:
+    """Return which cameras count their pixels from 1, as far as the turns show it.
+
+    Each camera alone and all together are considered. Of counts that are not clearly less likely than the likeliest,
+    the cameras are returned that they have in common.
+
+    Args:
+        cameras: of one ship, compared at the same times of its INS.
+        ins_covariance_d: of the INS's attitude, deck frame, rad², shape (3, 3).
+    """
+    if not cameras:
+        return ()
+    count = len(cameras)
+    turn = np.concatenate([camera.turn_d for camera in cameras])
+    covariance = np.kron(np.ones((count, count)), ins_covariance_d)
+    for number, camera in enumerate(cameras):
+        own = slice(3 * number, 3 * number + 3)
+        covariance[own, own] += camera.covariance_d
+    chi_squares = {}
+    for chosen in ((), *_choices(count)):
+        left = turn.copy()
+        for number in chosen:
+            left[3 * number : 3 * number + 3] -= cameras[number].pixel_d
+        chi_squares[chosen] = float(left @ np.linalg.solve(covariance, left))
+    least = min(chi_squares.values())
+    if probability_above(least, 3 * count) <= _LEAST_PROBABILITY:
+        return ()
+    likely = [chosen for chosen, chi_square in chi_squares.items() if chi_square <= least + _CLEARLY_LIKELIER]
+    return tuple(number for number in range(count) if all(number in chosen for chosen in likely))
+
+
+def turn_at_rest(turns_d: FloatArray, rates_d: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the mean turn of a camera without what a time offset makes of the ship's rates, and its covariance.
+
+    Args:
+        turns_d: at n times, deck frame, rad, shape (n, 3).
+        rates_d: of the deck at these times, rad/s, shape (n, 3).
+
+    Returns:
+        Rotation vector, rad, shape (3,), and covariance, rad², shape (3, 3).
+    """
+    count, mean_d, mean_rate_d = len(turns_d), turns_d.mean(axis=0), rates_d.mean(axis=0)
+    swing_d = rates_d - mean_rate_d
+    square = float(np.sum(swing_d**2))
+    offset_s = float(np.sum(swing_d * turns_d)) / square if square > 0.0 else 0.0
+    left_d = turns_d - mean_d - offset_s * swing_d
+    noise_d = left_d.T @ left_d / max(count - 1, 1)
+    offset_variance = float(np.trace(noise_d)) / 3.0 / square if square > 0.0 else 0.0
+    covariance_d: FloatArray = noise_d / count + offset_variance * np.outer(mean_rate_d, mean_rate_d)
+    return mean_d - offset_s * mean_rate_d, covariance_d
+
+
+def _choices(count: int) -> Iterator[tuple[int, ...]]:
+    """Each camera alone, and all of them where there are several."""
+    yield from ((number,) for number in range(count))
+    if count > 1:
+        yield tuple(range(count))

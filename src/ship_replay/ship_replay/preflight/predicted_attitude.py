@@ -1,0 +1,74 @@
+"""What predicts the attitude of a camera in a bag: the ship's attitude, and on the theodolite the encoders too."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ship_attitude_star.stars.selection import StarPrior
+from ship_bags.stamps import NS_PER_S
+from ship_geometry.attitude_track import AttitudeTrack
+from ship_geometry.frames import rotation_from_angles
+from ship_geometry.rotations import ARCSEC
+from ship_geometry.vector_track import VectorTrack
+from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
+from theodolite_calib.config import OpticalAxisConfig, StarCameraConfig
+from theodolite_calib.measured.samples import EncoderSample
+
+ENCODER_TOPIC = "theodolite/encoder"
+_FULL_TURN = 2.0 * np.pi
+
+
+@dataclass
+class PredictedAttitude:
+    """What predicts the attitude of a camera.
+
+    Attributes:
+        config: of the node.
+        ship_topic: where the attitudes of the ship come from.
+        ship: attitudes of the ship.
+        encoder: readings of the theodolite's encoders.
+    """
+
+    config: Any
+    ship_topic: str
+    ship: AttitudeTrack = field(init=False)
+    encoder: VectorTrack[EncoderSample] = field(init=False)
+
+    def __post_init__(self) -> None:
+        on_mount = isinstance(self.config, OpticalAxisConfig)
+        self.ship = AttitudeTrack(round(self.config.ins.max_gap_s * NS_PER_S))
+        self.encoder = VectorTrack(round(self.config.encoder.max_gap_s * NS_PER_S) if on_mount else 1, _FULL_TURN)
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """Where their samples come from."""
+        return (self.ship_topic, ENCODER_TOPIC) if isinstance(self.config, OpticalAxisConfig) else (self.ship_topic,)
+
+    def prior(self, device: Any, time_ns: int) -> StarPrior | None:
+        """Attitude of a camera (horizon from sensor) with its errors as configured; None where it is not known."""
+        ship, ins = self.ship.at(time_ns + offset_ns(device)), self.config.ins
+        if ship is None:
+            return None
+        sigma_arcsec = np.array([ins.tilt_sigma_arcsec, ins.heading_sigma_arcsec, ins.tilt_sigma_arcsec])
+        covariance_n = np.diag((sigma_arcsec * ARCSEC) ** 2)
+        if not isinstance(device, StarCameraConfig):
+            rotation_ns = ship.rotation_nd @ device.rotation_ds
+            mounting_n = rotation_ns * device.installation_sigma_s
+            return StarPrior(rotation_ns, covariance_n + mounting_n @ mounting_n.T)
+        angles = self.encoder.at(time_ns)
+        if angles is None:
+            return None
+        axes = AxisErrors.from_vector(self.config.axes.values)
+        rotation_dm = main_axis_rotation(axes, float(angles.vector[0]), float(angles.vector[1]))
+        rotation_sm = rotation_from_angles(*device.parallelism)
+        deformation = self.config.deformation.sigma_arcsec * ARCSEC
+        own = np.array([*self.config.axes.sigma, *device.parallelism_sigma, deformation])
+        # An upper bound: each of these errors turns the camera by as much at most.
+        covariance_n += own @ own * np.eye(3)
+        return StarPrior(ship.rotation_nd @ rotation_dm @ rotation_sm.T, covariance_n)
+
+
+def offset_ns(device: Any) -> int:
+    """Return by how much a device's data are valid later than their stamps, ns."""
+    return round(getattr(device, "time_offset_s", 0.0) * NS_PER_S)
