@@ -174,6 +174,19 @@ def test_mirrored_axes_are_named(check, deck, tmp_path, mirror, words):
     assert len(lines) == 1
 
 
+def test_mirrored_axes_without_an_ins_are_named_as_such(check, tmp_path):
+    """Which of the axes is reversed is not stated: nothing predicts the attitude."""
+    bag, text = simulated(tmp_path, deck_scenario(True))
+    mirrored = changed(bag, tmp_path, FORE, lambda star: v_upwards(star, IMAGE_PX[FORE]))
+    alone = tmp_path / "alone.mcap"
+    with read_bag(mirrored) as whole, BagWriter(alone) as writer:
+        for record in whole.records():
+            if record.topic != "ins/imu":
+                writer.write(record.topic, record.decode(), record.log_time_ns)
+    (line,) = [line for line in check(text, alone) if "mirrored" in line]
+    assert "fit the sky only in a mirrored image: u or v is reversed, or both are exchanged; expected" in line
+
+
 @MIRRORS
 def test_mirrored_axes_of_a_camera_on_the_theodolite_are_named(check, mount, tmp_path, mirror, words):
     bag, text = mount
@@ -205,11 +218,12 @@ def test_pixels_counted_from_one_are_named(check, deck, tmp_path):
 
 
 @pytest.mark.statistics
-@pytest.mark.parametrize("identified", [True, False])
-def test_clean_bags_of_many_seeds_name_nothing(check, tmp_path, identified):
-    """Ten seeds of two cameras on the deck: installations, INS and stars drawn anew, each as its sigma states."""
-    for seed in range(10, 20):
-        bag, text = simulated(tmp_path, deck_scenario(identified), seed)
+@pytest.mark.parametrize("identified", [True, False], ids=["named", "unnamed"])
+@pytest.mark.parametrize(("scenario", "seeds"), [(deck_scenario, range(10, 20)), (mount_scenario, range(10, 15))])
+def test_clean_bags_of_many_seeds_name_nothing(check, tmp_path, scenario, seeds, identified):
+    """Installations, INS and stars are drawn anew for each seed, each as its sigma states."""
+    for seed in seeds:
+        bag, text = simulated(tmp_path, scenario(identified), seed)
         assert check(text, bag) == []
 
 

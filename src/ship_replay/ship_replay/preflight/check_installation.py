@@ -16,9 +16,9 @@ from ship_bags.mcap.bag_reader import Bag
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, log_rotation
+from ship_replay.preflight.camera_exposures import AS_EXPECTED
 from ship_replay.preflight.check_camera import camera_contradictions
 from ship_replay.preflight.check_config import BagCheck
-from ship_replay.preflight.measured_camera import AS_EXPECTED
 from ship_replay.preflight.measured_mounting import MeasuredMounting, measured_mountings
 from ship_replay.preflight.pixel_count import CameraTurn, counted_from_one, turn_at_rest
 from theodolite_calib.config import OpticalAxisConfig

@@ -1,64 +1,33 @@
 """A camera by its stars: axes of the image, focal length, principal point, magnitudes; and the attitudes they give.
 
-Stars with names need nothing else. Stars without names are identified by the attitude that the INS predicts for the
-camera, without their magnitudes: these are compared afterwards. Axes, focal length and principal point need no
-attitude; only a mirrored image needs one to state which of its axes is reversed.
+Axes, focal length and principal point need no attitude; only a mirrored image needs one to state which of its axes is
+reversed.
 """
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from operator import add
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from ship_attitude_star.ros.star_messages_in import star_exposure
 from ship_attitude_star.sky.catalogue import UNKNOWN
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.star_attitude.exposure_solver import PlacedExposure, solve_exposure
 from ship_attitude_star.stars.config import CameraConfig
-from ship_attitude_star.stars.exposure import StarExposure, identified
 from ship_attitude_star.stars.field_scale import OpticsEstimate, estimate_optics, field_information
-from ship_attitude_star.stars.selection import FEWEST_VERIFIED, StarPrior
+from ship_attitude_star.stars.selection import FEWEST_VERIFIED
 from ship_attitude_star.stars.solution import SolutionStatus, StarSolution
-from ship_estimation.refusals import Refusal
-from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, log_rotation
-from ship_node.edge.messages_in import Refused
+from ship_geometry.rotations import FloatArray, log_rotation
+from ship_replay.preflight.camera_exposures import AS_EXPECTED, MIRRORED, CameraRecord, ImageAxes, fitted_camera
 
-_FEWEST_PAIRS = 5
-_LEAST_PAIR_ANGLE = np.deg2rad(0.2)
-_FIRST_FACTORS = 1.0, 0.1, 10.0
-_SEARCH_STEPS, _SETTLED = 8, 1e-4
 _FEWEST_MAGNITUDES = 5
-
-_PRIOR_SIGMA = 60.0 * ARCSEC
-"""Added to the predicted attitude, each axis: a focal length off by 0.5 % displaces a star at 3° from the middle so."""
 
 _MOST_OF_THE_STARS = 0.5
 """Share of the stars that must agree on one attitude per exposure for the axes of an image to be the right ones."""
 
-
-class ImageAxes(NamedTuple):
-    """How u and v of a camera may be meant.
-
-    Attributes:
-        text: the difference to what is expected, for people; empty for none.
-        expected_s: expected from measured direction (forward, up, right), shape (3, 3).
-    """
-
-    text: str
-    expected_s: FloatArray
-
-
-AS_EXPECTED = ImageAxes("", np.eye(3))
-
-MIRRORED = (
-    ImageAxes("u counts to the left", np.diag([1.0, 1.0, -1.0])),
-    ImageAxes("v counts upwards", np.diag([1.0, -1.0, 1.0])),
-    ImageAxes("u and v are exchanged", np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0.0]])),
-)
-"""Images that no turn of the camera explains."""
+_WHICH_IS_OPEN = "u or v is reversed, or both are exchanged"
+"""The stars alone do not decide between these: a turn by a quarter or half leads from one to another."""
 
 
 class MagnitudeOffset(NamedTuple):
@@ -71,23 +40,6 @@ class MagnitudeOffset(NamedTuple):
 
     offset: float
     sigma: float
-
-
-@dataclass(frozen=True)
-class CameraRecord:
-    """What a bag holds of one camera.
-
-    Attributes:
-        topic: of its stars.
-        camera: as configured.
-        messages: some of them, each with its arrival, ns.
-        prior_at: attitude of the camera (horizon from sensor) at a time; None where it is not known.
-    """
-
-    topic: str
-    camera: CameraConfig
-    messages: Sequence[tuple[Any, int]]
-    prior_at: Callable[[int], StarPrior | None]
 
 
 @dataclass(frozen=True)
@@ -136,14 +88,14 @@ class _Reading:
         return [entry for entry in self.solved if entry[1].star_count >= FEWEST_VERIFIED]
 
     def turn(self, record: CameraRecord) -> float:
-        """Median angle between the attitudes and the predicted ones, rad; 0 where none is predicted."""
+        """Median angle between the attitudes and the predicted ones, rad; NaN where none is predicted."""
         pairs = [(record.prior_at(placed.time_ns), solution.rotation_nb) for placed, solution in self.verified]
         turns = [
             float(np.linalg.norm(log_rotation(prior.rotation_nb.T @ rotation_ns)))
             for prior, rotation_ns in pairs
             if prior is not None
         ]
-        return float(np.median(turns)) if turns else 0.0
+        return float(np.median(turns)) if turns else np.nan
 
 
 def measure_camera(record: CameraRecord, watch: SkyWatch) -> MeasuredCamera:
@@ -155,8 +107,7 @@ def measure_camera(record: CameraRecord, watch: SkyWatch) -> MeasuredCamera:
     """
     reading = _read(record, AS_EXPECTED, watch)
     if reading.used < _MOST_OF_THE_STARS * reading.star_count:
-        mirrored = [other for axes in MIRRORED if _explains(other := _read(record, axes, watch), reading)]
-        reading = min(mirrored, key=lambda other: other.turn(record), default=reading)
+        reading = _mirrored(record, reading, watch)
     optics = _optics(record.camera, reading)
     return MeasuredCamera(
         axes=reading.axes,
@@ -167,13 +118,22 @@ def measure_camera(record: CameraRecord, watch: SkyWatch) -> MeasuredCamera:
     )
 
 
+def _mirrored(record: CameraRecord, expected: _Reading, watch: SkyWatch) -> _Reading:
+    """Return the reading with the mirrored axes that explain the stars; that with the expected axes where none do."""
+    found = [reading for axes in MIRRORED if _explains(reading := _read(record, axes, watch), expected)]
+    nearest = min(found, key=lambda reading: reading.turn(record), default=expected)
+    if found and np.isnan(nearest.turn(record)):
+        return replace(nearest, axes=nearest.axes._replace(text=_WHICH_IS_OPEN))
+    return nearest
+
+
 def _explains(mirrored: _Reading, expected: _Reading) -> bool:
     """True if most stars agree with the mirrored axes, and far fewer with the expected ones."""
     return mirrored.used >= max(_MOST_OF_THE_STARS * mirrored.star_count, 2 * expected.used, FEWEST_VERIFIED)
 
 
 def _read(record: CameraRecord, axes: ImageAxes, watch: SkyWatch) -> _Reading:
-    camera, exposures = _fitted_camera(record, axes, watch)
+    camera, exposures = fitted_camera(record, axes, watch)
     results = [solve_exposure(exposure, (), None, watch) for exposure in exposures]
     solved = [(placed, result.solution) for placed, result in results]
     return _Reading(
@@ -182,76 +142,6 @@ def _read(record: CameraRecord, axes: ImageAxes, watch: SkyWatch) -> _Reading:
         [entry for entry in solved if entry[1].status is not SolutionStatus.INVALID],
         sum(map(len, exposures)),
     )
-
-
-def _exposures(record: CameraRecord, camera: CameraConfig, axes: ImageAxes, watch: SkyWatch) -> list[StarExposure]:
-    """Return the exposures whose time and place are known well enough for a sky, their stars identified if possible."""
-    sensor_id, exposures = record.topic.split("/")[1], []
-    geometry = camera.camera("camera")
-    for message, receive_ns in record.messages:
-        try:
-            exposure = star_exposure(message, sensor_id, "", geometry, camera, watch.catalogue, receive_ns).value
-        except Refused:
-            continue
-        moment = watch.at(exposure.time_ns)
-        if isinstance(moment, Refusal):
-            continue
-        if axes is not AS_EXPECTED:
-            exposure = replace(exposure, directions_s=exposure.directions_s @ axes.expected_s.T)
-        prior = None if exposure.identified.all() else record.prior_at(exposure.time_ns)
-        if prior is not None:
-            widened_n = prior.covariance_n + _PRIOR_SIGMA**2 * np.eye(3)
-            unknown = np.full(len(exposure), np.nan)
-            named, _ = identified(
-                replace(exposure, magnitude=unknown), StarPrior(prior.rotation_nb, widened_n), moment
-            )
-            exposure = replace(named, magnitude=exposure.magnitude)
-        exposures.append(exposure)
-    return exposures
-
-
-def _fitted_camera(
-    record: CameraRecord, axes: ImageAxes, watch: SkyWatch
-) -> tuple[CameraConfig | None, list[StarExposure]]:
-    """Return the camera whose focal length makes the angles between stars those of the sky, and the exposures by it.
-
-    Returns:
-        None for the camera where too few stars have identities: the exposures are then by the camera as configured.
-    """
-    camera = record.camera
-    for factor in _FIRST_FACTORS:
-        fitted = _with_focal_length(camera, factor * camera.focal_length_m)
-        for _ in range(_SEARCH_STEPS):
-            exposures = _exposures(record, fitted, axes, watch)
-            scale = _scale(exposures, watch)
-            if scale is None:
-                break
-            if abs(scale - 1.0) < _SETTLED:
-                return fitted, exposures
-            fitted = _with_focal_length(fitted, scale * fitted.focal_length_m)
-    return None, _exposures(record, camera, axes, watch)
-
-
-def _with_focal_length(camera: CameraConfig, focal_length_m: float) -> CameraConfig:
-    return replace(camera, focal_length_m=float(np.clip(focal_length_m, 0.001, 10.0)))
-
-
-def _scale(exposures: list[StarExposure], watch: SkyWatch) -> float | None:
-    """Return the median ratio of measured to true angles between stars; None where there are too few pairs."""
-    ratios: list[float] = []
-    for exposure in exposures:
-        named = exposure[exposure.identified]
-        if len(named) < 2:
-            continue
-        moment = watch.at(named.time_ns)
-        assert not isinstance(moment, Refusal)
-        places_n = moment.apparent(named.positions).direction_n
-        first, second = np.triu_indices(len(named), 1)
-        true = angle_between(places_n[first], places_n[second])
-        measured = angle_between(named.directions_s[first], named.directions_s[second])
-        # Where a place is not known (too low) the angle is NaN, and not used.
-        ratios += (measured[true > _LEAST_PAIR_ANGLE] / true[true > _LEAST_PAIR_ANGLE]).tolist()
-    return float(np.median(ratios)) if len(ratios) >= _FEWEST_PAIRS else None
 
 
 def _optics(configured: CameraConfig, reading: _Reading) -> OpticsEstimate | None:

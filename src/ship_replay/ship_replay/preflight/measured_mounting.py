@@ -26,7 +26,8 @@ from ship_estimation.refusals import Refusal
 from ship_geometry.rotations import FloatArray
 from ship_node.edge.ins_messages import ins_sample
 from ship_node.edge.messages_in import Refused
-from ship_replay.preflight.measured_camera import CameraRecord, MeasuredCamera, measure_camera
+from ship_replay.preflight.camera_exposures import CameraRecord
+from ship_replay.preflight.measured_camera import MeasuredCamera, measure_camera
 from ship_replay.preflight.predicted_attitude import ENCODER_TOPIC, PredictedAttitude, offset_ns
 from theodolite_calib.config import OpticalAxisConfig, StarCameraConfig
 from theodolite_calib.ros import messages_in as mount_messages_in
