@@ -1,6 +1,7 @@
 """The reference case at star level, cut short and changed, for several test files."""
 
 import dataclasses
+import re
 
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
@@ -16,6 +17,19 @@ def paper_stars(**changes) -> Scenario:
     scenario = with_exact_optics(load_scenario(PAPER_STARS))
     quick = dataclasses.replace(scenario, duration_s=10.0, ins=dataclasses.replace(scenario.ins, rate_hz=10.0))
     return dataclasses.replace(quick, **changes)
+
+
+def make_optics_exact(scenario: dict) -> None:
+    """Make the cameras of a scenario's file just as configured, in place."""
+    for group in ("star_sensors", "telescopes"):
+        for one in scenario.get(group, {}).values():
+            if "camera" in one:
+                one["camera"] |= EXACT_OPTICS
+
+
+def without_optics_sigmas(suite: str) -> str:
+    """A suite file's text with the default errors of optics in place of those of :func:`make_optics_exact`."""
+    return re.sub(rf"(?m)^ *({'|'.join(EXACT_OPTICS)}):.*\n", "", suite)
 
 
 def with_exact_optics(scenario: Scenario) -> Scenario:

@@ -14,6 +14,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
 from ship_replay.commands.check_config import main
 from ship_simulation.simulate_command import main as simulate
+from ship_testing.paper_stars import make_optics_exact, without_optics_sigmas
 
 pytestmark = pytest.mark.slow
 SCENARIOS = Path(__file__).parents[3] / "bags" / "scenarios"
@@ -43,12 +44,14 @@ def mount_scenario(identified):
 
 
 def simulated(folder, scenario, seed=1):
-    """A bag of a scenario, and its suite configuration."""
+    """A bag of a scenario with exact optics, and its suite configuration with the errors of a surveyed lens."""
+    make_optics_exact(scenario)
     (folder / "scenario.yaml").write_text(yaml.safe_dump(scenario))
     bag = folder / f"bag_{seed}.mcap"
     assert simulate([str(folder / "scenario.yaml"), "--out", str(bag), "--seed", str(seed)]) == 0
     with read_bag(bag) as recorded:
-        return bag, re.sub(r"(?m)^([a-z_]+:)", r"/**/\1", recorded.attachments[SUITE_ATTACHMENT].decode())
+        suite = without_optics_sigmas(recorded.attachments[SUITE_ATTACHMENT].decode())
+        return bag, re.sub(r"(?m)^([a-z_]+:)", r"/**/\1", suite)
 
 
 @pytest.fixture(scope="module", params=[True, False], ids=["named", "unnamed"])

@@ -148,8 +148,12 @@ class CameraConfig:
 
     def optics_errors(self, camera: StarCamera) -> OpticsErrors:
         """The errors of the parameters of this camera's optics."""
-        focal_sigma = self.focal_length_sigma_m / self.focal_length_m or SURVEYED_FOCAL_SIGMA
-        return OpticsErrors(camera, focal_sigma, self.principal_sigma_px, self.distortion_sigma)
+        return OpticsErrors(camera, self.focal_sigma, self.principal_sigma_px, self.distortion_sigma)
+
+    @property
+    def focal_sigma(self) -> float:
+        """Relative standard deviation of the focal length of a camera that is given."""
+        return self.focal_length_sigma_m / self.focal_length_m or SURVEYED_FOCAL_SIGMA
 
     def spatial_errors(self, camera: StarCamera) -> SpatialErrors | None:
         """The errors that stay with the place on the detector of this camera; None where there are none."""

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from ship_attitude_star.stars.camera import StarCamera
 from ship_attitude_star.stars.fit import ATTITUDE, SightedStars, agreement, linearized
+from ship_attitude_star.stars.optics_errors import SOURCE_OPTICS
 from ship_geometry.rotations import FloatArray
 
 OPTICS = slice(0, 3)
@@ -115,7 +116,9 @@ def field_information(
     if found is None:
         return None
     slopes_b = -camera.optics_slopes(stars.measured_b)
-    field_b = slopes_b if stars.field_b is None else np.concatenate([slopes_b, stars.field_b], axis=-1)
+    # The optics are unknown themselves here, so the errors that they are stated to have are left out.
+    is_other = [source != SOURCE_OPTICS for source in stars.field_sources]
+    field_b = slopes_b if stars.field_b is None else np.concatenate([slopes_b, stars.field_b[..., is_other]], axis=-1)
     fit = linearized(replace(stars, field_b=field_b), found.rotation_nb)
     information, right_side = fit.normal_equations(members)
     used = fit.displacement if members is None else fit.displacement[members]

@@ -9,8 +9,8 @@ _SIGMAS = 5.0
 _FOCAL_LENGTH_TOLERANCE = 0.01
 """A focal length further off loses the stars towards the edge of the image."""
 
-_SURVEYED = 2e-4
-"""Relative uncertainty of the focal length of a surveyed lens: less is no contradiction."""
+_LIKELY_SIGMAS = 2.0
+"""Number of stated standard deviations by which a focal length may be off without a word."""
 
 _OTHER_BAND = 0.4
 """V and Hp of the same stars differ by 0.15 at most on the average, B and R from Hp by half a magnitude and more."""
@@ -44,7 +44,9 @@ def _focal_length(mounting: MeasuredMounting, bag: Bag) -> Iterator[tuple[bool, 
     off = camera.focal_length_m / configured_m - 1.0
     if not abs(off) <= _FOCAL_LENGTH_TOLERANCE:
         yield True, name, f"{said} are those of {camera.focal_length_m:.4g} m with pixels of {pitch_m:g} m"
-    elif camera.optics is not None and abs(off) > max(_SIGMAS * camera.optics.scale_sigma, _SURVEYED):
+        return
+    least = _LIKELY_SIGMAS * mounting.device.camera.focal_sigma
+    if camera.optics is not None and abs(off) > max(_SIGMAS * camera.optics.scale_sigma, least):
         sigma_m = camera.optics.scale_sigma * configured_m
         text = (
             f"{said} are those of {camera.focal_length_m:.6g} m, sigma {sigma_m:.1g} m, with pixels of {pitch_m:g} m: "
