@@ -12,30 +12,20 @@ import numpy as np
 import pytest
 
 from ship_attitude_star.measurements.samples import AttitudeEstimate
-from ship_attitude_star.ros.messages_in import star_measurement
-from ship_attitude_star.ros.star_attitude_adapter import star_horizon_attitude
-from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.sky.catalogue import hipparcos
-from ship_attitude_star.sky.sky_watch import ApparentStars, SkyMoment, SkyWatch, installed_sky
-from ship_attitude_star.star_attitude.config import StarAttitudeConfig
-from ship_attitude_star.star_attitude.core import StarCore
-from ship_attitude_star.stars.config import JOINT
+from ship_attitude_star.sky.sky_watch import ApparentStars, SkyMoment, SkyWatch
 from ship_estimation.gates import mean_nees_band, normalized_error_squared
-from ship_estimation.parameters import build
 from ship_estimation.refusals import Reason, Refusal
-from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.earth_orientation import EarthOrientation, EarthOrientationTable, earth_orientation_table
 from ship_geometry.refraction import elevation_of, lifted
 from ship_geometry.rotations import FloatArray, log_rotation
 from ship_geometry.star_directions import RefreshedSky
-from ship_replay.trials.monte_carlo import core_for, feed_attitude, sky_input, star_exposure
-from ship_simulation.run import SKY_SOURCES, SimulatedRun, simulate
+from ship_replay.trials.monte_carlo import core_for, feed_attitude
+from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
-from ship_simulation.suite.suite import star_attitude_configuration as star_suite
-from ship_simulation.suite.suite import suite_configuration
-from ship_testing.adapter_runs import FACTORY
+from ship_testing.solved_voyages import sail_by_solutions
 
 SCENARIOS = Path(__file__).parents[1] / "bags" / "scenarios"
 SEEDS = int(os.environ.get("SKY_SEEDS", "8"))
@@ -102,33 +92,10 @@ def test_a_fix_in_time_rewinds_nothing() -> None:
 
 def by_solutions(run: SimulatedRun) -> AttitudeEstimate:
     """The fused attitude at the end where star_attitude solves the exposures and ship_attitude takes its solutions."""
-    suite = suite_configuration(run.scenario)
-    for sensor in suite["star_sensors"].values():
-        sensor["input"] = "solution"
-    config, star_config = build(ShipAttitudeConfig, suite), build(StarAttitudeConfig, star_suite(run.scenario))
-    core = ShipAttitudeCore(config, installed_sky(config.sky))
-    solver, estimates = StarCore(star_config, installed_sky(star_config.sky)), []
-    for _, source, index in run.arrivals():
-        solved = []
-        if source == "ins":
-            rotation_nd, rate_d = run.ins.rotation_nd[index], run.ins.rate_d[index]
-            sample = AttitudeSample(int(run.ins.time_ns[index]), rotation_nd, rate_d)
-            solved = solver.add_ins(sample).solved
-            estimates = core.add_ins(sample, estimate=index == len(run.ins.time_ns) - 1).estimates
-        elif source in SKY_SOURCES:
-            solver.add_surroundings(sky_input(run, source, index))
-            core.add_sky_input(sky_input(run, source, index))
-        else:
-            solved = solver.add_exposure(star_exposure(run, source.partition(".")[2], index)).solved
-        for one in solved:
-            if one.valid and one.sensor_id != JOINT:
-                sensor = config.star_sensors[one.sensor_id]
-                message = star_horizon_attitude(FACTORY, one, sensor.frame_id)
-                outcome = core.add_measurement(star_measurement(message, one.sensor_id, sensor, one.time_ns).value)
-                # An exposure at the very start has no INS sample before it.
-                assert {decision.reason for decision in outcome.decisions} <= {Reason.NONE, Reason.GAP}
-    (estimate,) = estimates
-    return estimate
+    outcomes = sail_by_solutions(run)
+    # An exposure at the very start has no INS sample before it.
+    assert {one.reason for outcome in outcomes for one in outcome.decisions} <= {Reason.NONE, Reason.GAP}
+    return [estimate for outcome in outcomes for estimate in outcome.estimates][-1]
 
 
 @pytest.mark.statistics

@@ -265,8 +265,9 @@ class Linearisation:
         correction = self._start(task, paired, expected)
         for _ in range(_MOST_STEPS):
             mean = task.mean + correction
-            moves = task.offset_sigma_s > _KNOWN_CLOCK_S and correction.any()
-            found = self._paired(task, mean) if moves else paired
+            # Prediction and Jacobian belong to the same state, its clock included: otherwise the turn by the estimated
+            # offset counts twice.
+            found = self._paired(task, mean) if correction.any() else paired
             if not isinstance(found, _Paired):
                 return found if found is None else replace(found, ins_time_ns=max(until_ns, found.ins_time_ns))
             until_ns = max(until_ns, found.ins_time_ns)

@@ -1,0 +1,47 @@
+"""Simulated voyages through both nodes' cores: ``star_attitude`` solves the exposures, ``ship_attitude`` takes them."""
+
+from ship_attitude_star.measurements.samples import AttitudeOutcome
+from ship_attitude_star.ros.messages_in import star_measurement
+from ship_attitude_star.ros.star_attitude_adapter import star_horizon_attitude
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
+from ship_attitude_star.sky.sky_watch import installed_sky
+from ship_attitude_star.star_attitude.config import StarAttitudeConfig
+from ship_attitude_star.star_attitude.core import StarCore
+from ship_attitude_star.stars.config import JOINT
+from ship_estimation.parameters import build
+from ship_geometry.attitude_track import AttitudeSample
+from ship_replay.trials.monte_carlo import sky_input, star_exposure
+from ship_simulation.run import SKY_SOURCES, SimulatedRun
+from ship_simulation.suite.suite import star_attitude_configuration, suite_configuration
+from ship_testing.adapter_runs import FACTORY
+
+
+def sail_by_solutions(run: SimulatedRun) -> list[AttitudeOutcome]:
+    """Return what the inputs of ``ship_attitude`` led to, in order, both nodes configured as the scenario is."""
+    suite = suite_configuration(run.scenario)
+    for sensor in suite["star_sensors"].values():
+        sensor["input"] = "solution"
+    config = build(ShipAttitudeConfig, suite)
+    star_config = build(StarAttitudeConfig, star_attitude_configuration(run.scenario))
+    core = ShipAttitudeCore(config, installed_sky(config.sky))
+    solver, outcomes = StarCore(star_config, installed_sky(star_config.sky)), []
+    for _, source, index in run.arrivals():
+        solved = []
+        if source == "ins":
+            rotation_nd, rate_d = run.ins.rotation_nd[index], run.ins.rate_d[index]
+            sample = AttitudeSample(int(run.ins.time_ns[index]), rotation_nd, rate_d)
+            solved = solver.add_ins(sample).solved
+            outcomes.append(core.add_ins(sample))
+        elif source in SKY_SOURCES:
+            solver.add_surroundings(sky_input(run, source, index))
+            outcomes.append(core.add_sky_input(sky_input(run, source, index)))
+        else:
+            solved = solver.add_exposure(star_exposure(run, source.partition(".")[2], index)).solved
+        for one in solved:
+            if one.valid and one.sensor_id != JOINT:
+                sensor = config.star_sensors[one.sensor_id]
+                message = star_horizon_attitude(FACTORY, one, sensor.frame_id)
+                measurement = star_measurement(message, one.sensor_id, sensor, one.time_ns).value
+                outcomes.append(core.add_measurement(measurement))
+    return outcomes
