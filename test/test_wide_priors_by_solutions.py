@@ -76,6 +76,8 @@ PRIORS = [
     Prior(3.0 * DEGREE, 3.0 * DEGREE, named=True),
     Prior(10.0 * DEGREE, 10.0 * DEGREE, named=True),
 ]
+NOT_IDENTIFIED = [Prior(10.0 * DEGREE, 10.0, named=False), Prior(DEGREE, DEGREE, named=False)]
+"""Without names: more than 5 degrees, or more than five stars in a gate."""
 
 
 @functools.cache
@@ -120,3 +122,16 @@ def test_mend_14_the_attitude_is_valid_nine_tenths_of_the_time(prior: Prior) -> 
         found = estimates(prior, seed)
         assert len(found) == round(DURATION_S * INS_HZ) + 1
         assert np.mean([one.status is Status.VALID for one in found]) >= 0.9, seed
+
+
+@pytest.mark.parametrize("prior", [*PRIORS, *NOT_IDENTIFIED], ids=str)
+def test_mend_14_no_attitude_is_valid_before_two_star_measurements_agree(prior: Prior) -> None:
+    """Before, the first one made it VALID."""
+    for seed in SEEDS:
+        used: set[tuple[str, int]] = set()
+        for outcome in sailed(prior, seed)[1]:
+            used |= {(one.measurement.source, one.measurement.time_ns) for one in outcome.decisions if one.accepted}
+            if any(one.status is Status.VALID for one in outcome.estimates):
+                assert len(used) >= 2, seed
+                assert prior not in NOT_IDENTIFIED
+                break

@@ -4,6 +4,7 @@ Truth is drawn with the prior that the filter is told: error of the INS, its whi
 """
 
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from scipy.optimize import least_squares
 from ship_attitude_star.measurements.samples import AttitudeMeasurement
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
+from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.stars.exposure import StarExposure, visible_stars
 from ship_attitude_star.stars.selection import StarPrior
@@ -153,6 +155,34 @@ def test_mend_11_two_stars_a_sensor_are_enough_where_they_leave_no_other_attitud
     assert sum(found[2] for found in ends) <= 1
     _, _, refused = end(sky, 1, Width(30.0 * DEGREE, 10.0 * DEGREE), count=2)["observations"]
     assert refused == 8
+
+
+@pytest.mark.parametrize("heading", [72.0, 3.0 * DEGREE, 10.0 * DEGREE])
+@pytest.mark.parametrize("kind", ["observations", "solution"])
+def test_mend_14_the_first_exposure_is_confirmed_by_the_next_one_or_by_another_sensor(
+    sky: Sky, kind: str, heading: float
+) -> None:
+    """Before, the first exposure made the attitude VALID, whatever the prior."""
+    ship_filter, rng = ShipFilter(Width(heading, 10.0).config(kind)), np.random.default_rng(14)
+
+    def after(state: FilterState, id_: str, time_ns: int) -> FilterState:
+        exposure = sky.seen(id_, time_ns, 8, np.zeros(3), np.zeros(4), rng)
+        measurement = exposure if kind == "observations" else solved(exposure, sky.watch)
+        state, decision = ship_filter.step(state, measurement, ins_track(time_ns), sky.watch)
+        assert decision.accepted
+        return state
+
+    first = after(ship_filter.initial_state(), "fore", TIME_NS)
+    assert first.unconfirmed is not None
+    assert first.unconfirmed.text == (
+        "the attitude rests on one star measurement, and stars of another time or sensor have not confirmed it since"
+    )
+    assert after(first, "starboard", TIME_NS).unconfirmed is None
+    second = after(first, "fore", TIME_NS + 100_000_000)
+    assert second.unconfirmed is None
+    # A sensor that was excluded has agreed with the others before it is used again.
+    excluded = replace(second, used_ns=MappingProxyType({}), record=MappingProxyType({"star.fore": 1}))
+    assert after(excluded, "fore", TIME_NS + 200_000_000).unconfirmed is None
 
 
 @pytest.mark.parametrize("seed", range(5))

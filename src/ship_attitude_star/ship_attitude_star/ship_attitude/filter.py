@@ -358,10 +358,12 @@ class ShipFilter:
 
     def _used(self, state: FilterState, measurement: Measurement) -> FilterState:
         """The state, with a measurement that passed the gate, told of it."""
-        source = measurement.source
-        unconfirmed = state.unconfirmed
-        if unconfirmed is not None and self.devices[source].is_star:
-            unconfirmed = unconfirmed.after_agreement(measurement.time_ns)
+        source, unconfirmed = measurement.source, state.unconfirmed
+        if self.devices[source].is_star:
+            if unconfirmed is not None:
+                unconfirmed = unconfirmed.after_agreement(measurement.time_ns, source)
+            elif not any(device.is_star and state.has_used(name) for name, device in self.devices.items()):
+                unconfirmed = _first(source, measurement.time_ns)
         refusals = state.refusals if state.refusals.get(source) == 0 else with_entry(state.refusals, source, 0)
         used_ns = with_entry(state.used_ns, source, measurement.time_ns)
         stays = state.stays
@@ -401,6 +403,11 @@ class ShipFilter:
             text = f"{run} refusals in a row: {source} and the INS disagree{who}"
         state, opened = self._reopened(state, source)
         return state, replace(decision, reason=reason, accepted=False, text=text + opened)
+
+
+def _first(source: str, time_ns: int) -> Unconfirmed:
+    """Return what is in doubt after the first star measurement that was used."""
+    return Unconfirmed(time_ns - 1, "the attitude rests on one star measurement", "stars", time_ns, source)
 
 
 def _jumped(since_ns: int) -> Unconfirmed:

@@ -46,7 +46,7 @@ def integrity_of(filter_: ShipFilter, config: ShipAttitudeConfig, estimate: Atti
         stack[parts:],
     )
     excluded = tuple(sorted((name, exclusion.since_ns) for name, exclusion in state.excluded.items()))
-    in_dispute = state.doubt is not None or state.jumped or estimate.status is Status.INVALID
+    in_dispute = state.doubt is not None or state.unconfirmed is not None or estimate.status is Status.INVALID
     checked = asked.check_one_another and not in_dispute
     return integrity_report(estimate.time_ns, config.integrity, suspects.table.k, asked.names, found, excluded, checked)
 

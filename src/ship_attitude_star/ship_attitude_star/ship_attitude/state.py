@@ -128,7 +128,8 @@ class FilterState:
         used_ns: by source, the stamp of its last measurement used.
         stays: by source, how long its stars have kept their pixels, where that matters; none of before the state was
             opened.
-        unconfirmed: a jump of the INS, or what may be one, that stars have not confirmed yet; None for none.
+        unconfirmed: a jump of the INS, or what may be one, or a first star measurement, that other stars have not
+            confirmed yet; None for none.
         departures: by source, its last measurement refused.
         jumped_ns: the INS's stamp just before its last jump that the state is open for; None where there was none.
         vertical: at the moment of the state; None where no deflection of it is modelled.
@@ -163,15 +164,14 @@ class FilterState:
         return mean
 
     @property
-    def jumped(self) -> bool:
-        """Whether the INS has jumped, or may have, and the stars have not confirmed its attitude since."""
-        return self.unconfirmed is not None
-
-    @property
     def parts(self) -> FloatArray:
         """Their covariance by error source, shape (n_sources, n, n)."""
         parts: FloatArray = self.stack[: len(self.stack) - len(self.means) + 1]
         return parts
+
+    def has_used(self, source: str) -> bool:
+        """True if a measurement of the source was used, although the source may have been excluded since."""
+        return source in self.used_ns or source in self.record
 
     def in_use(self, sources: Sequence[str], time_ns: int) -> list[str]:
         """Those of the sources, in the order of their index, heard of not long ago that are not excluded."""
