@@ -151,6 +151,14 @@ def test_mend_09_without_the_ins_streaks_are_taken_as_seen_and_it_says_so() -> N
     assert "exposure" not in status(sail(without_ins()), "solution fore")[1]
 
 
+def test_mend_14_an_exposure_that_the_ins_covers_in_part_is_not_solved() -> None:
+    """It lasts from 87 ms before the first sample of the INS to 113 ms after it. Before, it was VALID."""
+    run = sail(streaked_voyage())
+    first, *others = run.messages(SOLUTION[FORE])
+    assert (since(first), first.status) == (PHASE_NS[FORE], SolutionStatus.INVALID)
+    assert {message.status for message in others} == {SolutionStatus.VALID}
+
+
 @pytest.mark.parametrize("topic", [FORE, STARBOARD])
 def test_mend_09_without_the_ins_the_covariance_holds_the_untold_turn(topic: str) -> None:
     messages = sail(except_(streaked_voyage(), INS)).messages(SOLUTION[topic])

@@ -246,8 +246,7 @@ class Linearisation:
         elif isinstance(measurement, StarExposure) and measurement.length is not None:
             turning = turning_over(track, ins_time_ns, measurement.length.nodes)
             if turning is None:
-                text = f"no INS samples over its whole exposure of {measurement.length.exposure_s:g} s"
-                return NotCompared(Refusal(Reason.GAP, text), ins_time_ns)
+                return NotCompared(measurement.length.not_covered, ins_time_ns)
             # What is predicted is the mean over the exposure: its errors are those of the mean.
             ins = replace(ins, noise_gain=turning.noise_gain, error_covariance_d=turning.error_covariance)
             measurement = at_middle(measurement, turning.mounted(task.device.rotation_dv0).turns)

@@ -337,6 +337,9 @@ class StarCore:
         sensor = self._sensor(waiting.exposure.source)
         middle = self._ins.at_middle(waiting.exposure, sensor)
         exposure, prior = middle.exposure, self._ins.sensor(waiting.exposure.time_ns, sensor)
+        if prior is not None and exposure.length is not None and exposure.smear_s is None:
+            # Its solution would be compared with the INS, and the errors along its streaks are not known.
+            return not_solved(exposure, waiting.refused, exposure.length.not_covered)
         placed, solved = solve_exposure(
             exposure, waiting.refused, prior, self._watch, middle.noise_variance, middle.error_variance
         )

@@ -62,6 +62,11 @@ class ExposureLength:
         """Moments at which the motion is asked for, to find the mean over the exposure."""
         return exposure_nodes(self.exposure_s)
 
+    @property
+    def not_covered(self) -> Refusal:
+        """Refusal of an exposure that is compared with an INS which has no samples over the whole of it."""
+        return Refusal(Reason.GAP, f"no INS samples over its whole exposure of {self.exposure_s:g} s")
+
     def untold_turn_variance(self, acceleration: float) -> float:
         """Variance of the turn from the mean of the exposure to its middle where no INS tells it, each axis, rad².
 
