@@ -4,6 +4,7 @@ Whether the fused attitude is honest, ``test_campaign_cases.py`` and ``make camp
 estimator's are separate code.
 """
 
+import math
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -15,14 +16,15 @@ from ship_attitude_star.measurements.samples import AttitudeEstimate
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.sky.catalogue import hipparcos
 from ship_attitude_star.sky.sky_watch import ApparentStars, SkyMoment, SkyWatch
-from ship_estimation.gates import mean_nees_band, normalized_error_squared
+from ship_estimation.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.earth_orientation import EarthOrientation, EarthOrientationTable, earth_orientation_table
 from ship_geometry.refraction import elevation_of, lifted
 from ship_geometry.rotations import FloatArray, log_rotation
 from ship_geometry.star_directions import RefreshedSky
-from ship_replay.trials.monte_carlo import core_for, feed_attitude
+from ship_replay.trials.monte_carlo import core_for, feed_attitude, final_error
 from ship_simulation.run import SimulatedRun, simulate
+from ship_simulation.scenario.motion_scenario import AngleMotion, Wave
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_testing.solved_voyages import sail_by_solutions
@@ -31,6 +33,7 @@ SCENARIOS = Path(__file__).parents[1] / "bags" / "scenarios"
 SEEDS = int(os.environ.get("SKY_SEEDS", "8"))
 FEW = int(os.environ.get("SKY_SEEDS", "4"))
 """Seeds that show an error which is far beyond the covariance; ``make campaign`` takes more of both."""
+LONG_STREAK_SEEDS = 200
 SURELY_WRONG = 6.0
 """Mean NEES that the issue asks for at least where a part of the chain is missing; honest is 3."""
 
@@ -142,6 +145,45 @@ def test_mend_09_streaks_of_which_nobody_tells_the_length_show(exposure_s):
     told = [core.state.doubt is not None or bool(core.state.record) for core, _, _ in found]
     nees = [normalised(lie, estimate) for _, estimate, lie in found]
     assert any(told) or np.mean(nees) > mean_nees_band(len(nees), 3)[1], (told, nees)
+
+
+def rolling_far(ins_rate_hz: float) -> Scenario:
+    """Roll of 20° in 8 s, exposures of a quarter of a second: streaks of up to 600 pixels."""
+    scenario = short()
+    sensors = {id_: replace(star, exposure_s=0.25, rate_hz=1.0) for id_, star in scenario.star_sensors.items()}
+    roll = AngleMotion(waves={"swell": Wave(amplitude_deg=20.0, period_s=8.0, phase_rad=0.3)})
+    ins = replace(scenario.ins, rate_hz=ins_rate_hz)
+    return replace(scenario, star_sensors=sensors, ins=ins, carrier=replace(scenario.carrier, roll=roll))
+
+
+def test_samples_of_the_ins_close_together_add_no_knowledge_of_its_clock() -> None:
+    """Streaks tell the clock: 0.55 ms after 30 s, whatever the rate of the INS.
+
+    Along a streak a star is good to some 500", across it to 3". The rate between two samples 10 ms apart was off by 200"
+    a second, a part of it across the streak: 0.515 ms were claimed.
+    """
+    claimed_s = []
+    for ins_rate_hz in (20.0, 100.0):
+        scenario = rolling_far(ins_rate_hz)
+        core = core_for(scenario)
+        feed_attitude(core, simulate(scenario, 0))
+        (clock,) = core.filter.model.rows("ins.time_offset")
+        claimed_s.append(math.sqrt(core.state.covariance[clock, clock]))
+    assert claimed_s[1] == pytest.approx(claimed_s[0], rel=0.01)
+
+
+@pytest.mark.statistics
+def test_errors_of_long_streaks_are_as_large_as_the_covariance_says() -> None:
+    """Where the rate held the noise of two samples, the roll's RMS was 1.19 sigma and NEES 3.54."""
+    scenario = rolling_far(100.0)
+    results = [final_error(scenario, seed) for seed in range(LONG_STREAK_SEEDS)]
+    ratio = np.sqrt(np.mean([(result.angles / result.sigma) ** 2 for result in results], axis=0))
+    nees = np.mean([result.nees for result in results])
+    print(f"NEES {nees:.2f}, RMS/sigma {np.round(ratio, 2)}")
+    low, high = mean_nees_band(LONG_STREAK_SEEDS, 3)
+    assert low <= nees <= high
+    low, high = sigma_ratio_band(LONG_STREAK_SEEDS)
+    assert np.all((low <= ratio) & (ratio <= high))
 
 
 class _Airless(SkyMoment):

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ship_geometry.attitude_track import AttitudeTrack
-from ship_geometry.rotations import FloatArray
+from ship_geometry.rotations import FloatArray, log_rotation
 from ship_geometry.time_scales import SECOND_NS
 
 LONGEST_EXPOSURE_S = 10.0
@@ -93,6 +93,7 @@ class Turning:
     Attributes:
         nodes: nodes of the exposure.
         turns: rotations "body at the node from body at the middle", shape (m, 3, 3).
+        rate: mean angular velocity between the outermost nodes about the body's axes at the middle, rad/s, shape (3,).
         noise_gain: variance of the mean attitude over the exposure per variance of the samples' independent noise.
         correction_gain: variance of (mean attitude - attitude at the middle) per variance of that noise.
         error_covariance: covariance of the mean attitude's error by interpolation, as a rotation vector in the body's
@@ -103,6 +104,7 @@ class Turning:
 
     nodes: Nodes
     turns: FloatArray
+    rate: FloatArray
     noise_gain: float
     correction_gain: float
     error_covariance: FloatArray
@@ -117,6 +119,7 @@ class Turning:
         return replace(
             self,
             turns=rotation_ds.T @ self.turns @ rotation_ds,
+            rate=rotation_ds.T @ self.rate,
             error_covariance=rotation_ds.T @ self.error_covariance @ rotation_ds,
         )
 
@@ -147,9 +150,12 @@ def turning_over(track: AttitudeTrack, time_ns: int, nodes: Nodes) -> Turning | 
     errors = np.array([found.error_covariance_d for found in around])
     beside = np.where(np.array(nodes.offset_ns) == 0, 0.0, nodes.weight)
     share, variances = float(beside.sum()), np.trace(errors, axis1=-2, axis2=-1)
+    turns = np.swapaxes(np.array([found.rotation_nd for found in around]), -1, -2) @ middle.rotation_nd
+    to_first, to_last = log_rotation(turns[[0, -1]])
     return Turning(
         nodes,
-        np.swapaxes(np.array([found.rotation_nd for found in around]), -1, -2) @ middle.rotation_nd,
+        turns,
+        (to_first - to_last) * (SECOND_NS / (nodes.offset_ns[-1] - nodes.offset_ns[0])),
         track.noise_gain_of_mean(moments),
         track.noise_gain_of_mean([*moments, (time_ns, -1.0)]),
         nodes.mean(errors),

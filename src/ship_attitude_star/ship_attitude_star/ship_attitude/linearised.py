@@ -247,8 +247,15 @@ class Linearisation:
             turning = turning_over(track, ins_time_ns, measurement.length.nodes)
             if turning is None:
                 return NotCompared(measurement.length.not_covered, ins_time_ns)
-            # What is predicted is the mean over the exposure: its errors are those of the mean.
-            ins = replace(ins, noise_gain=turning.noise_gain, error_covariance_d=turning.error_covariance)
+            # What is predicted is the mean over the exposure: its errors and its rate are those of the mean. A rate
+            # between two samples holds their noise divided by their step. Across a streak, where a star is known best,
+            # this noise would count as knowledge of the clock.
+            ins = replace(
+                ins,
+                rate_d=turning.rate,
+                noise_gain=turning.noise_gain,
+                error_covariance_d=turning.error_covariance,
+            )
             measurement = at_middle(measurement, turning.mounted(task.device.rotation_dv0).turns)
         if around_ns:
             bent_d = _bent_by_offset(track, ins_time_ns, around_ns, ins)
