@@ -159,8 +159,8 @@ def rolling_far(ins_rate_hz: float) -> Scenario:
 def test_samples_of_the_ins_close_together_add_no_knowledge_of_its_clock() -> None:
     """Streaks tell the clock: 0.55 ms after 30 s, whatever the rate of the INS.
 
-    Along a streak a star is good to some 500", across it to 3". The rate between two samples 10 ms apart was off by 200"
-    a second, a part of it across the streak: 0.515 ms were claimed.
+    Along a streak a star is good to some 500", across it to 3". The rate between two samples 10 ms apart was off by
+    200" a second, a part of it across the streak: 0.515 ms were claimed.
     """
     claimed_s = []
     for ins_rate_hz in (20.0, 100.0):

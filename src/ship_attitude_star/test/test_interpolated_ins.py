@@ -107,6 +107,30 @@ def test_mend_27_errors_are_as_large_as_the_covariance_says_at_low_rates(
     assert max(nees) < 25.0
 
 
+def test_measurements_between_the_same_two_samples_share_their_error_of_interpolation() -> None:
+    swell, core = Swell(np.random.default_rng(3)), ShipAttitudeCore(configuration(1.0))
+    for second in range(6):
+        sample = AttitudeSample(START_NS + second * SECOND_NS, swell.attitude(second), swell.rate(second))
+        core.add_ins(sample)
+    time_ns, mounted = START_NS + 3_500_000_000, core.filter.devices["star.fore"].rotation_dv0
+    measured = AttitudeMeasurement("star.fore", time_ns, swell.attitude(3.5) @ mounted, np.diag(STAR_SIGMA_S**2))
+    tenth_ns, noise = SECOND_NS // 10, []
+    # Alone; at 5 Hz five of them; beside another sensor twice as many; once in 5 s; the other sensor 2 s ago.
+    for used in (
+        {},
+        {"star.fore": 2 * tenth_ns},
+        {"star.fore": 2 * tenth_ns, "star.starboard": tenth_ns},
+        {"star.fore": 50 * tenth_ns},
+        {"star.starboard": 20 * tenth_ns},
+    ):
+        used_ns = {source: time_ns - before_ns for source, before_ns in used.items()}
+        state, track = core.state, core._track
+        found = core.filter.linearisation.of(measured, state.mean, state.covariance, used_ns, track, None)
+        row = core.filter.model.source_indices[SOURCE_INTERPOLATION]
+        noise.append(np.trace(found.compared.linear.noise_by_source[row]))
+    np.testing.assert_allclose(np.array(noise) / noise[0], [1.0, 5.0, 10.0, 1.0, 1.0])
+
+
 def test_mend_27_the_budget_names_interpolation() -> None:
     core = ShipAttitudeCore(configuration(2.5))
     _, slow = last_estimate(2.5, False, 1)

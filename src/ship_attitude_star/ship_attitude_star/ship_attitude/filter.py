@@ -222,10 +222,12 @@ class ShipFilter:
             lacking = Refusal(Reason.NO_FIX, "no position fix yet: ins.model 'schuler' needs the latitude (gnss/fix)")
             return self._refused(state, measurement, NotCompared(lacking, measurement.time_ns))
         predicted = self.predicted(state, measurement.time_ns)
-        last_ns, compared = state.used_ns.get(measurement.source), measurement
+        compared = measurement
         if isinstance(measurement, StarExposure):
             compared = measurement.after(state.stays.get(measurement.source))
-        found = self.linearisation.of(compared, predicted.mean, predicted.covariance, track, watch, may_wait, last_ns)
+        found = self.linearisation.of(
+            compared, predicted.mean, predicted.covariance, state.used_ns, track, watch, may_wait
+        )
         if found is None:
             return None
         if isinstance(found, NotCompared):

@@ -100,22 +100,38 @@ class _Task(NamedTuple):
         device: that measured.
         mean: of the predicted state, shape (n,).
         covariance: of the predicted state, shape (n, n).
+        used_ns: by source, the stamp of its last measurement that was used.
         track: attitudes of the INS.
         watch: the sky.
         may_wait: whether samples of the INS may still come.
         offset_sigma_s: sigma of the offset of the clocks.
-        alike: how many measurements in a row suffer alike from that.
     """
 
     measurement: Measurement
     device: Device
     mean: FloatArray
     covariance: FloatArray
+    used_ns: Mapping[str, int]
     track: AttitudeTrack
     watch: SkyWatch | None
     may_wait: bool
     offset_sigma_s: float
-    alike: float
+
+    def count_within(self, period_s: float) -> float:
+        """Number of measurements of the source in a period, by the time since its last one; at least 1."""
+        last_ns = self.used_ns.get(self.measurement.source)
+        if last_ns is None:
+            return 1.0
+        return max(period_s * SECOND_NS / max(self.measurement.time_ns - last_ns, 1), 1.0)
+
+    def count_between(self, ins: InterpolatedAttitude) -> float:
+        """Number of measurements that are compared between the two samples of an attitude of the INS; at least 1."""
+        if ins.sample is None or ins.next_sample is None:
+            return 1.0
+        interval_ns = ins.next_sample.time_ns - ins.sample.time_ns
+        own, since_ns = self.measurement.source, self.measurement.time_ns - interval_ns
+        others = sum(last_ns > since_ns for source, last_ns in self.used_ns.items() if source != own)
+        return (1 + others) * self.count_within(interval_ns / SECOND_NS)
 
 
 class _Paired(NamedTuple):
@@ -177,10 +193,10 @@ class Linearisation:
         measurement: Measurement,
         mean: FloatArray,
         covariance: FloatArray,
+        used_ns: Mapping[str, int],
         track: AttitudeTrack,
         watch: SkyWatch | None,
         may_wait: bool = False,
-        last_ns: int | None = None,
     ) -> Linearised | NotCompared | None:
         """The measurement linearised where it leads the predicted state.
 
@@ -188,10 +204,10 @@ class Linearisation:
             measurement: of any kind.
             mean: of the predicted state, shape (n,).
             covariance: of the predicted state, shape (n, n).
+            used_ns: by source, the stamp of its last measurement that was used.
             track: attitudes of the INS.
             watch: the sky; None where no sensor needs it.
             may_wait: whether samples of the INS may still come.
-            last_ns: stamp of the source's last measurement that was used; None where there was none.
 
         Returns:
             None where samples of the INS that may still come belong to the measurement.
@@ -201,9 +217,7 @@ class Linearisation:
         # A state that was opened for another reason does not make a clock less known than it was told.
         offset_variance = compiled_steps.variance_along(by_offset, covariance)
         offset_sigma_s = min(math.sqrt(max(offset_variance, 0.0)), self._told_sigma_s[source])
-        since_s = _SAME_MOTION_S if last_ns is None else max(measurement.time_ns - last_ns, 1) / SECOND_NS
-        alike = max(_SAME_MOTION_S / since_s, 1.0)
-        task = _Task(measurement, device, mean, covariance, track, watch, may_wait, offset_sigma_s, alike)
+        task = _Task(measurement, device, mean, covariance, used_ns, track, watch, may_wait, offset_sigma_s)
         paired = self._paired(task, mean)
         if not isinstance(paired, _Paired):
             return paired
@@ -233,6 +247,7 @@ class Linearisation:
         if ins is None:
             text = "no INS samples on both sides of it: it cannot be compared"
             return NotCompared(Refusal(Reason.GAP, text), ins_time_ns)
+        alike = task.count_between(ins)
         if isinstance(measurement, _AGAINST_SKY):
             assert task.watch is not None
             turned = in_horizon(measurement, task.watch)
@@ -257,12 +272,16 @@ class Linearisation:
                 error_covariance_d=turning.error_covariance,
             )
             measurement = at_middle(measurement, turning.mounted(task.device.rotation_dv0).turns)
+        if alike > 1.0:
+            # Between two samples the error is one curve, which all measurements there have in common. The filter takes
+            # it for noise: with so many times the variance in each, their mean has the variance of the common error.
+            ins = replace(ins, error_covariance_d=alike * ins.error_covariance_d)
         if around_ns:
             bent_d = _bent_by_offset(track, ins_time_ns, around_ns, ins)
             if bent_d is None:
                 text = "no INS samples around it, and the offset of its clock is not known"
                 return NotCompared(Refusal(Reason.GAP, text), ins_time_ns + around_ns)
-            ins = replace(ins, error_covariance_d=ins.error_covariance_d + task.alike * bent_d)
+            ins = replace(ins, error_covariance_d=ins.error_covariance_d + task.count_within(_SAME_MOTION_S) * bent_d)
         return _Paired(measurement, ins, ins_time_ns, ins_time_ns + around_ns)
 
     def _settled(self, task: _Task, paired: _Paired, expected: PredictedAttitude) -> Linearised | NotCompared | None:
