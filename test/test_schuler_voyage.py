@@ -126,15 +126,35 @@ def test_a_change_of_the_vertical_drives_the_model_with_the_table(damping_time_s
 
 
 @pytest.mark.statistics
-def test_a_change_that_nobody_told_is_honest() -> None:
-    # Drawn as the filter takes it to be: 20 arcseconds over 30 km.
+@pytest.mark.parametrize("told", ["unknown", "none"])
+def test_a_change_that_nobody_told_is_honest(told: str) -> None:
+    # Drawn as the filter takes it to be, where it is told nothing by default: 20 arcseconds over 30 km.
     nees = []
     for seed in range(SEEDS):
-        gravity = Gravity(sigma_arcsec=20.0, told="unknown", told_unknown_sigma_arcsec=20.0)
+        gravity = Gravity(sigma_arcsec=20.0, told=told, told_unknown_sigma_arcsec=20.0)
         scenario = voyage("deflection.yaml", gravity=gravity)
         nees.append(errors_under_clouds(core_of(scenario), simulate(scenario, 30 + seed), 1200)[1])
     low, high = mean_nees_band(SEEDS, 3)
     assert low < np.mean(nees) < high
+
+
+@pytest.mark.slow
+def test_the_wall_of_a_trench_is_within_what_a_ship_without_a_map_claims() -> None:
+    # 60 arcseconds within 50 km: without a deflection in the model the tilt was off by 35 sigma, unsaid.
+    gravity = replace(load_scenario(SCENARIOS / "deflection.yaml").gravity, told="none")
+    scenario = voyage("deflection.yaml", gravity=gravity)
+    core = core_of(scenario)
+    errors, nees = errors_under_clouds(core, simulate(scenario, 20), 1200)
+    assert rms_arcsec(errors[-1, TILT]) > 30.0
+    # 16.3: chi-square of three, 99.9 %.
+    assert nees < 16.3
+    assert core.deflection(core.state.time_ns) is None
+
+
+def test_a_suite_in_a_world_without_deflections_is_told_so() -> None:
+    assert "gravity.deflection" not in core_of(voyage()).filter.model.slices
+    by_default = build(ShipAttitudeConfig, {"ins": {"model": "schuler"}})
+    assert "gravity.deflection" in ShipAttitudeCore(by_default).filter.model.slices
 
 
 class _WithLateFixes:

@@ -291,9 +291,15 @@ class ShipAttitudeConfig(StarSensorsById):
     )
 
     @property
+    def models_deflection(self) -> bool:
+        """True if the deflection of the vertical is a state; without a source of it only where it drives the INS."""
+        drives_ins = self.ins.model == SCHULER and self.gravity.unknown_sigma_arcsec > 0.0
+        return self.gravity.is_modelled or drives_ins
+
+    @property
     def follows_vertical(self) -> bool:
         """Whether the INS's error goes on with the ship's place."""
-        return self.gravity.is_modelled or self.ins.model == SCHULER
+        return self.models_deflection or self.ins.model == SCHULER
 
     def __post_init__(self) -> None:
         """Check what belongs together.

@@ -54,7 +54,7 @@ class ShipFilter:
     def __init__(self, config: ShipAttitudeConfig, vertical: VerticalTrack | None = None) -> None:
         self.model, self.vertical = ShipStateModel(config), vertical
         self.devices: dict[str, Device] = devices(config)
-        of_gravity = vertical if config.gravity.is_modelled else None
+        of_gravity = vertical if config.models_deflection else None
         self.linearisation = Linearisation(self.model, self.devices, of_gravity)
         self.suspects = Suspects(config, self.model, self.devices)
         self._gate: GateConfig = config.gate

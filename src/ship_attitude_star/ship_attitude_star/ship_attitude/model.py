@@ -7,7 +7,8 @@ state                           frame    meaning
 ==============================  =======  ====================================================================
 ins.attitude (3)                horizon  slow error a: R_true = exp(a) exp(w) R_ins
 gravity.deflection (2)                   deflection of the vertical, which is part of a then; only where
-                                         gravity.deflection is not none (ins_on_gravity)
+                                         gravity.deflection is not none (ins_on_gravity), or ins.model is
+                                         schuler
 ins.velocity (2)                horizon  error of the INS's velocity (North, East), m/s; this and the next three only
                                          where ins.model is schuler (schuler)
 ins.latitude (1)                         error of its own latitude, rad
@@ -159,7 +160,7 @@ class ShipStateModel(StateModel):
         if self.ins_process is not None:
             # The process carries them; by themselves they stay as they are.
             blocks[0] = block("ins.attitude", self.slow.sigma, SOURCE_INS)
-        if config.gravity.is_modelled:
+        if config.models_deflection:
             blocks.append(block("gravity.deflection", [0.0, 0.0], SOURCE_DEFLECTION))
         if config.ins.model == SCHULER:
             blocks += _schuler_blocks(config.ins.schuler)
@@ -274,7 +275,7 @@ def _baseline_device(config: ShipAttitudeConfig) -> Device:
 
 def _ins_process(config: ShipAttitudeConfig, slow: StateBlock) -> InsProcess | None:
     """How the INS's error goes on; None where it just dies out, each axis by itself."""
-    length_m = config.gravity.correlation_length_m if config.gravity.is_modelled else None
+    length_m = config.gravity.correlation_length_m if config.models_deflection else None
     if config.ins.model == SCHULER:
         return SchulerIns(config.ins.schuler, slow.sigma, length_m)
     return None if length_m is None else InsOnGravity(slow, length_m)

@@ -60,6 +60,6 @@ def _known_before(filter_: ShipFilter, config: ShipAttitudeConfig) -> dict[str, 
     blocks = filter_.model.blocks
     own = [name for name in blocks if name.endswith((".installation", ".time_offset")) and not name.startswith("ins.")]
     found = {name: blocks[name].sigma for name in (*own, "ins.time_offset")}
-    if config.gravity.is_modelled:
+    if config.models_deflection:
         found["gravity.deflection"] = np.full(2, config.gravity.unknown_sigma_arcsec * ARCSEC)
     return found | {"ins.attitude": blocks["ins.attitude"].sigma}

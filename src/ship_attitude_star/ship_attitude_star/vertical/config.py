@@ -30,7 +30,8 @@ class GravityConfig:
 
     deflection: str = parameter(
         NONE,
-        doc="where the deflection is known from; unknown: estimated alone; none: part of the INS's own slow error",
+        doc="where the deflection is known from; unknown: estimated alone; none: part of the INS's own slow error; "
+        "with ins.model schuler, as unknown, but not published",
         choices=(NONE, UNKNOWN, CONSTANT, TABLE, TOPIC),
     )
     xi_arcsec: float = _component_arcsec("the constant deflection, northward")
@@ -47,7 +48,9 @@ class GravityConfig:
         maximum=1e6,
     )
     sigma_arcsec: float = arcsec(2.0, doc="error of the deflection that is given, each component")
-    unknown_sigma_arcsec: float = arcsec(7.7, doc="the deflection where none is given, each component")
+    unknown_sigma_arcsec: float = arcsec(
+        20.0, doc="the deflection where none is given, each component, by the sea (vertical.md); 0: there is none"
+    )
     correlation_length_m: float = parameter(
         30_000.0,
         doc="way over ground on which either of the two changes",

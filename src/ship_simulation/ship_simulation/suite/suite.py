@@ -148,6 +148,8 @@ def suite_configuration(scenario: Scenario) -> dict[str, Any]:
         configuration["ins"] |= {"model": SCHULER, "schuler": asdict(scenario.ins.schuler)}
     if scenario.gravity.told != "none":
         configuration["gravity"] = _gravity(scenario)
+    elif scenario.ins.model == SCHULER and scenario.gravity.is_level:
+        configuration["gravity"] = {"unknown_sigma_arcsec": 0.0}
     if scenario.star_sensors:
         configuration["star_sensors"] = {
             key: {"frame_id": star_frame(key), **_input(sensor), **_told(sensor, _STAR_SENSOR), **_masks(sensor)}
