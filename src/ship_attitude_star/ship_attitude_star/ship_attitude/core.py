@@ -352,9 +352,8 @@ class ShipAttitudeCore:
         The samples of the INS around its stamp must still be remembered: to be asked when it has just been judged.
         """
         state = self.state
-        found = self.filter.linearisation.of(
-            measurement, state.mean, state.covariance, state.used_ns, self._track, self._watch
-        )
+        # Its own use is in the state already: what it shares with others is left out.
+        found = self.filter.linearisation.of(measurement, state.mean, state.covariance, {}, self._track, self._watch)
         return found if isinstance(found, Linearised) else None
 
     def alignment(self) -> Alignment:
