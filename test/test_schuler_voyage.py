@@ -151,7 +151,7 @@ def test_the_wall_of_a_trench_is_within_what_a_ship_without_a_map_claims() -> No
     assert core.deflection(core.state.time_ns) is None
 
 
-def test_a_suite_in_a_world_without_deflections_is_told_so() -> None:
+def test_the_suite_of_a_world_without_deflections_models_none() -> None:
     assert "gravity.deflection" not in core_of(voyage()).filter.model.slices
     by_default = build(ShipAttitudeConfig, {"ins": {"model": "schuler"}})
     assert "gravity.deflection" in ShipAttitudeCore(by_default).filter.model.slices
