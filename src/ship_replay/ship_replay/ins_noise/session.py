@@ -20,7 +20,7 @@ from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
 from ship_attitude_star.ship_attitude.config import InsConfig, ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import INS, ShipAttitudeCore
 from ship_attitude_star.ship_attitude.model import ShipStateModel
-from ship_attitude_star.vertical.config import UNKNOWN
+from ship_attitude_star.vertical.config import UNKNOWN, GravityConfig
 from ship_attitude_star.vertical.vertical_track import VerticalHere
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag
@@ -186,7 +186,7 @@ def session_config(config: ShipAttitudeConfig) -> ShipAttitudeConfig:
     A saved alignment may rest on this very bag. The vertical is asked for where the ship is, whether its deflection
     matters or not.
     """
-    gravity = config.gravity if config.gravity.is_modelled else replace(config.gravity, deflection=UNKNOWN)
+    gravity = config.gravity if config.gravity.is_modelled else GravityConfig(deflection=UNKNOWN)
     return replace(config, ins=_wider(config.ins), gravity=gravity, references={}, alignment_file="", sources_off=())
 
 
