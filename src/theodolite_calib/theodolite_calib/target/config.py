@@ -87,7 +87,7 @@ class TriangulationConfig(PlacingConfig):
     stations: dict[str, LiveStationConfig] = mapping_of("theodolites that stand still on the Earth, by name")
     lag_s: float = parameter(
         2.0,
-        doc="a theodolite that has told of the target is waited for so long; one silent for longer is not",
+        doc="directions wait for a theodolite that reports on the target until its next report is so long overdue",
         unit="s",
         minimum=0.0,
         maximum=60.0,

@@ -1,8 +1,9 @@
 """The core of the node ``triangulation``: places of targets as the directions of the theodolites come.
 
 Each direction is answered once: where its theodolite leads (:mod:`theodolite_calib.target.common_moments`) by a place
-at its stamp, or by none, with the reason. It waits until the other theodolites that tell of the target have told of
-that moment, for ``lag_s`` at most. The places of one target are put out in the order of their stamps.
+at its stamp, or by none, with the reason. It waits until the other theodolites that report on the target have reported
+on that moment, or their next report is ``lag_s`` overdue. The places of one target are put out in the order of their
+stamps.
 
 A theodolite that has told of a moment is taken to have told of all before it: where its messages overtake one another,
 the older one may come after the place of its time, and is refused as LATE. To wait the whole ``lag_s`` for each would
@@ -62,21 +63,41 @@ PlacingOutcome = Outcome[Decision[Measurement], PlaceEstimate]
 
 
 @dataclass
+class _Reports:
+    """Times of one theodolite's reports on a target, INVALID ones among them.
+
+    Attributes:
+        newest_ns: latest stamp; 0 before the first.
+        interval_ns: between the latest two stamps; 0 before the second.
+        received_ns: time of waiting at which the last one came.
+    """
+
+    newest_ns: int = 0
+    interval_ns: int = 0
+    received_ns: int = 0
+
+    def add(self, time_ns: int, waiting_ns: int) -> None:
+        """Record a report."""
+        if time_ns > self.newest_ns:
+            self.interval_ns = time_ns - self.newest_ns if self.newest_ns else 0
+            self.newest_ns = time_ns
+        self.received_ns = waiting_ns
+
+
+@dataclass
 class _Target:
     """What is known of one target.
 
     Attributes:
         seen_by: its directions by each theodolite, in their order.
-        told_ns: up to which stamp each theodolite has told of it, be it that it claims nothing; 0 for never.
-        heard_ns: the time of waiting at which each did so last.
+        reports: the times of each theodolite's reports, in the same order.
         waiting: (stamp, number of the theodolite) of each direction that is not answered → when it came.
         done_ns: the last stamp that was answered, of it or of a target that was forgotten before it was heard of: that
             may have been the same one.
     """
 
     seen_by: list[SeenByStation]
-    told_ns: list[int]
-    heard_ns: list[int]
+    reports: list[_Reports]
     waiting: dict[tuple[int, int], int] = field(default_factory=dict)
     done_ns: int = 0
 
@@ -115,8 +136,7 @@ class TriangulationCore:
         """A direction of one theodolite to one target, or that it claims none."""
         outcome = PlacingOutcome()
         target, number = self._target(sample.target_id, outcome), self._numbers[sample.source]
-        target.told_ns[number] = max(target.told_ns[number], sample.time_ns)
-        target.heard_ns[number] = waiting_ns
+        target.reports[number].add(sample.time_ns, waiting_ns)
         outcome.refusal = self._take(target, number, sample, waiting_ns)
         self._answer(sample.target_id, target, waiting_ns, outcome)
         return outcome
@@ -139,7 +159,7 @@ class TriangulationCore:
             if len(self._targets) >= MOST_TARGETS:
                 self._forget(next(iter(self._targets)), outcome)
             seen_by = [SeenByStation(station, self.config.max_gap_s) for station in self._stations]
-            target = _Target(seen_by, [0] * len(seen_by), [0] * len(seen_by), done_ns=self._forgotten_ns)
+            target = _Target(seen_by, [_Reports() for _ in seen_by], done_ns=self._forgotten_ns)
         self._targets[target_id] = target
         return target
 
@@ -180,7 +200,7 @@ class TriangulationCore:
         """Answer the directions that wait for nothing more, in the order of their stamps."""
         for time_ns, number in sorted(target.waiting):
             overflows = len(target.waiting) > MOST_WAITING
-            if not overflows and self._waits(target, time_ns, target.waiting[time_ns, number], waiting_ns):
+            if not overflows and self._waits(target, time_ns, number, waiting_ns):
                 return
             del target.waiting[time_ns, number]
             target.done_ns = time_ns
@@ -189,15 +209,23 @@ class TriangulationCore:
             for seen in target.seen_by:
                 seen.track.drop_before(time_ns)
 
-    def _waits(self, target: _Target, time_ns: int, came_ns: int, waiting_ns: int) -> bool:
-        """Whether a theodolite that tells of the target may still tell of a moment."""
-        lag_ns = self._lag_ns
-        if waiting_ns - came_ns > lag_ns:
-            return False
-        return any(
-            told_ns < time_ns and told_ns > 0 and waiting_ns - heard_ns <= lag_ns
-            for told_ns, heard_ns in zip(target.told_ns, target.heard_ns, strict=True)
-        )
+    def _waits(self, target: _Target, time_ns: int, number: int, waiting_ns: int) -> bool:
+        """True while a theodolite that reports on the target may still report on the moment of a waiting direction.
+
+        The next report is expected one interval after the last. While a theodolite has sent one report only, its
+        interval is taken to be that of the theodolite that waits.
+        """
+        max_gap_ns, came_ns = round(self.config.max_gap_s * SECOND_NS), target.waiting[time_ns, number]
+        for reports in target.reports:
+            if not 0 < reports.newest_ns < time_ns:
+                continue
+            interval_ns = reports.interval_ns or target.reports[number].interval_ns or max_gap_ns
+            is_joined = reports.newest_ns + interval_ns - time_ns <= max_gap_ns
+            is_overdue = waiting_ns - reports.received_ns > interval_ns + self._lag_ns
+            has_waited = waiting_ns - came_ns > min(interval_ns, max_gap_ns) + self._lag_ns
+            if is_joined and not is_overdue and not has_waited:
+                return True
+        return False
 
     def _estimate(self, target_id: str, target: _Target, time_ns: int, outcome: PlacingOutcome) -> PlaceEstimate:
         try:

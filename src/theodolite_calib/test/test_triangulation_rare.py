@@ -1,0 +1,148 @@
+"""Directions that come more rarely than ``lag_s``: the node gives the places that the command gives, and no others.
+
+The true places and directions are made by pyerfa's own routines (ship_testing.theodolite_stations).
+"""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ship_estimation.gates import normalized_error_squared
+from ship_estimation.outcome import Status
+from ship_estimation.parameters import build
+from ship_geometry.ros_axes import ENU_FROM_HORIZON, horizon_covariance
+from ship_geometry.rotations import ARCSEC
+from ship_testing.adapter_runs import AdapterRun, Arrival, hand_over, in_order, stamp_of
+from ship_testing.theodolite_stations import FACTORY, buoy_n, buoy_seen, direction_message, placing_values
+from theodolite_calib.ros.direction_messages_in import direction
+from theodolite_calib.ros.triangulation_adapter import POSITION_TOPIC, TriangulationAdapter
+from theodolite_calib.target.common_moments import SeenByStation
+from theodolite_calib.target.config import TriangulationConfig
+from theodolite_calib.target.triangulation import TriangulatedPlace
+from theodolite_calib.triangulation.recorded import placed_targets
+
+SECOND_NS = 1_000_000_000
+START_NS, LATENCY_NS = 1_767_225_600 * SECOND_NS, 50_000_000
+SIGMA = 3.0 * ARCSEC
+COUNT, PERIOD_S = 20, 5.0
+
+
+def config_of(stations: int, **changes: Any) -> TriangulationConfig:
+    return build(TriangulationConfig, {**placing_values(stations), **changes})
+
+
+def arrivals(number: int, since_s: Any) -> list[Arrival]:
+    """Directions of one theodolite to the buoy at some times after the start."""
+    found = []
+    for at_s in since_s:
+        time_ns = START_NS + round(at_s * SECOND_NS)
+        message = direction_message(time_ns, buoy_seen(number, at_s), SIGMA)
+        found.append(Arrival(f"t{number}/theodolite/target_direction", message, time_ns + LATENCY_NS))
+    return found
+
+
+def every(period_s: float, phase_s: float = 0.0) -> np.ndarray:
+    return phase_s + np.arange(0.0, COUNT * PERIOD_S, period_s)
+
+
+def run_of(config: TriangulationConfig, *of_stations: list[Arrival]) -> AdapterRun:
+    run = AdapterRun(TriangulationAdapter(config, FACTORY))
+    everything = in_order(arrival for of_station in of_stations for arrival in of_station)
+    hand_over(run, everything, until_ns=everything[-1].receive_ns + 20 * SECOND_NS)
+    return run
+
+
+def places(run: AdapterRun) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+    """Stamp → place (North, Up, East), m, and its covariance, m², of those that are claimed."""
+    found = {}
+    for message in run.messages(POSITION_TOPIC):
+        if message.status != Status.INVALID:
+            place_n = ENU_FROM_HORIZON.T @ [message.position.x, message.position.y, message.position.z]
+            found[stamp_of(message)] = place_n, horizon_covariance(message.position_covariance.reshape(3, 3))
+    return found
+
+
+def waited_s(run: AdapterRun) -> dict[int, float]:
+    """Stamp → time from the stamp to the answer, s."""
+    return {
+        stamp_of(message): (published_ns - stamp_of(message)) / SECOND_NS
+        for published_ns, topic, message in run.published
+        if topic == POSITION_TOPIC
+    }
+
+
+def places_of_the_command(config: TriangulationConfig, *of_stations: list[Arrival]) -> dict[int, np.ndarray]:
+    recorded = []
+    for number, of_station in enumerate(of_stations):
+        seen = SeenByStation(config.stations[f"t{number}"].station(f"t{number}"), config.max_gap_s)
+        for arrival in of_station:
+            seen.track.insert(direction(arrival.message, f"t{number}", arrival.receive_ns).value)
+        recorded.append(seen)
+    return {
+        one.time_ns: one.place.position_n
+        for one in placed_targets(config, recorded)
+        if isinstance(one.place, TriangulatedPlace)
+    }
+
+
+@pytest.mark.parametrize(
+    ("phase_s", "max_gap_s", "missing"),
+    [
+        (0.0, 1.0, 1),  # alike: the first direction is answered before the other theodolite is known to report
+        (2.5, 8.0, 0),
+        (4.9, 8.0, 0),
+    ],
+)
+def test_rare_directions_give_the_places_of_the_command(phase_s: float, max_gap_s: float, missing: int) -> None:
+    config = config_of(2, max_gap_s=max_gap_s)
+    of_stations = [arrivals(0, every(PERIOD_S)), arrivals(1, every(PERIOD_S, phase_s))]
+    expected, found = places_of_the_command(config, *of_stations), places(run_of(config, *of_stations))
+    assert len(expected) >= COUNT - 1
+    assert list(found) == sorted(expected)[missing:]
+    for time_ns, (place_n, covariance_n) in found.items():
+        true_n = buoy_n((time_ns - START_NS) / SECOND_NS)
+        # The command interpolates with a later sample too, and no direction has noise.
+        for other_n in (expected[time_ns], true_n):
+            assert normalized_error_squared(place_n - other_n, covariance_n) < 1.0
+        if phase_s == 0.0:
+            np.testing.assert_allclose(place_n, expected[time_ns], atol=1e-6)
+
+
+def test_places_at_a_common_rate_do_not_wait_for_a_theodolite_whose_next_report_cannot_be_joined() -> None:
+    often = [arrivals(number, np.arange(0.0, 20.0, 0.1)) for number in (0, 1)]
+    run = run_of(config_of(3), *often, arrivals(2, every(PERIOD_S, 0.05)))
+    since_s = {round((time_ns - START_NS) / SECOND_NS % PERIOD_S, 3): age for time_ns, age in waited_s(run).items()}
+    # Reports of the third are due each 5 s; those of the others are joined with it over max_gap_s, 1 s, at most.
+    assert all(age < 0.2 for phase_s, age in since_s.items() if 0.1 < phase_s < 4.0)
+    assert all(age < 1.3 for age in since_s.values())
+
+
+@pytest.mark.parametrize("interval_s", [0.1, 5.0])
+def test_a_theodolite_that_stays_silent_is_waited_for_until_its_next_report_is_overdue(interval_s: float) -> None:
+    config = config_of(3, max_gap_s=8.0)
+    of_two = [arrivals(number, every(interval_s)[:100]) for number in (0, 1)]
+    run = run_of(config, *of_two, arrivals(2, every(interval_s)[:10]))
+    silent_ns = START_NS + round(9 * interval_s * SECOND_NS) + LATENCY_NS
+    overdue_ns = silent_ns + round((interval_s + config.lag_s) * SECOND_NS)
+    published = [
+        (published_ns, message)
+        for published_ns, topic, message in run.published
+        if topic == POSITION_TOPIC and stamp_of(message) > silent_ns
+    ]
+    assert len(published) >= 10
+    for published_ns, message in published:
+        assert message.status == Status.VALID
+        # Ticks come each tenth of a second.
+        assert published_ns <= max(overdue_ns + 200_000_000, stamp_of(message) + LATENCY_NS)
+
+
+def test_a_clock_that_lags_behind_holds_no_place_for_ever() -> None:
+    config = config_of(3)
+    behind = [
+        Arrival(arrival.topic, arrival.message, arrival.receive_ns + 60 * SECOND_NS)
+        for arrival in arrivals(2, np.arange(-59.0, 20.0, 1.0))
+    ]
+    run = run_of(config, *(arrivals(number, np.arange(0.0, 20.0, 0.5)) for number in (0, 1)), behind)
+    assert max(waited_s(run).values()) < config.max_gap_s + config.lag_s + 0.2
+    assert len(places(run)) >= 38
