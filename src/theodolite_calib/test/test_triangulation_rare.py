@@ -3,6 +3,7 @@
 The true places and directions are made by pyerfa's own routines (ship_testing.theodolite_stations).
 """
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,12 +14,13 @@ from ship_estimation.outcome import Status
 from ship_estimation.parameters import build
 from ship_geometry.ros_axes import ENU_FROM_HORIZON, horizon_covariance
 from ship_geometry.rotations import ARCSEC
-from ship_testing.adapter_runs import AdapterRun, Arrival, hand_over, in_order, stamp_of
-from ship_testing.theodolite_stations import FACTORY, buoy_n, buoy_seen, direction_message, placing_values
+from ship_testing.adapter_runs import FACTORY, AdapterRun, Arrival, changed_copy, exactly, hand_over, in_order, stamp_of
+from ship_testing.theodolite_stations import buoy_n, buoy_seen, direction_message, placing_values
 from theodolite_calib.ros.direction_messages_in import direction
 from theodolite_calib.ros.triangulation_adapter import POSITION_TOPIC, TriangulationAdapter
 from theodolite_calib.target.common_moments import SeenByStation
 from theodolite_calib.target.config import TriangulationConfig
+from theodolite_calib.target.placing import MOST_TARGETS
 from theodolite_calib.target.triangulation import TriangulatedPlace
 from theodolite_calib.triangulation.recorded import placed_targets
 
@@ -146,3 +148,36 @@ def test_a_clock_that_lags_behind_holds_no_place_for_ever() -> None:
     run = run_of(config, *(arrivals(number, np.arange(0.0, 20.0, 0.5)) for number in (0, 1)), behind)
     assert max(waited_s(run).values()) < config.max_gap_s + config.lag_s + 0.2
     assert len(places(run)) >= 38
+
+
+@pytest.mark.parametrize("interval_s", [0.1, 5.0])
+def test_repeated_messages_of_a_silent_theodolite_leave_no_trace(interval_s: float) -> None:
+    config, since_s = config_of(3, max_gap_s=8.0), every(interval_s)[:20]
+    of_two, silent = [arrivals(number, since_s) for number in (0, 1)], arrivals(2, since_s[:10])
+    last = silent[-1]
+    repeated = [replace(last, receive_ns=last.receive_ns + round(s * SECOND_NS)) for s in np.arange(0.03, 20.0, 0.07)]
+    run = run_of(config, *of_two, silent, repeated)
+    assert run.reasons(last.topic).keys() <= {"duplicate", "late"}
+    # The run with the repetitions may be longer; three theodolites answer all within it.
+    assert results(run) == results(run_of(config, *of_two, silent))
+
+
+def test_late_directions_to_forgotten_targets_forget_no_other() -> None:
+    config = config_of(2)
+    of_two = [arrivals(number, np.arange(0.0, 10.0, 0.5)) for number in (0, 1)]
+    early = arrivals(0, [0.1])[0]
+
+    def of(name: str, stamped: Arrival) -> Arrival:
+        return changed_copy(stamped, lambda message: setattr(message, "target_id", name), early.receive_ns + SECOND_NS)
+
+    # More targets than are followed: some are forgotten. Then as many late ones come.
+    flood = [of(f"x{number}", arrivals(0, [1.0])[0]) for number in range(MOST_TARGETS + 5)]
+    late = [replace(of(f"y{number}", early), receive_ns=START_NS + 5 * SECOND_NS) for number in range(MOST_TARGETS)]
+    run = run_of(config, *of_two, flood, late)
+    assert run.reasons(early.topic)["late"] >= MOST_TARGETS
+    assert results(run) == results(run_of(config, *of_two, flood))
+
+
+def results(run: AdapterRun) -> list[tuple[int, Any]]:
+    """Time and bytes of each place."""
+    return [(ns, exactly(message)) for ns, topic, message in run.published if topic == POSITION_TOPIC]

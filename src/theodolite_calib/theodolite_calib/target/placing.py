@@ -30,6 +30,8 @@ forgotten, and its directions that wait get no place."""
 MOST_WAITING = 1000
 """Directions to one target that wait at a time; of a flood the oldest are answered by what is there."""
 
+_LATE = Refusal(Reason.LATE, "the places of its time were put out, or its target forgotten, before it came")
+
 
 @dataclass(frozen=True)
 class PlaceEstimate:
@@ -76,12 +78,13 @@ class _Reports:
     interval_ns: int = 0
     received_ns: int = 0
 
-    def add(self, time_ns: int, waiting_ns: int) -> None:
-        """Record a report."""
-        if time_ns > self.newest_ns:
-            self.interval_ns = time_ns - self.newest_ns if self.newest_ns else 0
-            self.newest_ns = time_ns
-        self.received_ns = waiting_ns
+    def add(self, time_ns: int, waiting_ns: int) -> bool:
+        """Record a report; False if it is not later than those before it, which tells of no time to come."""
+        if time_ns <= self.newest_ns:
+            return False
+        self.interval_ns = time_ns - self.newest_ns if self.newest_ns else 0
+        self.newest_ns, self.received_ns = time_ns, waiting_ns
+        return True
 
 
 @dataclass
@@ -133,12 +136,23 @@ class TriangulationCore:
         self.config = config
 
     def add_direction(self, sample: DirectionSample, waiting_ns: int) -> PlacingOutcome:
-        """A direction of one theodolite to one target, or that it claims none."""
-        outcome = PlacingOutcome()
-        target, number = self._target(sample.target_id, outcome), self._numbers[sample.source]
-        target.reports[number].add(sample.time_ns, waiting_ns)
+        """A direction of one theodolite to one target, or that it claims none.
+
+        One that is late or a duplicate answers no other and forgets no target.
+        """
+        outcome, number = PlacingOutcome(), self._numbers[sample.source]
+        target = self._targets.get(sample.target_id)
+        if target is None:
+            if sample.time_ns <= self._forgotten_ns:
+                outcome.refusal = _LATE
+                return outcome
+            target = self._begin(sample.target_id, outcome)
+        if target.reports[number].add(sample.time_ns, waiting_ns):
+            # Of the targets the first one is forgotten first.
+            self._targets[sample.target_id] = self._targets.pop(sample.target_id)
         outcome.refusal = self._take(target, number, sample, waiting_ns)
-        self._answer(sample.target_id, target, waiting_ns, outcome)
+        if outcome.refusal is None or outcome.refusal.reason not in (Reason.DUPLICATE, Reason.LATE):
+            self._answer(sample.target_id, target, waiting_ns, outcome)
         return outcome
 
     def contest(self, source: str, text: str) -> None:
@@ -152,14 +166,12 @@ class TriangulationCore:
             self._answer(target_id, target, waiting_ns, outcome)
         return outcome
 
-    def _target(self, target_id: str, outcome: PlacingOutcome) -> _Target:
-        """What is known of a target, now the one heard of last; where it is one too many another one is forgotten."""
-        target = self._targets.pop(target_id, None)
-        if target is None:
-            if len(self._targets) >= MOST_TARGETS:
-                self._forget(next(iter(self._targets)), outcome)
-            seen_by = [SeenByStation(station, self.config.max_gap_s) for station in self._stations]
-            target = _Target(seen_by, [_Reports() for _ in seen_by], done_ns=self._forgotten_ns)
+    def _begin(self, target_id: str, outcome: PlacingOutcome) -> _Target:
+        """Return a target that was not heard of; where it is one too many another one is forgotten."""
+        if len(self._targets) >= MOST_TARGETS:
+            self._forget(next(iter(self._targets)), outcome)
+        seen_by = [SeenByStation(station, self.config.max_gap_s) for station in self._stations]
+        target = _Target(seen_by, [_Reports() for _ in seen_by], done_ns=self._forgotten_ns)
         self._targets[target_id] = target
         return target
 
@@ -190,8 +202,7 @@ class TriangulationCore:
             track.drop_before(min(oldest_ns, sample.time_ns - self._lag_ns))
             return refusal or Refusal(Reason.GAP, "the theodolite itself says INVALID")
         if sample.time_ns <= target.done_ns:
-            text = "the places of its time were put out, or its target forgotten, before it came"
-            return refusal or Refusal(Reason.LATE, text)
+            return refusal or _LATE
         track.insert(sample)
         target.waiting.setdefault(key, waiting_ns)
         return refusal
