@@ -384,3 +384,30 @@ class TestCommand:
         bag = write_run(tmp_path / "a.mcap", [(1.0, 2.0, 3.0)] * 5)
         assert self.run(bag, "--figure", tmp_path / "a.xyz") == 2
         assert "the figure cannot be written" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("angles", "covariance_enu", "text"),
+    [
+        ((np.inf, 0.0, 0.0), np.zeros(9), "heading, pitch, roll holds infinity"),
+        ((0.0, -np.inf, 0.0), np.zeros(9), "heading, pitch, roll holds infinity"),
+        ((0.0, 0.0, 0.0), np.full(9, np.inf), "rotation_covariance holds infinity"),
+    ],
+)
+def test_a_claimed_attitude_that_is_infinite_is_left_out_by_name(tmp_path, angles, covariance_enu, text):
+    run = write_run(tmp_path / "run.mcap", [(4.0, 2.0, -3.0)] * 3)
+    without = evaluate(run)
+    stamp_ns = START_NS + 3 * SECOND_NS
+    bad = ship_attitude(stamp_ns, covariance_enu=covariance_enu)
+    bad.heading, bad.pitch, bad.roll = angles
+    with BagWriter(tmp_path / "with.mcap") as bag:
+        for number in range(3):
+            at_ns = START_NS + number * SECOND_NS
+            estimate = np.array([4.0, 2.0, -3.0]) * ARCSEC
+            bag.write("truth/attitude", ship_attitude(at_ns), at_ns)
+            bag.write("ship/attitude", ship_attitude(at_ns, *estimate, covariance_enu=COVARIANCE_ENU), at_ns)
+        bag.write("truth/attitude", ship_attitude(stamp_ns), stamp_ns)
+        bag.write("ship/attitude", bad, stamp_ns)
+    found = evaluate(tmp_path / "with.mcap")
+    assert found.flat() == without.flat()
+    assert found.problems == [f"topic 'ship/attitude': messages left out: 1, the first because non_finite: {text}"]

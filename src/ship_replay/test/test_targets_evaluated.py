@@ -115,3 +115,50 @@ def test_without_truth_there_are_none(tmp_path: Path) -> None:
         bag.write(TARGET_DIRECTION, told(0), START_NS)
         bag.write("theodolite/calibration", calibration(), START_NS)
     assert not any(name.startswith("target.") for name in evaluate(tmp_path / "run.mcap").flat())
+
+
+def vector3(x: float, y: float, z: float) -> Any:
+    return FACTORY.make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"direction": vector3(np.inf, 1.0, 0.0)}, "non_finite: direction holds inf"),
+        ({"direction": vector3(np.nan, 1.0, 0.0)}, "non_finite: direction holds nan"),
+        ({"direction_covariance": np.full(9, np.inf)}, "non_finite: direction_covariance holds NaN or infinity"),
+        ({"direction_covariance": -2.0 * np.eye(3).ravel()}, "bad_covariance: direction_covariance holds a negative"),
+        ({"position": vector3(0.0, -np.inf, 0.0)}, "non_finite: position holds -inf"),
+        ({"position_covariance": np.diag([1.0, -1.0, 1.0]).ravel()}, "bad_covariance: position_covariance holds a"),
+    ],
+)
+def test_a_direction_of_wrong_form_is_left_out_by_name(tmp_path: Path, changes: dict[str, Any], text: str) -> None:
+    found = []
+    for name, bad in (("without", {}), ("with", {3: told(3, **changes)})):
+        with BagWriter(tmp_path / f"{name}.mcap") as bag:
+            for number in range(4):
+                bag.write(TARGET_TRUTH, told(number), START_NS + number * SECOND_NS)
+            for number, message in enumerate([told(0, 4.0), told(1, 0.0, 2.0), told(2, 1.0)]):
+                bag.write(TARGET_DIRECTION, message, START_NS + number * SECOND_NS)
+            for number, message in bad.items():
+                bag.write(TARGET_DIRECTION, message, START_NS + number * SECOND_NS)
+            bag.write("theodolite/calibration", calibration(), START_NS + 5 * SECOND_NS)
+        found.append(evaluate(tmp_path / f"{name}.mcap"))
+    without, with_it = found
+    assert with_it.flat() == without.flat()
+    (line,) = with_it.problems
+    assert line.startswith(f"topic '{TARGET_DIRECTION}': messages left out: 1, the first because {text}")
+
+
+def test_a_truth_that_is_no_number_is_left_out_by_name(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "run.mcap") as bag:
+        bag.write(TARGET_TRUTH, told(0), START_NS)
+        bag.write(TARGET_TRUTH, told(1, direction=vector3(np.inf, 0.0, 0.0)), START_NS + SECOND_NS)
+        for number in range(2):
+            bag.write(TARGET_DIRECTION, told(number), START_NS + number * SECOND_NS)
+        bag.write("theodolite/calibration", calibration(), START_NS + 5 * SECOND_NS)
+    found = evaluate(tmp_path / "run.mcap")
+    assert found.flat()["target.buoy.samples"] == 1.0
+    assert found.problems == [
+        f"topic '{TARGET_TRUTH}': messages left out: 1, the first because non_finite: direction of the truth holds inf"
+    ]

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -19,6 +19,7 @@ from ship_bags.parameter_yaml import anywhere
 from ship_bags.stamps import NS_PER_S
 from ship_bags.topic_names import namespace_of_outputs, relative_topics
 from ship_geometry.rotations import ARCSEC, wrap_pi
+from ship_node.edge.messages_in import Refused
 from ship_node.parameters.parameter_file import has_section, load_config
 from ship_replay.evaluation.sources import JOINT_SOLUTION, AttitudeSource, PublishedAttitude, Truth, sources
 from ship_replay.evaluation.statistics import AttitudeErrors, InnovationBook, SourceInnovations
@@ -105,6 +106,27 @@ class Evaluation:
         return json.dumps(values, indent=1) + "\n"
 
 
+class RefusedMessages:
+    """The messages that an evaluation leaves out because their form is wrong, by topic."""
+
+    def __init__(self) -> None:
+        self._texts: dict[str, list[str]] = {}
+
+    def offer(self, topic: str, take: Callable[[Any], None], message: Any) -> None:
+        """Give a message to what takes those of its topic; record it if it is refused."""
+        try:
+            take(message)
+        except Refused as refused:
+            self._texts.setdefault(topic, []).append(str(refused))
+
+    def lines(self) -> list[str]:
+        """One line for each topic: number of messages, and why the first one was refused."""
+        return [
+            f"topic '{topic}': messages left out: {len(texts)}, the first because {texts[0]}"
+            for topic, texts in self._texts.items()
+        ]
+
+
 def evaluate(bag_path: Path, against: Path | None = None, skip_s: float = 0.0, namespace: str = "") -> Evaluation:
     """Evaluate the outputs in a bag.
 
@@ -138,7 +160,8 @@ def _evaluate(bag: Bag, others: list[Bag], skip_s: float, namespace: str) -> Eva
     star = _config(bags, StarAttitudeConfig, "star_attitude")
     theodolite = _config(bags, OpticalAxisConfig, "optical_axis")
     collectors = sources(_truths(named), ship, star, theodolite)
-    targets = _true_targets(named)
+    refused = RefusedMessages()
+    targets = _true_targets(named, refused)
     innovations = InnovationBook()
     last: dict[str, BagRecord] = {}
     for candidate, topics in _reading_plan(named, bag, [*collectors, *_RESULTS, TARGET_DIRECTION]):
@@ -147,17 +170,17 @@ def _evaluate(bag: Bag, others: list[Bag], skip_s: float, namespace: str) -> Eva
             if topic in _INNOVATION_TOPICS:
                 innovations.add(record.decode())
             elif topic == TARGET_DIRECTION:
-                targets.take(record.decode())
+                refused.offer(topic, targets.take, record.decode())
             elif topic in _ESTIMATES:
                 last[_ESTIMATES[topic]] = record
             else:
-                collectors[topic].take(record.decode())
+                refused.offer(topic, collectors[topic].take, record.decode())
     start_ns = bag.start_ns or 0
     skip_to_ns = start_ns + round(skip_s * NS_PER_S)
     found = [errors for source in collectors.values() for errors in source.errors()]
     errors = [kept for errors in found if len((kept := errors.since(skip_to_ns)).time_ns)]
     problems = [problem for candidate in bags for problem in candidate.problems]
-    problems += _left_out(collectors, errors)
+    problems += [*refused.lines(), *_left_out(collectors, errors)]
     if not errors and not innovations.sources and not last:
         raise BadInput(
             "nothing to evaluate: expected topics "
@@ -222,13 +245,13 @@ def _truths(named: _Named) -> dict[str, Truth]:
     return truths
 
 
-def _true_targets(named: _Named) -> TargetDirections:
+def _true_targets(named: _Named, refused: RefusedMessages) -> TargetDirections:
     """Targets with the truth of the first bag that holds any."""
     targets = TargetDirections()
     for bag, names in named.items():
         if TARGET_TRUTH in names and not len(targets):
             for record in bag.records({names[TARGET_TRUTH]}):
-                targets.add_truth(record.decode())
+                refused.offer(TARGET_TRUTH, targets.add_truth, record.decode())
     return targets
 
 

@@ -12,10 +12,12 @@ from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_attitude_star.stars.config import JOINT, MountingConfig
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_estimation.ins import InsInputConfig
+from ship_estimation.refusals import Reason
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
 from ship_geometry.frames import rotation_from_angles, rotation_vector_covariance
 from ship_geometry.ros_axes import horizon_covariance, rotation_from_quaternion
 from ship_geometry.rotations import FloatArray
+from ship_node.edge.messages_in import Refused
 from ship_replay.evaluation.statistics import AttitudeErrors, attitude_errors
 from ship_watch.orientations import POINTING, SHIP_ATTITUDE, Orientation
 from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
@@ -85,7 +87,11 @@ class AttitudeSource(ABC):
 
     @abstractmethod
     def take(self, message: Any) -> None:
-        """Keep a message's attitude where the truth is known."""
+        """Keep a message's attitude where the truth is known.
+
+        Raises:
+            Refused: the message claims an infinite attitude or covariance.
+        """
 
     def errors(self) -> list[AttitudeErrors]:
         """Errors in order of stamps; none where nothing could be compared."""
@@ -128,6 +134,12 @@ class PublishedAttitude(AttitudeSource):
         truth_nd = self._truth.exactly_at(stamp_ns)
         if truth_nd is not None:
             angles = self._truth.orientation.angles_of(message)
+            for what, numbers in (
+                (", ".join(self._truth.orientation.angles), angles),
+                ("rotation_covariance", message.rotation_covariance),
+            ):
+                if np.any(np.isinf(numbers)):
+                    raise Refused(Reason.NON_FINITE, f"{what} holds infinity")
             covariance_n = _total_covariance_n(message, angles[0], angles[1])
             self._keep(stamp_ns, rotation_from_angles(*angles), truth_nd, covariance_n)
 

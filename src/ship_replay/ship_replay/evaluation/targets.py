@@ -11,8 +11,11 @@ import numpy as np
 
 from ship_bags.stamps import ns_from_stamp
 from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_node.edge.messages_in import covariance_3x3, finite_vector
 
 TARGET_DIRECTION, TARGET_TRUTH = "theodolite/target_direction", "truth/target_direction"
+
+_UNKNOWN = np.full((3, 3), np.nan)
 
 
 @dataclass
@@ -88,21 +91,35 @@ class TargetDirections:
         return len(self._truths)
 
     def add_truth(self, message: Any) -> None:
-        """A TargetDirection of the truth."""
+        """A TargetDirection of the truth.
+
+        Raises:
+            Refused: its direction is no number.
+        """
+        finite_vector(message.direction, "direction of the truth")
         self._truths[message.target_id, ns_from_stamp(message.header.stamp)] = message
 
     def take(self, message: Any) -> None:
-        """A TargetDirection as published."""
+        """A TargetDirection as published.
+
+        Raises:
+            Refused: what it claims is no number, or a covariance is none.
+        """
         time_ns = ns_from_stamp(message.header.stamp)
         truth = self._truths.get((message.target_id, time_ns))
         if truth is None or message.status == message.INVALID:
             return
+        direction = finite_vector(message.direction, "direction")
+        direction_covariance = _covariance(message.direction_covariance, "direction_covariance")
+        place, place_covariance = _vector(message.position), _UNKNOWN
+        if not np.all(np.isnan(place)):
+            place = finite_vector(message.position, "position")
+            place_covariance = _covariance(message.position_covariance, "position_covariance")
         self._claimed.add((message.target_id, time_ns))
         across = np.linalg.svd(_vector(truth.direction)[None])[2][1:]
-        error = across @ (_vector(message.direction) - _vector(truth.direction))
-        covariance = across @ np.reshape(message.direction_covariance, (3, 3)) @ across.T
-        off_m = _vector(message.position) - _vector(truth.position)
-        place_covariance = np.reshape(message.position_covariance, (3, 3))
+        error = across @ (direction - _vector(truth.direction))
+        covariance = across @ direction_covariance @ across.T
+        off_m = place - _vector(truth.position)
         errors = self._errors.setdefault(message.target_id, TargetErrors())
         errors.time_ns.append(time_ns)
         errors.across_arcsec.append(error / ARCSEC)
@@ -111,6 +128,16 @@ class TargetDirections:
         errors.off_m.append(float(np.linalg.norm(off_m)))
         errors.off_sigma_m.append(float(np.sqrt(np.trace(place_covariance))))
         errors.place_nees.append(_square(off_m, place_covariance))
+
+
+def _covariance(values: Any, what: str) -> FloatArray:
+    """A covariance, shape (3, 3); NaN where none is given.
+
+    Raises:
+        Refused: it is none.
+    """
+    covariance = covariance_3x3(values, what)
+    return _UNKNOWN if covariance is None else covariance
 
 
 def _vector(of: Any) -> FloatArray:
