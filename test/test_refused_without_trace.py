@@ -38,6 +38,8 @@ FIRST_NUMBER = {
     "ship_msgs/msg/TheodoliteEncoder": "azimuth",
     "ship_msgs/msg/BeaconImage": "exposure_s",
     "ship_msgs/msg/RtkBaseline": "enu.x",
+    "ship_msgs/msg/TargetImage": "x",
+    "ship_msgs/msg/TargetDirection": "direction.x",
 }
 """By type, a number that every message must have."""
 
@@ -100,7 +102,10 @@ def no_orientation(arrival: Arrival) -> Arrival:
     return changed_copy(arrival, put)
 
 
-VARIANCES = ("rotation_covariance", "orientation_covariance", "position_covariance", "covariance", "variance", "sigma")
+VARIANCES = (
+    *("rotation_covariance", "orientation_covariance", "direction_covariance", "position_covariance"),
+    *("covariance", "variance", "sigma"),
+)
 UNUSABLE: dict[str, tuple[str, Change]] = {
     "stamp zero": ("bad_stamp", stamped(lambda arrival: 0)),
     "late": ("late", stamped(lambda arrival: arrival.stamp_ns - 5 * SECOND_NS // 2)),
@@ -128,8 +133,8 @@ def lacks(topic: str) -> tuple[str, ...]:
         return ("variance",) if topic.startswith("beacon/") else ()
     if topic.endswith(("/observations", "/beacons")):
         return "quaternion", "variance", "orientation"
-    without_quaternion = topic.endswith(("/horizon_attitude", "/encoder", "/baseline"))
-    return ("quaternion", "orientation") if without_quaternion else ("orientation",)
+    without_quaternion = "/horizon_attitude", "/encoder", "/baseline", "/target", "/target_direction"
+    return ("quaternion", "orientation") if topic.endswith(without_quaternion) else ("orientation",)
 
 
 @pytest.mark.slow

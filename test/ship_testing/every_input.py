@@ -1,8 +1,9 @@
 """Short simulated voyages with every input that the nodes know, for tests of messages that cannot be used.
 
-``ship_attitude`` has the INS, a star sensor of each kind, another attitude system, the fix and the weather;
-``star_attitude`` the same voyage, of which it hears the camera; ``optical_axis`` lights, baselines and drones, with the
-ship's attitude from ``ship/attitude`` or, as ``optical_axis by ins``, from ``ins/imu``.
+``ship_attitude`` has the INS, a star sensor of each kind, another attitude system, two antennas, the fix and the
+weather; ``star_attitude`` the same voyage, of which it hears the camera; ``optical_axis`` lights, baselines, drones and
+images of targets, with the ship's attitude from ``ship/attitude`` or, as ``optical_axis by ins``, from ``ins/imu`` and
+with advice for the drones; ``triangulation`` directions of three theodolites to a buoy.
 """
 
 import functools
@@ -16,22 +17,28 @@ from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
 from ship_bags.parameter_yaml import anywhere
 from ship_estimation.outcome import Status
+from ship_estimation.parameters import build
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.ros_axes import ENU_FROM_HORIZON
-from ship_geometry.rotations import FloatArray, log_rotation
+from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_node.edge.reporting_adapter import ReportingAdapter
 from ship_node.parameters.parameter_file import load_config
 from ship_simulation.messages.to_messages import messages
 from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario import Reference, Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
+from ship_simulation.scenario.theodolite_scenario import Rtk, ShipBaseline
 from ship_simulation.suite.suite import suite_yaml
 from ship_testing.adapter_runs import FACTORY, SECOND_NS, AdapterRun, Arrival, Arrivals, hand_over, stamp_of
-from ship_testing.theodolite_scenes import SCENARIOS, bag_scenario, replaced
+from ship_testing.theodolite_scenes import SCENARIOS, bag_scenario, replaced, with_night
+from ship_testing.theodolite_stations import buoy_seen, direction_message, placing_values
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
+from theodolite_calib.ros.triangulation_adapter import TriangulationAdapter
+from theodolite_calib.target.config import TriangulationConfig
 
-NODES = ("ship_attitude", "star_attitude", "optical_axis", "optical_axis by ins")
+NODES = ("ship_attitude", "star_attitude", "optical_axis", "optical_axis by ins", "triangulation")
 _SEED = 11
+_START_NS, _LATENCY_NS = 1_767_225_600 * SECOND_NS, SECOND_NS // 20
 
 
 @dataclass(frozen=True)
@@ -62,7 +69,7 @@ class Voyage:
 @functools.cache
 def voyage(node: str) -> Voyage:
     """The voyage of one of NODES."""
-    return voyage_of(node, scenario(node))
+    return _triangulation() if node == "triangulation" else voyage_of(node, scenario(node))
 
 
 def scenario(node: str, **changes: Any) -> Scenario:
@@ -78,6 +85,8 @@ def voyage_of(node: str, given: Scenario) -> Voyage:
         "optical_axis": OpticalAxisAdapter,
     }[node.partition(" ")[0]]
     config = load_config(adapter_class.config_type, suite_yaml(given), anywhere(adapter_class.node_name))
+    if node.endswith("by ins"):
+        config = replaced(config, escort__enabled=True, escort__period_s=1.0)
 
     def new_adapter() -> ReportingAdapter:
         return adapter_class(config, FACTORY)
@@ -127,10 +136,24 @@ def clean_run(node: str) -> AdapterRun:
 def _ship() -> Scenario:
     scenario = load_scenario(SCENARIOS / "three_sensors.yaml")
     ins = replaced(scenario.ins, rate_hz=25.0)
-    return replace(scenario, duration_s=4.0, ins=ins, references={"gyro": Reference(rate_hz=5.0)})
+    antennas = ShipBaseline(forward_m=12.0, right_m=1.0, rtk=Rtk(rate_hz=5.0))
+    references = {"gyro": Reference(rate_hz=5.0)}
+    return replace(scenario, duration_s=4.0, ins=ins, references=references, ship_baseline=antennas)
 
 
 def _theodolite(node: str) -> Scenario:
-    scenario = bag_scenario(duration_s=5.0)
+    scenario = with_night(bag_scenario(duration_s=5.0))
     fused = replaced(scenario.fused_attitude, written=not node.endswith("by ins"))
-    return replace(scenario, ins=replaced(scenario.ins, rate_hz=20.0), star_sensors={}, fused_attitude=fused)
+    ins = replaced(scenario.ins, rate_hz=20.0)
+    return replace(scenario, ins=ins, star_sensors={}, telescopes={}, fused_attitude=fused)
+
+
+def _triangulation() -> Voyage:
+    config, arrivals = build(TriangulationConfig, placing_values(3)), []
+    for time_ns in range(_START_NS, _START_NS + 5 * SECOND_NS, SECOND_NS // 10):
+        for number in range(3):
+            at_ns = time_ns + 10_000_000 * number
+            seen_n = buoy_seen(number, (at_ns - _START_NS) / SECOND_NS)
+            message = direction_message(at_ns, seen_n, 3.0 * ARCSEC, FACTORY)
+            arrivals.append(Arrival(f"t{number}/theodolite/target_direction", message, at_ns + _LATENCY_NS))
+    return Voyage(lambda: TriangulationAdapter(config, FACTORY), tuple(arrivals), {})

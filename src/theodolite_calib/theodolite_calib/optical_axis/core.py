@@ -278,7 +278,7 @@ class OpticalAxisCore:
         if outcome.refusal is None:
             waiting_ns = sample.time_ns if arrival_ns is None else arrival_ns
             self._targets.add(sample, waiting_ns, outcome)
-            self._answer_targets(outcome, waiting_ns)
+            self._answer_targets(outcome)
         return outcome
 
     def contest(self, source: str, text: str) -> None:
@@ -468,9 +468,9 @@ class OpticalAxisCore:
         """The pointings of readings whose moment the ship covers now, or never will, and targets that await them."""
         if self._waiting:
             self._publish_waiting(outcome, waiting_ns)
-        self._answer_targets(outcome, waiting_ns)
+        self._answer_targets(outcome)
 
-    def _answer_targets(self, outcome: PointingOutcome, waiting_ns: int) -> None:
+    def _answer_targets(self, outcome: PointingOutcome, waiting_ns: int | None = None) -> None:
         self._targets.answer(outcome, waiting_ns, self._shell.window.oldest_ns, lambda: self._shell.state_now)
 
     def _publish_waiting(self, outcome: PointingOutcome, waiting_ns: int) -> None:

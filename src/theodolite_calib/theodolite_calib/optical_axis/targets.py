@@ -81,13 +81,13 @@ class TargetAnswers:
             self._put_out.popleft()
 
     def answer(
-        self, outcome: PointingOutcome, waiting_ns: int, oldest_ns: int, state: Callable[[], CalibrationState]
+        self, outcome: PointingOutcome, waiting_ns: int | None, oldest_ns: int, state: Callable[[], CalibrationState]
     ) -> None:
         """Answer the images whose pointing is known now, or never will be.
 
         Args:
             outcome: takes the directions, and the refusals.
-            waiting_ns: the time of waiting.
+            waiting_ns: the time of waiting, at a tick; None with a message, for one that is refused must answer none.
             oldest_ns: data before it can no longer come.
             state: of the filter now, for outputs.
         """
@@ -95,8 +95,8 @@ class TargetAnswers:
             return
         patience_ns = max(SECOND_NS, round(self._config.lag_s * SECOND_NS))
         for sample, came_ns in self._waiting.waiting():
-            given_up = sample.time_ns < oldest_ns or waiting_ns - came_ns > patience_ns
-            if given_up or self._is_covered(sample):
+            given_up = waiting_ns is not None and waiting_ns - came_ns > patience_ns
+            if given_up or sample.time_ns < oldest_ns or self._is_covered(sample):
                 self._waiting.answered(sample)
                 self._answer(sample, outcome, state())
 
