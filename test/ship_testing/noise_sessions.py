@@ -1,10 +1,14 @@
 """Simulated records of stars against an INS, as ``identify_noise`` gets them from a bag, without one."""
 
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_estimation.parameters import build
+from ship_geometry.rotations import ARCSEC
 from ship_replay.ins_noise.session import NoiseSession, PairsHeard, session_config, session_of
 from ship_replay.trials.monte_carlo import attitude_outcomes
 from ship_simulation.run import SimulatedRun, simulate
@@ -65,3 +69,35 @@ def noise_session(of: Scenario, seed: int, told: dict[str, Any] | None = None, w
     for outcome in attitude_outcomes(core, source, set()):
         heard.take(core, outcome.decisions)
     return session_of("voyage", config, core, heard, [])
+
+
+class GaussMarkovProcess(NamedTuple):
+    """A Gauss-Markov INS: sigmas in arcseconds, correlation times in seconds."""
+
+    tilt_arcsec: float
+    tilt_s: float
+    heading_arcsec: float
+    heading_s: float
+    white_arcsec: float
+
+
+def drawn(session: NoiseSession, seed: int, process: GaussMarkovProcess) -> NoiseSession:
+    """The session with other values, drawn by its own model: a Gauss-Markov INS, installations, noise."""
+    rng = np.random.default_rng(seed)
+    model = session.model
+    steady = np.array([process.tilt_arcsec, process.heading_arcsec, process.tilt_arcsec]) * ARCSEC
+    time_s = np.array([process.tilt_s, process.heading_s, process.tilt_s])
+    installed = {id_: rng.standard_normal(3) for id_ in ("star.fore", "star.starboard")}
+    slow, white, last_ns, pairs = steady * rng.standard_normal(3), np.zeros(3), None, []
+    for pair in session.pairs:
+        if pair.time_ns != last_ns:
+            decay = np.exp(-((pair.time_ns - (last_ns or pair.time_ns)) * 1e-9) / time_s)
+            slow = decay * slow + steady * np.sqrt(1.0 - decay**2) * rng.standard_normal(3)
+            white, last_ns = process.white_arcsec * ARCSEC * rng.standard_normal(3), pair.time_ns
+        state = np.zeros(model.size)
+        state[model.slices["ins.attitude"]], state[model.slices["ins.noise"]] = slow, white
+        name = f"{pair.source}.installation"
+        state[model.slices[name]] = installed[pair.source] * model.blocks[name].sigma
+        noise = np.linalg.cholesky(pair.noise) @ rng.standard_normal(3)
+        pairs.append(pair._replace(value=pair.jacobian @ state + noise))
+    return replace(session, pairs=pairs)

@@ -3,7 +3,6 @@
 Expected values are those that the simulator draws by; its Schuler INS is integrated by scipy's matrix exponential.
 """
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,21 +11,20 @@ import pytest
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_estimation.gates import mean_nees_band
-from ship_geometry.rotations import ARCSEC
 from ship_node.parameters.parameter_file import load_config
 from ship_replay.ins_noise.fit import FittedModel, fit
 from ship_replay.ins_noise.identification import Identification, identify
 from ship_replay.ins_noise.processes import GaussMarkovModel
-from ship_replay.ins_noise.session import NoiseSession
 from ship_replay.ins_noise.star_record import star_record
 from ship_replay.ins_noise.written import parameter_file_text
-from ship_testing.noise_sessions import noise_session, scenario
+from ship_testing.noise_sessions import GaussMarkovProcess, drawn, noise_session, scenario
 
 pytestmark = pytest.mark.slow  # what its tests share takes long
 
 # Of a normal distribution, two-sided.
 SIGMAS_99_9 = 3.29
 TILT, TILT_S, HEADING, HEADING_S, WHITE = 10.0, 1800.0, 72.0, 10800.0, 3.0
+PROCESS = GaussMarkovProcess(TILT, TILT_S, HEADING, HEADING_S, WHITE)
 CHANGES = {"tilt": 2.0 * TILT**2 / TILT_S, "heading": 2.0 * HEADING**2 / HEADING_S}
 
 
@@ -123,33 +121,12 @@ def test_two_hundred_times_tell_sigma_and_time() -> None:
         assert found[f"{axis}_time_s"][1] < 0.3
 
 
-def drawn(session: NoiseSession, seed: int) -> NoiseSession:
-    """The session with other values, drawn by its own model: a Gauss-Markov INS, installations, noise."""
-    rng = np.random.default_rng(seed)
-    model = session.model
-    steady, time_s = np.array([TILT, HEADING, TILT]) * ARCSEC, np.array([TILT_S, HEADING_S, TILT_S])
-    installed = {id_: rng.standard_normal(3) for id_ in ("star.fore", "star.starboard")}
-    slow, white, last_ns, pairs = steady * rng.standard_normal(3), np.zeros(3), None, []
-    for pair in session.pairs:
-        if pair.time_ns != last_ns:
-            decay = np.exp(-((pair.time_ns - (last_ns or pair.time_ns)) * 1e-9) / time_s)
-            slow = decay * slow + steady * np.sqrt(1.0 - decay**2) * rng.standard_normal(3)
-            white, last_ns = WHITE * ARCSEC * rng.standard_normal(3), pair.time_ns
-        state = np.zeros(model.size)
-        state[model.slices["ins.attitude"]], state[model.slices["ins.noise"]] = slow, white
-        name = f"{pair.source}.installation"
-        state[model.slices[name]] = installed[pair.source] * model.blocks[name].sigma
-        noise = np.linalg.cholesky(pair.noise) @ rng.standard_normal(3)
-        pairs.append(pair._replace(value=pair.jacobian @ state + noise))
-    return replace(session, pairs=pairs)
-
-
 @pytest.mark.statistics
 def test_the_sigmas_of_what_is_told_hold_over_many_records() -> None:
     hour, wrong = noise_session(scenario(2400.0), 1), []
     true = np.log([CHANGES["tilt"], CHANGES["heading"], WHITE])
     for seed in range(6):
-        session = drawn(hour, seed)
+        session = drawn(hour, seed, PROCESS)
         found = fit(star_record(session), GaussMarkovModel(session.config.ins))
         rows = [0, 2, 4]
         wrong.append((np.log(found.values[rows]) - true) / found.log_sigmas[rows])

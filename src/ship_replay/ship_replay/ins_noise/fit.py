@@ -2,6 +2,9 @@
 
 The search walks over logarithms: first by few epochs, which is fast and near enough, then by all. Gradients and the
 matrix of second derivatives are differences of likelihoods that run side by side.
+
+Correlation times are the exception (:mod:`ship_replay.ins_noise.correlation_time`): a maximum and its curvature
+describe their likelihood only in records of many times.
 """
 
 from dataclasses import dataclass
@@ -11,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from ship_geometry.rotations import FloatArray
+from ship_replay.ins_noise.correlation_time import mean_log_time
 from ship_replay.ins_noise.likelihood import log_likelihoods
 from ship_replay.ins_noise.processes import InsErrorModel, ToldParameter
 from ship_replay.ins_noise.star_record import StarRecord
@@ -29,16 +33,22 @@ _NOTHING_KNOWN = 10.0
 _QUICKER = 0.03
 """A second search begins with this share of the configured correlation times: one alone may stop beside a saddle."""
 
+_STEPS = np.array([0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0, 14.0])
+"""Where the likelihood of a correlation time is computed on each side of its maximum, in sigmas by the curvature."""
+
+_WIDEST_STEP = 1.0
+"""Largest such sigma of the logarithm: a larger curvature-based one describes no likelihood."""
+
 
 @dataclass(frozen=True)
 class FittedModel:
-    """A model with the parameters that make a record most likely.
+    """A model with the parameters that a record speaks for.
 
     Attributes:
         model: of the INS's error.
         values: of its parameters, shape (p,).
-        covariance: of their logarithms, shape (p, p); _NOTHING_KNOWN squared for one at a bound.
-        log_likelihood: of the record.
+        covariance: of their logarithms, shape (p, p); _NOTHING_KNOWN squared for one at a bound, unless it is a time.
+        log_likelihood: of the record at its maximum.
     """
 
     model: InsErrorModel
@@ -64,14 +74,33 @@ class FittedModel:
 
 
 def fit(record: StarRecord, model: InsErrorModel) -> FittedModel:
-    """The model's parameters that make a record most likely."""
+    """Return the model's parameters that a record speaks for."""
     few = _Search(record.thinned(-(-len(record.times_s) // _FIRST_EPOCHS)), model)
     starts = np.log([parameter.start for parameter in model.parameters])
     quicker = starts + np.log(_QUICKER) * _is_time(model)
     begun = [few.climbed(start) for start in np.unique([starts, quicker], axis=0)]
     all_ = _Search(record, model)
     best = all_.climbed(min(begun, key=few.cost))
-    return FittedModel(model, np.exp(best), all_.covariance(best), -all_.cost(best))
+    point, covariance = _with_mean_times(all_, best, all_.covariance(best))
+    return FittedModel(model, np.exp(point), covariance, -all_.cost(best))
+
+
+def _with_mean_times(search: "_Search", best: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the logarithms of the parameters and their covariance with each correlation time's mean and variance.
+
+    The other parameters follow a time as they are correlated with it.
+    """
+    point = best.copy()
+    for row in np.flatnonzero(_is_time(search.model)):
+        variance = covariance[row, row]
+        along = covariance[:, row] / variance
+        steps = min(float(np.sqrt(variance)), _WIDEST_STEP) * np.concatenate([-_STEPS[::-1], [0.0], _STEPS])
+        logs = np.unique(np.clip(best[row] + steps, *search.bounds[row]))
+        points = np.clip(best + (logs - best[row])[:, None] * along, *search.bounds.T)
+        mean, own_variance = mean_log_time(logs, -search.costs(points), search.duration_s)
+        point += (mean - best[row]) * along
+        covariance = covariance + (own_variance - variance) * np.outer(along, along)
+    return point, covariance
 
 
 def _is_time(model: InsErrorModel) -> NDArray[np.bool_]:
@@ -80,24 +109,24 @@ def _is_time(model: InsErrorModel) -> NDArray[np.bool_]:
 
 class _Search:
     def __init__(self, record: StarRecord, model: InsErrorModel) -> None:
-        self._record, self._model = record, model
-        self._bounds = np.log([(parameter.least, parameter.most) for parameter in model.parameters])
+        self._record, self.model = record, model
+        self.bounds = np.log([(parameter.least, parameter.most) for parameter in model.parameters])
 
     def cost(self, point: FloatArray) -> float:
         """Minus the log likelihood at logarithms of parameters, shape (p,)."""
-        return float(self._costs(point[None])[0])
+        return float(self.costs(point[None])[0])
 
     def climbed(self, start: FloatArray) -> FloatArray:
         """The most likely point that a search from a start reaches, shape (p,)."""
 
         def cost_and_slope(point: FloatArray) -> tuple[float, FloatArray]:
-            at, *beside = self._costs(np.vstack([point, point + _GRADIENT_STEP * np.eye(len(point))]))
+            at, *beside = self.costs(np.vstack([point, point + _GRADIENT_STEP * np.eye(len(point))]))
             return float(at), (np.array(beside) - at) / _GRADIENT_STEP
 
-        inside = np.clip(start, *self._bounds.T)
+        inside = np.clip(start, *self.bounds.T)
         relative = _LEAST_GAIN / abs(self.cost(inside))
         found = minimize(
-            cost_and_slope, inside, jac=True, method="L-BFGS-B", bounds=self._bounds, options={"ftol": relative}
+            cost_and_slope, inside, jac=True, method="L-BFGS-B", bounds=self.bounds, options={"ftol": relative}
         )
         point: FloatArray = found.x
         return point
@@ -105,11 +134,11 @@ class _Search:
     def covariance(self, point: FloatArray) -> FloatArray:
         """Of the logarithms at the most likely point, shape (p, p): the inverse of the matrix of second derivatives."""
         count, step = len(point), _CURVATURE_STEP
-        free = np.flatnonzero(np.all(np.abs(self._bounds - point[:, None]) > step, axis=1))
+        free = np.flatnonzero(np.all(np.abs(self.bounds - point[:, None]) > step, axis=1))
         unit = step * np.eye(count)[free]
         pairs = [(i, j) for i in range(len(free)) for j in range(i + 1)]
         points = [point, *(point + unit), *(point - unit), *(point + unit[i] + unit[j] for i, j in pairs)]
-        costs = self._costs(np.array(points))
+        costs = self.costs(np.array(points))
         at, up = costs[0], costs[1 : 1 + len(free)]
         down, both = costs[1 + len(free) : 1 + 2 * len(free)], costs[1 + 2 * len(free) :]
         curvature = np.zeros((len(free), len(free)))
@@ -123,10 +152,16 @@ class _Search:
         covariance[np.ix_(free, free)] = inverse
         return covariance
 
-    def _costs(self, points: FloatArray) -> FloatArray:
+    @property
+    def duration_s(self) -> float:
+        """Length of the record."""
+        return self._record.duration_s
+
+    def costs(self, points: FloatArray) -> FloatArray:
+        """Minus the log likelihood at N sets of logarithms of parameters, shape (N,)."""
         found = []
         for begin in range(0, len(points), _MOST_TOGETHER):
             values = np.exp(points[begin : begin + _MOST_TOGETHER])
-            steps = self._model.steps(values, self._record.times_s)
+            steps = self.model.steps(values, self._record.times_s)
             found.append(-log_likelihoods(self._record, steps))
         return np.concatenate(found)

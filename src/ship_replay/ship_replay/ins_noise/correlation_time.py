@@ -1,0 +1,48 @@
+"""The estimate of a correlation time by its whole likelihood, and how well it is known.
+
+A record of few correlation times has a skew likelihood of the time: it falls off fast towards short times and slowly
+towards long ones. Its maximum is at too short a time, on average by half the variance of the logarithm. The curvature
+there is larger the shorter the time found, so that the stated sigma is too small where the error is large. Over 200
+records of six times the errors were 1.1 to 1.4 of the sigma by the curvature. So the likelihood is integrated, with
+Jeffreys' prior (1946), the square root of the Fisher information.
+"""
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from ship_geometry.rotations import FloatArray
+
+_GRID = 2001
+_POWER = 0.25
+"""Power of the rate 1/τ whose mean is taken: its RMS error over its sigma is nearest to 1 over simulated records of one
+time to 200. The logarithm itself has a long tail towards long times, and its sigma is too large by a fifth."""
+
+
+def mean_log_time(logs: FloatArray, log_likelihoods: FloatArray, duration_s: float) -> tuple[float, float]:
+    """Return the estimate of the logarithm of a correlation time, and its variance.
+
+    Of a Gauss-Markov process with the density of its noise known, which every record tells, the Fisher information of
+    the logarithm of the time is (1 + duration / time) / 2.
+
+    Args:
+        logs: increasing logarithms of times (s) with their likelihood, shape (N,).
+        log_likelihoods: at these, shape (N,).
+        duration_s: of the record.
+
+    Example:
+        A long record, whose likelihood is that of a normal distribution of the logarithm:
+
+        >>> logs = np.log(60.0) + 0.05 * np.linspace(-8.0, 8.0, 41)
+        >>> mean, variance = mean_log_time(logs, -0.5 * ((logs - np.log(60.0)) / 0.05) ** 2, 24_000.0)
+        >>> print(round(float(np.exp(mean)), 1), round(variance**0.5, 3))
+        59.9 0.05
+    """
+    times = np.linspace(logs[0], logs[-1], _GRID)
+    log_density = PchipInterpolator(logs, log_likelihoods)(times) + 0.5 * np.log1p(duration_s * np.exp(-times))
+    weights = np.exp(log_density - np.max(log_density))
+    weights /= np.sum(weights)
+    middle = float(np.sum(weights * times))
+    powers = np.exp(-_POWER * (times - middle))
+    mean = float(np.sum(weights * powers))
+    variance = float(np.sum(weights * (powers - mean) ** 2))
+    return middle - np.log(mean) / _POWER, variance / (_POWER * mean) ** 2
