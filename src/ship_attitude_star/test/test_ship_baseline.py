@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import Vector3
 
 from ship_attitude_star.measurements.baseline import BASELINE, BaselineMeasurement
+from ship_attitude_star.ros.messages_in import baseline
 from ship_attitude_star.ship_attitude.comparison import compare, predict_attitude
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
@@ -19,6 +21,8 @@ from ship_estimation.refusals import Reason
 from ship_geometry.attitude_track import AttitudeSample, InterpolatedAttitude
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, exp_rotation, wrap_pi
+from ship_msgs.msg import RtkBaseline
+from ship_node.edge.messages_in import Refused
 
 START_NS = 1_700_000_000_000_000_000
 BASELINE_D = np.array([8.0, 0.4, -1.5])
@@ -185,3 +189,42 @@ def test_the_same_solutions_end_in_the_same_bits() -> None:
     ]
     np.testing.assert_array_equal(ends[0].covariance_n, ends[1].covariance_n)
     np.testing.assert_array_equal(ends[0].rotation_nd, ends[1].rotation_nd)
+
+
+def solution_message(**changes: Any) -> RtkBaseline:
+    message = RtkBaseline(base_id="", rover_id="", enu=Vector3(x=5.0, y=6.0, z=0.4), fix=RtkBaseline.FIXED)
+    message.header.stamp.sec, message.covariance = START_NS // 1_000_000_000, 1e-4 * np.eye(3).ravel()
+    for name, value in changes.items():
+        setattr(message, name, value)
+    return message
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"enu": Vector3(x=float("nan"), y=6.0, z=0.4)}, Reason.NON_FINITE),
+        ({"enu": Vector3(x=float("inf"), y=6.0, z=0.4)}, Reason.NON_FINITE),
+        ({"covariance": np.full(9, np.nan)}, Reason.NON_FINITE),
+        ({"covariance": np.full(9, np.inf)}, Reason.NON_FINITE),
+        ({"covariance": np.diag([1e-4, -1e-4, 1e-4]).ravel()}, Reason.BAD_COVARIANCE),
+        ({"covariance": np.array([1.0, 0.5, 0.0, -0.5, 1.0, 0.0, 0.0, 0.0, 1.0])}, Reason.BAD_COVARIANCE),
+        ({"covariance": 1e300 * np.eye(3).ravel()}, Reason.BAD_COVARIANCE),
+        ({"enu": Vector3()}, Reason.UNITS),
+        ({"enu": Vector3(x=1e300)}, Reason.UNITS),
+        ({"fix": RtkBaseline.FLOAT}, Reason.NOT_FIXED),
+        ({"fix": 200}, Reason.NOT_FIXED),
+    ],
+)
+def test_a_message_that_cannot_be_used_is_refused_with_the_reason(changes: dict[str, Any], reason: Reason) -> None:
+    config = configured().ship_baseline
+    assert baseline(solution_message(), START_NS, config).covariance_known
+    with pytest.raises(Refused) as refused:
+        baseline(solution_message(**changes), START_NS, config)
+    assert refused.value.refusal.reason is reason
+
+
+def test_a_covariance_of_zeros_is_the_configured_one() -> None:
+    config = configured(noise_sigma_m=0.02).ship_baseline
+    read = baseline(solution_message(covariance=np.zeros(9)), START_NS, config)
+    assert not read.covariance_known
+    np.testing.assert_array_equal(read.value.noise_n, 0.02**2 * np.eye(3))
