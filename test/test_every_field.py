@@ -6,10 +6,8 @@ value: with two lights in all messages that follow, with one light in one messag
 
 import contextlib
 import copy
-import copyreg
 import functools
 from collections.abc import Iterator
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -30,7 +28,6 @@ NODE = "optical_axis"
 BEFORE_S, AFTER_S = 3.0, 0.6
 TEXTS = ["", "a", "b", "\x00", "deck" * 1000, "θ—", "theodolite_main", "0"]
 DEGREES = 57.29577951308232
-copyreg.pickle(MappingProxyType, lambda mapping: (MappingProxyType, (dict(mapping),)))  # for deepcopy
 FROZEN = (EncoderSample, ShipSample, BaselineSample, AttitudeSample, CalibrationState)
 
 
