@@ -251,6 +251,8 @@ def test_states_are_told_from_their_nominal_values_with_two_sigma() -> None:
     assert state_text(replace(angle, is_observable=False)) == "(−2.5 ± 1.2″)"
     assert state_text(ParameterShown("t", 3.5e-4, 2e-5, "s", True, 0.0)) == "+0.35 ± 0.04 ms"
     assert state_text(ParameterShown("f", 0.100027, 5.5e-6, "m", True, 0.1)) == "+27 ± 11 µm"
+    assert state_text(ParameterShown("u", 0.25, 0.4, "px", True, 0.0)) == "+0.25 ± 0.80 px"
+    assert state_text(ParameterShown("star.a.focal_length", 2e-4, 1e-5, "1", True, 0.0)) == "+0.0200 ± 0.0020 %"
 
 
 def test_the_axis_of_the_states_holds_all_values_and_most_bars() -> None:

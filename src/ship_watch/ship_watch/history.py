@@ -123,7 +123,7 @@ class StarsSeen:
 
 @dataclass(frozen=True)
 class ParameterShown:
-    """An alignment or calibration state, its sigma and its nominal value, in ``unit`` (rad, s, m).
+    """An alignment or calibration state, its sigma and its nominal value, in ``unit`` (rad, s, m, px, 1).
 
     States that are errors are nominally zero. Of installation angles and of a focal length the nominal value stands in
     the configuration, which no topic tells: then it is the value that was heard first; NaN where none was.

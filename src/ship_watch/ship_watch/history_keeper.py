@@ -37,6 +37,8 @@ _WAITING = 20
 """So many outputs wait for the truth at their stamps."""
 
 _INSTALLED = ("star.", "reference.", "focal_length", "telescope_")
+_ERRORS = ".time_offset", ".focal_length", ".principal_u", ".principal_v", ".distortion_k1"
+"""Ends of names of a device's states that are errors."""
 """What parameters that are no errors begin with; their time offsets are errors all the same."""
 
 
@@ -210,7 +212,7 @@ class HistoryKeeper:
 
     def _nominal_of(self, name: str, value: float) -> float:
         """Zero of an error; of an installed angle or length the value that was heard first."""
-        if not name.startswith(_INSTALLED) or name.endswith(".time_offset"):
+        if not name.startswith(_INSTALLED) or name.endswith(_ERRORS):
             return 0.0
         if math.isnan(value):
             return self._nominal.get(name, math.nan)

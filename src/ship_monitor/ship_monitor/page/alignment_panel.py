@@ -72,6 +72,16 @@ class AlignmentPanel:
         self.box.say(f"not observable: {', '.join(hidden)}" if hidden else "all observable")
 
 
+_UNITS = {
+    "rad": (ARCSEC_PER_RAD, "″", 1),
+    "s": (1e3, " ms", 2),
+    "m": (1e6, " µm", 0),
+    "px": (1.0, " px", 2),
+    "1": (1e2, " %", 4),
+}
+"""By what a state of each unit is multiplied, the unit it then has, and its decimals."""
+
+
 def bars_arcsec(states: Sequence[ParameterShown]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Lower end, value and upper end of each bar, arcsec; NaN of what is no angle, or has no nominal value."""
     scale = np.array([ARCSEC_PER_RAD if state.unit == "rad" else np.nan for state in states])
@@ -97,6 +107,6 @@ def half_width(low: np.ndarray, value: np.ndarray, high: np.ndarray) -> float:
 
 def state_text(state: ParameterShown) -> str:
     """Deviation ± two sigma, in the unit that people use."""
-    scale, unit, digits = {"rad": (ARCSEC_PER_RAD, "″", 1), "s": (1e3, " ms", 2), "m": (1e6, " µm", 0)}[state.unit]
+    scale, unit, digits = _UNITS[state.unit]
     text = f"{signed(scale * deviation(state), digits)} ± {2.0 * scale * state.sigma:.{digits}f}{unit}"
     return text if state.is_observable else f"({text})"
