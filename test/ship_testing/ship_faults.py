@@ -14,7 +14,9 @@ import numpy as np
 from ship_attitude_star.measurements.samples import AttitudeMeasurement
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_estimation.outcome import Status
+from ship_estimation.protection import IntegrityReport, IntegrityState
 from ship_geometry.attitude_track import AttitudeSample
+from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
 from ship_geometry.ros_axes import quaternion_from_rotation, rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
 from ship_replay.trials.monte_carlo import core_for
@@ -33,12 +35,16 @@ class Claim(NamedTuple):
         status: of it.
         sigmas: largest error about North, Up and East, in standard deviations as published.
         sources: that it rests on.
+        of_level: largest error of heading, pitch and roll as a share of its protection level; 0 without a level.
+        excluded: the sources that are excluded.
     """
 
     time_s: float
     status: Status
     sigmas: float
     sources: tuple[str, ...] = ()
+    of_level: float = 0.0
+    excluded: tuple[str, ...] = ()
 
 
 class Claims(NamedTuple):
@@ -56,6 +62,14 @@ class Claims(NamedTuple):
         """Largest error in standard deviations while VALID."""
         valid = [claim.sigmas for claim in self._between(from_s, until_s) if claim.status is Status.VALID]
         return max(valid, default=0.0)
+
+    def worst_of_level(self) -> float:
+        """Largest share of a protection level that an error has while VALID."""
+        return max((claim.of_level for claim in self.claims if claim.status is Status.VALID), default=0.0)
+
+    def excluded(self) -> set[str]:
+        """All sources that were excluded at some time."""
+        return {name for claim in self.claims for name in claim.excluded}
 
     def statuses(self, from_s: float, until_s: float = np.inf) -> set[Status]:
         """The statuses of a time."""
@@ -111,13 +125,16 @@ def stars_turned(run: SimulatedRun, turn_n: FloatArray, from_s: float, until_s: 
     return replace(run, stars=stars)
 
 
-def claims(run: SimulatedRun, exchanged_s: tuple[float, float] = (0.0, 0.0), from_s: float = 0.0) -> Claims:
+def claims(
+    run: SimulatedRun, exchanged_s: tuple[float, float] = (0.0, 0.0), from_s: float = 0.0, levels: bool = False
+) -> Claims:
     """Give a voyage to a core; returns what it publishes.
 
     Args:
         run: the voyage.
         exchanged_s: from when until when the cables of two star sensors are exchanged.
         from_s: no attitude is asked for before.
+        levels: whether errors are held against their protection levels.
     """
     core, carrier, found = core_for(run.scenario), carrier_of(run.scenario.carrier, run.seed), []
     for log_ns, source, index in run.arrivals():
@@ -137,8 +154,19 @@ def claims(run: SimulatedRun, exchanged_s: tuple[float, float] = (0.0, 0.0), fro
             since_s = (estimate.time_ns - run.start_ns) * 1e-9
             error_n = log_rotation(carrier.attitude(np.array(since_s)) @ estimate.rotation_nd.T)
             sigmas = float(np.max(np.abs(error_n) / np.sqrt(np.diagonal(estimate.covariance_n))))
-            found.append(Claim(since_s, estimate.status, sigmas, estimate.sources))
+            of_level = _of_level(core.integrity(estimate), estimate.rotation_nd, error_n) if levels else 0.0
+            excluded = tuple(core.state.excluded)
+            found.append(Claim(since_s, estimate.status, sigmas, estimate.sources, of_level, excluded))
     return Claims(found, core)
+
+
+def _of_level(report: IntegrityReport, rotation_nd: FloatArray, error_n: FloatArray) -> float:
+    """The largest error of an angle as a share of its protection level; 0 without a level."""
+    if report.state is IntegrityState.UNAVAILABLE:
+        return 0.0
+    heading, pitch, _ = angles_from_rotation(rotation_nd)
+    error = angle_errors_from_rotation_vector(heading, pitch) @ error_n
+    return float(np.max(np.abs(error) / report.level))
 
 
 _OTHER: Mapping[str, str] = {"star.fore": "star.starboard", "star.starboard": "star.fore"}

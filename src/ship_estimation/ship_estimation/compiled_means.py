@@ -20,6 +20,8 @@ from cython.cimports.ship_estimation.compiled_steps import _larger
 _COLUMNS = cython.declare(cython.Py_ssize_t, 5)
 _LASTING = cython.declare(cython.double, 1e-9)
 """Of an error that lasts, so that one without noise has a covariance."""
+_LEAST_VARIANCE = cython.declare(cython.double, 1e-24)
+"""Of a sum of corrections, rad²: nothing is learnt of what is known exactly."""
 
 
 @cython.cfunc
@@ -213,4 +215,68 @@ def averaged(
     for k in range(weights.shape[0]):
         for i in range(3):
             worst = _larger(worst, fabs(means[k, i]) / sqrt(means[k, 4]))
+    return result, worst
+
+
+def absorbed(
+    sums: cython.const[cython.double][:, :, ::1],
+    gain: cython.const[cython.double][:, :, ::1],
+    residual: cython.const[cython.double][:, ::1],
+    covariance: cython.const[cython.double][:, :, ::1],
+    jacobian: cython.const[cython.double][:, ::1],
+    first: cython.Py_ssize_t,
+    block_left: cython.double,
+):
+    """The sums of corrections after one more of the first row, shape (b, 3, 3), and the farthest one in its sigmas.
+
+    Args:
+        sums: before, as :class:`ship_estimation.common_error.Absorbed` has them.
+        gain: shape (h, n, m).
+        residual: shape (h, m).
+        covariance: of the residual, shape (h, m, m).
+        jacobian: shape (m, n).
+        first: of the three states.
+        block_left: a block that leaves no more than this of a common error is full.
+    """
+    blocks: cython.Py_ssize_t = sums.shape[0]
+    m: cython.Py_ssize_t = residual.shape[1]
+    check("sums", blocks > 0 and sums.shape[1] == sums.shape[2] == 3)
+    check("rows", gain.shape[0] > 0 and residual.shape[0] > 0 and covariance.shape[0] > 0)
+    check("measurement", gain.shape[2] == covariance.shape[1] == covariance.shape[2] == jacobian.shape[0] == m)
+    check("states", 0 <= first <= gain.shape[1] - 3 and jacobian.shape[1] == gain.shape[1])
+    result = np.empty((blocks, 3, 3))
+    after: cython.double[:, :, ::1] = result
+    memcpy(cython.address(after[0, 0, 0]), cython.address(sums[0, 0, 0]), blocks * 9 * cython.sizeof(cython.double))
+    worst: cython.double = 0.0
+    correction: cython.double
+    variance: cython.double
+    response: cython.double
+    weighted: cython.double
+    axis: cython.Py_ssize_t
+    state: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    for axis in range(3):
+        state = first + axis
+        if after[0, 2, axis] <= block_left:
+            for i in range(blocks - 1, 0, -1):
+                for j in range(3):
+                    after[i, j, axis] = after[i - 1, j, axis]
+            after[0, 0, axis], after[0, 1, axis], after[0, 2, axis] = 0.0, 0.0, 1.0
+        correction = variance = response = 0.0
+        for i in range(m):
+            weighted = 0.0
+            for j in range(m):
+                weighted += covariance[0, i, j] * gain[0, state, j]
+            correction += gain[0, state, i] * residual[0, i]
+            variance += gain[0, state, i] * weighted
+            response += gain[0, state, i] * jacobian[i, state]
+        after[0, 0, axis] += correction
+        after[0, 1, axis] += variance
+        after[0, 2, axis] *= 1.0 - _larger(0.0, -_larger(-1.0, -response))
+        correction = variance = 0.0
+        for i in range(blocks):
+            correction += after[i, 0, axis]
+            variance += after[i, 1, axis]
+        worst = _larger(worst, fabs(correction) / sqrt(_larger(variance, _LEAST_VARIANCE)))
     return result, worst

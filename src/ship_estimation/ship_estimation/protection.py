@@ -54,6 +54,13 @@ class PriorConfig:
     )
     star_sensor: float = parameter(1e-3, doc="star sensor: knocked or drifting", unit="1/h", minimum=1e-12, maximum=1.0)
     reference: float = parameter(1e-2, doc="other attitude system", unit="1/h", minimum=1e-12, maximum=1.0)
+    all_stars: float = parameter(
+        5e-6,
+        doc="an error of all star sensors alike: position, UTC, refraction",
+        unit="1/h",
+        minimum=1e-12,
+        maximum=1.0,
+    )
     ship_attitude: float = parameter(
         1e-3, doc="the ship's attitude under the theodolite", unit="1/h", minimum=1e-12, maximum=1.0
     )

@@ -68,6 +68,10 @@ class InsAtFault:
             self._open(stack, rows, _UNKNOWN_RAD**2 * np.eye(3), row)
         return np.tile(mean, (rows, 1)), stack
 
+    def open_slow_error(self, parts: FloatArray, covariance_n: FloatArray) -> None:
+        """Inflate the covariance of the INS's slow error, in place, in an estimate that has no other rows."""
+        self._open(parts, 1, covariance_n, None)
+
     def carried(self, state: FilterState, stack: FloatArray, dt_s: float) -> None:
         """Let the INS wander, in place, where it is the one that is wrong."""
         walked = UNKNOWN_INS_RAD_PER_SQRT_S**2 * dt_s * _ABOUT_EACH_AXIS

@@ -10,7 +10,9 @@ from ship_attitude_star.ins_errors.process import own_from_whole
 from ship_attitude_star.measurements.samples import AttitudeEstimate
 from ship_attitude_star.ship_attitude.config import GEODETIC, ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
+from ship_attitude_star.ship_attitude.row_table import ALL_STARS, INS
 from ship_attitude_star.ship_attitude.state import FilterState
+from ship_estimation.common_error import with_common_error
 from ship_estimation.outcome import Status
 from ship_estimation.protection import IntegrityReport, integrity_report, separation
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
@@ -45,10 +47,17 @@ def integrity_of(filter_: ShipFilter, config: ShipAttitudeConfig, estimate: Atti
         stack[:parts],
         stack[parts:],
     )
+    names = asked.names
+    if INS not in state.excluded and asked.check_one_another:
+        table, variance_n = suspects.table, to_angles @ estimate.undisputed_n @ to_angles.T
+        found = with_common_error(
+            found, table.k, table.common_missed, table.common_threshold, state.absorbed, to_angles, variance_n
+        )
+        names = *names, ALL_STARS
     excluded = tuple(sorted((name, exclusion.since_ns) for name, exclusion in state.excluded.items()))
     in_dispute = state.doubt is not None or state.unconfirmed is not None or estimate.status is Status.INVALID
     checked = asked.check_one_another and not in_dispute
-    return integrity_report(estimate.time_ns, config.integrity, suspects.table.k, asked.names, found, excluded, checked)
+    return integrity_report(estimate.time_ns, config.integrity, suspects.table.k, names, found, excluded, checked)
 
 
 def against_horizon(

@@ -8,6 +8,7 @@ but that source.
 
 import itertools
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -15,11 +16,15 @@ from numpy.typing import NDArray
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.model import Device, ShipStateModel
+from ship_estimation.common_error import common_threshold
 from ship_estimation.parameters import ParameterError
 from ship_estimation.protection import Factors, factors, prior_of_all
 from ship_estimation.running_means import excess_limit
 
 INS = "ins"
+
+ALL_STARS = "all_stars"
+"""The hypothesis of an error that all star sensors share."""
 
 LEAST_FOR_PAIRS = 3
 """Sources beside the INS: without two of them one is left that the INS checks; without one and the INS, two."""
@@ -53,6 +58,7 @@ class RowTable:
 
     Attributes:
         sources: names, in the order of their index.
+        stars: those that are star sensors.
         left_out: by each row after the first, names; ``ins`` where the INS is the one that is wrong.
         names: of the hypotheses, one for each row after the first: "star.bow", "star.bow+star.port".
         rows: how many there are, with the first.
@@ -64,6 +70,8 @@ class RowTable:
         own: by source, the states that belong to it alone, shape (n,).
         learns: by source, which states each row may learn of it where none is excluded, shape (h, n).
         k: numbers of sigmas of the protection levels.
+        common_missed: that of the estimate without the stars of late, for an error that all of them share.
+        common_threshold: sigmas of their corrections beyond which all stars contradict the INS.
         limit: chi² of a mean of whitened turns that no source exceeds which is right.
 
     Raises:
@@ -90,8 +98,11 @@ class RowTable:
         prior_per_h = {name: prior.star_sensor if one.is_star else prior.reference for name, one in devices.items()}
         prior_per_h[INS] = prior.ins
         priors_per_h = [prior_of_all([prior_per_h[name] for name in names]) for names in self.left_out]
-        self.k: Factors = factors(config.integrity, priors_per_h)
-        self._stars = frozenset(name for name, one in devices.items() if one.is_star)
+        k = factors(config.integrity, [*priors_per_h, prior.all_stars])
+        self.k: Factors = replace(k, missed=k.missed[:-1])
+        self.common_missed = float(k.missed[-1])
+        self.common_threshold = common_threshold(config.integrity)
+        self.stars = frozenset(name for name, one in devices.items() if one.is_star)
         self._asked: dict[tuple[tuple[str, ...], tuple[str, ...]], Asked] = {}
         self.limit = excess_limit(config.integrity, len(self.sources)) if self.sources else np.inf
 
@@ -108,6 +119,13 @@ class RowTable:
             return []
         everyone = {INS, *in_use}
         return [row for row in self.pairs if everyone.issuperset(self.left_out[row - 1])]
+
+    def contradict_ins(self, in_use: Collection[str]) -> bool:
+        """True if sources that agree with one another show that the INS is wrong.
+
+        Star sensors alone do not: a wrong position or UTC, or wrong refraction, moves all of them alike.
+        """
+        return len(in_use) >= _LEAST_CHECKED and not self.stars.issuperset(in_use)
 
     def asked(self, sources: tuple[str, ...], excluded: Collection[str]) -> Asked:
         """What an attitude is held against; remembered, as most attitudes rest on the same sources.
@@ -126,7 +144,7 @@ class RowTable:
         hypotheses = [row - 1 for row in self.singles if self.names[row - 1] not in excluded]
         hypotheses += [row - 1 for row in self.pairs_in_question(others, excluded)]
         names = tuple(self.names[number] for number in hypotheses)
-        check_one_another = len(others) >= _LEAST_CHECKED and not self._stars.isdisjoint(others)
+        check_one_another = len(others) >= _LEAST_CHECKED and not self.stars.isdisjoint(others)
         return Asked(np.array(hypotheses, dtype=np.intp), names, check_one_another)
 
     def _check_number(self, most: int) -> None:

@@ -12,12 +12,15 @@ from ship_attitude_star.guards.hints import Departure
 from ship_attitude_star.stars.spatial_errors import PixelStay
 from ship_attitude_star.vertical.vertical_track import VerticalHere
 from ship_estimation import compiled_steps
+from ship_estimation.common_error import NOTHING_ABSORBED, Absorbed
 from ship_estimation.exclusion import HEARD_NS, Exclusion
 from ship_estimation.running_means import Means
 from ship_estimation.unconfirmed import Unconfirmed
 from ship_geometry.rotations import FloatArray
 
-__all__ = ["NO_STAYS", "Apart", "Doubt", "FilterState", "Lately", "UtcStep", "changed", "with_entry", "without"]
+__all__ = [
+    "NO_STAYS", "Apart", "Doubt", "FilterState", "Lately", "Suspicion", "UtcStep", "changed", "with_entry", "without"
+]  # fmt: skip
 
 Value = TypeVar("Value")
 
@@ -101,6 +104,18 @@ class Lately(NamedTuple):
     sigmas: float
 
 
+class Suspicion(NamedTuple):
+    """An error that all stars may share: the INS contradicted them, and not so much that they are set aside.
+
+    Attributes:
+        variance: of the attitude by it, about North, Up and East, rad², shape (3,).
+        until_ns: stamp until which the covariance holds it.
+    """
+
+    variance: FloatArray
+    until_ns: int
+
+
 NO_STAYS: MappingProxyType[str, PixelStay] = MappingProxyType({})
 """No stars have kept their pixels."""
 
@@ -134,6 +149,8 @@ class FilterState:
         jumped_ns: the INS's stamp just before its last jump that the state is open for; None where there was none.
         vertical: at the moment of the state; None where no deflection of it is modelled.
         utc: whether UTC is right since the time base stepped; None where that is not in question.
+        absorbed: the corrections by all stars of late.
+        suspicion: what all stars may share; None where nothing tells of it.
     """
 
     time_ns: int | None
@@ -156,6 +173,8 @@ class FilterState:
     disputed_n: FloatArray | None = None
     vertical: VerticalHere | None = None
     utc: UtcStep | None = None
+    absorbed: Absorbed = NOTHING_ABSORBED
+    suspicion: Suspicion | None = None
 
     @property
     def mean(self) -> FloatArray:

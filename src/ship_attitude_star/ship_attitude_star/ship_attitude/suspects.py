@@ -20,7 +20,8 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.ins_at_fault import InsAtFault, distrusted
 from ship_attitude_star.ship_attitude.model import Device, ShipStateModel
 from ship_attitude_star.ship_attitude.row_table import INS, LEAST_FOR_PAIRS, RowTable
-from ship_attitude_star.ship_attitude.state import Apart, Doubt, FilterState, Lately, changed, with_entry
+from ship_attitude_star.ship_attitude.state import Apart, Doubt, FilterState, Lately, Suspicion, changed, with_entry
+from ship_estimation.common_error import SUSPECTED_SIGMAS
 from ship_estimation.exclusion import (
     HEARD_NS,
     Exclusion,
@@ -71,7 +72,7 @@ class Suspects:
     """
 
     def __init__(self, config: ShipAttitudeConfig, model: ShipStateModel, devices: Mapping[str, Device]) -> None:
-        self._integrity, self._model, self._devices = config.integrity, model, devices
+        self._integrity, self._model = config.integrity, model
         self._degraded_after = config.gate.degraded_after
         self.table = RowTable(config, model, devices)
         self._sources = self.table.sources
@@ -129,12 +130,16 @@ class Suspects:
             return changed(state, seen=seen, apart=apart)
         learns = self.ins.learns(state, self._learns(state, source, used) & accepted[:, None])
         corrections, stack = update_rows(predicted.stack, measured.linear, compared, learns)
-        lately = state.lately
+        lately, absorbed = state.lately, state.absorbed
         if used[0] and accepted[0]:
             running = lately[source].running if source in lately else NO_MEANS
             lately = with_entry(lately, source, Lately(*averaged(running, compared.turn[0])))
+            if source in self.table.stars and INS not in state.excluded:
+                absorbed = absorbed.with_correction(compared, measured.linear.jacobian, self._slow.start)
         means = predicted.means + corrections
-        return changed(predicted, means=means, stack=stack, seen=seen, apart=apart, lately=lately)
+        return changed(
+            predicted, means=means, stack=stack, seen=seen, apart=apart, lately=lately, absorbed=absorbed
+        )
 
     def _learns(self, state: FilterState, source: str, used: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Which states each row may learn of a source, shape (h, n), by whether it uses the source, shape (h,)."""
@@ -193,15 +198,17 @@ class Suspects:
             pairs = []  # One source and an INS that may have stepped are no better than two other sources.
         threshold, after = table.k.false_exclusion, self._degraded_after
         finding = find_fault(state.seen, uses, statistic, threshold, candidates, time_ns, after, pairs)
-        if not finding.fault:
-            return self._agreed(state, in_use, apart_n, statistic), ""
+        # Written so that NaN is shared.
+        shared = not state.absorbed.sigmas <= table.common_threshold and INS not in state.excluded
+        if not finding.fault and not shared:
+            return self._agreed(state, in_use, apart_n, statistic, time_ns), ""
         wrong = self._named(state, finding)
-        contradicting = self._stars_contradicting(state, wrong, in_use)
+        contradicting = self._stars_contradicting(state, wrong, in_use, shared)
         against_ins = len(contradicting) > 1 or (INS in wrong and stepped)
         if against_ins and self.ins.told(state, time_ns) and self.ins.may_be_excluded(in_use):
             state, text = self._without(state, (INS,), time_ns)
             return self.ins.contradicted_now(state, time_ns), text
-        if INS in wrong and (stepped or not self.ins.may_be_excluded(in_use)):
+        if INS in wrong and (stepped or not table.contradict_ins([name for name in in_use if name not in wrong])):
             wrong = ()  # A wrong position moves all stars alike, as a step of the INS without rates does.
         if INS in wrong and any(time_ns - state.heard_since_ns[name] < _WATCHED_NS for name in in_use):
             wrong = ()  # What has moved while nobody was heard, the INS or a sensor, a few measurements do not tell.
@@ -209,9 +216,8 @@ class Suspects:
             wrong = ()  # Either of two sources explains what the other contradicts.
         if wrong and not set(in_use).issubset(wrong):
             return self._without(state, wrong, time_ns)
-        if contradicting:
-            state = self._without_stars(state, contradicting, time_ns)
-        return self._in_doubt(state, apart_n, statistic, contradicting), ""
+        doubted = self._in_doubt(state, apart_n, statistic, contradicting)
+        return self._without_stars(doubted, contradicting, shared, time_ns) if contradicting else doubted, ""
 
     def _nothing_disputed(self, state: FilterState) -> bool:
         """Whether all is as on most days: nobody is excluded, nothing contradicts anything, and nothing did before."""
@@ -219,13 +225,14 @@ class Suspects:
             return False
         # NaN is not within.
         return (
-            agrees_with_all(state.seen, self._degraded_after)
+            state.absorbed.sigmas <= SUSPECTED_SIGMAS
+            and agrees_with_all(state.seen, self._degraded_after)
             and all(one.sigmas <= UNDISPUTED_SIGMAS for one in state.lately.values())
             and stand_together(state.means, state.stack, self._slow, self._undisputed)
         )
 
     def _agreed(
-        self, state: FilterState, in_use: list[str], apart_n: FloatArray, statistic: FloatArray
+        self, state: FilterState, in_use: list[str], apart_n: FloatArray, statistic: FloatArray, time_ns: int
     ) -> FilterState:
         """The state in which nobody is wrong as far as anything tells.
 
@@ -240,9 +247,26 @@ class Suspects:
                     statistic[row] = np.maximum(statistic[row], state.lately[source].sigmas)
         # Written so that a distance that is no number is looked at.
         within = all(sigmas <= UNDISPUTED_SIGMAS for sigmas in statistic.tolist())
-        if within and state.doubt is None and state.disputed_n is None:
+        suspicion = self._suspicion(state, time_ns)
+        if within and state.doubt is None and state.disputed_n is None and suspicion is None:
             return state
-        return changed(state, doubt=None, disputed_n=None if within else disputed(apart_n, statistic))
+        disputed_n = None if within else disputed(apart_n, statistic)
+        if suspicion is not None:
+            disputed_n = np.diag(suspicion.variance) + (0.0 if within else disputed_n)
+        return changed(state, doubt=None, disputed_n=disputed_n, suspicion=suspicion)
+
+    def _suspicion(self, state: FilterState, time_ns: int) -> Suspicion | None:
+        """Return what all stars may share, by their corrections of late or those before them.
+
+        The estimate follows an error that all stars share within seconds. The covariance must hold it longer.
+        """
+        before = state.suspicion if state.suspicion is not None and time_ns < state.suspicion.until_ns else None
+        if not state.absorbed.sigmas > SUSPECTED_SIGMAS or INS in state.excluded:
+            return before
+        variance = state.absorbed.suspected_variance()
+        if before is not None:
+            variance = np.maximum(variance, before.variance)
+        return Suspicion(variance, time_ns + round(self._integrity.return_after_s * SECOND_NS))
 
     def acquitted(self, state: FilterState, time_ns: int) -> FilterState:
         """The state after the INS has told itself that it jumped: those that contradicted it were right.
@@ -259,11 +283,12 @@ class Suspects:
     def without_ins(self, state: FilterState, time_ns: int) -> FilterState:
         """The state after the INS has told that it creeps: it is excluded where enough others check each other.
 
-        The row in which it is wrong has followed all the time.
+        The row in which it is wrong has followed all the time. Stars that contradicted it were right.
         """
-        if INS in state.excluded or not self.ins.may_be_excluded(state.in_use(self._sources, time_ns)):
+        told = state if state.doubt is None else self.acquitted(state, time_ns)
+        if INS in state.excluded or not self.ins.may_be_excluded(told.in_use(self._sources, time_ns)):
             return state
-        return self._without(state, (INS,), time_ns)[0]
+        return self._without(told, (INS,), time_ns)[0]
 
     def begun_anew(self, state: FilterState) -> FilterState:
         """The state after a gate was re-opened: what the sources contradicted of one another is forgotten."""
@@ -280,6 +305,7 @@ class Suspects:
             excluded=MappingProxyType(knocked),
             seen=seen,
             lately=MappingProxyType({}),
+            absorbed=state.absorbed.without_corrections(),
             doubt=doubt,
             disputed_n=None,
         )
@@ -314,6 +340,7 @@ class Suspects:
             stack=stack,
             seen=forgotten(state.seen, slice(None), slice(None)),
             lately=MappingProxyType({}),
+            absorbed=state.absorbed.without_corrections(),
             excluded=MappingProxyType(excluded),
             record=MappingProxyType(record),
             doubt=None,
@@ -324,22 +351,39 @@ class Suspects:
         remaining = ", ".join(name for name in (INS, *self._sources) if name not in excluded)
         return state, f"{' and '.join(wrong)} {are} excluded: without {them} {remaining} agree"
 
-    def _without_stars(self, state: FilterState, stars: tuple[str, ...], time_ns: int) -> FilterState:
+    def _without_stars(
+        self, state: FilterState, stars: tuple[str, ...], shared: bool, time_ns: int
+    ) -> FilterState:
         """Return the state without any star: all of them contradict the INS, and nothing tells which side is wrong.
 
-        Nothing tells either that the sensors were knocked, so their mountings are kept. The subfilters in which the INS
-        is wrong may have followed the stars; they restart from the main filter, which has rejected them.
+        Nothing tells either that the sensors were knocked, so their mountings are kept. All subfilters restart from the
+        main filter, which has rejected the stars. What it has learnt of an error that they share is taken back: the INS
+        carries on from before.
         """
-        excluded = {name: Exclusion(time_ns, apart=state.apart[name].turn_v) for name in stars}
-        means, stack = self.ins.all_rows_at(state.mean, state.parts)
+        apart = {name: state.apart[name].turn_v for name in stars}
+        mean, parts = state.mean, state.parts
+        if shared:
+            absorbed = state.absorbed
+            apart = {name: state.apart[name].predicted_nv.T @ absorbed.error_n for name in stars}
+            mean, parts = mean.copy(), parts.copy()
+            mean[self._slow] -= absorbed.turn_n
+            self.ins.open_slow_error(parts, np.diag(absorbed.variance))
+        excluded = {name: Exclusion(time_ns, apart=apart[name]) for name in stars}
+        means, stack = self.ins.all_rows_at(mean, parts)
         return changed(
-            state, means=means, stack=stack, excluded=MappingProxyType({**state.excluded, **excluded})
+            state,
+            means=means,
+            stack=stack,
+            excluded=MappingProxyType({**state.excluded, **excluded}),
+            absorbed=state.absorbed.without_corrections(),
         )
 
     def _watched(
         self, state: FilterState, source: str, compared: RowsCompared, time_ns: int
     ) -> tuple[FilterState, str]:
         """The state after a measurement of an excluded source, which may return with it."""
+        if self._ins_creeps_on(state, source):
+            return self.without_ins(state, time_ns), "ins is excluded: it goes on creeping away from all stars"
         index, exclusion = self._sources.index(source), state.excluded[source]
         after_s = self._integrity.return_after_s
         exclusion, back = watched(exclusion, state.seen, index, compared, time_ns, after_s)
@@ -363,6 +407,23 @@ class Suspects:
         are = "is" if len(together) == 1 else "are"
         text = f"{' and '.join(together)} {are} used again"
         return changed(state, seen=seen, excluded=MappingProxyType(remaining), doubt=None), text
+
+    def _ins_creeps_on(self, state: FilterState, source: str) -> bool:
+        """True if all stars that were set aside together find the INS much farther off now, in the same direction.
+
+        Where they share an error that stays, only the INS's wander changes the distance, and its covariance holds that.
+        """
+        since_ns = state.excluded[source].since_ns
+        together = [name for name, one in state.excluded.items() if one.since_ns == since_ns and one.apart is not None]
+        if state.doubt is None or len(together) < len(self.table.stars) or not self.ins.may_be_excluded(together):
+            return False
+        for name in together:
+            before = np.linalg.pinv(state.apart[name].root) @ state.excluded[name].apart
+            moved = state.apart[name].whitened - before
+            # Both have the noise of a measurement.
+            if not (moved @ moved > 2.0 * self.table.limit and moved @ before > 0.0):
+                return False
+        return True
 
     @staticmethod
     def _excluded_with(state: FilterState, source: str) -> list[str]:
@@ -392,6 +453,8 @@ class Suspects:
         """The state in which nothing tells who is wrong: the attitude may be off by all that is in dispute."""
         vectors = [apart.turn_n for name, apart in state.apart.items() if state.refusals.get(name, 0)]
         vectors += [vector for vector, size in zip(apart_n, statistic, strict=True) if size > 1.0]
+        if state.absorbed.sigmas > SUSPECTED_SIGMAS:
+            vectors.append(state.absorbed.error_n)
         covariance_n = sum((np.outer(vector, vector) for vector in vectors), start=np.zeros((3, 3)))
         if contradicting:
             text = f"{', '.join(contradicting)} {'are' if len(contradicting) > 1 else 'is'} refused: the INS and all "
@@ -401,10 +464,12 @@ class Suspects:
         return changed(state, doubt=Doubt(text, covariance_n), disputed_n=None)
 
     def _stars_contradicting(
-        self, state: FilterState, wrong: tuple[str, ...], in_use: list[str]
+        self, state: FilterState, wrong: tuple[str, ...], in_use: list[str], shared: bool
     ) -> tuple[str, ...]:
-        """All stars in use, where each of them contradicts the rest; none where some do not."""
-        heard = [name for name in in_use if self._devices[name].is_star]
+        """All stars in use, where each of them contradicts the rest, or all the INS; none where some do not."""
+        heard = [name for name in in_use if name in self.table.stars]
+        if shared:
+            return tuple(heard)
         long_refused = state.seen.refused[0] >= self._degraded_after
         against = [name for name in heard if name in wrong or long_refused[self._sources.index(name)]]
         return tuple(heard) if heard and len(against) == len(heard) else ()

@@ -1,0 +1,85 @@
+"""Sums of corrections against filters that do without the measurements of a window, and against a common error."""
+
+import numpy as np
+import pytest
+
+from ship_estimation.common_error import NOTHING_ABSORBED, Absorbed, with_common_error
+from ship_estimation.hypotheses import RowsCompared
+from ship_estimation.protection import Factors, Separation
+from ship_geometry.rotations import FloatArray
+
+NOISE, WALK, COUNT = 9.0, 0.2, 40
+
+
+def filtered(measured: FloatArray, heard: int) -> tuple[FloatArray, FloatArray, list[RowsCompared]]:
+    """A walk of three states, by the first measurements alone; plain equations of the Kalman filter.
+
+    Args:
+        measured: shape (N, 3).
+        heard: how many are used.
+
+    Returns:
+        Mean and covariance after all N steps, and each measurement that is used beside its prediction.
+    """
+    mean, covariance, found = np.zeros(3), 25.0 * np.eye(3), []
+    for number, one in enumerate(measured):
+        covariance = covariance + WALK * np.eye(3)
+        if number < heard:
+            of_residual = covariance + NOISE * np.eye(3)
+            gain, residual = covariance @ np.linalg.inv(of_residual), one - mean
+            found.append(
+                RowsCompared(residual[None], of_residual[None], np.ones(1), gain[None], *(np.empty(0),) * 3)
+            )
+            mean, covariance = mean + gain @ residual, (np.eye(3) - gain) @ covariance
+    return mean, covariance, found
+
+
+def absorbed_of(compared: list[RowsCompared]) -> Absorbed:
+    found = NOTHING_ABSORBED
+    for one in compared:
+        found = found.with_correction(one, np.eye(3), first=0)
+    return found
+
+
+def window_of(compared: list[RowsCompared]) -> int:
+    """How many measurements the sums are of: those whose gains leave four blocks of half a time constant."""
+    for count in range(1, len(compared)):
+        if absorbed_of(compared[-count:]).variance == pytest.approx(absorbed_of(compared).variance):
+            return count
+    return len(compared)
+
+
+def test_the_sum_is_the_separation_from_the_estimate_without_the_window() -> None:
+    measured = np.random.default_rng(3).normal(0.0, 3.0, (COUNT, 3))
+    mean, covariance, compared = filtered(measured, COUNT)
+    found, window = absorbed_of(compared), window_of(compared)
+    without, wider, _ = filtered(measured, COUNT - window)
+    assert 0 < window < COUNT
+    np.testing.assert_allclose(found.turn_n, mean - without, rtol=1e-9)
+    np.testing.assert_allclose(found.variance, np.diagonal(wider - covariance), rtol=1e-9)
+    assert found.sigmas == pytest.approx(np.max(np.abs(found.turn_n) / np.sqrt(found.variance)))
+
+
+def test_the_response_is_what_a_common_error_over_the_window_makes_of_the_estimate() -> None:
+    measured = np.random.default_rng(4).normal(0.0, 3.0, (COUNT, 3))
+    mean, _, compared = filtered(measured, COUNT)
+    found, window = absorbed_of(compared), window_of(compared)
+    turned = measured.copy()
+    turned[COUNT - window :] += np.array([1.0, -2.0, 4.0])
+    by_error = filtered(turned, COUNT)[0] - mean
+    np.testing.assert_allclose(found.response * np.array([1.0, -2.0, 4.0]), by_error, rtol=1e-9)
+    assert np.all((found.response > 0.77) & (found.response < 0.88))
+
+
+def test_another_estimate_forgets_the_corrections_and_not_how_much_is_known_of_a_common_error() -> None:
+    found = absorbed_of(filtered(np.full((COUNT, 3), 5.0), COUNT)[2])
+    after = found.without_corrections()
+    assert after.turn_n.tolist() == [0.0, 0.0, 0.0]
+    assert after.error_variance.tolist() == found.error_variance.tolist()
+    assert found.sums[:, 0].any()
+
+
+def test_before_any_measurement_there_is_no_bound() -> None:
+    others = Separation(np.array([1.0]), np.full(3, 8.0), 0, 1.0)
+    k, level_of = Factors(6.0, 5.0, np.array([2.0])), np.eye(3) + 0.1
+    assert with_common_error(others, k, 1.0, 6.0, NOTHING_ABSORBED, level_of, np.eye(3)).level.tolist() == [np.inf] * 3
