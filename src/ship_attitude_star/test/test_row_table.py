@@ -41,9 +41,16 @@ def test_fewer_than_three_sources_have_no_pairs(sensors: int) -> None:
     assert table(3).pairs == range(5, 5)
 
 
+def test_star_sensors_that_agree_do_not_show_that_the_ins_is_wrong() -> None:
+    found = table(3, 1)
+    assert not found.contradict_ins(["star.s0", "star.s1", "star.s2"])
+    assert not found.contradict_ins(["reference.r0"])
+    assert found.contradict_ins(["star.s0", "reference.r0"])
+
+
 def test_a_pair_is_as_probable_as_both_of_its_faults_together() -> None:
     found = table(2, 1, pairs=True, max_hypotheses=11, prior_per_h={"star_sensor": 1e-2, "reference": 0.1, "ins": 1e-3})
-    share = 1e-5 / 11
+    share = 1e-5 / 12  # ten rows, all stars alike, and all sources right
     for name, prior in (("reference.r0", 0.1), ("star.s0+star.s1", 1e-4), ("reference.r0+ins", 1e-4)):
         assert found.k.missed[found.names.index(name)] == pytest.approx(norm.isf(share / prior))
 
