@@ -203,6 +203,8 @@ class Suspects:
         if not finding.fault and not shared:
             return self._agreed(state, in_use, apart_n, statistic, time_ns), ""
         wrong = self._named(state, finding)
+        if state.absorbed.sigmas > SUSPECTED_SIGMAS and not table.stars.isdisjoint(wrong):
+            wrong = ()  # All stars together contradict the INS: one that explains a part of it is not at fault.
         contradicting = self._stars_contradicting(state, wrong, in_use, shared)
         against_ins = len(contradicting) > 1 or (INS in wrong and stepped)
         if against_ins and self.ins.told(state, time_ns) and self.ins.may_be_excluded(in_use):
