@@ -33,6 +33,18 @@ _BLOCK_LEFT = math.exp(-0.5)
 _COMPONENTS = 3
 
 
+class Suspicion(NamedTuple):
+    """An error that all stars may share: the INS contradicted them, and not so much that they are set aside.
+
+    Attributes:
+        variance: of the attitude by it, about North, Up and East, rad², shape (3,).
+        until_ns: stamp until which the covariance holds it.
+    """
+
+    variance: FloatArray
+    until_ns: int
+
+
 class Absorbed(NamedTuple):
     """Corrections of three states by the star sensors of late, about North, Up and East.
 
@@ -40,10 +52,12 @@ class Absorbed(NamedTuple):
         sums: by block, the newest first: the sum of the corrections, rad, the sum of their variances, rad², and the
             share of a common error that they leave; shape (b, 3, 3).
         sigmas: the sum over all blocks that is farthest from zero, in its own sigmas.
+        suspicion: what the stars may share; None where nothing tells of it.
     """
 
     sums: FloatArray
     sigmas: float
+    suspicion: Suspicion | None = None
 
     @property
     def turn_n(self) -> FloatArray:
@@ -95,17 +109,16 @@ class Absorbed(NamedTuple):
             >>> print(found.turn_n, found.variance, found.response, round(found.sigmas, 2))
             [2. 2. 2.] [0.5 0.5 0.5] [0.5 0.5 0.5] 2.83
         """
-        return Absorbed(
-            *compiled_means.absorbed(
-                self.sums, compared.gain, compared.residual, compared.covariance, jacobian, first, _BLOCK_LEFT
-            )
+        sums, sigmas = compiled_means.absorbed(
+            self.sums, compared.gain, compared.residual, compared.covariance, jacobian, first, _BLOCK_LEFT
         )
+        return Absorbed(sums, sigmas, self.suspicion)
 
     def without_corrections(self) -> "Absorbed":
         """The sums after the estimate was replaced by another one, which has not followed the same measurements."""
         sums = self.sums.copy()
         sums[:, 0] = 0.0
-        return Absorbed(sums, 0.0)
+        return Absorbed(sums, 0.0, self.suspicion)
 
     def suspected_variance(self) -> FloatArray:
         """Variance that covers a suspected common error, rad², shape (3,).
@@ -121,6 +134,23 @@ class Absorbed(NamedTuple):
         limit = SUSPECTED_SIGMAS**2 * self.error_variance
         found: FloatArray = np.where(np.isfinite(limit), np.maximum(self.error_n**2 - limit, 0.0), 0.0)
         return found
+
+    def with_suspicion(self, time_ns: int, hold_ns: int) -> "Absorbed":
+        """The sums with what they tell at a time, or told not long before.
+
+        The estimate follows an error that all stars share within seconds. The covariance must hold it longer.
+
+        Args:
+            time_ns: stamp of the last correction.
+            hold_ns: how long a suspicion lasts after the last sum beyond :data:`SUSPECTED_SIGMAS`.
+        """
+        before = self.suspicion if self.suspicion is not None and time_ns < self.suspicion.until_ns else None
+        if not self.sigmas > SUSPECTED_SIGMAS:
+            return self._replace(suspicion=before)
+        variance = self.suspected_variance()
+        if before is not None:
+            variance = np.maximum(variance, before.variance)
+        return self._replace(suspicion=Suspicion(variance, time_ns + hold_ns))
 
 
 NOTHING_ABSORBED = Absorbed(np.tile(np.array([0.0, 0.0, 1.0])[:, None], (_BLOCKS, 1, _COMPONENTS)), 0.0)

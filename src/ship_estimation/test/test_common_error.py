@@ -83,3 +83,19 @@ def test_before_any_measurement_there_is_no_bound() -> None:
     others = Separation(np.array([1.0]), np.full(3, 8.0), 0, 1.0)
     k, level_of = Factors(6.0, 5.0, np.array([2.0])), np.eye(3) + 0.1
     assert with_common_error(others, k, 1.0, 6.0, NOTHING_ABSORBED, level_of, np.eye(3)).level.tolist() == [np.inf] * 3
+
+
+def test_a_suspicion_is_held_for_a_while_and_the_larger_one_counts() -> None:
+    sums = np.zeros((1, 3, 3))
+    sums[0, 1] = 1.0
+    sums[0, 0, 1] = 5.0
+    large = Absorbed(sums, 5.0).with_suspicion(0, hold_ns=60)
+    assert large.suspicion is not None
+    assert large.suspicion.variance.tolist() == [0.0, 9.0, 0.0]
+    sums = sums.copy()
+    sums[0, 0, 1] = 4.1
+    smaller = large._replace(sums=sums, sigmas=4.1).with_suspicion(50, hold_ns=60)
+    assert smaller.suspicion is not None
+    assert (smaller.suspicion.variance.tolist(), smaller.suspicion.until_ns) == ([0.0, 9.0, 0.0], 110)
+    assert smaller.without_corrections().with_suspicion(109, hold_ns=60).suspicion == smaller.suspicion
+    assert smaller.without_corrections().with_suspicion(110, hold_ns=60).suspicion is None

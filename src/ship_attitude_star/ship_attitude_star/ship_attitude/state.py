@@ -18,9 +18,7 @@ from ship_estimation.running_means import Means
 from ship_estimation.unconfirmed import Unconfirmed
 from ship_geometry.rotations import FloatArray
 
-__all__ = [
-    "NO_STAYS", "Apart", "Doubt", "FilterState", "Lately", "Suspicion", "UtcStep", "changed", "with_entry", "without"
-]  # fmt: skip
+__all__ = ["NO_STAYS", "Apart", "Doubt", "FilterState", "Lately", "UtcStep", "changed", "with_entry", "without"]
 
 Value = TypeVar("Value")
 
@@ -104,18 +102,6 @@ class Lately(NamedTuple):
     sigmas: float
 
 
-class Suspicion(NamedTuple):
-    """An error that all stars may share: the INS contradicted them, and not so much that they are set aside.
-
-    Attributes:
-        variance: of the attitude by it, about North, Up and East, rad², shape (3,).
-        until_ns: stamp until which the covariance holds it.
-    """
-
-    variance: FloatArray
-    until_ns: int
-
-
 NO_STAYS: MappingProxyType[str, PixelStay] = MappingProxyType({})
 """No stars have kept their pixels."""
 
@@ -149,8 +135,7 @@ class FilterState:
         jumped_ns: the INS's stamp just before its last jump that the state is open for; None where there was none.
         vertical: at the moment of the state; None where no deflection of it is modelled.
         utc: whether UTC is right since the time base stepped; None where that is not in question.
-        absorbed: the corrections by all stars of late.
-        suspicion: what all stars may share; None where nothing tells of it.
+        absorbed: the corrections by all stars of late, and what they may share.
     """
 
     time_ns: int | None
@@ -174,7 +159,6 @@ class FilterState:
     vertical: VerticalHere | None = None
     utc: UtcStep | None = None
     absorbed: Absorbed = NOTHING_ABSORBED
-    suspicion: Suspicion | None = None
 
     @property
     def mean(self) -> FloatArray:

@@ -20,7 +20,7 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.ins_at_fault import InsAtFault, distrusted
 from ship_attitude_star.ship_attitude.model import Device, ShipStateModel
 from ship_attitude_star.ship_attitude.row_table import INS, LEAST_FOR_PAIRS, RowTable
-from ship_attitude_star.ship_attitude.state import Apart, Doubt, FilterState, Lately, Suspicion, changed, with_entry
+from ship_attitude_star.ship_attitude.state import Apart, Doubt, FilterState, Lately, changed, with_entry
 from ship_estimation.common_error import SUSPECTED_SIGMAS
 from ship_estimation.exclusion import (
     HEARD_NS,
@@ -249,26 +249,15 @@ class Suspects:
                     statistic[row] = np.maximum(statistic[row], state.lately[source].sigmas)
         # Written so that a distance that is no number is looked at.
         within = all(sigmas <= UNDISPUTED_SIGMAS for sigmas in statistic.tolist())
-        suspicion = self._suspicion(state, time_ns)
+        absorbed = state.absorbed.with_suspicion(time_ns, round(self._integrity.return_after_s * SECOND_NS))
+        suspicion = absorbed.suspicion
         if within and state.doubt is None and state.disputed_n is None and suspicion is None:
             return state
         disputed_n = None if within else disputed(apart_n, statistic)
         if suspicion is not None:
-            disputed_n = np.diag(suspicion.variance) + (0.0 if within else disputed_n)
-        return changed(state, doubt=None, disputed_n=disputed_n, suspicion=suspicion)
-
-    def _suspicion(self, state: FilterState, time_ns: int) -> Suspicion | None:
-        """Return what all stars may share, by their corrections of late or those before them.
-
-        The estimate follows an error that all stars share within seconds. The covariance must hold it longer.
-        """
-        before = state.suspicion if state.suspicion is not None and time_ns < state.suspicion.until_ns else None
-        if not state.absorbed.sigmas > SUSPECTED_SIGMAS or INS in state.excluded:
-            return before
-        variance = state.absorbed.suspected_variance()
-        if before is not None:
-            variance = np.maximum(variance, before.variance)
-        return Suspicion(variance, time_ns + round(self._integrity.return_after_s * SECOND_NS))
+            shared_n = np.diag(suspicion.variance)
+            disputed_n = shared_n if disputed_n is None else disputed_n + shared_n
+        return changed(state, doubt=None, disputed_n=disputed_n, absorbed=absorbed)
 
     def acquitted(self, state: FilterState, time_ns: int) -> FilterState:
         """The state after the INS has told itself that it jumped: those that contradicted it were right.
@@ -416,11 +405,13 @@ class Suspects:
         Where they share an error that stays, only the INS's wander changes the distance, and its covariance holds that.
         """
         since_ns = state.excluded[source].since_ns
-        together = [name for name, one in state.excluded.items() if one.since_ns == since_ns and one.apart is not None]
-        if state.doubt is None or len(together) < len(self.table.stars) or not self.ins.may_be_excluded(together):
+        together = {name: one.apart for name, one in state.excluded.items() if one.since_ns == since_ns and name != INS}
+        if state.doubt is None or len(together) < len(self.table.stars) or not self.ins.may_be_excluded([*together]):
             return False
-        for name in together:
-            before = np.linalg.pinv(state.apart[name].root) @ state.excluded[name].apart
+        for name, apart in together.items():
+            if apart is None:
+                return False
+            before = np.linalg.pinv(state.apart[name].root) @ apart
             moved = state.apart[name].whitened - before
             # Both have the noise of a measurement.
             if not (moved @ moved > 2.0 * self.table.limit and moved @ before > 0.0):
