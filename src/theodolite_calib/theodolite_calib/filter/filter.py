@@ -51,6 +51,7 @@ class CalibrationState:
             sighting used, in its sigmas, shape (h,).
         ship_steady_n: stated covariance that the ship's error follows, rad²; None where none is stated.
         refusals: sightings in a row, of lights or of stars, that disagreed with the encoders and the ship.
+        refused_for: reason of the last of them, for people.
         used_ns: moment of the last sighting of lights used; None before it.
         light_count: lights used in it.
         stars_ns: moment of the last exposure of stars used; None before it.
@@ -70,6 +71,7 @@ class CalibrationState:
     separation: FloatArray
     ship_steady_n: FloatArray | None = None
     refusals: int = 0
+    refused_for: str = ""
     used_ns: int | None = None
     light_count: int = 0
     stars_ns: int | None = None

@@ -307,7 +307,7 @@ def held_back(
         what: was seen, for people.
     """
     run = state.refusals + 1
-    state = replace(state, refusals=run)
+    state = replace(state, refusals=run, refused_for=decision.text)
     if decision.reason is Reason.LIGHT_CONFLICT:
         return state, decision
     reason, text = decision.reason, decision.text

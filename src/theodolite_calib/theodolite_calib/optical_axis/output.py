@@ -283,7 +283,8 @@ class PointingOutput:
         if doubt:
             return Status.DEGRADED, doubt
         if state.refusals:
-            return Status.DEGRADED, "the last lights or stars disagreed with the encoders and the ship's attitude"
+            text = "the last lights or stars disagreed with the encoders and the ship's attitude: "
+            return Status.DEGRADED, text + state.refused_for
         if state.trust.conflict is not None:
             return Status.DEGRADED, "lights have disagreed with the encoders and the ship's attitude: nobody knows why"
         for source, left_out in state.trust.left_out.items():
