@@ -13,10 +13,12 @@ from ship_attitude_star.sky.catalogue import julian_year
 from ship_attitude_star.sky.sky_watch import SkyWatch, installed_sky
 from ship_attitude_star.stars.camera import StarCamera
 from ship_attitude_star.stars.exposure import StarExposure
+from ship_attitude_star.stars.optics_errors import OpticsErrors
 from ship_attitude_star.stars.spatial_errors import SpatialErrors
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_simulation.stars.spatial_errors import DetectorErrors
+from ship_simulation.stars.true_optics import TrueOptics
 from ship_testing.simulated_session import SHIP_SIGMA_N, config
 from ship_testing.star_sky import POSITION, ROTATION_ND, TIME_NS
 from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
@@ -101,8 +103,10 @@ def stars_seen(
     camera_id: str = CAMERA_ID,
     spatial: SpatialErrors | None = None,
     detector: DetectorErrors | None = None,
+    lens: TrueOptics | None = None,
+    optics: OpticsErrors | None = None,
 ) -> StarExposure:
-    """So many stars of those in the field, at random; the brightest, the same each time, by a detector with errors.
+    """So many stars of those in the field, at random; the brightest, the same each time, by optics with errors.
 
     Args:
         watch: the sky.
@@ -114,6 +118,8 @@ def stars_seen(
         camera_id: of the camera.
         spatial: what is known of the errors that belong to places on its detector.
         detector: these errors.
+        lens: true optics of the camera; None where they are those configured.
+        optics: what is known of the errors of its lens.
     """
     moment, catalogue = watch.at(time_ns), watch.catalogue
     rows = moment.bright_rows_around(rotation_ns[:, 0], 1.5 * FIELD)
@@ -121,12 +127,14 @@ def stars_seen(
     seen_s = (apparent.direction_n + apparent.shared_n @ sky) @ rotation_ns
     inside = np.flatnonzero(np.all(np.abs(seen_s[:, 1:] / seen_s[:, :1]) < np.tan(FIELD), axis=-1))
     brightest = inside[np.argsort(catalogue.magnitude[rows[inside]], kind="stable")]
-    kept = (rng.permutation(inside) if detector is None else brightest)[:count]
+    kept = (rng.permutation(inside) if detector is None and lens is None else brightest)[:count]
     if len(kept) < count:
         raise ValueError(f"{len(kept)} stars in the field: expected {count}")
     seen_s = seen_s[kept]
+    camera = StarCamera(**CAMERA)
+    if lens is not None:
+        seen_s = camera.directions(lens.pixels(seen_s))
     if detector is not None:
-        camera = StarCamera(**CAMERA)
         pixels = camera.pixels(seen_s)
         seen_s = camera.directions(pixels + detector.at(pixels))
     seen_s = seen_s + STAR_SIGMA * rng.standard_normal(seen_s.shape)
@@ -141,6 +149,7 @@ def stars_seen(
         position_sigma=catalogue.sigma(rows, julian_year(time_ns)),
         magnitude=catalogue.magnitude[rows],
         spatial=spatial,
+        optics=optics,
     )
 
 
@@ -188,6 +197,7 @@ class MountNight:
         camera = self.settings.telescopes[CAMERA_ID]
         rotation_sm = rotation_from_angles(*(camera.parallelism + self.errors.parallelism))
         rotation_ns = self.main_axis(encoder) @ rotation_sm.T
+        optics = camera.camera.optics_errors(camera.camera.camera(CAMERA_ID))
         spatial = camera.camera.spatial_errors(camera.camera.camera(CAMERA_ID))
         return stars_seen(
             self.watch,
@@ -198,6 +208,7 @@ class MountNight:
             time_ns,
             spatial=spatial,
             detector=self.detector,
+            optics=optics,
         )
 
     def sighting(self, encoder: FloatArray, count: int, time_ns: int = TIME_NS) -> StarSighting:

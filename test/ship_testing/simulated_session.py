@@ -73,6 +73,7 @@ class Session:
         rotation_nm: true main axis, shape (k, 3, 3).
         sightings: what the filter is given, one a moment.
         parallelism: true one of the calibration telescope, rad, shape (3,).
+        focal_length_m: true one of the calibration telescope.
     """
 
     times_s: FloatArray
@@ -80,6 +81,7 @@ class Session:
     rotation_nm: FloatArray
     sightings: list[Sighting]
     parallelism: FloatArray
+    focal_length_m: float
 
 
 def sweep(times_s: FloatArray, low_deg: float = 10.0, high_deg: float = 70.0) -> FloatArray:
@@ -100,6 +102,7 @@ def session(
     lens_error_m: FloatArray | None = None,
     lights_deg: Mapping[str, tuple[float, float]] = MappingProxyType(LIGHTS_DEG),
     distance_m: FloatArray | None = None,
+    focal_length_m: float | None = None,
 ) -> Session:
     """A session with the errors of a configuration, drawn by a seed.
 
@@ -113,6 +116,7 @@ def session(
         lens_error_m: of the principal point N', shape (3,), instead of one drawn.
         lights_deg: by name, to the right of and above the main axis.
         distance_m: of the lights at each moment, shape (k,); None for 2 km.
+        focal_length_m: true one of the calibration telescope; None for one drawn.
     """
     rng = np.random.default_rng(seed)
     names, count = list(lights_deg), len(times_s)
@@ -133,8 +137,9 @@ def session(
     drawn_m = settings.telescope.lens.sigma_m * rng.standard_normal(3)
     lens_m = settings.telescope.lens.vector_m + (drawn_m if lens_error_m is None else lens_error_m)
     parallelism = settings.telescope.parallelism + settings.telescope.parallelism_sigma * rng.standard_normal(3)
-    focal_length_m = settings.telescope.focal_length_m
-    focal_length_m += settings.telescope.focal_length_sigma_m * rng.standard_normal()
+    drawn_length_m = settings.telescope.focal_length_m + settings.telescope.focal_length_sigma_m * rng.standard_normal()
+    if focal_length_m is None:
+        focal_length_m = drawn_length_m
     white = settings.ship.white_sigma_arcsec * ARCSEC
     encoder_sigma = settings.encoder.sigma_arcsec * ARCSEC
 
@@ -183,4 +188,4 @@ def session(
                 EncoderAt(*(encoder[k] + encoder_sigma * rng.standard_normal(2)).tolist(), encoder_sigma**2),
             )
         )
-    return Session(times_s, axes, rotation_nm, sightings, parallelism)
+    return Session(times_s, axes, rotation_nm, sightings, parallelism, focal_length_m)

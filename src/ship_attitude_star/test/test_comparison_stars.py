@@ -50,7 +50,8 @@ def residuals(ship_filter, watch, exposure, mean):
     ins = ins_track().at(TIME_NS)
     predicted = predict_attitude(ship_filter.devices[exposure.source], ship_filter.model, mean, ins)
     prior, model = predicted.prior(state.covariance), ship_filter.model
-    field_rows = model.slices.get(f"{exposure.source}.field")
+    field = f"{exposure.source}.field"
+    field_rows = model.rows(field) if field in model.slices else None
     return star_residuals(
         exposure, predicted.rotation_nv, predicted.jacobian_v, prior, watch, model.sky_rows, mean, field_rows=field_rows
     )

@@ -7,8 +7,10 @@ in the calibration telescope.
 import numpy as np
 import pytest
 
+from ship_attitude_star.stars.camera import StarCamera
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC
+from ship_simulation.stars.true_optics import TrueOptics
 from ship_testing.mount_stars import CAMERA, CAMERA_ID, MOUNTED_DEG, mount_sky, stars_seen
 from ship_testing.simulated_session import LIGHTS_DEG, START_NS, Session, config, session
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
@@ -65,8 +67,11 @@ def swept(
     by_lights, sky = SightingStep(settings, filter_), rng.standard_normal(4)
     by_stars = None if watch is None else StarStep(settings, filter_, watch)
     ((camera_id, camera),) = settings.telescopes.items()
-    parallelism = drawn.parallelism
-    if camera_id != TELESCOPE:
+    known, parallelism, lens = settings.star_camera(camera_id), drawn.parallelism, None
+    optics = known.optics_errors(known.camera(camera_id))
+    if camera_id == TELESCOPE:
+        lens = TrueOptics(StarCamera(**{**CAMERA, "focal_length_m": drawn.focal_length_m}), np.eye(3))
+    else:
         parallelism = camera.parallelism + camera.parallelism_sigma * rng.standard_normal(3)
     state, rotation_sm = filter_.initial_state(), rotation_from_angles(*parallelism)
     for number, sighting in enumerate(drawn.sightings):
@@ -75,7 +80,7 @@ def swept(
             state, decision = by_lights(state, sighting, Exposure(time_ns, ()))
         elif by_stars is not None:
             rotation_ns = drawn.rotation_nm[number] @ rotation_sm.T
-            seen = stars_seen(watch, rotation_ns, sky, 5, rng, time_ns, camera_id)
+            seen = stars_seen(watch, rotation_ns, sky, 5, rng, time_ns, camera_id, lens=lens, optics=optics)
             state, decision = by_stars(state, StarSighting(camera_id, seen, sighting.ship, sighting.encoder))
         assert decision.accepted, decision.text
     return filter_, state, drawn

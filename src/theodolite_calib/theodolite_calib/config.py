@@ -1,6 +1,6 @@
 """Parameters of the ``optical_axis`` node. Each states its unit, range and meaning; names are dotted."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -473,10 +473,20 @@ class OpticalAxisConfig:
                 "parameter 'escort.enabled' = true: expected a drone under beacons", "escort.enabled", value=True
             )
 
+    def star_camera(self, id_: str) -> GivenCameraConfig:
+        """The camera of ``telescopes.<id>``; the lens of the calibration telescope is as uncertain as for lights."""
+        camera, sigma_m = self.telescopes[id_].camera, self.telescope.focal_length_sigma_m
+        if id_ != self.telescope.telescope_id or not sigma_m:
+            return camera
+        return replace(camera, focal_length_sigma_m=sigma_m)
+
     def _refuse_another_telescope(self, id_: str) -> None:
         """The calibration telescope has one focal length and one parallelism, by lights and by stars."""
         telescope, seen = self.telescope, self.telescopes[id_]
         twice = [("camera.focal_length_m", seen.camera.focal_length_m, "focal_length_m", telescope.focal_length_m)]
+        own_m = seen.camera.focal_length_sigma_m
+        if own_m:
+            twice.append(("camera.focal_length_sigma_m", own_m, "focal_length_sigma_m", telescope.focal_length_sigma_m))
         for name, of_telescope in (("azimuth", "azimuth"), ("elevation", "elevation"), ("roll", "rotation")):
             told_arcsec = getattr(telescope, f"{of_telescope}_arcsec")
             told_sigma = getattr(telescope, f"{of_telescope}_sigma_arcsec")

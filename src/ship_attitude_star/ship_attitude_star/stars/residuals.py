@@ -64,7 +64,7 @@ def star_residuals(
     sky_rows: slice,
     mean: FloatArray,
     near_ns: FloatArray | None = None,
-    field_rows: slice | None = None,
+    field_rows: NDArray[np.intp] | None = None,
 ) -> StarResiduals | Refusal:
     """Choose the stars that are what they are taken for, and compare them with the prediction.
 
@@ -97,7 +97,7 @@ def _compared(
     sky_rows: slice,
     mean: FloatArray,
     near_ns: FloatArray | None,
-    field_rows: slice | None,
+    field_rows: NDArray[np.intp] | None,
 ) -> StarResiduals | Refusal:
     """The stars that are what they are taken for, compared with the prediction; see :func:`star_residuals`."""
     visible = visible_stars(exposure, watch, prior)

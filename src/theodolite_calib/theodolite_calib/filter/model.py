@@ -7,14 +7,15 @@ ship.attitude (3)          horizon    slow error a of the ship's attitude: R_tru
 ship.time_offset (1)                  a sample of the INS is valid at its stamp + this; only with the INS as source
 deformation (3)            deck       e: the theodolite's base is turned by exp(e) against the deck
 axes (7)                              axis errors in the order of theodolite_calib.chain.axes.NAMES
-focal_length (1)                      m
+focal_length (1)                      m; of the calibration telescope, for lights and for stars seen through it
 parallelism (3)                       azimuth, elevation, rotation of the main axis in the telescope
 ship_antenna (3)           horizon    error of all baselines, m; this and the following only where they have a sigma
 lever (3)                  deck       from the ship's antenna to the theodolite, m
 lens (3)                   main       from the crossing of the axes to N', m
 telescope.<id>.parallelism            as parallelism, of another camera that sees stars (3)
 telescope.<id>.optics (4)             errors of the optics of a camera that sees stars: focal length, principal
-                                      point (u, v) and k1, in their sigmas
+                                      point (u, v) and k1, in their sigmas; 3 in the calibration telescope, whose
+                                      focal length is the one above
 telescope.<id>.field (18)             field-spatial error of a camera that sees stars, in sigmas
 sky.<cause>                           what all stars share, in sigmas (ship_attitude_star.sky.shared_states); only where
                                       there are such cameras
@@ -141,10 +142,10 @@ def _path_blocks(config: OpticalAxisConfig) -> list[StateBlock]:
 
 
 def _camera_blocks(id_: str, camera: StarCameraConfig, config: OpticalAxisConfig) -> list[StateBlock]:
-    blocks = []
-    if id_ != config.telescope.telescope_id:
-        blocks.append(block(parallelism_block(id_, config), camera.parallelism_sigma, SOURCE_PARALLELISM))
-    return blocks + camera_blocks(f"telescope.{id_}", camera.camera)
+    if id_ == config.telescope.telescope_id:
+        return camera_blocks(f"telescope.{id_}", camera.camera, has_focal_length=False)
+    parallelism = block(parallelism_block(id_, config), camera.parallelism_sigma, SOURCE_PARALLELISM)
+    return [parallelism, *camera_blocks(f"telescope.{id_}", camera.camera)]
 
 
 def _light_blocks(id_: str, beacon: BeaconConfig, config: OpticalAxisConfig) -> list[StateBlock]:

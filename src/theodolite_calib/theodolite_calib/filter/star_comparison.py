@@ -86,6 +86,17 @@ class StarModel:
         self._cameras = {
             id_: (camera.parallelism, parallelism_block(id_, config)) for id_, camera in config.telescopes.items()
         }
+        shared = config.telescope.telescope_id
+        self._lens_rows = {
+            id_: camera_rows(model.slices, f"telescope.{id_}", "focal_length" if id_ == shared else "")
+            for id_ in config.telescopes
+        }
+        # The errors of a lens are counted in sigmas, but the focal length that lights share is in metres.
+        self._in_sigmas: FloatArray = np.ones(model.size)
+        if shared in config.telescopes:
+            lens = config.star_camera(shared)
+            optics = lens.optics_errors(lens.camera(shared))
+            self._in_sigmas[model.slices["focal_length"]] = 1.0 / (optics.focal_sigma * lens.focal_length_m)
         self._sky_rows = sky_rows(model.slices, config.sky) if config.telescopes else slice(0, 0)
 
     def predict(self, mean: FloatArray, sighting: StarSighting) -> CameraAttitude:
@@ -112,17 +123,20 @@ class StarModel:
     ) -> StarResiduals | Refusal:
         """The stars against the camera as a state has it; see :func:`star_residuals`."""
         to_camera = camera.rotation_ns.T @ camera.turn_n
-        return star_residuals(
+        stars = star_residuals(
             sighting.exposure,
             camera.rotation_ns,
             to_camera,
             prior,
             watch,
             self._sky_rows,
-            mean,
+            mean * self._in_sigmas,
             near_ns,
-            camera_rows(self._model.slices, f"telescope.{sighting.camera_id}"),
+            self._lens_rows[sighting.camera_id],
         )
+        if not isinstance(stars, Refusal):
+            stars.jacobian[:] *= self._in_sigmas
+        return stars
 
     def compare(
         self, mean: FloatArray, covariance: FloatArray, sighting: StarSighting, watch: SkyWatch

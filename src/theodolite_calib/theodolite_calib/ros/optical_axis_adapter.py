@@ -185,7 +185,7 @@ class OpticalAxisAdapter(DeferringAdapter):
                 sensor_id=id_,
                 frame_id=camera.frame_id,
                 camera=self._cameras[id_],
-                camera_config=camera.camera,
+                camera_config=config.star_camera(id_),
                 catalogue=self._sky.catalogue,
             )
             yield Feed(topic, f"star.{id_}", read, core.add_stars, judged=True)
