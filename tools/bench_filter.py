@@ -11,6 +11,7 @@ import numpy as np
 from bench_rows import Row, by_turns, median_ratio, median_us
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
+from ship_attitude_star.sky.sky_watch import installed_sky
 from ship_estimation.parameters import build
 from ship_replay.trials.monte_carlo import core_for, feed_attitude, feed_pointing
 from ship_replay.trials.one_estimate import WithoutAlternatives, WithoutIntegrity
@@ -41,10 +42,13 @@ def step_cost() -> list[Row]:
         lambda: median_us(lambda: np.linalg.svd(matrix)),
     )
     what = f"step of the ship's filter, {states} states x {parts} parts"
+    on_mount = run_of("theodolite_night", 30.0)
+    stars_us = [np.median(_theodolite_star_steps_us(on_mount)) for _ in range(STEP_ROUNDS)]
     return [
         Row(f"{what}: median", float(np.median(step_us)), "us", MOST_STEP_US),
         Row("numpy 3 x 3 SVD: median", float(np.median(svd_us)), "us"),
         Row(f"ratio: {what} / SVD", median_ratio(step_us, svd_us), "x", None, "numpy 3 x 3 SVD"),
+        Row("theodolite's step by stars on the mount: median", float(np.median(stars_us)), "us"),
     ]
 
 
@@ -108,6 +112,15 @@ def _theodolite_steps_us(run: SimulatedRun, kind: type[SightingStep]) -> list[fl
     config = build(OpticalAxisConfig, optical_axis_configuration(run.scenario))
     core = OpticalAxisCore(config)
     core._step_to, times_us = _timed(kind(config, core.filter))
+    feed_pointing(core, run)
+    return times_us
+
+
+def _theodolite_star_steps_us(run: SimulatedRun) -> list[float]:
+    """The time of each step by an exposure of stars over a session."""
+    config = build(OpticalAxisConfig, optical_axis_configuration(run.scenario))
+    core = OpticalAxisCore(config, watch=installed_sky(config.sky))
+    core._step_to_stars, times_us = _timed(core._step_to_stars)  # type: ignore[arg-type]
     feed_pointing(core, run)
     return times_us
 
