@@ -100,7 +100,8 @@ def test_lights_and_stars_tell_n_to_the_right_and_up_and_name_what_they_do_not(w
     assert np.max(sigmas_m[:, RIGHT]) < 0.005
     assert np.max(sigmas_m[:, UP]) < 0.015
     assert np.max(np.abs(errors_m[:, [UP, RIGHT]] / sigmas_m[:, [UP, RIGHT]])) < 3.5
-    assert np.min(sigmas_m[:, FORWARD]) > 0.7 * LENS_M
+    # With the focal length by stars, the scale of the lights' image depends on N' forward alone: 60 mm become 41 mm.
+    assert np.min(sigmas_m[:, FORWARD]) > 0.6 * LENS_M
     for filter_, state in found:
         calibration = calibration_of(filter_, SETTINGS, state)
         assert "lens_forward" in calibration.unobservable
