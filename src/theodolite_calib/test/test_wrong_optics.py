@@ -164,7 +164,8 @@ def test_a_focal_length_that_stars_contradict_is_not_valid_and_the_value_that_fi
             fits_mm = float(text.partition(" mm fits")[0].rpartition(" ")[2])
             # The stars of one exposure state it to 0.01 to 0.02 %.
             assert fits_mm == pytest.approx(1e3 * LENGTH_M * (1.0 + ratio), rel=4e-4)
-    assert np.count_nonzero(found.valid) <= 5
+        # At five sigma the estimate is now and then below the threshold of four.
+        assert np.mean(found.valid) < 0.2
 
 
 def test_the_focal_length_that_stars_tell_is_that_of_the_lights() -> None:

@@ -18,6 +18,7 @@ from ship_attitude_star.sky.shared_states import sky_rows
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.stars.camera_states import camera_rows
 from ship_attitude_star.stars.residuals import StarResiduals, star_residuals
+from ship_attitude_star.stars.scale_check import learned_contradiction
 from ship_attitude_star.stars.selection import StarPrior
 from ship_estimation.hypotheses import RowsCompared, compare_rows
 from ship_estimation.kalman import LinearMeasurement, StateModel
@@ -137,6 +138,21 @@ class StarModel:
         if not isinstance(stars, Refusal):
             stars.jacobian[:] *= self._in_sigmas
         return stars
+
+    def contradiction(self, mean: FloatArray, covariance: FloatArray, sighting: StarSighting) -> Refusal | None:
+        """The rejection of an exposure by which its camera's focal length were far from the configured one.
+
+        Args:
+            mean: of the state after it, shape (n,).
+            covariance: of that state, shape (n, n).
+            sighting: the exposure.
+        """
+        rows, optics = self._lens_rows[sighting.camera_id], sighting.exposure.optics
+        if rows is None or optics is None:
+            return None
+        in_sigmas = float(self._in_sigmas[rows[0]])
+        variance = float(covariance[rows[0], rows[0]])
+        return learned_contradiction(optics, in_sigmas * float(mean[rows[0]]), in_sigmas**2 * variance)
 
     def compare(
         self, mean: FloatArray, covariance: FloatArray, sighting: StarSighting, watch: SkyWatch

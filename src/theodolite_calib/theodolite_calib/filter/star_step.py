@@ -86,6 +86,10 @@ class StarStep:
             decision = replace(decision, text=f"improbable: NIS {nis:.1f} > gate {gate:.1f}")
             return held_back(state, decision, self._gate, "stars")
         after = self._filter.used_stars(predicted, sighting.exposure, found)
+        contradiction = self._filter.stars.contradiction(after.mean, after.covariance, sighting)
+        if contradiction is not None:
+            decision = replace(decision, reason=contradiction.reason, text=contradiction.text)
+            return held_back(state, decision, self._gate, "stars")
         alternatives = self._filter.rows.seen_stars(
             predicted.alternatives, measurement, predicted.mean, found.stars.by_turn, self._gate.probability
         )
