@@ -110,8 +110,10 @@ def _devices(config: Config) -> dict[str, tuple[str, Any]]:
         devices[f"star/{id_}/{getattr(star, 'input', 'observations')}"] = f"star_sensors.{id_}", star
     for name, reference in getattr(config, "references", {}).items():
         devices[f"reference/{name}/imu"] = f"references.{name}", reference
-    for id_, telescope in getattr(config, "telescopes", {}).items():
-        devices[f"theodolite/{id_}/stars"] = f"telescopes.{id_}", telescope
+    if isinstance(config, OpticalAxisConfig):
+        for id_, telescope in config.telescopes.items():
+            as_uncertain = replace(telescope, camera=config.star_camera(id_))
+            devices[f"theodolite/{id_}/stars"] = f"telescopes.{id_}", as_uncertain
     return devices
 
 

@@ -96,8 +96,7 @@ class StarModel:
         self._in_sigmas: FloatArray = np.ones(model.size)
         if shared in config.telescopes:
             lens = config.star_camera(shared)
-            optics = lens.optics_errors(lens.camera(shared))
-            self._in_sigmas[model.slices["focal_length"]] = 1.0 / (optics.focal_sigma * lens.focal_length_m)
+            self._in_sigmas[model.slices["focal_length"]] = 1.0 / (lens.focal_sigma * lens.focal_length_m)
         self._sky_rows = sky_rows(model.slices, config.sky) if config.telescopes else slice(0, 0)
 
     def predict(self, mean: FloatArray, sighting: StarSighting) -> CameraAttitude:
