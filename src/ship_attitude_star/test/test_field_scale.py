@@ -13,7 +13,7 @@ from scipy.stats import chi2
 from ship_attitude_star.stars.camera import Distortion, StarCamera
 from ship_attitude_star.stars.field_scale import estimate_optics, field_information
 from ship_attitude_star.stars.fit import SightedStars
-from ship_attitude_star.stars.spatial_errors import FIELD_MODES, SpatialErrors
+from ship_attitude_star.stars.spatial_errors import FIELD_MODES, SOURCE_FIELD, SpatialErrors
 from ship_estimation.gates import mean_nees_band
 from ship_geometry.rotations import ARCSEC
 
@@ -141,7 +141,10 @@ def test_a_smooth_error_of_the_detector_widens_the_sigma():
     rng = np.random.default_rng(6)
     fields = [draw_field(rng, PLAIN, PLAIN) for _ in range(40)]
     errors = SpatialErrors(PLAIN, 0.3, 0.0)
-    with_map = [replace(field, field_b=errors.field_modes(field.measured_b)) for field in fields]
+    sources = (SOURCE_FIELD,) * FIELD_MODES
+    with_map = [
+        replace(field, field_b=errors.field_modes(field.measured_b), field_sources=sources) for field in fields
+    ]
     without, found = estimated(PLAIN, fields), estimated(PLAIN, with_map)
     assert with_map[0].field_b.shape[-1] == FIELD_MODES
     # 0.3 px RMS over the detector, of which the larger part is linear; 591 px is the RMS of u and of v.

@@ -205,7 +205,9 @@ def with_common_error(
         >>> print(found.statistic, found.level.round(1), found.dominant)
         [1.  2.5] [14.2 14.2 14.2] 1
     """
-    error_variance = np.square(by_states) @ absorbed.error_variance
+    # An axis about which nothing was absorbed is turned by no common error. NaN stays.
+    turned = ~(absorbed.response == 0.0)
+    error_variance = np.square(by_states[:, turned]) @ absorbed.error_variance[turned]
     level = threshold * np.sqrt(error_variance) + missed * np.sqrt(np.diagonal(covariance) + error_variance)
     # In units of the threshold that all hypotheses of a report are held against.
     statistic = np.append(found.statistic, absorbed.sigmas * k.false_exclusion / threshold)

@@ -214,7 +214,7 @@ def test_a_star_sensor_knocked_while_no_star_is_seen_cannot_be_told():
 
 def test_what_no_data_can_tell_is_what_the_page_lists():
     page = (ROOT / "docs" / "explanation" / "integrity.md").read_text(encoding="utf-8")
-    section = page.split("## What no data can tell")[1].split("\n## ")[0]
+    section = page.split("## What no data can tell")[1].split("\n##")[0]
     labels = [line.split("|")[2].strip() for line in section.splitlines() if line.startswith("|")][2:]
     assert sorted(label.strip("`") for label in labels if label != "-") == sorted(UNSEEN_ROWS)
 
