@@ -205,9 +205,11 @@ def with_common_error(
         >>> print(found.statistic, found.level.round(1), found.dominant)
         [1.  2.5] [14.2 14.2 14.2] 1
     """
-    # An axis about which nothing was absorbed is turned by no common error. NaN stays.
-    turned = ~(absorbed.response == 0.0)
-    error_variance = np.square(by_states[:, turned]) @ absorbed.error_variance[turned]
+    by_square, variance = np.square(by_states), absorbed.error_variance
+    # Infinity times zero is no number.
+    unknown = np.isinf(variance)
+    error_variance = by_square @ np.where(unknown, 0.0, variance)
+    error_variance[by_square @ unknown > 0.0] = np.inf
     level = threshold * np.sqrt(error_variance) + missed * np.sqrt(np.diagonal(covariance) + error_variance)
     # In units of the threshold that all hypotheses of a report are held against.
     statistic = np.append(found.statistic, absorbed.sigmas * k.false_exclusion / threshold)
