@@ -35,7 +35,7 @@ from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import star_attitude_configuration
 from ship_testing import pan_peers
 from ship_testing.pan_peers import ErfaSky, SensorView
-from ship_testing.paper_stars import PAPER_STARS
+from ship_testing.paper_stars import PAPER_STARS, with_exact_optics
 
 LIMIT_ARCSEC = 5.0
 """An attitude is good where heading, pitch and roll are each nearer than this to the truth."""
@@ -159,7 +159,7 @@ def _any_phase(motion, rng: np.random.Generator):
 
 @functools.cache
 def _whole_scenario() -> Scenario:
-    return load_scenario(PAPER_STARS)
+    return with_exact_optics(load_scenario(PAPER_STARS))
 
 
 # -- which stars are seen -------------------------------------------------------------------------------------

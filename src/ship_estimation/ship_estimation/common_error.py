@@ -23,7 +23,7 @@ from ship_estimation.protection import Factors, IntegrityConfig, Separation
 from ship_estimation.running_means import MEASUREMENTS_PER_H
 from ship_geometry.rotations import FloatArray
 
-SUSPECTED_SIGMAS = 4.0
+SUSPECTED_SIGMAS = 4.5
 """A sum of corrections beyond this is covered by the published covariance."""
 
 _BLOCKS = 4
@@ -129,7 +129,7 @@ class Absorbed(NamedTuple):
             >>> sums = np.zeros((1, 3, 3))
             >>> sums[0] = [[5.0, 0.0, 0.0], [1.0, 1.0, 1.0], [0.0, 0.0, 0.0]]
             >>> print(Absorbed(sums, 5.0).suspected_variance())
-            [9. 0. 0.]
+            [4.75 0.   0.  ]
         """
         limit = SUSPECTED_SIGMAS**2 * self.error_variance
         found: FloatArray = np.where(np.isfinite(limit), np.maximum(self.error_n**2 - limit, 0.0), 0.0)

@@ -91,11 +91,11 @@ def test_a_suspicion_is_held_for_a_while_and_the_larger_one_counts() -> None:
     sums[0, 0, 1] = 5.0
     large = Absorbed(sums, 5.0).with_suspicion(0, hold_ns=60)
     assert large.suspicion is not None
-    assert large.suspicion.variance.tolist() == [0.0, 9.0, 0.0]
+    assert large.suspicion.variance.tolist() == [0.0, 4.75, 0.0]
     sums = sums.copy()
-    sums[0, 0, 1] = 4.1
-    smaller = large._replace(sums=sums, sigmas=4.1).with_suspicion(50, hold_ns=60)
+    sums[0, 0, 1] = 4.6
+    smaller = large._replace(sums=sums, sigmas=4.6).with_suspicion(50, hold_ns=60)
     assert smaller.suspicion is not None
-    assert (smaller.suspicion.variance.tolist(), smaller.suspicion.until_ns) == ([0.0, 9.0, 0.0], 110)
+    assert (smaller.suspicion.variance.tolist(), smaller.suspicion.until_ns) == ([0.0, 4.75, 0.0], 110)
     assert smaller.without_corrections().with_suspicion(109, hold_ns=60).suspicion == smaller.suspicion
     assert smaller.without_corrections().with_suspicion(110, hold_ns=60).suspicion is None
