@@ -1,5 +1,7 @@
 """Simulated voyages through both nodes' cores: ``star_attitude`` solves the exposures, ``ship_attitude`` takes them."""
 
+from collections.abc import Container, Iterator
+
 from ship_attitude_star.measurements.samples import AttitudeOutcome
 from ship_attitude_star.ros.messages_in import star_measurement
 from ship_attitude_star.ros.star_attitude_adapter import star_horizon_attitude
@@ -19,29 +21,38 @@ from ship_testing.adapter_runs import FACTORY
 
 def sail_by_solutions(run: SimulatedRun) -> list[AttitudeOutcome]:
     """Return what the inputs of ``ship_attitude`` led to, in order, both nodes configured as the scenario is."""
+    return list(outcomes_by_solutions(core_for_solutions(run), run, range(run.ins.time_ns.size)))
+
+
+def core_for_solutions(run: SimulatedRun) -> ShipAttitudeCore:
+    """A core of ``ship_attitude`` that takes the solutions of all star sensors of a scenario."""
     suite = suite_configuration(run.scenario)
     for sensor in suite["star_sensors"].values():
         sensor["input"] = "solution"
     config = build(ShipAttitudeConfig, suite)
+    return ShipAttitudeCore(config, installed_sky(config.sky))
+
+
+def outcomes_by_solutions(
+    core: ShipAttitudeCore, run: SimulatedRun, wanted: Container[int]
+) -> Iterator[AttitudeOutcome]:
+    """What the core makes of each input; attitudes are asked for at the wanted samples of the INS alone."""
     star_config = build(StarAttitudeConfig, star_attitude_configuration(run.scenario))
-    core = ShipAttitudeCore(config, installed_sky(config.sky))
-    solver, outcomes = StarCore(star_config, installed_sky(star_config.sky)), []
+    solver = StarCore(star_config, installed_sky(star_config.sky))
     for _, source, index in run.arrivals():
         solved = []
         if source == "ins":
             rotation_nd, rate_d = run.ins.rotation_nd[index], run.ins.rate_d[index]
             sample = AttitudeSample(int(run.ins.time_ns[index]), rotation_nd, rate_d)
             solved = solver.add_ins(sample).solved
-            outcomes.append(core.add_ins(sample))
+            yield core.add_ins(sample, estimate=index in wanted)
         elif source in SKY_SOURCES:
             solver.add_surroundings(sky_input(run, source, index))
-            outcomes.append(core.add_sky_input(sky_input(run, source, index)))
+            yield core.add_sky_input(sky_input(run, source, index))
         else:
             solved = solver.add_exposure(star_exposure(run, source.partition(".")[2], index)).solved
         for one in solved:
             if one.valid and one.sensor_id != JOINT:
-                sensor = config.star_sensors[one.sensor_id]
+                sensor = core.config.star_sensors[one.sensor_id]
                 message = star_horizon_attitude(FACTORY, one, sensor.frame_id)
-                measurement = star_measurement(message, one.sensor_id, sensor, one.time_ns).value
-                outcomes.append(core.add_measurement(measurement))
-    return outcomes
+                yield core.add_measurement(star_measurement(message, one.sensor_id, sensor, one.time_ns).value)

@@ -1,29 +1,19 @@
 """Simulated runs whose cameras have another focal length than the suite is told, and what the filter makes of them."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeOutcome
-from ship_attitude_star.ros.messages_in import star_measurement
-from ship_attitude_star.ros.star_attitude_adapter import star_horizon_attitude
-from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.measurements.samples import AttitudeEstimate
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_attitude_star.sky.sky_watch import installed_sky
-from ship_attitude_star.star_attitude.config import StarAttitudeConfig
-from ship_attitude_star.star_attitude.core import StarCore
-from ship_attitude_star.stars.config import JOINT
 from ship_estimation.outcome import Status
-from ship_estimation.parameters import build
-from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
 from ship_geometry.rotations import log_rotation
-from ship_replay.trials.monte_carlo import sky_input, star_exposure
-from ship_simulation.run import SKY_SOURCES, SimulatedRun
+from ship_replay.trials.monte_carlo import attitude_outcomes, core_for
+from ship_simulation.run import SimulatedRun
 from ship_simulation.scenario.scenario import Scenario
-from ship_simulation.suite.suite import star_attitude_configuration, suite_configuration
-from ship_testing.adapter_runs import FACTORY
+from ship_testing.solved_voyages import core_for_solutions, outcomes_by_solutions
 
 _EXACT_SIGMA_M = 1e-12
 
@@ -93,9 +83,12 @@ class Judged:
 
     def judge(self, run: SimulatedRun, by_solutions: bool) -> None:
         """Add the attitudes of a run at the stamps of its truth."""
-        config = _configuration(run, by_solutions)
-        core = ShipAttitudeCore(config, installed_sky(config.sky))
-        outcomes = _by_solutions(core, run) if by_solutions else _by_stars(core, run)
+        core = core_for_solutions(run) if by_solutions else core_for(run.scenario)
+        wanted = run.truth.ins_index
+        if by_solutions:
+            outcomes = outcomes_by_solutions(core, run, set(wanted.tolist()))
+        else:
+            outcomes = attitude_outcomes(core, run, set(run.ins.time_ns[wanted].tolist()))
         for outcome in outcomes:
             self.texts |= {decision.text for decision in outcome.decisions if not decision.accepted}
             for estimate in outcome.estimates:
@@ -116,47 +109,3 @@ class Judged:
         over_level = np.nan_to_num(error / core.integrity(estimate).level)
         self.worst_sigmas = max(self.worst_sigmas, float(sigmas.max()))
         self.worst_over_level = max(self.worst_over_level, float(over_level.max()))
-
-
-def _configuration(run: SimulatedRun, by_solutions: bool) -> ShipAttitudeConfig:
-    suite = suite_configuration(run.scenario)
-    if by_solutions:
-        for sensor in suite["star_sensors"].values():
-            sensor["input"] = "solution"
-    return build(ShipAttitudeConfig, suite)
-
-
-def _ins_sample(run: SimulatedRun, index: int) -> AttitudeSample:
-    return AttitudeSample(int(run.ins.time_ns[index]), run.ins.rotation_nd[index], run.ins.rate_d[index])
-
-
-def _by_stars(core: ShipAttitudeCore, run: SimulatedRun) -> Iterator[AttitudeOutcome]:
-    wanted = set(run.truth.ins_index.tolist())
-    for _, source, index in run.arrivals():
-        if source == "ins":
-            yield core.add_ins(_ins_sample(run, index), estimate=index in wanted)
-        elif source in SKY_SOURCES:
-            yield core.add_sky_input(sky_input(run, source, index))
-        else:
-            yield core.add_measurement(star_exposure(run, source.partition(".")[2], index))
-
-
-def _by_solutions(core: ShipAttitudeCore, run: SimulatedRun) -> Iterator[AttitudeOutcome]:
-    """The same where star_attitude solves the exposures."""
-    star_config = build(StarAttitudeConfig, star_attitude_configuration(run.scenario))
-    solver, wanted = StarCore(star_config, installed_sky(star_config.sky)), set(run.truth.ins_index.tolist())
-    for _, source, index in run.arrivals():
-        solved = []
-        if source == "ins":
-            solved = solver.add_ins(_ins_sample(run, index)).solved
-            yield core.add_ins(_ins_sample(run, index), estimate=index in wanted)
-        elif source in SKY_SOURCES:
-            solver.add_surroundings(sky_input(run, source, index))
-            yield core.add_sky_input(sky_input(run, source, index))
-        else:
-            solved = solver.add_exposure(star_exposure(run, source.partition(".")[2], index)).solved
-        for one in solved:
-            if one.valid and one.sensor_id != JOINT:
-                sensor = core.config.star_sensors[one.sensor_id]
-                message = star_horizon_attitude(FACTORY, one, sensor.frame_id)
-                yield core.add_measurement(star_measurement(message, one.sensor_id, sensor, one.time_ns).value)
