@@ -13,7 +13,12 @@ from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_testing.places import SCENARIOS
-from ship_testing.wrong_optics import Judged, changed_focal_length, told_focal_length, with_exact_focal_length
+from ship_testing.wrong_optics import (
+    Judged,
+    changed_focal_length,
+    with_configured_focal_length,
+    with_exact_focal_length,
+)
 
 SEEDS = 20
 SCALES = [2e-4, 5e-4, 1e-3, 3e-3]
@@ -33,7 +38,7 @@ def scenario(named: bool) -> Scenario:
 def judged(scale: float, sensor_ids: tuple[str, ...], named: bool, by_solutions: bool, seeds: int = SEEDS) -> Judged:
     found = Judged()
     for seed in range(seeds):
-        found.judge(told_focal_length(simulate(scenario(named), seed), sensor_ids, scale), by_solutions)
+        found.judge(with_configured_focal_length(simulate(scenario(named), seed), sensor_ids, scale), by_solutions)
     return found
 
 

@@ -1,4 +1,4 @@
-"""Simulated runs whose cameras have another focal length than the suite is told, and what the filter makes of them."""
+"""Simulated runs whose cameras have another focal length than configured, and the attitudes that the filter finds."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -27,8 +27,8 @@ def with_exact_focal_length(scenario: Scenario) -> Scenario:
     return replace(scenario, star_sensors=sensors)
 
 
-def told_focal_length(run: SimulatedRun, sensor_ids: Sequence[str], scale: float) -> SimulatedRun:
-    """The run as a suite has it whose configured focal lengths are shorter than the true ones.
+def with_configured_focal_length(run: SimulatedRun, sensor_ids: Sequence[str], scale: float) -> SimulatedRun:
+    """The run by a suite whose configured focal lengths are shorter than the true ones.
 
     Args:
         run: simulated with exact focal lengths.
@@ -38,11 +38,11 @@ def told_focal_length(run: SimulatedRun, sensor_ids: Sequence[str], scale: float
     sensors, stars = dict(run.scenario.star_sensors), dict(run.stars)
     for id_, sensor in sensors.items():
         true_m = sensor.camera.focal_length_m
-        told_m = true_m / (1.0 + scale) if id_ in sensor_ids else true_m
-        told = replace(sensor.camera, focal_length_m=told_m, focal_length_sigma_m=0.0)
-        sensors[id_] = replace(sensor, camera=told)
+        configured_m = true_m / (1.0 + scale) if id_ in sensor_ids else true_m
+        configured = replace(sensor.camera, focal_length_m=configured_m, focal_length_sigma_m=0.0)
+        sensors[id_] = replace(sensor, camera=configured)
         seen = stars[id_]
-        directions_s = told.camera(id_).directions(seen.pixel)
+        directions_s = configured.camera(id_).directions(seen.pixel)
         stars[id_] = replace(seen, stars=replace(seen.stars, directions_s=directions_s))
     return replace(run, scenario=replace(run.scenario, star_sensors=sensors), stars=stars)
 
@@ -51,12 +51,12 @@ def changed_focal_length(run: SimulatedRun, scale: float, from_s: float, until_s
     """The run in which all cameras have a focal length longer by ``scale`` for some time after the first exposure."""
     stars = dict(run.stars)
     for id_, seen in stars.items():
-        told = run.scenario.star_sensors[id_].camera
-        principal = np.array([told.principal_u_px, told.principal_v_px])
+        configured = run.scenario.star_sensors[id_].camera
+        principal = np.array([configured.principal_u_px, configured.principal_v_px])
         since_s = (seen.time_ns - seen.time_ns[0]) * 1e-9
         is_changed = np.repeat((since_s >= from_s) & (since_s < until_s), np.diff(seen.first))
         pixel = principal + (seen.pixel - principal) * (1.0 + scale * is_changed[:, None])
-        directions_s = told.camera(id_).directions(pixel)
+        directions_s = configured.camera(id_).directions(pixel)
         stars[id_] = replace(seen, pixel=pixel, stars=replace(seen.stars, directions_s=directions_s))
     return replace(run, stars=stars)
 

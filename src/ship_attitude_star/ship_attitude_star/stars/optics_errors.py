@@ -4,7 +4,7 @@ They last, and all exposures of the camera share them. Each displaces the measur
 field. With the point (x, y) of a star in focal lengths from the principal point, its centroid moves
 
 * by e (x, y) for a focal length that is longer by the relative error e,
-* by the error of the principal point, alike everywhere,
+* by the error of the principal point, the same everywhere,
 * by the error of k1 times (x² + y²) (x, y).
 
 An error of the principal point is nearly a turn of the camera. The mounting is calibrated through the camera's own

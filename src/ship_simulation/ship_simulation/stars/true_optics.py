@@ -13,7 +13,7 @@ from ship_geometry.rotations import FloatArray
 from ship_simulation.scenario.scenario import Detector
 
 _SURVEYED_FOCAL_SIGMA = 2e-4
-"""Relative standard deviation of a focal length whose sigma is not given, as the parameter says."""
+"""Relative standard deviation of a focal length whose sigma is not given, as documented at the parameter."""
 
 
 @dataclass(frozen=True)
@@ -41,19 +41,19 @@ def draw_optics(rng: np.random.Generator, detector: Detector, name: str) -> True
         detector: as configured, with the sigmas.
         name: of the camera, for an error message.
     """
-    told = detector.camera(name)
+    configured = detector.camera(name)
     focal, principal_u, principal_v, k1 = rng.standard_normal(4)
-    focal *= detector.focal_length_sigma_m / told.focal_length_m or _SURVEYED_FOCAL_SIGMA
-    distortion = told.distortion or Distortion()
+    focal *= detector.focal_length_sigma_m / configured.focal_length_m or _SURVEYED_FOCAL_SIGMA
+    distortion = configured.distortion or Distortion()
     true = StarCamera(
-        told.focal_length_m * (1.0 + focal),
-        told.pixel_pitch_m,
-        told.principal_u_px + detector.principal_sigma_px * principal_u,
-        told.principal_v_px + detector.principal_sigma_px * principal_v,
+        configured.focal_length_m * (1.0 + focal),
+        configured.pixel_pitch_m,
+        configured.principal_u_px + detector.principal_sigma_px * principal_u,
+        configured.principal_v_px + detector.principal_sigma_px * principal_v,
         replace(distortion, k1=distortion.k1 + detector.distortion_sigma * k1),
     )
     # The first axis of the sensor, seen from the true camera, and two others across it.
-    forward_c = true.directions(np.array([told.principal_u_px, told.principal_v_px]))
+    forward_c = true.directions(np.array([configured.principal_u_px, configured.principal_v_px]))
     right_c = np.cross(forward_c, [0.0, 1.0, 0.0])
     right_c /= np.linalg.norm(right_c)
     return TrueOptics(true, np.stack([forward_c, np.cross(right_c, forward_c), right_c], axis=-1))
