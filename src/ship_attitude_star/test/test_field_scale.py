@@ -63,9 +63,6 @@ def test_stars_without_noise_give_the_optics_that_made_them(camera):
     # The correction is linear: what is left is of the order of its square.
     assert found.scale == pytest.approx(5e-4, abs=1e-6)
     assert found.principal_px == pytest.approx([0.7, -0.4], abs=0.02)
-    corrected = found.corrected(camera)
-    assert corrected.focal_length_m == pytest.approx(true.focal_length_m, rel=1e-6)
-    assert corrected.principal_v_px == pytest.approx(true.principal_v_px, abs=0.02)
 
 
 @CAMERAS

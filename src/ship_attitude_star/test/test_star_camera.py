@@ -83,10 +83,12 @@ def test_slopes_by_the_optics_equal_finite_differences(camera):
     def directions(number, change):
         focal_length_m = camera.focal_length_m * np.exp(change * (number == 0))
         u_px, v_px = camera.principal_u_px + change * (number == 1), camera.principal_v_px + change * (number == 2)
-        changed = replace(camera, focal_length_m=focal_length_m, principal_u_px=u_px, principal_v_px=v_px)
+        distortion = camera.distortion or Distortion()
+        distortion = replace(distortion, k1=distortion.k1 + change * (number == 3))
+        changed = StarCamera(focal_length_m, camera.pixel_pitch_m, u_px, v_px, distortion)
         return changed.directions(pixels)
 
-    expected = [(directions(number, step) - directions(number, -step)) / (2.0 * step) for number in range(3)]
+    expected = [(directions(number, step) - directions(number, -step)) / (2.0 * step) for number in range(4)]
     np.testing.assert_allclose(
         camera.optics_slopes(camera.directions(pixels)), np.stack(expected, axis=-1), atol=2e-10, rtol=1e-6
     )

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import poisson
 
@@ -245,3 +246,47 @@ def test_stars_in_one_direction_are_refused_with_the_reason():
     solution = solve_stars(stars)
     assert solution.status is SolutionStatus.INVALID
     assert "the turn about it stays open" in solution.refusal.text
+
+
+def with_optics(scene: Scene, rng: np.random.Generator) -> tuple[SightedStars, np.ndarray]:
+    """The stars of a scene in cameras with drawn errors of their optics, and these errors in their sigmas."""
+    stars, count = scene.stars, len(scene.stars)
+    field_b, sources = np.zeros((count, 3, 8)), ("optics",) * 8
+    for sensor in range(2):
+        rows = stars.sensor == sensor
+        middle = stars.measured_b[rows].mean(axis=0)
+        # A longer focal length and three other patterns, 3" at 6 degrees from the middle.
+        patterns = rng.standard_normal((3, 3, 3)) * 30.0 * ARCSEC
+        away = stars.measured_b[rows] - middle
+        field_b[rows, :, 4 * sensor] = 30.0 * ARCSEC * away
+        field_b[rows, :, 4 * sensor + 1 : 4 * sensor + 4] = np.einsum("mij,kj->kim", patterns, away)
+    errors = rng.standard_normal(8)
+    measured = stars.measured_b + field_b @ errors
+    measured /= np.linalg.norm(measured, axis=-1, keepdims=True)
+    return replace(stars, measured_b=measured, field_b=field_b, field_sources=sources), errors
+
+
+def test_scipy_finds_the_same_attitude_with_errors_of_the_optics() -> None:
+    """The least sum of squares over the attitude and the errors of the cameras, which have the prior sigma 1."""
+    for seed in range(10):
+        rng = np.random.default_rng([14, seed])
+        scene = draw_scene(rng, (8, 6))
+        stars, _ = with_optics(scene, rng)
+        ours = solve_stars(stars)
+
+        def residuals(unknown: np.ndarray, stars: SightedStars = stars, start: np.ndarray = ours.rotation_nb):
+            turned = (stars.measured_b - stars.field_b @ unknown[3:]) @ (exp_rotation(unknown[:3]) @ start).T
+            return np.concatenate([((stars.reference_n - turned) / stars.white_sigma[:, None]).ravel(), unknown[3:]])
+
+        found = least_squares(residuals, np.zeros(11), x_scale=[1e-5] * 3 + [1.0] * 8, xtol=1e-14, ftol=1e-14)
+        assert np.linalg.norm(found.x[:3]) < 1e-3 * ARCSEC
+        parts = dict(zip(SOLUTION_TERMS, ours.parts_n, strict=False))
+        covariance_n = np.linalg.inv(found.jac.T @ found.jac)[:3, :3]
+        np.testing.assert_allclose(parts["star_noise"] + parts["optics"], covariance_n, rtol=1e-3, atol=1e-15)
+        # An error of one sigma of each camera turns the attitude by the part that is booked to it.
+        turns = []
+        for mode in range(8):
+            shifted = stars.measured_b + 0.1 * stars.field_b[..., mode]
+            turned = solve_stars(replace(stars, measured_b=shifted)).rotation_nb
+            turns.append(10.0 * log_rotation(turned @ ours.rotation_nb.T))
+        np.testing.assert_allclose(parts["optics"], np.transpose(turns) @ turns, rtol=0.02, atol=1e-14)

@@ -36,6 +36,13 @@ _MOST_DOUBLINGS = 6
 _HALF_BACK = 0.5
 """A source that was not knocked, and yet contradicted all others, has come back when less of its distance is left."""
 
+_CLEAR_AT_ONCE = 60.0
+"""Square of a distance in standard deviations of a measurement from which on each measurement shows what is left of it.
+Of a smaller distance the mean over some measurements does: each of them has more noise than half of it."""
+
+_SOME = 1
+"""Of :data:`ship_estimation.running_means.MEANS_OVER`, the mean over some measurements."""
+
 
 @dataclass(frozen=True)
 class Exclusion:
@@ -194,7 +201,8 @@ def watched(
     """
     agrees = means.excess[0, source] <= WELL and means.refused[0, source] == 0  # NaN does not agree
     if exclusion.apart is not None:
-        agrees = agrees and bool(_share_left(exclusion.apart, compared) <= _HALF_BACK)
+        share_left = _share_left(exclusion.apart, compared, means.running[0, source, _SOME])
+        agrees = agrees and bool(share_left <= _HALF_BACK)
     if not agrees:
         return replace(exclusion, agrees_since_ns=None), False
     since_ns = time_ns if exclusion.agrees_since_ns is None else exclusion.agrees_since_ns
@@ -213,7 +221,15 @@ def must_agree_s(exclusion: Exclusion, return_after_s: float) -> float:
     return return_after_s * 2.0 ** min(exclusion.times - 1, _MOST_DOUBLINGS)
 
 
-def _share_left(apart: FloatArray, compared: RowsCompared) -> float:
-    """How much of the distance at first, rotation vector of the device in rad, the measurement still has."""
+def _share_left(apart: FloatArray, compared: RowsCompared, running: FloatArray) -> float:
+    """Ratio of the distance that is left to that at first, about the axis of the first.
+
+    Args:
+        apart: distance at first, rotation vector of the device, rad, shape (3,).
+        compared: the measurement with every subfilter.
+        running: mean over some measurements with this one, as :attr:`Means.running` has it, shape (5,).
+    """
     whitened = np.linalg.pinv(compared.turn_root[0]) @ apart
-    return float(whitened @ compared.turn[0] / (whitened @ whitened))
+    square = float(whitened @ whitened)
+    turn = compared.turn[0] if square > _CLEAR_AT_ONCE else running[:3] / running[3]
+    return float(whitened @ turn / square)

@@ -56,7 +56,7 @@ class PriorConfig:
     reference: float = parameter(1e-2, doc="other attitude system", unit="1/h", minimum=1e-12, maximum=1.0)
     all_stars: float = parameter(
         5e-6,
-        doc="an error of all star sensors alike: position, UTC, refraction",
+        doc="an error that all star sensors share: position, UTC, refraction",
         unit="1/h",
         minimum=1e-12,
         maximum=1.0,

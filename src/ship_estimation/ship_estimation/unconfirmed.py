@@ -30,7 +30,7 @@ class Unconfirmed(NamedTuple):
     agreed_by: str = ""
 
     def after_agreement(self, time_ns: int, source: str = "") -> "Unconfirmed | None":
-        """What is left of the doubt after a measurement of a source at a moment has agreed; None for nothing.
+        """Return what is still unconfirmed after a consistent measurement of a source; None where nothing is.
 
         >>> doubt = Unconfirmed(10, "the encoders have jumped", "lights")
         >>> doubt.after_agreement(10) is doubt, doubt.after_agreement(20).agreed_ns

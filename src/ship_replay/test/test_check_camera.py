@@ -18,7 +18,7 @@ from ship_testing.paper_stars import make_optics_exact, without_optics_sigmas
 
 pytestmark = pytest.mark.slow
 SCENARIOS = Path(__file__).parents[3] / "bags" / "scenarios"
-CASES = Path("/work/shared/cases")
+CASES = Path(__file__).parents[4] / "shared" / "cases"
 """Inputs that are not in the repository."""
 
 FORE, STARBOARD, NIGHT = "star/fore/observations", "star/starboard/observations", "theodolite/night/stars"

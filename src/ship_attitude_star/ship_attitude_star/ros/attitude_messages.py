@@ -64,7 +64,7 @@ class AttitudeNumbers(NamedTuple):
 
 
 def attitude_messages(factory: MessageFactory, estimate: AttitudeEstimate, rate_sigma: float) -> list[Published]:
-    """What one attitude becomes, as messages on their way out.
+    """Return the messages of one attitude, as they are published.
 
     Where no attitude is claimed the first two are all NaN, and the others, which are for standard tools, are not made.
 
@@ -87,7 +87,7 @@ def smoothed_message(factory: MessageFactory, estimate: AttitudeEstimate) -> Pub
 def attitude_rows(
     factory: MessageFactory, attitudes: AttitudeNumbers, rate_sigma: float
 ) -> Iterator[PublishedRows]:
-    """What N attitudes become; the messages of one are in the same order as by :func:`attitude_messages`."""
+    """Return the messages of N attitudes; those of one are in the same order as by :func:`attitude_messages`."""
     known: list[bool] = np.all(np.isfinite(attitudes.rate_d), axis=1).tolist()
     claimed = [status is not Status.INVALID for status in attitudes.status]
     kinds = zip(claimed, known, attitudes.sources, strict=True)

@@ -108,24 +108,6 @@ class StarCamera:
             point = self.distortion.distorted(point)
         return self._principal_px + point / self._pixel
 
-    def displacements(self, directions_s: FloatArray, shift_px: FloatArray) -> FloatArray:
-        """Displacements of measured directions by some shifts of their centroids, in the sensor frame, rad.
-
-        Args:
-            directions_s: as measured, unit vectors, shape (k, 3).
-            shift_px: of the centroid of each by each of m errors, shape (k, m, 2).
-
-        Returns:
-            Shape (k, 3, m).
-        """
-        pixels = self.pixels(directions_s)[:, None]
-        moved_s = self.directions(pixels + shift_px) - directions_s[:, None]
-        # At the fold of a distortion there is nothing on the one side.
-        lost = ~np.isfinite(moved_s)
-        if lost.any():
-            moved_s[lost] = (directions_s[:, None] - self.directions(pixels - shift_px))[lost]
-        return np.swapaxes(moved_s, -1, -2)
-
     def sighted(self, pixels: FloatArray, sigma_px: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Directions of centroids and their errors; NaN where a pixel, and of the errors where a sigma, is not finite.
 
@@ -150,19 +132,21 @@ class StarCamera:
         return self._covariance(self._ideal(pixels), sigma_px)
 
     def optics_slopes(self, directions_s: FloatArray) -> FloatArray:
-        """Derivative of the directions of fixed pixels by the optics, rad, shape (..., 3, 3).
+        """Derivative of the directions of fixed pixels by the optics, rad, shape (..., 3, 4).
 
         Args:
             directions_s: as measured, unit vectors (forward, up, right), shape (..., 3).
 
         Returns:
-            Columns: by the logarithm of the focal length, by ``principal_u_px`` and by ``principal_v_px`` (per pixel).
+            Columns: by the logarithm of the focal length, by ``principal_u_px`` and ``principal_v_px`` (per pixel), by
+            k1 of the distortion.
         """
         forward = directions_s[..., 0]
         ideal = np.stack([directions_s[..., 2] / forward, -directions_s[..., 1] / forward], axis=-1)
-        by_optics = np.zeros((*ideal.shape, 3))
+        by_optics = np.zeros((*ideal.shape, 4))
         by_optics[..., 0] = -ideal
         by_optics[..., 0, 1] = by_optics[..., 1, 2] = -self._pixel
+        by_optics[..., 3] = -ideal * np.sum(ideal**2, axis=-1, keepdims=True)
         if self.distortion is not None:
             by_optics[..., 0] = -self.distortion.distorted(ideal)
             by_optics = np.linalg.solve(self.distortion.jacobian(ideal), by_optics)

@@ -87,16 +87,6 @@ class OpticsEstimate:
         sigma: FloatArray = np.sqrt(np.diagonal(self.covariance)[1:])
         return sigma
 
-    def corrected(self, camera: StarCamera) -> StarCamera:
-        """The camera with the estimated optics."""
-        u_px, v_px = self.principal_px.tolist()
-        return replace(
-            camera,
-            focal_length_m=camera.focal_length_m * (1.0 + self.scale),
-            principal_u_px=camera.principal_u_px + u_px,
-            principal_v_px=camera.principal_v_px + v_px,
-        )
-
 
 def field_information(
     camera: StarCamera, stars: SightedStars, members: NDArray[np.bool_] | None = None
@@ -115,7 +105,7 @@ def field_information(
     found = agreement(stars, members) if count > 1 else None
     if found is None:
         return None
-    slopes_b = -camera.optics_slopes(stars.measured_b)
+    slopes_b = -camera.optics_slopes(stars.measured_b)[..., OPTICS]
     # The optics are unknown themselves here, so the errors that they are stated to have are left out.
     is_other = [source != SOURCE_OPTICS for source in stars.field_sources]
     field_b = slopes_b if stars.field_b is None else np.concatenate([slopes_b, stars.field_b[..., is_other]], axis=-1)

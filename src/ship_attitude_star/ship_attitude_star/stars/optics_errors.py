@@ -59,20 +59,12 @@ class OpticsErrors:
         Returns:
             Shape (k, 3, OPTICS_MODES).
         """
-        camera, (_, up, right) = self.camera, directions_s.T
-        pixel = camera.pixel_pitch_m / camera.focal_length_m
-        from_principal_px = camera.pixels(directions_s) - [camera.principal_u_px, camera.principal_v_px]
-        radius2 = (up**2 + right**2) / directions_s[:, 0] ** 2
-        ideal_px = np.stack([right, -up], axis=-1) / (directions_s[:, :1] * pixel)
-        shift_px = np.zeros((len(directions_s), OPTICS_MODES, 2))
-        shift_px[:, 0] = self.focal_sigma * from_principal_px
-        shift_px[:, 1, 0] = shift_px[:, 2, 1] = self.principal_sigma_px
-        shift_px[:, 3] = self.distortion_sigma * radius2[:, None] * ideal_px
-        displacement_s = camera.displacements(directions_s, shift_px)
+        displacement_s: FloatArray = -self.sigmas * self.camera.optics_slopes(directions_s)
         # The turns that displace the boresight as much, about the axes up and right: u goes right, and v down.
-        turn = self.principal_sigma_px * pixel
+        turn = self.principal_sigma_px * self.camera.pixel_pitch_m / self.camera.focal_length_m
+        forward, up, right = directions_s.T
         displacement_s[:, 0, 1] += turn * right
-        displacement_s[:, 2, 1] -= turn * directions_s[:, 0]
+        displacement_s[:, 2, 1] -= turn * forward
         displacement_s[:, 0, 2] -= turn * up
-        displacement_s[:, 1, 2] += turn * directions_s[:, 0]
+        displacement_s[:, 1, 2] += turn * forward
         return displacement_s

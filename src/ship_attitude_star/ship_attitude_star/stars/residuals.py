@@ -83,12 +83,12 @@ def star_residuals(
         The refusal of the whole exposure where no star can be placed in the sky at its moment, none can be used, or
         the stars contradict the focal length of their camera.
     """
-    found = _compared(exposure, rotation_ns, to_sensor, prior, watch, sky_rows, mean, near_ns, field_rows)
+    found = _compare(exposure, rotation_ns, to_sensor, prior, watch, sky_rows, mean, near_ns, field_rows)
     used_count = 0 if isinstance(found, Refusal) else len(found.components) // 2
     return contradicted_scale(exposure, watch, prior, used_count) or found
 
 
-def _compared(
+def _compare(
     exposure: StarExposure,
     rotation_ns: FloatArray,
     to_sensor: FloatArray,
@@ -99,7 +99,7 @@ def _compared(
     near_ns: FloatArray | None,
     field_rows: NDArray[np.intp] | None,
 ) -> StarResiduals | Refusal:
-    """The stars that are what they are taken for, compared with the prediction; see :func:`star_residuals`."""
+    """Compare the stars that are what they are taken for with the prediction; see :func:`star_residuals`."""
     visible = visible_stars(exposure, watch, prior)
     if isinstance(visible, Refusal):
         return visible

@@ -1,4 +1,4 @@
-"""Whether stars contradict the focal length of their camera: by the angles between them, which need no attitude.
+"""Check of a camera's focal length by the angles between its stars, which need no attitude.
 
 A focal length that is wrong by more than its stated error makes the stars of a field contradict one another: few of
 them fit any one attitude. Then the field is solved again with a focal length that is nearly free. Where the stars agree
@@ -12,7 +12,7 @@ import numpy as np
 
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.stars.exposure import StarExposure, visible_stars
-from ship_attitude_star.stars.fit import agreement, field_columns
+from ship_attitude_star.stars.field_scale import estimate_optics, field_information
 from ship_attitude_star.stars.optics_errors import OpticsErrors
 from ship_attitude_star.stars.selection import FEWEST_VERIFIED, StarPrior, select
 from ship_estimation.refusals import Reason, Refusal
@@ -51,15 +51,13 @@ def contradicted_scale(
     count = int(np.count_nonzero(members))
     if count < FEWEST_VERIFIED or count <= used_count:
         return None
-    found = agreement(stars, members)
-    if found is None:
+    information = field_information(optics.camera, stars, members)
+    principal = optics.principal_sigma_px
+    found = None if information is None else estimate_optics(information, (np.inf, principal, principal))
+    # Written so that NaN is a contradiction.
+    if found is None or abs(found.scale) <= MOST_SIGMAS * np.hypot(optics.focal_sigma, found.scale_sigma):
         return None
-    judgement, focal = found.judgement, field_columns(stars, len(found.judgement.information)).start
-    scale = free_sigma * float(judgement.solution[focal])
-    scale_sigma = free_sigma * float(np.sqrt(np.linalg.inv(judgement.constrained)[focal, focal]))
-    if not abs(scale) > MOST_SIGMAS * np.hypot(optics.focal_sigma, scale_sigma):
-        return None
-    return wrong_focal_length(optics, scale, f"the angles between {count} stars")
+    return wrong_focal_length(optics, found.scale, f"the angles between {count} stars")
 
 
 def learned_contradiction(optics: OpticsErrors, error: float, variance: float) -> Refusal | None:

@@ -94,7 +94,12 @@ class SpatialErrors:
         along = self.field_sigma_px * _modes_at(pixels / half_px - 1.0)
         shift_px = np.zeros((len(pixels), FIELD_MODES, 2))
         shift_px[:, : len(_TERMS), 0] = shift_px[:, len(_TERMS) :, 1] = along
-        return self.camera.displacements(directions_s, shift_px)
+        moved_s = self.camera.directions(pixels[:, None] + shift_px) - directions_s[:, None]
+        # At the fold of a distortion there is nothing on the one side.
+        lost = ~np.isfinite(moved_s)
+        if lost.any():
+            moved_s[lost] = (directions_s[:, None] - self.camera.directions(pixels[:, None] - shift_px))[lost]
+        return np.swapaxes(moved_s, -1, -2)
 
     def pixel_sigma(self, directions_s: FloatArray) -> FloatArray:
         """Pixel-spatial error of measured directions, shape (k, 3), as one sigma per axis, rad, shape (k,)."""

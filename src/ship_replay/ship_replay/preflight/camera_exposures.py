@@ -29,7 +29,7 @@ _PRIOR_SIGMA = 60.0 * ARCSEC
 
 
 class ImageAxes(NamedTuple):
-    """How u and v of a camera may be meant.
+    """Directions in which u and v of a camera count.
 
     Attributes:
         text: the difference to what is expected, for people; empty for none.
@@ -52,7 +52,7 @@ MIRRORED = (
 
 @dataclass(frozen=True)
 class CameraRecord:
-    """What a bag holds of one camera.
+    """The messages of one camera in a bag.
 
     Attributes:
         topic: of its stars.

@@ -1,4 +1,4 @@
-"""What the stars of a camera in a bag contradict: axes of its image, focal length, magnitudes."""
+"""Contradictions between a camera's parameters and its stars in a bag: axes of the image, focal length, magnitudes."""
 
 from collections.abc import Iterator
 

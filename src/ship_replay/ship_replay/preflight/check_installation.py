@@ -1,4 +1,4 @@
-"""Where a suite configuration contradicts the installations, cameras and focal lengths that a bag shows."""
+"""Contradictions between a suite configuration and a bag: installations, cameras, focal lengths."""
 
 from bisect import bisect_left
 from collections.abc import Iterator, Sequence

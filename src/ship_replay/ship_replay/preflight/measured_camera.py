@@ -78,7 +78,7 @@ class _Reading:
     star_count: int
 
     @property
-    def used(self) -> int:
+    def used_count(self) -> int:
         """Number of stars that agree with the attitudes of their exposures, where other stars verify these."""
         return sum(solution.star_count for _, solution in self.verified)
 
@@ -106,7 +106,7 @@ def measure_camera(record: CameraRecord, watch: SkyWatch) -> MeasuredCamera:
         watch: the sky, with place and air.
     """
     reading = _read(record, AS_EXPECTED, watch)
-    if reading.used < _MOST_OF_THE_STARS * reading.star_count:
+    if reading.used_count < _MOST_OF_THE_STARS * reading.star_count:
         reading = _mirrored(record, reading, watch)
     optics = _optics(record.camera, reading)
     return MeasuredCamera(
@@ -129,7 +129,8 @@ def _mirrored(record: CameraRecord, expected: _Reading, watch: SkyWatch) -> _Rea
 
 def _explains(mirrored: _Reading, expected: _Reading) -> bool:
     """True if most stars agree with the mirrored axes, and far fewer with the expected ones."""
-    return mirrored.used >= max(_MOST_OF_THE_STARS * mirrored.star_count, 2 * expected.used, FEWEST_VERIFIED)
+    least = max(_MOST_OF_THE_STARS * mirrored.star_count, 2 * expected.used_count, FEWEST_VERIFIED)
+    return mirrored.used_count >= least
 
 
 def _read(record: CameraRecord, axes: ImageAxes, watch: SkyWatch) -> _Reading:

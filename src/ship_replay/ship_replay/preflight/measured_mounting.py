@@ -1,4 +1,4 @@
-"""How the devices of a bag are mounted by its data, and what their cameras are, at some moments of the bag.
+"""Mountings and cameras of the devices of a bag, measured at some times of the bag.
 
 The attitudes of devices on the deck are compared with the INS's. A camera on the theodolite has no fixed attitude in
 the deck: its stars are compared with one another, and what predicts its attitude serves to identify them.
@@ -26,9 +26,9 @@ from ship_estimation.refusals import Refusal
 from ship_geometry.rotations import FloatArray
 from ship_node.edge.ins_messages import ins_sample
 from ship_node.edge.messages_in import Refused
+from ship_replay.preflight.attitude_tracks import ENCODER_TOPIC, AttitudeTracks, offset_ns
 from ship_replay.preflight.camera_exposures import CameraRecord
 from ship_replay.preflight.measured_camera import MeasuredCamera, measure_camera
-from ship_replay.preflight.predicted_attitude import ENCODER_TOPIC, PredictedAttitude, offset_ns
 from theodolite_calib.config import OpticalAxisConfig, StarCameraConfig
 from theodolite_calib.ros import messages_in as mount_messages_in
 
@@ -77,7 +77,7 @@ def measured_mountings(config: Config, bag: Bag, found: dict[str, str]) -> Itera
     epochs = _epochs(bag, {found[topic]: topic for topic in devices})
     observing = [topic for topic in devices if topic.endswith(("/observations", "/inertial_attitude", "/stars"))]
     watch = installed_sky(config.sky) if observing else None
-    tracks = PredictedAttitude(config, _ship_topic(config, found))
+    tracks = AttitudeTracks(config, _ship_topic(config, found))
     messages = _collected(tracks, bag, found, epochs, watch)
     for topic, (section, device) in devices.items():
         camera = None
@@ -129,7 +129,7 @@ def _epochs(bag: Bag, topics: dict[str, str]) -> dict[str, list[int]]:
 
 
 def _collected(
-    tracks: PredictedAttitude, bag: Bag, found: dict[str, str], epochs: dict[str, list[int]], watch: SkyWatch | None
+    tracks: AttitudeTracks, bag: Bag, found: dict[str, str], epochs: dict[str, list[int]], watch: SkyWatch | None
 ) -> dict[str, list[tuple[Any, int]]]:
     """The messages (with their arrival) at the epochs; tracks and sky take what belongs to the times around."""
     wanted = {topic: set(stamps) for topic, stamps in epochs.items()}
@@ -151,7 +151,7 @@ def _collected(
     return messages
 
 
-def _take(topic: str, record: BagRecord, stamp_ns: int, tracks: PredictedAttitude, watch: SkyWatch | None) -> None:
+def _take(topic: str, record: BagRecord, stamp_ns: int, tracks: AttitudeTracks, watch: SkyWatch | None) -> None:
     """Give a message to the track or the sky that it belongs to, unless a node would refuse it."""
     receive_ns, config = max(record.log_time_ns, stamp_ns), tracks.config
     try:

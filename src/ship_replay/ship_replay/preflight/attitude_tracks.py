@@ -1,4 +1,4 @@
-"""What predicts the attitude of a camera in a bag: the ship's attitude, and on the theodolite the encoders too."""
+"""Prediction of a camera's attitude in a bag: by the ship's attitude, and on the theodolite by the encoders too."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -20,8 +20,8 @@ _FULL_TURN = 2.0 * np.pi
 
 
 @dataclass
-class PredictedAttitude:
-    """What predicts the attitude of a camera.
+class AttitudeTracks:
+    """The samples of a bag by which the attitude of a camera is predicted.
 
     Attributes:
         config: of the node.
@@ -42,7 +42,7 @@ class PredictedAttitude:
 
     @property
     def topics(self) -> tuple[str, ...]:
-        """Where their samples come from."""
+        """Topics of the samples."""
         return (self.ship_topic, ENCODER_TOPIC) if isinstance(self.config, OpticalAxisConfig) else (self.ship_topic,)
 
     def prior(self, device: Any, time_ns: int) -> StarPrior | None:
