@@ -73,6 +73,18 @@ def test_the_attitude_is_valid_again_after_a_change_of_the_focal_length_has_ende
     assert found.last_invalid_s < 30.0
 
 
+def test_optics_that_change_by_more_than_their_sigma_from_what_was_learned_are_learned_again():
+    """From 3 sigma longer to 3 sigma shorter than configured: each is likely, and each contradicts the other."""
+    whole = scenario(named=True)
+    sensors = {id_: replace(one, rate_hz=2.0) for id_, one in whole.star_sensors.items()}
+    run = simulate(replace(whole, duration_s=30.0, star_sensors=sensors), seed=1)
+    run = changed_focal_length(changed_focal_length(run, 6e-4, 0.0, 15.0), -6e-4, 15.0, 40.0)
+    found = Judged()
+    found.judge(run, by_solutions=False)
+    assert found.worst_sigmas < 5.0
+    assert found.last_invalid_s < 17.0
+
+
 def test_a_focal_length_that_stars_contradict_is_named_with_the_value_that_fits():
     found = judged(SCALES[-1], ONE, named=False, by_solutions=False, seeds=1)
     named = [re.match(r"focal length (\d+\.\d+) mm fits the angles between \d+ stars, ", text) for text in found.texts]

@@ -37,6 +37,7 @@ class Claim(NamedTuple):
         sources: that it rests on.
         of_level: largest error of heading, pitch and roll as a share of its protection level; 0 without a level.
         excluded: the sources that are excluded.
+        error: angle between the attitude and the true one, rad.
     """
 
     time_s: float
@@ -45,6 +46,7 @@ class Claim(NamedTuple):
     sources: tuple[str, ...] = ()
     of_level: float = 0.0
     excluded: tuple[str, ...] = ()
+    error: float = 0.0
 
 
 class Claims(NamedTuple):
@@ -74,6 +76,10 @@ class Claims(NamedTuple):
     def statuses(self, from_s: float, until_s: float = np.inf) -> set[Status]:
         """The statuses of a time."""
         return {claim.status for claim in self._between(from_s, until_s)}
+
+    def largest_error(self, from_s: float, until_s: float) -> float:
+        """Largest error of a time, whatever its status, rad."""
+        return max(claim.error for claim in self._between(from_s, until_s))
 
     @property
     def not_valid_until_s(self) -> float:
@@ -156,7 +162,8 @@ def claims(
             sigmas = float(np.max(np.abs(error_n) / np.sqrt(np.diagonal(estimate.covariance_n))))
             of_level = _of_level(core.integrity(estimate), estimate.rotation_nd, error_n) if levels else 0.0
             excluded = tuple(core.state.excluded)
-            found.append(Claim(since_s, estimate.status, sigmas, estimate.sources, of_level, excluded))
+            error = float(np.linalg.norm(error_n))
+            found.append(Claim(since_s, estimate.status, sigmas, estimate.sources, of_level, excluded, error))
     return Claims(found, core)
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from ship_attitude_star.measurements.readings import InertialAttitude, PositionFix
 from ship_attitude_star.measurements.samples import AttitudeMeasurement
+from ship_attitude_star.ship_attitude.alignment import alignment_of
 from ship_attitude_star.ship_attitude.comparison import predict_attitude
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
@@ -278,3 +279,27 @@ def test_an_attitude_against_the_icrs_gives_the_horizon_attitude(watch):
     # Refraction at the seen instead of the true elevation: 1″ of 60″ in the second order at most.
     assert np.linalg.norm(decision.residual) < 0.1 * ARCSEC
     assert np.linalg.norm(log_rotation(seen)) > 0.1
+
+
+def test_the_alignment_states_the_errors_of_the_optics_in_their_own_units() -> None:
+    camera = {"focal_length_m": 0.05, "pixel_pitch_m": 5.5e-6, "focal_length_sigma_m": 2e-5, "principal_sigma_px": 0.5}
+    config = configuration()
+    sensors = {id_: replace(one, camera=replace(one.camera, **camera)) for id_, one in config.star_sensors.items()}
+    config = replace(config, star_sensors=sensors)
+    ship_filter = ShipFilter(config)
+    state = ship_filter.initial_state()
+    means = state.means.copy()
+    means[:, ship_filter.model.slices["star.fore.optics"]] = [2.0, -1.0, 3.0, 0.5]
+    found = alignment_of(ship_filter, config, replace(state, means=means))
+    sigmas = np.sqrt(np.diagonal(found.covariance))
+    # Relative focal length, pixels, k1: so many sigmas of 4e-4, 0.5 px and 0.01.
+    expected = {
+        "focal_length": ("1", 8e-4, 4e-4),
+        "principal_u": ("px", -0.5, 0.5),
+        "principal_v": ("px", 1.5, 0.5),
+        "distortion_k1": ("1", 0.005, 0.01),
+    }
+    for name, (unit, value, sigma) in expected.items():
+        row = found.names.index(f"star.fore.{name}")
+        assert found.units[row] == unit
+        assert (found.values[row], sigmas[row]) == pytest.approx((value, sigma))

@@ -283,6 +283,9 @@ def test_scipy_finds_the_same_attitude_with_errors_of_the_optics() -> None:
         parts = dict(zip(SOLUTION_TERMS, ours.parts_n, strict=False))
         covariance_n = np.linalg.inv(found.jac.T @ found.jac)[:3, :3]
         np.testing.assert_allclose(parts["star_noise"] + parts["optics"], covariance_n, rtol=1e-3, atol=1e-15)
+        # A catalogue as poor as the centroids has half of the noise.
+        poor = dict(zip(SOLUTION_TERMS, solve_stars(replace(stars, position_sigma=stars.sigma)).parts_n, strict=False))
+        np.testing.assert_allclose(poor["catalogue"], poor["star_noise"], rtol=1e-6, atol=1e-16)
         # An error of one sigma of each camera turns the attitude by the part that is booked to it.
         turns = []
         for mode in range(8):

@@ -178,8 +178,8 @@ class ShipFilter:
         that no row uses not even the prediction is kept: the estimate stays, to the last bit, as without it.
 
         The optics of a camera may have changed, by heat or a knock: where its stars are rejected, they are compared
-        again with its optics as configured. An exposure by which its focal length were far from the configured one is
-        rejected.
+        again with an inflated covariance of its optics. An exposure by which its focal length were far from the
+        configured one is rejected.
 
         Args:
             state: after the measurement before.
@@ -196,11 +196,11 @@ class ShipFilter:
         if result is None or optics is None or not isinstance(measurement, StarExposure):
             return result
         if result[1].reason in _AGAINST_PREDICTION:
-            again = self._step(self._with_reset_optics(state, optics), measurement, track, watch)
+            again = self._step(self._with_inflated_optics(state, optics), measurement, track, watch)
             if again is not None and again[1].reason not in _AGAINST_PREDICTION:
                 result = again
             elif again is not None and not again[1].components:
-                # Its stars contradict one another also with the optics as configured: its attitude tells nothing.
+                # Its stars contradict one another with these optics too: its attitude is no evidence.
                 refusal = Refusal(again[1].reason, again[1].text)
                 return self._refused(state, measurement, NotCompared(refusal, again[1].ins_time_ns))
         contradiction = self._optics_contradiction(result[0], measurement, optics)
@@ -248,16 +248,12 @@ class ShipFilter:
         variance = float(state.parts[:, optics.start, optics.start].sum())
         return learned_contradiction(exposure.optics, state.mean.item(optics.start), variance)
 
-    def _with_reset_optics(self, state: FilterState, optics: slice) -> FilterState:
-        """The state with a camera's optics as configured again.
-
-        What they were learned to be is added to the covariance: they may still be that.
-        """
-        means, stack, learned = state.means.copy(), state.stack.copy(), state.mean[optics]
+    def _with_inflated_optics(self, state: FilterState, optics: slice) -> FilterState:
+        """The state with an inflated covariance of a camera's optics: as configured and as learned are both likely."""
+        stack, learned = state.stack.copy(), state.mean[optics]
         part = self.model.source_indices[SOURCE_OPTICS]
-        add_error(stack, len(means), part, optics, np.diag(1.0 + learned**2))
-        means[:, optics] = 0.0
-        return changed(state, means=means, stack=stack)
+        add_error(stack, len(state.means), part, optics, np.diag(1.0 + learned**2))
+        return changed(state, stack=stack)
 
     def _judged(
         self, state: FilterState, predicted: FilterState, measurement: Measurement, found: Linearised
