@@ -303,3 +303,14 @@ def test_the_alignment_states_the_errors_of_the_optics_in_their_own_units() -> N
         row = found.names.index(f"star.fore.{name}")
         assert found.units[row] == unit
         assert (found.values[row], sigmas[row]) == pytest.approx((value, sigma))
+
+
+def test_the_optics_may_drift_with_the_temperature_of_a_night() -> None:
+    """After an hour the variance has grown by the square of a tenth of each sigma, whatever was learned before."""
+    ship_filter = ShipFilter(configuration())
+    rows = ship_filter.model.slices["star.fore.optics"]
+    state = ship_filter.predicted(ship_filter.initial_state(), TIME_NS)
+    known = state.stack.copy()
+    known[:, rows] = known[:, :, rows] = 0.0
+    later = ship_filter.predicted(replace(state, stack=known), TIME_NS + 3600 * 1_000_000_000)
+    np.testing.assert_allclose(later.covariance[rows, rows], 0.01 * np.eye(4), rtol=1e-6, atol=1e-12)
