@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_estimation.hypotheses import RowsCompared
 from ship_estimation.running_means import LONG_AGO_NS, WELL, Means
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
@@ -36,12 +35,13 @@ _MOST_DOUBLINGS = 6
 _HALF_BACK = 0.5
 """A source that was not knocked, and yet contradicted all others, has come back when less of its distance is left."""
 
-_CLEAR_AT_ONCE = 60.0
-"""Square of a distance in standard deviations of a measurement from which on each measurement shows what is left of it.
-Of a smaller distance the mean over some measurements does: each of them has more noise than half of it."""
+_MEAN_OVER = 20
+"""Measurements over which the share of a distance that is left is averaged: one of them has more noise than half of a
+small distance."""
 
-_SOME = 1
-"""Of :data:`ship_estimation.running_means.MEANS_OVER`, the mean over some measurements."""
+_GROSS = 2.0
+"""A measurement farther off than so many times the distance counts as that far: one gross error delays a return only
+by some measurements."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +54,7 @@ class Exclusion:
         agrees_since_ns: since when it has agreed with the others; None where it does not.
         apart: how far the source was from the others at that time, rotation vector of the device, rad, shape (3,): it
             must come back from there; None where its mounting is learnt anew.
+        share_left: share of ``apart`` that is left, mean over some measurements.
         on_suspicion: whether it told a fault of its own and nobody has contradicted it yet.
     """
 
@@ -61,6 +62,7 @@ class Exclusion:
     times: int = 1
     agrees_since_ns: int | None = None
     apart: FloatArray | None = None
+    share_left: float = 1.0
     on_suspicion: bool = False
 
 
@@ -177,9 +179,9 @@ def _farthest(rows: Sequence[int], statistic: FloatArray, threshold: float) -> i
 
 
 def watched(
-    exclusion: Exclusion, means: Means, source: int, compared: RowsCompared, time_ns: int, return_after_s: float
+    exclusion: Exclusion, means: Means, source: int, time_ns: int, return_after_s: float, measured_share: float = 0.0
 ) -> tuple[Exclusion, bool]:
-    """An excluded source after one of its measurements, and whether it is used again.
+    """Return an excluded source's exclusion after one of its measurements, and True if it is used again.
 
     A source whose mounting is not learnt anew must have come back: that the covariance of the others has grown, until
     its error is small beside that, is no agreement.
@@ -188,21 +190,22 @@ def watched(
         exclusion: before.
         means: with that measurement; the first row is that without the source.
         source: its index.
-        compared: the measurement with every row.
         time_ns: the stamp.
         return_after_s: how long it must agree after its first exclusion.
+        measured_share: share of :attr:`Exclusion.apart` that is left by that measurement.
 
     Example:
         >>> from ship_estimation.running_means import no_means
-        >>> one = RowsCompared(*(np.empty(0),) * 4, np.zeros((1, 3)), 0.5 * np.eye(3), np.eye(3)[None])
         >>> agreed = Exclusion(since_ns=0, agrees_since_ns=5 * SECOND_NS)
-        >>> watched(agreed, no_means(1, 1), 0, one, 70 * SECOND_NS, return_after_s=60.0)[1]
+        >>> watched(agreed, no_means(1, 1), 0, 70 * SECOND_NS, return_after_s=60.0)[1]
         True
     """
     agrees = means.excess[0, source] <= WELL and means.refused[0, source] == 0  # NaN does not agree
     if exclusion.apart is not None:
-        share_left = _share_left(exclusion.apart, compared, means.running[0, source, _SOME])
-        agrees = agrees and bool(share_left <= _HALF_BACK)
+        measured_share = measured_share if abs(measured_share) < _GROSS else _GROSS  # NaN is gross
+        share_left = exclusion.share_left + (measured_share - exclusion.share_left) * 2.0 / (_MEAN_OVER + 1.0)
+        exclusion = replace(exclusion, share_left=share_left)
+        agrees = agrees and share_left <= _HALF_BACK
     if not agrees:
         return replace(exclusion, agrees_since_ns=None), False
     since_ns = time_ns if exclusion.agrees_since_ns is None else exclusion.agrees_since_ns
@@ -219,17 +222,3 @@ def must_agree_s(exclusion: Exclusion, return_after_s: float) -> float:
         240.0
     """
     return return_after_s * 2.0 ** min(exclusion.times - 1, _MOST_DOUBLINGS)
-
-
-def _share_left(apart: FloatArray, compared: RowsCompared, running: FloatArray) -> float:
-    """Ratio of the distance that is left to that at first, about the axis of the first.
-
-    Args:
-        apart: distance at first, rotation vector of the device, rad, shape (3,).
-        compared: the measurement with every subfilter.
-        running: mean over some measurements with this one, as :attr:`Means.running` has it, shape (5,).
-    """
-    whitened = np.linalg.pinv(compared.turn_root[0]) @ apart
-    square = float(whitened @ whitened)
-    turn = compared.turn[0] if square > _CLEAR_AT_ONCE else running[:3] / running[3]
-    return float(whitened @ turn / square)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ship_estimation.exclusion import Exclusion, find_fault, watched
-from ship_estimation.hypotheses import RowsCompared, compare_rows, update_rows
+from ship_estimation.hypotheses import compare_rows, update_rows
 from ship_estimation.kalman import LinearMeasurement
 from ship_estimation.protection import IntegrityConfig
 from ship_estimation.running_means import excess_limit, forgotten, no_means, observed
@@ -214,30 +214,35 @@ def test_refusals_in_a_row_contradict_a_row_though_no_mean_does(after):
 
 def test_a_source_returns_after_it_agreed_for_long_enough_without_a_break():
     means, exclusion = no_means(1, 1), Exclusion(since_ns=0)
-    one = RowsCompared(*(np.empty(0),) * 4, np.zeros((1, 3)), np.eye(3), np.eye(3)[None])
     for second in range(30):
-        exclusion, back = watched(exclusion, means, 0, one, second * SECOND_NS, 60.0)
+        exclusion, back = watched(exclusion, means, 0, second * SECOND_NS, 60.0)
         assert not back
     means.excess[0, 0] = 0.6
-    exclusion, _ = watched(exclusion, means, 0, one, 30 * SECOND_NS, 60.0)
+    exclusion, _ = watched(exclusion, means, 0, 30 * SECOND_NS, 60.0)
     means = forgotten(means, slice(None), [0])
     for second in range(31, 91):
-        exclusion, back = watched(exclusion, means, 0, one, second * SECOND_NS, 60.0)
+        exclusion, back = watched(exclusion, means, 0, second * SECOND_NS, 60.0)
         assert not back
-    assert watched(exclusion, means, 0, one, 91 * SECOND_NS, 60.0)[1]
+    assert watched(exclusion, means, 0, 91 * SECOND_NS, 60.0)[1]
 
 
-def test_a_source_that_was_not_knocked_must_come_back_however_wide_the_others_grow():
-    """60 s after the mean over 30 measurements shows it, which takes less than twenty of them."""
+def test_a_source_that_was_not_knocked_must_come_back_and_its_mean_shows_it():
+    """60 s after the mean over 20 measurements is below a half, which takes ln(2) 21/2 = 7 of them."""
     means, exclusion = no_means(1, 1), Exclusion(since_ns=0, apart=np.array([0.0, 30.0, 0.0]))
     for second in range(200):
-        # The sigma of the others grows from 1 to 200: the turn of 30 becomes small beside it.
-        sigma, turn = 1.0 + second, 30.0 if second < 100 else 2.0
-        wide = RowsCompared(
-            *(np.empty(0),) * 4, np.array([[0.0, turn / sigma, 0.0]]), np.eye(3), sigma * np.eye(3)[None]
-        )
-        means = observed(means, 0, wide.turn, np.array([True]), second * SECOND_NS, limit=1e9)
-        exclusion, back = watched(exclusion, means, 0, wide, second * SECOND_NS, 60.0)
+        share = 1.0 if second < 100 else 0.07
+        exclusion, back = watched(exclusion, means, 0, second * SECOND_NS, 60.0, share)
         if back:
             break
-    assert 160 <= second < 180
+    assert 160 + 6 <= second <= 160 + 8
+
+
+@pytest.mark.parametrize("gross", [np.nan, np.inf, -1e6, 1e6])
+def test_a_gross_measurement_is_no_return_and_delays_one_by_some_measurements(gross):
+    """After eight of them the mean over 20 is 1.1, and after eight right ones 0.5 again."""
+    exclusion, agreed = Exclusion(since_ns=0, apart=np.array([0.0, 30.0, 0.0]), share_left=0.0), []
+    for second, share in enumerate([gross] * 8 + [0.0] * 14):
+        exclusion, _ = watched(exclusion, no_means(1, 1), 0, second * SECOND_NS, 60.0, share)
+        agreed.append(exclusion.agrees_since_ns is not None)
+    assert not any(agreed[3:14])
+    assert all(agreed[17:])

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
+import numpy as np
+
 from ship_attitude_star.guards.hints import Departure
 from ship_attitude_star.stars.spatial_errors import PixelStay
 from ship_attitude_star.vertical.vertical_track import VerticalHere
@@ -18,7 +20,18 @@ from ship_estimation.running_means import Means
 from ship_estimation.unconfirmed import Unconfirmed
 from ship_geometry.rotations import FloatArray
 
-__all__ = ["NO_STAYS", "Apart", "Doubt", "FilterState", "Lately", "UtcStep", "changed", "with_entry", "without"]
+__all__ = [
+    "NO_STAYS",
+    "Apart",
+    "Doubt",
+    "FilterState",
+    "Lately",
+    "UtcStep",
+    "changed",
+    "shared_turn",
+    "with_entry",
+    "without",
+]
 
 Value = TypeVar("Value")
 
@@ -75,6 +88,13 @@ class Apart(NamedTuple):
         """The same in the horizon frame."""
         turn_n: FloatArray = self.predicted_nv @ self.turn_v
         return turn_n
+
+
+def shared_turn(measured: Sequence[Apart]) -> FloatArray:
+    """Return the turn that measurements share, rotation vector in the horizon frame, rad, shape (3,): least squares."""
+    whitening = np.vstack([np.linalg.pinv(one.root) @ one.predicted_nv.T for one in measured])
+    turn_n: FloatArray = np.linalg.lstsq(whitening, np.concatenate([one.whitened for one in measured]))[0]
+    return turn_n
 
 
 class UtcStep(NamedTuple):

@@ -20,7 +20,7 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.ins_at_fault import InsAtFault, distrusted
 from ship_attitude_star.ship_attitude.model import Device, ShipStateModel
 from ship_attitude_star.ship_attitude.row_table import INS, LEAST_FOR_PAIRS, RowTable
-from ship_attitude_star.ship_attitude.state import Apart, Doubt, FilterState, Lately, changed, with_entry
+from ship_attitude_star.ship_attitude.state import Apart, Doubt, FilterState, Lately, changed, shared_turn, with_entry
 from ship_estimation.common_error import SUSPECTED_SIGMAS
 from ship_estimation.exclusion import (
     HEARD_NS,
@@ -178,7 +178,7 @@ class Suspects:
             return state, ""
         state = self.ins.believed_again(state, time_ns)
         if source in state.excluded:
-            state, text = self._watched(state, source, compared, time_ns)
+            state, text = self._watched(state, source, time_ns)
             if source in state.excluded:
                 return state, text
         if distrusted(state):
@@ -351,15 +351,15 @@ class Suspects:
         main filter, which has rejected the stars. What it has learnt of an error that they share is taken back: the INS
         carries on from before.
         """
-        apart = {name: state.apart[name].turn_v for name in stars}
+        turn_n = shared_turn([state.apart[name] for name in stars])
         mean, parts = state.mean, state.parts
         if shared:
             absorbed = state.absorbed
-            apart = {name: state.apart[name].predicted_nv.T @ absorbed.error_n for name in stars}
+            turn_n = turn_n + absorbed.turn_n
             mean, parts = mean.copy(), parts.copy()
             mean[self._slow] -= absorbed.turn_n
             self.ins.open_slow_error(parts, np.diag(absorbed.variance))
-        excluded = {name: Exclusion(time_ns, apart=apart[name]) for name in stars}
+        excluded = {name: Exclusion(time_ns, apart=state.apart[name].predicted_nv.T @ turn_n) for name in stars}
         means, stack = self.ins.all_rows_at(mean, parts)
         return changed(
             state,
@@ -369,15 +369,14 @@ class Suspects:
             absorbed=state.absorbed.without_corrections(),
         )
 
-    def _watched(
-        self, state: FilterState, source: str, compared: RowsCompared, time_ns: int
-    ) -> tuple[FilterState, str]:
+    def _watched(self, state: FilterState, source: str, time_ns: int) -> tuple[FilterState, str]:
         """The state after a measurement of an excluded source, which may return with it."""
         if self._ins_creeps_on(state, source):
             return self.without_ins(state, time_ns), "ins is excluded: it goes on creeping away from all stars"
         index, exclusion = self._sources.index(source), state.excluded[source]
         after_s = self._integrity.return_after_s
-        exclusion, back = watched(exclusion, state.seen, index, compared, time_ns, after_s)
+        share = self._share_left(state, source, time_ns)
+        exclusion, back = watched(exclusion, state.seen, index, time_ns, after_s, share)
         after_s = must_agree_s(exclusion, after_s)
         if not back:
             state = changed(state, excluded=with_entry(state.excluded, source, exclusion))
@@ -434,6 +433,23 @@ class Suspects:
             if name == source
             or (one.apart is not None and one.since_ns == own.since_ns and one.agrees_since_ns is not None)
         ]
+
+    def _share_left(self, state: FilterState, source: str, time_ns: int) -> float:
+        """Return the share of an excluded source's distance that is left by its measurement; 0 where it has none.
+
+        Of stars that were excluded together it is the share of what they share: one of them alone, which sees an error
+        about its line of sight poorly, would take the INS's wander about the other axes for a part of it.
+        """
+        since_ns, heard_ns = state.excluded[source].since_ns, time_ns - HEARD_NS
+        along = square = 0.0
+        for name, one in state.excluded.items():
+            if one.apart is None or one.since_ns != since_ns or state.seen.heard_ns[self._indices[name]] < heard_ns:
+                continue
+            measured = state.apart[name]
+            distance = np.linalg.pinv(measured.root) @ one.apart
+            along += float(distance @ measured.whitened)
+            square += float(distance @ distance)
+        return along / square if square > 0.0 else 0.0
 
     def _contradicts(self, state: FilterState, index: int) -> bool:
         """Whether what the first row has seen of a source contradicts it."""

@@ -284,7 +284,7 @@ class Referee:
         turn = np.repeat(compared.turn, rows, axis=0)
         accepted = np.full(rows, bool(compared.nis[0] <= self._light_gate))
         means = observed(trust.means, index, turn, accepted, time_ns, self._limit, compared.turn_noise)
-        exclusion, returns = watched(left_out.exclusion, means, index, compared, time_ns, self._config.return_after_s)
+        exclusion, returns = watched(left_out.exclusion, means, index, time_ns, self._config.return_after_s)
         sigma_m = float(np.sqrt(np.max(np.linalg.eigvalsh(compared.covariance[0]))))
         if 0.0 < refused_m <= _POWER_SIGMAS * sigma_m:
             exclusion, returns = replace(exclusion, agrees_since_ns=None), False
