@@ -1,16 +1,17 @@
 """Which tests run on one worker, where several run at once (``make test``).
 
 Tests of one file share what they make: bags, runs, browsers. So a file runs on one worker. Tests over DDS wait for most
-of their time, so there are more workers than cores; but not more than two such tests at once, on two workers of their
-own, since what they start must answer in time. They come first: together they take as long as all others. What only
-computes yields to them.
+of their time, so there are more workers than cores; but one such test at once, on a worker of its own, since what it
+starts must answer in time: two suites beside each other are more than two cores can keep up with. They come first:
+together they take nearly as long as all others. What only computes yields to them.
 """
 
 import os
 
 import pytest
 
-LIVE_AT_ONCE = 2
+LIVE = "live"
+"""Group of the live tests."""
 YIELDING = 10
 """Added to the niceness of workers that compute: where both want a core, live tests get nine tenths of it."""
 _YIELDS = pytest.StashKey[bool]()
@@ -18,12 +19,10 @@ _YIELDS = pytest.StashKey[bool]()
 
 @pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads the groups
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Give each test the group of its file; live tests those of their worker, the files in turn."""
-    files: dict[str, int] = {}
+    """Give each test the group of its file; live tests their own."""
     for item in items:
-        file = item.nodeid.partition("::")[0]
         is_live = item.get_closest_marker("live") is not None
-        group = f"live_{files.setdefault(file, len(files)) % LIVE_AT_ONCE}" if is_live else file
+        group = LIVE if is_live else item.nodeid.partition("::")[0]
         item.add_marker(pytest.mark.xdist_group(group))
     items.sort(key=lambda item: item.get_closest_marker("live") is None)
 

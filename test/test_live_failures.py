@@ -18,11 +18,11 @@ def stay_on_this_machine(monkeypatch):
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 
-def test_live_tests_run_on_workers_of_their_own(request):
-    """On a group that xdist does not see, nodes of many tests would share the machine, and fail now and then."""
+def test_live_tests_run_on_a_worker_of_their_own(request):
+    """In a group that xdist does not see, nodes of many tests would share the machine, and fail now and then."""
     if not hasattr(request.config, "workerinput"):
         pytest.skip("all tests run one after another here: no xdist")
-    assert request.node.nodeid.rpartition("@")[2].startswith("live_")
+    assert request.node.nodeid.rpartition("@")[2] == "live"
 
 
 def test_a_node_that_does_not_start(tmp_path):

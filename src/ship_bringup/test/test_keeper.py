@@ -222,6 +222,13 @@ def test_bad_input_of_a_node_that_has_run_before_ends_nothing():
     assert sum("started again" in line for line in lines) == 3
 
 
+def killed_after_s(line: str) -> int:
+    """Return the time without a sign of life in the line that says so; a machine with other work looks later."""
+    killed = re.fullmatch(r"\[suite\] node(?: in reserve)? sent no sign of life for (\d) s: killed", line)
+    assert killed, line
+    return int(killed[1])
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("how", ["os.kill(os.getpid(), signal.SIGSTOP)", "time.sleep(60)", "while True: pass"])
 def test_a_frozen_program_is_reported_killed_and_started_again(how):
@@ -239,7 +246,7 @@ def test_a_frozen_program_is_reported_killed_and_started_again(how):
     silent_s, left_s = map(int, times.groups())
     assert silent_s in (2, 3)
     assert silent_s + left_s == 4
-    assert own[1] == "[suite] node sent no sign of life for 4 s: killed"
+    assert killed_after_s(own[1]) in (4, 5)
     assert re.fullmatch(r"\[suite\] node ended .* signal 9, SIGKILL; started again at once .*", own[2])
 
 
@@ -257,7 +264,7 @@ def test_a_program_without_a_first_sign_of_life_is_started_again(monkeypatch):
     monkeypatch.setattr("ship_bringup.suite.frozen_check._LONGEST_START_S", 2.0)
     code, lines = kept(program("node", "import time; time.sleep(60)"), until="node ended", frozen_restart_s=1.0)
     assert code == 137
-    assert "[suite] node sent no sign of life for 2 s: killed" in lines
+    assert killed_after_s(lines[0]) in (2, 3)
 
 
 @pytest.mark.slow
@@ -273,7 +280,7 @@ def test_a_stopped_process_in_reserve_is_no_successor(monkeypatch):
     )
     node = Program("node", (sys.executable, "-c", text), has_reserve=True)
     _, lines = kept(node, until="[node] starts", count=2, frozen_report_s=2.0, frozen_restart_s=4.0)
-    assert "[suite] node in reserve sent no sign of life for 4 s: killed" in lines
+    assert [killed_after_s(line) in (4, 5) for line in lines if "node in reserve sent" in line] == [True]
 
 
 def test_a_process_in_reserve_that_was_stopped_before_its_first_sign_of_life_is_no_successor(monkeypatch, tmp_path):
