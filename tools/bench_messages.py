@@ -24,7 +24,7 @@ def message_cost() -> list[Row]:
     """A sensor_msgs/Imu made as bytes and read, by templates and by the message objects of rosbags and of rclpy."""
     offline, live, kind = RosbagsFactory(), RosidlFactory(), message_class(_IMU_TYPE)
     vector = dict.fromkeys("xyz", 0.25)
-    unknown = (-1.0, *(0.0,) * 8)
+    unknown = (0.0,) * 9
     fields = {
         "header": {"stamp": 1_700_000_000_123_456_789, "frame_id": "ins"},
         "orientation": {**vector, "w": 0.9},

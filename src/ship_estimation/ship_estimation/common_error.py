@@ -88,8 +88,8 @@ class Absorbed(NamedTuple):
     def error_variance(self) -> FloatArray:
         """Variance of the common error that the sum tells, rad², shape (3,); infinite where nothing was absorbed."""
         response = self.response
-        known = np.where(response > 0.0, self.variance, np.inf)
-        variance: FloatArray = known / np.where(response > 0.0, response, 1.0) ** 2
+        told = response > 0.0
+        variance: FloatArray = np.where(told, self.variance / np.where(told, response, 1.0) ** 2, np.inf)
         return variance
 
     def with_correction(self, compared: RowsCompared, jacobian: FloatArray, first: int) -> "Absorbed":
@@ -205,15 +205,15 @@ def with_common_error(
         >>> print(found.statistic, found.level.round(1), found.dominant)
         [1.  2.5] [14.2 14.2 14.2] 1
     """
-    by_square, variance = np.square(by_states), absorbed.error_variance
-    # Infinity times zero is no number.
-    unknown = np.isinf(variance)
-    error_variance = by_square @ np.where(unknown, 0.0, variance)
-    error_variance[by_square @ unknown > 0.0] = np.inf
-    level = threshold * np.sqrt(error_variance) + missed * np.sqrt(np.diagonal(covariance) + error_variance)
+    variance, level = absorbed.error_variance.tolist(), []
+    for by_state, own in zip(np.square(by_states).tolist(), covariance.diagonal().tolist(), strict=True):
+        # What a component does not depend on may be unknown: infinity times zero is no number.
+        of_error = sum(square * one for square, one in zip(by_state, variance, strict=True) if square)
+        level.append(threshold * math.sqrt(of_error) + missed * math.sqrt(own + of_error))
     # In units of the threshold that all hypotheses of a report are held against.
     statistic = np.append(found.statistic, absorbed.sigmas * k.false_exclusion / threshold)
-    is_largest = not level.max() <= found.level.max()
+    largest = found.level.max()
+    is_largest = not all(one <= largest for one in level)  # NaN is
     return found._replace(
         statistic=statistic,
         level=np.maximum(found.level, level),
