@@ -230,12 +230,15 @@ class Agreement:
             shape (3, 3).
         fit: all stars, linearised at that attitude.
         judgement: of the stars that gave the attitude.
+        field_weight: what eliminates the cameras' errors over their fields (:func:`_field_weight`), shape (q, f);
+            None where stars are points and cameras have none.
     """
 
     rotation_nb: FloatArray
     white_covariance_n: FloatArray
     fit: StarFit
     judgement: StarJudgement
+    field_weight: FloatArray | None = None
 
 
 def agreement(stars: SightedStars, members: NDArray[np.bool_] | None = None) -> Agreement | None:
@@ -251,13 +254,13 @@ def agreement(stars: SightedStars, members: NDArray[np.bool_] | None = None) -> 
     # solution one step leads to the best attitude.
     information, right_side = fit.normal_equations(members)
     fields = field_columns(stars, len(information))
-    weight = field_weight(information, fields)
+    weight = _field_weight(information, fields)
     information = information - weight @ information[fields]
     right_side = right_side - weight @ right_side[fields]
     covariance_n: FloatArray = np.asarray(np.linalg.inv(information[ATTITUDE, ATTITUDE]), dtype=float)
     rotation_nb = exp_rotation(covariance_n @ right_side[ATTITUDE]) @ solution.rotation_nd
     fit = linearized(stars, rotation_nb)
-    return Agreement(rotation_nb, covariance_n, fit, fit.judge(members))
+    return Agreement(rotation_nb, covariance_n, fit, fit.judge(members), weight)
 
 
 def field_columns(stars: SightedStars, unknowns: int) -> slice:
@@ -266,7 +269,7 @@ def field_columns(stars: SightedStars, unknowns: int) -> slice:
     return slice(end - len(stars.field_sources), end)
 
 
-def field_weight(information: FloatArray, fields: slice) -> FloatArray:
+def _field_weight(information: FloatArray, fields: slice) -> FloatArray:
     """Share of each unknown in the errors over the fields: what is subtracted to eliminate them, shape (q, f).
 
     Args:

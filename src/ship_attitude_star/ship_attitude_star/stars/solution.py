@@ -20,7 +20,6 @@ from ship_attitude_star.stars.fit import (
     SightedStars,
     agreement,
     field_columns,
-    field_weight,
     linearized,
 )
 from ship_attitude_star.stars.optics_errors import SOURCE_OPTICS
@@ -228,12 +227,11 @@ def _parts(stars: SightedStars, found: Agreement, members: NDArray[np.bool_]) ->
     kinds = [np.full(installed, _INSTALLATION), np.array(of_field, dtype=np.intp), _TERMS_OF_SHARED[:shared]]
     spatial = stars.pixel_sigma is not None or SOURCE_FIELD in stars.field_sources
     terms = len(SOLUTION_TERMS) if spatial else _FIELD - (len(SHARED_TERMS) - shared)
-    if of_field:
+    if of_field and found.field_weight is not None:
         fields = field_columns(stars, len(information))
-        weight = field_weight(information, fields)
         jacobian = jacobian.copy()
-        jacobian[..., ATTITUDE] -= jacobian[..., fields] @ weight[ATTITUDE].T
-        information = information - weight @ information[fields]
+        jacobian[..., ATTITUDE] -= jacobian[..., fields] @ found.field_weight[ATTITUDE].T
+        information = information - found.field_weight @ information[fields]
     parts, by_catalogue = compiled_fit.covariances(
         found.white_covariance_n, information, jacobian, share, np.concatenate(kinds), terms
     )
