@@ -344,6 +344,16 @@ def test_stars_that_share_a_lasting_error_stay_excluded(tilt_time_s: float, seed
     assert {one.status for one in sailed.between(32.0, 240.0)} == {Status.DEGRADED}
 
 
+def test_of_two_sensors_excluded_together_the_one_that_is_right_again_returns() -> None:
+    """Their errors, of 12° and 20°, are no knocks and not one error: each has its own share left."""
+    ends = Lie("star.bow", UP * np.deg2rad(12.0), 20.0, end_s=40.0)
+    lasts = Lie("star.port", UP * np.deg2rad(20.0), 20.0)
+    sailed = sailed_with(ends, lasts, sensors=FOUR, seconds=130.0, **WITH_PAIRS)
+    assert sailed.excluded_first()[1] == ("star.bow", "star.port")
+    assert sailed.excluded[-1][1] == ("star.port",)
+    assert_honest(sailed)
+
+
 def test_one_sensor_against_the_ins_is_a_doubt_and_there_is_no_level() -> None:
     knock = Lie("star.bow", np.array([0.0, 0.0, 50.0]) * ARCSEC, 30.0)
     sailed = sailed_with(knock, sensors=("bow",), seconds=60.0)

@@ -55,6 +55,7 @@ class Exclusion:
         apart: how far the source was from the others at that time, rotation vector of the device, rad, shape (3,): it
             must come back from there; None where its mounting is learnt anew.
         share_left: share of ``apart`` that is left, mean over some measurements.
+        is_shared: True if all stars were excluded together, for an error that they may share.
         on_suspicion: whether it told a fault of its own and nobody has contradicted it yet.
     """
 
@@ -63,6 +64,7 @@ class Exclusion:
     agrees_since_ns: int | None = None
     apart: FloatArray | None = None
     share_left: float = 1.0
+    is_shared: bool = False
     on_suspicion: bool = False
 
 
@@ -178,7 +180,7 @@ def _farthest(rows: Sequence[int], statistic: FloatArray, threshold: float) -> i
     return farthest if clear else None
 
 
-def watched(
+def judge_return(
     exclusion: Exclusion, means: Means, source: int, time_ns: int, return_after_s: float, measured_share: float = 0.0
 ) -> tuple[Exclusion, bool]:
     """Return an excluded source's exclusion after one of its measurements, and True if it is used again.
@@ -197,7 +199,7 @@ def watched(
     Example:
         >>> from ship_estimation.running_means import no_means
         >>> agreed = Exclusion(since_ns=0, agrees_since_ns=5 * SECOND_NS)
-        >>> watched(agreed, no_means(1, 1), 0, 70 * SECOND_NS, return_after_s=60.0)[1]
+        >>> judge_return(agreed, no_means(1, 1), 0, 70 * SECOND_NS, return_after_s=60.0)[1]
         True
     """
     agrees = means.excess[0, source] <= WELL and means.refused[0, source] == 0  # NaN does not agree

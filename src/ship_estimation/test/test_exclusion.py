@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from ship_estimation.exclusion import Exclusion, find_fault, watched
+from ship_estimation.exclusion import Exclusion, find_fault, judge_return
 from ship_estimation.hypotheses import compare_rows, update_rows
 from ship_estimation.kalman import LinearMeasurement
 from ship_estimation.protection import IntegrityConfig
@@ -215,15 +215,15 @@ def test_refusals_in_a_row_contradict_a_row_though_no_mean_does(after):
 def test_a_source_returns_after_it_agreed_for_long_enough_without_a_break():
     means, exclusion = no_means(1, 1), Exclusion(since_ns=0)
     for second in range(30):
-        exclusion, back = watched(exclusion, means, 0, second * SECOND_NS, 60.0)
+        exclusion, back = judge_return(exclusion, means, 0, second * SECOND_NS, 60.0)
         assert not back
     means.excess[0, 0] = 0.6
-    exclusion, _ = watched(exclusion, means, 0, 30 * SECOND_NS, 60.0)
+    exclusion, _ = judge_return(exclusion, means, 0, 30 * SECOND_NS, 60.0)
     means = forgotten(means, slice(None), [0])
     for second in range(31, 91):
-        exclusion, back = watched(exclusion, means, 0, second * SECOND_NS, 60.0)
+        exclusion, back = judge_return(exclusion, means, 0, second * SECOND_NS, 60.0)
         assert not back
-    assert watched(exclusion, means, 0, 91 * SECOND_NS, 60.0)[1]
+    assert judge_return(exclusion, means, 0, 91 * SECOND_NS, 60.0)[1]
 
 
 def test_a_source_that_was_not_knocked_must_come_back_and_its_mean_shows_it():
@@ -231,7 +231,7 @@ def test_a_source_that_was_not_knocked_must_come_back_and_its_mean_shows_it():
     means, exclusion = no_means(1, 1), Exclusion(since_ns=0, apart=np.array([0.0, 30.0, 0.0]))
     for second in range(200):
         share = 1.0 if second < 100 else 0.07
-        exclusion, back = watched(exclusion, means, 0, second * SECOND_NS, 60.0, share)
+        exclusion, back = judge_return(exclusion, means, 0, second * SECOND_NS, 60.0, share)
         if back:
             break
     assert 160 + 6 <= second <= 160 + 8
@@ -242,7 +242,7 @@ def test_a_gross_measurement_is_no_return_and_delays_one_by_some_measurements(gr
     """After eight of them the mean over 20 is 1.1, and after eight right ones 0.5 again."""
     exclusion, agreed = Exclusion(since_ns=0, apart=np.array([0.0, 30.0, 0.0]), share_left=0.0), []
     for second, share in enumerate([gross] * 8 + [0.0] * 14):
-        exclusion, _ = watched(exclusion, no_means(1, 1), 0, second * SECOND_NS, 60.0, share)
+        exclusion, _ = judge_return(exclusion, no_means(1, 1), 0, second * SECOND_NS, 60.0, share)
         agreed.append(exclusion.agrees_since_ns is not None)
     assert not any(agreed[3:14])
     assert all(agreed[17:])

@@ -93,7 +93,8 @@ class Apart(NamedTuple):
 def shared_turn(measured: Sequence[Apart]) -> FloatArray:
     """Return the turn that measurements share, rotation vector in the horizon frame, rad, shape (3,): least squares."""
     whitening = np.vstack([np.linalg.pinv(one.root) @ one.predicted_nv.T for one in measured])
-    turn_n: FloatArray = np.linalg.lstsq(whitening, np.concatenate([one.whitened for one in measured]))[0]
+    whitened = np.concatenate([one.whitened for one in measured])
+    turn_n: FloatArray = np.linalg.lstsq(whitening, whitened, rcond=None)[0]
     return turn_n
 
 

@@ -28,8 +28,8 @@ from ship_estimation.exclusion import (
     Finding,
     agrees_with_all,
     find_fault,
+    judge_return,
     must_agree_s,
-    watched,
 )
 from ship_estimation.hypotheses import (
     RowsCompared,
@@ -178,7 +178,7 @@ class Suspects:
             return state, ""
         state = self.ins.believed_again(state, time_ns)
         if source in state.excluded:
-            state, text = self._watched(state, source, time_ns)
+            state, text = self._judge_return(state, source, time_ns)
             if source in state.excluded:
                 return state, text
         if distrusted(state):
@@ -359,7 +359,9 @@ class Suspects:
             mean, parts = mean.copy(), parts.copy()
             mean[self._slow] -= absorbed.turn_n
             self.ins.open_slow_error(parts, np.diag(absorbed.variance))
-        excluded = {name: Exclusion(time_ns, apart=state.apart[name].predicted_nv.T @ turn_n) for name in stars}
+        excluded = {
+            name: Exclusion(time_ns, apart=state.apart[name].predicted_nv.T @ turn_n, is_shared=True) for name in stars
+        }
         means, stack = self.ins.all_rows_at(mean, parts)
         return changed(
             state,
@@ -369,14 +371,14 @@ class Suspects:
             absorbed=state.absorbed.without_corrections(),
         )
 
-    def _watched(self, state: FilterState, source: str, time_ns: int) -> tuple[FilterState, str]:
-        """The state after a measurement of an excluded source, which may return with it."""
+    def _judge_return(self, state: FilterState, source: str, time_ns: int) -> tuple[FilterState, str]:
+        """Return the state after a measurement of an excluded source, which may return with it, and a text."""
         if self._ins_creeps_on(state, source):
             return self.without_ins(state, time_ns), "ins is excluded: it goes on creeping away from all stars"
         index, exclusion = self._sources.index(source), state.excluded[source]
         after_s = self._integrity.return_after_s
         share = self._share_left(state, source, time_ns)
-        exclusion, back = watched(exclusion, state.seen, index, time_ns, after_s, share)
+        exclusion, back = judge_return(exclusion, state.seen, index, time_ns, after_s, share)
         after_s = must_agree_s(exclusion, after_s)
         if not back:
             state = changed(state, excluded=with_entry(state.excluded, source, exclusion))
@@ -437,18 +439,21 @@ class Suspects:
     def _share_left(self, state: FilterState, source: str, time_ns: int) -> float:
         """Return the share of an excluded source's distance that is left by its measurement; 0 where it has none.
 
-        Of stars that were excluded together it is the share of what they share: one of them alone, which sees an error
-        about its line of sight poorly, would take the INS's wander about the other axes for a part of it.
+        Of an error that stars may share it is the share by all of them. One of them sees a turn about its line of sight
+        poorly, and would take the INS's wander about the other axes for a part of it.
         """
-        since_ns, heard_ns = state.excluded[source].since_ns, time_ns - HEARD_NS
+        own, heard_ns = state.excluded[source], time_ns - HEARD_NS
+        names = [source]
+        if own.is_shared:
+            shared = [name for name, one in state.excluded.items() if one.is_shared and one.since_ns == own.since_ns]
+            names = [name for name in shared if state.seen.heard_ns[self._indices[name]] >= heard_ns]
         along = square = 0.0
-        for name, one in state.excluded.items():
-            if one.apart is None or one.since_ns != since_ns or state.seen.heard_ns[self._indices[name]] < heard_ns:
-                continue
-            measured = state.apart[name]
-            distance = np.linalg.pinv(measured.root) @ one.apart
-            along += float(distance @ measured.whitened)
-            square += float(distance @ distance)
+        for name in names:
+            measured, apart = state.apart[name], state.excluded[name].apart
+            if apart is not None:
+                distance = np.linalg.pinv(measured.root) @ apart
+                along += float(distance @ measured.whitened)
+                square += float(distance @ distance)
         return along / square if square > 0.0 else 0.0
 
     def _contradicts(self, state: FilterState, index: int) -> bool:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ship_estimation.exclusion import HEARD_NS, Exclusion, Finding, find_fault, watched
+from ship_estimation.exclusion import HEARD_NS, Exclusion, Finding, find_fault, judge_return
 from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.hypotheses import RowsCompared
 from ship_estimation.protection import IntegrityConfig
@@ -284,7 +284,7 @@ class Referee:
         turn = np.repeat(compared.turn, rows, axis=0)
         accepted = np.full(rows, bool(compared.nis[0] <= self._light_gate))
         means = observed(trust.means, index, turn, accepted, time_ns, self._limit, compared.turn_noise)
-        exclusion, returns = watched(left_out.exclusion, means, index, time_ns, self._config.return_after_s)
+        exclusion, returns = judge_return(left_out.exclusion, means, index, time_ns, self._config.return_after_s)
         sigma_m = float(np.sqrt(np.max(np.linalg.eigvalsh(compared.covariance[0]))))
         if 0.0 < refused_m <= _POWER_SIGMAS * sigma_m:
             exclusion, returns = replace(exclusion, agrees_since_ns=None), False
