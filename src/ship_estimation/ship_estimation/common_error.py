@@ -88,8 +88,8 @@ class Absorbed(NamedTuple):
     def error_variance(self) -> FloatArray:
         """Variance of the common error that the sum tells, rad², shape (3,); infinite where nothing was absorbed."""
         response = self.response
-        told = response > 0.0
-        variance: FloatArray = np.where(told, self.variance / np.where(told, response, 1.0) ** 2, np.inf)
+        is_known = response > 0.0
+        variance: FloatArray = np.where(is_known, self.variance / np.where(is_known, response, 1.0) ** 2, np.inf)
         return variance
 
     def with_correction(self, compared: RowsCompared, jacobian: FloatArray, first: int) -> "Absorbed":
