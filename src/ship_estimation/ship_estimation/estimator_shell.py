@@ -557,6 +557,11 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         self._last_claim_ns, self._said_invalid_ns = time_ns, None
         self._silent_after_ns = waiting_ns + max(patience_ns, SECOND_NS)
 
+    def continue_outputs(self, before: "EstimatorShell[Any, Any, Any, Any, Any]") -> None:
+        """Go on with the outputs where another shell ends: what this one put out itself was not published."""
+        self._last_claim_ns, self._said_invalid_ns = before._last_claim_ns, before._said_invalid_ns
+        self._silent_after_ns = before._silent_after_ns
+
     @property
     def state_now(self) -> State:
         """The state for outputs: jumps count at once, also where measurements of before them still wait."""

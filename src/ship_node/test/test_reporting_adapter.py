@@ -83,9 +83,9 @@ class TinyAdapter(ReportingAdapter):
     always_in = ("fast",)
     slow_fails = False
 
-    def table(self, config: TinyConfig) -> Iterator[Feed]:
-        yield Feed(InputTopic(FAST, "t", True, 10), "fast", read, untimed(partial(self.core.add, waiting_ns=0)))
-        yield Feed(InputTopic(JUDGED, "t", False, 10), "device", read, self.core.add, True, "camera")
+    def table(self, config: TinyConfig, core: Any) -> Iterator[Feed]:
+        yield Feed(InputTopic(FAST, "t", True, 10), "fast", read, untimed(partial(core.add, waiting_ns=0)))
+        yield Feed(InputTopic(JUDGED, "t", False, 10), "device", read, core.add, True, "camera")
 
     def own_slow_topics(self, now_ns: int) -> list[Published]:
         if self.slow_fails:

@@ -2,7 +2,7 @@
 
 import functools
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from operator import attrgetter
 from typing import Any, ClassVar
 
@@ -26,7 +26,7 @@ from ship_attitude_star.ros.attitude_messages import (
     attitude_rows,
     smoothed_message,
 )
-from ship_attitude_star.ship_attitude.alignment import Alignment
+from ship_attitude_star.ship_attitude.alignment import Alignment, AlignmentPrior
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig, StarSensorConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.integrity import QUANTITIES
@@ -46,7 +46,6 @@ from ship_geometry.rotations import ARCSEC
 from ship_geometry.time_scales import SECOND_NS
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.documents.saved_start import SavedStart
-from ship_node.edge.block_adapter import BlockAdapter
 from ship_node.edge.blocks import BlockFeed, PublishedRows
 from ship_node.edge.columns_in import ReadRows
 from ship_node.edge.contested import ATTITUDE, INNOVATION
@@ -66,6 +65,7 @@ from ship_node.edge.messages_out import (
     Level,
     error_budget,
 )
+from ship_node.edge.recovering_adapter import RecoveringAdapter
 from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, untimed
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
 from ship_node.edge.verdict_report import clock_status
@@ -101,7 +101,7 @@ _GROUPS = {"star": "star_sensors", "reference": "references", BASELINE: "ship_ba
 """First word of a source's name → where its parameters stand."""
 
 
-class ShipAttitudeAdapter(BlockAdapter):
+class ShipAttitudeAdapter(RecoveringAdapter):
     """The ship's attitude from the INS and star sensors, with its covariance and error budget.
 
     Args:
@@ -124,6 +124,7 @@ class ShipAttitudeAdapter(BlockAdapter):
     always_in: ClassVar[tuple[str, ...]] = ("ins",)
     checked_by: ClassVar["attrgetter[tuple[Any, ...]]"] = attrgetter("status", "sources")
     directions: ClassVar["attrgetter[np.ndarray]"] = attrgetter("rotation_nd")
+    there_for_s: ClassVar[Mapping[str, float]] = {"ins": 3.0, "star.": 10.0, "reference.": 10.0, BASELINE: 10.0}
     outputs: tuple[OutputTopic, ...] = (
         OutputTopic(ATTITUDE_TOPIC, ATTITUDE_TYPE),
         OutputTopic(IMU_TOPIC, IMU_TYPE),
@@ -153,13 +154,23 @@ class ShipAttitudeAdapter(BlockAdapter):
             ALIGNMENT_FILE,
             config.alignment_file,
             files,
-            start_from=core.start_from,
-            to_save=core.alignment_to_save,
+            start_from=self._start_from,
+            to_save=self._alignment_to_save,
             nothing="no star attitude was used yet: there is no alignment to save",
         )
         self.start_warnings = self._lacking = start_warnings(config)
         self._observed: tuple[int, DiagnosticStatus] | None = None
         super().__init__(config, core, factory, self._attitude_messages, saved)
+
+    def _start_from(self, prior: AlignmentPrior, now_ns: int) -> list[str]:
+        """Reset the estimator of now to a saved alignment; return remarks for the operator."""
+        core: ShipAttitudeCore = self.core
+        return core.start_from(prior, now_ns)
+
+    def _alignment_to_save(self) -> AlignmentPrior | None:
+        """Return what the estimator of now has learnt."""
+        core: ShipAttitudeCore = self.core
+        return core.alignment_to_save()
 
     def _attitude_messages(self, estimate: AttitudeEstimate) -> list[Published]:
         """Return the messages of one attitude."""
@@ -193,9 +204,8 @@ class ShipAttitudeAdapter(BlockAdapter):
             published += smoothed
         return published
 
-    def table(self, config: ShipAttitudeConfig) -> Iterator[Feed]:
-        """Which topic feeds which method of the core; each star sensor has one topic, so that no star counts twice."""
-        core: ShipAttitudeCore = self.core
+    def table(self, config: ShipAttitudeConfig, core: ShipAttitudeCore) -> Iterator[Feed]:
+        """Which topic feeds which method of a core; each star sensor has one topic, so that no star counts twice."""
         ins = InputTopic("ins/imu", IMU_TYPE, required=True, depth=1000)
         block = BlockFeed(functools.partial(ins_block, config=config.ins), core)
         read_ins = functools.partial(ins_sample, config=config.ins)
@@ -269,6 +279,27 @@ class ShipAttitudeAdapter(BlockAdapter):
         core: ShipAttitudeCore = self.core
         return core.no_output(now_ns, text)
 
+    def may_be_valid(self, there: Set[str]) -> bool:
+        """See :class:`RecoveringAdapter`: with the INS and a star sensor."""
+        return "ins" in there and any(source.startswith("star.") for source in there)
+
+    def remedy(self, displaced: Mapping[str, float]) -> str:
+        """See :class:`RecoveringAdapter`."""
+        stars = [f"star.{id_}" for id_ in self.config.star_sensors]
+        if len(stars) > 1 and displaced.keys() >= set(stars):
+            return (
+                "all star sensors moved: if they were remounted, ~/reset; otherwise check gnss/fix and the computer's "
+                "clock, or the INS"
+            )
+        where = ", ".join(f"{_GROUPS[name.partition('.')[0]]}.{name.partition('.')[2]}" for name in sorted(displaced))
+        return f"if it was remounted, ~/reset; otherwise check its clock (time_offset_s of {where}) and its cable"
+
+    def before_adoption(self) -> list[Published]:
+        """See :class:`RecoveringAdapter`: smoothing ends its segment."""
+        if not isinstance(self.core, SmoothingCore):
+            return []
+        return [smoothed_message(self.factory, estimate) for estimate in self.core.smoothed_to_the_end()]
+
     def _observability_statuses(self) -> list[DiagnosticStatus]:
         """What the stars have told of the states, and what a turn would tell; looked at again once a minute."""
         state, latest = self.core.state, self.latest
@@ -302,6 +333,7 @@ class ShipAttitudeAdapter(BlockAdapter):
             DiagnosticStatus("alignment", Level.WARN if told else Level.OK, text),
             DiagnosticStatus("ins rates", *_RATES[self.core.rates]),
             self._noise_status(),
+            self.recovery_status(),
             *vertical_statuses(self.core, self.latest),
             *self._observability_statuses(),
             *self.integrity_statuses(),

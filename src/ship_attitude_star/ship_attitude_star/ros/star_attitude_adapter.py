@@ -104,9 +104,8 @@ class StarAttitudeAdapter(BlockAdapter):
         self._solved: dict[str, tuple[Solved, int]] = {}
         super().__init__(config, StarCore(config, self._watch), factory)
 
-    def table(self, config: StarAttitudeConfig) -> Iterator[Feed]:
-        """Which topic feeds which method of the core."""
-        core: StarCore = self.core
+    def table(self, config: StarAttitudeConfig, core: StarCore) -> Iterator[Feed]:
+        """Which topic feeds which method of a core."""
         for id_, sensor in config.star_sensors.items():
             topic = InputTopic(f"star/{id_}/observations", _STARS_TYPE, False, depth=100, named=True)
             read_stars = functools.partial(

@@ -26,6 +26,7 @@ from ship_estimation.parameter_fields import (
 )
 from ship_estimation.parameters import ParameterError
 from ship_estimation.protection import IntegrityConfig
+from ship_estimation.recovery.config import RecoveryConfig
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
 
@@ -264,6 +265,7 @@ class ShipAttitudeConfig(StarSensorsById):
     ship_baseline: ShipBaselineConfig = section(ShipBaselineConfig)
     gate: GateConfig = section(GateConfig)
     integrity: ShipIntegrityConfig = section(ShipIntegrityConfig)
+    recovery: RecoveryConfig = section(RecoveryConfig)
     sky: SkyConfig = section(SkyConfig)
     lag_s: float = parameter(
         2.0, doc="measurements up to this late are applied at their own time", unit="s", minimum=0.0, maximum=600.0

@@ -6,7 +6,8 @@ measurement is applied and which output may follow. What belongs to the ship's a
 of the INS and of the star sensors, and who carries the attitude when the INS is gone.
 """
 
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Sequence, Set
 from dataclasses import replace
 from typing import ClassVar
 
@@ -37,6 +38,13 @@ from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.integrity import integrity_of
 from ship_attitude_star.ship_attitude.linearised import Linearised
 from ship_attitude_star.ship_attitude.manoeuvre import RecentSource, TurnHint, worthwhile_turn
+from ship_attitude_star.ship_attitude.memory import (
+    carried,
+    departure_sigmas,
+    is_undisputed,
+    separation_from,
+    start_from_memory,
+)
 from ship_attitude_star.ship_attitude.observability import ToldStates, learnt
 from ship_attitude_star.ship_attitude.output import attitude_alone, estimate_from_star, no_estimate
 from ship_attitude_star.ship_attitude.state import FilterState
@@ -44,11 +52,13 @@ from ship_attitude_star.ship_attitude.utc_steps import with_utc_compared, with_u
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
 from ship_estimation.estimator_shell import EstimatorShell, Model, surely_in_time
-from ship_estimation.ins import InsChange
+from ship_estimation.exclusion import HEARD_NS
+from ship_estimation.ins import InsChange, InsJump
 from ship_estimation.ins_guard import JudgedIns
 from ship_estimation.outcome import Measurement, Status
 from ship_estimation.protection import IntegrityReport
 from ship_estimation.rate_guard import Rates
+from ship_estimation.recovery.displacement import Separation
 from ship_estimation.refusals import Refusal
 from ship_estimation.time_shift import with_shifted_stamps
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, SampleBlock
@@ -57,6 +67,9 @@ from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
 INS = "ins"
+
+_MOST_JUMPS = 100
+"""Jumps of the INS that are kept until they are asked for, once a second."""
 
 
 class ShipAttitudeCore:
@@ -153,6 +166,7 @@ class ShipAttitudeCore:
         self._ins_arrival_ns: int | None = None
         self._newest_star: tuple[Measurement, int] | None = None
         self._lately: dict[str, RecentSource] = {}
+        self._ins_jumps: deque[InsJump] = deque(maxlen=_MOST_JUMPS)
 
     def reconfigure(self, config: ShipAttitudeConfig) -> None:
         """Go on with other noise and gates; geometry and the set of devices stay."""
@@ -260,6 +274,7 @@ class ShipAttitudeCore:
             since_ns = self._track.add_noise(judged.noise)
             self._shell.add_jump(self.filter.opens_ns(judged.noise), INS, judged.noise, since_ns)
             self._shell.apply(outcome)
+        self._ins_jumps.extend(judged.jumps)
         for jump in judged.jumps:
             self._shell.add_jump(self.filter.opens_ns(jump), INS, jump, self._track.cut(jump.time_ns))
         if judged.refusal is not None:
@@ -393,6 +408,73 @@ class ShipAttitudeCore:
     def state(self) -> FilterState:
         """The filter's state after the last measurement applied."""
         return self._shell.state
+
+    # -- recovery: see ship_estimation.recovery.recovery.RecoverableCore -----------------------------------------
+
+    @property
+    def excluded(self) -> Set[str]:
+        """The sources that are excluded."""
+        return self.state.excluded.keys()
+
+    @property
+    def is_undisputed(self) -> bool:
+        """True if its state rests on stars, no source is excluded and none contradicts another."""
+        return is_undisputed(self.filter, self.state, self.config.gate.degraded_after)
+
+    @property
+    def is_contradicted(self) -> bool:
+        """True if its sources contradict one another and no source is found to be faulty."""
+        return self.state.doubt is not None or self.state.utc is not None
+
+    def second(self, memory: FilterState | None) -> "ShipAttitudeCore":
+        """Return another estimator that starts from a remembered state; from the saved alignment or the prior without.
+
+        With a memory it also starts with the position and the air as they are known here.
+        """
+        second = self._another(None if self._watch is None else self._watch.twin(memory is not None))
+        second._start = self._start
+        if memory is None:
+            second.reset()
+            return second
+        if self.vertical is not None:
+            second.vertical = self.vertical.twin(with_inputs=True)
+            second.filter = second.filter_class(second.config, second.vertical)
+        state = start_from_memory(second.filter, memory, self.state.record)
+        second._shell.reset(state)
+        second._begin(state)
+        return second
+
+    def _another(self, watch: SkyWatch | None) -> "ShipAttitudeCore":
+        """Return an estimator of the same class and configuration."""
+        return type(self)(self.config, watch)
+
+    def take_jumps(self) -> list[InsJump]:
+        """Return the jumps of the INS that its own rates showed since the last call."""
+        jumps = list(self._ins_jumps)
+        self._ins_jumps.clear()
+        return jumps
+
+    def carried(self, memory: FilterState, jumps: Sequence[InsJump]) -> FilterState:
+        """Return a remembered state propagated to the oldest time that measurements may still have."""
+        return carried(self.filter, memory, jumps, self._shell.window.oldest_ns)
+
+    def separation(self, decision: AttitudeDecision, memory: FilterState | None) -> Separation | None:
+        """Return how far a measurement that was just judged is from a remembered state; from the prior without one."""
+        memory = self.filter.initial_state() if memory is None else memory
+        return separation_from(self.filter, memory, decision.measurement, self._track, self._watch)
+
+    def departure_sigmas(self, memory: FilterState) -> float:
+        """Return the largest difference of a lasting state from the remembered one, in standard deviations of both."""
+        return departure_sigmas(self.filter, self.state, memory)
+
+    def unused(self, sources: Set[str]) -> set[str]:
+        """Return those of the sources of which no measurement was used recently."""
+        since_ns, used_ns = self._shell.window.newest_ns - HEARD_NS, self.state.used_ns
+        return {name for name in sources if name in self.filter.devices and used_ns.get(name, since_ns - 1) < since_ns}
+
+    def replace(self, live: "ShipAttitudeCore") -> None:
+        """Go on with the outputs where another estimator ends."""
+        self._shell.continue_outputs(live._shell)
 
     @property
     def rates(self) -> Rates:

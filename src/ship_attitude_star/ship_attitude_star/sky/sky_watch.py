@@ -9,6 +9,7 @@ An error of UTC turns the sky as one of UT1 does. It is a term of its own, becau
 clocks are taken to be right (``sky.utc_sigma_s`` 0), there is no such term.
 """
 
+import copy
 import math
 from dataclasses import dataclass, field
 from typing import cast
@@ -204,6 +205,14 @@ class SkyWatch:
         """Forget fixes and readings of the air."""
         self.surroundings = Surroundings(self._config)
         self._moments: dict[int, SkyMoment] = {}
+
+    def twin(self, with_surroundings: bool) -> "SkyWatch":
+        """Return the same sky for another estimator, with a copy of the surroundings or without any."""
+        twin = copy.copy(self)
+        twin.reset()
+        if with_surroundings:
+            twin.surroundings = copy.deepcopy(self.surroundings)
+        return twin
 
     def step_time_base(self, step_ns: int) -> None:
         """Carry fixes and readings of the air over a step of their clocks."""

@@ -69,6 +69,10 @@ class SmoothingCore(ShipAttitudeCore):
         self._told: deque[_ToldAtOnce] = deque()
         super().__init__(config, watch, self._closed.extend)
 
+    def _another(self, watch: SkyWatch | None) -> ShipAttitudeCore:
+        """See :meth:`ShipAttitudeCore._another`."""
+        return SmoothingCore(self.config, watch, None if self._lag_ns is None else self._lag_ns / SECOND_NS)
+
     def _begin(self, state: FilterState) -> None:
         """See :meth:`ShipAttitudeCore._begin`; what was not told again is not told again any more."""
         super()._begin(state)

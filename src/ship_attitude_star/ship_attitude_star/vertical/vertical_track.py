@@ -5,6 +5,7 @@ changes by 60″ in 50 km at 20 kn; and whatever the order of arrival, they are 
 """
 
 import bisect
+import copy
 import math
 from dataclasses import replace
 from typing import NamedTuple
@@ -103,6 +104,16 @@ class VerticalTrack:
         self._stamps: list[int] = []
         self._knots: dict[int, _Knot] = {}
         self._newest_step: int | None = None
+
+    def twin(self, with_inputs: bool) -> "VerticalTrack":
+        """Return a track of the same configuration for another estimator, with copies of the inputs or without any."""
+        twin = copy.copy(self)
+        twin.reset()
+        if with_inputs:
+            twin._place = copy.deepcopy(self._place)
+            twin._messages, twin._stamps = list(self._messages), list(self._stamps)
+            twin._knots, twin._newest_step = dict(self._knots), self._newest_step
+        return twin
 
     def step_time_base(self, step_ns: int) -> None:
         """Carry fixes and deflections over a step of their clocks; the way begins where the ship is."""

@@ -176,8 +176,8 @@ class ReportingAdapter(ABC):
     # -- what a node adds -----------------------------------------------------------------------------------
 
     @abstractmethod
-    def table(self, config: Any) -> Iterable[Feed]:
-        """Which topic feeds which method of the core."""
+    def table(self, config: Any, core: Any) -> Iterable[Feed]:
+        """Which topic feeds which method of a core."""
 
     @abstractmethod
     def own_slow_topics(self, now_ns: int) -> list[Published]:
@@ -424,7 +424,7 @@ class ReportingAdapter(ABC):
 
     def _bind(self) -> None:
         """The table with the parameters of now: what does not change with each message is bound here."""
-        self.feeds = {feed.input.topic: feed for feed in self.table(self.config)}
+        self.feeds = {feed.input.topic: feed for feed in self.table(self.config, self.core)}
         self._measured_by = {feed.measured_by or feed.source: feed for feed in self.feeds.values()}
 
     def _without(self, config: Any) -> frozenset[str]:

@@ -150,11 +150,11 @@ def run_session(
             self.configured = config
             listening.append(self)
 
-        def table(self, config: ShipAttitudeConfig) -> Iterator[Feed]:
-            for feed in super().table(config):
+        def table(self, config: ShipAttitudeConfig, core: ShipAttitudeCore) -> Iterator[Feed]:
+            for feed in super().table(config, core):
                 if feed.source == INS:
                     # No attitude is asked for, which would take as long as all the rest.
-                    feed = replace(feed, take=functools.partial(self.core.add_ins, estimate=False), block=None)
+                    feed = replace(feed, take=functools.partial(core.add_ins, estimate=False), block=None)
                 yield feed
 
         def published(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[Published]:

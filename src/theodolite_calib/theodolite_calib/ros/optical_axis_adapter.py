@@ -138,9 +138,8 @@ class OpticalAxisAdapter(DeferringAdapter):
         """The estimator; one that tells pointings again is made only where that is asked for."""
         return OpticalAxisCore(config, watch)
 
-    def table(self, config: OpticalAxisConfig) -> Iterator[Feed]:
-        """Which topic feeds which method of the core."""
-        core: OpticalAxisCore = self.core
+    def table(self, config: OpticalAxisConfig, core: OpticalAxisCore) -> Iterator[Feed]:
+        """Which topic feeds which method of a core."""
         encoder = InputTopic("theodolite/encoder", "ship_msgs/msg/TheodoliteEncoder", required=True, depth=1000)
         read_encoder = functools.partial(messages_in.encoder, config=config)
         read_encoders = functools.partial(rows_in.encoders, config=config)
@@ -159,7 +158,7 @@ class OpticalAxisAdapter(DeferringAdapter):
         )
         yield Feed(target, "target", functools.partial(messages_in.target, config=config), core.add_target, judged=True)
         if self._sky is not None:
-            yield from self._star_feeds(config)
+            yield from self._star_feeds(config, core)
         for id_, beacon in config.beacons.items():
             topic = InputTopic(f"beacon/{id_}/baseline", "ship_msgs/msg/RtkBaseline", required=False, depth=1000)
             read_baseline = functools.partial(messages_in.baseline, beacon=beacon, least_fix=config.least_fix)
@@ -172,10 +171,9 @@ class OpticalAxisAdapter(DeferringAdapter):
             take = untimed(functools.partial(core.add_drone_attitude, id_))
             yield Feed(topic, f"drone.{id_}", read_imu, take, read_rows=read_imus, continuous=ATTITUDE)
 
-    def _star_feeds(self, config: OpticalAxisConfig) -> Iterator[Feed]:
+    def _star_feeds(self, config: OpticalAxisConfig, core: OpticalAxisCore) -> Iterator[Feed]:
         """Stars in cameras on the theodolite, and what tells where they stand in the sky."""
         assert self._sky is not None
-        core: OpticalAxisCore = self.core
         for id_, camera in config.telescopes.items():
             topic = InputTopic(
                 f"theodolite/{id_}/stars", "ship_msgs/msg/StarObservationArray", False, depth=100, at_times=True

@@ -60,9 +60,8 @@ class TriangulationAdapter(ReportingAdapter):
         self._told_ns: int | None = None
         super().__init__(config, TriangulationCore(config), factory, functools.partial(place_messages, factory))
 
-    def table(self, config: TriangulationConfig) -> Iterator[Feed]:
-        """Which topic feeds which method of the core."""
-        core: TriangulationCore = self.core
+    def table(self, config: TriangulationConfig, core: TriangulationCore) -> Iterator[Feed]:
+        """Which topic feeds which method of a core."""
         for name in sorted(config.stations):
             topic = InputTopic(config.topic_of(name), TARGET_TYPE, required=False, depth=100, at_times=True)
             yield Feed(topic, f"station.{name}", functools.partial(direction, station=name), core.add_direction)

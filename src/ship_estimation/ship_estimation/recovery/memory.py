@@ -1,0 +1,51 @@
+"""The last state of an estimator at which nothing was disputed."""
+
+from collections import deque
+from collections.abc import Callable
+from typing import Generic, TypeVar
+
+from ship_geometry.time_scales import SECOND_NS
+
+State = TypeVar("State")
+
+LEAST_AGE_NS = 10 * SECOND_NS
+"""Time from the remembered state to the first sign of trouble, at least: a fault may act before it shows, ns."""
+
+
+class Memory(Generic[State]):
+    """The newest undisputed state that is old enough, kept until a newer one is.
+
+    Example:
+        >>> memory: Memory[str] = Memory()
+        >>> for second, state in enumerate("abcdefghijklm"):
+        ...     memory.keep(second * SECOND_NS, state)
+        >>> memory.recall(12 * SECOND_NS)
+        'c'
+    """
+
+    def __init__(self) -> None:
+        self._kept: deque[tuple[int, State]] = deque()
+
+    def keep(self, time_ns: int, state: State) -> None:
+        """Keep an undisputed state.
+
+        Args:
+            time_ns: the time now, later than all before.
+            state: not changed in place later.
+        """
+        self._kept.append((time_ns, state))
+        while len(self._kept) > 1 and self._kept[1][0] <= time_ns - LEAST_AGE_NS:
+            self._kept.popleft()
+
+    def recall(self, first_sign_ns: int) -> State | None:
+        """Return the newest state that is old enough at the first sign of trouble; None where there is none."""
+        old = [state for time_ns, state in self._kept if time_ns <= first_sign_ns - LEAST_AGE_NS]
+        return old[-1] if old else None
+
+    def replace_all(self, by: Callable[[State], State]) -> None:
+        """Replace every state that is kept, for a time that has moved or an INS that has jumped since."""
+        self._kept = deque((time_ns, by(state)) for time_ns, state in self._kept)
+
+    def forget_newer(self, state: State | None) -> None:
+        """Keep no other state than one that was recalled: those after it may already contain the fault."""
+        self._kept = deque(kept for kept in self._kept if kept[1] is state)

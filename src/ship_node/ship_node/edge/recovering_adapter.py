@@ -1,0 +1,238 @@
+"""The adapter of a node that recovers: in trouble a second estimator takes the same inputs and may replace the first.
+
+:mod:`ship_estimation.recovery.recovery` decides, once a second; here it is given what it asks for. While the second
+estimator runs, messages are taken one by one, and nothing that was learnt is saved.
+"""
+
+from abc import abstractmethod
+from collections.abc import Callable, Mapping, Set
+from dataclasses import replace
+from typing import Any, ClassVar
+
+from ship_estimation.outcome import Status
+from ship_estimation.recovery.recovery import Recovery
+from ship_estimation.refusals import Reason
+from ship_estimation.told_levels import ToldLevels
+from ship_geometry.rotations import ARCSEC
+from ship_node.edge.adapter import ServiceResult
+from ship_node.edge.block_adapter import BlockAdapter
+from ship_node.edge.blocks import BlockPart, BlockTurn
+from ship_node.edge.messages_in import ReadMessage
+from ship_node.edge.messages_out import DiagnosticStatus, Level
+from ship_node.edge.reporting_adapter import Feed
+from ship_node.edge.topics import Published
+
+_LOOK_NS = 1_000_000_000
+"""Time of waiting from one decision to the next, ns."""
+
+_COUNTS = frozenset({
+    *(Reason.NONE, Reason.GATE, Reason.STUCK, Reason.UNITS, Reason.EXCLUDED, Reason.ATTITUDE_CONFLICT),
+    *(Reason.LIGHT_CONFLICT, Reason.MISIDENTIFIED, Reason.UNIDENTIFIED, Reason.JUMP),
+})  # fmt: skip
+"""Reasons after which a message still shows that its source is there: its form is right, a comparison rejected it."""
+
+_REFUSED_IN_TROUBLE = "not saved: a second estimator runs, because {}; what was learnt since then may be wrong"
+
+
+class RecoveringAdapter(BlockAdapter):
+    """An adapter with a second estimator in trouble; see :class:`BlockAdapter`.
+
+    Attributes:
+        recovery: what decides on it.
+    """
+
+    there_for_s: ClassVar[Mapping[str, float]]
+    """Beginning of a source's name → age of its last usable message up to which it is there, s."""
+
+    def __init__(self, config: Any, *rest: Any) -> None:
+        self.recovery = Recovery(config.recovery)
+        self._arrived_ns: dict[str, int] = {}
+        self._looked_ns: int | None = None
+        super().__init__(config, *rest)
+
+    # -- what a node adds -----------------------------------------------------------------------------------
+
+    @abstractmethod
+    def may_be_valid(self, there: Set[str]) -> bool:
+        """Return True if a new estimator would be VALID with these sources."""
+
+    @abstractmethod
+    def remedy(self, displaced: Mapping[str, float]) -> str:
+        """Return what people can do about sources that have moved and do not move back, by how far, rad."""
+
+    def before_adoption(self) -> list[Published]:
+        """Return what the estimator that is replaced still has to publish."""
+        return []
+
+    # -- inputs ---------------------------------------------------------------------------------------------
+
+    def _bind(self) -> None:
+        """See :class:`ReportingAdapter`; in trouble each input goes to both estimators."""
+        super()._bind()
+        candidate = self.recovery.candidate
+        if candidate is None:
+            return
+        for feed in self.table(self.config, candidate.core):
+            topic = feed.input.topic
+            self.feeds[topic] = replace(self.feeds[topic], take=self._take_by_both(self.feeds[topic].take, feed.take))
+
+    def _take_by_both(self, first: Callable[..., Any], second: Callable[..., Any]) -> Callable[[Any, int], Any]:
+        def take(value: Any, waiting_ns: int) -> Any:
+            outcome = first(value, waiting_ns)
+            candidate = self.recovery.candidate
+            assert candidate is not None
+            candidate.note(second(value, waiting_ns), waiting_ns)
+            return outcome
+
+        return take
+
+    def told(
+        self, feed: Feed, reading: ReadMessage[Any], outcome: Any, receive_ns: int, waiting_ns: int
+    ) -> list[Published]:
+        """See :class:`ReportingAdapter`; a message that can be used shows that its source is there."""
+        refusal = None if outcome is None else outcome.refusal
+        if outcome is not None and not feed.judged and (refusal is None or refusal.reason in _COUNTS):
+            self._arrived_ns[feed.source] = waiting_ns
+        return super().told(feed, reading, outcome, receive_ns, waiting_ns)
+
+    def end_ahead(self, turn: BlockTurn) -> list[BlockPart]:
+        """See :class:`BlockAdapter`."""
+        self._arrived_ns[self.feeds[turn.topic].source] = int(turn.receive_ns[-1])
+        return super().end_ahead(turn)
+
+    def published(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[Published]:
+        """See :class:`ReportingAdapter`; a measurement that could be compared shows that its source is there."""
+        for decision in outcome.decisions:
+            if decision.reason in _COUNTS:
+                self._arrived_ns[decision.measurement.source] = waiting_ns
+            self.recovery.note_decision(self.core, decision)
+        return super().published(outcome, now_ns, waiting_ns)
+
+    def takes_blocks(self, topic: str) -> bool:
+        """See :class:`BlockAdapter`."""
+        return super().takes_blocks(topic) and self.recovery.candidate is None
+
+    @property
+    def quiet_until_ns(self) -> int:
+        """See :class:`BlockAdapter`."""
+        return min(super().quiet_until_ns, 0 if self._looked_ns is None else self._looked_ns + _LOOK_NS)
+
+    def _pass_on_contested(self, topic: str) -> None:
+        super()._pass_on_contested(topic)
+        candidate, feed = self.recovery.candidate, self.feeds[topic]
+        if candidate is not None and not self.is_off(topic):
+            candidate.core.contest(feed.measured_by or feed.source, self._contested.text(topic))
+
+    # -- once a second --------------------------------------------------------------------------------------
+
+    def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
+        """See :class:`ReportingAdapter`; once a second the second estimator starts, goes on or is adopted."""
+        published = super().tick(now_ns, waiting_ns)
+        waiting_ns = now_ns if waiting_ns is None else waiting_ns
+        candidate = self.recovery.candidate
+        if candidate is not None:
+            candidate.note(candidate.core.tick(now_ns, waiting_ns), waiting_ns)
+        if self._looked_ns is None or waiting_ns - self._looked_ns >= _LOOK_NS:
+            self._looked_ns = waiting_ns - waiting_ns % _LOOK_NS
+            published += self._look(waiting_ns)
+        return published
+
+    def _look(self, waiting_ns: int) -> list[Published]:
+        there, before = self._there(waiting_ns), self.recovery.candidate
+        is_valid = self.latest is not None and self.latest.status is Status.VALID
+        is_as_expected = is_valid or self.behind is not None or not self.may_be_valid(there)
+        published: list[Published] = []
+        if self.recovery.look(waiting_ns, self.core, is_as_expected, there):
+            published = self._adopt(waiting_ns)
+        if self.recovery.candidate is not before:
+            self._bind()
+            for topic in filter(self._contested.text, self.feeds):
+                self._pass_on_contested(topic)
+        return published
+
+    def _there(self, waiting_ns: int) -> frozenset[str]:
+        """Return the sources whose last usable message came recently."""
+        return frozenset(
+            source
+            for source, arrived_ns in self._arrived_ns.items()
+            for kind, most_s in self.there_for_s.items()
+            if source.startswith(kind) and waiting_ns - arrived_ns <= most_s * 1e9
+        )
+
+    def _adopt(self, waiting_ns: int) -> list[Published]:
+        """Replace the estimator by the second one; outputs go on in order."""
+        candidate = self.recovery.candidate
+        assert candidate is not None
+        published = self.before_adoption()
+        candidate.core.replace(self.core)
+        self.core = candidate.core
+        self.recovery.note_adoption(waiting_ns)
+        # What was published of the estimator before does not hold for the next output.
+        self.told_levels = ToldLevels()
+        self.conflicts.clear()
+        self.verdicts.clear()
+        self.notices.append(f"recovered after {self.recovery.took_s:.0f} s: a second estimator was adopted")
+        return published
+
+    # -- services, parameters, resets -----------------------------------------------------------------------
+
+    def service(self, name: str, now_ns: int) -> ServiceResult:
+        """See :class:`ReportingAdapter`; in trouble nothing is saved."""
+        if name == "save_alignment" and self.saved is not None and self.recovery.is_in_trouble:
+            return ServiceResult(False, _REFUSED_IN_TROUBLE.format(self._trouble_text()))
+        result = super().service(name, now_ns)
+        if name == "load_alignment" and result.success:
+            self._forget_trouble()
+        return result
+
+    def _save_by_itself(self, waiting_ns: int) -> None:
+        if not self.recovery.is_in_trouble:
+            super()._save_by_itself(waiting_ns)
+
+    def set_parameters(self, changes: Mapping[str, Any]) -> None:
+        """See :class:`ReportingAdapter`."""
+        super().set_parameters(changes)
+        if self.recovery.candidate is not None:
+            self.recovery.candidate.core.reconfigure(self.config)
+
+    def _restart(self, clock_jumped: bool) -> None:
+        self._forget_trouble()
+        super()._restart(clock_jumped)
+
+    def _forget_trouble(self) -> None:
+        self.recovery.reset()
+        self._arrived_ns.clear()
+        self._looked_ns = None
+        self._bind()
+
+    def _step_time_base(self, step_ns: int, waiting_ns: int) -> None:
+        super()._step_time_base(step_ns, waiting_ns)
+        self.recovery.step_time_base(step_ns)
+        self._bind()
+
+    # -- diagnostics ----------------------------------------------------------------------------------------
+
+    def recovery_status(self) -> DiagnosticStatus:
+        """Return the status of the second estimator."""
+        recovery, values = self.recovery, {}
+        values["second estimator started"] = str(recovery.started)
+        values["adopted"] = str(recovery.adopted)
+        for name, moved_rad in sorted(recovery.displaced.items()):
+            values[f"{name} moved [arcsec]"] = f"{moved_rad / ARCSEC:.1f}"
+        if recovery.is_in_trouble:
+            text = f"a second estimator runs: {self._trouble_text()}"
+            return DiagnosticStatus("recovery", Level.WARN, text, values)
+        text = "no second estimator runs"
+        if recovery.adopted:
+            text += f"; the last one was adopted after {recovery.took_s:.0f} s"
+        return DiagnosticStatus("recovery", Level.OK, text, values)
+
+    def _trouble_text(self) -> str:
+        """Return why there is trouble, and what ends it."""
+        displaced, excluded = self.recovery.displaced, sorted(self.core.excluded)
+        if displaced:
+            moved = ", ".join(f"{name} by {moved_rad / ARCSEC:.0f}″" for name, moved_rad in sorted(displaced.items()))
+            return f"moved and not moved back: {moved}; {self.remedy(displaced)}"
+        if excluded:
+            return f"excluded: {', '.join(excluded)}"
+        return "the status is worse than the inputs allow"
