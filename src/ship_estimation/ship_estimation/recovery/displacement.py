@@ -2,7 +2,7 @@
 
 Each measurement of a source is compared with a remembered state, carried on by the INS. Their separation is a rotation
 vector. It changes slowly, by the drift of the INS, and at once where a source or the INS moves. Only what changes at
-once is summed: an INS that drifts by as much as the contradiction does not end it.
+once is displacement: an INS that drifts by as much as the contradiction does not end it.
 """
 
 from typing import NamedTuple
@@ -14,21 +14,23 @@ from ship_geometry.rotations import FloatArray
 
 _FALSE_STEP = 5.733e-7
 """Probability that a second of a source at rest is taken for a step: that of 5 sigma of one normal variable."""
-_SETTLING = 2
-"""Seconds after a step in which the rest of it is summed, whatever its size."""
+_AT_REST = 0.001
+"""Probability that a source that is back is found to be displaced by its noise alone."""
 _LEFT_SHARE = 0.2
 """A source has moved back where no more than this share of its largest displacement is left."""
 _DECISIVE_SIGMAS = 5.0
-"""The remembered state decides where a source has moved back by so many of its standard deviations."""
+"""The remembered state shows by itself that a source is back if a displacement is so many standard deviations of it."""
+_STEP_LASTS = 10
+"""Seconds from the beginning of a step in which all changes belong to it; slow ones are small in this time."""
 
 
 class Separation(NamedTuple):
     """A measurement of a source against a remembered state.
 
     Attributes:
-        turn: measured minus predicted, rotation vector or its components that are observed, rad, shape (k,).
+        turn: measured minus predicted, rotation vector or those of its components that are observed, rad, shape (k,).
         noise: covariance of the measurement's own noise, rad², shape (k, k).
-        expected: covariance of ``turn`` by the remembered state carried to the time of the measurement, without that
+        expected: covariance of ``turn`` by the remembered state propagated to the time of the measurement, without that
             noise, rad², shape (k, k).
         drift: growth of ``expected`` in one second, rad²/s, shape (k, k).
     """
@@ -39,19 +41,8 @@ class Separation(NamedTuple):
     drift: FloatArray
 
 
-class _Second(NamedTuple):
-    """The mean of a source's separations over about a second, with its covariance."""
-
-    turn: FloatArray
-    noise: FloatArray
-
-
 class Displacement:
-    """What has changed at once in the separation of one source.
-
-    Attributes:
-        turn: sum of the changes that are left, rad, shape (k,).
-        largest_rad: the largest length that this sum had.
+    """The displacement of one source: how far its separation has changed by steps.
 
     Example:
         A source moves by 60″ about Up and back while the INS drifts by 30″ in between:
@@ -71,62 +62,86 @@ class Displacement:
 
     def __init__(self) -> None:
         self._pending: list[Separation] = []
-        self._held: _Second | None = None
-        self._level: FloatArray | None = None
-        self._covariance = np.empty((0, 0))
-        self._settling = 0
+        # The separation now and its covariance; of this, what is not displacement, and its covariance at the last step.
+        self._level = self._at_rest = np.zeros(0)
+        self._covariance = self._at_rest_covariance = np.zeros((0, 0))
+        self._since_step = _STEP_LASTS
+        self._held: tuple[FloatArray, FloatArray] | None = None
         self._newest: Separation | None = None
-        self._newest_turn = np.zeros(0)
-        self.turn = np.zeros(0)
-        self.largest_rad = 0.0
+        self._largest = np.zeros(0)
+
+    @property
+    def largest_rad(self) -> float:
+        """Length of the largest displacement, rad."""
+        return float(np.linalg.norm(self._largest))
 
     def add(self, separation: Separation) -> None:
         """Take a measurement."""
         self._pending.append(separation)
 
     def inflate(self, covariance: FloatArray) -> None:
-        """Allow for a jump of the INS that was detected by itself, rad², shape (k, k)."""
-        if self._level is not None and self._covariance.shape == covariance.shape:
+        """Allow for a jump of the INS that its own rates showed, rad², shape (k, k)."""
+        if self._newest is not None:
             self._covariance = self._covariance + covariance
 
     def end_second(self) -> None:
         """Compare the measurements of the last second with those before."""
+        if self._newest is not None:
+            self._covariance = self._covariance + self._newest.drift
         if not self._pending:
-            if self._level is not None and self._newest is not None:
-                self._covariance = self._covariance + self._newest.drift
             return
-        newest, count = self._pending[-1], len(self._pending)
         turn = np.mean([one.turn for one in self._pending], axis=0)
-        noise = np.mean([one.noise for one in self._pending], axis=0) / count
+        noise = np.mean([one.noise for one in self._pending], axis=0) / len(self._pending)
+        newest = self._pending[-1]._replace(noise=noise)
         self._pending.clear()
-        self._newest, self._newest_turn = newest, turn
-        if self._level is None:
-            self._level, self._covariance = np.zeros_like(turn), newest.expected
-            self.turn = np.zeros_like(turn)
-        self._covariance = self._covariance + newest.drift
-        step, covariance = turn - self._level, self._covariance + noise
+        if self._newest is None:
+            self._level = self._at_rest = self._largest = np.zeros_like(turn)
+            self._covariance = newest.expected
+        self._newest = newest
         # Written so that NaN is no step: it says nothing of the source.
-        is_step = float(step @ np.linalg.solve(covariance, step)) > value_above(_FALSE_STEP, len(step))
-        if is_step or self._settling:
-            self._settling = _SETTLING if is_step else self._settling - 1
-            self.turn = self.turn + step
-            self.largest_rad = max(self.largest_rad, float(np.linalg.norm(self.turn)))
-            self._level, self._covariance, self._held = turn, noise + newest.drift, None
-            return
+        if _square(turn - self._level, self._covariance + noise) > value_above(_FALSE_STEP, len(turn)):
+            if self._since_step >= _STEP_LASTS:
+                self._since_step, self._at_rest_covariance = 0, self._covariance
+            self._level, self._covariance, self._held = turn, noise, None
+        else:
+            self._follow(turn, noise)
+        if self._since_step < _STEP_LASTS:
+            self._since_step += 1
+            if _square(self._displaced, noise) > _square(self._largest, noise):
+                self._largest = self._displaced
+            self._frozen = self._displaced
+        else:
+            self._at_rest = self._level - self._frozen if self.largest_rad else self._level
+
+    def _follow(self, turn: FloatArray, noise: FloatArray) -> None:
+        """Update the level with the second before this one: that in which a step begins must not become a part of it."""
         if self._held is not None:
-            # A second late: one in which a step begins must not become a part of what is compared with.
-            gain = self._covariance @ np.linalg.inv(self._covariance + self._held.noise)
-            self._level = self._level + gain @ (self._held.turn - self._level)
+            before, before_noise = self._held
+            gain = self._covariance @ np.linalg.inv(self._covariance + before_noise)
+            self._level = self._level + gain @ (before - self._level)
             self._covariance = (np.eye(len(turn)) - gain) @ self._covariance
-        self._held = _Second(turn, noise)
+        self._held = turn, noise
+
+    @property
+    def _displaced(self) -> FloatArray:
+        displaced: FloatArray = self._level - self._at_rest
+        return displaced
 
     @property
     def is_displaced(self) -> bool:
-        """True if the source contradicted the others and has not moved back."""
-        left_rad = _LEFT_SHARE * self.largest_rad
-        if not self.largest_rad or float(np.linalg.norm(self.turn)) <= left_rad:
+        """True if the source has moved by a step and not back."""
+        newest = self._newest
+        if newest is None or not self.largest_rad:
             return False
-        assert self._newest is not None
-        sigma_rad = float(np.sqrt(np.max(np.linalg.eigvalsh(self._newest.expected))))
-        is_decisive = self.largest_rad - left_rad >= _DECISIVE_SIGMAS * sigma_rad
-        return not (is_decisive and float(np.linalg.norm(self._newest_turn)) <= left_rad)
+        largest, enough = _square(self._largest, newest.noise), value_above(_AT_REST, len(self._largest))
+        if _square(self._displaced, newest.noise) <= _LEFT_SHARE**2 * largest:
+            return False
+        if _square(self._displaced, self._covariance + self._at_rest_covariance) <= enough:
+            return False
+        is_decisive = _square((1.0 - _LEFT_SHARE) * self._largest, newest.expected) >= _DECISIVE_SIGMAS**2
+        return not (is_decisive and _square(self._level, newest.noise) <= _LEFT_SHARE**2 * largest)
+
+
+def _square(turn: FloatArray, covariance: FloatArray) -> float:
+    """Return a turn's squared length in its standard deviations."""
+    return float(turn @ np.linalg.solve(covariance, turn))

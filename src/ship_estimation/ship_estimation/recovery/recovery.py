@@ -131,6 +131,8 @@ class Recovery:
 
     def __init__(self, config: RecoveryConfig) -> None:
         self._config = config
+        self.candidate: Candidate | None = None
+        self._reference: Any = None
         self.started = self.adopted = 0
         self.took_s = 0.0
         self.reset()
@@ -174,7 +176,8 @@ class Recovery:
         jumps = live.take_jumps()
         was_suspected = self._trouble.first_sign_ns is not None
         was_in_trouble = self.is_in_trouble
-        self._trouble.update(waiting_ns, not is_as_expected or not live.excluded.isdisjoint(there))
+        is_sign = not is_as_expected or not live.excluded.isdisjoint(there)
+        self._trouble.update(waiting_ns, is_sign)
         if self._trouble.first_sign_ns is None:
             if was_suspected:
                 self._forget_fault()
@@ -195,7 +198,7 @@ class Recovery:
             return False
         self.started += not was_in_trouble
         self._choose_candidate(live)
-        return self._is_to_be_adopted(waiting_ns, live, there)
+        return is_sign and self._is_to_be_adopted(waiting_ns, live, there)
 
     def note_adoption(self, waiting_ns: int) -> None:
         """Take note that the candidate has replaced the first estimator."""
@@ -214,8 +217,8 @@ class Recovery:
     def _forget_fault(self) -> None:
         self._displacements: dict[str, Displacement] = {}
         self._displaced_before: Set[str] = frozenset()
-        self._reference: Any = None
-        self.candidate: Candidate | None = None
+        self._reference = None
+        self.candidate = None
 
     def _choose_candidate(self, live: RecoverableCore) -> None:
         """Start the second estimator where none runs, or where what it rests on has changed."""
