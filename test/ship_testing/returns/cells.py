@@ -189,22 +189,22 @@ Draft = dict[str, Any]
 def _kinds(voyages: Mapping[str, VoyageData]) -> Iterator[tuple[str, str, str, dict[str, Any]]]:
     """Voyage, kind, topic and sizes of every kind of fault on every topic that can have it, each topic type once."""
     for voyage, data in voyages.items():
-        for topic, type_name in sorted(data.topics.items()):
-            if (voyage, topic) in _TRIED_ELSEWHERE:
-                continue
-            for kind in KINDS:
-                if can_happen(kind, type_name):
-                    yield voyage, kind, topic, sizes_of(kind, topic, type_name)
+        for topic, kind in itertools.product(_own_topics(voyage, data), KINDS):
+            type_name = data.topics[topic]
+            if can_happen(kind, type_name):
+                yield voyage, kind, topic, sizes_of(kind, topic, type_name)
 
 
-_TRIED_ELSEWHERE = {
-    ("tracker", "ins/imu"),
-    ("tracker", "star/fore/horizon_attitude"),
-    ("tracker", "met/pressure"),
-    ("tracker", "met/temperature"),
-    ("tracker", "met/humidity"),
+_OWN_TOPICS = {
+    "tracker": ("star/starboard/", "gnss/", "gravity/"),
+    "mount": ("theodolite/night/", "theodolite/target", "gnss/"),
 }
-"""(voyage, topic) whose single faults another voyage has."""
+"""Voyage → beginnings of the topics whose single faults it has; its other topics are those of other voyages."""
+
+
+def _own_topics(voyage: str, data: VoyageData) -> list[str]:
+    """Topics whose single faults a voyage has."""
+    return [topic for topic in sorted(data.topics) if topic.startswith(_OWN_TOPICS.get(voyage, ""))]
 
 
 def _single_faults(voyages: Mapping[str, VoyageData]) -> Iterator[Draft]:
@@ -229,7 +229,7 @@ def _starts(voyages: Mapping[str, VoyageData]) -> Iterator[Draft]:
 def _clocks(voyages: Mapping[str, VoyageData]) -> Iterator[Draft]:
     """The clock of each device, and of groups, steps and comes back."""
     for voyage, data in voyages.items():
-        devices = {topic: (topic,) for topic in sorted(data.topics) if (voyage, topic) not in _TRIED_ELSEWHERE}
+        devices = {topic: (topic,) for topic in _own_topics(voyage, data)}
         for name, beginnings in _GROUPS.items():
             members = tuple(topic for topic in sorted(data.topics) if topic.startswith(beginnings))
             if 1 < len(members) < len(data.topics) and members not in devices.values():
@@ -247,7 +247,7 @@ def _clocks(voyages: Mapping[str, VoyageData]) -> Iterator[Draft]:
             }
 
 
-_BY_UTC = ("sky", "tracker")
+_BY_UTC = ("sky", "tracker", "mount")
 """Voyages whose stars are directions in the sky: after a step for good these contradict UTC for good."""
 
 

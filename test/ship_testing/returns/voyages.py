@@ -20,6 +20,7 @@ from ship_simulation.faults.injection import optics_of_bag
 from ship_simulation.faults.optics import Optics
 from ship_simulation.scenario.scenario import Reference, Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
+from ship_simulation.scenario.theodolite_scenario import Rtk, ShipBaseline
 from ship_simulation.simulate_command import write_bag
 from ship_watch.orientations import ORIENTATIONS
 
@@ -49,7 +50,8 @@ def _paper() -> Scenario:
     """Two sensors that solve their attitudes, another attitude system and two antennas."""
     ship = _ship("paper")
     gyro = Reference(rate_hz=_SLOW_HZ, phase_s=0.4, installation_sigma_arcsec=600.0, time_offset_sigma_s=0.05)
-    return replace(ship, references={"gyro": gyro})
+    antennas = ShipBaseline(forward_m=20.0, up_m=1.0, right_m=-3.0, rtk=Rtk(rate_hz=_SLOW_HZ))
+    return replace(ship, references={"gyro": gyro}, ship_baseline=antennas)
 
 
 def _sky() -> Scenario:
@@ -70,11 +72,26 @@ def _tracker() -> Scenario:
 def _theodolite() -> Scenario:
     """Two lights all the time, the ship's attitude given."""
     whole = load_scenario(SCENARIOS / "theodolite.yaml")
-    device = whole.theodolite
+    return replace(whole, ins=replace(whole.ins, rate_hz=1.0), **_pointing(whole))
+
+
+def _mount() -> Scenario:
+    """The same with a camera on the theodolite that sees stars, and a target."""
+    whole = load_scenario(SCENARIOS / "theodolite_night.yaml")
+    parts = _pointing(whole)
+    main = replace(whole.theodolite.main_detector, rate_hz=_SLOW_HZ)
+    parts["theodolite"] = replace(parts["theodolite"], main_detector=main)
+    cameras = {id_: replace(camera, rate_hz=_SLOW_HZ) for id_, camera in whole.telescopes.items()}
+    targets = {id_: replace(target, hidden={}) for id_, target in whole.targets.items()}
+    return replace(whole, ins=replace(whole.ins, rate_hz=1.0), telescopes=cameras, targets=targets, **parts)
+
+
+def _pointing(whole: Scenario) -> dict[str, Any]:
+    """The parts of a scenario that the theodolite needs, with slower devices and lights that never leave."""
     device = replace(
-        device,
-        encoder=replace(device.encoder, rate_hz=_ENCODER_HZ),
-        telescope=replace(device.telescope, rate_hz=_LIGHT_HZ),
+        whole.theodolite,
+        encoder=replace(whole.theodolite.encoder, rate_hz=_ENCODER_HZ),
+        telescope=replace(whole.theodolite.telescope, rate_hz=_LIGHT_HZ),
     )
     beacons = {
         id_: replace(
@@ -87,8 +104,7 @@ def _theodolite() -> Scenario:
         for id_, beacon in whole.beacons.items()
     }
     fused = replace(whole.fused_attitude, rate_hz=_ENCODER_HZ)
-    ins = replace(whole.ins, rate_hz=1.0)
-    return replace(whole, ins=ins, theodolite=device, beacons=beacons, fused_attitude=fused)
+    return {"theodolite": device, "beacons": beacons, "fused_attitude": fused}
 
 
 VOYAGES: dict[str, Callable[[], Scenario]] = {
@@ -96,6 +112,7 @@ VOYAGES: dict[str, Callable[[], Scenario]] = {
     "sky": _sky,
     "tracker": _tracker,
     "theodolite": _theodolite,
+    "mount": _mount,
 }
 """Name of a voyage → its scenario."""
 
