@@ -40,7 +40,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--processes", type=int, default=2, help="worker processes (2)")
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "returns", help="folder of bags and results")
     parser.add_argument("--fresh", action="store_true", help="forget the results that are there")
-    parser.add_argument("--table", action="store_true", help="run nothing; write the table of all results into the page")
+    parser.add_argument(
+        "--table", action="store_true", help="run nothing; write the table of all results into the page"
+    )
     return run_command(parser, _run, arguments)
 
 

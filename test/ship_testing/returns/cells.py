@@ -10,8 +10,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from ship_replay.trials.threats import OVERLAPPING, draw_faults
 from ship_simulation.draws.noise import random_stream
 from ship_simulation.scenario.fault import KINDS, Fault
@@ -284,7 +282,12 @@ def _histories(voyages: Mapping[str, VoyageData]) -> Iterator[Draft]:
         rng = random_stream(number, "returns.history")
         drawn = draw_faults(voyages[voyage].topics, _HISTORY_S, OVERLAPPING, math.nan, rng)
         faults = tuple(one.fault for one in drawn)
-        yield {"voyage": voyage, "row": HISTORY, "name": f"{voyage}: history {number}: {_words(faults)}", "faults": faults}
+        yield {
+            "voyage": voyage,
+            "row": HISTORY,
+            "name": f"{voyage}: history {number}: {_words(faults)}",
+            "faults": faults,
+        }
 
 
 def _words(faults: Sequence[Fault]) -> str:

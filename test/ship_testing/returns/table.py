@@ -6,7 +6,15 @@ from pathlib import Path
 
 from ship_replay.trials.results_file import Result, ResultsFile
 
-HEAD = ("fault", "cells", "returned", "slowest return: attitude, s", "stars, s", "pointing, s", "VALID beyond the level")
+HEAD = (
+    "fault",
+    "cells",
+    "returned",
+    "slowest return: attitude, s",
+    "stars, s",
+    "pointing, s",
+    "VALID beyond the level",
+)
 _COLUMNS = ("ship/attitude", "star/joint/solution", "theodolite/pointing")
 
 Row = tuple[str, ...]
@@ -62,8 +70,8 @@ def failure_lines(result: Result) -> list[str]:
         return [f"{name}: {result['exception'].strip().splitlines()[-1]}"]
     worst = f"{result['worst_over_level']:g} of the level at {result['worst_at_s']:g} s"
     excluded = ", ".join(result["excluded"]) or "none"
-    lines = [
+    line = (
         f"{name}: returned {result['returned']}, {result['returns_s']}, worst {worst}, "
         f"{result['failures']} failures of the software; excluded at the end: {excluded}"
-    ]
-    return lines + [f"    {source}: {text}" for source, text in result["texts"].items()]
+    )
+    return [line, *(f"    {source}: {text}" for source, text in result["texts"].items())]
