@@ -16,6 +16,7 @@ PYTEST_ARGS ?=
 
 VOYAGES ?= 1000
 HOURS ?= 100
+CELLS ?= 0
 RUNS ?= 2000
 LIVE_HOURS ?= 24
 BAG_HOURS ?= 1 10 100
@@ -23,7 +24,7 @@ FAULT_ARGS ?=
 ARGS ?=
 PORT ?= 5006
 
-.PHONY: help setup setup-all test test-all lint quick demo watch bags bench campaign faults hours kills reproduction stanford availability wheels bundle audit clean
+.PHONY: help setup setup-all test test-all lint quick demo watch bags bench campaign faults returns hours kills reproduction stanford availability wheels bundle audit clean
 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 14
@@ -74,6 +75,9 @@ campaign: setup-all ## 2000 seeds of each case (ten hours on two cores), long vo
 
 faults: setup ## voyages with faults: told, attributed, within the protection level; VOYAGES=40 for few
 	@$(RUN) python tools/faults.py --voyages $(VOYAGES) $(FAULT_ARGS)
+
+returns: setup ## after every fault of every input all outputs are VALID again in time; CELLS=50 for some
+	@$(RUN) python tools/returns.py --cells $(CELLS)
 
 hours: setup ## a hundred hours without faults: false exclusions, availability, levels; HOURS=5 for few
 	@$(RUN) python tools/clean_hours.py --hours $(HOURS)

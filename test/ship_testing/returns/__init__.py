@@ -1,0 +1,1 @@
+"""The return matrix: after every fault the outputs are VALID again within their bounds, by themselves."""

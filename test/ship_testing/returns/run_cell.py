@@ -1,0 +1,242 @@
+"""One cell of the return matrix: its messages, made in memory, go through the nodes in this process and are judged.
+
+A run ends when every output has been VALID for some seconds after the last fault, no source is excluded and no fault is
+unresolved, or when the time within which they must return is over.
+"""
+
+import copy
+import heapq
+import time
+import traceback
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ship_bags.stamps import NS_PER_S, ns_from_stamp, stamp_fields
+from ship_node.edge.adapter import TICK_PERIOD_NS, Adapter
+from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC
+from ship_replay.evaluation.sources import JOINT_SOLUTION, Truth
+from ship_replay.trials.voyage_told import INTEGRITY, VoyageSink
+from ship_simulation.faults.faults import Delivery, spoilt
+from ship_simulation.scenario.fault import Fault
+from ship_testing.returns.cells import FIX_TOPIC, Cell, ClockStep
+from ship_testing.returns.voyages import BOUND_S, Message, VoyageData, load_voyage
+
+STEADY_S = 15.0
+"""Time for which all is well before a run ends, s."""
+
+_AFTER_BOUND_S = 5.0
+_AFTER_JUMP_S = 30.0
+"""Bound of ``star_attitude`` after a wrong position, s."""
+
+_LONGEST_GAP_NS = 3 * NS_PER_S // 2
+"""An output that has not come for longer is not VALID, ns."""
+
+_VALID, _UNAVAILABLE = 0, 2
+_WARN = 1
+
+
+def run_cell(cell: Cell, path: Path) -> dict[str, Any]:
+    """Run a cell over the bag of its voyage; return its result as plain data."""
+    begun_s = time.process_time()
+    result: dict[str, Any] = {
+        "voyage": cell.number,
+        "cell": cell.name,
+        "row": cell.row,
+        "of": cell.voyage,
+        "exception": "",
+    }
+    try:
+        result |= _judged(cell, load_voyage(path))
+    except Exception:
+        # A defect of the software is what is looked for; the other cells go on.
+        result |= {"exception": traceback.format_exc(limit=-4), "returned": False}
+    return result | {"cpu_s": round(time.process_time() - begun_s, 2)}
+
+
+class ReturnSink(VoyageSink):
+    """Keeps, beside what :class:`VoyageSink` keeps, since when each output has been VALID.
+
+    Args:
+        truths: topic of an orientation → its truth.
+        outputs: topics of the outputs that must return.
+    """
+
+    def __init__(self, truths: dict[str, Any], outputs: Sequence[str]) -> None:
+        super().__init__(truths)
+        self.valid_since_ns: dict[str, int | None] = dict.fromkeys(outputs)
+        self.last_ns = dict.fromkeys(outputs, 0)
+        self.states: dict[str, int] = {}
+        self.excluded: dict[str, list[str]] = {}
+        self.texts: dict[str, str] = {}
+
+    def write(self, topic: str, message: Any, log_time_ns: int) -> None:
+        """Take an output."""
+        super().write(topic, message, log_time_ns)
+        if topic in self.valid_since_ns:
+            is_valid = int(message.status) == _VALID
+            gap_ns = log_time_ns - self.last_ns[topic]
+            if not is_valid:
+                self.valid_since_ns[topic] = None
+            elif self.valid_since_ns[topic] is None or gap_ns > _LONGEST_GAP_NS:
+                self.valid_since_ns[topic] = log_time_ns
+            self.last_ns[topic] = log_time_ns
+        elif topic in INTEGRITY.values():
+            self.states[topic] = int(message.state)
+            self.excluded[topic] = list(message.excluded)
+        elif topic == DIAGNOSTICS_TOPIC:
+            for status in message.status:
+                level = status.level[0] if isinstance(status.level, bytes) else int(status.level)
+                self.texts[status.name] = status.message if level >= _WARN else ""
+
+    def is_well(self, since_ns: int, now_ns: int) -> bool:
+        """True if all outputs have been VALID since a time, no source is excluded and no fault is unresolved."""
+        return (
+            all(
+                begun_ns is not None and begun_ns <= since_ns and now_ns - self.last_ns[topic] <= _LONGEST_GAP_NS
+                for topic, begun_ns in self.valid_since_ns.items()
+            )
+            and not any(self.excluded.values())
+            and _UNAVAILABLE not in self.states.values()
+        )
+
+
+class SteppedTruth:
+    """The truth of a voyage whose time base has stepped: what is stamped by the new clock is found by the old one."""
+
+    def __init__(self, truth: Truth) -> None:
+        self._truth = truth
+        self.offset_ns = 0
+
+    def exactly_at(self, stamp_ns: int) -> Any:
+        """The true attitude at a stamp; None where there is none."""
+        return self._truth.exactly_at(stamp_ns - self.offset_ns)
+
+
+def _judged(cell: Cell, data: VoyageData) -> dict[str, Any]:
+    chain = data.chain()
+    outputs = [topic for topic in BOUND_S if any(topic == output.topic for output in chain.outputs)]
+    truths = {topic: SteppedTruth(truth) for topic, truth in data.truths.items()}
+    sink = ReturnSink(truths, outputs)
+    bounds_s = {topic: _bound_s(cell, topic) for topic in outputs}
+    consistent_ns = data.time_ns(cell.consistent_from_s)
+    end_ns = consistent_ns + round((max(bounds_s.values()) + _AFTER_BOUND_S) * NS_PER_S)
+    steady_ns = round(STEADY_S * NS_PER_S)
+    run = _Run(list(zip(chain.adapters, chain.taken, strict=True)), sink, truths, cell.steps, data)
+    for message in delivered(cell, data):
+        if message.log_ns > end_ns:
+            break
+        now_ns = message.log_ns
+        if now_ns >= data.time_ns(cell.node_starts_s):
+            run.take(message)
+            if now_ns >= consistent_ns + steady_ns and sink.is_well(now_ns - steady_ns, now_ns):
+                break
+    returns_s = {}
+    for topic, since_ns in sink.valid_since_ns.items():
+        is_there = since_ns is not None and now_ns - sink.last_ns[topic] <= _LONGEST_GAP_NS
+        returns_s[topic] = round(max(since_ns - consistent_ns, 0) / NS_PER_S, 2) if is_there else None
+    starts_ns = data.time_ns(max(cell.starts_s, cell.node_starts_s))
+    claims = [claim for claim in sink.told.claims if claim.log_ns >= starts_ns]
+    worst = max(claims, key=lambda claim: np.nan_to_num(claim.over_level), default=None)
+    return {
+        "returned": all(returns_s[topic] is not None and returns_s[topic] <= bounds_s[topic] for topic in outputs),
+        "returns_s": returns_s,
+        "bounds_s": bounds_s,
+        "ran_s": round((now_ns - consistent_ns) / NS_PER_S, 1),
+        "worst_over_level": round(float(np.nan_to_num(worst.over_level)), 3) if worst else 0.0,
+        "worst_at_s": round((worst.log_ns - data.start_ns) / NS_PER_S, 2) if worst else 0.0,
+        "worst_sigmas": round(max((claim.sigmas for claim in claims), default=0.0), 2),
+        "failures": sink.told.failures,
+        "excluded": sorted({source for sources in sink.excluded.values() for source in sources}),
+        "states": sink.states,
+        "texts": {name: text for name, text in sink.texts.items() if text},
+    }
+
+
+def _bound_s(cell: Cell, topic: str) -> float:
+    if topic == JOINT_SOLUTION and any(fault.topic == FIX_TOPIC for fault in cell.faults):
+        return _AFTER_JUMP_S
+    return BOUND_S[topic]
+
+
+class _Run:
+    """Nodes that take messages, with the ticks between them, by the computer's clock as it stands."""
+
+    def __init__(
+        self,
+        adapters: Sequence[tuple[Adapter, set[str]]],
+        sink: ReturnSink,
+        truths: dict[str, SteppedTruth],
+        steps: Sequence[ClockStep],
+        data: VoyageData,
+    ) -> None:
+        self._adapters, self._sink, self._truths = adapters, sink, truths
+        self._steps = [(data.time_ns(step.at_s), round(step.step_s * NS_PER_S)) for step in steps]
+        self._offset_ns = 0
+        self._last_ns: int | None = None
+
+    def take(self, message: Message) -> None:
+        """Take a message at its arrival, after the ticks that are due by then."""
+        log_ns = message.log_ns
+        last_ns = log_ns if self._last_ns is None else self._last_ns
+        for tick_ns in range((last_ns // TICK_PERIOD_NS + 1) * TICK_PERIOD_NS, log_ns + 1, TICK_PERIOD_NS):
+            self._step_until(tick_ns)
+            for adapter, _ in self._adapters:
+                self._publish(adapter.tick(tick_ns + self._offset_ns, tick_ns), tick_ns)
+        self._last_ns = log_ns
+        self._step_until(log_ns)
+        content = message.content
+        if self._offset_ns:
+            content = copy.deepcopy(content)
+            stamp_ns = ns_from_stamp(content.header.stamp) + _offset_ns(self._steps, message.stamp_ns)
+            content.header.stamp.sec, content.header.stamp.nanosec = stamp_fields(stamp_ns)
+        for adapter, taken in self._adapters:
+            if message.topic in taken:
+                self._publish(adapter.handle(message.topic, content, log_ns + self._offset_ns, log_ns), log_ns)
+
+    def _step_until(self, time_ns: int) -> None:
+        """Set the computer's clock where it steps."""
+        offset_ns = _offset_ns(self._steps, time_ns)
+        if offset_ns != self._offset_ns:
+            step_ns, self._offset_ns = offset_ns - self._offset_ns, offset_ns
+            for truth in self._truths.values():
+                truth.offset_ns = offset_ns
+            for adapter, _ in self._adapters:
+                self._publish(adapter.clock_stepped(step_ns, time_ns + offset_ns, time_ns), time_ns)
+
+    def _publish(self, published: Sequence[tuple[str, Any]], log_ns: int) -> None:
+        for topic, message in published:
+            self._sink.write(topic, message, log_ns)
+
+
+def _offset_ns(steps: Sequence[tuple[int, int]], time_ns: int) -> int:
+    return sum(step_ns for at_ns, step_ns in steps if time_ns >= at_ns)
+
+
+def delivered(cell: Cell, data: VoyageData) -> Iterator[Message]:
+    """The messages of a voyage with the faults of a cell, in order of arrival."""
+    by_topic: dict[str, dict[str, Fault]] = {}
+    for number, fault in enumerate(cell.faults):
+        by_topic.setdefault(fault.topic, {})[f"f{number}"] = fault
+    streams: list[Iterable[Message]] = [[message for message in data.messages if message.topic not in by_topic]]
+    streams += [_spoilt(topic, faults, cell.number, data) for topic, faults in by_topic.items()]
+    return heapq.merge(*streams, key=lambda message: (message.log_ns, message.order))
+
+
+def _spoilt(topic: str, faults: dict[str, Fault], seed: int, data: VoyageData) -> Iterator[Message]:
+    """The messages of a topic with its faults."""
+    given = _deliveries(topic, list(faults.values()), data)
+    for one in spoilt(given, data.topics[topic], faults, data.start_ns, seed, data.optics):
+        yield Message(topic, one.message, one.stamp_ns or 0, one.log_time_ns, one.order)
+
+
+def _deliveries(topic: str, faults: Sequence[Fault], data: VoyageData) -> Iterator[Delivery]:
+    """The messages of a topic; those that a fault may change are copies."""
+    for message in data.messages:
+        if message.topic == topic:
+            since_s = (message.stamp_ns - data.start_ns) / NS_PER_S
+            is_hit = any(fault.start_s <= since_s < fault.end_s for fault in faults)
+            content = copy.deepcopy(message.content) if is_hit else message.content
+            yield Delivery(content, message.log_ns, message.stamp_ns, message.order)
