@@ -458,9 +458,8 @@ class ShipAttitudeCore:
         """Return a remembered state propagated to the oldest time that measurements may still have."""
         return carried(self.filter, memory, jumps, self._shell.window.oldest_ns)
 
-    def separation(self, decision: AttitudeDecision, memory: FilterState | None) -> Separation | None:
-        """Return how far a measurement that was just judged is from a remembered state; from the prior without one."""
-        memory = self.filter.initial_state() if memory is None else memory
+    def separation(self, decision: AttitudeDecision, memory: FilterState) -> Separation | None:
+        """Return how far a measurement that was just judged is from a remembered state."""
         return separation_from(self.filter, memory, decision.measurement, self._track, self._watch)
 
     def departure_sigmas(self, memory: FilterState) -> float:

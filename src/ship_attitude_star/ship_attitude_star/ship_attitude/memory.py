@@ -40,8 +40,6 @@ def start_from_memory(filter_: ShipFilter, memory: FilterState, record: MappingP
 
 def carried(filter_: ShipFilter, memory: FilterState, jumps: Sequence[InsJump], time_ns: int) -> FilterState:
     """Return the remembered state propagated to a time, with a covariance inflated by the jumps of the INS."""
-    if memory.time_ns is None:
-        return memory
     for jump in jumps:
         memory = filter_.opened(memory, jump)
     return filter_.predicted(memory, time_ns)
@@ -93,8 +91,7 @@ def is_undisputed(filter_: ShipFilter, state: FilterState, degraded_after: int) 
 
 def _drift(filter_: ShipFilter, state: FilterState) -> np.ndarray:
     """Return the covariance that comes to a state within a second, shape (n, n)."""
-    if state.time_ns is None:
-        return np.zeros((filter_.model.size, filter_.model.size))
+    assert state.time_ns is not None
     before_ns = state.time_ns - SECOND_NS
     here = None if filter_.vertical is None else filter_.vertical.at(before_ns)
     before = changed(state, time_ns=before_ns, vertical=here, stack=np.zeros_like(state.stack))

@@ -9,6 +9,8 @@ It is adopted where three things hold:
 2. It agrees with the remembered state within :data:`MEMORY_SIGMAS`. A fault that turned all sources alike would not.
 3. Every source that was displaced has moved back (:mod:`ship_estimation.recovery.displacement`), or is excluded by it.
 
+An estimator that was never undisputed has no memory: then 1 alone decides, as after a restart of the node.
+
 Everything here follows from the inputs and their order, once a second of the time of waiting.
 """
 
@@ -75,7 +77,7 @@ class RecoverableCore(Protocol):
         """Return a remembered state propagated to the oldest time that measurements may still have."""
         ...
 
-    def separation(self, decision: Any, memory: Any | None) -> Separation | None:
+    def separation(self, decision: Any, memory: Any) -> Separation | None:
         """Return how far a measurement that was just judged is from a remembered state; None where nothing shows it."""
         ...
 
@@ -154,8 +156,8 @@ class Recovery:
         return {name: one.largest_rad for name, one in self._displacements.items() if one.is_displaced}
 
     def note_decision(self, live: RecoverableCore, decision: Decision[Any]) -> None:
-        """Measure, after a sign of trouble, how far a measurement is from the remembered state."""
-        if self._trouble.first_sign_ns is None or decision.revised:
+        """Measure, after a sign of trouble, how far a measurement is from the remembered state, where there is one."""
+        if self._reference is None or decision.revised:
             return
         separation = live.separation(decision, self._reference)
         if separation is not None:
