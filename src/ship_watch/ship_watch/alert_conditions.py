@@ -54,6 +54,9 @@ The second word is the line. What a dead source takes away is told by the inputs
 _OVERLOAD = "overload"
 """Status of a node that cannot keep up with its inputs. The alert of an output lost by it has the same words."""
 
+_RECOVERY, _RECOVERED = "recovery", "recovered after [s]"
+"""Status of a node's second estimator, and its figure after an adoption."""
+
 _ERROR = 2
 _ITS_NODE = "its node"
 
@@ -217,6 +220,11 @@ def _clock(picture: Picture, limits: Limits) -> Iterable[Condition]:
 
 def _nodes(statuses: Iterable[NodeStatus], limits: Limits) -> Iterable[Condition]:
     for status in statuses:
+        if status.name == _RECOVERY and _RECOVERED in status.values:
+            text = f"{status.node} recovered: a second estimator was adopted"
+            yield Condition(
+                f"{status.node}.recovered", Priority.CAUTION, "", text, float(status.values[_RECOVERED]), unit="s"
+            )
         if status.level < _ERROR:
             continue
         kind, _, line = status.name.partition(" ")

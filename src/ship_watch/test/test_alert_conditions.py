@@ -70,6 +70,7 @@ CASES: dict[tuple[str, str], tuple[Picture, Machine | None]] = {
     ("NODE.stamps", "warning"): (picture(), node("stamps")),
     ("NODE.name", "warning"): (picture(), node("name")),
     ("NODE.overload", "warning"): (picture(), node("overload")),
+    ("NODE.recovered", "caution"): (picture(), node("recovery", level=0, **{"recovered after [s]": "86"})),
     ("NODE.software", "caution"): (picture(), node("callbacks")),
     ("NODE.sink.ID", "warning"): (picture(), node("sink bridge")),
     ("NODE.source.ID", "caution"): (picture(), node("source gyro")),

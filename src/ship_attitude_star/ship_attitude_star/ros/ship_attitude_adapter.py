@@ -330,10 +330,10 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         text = "; ".join(told) or "as configured or saved"
         return [
             attitude_status(self.latest, self.clock_jumps, self._lacking),
-            DiagnosticStatus("alignment", Level.WARN if told else Level.OK, text),
+            DiagnosticStatus("alignment", Level.WARN if told else Level.OK, text, self.recovery_counts),
             DiagnosticStatus("ins rates", *_RATES[self.core.rates]),
             self._noise_status(),
-            self.recovery_status(),
+            self.recovery_status(waiting_ns),
             *vertical_statuses(self.core, self.latest),
             *self._observability_statuses(),
             *self.integrity_statuses(),

@@ -16,12 +16,13 @@ _FALSE_STEP = 5.733e-7
 """Probability that a second of a source at rest is taken for a step: that of 5 sigma of one normal variable."""
 _AT_REST = 0.001
 """Probability that a source that is back is found to be displaced by its noise alone."""
-_LEFT_SHARE = 0.2
-"""A source has moved back where no more than this share of its largest displacement is left."""
+_LEFT_SHARE, _MOST_LEFT_SHARE = 0.2, 0.5
+"""A source has moved back where no more than the first share of its largest displacement is left; or no more than the
+second, where its measurements do not show the displacement more precisely."""
 _DECISIVE_SIGMAS = 5.0
 """The remembered state shows by itself that a source is back if a displacement is so many standard deviations of it."""
-_STEP_LASTS = 10
-"""Seconds from the beginning of a step in which all changes belong to it; slow ones are small in this time."""
+_STEP_LASTS = 4
+"""Seconds from the beginning of a step in which all changes belong to it; the drift is small in this time."""
 
 
 class Separation(NamedTuple):
@@ -62,9 +63,10 @@ class Displacement:
 
     def __init__(self) -> None:
         self._pending: list[Separation] = []
-        # The separation now and its covariance; of this, what is not displacement, and its covariance at the last step.
-        self._level = self._at_rest = np.zeros(0)
-        self._covariance = self._at_rest_covariance = np.zeros((0, 0))
+        # The separation now, the part of it that is no displacement, and the displacement; covariances of the first and
+        # the last.
+        self._level = self._at_rest = self._displaced = np.zeros(0)
+        self._covariance = self._displaced_covariance = np.zeros((0, 0))
         self._since_step = _STEP_LASTS
         self._held: tuple[FloatArray, FloatArray] | None = None
         self._newest: Separation | None = None
@@ -82,6 +84,7 @@ class Displacement:
     def inflate(self, covariance: FloatArray) -> None:
         """Allow for a jump of the INS that its own rates showed, rad², shape (k, k)."""
         if self._newest is not None:
+            self._absorb_held()
             self._covariance = self._covariance + covariance
 
     def end_second(self) -> None:
@@ -95,37 +98,42 @@ class Displacement:
         newest = self._pending[-1]._replace(noise=noise)
         self._pending.clear()
         if self._newest is None:
-            self._level = self._at_rest = self._largest = np.zeros_like(turn)
-            self._covariance = newest.expected
+            self._level = self._at_rest = self._displaced = self._largest = np.zeros_like(turn)
+            self._covariance, self._displaced_covariance = newest.expected, np.zeros_like(noise)
         self._newest = newest
         # Written so that NaN is no step: it says nothing of the source.
         if _square(turn - self._level, self._covariance + noise) > value_above(_FALSE_STEP, len(turn)):
             if self._since_step >= _STEP_LASTS:
-                self._since_step, self._at_rest_covariance = 0, self._covariance
+                self._since_step = 0
+                self._displaced_covariance = self._displaced_covariance + self._covariance
             self._level, self._covariance, self._held = turn, noise, None
         else:
-            self._follow(turn, noise)
-        if self._since_step < _STEP_LASTS:
-            self._since_step += 1
-            if _square(self._displaced, noise) > _square(self._largest, noise):
-                self._largest = self._displaced
-            self._frozen = self._displaced
-        else:
-            self._at_rest = self._level - self._frozen if self.largest_rad else self._level
+            self._absorb_held()
+            self._held = turn, noise
+        self._sum_up(newest)
 
-    def _follow(self, turn: FloatArray, noise: FloatArray) -> None:
+    def _absorb_held(self) -> None:
         """Update the level with the second before this one: that in which a step begins must not become a part of it."""
-        if self._held is not None:
-            before, before_noise = self._held
-            gain = self._covariance @ np.linalg.inv(self._covariance + before_noise)
-            self._level = self._level + gain @ (before - self._level)
-            self._covariance = (np.eye(len(turn)) - gain) @ self._covariance
-        self._held = turn, noise
+        if self._held is None:
+            return
+        turn, noise = self._held
+        gain = self._covariance @ np.linalg.inv(self._covariance + noise)
+        self._level = self._level + gain @ (turn - self._level)
+        self._covariance = (np.eye(len(turn)) - gain) @ self._covariance
+        self._held = None
 
-    @property
-    def _displaced(self) -> FloatArray:
-        displaced: FloatArray = self._level - self._at_rest
-        return displaced
+    def _sum_up(self, newest: Separation) -> None:
+        """Take the change of the level for displacement where a step is under way, for drift otherwise."""
+        if self._since_step >= _STEP_LASTS:
+            self._at_rest = self._level - self._displaced
+            return
+        self._since_step += 1
+        self._displaced = self._level - self._at_rest
+        if _square(self._displaced, newest.noise) > _square(self._largest, newest.noise):
+            self._largest = self._displaced
+        if self._since_step == _STEP_LASTS:
+            drift = _STEP_LASTS * newest.drift
+            self._displaced_covariance = self._displaced_covariance + self._covariance + drift
 
     @property
     def is_displaced(self) -> bool:
@@ -133,12 +141,17 @@ class Displacement:
         newest = self._newest
         if newest is None or not self.largest_rad:
             return False
-        largest, enough = _square(self._largest, newest.noise), value_above(_AT_REST, len(self._largest))
-        if _square(self._displaced, newest.noise) <= _LEFT_SHARE**2 * largest:
+        largest, left = _square(self._largest, newest.noise), _square(self._displaced, newest.noise)
+        if left <= _LEFT_SHARE**2 * largest:
             return False
-        if _square(self._displaced, self._covariance + self._at_rest_covariance) <= enough:
-            return False
-        is_decisive = _square((1.0 - _LEFT_SHARE) * self._largest, newest.expected) >= _DECISIVE_SIGMAS**2
+        within_noise = value_above(_AT_REST, len(self._largest))
+        if left <= _MOST_LEFT_SHARE**2 * largest and self._since_step >= _STEP_LASTS:
+            if _square(self._displaced, self._displaced_covariance) <= within_noise:
+                return False
+        # The share of the largest displacement that a separation shows, by least squares.
+        to_share = np.linalg.solve(newest.noise, self._largest) / largest
+        sigma = float(np.sqrt(to_share @ (newest.expected + self._covariance) @ to_share))
+        is_decisive = 1.0 - _LEFT_SHARE >= _DECISIVE_SIGMAS * sigma
         return not (is_decisive and _square(self._level, newest.noise) <= _LEFT_SHARE**2 * largest)
 
 

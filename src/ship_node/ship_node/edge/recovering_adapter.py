@@ -25,6 +25,9 @@ from ship_node.edge.topics import Published
 _LOOK_NS = 1_000_000_000
 """Time of waiting from one decision to the next, ns."""
 
+_SHOWN_NS = 60_000_000_000
+"""Time of waiting for which an adoption is reported as new, ns."""
+
 _COUNTS = frozenset({
     *(Reason.NONE, Reason.GATE, Reason.STUCK, Reason.UNITS, Reason.EXCLUDED, Reason.ATTITUDE_CONFLICT),
     *(Reason.LIGHT_CONFLICT, Reason.MISIDENTIFIED, Reason.UNIDENTIFIED, Reason.JUMP),
@@ -48,6 +51,7 @@ class RecoveringAdapter(BlockAdapter):
         self.recovery = Recovery(config.recovery)
         self._arrived_ns: dict[str, int] = {}
         self._looked_ns: int | None = None
+        self._adopted_ns: int | None = None
         super().__init__(config, *rest)
 
     # -- what a node adds -----------------------------------------------------------------------------------
@@ -167,6 +171,7 @@ class RecoveringAdapter(BlockAdapter):
         candidate.core.replace(self.core)
         self.core = candidate.core
         self.recovery.note_adoption(waiting_ns)
+        self._adopted_ns = waiting_ns
         # What was published of the estimator before does not hold for the next output.
         self.told_levels = ToldLevels()
         self.conflicts.clear()
@@ -212,11 +217,17 @@ class RecoveringAdapter(BlockAdapter):
 
     # -- diagnostics ----------------------------------------------------------------------------------------
 
-    def recovery_status(self) -> DiagnosticStatus:
+    @property
+    def recovery_counts(self) -> dict[str, str]:
+        """How often a second estimator was needed and adopted, for diagnostics."""
+        recovery = self.recovery
+        return {"second estimators started": str(recovery.started), "second estimators adopted": str(recovery.adopted)}
+
+    def recovery_status(self, waiting_ns: int) -> DiagnosticStatus:
         """Return the status of the second estimator."""
-        recovery, values = self.recovery, {}
-        values["second estimator started"] = str(recovery.started)
-        values["adopted"] = str(recovery.adopted)
+        recovery, values = self.recovery, self.recovery_counts
+        if self._adopted_ns is not None and waiting_ns - self._adopted_ns <= _SHOWN_NS:
+            values["recovered after [s]"] = f"{recovery.took_s:.0f}"
         for name, moved_rad in sorted(recovery.displaced.items()):
             values[f"{name} moved [arcsec]"] = f"{moved_rad / ARCSEC:.1f}"
         if recovery.is_in_trouble:

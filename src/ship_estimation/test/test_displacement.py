@@ -1,0 +1,105 @@
+"""Has a source that contradicted the others moved back: false steps of noise and drift, turns that last, return or drift.
+
+The expected numbers are those of the simulated turns; how often noise is taken for a step is held against the binomial
+distribution (scipy).
+"""
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from ship_estimation.recovery.displacement import Displacement, Separation
+from ship_geometry.rotations import ARCSEC
+
+SIGMA = np.array([100.0, 3.0, 3.0]) * ARCSEC / np.sqrt(5.0)
+"""Noise of a second of a star sensor at 5 Hz: about its line of sight, and across."""
+NOISE = np.diag(SIGMA**2)
+HEADING_DRIFT = 2.0 * (72.0 * ARCSEC) ** 2 / 10800.0
+"""Growth of the variance of an INS's heading with 72″ and 10 800 s, rad²/s: that of a Gauss-Markov process."""
+DRIFT = np.diag([1e-14, HEADING_DRIFT, 1e-14])
+EXPECTED = (2.0 * ARCSEC) ** 2 * np.eye(3)
+
+
+def sailed(turns: np.ndarray, seed: int, drifts: bool = True) -> list[bool]:
+    """Whether a source is displaced after each second; it is turned about Up by so much."""
+    rng, source, drift, found = np.random.default_rng(seed), Displacement(), 0.0, []
+    variance = EXPECTED.copy()
+    for turn in turns:
+        drift += rng.normal(0.0, np.sqrt(HEADING_DRIFT)) if drifts else 0.0
+        variance = variance + DRIFT
+        separation = rng.normal(0.0, SIGMA) + np.array([0.0, turn + drift, 0.0])
+        source.add(Separation(separation, NOISE, variance, DRIFT))
+        source.end_second()
+        found.append(source.is_displaced)
+    return found
+
+
+def lasting(arcsec: float, from_s: int, until_s: int, length_s: int) -> np.ndarray:
+    """A turn in each second, rad."""
+    seconds = np.arange(length_s)
+    return arcsec * ARCSEC * ((seconds >= from_s) & (seconds < until_s))
+
+
+def test_noise_and_drift_are_no_step() -> None:
+    """Each second may be a step with 5.7e-7; of five hours none, at 99.9 %."""
+    hours = 5
+    displaced = sum(any(sailed(np.zeros(3600), seed)) for seed in range(hours))
+    assert displaced <= binom.ppf(0.999, hours * 3600, 5.733e-7)
+
+
+@pytest.mark.parametrize("arcsec", [20.0, 60.0, 120.0, -3600.0])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_turn_that_lasts_is_never_back(arcsec: float, seed: int) -> None:
+    """For an hour, in which the INS's heading drifts by about as much (its sigma after an hour is 50″)."""
+    found = sailed(lasting(arcsec, 20, 4000, 3600), seed)
+    assert not any(found[:20])
+    assert all(found[22:])
+
+
+@pytest.mark.parametrize("minutes", [1, 15, 60])
+@pytest.mark.parametrize("arcsec", [30.0, 60.0, 3600.0])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_turn_that_goes_back_is_over(minutes: int, arcsec: float, seed: int) -> None:
+    end_s = 20 + 60 * minutes
+    found = sailed(lasting(arcsec, 20, end_s, end_s + 60), seed)
+    assert all(found[22:end_s])
+    assert not any(found[end_s + 6 :])
+
+
+@pytest.mark.parametrize("part", [0.5, 0.7])
+def test_a_turn_that_goes_back_by_a_part_is_not_over(part: float) -> None:
+    turns = lasting(60.0, 20, 100, 300) + lasting(60.0 * (1.0 - part), 100, 300, 300)
+    assert all(sailed(turns, 1)[22:])
+
+
+def test_two_turns_are_over_when_both_are() -> None:
+    found = sailed(lasting(60.0, 20, 200, 300) + lasting(90.0, 60, 120, 300), 1)
+    assert all(found[22:200])
+    assert not any(found[206:])
+
+
+def test_a_step_within_a_second_is_measured_whole() -> None:
+    """The turn begins between two measurements of a second, and ends so: neither part is lost."""
+    turns = lasting(30.0, 20, 100, 160) + lasting(12.0, 19, 20, 160) + lasting(18.0, 100, 101, 160)
+    found = sailed(turns, 4)
+    assert all(found[22:99])
+    assert not any(found[107:])
+
+
+def test_a_jump_that_the_ins_showed_itself_displaces_nothing() -> None:
+    source, jump = Displacement(), np.array([0.0, 100.0 * ARCSEC, 0.0])
+    for second in range(60):
+        source.add(Separation(jump * (second >= 30), NOISE, EXPECTED, DRIFT))
+        if second == 30:
+            source.inflate(np.outer(jump, jump))
+        source.end_second()
+    assert not source.is_displaced
+
+
+def test_a_separation_that_is_no_number_is_no_step() -> None:
+    source = Displacement()
+    for second in range(20):
+        turn = np.full(3, np.nan) if second == 10 else np.zeros(3)
+        source.add(Separation(turn, NOISE, EXPECTED, DRIFT))
+        source.end_second()
+    assert not source.is_displaced
