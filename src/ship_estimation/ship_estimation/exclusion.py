@@ -35,6 +35,10 @@ _MOST_DOUBLINGS = 6
 _HALF_BACK = 0.5
 """A source that was not knocked, and yet contradicted all others, has come back when less of its distance is left."""
 
+_DRIFT_SIGMAS = 3.0
+"""The others show that it has come back only while half of its distance is so many standard deviations of their own
+error: an INS that carries on alone drifts by as much in time."""
+
 _MEAN_OVER = 20
 """Measurements over which the share of a distance that is left is averaged: one of them has more noise than half of a
 small distance."""
@@ -181,7 +185,13 @@ def _farthest(rows: Sequence[int], statistic: FloatArray, threshold: float) -> i
 
 
 def judge_return(
-    exclusion: Exclusion, means: Means, source: int, time_ns: int, return_after_s: float, measured_share: float = 0.0
+    exclusion: Exclusion,
+    means: Means,
+    source: int,
+    time_ns: int,
+    return_after_s: float,
+    measured_share: float = 0.0,
+    share_sigma: float = 0.0,
 ) -> tuple[Exclusion, bool]:
     """Return an excluded source's exclusion after one of its measurements, and True if it is used again.
 
@@ -195,6 +205,7 @@ def judge_return(
         time_ns: the stamp.
         return_after_s: how long it must agree after its first exclusion.
         measured_share: share of :attr:`Exclusion.apart` that is left by that measurement.
+        share_sigma: its standard deviation by the error of the others, without the noise of the measurement.
 
     Example:
         >>> from ship_estimation.running_means import no_means
@@ -207,7 +218,7 @@ def judge_return(
         measured_share = measured_share if abs(measured_share) < _GROSS else _GROSS  # NaN is gross
         share_left = exclusion.share_left + (measured_share - exclusion.share_left) * 2.0 / (_MEAN_OVER + 1.0)
         exclusion = replace(exclusion, share_left=share_left)
-        agrees = agrees and share_left <= _HALF_BACK
+        agrees = agrees and share_left <= _HALF_BACK and _DRIFT_SIGMAS * share_sigma <= _HALF_BACK
     if not agrees:
         return replace(exclusion, agrees_since_ns=None), False
     since_ns = time_ns if exclusion.agrees_since_ns is None else exclusion.agrees_since_ns

@@ -37,6 +37,7 @@ from ship_attitude_star.vertical.config import TOPIC
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.outcome import Status
 from ship_estimation.rate_guard import Rates
+from ship_estimation.recovery.recovery import TOGETHER
 from ship_estimation.refusals import failure
 from ship_geometry.frames import angle_covariance, angles_from_rotation
 from ship_geometry.ros_axes import (
@@ -285,8 +286,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
 
     def remedy(self, displaced: Mapping[str, float]) -> str:
         """See :class:`RecoveringAdapter`."""
-        stars = [f"star.{id_}" for id_ in self.config.star_sensors]
-        if len(stars) > 1 and displaced.keys() >= set(stars):
+        if TOGETHER in displaced:
             return (
                 "all star sensors moved: if they were remounted, ~/reset; otherwise check gnss/fix and the computer's "
                 "clock, or the INS"

@@ -459,8 +459,15 @@ class ShipAttitudeCore:
         return carried(self.filter, memory, jumps, self._shell.window.oldest_ns)
 
     def separation(self, decision: AttitudeDecision, memory: FilterState) -> Separation | None:
-        """Return how far a measurement that was just judged is from a remembered state."""
+        """Return how far stars that were just judged are from a remembered state; None for all other measurements."""
+        if not self.filter.devices[decision.measurement.source].is_star:
+            return None
         return separation_from(self.filter, memory, decision.measurement, self._track, self._watch)
+
+    @property
+    def is_contradicted_together(self) -> bool:
+        """True if all stars together are excluded, because they contradict the INS."""
+        return any(one.is_shared for one in self.state.excluded.values())
 
     def departure_sigmas(self, memory: FilterState) -> float:
         """Return the largest difference of a lasting state from the remembered one, in standard deviations of both."""

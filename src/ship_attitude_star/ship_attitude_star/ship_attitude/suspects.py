@@ -178,7 +178,7 @@ class Suspects:
             return state, ""
         state = self.ins.believed_again(state, time_ns)
         if source in state.excluded:
-            state, text = self._judge_return(state, source, time_ns)
+            state, text = self._judge_return(state, source, compared, time_ns)
             if source in state.excluded:
                 return state, text
         if distrusted(state):
@@ -371,14 +371,17 @@ class Suspects:
             absorbed=state.absorbed.without_corrections(),
         )
 
-    def _judge_return(self, state: FilterState, source: str, time_ns: int) -> tuple[FilterState, str]:
+    def _judge_return(
+        self, state: FilterState, source: str, compared: RowsCompared, time_ns: int
+    ) -> tuple[FilterState, str]:
         """Return the state after a measurement of an excluded source, which may return with it, and a text."""
         if self._ins_creeps_on(state, source):
             return self.without_ins(state, time_ns), "ins is excluded: it goes on creeping away from all stars"
         index, exclusion = self._sources.index(source), state.excluded[source]
         after_s = self._integrity.return_after_s
         share = self._share_left(state, source, time_ns)
-        exclusion, back = judge_return(exclusion, state.seen, index, time_ns, after_s, share)
+        sigma = _share_sigma(state, source, compared)
+        exclusion, back = judge_return(exclusion, state.seen, index, time_ns, after_s, share, sigma)
         after_s = must_agree_s(exclusion, after_s)
         if not back:
             state = changed(state, excluded=with_entry(state.excluded, source, exclusion))
@@ -504,3 +507,13 @@ class Suspects:
             covariance = np.outer(knock_v, knock_v) + _LEAST_KNOCK_RAD**2 * np.eye(3)
             part = self._model.sources.index(block.source)
             add_error(stack, len(state.means), part, self._model.slices[block.name], covariance)
+
+
+def _share_sigma(state: FilterState, source: str, compared: RowsCompared) -> float:
+    """Return the standard deviation, by the state alone, of the share of an excluded source's distance that is left."""
+    apart = state.excluded[source].apart
+    if apart is None:
+        return 0.0
+    distance = np.linalg.pinv(state.apart[source].root) @ apart
+    by_state = np.eye(3) - compared.turn_noise
+    return float(np.sqrt(max(distance @ by_state @ distance, 0.0)) / (distance @ distance))

@@ -45,6 +45,10 @@ After one second more it errs by 0.3 m, as the ship accelerates. Of an error tha
 SPEED_SIGMA_M_PER_S = 10.0
 """Speed of a ship of which only one fix is known, standard deviation of each horizontal axis."""
 
+JUMP_LASTS_S = 25.0
+"""A position that has jumped is believed after this time, s. A node cannot know which of two positions is right, and a
+wrong one may have come first: it must be left as soon as a right one."""
+
 SETTLED_BY_FIXES = 10
 """Number of different fixes that agree after which a position is established; before, as many others replace it."""
 
@@ -107,7 +111,8 @@ class PlaceByFixes:
         self._fix_max_age_ns = round(config.fix_max_age_s * SECOND_NS)
         self._delay_ns = round(config.gnss_delay_s * SECOND_NS)
         self._oldest_ns: int | None = None
-        reach = JumpLimits(FIX_AT_ONCE_M, config.max_speed_m_per_s, config.fix_max_age_s, "m", SETTLED_BY_FIXES)
+        lasts_s = min(JUMP_LASTS_S, config.fix_max_age_s)
+        reach = JumpLimits(FIX_AT_ONCE_M, config.max_speed_m_per_s, lasts_s, "m", SETTLED_BY_FIXES)
         self._fixes: StampedValues[_Fix] = StampedValues(reach)
 
     def refusal(self, fix: PositionFix) -> Refusal | None:

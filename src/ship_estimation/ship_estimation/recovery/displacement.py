@@ -1,10 +1,11 @@
-"""Displacement of sources: has a source that contradicted the others moved back?
+"""Displacement of a source, or of several together: has what contradicted the others moved back?
 
-Each measurement of a source is compared with a remembered state, carried on by the INS. Their separation is a rotation
-vector. It changes slowly, by the drift of the INS, and at once where a source or the INS moves. Only what changes at
-once is displacement: an INS that drifts by as much as the contradiction does not end it.
+Each measurement is compared with a remembered state, carried on by the INS. Their separation is a rotation vector. It
+changes slowly, by the drift of the INS, and at once where a source or the INS moves. Only what changes at once is
+displacement: an INS that drifts by as much as the contradiction does not end it.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -43,7 +44,7 @@ class Separation(NamedTuple):
 
 
 class Displacement:
-    """The displacement of one source: how far its separation has changed by steps.
+    """The displacement of a source, or of several together: how far their separation has changed by steps.
 
     Example:
         A source moves by 60″ about Up and back while the INS drifts by 30″ in between:
@@ -63,9 +64,9 @@ class Displacement:
 
     def __init__(self) -> None:
         self._pending: list[Separation] = []
-        # The separation now, the part of it that is no displacement, and the displacement; covariances of the first and
-        # the last.
-        self._level = self._at_rest = self._displaced = np.zeros(0)
+        # The separation now, the part of it that is no displacement, the displacement now and before the last step;
+        # covariances of the first and the third.
+        self._level = self._at_rest = self._displaced = self._before = np.zeros(0)
         self._covariance = self._displaced_covariance = np.zeros((0, 0))
         self._since_step = _STEP_LASTS
         self._held: tuple[FloatArray, FloatArray] | None = None
@@ -74,7 +75,7 @@ class Displacement:
 
     @property
     def largest_rad(self) -> float:
-        """Length of the largest displacement, rad."""
+        """Length of the largest displacement, or change of it, rad."""
         return float(np.linalg.norm(self._largest))
 
     def add(self, separation: Separation) -> None:
@@ -87,15 +88,23 @@ class Displacement:
             self._absorb_held()
             self._covariance = self._covariance + covariance
 
+    def begin(self) -> None:
+        """Take the separation for a displacement that another test has found, where none was found here."""
+        if self._newest is None or self.largest_rad:
+            return
+        self._absorb_held()
+        self._displaced = self._largest = self._level
+        self._at_rest = np.zeros_like(self._level)
+        self._displaced_covariance = self._newest.expected
+
     def end_second(self) -> None:
         """Compare the measurements of the last second with those before."""
         if self._newest is not None:
             self._covariance = self._covariance + self._newest.drift
         if not self._pending:
             return
-        turn = np.mean([one.turn for one in self._pending], axis=0)
-        noise = np.mean([one.noise for one in self._pending], axis=0) / len(self._pending)
-        newest = self._pending[-1]._replace(noise=noise)
+        newest = _mean(self._pending)
+        turn, noise = newest.turn, newest.noise
         self._pending.clear()
         if self._newest is None:
             self._level = self._at_rest = self._displaced = self._largest = np.zeros_like(turn)
@@ -104,7 +113,7 @@ class Displacement:
         # Written so that NaN is no step: it says nothing of the source.
         if _square(turn - self._level, self._covariance + noise) > value_above(_FALSE_STEP, len(turn)):
             if self._since_step >= _STEP_LASTS:
-                self._since_step = 0
+                self._since_step, self._before = 0, self._displaced
                 self._displaced_covariance = self._displaced_covariance + self._covariance
             self._level, self._covariance, self._held = turn, noise, None
         else:
@@ -113,7 +122,7 @@ class Displacement:
         self._sum_up(newest)
 
     def _absorb_held(self) -> None:
-        """Update the level with the second before this one: that in which a step begins must not become a part of it."""
+        """Update the level with the second before this one: it must not contain one in which a step begins."""
         if self._held is None:
             return
         turn, noise = self._held
@@ -129,8 +138,9 @@ class Displacement:
             return
         self._since_step += 1
         self._displaced = self._level - self._at_rest
-        if _square(self._displaced, newest.noise) > _square(self._largest, newest.noise):
-            self._largest = self._displaced
+        for moved in (self._displaced, self._displaced - self._before):
+            if _square(moved, newest.noise) > _square(self._largest, newest.noise):
+                self._largest = moved
         if self._since_step == _STEP_LASTS:
             drift = _STEP_LASTS * newest.drift
             self._displaced_covariance = self._displaced_covariance + self._covariance + drift
@@ -145,14 +155,23 @@ class Displacement:
         if left <= _LEFT_SHARE**2 * largest:
             return False
         within_noise = value_above(_AT_REST, len(self._largest))
-        if left <= _MOST_LEFT_SHARE**2 * largest and self._since_step >= _STEP_LASTS:
-            if _square(self._displaced, self._displaced_covariance) <= within_noise:
-                return False
+        is_small = left <= _MOST_LEFT_SHARE**2 * largest and self._since_step >= _STEP_LASTS
+        if is_small and _square(self._displaced, self._displaced_covariance) <= within_noise:
+            return False
         # The share of the largest displacement that a separation shows, by least squares.
         to_share = np.linalg.solve(newest.noise, self._largest) / largest
         sigma = float(np.sqrt(to_share @ (newest.expected + self._covariance) @ to_share))
-        is_decisive = 1.0 - _LEFT_SHARE >= _DECISIVE_SIGMAS * sigma
+        is_decisive = _DECISIVE_SIGMAS * sigma <= 1.0 - _LEFT_SHARE
         return not (is_decisive and _square(self._level, newest.noise) <= _LEFT_SHARE**2 * largest)
+
+
+def _mean(separations: Sequence[Separation]) -> Separation:
+    """Return the mean of separations, weighted by their noise; what is remembered is common to them."""
+    weights = [np.linalg.inv(one.noise) for one in separations]
+    noise = np.linalg.inv(sum(weights))
+    turn = noise @ sum(weight @ one.turn for weight, one in zip(weights, separations, strict=True))
+    expected, drift = (np.mean([one[part] for one in separations], axis=0) for part in (2, 3))
+    return Separation(turn, noise, expected, drift)
 
 
 def _square(turn: FloatArray, covariance: FloatArray) -> float:

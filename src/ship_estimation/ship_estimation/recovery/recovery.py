@@ -7,7 +7,9 @@ It is adopted where three things hold:
 1. For ``confirm_s`` it has been VALID with every source that is there, but for those that it excludes itself while two
    others agree.
 2. It agrees with the remembered state within :data:`MEMORY_SIGMAS`. A fault that turned all sources alike would not.
-3. Every source that was displaced has moved back (:mod:`ship_estimation.recovery.displacement`), or is excluded by it.
+3. All sources together have moved back where they had moved together (:mod:`ship_estimation.recovery.displacement`):
+   the INS may drift by so much meanwhile that the memory does not show it. Sources that have moved by themselves do not
+   hinder the adoption if the second estimator excludes them.
 
 An estimator that was never undisputed has no memory: then 1 alone decides, as after a restart of the node.
 
@@ -28,6 +30,9 @@ from ship_geometry.time_scales import SECOND_NS
 
 MEMORY_SIGMAS = 3.0
 """The second estimator may differ from the remembered state by so many standard deviations of both, each component."""
+
+TOGETHER = "all together"
+"""Name of the displacement that all sources have in common."""
 
 _LEAST_IN_AGREEMENT = 2
 """Sources, the INS among them, that must agree where the second estimator excludes another one."""
@@ -79,6 +84,11 @@ class RecoverableCore(Protocol):
 
     def separation(self, decision: Any, memory: Any) -> Separation | None:
         """Return how far a measurement that was just judged is from a remembered state; None where nothing shows it."""
+        ...
+
+    @property
+    def is_contradicted_together(self) -> bool:
+        """True if all sources together are excluded."""
         ...
 
     def departure_sigmas(self, memory: Any) -> float:
@@ -152,8 +162,16 @@ class Recovery:
 
     @property
     def displaced(self) -> dict[str, float]:
-        """Sources that contradict the others and have not moved back, and by how much they were displaced, rad."""
-        return {name: one.largest_rad for name, one in self._displacements.items() if one.is_displaced}
+        """Sources that have moved and not moved back, and by how much, rad; :data:`TOGETHER` for all of them.
+
+        A source that moves by itself moves the mean of all, too.
+        """
+        found = {name: one.largest_rad for name, one in self._displacements.items() if one.is_displaced}
+        together = found.pop(TOGETHER, None)
+        if together is None:
+            return {}
+        are_some = 0 < len(found) < len(self._displacements) - 1
+        return found if are_some else {TOGETHER: together}
 
     def note_decision(self, live: RecoverableCore, decision: Decision[Any]) -> None:
         """Measure, after a sign of trouble, how far a measurement is from the remembered state, where there is one."""
@@ -161,7 +179,8 @@ class Recovery:
             return
         separation = live.separation(decision, self._reference)
         if separation is not None:
-            self._displacements.setdefault(decision.measurement.source, Displacement()).add(separation)
+            for name in (decision.measurement.source, TOGETHER):
+                self._displacements.setdefault(name, Displacement()).add(separation)
 
     def look(self, waiting_ns: int, live: RecoverableCore, is_as_expected: bool, there: Set[str]) -> bool:
         """Take stock, once a second.
@@ -196,6 +215,8 @@ class Recovery:
             for jump in jumps:
                 displacement.inflate(jump.covariance_n)
             displacement.end_second()
+        if live.is_contradicted_together and TOGETHER in self._displacements:
+            self._displacements[TOGETHER].begin()
         if not self.is_in_trouble:
             return False
         self.started += not was_in_trouble
