@@ -7,7 +7,7 @@ of the INS and of the star sensors, and who carries the attitude when the INS is
 """
 
 from collections import deque
-from collections.abc import Callable, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import replace
 from typing import ClassVar
 
@@ -458,9 +458,11 @@ class ShipAttitudeCore:
         """Return a remembered state propagated to the oldest time that measurements may still have."""
         return carried(self.filter, memory, jumps, self._shell.window.oldest_ns)
 
-    def separation(self, decision: AttitudeDecision, memory: FilterState) -> Separation | None:
-        """Return how far a measurement that was just judged is from a remembered state."""
-        return separation_from(self.filter, memory, decision.measurement, self._track, self._watch)
+    def separations(self, decision: AttitudeDecision, memory: FilterState) -> Mapping[str, Separation]:
+        """Return how far a measurement that was just judged is from a remembered state, by its source."""
+        measurement = decision.measurement
+        separation = separation_from(self.filter, memory, measurement, self._track, self._watch)
+        return {} if separation is None else {measurement.source: separation}
 
     def departure_sigmas(self, memory: FilterState) -> float:
         """Return the largest difference of a lasting state from the remembered one, in standard deviations of both."""
