@@ -292,7 +292,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         if len(displaced) > 1:
             return (
                 "if the ship's antenna, the telescope or an encoder was remounted, set lever, telescope or axes to "
-                "what they are now and ~/reset; otherwise check the cables of the encoders, the RTK base and ship/attitude"
+                "what they are now and ~/reset; otherwise check the encoders' cables, the RTK base and ship/attitude"
             )
         (source,) = displaced
         drone = f"beacons.{source.removeprefix(BEACON)}"
