@@ -13,6 +13,7 @@ import pytest
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import NS_PER_S
+from ship_estimation.outcome import Status
 from ship_node.documents.saved_document import UNTOUCHED
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC
 from ship_replay.evaluation.sources import Truth
@@ -87,17 +88,13 @@ class Found:
     texts: set[str]
 
 
-def new_adapter(path: Path, after_s: float) -> OpticalAxisAdapter:
+def replayed(
+    run_class: type[ReplayRun], path: Path, faults: Sequence[Fault], sink: object, **changes: object
+) -> OpticalAxisAdapter:
+    """Return the node after a replay with faults, with dotted parameters changed (``__`` for the dot)."""
     with read_bag(path) as bag:
         config = suite_config(bag, OpticalAxisAdapter, None, "/optical_axis")
-    recovery = replace(config.recovery, after_s=after_s)
-    return OpticalAxisAdapter(replace(config, recovery=recovery), RosbagsFactory(), UNTOUCHED)
-
-
-def replayed(
-    run_class: type[ReplayRun], path: Path, faults: Sequence[Fault], after_s: float, sink: object
-) -> OpticalAxisAdapter:
-    adapter = new_adapter(path, after_s)
+    adapter = OpticalAxisAdapter(replaced(config, **changes), RosbagsFactory(), UNTOUCHED)
     chain = AdapterChain([adapter])
     run = run_class(chain, sink, ReplaySummary(), truth_topics=set())
     taken = {topic.topic for topic in chain.inputs}
@@ -109,7 +106,7 @@ def replayed(
     return adapter
 
 
-def found(path: Path, *faults: Fault, after_s: float = 5.0) -> Found:
+def found(path: Path, *faults: Fault, **changes: object) -> Found:
     truths = {}
     with read_bag(path) as bag:
         start_ns = bag.start_ns or 0
@@ -118,7 +115,7 @@ def found(path: Path, *faults: Fault, after_s: float = 5.0) -> Found:
             for record in bag.records({orientation.truth_topic}):
                 truths[orientation.topic].add(record.decode())
     sink = _Sink(truths)
-    adapter = replayed(ReplayRun, path, faults, after_s, sink)
+    adapter = replayed(ReplayRun, path, faults, sink, **changes)
     times_s, statuses = (np.array(column) for column in zip(*sink.statuses, strict=True))
     times_s = (times_s - start_ns) / NS_PER_S
     begins = np.flatnonzero(np.diff(statuses != 0, prepend=0))
@@ -143,7 +140,7 @@ ANTENNA = [
 
 
 def test_clocks_of_encoders_and_lights_that_were_late_together(session):
-    without, recovers = found(session, *CLOCKS, after_s=NEVER_S), found(session, *CLOCKS)
+    without, recovers = found(session, *CLOCKS, recovery__after_s=NEVER_S), found(session, *CLOCKS)
     assert without.returned_s > END_S + RETURNS_S
     assert recovers.returned_s < END_S + 75.0
     assert (without.adapter.recovery.adopted, recovers.adapter.recovery.adopted) == (0, 1)
@@ -160,8 +157,8 @@ def test_an_antenna_of_the_ship_that_was_moved_is_not_adopted(session):
 
 def test_without_a_fault_there_is_no_second_estimator_and_the_outputs_are_those_without_recovery(session):
     with_recovery, without = KeptSink(), KeptSink()
-    adapter = replayed(BlockRun, session, [], 5.0, with_recovery)
-    replayed(BlockRun, session, [], NEVER_S, without)
+    adapter = replayed(BlockRun, session, [], with_recovery)
+    replayed(BlockRun, session, [], without, recovery__after_s=NEVER_S)
     assert adapter.recovery.started == 0
     assert with_recovery.published == without.published
 
@@ -170,9 +167,15 @@ def test_without_a_fault_there_is_no_second_estimator_and_the_outputs_are_those_
 def test_blocks_publish_what_messages_one_by_one_do(session, faults):
     by_blocks, one_by_one = KeptSink(), KeptSink()
     adapters = [
-        replayed(BlockRun, session, faults, 5.0, by_blocks),
-        replayed(ReplayRun, session, faults, 5.0, one_by_one),
+        replayed(BlockRun, session, faults, by_blocks),
+        replayed(ReplayRun, session, faults, one_by_one),
     ]
     assert [adapter.recovery.started for adapter in adapters] in ([1, 1], [2, 2])
     assert [adapter.recovery.adopted for adapter in adapters] == [int(faults is CLOCKS)] * 2
     assert by_blocks.published == one_by_one.published
+
+
+def test_pointings_above_the_alert_limit_are_no_trouble(session):
+    adapter = replayed(ReplayRun, session, [], KeptSink(), integrity__alert_limit_arcsec=(10.0, 10.0, 10.0))
+    assert adapter.latest.status is Status.DEGRADED
+    assert adapter.recovery.started == 0

@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from ship_estimation.outcome import Status
+from ship_estimation.protection import above_limit
 from ship_estimation.recovery.recovery import Recovery
 from ship_estimation.refusals import Reason
 from ship_estimation.told_levels import ToldLevels
@@ -153,8 +154,7 @@ class RecoveringAdapter(BlockAdapter):
 
     def _look(self, waiting_ns: int) -> list[Published]:
         there, before = self._there(waiting_ns), self.recovery.candidate
-        is_valid = self.latest is not None and self.latest.status is Status.VALID
-        is_as_expected = is_valid or self.behind is not None or not self.may_be_valid(there)
+        is_as_expected = self._is_as_good_as_it_may_be() or self.behind is not None or not self.may_be_valid(there)
         published: list[Published] = []
         if self.recovery.look(waiting_ns, self.core, is_as_expected, there):
             published = self._adopt(waiting_ns)
@@ -163,6 +163,13 @@ class RecoveringAdapter(BlockAdapter):
             for topic in filter(self._contested.text, self.feeds):
                 self._pass_on_contested(topic)
         return published
+
+    def _is_as_good_as_it_may_be(self) -> bool:
+        """Return True if the last output is VALID, or above the alert limit, which no other estimator would change."""
+        latest = self.latest
+        if latest is None or latest.status is not Status.DEGRADED or not self.config.integrity.alert_limit_arcsec:
+            return latest is not None and latest.status is Status.VALID
+        return bool(above_limit(self.core.integrity(latest), self.quantities))
 
     def _there(self, waiting_ns: int) -> frozenset[str]:
         """Return the sources whose last usable message came recently."""
