@@ -311,7 +311,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
             *self.integrity_statuses(),
             *self.conflict_statuses(),
             *self.verdicts.statuses(),
-            self.recovery_status(),
+            self.recovery_status(waiting_ns),
             clock_status(self.core.filter.model, self.core.state.mean, {"ship": "ins"}),
         ]
 
