@@ -29,13 +29,24 @@ def remembered(seed: int, later_s: float = 20.0) -> tuple[CalibrationState, Sigh
     """A state after 40 sightings, and the sighting of some seconds later."""
     times_s = np.append(np.arange(40.0), 40.0 + later_s)
     *before, after = session(SETTINGS, seed, times_s, sweep(times_s)).sightings
+    return filtered(before), after
+
+
+def filtered(sightings: list[Sighting]) -> CalibrationState:
     state = FILTER.initial_state()
-    for sighting in before:
+    for sighting in sightings:
         predicted = FILTER.predicted(state, sighting.time_ns, sighting.ship.slow_covariance_n)
         comparison = FILTER.compare(predicted, sighting)
         assert comparison is not None
         state, _ = FILTER.used(predicted, sighting, comparison)
-    return state, after
+    return state
+
+
+def moved_across(sighting: Sighting, right_m: float) -> Sighting:
+    """The sighting with all baselines moved to the right of their lines of sight."""
+    north, _, east = sighting.lights.baseline_n.T
+    right_n = np.column_stack([-east, np.zeros_like(north), north]) / np.hypot(north, east)[:, None]
+    return replace(sighting, lights=replace(sighting.lights, baseline_n=sighting.lights.baseline_n + right_m * right_n))
 
 
 def test_a_baseline_that_moves_turns_its_light_to_the_other_side() -> None:
@@ -78,17 +89,32 @@ def test_what_is_expected_grows_by_the_drift() -> None:
 
 
 def test_a_start_from_the_memory_departs_from_it_by_nothing() -> None:
-    state, _ = remembered(3)
+    state, sighting = remembered(3)
+    now = sighting.ship, sighting.encoder
     start = start_from_memory(FILTER, state)
-    assert departure_sigmas(FILTER, start, state) == 0.0
+    assert departure_sigmas(FILTER, start, state, *now) == pytest.approx(0.0, abs=1e-9)
     assert not start.trust.excluded
     assert start.informed_ns is None
-    row = FILTER.model.slices["axes"].start
+    row = FILTER.model.slices["focal_length"].start
     mean = start.mean.copy()
     mean[row] += 10.0 * np.sqrt(state.covariance[row, row])
     # Both covariances together: sigma times the root of two.
-    assert departure_sigmas(FILTER, replace(start, mean=mean), state) == pytest.approx(10.0 / np.sqrt(2.0))
-    assert departure_sigmas(FILTER, FILTER.initial_state(), state) == np.inf
+    departure = departure_sigmas(FILTER, replace(start, mean=mean), state, *now)
+    assert departure == pytest.approx(10.0 / np.sqrt(2.0), rel=1e-6)
+
+
+@pytest.mark.parametrize(("moved_m", "least", "most"), [(0.0, 0.0, 3.0), (1.0, 4.0, np.inf)])
+def test_another_estimate_departs_from_the_memory_where_all_lights_have_moved(moved_m, least, most) -> None:
+    """A metre at 2 km is 103″; each state by itself hides it, for they are known to tens of arcseconds."""
+    departures = []
+    for seed in range(10):
+        times_s = np.append(np.arange(40.0), 70.0 + np.arange(20.0))
+        sightings = session(SETTINGS, seed, times_s, sweep(times_s)).sightings
+        memory = filtered(sightings[:40])
+        moved = [moved_across(sighting, moved_m) for sighting in sightings[40:]]
+        departures.append(departure_sigmas(FILTER, filtered(moved), memory, moved[-1].ship, moved[-1].encoder))
+    assert least <= np.min(departures)
+    assert np.max(departures) < most
 
 
 def test_jumps_of_the_encoders_widen_the_memory_by_their_size() -> None:

@@ -410,8 +410,13 @@ class OpticalAxisCore:
         return {BEACON + name: separation for name, separation in found.items()}
 
     def departure_sigmas(self, memory: CalibrationState) -> float:
-        """Return the largest difference of a lasting state from the remembered one, in standard deviations of both."""
-        return departure_sigmas(self.filter, self.state, memory)
+        """Return the largest difference from a remembered state, in standard deviations of both."""
+        time_ns = self.state.time_ns
+        ship = None if time_ns is None else self._tracks.ship_at(time_ns)
+        encoder = None if time_ns is None else self._tracks.encoder_at(time_ns)
+        if ship is None or encoder is None:
+            return math.inf
+        return departure_sigmas(self.filter, self.state, memory, ship, encoder)
 
     def unused(self, sources: Set[str]) -> set[str]:
         """Return those of the sources of which no measurement was used recently."""

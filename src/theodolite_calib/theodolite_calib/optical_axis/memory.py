@@ -12,9 +12,12 @@ import numpy as np
 from ship_estimation.recovery.displacement import Separation
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
+from theodolite_calib.chain.axes import axis_chain
+from theodolite_calib.chain.parallelism import telescope_from_main
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Jump
 from theodolite_calib.measured.encoder_watch import EncoderJump
 from theodolite_calib.measured.sighting import Sighting
+from theodolite_calib.measured.tracks import EncoderAt, ShipAt
 
 _UNKNOWN_RAD = float(np.deg2rad(20.0))
 """Standard deviation of each zero point of encoders that stood still while the axis turned."""
@@ -98,16 +101,35 @@ def separations_from(
     return found
 
 
-def departure_sigmas(filter_: CalibrationFilter, state: CalibrationState, memory: CalibrationState) -> float:
-    """Return the largest difference of a lasting state from the remembered one, in standard deviations of both."""
-    if state.time_ns is None:
-        return np.inf
-    memory = filter_.predicted(memory, state.time_ns, memory.ship_steady_n)
+def departure_sigmas(
+    filter_: CalibrationFilter, state: CalibrationState, memory: CalibrationState, ship: ShipAt, encoder: EncoderAt
+) -> float:
+    """Return the largest difference from a remembered state, in standard deviations of both.
+
+    Lasting states are compared one by one. What they and the others do to the telescope together is compared about
+    North, Up and East: it is known better than any of them.
+
+    Args:
+        filter_: of the estimator.
+        state: of it.
+        memory: the remembered state.
+        ship: at the moment of the state.
+        encoder: at that moment.
+    """
+    assert state.time_ns is not None
+    memory = filter_.predicted(memory, state.time_ns, ship.slow_covariance_n)
+    sightings = filter_.sightings
+    errors = sightings.chain_errors(memory.mean)
+    chain = axis_chain(errors, ship.rotation_nd, ship.rate_d, encoder.azimuth, encoder.elevation)
+    _, by_parallelism = telescope_from_main(sightings.parallelism(memory.mean), chain.rotation_nm)
     decay, _ = filter_.model.transition(1.0)
-    variance = state.covariance.diagonal() + memory.covariance.diagonal()
-    compared = (decay == 1.0) & (variance > 0.0)
-    difference = np.abs(state.mean - memory.mean)[compared]
-    return float(np.max(difference / np.sqrt(variance[compared]), initial=0.0))
+    compared = np.vstack([
+        sightings.turn_n(chain, by_parallelism, "parallelism"),
+        np.eye(filter_.model.size)[decay == 1.0],
+    ])  # fmt: skip
+    difference = np.abs(compared @ (state.mean - memory.mean))
+    variance = np.diagonal(compared @ (state.covariance + memory.covariance) @ compared.T)
+    return float(np.max(difference[variance > 0.0] / np.sqrt(variance[variance > 0.0]), initial=0.0))
 
 
 def _turns_right_and_up(direction_n: FloatArray) -> FloatArray:
