@@ -22,6 +22,7 @@ from ship_estimation.parameter_fields import (
 )
 from ship_estimation.parameters import ParameterError
 from ship_estimation.protection import IntegrityConfig
+from ship_estimation.recovery.config import RecoveryConfig
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.chain.axes import NAMES
 
@@ -431,6 +432,7 @@ class OpticalAxisConfig:
     escort: EscortConfig = section(EscortConfig)
     gate: GateConfig = section(GateConfig)
     integrity: IntegrityConfig = section(IntegrityConfig)
+    recovery: RecoveryConfig = section(RecoveryConfig)
     least_fix: str = parameter(
         "fixed", doc="baselines with less than this are not used", choices=("fixed", "float"), live=True
     )

@@ -125,7 +125,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
     always_in: ClassVar[tuple[str, ...]] = ("ins",)
     checked_by: ClassVar["attrgetter[tuple[Any, ...]]"] = attrgetter("status", "sources")
     directions: ClassVar["attrgetter[np.ndarray]"] = attrgetter("rotation_nd")
-    there_for_s: ClassVar[Mapping[str, float]] = {"ins": 3.0, "star.": 10.0, "reference.": 10.0, BASELINE: 10.0}
+    there_for_s: Mapping[str, float] = {"ins": 3.0, "star.": 10.0, "reference.": 10.0, BASELINE: 10.0}
     outputs: tuple[OutputTopic, ...] = (
         OutputTopic(ATTITUDE_TOPIC, ATTITUDE_TYPE),
         OutputTopic(IMU_TOPIC, IMU_TYPE),

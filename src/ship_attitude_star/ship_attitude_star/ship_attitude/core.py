@@ -7,7 +7,7 @@ of the INS and of the star sensors, and who carries the attitude when the INS is
 """
 
 from collections import deque
-from collections.abc import Callable, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import replace
 from typing import ClassVar
 
@@ -458,11 +458,13 @@ class ShipAttitudeCore:
         """Return a remembered state propagated to the oldest time that measurements may still have."""
         return carried(self.filter, memory, jumps, self._shell.window.oldest_ns)
 
-    def separation(self, decision: AttitudeDecision, memory: FilterState) -> Separation | None:
-        """Return how far stars that were just judged are from a remembered state; None for all other measurements."""
-        if not self.filter.devices[decision.measurement.source].is_star:
-            return None
-        return separation_from(self.filter, memory, decision.measurement, self._track, self._watch)
+    def separations(self, decision: AttitudeDecision, memory: FilterState) -> Mapping[str, Separation]:
+        """Return how far stars that were just judged are from a remembered state; nothing for other measurements."""
+        measurement = decision.measurement
+        if not self.filter.devices[measurement.source].is_star:
+            return {}
+        separation = separation_from(self.filter, memory, measurement, self._track, self._watch)
+        return {} if separation is None else {measurement.source: separation}
 
     @property
     def is_contradicted_together(self) -> bool:

@@ -16,7 +16,7 @@ An estimator that was never undisputed has no memory: then 1 alone decides, as a
 Everything here follows from the inputs and their order, once a second of the time of waiting.
 """
 
-from collections.abc import Sequence, Set
+from collections.abc import Mapping, Sequence, Set
 from typing import Any, Protocol
 
 from ship_estimation.outcome import Decision, Outcome, Status
@@ -82,8 +82,8 @@ class RecoverableCore(Protocol):
         """Return a remembered state propagated to the oldest time that measurements may still have."""
         ...
 
-    def separation(self, decision: Any, memory: Any) -> Separation | None:
-        """Return how far a measurement that was just judged is from a remembered state; None where nothing shows it."""
+    def separations(self, decision: Any, memory: Any) -> Mapping[str, Separation]:
+        """Return by source how far what was just judged is from a remembered state; nothing where nothing shows it."""
         ...
 
     @property
@@ -177,9 +177,8 @@ class Recovery:
         """Measure, after a sign of trouble, how far a measurement is from the remembered state, where there is one."""
         if self._reference is None or decision.revised:
             return
-        separation = live.separation(decision, self._reference)
-        if separation is not None:
-            for name in (decision.measurement.source, TOGETHER):
+        for source, separation in live.separations(decision, self._reference).items():
+            for name in (source, TOGETHER):
                 self._displacements.setdefault(name, Displacement()).add(separation)
 
     def look(self, waiting_ns: int, live: RecoverableCore, is_as_expected: bool, there: Set[str]) -> bool:

@@ -5,11 +5,12 @@ estimator runs, messages are taken one by one, and nothing that was learnt is sa
 """
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping, Set
+from collections.abc import Callable, Iterable, Mapping, Set
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import Any
 
 from ship_estimation.outcome import Status
+from ship_estimation.protection import above_limit
 from ship_estimation.recovery.recovery import Recovery
 from ship_estimation.refusals import Reason
 from ship_estimation.told_levels import ToldLevels
@@ -28,7 +29,7 @@ _LOOK_NS = 1_000_000_000
 _SHOWN_NS = 60_000_000_000
 """Time of waiting for which an adoption is reported as new, ns."""
 
-_COUNTS = frozenset({
+SHOWS_SOURCE = frozenset({
     *(Reason.NONE, Reason.GATE, Reason.STUCK, Reason.UNITS, Reason.EXCLUDED, Reason.ATTITUDE_CONFLICT),
     *(Reason.LIGHT_CONFLICT, Reason.MISIDENTIFIED, Reason.UNIDENTIFIED, Reason.JUMP),
 })  # fmt: skip
@@ -44,9 +45,6 @@ class RecoveringAdapter(BlockAdapter):
         recovery: what decides on it.
     """
 
-    there_for_s: ClassVar[Mapping[str, float]]
-    """Beginning of a source's name → age of its last usable message up to which it is there, s."""
-
     def __init__(self, config: Any, *rest: Any) -> None:
         self.recovery = Recovery(config.recovery)
         self._arrived_ns: dict[str, int] = {}
@@ -55,6 +53,19 @@ class RecoveringAdapter(BlockAdapter):
         super().__init__(config, *rest)
 
     # -- what a node adds -----------------------------------------------------------------------------------
+
+    @property
+    @abstractmethod
+    def there_for_s(self) -> Mapping[str, float]:
+        """Beginning of a source's name → age of its last usable message up to which it is there, s."""
+
+    def shown_by(self, feed: Feed, value: Any) -> Iterable[str]:
+        """Return the sources, named as they are excluded, that are there by a message that can be used."""
+        return () if feed.judged else (feed.source,)
+
+    def shown_by_decision(self, decision: Any) -> Iterable[str]:
+        """Return the sources that are there by a measurement that could be compared."""
+        return (decision.measurement.source,)
 
     @abstractmethod
     def may_be_valid(self, there: Set[str]) -> bool:
@@ -95,8 +106,8 @@ class RecoveringAdapter(BlockAdapter):
     ) -> list[Published]:
         """See :class:`ReportingAdapter`; a message that can be used shows that its source is there."""
         refusal = None if outcome is None else outcome.refusal
-        if outcome is not None and not feed.judged and (refusal is None or refusal.reason in _COUNTS):
-            self._arrived_ns[feed.source] = waiting_ns
+        if outcome is not None and (refusal is None or refusal.reason in SHOWS_SOURCE):
+            self._arrived_ns |= dict.fromkeys(self.shown_by(feed, reading.value), waiting_ns)
         return super().told(feed, reading, outcome, receive_ns, waiting_ns)
 
     def end_ahead(self, turn: BlockTurn) -> list[BlockPart]:
@@ -107,8 +118,8 @@ class RecoveringAdapter(BlockAdapter):
     def published(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[Published]:
         """See :class:`ReportingAdapter`; a measurement that could be compared shows that its source is there."""
         for decision in outcome.decisions:
-            if decision.reason in _COUNTS:
-                self._arrived_ns[decision.measurement.source] = waiting_ns
+            if decision.reason in SHOWS_SOURCE:
+                self._arrived_ns |= dict.fromkeys(self.shown_by_decision(decision), waiting_ns)
             self.recovery.note_decision(self.core, decision)
         return super().published(outcome, now_ns, waiting_ns)
 
@@ -143,8 +154,7 @@ class RecoveringAdapter(BlockAdapter):
 
     def _look(self, waiting_ns: int) -> list[Published]:
         there, before = self._there(waiting_ns), self.recovery.candidate
-        is_valid = self.latest is not None and self.latest.status is Status.VALID
-        is_as_expected = is_valid or self.behind is not None or not self.may_be_valid(there)
+        is_as_expected = self._is_as_good_as_it_may_be() or self.behind is not None or not self.may_be_valid(there)
         published: list[Published] = []
         if self.recovery.look(waiting_ns, self.core, is_as_expected, there):
             published = self._adopt(waiting_ns)
@@ -153,6 +163,13 @@ class RecoveringAdapter(BlockAdapter):
             for topic in filter(self._contested.text, self.feeds):
                 self._pass_on_contested(topic)
         return published
+
+    def _is_as_good_as_it_may_be(self) -> bool:
+        """Return True if the last output is VALID, or above the alert limit, which no other estimator would change."""
+        latest = self.latest
+        if latest is None or latest.status is not Status.DEGRADED or not self.config.integrity.alert_limit_arcsec:
+            return latest is not None and latest.status is Status.VALID
+        return bool(above_limit(self.core.integrity(latest), self.quantities))
 
     def _there(self, waiting_ns: int) -> frozenset[str]:
         """Return the sources whose last usable message came recently."""

@@ -9,7 +9,7 @@ as the ship's attitude of that moment is there.
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
@@ -17,7 +17,9 @@ from ship_attitude_star.measurements.readings import SkyInput
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_estimation.estimator_shell import EstimatorShell, Model
+from ship_estimation.exclusion import HEARD_NS
 from ship_estimation.protection import IntegrityReport
+from ship_estimation.recovery.displacement import Separation
 from ship_estimation.refusals import Contradictions, Reason, Refusal
 from ship_estimation.time_shift import with_shifted_stamps
 from ship_geometry.attitude_track import AttitudeSample
@@ -25,12 +27,12 @@ from ship_geometry.rotations import ARCSEC
 from ship_geometry.sample_track import SampleTrack
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.alternatives import ENCODER, SHIP, TELESCOPE
+from theodolite_calib.filter.alternatives import BEACON, ENCODER, SHIP, TELESCOPE
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Jump
 from theodolite_calib.filter.star_step import StarStep
 from theodolite_calib.filter.step import SightingStep
 from theodolite_calib.measured.contradiction import Streams
-from theodolite_calib.measured.encoder_watch import EncoderWatch
+from theodolite_calib.measured.encoder_watch import EncoderWatch, JudgedReading
 from theodolite_calib.measured.samples import (
     AnyExposure,
     BaselineSample,
@@ -55,6 +57,15 @@ from theodolite_calib.optical_axis.calibration import (
     prior_of,
     state_from_prior,
 )
+from theodolite_calib.optical_axis.memory import (
+    OwnJump,
+    carried,
+    departure_sigmas,
+    is_undisputed,
+    separations_from,
+    start_from_memory,
+    stood_still,
+)
 from theodolite_calib.optical_axis.output import DuePointing, PointingOutput, no_pointing
 from theodolite_calib.optical_axis.targets import TargetAnswers
 
@@ -64,6 +75,8 @@ if TYPE_CHECKING:
 
 _OWN_FAULTS = frozenset({Reason.STUCK, Reason.CONFLICT, Reason.GATE})
 """A reading, or an attitude, is rejected for these because its own stream stands, repeats a stamp or jumps."""
+_MOST_JUMPS = 100
+"""Jumps of encoders and ship that are kept until they are asked for, once a second."""
 _TOLD_TWICE = "encoders and ship both say different things of one moment: a clock has told a time twice"
 
 
@@ -164,6 +177,8 @@ class OpticalAxisCore:
         self._newest_stars: tuple[StarExposure, int] | None = None
         self._told_twice: tuple[int, int] | None = None
         self._own_fault_ns: dict[str, int] = {}
+        self._own_jumps: deque[OwnJump] = deque(maxlen=_MOST_JUMPS)
+        self._stands = False
         self._ship_covered_until_ns: int | None = None
 
     def reconfigure(self, config: OpticalAxisConfig) -> None:
@@ -189,6 +204,7 @@ class OpticalAxisCore:
         judged = self._watch.judge(sample, track, shell.window.late(sample.time_ns))
         outcome = PointingOutcome(judged.refusal)
         self._note_own_fault(ENCODER, sample.time_ns, judged.refusal, judged.jump is not None)
+        self._note_own_jump(sample.time_ns, judged)
         if judged.jump is not None and (track.newest is None or sample.time_ns > track.newest.time_ns):
             shell.add_jump(judged.jump.time_ns, ENCODER, judged.jump, track.cut(judged.jump.time_ns))
         if judged.refusal is not None:
@@ -341,6 +357,86 @@ class OpticalAxisCore:
         """The filter's state after the last exposure applied."""
         return self._shell.state
 
+    # -- recovery: see ship_estimation.recovery.recovery.RecoverableCore -----------------------------------------
+
+    @property
+    def excluded(self) -> Set[str]:
+        """The sources that are excluded."""
+        return self.state.trust.excluded
+
+    @property
+    def is_undisputed(self) -> bool:
+        """True if its state rests on lights or stars, nothing is excluded, contradicts another or is in doubt."""
+        now_ns = self._shell.window.newest_ns
+        doubt = self._watch.doubt or self._ship_watch.doubt(now_ns) or self._contradiction(now_ns)
+        return is_undisputed(self.state) and not doubt
+
+    @property
+    def is_contradicted(self) -> bool:
+        """True if lights contradict encoders and ship for longer than a sighting or two, and no source explains it."""
+        conflict = self.state.trust.conflict
+        return conflict is not None and conflict.lasting
+
+    @property
+    def is_contradicted_together(self) -> bool:
+        """True if all lights contradict encoders and ship."""
+        return self.is_contradicted
+
+    def second(self, memory: CalibrationState | None) -> "OpticalAxisCore":
+        """Return another estimator that starts from a remembered state; from the saved one or the prior without.
+
+        With a memory it also starts with the position and the air as they are known here.
+        """
+        second = type(self)(self.config, None if self._sky is None else self._sky.twin(memory is not None))
+        second._start = self._start
+        if memory is None:
+            second.reset()
+            return second
+        second._shell.reset(start_from_memory(second.filter, memory))
+        second._begin()
+        return second
+
+    def take_jumps(self) -> list[OwnJump]:
+        """Return the jumps that encoders and ship showed by themselves since the last call."""
+        jumps = list(self._own_jumps)
+        self._own_jumps.clear()
+        return jumps
+
+    def carried(self, memory: CalibrationState, jumps: Sequence[OwnJump]) -> CalibrationState:
+        """Return a remembered state propagated to the oldest time that measurements may still have."""
+        return carried(self.filter, memory, jumps, self._shell.window.oldest_ns)
+
+    def separations(self, decision: ExposureDecision, memory: CalibrationState) -> Mapping[str, Separation]:
+        """Return how far the lights that were just judged are from a remembered state."""
+        sighting = self.sighting(decision.measurement) if isinstance(decision.measurement, Exposure) else None
+        if sighting is None:
+            return {}
+        found = separations_from(self.filter, memory, sighting)
+        return {BEACON + name: separation for name, separation in found.items()}
+
+    def departure_sigmas(self, memory: CalibrationState) -> float:
+        """Return the largest difference from a remembered state, in standard deviations of both."""
+        time_ns = self.state.time_ns
+        ship = None if time_ns is None else self._tracks.ship_at(time_ns)
+        encoder = None if time_ns is None else self._tracks.encoder_at(time_ns)
+        if ship is None or encoder is None:
+            return math.inf
+        return departure_sigmas(self.filter, self.state, memory, ship, encoder)
+
+    def unused(self, sources: Set[str]) -> set[str]:
+        """Return those of the sources of which no measurement was used recently."""
+        means, since_ns = self.state.trust.means, self._shell.window.newest_ns - HEARD_NS
+        used = (means.heard_ns >= since_ns) & (means.refused[0] == 0)
+        lights = [BEACON + id_ for id_ in self.filter.rows.beacons]
+        return {name for name, is_used in zip(lights, used.tolist(), strict=True) if name in sources and not is_used}
+
+    def replace(self, live: "OpticalAxisCore") -> None:
+        """Go on with the outputs where another estimator ends, of which none is due."""
+        self._shell.continue_outputs(live._shell)
+        self._of_targets = live._of_targets
+        self._targets.continue_answers(live._targets)
+        self.due = None if live.due is None else []
+
     # -- inputs ---------------------------------------------------------------------------------------------
 
     def _take_models(self, config: OpticalAxisConfig) -> None:
@@ -385,7 +481,9 @@ class OpticalAxisCore:
             time_ns = jump.time_ns + self._tracks.ship_shift_ns  # in the time of the exposures
             if changed_after_ns is not None:
                 changed_after_ns += self._tracks.ship_shift_ns
-            self._shell.add_jump(time_ns, "ins", replace(jump, time_ns=time_ns), changed_after_ns)
+            jump = replace(jump, time_ns=time_ns)
+            self._own_jumps.append(OwnJump(jump))
+            self._shell.add_jump(time_ns, "ins", jump, changed_after_ns)
         assert isinstance(judged.sample, ShipSample)
         # The pointing rests on the attitudes of the INS alone: no rate of it, true or not, can spoil that.
         by_ins = self.config.ship.source == "ins/imu"
@@ -435,6 +533,15 @@ class OpticalAxisCore:
         """Note that the stream of the encoders or of the ship has stood, jumped or repeated a stamp by itself."""
         if jumped or (refusal is not None and refusal.reason in _OWN_FAULTS):
             self._own_fault_ns[source] = max(time_ns, self._own_fault_ns.get(source, time_ns))
+
+    def _note_own_jump(self, time_ns: int, judged: JudgedReading) -> None:
+        """Note that the encoders have jumped or stood by their own readings."""
+        if judged.jump is not None:
+            self._own_jumps.append(OwnJump(judged.jump))
+        stands = judged.refusal is not None and judged.refusal.reason is Reason.STUCK
+        if stands and not self._stands:
+            self._own_jumps.append(stood_still(time_ns))
+        self._stands = stands
 
     def _own_faults(self, time_ns: int) -> set[str]:
         """Return those of encoders and ship whose stream showed a fault of its own not long before a time."""

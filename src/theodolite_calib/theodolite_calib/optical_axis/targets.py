@@ -66,6 +66,10 @@ class TargetAnswers:
         self._directions = TargetOutput(config, filter_)
         self._axes = AxisErrors.from_vector(config.axes.values)
 
+    def continue_answers(self, before: "TargetAnswers") -> None:
+        """Go on with the images and the pointings where the answers of another estimator end."""
+        self._waiting, self._put_out = before._waiting, before._put_out
+
     def add(self, sample: TargetSample, waiting_ns: int, outcome: PointingOutcome) -> None:
         """Take an image that is not late."""
         outcome.refusal = self._waiting.add(sample, waiting_ns)

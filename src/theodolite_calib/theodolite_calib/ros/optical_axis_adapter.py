@@ -1,7 +1,7 @@
 """The node ``optical_axis``: which topic feeds which method of its core, what a pointing becomes, its diagnostics."""
 
 import functools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from operator import attrgetter
 from typing import Any, ClassVar
 
@@ -13,6 +13,7 @@ from ship_attitude_star.sky.sky_watch import SkyWatch, installed_sky
 from ship_bags.cdr_template import CdrRows
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.outcome import Status
+from ship_estimation.recovery.recovery import TOGETHER
 from ship_estimation.refusals import Refusal
 from ship_geometry.ros_axes import flu_from_device_vector
 from ship_geometry.rotations import ARCSEC
@@ -32,12 +33,22 @@ from ship_node.edge.messages_out import (
     Level,
     refused_input,
 )
+from ship_node.edge.recovering_adapter import SHOWS_SOURCE, RecoveringAdapter
 from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, untimed
 from ship_node.edge.topics import InputTopic, OutputTopic, Published
 from ship_node.edge.verdict_report import clock_status
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.measured.samples import Exposure, Mode, PointingEstimate, PointingOutcome, PointingRun
-from theodolite_calib.optical_axis.calibration import Calibration
+from theodolite_calib.filter.alternatives import BEACON, ENCODER, SHIP
+from theodolite_calib.measured.samples import (
+    Exposure,
+    ExposureDecision,
+    Mode,
+    PointingEstimate,
+    PointingOutcome,
+    PointingRun,
+    ShipSample,
+)
+from theodolite_calib.optical_axis.calibration import Calibration, CalibrationPrior
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 from theodolite_calib.optical_axis.integrity import QUANTITIES
 from theodolite_calib.ros import messages_in, rows_in
@@ -58,6 +69,10 @@ from theodolite_calib.ros.target_messages import TARGET_TOPIC, TARGET_TYPE, targ
 BASE_FRAME = "theodolite_base"
 INTEGRITY_TOPIC = "theodolite/integrity"
 TARGET_IMAGE_TOPIC = "theodolite/target"
+
+_STREAM_THERE_S = 3.0
+"""Age of the last reading of the encoders, or attitude of the ship, up to which they are there, s."""
+_LIGHTS_OF_A_POINTING = 2
 
 _IMU_TYPE = "sensor_msgs/msg/Imu"
 _SHIP = {
@@ -81,7 +96,7 @@ _BY = {
 }
 
 
-class OpticalAxisAdapter(DeferringAdapter):
+class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
     """The theodolite's optical axis from lights on drones, encoders and the ship's attitude, with its error budget.
 
     Args:
@@ -127,12 +142,22 @@ class OpticalAxisAdapter(DeferringAdapter):
             CALIBRATION_FILE,
             config.calibration_file,
             files,
-            start_from=core.start_from,
-            to_save=core.calibration_to_save,
+            start_from=self._start_from,
+            to_save=self._calibration_to_save,
             nothing="no light or star was used yet: there is no calibration to save",
         )
         self._lever = dict(zip("xyz", flu_from_device_vector(config.lever.vector_m).tolist(), strict=True))
         super().__init__(config, core, factory, functools.partial(pointing_messages, factory, self._lever), saved)
+
+    def _start_from(self, prior: CalibrationPrior, now_ns: int) -> list[str]:
+        """Reset the estimator of now to a saved calibration; return remarks for the operator."""
+        core: OpticalAxisCore = self.core
+        return core.start_from(prior, now_ns)
+
+    def _calibration_to_save(self) -> CalibrationPrior | None:
+        """Return what the estimator of now has learnt."""
+        core: OpticalAxisCore = self.core
+        return core.calibration_to_save()
 
     def make_core(self, config: OpticalAxisConfig, watch: SkyWatch | None) -> OpticalAxisCore:
         """The estimator; one that tells pointings again is made only where that is asked for."""
@@ -239,6 +264,45 @@ class OpticalAxisAdapter(DeferringAdapter):
         core: OpticalAxisCore = self.core
         return core.no_output(now_ns, text)
 
+    @property
+    def there_for_s(self) -> Mapping[str, float]:
+        """See :class:`RecoveringAdapter`; lights are there as long as they make the mode."""
+        return {ENCODER: _STREAM_THERE_S, SHIP: _STREAM_THERE_S, BEACON: self.config.lights_recent_s}
+
+    def shown_by(self, feed: Feed, value: Any) -> Iterable[str]:
+        """See :class:`RecoveringAdapter`; no pointing is VALID by an attitude of the ship that is DEGRADED."""
+        if isinstance(value, ShipSample):
+            return () if value.status is Status.DEGRADED else (SHIP,)
+        return super().shown_by(feed, value)
+
+    def shown_by_decision(self, decision: ExposureDecision) -> Iterable[str]:
+        """See :class:`RecoveringAdapter`: the lights that have all they need."""
+        exposure = decision.measurement
+        if not isinstance(exposure, Exposure):
+            return ()
+        lacking = {name for name, refusal in decision.left_out if refusal.reason not in SHOWS_SOURCE}
+        return [BEACON + light.beacon_id for light in exposure.lights if light.beacon_id not in lacking]
+
+    def may_be_valid(self, there: Set[str]) -> bool:
+        """See :class:`RecoveringAdapter`: with encoders, ship and two lights."""
+        lights = sum(source.startswith(BEACON) for source in there)
+        return {ENCODER, SHIP} <= there and lights >= _LIGHTS_OF_A_POINTING
+
+    def remedy(self, displaced: Mapping[str, float]) -> str:
+        """See :class:`RecoveringAdapter`."""
+        if TOGETHER in displaced:
+            return (
+                "if the ship's antenna, the telescope or an encoder was remounted, set lever, telescope or axes to "
+                "what they are now and ~/reset; otherwise check the encoders' cables, the RTK base and ship/attitude"
+            )
+        drones = ", ".join(f"beacons.{source.removeprefix(BEACON)}.light" for source in sorted(displaced))
+        return f"if an antenna or light was remounted, set {drones} and ~/reset; otherwise check the RTK receiver"
+
+    def before_adoption(self) -> list[Published]:
+        """See :class:`RecoveringAdapter`: all pointings that are due are by the estimator that ends."""
+        self._make_due()
+        return []
+
     def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
         """The pointing, the calibration, lights in conflict with the rest, verdicts."""
         return [
@@ -247,6 +311,7 @@ class OpticalAxisAdapter(DeferringAdapter):
             *self.integrity_statuses(),
             *self.conflict_statuses(),
             *self.verdicts.statuses(),
+            self.recovery_status(waiting_ns),
             clock_status(self.core.filter.model, self.core.state.mean, {"ship": "ins"}),
         ]
 

@@ -85,6 +85,12 @@ class SmoothingAxisCore(OpticalAxisCore):
         super().reconfigure(config)
         self._chain.between = self._between()
 
+    def replace(self, live: OpticalAxisCore) -> None:
+        """See :meth:`OpticalAxisCore.replace`; what the other one put out is smoothed to its end."""
+        super().replace(live)
+        assert isinstance(live, SmoothingAxisCore)
+        self._told = deque(_ToldAtOnce(_alone(estimate), None) for estimate in live.smoothed_to_the_end())
+
     def smoothed_to_the_end(self) -> Iterator[PointingEstimate]:
         """All pointings once more, by all that was sighted, in the order of their stamps; nothing may come after it.
 

@@ -1,0 +1,129 @@
+"""The remembered calibration: separations of lights against geometry and in distribution, departures, jumps."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ship_estimation.gates import mean_nees_band
+from ship_geometry.rotations import ARCSEC
+from ship_geometry.time_scales import SECOND_NS
+from ship_testing.simulated_session import config, session, sweep
+from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
+from theodolite_calib.measured.encoder_watch import EncoderJump
+from theodolite_calib.measured.sighting import Sighting
+from theodolite_calib.optical_axis.memory import (
+    OwnJump,
+    carried,
+    departure_sigmas,
+    separations_from,
+    start_from_memory,
+    stood_still,
+)
+
+SETTINGS = config(ship_antenna__sigma_m=0.01)
+FILTER = CalibrationFilter(SETTINGS)
+
+
+def remembered(seed: int, later_s: float = 20.0) -> tuple[CalibrationState, Sighting]:
+    """A state after 40 sightings, and the sighting of some seconds later."""
+    times_s = np.append(np.arange(40.0), 40.0 + later_s)
+    *before, after = session(SETTINGS, seed, times_s, sweep(times_s)).sightings
+    return filtered(before), after
+
+
+def filtered(sightings: list[Sighting]) -> CalibrationState:
+    state = FILTER.initial_state()
+    for sighting in sightings:
+        predicted = FILTER.predicted(state, sighting.time_ns, sighting.ship.slow_covariance_n)
+        comparison = FILTER.compare(predicted, sighting)
+        assert comparison is not None
+        state, _ = FILTER.used(predicted, sighting, comparison)
+    return state
+
+
+def moved_across(sighting: Sighting, right_m: float) -> Sighting:
+    """The sighting with all baselines moved to the right of their lines of sight."""
+    north, _, east = sighting.lights.baseline_n.T
+    right_n = np.column_stack([-east, np.zeros_like(north), north]) / np.hypot(north, east)[:, None]
+    return replace(sighting, lights=replace(sighting.lights, baseline_n=sighting.lights.baseline_n + right_m * right_n))
+
+
+def test_a_baseline_that_moves_turns_its_light_to_the_other_side() -> None:
+    """By the shift across the line of sight over the distance: plane geometry."""
+    state, sighting = remembered(1)
+    moved_n = np.array([0.4, 0.5, -0.3])
+    baseline_n = sighting.lights.baseline_n.copy()
+    baseline_n[0] += moved_n
+    moved = replace(sighting, lights=replace(sighting.lights, baseline_n=baseline_n))
+    first, other = sighting.names
+    before, after = separations_from(FILTER, state, sighting), separations_from(FILTER, state, moved)
+    north, up, east = baseline_n[0]
+    distance_m, level_m = np.linalg.norm(baseline_n[0]), np.hypot(north, east)
+    right_n = np.array([-east, 0.0, north]) / level_m
+    up_n = np.array([-up * north, level_m**2, -up * east]) / (level_m * distance_m)
+    expected = -np.array([right_n @ moved_n, up_n @ moved_n]) / distance_m
+    # The lever turns the line of sight against the baseline by less than a hundredth.
+    np.testing.assert_allclose(after[first].turn - before[first].turn, expected, atol=0.02 * np.linalg.norm(expected))
+    np.testing.assert_allclose(after[other].turn, before[other].turn, atol=1e-12)
+
+
+def test_separations_have_the_covariance_that_is_stated() -> None:
+    """One sample a seed: mean of the normalised squares within the 99.9 % band of chi-square."""
+    values = []
+    for seed in range(200):
+        state, sighting = remembered(seed)
+        one = separations_from(FILTER, state, sighting)[sighting.names[0]]
+        values.append(float(one.turn @ np.linalg.solve(one.expected + one.noise, one.turn)))
+    low, high = mean_nees_band(len(values), 2)
+    assert low < np.mean(values) < high
+
+
+def test_what_is_expected_grows_by_the_drift() -> None:
+    state, sighting = remembered(2)
+    later = carried(FILTER, state, [], sighting.time_ns + SECOND_NS)
+    now = separations_from(FILTER, state, sighting)[sighting.names[0]]
+    then = separations_from(FILTER, later, replace(sighting, time_ns=later.time_ns))[sighting.names[0]]
+    # What decays within a second of what is known already is a thousandth of it.
+    np.testing.assert_allclose(then.expected - now.expected, now.drift, atol=0.01 * np.max(now.expected))
+
+
+def test_a_start_from_the_memory_departs_from_it_by_nothing() -> None:
+    state, sighting = remembered(3)
+    now = sighting.ship, sighting.encoder
+    start = start_from_memory(FILTER, state)
+    assert departure_sigmas(FILTER, start, state, *now) == pytest.approx(0.0, abs=1e-9)
+    assert not start.trust.excluded
+    assert start.informed_ns is None
+    row = FILTER.model.slices["focal_length"].start
+    mean = start.mean.copy()
+    mean[row] += 10.0 * np.sqrt(state.covariance[row, row])
+    # Both covariances together: sigma times the root of two.
+    departure = departure_sigmas(FILTER, replace(start, mean=mean), state, *now)
+    assert departure == pytest.approx(10.0 / np.sqrt(2.0), rel=1e-6)
+
+
+@pytest.mark.parametrize(("moved_m", "least", "most"), [(0.0, 0.0, 3.0), (1.0, 4.0, np.inf)])
+def test_another_estimate_departs_from_the_memory_where_all_lights_have_moved(moved_m, least, most) -> None:
+    """A metre at 2 km is 103″; each state by itself hides it, for they are known to tens of arcseconds."""
+    departures = []
+    for seed in range(10):
+        times_s = np.append(np.arange(40.0), 70.0 + np.arange(20.0))
+        sightings = session(SETTINGS, seed, times_s, sweep(times_s)).sightings
+        memory = filtered(sightings[:40])
+        moved = [moved_across(sighting, moved_m) for sighting in sightings[40:]]
+        departures.append(departure_sigmas(FILTER, filtered(moved), memory, moved[-1].ship, moved[-1].encoder))
+    assert least <= np.min(departures)
+    assert np.max(departures) < most
+
+
+def test_jumps_of_the_encoders_widen_the_memory_by_their_size() -> None:
+    state, sighting = remembered(4)
+    jump = OwnJump(EncoderJump(sighting.time_ns - SECOND_NS, np.array([300.0, 0.0]) * ARCSEC, ARCSEC))
+    widened = separations_from(FILTER, carried(FILTER, state, [jump], sighting.time_ns), sighting)
+    sigma = np.sqrt(np.max(np.linalg.eigvalsh(widened[sighting.names[0]].expected))) / ARCSEC
+    elevation = sighting.encoder.elevation
+    assert sigma == pytest.approx(300.0 * np.cos(elevation), rel=0.15)
+    assert np.sqrt(jump.covariance_n[0, 0]) / ARCSEC == pytest.approx(300.0, rel=0.01)
+    unknown = separations_from(FILTER, carried(FILTER, state, [stood_still(0)], sighting.time_ns), sighting)
+    assert np.min(np.diagonal(unknown[sighting.names[0]].expected)) > np.deg2rad(5.0) ** 2

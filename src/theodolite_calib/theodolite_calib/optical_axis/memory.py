@@ -1,0 +1,149 @@
+"""The remembered calibration: a start from it, and how far lights and other states are from it.
+
+The rules for which these are asked are those of :mod:`ship_estimation.recovery`. Stars on the mount are not compared
+with it: an excluded source returns by lights.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ship_estimation.recovery.displacement import Separation
+from ship_geometry.rotations import FloatArray
+from ship_geometry.time_scales import SECOND_NS
+from theodolite_calib.chain.axes import axis_chain
+from theodolite_calib.chain.parallelism import telescope_from_main
+from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Jump
+from theodolite_calib.measured.encoder_watch import EncoderJump
+from theodolite_calib.measured.sighting import Sighting
+from theodolite_calib.measured.tracks import EncoderAt, ShipAt
+
+_UNKNOWN_RAD = float(np.deg2rad(20.0))
+"""Standard deviation of each zero point of encoders that stood still while the axis turned."""
+
+
+@dataclass(frozen=True)
+class OwnJump:
+    """A jump that the stream of the encoders or of the ship showed by itself.
+
+    Attributes:
+        jump: the jump.
+    """
+
+    jump: Jump
+
+    @property
+    def covariance_n(self) -> FloatArray:
+        """Covariance of what the jump changes in the directions to lights, to the right and up, rad², shape (2, 2)."""
+        if isinstance(self.jump, EncoderJump):
+            return float(self.jump.jump @ self.jump.jump + self.jump.sigma_rad**2) * np.eye(2)
+        return float(np.trace(self.jump.covariance_n)) * np.eye(2)
+
+
+def stood_still(time_ns: int) -> OwnJump:
+    """Return what encoders that stood still may have missed until a time."""
+    return OwnJump(EncoderJump(time_ns, np.zeros(2), _UNKNOWN_RAD))
+
+
+def is_undisputed(state: CalibrationState) -> bool:
+    """True if a state rests on lights or stars, no source is excluded or contradicts another."""
+    trust = state.trust
+    return state.informed_ns is not None and not (state.refusals or trust.excluded or trust.conflict is not None)
+
+
+def start_from_memory(filter_: CalibrationFilter, memory: CalibrationState) -> CalibrationState:
+    """Return a start with what is remembered of the errors, and with no fault of since then."""
+    return replace(
+        filter_.started(memory.mean, memory.parts),
+        time_ns=memory.time_ns,
+        unaided=memory.unaided,
+        ship_steady_n=memory.ship_steady_n,
+        sighting_count=memory.sighting_count,
+        points_used=memory.points_used,
+        squares=memory.squares,
+    )
+
+
+def carried(
+    filter_: CalibrationFilter, memory: CalibrationState, jumps: Sequence[OwnJump], time_ns: int
+) -> CalibrationState:
+    """Return the remembered state propagated to a time, with a covariance inflated by jumps."""
+    if memory.time_ns is None:
+        return memory
+    for own in jumps:
+        memory = filter_.opened(memory, own.jump)
+    return filter_.predicted(memory, time_ns, memory.ship_steady_n)
+
+
+def separations_from(
+    filter_: CalibrationFilter, memory: CalibrationState, sighting: Sighting
+) -> dict[str, Separation]:
+    """Return by light how far it is from a remembered state, as turns of its direction to the right and up."""
+    state = filter_.predicted(memory, sighting.time_ns, sighting.ship.slow_covariance_n)
+    drift, prediction = _drift(filter_, state), filter_.sightings.predict(state.mean, sighting)
+    noise_m2 = sum(prediction.noise_by_source.values(), np.zeros((2 * len(sighting.names),) * 2))
+    found = {}
+    for light, name in enumerate(sighting.names):
+        rows = slice(2 * light, 2 * light + 2)
+        residual_m = prediction.residual[rows]
+        if not np.all(np.isfinite(residual_m)):
+            continue  # behind the telescope
+        by_light_m = -prediction.by_attitude_n[rows] @ _turns_right_and_up(prediction.lines.direction_n[light])
+        to_turn = np.linalg.inv(by_light_m)
+        by_state = to_turn @ prediction.jacobian[rows]
+        found[name] = Separation(
+            turn=to_turn @ residual_m,
+            noise=to_turn @ noise_m2[rows, rows] @ to_turn.T,
+            expected=by_state @ state.covariance @ by_state.T,
+            drift=by_state @ drift @ by_state.T,
+        )
+    return found
+
+
+def departure_sigmas(
+    filter_: CalibrationFilter, state: CalibrationState, memory: CalibrationState, ship: ShipAt, encoder: EncoderAt
+) -> float:
+    """Return the largest difference from a remembered state, in standard deviations of both.
+
+    Lasting states are compared one by one. What they and the others do to the telescope together is compared about
+    North, Up and East: it is known better than any of them.
+
+    Args:
+        filter_: of the estimator.
+        state: of it.
+        memory: the remembered state.
+        ship: at the moment of the state.
+        encoder: at that moment.
+    """
+    assert state.time_ns is not None
+    memory = filter_.predicted(memory, state.time_ns, ship.slow_covariance_n)
+    sightings = filter_.sightings
+    errors = sightings.chain_errors(memory.mean)
+    chain = axis_chain(errors, ship.rotation_nd, ship.rate_d, encoder.azimuth, encoder.elevation)
+    _, by_parallelism = telescope_from_main(sightings.parallelism(memory.mean), chain.rotation_nm)
+    decay, _ = filter_.model.transition(1.0)
+    compared = np.vstack([
+        sightings.turn_n(chain, by_parallelism, "parallelism"),
+        np.eye(filter_.model.size)[decay == 1.0],
+    ])  # fmt: skip
+    difference = np.abs(compared @ (state.mean - memory.mean))
+    variance = np.diagonal(compared @ (state.covariance + memory.covariance) @ compared.T)
+    return float(np.max(difference[variance > 0.0] / np.sqrt(variance[variance > 0.0]), initial=0.0))
+
+
+def _turns_right_and_up(direction_n: FloatArray) -> FloatArray:
+    """Return the rotation vectors that move a direction to the right and up by one radian, as columns, shape (3, 2)."""
+    north, up, east = direction_n
+    level = np.hypot(north, east)
+    right_n = np.array([-east, 0.0, north]) / level
+    up_n = np.array([-up * north / level, level, -up * east / level])
+    return np.column_stack([np.cross(direction_n, right_n), np.cross(direction_n, up_n)])
+
+
+def _drift(filter_: CalibrationFilter, state: CalibrationState) -> FloatArray:
+    """Return the covariance that comes to a state within a second, shape (n, n)."""
+    if state.time_ns is None:
+        return np.zeros((filter_.model.size, filter_.model.size))
+    before = replace(state, time_ns=state.time_ns - SECOND_NS, parts=np.zeros_like(state.parts))
+    return filter_.predicted(before, state.time_ns, state.ship_steady_n).covariance

@@ -1,0 +1,181 @@
+"""In trouble a second estimator of the pointing takes the same inputs, and replaces the first one where it is right.
+
+The bag is that of ``bags/theodolite.mcap`` with both lights all the time, at rates that cost little.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.message_store import RosbagsFactory
+from ship_bags.stamps import NS_PER_S
+from ship_estimation.outcome import Status
+from ship_node.documents.saved_document import UNTOUCHED
+from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC
+from ship_replay.evaluation.sources import Truth
+from ship_replay.offline.adapter_chain import AdapterChain, suite_config
+from ship_replay.offline.block_run import BlockRun
+from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
+from ship_replay.trials.voyage_told import VoyageSink
+from ship_simulation.faults.injection import Injection
+from ship_simulation.scenario.fault import Fault
+from ship_simulation.simulate_command import write_bag
+from ship_testing.kept_sink import KeptSink
+from ship_testing.theodolite_scenes import bag_scenario, replaced, with_beacons, with_theodolite
+from ship_watch.orientations import ORIENTATIONS
+from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
+from theodolite_calib.ros.pointing_messages import POINTING_TOPIC
+
+pytestmark = pytest.mark.slow
+
+SESSION_S = 320.0
+FAULT_S, LASTS_S = 40.0, 30.0
+END_S = FAULT_S + LASTS_S
+NEVER_S = 1e6
+RETURNS_S = 180.0
+"""Time within which the pointing must be VALID once all inputs are consistent."""
+
+
+@pytest.fixture(scope="session")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    scenario = with_beacons(
+        bag_scenario(duration_s=SESSION_S), leaves_s=1e6, hidden={}, rtk__rate_hz=2.0, imu__rate_hz=2.0
+    )
+    scenario = with_theodolite(scenario, encoder__rate_hz=10.0, telescope__rate_hz=2.0)
+    slower = {
+        "ins": replaced(scenario.ins, rate_hz=1.0),
+        "fused_attitude": replaced(scenario.fused_attitude, rate_hz=10.0),
+    }
+    path = tmp_path_factory.mktemp("recovers") / "theodolite.mcap"
+    write_bag(replace(scenario, **slower), 1, path, b"")
+    return path
+
+
+class _Sink(VoyageSink):
+    """Keeps the statuses of the pointing and the texts of the diagnostics of recovery, too."""
+
+    def __init__(self, truths: dict[str, Truth]) -> None:
+        super().__init__(truths)
+        self.statuses: list[tuple[int, int]] = []
+        self.texts: set[str] = set()
+
+    def write(self, topic: str, message: object, log_time_ns: int) -> None:
+        super().write(topic, message, log_time_ns)
+        if topic == POINTING_TOPIC:
+            self.statuses.append((log_time_ns, int(message.status)))
+        elif topic == DIAGNOSTICS_TOPIC:
+            self.texts |= {status.message for status in message.status if status.name.endswith("recovery")}
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a replay gave.
+
+    Attributes:
+        adapter: of the node.
+        returned_s: time after which the pointing was VALID, but for single exposures that were refused.
+        worst_over_level: largest error while VALID, over its protection level.
+        texts: of the diagnostics of recovery.
+    """
+
+    adapter: OpticalAxisAdapter
+    returned_s: float
+    worst_over_level: float
+    texts: set[str]
+
+
+def replayed(
+    run_class: type[ReplayRun], path: Path, faults: Sequence[Fault], sink: object, **changes: object
+) -> OpticalAxisAdapter:
+    """Return the node after a replay with faults, with dotted parameters changed (``__`` for the dot)."""
+    with read_bag(path) as bag:
+        config = suite_config(bag, OpticalAxisAdapter, None, "/optical_axis")
+    adapter = OpticalAxisAdapter(replaced(config, **changes), RosbagsFactory(), UNTOUCHED)
+    chain = AdapterChain([adapter])
+    run = run_class(chain, sink, ReplaySummary(), truth_topics=set())
+    taken = {topic.topic for topic in chain.inputs}
+    with read_bag(path) as bag:
+        for record in Injection(path, {f"f{number}": one for number, one in enumerate(faults)}, 1).records(bag):
+            if record.topic in taken:
+                run.take(record.topic, record)
+    run.finish()
+    return adapter
+
+
+def found(path: Path, *faults: Fault, **changes: object) -> Found:
+    truths = {}
+    with read_bag(path) as bag:
+        start_ns = bag.start_ns or 0
+        for orientation in ORIENTATIONS:
+            truths[orientation.topic] = Truth(orientation)
+            for record in bag.records({orientation.truth_topic}):
+                truths[orientation.topic].add(record.decode())
+    sink = _Sink(truths)
+    adapter = replayed(ReplayRun, path, faults, sink, **changes)
+    times_s, statuses = (np.array(column) for column in zip(*sink.statuses, strict=True))
+    times_s = (times_s - start_ns) / NS_PER_S
+    begins = np.flatnonzero(np.diff(statuses != 0, prepend=0))
+    # A single exposure that is refused makes one output or a few DEGRADED.
+    spans = [
+        (times_s[first], end_s)
+        for first, end_s in zip(begins, [*times_s[begins[1:]], np.inf], strict=True)
+        if statuses[first] != 0
+    ]
+    long = [end_s for begin_s, end_s in spans if end_s - begin_s > 1.0]
+    levels = [claim.over_level for claim in sink.told.claims]
+    return Found(adapter, max(long, default=0.0), float(np.nanmax(levels)), sink.texts)
+
+
+CLOCKS = [
+    Fault(topic=topic, kind="clock_step", start_s=FAULT_S, end_s=END_S, step_s=-0.1)
+    for topic in ("theodolite/encoder", "theodolite/beacons")
+]
+ANTENNA = [
+    Fault(topic=f"beacon/{id_}/baseline", kind="wrong_fix", start_s=FAULT_S, end_s=NEVER_S, east_m=1.0) for id_ in "ab"
+]
+
+
+def test_clocks_of_encoders_and_lights_that_were_late_together(session):
+    without, recovers = found(session, *CLOCKS, recovery__after_s=NEVER_S), found(session, *CLOCKS)
+    assert without.returned_s > END_S + RETURNS_S
+    assert recovers.returned_s < END_S + 75.0
+    assert (without.adapter.recovery.adopted, recovers.adapter.recovery.adopted) == (0, 1)
+    assert recovers.worst_over_level < 1.0
+
+
+def test_an_antenna_of_the_ship_that_was_moved_is_not_adopted(session):
+    moved = found(session, *ANTENNA)
+    assert moved.adapter.recovery.adopted == 0
+    assert moved.returned_s == np.inf
+    assert moved.worst_over_level < 1.0
+    assert any("if the ship's antenna" in text and "~/reset" in text for text in moved.texts)
+
+
+def test_without_a_fault_there_is_no_second_estimator_and_the_outputs_are_those_without_recovery(session):
+    with_recovery, without = KeptSink(), KeptSink()
+    adapter = replayed(BlockRun, session, [], with_recovery)
+    replayed(BlockRun, session, [], without, recovery__after_s=NEVER_S)
+    assert adapter.recovery.started == 0
+    assert with_recovery.published == without.published
+
+
+@pytest.mark.parametrize("faults", [CLOCKS, ANTENNA], ids=["adopted", "not adopted"])
+def test_blocks_publish_what_messages_one_by_one_do(session, faults):
+    by_blocks, one_by_one = KeptSink(), KeptSink()
+    adapters = [
+        replayed(BlockRun, session, faults, by_blocks),
+        replayed(ReplayRun, session, faults, one_by_one),
+    ]
+    assert [adapter.recovery.started for adapter in adapters] in ([1, 1], [2, 2])
+    assert [adapter.recovery.adopted for adapter in adapters] == [int(faults is CLOCKS)] * 2
+    assert by_blocks.published == one_by_one.published
+
+
+def test_pointings_above_the_alert_limit_are_no_trouble(session):
+    adapter = replayed(ReplayRun, session, [], KeptSink(), integrity__alert_limit_arcsec=(10.0, 10.0, 10.0))
+    assert adapter.latest.status is Status.DEGRADED
+    assert adapter.recovery.started == 0
