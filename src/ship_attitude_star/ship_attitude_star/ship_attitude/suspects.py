@@ -8,6 +8,7 @@ that jumped, its own rates tell (:mod:`ship_estimation.ins_guard`); where they t
 is excluded (:mod:`ship_attitude_star.ship_attitude.ins_at_fault`).
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
@@ -516,4 +517,4 @@ def _share_sigma(state: FilterState, source: str, compared: RowsCompared) -> flo
         return 0.0
     distance = np.linalg.pinv(state.apart[source].root) @ apart
     by_state = np.eye(3) - compared.turn_noise
-    return float(np.sqrt(max(distance @ by_state @ distance, 0.0)) / (distance @ distance))
+    return math.sqrt(max(float(distance @ by_state @ distance), 0.0)) / float(distance @ distance)
