@@ -466,11 +466,6 @@ class ShipAttitudeCore:
         separation = separation_from(self.filter, memory, measurement, self._track, self._watch)
         return {} if separation is None else {measurement.source: separation}
 
-    @property
-    def is_contradicted_together(self) -> bool:
-        """True if all stars together are excluded, because they contradict the INS."""
-        return any(one.is_shared for one in self.state.excluded.values())
-
     def departure_sigmas(self, memory: FilterState) -> float:
         """Return the largest difference of a lasting state from the remembered one, in standard deviations of both."""
         return departure_sigmas(self.filter, self.state, memory)

@@ -88,15 +88,6 @@ class Displacement:
             self._absorb_held()
             self._covariance = self._covariance + covariance
 
-    def begin(self) -> None:
-        """Take the separation for a displacement that another test has found, where none was found here."""
-        if self._newest is None or self.largest_rad:
-            return
-        self._absorb_held()
-        self._displaced = self._largest = self._level
-        self._at_rest = np.zeros_like(self._level)
-        self._displaced_covariance = self._newest.expected
-
     def end_second(self) -> None:
         """Compare the measurements of the last second with those before."""
         if self._newest is not None:

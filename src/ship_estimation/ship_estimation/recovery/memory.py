@@ -11,6 +11,9 @@ State = TypeVar("State")
 LEAST_AGE_NS = 10 * SECOND_NS
 """Time from the remembered state to the first sign of trouble, at least: a fault may act before it shows, ns."""
 
+BEFORE_STEP_NS = 2 * SECOND_NS
+"""The same for the state that a step is measured from: a step shows at once, and the INS drifts little in this time."""
+
 
 class Memory(Generic[State]):
     """The newest undisputed state that is old enough, kept until a newer one is.
@@ -37,9 +40,9 @@ class Memory(Generic[State]):
         while len(self._kept) > 1 and self._kept[1][0] <= time_ns - LEAST_AGE_NS:
             self._kept.popleft()
 
-    def recall(self, first_sign_ns: int) -> State | None:
+    def recall(self, first_sign_ns: int, least_age_ns: int = LEAST_AGE_NS) -> State | None:
         """Return the newest state that is old enough at the first sign of trouble; None where there is none."""
-        old = [state for time_ns, state in self._kept if time_ns <= first_sign_ns - LEAST_AGE_NS]
+        old = [state for time_ns, state in self._kept if time_ns <= first_sign_ns - least_age_ns]
         return old[-1] if old else None
 
     def replace_all(self, by: Callable[[State], State]) -> None:

@@ -22,7 +22,7 @@ from typing import Any, Protocol
 from ship_estimation.outcome import Decision, Outcome, Status
 from ship_estimation.recovery.config import RecoveryConfig
 from ship_estimation.recovery.displacement import Displacement, Separation
-from ship_estimation.recovery.memory import Memory
+from ship_estimation.recovery.memory import BEFORE_STEP_NS, Memory
 from ship_estimation.recovery.trouble import TroubleDetector
 from ship_estimation.time_shift import with_shifted_stamps
 from ship_geometry.rotations import FloatArray
@@ -86,11 +86,6 @@ class RecoverableCore(Protocol):
         """Return by source how far what was just judged is from a remembered state; nothing where nothing shows it."""
         ...
 
-    @property
-    def is_contradicted_together(self) -> bool:
-        """True if all sources together are excluded."""
-        ...
-
     def departure_sigmas(self, memory: Any) -> float:
         """Return the largest difference between its state and a remembered one, in standard deviations of both."""
         ...
@@ -145,6 +140,7 @@ class Recovery:
         self._config = config
         self.candidate: Candidate | None = None
         self._reference: Any = None
+        self._before_step: Any = None
         self.started = self.adopted = 0
         self.took_s = 0.0
         self.reset()
@@ -174,10 +170,10 @@ class Recovery:
         return found if are_some else {TOGETHER: together}
 
     def note_decision(self, live: RecoverableCore, decision: Decision[Any]) -> None:
-        """Measure, after a sign of trouble, how far a measurement is from the remembered state, where there is one."""
-        if self._reference is None or decision.revised:
+        """Measure, after a sign of trouble, how far a measurement is from what was known before it."""
+        if self._before_step is None or decision.revised:
             return
-        for source, separation in live.separations(decision, self._reference).items():
+        for source, separation in live.separations(decision, self._before_step).items():
             for name in (source, TOGETHER):
                 self._displacements.setdefault(name, Displacement()).add(separation)
 
@@ -207,15 +203,16 @@ class Recovery:
             return False
         if not was_suspected:
             self._reference = self._memory.recall(waiting_ns)
+            if self._reference is not None:
+                self._before_step = self._memory.recall(waiting_ns, BEFORE_STEP_NS)
             self._memory.forget_newer(self._reference)
         if self._reference is not None:
             self._reference = live.carried(self._reference, jumps)
+            self._before_step = live.carried(self._before_step, jumps)
         for displacement in self._displacements.values():
             for jump in jumps:
                 displacement.inflate(jump.covariance_n)
             displacement.end_second()
-        if live.is_contradicted_together and TOGETHER in self._displacements:
-            self._displacements[TOGETHER].begin()
         if not self.is_in_trouble:
             return False
         self.started += not was_in_trouble
@@ -234,12 +231,13 @@ class Recovery:
         """Carry what is remembered over a step of all clocks; the second estimator starts again."""
         self._memory.replace_all(lambda state: with_shifted_stamps(state, step_ns))
         self._reference = with_shifted_stamps(self._reference, step_ns)
+        self._before_step = with_shifted_stamps(self._before_step, step_ns)
         self.candidate = None
 
     def _forget_fault(self) -> None:
         self._displacements: dict[str, Displacement] = {}
         self._displaced_before: Set[str] = frozenset()
-        self._reference = None
+        self._reference = self._before_step = None
         self.candidate = None
 
     def _choose_candidate(self, live: RecoverableCore) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 
 from ship_estimation.outcome import Status
 from ship_estimation.protection import above_limit
-from ship_estimation.recovery.recovery import Recovery
+from ship_estimation.recovery.recovery import Candidate, Recovery
 from ship_estimation.refusals import Reason
 from ship_estimation.told_levels import ToldLevels
 from ship_geometry.rotations import ARCSEC
@@ -89,17 +89,7 @@ class RecoveringAdapter(BlockAdapter):
             return
         for feed in self.table(self.config, candidate.core):
             topic = feed.input.topic
-            self.feeds[topic] = replace(self.feeds[topic], take=self._take_by_both(self.feeds[topic].take, feed.take))
-
-    def _take_by_both(self, first: Callable[..., Any], second: Callable[..., Any]) -> Callable[[Any, int], Any]:
-        def take(value: Any, waiting_ns: int) -> Any:
-            outcome = first(value, waiting_ns)
-            candidate = self.recovery.candidate
-            assert candidate is not None
-            candidate.note(second(value, waiting_ns), waiting_ns)
-            return outcome
-
-        return take
+            self.feeds[topic] = replace(self.feeds[topic], take=_by_both(self.feeds[topic].take, feed.take, candidate))
 
     def told(
         self, feed: Feed, reading: ReadMessage[Any], outcome: Any, receive_ns: int, waiting_ns: int
@@ -264,3 +254,16 @@ class RecoveringAdapter(BlockAdapter):
         if excluded:
             return f"excluded: {', '.join(excluded)}"
         return "the status is worse than the inputs allow"
+
+
+def _by_both(
+    first: Callable[..., Any], second: Callable[..., Any], candidate: Candidate
+) -> Callable[[Any, int], Any]:
+    """Return what gives a value to both estimators: the outcome of the first one is published."""
+
+    def take(value: Any, waiting_ns: int) -> Any:
+        outcome = first(value, waiting_ns)
+        candidate.note(second(value, waiting_ns), waiting_ns)
+        return outcome
+
+    return take

@@ -377,11 +377,6 @@ class OpticalAxisCore:
         conflict = self.state.trust.conflict
         return conflict is not None and conflict.lasting
 
-    @property
-    def is_contradicted_together(self) -> bool:
-        """True if all lights contradict encoders and ship."""
-        return self.is_contradicted
-
     def second(self, memory: CalibrationState | None) -> "OpticalAxisCore":
         """Return another estimator that starts from a remembered state; from the saved one or the prior without.
 

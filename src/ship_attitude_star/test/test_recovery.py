@@ -1,0 +1,315 @@
+"""``ship_attitude`` in trouble: a second estimator takes the same inputs, and replaces the first one where it is right.
+
+A state from which the filter does not come back by itself is made by force: its errors are replaced by wrong ones that it
+takes for certain. From which states by which inputs it comes back, the return matrix shows (``make returns``).
+"""
+
+import functools
+from collections.abc import Callable, Iterable
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
+from ship_attitude_star.ship_attitude.memory import separation_from
+from ship_estimation.outcome import Status
+from ship_geometry.ros_axes import quaternion_from_rotation
+from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
+from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, changed_copy, stamp_of
+from ship_testing.small_voyage import (
+    FORE,
+    INS,
+    STARBOARD,
+    Run,
+    assert_honest,
+    drive,
+    new_adapter,
+    rotation_of,
+    since_start_s,
+    voyage,
+)
+from ship_geometry.frames import angles_from_rotation, rotation_from_angles
+
+ATTITUDE = "ship/attitude"
+SPOILT_S, LENGTH_S = 20.0, 110.0
+NEVER_S = 1e6
+CONFIRMED_S = 70.0
+"""After so long the second estimator has been VALID for a minute (``recovery.confirm_s``)."""
+
+
+@functools.cache
+def calm() -> tuple[Arrival, ...]:
+    return voyage(LENGTH_S)
+
+
+def spoil(adapter: ShipAttitudeAdapter) -> None:
+    """Make the filter certain of a heading error of the INS that is wrong by 1°."""
+    core, model = adapter.core, adapter.core.filter.model
+    mean, parts = core.state.mean.copy(), core.state.parts.copy()
+    mean[model.slices["ins.attitude"]] += np.radians([0.0, 1.0, 0.0])
+    parts *= 1e-4
+    spoilt = core.filter.suspects.start(mean, parts)
+    object.__setattr__(spoilt, "time_ns", core.state.time_ns)
+    object.__setattr__(spoilt, "used_ns", core.state.used_ns)
+    core._shell.reset(spoilt)
+
+
+def sailed(
+    arrivals: Iterable[Arrival], spoilt_s: float = SPOILT_S, then: Callable[[Run, float], None] | None = None,
+    **changes: Any,
+) -> Run:
+    """A voyage whose filter is spoilt; ``then`` is called after each arrival with the seconds since the start."""
+    run, is_spoilt = Run(new_adapter(**changes)), False
+    grid_ns = 100_000_000
+    tick_ns = START_NS // grid_ns * grid_ns
+    for arrival in arrivals:
+        while tick_ns + grid_ns <= arrival.receive_ns:
+            tick_ns += grid_ns
+            run.published += [(tick_ns, *item) for item in run.adapter.tick(tick_ns)]
+        since_s = (arrival.receive_ns - START_NS) / SECOND_NS
+        if since_s >= spoilt_s and not is_spoilt:
+            is_spoilt = True
+            spoil(run.adapter)
+        run.published += [
+            (arrival.receive_ns, *item)
+            for item in run.adapter.handle(arrival.topic, arrival.message, arrival.receive_ns)
+        ]
+        run.now_ns = arrival.receive_ns
+        if then is not None:
+            then(run, since_s)
+    return run
+
+
+@functools.cache
+def recovered() -> Run:
+    return sailed(calm())
+
+
+def statuses(run: Run, from_s: float, until_s: float = np.inf) -> set[int]:
+    return {m.status for m in run.messages(ATTITUDE) if from_s <= since_start_s(m) < until_s}
+
+
+def test_a_filter_that_is_certain_of_what_is_wrong_comes_back() -> None:
+    run = recovered()
+    assert statuses(run, SPOILT_S + 1.0, SPOILT_S + 60.0) == {Status.DEGRADED}
+    assert statuses(run, SPOILT_S + CONFIRMED_S) == {Status.VALID}
+    assert (run.adapter.recovery.started, run.adapter.recovery.adopted) == (1, 1)
+    for message in run.messages(ATTITUDE):
+        if since_start_s(message) > SPOILT_S + CONFIRMED_S:
+            assert_honest(message)
+
+
+def test_without_a_second_estimator_it_does_not() -> None:
+    run = sailed(calm(), recovery__after_s=NEVER_S)
+    assert Status.VALID not in statuses(run, SPOILT_S + 1.0)
+    assert run.adapter.recovery.started == 0
+
+
+def test_stamps_go_on_increasing_and_levels_come_before_the_first_new_attitude() -> None:
+    run = recovered()
+    claimed = [stamp_of(m) for m in run.messages(ATTITUDE) if m.status != Status.INVALID]
+    assert all(earlier < later for earlier, later in pairwise(claimed))
+    kinds = [(topic, m) for _, topic, m in run.published if topic in (ATTITUDE, "ship/integrity")]
+    (first,) = [
+        number
+        for number, ((_, before), (_, m)) in enumerate(pairwise(kinds))
+        if getattr(m, "status", None) == Status.VALID
+        and since_start_s(m) > SPOILT_S + 1.0
+        and getattr(before, "status", Status.VALID) != Status.VALID
+    ] or [next(n for n, (topic, m) in enumerate(kinds) if topic == ATTITUDE and since_start_s(m) > SPOILT_S + 60.0
+               and m.status == Status.VALID) - 1]
+    assert kinds[first][0] == "ship/integrity"
+
+
+def test_what_was_known_of_mountings_is_kept() -> None:
+    run, undisturbed = recovered(), drive(new_adapter(), calm())
+    for one, other in zip(_alignment(run), _alignment(undisturbed), strict=True):
+        assert abs(one.value - other.value) < 3.0 * other.sigma
+
+
+def test_it_is_reported_and_counted() -> None:
+    run = recovered()
+    reports = run.diagnostics("recovery", START_NS, run.now_ns)
+    texts = [text for _, text in reports]
+    assert any(text.startswith("a second estimator runs: ") for text in texts)
+    assert texts[-1].startswith("no second estimator runs; the last one was adopted after 6")
+    (notice,) = [text for text in run.adapter.notices if "recovered" in text]
+    assert notice.startswith("recovered after 6")
+    counts = [
+        {value.key: value.value for value in status.values}
+        for _, topic, report in run.published
+        if topic == "/diagnostics"
+        for status in report.status
+        if status.name == "ship_attitude: alignment"
+    ]
+    assert counts[-1]["second estimators adopted"] == "1"
+
+
+def test_nothing_is_saved_in_trouble(tmp_path: Any) -> None:
+    path, answers = tmp_path / "alignment.yaml", []
+
+    def save(run: Run, since_s: float) -> None:
+        if len(answers) < len(times := (SPOILT_S - 1.0, SPOILT_S + 20.0, SPOILT_S + CONFIRMED_S + 1.0)) and (
+            since_s >= times[len(answers)]
+        ):
+            answers.append(run.adapter.service("save_alignment", run.now_ns))
+
+    sailed(calm(), then=save, alignment_file=str(path))
+    assert [answer.success for answer in answers] == [True, False, True]
+    assert answers[1].message.startswith("not saved: a second estimator runs, because ")
+
+
+def turned(arrivals: Iterable[Arrival], turn_n: FloatArray, from_s: float, until_s: float = np.inf) -> list[Arrival]:
+    """All star attitudes turned about North, Up and East, rad."""
+
+    def change(message: Any) -> None:
+        rotation_nv = exp_rotation(turn_n) @ rotation_from_angles(message.azimuth, message.elevation, message.roll)
+        message.azimuth, message.elevation, message.roll = angles_from_rotation(rotation_nv).tolist()
+
+    def is_turned(arrival: Arrival) -> bool:
+        return arrival.topic in (FORE, STARBOARD) and from_s <= (arrival.stamp_ns - START_NS) / SECOND_NS < until_s
+
+    return [changed_copy(one, change) if is_turned(one) else one for one in arrivals]
+
+
+UP = np.array([0.0, 60.0 * ARCSEC, 0.0])
+
+
+def test_a_turn_of_all_stars_that_lasts_is_not_adopted_and_the_text_names_what_ends_it() -> None:
+    run = sailed(turned(calm(), UP, 20.0), spoilt_s=np.inf)
+    assert statuses(run, 22.0) == {Status.DEGRADED}
+    assert (run.adapter.recovery.started, run.adapter.recovery.adopted) == (1, 0)
+    _, text = run.diagnostics("recovery", START_NS, run.now_ns)[-1]
+    assert "all together by 6" in text
+    assert "~/reset" in text
+
+
+def test_reset_after_a_remounting_ends_it_at_once() -> None:
+    resets = []
+
+    def reset(run: Run, since_s: float) -> None:
+        if since_s >= 60.0 and not resets:
+            resets.append(run.adapter.service("reset", run.now_ns))
+
+    run = sailed(turned(calm(), UP, 20.0), spoilt_s=np.inf, then=reset)
+    assert statuses(run, 62.0) == {Status.VALID}
+    assert not run.adapter.recovery.is_in_trouble
+
+
+def test_a_turn_of_all_stars_that_ends_is_over_although_their_own_rule_does_not_return_them() -> None:
+    """``integrity.return_after_s`` of an hour: the stars that were excluded do not return by themselves."""
+    arrivals = turned(voyage(125.0), UP, 20.0, 50.0)
+    run = sailed(arrivals, spoilt_s=np.inf, integrity__return_after_s=3600.0)
+    assert statuses(run, 22.0, 110.0) == {Status.DEGRADED}
+    assert statuses(run, 50.0 + CONFIRMED_S) == {Status.VALID}
+    assert run.adapter.recovery.adopted == 1
+    assert not run.adapter.core.state.excluded
+
+
+def test_a_sensor_that_was_knocked_for_good_stays_excluded_and_does_not_hinder_the_adoption() -> None:
+    def knocked(arrival: Arrival) -> Arrival:
+        is_hit = arrival.topic == FORE and arrival.stamp_ns >= START_NS + 15 * SECOND_NS
+        return turned([arrival], 60.0 * UP, 0.0)[0] if is_hit else arrival
+
+    run = sailed(list(map(knocked, voyage(130.0))), spoilt_s=20.0)
+    assert run.adapter.recovery.adopted == 1
+    assert statuses(run, 120.0) == {Status.VALID}
+    assert set(run.adapter.core.state.excluded) == {"star.fore"}
+
+
+def test_without_a_fault_no_second_estimator_starts_and_the_outputs_are_those_without_recovery() -> None:
+    plain, without = sailed(calm(), spoilt_s=np.inf), sailed(calm(), spoilt_s=np.inf, recovery__after_s=NEVER_S)
+    assert plain.adapter.recovery.started == 0
+    assert plain.results() == without.results()
+
+
+def test_parameters_set_in_trouble_are_those_of_the_estimator_that_is_adopted() -> None:
+    changed = []
+
+    def change(run: Run, since_s: float) -> None:
+        if since_s >= SPOILT_S + 20.0 and not changed:
+            changed.append(run.adapter.set_parameters({"ins.white_sigma_arcsec": 2.5}))
+
+    run = sailed(calm(), then=change)
+    assert run.adapter.recovery.adopted == 1
+    assert run.adapter.core.config.ins.white_sigma_arcsec == 2.5
+
+
+def test_a_step_of_all_clocks_in_trouble() -> None:
+    """The second estimator goes on by the new stamps; what it remembers is carried over."""
+    step_s, from_s = 600, 40.0
+
+    def by_clock(arrival: Arrival) -> Arrival:
+        def change(message: Any) -> None:
+            message.header.stamp.sec += step_s
+
+        return changed_copy(arrival, change) if arrival.receive_ns >= START_NS + from_s * SECOND_NS else arrival
+
+    adapter = new_adapter(recovery__confirm_s=30.0)
+    run, is_spoilt = Run(adapter), False
+    tick_ns, grid_ns = START_NS // 100_000_000 * 100_000_000, 100_000_000
+    for arrival in map(by_clock, calm()):
+        since_s = (arrival.receive_ns - START_NS) / SECOND_NS
+        off_ns = round(step_s * SECOND_NS) if since_s >= from_s else 0
+        while tick_ns + grid_ns <= arrival.receive_ns:
+            tick_ns += grid_ns
+            run.published += [(tick_ns, *item) for item in adapter.tick(tick_ns + off_ns, tick_ns)]
+        if since_s >= SPOILT_S and not is_spoilt:
+            is_spoilt = True
+            spoil(adapter)
+        handled = adapter.handle(arrival.topic, arrival.message, arrival.receive_ns + off_ns, arrival.receive_ns)
+        run.published += [(arrival.receive_ns, *item) for item in handled]
+    last = [m for ns, topic, m in run.published if topic == ATTITUDE and ns > START_NS + 100 * SECOND_NS]
+    assert {m.status for m in last} == {Status.VALID}
+
+
+def test_separation_is_the_turn_of_the_stars_with_its_own_noise() -> None:
+    """Against the turn that was put in, and the noise of the messages: 3″ across, 100″ about the line of sight."""
+    arrivals = turned(voyage(20.0), np.array([10.0, 60.0, -20.0]) * ARCSEC, 19.0)
+    adapter, found = new_adapter(), []
+    memory = None
+
+    def separate(run: Run, since_s: float) -> None:
+        nonlocal memory
+        core = run.adapter.core
+        if since_s < 19.0:
+            memory = core.state
+        for _, topic, m in run.published[len(found):]:
+            found.append((topic, m))
+
+    run = sailed(arrivals, spoilt_s=np.inf, then=separate)
+    core = run.adapter.core
+    from ship_attitude_star.measurements.samples import AttitudeMeasurement
+    from ship_attitude_star.ros import messages_in
+
+    last = [one for one in arrivals if one.topic == FORE and 19.2 < (one.stamp_ns - START_NS) / SECOND_NS < 19.6]
+    turns = []
+    for one in last:
+        reading = messages_in.star_measurement(
+            one.message, receive_ns=one.receive_ns, sensor_id="fore", config=adapter.config.star_sensors["fore"]
+        )
+        measurement = reading.value
+        assert isinstance(measurement, AttitudeMeasurement)
+        separation = separation_from(core.filter, memory, measurement, core._track, None)
+        assert separation is not None
+        turns.append(separation)
+        sigmas = np.sqrt(np.linalg.eigvalsh(separation.noise)) / ARCSEC
+        np.testing.assert_allclose(sigmas, [3.0, 3.0, 100.0], rtol=0.05)
+    for separation in turns:
+        error = separation.turn - np.array([10.0, 60.0, -20.0]) * ARCSEC
+        total = separation.noise + separation.expected
+        assert error @ np.linalg.solve(total, error) < 16.3  # chi² of 3, 99.9 %
+
+
+def _alignment(run: Run) -> list[Any]:
+    from types import SimpleNamespace
+
+    alignment = run.adapter.core.alignment()
+    sigmas = np.sqrt(alignment.covariance.diagonal())
+    return [
+        SimpleNamespace(value=value, sigma=sigma)
+        for name, value, sigma in zip(alignment.names, alignment.values, sigmas, strict=True)
+        if name.startswith("star.")
+    ]
