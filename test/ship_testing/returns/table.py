@@ -36,13 +36,13 @@ def _key(result: Result) -> tuple[int, str]:
 
 
 def is_beyond(result: Result) -> bool:
-    """True if an output of a cell was VALID with an error beyond its protection level."""
-    return result.get("worst_over_level", 0.0) > 1.0
+    """True if an output was VALID with an error beyond its protection level, where data could show that."""
+    return result.get("worst_over_level", 0.0) > 1.0 and not result["unseen"]
 
 
 def failed(results: Sequence[Result]) -> list[Result]:
     """Return the cells that did not return, were VALID beyond a level, or failed in the software."""
-    return [one for one in results if not one["returned"] or is_beyond(one) or one["exception"] or one["failures"]]
+    return [one for one in results if not one["returned"] or is_beyond(one) or one.get("failures")]
 
 
 def rows(results: Sequence[Result]) -> list[Row]:
