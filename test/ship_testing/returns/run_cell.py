@@ -116,9 +116,13 @@ class ReturnSink(VoyageSink):
             self.states[topic] = int(message.state)
             self.excluded[topic] = list(message.excluded)
         elif topic == DIAGNOSTICS_TOPIC:
+            # A report holds all that its node has to report; what it no longer contains is over.
+            nodes = {status.name.partition(":")[0] for status in message.status}
+            self.texts = {name: text for name, text in self.texts.items() if name.partition(":")[0] not in nodes}
             for status in message.status:
                 level = status.level[0] if isinstance(status.level, bytes) else int(status.level)
-                self.texts[status.name] = status.message if level >= _WARN else ""
+                if level >= _WARN:
+                    self.texts[status.name] = status.message
 
     def is_well(self, since_ns: int, now_ns: int) -> bool:
         """True if all outputs have been VALID since a time, and no source is excluded, contradicted or refused."""
@@ -129,7 +133,7 @@ class ReturnSink(VoyageSink):
             )
             and not any(self.excluded.values())
             and _UNAVAILABLE not in self.states.values()
-            and not any(text for name, text in self.texts.items() if any(part in name for part in _OF_SOURCES))
+            and not any(part in name for name in self.texts for part in _OF_SOURCES)
         )
 
 
@@ -175,7 +179,7 @@ def _judged(cell: Cell, run: "_Run") -> dict[str, Any]:
         "worst_at_s": round((worst.log_ns - data.start_ns) / NS_PER_S, 2) if worst else 0.0,
         "failures": sink.told.failures,
         "excluded": sorted({source for sources in sink.excluded.values() for source in sources}),
-        "texts": {name: text for name, text in sink.texts.items() if text},
+        "texts": sink.texts,
     }
 
 
