@@ -1,11 +1,12 @@
 """One cell of the return matrix: its messages, made in memory, go through the nodes in this process and are judged.
 
-A run ends when every output has been VALID for some seconds after the last fault, no source is excluded and no fault is
-unresolved, or when the time within which they must return is over.
+A run ends when every output has been VALID for some seconds after the last fault, and no source is excluded, contradicted
+or refused. It ends, too, when the time within which they must return is over.
 """
 
 import copy
 import functools
+import gc
 import heapq
 import json
 import os
@@ -55,6 +56,7 @@ def _in_child(task: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     reading, writing = os.pipe()
     child = os.fork()
     if child == 0:
+        gc.disable()  # the copy lives for seconds; collecting would visit all messages of all voyages
         try:
             with os.fdopen(writing, "w") as out:
                 json.dump(task(), out)
@@ -78,7 +80,7 @@ def _result(cell: Cell, run: "_Run") -> dict[str, Any]:
         "exception": "",
     }
     try:
-        result |= _judged(cell, run)
+        result |= _judgement(cell, run)
     except Exception:
         # A defect of the software is what is looked for; the other cells go on.
         result |= {"exception": traceback.format_exc(limit=-4), "returned": False}
@@ -86,7 +88,7 @@ def _result(cell: Cell, run: "_Run") -> dict[str, Any]:
 
 
 class ReturnSink(VoyageSink):
-    """Keeps, beside what :class:`VoyageSink` keeps, since when each output has been VALID.
+    """Keeps what :class:`VoyageSink` keeps, and since when each output has been VALID.
 
     Args:
         truths: topic of an orientation → its truth.
@@ -149,7 +151,7 @@ class SteppedTruth:
         return self._truth.exactly_at(stamp_ns - self.offset_ns)
 
 
-def _judged(cell: Cell, run: "_Run") -> dict[str, Any]:
+def _judgement(cell: Cell, run: "_Run") -> dict[str, Any]:
     """Give a run the messages of a cell until all is well again, or too late; return what became of its outputs."""
     data, sink = run.data, run.sink
     bounds_s = {topic: _bound_s(cell, topic) for topic in sink.valid_since_ns}
