@@ -1,7 +1,7 @@
 """One cell of the return matrix: its messages, made in memory, go through the nodes in this process and are judged.
 
-A run ends when every output has been VALID for some seconds after the last fault, and no source is excluded, contradicted
-or refused. It ends, too, when the time within which they must return is over.
+A run ends when every output has been VALID for some seconds after the last fault, and no source is excluded,
+contradicted or refused. It ends, too, when the time within which they must return is over.
 """
 
 import copy
