@@ -198,7 +198,7 @@ class _Run:
         data: the voyage.
         sink: keeps what they publish.
         steps: (time, size) of the steps of the time base, ns.
-        next_ns: no message that arrives later has been taken.
+        next_ns: messages that arrive before it have been taken.
     """
 
     def __init__(self, data: VoyageData) -> None:
