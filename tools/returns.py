@@ -22,7 +22,7 @@ if str(ROOT / "test") not in sys.path:
 # The matrix is shared with the tests, and no package.
 from ship_testing.returns.cells import all_cells, some_cells  # noqa: E402
 from ship_testing.returns.run_cell import run_cell  # noqa: E402
-from ship_testing.returns.table import HEAD, failed, failure_lines, results_file, rows  # noqa: E402
+from ship_testing.returns.table import HEAD, failed, failure_lines, results_file, rows, unseen_lines  # noqa: E402
 from ship_testing.returns.voyages import VOYAGES, load_voyage, make_bag  # noqa: E402
 
 PAGE = ROOT / "docs" / "explanation" / "when_inputs_fail.md"
@@ -71,6 +71,8 @@ def _report(results: list[Result]) -> int:
     for row in rows(results):
         table.add_row(*row)
     console.print(table)
+    for line in unseen_lines(results):
+        console.print(f"no data can show {line}", highlight=False)
     bad = failed(results)
     for result in bad:
         console.print("\n".join(failure_lines(result)), soft_wrap=True, highlight=False, markup=False)
@@ -81,9 +83,12 @@ def write_table(page: Path, results: list[Result]) -> None:
     """Write the table of results between the marks of a page."""
     lines = [HEAD, ("---", *["---:"] * (len(HEAD) - 1)), *rows(results)]
     table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    unseen = "\n".join(f"- {line}" for line in unseen_lines(results))
     before, _, rest = page.read_text(encoding="utf-8").partition(BEGIN)
     _, _, after = rest.partition(END)
-    page.write_text(f"{before}{BEGIN}\n\n{table}\n\n{END}{after}", encoding="utf-8")
+    page.write_text(
+        f"{before}{BEGIN}\n\n{table}\n\nNo data can show these:\n\n{unseen}\n\n{END}{after}", encoding="utf-8"
+    )
 
 
 if __name__ == "__main__":

@@ -86,9 +86,14 @@ _CORRUPT_VALUE = 0.25
 _COARSE = {"reference/": 30.0, "beacon/": 300.0}
 """Beginning of a topic → factor of turns of a device whose attitude is coarser than that of stars."""
 
+POSITION_FROM_START = "a position that is wrong from the start"
+COMMON_CLOCK = "one clock of the INS and all stars: two faults that agree"
+_MOVES_POSITION = ("offset", "corrupt", "position_off", "units")
+_INS_AND_STARS = "ins and stars"
+
 _GROUPS: dict[str, tuple[str, ...]] = {
     "all stars": ("star/",),
-    "ins and stars": ("ins/", "star/"),
+    _INS_AND_STARS: ("ins/", "star/"),
     "stars and references": ("star/", "reference/"),
     "ins and references": ("ins/", "reference/"),
     "encoder and lights": ("theodolite/",),
@@ -124,6 +129,7 @@ class Cell:
         name: of the cell, for people.
         faults: of the inputs.
         steps: of the time base.
+        unseen: why no data can show that the inputs are wrong; empty where they can.
         node_starts_s: begin of what the nodes receive, after the beginning of the voyage.
     """
 
@@ -133,6 +139,7 @@ class Cell:
     name: str
     faults: tuple[Fault, ...] = ()
     steps: tuple[ClockStep, ...] = ()
+    unseen: str = ""
     node_starts_s: float = 0.0
 
     @property
@@ -176,9 +183,9 @@ def all_cells(voyages: Mapping[str, VoyageData]) -> list[Cell]:
 
 
 def some_cells(cells: Sequence[Cell], count: int) -> list[Cell]:
-    """Return a seeded sample of cells."""
+    """Return a seeded sample of cells; a larger one begins with the smaller ones."""
     chosen = random_stream(1, "returns.sample").permutation(len(cells))[:count]
-    return [cells[place] for place in sorted(chosen.tolist())]
+    return [cells[place] for place in chosen.tolist()]
 
 
 Draft = dict[str, Any]
@@ -220,6 +227,7 @@ def _starts(voyages: Mapping[str, VoyageData]) -> Iterator[Draft]:
             "row": STARTS,
             "name": f"{voyage}: {kind} {topic}, node starts after {_MIDDLE_S / 2.0:g} of {_MIDDLE_S:g} s",
             "faults": (fault,),
+            "unseen": POSITION_FROM_START if topic == FIX_TOPIC and kind in _MOVES_POSITION else "",
             "node_starts_s": START_S + _MIDDLE_S / 2.0,
         }
 
@@ -242,6 +250,7 @@ def _clocks(voyages: Mapping[str, VoyageData]) -> Iterator[Draft]:
                 "row": CLOCKS,
                 "name": f"{voyage}: clock {name} {step_s:+g} s and back",
                 "faults": faults,
+                "unseen": COMMON_CLOCK if name == _INS_AND_STARS else "",
             }
 
 

@@ -1,28 +1,32 @@
 """One cell of the return matrix: its messages, made in memory, go through the nodes in this process and are judged.
 
-A run ends when every output has been VALID for some seconds after the last fault, no source is excluded and no fault is
-unresolved, or when the time within which they must return is over.
+A run ends when every output has been VALID for some seconds after the last fault, and no source is excluded,
+contradicted or refused. It ends, too, when the time within which they must return is over.
 """
 
 import copy
+import functools
+import gc
 import heapq
+import json
+import os
 import time
 import traceback
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ship_bags.stamps import NS_PER_S, ns_from_stamp, stamp_fields
-from ship_node.edge.adapter import TICK_PERIOD_NS, Adapter
+from ship_node.edge.adapter import TICK_PERIOD_NS
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC
 from ship_replay.evaluation.sources import JOINT_SOLUTION, Truth
 from ship_replay.trials.voyage_told import INTEGRITY, VoyageSink
 from ship_simulation.faults.faults import Delivery, spoilt
 from ship_simulation.scenario.fault import Fault
-from ship_testing.returns.cells import FIX_TOPIC, Cell, ClockStep
-from ship_testing.returns.voyages import BOUND_S, Message, VoyageData, load_voyage
+from ship_testing.returns.cells import FIX_TOPIC, START_S, Cell
+from ship_testing.returns.voyages import BOUND_S, VOYAGES, Message, VoyageData, load_voyage
 
 STEADY_S = 15.0
 """Time for which all is well before a run ends, s."""
@@ -36,20 +40,47 @@ _LONGEST_GAP_NS = 3 * NS_PER_S // 2
 
 _VALID, _UNAVAILABLE = 0, 2
 _WARN = 1
+_OF_SOURCES = ": input ", ": conflict "
+"""Parts of the names of diagnostics that report a source which is refused or contradicted."""
 
 
 def run_cell(cell: Cell, path: Path) -> dict[str, Any]:
     """Run a cell over the bag of its voyage; return its result as plain data."""
+    is_prepared = cell.starts_s >= START_S and not cell.node_starts_s
+    run = _prepared_run(path) if is_prepared else _Run(load_voyage(path))
+    return _in_child(lambda: _result(cell, run))
+
+
+def _in_child(task: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """Return what a task returns in a copy of this process, so that the nodes here stay as they are."""
+    reading, writing = os.pipe()
+    child = os.fork()
+    if child == 0:
+        gc.disable()  # the copy lives for seconds; collecting would visit all messages of all voyages
+        try:
+            with os.fdopen(writing, "w") as out:
+                json.dump(task(), out)
+        finally:
+            os._exit(0)
+    os.close(writing)
+    with os.fdopen(reading) as given:
+        text = given.read()
+    os.waitpid(child, 0)
+    result: dict[str, Any] = json.loads(text)
+    return result
+
+
+def _result(cell: Cell, run: "_Run") -> dict[str, Any]:
     begun_s = time.process_time()
     result: dict[str, Any] = {
         "voyage": cell.number,
         "cell": cell.name,
         "row": cell.row,
-        "of": cell.voyage,
+        "unseen": cell.unseen,
         "exception": "",
     }
     try:
-        result |= _judged(cell, load_voyage(path))
+        result |= _judgement(cell, run)
     except Exception:
         # A defect of the software is what is looked for; the other cells go on.
         result |= {"exception": traceback.format_exc(limit=-4), "returned": False}
@@ -57,7 +88,7 @@ def run_cell(cell: Cell, path: Path) -> dict[str, Any]:
 
 
 class ReturnSink(VoyageSink):
-    """Keeps, beside what :class:`VoyageSink` keeps, since when each output has been VALID.
+    """Keeps what :class:`VoyageSink` keeps, and since when each output has been VALID.
 
     Args:
         truths: topic of an orientation → its truth.
@@ -87,12 +118,16 @@ class ReturnSink(VoyageSink):
             self.states[topic] = int(message.state)
             self.excluded[topic] = list(message.excluded)
         elif topic == DIAGNOSTICS_TOPIC:
+            # A report holds all that its node has to report; what it no longer contains is over.
+            nodes = {status.name.partition(":")[0] for status in message.status}
+            self.texts = {name: text for name, text in self.texts.items() if name.partition(":")[0] not in nodes}
             for status in message.status:
                 level = status.level[0] if isinstance(status.level, bytes) else int(status.level)
-                self.texts[status.name] = status.message if level >= _WARN else ""
+                if level >= _WARN:
+                    self.texts[status.name] = status.message
 
     def is_well(self, since_ns: int, now_ns: int) -> bool:
-        """True if all outputs have been VALID since a time, no source is excluded and no fault is unresolved."""
+        """True if all outputs have been VALID since a time, and no source is excluded, contradicted or refused."""
         return (
             all(
                 begun_ns is not None and begun_ns <= since_ns and now_ns - self.last_ns[topic] <= _LONGEST_GAP_NS
@@ -100,6 +135,7 @@ class ReturnSink(VoyageSink):
             )
             and not any(self.excluded.values())
             and _UNAVAILABLE not in self.states.values()
+            and not any(part in name for name in self.texts for part in _OF_SOURCES)
         )
 
 
@@ -115,21 +151,19 @@ class SteppedTruth:
         return self._truth.exactly_at(stamp_ns - self.offset_ns)
 
 
-def _judged(cell: Cell, data: VoyageData) -> dict[str, Any]:
-    chain = data.chain()
-    outputs = [topic for topic in BOUND_S if any(topic == output.topic for output in chain.outputs)]
-    truths = {topic: SteppedTruth(truth) for topic, truth in data.truths.items()}
-    sink = ReturnSink(truths, outputs)
-    bounds_s = {topic: _bound_s(cell, topic) for topic in outputs}
+def _judgement(cell: Cell, run: "_Run") -> dict[str, Any]:
+    """Give a run the messages of a cell until all is well again, or too late; return what became of its outputs."""
+    data, sink = run.data, run.sink
+    bounds_s = {topic: _bound_s(cell, topic) for topic in sink.valid_since_ns}
     consistent_ns = data.time_ns(cell.consistent_from_s)
     end_ns = consistent_ns + round((max(bounds_s.values()) + _AFTER_BOUND_S) * NS_PER_S)
     steady_ns = round(STEADY_S * NS_PER_S)
-    run = _Run(list(zip(chain.adapters, chain.taken, strict=True)), sink, truths, cell.steps, data)
+    run.steps = [(data.time_ns(step.at_s), round(step.step_s * NS_PER_S)) for step in cell.steps]
+    begun_ns = max(data.time_ns(cell.node_starts_s), run.next_ns)
+    now_ns = begun_ns
     for message in delivered(cell, data):
-        if message.log_ns > end_ns:
-            break
-        now_ns = message.log_ns
-        if now_ns >= data.time_ns(cell.node_starts_s):
+        if begun_ns <= message.log_ns <= end_ns:
+            now_ns = message.log_ns
             run.take(message)
             if now_ns >= consistent_ns + steady_ns and sink.is_well(now_ns - steady_ns, now_ns):
                 break
@@ -137,21 +171,17 @@ def _judged(cell: Cell, data: VoyageData) -> dict[str, Any]:
     for topic, since_ns in sink.valid_since_ns.items():
         is_there = since_ns is not None and now_ns - sink.last_ns[topic] <= _LONGEST_GAP_NS
         returns_s[topic] = round(max(since_ns - consistent_ns, 0) / NS_PER_S, 2) if is_there else None
-    starts_ns = data.time_ns(max(cell.starts_s, cell.node_starts_s))
-    claims = [claim for claim in sink.told.claims if claim.log_ns >= starts_ns]
+    claims = [claim for claim in sink.told.claims if claim.log_ns >= data.time_ns(cell.starts_s)]
     worst = max(claims, key=lambda claim: np.nan_to_num(claim.over_level), default=None)
     return {
-        "returned": all(returns_s[topic] is not None and returns_s[topic] <= bounds_s[topic] for topic in outputs),
+        "returned": all(time_s is not None and time_s <= bounds_s[topic] for topic, time_s in returns_s.items()),
         "returns_s": returns_s,
-        "bounds_s": bounds_s,
         "ran_s": round((now_ns - consistent_ns) / NS_PER_S, 1),
         "worst_over_level": round(float(np.nan_to_num(worst.over_level)), 3) if worst else 0.0,
         "worst_at_s": round((worst.log_ns - data.start_ns) / NS_PER_S, 2) if worst else 0.0,
-        "worst_sigmas": round(max((claim.sigmas for claim in claims), default=0.0), 2),
         "failures": sink.told.failures,
         "excluded": sorted({source for sources in sink.excluded.values() for source in sources}),
-        "states": sink.states,
-        "texts": {name: text for name, text in sink.texts.items() if text},
+        "texts": sink.texts,
     }
 
 
@@ -162,18 +192,22 @@ def _bound_s(cell: Cell, topic: str) -> float:
 
 
 class _Run:
-    """Nodes that take messages, with the ticks between them, by the computer's clock as it stands."""
+    """The nodes of a voyage, which take messages, with the ticks between them, by the computer's clock as it stands.
 
-    def __init__(
-        self,
-        adapters: Sequence[tuple[Adapter, set[str]]],
-        sink: ReturnSink,
-        truths: dict[str, SteppedTruth],
-        steps: Sequence[ClockStep],
-        data: VoyageData,
-    ) -> None:
-        self._adapters, self._sink, self._truths = adapters, sink, truths
-        self._steps = [(data.time_ns(step.at_s), round(step.step_s * NS_PER_S)) for step in steps]
+    Attributes:
+        data: the voyage.
+        sink: keeps what they publish.
+        steps: (time, size) of the steps of the time base, ns.
+        next_ns: messages that arrive before it have been taken.
+    """
+
+    def __init__(self, data: VoyageData) -> None:
+        chain = data.chain()
+        self.data, self.steps, self.next_ns = data, list[tuple[int, int]](), data.start_ns
+        self._adapters = list(zip(chain.adapters, chain.taken, strict=True))
+        self._truths = {topic: SteppedTruth(truth) for topic, truth in data.truths.items()}
+        published = {output.topic for output in chain.outputs}
+        self.sink = ReturnSink(self._truths, [topic for topic in BOUND_S if topic in published])
         self._offset_ns = 0
         self._last_ns: int | None = None
 
@@ -187,18 +221,18 @@ class _Run:
                 self._publish(adapter.tick(tick_ns + self._offset_ns, tick_ns), tick_ns)
         self._last_ns = log_ns
         self._step_until(log_ns)
-        content = message.content
-        if self._offset_ns:
+        content, step_ns = message.content, self._stepped_by(message.stamp_ns)
+        if step_ns:
             content = copy.deepcopy(content)
-            stamp_ns = ns_from_stamp(content.header.stamp) + _offset_ns(self._steps, message.stamp_ns)
-            content.header.stamp.sec, content.header.stamp.nanosec = stamp_fields(stamp_ns)
+            stamp = content.header.stamp
+            stamp.sec, stamp.nanosec = stamp_fields(ns_from_stamp(stamp) + step_ns)
         for adapter, taken in self._adapters:
             if message.topic in taken:
                 self._publish(adapter.handle(message.topic, content, log_ns + self._offset_ns, log_ns), log_ns)
 
     def _step_until(self, time_ns: int) -> None:
-        """Set the computer's clock where it steps."""
-        offset_ns = _offset_ns(self._steps, time_ns)
+        """Set the computer's clock if it steps by a time."""
+        offset_ns = self._stepped_by(time_ns)
         if offset_ns != self._offset_ns:
             step_ns, self._offset_ns = offset_ns - self._offset_ns, offset_ns
             for truth in self._truths.values():
@@ -206,13 +240,23 @@ class _Run:
             for adapter, _ in self._adapters:
                 self._publish(adapter.clock_stepped(step_ns, time_ns + offset_ns, time_ns), time_ns)
 
+    def _stepped_by(self, time_ns: int) -> int:
+        return sum(step_ns for at_ns, step_ns in self.steps if time_ns >= at_ns)
+
     def _publish(self, published: Sequence[tuple[str, Any]], log_ns: int) -> None:
         for topic, message in published:
-            self._sink.write(topic, message, log_ns)
+            self.sink.write(topic, message, log_ns)
 
 
-def _offset_ns(steps: Sequence[tuple[int, int]], time_ns: int) -> int:
-    return sum(step_ns for at_ns, step_ns in steps if time_ns >= at_ns)
+@functools.lru_cache(maxsize=len(VOYAGES))
+def _prepared_run(path: Path) -> _Run:
+    """The nodes of a voyage after the time before the faults; they must not be used but in a copy of this process."""
+    run = _Run(load_voyage(path))
+    run.next_ns = run.data.time_ns(START_S)
+    for message in run.data.messages:
+        if message.log_ns < run.next_ns:
+            run.take(message)
+    return run
 
 
 def delivered(cell: Cell, data: VoyageData) -> Iterator[Message]:

@@ -36,13 +36,17 @@ def _key(result: Result) -> tuple[int, str]:
 
 
 def is_beyond(result: Result) -> bool:
-    """True if an output of a cell was VALID with an error beyond its protection level."""
-    return result.get("worst_over_level", 0.0) > 1.0
+    """True if an output was VALID with an error beyond its protection level, where data could show that."""
+    return _exceeds(result) and not result["unseen"]
+
+
+def _exceeds(result: Result) -> bool:
+    return bool(result.get("worst_over_level", 0.0) > 1.0)
 
 
 def failed(results: Sequence[Result]) -> list[Result]:
     """Return the cells that did not return, were VALID beyond a level, or failed in the software."""
-    return [one for one in results if not one["returned"] or is_beyond(one) or one["exception"] or one["failures"]]
+    return [one for one in results if not one["returned"] or is_beyond(one) or one.get("failures")]
 
 
 def rows(results: Sequence[Result]) -> list[Row]:
@@ -61,6 +65,18 @@ def _row(name: str, group: Sequence[Result]) -> Row:
         slowest.append(f"{max(times_s):.1f}" if times_s else "-")
     returned, beyond = sum(one["returned"] for one in group), sum(map(is_beyond, group))
     return name, str(len(group)), str(returned), *slowest, str(beyond)
+
+
+def unseen_lines(results: Sequence[Result]) -> list[str]:
+    """Return a line for each class of faults that no data can show, with the cells that were VALID beyond a level."""
+    by_class: dict[str, list[Result]] = defaultdict(list)
+    for result in results:
+        if result["unseen"]:
+            by_class[result["unseen"]].append(result)
+    return [
+        f"{name}: {len(group)} cells, {sum(_exceeds(one) for one in group)} VALID beyond the level"
+        for name, group in sorted(by_class.items())
+    ]
 
 
 def failure_lines(result: Result) -> list[str]:

@@ -61,7 +61,7 @@ def _sky() -> Scenario:
 
 
 def _tracker() -> Scenario:
-    """One sensor with attitudes against the sky beside one with attitudes in the horizon, and a told deflection."""
+    """One sensor with attitudes in the sky and one with attitudes in the horizon; the deflection is an input."""
     ship = _ship("paper")
     stars = ship.star_sensors
     gravity = replace(ship.gravity, told="topic", rate_hz=_SLOW_HZ, xi_arcsec=5.0, eta_arcsec=-3.0)
