@@ -1,7 +1,7 @@
 """``ship_attitude`` in trouble: a second estimator takes the same inputs, and replaces the first one where it is right.
 
-A state from which the filter does not come back by itself is made by force: its errors are replaced by wrong ones that it
-takes for certain. From which states by which inputs it comes back, the return matrix shows (``make returns``).
+A state from which the filter does not come back by itself is made by force: its errors are replaced by wrong ones that
+it takes for certain. Which inputs it comes back from, the return matrix shows (``make returns``).
 """
 
 import functools
@@ -10,27 +10,25 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-import pytest
+from scipy.stats import chi2
 
+from ship_attitude_star.ros.messages_in import star_measurement
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ship_attitude.memory import separation_from
 from ship_estimation.outcome import Status
-from ship_geometry.ros_axes import quaternion_from_rotation
-from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
+from ship_geometry.frames import angles_from_rotation, rotation_from_angles
+from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, changed_copy, stamp_of
 from ship_testing.small_voyage import (
     FORE,
-    INS,
     STARBOARD,
     Run,
     assert_honest,
     drive,
     new_adapter,
-    rotation_of,
     since_start_s,
     voyage,
 )
-from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 
 ATTITUDE = "ship/attitude"
 SPOILT_S, LENGTH_S = 20.0, 110.0
@@ -93,7 +91,7 @@ def statuses(run: Run, from_s: float, until_s: float = np.inf) -> set[int]:
 
 def test_a_filter_that_is_certain_of_what_is_wrong_comes_back() -> None:
     run = recovered()
-    assert statuses(run, SPOILT_S + 1.0, SPOILT_S + 60.0) == {Status.DEGRADED}
+    assert statuses(run, SPOILT_S + 2.0, SPOILT_S + 60.0) == {Status.DEGRADED}
     assert statuses(run, SPOILT_S + CONFIRMED_S) == {Status.VALID}
     assert (run.adapter.recovery.started, run.adapter.recovery.adopted) == (1, 1)
     for message in run.messages(ATTITUDE):
@@ -103,7 +101,7 @@ def test_a_filter_that_is_certain_of_what_is_wrong_comes_back() -> None:
 
 def test_without_a_second_estimator_it_does_not() -> None:
     run = sailed(calm(), recovery__after_s=NEVER_S)
-    assert Status.VALID not in statuses(run, SPOILT_S + 1.0)
+    assert Status.VALID not in statuses(run, SPOILT_S + 2.0)
     assert run.adapter.recovery.started == 0
 
 
@@ -111,22 +109,17 @@ def test_stamps_go_on_increasing_and_levels_come_before_the_first_new_attitude()
     run = recovered()
     claimed = [stamp_of(m) for m in run.messages(ATTITUDE) if m.status != Status.INVALID]
     assert all(earlier < later for earlier, later in pairwise(claimed))
-    kinds = [(topic, m) for _, topic, m in run.published if topic in (ATTITUDE, "ship/integrity")]
-    (first,) = [
-        number
-        for number, ((_, before), (_, m)) in enumerate(pairwise(kinds))
-        if getattr(m, "status", None) == Status.VALID
-        and since_start_s(m) > SPOILT_S + 1.0
-        and getattr(before, "status", Status.VALID) != Status.VALID
-    ] or [next(n for n, (topic, m) in enumerate(kinds) if topic == ATTITUDE and since_start_s(m) > SPOILT_S + 60.0
-               and m.status == Status.VALID) - 1]
-    assert kinds[first][0] == "ship/integrity"
+    both = [(topic, m) for _, topic, m in run.published if topic in (ATTITUDE, "ship/integrity")]
+    late = [number for number, (_, m) in enumerate(both) if since_start_s(m) > SPOILT_S + 60.0]
+    first = next(number for number in late if both[number][0] == ATTITUDE and both[number][1].status == Status.VALID)
+    assert both[first - 1][0] == "ship/integrity"
 
 
 def test_what_was_known_of_mountings_is_kept() -> None:
-    run, undisturbed = recovered(), drive(new_adapter(), calm())
-    for one, other in zip(_alignment(run), _alignment(undisturbed), strict=True):
-        assert abs(one.value - other.value) < 3.0 * other.sigma
+    found, expected = (run.adapter.core.alignment() for run in (recovered(), drive(new_adapter(), calm())))
+    stars = [number for number, name in enumerate(expected.names) if name.startswith("star.")]
+    sigmas = np.sqrt(expected.covariance.diagonal())[stars]
+    assert np.all(np.abs(found.values - expected.values)[stars] <= 3.0 * sigmas)
 
 
 def test_it_is_reported_and_counted() -> None:
@@ -267,49 +260,23 @@ def test_a_step_of_all_clocks_in_trouble() -> None:
 
 def test_separation_is_the_turn_of_the_stars_with_its_own_noise() -> None:
     """Against the turn that was put in, and the noise of the messages: 3″ across, 100″ about the line of sight."""
-    arrivals = turned(voyage(20.0), np.array([10.0, 60.0, -20.0]) * ARCSEC, 19.0)
-    adapter, found = new_adapter(), []
-    memory = None
+    turn_n, memory = np.array([10.0, 60.0, -20.0]) * ARCSEC, None
+    arrivals = turned(voyage(20.0), turn_n, 19.0)
 
-    def separate(run: Run, since_s: float) -> None:
+    def remember(run: Run, since_s: float) -> None:
         nonlocal memory
-        core = run.adapter.core
-        if since_s < 19.0:
-            memory = core.state
-        for _, topic, m in run.published[len(found):]:
-            found.append((topic, m))
+        memory = run.adapter.core.state if since_s < 19.0 else memory
 
-    run = sailed(arrivals, spoilt_s=np.inf, then=separate)
-    core = run.adapter.core
-    from ship_attitude_star.measurements.samples import AttitudeMeasurement
-    from ship_attitude_star.ros import messages_in
-
+    adapter = sailed(arrivals, spoilt_s=np.inf, then=remember).adapter
     last = [one for one in arrivals if one.topic == FORE and 19.2 < (one.stamp_ns - START_NS) / SECOND_NS < 19.6]
-    turns = []
+    assert last
     for one in last:
-        reading = messages_in.star_measurement(
-            one.message, receive_ns=one.receive_ns, sensor_id="fore", config=adapter.config.star_sensors["fore"]
-        )
-        measurement = reading.value
-        assert isinstance(measurement, AttitudeMeasurement)
-        separation = separation_from(core.filter, memory, measurement, core._track, None)
+        config = adapter.config.star_sensors["fore"]
+        reading = star_measurement(one.message, receive_ns=one.receive_ns, sensor_id="fore", config=config)
+        core = adapter.core
+        separation = separation_from(core.filter, memory, reading.value, core._track, None)
         assert separation is not None
-        turns.append(separation)
         sigmas = np.sqrt(np.linalg.eigvalsh(separation.noise)) / ARCSEC
         np.testing.assert_allclose(sigmas, [3.0, 3.0, 100.0], rtol=0.05)
-    for separation in turns:
-        error = separation.turn - np.array([10.0, 60.0, -20.0]) * ARCSEC
-        total = separation.noise + separation.expected
-        assert error @ np.linalg.solve(total, error) < 16.3  # chi² of 3, 99.9 %
-
-
-def _alignment(run: Run) -> list[Any]:
-    from types import SimpleNamespace
-
-    alignment = run.adapter.core.alignment()
-    sigmas = np.sqrt(alignment.covariance.diagonal())
-    return [
-        SimpleNamespace(value=value, sigma=sigma)
-        for name, value, sigma in zip(alignment.names, alignment.values, sigmas, strict=True)
-        if name.startswith("star.")
-    ]
+        error = separation.turn - turn_n
+        assert error @ np.linalg.solve(separation.noise + separation.expected, error) < chi2.ppf(0.999, 3)
