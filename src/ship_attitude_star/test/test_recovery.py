@@ -13,7 +13,6 @@ import numpy as np
 from scipy.stats import chi2
 
 from ship_attitude_star.ros.messages_in import star_measurement
-from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ship_attitude.memory import separation_from
 from ship_estimation.outcome import Status
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
@@ -29,6 +28,7 @@ from ship_testing.small_voyage import (
     since_start_s,
     voyage,
 )
+from ship_testing.spoilt_filter import spoil
 
 ATTITUDE = "ship/attitude"
 SPOILT_S, LENGTH_S = 20.0, 110.0
@@ -40,18 +40,6 @@ CONFIRMED_S = 70.0
 @functools.cache
 def calm() -> tuple[Arrival, ...]:
     return voyage(LENGTH_S)
-
-
-def spoil(adapter: ShipAttitudeAdapter) -> None:
-    """Make the filter certain of a heading error of the INS that is wrong by 1°."""
-    core, model = adapter.core, adapter.core.filter.model
-    mean, parts = core.state.mean.copy(), core.state.parts.copy()
-    mean[model.slices["ins.attitude"]] += np.radians([0.0, 1.0, 0.0])
-    parts *= 1e-4
-    spoilt = core.filter.suspects.start(mean, parts)
-    object.__setattr__(spoilt, "time_ns", core.state.time_ns)
-    object.__setattr__(spoilt, "used_ns", core.state.used_ns)
-    core._shell.reset(spoilt)
 
 
 def sailed(

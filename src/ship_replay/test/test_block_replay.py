@@ -6,12 +6,14 @@ FAULTED_BAGS says how many of them.
 
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.star_attitude.core import StarCore
 from ship_bags.mcap.bag_reader import BagRecord, read_bag
@@ -28,6 +30,7 @@ from ship_replay.trials.threats import OVERLAPPING, SINGLE, draw_faults
 from ship_simulation.draws.noise import random_stream
 from ship_simulation.faults.injection import Injection
 from ship_testing.kept_sink import KeptSink, Published
+from ship_testing.spoilt_filter import spoil
 from theodolite_calib.optical_axis.output import PointingOutput
 
 SCENARIOS = Path(__file__).resolve().parents[3] / "bags" / "scenarios"
@@ -125,6 +128,29 @@ def test_faulted_bags(clean_bag: Path, seed: int) -> None:
 @pytest.mark.parametrize("seed", range(FAULTED_BAGS // 2))
 def test_faulted_bags_of_all_nodes(suite_bag: Path, seed: int) -> None:
     assert_equal(suite_bag, drawn_faults(suite_bag, seed))
+
+
+@pytest.mark.slow
+def test_a_second_estimator_that_is_adopted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The filter is spoilt after 20 s; half a minute later the second estimator replaces it."""
+    bag, adopted, spoilt = make_bag(SCENARIOS / "demo.yaml", 70.0, 3, tmp_path / "demo.mcap"), [], set()
+    with read_bag(bag) as opened:
+        start_ns = opened.start_ns or 0
+    look = ShipAttitudeAdapter._look
+
+    def spoilt_look(self: ShipAttitudeAdapter, waiting_ns: int) -> Any:
+        self.recovery._config = replace(self.recovery._config, confirm_s=30.0)
+        if waiting_ns - start_ns >= 20 * NS_PER_S and id(self) not in spoilt:
+            spoilt.add(id(self))
+            spoil(self)
+        published = look(self, waiting_ns)
+        if self.recovery.adopted > adopted.count(id(self)):
+            adopted.append(id(self))
+        return published
+
+    monkeypatch.setattr(ShipAttitudeAdapter, "_look", spoilt_look)
+    assert_equal(bag)
+    assert len(adopted) == len(set(adopted)) == 2
 
 
 @pytest.mark.slow
