@@ -30,7 +30,8 @@ def cells(voyages: dict[str, VoyageData]) -> list[Cell]:
 
 def assert_returned(cells: list[Cell], voyages: dict[str, VoyageData]) -> None:
     results = [run_cell(cell, voyages[cell.voyage].path) for cell in cells]
-    assert not failed(results), "\n".join(line for result in failed(results) for line in failure_lines(result))
+    lines = [line for result in failed(results) for line in failure_lines(result)]
+    assert not lines, "\n".join(lines)
 
 
 def test_every_kind_of_fault_has_cells(cells: list[Cell]) -> None:
