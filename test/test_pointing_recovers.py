@@ -1,10 +1,10 @@
 """In trouble a second estimator of the pointing takes the same inputs, and replaces the first one where it is right.
 
-The bag is that of ``bags/theodolite.mcap`` with both lights all the time, at rates that cost little.
+The bag is that of the return matrix: two lights all the time, at rates that cost little.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -23,9 +23,9 @@ from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 from ship_replay.trials.voyage_told import VoyageSink
 from ship_simulation.faults.injection import Injection
 from ship_simulation.scenario.fault import Fault
-from ship_simulation.simulate_command import write_bag
 from ship_testing.kept_sink import KeptSink
-from ship_testing.theodolite_scenes import bag_scenario, replaced, with_beacons, with_theodolite
+from ship_testing.returns.voyages import make_bag
+from ship_testing.theodolite_scenes import replaced
 from ship_watch.orientations import ORIENTATIONS
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 from theodolite_calib.ros.pointing_messages import POINTING_TOPIC
@@ -42,17 +42,7 @@ RETURNS_S = 180.0
 
 @pytest.fixture(scope="session")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    scenario = with_beacons(
-        bag_scenario(duration_s=SESSION_S), leaves_s=1e6, hidden={}, rtk__rate_hz=2.0, imu__rate_hz=2.0
-    )
-    scenario = with_theodolite(scenario, encoder__rate_hz=10.0, telescope__rate_hz=2.0)
-    slower = {
-        "ins": replaced(scenario.ins, rate_hz=1.0),
-        "fused_attitude": replaced(scenario.fused_attitude, rate_hz=10.0),
-    }
-    path = tmp_path_factory.mktemp("recovers") / "theodolite.mcap"
-    write_bag(replace(scenario, **slower), 1, path, b"")
-    return path
+    return make_bag("theodolite", tmp_path_factory.mktemp("recovers"))
 
 
 class _Sink(VoyageSink):
@@ -100,6 +90,8 @@ def replayed(
     taken = {topic.topic for topic in chain.inputs}
     with read_bag(path) as bag:
         for record in Injection(path, {f"f{number}": one for number, one in enumerate(faults)}, 1).records(bag):
+            if record.log_time_ns > (bag.start_ns or 0) + SESSION_S * NS_PER_S:
+                break
             if record.topic in taken:
                 run.take(record.topic, record)
     run.finish()
@@ -134,15 +126,20 @@ CLOCKS = [
     Fault(topic=topic, kind="clock_step", start_s=FAULT_S, end_s=END_S, step_s=-0.1)
     for topic in ("theodolite/encoder", "theodolite/beacons")
 ]
+CREPT = [
+    Fault(topic="theodolite/encoder", kind="drift", start_s=52.6, end_s=72.7, elevation_arcsec_per_min=-118.4),
+    Fault(topic="beacon/b/baseline", kind="frame", start_s=56.3, end_s=70.5),
+]
 ANTENNA = [
     Fault(topic=f"beacon/{id_}/baseline", kind="wrong_fix", start_s=FAULT_S, end_s=NEVER_S, east_m=1.0) for id_ in "ab"
 ]
 
 
-def test_clocks_of_encoders_and_lights_that_were_late_together(session):
-    without, recovers = found(session, *CLOCKS, recovery__after_s=NEVER_S), found(session, *CLOCKS)
-    assert without.returned_s > END_S + RETURNS_S
-    assert recovers.returned_s < END_S + 75.0
+@pytest.mark.parametrize(("faults", "end_s"), [(CLOCKS, END_S), (CREPT, 72.7)], ids=["clocks", "encoders crept"])
+def test_the_pointing_returns_after_faults_after_which_the_first_estimator_does_not(session, faults, end_s):
+    without, recovers = found(session, *faults, recovery__after_s=NEVER_S), found(session, *faults)
+    assert without.returned_s > end_s + RETURNS_S
+    assert recovers.returned_s < end_s + 75.0
     assert (without.adapter.recovery.adopted, recovers.adapter.recovery.adopted) == (0, 1)
     assert recovers.worst_over_level < 1.0
 
