@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.message_store import RosbagsFactory
-from ship_bags.stamps import NS_PER_S
+from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_estimation.outcome import Status
 from ship_node.documents.saved_document import UNTOUCHED
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC
@@ -27,8 +28,10 @@ from ship_testing.kept_sink import KeptSink
 from ship_testing.returns.voyages import make_bag
 from ship_testing.theodolite_scenes import replaced
 from ship_watch.orientations import ORIENTATIONS
+from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 from theodolite_calib.ros.pointing_messages import POINTING_TOPIC
+from theodolite_calib.smoothing.core import SmoothingAxisCore
 
 pytestmark = pytest.mark.slow
 
@@ -51,12 +54,14 @@ class _Sink(VoyageSink):
     def __init__(self, truths: dict[str, Truth]) -> None:
         super().__init__(truths)
         self.statuses: list[tuple[int, int]] = []
+        self.stamps: list[tuple[int, int]] = []
         self.texts: set[str] = set()
 
     def write(self, topic: str, message: object, log_time_ns: int) -> None:
         super().write(topic, message, log_time_ns)
         if topic == POINTING_TOPIC:
             self.statuses.append((log_time_ns, int(message.status)))
+            self.stamps.append((ns_from_stamp(message.header.stamp), int(message.status)))
         elif topic == DIAGNOSTICS_TOPIC:
             self.texts |= {status.message for status in message.status if status.name.endswith("recovery")}
 
@@ -79,12 +84,17 @@ class Found:
 
 
 def replayed(
-    run_class: type[ReplayRun], path: Path, faults: Sequence[Fault], sink: object, **changes: object
+    run_class: type[ReplayRun],
+    path: Path,
+    faults: Sequence[Fault],
+    sink: object,
+    node: type[OpticalAxisAdapter] = OpticalAxisAdapter,
+    **changes: object,
 ) -> OpticalAxisAdapter:
     """Return the node after a replay with faults, with dotted parameters changed (``__`` for the dot)."""
     with read_bag(path) as bag:
         config = suite_config(bag, OpticalAxisAdapter, None, "/optical_axis")
-    adapter = OpticalAxisAdapter(replaced(config, **changes), RosbagsFactory(), UNTOUCHED)
+    adapter = node(replaced(config, **changes), RosbagsFactory(), UNTOUCHED)
     chain = AdapterChain([adapter])
     run = run_class(chain, sink, ReplaySummary(), truth_topics=set())
     taken = {topic.topic for topic in chain.inputs}
@@ -176,3 +186,16 @@ def test_pointings_above_the_alert_limit_are_no_trouble(session):
     adapter = replayed(ReplayRun, session, [], KeptSink(), integrity__alert_limit_arcsec=(10.0, 10.0, 10.0))
     assert adapter.latest.status is Status.DEGRADED
     assert adapter.recovery.started == 0
+
+
+class _Smoothing(OpticalAxisAdapter):
+    def make_core(self, config: OpticalAxisConfig, watch: SkyWatch | None) -> SmoothingAxisCore:
+        return SmoothingAxisCore(config, watch)
+
+
+def test_smoothing_has_the_pointings_of_both_estimators(session):
+    sink = _Sink({})
+    adapter = replayed(ReplayRun, session, CLOCKS, sink, _Smoothing)
+    assert adapter.recovery.adopted == 1
+    smoothed_ns = [estimate.time_ns for estimate in adapter.core.smoothed_to_the_end()]
+    assert smoothed_ns == [stamp_ns for stamp_ns, status in sink.stamps if status != Status.INVALID]
