@@ -1,18 +1,19 @@
 """In trouble a second estimator of the pointing takes the same inputs, and replaces the first one where it is right.
 
-The bag is that of ``bags/theodolite.mcap`` with both lights all the time, at rates that cost little.
+The bag is that of the return matrix: two lights all the time, at rates that cost little.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.message_store import RosbagsFactory
-from ship_bags.stamps import NS_PER_S
+from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_estimation.outcome import Status
 from ship_node.documents.saved_document import UNTOUCHED
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC
@@ -23,16 +24,18 @@ from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 from ship_replay.trials.voyage_told import VoyageSink
 from ship_simulation.faults.injection import Injection
 from ship_simulation.scenario.fault import Fault
-from ship_simulation.simulate_command import write_bag
 from ship_testing.kept_sink import KeptSink
-from ship_testing.theodolite_scenes import bag_scenario, replaced, with_beacons, with_theodolite
+from ship_testing.returns.voyages import make_bag
+from ship_testing.theodolite_scenes import replaced
 from ship_watch.orientations import ORIENTATIONS
+from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 from theodolite_calib.ros.pointing_messages import POINTING_TOPIC
+from theodolite_calib.smoothing.core import SmoothingAxisCore
 
 pytestmark = pytest.mark.slow
 
-SESSION_S = 320.0
+SESSION_S = 330.0
 FAULT_S, LASTS_S = 40.0, 30.0
 END_S = FAULT_S + LASTS_S
 NEVER_S = 1e6
@@ -42,17 +45,7 @@ RETURNS_S = 180.0
 
 @pytest.fixture(scope="session")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    scenario = with_beacons(
-        bag_scenario(duration_s=SESSION_S), leaves_s=1e6, hidden={}, rtk__rate_hz=2.0, imu__rate_hz=2.0
-    )
-    scenario = with_theodolite(scenario, encoder__rate_hz=10.0, telescope__rate_hz=2.0)
-    slower = {
-        "ins": replaced(scenario.ins, rate_hz=1.0),
-        "fused_attitude": replaced(scenario.fused_attitude, rate_hz=10.0),
-    }
-    path = tmp_path_factory.mktemp("recovers") / "theodolite.mcap"
-    write_bag(replace(scenario, **slower), 1, path, b"")
-    return path
+    return make_bag("theodolite", tmp_path_factory.mktemp("recovers"))
 
 
 class _Sink(VoyageSink):
@@ -61,12 +54,14 @@ class _Sink(VoyageSink):
     def __init__(self, truths: dict[str, Truth]) -> None:
         super().__init__(truths)
         self.statuses: list[tuple[int, int]] = []
+        self.stamps: list[tuple[int, int]] = []
         self.texts: set[str] = set()
 
     def write(self, topic: str, message: object, log_time_ns: int) -> None:
         super().write(topic, message, log_time_ns)
         if topic == POINTING_TOPIC:
             self.statuses.append((log_time_ns, int(message.status)))
+            self.stamps.append((ns_from_stamp(message.header.stamp), int(message.status)))
         elif topic == DIAGNOSTICS_TOPIC:
             self.texts |= {status.message for status in message.status if status.name.endswith("recovery")}
 
@@ -89,17 +84,24 @@ class Found:
 
 
 def replayed(
-    run_class: type[ReplayRun], path: Path, faults: Sequence[Fault], sink: object, **changes: object
+    run_class: type[ReplayRun],
+    path: Path,
+    faults: Sequence[Fault],
+    sink: object,
+    node: type[OpticalAxisAdapter] = OpticalAxisAdapter,
+    **changes: object,
 ) -> OpticalAxisAdapter:
     """Return the node after a replay with faults, with dotted parameters changed (``__`` for the dot)."""
     with read_bag(path) as bag:
         config = suite_config(bag, OpticalAxisAdapter, None, "/optical_axis")
-    adapter = OpticalAxisAdapter(replaced(config, **changes), RosbagsFactory(), UNTOUCHED)
+    adapter = node(replaced(config, **changes), RosbagsFactory(), UNTOUCHED)
     chain = AdapterChain([adapter])
     run = run_class(chain, sink, ReplaySummary(), truth_topics=set())
     taken = {topic.topic for topic in chain.inputs}
     with read_bag(path) as bag:
         for record in Injection(path, {f"f{number}": one for number, one in enumerate(faults)}, 1).records(bag):
+            if record.log_time_ns > (bag.start_ns or 0) + SESSION_S * NS_PER_S:
+                break
             if record.topic in taken:
                 run.take(record.topic, record)
     run.finish()
@@ -134,15 +136,27 @@ CLOCKS = [
     Fault(topic=topic, kind="clock_step", start_s=FAULT_S, end_s=END_S, step_s=-0.1)
     for topic in ("theodolite/encoder", "theodolite/beacons")
 ]
+HISTORY = [
+    Fault(topic="theodolite/beacons", kind="knock", start_s=37.4, end_s=61.0, right_arcsec=-151.6),
+    Fault(topic="ship/attitude", kind="bias", start_s=40.7, end_s=49.4, north_arcsec=-17.0),
+    Fault(topic="beacon/a/baseline", kind="freeze", start_s=44.1, end_s=63.8),
+    Fault(topic="theodolite/encoder", kind="drift", start_s=61.8, end_s=78.2, azimuth_arcsec_per_min=-59.2),
+    Fault(topic="theodolite/encoder", kind="drift", start_s=125.6, end_s=144.3, azimuth_arcsec_per_min=176.9),
+]
+"""One of the random histories of the return matrix."""
+
 ANTENNA = [
     Fault(topic=f"beacon/{id_}/baseline", kind="wrong_fix", start_s=FAULT_S, end_s=NEVER_S, east_m=1.0) for id_ in "ab"
 ]
 
 
-def test_clocks_of_encoders_and_lights_that_were_late_together(session):
-    without, recovers = found(session, *CLOCKS, recovery__after_s=NEVER_S), found(session, *CLOCKS)
-    assert without.returned_s > END_S + RETURNS_S
-    assert recovers.returned_s < END_S + 75.0
+@pytest.mark.parametrize(
+    ("faults", "end_s", "within_s"), [(CLOCKS, END_S, 75.0), (HISTORY, 144.3, 130.0)], ids=["clocks", "history"]
+)
+def test_the_pointing_returns_where_the_first_estimator_does_not(session, faults, end_s, within_s):
+    without, recovers = found(session, *faults, recovery__after_s=NEVER_S), found(session, *faults)
+    assert without.returned_s > end_s + RETURNS_S
+    assert recovers.returned_s < end_s + within_s
     assert (without.adapter.recovery.adopted, recovers.adapter.recovery.adopted) == (0, 1)
     assert recovers.worst_over_level < 1.0
 
@@ -179,3 +193,16 @@ def test_pointings_above_the_alert_limit_are_no_trouble(session):
     adapter = replayed(ReplayRun, session, [], KeptSink(), integrity__alert_limit_arcsec=(10.0, 10.0, 10.0))
     assert adapter.latest.status is Status.DEGRADED
     assert adapter.recovery.started == 0
+
+
+class _Smoothing(OpticalAxisAdapter):
+    def make_core(self, config: OpticalAxisConfig, watch: SkyWatch | None) -> SmoothingAxisCore:
+        return SmoothingAxisCore(config, watch)
+
+
+def test_smoothing_has_the_pointings_of_both_estimators(session):
+    sink = _Sink({})
+    adapter = replayed(ReplayRun, session, CLOCKS, sink, _Smoothing)
+    assert adapter.recovery.adopted == 1
+    smoothed_ns = [estimate.time_ns for estimate in adapter.core.smoothed_to_the_end()]
+    assert smoothed_ns == [stamp_ns for stamp_ns, status in sink.stamps if status != Status.INVALID]

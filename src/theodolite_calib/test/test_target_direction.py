@@ -16,7 +16,7 @@ from ship_geometry.rotations import ARCSEC, exp_rotation
 from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.lights.line_of_sight import EARTH_RADIUS_M
-from theodolite_calib.measured.samples import EncoderSample, ShipSample, TargetEstimate, TargetSample
+from theodolite_calib.measured.samples import EncoderSample, PointingOutcome, ShipSample, TargetEstimate, TargetSample
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 from theodolite_calib.target.direction import (
     MainDetector,
@@ -283,3 +283,31 @@ def test_an_exposure_of_known_length_is_brought_to_its_middle() -> None:
     # swing (2 pi / period)^2 T^2 / 24 = 59"; what is left is the fourth derivative.
     assert off[0.0] == pytest.approx(59.2, abs=1.5)
     assert off[exposure_s] < 1.0
+
+
+def test_an_estimator_that_replaces_another_one_goes_on_with_its_pointings_and_images() -> None:
+    """The image that waits is answered once, by the second one; the one that was answered is known to it."""
+
+    def told(core: OpticalAxisCore, steps: range) -> list[PointingOutcome]:
+        outcomes = []
+        for step in steps:
+            stamp_ns = START_NS + step * SECOND_NS // 100
+            outcomes.append(core.add_ship(ShipSample(stamp_ns, np.eye(3), np.zeros(3), np.diag(SHIP_SIGMA_N**2))))
+            outcomes.append(core.add_encoder(EncoderSample(stamp_ns, np.array([1.0, 0.5]), ARCSEC)))
+        return outcomes
+
+    def image(since_ns: int) -> TargetSample:
+        return TargetSample(START_NS + since_ns, "buoy", np.zeros(2), 1e-6, 0.0, 0.0, np.nan, np.nan)
+
+    live = OpticalAxisCore(config())
+    second = live.second(None)
+    before, _ = told(live, range(-50, 1)), told(second, range(-50, 1))
+    assert len(live.add_target(image(-100_000_000)).targets) == 1
+    assert not live.add_target(image(5_000_000)).targets
+    last_ns = max(estimate.time_ns for outcome in before for estimate in outcome.estimates)
+    second.replace(live)
+    assert second.add_target(image(-100_000_000)).refusal is not None
+    after = told(second, range(1, 5))
+    assert [target.time_ns for outcome in after for target in outcome.targets] == [START_NS + 5_000_000]
+    times_ns = [estimate.time_ns for outcome in after for estimate in outcome.estimates]
+    assert times_ns == [last_ns + step * SECOND_NS // 100 for step in range(1, 5)]

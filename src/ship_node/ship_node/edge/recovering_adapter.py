@@ -138,7 +138,7 @@ class RecoveringAdapter(BlockAdapter):
         if candidate is not None:
             candidate.note(candidate.core.tick(now_ns, waiting_ns), waiting_ns)
         if self._looked_ns is None or waiting_ns - self._looked_ns >= _LOOK_NS:
-            self._looked_ns = waiting_ns - waiting_ns % _LOOK_NS
+            self._looked_ns = waiting_ns
             published += self._look(waiting_ns)
         return published
 
