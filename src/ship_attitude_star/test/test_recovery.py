@@ -10,9 +10,11 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import pytest
 from scipy.stats import chi2
 
 from ship_attitude_star.ros.messages_in import star_measurement
+from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.memory import separation_from
 from ship_estimation.outcome import Status
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
@@ -268,3 +270,28 @@ def test_separation_is_the_turn_of_the_stars_with_its_own_noise() -> None:
         np.testing.assert_allclose(sigmas, [3.0, 3.0, 100.0], rtol=0.05)
         error = separation.turn - turn_n
         assert error @ np.linalg.solve(separation.noise + separation.expected, error) < chi2.ppf(0.999, 3)
+
+
+def test_an_exception_in_the_second_estimator_costs_no_output(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another one starts, and is adopted."""
+    start, failing = ShipAttitudeCore.second, []
+
+    def second(core: ShipAttitudeCore, memory: Any) -> ShipAttitudeCore:
+        found = start(core, memory)
+        if not failing:
+            failing.append(found)
+            monkeypatch.setattr(found, "add_ins", lambda *_: 1 / 0)
+        return found
+
+    monkeypatch.setattr(ShipAttitudeCore, "second", second)
+    run = sailed(calm())
+    assert len(run.messages(ATTITUDE)) == len(recovered().messages(ATTITUDE))
+    assert (len(failing), run.adapter.recovery.adopted) == (1, 1)
+
+
+def test_smoothed_attitudes_go_on_after_an_adoption() -> None:
+    run = sailed(calm(), smoothing_lag_s=5.0)
+    assert run.adapter.recovery.adopted == 1
+    told = [since_start_s(m) for m in run.messages("ship/attitude_smoothed")]
+    assert all(earlier < later for earlier, later in pairwise(told))
+    assert told[-1] > LENGTH_S - 8.0

@@ -67,11 +67,20 @@ class SmoothingCore(ShipAttitudeCore):
         self._closed: list[FilterState] = []
         self._closed_ns = 0
         self._told: deque[_ToldAtOnce] = deque()
+        self._is_adopted = True
         super().__init__(config, watch, self._closed.extend)
 
     def _another(self, watch: SkyWatch | None) -> ShipAttitudeCore:
-        """See :meth:`ShipAttitudeCore._another`."""
-        return SmoothingCore(self.config, watch, None if self._lag_ns is None else self._lag_ns / SECOND_NS)
+        """See :meth:`ShipAttitudeCore._another`; it smooths nothing before it is adopted."""
+        another = SmoothingCore(self.config, watch, None if self._lag_ns is None else self._lag_ns / SECOND_NS)
+        another._is_adopted = False
+        return another
+
+    def replace(self, live: ShipAttitudeCore) -> None:
+        """See :meth:`ShipAttitudeCore.replace`; the smoothed attitudes begin a new segment."""
+        super().replace(live)
+        self._is_adopted = True
+        self.forget_told()
 
     def _begin(self, state: FilterState) -> None:
         """See :meth:`ShipAttitudeCore._begin`; what was not told again is not told again any more."""
@@ -97,6 +106,9 @@ class SmoothingCore(ShipAttitudeCore):
     def add_ins(self, sample: AttitudeSample, arrival_ns: int | None = None, estimate: bool = True) -> AttitudeOutcome:
         """See :meth:`ShipAttitudeCore.add_ins`."""
         outcome = super().add_ins(sample, arrival_ns, estimate)
+        if not self._is_adopted:
+            self._closed.clear()
+            return outcome
         for one in outcome.estimates:
             doubtful = one.state.doubt is not None or INS in one.state.excluded
             self._told.append(_ToldAtOnce(_alone(one), one.state.disputed_n, doubtful))

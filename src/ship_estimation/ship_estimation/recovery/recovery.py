@@ -16,7 +16,7 @@ An estimator that was never undisputed has no memory: then 1 alone decides, as a
 Everything here follows from the inputs and their order, once a second of the time of waiting.
 """
 
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence, Set
 from typing import Any, Protocol
 
 from ship_estimation.outcome import Decision, Outcome, Status
@@ -108,14 +108,21 @@ class Candidate:
 
     Attributes:
         valid_since_ns: time of waiting since which all its outputs were VALID; None where the last one was not.
+        has_failed: True if the software failed in it: another one starts.
     """
 
     def __init__(self, core: Any, is_from_memory: bool) -> None:
         self.core, self.is_from_memory = core, is_from_memory
         self.valid_since_ns: int | None = None
+        self.has_failed = False
 
-    def note(self, outcome: Outcome[Any, Any], waiting_ns: int) -> None:
-        """Take note of what it would have published."""
+    def take(self, give: Callable[[], Outcome[Any, Any]], waiting_ns: int) -> None:
+        """Give it an input, and take note of what it would have published; the outputs must not suffer by it."""
+        try:
+            outcome = give()
+        except Exception:
+            self.has_failed = True
+            return
         for estimate in outcome.estimates:
             if estimate.status is not Status.VALID:
                 self.valid_since_ns = None
@@ -246,7 +253,7 @@ class Recovery:
         candidate = self.candidate
         if candidate is None or displaced != self._displaced_before:
             self._start(live, from_memory=True)
-        elif candidate.core.is_contradicted or candidate.core.excluded - displaced:
+        elif candidate.has_failed or candidate.core.is_contradicted or candidate.core.excluded - displaced:
             self._start(live, from_memory=not candidate.is_from_memory)
         self._displaced_before = displaced
 

@@ -12,7 +12,7 @@ from typing import Any
 from ship_estimation.outcome import Status
 from ship_estimation.protection import above_limit
 from ship_estimation.recovery.recovery import Candidate, Recovery
-from ship_estimation.refusals import Reason
+from ship_estimation.refusals import Reason, failure
 from ship_estimation.told_levels import ToldLevels
 from ship_geometry.rotations import ARCSEC
 from ship_node.edge.adapter import ServiceResult
@@ -34,6 +34,9 @@ SHOWS_SOURCE = frozenset({
     *(Reason.LIGHT_CONFLICT, Reason.MISIDENTIFIED, Reason.UNIDENTIFIED, Reason.JUMP),
 })  # fmt: skip
 """Reasons after which a message still shows that its source is there: its form is right, a comparison rejected it."""
+
+_RECOVERY = "recovery"
+"""Name of the status, and of what failed where a second estimator cannot be started or judged."""
 
 _REFUSED_IN_TROUBLE = "not saved: a second estimator runs, because {}; what was learnt since then may be wrong"
 
@@ -110,8 +113,17 @@ class RecoveringAdapter(BlockAdapter):
         for decision in outcome.decisions:
             if decision.reason in SHOWS_SOURCE:
                 self._arrived_ns |= dict.fromkeys(self.shown_by_decision(decision), waiting_ns)
-            self.recovery.note_decision(self.core, decision)
-        return super().published(outcome, now_ns, waiting_ns)
+        failed = self._note_decisions(outcome.decisions, now_ns)
+        return failed + super().published(outcome, now_ns, waiting_ns)
+
+    def _note_decisions(self, decisions: Iterable[Any], now_ns: int) -> list[Published]:
+        """Let recovery measure what was decided; return what is to be said where that fails."""
+        try:
+            for decision in decisions:
+                self.recovery.note_decision(self.core, decision)
+        except Exception as error:
+            return [self.failed(_RECOVERY, now_ns, failure(error))]
+        return []
 
     def takes_blocks(self, topic: str) -> bool:
         """See :class:`BlockAdapter`."""
@@ -136,10 +148,14 @@ class RecoveringAdapter(BlockAdapter):
         waiting_ns = now_ns if waiting_ns is None else waiting_ns
         candidate = self.recovery.candidate
         if candidate is not None:
-            candidate.note(candidate.core.tick(now_ns, waiting_ns), waiting_ns)
+            candidate.take(lambda: candidate.core.tick(now_ns, waiting_ns), waiting_ns)
         if self._looked_ns is None or waiting_ns - self._looked_ns >= _LOOK_NS:
             self._looked_ns = waiting_ns
-            published += self._look(waiting_ns)
+            try:
+                published += self._look(waiting_ns)
+            except Exception as error:
+                # The outputs of the estimator that is in use go out all the same.
+                published.append(self.failed(_RECOVERY, now_ns, failure(error)))
         return published
 
     def _look(self, waiting_ns: int) -> list[Published]:
@@ -239,11 +255,11 @@ class RecoveringAdapter(BlockAdapter):
             values[f"{name} moved [arcsec]"] = f"{moved_rad / ARCSEC:.1f}"
         if recovery.is_in_trouble:
             text = f"a second estimator runs: {self._trouble_text()}"
-            return DiagnosticStatus("recovery", Level.WARN, text, values)
+            return DiagnosticStatus(_RECOVERY, Level.WARN, text, values)
         text = "no second estimator runs"
         if recovery.adopted:
             text += f"; the last one was adopted after {recovery.took_s:.0f} s"
-        return DiagnosticStatus("recovery", Level.OK, text, values)
+        return DiagnosticStatus(_RECOVERY, Level.OK, text, values)
 
     def _trouble_text(self) -> str:
         """Return why there is trouble, and what ends it."""
@@ -263,7 +279,7 @@ def _by_both(
 
     def take(value: Any, waiting_ns: int) -> Any:
         outcome = first(value, waiting_ns)
-        candidate.note(second(value, waiting_ns), waiting_ns)
+        candidate.take(lambda: second(value, waiting_ns), waiting_ns)
         return outcome
 
     return take
