@@ -147,13 +147,18 @@ class Displacement:
             return False
         within_noise = value_above(_AT_REST, len(self._largest))
         is_small = left <= _MOST_LEFT_SHARE**2 * largest and self._since_step >= _STEP_LASTS
-        if is_small and _square(self._displaced, self._displaced_covariance) <= within_noise:
+        return not (is_small and _square(self._displaced, self._displaced_covariance) <= within_noise)
+
+    @property
+    def is_beyond_memory(self) -> bool:
+        """True if the remembered state, carried on until now, is too vague to show a displacement of this size."""
+        newest = self._newest
+        if newest is None or not self.largest_rad:
             return False
         # The share of the largest displacement that a separation shows, by least squares.
-        to_share = np.linalg.solve(newest.noise, self._largest) / largest
+        to_share = np.linalg.solve(newest.noise, self._largest) / _square(self._largest, newest.noise)
         sigma = float(np.sqrt(to_share @ (newest.expected + self._covariance) @ to_share))
-        is_decisive = _DECISIVE_SIGMAS * sigma <= 1.0 - _LEFT_SHARE
-        return not (is_decisive and _square(self._level, newest.noise) <= _LEFT_SHARE**2 * largest)
+        return not _DECISIVE_SIGMAS * sigma <= 1.0 - _LEFT_SHARE
 
 
 def _mean(separations: Sequence[Separation]) -> Separation:
