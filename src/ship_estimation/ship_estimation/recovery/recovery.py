@@ -8,8 +8,7 @@ It is adopted where three things hold:
    others agree.
 2. It agrees with the remembered state within :data:`MEMORY_SIGMAS`. A fault that turned all sources alike would not.
 3. Where the INS may have drifted so far that the memory does not show by how much all sources together had moved, they
-   have moved back (:mod:`ship_estimation.recovery.displacement`). Sources that have moved by themselves do not hinder
-   the adoption if the second estimator excludes them.
+   have moved back (:mod:`ship_estimation.recovery.displacement`). What a source did by itself, the memory shows.
 
 An estimator that was never undisputed has no memory: then 1 alone decides, as after a restart of the node.
 
@@ -271,7 +270,7 @@ class Recovery:
         excluded = candidate.core.excluded
         if len(there - excluded) < _LEAST_IN_AGREEMENT or candidate.core.unused(there - excluded):
             return False
-        if not excluded >= self.displaced.keys() and self._displacements[TOGETHER].is_beyond_memory:
+        if TOGETHER in self.displaced and self._displacements[TOGETHER].is_beyond_memory:
             return False
         # Written so that NaN does not agree.
         if self._reference is None or candidate.core.departure_sigmas(self._reference) <= MEMORY_SIGMAS:
