@@ -106,7 +106,8 @@ class Candidate:
         is_from_memory: False if it started from the prior.
 
     Attributes:
-        valid_since_ns: time of waiting since which all its outputs were VALID; None where the last one was not.
+        valid_since_ns: time of waiting since which it has been VALID each second; None where it is not. One measurement
+            that is rejected may make it DEGRADED for a moment.
         has_failed: True if the software failed in it: another one starts.
     """
 
@@ -114,8 +115,9 @@ class Candidate:
         self.core, self.is_from_memory = core, is_from_memory
         self.valid_since_ns: int | None = None
         self.has_failed = False
+        self._status = Status.INVALID
 
-    def take(self, give: Callable[[], Outcome[Any, Any]], waiting_ns: int) -> None:
+    def take(self, give: Callable[[], Outcome[Any, Any]]) -> None:
         """Give it an input, and take note of what it would have published; the outputs must not suffer by it."""
         try:
             outcome = give()
@@ -123,10 +125,14 @@ class Candidate:
             self.has_failed = True
             return
         for estimate in outcome.estimates:
-            if estimate.status is not Status.VALID:
-                self.valid_since_ns = None
-            elif self.valid_since_ns is None:
-                self.valid_since_ns = waiting_ns
+            self._status = estimate.status
+
+    def look(self, waiting_ns: int) -> None:
+        """Take note of its status, once a second."""
+        if self._status is not Status.VALID:
+            self.valid_since_ns = None
+        elif self.valid_since_ns is None:
+            self.valid_since_ns = waiting_ns
 
 
 class Recovery:
@@ -222,6 +228,8 @@ class Recovery:
         if not self.is_in_trouble:
             return False
         self.started += not was_in_trouble
+        if self.candidate is not None:
+            self.candidate.look(waiting_ns)
         self._choose_candidate(live)
         return is_sign and self._is_to_be_adopted(waiting_ns, live, there)
 

@@ -148,7 +148,7 @@ class RecoveringAdapter(BlockAdapter):
         waiting_ns = now_ns if waiting_ns is None else waiting_ns
         candidate = self.recovery.candidate
         if candidate is not None:
-            candidate.take(lambda: candidate.core.tick(now_ns, waiting_ns), waiting_ns)
+            candidate.take(lambda: candidate.core.tick(now_ns, waiting_ns))
         if self._looked_ns is None or waiting_ns - self._looked_ns >= _LOOK_NS:
             self._looked_ns = waiting_ns
             try:
@@ -279,7 +279,7 @@ def _by_both(
 
     def take(value: Any, waiting_ns: int) -> Any:
         outcome = first(value, waiting_ns)
-        candidate.take(lambda: second(value, waiting_ns), waiting_ns)
+        candidate.take(lambda: second(value, waiting_ns))
         return outcome
 
     return take
