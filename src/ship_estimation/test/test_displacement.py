@@ -96,6 +96,18 @@ def test_a_jump_that_the_ins_showed_itself_displaces_nothing() -> None:
     assert not source.is_displaced
 
 
+def test_a_jump_of_the_ins_as_large_as_a_displacement_ends_it() -> None:
+    """The INS turned by 100″, unseen, and its rates show how it turns back: the stars have not moved."""
+    source, turned = Displacement(), np.array([0.0, 100.0 * ARCSEC, 0.0])
+    for second in range(60):
+        source.add(Separation(turned * (20 <= second < 40), NOISE, EXPECTED, DRIFT))
+        if second == 40:
+            assert source.is_displaced
+            source.inflate(np.outer(turned, turned))
+        source.end_second()
+    assert not source.is_displaced
+
+
 def test_a_separation_that_is_no_number_is_no_step() -> None:
     source = Displacement()
     for second in range(20):

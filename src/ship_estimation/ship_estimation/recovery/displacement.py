@@ -83,10 +83,18 @@ class Displacement:
         self._pending.append(separation)
 
     def inflate(self, covariance: FloatArray) -> None:
-        """Allow for a jump of the INS that its own rates showed, rad², shape (k, k)."""
-        if self._newest is not None:
-            self._absorb_held()
-            self._covariance = self._covariance + covariance
+        """Allow for a jump of the INS that its own rates showed, rad², shape (k, k).
+
+        A displacement that is no larger may have been that of the INS: it is forgotten.
+        """
+        if self._newest is None:
+            return
+        self._absorb_held()
+        self._covariance = self._covariance + covariance
+        self._displaced_covariance = self._displaced_covariance + covariance
+        if self.largest_rad and _square(self._displaced, self._displaced_covariance) <= self._within_noise:
+            self._at_rest, self._displaced = self._level, np.zeros_like(self._level)
+            self._largest, self._displaced_covariance = self._displaced, np.zeros_like(covariance)
 
     def end_second(self) -> None:
         """Compare the measurements of the last second with those before."""
@@ -145,9 +153,13 @@ class Displacement:
         largest, left = _square(self._largest, newest.noise), _square(self._displaced, newest.noise)
         if left <= _LEFT_SHARE**2 * largest:
             return False
-        within_noise = value_above(_AT_REST, len(self._largest))
         is_small = left <= _MOST_LEFT_SHARE**2 * largest and self._since_step >= _STEP_LASTS
-        return not (is_small and _square(self._displaced, self._displaced_covariance) <= within_noise)
+        return not (is_small and _square(self._displaced, self._displaced_covariance) <= self._within_noise)
+
+    @property
+    def _within_noise(self) -> float:
+        """Squared length, in standard deviations, up to which a displacement is that of noise."""
+        return value_above(_AT_REST, len(self._largest))
 
     @property
     def is_beyond_memory(self) -> bool:
