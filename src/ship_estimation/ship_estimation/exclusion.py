@@ -59,6 +59,8 @@ class Exclusion:
         apart: how far the source was from the others at that time, rotation vector of the device, rad, shape (3,): it
             must come back from there; None where its mounting is learnt anew.
         share_left: share of ``apart`` that is left, mean over some measurements.
+        farther_since_ns: since when it is much farther from the others than then, in the same direction; None where
+            it is not.
         is_shared: True if all stars were excluded together, for an error that they may share.
         on_suspicion: whether it told a fault of its own and nobody has contradicted it yet.
     """
@@ -68,6 +70,7 @@ class Exclusion:
     agrees_since_ns: int | None = None
     apart: FloatArray | None = None
     share_left: float = 1.0
+    farther_since_ns: int | None = None
     is_shared: bool = False
     on_suspicion: bool = False
 

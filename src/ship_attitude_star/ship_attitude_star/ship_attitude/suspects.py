@@ -56,6 +56,10 @@ _WATCHED_NS = 3 * SECOND_NS
 """So long all sources in use must have been heard before the INS is said to creep away from them."""
 
 
+_CREEPS_FOR_NS = 20 * SECOND_NS
+"""An INS that all stars contradict creeps if they find it farther off for so long: no ship rolls so slowly, ns."""
+
+
 class Suspects:
     """The verdicts by the rows of a configuration.
 
@@ -376,7 +380,8 @@ class Suspects:
         self, state: FilterState, source: str, compared: RowsCompared, time_ns: int
     ) -> tuple[FilterState, str]:
         """Return the state after a measurement of an excluded source, which may return with it, and a text."""
-        if self._ins_creeps_on(state, source):
+        state = self._with_distance(state, source, time_ns)
+        if self._ins_creeps_on(state, source, time_ns):
             return self.without_ins(state, time_ns), "ins is excluded: it goes on creeping away from all stars"
         index, exclusion = self._sources.index(source), state.excluded[source]
         after_s = self._integrity.return_after_s
@@ -404,24 +409,36 @@ class Suspects:
         text = f"{' and '.join(together)} {are} used again"
         return changed(state, seen=seen, excluded=MappingProxyType(remaining), doubt=None), text
 
-    def _ins_creeps_on(self, state: FilterState, source: str) -> bool:
-        """True if all stars that were set aside together find the INS much farther off now, in the same direction.
+    def _with_distance(self, state: FilterState, source: str, time_ns: int) -> FilterState:
+        """Return the state with a note since when an excluded source has been much farther off, in the same direction."""
+        exclusion, last = state.excluded[source], state.apart[source]
+        if exclusion.apart is None:
+            return state
+        before = np.linalg.pinv(last.root) @ exclusion.apart
+        moved = last.whitened - before
+        # Both have the noise of a measurement.
+        is_farther = moved @ moved > 2.0 * self.table.limit and moved @ before > 0.0
+        since_ns = exclusion.farther_since_ns
+        since_ns = None if not is_farther else time_ns if since_ns is None else since_ns
+        if since_ns == exclusion.farther_since_ns:
+            return state
+        exclusion = replace(exclusion, farther_since_ns=since_ns)
+        return changed(state, excluded=with_entry(state.excluded, source, exclusion))
+
+    def _ins_creeps_on(self, state: FilterState, source: str, time_ns: int) -> bool:
+        """True if all stars that were set aside together have found the INS much farther off for longer than she rolls.
 
         Where they share an error that stays, only the INS's wander changes the distance, and its covariance holds that.
+        Where their clocks are wrong, the distance oscillates with the ship.
         """
         since_ns = state.excluded[source].since_ns
-        together = {name: one.apart for name, one in state.excluded.items() if one.since_ns == since_ns and name != INS}
+        together = {name: one for name, one in state.excluded.items() if one.since_ns == since_ns and name != INS}
         if state.doubt is None or len(together) < len(self.table.stars) or not self.ins.may_be_excluded([*together]):
             return False
-        for name, apart in together.items():
-            if apart is None:
-                return False
-            before = np.linalg.pinv(state.apart[name].root) @ apart
-            moved = state.apart[name].whitened - before
-            # Both have the noise of a measurement.
-            if not (moved @ moved > 2.0 * self.table.limit and moved @ before > 0.0):
-                return False
-        return True
+        return all(
+            one.farther_since_ns is not None and time_ns - one.farther_since_ns >= _CREEPS_FOR_NS
+            for one in together.values()
+        )
 
     @staticmethod
     def _excluded_with(state: FilterState, source: str) -> list[str]:
