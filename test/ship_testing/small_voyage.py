@@ -22,7 +22,17 @@ from ship_geometry.ros_axes import (
     rotation_from_quaternion,
 )
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
-from ship_testing.adapter_runs import FACTORY, SECOND_NS, START_NS, AdapterRun, Arrival, hand_over, in_order, stamp_of
+from ship_testing.adapter_runs import (
+    FACTORY,
+    SECOND_NS,
+    START_NS,
+    AdapterRun,
+    Arrival,
+    changed_copy,
+    hand_over,
+    in_order,
+    stamp_of,
+)
 
 INS = "ins/imu"
 FORE = "star/fore/horizon_attitude"
@@ -156,6 +166,19 @@ def cut(arrivals: tuple[Arrival, ...], from_s: float, until_s: float, *topics: s
     """Without what these topics carry with stamps in [from_s, until_s)."""
     from_ns, until_ns = (START_NS + round(s * SECOND_NS) for s in (from_s, until_s))
     return tuple(a for a in arrivals if a.topic not in topics or not from_ns <= a.stamp_ns < until_ns)
+
+
+def turned(arrivals: Iterable[Arrival], turn_n: FloatArray, from_s: float, until_s: float = np.inf) -> list[Arrival]:
+    """All star attitudes turned about North, Up and East, rad."""
+
+    def change(message: Any) -> None:
+        rotation_nv = exp_rotation(turn_n) @ rotation_from_angles(message.azimuth, message.elevation, message.roll)
+        message.azimuth, message.elevation, message.roll = angles_from_rotation(rotation_nv).tolist()
+
+    def is_turned(arrival: Arrival) -> bool:
+        return arrival.topic in (FORE, STARBOARD) and from_s <= (arrival.stamp_ns - START_NS) / SECOND_NS < until_s
+
+    return [changed_copy(one, change) if is_turned(one) else one for one in arrivals]
 
 
 def since_start_s(message: Any) -> float:

@@ -17,17 +17,16 @@ from ship_attitude_star.ros.messages_in import star_measurement
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.memory import separation_from
 from ship_estimation.outcome import Status
-from ship_geometry.frames import angles_from_rotation, rotation_from_angles
-from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
+from ship_geometry.rotations import ARCSEC
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, changed_copy, stamp_of
 from ship_testing.small_voyage import (
     FORE,
-    STARBOARD,
     Run,
     assert_honest,
     drive,
     new_adapter,
     since_start_s,
+    turned,
     voyage,
 )
 from ship_testing.spoilt_filter import spoil
@@ -142,19 +141,6 @@ def test_nothing_is_saved_in_trouble(tmp_path: Any) -> None:
     sailed(calm(), then=save, alignment_file=str(path))
     assert [answer.success for answer in answers] == [True, False, True]
     assert answers[1].message.startswith("not saved: a second estimator runs, because ")
-
-
-def turned(arrivals: Iterable[Arrival], turn_n: FloatArray, from_s: float, until_s: float = np.inf) -> list[Arrival]:
-    """All star attitudes turned about North, Up and East, rad."""
-
-    def change(message: Any) -> None:
-        rotation_nv = exp_rotation(turn_n) @ rotation_from_angles(message.azimuth, message.elevation, message.roll)
-        message.azimuth, message.elevation, message.roll = angles_from_rotation(rotation_nv).tolist()
-
-    def is_turned(arrival: Arrival) -> bool:
-        return arrival.topic in (FORE, STARBOARD) and from_s <= (arrival.stamp_ns - START_NS) / SECOND_NS < until_s
-
-    return [changed_copy(one, change) if is_turned(one) else one for one in arrivals]
 
 
 UP = np.array([0.0, 60.0 * ARCSEC, 0.0])

@@ -68,7 +68,8 @@ def test_a_turn_that_goes_back_is_over(minutes: int, arcsec: float, seed: int) -
 
 @pytest.mark.parametrize("part", [0.5, 0.7])
 def test_a_turn_that_goes_back_by_a_part_is_not_over(part: float) -> None:
-    turns = lasting(60.0, 20, 100, 300) + lasting(60.0 * (1.0 - part), 100, 300, 300)
+    """By 0.7 of 120″ 36″ are left; of 60″ it would be 18″, which are 4 sigmas of what one sensor shows of two steps."""
+    turns = lasting(120.0, 20, 100, 300) + lasting(120.0 * (1.0 - part), 100, 300, 300)
     assert all(sailed(turns, 1)[22:])
 
 

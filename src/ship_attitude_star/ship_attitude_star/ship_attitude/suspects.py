@@ -410,7 +410,7 @@ class Suspects:
         return changed(state, seen=seen, excluded=MappingProxyType(remaining), doubt=None), text
 
     def _with_distance(self, state: FilterState, source: str, time_ns: int) -> FilterState:
-        """Return the state with a note since when an excluded source has been much farther off, in the same direction."""
+        """Return the state with the time since which an excluded source is much farther off in the same direction."""
         exclusion, last = state.excluded[source], state.apart[source]
         if exclusion.apart is None:
             return state

@@ -68,7 +68,8 @@ class Displacement:
         # covariances of the first and the third.
         self._level = self._at_rest = self._displaced = self._before = np.zeros(0)
         self._covariance = self._displaced_covariance = np.zeros((0, 0))
-        self._since_step = _STEP_LASTS
+        # What is there at the beginning may be displaced already.
+        self._since_step, self._is_clear = 0, False
         self._held: tuple[FloatArray, FloatArray] | None = None
         self._newest: Separation | None = None
         self._largest = np.zeros(0)
@@ -95,6 +96,7 @@ class Displacement:
         if self.largest_rad and _square(self._displaced, self._displaced_covariance) <= self._within_noise:
             self._at_rest, self._displaced = self._level, np.zeros_like(self._level)
             self._largest, self._displaced_covariance = self._displaced, np.zeros_like(covariance)
+            self._is_clear = False
 
     def end_second(self) -> None:
         """Compare the measurements of the last second with those before."""
@@ -106,8 +108,8 @@ class Displacement:
         turn, noise = newest.turn, newest.noise
         self._pending.clear()
         if self._newest is None:
-            self._level = self._at_rest = self._displaced = self._largest = np.zeros_like(turn)
-            self._covariance, self._displaced_covariance = newest.expected, np.zeros_like(noise)
+            self._level = self._at_rest = self._displaced = self._before = self._largest = np.zeros_like(turn)
+            self._covariance = self._displaced_covariance = newest.expected
         self._newest = newest
         # Written so that NaN is no step: it says nothing of the source.
         if _square(turn - self._level, self._covariance + noise) > value_above(_FALSE_STEP, len(turn)):
@@ -140,7 +142,9 @@ class Displacement:
         for moved in (self._displaced, self._displaced - self._before):
             if _square(moved, newest.noise) > _square(self._largest, newest.noise):
                 self._largest = moved
-        if self._since_step == _STEP_LASTS:
+        of_both = self._displaced_covariance + self._covariance
+        self._is_clear = self._is_clear or _square(self._displaced, of_both) > self._within_noise
+        if self._since_step == _STEP_LASTS and self._is_clear:
             drift = _STEP_LASTS * newest.drift
             self._displaced_covariance = self._displaced_covariance + self._covariance + drift
 
@@ -148,7 +152,7 @@ class Displacement:
     def is_displaced(self) -> bool:
         """True if the source has moved by a step and not back."""
         newest = self._newest
-        if newest is None or not self.largest_rad:
+        if newest is None or not self._is_clear:
             return False
         largest, left = _square(self._largest, newest.noise), _square(self._displaced, newest.noise)
         if left <= _LEFT_SHARE**2 * largest:
