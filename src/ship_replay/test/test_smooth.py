@@ -1,11 +1,13 @@
 """``smooth``: a bag in, its attitudes and pointings with hindsight out."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import yaml
 
+from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.stamps import ns_from_stamp
@@ -14,6 +16,7 @@ from ship_replay.commands.replay import main as replay
 from ship_replay.commands.smooth import main as smooth
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.simulate_command import write_bag
+from ship_testing.spoilt_filter import spoil
 
 SCENARIO = """\
 start_utc: "2014-07-09T11:50:07.8Z"
@@ -167,3 +170,27 @@ def test_bad_input_is_one_line_that_says_what_is_wrong(bag, tmp_path, capsys):
     assert "theodolite/encoder, ship/attitude are missing" in told[0]
     assert "there is nothing to smooth" in told[1]
     assert not out.exists()
+
+
+@pytest.mark.slow
+def test_attitudes_of_before_an_adoption_are_smoothed_too(tmp_path, monkeypatch):
+    """The filter is spoilt after 15 s and replaced about half a minute later: two segments, no attitude is lost."""
+    bag, out = simulated(tmp_path, SCENARIO.replace("duration_s: 12.0", "duration_s: 60.0")), tmp_path / "out.mcap"
+    look, adapters = ShipAttitudeAdapter._look, set()
+    (start_ns, _), *_ = messages(bag, "ins/imu")
+
+    def spoilt_look(self, waiting_ns):
+        self.recovery._config = replace(self.recovery._config, confirm_s=25.0)
+        if waiting_ns - start_ns >= 15_000_000_000 and self not in adapters:
+            adapters.add(self)
+            spoil(self)
+        return look(self, waiting_ns)
+
+    monkeypatch.setattr(ShipAttitudeAdapter, "_look", spoilt_look)
+    assert smooth([str(bag), "--out", str(out)]) == 0
+    (adapter,) = adapters
+    assert adapter.recovery.adopted == 1
+    stamps_ns = [ns_from_stamp(message.header.stamp) for _, message in messages(out, "ship/attitude_smoothed")]
+    assert stamps_ns == sorted(set(stamps_ns))
+    inputs = messages(bag, "ins/imu")
+    assert len(stamps_ns) >= len(inputs) - 3

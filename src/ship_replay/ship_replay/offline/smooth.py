@@ -7,6 +7,7 @@ same bytes.
 """
 
 import heapq
+import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -16,6 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ship_attitude_star.measurements.samples import AttitudeEstimate
 from ship_attitude_star.ros.attitude_messages import ATTITUDE_TOPIC, ATTITUDE_TYPE, SMOOTHED_TOPIC, smoothed_message
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
@@ -26,13 +28,14 @@ from ship_attitude_star.smoothing.core import SmoothingCore
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag
 from ship_bags.mcap.bag_writer import BagWriter
+from ship_bags.message_factory import MessageFactory
 from ship_bags.message_store import RosbagsFactory, message_store, serialize
 from ship_bags.stamps import ns_from_stamp
 from ship_estimation.outcome import Status
 from ship_geometry.frames import angle_covariance, angles_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_node.documents.saved_document import UNTOUCHED
-from ship_node.edge.topics import OutputTopic
+from ship_node.documents.saved_document import DISK, UNTOUCHED, Files
+from ship_node.edge.topics import OutputTopic, Published
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain, suite_text
 from ship_replay.offline.message_times import in_order_of_stamps
 from ship_replay.offline.replay import Watcher, announce, match_inputs, truth_names, usual_delay_ns
@@ -104,7 +107,20 @@ class SmoothSummary:
 
 
 class _WholeVoyage(ShipAttitudeAdapter):
-    """The node whose core tells all attitudes again at the end."""
+    """The node whose core tells all attitudes again at the end.
+
+    Attributes:
+        ended: the attitudes of estimators that a second one has replaced, with hindsight.
+    """
+
+    def __init__(self, config: ShipAttitudeConfig, factory: MessageFactory, files: Files = DISK) -> None:
+        super().__init__(config, factory, files)
+        self.ended: list[AttitudeEstimate] = []
+
+    def before_adoption(self) -> list[Published]:
+        """See :class:`RecoveringAdapter`; the attitudes are written at the end."""
+        self.ended += self.core.smoothed_to_the_end()
+        return []
 
     def make_core(self, config: ShipAttitudeConfig, watch: SkyWatch | None) -> ShipAttitudeCore:
         """See :meth:`ShipAttitudeAdapter.make_core`."""
@@ -175,7 +191,7 @@ def smooth(
         config_text, factory, told = suite_text(bag, config_path), RosbagsFactory(), _ToldAtOnce()
         kinds = (_WholeVoyage, StarAttitudeAdapter, OpticalAxisAdapter)
         chain, left_out = suite_chain(bag, kinds, factory, config_path, namespace)
-        ship = next((one for one in chain.adapters if isinstance(one, ShipAttitudeAdapter)), None)
+        ship = next((one for one in chain.adapters if isinstance(one, _WholeVoyage)), None)
         axis = next((one for one in chain.adapters if isinstance(one, OpticalAxisAdapter)), None)
         if ship is None and axis is None:
             text = "the configuration has no section of ship_attitude or optical_axis: there is nothing to smooth"
@@ -192,7 +208,8 @@ def smooth(
         pointings: Iterable[BagRecord] = []
         if ship is not None:
             summary.outputs.append(Smoothed(SMOOTHED_TOPIC, ATTITUDE_TYPE, ("heading", "pitch", "roll")))
-            attitudes = _attitudes(ship.core, told.attitudes, factory, summary.outputs[-1])
+            estimates = itertools.chain(ship.ended, ship.core.smoothed_to_the_end())
+            attitudes = _attitudes(estimates, told.attitudes, factory, summary.outputs[-1])
         if axis is not None:
             # They are an input, and written afterwards.
             attitudes = list(attitudes)
@@ -229,10 +246,13 @@ def _truth(bag: Bag, namespace: str) -> Iterator[BagRecord]:
 
 
 def _attitudes(
-    core: SmoothingCore, told: Mapping[int, _AtOnce], factory: RosbagsFactory, smoothed: Smoothed
+    estimates: Iterable[AttitudeEstimate],
+    told: Mapping[int, _AtOnce],
+    factory: RosbagsFactory,
+    smoothed: Smoothed,
 ) -> Iterator[BagRecord]:
     """The attitudes of the ship with hindsight; the summary of them is filled."""
-    for estimate in core.smoothed_to_the_end():
+    for estimate in estimates:
         _, message = smoothed_message(factory, estimate)
         heading, pitch, _ = angles_from_rotation(estimate.rotation_nd)
         covariance = angle_covariance(estimate.covariance_n, heading, pitch)
