@@ -56,8 +56,8 @@ _WATCHED_NS = 3 * SECOND_NS
 """So long all sources in use must have been heard before the INS is said to creep away from them."""
 
 
-_CREEPS_FOR_NS = 20 * SECOND_NS
-"""An INS that all stars contradict creeps if they find it farther off for so long: no ship rolls so slowly, ns."""
+_CREEPS_FOR_NS = 10 * SECOND_NS
+"""An INS that all stars contradict creeps if they find it farther off for so long: half of a slow roll, ns."""
 
 
 class Suspects:
@@ -426,7 +426,7 @@ class Suspects:
         return changed(state, excluded=with_entry(state.excluded, source, exclusion))
 
     def _ins_creeps_on(self, state: FilterState, source: str, time_ns: int) -> bool:
-        """True if all stars that were set aside together have found the INS much farther off for longer than she rolls.
+        """True if all stars that were set aside together have found the INS much farther off for half of a roll.
 
         Where they share an error that stays, only the INS's wander changes the distance, and its covariance holds that.
         Where their clocks are wrong, the distance oscillates with the ship.
