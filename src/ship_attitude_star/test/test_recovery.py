@@ -15,8 +15,11 @@ from scipy.stats import chi2
 
 from ship_attitude_star.ros.messages_in import star_measurement
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_attitude_star.ship_attitude.memory import separation_from
+from ship_attitude_star.ship_attitude.memory import memory_residual
+from ship_attitude_star.ship_attitude.state import changed
 from ship_estimation.outcome import Status
+from ship_estimation.recovery.recovery import MEMORY_SIGMAS
+from ship_estimation.refusals import Reason
 from ship_geometry.rotations import ARCSEC
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, changed_copy, stamp_of
 from ship_testing.small_voyage import (
@@ -155,6 +158,24 @@ def test_a_turn_of_all_stars_that_lasts_is_not_adopted_and_the_text_names_what_e
     assert "~/reset" in text
 
 
+def test_a_lasting_turn_is_not_adopted_where_the_memory_is_too_vague_to_show_it() -> None:
+    """An INS whose heading may drift by 72″ in ten minutes: after a minute the memory allows for 60″ and more."""
+    run = sailed(turned(voyage(170.0), UP, 20.0), spoilt_s=np.inf, ins__heading_time_s=600.0)
+    recovery = run.adapter.recovery
+    assert (recovery.started, recovery.adopted) == (1, 0)
+    assert recovery.candidate.core.departure_sigmas(recovery._reference) < MEMORY_SIGMAS
+    assert recovery.candidate.valid_since_ns is not None
+    assert statuses(run, 22.0) == {Status.DEGRADED}
+
+
+def test_a_covariance_that_is_no_number_agrees_with_no_memory() -> None:
+    core = drive(new_adapter(), voyage(20.0)).adapter.core
+    assert core.departure_sigmas(core.state) == 0.0
+    parts = core.state.stack.copy()
+    parts[0, 0, 0] = np.nan
+    assert not core.departure_sigmas(changed(core.state, stack=parts)) <= MEMORY_SIGMAS
+
+
 def test_reset_after_a_remounting_ends_it_at_once() -> None:
     resets = []
 
@@ -250,29 +271,31 @@ def test_separation_is_the_turn_of_the_stars_with_its_own_noise() -> None:
         config = adapter.config.star_sensors["fore"]
         reading = star_measurement(one.message, receive_ns=one.receive_ns, sensor_id="fore", config=config)
         core = adapter.core
-        separation = separation_from(core.filter, memory, reading.value, core._track, None)
-        assert separation is not None
-        sigmas = np.sqrt(np.linalg.eigvalsh(separation.noise)) / ARCSEC
+        residual = memory_residual(core.filter, memory, reading.value, core._track, None)
+        assert residual is not None
+        sigmas = np.sqrt(np.linalg.eigvalsh(residual.noise)) / ARCSEC
         np.testing.assert_allclose(sigmas, [3.0, 3.0, 100.0], rtol=0.05)
-        error = separation.turn - turn_n
-        assert error @ np.linalg.solve(separation.noise + separation.expected, error) < chi2.ppf(0.999, 3)
+        error = residual.turn - turn_n
+        assert error @ np.linalg.solve(residual.noise + residual.expected, error) < chi2.ppf(0.999, 3)
 
 
 def test_an_exception_in_the_second_estimator_costs_no_output(monkeypatch: pytest.MonkeyPatch) -> None:
     """Another one starts, and is adopted."""
-    start, failing = ShipAttitudeCore.second, []
+    start, failing = ShipAttitudeCore.make_second, []
 
-    def second(core: ShipAttitudeCore, memory: Any) -> ShipAttitudeCore:
+    def make_second(core: ShipAttitudeCore, memory: Any) -> ShipAttitudeCore:
         found = start(core, memory)
         if not failing:
             failing.append(found)
             monkeypatch.setattr(found, "add_ins", lambda *_: 1 / 0)
         return found
 
-    monkeypatch.setattr(ShipAttitudeCore, "second", second)
+    monkeypatch.setattr(ShipAttitudeCore, "make_second", make_second)
     run = sailed(calm())
     assert len(run.messages(ATTITUDE)) == len(recovered().messages(ATTITUDE))
     assert (len(failing), run.adapter.recovery.adopted) == (1, 1)
+    (report,) = [one for one in run.innovations(Reason.FAILED) if one.source == "recovery"]
+    assert "ZeroDivisionError" in report.reason_text
 
 
 def test_smoothed_attitudes_go_on_after_an_adoption() -> None:

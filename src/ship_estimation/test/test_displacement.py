@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from ship_estimation.recovery.displacement import Displacement, Separation
+from ship_estimation.recovery.displacement import Displacement, MemoryResidual
+from ship_estimation.recovery.displacements import TOGETHER, Displacements
 from ship_geometry.rotations import ARCSEC
 
 SIGMA = np.array([100.0, 3.0, 3.0]) * ARCSEC / np.sqrt(5.0)
@@ -27,8 +28,8 @@ def sailed(turns: np.ndarray, seed: int, drifts: bool = True) -> list[bool]:
     for turn in turns:
         drift += rng.normal(0.0, np.sqrt(HEADING_DRIFT)) if drifts else 0.0
         variance = variance + DRIFT
-        separation = rng.normal(0.0, SIGMA) + np.array([0.0, turn + drift, 0.0])
-        source.add(Separation(separation, NOISE, variance, DRIFT))
+        residual = rng.normal(0.0, SIGMA) + np.array([0.0, turn + drift, 0.0])
+        source.add(MemoryResidual(residual, NOISE, variance, DRIFT))
         source.end_second()
         found.append(source.is_displaced)
     return found
@@ -90,7 +91,7 @@ def test_a_step_within_a_second_is_measured_whole() -> None:
 def test_a_jump_that_the_ins_showed_itself_displaces_nothing() -> None:
     source, jump = Displacement(), np.array([0.0, 100.0 * ARCSEC, 0.0])
     for second in range(60):
-        source.add(Separation(jump * (second >= 30), NOISE, EXPECTED, DRIFT))
+        source.add(MemoryResidual(jump * (second >= 30), NOISE, EXPECTED, DRIFT))
         if second == 30:
             source.inflate(np.outer(jump, jump))
         source.end_second()
@@ -101,7 +102,7 @@ def test_a_jump_of_the_ins_as_large_as_a_displacement_ends_it() -> None:
     """The INS turned by 100″, unseen, and its rates show how it turns back: the stars have not moved."""
     source, turned = Displacement(), np.array([0.0, 100.0 * ARCSEC, 0.0])
     for second in range(60):
-        source.add(Separation(turned * (20 <= second < 40), NOISE, EXPECTED, DRIFT))
+        source.add(MemoryResidual(turned * (20 <= second < 40), NOISE, EXPECTED, DRIFT))
         if second == 40:
             assert source.is_displaced
             source.inflate(np.outer(turned, turned))
@@ -109,10 +110,40 @@ def test_a_jump_of_the_ins_as_large_as_a_displacement_ends_it() -> None:
     assert not source.is_displaced
 
 
-def test_a_separation_that_is_no_number_is_no_step() -> None:
+def test_a_residual_that_is_no_number_hides_no_step() -> None:
     source = Displacement()
-    for second in range(20):
-        turn = np.full(3, np.nan) if second == 10 else np.zeros(3)
-        source.add(Separation(turn, NOISE, EXPECTED, DRIFT))
+    for second in range(30):
+        turn = np.full(3, np.nan) if second == 10 else np.array([0.0, 60.0 * ARCSEC * (second >= 20), 0.0])
+        source.add(MemoryResidual(turn, NOISE, EXPECTED, DRIFT))
         source.end_second()
-    assert not source.is_displaced
+        assert source.is_displaced == (second >= 20)
+
+
+FORE, STARBOARD = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
+"""Lines of sight of two level star sensors, North and East: a turn about one is seen by the other."""
+
+
+def moved(fore_n: np.ndarray, starboard_n: np.ndarray, seed: int) -> Displacements:
+    """Two star sensors that are turned at 20 s, rotation vectors, rad."""
+    rng, found = np.random.default_rng(seed), Displacements()
+    for second in range(40):
+        for name, sight_n, turn_n in (("star.fore", FORE, fore_n), ("star.starboard", STARBOARD, starboard_n)):
+            noise = SIGMA[1] ** 2 * np.eye(3) + (SIGMA[0] ** 2 - SIGMA[1] ** 2) * np.outer(sight_n, sight_n)
+            turn = turn_n * (second >= 20) + rng.multivariate_normal(np.zeros(3), noise)
+            found.add(name, MemoryResidual(turn, noise, EXPECTED, DRIFT))
+        found.end_second()
+    return found
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_turn_of_all_that_one_of_them_cannot_see_is_one_of_all(seed: int) -> None:
+    """20″ about the line of sight of one sensor, whose noise there is 45″ in a second."""
+    assert set(moved(20.0 * ARCSEC * FORE, 20.0 * ARCSEC * FORE, seed).displaced) == {TOGETHER}
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_source_that_moves_by_itself_is_named(seed: int) -> None:
+    up = np.array([0.0, 60.0 * ARCSEC, 0.0])
+    found = moved(up, 0.0 * up, seed)
+    assert set(found.displaced) == {"star.fore"}
+    assert not found.is_undecided_by_memory

@@ -138,12 +138,12 @@ def test_a_second_estimator_that_is_adopted(tmp_path: Path, monkeypatch: pytest.
         start_ns = opened.start_ns or 0
     look = ShipAttitudeAdapter._look
 
-    def spoilt_look(self: ShipAttitudeAdapter, waiting_ns: int) -> Any:
+    def spoilt_look(self: ShipAttitudeAdapter, now_ns: int, waiting_ns: int) -> Any:
         self.recovery._config = replace(self.recovery._config, confirm_s=30.0)
         if waiting_ns - start_ns >= 20 * NS_PER_S and id(self) not in spoilt:
             spoilt.add(id(self))
             spoil(self)
-        published = look(self, waiting_ns)
+        published = look(self, now_ns, waiting_ns)
         if self.recovery.adopted > adopted.count(id(self)):
             adopted.append(id(self))
         return published

@@ -179,12 +179,12 @@ def test_attitudes_of_before_an_adoption_are_smoothed_too(tmp_path, monkeypatch)
     look, adapters = ShipAttitudeAdapter._look, set()
     (start_ns, _), *_ = messages(bag, "ins/imu")
 
-    def spoilt_look(self, waiting_ns):
+    def spoilt_look(self, now_ns, waiting_ns):
         self.recovery._config = replace(self.recovery._config, confirm_s=25.0)
         if waiting_ns - start_ns >= 15_000_000_000 and self not in adapters:
             adapters.add(self)
             spoil(self)
-        return look(self, waiting_ns)
+        return look(self, now_ns, waiting_ns)
 
     monkeypatch.setattr(ShipAttitudeAdapter, "_look", spoilt_look)
     assert smooth([str(bag), "--out", str(out)]) == 0

@@ -1,4 +1,4 @@
-"""The remembered calibration: separations of lights against geometry and in distribution, departures, jumps."""
+"""The remembered calibration: residuals of lights against geometry and in distribution, departures, jumps."""
 
 from dataclasses import replace
 
@@ -14,9 +14,9 @@ from theodolite_calib.measured.encoder_watch import EncoderJump
 from theodolite_calib.measured.sighting import Sighting
 from theodolite_calib.optical_axis.memory import (
     OwnJump,
-    carried,
     departure_sigmas,
-    separations_from,
+    memory_residuals,
+    propagate_memory,
     start_from_memory,
     stood_still,
 )
@@ -57,7 +57,7 @@ def test_a_baseline_that_moves_turns_its_light_to_the_other_side() -> None:
     baseline_n[0] += moved_n
     moved = replace(sighting, lights=replace(sighting.lights, baseline_n=baseline_n))
     first, other = sighting.names
-    before, after = separations_from(FILTER, state, sighting), separations_from(FILTER, state, moved)
+    before, after = memory_residuals(FILTER, state, sighting), memory_residuals(FILTER, state, moved)
     north, up, east = baseline_n[0]
     distance_m, level_m = np.linalg.norm(baseline_n[0]), np.hypot(north, east)
     right_n = np.array([-east, 0.0, north]) / level_m
@@ -73,7 +73,7 @@ def test_separations_have_the_covariance_that_is_stated() -> None:
     values = []
     for seed in range(200):
         state, sighting = remembered(seed)
-        one = separations_from(FILTER, state, sighting)[sighting.names[0]]
+        one = memory_residuals(FILTER, state, sighting)[sighting.names[0]]
         values.append(float(one.turn @ np.linalg.solve(one.expected + one.noise, one.turn)))
     low, high = mean_nees_band(len(values), 2)
     assert low < np.mean(values) < high
@@ -81,9 +81,9 @@ def test_separations_have_the_covariance_that_is_stated() -> None:
 
 def test_what_is_expected_grows_by_the_drift() -> None:
     state, sighting = remembered(2)
-    later = carried(FILTER, state, [], sighting.time_ns + SECOND_NS)
-    now = separations_from(FILTER, state, sighting)[sighting.names[0]]
-    then = separations_from(FILTER, later, replace(sighting, time_ns=later.time_ns))[sighting.names[0]]
+    later = propagate_memory(FILTER, state, [], sighting.time_ns + SECOND_NS)
+    now = memory_residuals(FILTER, state, sighting)[sighting.names[0]]
+    then = memory_residuals(FILTER, later, replace(sighting, time_ns=later.time_ns))[sighting.names[0]]
     # What decays within a second of what is known already is a thousandth of it.
     np.testing.assert_allclose(then.expected - now.expected, now.drift, atol=0.01 * np.max(now.expected))
 
@@ -120,10 +120,10 @@ def test_another_estimate_departs_from_the_memory_where_all_lights_have_moved(mo
 def test_jumps_of_the_encoders_widen_the_memory_by_their_size() -> None:
     state, sighting = remembered(4)
     jump = OwnJump(EncoderJump(sighting.time_ns - SECOND_NS, np.array([300.0, 0.0]) * ARCSEC, ARCSEC))
-    widened = separations_from(FILTER, carried(FILTER, state, [jump], sighting.time_ns), sighting)
+    widened = memory_residuals(FILTER, propagate_memory(FILTER, state, [jump], sighting.time_ns), sighting)
     sigma = np.sqrt(np.max(np.linalg.eigvalsh(widened[sighting.names[0]].expected))) / ARCSEC
     elevation = sighting.encoder.elevation
     assert sigma == pytest.approx(300.0 * np.cos(elevation), rel=0.15)
     assert np.sqrt(jump.covariance_n[0, 0]) / ARCSEC == pytest.approx(300.0, rel=0.01)
-    unknown = separations_from(FILTER, carried(FILTER, state, [stood_still(0)], sighting.time_ns), sighting)
+    unknown = memory_residuals(FILTER, propagate_memory(FILTER, state, [stood_still(0)], sighting.time_ns), sighting)
     assert np.min(np.diagonal(unknown[sighting.names[0]].expected)) > np.deg2rad(5.0) ** 2

@@ -300,12 +300,12 @@ def test_an_estimator_that_replaces_another_one_goes_on_with_its_pointings_and_i
         return TargetSample(START_NS + since_ns, "buoy", np.zeros(2), 1e-6, 0.0, 0.0, np.nan, np.nan)
 
     live = OpticalAxisCore(config())
-    second = live.second(None)
+    second = live.make_second(None)
     before, _ = told(live, range(-50, 1)), told(second, range(-50, 1))
     assert len(live.add_target(image(-100_000_000)).targets) == 1
     assert not live.add_target(image(5_000_000)).targets
     last_ns = max(estimate.time_ns for outcome in before for estimate in outcome.estimates)
-    second.replace(live)
+    second.take_over_outputs(live)
     assert second.add_target(image(-100_000_000)).refusal is not None
     after = told(second, range(1, 5))
     assert [target.time_ns for outcome in after for target in outcome.targets] == [START_NS + 5_000_000]

@@ -37,7 +37,7 @@ from ship_attitude_star.vertical.config import TOPIC
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.outcome import Status
 from ship_estimation.rate_guard import Rates
-from ship_estimation.recovery.recovery import TOGETHER
+from ship_estimation.recovery.displacements import TOGETHER
 from ship_estimation.refusals import failure
 from ship_geometry.frames import angle_covariance, angles_from_rotation
 from ship_geometry.ros_axes import (
@@ -155,18 +155,13 @@ class ShipAttitudeAdapter(RecoveringAdapter):
             ALIGNMENT_FILE,
             config.alignment_file,
             files,
-            start_from=self._start_from,
+            start_from=self.start_from,
             to_save=self._alignment_to_save,
             nothing="no star attitude was used yet: there is no alignment to save",
         )
         self.start_warnings = self._lacking = start_warnings(config)
         self._observed: tuple[int, DiagnosticStatus] | None = None
         super().__init__(config, core, factory, self._attitude_messages, saved)
-
-    def _start_from(self, prior: AlignmentPrior, now_ns: int) -> list[str]:
-        """Reset the estimator of now to a saved alignment; return remarks for the operator."""
-        core: ShipAttitudeCore = self.core
-        return core.start_from(prior, now_ns)
 
     def _alignment_to_save(self) -> AlignmentPrior | None:
         """Return what the estimator of now has learnt."""
@@ -206,7 +201,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         return published
 
     def table(self, config: ShipAttitudeConfig, core: ShipAttitudeCore) -> Iterator[Feed]:
-        """Which topic feeds which method of a core; each star sensor has one topic, so that no star counts twice."""
+        """Yield the inputs and the methods of a core that take them; each star sensor has one topic only."""
         ins = InputTopic("ins/imu", IMU_TYPE, required=True, depth=1000)
         block = BlockFeed(functools.partial(ins_block, config=config.ins), core)
         read_ins = functools.partial(ins_sample, config=config.ins)

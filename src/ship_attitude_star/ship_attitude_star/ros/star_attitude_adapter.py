@@ -105,7 +105,7 @@ class StarAttitudeAdapter(BlockAdapter):
         super().__init__(config, StarCore(config, self._watch), factory)
 
     def table(self, config: StarAttitudeConfig, core: StarCore) -> Iterator[Feed]:
-        """Which topic feeds which method of a core."""
+        """Yield the inputs and the methods of a core that take them."""
         for id_, sensor in config.star_sensors.items():
             topic = InputTopic(f"star/{id_}/observations", _STARS_TYPE, False, depth=100, named=True)
             read_stars = functools.partial(

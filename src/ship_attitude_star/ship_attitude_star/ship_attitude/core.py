@@ -39,10 +39,10 @@ from ship_attitude_star.ship_attitude.integrity import integrity_of
 from ship_attitude_star.ship_attitude.linearised import Linearised
 from ship_attitude_star.ship_attitude.manoeuvre import RecentSource, TurnHint, worthwhile_turn
 from ship_attitude_star.ship_attitude.memory import (
-    carried,
     departure_sigmas,
     is_undisputed,
-    separation_from,
+    memory_residual,
+    propagate_memory,
     start_from_memory,
 )
 from ship_attitude_star.ship_attitude.observability import ToldStates, learnt
@@ -58,7 +58,7 @@ from ship_estimation.ins_guard import JudgedIns
 from ship_estimation.outcome import Measurement, Status
 from ship_estimation.protection import IntegrityReport
 from ship_estimation.rate_guard import Rates
-from ship_estimation.recovery.displacement import Separation
+from ship_estimation.recovery.displacement import MemoryResidual
 from ship_estimation.refusals import Refusal
 from ship_estimation.time_shift import with_shifted_stamps
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, SampleBlock
@@ -426,7 +426,7 @@ class ShipAttitudeCore:
         """True if its sources contradict one another and no source is found to be faulty."""
         return self.state.doubt is not None or self.state.utc is not None
 
-    def second(self, memory: FilterState | None) -> "ShipAttitudeCore":
+    def make_second(self, memory: FilterState | None) -> "ShipAttitudeCore":
         """Return another estimator that starts from a remembered state; from the saved alignment or the prior without.
 
         With a memory it also starts with the position and the air as they are known here.
@@ -437,7 +437,7 @@ class ShipAttitudeCore:
             second.reset()
             return second
         if self.vertical is not None:
-            second.vertical = self.vertical.twin(with_inputs=True)
+            second.vertical = self.vertical.twin()
             second.filter = second.filter_class(second.config, second.vertical)
         state = start_from_memory(second.filter, memory, self.state.record)
         second._shell.reset(state)
@@ -454,28 +454,28 @@ class ShipAttitudeCore:
         self._ins_jumps.clear()
         return jumps
 
-    def carried(self, memory: FilterState, jumps: Sequence[InsJump]) -> FilterState:
+    def propagate_memory(self, memory: FilterState, jumps: Sequence[InsJump]) -> FilterState:
         """Return a remembered state propagated to the oldest time that measurements may still have."""
-        return carried(self.filter, memory, jumps, self._shell.window.oldest_ns)
+        return propagate_memory(self.filter, memory, jumps, self._shell.window.oldest_ns)
 
-    def separations(self, decision: AttitudeDecision, memory: FilterState) -> Mapping[str, Separation]:
+    def memory_residuals(self, decision: AttitudeDecision, memory: FilterState) -> Mapping[str, MemoryResidual]:
         """Return how far stars that were just judged are from a remembered state; nothing for other measurements."""
         measurement = decision.measurement
         if not self.filter.devices[measurement.source].is_star:
             return {}
-        separation = separation_from(self.filter, memory, measurement, self._track, self._watch)
-        return {} if separation is None else {measurement.source: separation}
+        residual = memory_residual(self.filter, memory, measurement, self._track, self._watch)
+        return {} if residual is None else {measurement.source: residual}
 
     def departure_sigmas(self, memory: FilterState) -> float:
         """Return the largest difference of a lasting state from the remembered one, in standard deviations of both."""
         return departure_sigmas(self.filter, self.state, memory)
 
-    def unused(self, sources: Set[str]) -> set[str]:
+    def unused_sources(self, sources: Set[str]) -> set[str]:
         """Return those of the sources of which no measurement was used recently."""
         since_ns, used_ns = self._shell.window.newest_ns - HEARD_NS, self.state.used_ns
         return {name for name in sources if name in self.filter.devices and used_ns.get(name, since_ns - 1) < since_ns}
 
-    def replace(self, live: "ShipAttitudeCore") -> None:
+    def take_over_outputs(self, live: "ShipAttitudeCore") -> None:
         """Go on with the outputs where another estimator ends."""
         self._shell.continue_outputs(live._shell)
 

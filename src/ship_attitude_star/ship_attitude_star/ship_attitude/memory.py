@@ -15,7 +15,7 @@ from ship_attitude_star.ship_attitude.state import FilterState, changed
 from ship_attitude_star.sky.sky_watch import SkyWatch
 from ship_estimation.ins import InsJump
 from ship_estimation.outcome import Measurement
-from ship_estimation.recovery.displacement import Separation
+from ship_estimation.recovery.displacement import MemoryResidual
 from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.time_scales import SECOND_NS
 
@@ -38,16 +38,16 @@ def start_from_memory(filter_: ShipFilter, memory: FilterState, record: MappingP
     return changed(start, time_ns=memory.time_ns, vertical=memory.vertical, common_n=memory.common_n, record=record)
 
 
-def carried(filter_: ShipFilter, memory: FilterState, jumps: Sequence[InsJump], time_ns: int) -> FilterState:
+def propagate_memory(filter_: ShipFilter, memory: FilterState, jumps: Sequence[InsJump], time_ns: int) -> FilterState:
     """Return the remembered state propagated to a time, with a covariance inflated by the jumps of the INS."""
     for jump in jumps:
         memory = filter_.opened(memory, jump)
     return filter_.predicted(memory, time_ns)
 
 
-def separation_from(
+def memory_residual(
     filter_: ShipFilter, memory: FilterState, measurement: Measurement, track: AttitudeTrack, watch: SkyWatch | None
-) -> Separation | None:
+) -> MemoryResidual | None:
     """Return how far a measurement is from a remembered state, as a turn about North, Up and East.
 
     None where it cannot be compared, or does not show the whole turn of its device.
@@ -66,7 +66,7 @@ def separation_from(
     by_state = to_turn @ linear.jacobian
     noise_n = found.compared.predicted_nv @ noise_v @ found.compared.predicted_nv.T
     expected, drift = by_state @ state.covariance @ by_state.T, by_state @ _drift(filter_, state) @ by_state.T
-    return Separation(to_turn @ linear.residual, noise_n, expected, drift)
+    return MemoryResidual(to_turn @ linear.residual, noise_n, expected, drift)
 
 
 def departure_sigmas(filter_: ShipFilter, state: FilterState, memory: FilterState) -> float:
@@ -77,7 +77,9 @@ def departure_sigmas(filter_: ShipFilter, state: FilterState, memory: FilterStat
     rows = np.concatenate([filter_.model.rows(name) for name in filter_.model.slices if name.endswith(_LASTING)])
     variance = state.covariance.diagonal()[rows] + memory.covariance.diagonal()[rows]
     difference = np.abs(state.mean - memory.mean)[rows]
-    return float(np.max(difference[variance > 0.0] / np.sqrt(variance[variance > 0.0]), initial=0.0))
+    # What is known exactly does not differ. Written so that NaN is compared.
+    varies = variance != 0.0
+    return float(np.max(difference[varies] / np.sqrt(variance[varies]), initial=0.0))
 
 
 def is_undisputed(filter_: ShipFilter, state: FilterState, degraded_after: int) -> bool:

@@ -67,19 +67,19 @@ class SmoothingCore(ShipAttitudeCore):
         self._closed: list[FilterState] = []
         self._closed_ns = 0
         self._told: deque[_ToldAtOnce] = deque()
-        self._is_adopted = True
+        self._smooths = True
         super().__init__(config, watch, self._closed.extend)
 
     def _another(self, watch: SkyWatch | None) -> ShipAttitudeCore:
         """See :meth:`ShipAttitudeCore._another`; it smooths nothing before it is adopted."""
         another = SmoothingCore(self.config, watch, None if self._lag_ns is None else self._lag_ns / SECOND_NS)
-        another._is_adopted = False
+        another._smooths = False
         return another
 
-    def replace(self, live: ShipAttitudeCore) -> None:
-        """See :meth:`ShipAttitudeCore.replace`; the smoothed attitudes begin a new segment."""
-        super().replace(live)
-        self._is_adopted = True
+    def take_over_outputs(self, live: ShipAttitudeCore) -> None:
+        """See :meth:`ShipAttitudeCore.take_over_outputs`; the smoothed attitudes begin a new segment."""
+        super().take_over_outputs(live)
+        self._smooths = True
         self.forget_told()
 
     def _begin(self, state: FilterState) -> None:
@@ -106,7 +106,7 @@ class SmoothingCore(ShipAttitudeCore):
     def add_ins(self, sample: AttitudeSample, arrival_ns: int | None = None, estimate: bool = True) -> AttitudeOutcome:
         """See :meth:`ShipAttitudeCore.add_ins`."""
         outcome = super().add_ins(sample, arrival_ns, estimate)
-        if not self._is_adopted:
+        if not self._smooths:
             self._closed.clear()
             return outcome
         for one in outcome.estimates:

@@ -105,14 +105,11 @@ class VerticalTrack:
         self._knots: dict[int, _Knot] = {}
         self._newest_step: int | None = None
 
-    def twin(self, with_inputs: bool) -> "VerticalTrack":
-        """Return a track of the same configuration for another estimator, with copies of the inputs or without any."""
+    def twin(self) -> "VerticalTrack":
+        """Return a track for another estimator, with copies of the inputs."""
         twin = copy.copy(self)
-        twin.reset()
-        if with_inputs:
-            twin._place = copy.deepcopy(self._place)
-            twin._messages, twin._stamps = list(self._messages), list(self._stamps)
-            twin._knots, twin._newest_step = dict(self._knots), self._newest_step
+        twin._place = copy.deepcopy(self._place)
+        twin._messages, twin._stamps, twin._knots = list(self._messages), list(self._stamps), dict(self._knots)
         return twin
 
     def step_time_base(self, step_ns: int) -> None:

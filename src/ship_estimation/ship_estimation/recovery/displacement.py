@@ -1,6 +1,6 @@
 """Displacement of a source, or of several together: has what contradicted the others moved back?
 
-Each measurement is compared with a remembered state, carried on by the INS. Their separation is a rotation vector. It
+Each measurement is compared with a remembered state, carried on by the INS. Their residual is a rotation vector. It
 changes slowly, by the drift of the INS, and at once where a source or the INS moves. Only what changes at once is
 displacement: an INS that drifts by as much as the contradiction does not end it.
 """
@@ -26,7 +26,7 @@ _STEP_LASTS = 4
 """Seconds from the beginning of a step in which all changes belong to it; the drift is small in this time."""
 
 
-class Separation(NamedTuple):
+class MemoryResidual(NamedTuple):
     """A measurement of a source against a remembered state.
 
     Attributes:
@@ -44,7 +44,7 @@ class Separation(NamedTuple):
 
 
 class Displacement:
-    """The displacement of a source, or of several together: how far their separation has changed by steps.
+    """The displacement of a source, or of several together: how far their residual has changed by steps.
 
     Example:
         A source moves by 60″ about Up and back while the INS drifts by 30″ in between:
@@ -53,7 +53,7 @@ class Displacement:
         >>> source, up, noise = Displacement(), np.array([0.0, ARCSEC, 0.0]), (2.0 * ARCSEC) ** 2 * np.eye(3)
         >>> for second in range(100):
         ...     moved = 60.0 if 20 <= second < 80 else 0.0
-        ...     source.add(Separation((moved + 0.3 * second) * up, noise, noise, 0.1 * noise))
+        ...     source.add(MemoryResidual((moved + 0.3 * second) * up, noise, noise, 0.1 * noise))
         ...     source.end_second()
         ...     if second in (10, 50, 99):
         ...         print(source.is_displaced)
@@ -63,15 +63,15 @@ class Displacement:
     """
 
     def __init__(self) -> None:
-        self._pending: list[Separation] = []
-        # The separation now, the part of it that is no displacement, the displacement now and before the last step;
+        self._pending: list[MemoryResidual] = []
+        # The residual now, the part of it that is no displacement, the displacement now and before the last step;
         # covariances of the first and the third.
         self._level = self._at_rest = self._displaced = self._before = np.zeros(0)
         self._covariance = self._displaced_covariance = np.zeros((0, 0))
         # What is there at the beginning may be displaced already.
         self._since_step, self._is_clear = 0, False
         self._held: tuple[FloatArray, FloatArray] | None = None
-        self._newest: Separation | None = None
+        self._newest: MemoryResidual | None = None
         self._largest = np.zeros(0)
 
     @property
@@ -79,9 +79,10 @@ class Displacement:
         """Length of the largest displacement, or change of it, rad."""
         return float(np.linalg.norm(self._largest))
 
-    def add(self, separation: Separation) -> None:
-        """Take a measurement."""
-        self._pending.append(separation)
+    def add(self, residual: MemoryResidual) -> None:
+        """Take a measurement; one that is no number shows nothing."""
+        if all(np.all(np.isfinite(part)) for part in residual):
+            self._pending.append(residual)
 
     def inflate(self, covariance: FloatArray) -> None:
         """Allow for a jump of the INS that its own rates showed, rad², shape (k, k).
@@ -111,7 +112,6 @@ class Displacement:
             self._level = self._at_rest = self._displaced = self._before = self._largest = np.zeros_like(turn)
             self._covariance = self._displaced_covariance = newest.expected
         self._newest = newest
-        # Written so that NaN is no step: it says nothing of the source.
         if _square(turn - self._level, self._covariance + noise) > value_above(_FALSE_STEP, len(turn)):
             if self._since_step >= _STEP_LASTS:
                 self._since_step, self._before = 0, self._displaced
@@ -132,7 +132,7 @@ class Displacement:
         self._covariance = (np.eye(len(turn)) - gain) @ self._covariance
         self._held = None
 
-    def _sum_up(self, newest: Separation) -> None:
+    def _sum_up(self, newest: MemoryResidual) -> None:
         """Take the change of the level for displacement where a step is under way, for drift otherwise."""
         if self._since_step >= _STEP_LASTS:
             self._at_rest = self._level - self._displaced
@@ -160,6 +160,13 @@ class Displacement:
         is_small = left <= _MOST_LEFT_SHARE**2 * largest and self._since_step >= _STEP_LASTS
         return not (is_small and _square(self._displaced, self._displaced_covariance) <= self._within_noise)
 
+    def has_not_moved_as(self, other: "Displacement") -> bool:
+        """True if the displacement of another source would have been a step of this one, and was none."""
+        if self._newest is None or self.is_displaced:
+            return False
+        covariance = self._covariance + self._newest.noise + other._covariance + other._displaced_covariance
+        return _square(other._displaced - self._displaced, covariance) > value_above(_FALSE_STEP, len(self._level))
+
     @property
     def _within_noise(self) -> float:
         """Squared length, in standard deviations, up to which a displacement is that of noise."""
@@ -171,19 +178,19 @@ class Displacement:
         newest = self._newest
         if newest is None or not self.largest_rad:
             return False
-        # The share of the largest displacement that a separation shows, by least squares.
+        # The share of the largest displacement that a residual shows, by least squares.
         to_share = np.linalg.solve(newest.noise, self._largest) / _square(self._largest, newest.noise)
         sigma = float(np.sqrt(to_share @ (newest.expected + self._covariance) @ to_share))
         return not _DECISIVE_SIGMAS * sigma <= 1.0 - _LEFT_SHARE
 
 
-def _mean(separations: Sequence[Separation]) -> Separation:
-    """Return the mean of separations, weighted by their noise; what is remembered is common to them."""
-    weights = [np.linalg.inv(one.noise) for one in separations]
+def _mean(residuals: Sequence[MemoryResidual]) -> MemoryResidual:
+    """Return the mean of residuals, weighted by their noise; what is remembered is common to them."""
+    weights = [np.linalg.inv(one.noise) for one in residuals]
     noise = np.linalg.inv(sum(weights))
-    turn = noise @ sum(weight @ one.turn for weight, one in zip(weights, separations, strict=True))
-    expected, drift = (np.mean([one[part] for one in separations], axis=0) for part in (2, 3))
-    return Separation(turn, noise, expected, drift)
+    turn = noise @ sum(weight @ one.turn for weight, one in zip(weights, residuals, strict=True))
+    expected, drift = (np.mean([one[part] for one in residuals], axis=0) for part in (2, 3))
+    return MemoryResidual(turn, noise, expected, drift)
 
 
 def _square(turn: FloatArray, covariance: FloatArray) -> float:

@@ -20,18 +20,17 @@ from typing import Any, Protocol
 
 from ship_estimation.outcome import Decision, Outcome, Status
 from ship_estimation.recovery.config import RecoveryConfig
-from ship_estimation.recovery.displacement import Displacement, Separation
+from ship_estimation.recovery.displacement import MemoryResidual
+from ship_estimation.recovery.displacements import Displacements
 from ship_estimation.recovery.memory import BEFORE_STEP_NS, Memory
 from ship_estimation.recovery.trouble import TroubleDetector
+from ship_estimation.refusals import Refusal, failure
 from ship_estimation.time_shift import with_shifted_stamps
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
 MEMORY_SIGMAS = 3.0
 """The second estimator may differ from the remembered state by so many standard deviations of both, each component."""
-
-TOGETHER = "all together"
-"""Name of the displacement that all sources have in common."""
 
 _LEAST_IN_AGREEMENT = 2
 """Sources, the INS among them, that must agree where the second estimator excludes another one."""
@@ -42,7 +41,7 @@ class Jump(Protocol):
 
     @property
     def covariance_n(self) -> FloatArray:
-        """Covariance of what has changed by it, as :class:`Separation` has turns, rad², shape (k, k)."""
+        """Covariance of what has changed by it, as :class:`MemoryResidual` has turns, rad², shape (k, k)."""
         ...
 
 
@@ -69,7 +68,7 @@ class RecoverableCore(Protocol):
         """True if its sources contradict one another and no source is found to be faulty."""
         ...
 
-    def second(self, memory: Any | None) -> Any:
+    def make_second(self, memory: Any | None) -> Any:
         """Return another estimator of the same configuration that starts from a state; from the prior without one."""
         ...
 
@@ -77,11 +76,11 @@ class RecoverableCore(Protocol):
         """Return the jumps that sources showed by themselves since the last call."""
         ...
 
-    def carried(self, memory: Any, jumps: Sequence[Any]) -> Any:
+    def propagate_memory(self, memory: Any, jumps: Sequence[Any]) -> Any:
         """Return a remembered state propagated to the oldest time that measurements may still have."""
         ...
 
-    def separations(self, decision: Any, memory: Any) -> Mapping[str, Separation]:
+    def memory_residuals(self, decision: Any, memory: Any) -> Mapping[str, MemoryResidual]:
         """Return by source how far what was just judged is from a remembered state; nothing where nothing shows it."""
         ...
 
@@ -89,16 +88,16 @@ class RecoverableCore(Protocol):
         """Return the largest difference between its state and a remembered one, in standard deviations of both."""
         ...
 
-    def unused(self, sources: Set[str]) -> Set[str]:
+    def unused_sources(self, sources: Set[str]) -> Set[str]:
         """Return those of the sources of which no measurement was used recently."""
         ...
 
-    def replace(self, live: Any) -> None:
+    def take_over_outputs(self, live: Any) -> None:
         """Go on with the outputs where another estimator ends."""
         ...
 
 
-class Candidate:
+class SecondEstimator:
     """A second estimator.
 
     Args:
@@ -108,21 +107,21 @@ class Candidate:
     Attributes:
         valid_since_ns: time of waiting since which it has been VALID each second; None where it is not. One measurement
             that is rejected may make it DEGRADED for a moment.
-        has_failed: True if the software failed in it: another one starts.
+        failure: why the software failed in it; None where it did not. Another one starts then.
     """
 
     def __init__(self, core: Any, is_from_memory: bool) -> None:
         self.core, self.is_from_memory = core, is_from_memory
         self.valid_since_ns: int | None = None
-        self.has_failed = False
+        self.failure: Refusal | None = None
         self._status = Status.INVALID
 
     def take(self, give: Callable[[], Outcome[Any, Any]]) -> None:
         """Give it an input, and take note of what it would have published; the outputs must not suffer by it."""
         try:
             outcome = give()
-        except Exception:
-            self.has_failed = True
+        except Exception as error:
+            self.failure = failure(error)
             return
         for estimate in outcome.estimates:
             self._status = estimate.status
@@ -135,7 +134,7 @@ class Candidate:
             self.valid_since_ns = waiting_ns
 
 
-class Recovery:
+class EstimatorRecovery:
     """Decides once a second whether a second estimator runs, and whether it is adopted.
 
     Args:
@@ -150,7 +149,7 @@ class Recovery:
 
     def __init__(self, config: RecoveryConfig) -> None:
         self._config = config
-        self.candidate: Candidate | None = None
+        self.candidate: SecondEstimator | None = None
         self._reference: Any = None
         self._before_step: Any = None
         self.started = self.adopted = 0
@@ -170,24 +169,15 @@ class Recovery:
 
     @property
     def displaced(self) -> dict[str, float]:
-        """Sources that have moved and not moved back, and by how much, rad; :data:`TOGETHER` for all of them.
-
-        A source that moves by itself moves the mean of all, too.
-        """
-        found = {name: one.largest_rad for name, one in self._displacements.items() if one.is_displaced}
-        together = found.pop(TOGETHER, None)
-        if together is None:
-            return {}
-        are_some = 0 < len(found) < len(self._displacements) - 1
-        return found if are_some else {TOGETHER: together}
+        """Sources that have moved and not moved back; see :attr:`Displacements.displaced`."""
+        return self._displacements.displaced
 
     def note_decision(self, live: RecoverableCore, decision: Decision[Any]) -> None:
         """Measure, after a sign of trouble, how far a measurement is from what was known before it."""
         if self._before_step is None or decision.revised:
             return
-        for source, separation in live.separations(decision, self._before_step).items():
-            for name in (source, TOGETHER):
-                self._displacements.setdefault(name, Displacement()).add(separation)
+        for source, residual in live.memory_residuals(decision, self._before_step).items():
+            self._displacements.add(source, residual)
 
     def look(self, waiting_ns: int, live: RecoverableCore, is_as_expected: bool, there: Set[str]) -> bool:
         """Take stock, once a second.
@@ -209,7 +199,7 @@ class Recovery:
         if self._trouble.first_sign_ns is None:
             if was_suspected:
                 self._forget_fault()
-            self._memory.replace_all(lambda state: live.carried(state, jumps) if jumps else state)
+            self._memory.replace_all(lambda state: live.propagate_memory(state, jumps) if jumps else state)
             if live.is_undisputed:
                 self._memory.keep(waiting_ns, live.state)
             return False
@@ -219,15 +209,15 @@ class Recovery:
                 self._before_step = self._memory.recall(waiting_ns, BEFORE_STEP_NS)
             self._memory.forget_newer(self._reference)
         if self._reference is not None:
-            self._reference = live.carried(self._reference, jumps)
-            self._before_step = live.carried(self._before_step, jumps)
-        for displacement in self._displacements.values():
-            for jump in jumps:
-                displacement.inflate(jump.covariance_n)
-            displacement.end_second()
+            self._reference = live.propagate_memory(self._reference, jumps)
+            self._before_step = live.propagate_memory(self._before_step, jumps)
+        for jump in jumps:
+            self._displacements.inflate(jump.covariance_n)
+        self._displacements.end_second()
         if not self.is_in_trouble:
             return False
-        self.started += not was_in_trouble
+        if not was_in_trouble:
+            self.started += 1
         if self.candidate is not None:
             self.candidate.look(waiting_ns)
         self._choose_candidate(live)
@@ -249,7 +239,7 @@ class Recovery:
         self.candidate = None
 
     def _forget_fault(self) -> None:
-        self._displacements: dict[str, Displacement] = {}
+        self._displacements = Displacements()
         self._displaced_before: Set[str] = frozenset()
         self._reference = self._before_step = None
         self.candidate = None
@@ -260,13 +250,13 @@ class Recovery:
         candidate = self.candidate
         if candidate is None or displaced != self._displaced_before:
             self._start(live, from_memory=True)
-        elif candidate.has_failed or candidate.core.is_contradicted or candidate.core.excluded - displaced:
+        elif candidate.failure is not None or candidate.core.is_contradicted or candidate.core.excluded - displaced:
             self._start(live, from_memory=not candidate.is_from_memory)
         self._displaced_before = displaced
 
     def _start(self, live: RecoverableCore, from_memory: bool) -> None:
         memory = self._reference if from_memory else None
-        self.candidate = Candidate(live.second(memory), is_from_memory=memory is not None)
+        self.candidate = SecondEstimator(live.make_second(memory), is_from_memory=memory is not None)
 
     def _is_to_be_adopted(self, waiting_ns: int, live: RecoverableCore, there: Set[str]) -> bool:
         """True if the second estimator has proved itself; see the module."""
@@ -276,9 +266,9 @@ class Recovery:
         if waiting_ns - candidate.valid_since_ns < self._config.confirm_s * SECOND_NS:
             return False
         excluded = candidate.core.excluded
-        if len(there - excluded) < _LEAST_IN_AGREEMENT or candidate.core.unused(there - excluded):
+        if len(there - excluded) < _LEAST_IN_AGREEMENT or candidate.core.unused_sources(there - excluded):
             return False
-        if TOGETHER in self.displaced and self._displacements[TOGETHER].is_beyond_memory:
+        if self._displacements.is_undecided_by_memory:
             return False
         # Written so that NaN does not agree.
         if self._reference is None or candidate.core.departure_sigmas(self._reference) <= MEMORY_SIGMAS:

@@ -1,7 +1,8 @@
 """The adapter of a node that recovers: in trouble a second estimator takes the same inputs and may replace the first.
 
-:mod:`ship_estimation.recovery.recovery` decides, once a second; here it is given what it asks for. While the second
-estimator runs, messages are taken one by one, and nothing that was learnt is saved.
+This adapter gives inputs and ticks to both, and once a second status and sources to
+:mod:`ship_estimation.recovery.recovery`, which decides. While the second estimator runs, messages are taken one by one,
+and nothing that was learnt is saved.
 """
 
 from abc import abstractmethod
@@ -11,7 +12,7 @@ from typing import Any
 
 from ship_estimation.outcome import Status
 from ship_estimation.protection import above_limit
-from ship_estimation.recovery.recovery import Candidate, Recovery
+from ship_estimation.recovery.recovery import EstimatorRecovery, SecondEstimator
 from ship_estimation.refusals import Reason, failure
 from ship_estimation.told_levels import ToldLevels
 from ship_geometry.rotations import ARCSEC
@@ -49,7 +50,7 @@ class RecoveringAdapter(BlockAdapter):
     """
 
     def __init__(self, config: Any, *rest: Any) -> None:
-        self.recovery = Recovery(config.recovery)
+        self.recovery = EstimatorRecovery(config.recovery)
         self._arrived_ns: dict[str, int] = {}
         self._looked_ns: int | None = None
         self._adopted_ns: int | None = None
@@ -62,11 +63,11 @@ class RecoveringAdapter(BlockAdapter):
     def there_for_s(self) -> Mapping[str, float]:
         """Beginning of a source's name → age of its last usable message up to which it is there, s."""
 
-    def shown_by(self, feed: Feed, value: Any) -> Iterable[str]:
+    def sources_of_message(self, feed: Feed, value: Any) -> Iterable[str]:
         """Return the sources, named as they are excluded, that are there by a message that can be used."""
         return () if feed.judged else (feed.source,)
 
-    def shown_by_decision(self, decision: Any) -> Iterable[str]:
+    def sources_of_decision(self, decision: Any) -> Iterable[str]:
         """Return the sources that are there by a measurement that could be compared."""
         return (decision.measurement.source,)
 
@@ -81,6 +82,11 @@ class RecoveringAdapter(BlockAdapter):
     def before_adoption(self) -> list[Published]:
         """Return what the estimator that is replaced still has to publish."""
         return []
+
+    def start_from(self, saved: Any, now_ns: int) -> list[str]:
+        """Reset the estimator that is in use to a saved document; return remarks for the operator."""
+        remarks: list[str] = self.core.start_from(saved, now_ns)
+        return remarks
 
     # -- inputs ---------------------------------------------------------------------------------------------
 
@@ -100,7 +106,7 @@ class RecoveringAdapter(BlockAdapter):
         """See :class:`ReportingAdapter`; a message that can be used shows that its source is there."""
         refusal = None if outcome is None else outcome.refusal
         if outcome is not None and (refusal is None or refusal.reason in SHOWS_SOURCE):
-            self._arrived_ns |= dict.fromkeys(self.shown_by(feed, reading.value), waiting_ns)
+            self._arrived_ns |= dict.fromkeys(self.sources_of_message(feed, reading.value), waiting_ns)
         return super().told(feed, reading, outcome, receive_ns, waiting_ns)
 
     def end_ahead(self, turn: BlockTurn) -> list[BlockPart]:
@@ -112,7 +118,7 @@ class RecoveringAdapter(BlockAdapter):
         """See :class:`ReportingAdapter`; a measurement that could be compared shows that its source is there."""
         for decision in outcome.decisions:
             if decision.reason in SHOWS_SOURCE:
-                self._arrived_ns |= dict.fromkeys(self.shown_by_decision(decision), waiting_ns)
+                self._arrived_ns |= dict.fromkeys(self.sources_of_decision(decision), waiting_ns)
         failed = self._note_decisions(outcome.decisions, now_ns)
         return failed + super().published(outcome, now_ns, waiting_ns)
 
@@ -152,25 +158,28 @@ class RecoveringAdapter(BlockAdapter):
         if self._looked_ns is None or waiting_ns - self._looked_ns >= _LOOK_NS:
             self._looked_ns = waiting_ns
             try:
-                published += self._look(waiting_ns)
+                published += self._look(now_ns, waiting_ns)
             except Exception as error:
                 # The outputs of the estimator that is in use go out all the same.
                 published.append(self.failed(_RECOVERY, now_ns, failure(error)))
         return published
 
-    def _look(self, waiting_ns: int) -> list[Published]:
+    def _look(self, now_ns: int, waiting_ns: int) -> list[Published]:
+        """Let recovery decide; return what an adoption, or a failure in the second estimator, leads to."""
         there, before = self._there(waiting_ns), self.recovery.candidate
-        is_as_expected = self._is_as_good_as_it_may_be() or self.behind is not None or not self.may_be_valid(there)
+        is_as_expected = self._is_valid_or_above_limit() or self.behind is not None or not self.may_be_valid(there)
         published: list[Published] = []
+        if before is not None and before.failure is not None:
+            published.append(self.failed(_RECOVERY, now_ns, before.failure))
         if self.recovery.look(waiting_ns, self.core, is_as_expected, there):
-            published = self._adopt(waiting_ns)
+            published += self._adopt(waiting_ns)
         if self.recovery.candidate is not before:
             self._bind()
             for topic in filter(self._contested.text, self.feeds):
                 self._pass_on_contested(topic)
         return published
 
-    def _is_as_good_as_it_may_be(self) -> bool:
+    def _is_valid_or_above_limit(self) -> bool:
         """Return True if the last output is VALID, or above the alert limit, which no other estimator would change."""
         latest = self.latest
         if latest is None or latest.status is not Status.DEGRADED or not self.config.integrity.alert_limit_arcsec:
@@ -191,7 +200,7 @@ class RecoveringAdapter(BlockAdapter):
         candidate = self.recovery.candidate
         assert candidate is not None
         published = self.before_adoption()
-        candidate.core.replace(self.core)
+        candidate.core.take_over_outputs(self.core)
         self.core = candidate.core
         self.recovery.note_adoption(waiting_ns)
         self._adopted_ns = waiting_ns
@@ -242,7 +251,7 @@ class RecoveringAdapter(BlockAdapter):
 
     @property
     def recovery_counts(self) -> dict[str, str]:
-        """How often a second estimator was needed and adopted, for diagnostics."""
+        """Numbers of second estimators that started and that were adopted, for diagnostics."""
         recovery = self.recovery
         return {"second estimators started": str(recovery.started), "second estimators adopted": str(recovery.adopted)}
 
@@ -273,7 +282,7 @@ class RecoveringAdapter(BlockAdapter):
 
 
 def _by_both(
-    first: Callable[..., Any], second: Callable[..., Any], candidate: Candidate
+    first: Callable[..., Any], second: Callable[..., Any], candidate: SecondEstimator
 ) -> Callable[[Any, int], Any]:
     """Return what gives a value to both estimators: the outcome of the first one is published."""
 

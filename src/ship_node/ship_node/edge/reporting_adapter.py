@@ -177,7 +177,7 @@ class ReportingAdapter(ABC):
 
     @abstractmethod
     def table(self, config: Any, core: Any) -> Iterable[Feed]:
-        """Which topic feeds which method of a core."""
+        """Return the inputs and the methods of a core that take them."""
 
     @abstractmethod
     def own_slow_topics(self, now_ns: int) -> list[Published]:

@@ -19,7 +19,7 @@ from ship_attitude_star.stars.exposure import StarExposure
 from ship_estimation.estimator_shell import EstimatorShell, Model
 from ship_estimation.exclusion import HEARD_NS
 from ship_estimation.protection import IntegrityReport
-from ship_estimation.recovery.displacement import Separation
+from ship_estimation.recovery.displacement import MemoryResidual
 from ship_estimation.refusals import Contradictions, Reason, Refusal
 from ship_estimation.time_shift import with_shifted_stamps
 from ship_geometry.attitude_track import AttitudeSample
@@ -59,10 +59,10 @@ from theodolite_calib.optical_axis.calibration import (
 )
 from theodolite_calib.optical_axis.memory import (
     OwnJump,
-    carried,
     departure_sigmas,
     is_undisputed,
-    separations_from,
+    memory_residuals,
+    propagate_memory,
     start_from_memory,
     stood_still,
 )
@@ -377,7 +377,7 @@ class OpticalAxisCore:
         conflict = self.state.trust.conflict
         return conflict is not None and conflict.lasting
 
-    def second(self, memory: CalibrationState | None) -> "OpticalAxisCore":
+    def make_second(self, memory: CalibrationState | None) -> "OpticalAxisCore":
         """Return another estimator that starts from a remembered state; from the saved one or the prior without.
 
         With a memory it also starts with the position and the air as they are known here.
@@ -397,17 +397,17 @@ class OpticalAxisCore:
         self._own_jumps.clear()
         return jumps
 
-    def carried(self, memory: CalibrationState, jumps: Sequence[OwnJump]) -> CalibrationState:
+    def propagate_memory(self, memory: CalibrationState, jumps: Sequence[OwnJump]) -> CalibrationState:
         """Return a remembered state propagated to the oldest time that measurements may still have."""
-        return carried(self.filter, memory, jumps, self._shell.window.oldest_ns)
+        return propagate_memory(self.filter, memory, jumps, self._shell.window.oldest_ns)
 
-    def separations(self, decision: ExposureDecision, memory: CalibrationState) -> Mapping[str, Separation]:
+    def memory_residuals(self, decision: ExposureDecision, memory: CalibrationState) -> Mapping[str, MemoryResidual]:
         """Return how far the lights that were just judged are from a remembered state."""
         sighting = self.sighting(decision.measurement) if isinstance(decision.measurement, Exposure) else None
         if sighting is None:
             return {}
-        found = separations_from(self.filter, memory, sighting)
-        return {BEACON + name: separation for name, separation in found.items()}
+        found = memory_residuals(self.filter, memory, sighting)
+        return {BEACON + name: residual for name, residual in found.items()}
 
     def departure_sigmas(self, memory: CalibrationState) -> float:
         """Return the largest difference from a remembered state, in standard deviations of both."""
@@ -418,14 +418,14 @@ class OpticalAxisCore:
             return math.inf
         return departure_sigmas(self.filter, self.state, memory, ship, encoder)
 
-    def unused(self, sources: Set[str]) -> set[str]:
+    def unused_sources(self, sources: Set[str]) -> set[str]:
         """Return those of the sources of which no measurement was used recently."""
         means, since_ns = self.state.trust.means, self._shell.window.newest_ns - HEARD_NS
         used = (means.heard_ns >= since_ns) & (means.refused[0] == 0)
         lights = [BEACON + id_ for id_ in self.filter.rows.beacons]
         return {name for name, is_used in zip(lights, used.tolist(), strict=True) if name in sources and not is_used}
 
-    def replace(self, live: "OpticalAxisCore") -> None:
+    def take_over_outputs(self, live: "OpticalAxisCore") -> None:
         """Go on with the outputs where another estimator ends, of which none is due."""
         self._shell.continue_outputs(live._shell)
         self._of_targets = live._of_targets

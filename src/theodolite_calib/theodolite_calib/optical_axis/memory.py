@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ship_estimation.recovery.displacement import Separation
+from ship_estimation.recovery.displacement import MemoryResidual
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.chain.axes import axis_chain
@@ -65,20 +65,18 @@ def start_from_memory(filter_: CalibrationFilter, memory: CalibrationState) -> C
     )
 
 
-def carried(
+def propagate_memory(
     filter_: CalibrationFilter, memory: CalibrationState, jumps: Sequence[OwnJump], time_ns: int
 ) -> CalibrationState:
     """Return the remembered state propagated to a time, with a covariance inflated by jumps."""
-    if memory.time_ns is None:
-        return memory
     for own in jumps:
         memory = filter_.opened(memory, own.jump)
     return filter_.predicted(memory, time_ns, memory.ship_steady_n)
 
 
-def separations_from(
+def memory_residuals(
     filter_: CalibrationFilter, memory: CalibrationState, sighting: Sighting
-) -> dict[str, Separation]:
+) -> dict[str, MemoryResidual]:
     """Return by light how far it is from a remembered state, as turns of its direction to the right and up."""
     state = filter_.predicted(memory, sighting.time_ns, sighting.ship.slow_covariance_n)
     drift, prediction = _drift(filter_, state), filter_.sightings.predict(state.mean, sighting)
@@ -92,7 +90,7 @@ def separations_from(
         by_light_m = -prediction.by_attitude_n[rows] @ _turns_right_and_up(prediction.lines.direction_n[light])
         to_turn = np.linalg.inv(by_light_m)
         by_state = to_turn @ prediction.jacobian[rows]
-        found[name] = Separation(
+        found[name] = MemoryResidual(
             turn=to_turn @ residual_m,
             noise=to_turn @ noise_m2[rows, rows] @ to_turn.T,
             expected=by_state @ state.covariance @ by_state.T,
@@ -129,7 +127,9 @@ def departure_sigmas(
     ])  # fmt: skip
     difference = np.abs(compared @ (state.mean - memory.mean))
     variance = np.diagonal(compared @ (state.covariance + memory.covariance) @ compared.T)
-    return float(np.max(difference[variance > 0.0] / np.sqrt(variance[variance > 0.0]), initial=0.0))
+    # What is known exactly does not differ. Written so that NaN is compared.
+    varies = variance != 0.0
+    return float(np.max(difference[varies] / np.sqrt(variance[varies]), initial=0.0))
 
 
 def _turns_right_and_up(direction_n: FloatArray) -> FloatArray:
@@ -143,7 +143,6 @@ def _turns_right_and_up(direction_n: FloatArray) -> FloatArray:
 
 def _drift(filter_: CalibrationFilter, state: CalibrationState) -> FloatArray:
     """Return the covariance that comes to a state within a second, shape (n, n)."""
-    if state.time_ns is None:
-        return np.zeros((filter_.model.size, filter_.model.size))
+    assert state.time_ns is not None
     before = replace(state, time_ns=state.time_ns - SECOND_NS, parts=np.zeros_like(state.parts))
     return filter_.predicted(before, state.time_ns, state.ship_steady_n).covariance

@@ -13,7 +13,7 @@ from ship_attitude_star.sky.sky_watch import SkyWatch, installed_sky
 from ship_bags.cdr_template import CdrRows
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.outcome import Status
-from ship_estimation.recovery.recovery import TOGETHER
+from ship_estimation.recovery.displacements import TOGETHER
 from ship_estimation.refusals import Refusal
 from ship_geometry.ros_axes import flu_from_device_vector
 from ship_geometry.rotations import ARCSEC
@@ -142,17 +142,12 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
             CALIBRATION_FILE,
             config.calibration_file,
             files,
-            start_from=self._start_from,
+            start_from=self.start_from,
             to_save=self._calibration_to_save,
             nothing="no light or star was used yet: there is no calibration to save",
         )
         self._lever = dict(zip("xyz", flu_from_device_vector(config.lever.vector_m).tolist(), strict=True))
         super().__init__(config, core, factory, functools.partial(pointing_messages, factory, self._lever), saved)
-
-    def _start_from(self, prior: CalibrationPrior, now_ns: int) -> list[str]:
-        """Reset the estimator of now to a saved calibration; return remarks for the operator."""
-        core: OpticalAxisCore = self.core
-        return core.start_from(prior, now_ns)
 
     def _calibration_to_save(self) -> CalibrationPrior | None:
         """Return what the estimator of now has learnt."""
@@ -164,7 +159,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         return OpticalAxisCore(config, watch)
 
     def table(self, config: OpticalAxisConfig, core: OpticalAxisCore) -> Iterator[Feed]:
-        """Which topic feeds which method of a core."""
+        """Yield the inputs and the methods of a core that take them."""
         encoder = InputTopic("theodolite/encoder", "ship_msgs/msg/TheodoliteEncoder", required=True, depth=1000)
         read_encoder = functools.partial(messages_in.encoder, config=config)
         read_encoders = functools.partial(rows_in.encoders, config=config)
@@ -269,13 +264,13 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         """See :class:`RecoveringAdapter`; lights are there as long as they make the mode."""
         return {ENCODER: _STREAM_THERE_S, SHIP: _STREAM_THERE_S, BEACON: self.config.lights_recent_s}
 
-    def shown_by(self, feed: Feed, value: Any) -> Iterable[str]:
+    def sources_of_message(self, feed: Feed, value: Any) -> Iterable[str]:
         """See :class:`RecoveringAdapter`; no pointing is VALID by an attitude of the ship that is DEGRADED."""
         if isinstance(value, ShipSample):
             return () if value.status is Status.DEGRADED else (SHIP,)
-        return super().shown_by(feed, value)
+        return super().sources_of_message(feed, value)
 
-    def shown_by_decision(self, decision: ExposureDecision) -> Iterable[str]:
+    def sources_of_decision(self, decision: ExposureDecision) -> Iterable[str]:
         """See :class:`RecoveringAdapter`: the lights that have all they need."""
         exposure = decision.measurement
         if not isinstance(exposure, Exposure):

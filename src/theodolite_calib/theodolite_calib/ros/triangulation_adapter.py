@@ -61,7 +61,7 @@ class TriangulationAdapter(ReportingAdapter):
         super().__init__(config, TriangulationCore(config), factory, functools.partial(place_messages, factory))
 
     def table(self, config: TriangulationConfig, core: TriangulationCore) -> Iterator[Feed]:
-        """Which topic feeds which method of a core."""
+        """Yield the inputs and the methods of a core that take them."""
         for name in sorted(config.stations):
             topic = InputTopic(config.topic_of(name), TARGET_TYPE, required=False, depth=100, at_times=True)
             yield Feed(topic, f"station.{name}", functools.partial(direction, station=name), core.add_direction)

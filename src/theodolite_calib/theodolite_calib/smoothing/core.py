@@ -85,9 +85,9 @@ class SmoothingAxisCore(OpticalAxisCore):
         super().reconfigure(config)
         self._chain.between = self._between()
 
-    def replace(self, live: OpticalAxisCore) -> None:
-        """See :meth:`OpticalAxisCore.replace`; what the other one put out is smoothed to its end."""
-        super().replace(live)
+    def take_over_outputs(self, live: OpticalAxisCore) -> None:
+        """See :meth:`OpticalAxisCore.take_over_outputs`; what the other one put out is smoothed to its end."""
+        super().take_over_outputs(live)
         assert isinstance(live, SmoothingAxisCore)
         self._told = deque(_ToldAtOnce(_alone(estimate), None) for estimate in live.smoothed_to_the_end())
 

@@ -1,0 +1,52 @@
+"""Displacements of all sources of an estimator: did one of them move, or all of them together?
+
+A turn that all sources have in common is measured by their weighted mean: one star sensor shows a turn about its line
+of sight poorly. A source that moves by itself moves that mean, too.
+"""
+
+from ship_estimation.recovery.displacement import Displacement, MemoryResidual
+from ship_geometry.rotations import FloatArray
+
+TOGETHER = "all together"
+"""Name of the displacement that all sources have in common."""
+
+
+class Displacements:
+    """The displacement of each source, and that of all together."""
+
+    def __init__(self) -> None:
+        self._by_source: dict[str, Displacement] = {}
+        self._together = Displacement()
+
+    def add(self, source: str, residual: MemoryResidual) -> None:
+        """Take a measurement of a source."""
+        for displacement in (self._by_source.setdefault(source, Displacement()), self._together):
+            displacement.add(residual)
+
+    def inflate(self, covariance: FloatArray) -> None:
+        """Allow for a jump of the INS that its own rates showed, rad², shape (k, k)."""
+        for displacement in (*self._by_source.values(), self._together):
+            displacement.inflate(covariance)
+
+    def end_second(self) -> None:
+        """Compare the measurements of the last second with those before."""
+        for displacement in (*self._by_source.values(), self._together):
+            displacement.end_second()
+
+    @property
+    def displaced(self) -> dict[str, float]:
+        """Sources that have moved and not moved back, and by how much, rad; :data:`TOGETHER` for all of them.
+
+        A source has moved by itself only if another one shows that it did not move with it.
+        """
+        if not self._together.is_displaced:
+            return {}
+        moved = {name: one for name, one in self._by_source.items() if one.is_displaced}
+        if any(other.has_not_moved_as(one) for one in moved.values() for other in self._by_source.values()):
+            return {name: one.largest_rad for name, one in moved.items()}
+        return {TOGETHER: self._together.largest_rad}
+
+    @property
+    def is_undecided_by_memory(self) -> bool:
+        """True if all have moved together, by no more than the remembered state can show."""
+        return TOGETHER in self.displaced and self._together.is_beyond_memory
