@@ -37,7 +37,7 @@ SHOWS_SOURCE = frozenset({
 """Reasons after which a message still shows that its source is there: its form is right, a comparison rejected it."""
 
 _RECOVERY = "recovery"
-"""Name of the status, and of what failed where a second estimator cannot be started or judged."""
+"""Name of what failed where a second estimator cannot be started, judged or given an input."""
 
 _REFUSED_IN_TROUBLE = "not saved: a second estimator runs, because {}; what was learnt since then may be wrong"
 
@@ -264,11 +264,11 @@ class RecoveringAdapter(BlockAdapter):
             values[f"{name} moved [arcsec]"] = f"{moved_rad / ARCSEC:.1f}"
         if recovery.is_in_trouble:
             text = f"a second estimator runs: {self._trouble_text()}"
-            return DiagnosticStatus(_RECOVERY, Level.WARN, text, values)
+            return DiagnosticStatus("recovery", Level.WARN, text, values)
         text = "no second estimator runs"
         if recovery.adopted:
             text += f"; the last one was adopted after {recovery.took_s:.0f} s"
-        return DiagnosticStatus(_RECOVERY, Level.OK, text, values)
+        return DiagnosticStatus("recovery", Level.OK, text, values)
 
     def _trouble_text(self) -> str:
         """Return why there is trouble, and what ends it."""
