@@ -439,7 +439,7 @@ class ShipAttitudeCore:
         if self.vertical is not None:
             second.vertical = self.vertical.twin()
             second.filter = second.filter_class(second.config, second.vertical)
-        state = start_from_memory(second.filter, memory, self.state.record)
+        state = start_from_memory(second.filter, memory, self.state)
         second._shell.reset(state)
         second._begin(state)
         return second
@@ -466,9 +466,9 @@ class ShipAttitudeCore:
         residual = memory_residual(self.filter, memory, measurement, self._track, self._watch)
         return {} if residual is None else {measurement.source: residual}
 
-    def departure_sigmas(self, memory: FilterState) -> float:
+    def departure_sigmas(self, state: FilterState, memory: FilterState, is_later: bool = False) -> float:
         """Return the largest difference of a lasting state from the remembered one, in standard deviations of both."""
-        return departure_sigmas(self.filter, self.state, memory)
+        return departure_sigmas(self.filter, state, memory, is_later)
 
     def unused_sources(self, sources: Set[str]) -> set[str]:
         """Return those of the sources of which no measurement was used recently."""

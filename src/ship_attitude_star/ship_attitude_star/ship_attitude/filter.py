@@ -147,7 +147,13 @@ class ShipFilter:
             if jump.is_of_clock:
                 state = self.suspects.ins.clock_has_stepped(state, opens_ns)
         return changed(
-            state, means=means, stack=stack, stays=NO_STAYS, unconfirmed=_jumped(opens_ns), jumped_ns=jump.time_ns
+            state,
+            means=means,
+            stack=stack,
+            stays=NO_STAYS,
+            unconfirmed=_jumped(opens_ns),
+            jumped_ns=jump.time_ns,
+            ins_suspected_ns=jump.time_ns,
         )
 
     def opens_ns(self, change: InsChange) -> int:

@@ -113,8 +113,9 @@ class InsAtFault:
     # -- distrust -------------------------------------------------------------------------------------------
 
     def told(self, state: FilterState, time_ns: int) -> bool:
-        """Whether the INS has told a jump of its own not long ago; meanwhile nothing vouches for it."""
-        return state.jumped_ns is not None and time_ns - state.jumped_ns <= self._return_after_s * SECOND_NS
+        """True if the INS reported a jump of its own and has not gone uncontradicted for ``return_after_s`` since."""
+        since_ns = state.ins_suspected_ns
+        return since_ns is not None and time_ns - since_ns <= self._return_after_s * SECOND_NS
 
     def may_be_excluded(self, in_use: Sequence[str]) -> bool:
         """Whether enough sources are in use that check each other without the INS."""

@@ -4,8 +4,6 @@ The rules for which these are asked are those of :mod:`ship_estimation.recovery`
 """
 
 from collections.abc import Sequence
-from types import MappingProxyType
-
 import numpy as np
 
 from ship_attitude_star.ship_attitude.corrected_ins import newest_star_ns
@@ -26,16 +24,22 @@ _SEEN_RAD = 0.02
 """A turn of the device that a measurement shows no better than this is not seen by it, rad."""
 
 
-def start_from_memory(filter_: ShipFilter, memory: FilterState, record: MappingProxyType[str, int]) -> FilterState:
+def start_from_memory(filter_: ShipFilter, memory: FilterState, live: FilterState) -> FilterState:
     """Return a start with what is remembered of the errors, and with no measurement and no fault of since then.
 
     Args:
         filter_: of the estimator.
         memory: the remembered state.
-        record: by source, how often it was excluded.
+        live: the state of the estimator in use; its record of exclusions and of the INS's jumps is kept.
     """
-    start = filter_.suspects.start(memory.mean, memory.parts)
-    return changed(start, time_ns=memory.time_ns, vertical=memory.vertical, common_n=memory.common_n, record=record)
+    return changed(
+        filter_.suspects.start(memory.mean, memory.parts),
+        time_ns=memory.time_ns,
+        vertical=memory.vertical,
+        common_n=memory.common_n,
+        record=live.record,
+        ins_suspected_ns=live.ins_suspected_ns,
+    )
 
 
 def propagate_memory(filter_: ShipFilter, memory: FilterState, jumps: Sequence[InsJump], time_ns: int) -> FilterState:
@@ -69,13 +73,16 @@ def memory_residual(
     return MemoryResidual(to_turn @ linear.residual, noise_n, expected, drift)
 
 
-def departure_sigmas(filter_: ShipFilter, state: FilterState, memory: FilterState) -> float:
-    """Return the largest difference of a lasting state from the remembered one, in standard deviations of both."""
+def departure_sigmas(filter_: ShipFilter, state: FilterState, memory: FilterState, is_later: bool) -> float:
+    """Return the largest difference of a lasting state from the remembered one, in standard deviations of both.
+
+    A later state of the same estimator knows all that the remembered one did: then in those of the latter.
+    """
     if state.time_ns is None:
         return np.inf
     memory = filter_.predicted(memory, state.time_ns)
     rows = np.concatenate([filter_.model.rows(name) for name in filter_.model.slices if name.endswith(_LASTING)])
-    variance = state.covariance.diagonal()[rows] + memory.covariance.diagonal()[rows]
+    variance = memory.covariance.diagonal()[rows] + (0.0 if is_later else state.covariance.diagonal()[rows])
     difference = np.abs(state.mean - memory.mean)[rows]
     # What is known exactly does not differ. Written so that NaN is compared.
     varies = variance != 0.0

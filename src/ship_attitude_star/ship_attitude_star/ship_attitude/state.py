@@ -154,6 +154,8 @@ class FilterState:
             confirmed yet; None for none.
         departures: by source, its last measurement refused.
         jumped_ns: the INS's stamp just before its last jump that the state is open for; None where there was none.
+        ins_suspected_ns: the last time at which an INS that reported a jump jumped or was contradicted since; None
+            where there was none.
         vertical: at the moment of the state; None where no deflection of it is modelled.
         utc: whether UTC is right since the time base stepped; None where that is not in question.
         absorbed: the corrections by all stars of late, and what they may share.
@@ -176,6 +178,7 @@ class FilterState:
     unconfirmed: Unconfirmed | None = None
     departures: MappingProxyType[str, Departure] = field(default_factory=lambda: MappingProxyType({}))
     jumped_ns: int | None = None
+    ins_suspected_ns: int | None = None
     disputed_n: FloatArray | None = None
     vertical: VerticalHere | None = None
     utc: UtcStep | None = None

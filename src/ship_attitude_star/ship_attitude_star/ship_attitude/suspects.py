@@ -210,6 +210,10 @@ class Suspects:
         wrong = self._named(state, finding)
         if state.absorbed.sigmas > SUSPECTED_SIGMAS and not table.stars.isdisjoint(wrong):
             wrong = ()  # All stars together contradict the INS: one that explains a part of it is not at fault.
+        if self.ins.told(state, time_ns):
+            state = changed(state, ins_suspected_ns=time_ns)
+            if INS not in wrong and not set(table.ins_rows).isdisjoint(finding.explaining):
+                wrong = ()  # An INS that jumped explains it as well: it may have turned in its own frame.
         contradicting = self._stars_contradicting(state, wrong, in_use, shared)
         against_ins = len(contradicting) > 1 or (INS in wrong and stepped)
         if against_ins and self.ins.told(state, time_ns) and self.ins.may_be_excluded(in_use):

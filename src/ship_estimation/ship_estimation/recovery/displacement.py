@@ -85,10 +85,11 @@ class Displacement:
             self._pending.append(residual)
 
     def inflate(self, covariance: FloatArray) -> None:
-        """Allow for a jump of the INS that its own rates showed, rad², shape (k, k).
+        """Allow for a jump of the INS that its own rates showed in this second, rad², shape (k, k).
 
-        A displacement that is no larger may have been that of the INS: it is forgotten.
+        The measurements of this second are from before and after it, and show neither. A displacement that is no larger may have been that of the INS: it is forgotten.
         """
+        self._pending.clear()
         if self._newest is None:
             return
         self._absorb_held()
@@ -97,7 +98,8 @@ class Displacement:
         if self.largest_rad and _square(self._displaced, self._displaced_covariance) <= self._within_noise:
             self._at_rest, self._displaced = self._level, np.zeros_like(self._level)
             self._largest, self._displaced_covariance = self._displaced, np.zeros_like(covariance)
-            self._is_clear = False
+            # What the jump changes from now on is none either.
+            self._is_clear, self._since_step = False, _STEP_LASTS
 
     def end_second(self) -> None:
         """Compare the measurements of the last second with those before."""

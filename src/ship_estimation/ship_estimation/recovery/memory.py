@@ -4,6 +4,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
+from ship_estimation.recovery.trouble import ENDS_AFTER_NS
 from ship_geometry.time_scales import SECOND_NS
 
 State = TypeVar("State")
@@ -14,20 +15,24 @@ LEAST_AGE_NS = 10 * SECOND_NS
 BEFORE_STEP_NS = 2 * SECOND_NS
 """The same for the state that a step is measured from: a step shows at once, and the INS drifts little in this time."""
 
+LEAST_UNDISPUTED_NS = ENDS_AFTER_NS
+"""An estimator is trusted after so long without a dispute, as after trouble: before, a fault may be all it knows, ns."""
+
 
 class Memory(Generic[State]):
     """The newest undisputed state that is old enough, kept until a newer one is.
 
     Example:
-        >>> memory: Memory[str] = Memory()
-        >>> for second, state in enumerate("abcdefghijklm"):
-        ...     memory.keep(second * SECOND_NS, state)
-        >>> memory.recall(12 * SECOND_NS)
-        'c'
+        >>> memory: Memory[int] = Memory()
+        >>> for second in range(40):
+        ...     memory.keep(second * SECOND_NS, second)
+        >>> memory.recall(40 * SECOND_NS)
+        30
     """
 
     def __init__(self) -> None:
         self._kept: deque[tuple[int, State]] = deque()
+        self._undisputed_since_ns = 0
 
     def keep(self, time_ns: int, state: State) -> None:
         """Keep an undisputed state.
@@ -36,12 +41,19 @@ class Memory(Generic[State]):
             time_ns: the time now, later than all before.
             state: not changed in place later.
         """
+        if not self._kept:
+            self._undisputed_since_ns = time_ns
         self._kept.append((time_ns, state))
         while len(self._kept) > 1 and self._kept[1][0] <= time_ns - LEAST_AGE_NS:
             self._kept.popleft()
 
     def recall(self, first_sign_ns: int, least_age_ns: int = LEAST_AGE_NS) -> State | None:
-        """Return the newest state that is old enough at the first sign of trouble; None where there is none."""
+        """Return the newest state that is old enough at the first sign of trouble; None where there is none.
+
+        There is none where the estimator has not been undisputed for :data:`LEAST_UNDISPUTED_NS`.
+        """
+        if first_sign_ns - self._undisputed_since_ns < LEAST_UNDISPUTED_NS:
+            return None
         old = [state for time_ns, state in self._kept if time_ns <= first_sign_ns - least_age_ns]
         return old[-1] if old else None
 

@@ -84,8 +84,11 @@ class RecoverableCore(Protocol):
         """Return by source how far what was just judged is from a remembered state; nothing where nothing shows it."""
         ...
 
-    def departure_sigmas(self, memory: Any) -> float:
-        """Return the largest difference between its state and a remembered one, in standard deviations of both."""
+    def departure_sigmas(self, state: Any, memory: Any, is_later: bool = False) -> float:
+        """Return the largest difference between a state and a remembered one, in standard deviations of both.
+
+        A later state of the same estimator knows all that the remembered one did: then in those of the latter.
+        """
         ...
 
     def unused_sources(self, sources: Set[str]) -> Set[str]:
@@ -204,10 +207,7 @@ class EstimatorRecovery:
                 self._memory.keep(waiting_ns, live.state)
             return False
         if not was_suspected:
-            self._reference = self._memory.recall(waiting_ns)
-            if self._reference is not None:
-                self._before_step = self._memory.recall(waiting_ns, BEFORE_STEP_NS)
-            self._memory.forget_newer(self._reference)
+            self._recall(waiting_ns, live)
         if self._reference is not None:
             self._reference = live.propagate_memory(self._reference, jumps)
             self._before_step = live.propagate_memory(self._before_step, jumps)
@@ -237,6 +237,18 @@ class EstimatorRecovery:
         self._reference = with_shifted_stamps(self._reference, step_ns)
         self._before_step = with_shifted_stamps(self._before_step, step_ns)
         self.candidate = None
+
+    def _recall(self, waiting_ns: int, live: RecoverableCore) -> None:
+        """Recall what was known before the first sign of trouble."""
+        self._reference, newest = self._memory.recall(waiting_ns), self._memory.recall(waiting_ns, BEFORE_STEP_NS)
+        self._memory.forget_newer(self._reference)
+        if self._reference is None:
+            return
+        self._reference = live.propagate_memory(self._reference, ())
+        before_step = live.propagate_memory(newest, ())
+        # A fault that crept in undisputed has moved the newer state.
+        crept = not live.departure_sigmas(before_step, self._reference, is_later=True) <= MEMORY_SIGMAS
+        self._before_step = self._reference if crept else before_step
 
     def _forget_fault(self) -> None:
         self._displacements = Displacements()
@@ -271,7 +283,8 @@ class EstimatorRecovery:
         if self._displacements.is_undecided_by_memory:
             return False
         # Written so that NaN does not agree.
-        if self._reference is None or candidate.core.departure_sigmas(self._reference) <= MEMORY_SIGMAS:
+        core = candidate.core
+        if self._reference is None or core.departure_sigmas(core.state, self._reference) <= MEMORY_SIGMAS:
             return True
         self._start(live, from_memory=not candidate.is_from_memory)
         return False

@@ -409,14 +409,14 @@ class OpticalAxisCore:
         found = memory_residuals(self.filter, memory, sighting)
         return {BEACON + name: residual for name, residual in found.items()}
 
-    def departure_sigmas(self, memory: CalibrationState) -> float:
+    def departure_sigmas(self, state: CalibrationState, memory: CalibrationState, is_later: bool = False) -> float:
         """Return the largest difference from a remembered state, in standard deviations of both."""
-        time_ns = self.state.time_ns
+        time_ns = state.time_ns
         ship = None if time_ns is None else self._tracks.ship_at(time_ns)
         encoder = None if time_ns is None else self._tracks.encoder_at(time_ns)
         if ship is None or encoder is None:
             return math.inf
-        return departure_sigmas(self.filter, self.state, memory, ship, encoder)
+        return departure_sigmas(self.filter, state, memory, is_later, ship, encoder)
 
     def unused_sources(self, sources: Set[str]) -> set[str]:
         """Return those of the sources of which no measurement was used recently."""

@@ -100,7 +100,12 @@ def memory_residuals(
 
 
 def departure_sigmas(
-    filter_: CalibrationFilter, state: CalibrationState, memory: CalibrationState, ship: ShipAt, encoder: EncoderAt
+    filter_: CalibrationFilter,
+    state: CalibrationState,
+    memory: CalibrationState,
+    is_later: bool,
+    ship: ShipAt,
+    encoder: EncoderAt,
 ) -> float:
     """Return the largest difference from a remembered state, in standard deviations of both.
 
@@ -111,6 +116,8 @@ def departure_sigmas(
         filter_: of the estimator.
         state: of it.
         memory: the remembered state.
+        is_later: True for a later state of the same estimator, which knows all that the remembered one did: then the
+            standard deviations are those of the latter.
         ship: at the moment of the state.
         encoder: at that moment.
     """
@@ -126,7 +133,8 @@ def departure_sigmas(
         np.eye(filter_.model.size)[decay == 1.0],
     ])  # fmt: skip
     difference = np.abs(compared @ (state.mean - memory.mean))
-    variance = np.diagonal(compared @ (state.covariance + memory.covariance) @ compared.T)
+    covariance = memory.covariance if is_later else state.covariance + memory.covariance
+    variance = np.diagonal(compared @ covariance @ compared.T)
     # What is known exactly does not differ. Written so that NaN is compared.
     varies = variance != 0.0
     return float(np.max(difference[varies] / np.sqrt(variance[varies]), initial=0.0))
