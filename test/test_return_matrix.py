@@ -60,6 +60,21 @@ def test_a_short_fault_of_each_voyage_returns(voyage: str, cells: list[Cell], vo
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    "name",
+    [
+        "tracker: offset gravity/deflection, node starts after 15 of 30 s",
+        "paper: knock ins/imu 120 s",
+        "theodolite: history 83",
+        "mount: history 119",
+    ],
+)
+def test_what_once_did_not_return_does(name: str, cells: list[Cell], voyages: dict[str, VoyageData]) -> None:
+    """The memory was of a fault; an INS turned in its own frame; a creep before the first sign; frozen encoders."""
+    assert_returned([cell for cell in cells if cell.name.startswith(name)], voyages)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("part", range(PARTS))
 def test_a_seeded_fiftieth_of_all_cells_returns(part: int, cells: list[Cell], voyages: dict[str, VoyageData]) -> None:
     assert_returned(some_cells(cells, len(cells) // SHARE)[part::PARTS], voyages)

@@ -17,6 +17,7 @@ from ship_attitude_star.ros.messages_in import star_measurement
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.memory import memory_residual
 from ship_attitude_star.ship_attitude.state import changed
+from ship_bags.stamps import ns_from_stamp, stamp_fields
 from ship_estimation.outcome import Status
 from ship_estimation.recovery.recovery import MEMORY_SIGMAS
 from ship_estimation.refusals import Reason
@@ -24,6 +25,8 @@ from ship_geometry.rotations import ARCSEC
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, changed_copy, stamp_of
 from ship_testing.small_voyage import (
     FORE,
+    INS,
+    STARBOARD,
     Run,
     assert_honest,
     drive,
@@ -35,7 +38,7 @@ from ship_testing.small_voyage import (
 from ship_testing.spoilt_filter import spoil
 
 ATTITUDE = "ship/attitude"
-SPOILT_S, LENGTH_S = 20.0, 110.0
+SPOILT_S, LENGTH_S = 40.0, 130.0
 NEVER_S = 1e6
 CONFIRMED_S = 70.0
 """After so long the second estimator has been VALID for a minute (``recovery.confirm_s``)."""
@@ -149,63 +152,109 @@ def test_nothing_is_saved_in_trouble(tmp_path: Any) -> None:
 UP = np.array([0.0, 60.0 * ARCSEC, 0.0])
 
 
-def test_a_turn_of_all_stars_that_lasts_is_not_adopted_and_the_text_names_what_ends_it() -> None:
-    run = sailed(turned(calm(), UP, 20.0), spoilt_s=np.inf)
-    assert statuses(run, 22.0) == {Status.DEGRADED}
+def remounted(arrivals: Iterable[Arrival], from_s: float) -> list[Arrival]:
+    """Both sensors remounted at once, each in another way."""
+    fore_n, starboard_n = np.array([200.0, 0.0, 100.0]) * ARCSEC, np.array([-100.0, 0.0, 250.0]) * ARCSEC
+    return [turned([one], fore_n if one.topic == FORE else starboard_n, from_s)[0] for one in arrivals]
+
+
+def clock_back(arrivals: Iterable[Arrival], from_s: float, *topics: str) -> list[Arrival]:
+    """The clock of some devices 0.1 s behind from a time on."""
+
+    def change(message: Any) -> None:
+        ns = ns_from_stamp(message.header.stamp) - SECOND_NS // 10
+        message.header.stamp.sec, message.header.stamp.nanosec = stamp_fields(ns)
+
+    def is_behind(one: Arrival) -> bool:
+        return one.topic in topics and one.receive_ns >= START_NS + from_s * SECOND_NS
+
+    return [changed_copy(one, change) if is_behind(one) else one for one in arrivals]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda arrivals: turned(arrivals, UP, SPOILT_S),
+        lambda arrivals: remounted(arrivals, SPOILT_S),
+        lambda arrivals: clock_back(arrivals, SPOILT_S, INS),
+        lambda arrivals: clock_back(arrivals, SPOILT_S, FORE, STARBOARD),
+    ],
+    ids=["all turned by 60″", "both remounted", "INS's clock", "clock of both sensors"],
+)
+def test_what_moves_all_stars_against_the_ins_and_lasts_is_not_adopted(change: Callable[..., Any]) -> None:
+    run = sailed(change(calm()), spoilt_s=np.inf)
+    assert statuses(run, SPOILT_S + 2.0) == {Status.DEGRADED}
     assert (run.adapter.recovery.started, run.adapter.recovery.adopted) == (1, 0)
     _, text = run.diagnostics("recovery", START_NS, run.now_ns)[-1]
-    assert "all together by 6" in text
+    assert "moved and not moved back: all together by " in text
     assert "~/reset" in text
+    assert "time_offset_s" in text
+
+
+def test_a_sensor_whose_clock_is_off_for_good_is_named_and_the_others_go_on() -> None:
+    run = sailed(clock_back(calm(), SPOILT_S, FORE), spoilt_s=np.inf)
+    assert statuses(run, SPOILT_S) == {Status.VALID}
+    assert set(run.adapter.core.state.excluded) == {"star.fore"}
+    _, text = run.diagnostics("recovery", START_NS, run.now_ns)[-1]
+    assert "time_offset_s of star_sensors.fore" in text
 
 
 def test_a_lasting_turn_is_not_adopted_where_the_memory_is_too_vague_to_show_it() -> None:
     """An INS whose heading may drift by 72″ in ten minutes: after a minute the memory allows for 60″ and more."""
-    run = sailed(turned(voyage(170.0), UP, 20.0), spoilt_s=np.inf, ins__heading_time_s=600.0)
+    run = sailed(turned(voyage(190.0), UP, SPOILT_S), spoilt_s=np.inf, ins__heading_time_s=600.0)
     recovery = run.adapter.recovery
+    core = recovery.candidate.core
     assert (recovery.started, recovery.adopted) == (1, 0)
-    assert recovery.candidate.core.departure_sigmas(recovery._reference) < MEMORY_SIGMAS
+    assert core.departure_sigmas(core.state, recovery._reference) < MEMORY_SIGMAS
     assert recovery.candidate.valid_since_ns is not None
-    assert statuses(run, 22.0) == {Status.DEGRADED}
+    assert statuses(run, SPOILT_S + 2.0) == {Status.DEGRADED}
 
 
 def test_a_covariance_that_is_no_number_agrees_with_no_memory() -> None:
     core = drive(new_adapter(), voyage(20.0)).adapter.core
-    assert core.departure_sigmas(core.state) == 0.0
+    assert core.departure_sigmas(core.state, core.state) == 0.0
     parts = core.state.stack.copy()
     parts[0, 0, 0] = np.nan
-    assert not core.departure_sigmas(changed(core.state, stack=parts)) <= MEMORY_SIGMAS
+    assert not core.departure_sigmas(core.state, changed(core.state, stack=parts)) <= MEMORY_SIGMAS
+
+
+def test_what_was_there_from_the_start_is_no_memory() -> None:
+    """A node that started while all stars were turned knows nothing else; that they moved back must not bind it."""
+    run = sailed(turned(calm(), UP, -1.0, 15.0), spoilt_s=np.inf)
+    assert run.adapter.recovery.adopted == 1
+    assert statuses(run, 15.0 + CONFIRMED_S) == {Status.VALID}
 
 
 def test_reset_after_a_remounting_ends_it_at_once() -> None:
     resets = []
 
     def reset(run: Run, since_s: float) -> None:
-        if since_s >= 60.0 and not resets:
+        if since_s >= 80.0 and not resets:
             resets.append(run.adapter.service("reset", run.now_ns))
 
-    run = sailed(turned(calm(), UP, 20.0), spoilt_s=np.inf, then=reset)
-    assert statuses(run, 62.0) == {Status.VALID}
+    run = sailed(turned(calm(), UP, SPOILT_S), spoilt_s=np.inf, then=reset)
+    assert statuses(run, 82.0) == {Status.VALID}
     assert not run.adapter.recovery.is_in_trouble
 
 
 def test_a_turn_of_all_stars_that_ends_is_over_although_their_own_rule_does_not_return_them() -> None:
     """``integrity.return_after_s`` of an hour: the stars that were excluded do not return by themselves."""
-    arrivals = turned(voyage(125.0), UP, 20.0, 50.0)
+    arrivals = turned(voyage(145.0), UP, SPOILT_S, 70.0)
     run = sailed(arrivals, spoilt_s=np.inf, integrity__return_after_s=3600.0)
-    assert statuses(run, 22.0, 110.0) == {Status.DEGRADED}
-    assert statuses(run, 50.0 + CONFIRMED_S) == {Status.VALID}
+    assert statuses(run, SPOILT_S + 2.0, 130.0) == {Status.DEGRADED}
+    assert statuses(run, 70.0 + CONFIRMED_S) == {Status.VALID}
     assert run.adapter.recovery.adopted == 1
     assert not run.adapter.core.state.excluded
 
 
 def test_a_sensor_that_was_knocked_for_good_stays_excluded_and_does_not_hinder_the_adoption() -> None:
     def knocked(arrival: Arrival) -> Arrival:
-        is_hit = arrival.topic == FORE and arrival.stamp_ns >= START_NS + 15 * SECOND_NS
+        is_hit = arrival.topic == FORE and arrival.stamp_ns >= START_NS + 35 * SECOND_NS
         return turned([arrival], 60.0 * UP, 0.0)[0] if is_hit else arrival
 
-    run = sailed(list(map(knocked, voyage(130.0))), spoilt_s=20.0)
+    run = sailed(list(map(knocked, voyage(150.0))))
     assert run.adapter.recovery.adopted == 1
-    assert statuses(run, 120.0) == {Status.VALID}
+    assert statuses(run, 140.0) == {Status.VALID}
     assert set(run.adapter.core.state.excluded) == {"star.fore"}
 
 
@@ -229,7 +278,7 @@ def test_parameters_set_in_trouble_are_those_of_the_estimator_that_is_adopted() 
 
 def test_a_step_of_all_clocks_in_trouble() -> None:
     """The second estimator goes on by the new stamps; what it remembers is carried over."""
-    step_s, from_s = 600, 40.0
+    step_s, from_s = 600, 60.0
 
     def by_clock(arrival: Arrival) -> Arrival:
         def change(message: Any) -> None:
@@ -251,7 +300,7 @@ def test_a_step_of_all_clocks_in_trouble() -> None:
             spoil(adapter)
         handled = adapter.handle(arrival.topic, arrival.message, arrival.receive_ns + off_ns, arrival.receive_ns)
         run.published += [(arrival.receive_ns, *item) for item in handled]
-    last = [m for ns, topic, m in run.published if topic == ATTITUDE and ns > START_NS + 100 * SECOND_NS]
+    last = [m for ns, topic, m in run.published if topic == ATTITUDE and ns > START_NS + 120 * SECOND_NS]
     assert {m.status for m in last} == {Status.VALID}
 
 

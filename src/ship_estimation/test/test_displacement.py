@@ -110,6 +110,20 @@ def test_a_jump_of_the_ins_as_large_as_a_displacement_ends_it() -> None:
     assert not source.is_displaced
 
 
+@pytest.mark.parametrize("begins", [20, 38])
+def test_a_jump_within_a_second_leaves_no_displacement(begins: int) -> None:
+    """Encoders that stood still move again: of the second in which they do, one measurement is from before."""
+    source, turned = Displacement(), np.array([0.0, 3600.0 * ARCSEC, 0.0])
+    for second in range(60):
+        if second == 40:
+            source.add(MemoryResidual(turned, NOISE, EXPECTED, DRIFT))
+        source.add(MemoryResidual(turned * (begins <= second < 40), NOISE, EXPECTED, DRIFT))
+        if second == 40:
+            source.inflate(4.0 * np.outer(turned, turned) + ARCSEC**2 * np.eye(3))
+        source.end_second()
+    assert not source.is_displaced
+
+
 def test_a_residual_that_is_no_number_hides_no_step() -> None:
     source = Displacement()
     for second in range(30):

@@ -101,6 +101,8 @@ def test_a_start_from_the_memory_departs_from_it_by_nothing() -> None:
     # Both covariances together: sigma times the root of two.
     departure = departure_sigmas(FILTER, replace(start, mean=mean), state, *now)
     assert departure == pytest.approx(10.0 / np.sqrt(2.0), rel=1e-6)
+    later = departure_sigmas(FILTER, replace(start, mean=mean), state, *now, is_later=True)
+    assert later == pytest.approx(10.0, rel=1e-6)
 
 
 @pytest.mark.parametrize(("moved_m", "least", "most"), [(0.0, 0.0, 3.0), (1.0, 4.0, np.inf)])

@@ -21,6 +21,7 @@ from ship_simulation.scenario.names import (
     FIX,
     HUMIDITY,
     IMAGE,
+    IMAGE_TOPIC,
     IMU,
     INERTIAL,
     OBSERVATIONS,
@@ -88,6 +89,10 @@ _COARSE = {"reference/": 30.0, "beacon/": 300.0}
 
 POSITION_FROM_START = "a position that is wrong from the start"
 COMMON_CLOCK = "one clock of the INS and all stars: two faults that agree"
+IMAGE_MOVED = "an image that creeps on the detector (N′), or is off from the start: it looks like encoders that do so"
+SMALL_SLIP = "an encoder that slips by less than its readings show, until the second exposure after it"
+_SLIP_SEEN_ARCSEC = 50.0
+"""A larger slip shows in readings at 10 Hz of a mount that sweeps."""
 _MOVES_POSITION = ("offset", "corrupt", "position_off", "units")
 _INS_AND_STARS = "ins and stars"
 
@@ -178,8 +183,19 @@ def all_cells(voyages: Mapping[str, VoyageData]) -> list[Cell]:
     for draft in itertools.chain(
         _single_faults(voyages), _starts(voyages), _clocks(voyages), _time_bases(), _pairs(voyages), _histories(voyages)
     ):
-        found.append(Cell(len(found), **draft))
+        unseen = draft.pop("unseen", "") or _class_unseen(draft.get("faults", ()))
+        found.append(Cell(len(found), unseen=unseen, **draft))
     return found
+
+
+def _class_unseen(faults: Sequence[Fault]) -> str:
+    """Return the class of faults that no data can show in time, if one of the faults is of such a class."""
+    for fault in faults:
+        if fault.kind == "drift" and fault.topic == IMAGE_TOPIC:
+            return IMAGE_MOVED
+        if fault.kind == "slip" and max(abs(fault.azimuth_arcsec), abs(fault.elevation_arcsec)) < _SLIP_SEEN_ARCSEC:
+            return SMALL_SLIP
+    return ""
 
 
 def some_cells(cells: Sequence[Cell], count: int) -> list[Cell]:
@@ -227,9 +243,16 @@ def _starts(voyages: Mapping[str, VoyageData]) -> Iterator[Draft]:
             "row": STARTS,
             "name": f"{voyage}: {kind} {topic}, node starts after {_MIDDLE_S / 2.0:g} of {_MIDDLE_S:g} s",
             "faults": (fault,),
-            "unseen": POSITION_FROM_START if topic == FIX_TOPIC and kind in _MOVES_POSITION else "",
+            "unseen": _unseen_from_start(kind, topic),
             "node_starts_s": START_S + _MIDDLE_S / 2.0,
         }
+
+
+def _unseen_from_start(kind: str, topic: str) -> str:
+    """Return the class of what no data can show that a fault from the start on belongs to."""
+    if topic == FIX_TOPIC and kind in _MOVES_POSITION:
+        return POSITION_FROM_START
+    return IMAGE_MOVED if (kind, topic) == ("knock", IMAGE_TOPIC) else ""
 
 
 def _clocks(voyages: Mapping[str, VoyageData]) -> Iterator[Draft]:

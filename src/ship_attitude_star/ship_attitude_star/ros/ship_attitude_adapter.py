@@ -283,8 +283,8 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         """See :class:`RecoveringAdapter`."""
         if TOGETHER in displaced:
             return (
-                "all star sensors moved: if they were remounted, ~/reset; otherwise check gnss/fix and the computer's "
-                "clock, or the INS"
+                "all star sensors moved against the INS: if they or the INS were remounted, ~/reset; otherwise check "
+                "their clocks (time_offset_s of each, and of ins), gnss/fix and the computer's clock"
             )
         where = ", ".join(f"{_GROUPS[name.partition('.')[0]]}.{name.partition('.')[2]}" for name in sorted(displaced))
         return f"if it was remounted, ~/reset; otherwise check its clock (time_offset_s of {where}) and its cable"

@@ -21,6 +21,7 @@ from ship_estimation.exclusion import Exclusion, must_agree_s
 from ship_estimation.gates import chi_square_gate
 from ship_estimation.hypotheses import RowsCompared, add_error
 from ship_estimation.running_means import forgotten
+from ship_estimation.unconfirmed import Unconfirmed
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
@@ -181,7 +182,11 @@ class InsAtFault:
             # The rows learnt nothing that tells them apart.
             means, stack = self.all_rows_at(state.mean, state.parts)
             state = changed(state, means=means, stack=stack)
-        return changed(state, excluded=without(state.excluded, INS), doubt=None)
+        if not exclusion.on_suspicion:
+            # What its open error has hidden, the stars show once it is closed, within half of a slow roll.
+            confirmed_ns = time_ns + round(_UNCONTRADICTED_S * SECOND_NS)
+            state = changed(state, unconfirmed=Unconfirmed(confirmed_ns, "the INS is used again", "stars"))
+        return changed(state, excluded=without(state.excluded, INS), doubt=None, ins_suspected_ns=time_ns)
 
     # ---------------------------------------------------------------------------------------------------------
 

@@ -4,6 +4,7 @@ The rules for which these are asked are those of :mod:`ship_estimation.recovery`
 """
 
 from collections.abc import Sequence
+
 import numpy as np
 
 from ship_attitude_star.ship_attitude.corrected_ins import newest_star_ns

@@ -87,7 +87,8 @@ class Displacement:
     def inflate(self, covariance: FloatArray) -> None:
         """Allow for a jump of the INS that its own rates showed in this second, rad², shape (k, k).
 
-        The measurements of this second are from before and after it, and show neither. A displacement that is no larger may have been that of the INS: it is forgotten.
+        The measurements of this second are from before and after it: they are left out. A displacement that is no
+        larger may have been that of the INS: it is forgotten.
         """
         self._pending.clear()
         if self._newest is None:

@@ -16,7 +16,7 @@ BEFORE_STEP_NS = 2 * SECOND_NS
 """The same for the state that a step is measured from: a step shows at once, and the INS drifts little in this time."""
 
 LEAST_UNDISPUTED_NS = ENDS_AFTER_NS
-"""An estimator is trusted after so long without a dispute, as after trouble: before, a fault may be all it knows, ns."""
+"""Time without a dispute after which a state is remembered, as after trouble: a fault may be all it knew before, ns."""
 
 
 class Memory(Generic[State]):

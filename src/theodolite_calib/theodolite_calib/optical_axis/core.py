@@ -416,7 +416,7 @@ class OpticalAxisCore:
         encoder = None if time_ns is None else self._tracks.encoder_at(time_ns)
         if ship is None or encoder is None:
             return math.inf
-        return departure_sigmas(self.filter, state, memory, is_later, ship, encoder)
+        return departure_sigmas(self.filter, state, memory, ship, encoder, is_later)
 
     def unused_sources(self, sources: Set[str]) -> set[str]:
         """Return those of the sources of which no measurement was used recently."""

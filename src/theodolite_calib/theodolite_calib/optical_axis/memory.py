@@ -103,9 +103,9 @@ def departure_sigmas(
     filter_: CalibrationFilter,
     state: CalibrationState,
     memory: CalibrationState,
-    is_later: bool,
     ship: ShipAt,
     encoder: EncoderAt,
+    is_later: bool = False,
 ) -> float:
     """Return the largest difference from a remembered state, in standard deviations of both.
 
@@ -116,10 +116,10 @@ def departure_sigmas(
         filter_: of the estimator.
         state: of it.
         memory: the remembered state.
-        is_later: True for a later state of the same estimator, which knows all that the remembered one did: then the
-            standard deviations are those of the latter.
         ship: at the moment of the state.
         encoder: at that moment.
+        is_later: True for a later state of the same estimator, which knows all that the remembered one did: then the
+            standard deviations are those of the latter.
     """
     assert state.time_ns is not None
     memory = filter_.predicted(memory, state.time_ns, ship.slow_covariance_n)
