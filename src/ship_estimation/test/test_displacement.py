@@ -161,3 +161,19 @@ def test_a_source_that_moves_by_itself_is_named(seed: int) -> None:
     found = moved(up, 0.0 * up, seed)
     assert set(found.displaced) == {"star.fore"}
     assert not found.is_undecided_by_memory
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_what_one_sensor_saw_poorly_of_a_turn_is_over_with_it(seed: int) -> None:
+    """The turn is 20″ about East. The other sensor comes back while it lasts, and shows what the first could not."""
+    rng, found, turn_n = np.random.default_rng(seed), Displacements(), np.array([0.0, 0.0, 20.0 * ARCSEC])
+    for second in range(140):
+        for name, sight_n, from_s in (("star.fore", FORE, 0), ("star.starboard", STARBOARD, 60)):
+            noise = SIGMA[1] ** 2 * np.eye(3) + (SIGMA[0] ** 2 - SIGMA[1] ** 2) * np.outer(sight_n, sight_n)
+            turn = turn_n * (20 <= second < 100) + rng.multivariate_normal(np.zeros(3), noise)
+            if second >= from_s:
+                found.add(name, MemoryResidual(turn, noise, EXPECTED, DRIFT))
+        found.end_second()
+        if 22 <= second < 100:
+            assert TOGETHER in found.displaced
+    assert not found.displaced

@@ -23,7 +23,9 @@ second, where its measurements do not show the displacement more precisely."""
 _DECISIVE_SIGMAS = 5.0
 """The remembered state shows by itself that a source is back if a displacement is so many standard deviations of it."""
 _STEP_LASTS = 4
-"""Seconds from the beginning of a step in which all changes belong to it; the drift is small in this time."""
+"""Seconds of a step: it may begin and end within one, and what changes by more in this time belongs to it."""
+_UNKNOWN_RAD2 = 1.0
+"""Variance of each component of a displacement that has just begun, rad²."""
 
 
 class MemoryResidual(NamedTuple):
@@ -64,20 +66,20 @@ class Displacement:
 
     def __init__(self) -> None:
         self._pending: list[MemoryResidual] = []
-        # The residual now, the part of it that is no displacement, the displacement now and before the last step;
-        # covariances of the first and the third.
-        self._level = self._at_rest = self._displaced = self._before = np.zeros(0)
-        self._covariance = self._displaced_covariance = np.zeros((0, 0))
+        # A Kalman filter of two vectors of which a residual is the sum: what is no displacement, and the displacement.
+        self._mean = np.zeros((2, 0))
+        self._covariance = np.zeros((2, 2, 0, 0))
         # What is there at the beginning may be displaced already.
         self._since_step, self._is_clear = 0, False
         self._held: tuple[FloatArray, FloatArray] | None = None
         self._newest: MemoryResidual | None = None
-        self._largest = np.zeros(0)
+        # The displacement before the last step, and the largest one, or change of it, before the last change.
+        self._before = self._largest = np.zeros(0)
 
     @property
     def largest_rad(self) -> float:
         """Length of the largest displacement, or change of it, rad."""
-        return float(np.linalg.norm(self._largest))
+        return 0.0 if self._newest is None else float(np.linalg.norm(self._largest_until_now(self._newest)))
 
     def add(self, residual: MemoryResidual) -> None:
         """Take a measurement; one that is no number shows nothing."""
@@ -94,62 +96,72 @@ class Displacement:
         if self._newest is None:
             return
         self._absorb_held()
-        self._covariance = self._covariance + covariance
-        self._displaced_covariance = self._displaced_covariance + covariance
-        if self.largest_rad and _square(self._displaced, self._displaced_covariance) <= self._within_noise:
-            self._at_rest, self._displaced = self._level, np.zeros_like(self._level)
-            self._largest, self._displaced_covariance = self._displaced, np.zeros_like(covariance)
+        self._covariance[0, 0] += covariance
+        displaced_covariance = self._covariance[1, 1] + covariance
+        if self.largest_rad and _square(self._mean[1], displaced_covariance) <= self._within_noise:
+            level, level_covariance = self._level()
+            self._start(level, level_covariance)
             # What the jump changes from now on is none either.
             self._is_clear, self._since_step = False, _STEP_LASTS
 
     def end_second(self) -> None:
         """Compare the measurements of the last second with those before."""
         if self._newest is not None:
-            self._covariance = self._covariance + self._newest.drift
+            self._covariance[0, 0] += self._newest.drift
         if not self._pending:
             return
         newest = _mean(self._pending)
-        turn, noise = newest.turn, newest.noise
         self._pending.clear()
         if self._newest is None:
-            self._level = self._at_rest = self._displaced = self._before = self._largest = np.zeros_like(turn)
-            self._covariance = self._displaced_covariance = newest.expected
+            self._start(np.zeros_like(newest.turn), newest.expected)
         self._newest = newest
-        if _square(turn - self._level, self._covariance + noise) > value_above(_FALSE_STEP, len(turn)):
+        level, covariance = self._level()
+        if _square(newest.turn - level, covariance + newest.noise) > value_above(_FALSE_STEP, len(level)):
+            self._largest = self._largest_until_now(newest)
             if self._since_step >= _STEP_LASTS:
-                self._since_step, self._before = 0, self._displaced
-                self._displaced_covariance = self._displaced_covariance + self._covariance
-            self._level, self._covariance, self._held = turn, noise, None
+                self._before, self._since_step = self._mean[1], 0
+            self._held = None
+            self._covariance[1, 1] += _UNKNOWN_RAD2 * np.eye(len(level))
+            self._update(newest.turn, newest.noise)
         else:
             self._absorb_held()
-            self._held = turn, noise
-        self._sum_up(newest)
+            self._held = newest.turn, newest.noise
+        self._since_step = min(self._since_step + 1, _STEP_LASTS)
+        # Before any step there is no displacement, of no covariance.
+        has_moved = bool(np.any(self._mean[1]))
+        self._is_clear = self._is_clear or (
+            has_moved and _square(self._mean[1], self._covariance[1, 1]) > self._within_noise
+        )
+
+    def _start(self, at_rest: FloatArray, covariance: FloatArray) -> None:
+        """Start with a residual that is no displacement."""
+        self._mean = np.stack([at_rest, np.zeros_like(at_rest)])
+        self._covariance = np.zeros((2, 2, *covariance.shape))
+        self._covariance[0, 0] = covariance
+        self._before = self._largest = np.zeros_like(at_rest)
+
+    def _level(self) -> tuple[FloatArray, FloatArray]:
+        """Return the residual now and its covariance."""
+        return self._mean.sum(axis=0), self._covariance.sum(axis=(0, 1))
 
     def _absorb_held(self) -> None:
-        """Update the level with the second before this one: it must not contain one in which a step begins."""
-        if self._held is None:
-            return
-        turn, noise = self._held
-        gain = self._covariance @ np.linalg.inv(self._covariance + noise)
-        self._level = self._level + gain @ (turn - self._level)
-        self._covariance = (np.eye(len(turn)) - gain) @ self._covariance
-        self._held = None
+        """Update with the second before this one: it must not contain one in which a step begins."""
+        if self._held is not None:
+            self._update(*self._held)
+            self._held = None
 
-    def _sum_up(self, newest: MemoryResidual) -> None:
-        """Take the change of the level for displacement where a step is under way, for drift otherwise."""
-        if self._since_step >= _STEP_LASTS:
-            self._at_rest = self._level - self._displaced
-            return
-        self._since_step += 1
-        self._displaced = self._level - self._at_rest
-        for moved in (self._displaced, self._displaced - self._before):
-            if _square(moved, newest.noise) > _square(self._largest, newest.noise):
-                self._largest = moved
-        of_both = self._displaced_covariance + self._covariance
-        self._is_clear = self._is_clear or _square(self._displaced, of_both) > self._within_noise
-        if self._since_step == _STEP_LASTS and self._is_clear:
-            drift = _STEP_LASTS * newest.drift
-            self._displaced_covariance = self._displaced_covariance + self._covariance + drift
+    def _update(self, turn: FloatArray, noise: FloatArray) -> None:
+        """Update both vectors with a residual."""
+        level, covariance = self._level()
+        of_level = self._covariance.sum(axis=1)
+        gain = of_level @ np.linalg.inv(covariance + noise)
+        self._mean = self._mean + gain @ (turn - level)
+        self._covariance = self._covariance - np.einsum("aij,bkj->abik", gain, of_level)
+
+    def _largest_until_now(self, newest: MemoryResidual) -> FloatArray:
+        """Return the largest displacement, or change of it by a step, up to now."""
+        moved = self._largest, self._mean[1], self._mean[1] - self._before
+        return max(moved, key=lambda one: _square(one, newest.noise))
 
     @property
     def is_displaced(self) -> bool:
@@ -157,23 +169,24 @@ class Displacement:
         newest = self._newest
         if newest is None or not self._is_clear:
             return False
-        largest, left = _square(self._largest, newest.noise), _square(self._displaced, newest.noise)
+        largest = _square(self._largest_until_now(newest), newest.noise)
+        left = _square(self._mean[1], newest.noise)
         if left <= _LEFT_SHARE**2 * largest:
             return False
         is_small = left <= _MOST_LEFT_SHARE**2 * largest and self._since_step >= _STEP_LASTS
-        return not (is_small and _square(self._displaced, self._displaced_covariance) <= self._within_noise)
+        return not (is_small and _square(self._mean[1], self._covariance[1, 1]) <= self._within_noise)
 
     def has_not_moved_as(self, other: "Displacement") -> bool:
         """True if the displacement of another source would have been a step of this one, and was none."""
         if self._newest is None or self.is_displaced:
             return False
-        covariance = self._covariance + self._newest.noise + other._covariance + other._displaced_covariance
-        return _square(other._displaced - self._displaced, covariance) > value_above(_FALSE_STEP, len(self._level))
+        covariance = self._level()[1] + self._newest.noise + other._level()[1] + other._covariance[1, 1]
+        return _square(other._mean[1] - self._mean[1], covariance) > value_above(_FALSE_STEP, len(self._before))
 
     @property
     def _within_noise(self) -> float:
         """Squared length, in standard deviations, up to which a displacement is that of noise."""
-        return value_above(_AT_REST, len(self._largest))
+        return value_above(_AT_REST, len(self._before))
 
     @property
     def is_beyond_memory(self) -> bool:
@@ -182,8 +195,9 @@ class Displacement:
         if newest is None or not self.largest_rad:
             return False
         # The share of the largest displacement that a residual shows, by least squares.
-        to_share = np.linalg.solve(newest.noise, self._largest) / _square(self._largest, newest.noise)
-        sigma = float(np.sqrt(to_share @ (newest.expected + self._covariance) @ to_share))
+        largest = self._largest_until_now(newest)
+        to_share = np.linalg.solve(newest.noise, largest) / _square(largest, newest.noise)
+        sigma = float(np.sqrt(to_share @ (newest.expected + self._level()[1]) @ to_share))
         return not _DECISIVE_SIGMAS * sigma <= 1.0 - _LEFT_SHARE
 
 

@@ -10,7 +10,8 @@ It is adopted where three things hold:
 3. Where the INS may have drifted so far that the memory does not show by how much all sources together had moved, they
    have moved back (:mod:`ship_estimation.recovery.displacement`). What a source did by itself, the memory shows.
 
-An estimator that was never undisputed has no memory: then 1 alone decides, as after a restart of the node.
+An estimator that was not undisputed for half a minute has no memory: then 1 alone decides, as after a restart of the
+node.
 
 Everything here follows from the inputs and their order, once a second of the time of waiting.
 """
