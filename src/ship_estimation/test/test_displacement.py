@@ -177,3 +177,17 @@ def test_what_one_sensor_saw_poorly_of_a_turn_is_over_with_it(seed: int) -> None
         if 22 <= second < 100:
             assert TOGETHER in found.displaced
     assert not found.displaced
+
+
+def test_steps_in_every_second_for_half_an_hour_leave_a_covariance() -> None:
+    """As of a source that sends two attitudes in turn: each step opens the displacement anew."""
+    rng, source = np.random.default_rng(5), Displacement()
+    noise = NOISE + (500.0 * ARCSEC) ** 2 * np.outer(np.ones(3), np.ones(3))
+    for second in range(1800):
+        turn = np.array([0.0, 3600.0 * ARCSEC * (second % 2), 60.0 * ARCSEC * (second % 3)])
+        source.add(MemoryResidual(turn + rng.multivariate_normal(np.zeros(3), noise), noise, EXPECTED, DRIFT))
+        source.end_second()
+    values = np.linalg.eigvalsh(source._covariance)
+    np.testing.assert_allclose(source._covariance, source._covariance.T, atol=1e-6 * values[-1])
+    assert values[0] >= -1e-6 * values[-1]
+    assert source.is_displaced

@@ -15,7 +15,7 @@ from ship_geometry.rotations import FloatArray
 
 _FALSE_STEP = 5.733e-7
 """Probability that a second of a source at rest is taken for a step: that of 5 sigma of one normal variable."""
-_AT_REST = 0.001
+_BY_NOISE = 0.001
 """Probability that a source that is back is found to be displaced by its noise alone."""
 _LEFT_SHARE, _MOST_LEFT_SHARE = 0.2, 0.5
 """A source has moved back where no more than the first share of its largest displacement is left; or no more than the
@@ -24,6 +24,8 @@ _DECISIVE_SIGMAS = 5.0
 """The remembered state shows by itself that a source is back if a displacement is so many standard deviations of it."""
 _STEP_LASTS = 4
 """Seconds of a step: it may begin and end within one, and what changes by more in this time belongs to it."""
+_AT_REST, _DISPLACED = 0, 1
+"""Places of the two vectors of a residual in their covariance."""
 _UNKNOWN_RAD2 = 1.0
 """Variance of each component of a displacement that has just begun, rad²."""
 
@@ -67,8 +69,8 @@ class Displacement:
     def __init__(self) -> None:
         self._pending: list[MemoryResidual] = []
         # A Kalman filter of two vectors of which a residual is the sum: what is no displacement, and the displacement.
-        self._mean = np.zeros((2, 0))
-        self._covariance = np.zeros((2, 2, 0, 0))
+        self._at_rest = self._displaced = np.zeros(0)
+        self._covariance = np.zeros((0, 0))
         # What is there at the beginning may be displaced already.
         self._since_step, self._is_clear = 0, False
         self._held: tuple[FloatArray, FloatArray] | None = None
@@ -96,9 +98,8 @@ class Displacement:
         if self._newest is None:
             return
         self._absorb_held()
-        self._covariance[0, 0] += covariance
-        displaced_covariance = self._covariance[1, 1] + covariance
-        if self.largest_rad and _square(self._mean[1], displaced_covariance) <= self._within_noise:
+        self._add_error(_AT_REST, covariance)
+        if self.largest_rad and _square(self._displaced, self._displaced_covariance + covariance) <= self._within_noise:
             level, level_covariance = self._level()
             self._start(level, level_covariance)
             # What the jump changes from now on is none either.
@@ -107,7 +108,7 @@ class Displacement:
     def end_second(self) -> None:
         """Compare the measurements of the last second with those before."""
         if self._newest is not None:
-            self._covariance[0, 0] += self._newest.drift
+            self._add_error(_AT_REST, self._newest.drift)
         if not self._pending:
             return
         newest = _mean(self._pending)
@@ -119,30 +120,42 @@ class Displacement:
         if _square(newest.turn - level, covariance + newest.noise) > value_above(_FALSE_STEP, len(level)):
             self._largest = self._largest_until_now(newest)
             if self._since_step >= _STEP_LASTS:
-                self._before, self._since_step = self._mean[1], 0
+                self._before, self._since_step = self._displaced, 0
             self._held = None
-            self._covariance[1, 1] += _UNKNOWN_RAD2 * np.eye(len(level))
+            self._add_error(_DISPLACED, _UNKNOWN_RAD2 * np.eye(len(level)))
             self._update(newest.turn, newest.noise)
         else:
             self._absorb_held()
             self._held = newest.turn, newest.noise
         self._since_step = min(self._since_step + 1, _STEP_LASTS)
-        # Before any step there is no displacement, of no covariance.
-        has_moved = bool(np.any(self._mean[1]))
+        # Before any step there is no displacement, and no covariance of it.
+        has_moved = bool(np.any(self._displaced))
         self._is_clear = self._is_clear or (
-            has_moved and _square(self._mean[1], self._covariance[1, 1]) > self._within_noise
+            has_moved and _square(self._displaced, self._displaced_covariance) > self._within_noise
         )
 
     def _start(self, at_rest: FloatArray, covariance: FloatArray) -> None:
         """Start with a residual that is no displacement."""
-        self._mean = np.stack([at_rest, np.zeros_like(at_rest)])
-        self._covariance = np.zeros((2, 2, *covariance.shape))
-        self._covariance[0, 0] = covariance
-        self._before = self._largest = np.zeros_like(at_rest)
+        size = len(at_rest)
+        self._at_rest, self._displaced = at_rest, np.zeros(size)
+        self._covariance = np.zeros((2 * size, 2 * size))
+        self._add_error(_AT_REST, covariance)
+        self._before = self._largest = np.zeros(size)
+
+    def _add_error(self, vector: int, covariance: FloatArray) -> None:
+        """Add the covariance of an error to one of the two vectors."""
+        rows = slice(vector * len(covariance), (vector + 1) * len(covariance))
+        self._covariance[rows, rows] += covariance
+
+    @property
+    def _displaced_covariance(self) -> FloatArray:
+        size = len(self._displaced)
+        return self._covariance[size:, size:]
 
     def _level(self) -> tuple[FloatArray, FloatArray]:
         """Return the residual now and its covariance."""
-        return self._mean.sum(axis=0), self._covariance.sum(axis=(0, 1))
+        by_both = np.tile(np.eye(len(self._displaced)), 2)
+        return self._at_rest + self._displaced, by_both @ self._covariance @ by_both.T
 
     def _absorb_held(self) -> None:
         """Update with the second before this one: it must not contain one in which a step begins."""
@@ -151,16 +164,19 @@ class Displacement:
             self._held = None
 
     def _update(self, turn: FloatArray, noise: FloatArray) -> None:
-        """Update both vectors with a residual."""
+        """Update both vectors with a residual; Joseph's form, which keeps the covariance positive."""
         level, covariance = self._level()
-        of_level = self._covariance.sum(axis=1)
-        gain = of_level @ np.linalg.inv(covariance + noise)
-        self._mean = self._mean + gain @ (turn - level)
-        self._covariance = self._covariance - np.einsum("aij,bkj->abik", gain, of_level)
+        by_both = np.tile(np.eye(len(turn)), 2)
+        gain = self._covariance @ by_both.T @ np.linalg.inv(covariance + noise)
+        correction = gain @ (turn - level)
+        self._at_rest = self._at_rest + correction[: len(turn)]
+        self._displaced = self._displaced + correction[len(turn) :]
+        kept = np.eye(len(correction)) - gain @ by_both
+        self._covariance = kept @ self._covariance @ kept.T + gain @ noise @ gain.T
 
     def _largest_until_now(self, newest: MemoryResidual) -> FloatArray:
         """Return the largest displacement, or change of it by a step, up to now."""
-        moved = self._largest, self._mean[1], self._mean[1] - self._before
+        moved = self._largest, self._displaced, self._displaced - self._before
         return max(moved, key=lambda one: _square(one, newest.noise))
 
     @property
@@ -170,23 +186,23 @@ class Displacement:
         if newest is None or not self._is_clear:
             return False
         largest = _square(self._largest_until_now(newest), newest.noise)
-        left = _square(self._mean[1], newest.noise)
+        left = _square(self._displaced, newest.noise)
         if left <= _LEFT_SHARE**2 * largest:
             return False
         is_small = left <= _MOST_LEFT_SHARE**2 * largest and self._since_step >= _STEP_LASTS
-        return not (is_small and _square(self._mean[1], self._covariance[1, 1]) <= self._within_noise)
+        return not (is_small and _square(self._displaced, self._displaced_covariance) <= self._within_noise)
 
     def has_not_moved_as(self, other: "Displacement") -> bool:
         """True if the displacement of another source would have been a step of this one, and was none."""
         if self._newest is None or self.is_displaced:
             return False
-        covariance = self._level()[1] + self._newest.noise + other._level()[1] + other._covariance[1, 1]
-        return _square(other._mean[1] - self._mean[1], covariance) > value_above(_FALSE_STEP, len(self._before))
+        covariance = self._level()[1] + self._newest.noise + other._level()[1] + other._displaced_covariance
+        return _square(other._displaced - self._displaced, covariance) > value_above(_FALSE_STEP, len(self._before))
 
     @property
     def _within_noise(self) -> float:
         """Squared length, in standard deviations, up to which a displacement is that of noise."""
-        return value_above(_AT_REST, len(self._before))
+        return value_above(_BY_NOISE, len(self._before))
 
     @property
     def is_beyond_memory(self) -> bool:
