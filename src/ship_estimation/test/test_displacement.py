@@ -191,3 +191,12 @@ def test_steps_in_every_second_for_half_an_hour_leave_a_covariance() -> None:
     np.testing.assert_allclose(source._covariance, source._covariance.T, atol=1e-6 * values[-1])
     assert values[0] >= -1e-6 * values[-1]
     assert source.is_displaced
+
+
+def test_what_is_there_at_the_beginning_is_no_rest() -> None:
+    """Encoders that stood still leave a memory of 20°: the fault is in the first measurements, and it ends."""
+    source, vague = Displacement(), np.deg2rad(20.0) ** 2 * np.eye(3)
+    for second in range(30):
+        source.add(MemoryResidual(np.array([0.0, 10000.0 * ARCSEC * (second < 4), 0.0]), NOISE, vague, DRIFT))
+        source.end_second()
+    assert not source.is_displaced

@@ -70,8 +70,7 @@ class Displacement:
         self._pending: list[MemoryResidual] = []
         # A Kalman filter of two vectors of which a residual is the sum: what is no displacement, and the displacement.
         self._at_rest = self._displaced = np.zeros(0)
-        self._covariance = np.zeros((0, 0))
-        # What is there at the beginning may be displaced already.
+        self._covariance = self._start_covariance = np.zeros((0, 0))
         self._since_step, self._is_clear = 0, False
         self._held: tuple[FloatArray, FloatArray] | None = None
         self._newest: MemoryResidual | None = None
@@ -100,8 +99,8 @@ class Displacement:
         self._absorb_held()
         self._add_error(_AT_REST, covariance)
         if self.largest_rad and _square(self._displaced, self._displaced_covariance + covariance) <= self._within_noise:
-            level, level_covariance = self._level()
-            self._start(level, level_covariance)
+            self._start(*self._level())
+            self._start_covariance = self._start_covariance + covariance
             # What the jump changes from now on is none either.
             self._is_clear, self._since_step = False, _STEP_LASTS
 
@@ -114,7 +113,10 @@ class Displacement:
         newest = _mean(self._pending)
         self._pending.clear()
         if self._newest is None:
-            self._start(np.zeros_like(newest.turn), newest.expected)
+            # What is there at the beginning may be displaced already.
+            self._start(np.zeros_like(newest.turn), np.zeros_like(newest.expected))
+            self._add_error(_DISPLACED, newest.expected)
+            self._start_covariance = newest.expected
         self._newest = newest
         level, covariance = self._level()
         if _square(newest.turn - level, covariance + newest.noise) > value_above(_FALSE_STEP, len(level)):
@@ -128,11 +130,7 @@ class Displacement:
             self._absorb_held()
             self._held = newest.turn, newest.noise
         self._since_step = min(self._since_step + 1, _STEP_LASTS)
-        # Before any step there is no displacement, and no covariance of it.
-        has_moved = bool(np.any(self._displaced))
-        self._is_clear = self._is_clear or (
-            has_moved and _square(self._displaced, self._displaced_covariance) > self._within_noise
-        )
+        self._is_clear = self._is_clear or _square(self._displaced, self._displaced_covariance) > self._within_noise
 
     def _start(self, at_rest: FloatArray, covariance: FloatArray) -> None:
         """Start with a residual that is no displacement."""
@@ -149,8 +147,10 @@ class Displacement:
 
     @property
     def _displaced_covariance(self) -> FloatArray:
+        """Covariance of the displacement, with that of the state from which it is measured."""
         size = len(self._displaced)
-        return self._covariance[size:, size:]
+        covariance: FloatArray = self._covariance[size:, size:] + self._start_covariance
+        return covariance
 
     def _level(self) -> tuple[FloatArray, FloatArray]:
         """Return the residual now and its covariance."""
