@@ -183,15 +183,18 @@ def all_cells(voyages: Mapping[str, VoyageData]) -> list[Cell]:
     for draft in itertools.chain(
         _single_faults(voyages), _starts(voyages), _clocks(voyages), _time_bases(), _pairs(voyages), _histories(voyages)
     ):
-        unseen = draft.pop("unseen", "") or _class_unseen(draft.get("faults", ()))
+        from_start = "node_starts_s" in draft
+        unseen = draft.pop("unseen", "") or _class_unseen(draft.get("faults", ()), from_start)
         found.append(Cell(len(found), unseen=unseen, **draft))
     return found
 
 
-def _class_unseen(faults: Sequence[Fault]) -> str:
-    """Return the class of faults that no data can show in time, if one of the faults is of such a class."""
+def _class_unseen(faults: Sequence[Fault], from_start: bool) -> str:
+    """Return the class of what no data can show in time that one of the faults belongs to; empty where none does."""
     for fault in faults:
-        if fault.kind == "drift" and fault.topic == IMAGE_TOPIC:
+        if from_start and fault.topic == FIX_TOPIC and fault.kind in _MOVES_POSITION:
+            return POSITION_FROM_START
+        if fault.topic == IMAGE_TOPIC and (fault.kind == "drift" or (from_start and fault.kind == "knock")):
             return IMAGE_MOVED
         if fault.kind == "slip" and max(abs(fault.azimuth_arcsec), abs(fault.elevation_arcsec)) < _SLIP_SEEN_ARCSEC:
             return SMALL_SLIP
@@ -243,16 +246,8 @@ def _starts(voyages: Mapping[str, VoyageData]) -> Iterator[Draft]:
             "row": STARTS,
             "name": f"{voyage}: {kind} {topic}, node starts after {_MIDDLE_S / 2.0:g} of {_MIDDLE_S:g} s",
             "faults": (fault,),
-            "unseen": _unseen_from_start(kind, topic),
             "node_starts_s": START_S + _MIDDLE_S / 2.0,
         }
-
-
-def _unseen_from_start(kind: str, topic: str) -> str:
-    """Return the class of what no data can show that a fault from the start on belongs to."""
-    if topic == FIX_TOPIC and kind in _MOVES_POSITION:
-        return POSITION_FROM_START
-    return IMAGE_MOVED if (kind, topic) == ("knock", IMAGE_TOPIC) else ""
 
 
 def _clocks(voyages: Mapping[str, VoyageData]) -> Iterator[Draft]:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ship_estimation.chi_square import value_above
+from ship_estimation.kalman import LinearMeasurement, innovation, update
 from ship_geometry.rotations import FloatArray
 
 _FALSE_STEP = 5.733e-7
@@ -68,11 +69,11 @@ class Displacement:
 
     def __init__(self) -> None:
         self._pending: list[MemoryResidual] = []
-        # A Kalman filter of two vectors of which a residual is the sum: what is no displacement, and the displacement.
-        self._at_rest = self._displaced = np.zeros(0)
+        # The state of a Kalman filter: what is no displacement, and the displacement; a residual is the sum of the two.
+        self._mean = np.zeros(0)
         self._covariance = self._start_covariance = np.zeros((0, 0))
         self._since_step, self._is_clear = 0, False
-        self._held: tuple[FloatArray, FloatArray] | None = None
+        self._held: MemoryResidual | None = None
         self._newest: MemoryResidual | None = None
         # The displacement before the last step, and the largest one, or change of it, before the last change.
         self._before = self._largest = np.zeros(0)
@@ -99,7 +100,7 @@ class Displacement:
         self._absorb_held()
         self._add_error(_AT_REST, covariance)
         if self.largest_rad and _square(self._displaced, self._displaced_covariance + covariance) <= self._within_noise:
-            self._start(*self._level())
+            self._start(self._by_both @ self._mean, self._residual_covariance)
             self._start_covariance = self._start_covariance + covariance
             # What the jump changes from now on is none either.
             self._is_clear, self._since_step = False, _STEP_LASTS
@@ -118,24 +119,26 @@ class Displacement:
             self._add_error(_DISPLACED, newest.expected)
             self._start_covariance = newest.expected
         self._newest = newest
-        level, covariance = self._level()
-        if _square(newest.turn - level, covariance + newest.noise) > value_above(_FALSE_STEP, len(level)):
+        nis = innovation(self._covariance[None], self._measurement(newest)).nis
+        # Written so that NaN is a step, and clear.
+        if not nis <= value_above(_FALSE_STEP, self._size):
             self._largest = self._largest_until_now(newest)
             if self._since_step >= _STEP_LASTS:
                 self._before, self._since_step = self._displaced, 0
             self._held = None
-            self._add_error(_DISPLACED, _UNKNOWN_RAD2 * np.eye(len(level)))
-            self._update(newest.turn, newest.noise)
+            self._add_error(_DISPLACED, _UNKNOWN_RAD2 * np.eye(self._size))
+            self._update(newest)
         else:
             self._absorb_held()
-            self._held = newest.turn, newest.noise
+            self._held = newest
         self._since_step = min(self._since_step + 1, _STEP_LASTS)
-        self._is_clear = self._is_clear or _square(self._displaced, self._displaced_covariance) > self._within_noise
+        within = _square(self._displaced, self._displaced_covariance) <= self._within_noise
+        self._is_clear = self._is_clear or not within
 
     def _start(self, at_rest: FloatArray, covariance: FloatArray) -> None:
         """Start with a residual that is no displacement."""
         size = len(at_rest)
-        self._at_rest, self._displaced = at_rest, np.zeros(size)
+        self._mean = np.append(at_rest, np.zeros(size))
         self._covariance = np.zeros((2 * size, 2 * size))
         self._add_error(_AT_REST, covariance)
         self._before = self._largest = np.zeros(size)
@@ -146,33 +149,48 @@ class Displacement:
         self._covariance[rows, rows] += covariance
 
     @property
+    def _size(self) -> int:
+        """Number of components of a residual, k."""
+        return len(self._before)
+
+    @property
+    def _by_both(self) -> FloatArray:
+        """Derivative of a residual by the state, shape (k, 2k)."""
+        return np.tile(np.eye(self._size), 2)
+
+    @property
+    def _displaced(self) -> FloatArray:
+        """The displacement now, rad, shape (k,)."""
+        return self._mean[self._size :]
+
+    @property
     def _displaced_covariance(self) -> FloatArray:
-        """Covariance of the displacement, with that of the state from which it is measured."""
-        size = len(self._displaced)
-        covariance: FloatArray = self._covariance[size:, size:] + self._start_covariance
+        """Its covariance, with that of the state from which it is measured, rad², shape (k, k)."""
+        covariance: FloatArray = self._covariance[self._size :, self._size :] + self._start_covariance
         return covariance
 
-    def _level(self) -> tuple[FloatArray, FloatArray]:
-        """Return the residual now and its covariance."""
-        by_both = np.tile(np.eye(len(self._displaced)), 2)
-        return self._at_rest + self._displaced, by_both @ self._covariance @ by_both.T
+    @property
+    def _residual_covariance(self) -> FloatArray:
+        """Covariance of a residual now, without its noise, rad², shape (k, k)."""
+        covariance: FloatArray = self._by_both @ self._covariance @ self._by_both.T
+        return covariance
+
+    def _measurement(self, residual: MemoryResidual) -> LinearMeasurement:
+        """Return a residual as a measurement of the state."""
+        by_both = self._by_both
+        return LinearMeasurement(residual.turn - by_both @ self._mean, by_both, {0: residual.noise})
 
     def _absorb_held(self) -> None:
         """Update with the second before this one: it must not contain one in which a step begins."""
         if self._held is not None:
-            self._update(*self._held)
+            self._update(self._held)
             self._held = None
 
-    def _update(self, turn: FloatArray, noise: FloatArray) -> None:
-        """Update both vectors with a residual; Joseph's form, which keeps the covariance positive."""
-        level, covariance = self._level()
-        by_both = np.tile(np.eye(len(turn)), 2)
-        gain = self._covariance @ by_both.T @ np.linalg.inv(covariance + noise)
-        correction = gain @ (turn - level)
-        self._at_rest = self._at_rest + correction[: len(turn)]
-        self._displaced = self._displaced + correction[len(turn) :]
-        kept = np.eye(len(correction)) - gain @ by_both
-        self._covariance = kept @ self._covariance @ kept.T + gain @ noise @ gain.T
+    def _update(self, residual: MemoryResidual) -> None:
+        """Update the state with a residual."""
+        parts, measurement = self._covariance[None], self._measurement(residual)
+        correction, parts = update(parts, measurement, innovation(parts, measurement).gain)
+        self._mean, self._covariance = self._mean + correction, parts[0]
 
     def _largest_until_now(self, newest: MemoryResidual) -> FloatArray:
         """Return the largest displacement, or change of it by a step, up to now."""
@@ -196,13 +214,14 @@ class Displacement:
         """True if the displacement of another source would have been a step of this one, and was none."""
         if self._newest is None or self.is_displaced:
             return False
-        covariance = self._level()[1] + self._newest.noise + other._level()[1] + other._displaced_covariance
-        return _square(other._displaced - self._displaced, covariance) > value_above(_FALSE_STEP, len(self._before))
+        covariance = self._residual_covariance + other._residual_covariance
+        covariance = covariance + self._newest.noise + other._displaced_covariance
+        return _square(other._displaced - self._displaced, covariance) > value_above(_FALSE_STEP, self._size)
 
     @property
     def _within_noise(self) -> float:
         """Squared length, in standard deviations, up to which a displacement is that of noise."""
-        return value_above(_BY_NOISE, len(self._before))
+        return value_above(_BY_NOISE, self._size)
 
     @property
     def is_beyond_memory(self) -> bool:
@@ -213,7 +232,7 @@ class Displacement:
         # The share of the largest displacement that a residual shows, by least squares.
         largest = self._largest_until_now(newest)
         to_share = np.linalg.solve(newest.noise, largest) / _square(largest, newest.noise)
-        sigma = float(np.sqrt(to_share @ (newest.expected + self._level()[1]) @ to_share))
+        sigma = float(np.sqrt(to_share @ (newest.expected + self._residual_covariance) @ to_share))
         return not _DECISIVE_SIGMAS * sigma <= 1.0 - _LEFT_SHARE
 
 

@@ -245,11 +245,10 @@ class EstimatorRecovery:
         self._memory.forget_newer(self._reference)
         if self._reference is None:
             return
-        self._reference = live.propagate_memory(self._reference, ())
-        before_step = live.propagate_memory(newest, ())
-        # A fault that crept in undisputed has moved the newer state.
-        crept = not live.departure_sigmas(before_step, self._reference, is_later=True) <= MEMORY_SIGMAS
-        self._before_step = self._reference if crept else before_step
+        # A fault that crept in undisputed has moved the newer state. Written so that NaN has.
+        later = live.propagate_memory(newest, ())
+        has_crept = not live.departure_sigmas(later, self._reference, is_later=True) <= MEMORY_SIGMAS
+        self._before_step = self._reference if has_crept else newest
 
     def _forget_fault(self) -> None:
         self._displacements = Displacements()
