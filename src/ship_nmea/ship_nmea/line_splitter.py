@@ -2,8 +2,7 @@
 
 import re
 
-LONGEST_LINE = 512
-"""Bytes of a line: a sentence of the standard has 82, makers' own have up to three times as many."""
+from ship_bags.nmea.lines import LONGEST_LINE
 
 _END = re.compile(rb"[\r\n]+")
 

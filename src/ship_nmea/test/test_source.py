@@ -8,10 +8,10 @@ import pytest
 
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.nmea.instrument_line import datetime_ns
-from ship_bags.stamps import NS_PER_S
+from ship_bags.nmea.lines import heard_texts
+from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_estimation.parameters import build
 from ship_nmea.instruments.config import NmeaInConfig
-from ship_nmea.instruments.lines import heard_texts
 from ship_nmea.instruments.links import UdpLink
 from ship_nmea.instruments.source import NO_TIME, Source
 from ship_node.edge.messages_out import Level
@@ -70,6 +70,58 @@ def test_a_clock_that_is_ahead_is_told_and_put_right_it_is_used_again(source):
     assert given == [*range(10), *range(14, 20)]
     assert ins.status("", 0, 30 * NS_PER_S - 1).level == Level.ERROR  # silent again
     assert "ahead" not in ins.status("", 0, 30 * NS_PER_S - 1).message
+
+
+def zda(moment):
+    return sentence(f"GPZDA,{moment:%H%M%S}.00,{moment:%d,%m,%Y},,").encode()
+
+
+@pytest.mark.parametrize("zda_first", [True, False])
+def test_an_attitude_has_the_time_of_the_zda_of_its_own_burst(source, zda_first):
+    ins, stamps = source(becomes="ins"), []
+    for second in range(10):
+        moment = START + timedelta(seconds=second)
+        lines = [zda(moment), sentence("PSXN,23,1.0,2.0,90.0,0.20").encode()]
+        for place, line in enumerate(lines if zda_first else reversed(lines)):
+            arrival_ns = datetime_ns(moment) + (place + 1) * NS_PER_S // 10
+            for heard in heard_texts(line):
+                stamps += [ns_from_stamp(message.header.stamp) for _, message in ins.take(heard, arrival_ns, 0)]
+    assert stamps == [datetime_ns(START) + second * NS_PER_S for second in range(10)]
+
+
+def test_a_clock_that_is_behind_is_reported(source):
+    """GPS time less leap seconds taken for UTC: 18 s behind."""
+    ins = source(becomes="ins")
+    taken(ins, pashr(START - timedelta(seconds=18)), datetime_ns(START))
+    status = ins.status("", 0, 0)
+    assert (status.level, status.message.partition(":")[0]) == (
+        Level.WARN,
+        "its clock is 18 s behind this computer's (GPS time for UTC, or leap seconds subtracted twice)",
+    )
+    taken(ins, pashr(START + timedelta(seconds=20)), datetime_ns(START) + 20 * NS_PER_S, 20 * NS_PER_S)
+    assert ins.status("", 0, 20 * NS_PER_S).level == Level.OK
+
+
+def test_two_compasses_on_one_line_are_named_while_both_are_there(source):
+    gyro = source(becomes="gyro", silent_after_s=100.0)
+    for second in range(30):
+        arrival_ns = datetime_ns(START) + second * NS_PER_S
+        for talker, heading_deg in (("HE", 350.0), ("GP", 170.5)):
+            if talker == "HE" or second < 5:
+                taken(gyro, sentence(f"{talker}HDT,{heading_deg},T").encode(), arrival_ns, second * NS_PER_S)
+        if second == 4:
+            status = gyro.status("", 0, second * NS_PER_S)
+            expected = "HDT of several talkers (GP 5, HE 5), up to 179.5° apart: choose one with talkers"
+            assert (status.level, status.message) == (Level.WARN, expected)
+    assert gyro.status("", 0, 30 * NS_PER_S).level == Level.OK
+
+
+def test_sentences_without_checksum_are_used_where_that_is_asked_for(source):
+    assert source(becomes="gyro", checksum="optional").config.checksum == "optional"
+    for needs_checksum, expected in ((True, []), (False, ["reference/a/imu"])):
+        gyro = source(becomes="gyro")
+        (heard,) = heard_texts(b"$HEHDT,218.0,T", needs_checksum)
+        assert [topic for topic, _ in gyro.take(heard, datetime_ns(START), 0)] == expected
 
 
 def test_a_clock_that_stands_gives_one_attitude(source):

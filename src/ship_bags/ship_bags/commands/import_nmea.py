@@ -10,6 +10,8 @@ from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
 from ship_bags.nmea.import_nmea import GYRO_NAME, RECEIVE_TIME, ImportOrder, import_logs
 from ship_bags.nmea.instrument import INSTRUMENT_TIME
+from ship_bags.nmea.lines import OPTIONAL, REQUIRED, is_talker
+from ship_bags.nmea.nmea_log import LogRules
 from ship_bags.output_files import add_force, check_file
 
 _HIGHEST_RATE_HZ = 1000.0
@@ -49,6 +51,24 @@ def _parser() -> CommandParser:
         "(default: %(default)s)",
     )
     parser.add_argument(
+        "--talker",
+        action="append",
+        default=[],
+        metavar="XX",
+        help="use sentences of this talker, as GP or HE, and of no other (any number of times); makers' own have none",
+    )
+    parser.add_argument(
+        "--checksum",
+        choices=(REQUIRED, OPTIONAL),
+        default=REQUIRED,
+        help="optional: use sentences without a checksum whose fields are all there (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--quality-9-is-fix",
+        action="store_true",
+        help="take a GGA of quality 9 as a fix with SBAS, as some makers mean it (default: no fix)",
+    )
+    parser.add_argument(
         "--resample", type=float, metavar="HZ", help="resample ins/imu by a rotation spline, with angular velocity [Hz]"
     )
     parser.add_argument("--config", type=Path, metavar="FILE", help="suite configuration to attach to the bag")
@@ -69,10 +89,19 @@ def _run(options: argparse.Namespace) -> int:
         time=options.time,
         resample_hz=rate_hz,
         suite=options.config,
+        rules=LogRules(options.checksum == REQUIRED, _talkers(options.talker)),
+        quality_9_is_fix=options.quality_9_is_fix,
     )
     for report in import_logs(order, options.out):
         print(report.text())
     return EXIT_DONE
+
+
+def _talkers(texts: Sequence[str]) -> frozenset[str]:
+    for text in texts:
+        if not is_talker(text):
+            raise BadInput(f"--talker {text}: expected two capital letters, as GP")
+    return frozenset(texts)
 
 
 def _references(texts: Sequence[str]) -> dict[str, Path]:

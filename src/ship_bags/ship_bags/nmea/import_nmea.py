@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
 import yaml
 
 from ship_bags.errors import BadInput
@@ -24,9 +25,17 @@ from ship_bags.nmea.instrument import (
     TimedMessage,
     imu_message,
 )
-from ship_bags.nmea.instrument_line import WRONG_TIME, InstrumentLine
-from ship_bags.nmea.nmea_attitude import ATTITUDE_KINDS, LONGEST_GAP_S, AttitudeReader, LoggedAttitude, resampled
-from ship_bags.nmea.nmea_log import LogReport, read_log
+from ship_bags.nmea.instrument_line import WRONG_TIME, InstrumentLine, clock_problem
+from ship_bags.nmea.nmea_attitude import (
+    ATTITUDE_KINDS,
+    LONGEST_GAP_S,
+    WITHOUT_TIME,
+    AttitudeReader,
+    LoggedAttitude,
+    resampled,
+)
+from ship_bags.nmea.nmea_log import LogReport, LogRules, read_log
+from ship_bags.stamps import ns_from_stamp
 
 IMPORT_RECORD = "import_nmea"
 """Name of the metadata record, and with .yaml of the attachment, that mark an imported bag."""
@@ -48,6 +57,8 @@ class ImportOrder:
         time: :data:`INSTRUMENT_TIME` or :data:`RECEIVE_TIME`: what stamps attitudes and fixes.
         resample_hz: rate of ``ins/imu`` by a rotation spline; None leaves the log's own samples.
         suite: suite configuration to attach.
+        rules: by which the lines are read.
+        quality_9_is_fix: see :class:`ship_bags.nmea.instrument.InstrumentRole`.
     """
 
     ins: Path
@@ -57,6 +68,8 @@ class ImportOrder:
     time: str = INSTRUMENT_TIME
     resample_hz: float | None = None
     suite: Path | None = None
+    rules: LogRules = field(default_factory=LogRules)
+    quality_9_is_fix: bool = False
 
 
 def import_logs(order: ImportOrder, out_path: Path) -> list[LogReport]:
@@ -70,9 +83,10 @@ def import_logs(order: ImportOrder, out_path: Path) -> list[LogReport]:
     """
     factory = RosbagsFactory()
     by_instrument = order.time == INSTRUMENT_TIME
-    ins_lines, report = read_log(order.ins)
+    ins_lines, report = read_log(order.ins, order.rules)
     reports = [report]
-    fixes = _messages(factory, InstrumentRole(GNSS, by_instrument), INS, ins_lines, report)
+    receiver = InstrumentRole(GNSS, by_instrument, quality_9_is_fix=order.quality_9_is_fix)
+    fixes = _messages(factory, receiver, INS, ins_lines, report)
     timed: list[TimedMessage] = []
     if not fixes or any(report.used[kind] for kind in ATTITUDE_KINDS):
         samples = _attitudes(ins_lines, report, by_instrument)
@@ -83,9 +97,10 @@ def import_logs(order: ImportOrder, out_path: Path) -> list[LogReport]:
         timed += [imu_message(factory, INS, INS, sample) for sample in samples]
     else:
         report.remarks.append("no attitude in it: gnss/fix alone")
+        _remark_on_clock(report, [(log_ns, ns_from_stamp(message.header.stamp)) for log_ns, _, message in fixes])
     timed += fixes
     for name, path in sorted(order.references.items()):
-        lines, report = read_log(path)
+        lines, report = read_log(path, order.rules)
         reports.append(report)
         timed += [
             imu_message(factory, REFERENCE, name, sample) for sample in _attitudes(lines, report, by_instrument)
@@ -95,7 +110,7 @@ def import_logs(order: ImportOrder, out_path: Path) -> list[LogReport]:
         (WEATHER, WEATHER, order.weather, AIR_KINDS),
     ):
         if log is not None:
-            lines, report = _read_with(log, kinds)
+            lines, report = _read_with(log, kinds, order.rules)
             reports.append(report)
             timed += _messages(factory, InstrumentRole(becomes), name, lines, report)
     _write(order, out_path, timed, reports)
@@ -112,16 +127,27 @@ def _messages(
 def _attitudes(lines: list[InstrumentLine], report: LogReport, by_instrument: bool) -> list[LoggedAttitude]:
     reader = AttitudeReader(by_instrument, report)
     found = [attitude for line in lines if (attitude := reader.take(line)) is not None]
+    reader.end()
     if not found and report.rejected[WRONG_TIME]:
         example = next(text for text in report.examples if WRONG_TIME in text)
         raise BadInput(f"no usable attitude: {example}; --time receive stamps by the receive time", file=report.path)
     if not found:
-        raise BadInput(f"no usable attitude: expected PSXN,23 after ZDA, or PASHR; {report.text()}", file=report.path)
+        raise BadInput(f"no usable attitude: expected PSXN,23 with ZDA, or PASHR; {report.text()}", file=report.path)
+    if lost := report.rejected[WITHOUT_TIME]:
+        report.remarks.append(f"{lost} of {lost + len(found)} attitudes have no ZDA of their own: --time receive")
+    _remark_on_clock(report, [(attitude.log_time_ns, attitude.stamp_ns) for attitude in found])
     return found
 
 
-def _read_with(path: Path, kinds: Sequence[str]) -> tuple[list[InstrumentLine], LogReport]:
-    lines, report = read_log(path)
+def _remark_on_clock(report: LogReport, times_ns: list[tuple[int, int]]) -> None:
+    """Note an instrument's clock that is ahead of the receive times, or behind: (receive time, stamp) of messages."""
+    delay_ns = int(np.median([receive_ns - stamp_ns for receive_ns, stamp_ns in times_ns]))
+    if text := clock_problem(delay_ns, "the receive times"):
+        report.remarks.append(f"{text}: --time receive does without it")
+
+
+def _read_with(path: Path, kinds: Sequence[str], rules: LogRules) -> tuple[list[InstrumentLine], LogReport]:
+    lines, report = read_log(path, rules)
     if not any(report.used[kind] for kind in kinds):
         *others, last = kinds
         raise BadInput(f"no {', '.join(others)} or {last} in {report.lines} lines", file=path)

@@ -51,9 +51,12 @@ _RANGE_SIGMA_M = 3.0
 _UNKNOWN = np.zeros(9)
 _NOT_GIVEN = np.array([-1.0, *np.zeros(8)])
 
-# NavSatStatus by the quality field of GGA: none, single, differential, (PPS), RTK fixed, RTK float.
 _NO_FIX, _FIX, _AUGMENTED, _GROUND_AUGMENTED = -1, 0, 1, 2
-_FIX_STATUS = {0: _NO_FIX, 1: _FIX, 2: _AUGMENTED, 3: _FIX, 4: _GROUND_AUGMENTED, 5: _GROUND_AUGMENTED}
+_FIX_STATUS = {1: _FIX, 2: _AUGMENTED, 3: _FIX, 4: _GROUND_AUGMENTED, 5: _GROUND_AUGMENTED}
+"""Quality in GGA → NavSatStatus: single, differential, PPS, RTK fixed, RTK float. Any other quality is no fix: 6 is
+dead reckoning, 7 typed in, 8 simulated."""
+_MAKERS_SBAS_QUALITY = 9
+"""Of some makers a fix with SBAS; the standard has no such quality."""
 _SERVICE_GPS = 1
 _COVARIANCE_UNKNOWN, _COVARIANCE_APPROXIMATED = 0, 1
 
@@ -79,12 +82,14 @@ class InstrumentRole:
         by_instrument: stamp attitudes and fixes by the instrument's time, otherwise by the receive time.
         transducers: names of those of XDR that are used; empty where there is one of a kind.
         has_fix: whether of an INS the positions are used, too.
+        quality_9_is_fix: take a GGA of quality 9 as a fix with SBAS; otherwise it is no fix.
     """
 
     becomes: str
     by_instrument: bool = True
     transducers: frozenset[str] = frozenset()
     has_fix: bool = True
+    quality_9_is_fix: bool = False
 
     def topics(self, name: str) -> dict[str, str]:
         """Topic → type of all that may be published of an instrument of that name, the one that matters first."""
@@ -158,9 +163,10 @@ class Instrument:
             if told_ns is None:
                 return
             stamp_ns = told_ns
-        quality = gga.gps_qual if isinstance(gga.gps_qual, int) else 0
-        status = _FIX_STATUS.get(quality, _FIX)
-        position = _numbers(gga.latitude, gga.longitude) if gga.lat and gga.lon and status != _NO_FIX else None
+        status = _FIX_STATUS.get(gga.gps_qual, _NO_FIX)
+        if gga.gps_qual == _MAKERS_SBAS_QUALITY and self._role.quality_9_is_fix:
+            status = _AUGMENTED
+        position = _numbers(gga.latitude, gga.longitude) if gga.lat and status != _NO_FIX else None
         dilution = _numbers(gga.horizontal_dil)
         heights = _numbers(gga.altitude, gga.geo_sep)
         sigma_m = _RANGE_SIGMA_M * dilution[0] if dilution else 0.0

@@ -18,6 +18,12 @@ _LONGEST_DELAY_NS = 60 * NS_PER_S
 """No network holds a sentence longer: an instrument's time that is further from the receive time is wrong."""
 _ROLLOVER_NS = 1024 * 7 * 86_400 * NS_PER_S
 """GPS counts weeks up to 1023. A receiver that has missed a beginning anew is whole multiples of these behind."""
+_AHEAD_NS = NS_PER_S // 20
+"""An instrument's clock that is further ahead of the receive time is reported, as estimators refuse its stamps, ns."""
+_BEHIND_NS = 5 * NS_PER_S
+"""A clock that is further behind is reported; a slow line and a busy computer delay a sentence by less, ns."""
+_GPS_AHEAD_NS, _SAME_NS = 18 * NS_PER_S, NS_PER_S // 2
+"""GPS time less UTC since 2017; and how near an offset must be to it, ns."""
 _DAY = timedelta(days=1)
 _DAY_NS = 86_400 * NS_PER_S
 
@@ -31,12 +37,14 @@ class InstrumentLine:
         receive_ns: when the ship's network received it, POSIX UTC.
         kind: of the sentence, see :class:`ship_bags.nmea.sentences.Sentence`.
         content: of the sentence.
+        talker: two letters of its sender; empty where the sentence is a maker's own.
     """
 
     number: int
     receive_ns: int
     kind: str
     content: Any
+    talker: str = ""
 
 
 @dataclass
@@ -85,18 +93,40 @@ def instrument_ns(stamp_ns: int, line: InstrumentLine, report: LineReport) -> in
         line: that says so.
         report: counts what is put right, and what is rejected.
     """
-    late_ns = line.receive_ns - stamp_ns
-    rollovers = round(late_ns / _ROLLOVER_NS)
-    if abs(late_ns - rollovers * _ROLLOVER_NS) > _LONGEST_DELAY_NS:
+    result_ns = corrected_ns(stamp_ns, line.receive_ns)
+    if result_ns is None:
+        late_ns = line.receive_ns - stamp_ns
         told = datetime.fromtimestamp(stamp_ns // NS_PER_S, tz=timezone.utc)
         days = abs(late_ns) / _DAY_NS
         apart = f"{days:.1f} days" if days >= 1.0 else f"{abs(late_ns) / NS_PER_S:.0f} s"
         text = f"{told:%Y-%m-%dT%H:%M:%SZ} is {apart} {'before' if late_ns > 0 else 'after'} the receive time"
         report.reject(WRONG_TIME, line.number, text)
-        return None
-    if rollovers:
-        report.mended[f"instrument time put right by {1024 * rollovers:+d} weeks (GPS week rollover)"] += 1
-    return stamp_ns + rollovers * _ROLLOVER_NS
+    elif result_ns != stamp_ns:
+        weeks = (result_ns - stamp_ns) // _ROLLOVER_NS * 1024
+        report.mended[f"instrument time put right by {weeks:+d} weeks (GPS week rollover)"] += 1
+    return result_ns
+
+
+def corrected_ns(stamp_ns: int, receive_ns: int) -> int | None:
+    """Return an instrument's time without whole GPS week rollovers; None where it is far from the receive time."""
+    late_ns = receive_ns - stamp_ns
+    rollovers_ns = round(late_ns / _ROLLOVER_NS) * _ROLLOVER_NS
+    return stamp_ns + rollovers_ns if abs(late_ns - rollovers_ns) <= _LONGEST_DELAY_NS else None
+
+
+def clock_problem(delay_ns: int, other_clock: str) -> str:
+    """Return a sentence on an instrument's clock that is ahead of another or behind it; empty where it is neither.
+
+    Args:
+        delay_ns: from the instrument's time to the receive time.
+        other_clock: the clock of the receive times, for people.
+    """
+    if -_AHEAD_NS <= delay_ns <= _BEHIND_NS:
+        return ""
+    side = "ahead of" if delay_ns < 0 else "behind"
+    is_gps = abs(abs(delay_ns) - _GPS_AHEAD_NS) <= _SAME_NS
+    cause = " (GPS time for UTC, or leap seconds subtracted twice)" if is_gps else ""
+    return f"its clock is {abs(delay_ns) / NS_PER_S:.3g} s {side} {other_clock}{cause}"
 
 
 def datetime_ns(moment: datetime) -> int:

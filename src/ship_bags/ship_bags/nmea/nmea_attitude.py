@@ -1,23 +1,16 @@
 """Attitudes in the lines of an instrument, by its own time or by the receive time, as they are or resampled.
 
-A Seapath sends a burst a second: ZDA opens it and carries the time at which the attitude in its PSXN,23 is valid.
-PASHR carries its own time of day.
+The attitude of a PSXN,23 is valid at the time in the ZDA of its burst. PASHR carries its own time of day.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import date, datetime, timezone
 
 import numpy as np
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from ship_bags.nmea.instrument_line import (
-    InstrumentLine,
-    LineReport,
-    datetime_ns,
-    instrument_ns,
-    time_of_day_ns,
-)
+from ship_bags.nmea.burst_clock import BurstClock
+from ship_bags.nmea.instrument_line import InstrumentLine, LineReport, instrument_ns, time_of_day_ns
 from ship_bags.nmea.sentences import number
 from ship_bags.stamps import NS_PER_S
 from ship_geometry.frames import rotation_from_angles
@@ -29,15 +22,14 @@ LONGEST_GAP_S = 3.0
 ATTITUDE_KINDS = ("PSXN23", "PASHR")
 """Of lines that tell an attitude."""
 
-_BURST_NS = NS_PER_S
-"""A PSXN,23 that comes later than this after a ZDA does not belong to the burst of that ZDA, ns."""
-
 _INVALID_QUALITY = 2
 
 _PASHR_STATUS = slice(10, 12)
 """Fields of PASHR behind the accuracies: aiding, and status of the IMU."""
 
 NOT_LATER = "not later than the attitude before"
+WITHOUT_TIME = "attitude without ZDA"
+"""No ZDA came near enough to the PSXN,23 to be of its burst."""
 
 UNAIDED = "PASHR: no aiding, and the IMU's status is 0"
 """Both last fields are 0: not aligned at NovAtel and Trimble. One 0 alone differs in meaning from maker to maker."""
@@ -72,31 +64,56 @@ class AttitudeReader:
     def __init__(self, by_instrument: bool, report: LineReport) -> None:
         self._by_instrument = by_instrument
         self._report = report
-        self._zda: InstrumentLine | None = None
+        self._bursts = BurstClock()
         self._is_invalid = False
         self._last_ns: int | None = None
 
     def take(self, line: InstrumentLine) -> LoggedAttitude | None:
-        """The attitude of the next line, where it tells one that can be used."""
-        attitude = None
-        if line.kind == "ZDA":
-            self._zda = line
+        """Return the attitude that can be used now: that of the line, or one that waited for its ZDA."""
+        if line.kind == "ZDA" and self._by_instrument:
+            pair = self._bursts.pair_time(line)
+            if pair is not None:
+                attitude, zda = pair
+                return self._attitude(attitude, instrument_ns(zda.stamp_ns, zda.line, self._report), line.receive_ns)
+        elif line.kind == "GGA":
+            self._bursts.note_position(line)
         elif line.kind == "PSXN20":
             self._is_invalid = _INVALID_QUALITY in (line.content.head_qual, line.content.rp_qual)
-        elif line.kind in ATTITUDE_KINDS:
-            if self._is_invalid:
-                self._report.reject("invalid by PSXN,20", line.number, str(line.content))
-            elif line.kind == "PASHR" and [number(field) for field in line.content.data[_PASHR_STATUS]] == [0, 0]:
-                self._report.reject(UNAIDED, line.number, str(line.content))
-            else:
-                attitude = self._attitude(line)
-            if line.kind == "PSXN23":
-                self._zda = None
-        return attitude
+        elif line.kind in ATTITUDE_KINDS and self._is_usable(line):
+            return self._attitude(line, self._stamp_ns(line), line.receive_ns)
+        return None
 
-    def _attitude(self, line: InstrumentLine) -> LoggedAttitude | None:
+    def end(self) -> None:
+        """Count the attitude whose ZDA did not come."""
+        self._reject_waiting()
+
+    def _is_usable(self, line: InstrumentLine) -> bool:
+        """False for an attitude that the instrument itself calls invalid, which is counted."""
+        if self._is_invalid:
+            self._report.reject("invalid by PSXN,20", line.number, str(line.content))
+            return False
+        if line.kind == "PASHR" and [number(field) for field in line.content.data[_PASHR_STATUS]] == [0, 0]:
+            self._report.reject(UNAIDED, line.number, str(line.content))
+            return False
+        return True
+
+    def _stamp_ns(self, line: InstrumentLine) -> int | None:
+        """Return the time at which an attitude is valid; None where it is wrong or not known yet."""
+        if not self._by_instrument:
+            return line.receive_ns
+        if line.kind == "PASHR":
+            return instrument_ns(time_of_day_ns(line.content.timestamp, line.receive_ns), line, self._report)
+        self._reject_waiting()
+        zda = self._bursts.pair_attitude(line)
+        return None if zda is None else instrument_ns(zda.stamp_ns, zda.line, self._report)
+
+    def _reject_waiting(self) -> None:
+        waiting, self._bursts.waiting = self._bursts.waiting, None
+        if waiting is not None:
+            self._report.reject(WITHOUT_TIME, waiting.number, str(waiting.content))
+
+    def _attitude(self, line: InstrumentLine, stamp_ns: int | None, usable_ns: int) -> LoggedAttitude | None:
         content = line.content
-        stamp_ns = self._instrument_ns(line) if self._by_instrument else line.receive_ns
         if stamp_ns is None:
             return None
         if self._last_ns is not None and stamp_ns <= self._last_ns:
@@ -105,23 +122,7 @@ class AttitudeReader:
         self._last_ns = stamp_ns
         heading_deg = content.head if line.kind == "PSXN23" else content.true_heading
         angles = np.deg2rad([heading_deg, content.pitch, content.roll])
-        return LoggedAttitude(stamp_ns, line.receive_ns, rotation_from_angles(*angles))
-
-    def _instrument_ns(self, line: InstrumentLine) -> int | None:
-        """Time at which a line's attitude is valid, by the instrument; None where it does not say, which is told."""
-        if line.kind == "PASHR":
-            return instrument_ns(time_of_day_ns(line.content.timestamp, line.receive_ns), line, self._report)
-        zda = self._zda
-        if zda is not None and line.receive_ns - zda.receive_ns <= _BURST_NS:
-            try:
-                day = date(zda.content.year, zda.content.month, zda.content.day)
-                moment = datetime.combine(day, zda.content.timestamp, tzinfo=timezone.utc)
-            except ValueError:
-                pass
-            else:
-                return instrument_ns(datetime_ns(moment), zda, self._report)
-        self._report.reject("attitude without ZDA", line.number, str(line.content))
-        return None
+        return LoggedAttitude(stamp_ns, usable_ns, rotation_from_angles(*angles))
 
 
 def resampled(logged: Sequence[LoggedAttitude], rate_hz: float) -> list[LoggedAttitude]:

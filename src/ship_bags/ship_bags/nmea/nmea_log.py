@@ -1,16 +1,36 @@
-"""Reads ship logs: one record a line, ISO-8601 receive time (UTC), a space, the device's sentence (OpenRVDAS style)."""
+"""Reads ship logs: one record a line, ISO 8601 receive time, a space, the device's sentence (OpenRVDAS style)."""
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Set
 from dataclasses import dataclass, field
-from datetime import datetime, timezone
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
 from ship_bags.errors import BadInput
 from ship_bags.nmea.instrument_line import InstrumentLine, LineReport, datetime_ns
-from ship_bags.nmea.sentences import NotOfInterest, Unusable, read_sentence
+from ship_bags.nmea.lines import HALF, HeardText, heard_texts
+from ship_bags.nmea.sentences import NotOfInterest, Unusable
+from ship_bags.nmea.talkers import TalkerComparison
 from ship_bags.stamps import END_OF_TIME_NS, NS_PER_S
 
 _DAY_NS = 86_400 * NS_PER_S
+_TIME = re.compile(
+    r"(\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d)(?:[.,](\d{1,9}))?(?:Z|([+-])(\d\d):?(\d\d)?)?", re.ASCII
+)
+"""Date and time, fraction of a second, and offset from UTC (sign, hours, minutes); without an offset it is UTC."""
+
+
+@dataclass(frozen=True)
+class LogRules:
+    """Rules by which the lines of logs are read.
+
+    Attributes:
+        needs_checksum: reject sentences without a checksum; otherwise whole ones are used.
+        talkers: the talkers whose sentences are used; empty for all. Sentences of makers have none.
+    """
+
+    needs_checksum: bool = True
+    talkers: Set[str] = frozenset()
 
 
 @dataclass
@@ -31,57 +51,75 @@ class LogReport(LineReport):
         return "\n".join([f"{self.name}: {self.lines} lines: {'; '.join(parts)}", *self.examples])
 
 
-def read_log(path: Path) -> tuple[list[InstrumentLine], LogReport]:
+def read_log(path: Path, rules: LogRules) -> tuple[list[InstrumentLine], LogReport]:
     """All usable lines of a log, in order of the file.
 
     Raises:
         BadInput: the file is missing, unreadable or empty, or no line begins with a time.
     """
-    report = LogReport(path.name, path=path)
-    lines = list(_lines(path, report))
+    report, talkers = LogReport(path.name, path=path), TalkerComparison()
+    lines = list(_lines(path, rules, report))
+    for line in lines:
+        talkers.add(line)
+    report.remarks += [f"{text}: choose one with --talker" for text in talkers.texts()]
     if report.lines == 0:
         raise BadInput("the file is empty: expected lines 'RECEIVE_TIME SENTENCE'", file=path)
+    if not lines and report.rejected[HALF]:
+        advice = "--checksum optional uses whole sentences without one" if rules.needs_checksum else "none is whole"
+        raise BadInput(f"no line could be read: {report.examples[0]}: {advice}", file=path)
     if not lines and not report.unused:
         raise BadInput(f"no line could be read: {report.examples[0]}: expected 'RECEIVE_TIME SENTENCE'", file=path)
     return lines, report
 
 
-def _lines(path: Path, report: LogReport) -> Iterator[InstrumentLine]:
+def _lines(path: Path, rules: LogRules, report: LogReport) -> Iterator[InstrumentLine]:
     try:
-        with open(path, encoding="ascii", errors="backslashreplace") as file:
+        with open(path, "rb") as file:
             for number, line in enumerate(file, start=1):
-                text = line.strip()
-                if text:
+                if content := line.strip():
                     report.lines += 1
-                    parsed = _parsed(number, text, report)
-                    if parsed is not None:
-                        report.used[parsed.kind] += 1
-                        yield parsed
+                    yield from _parsed(number, content, rules, report)
     except OSError as problem:
         raise BadInput(f"cannot be read: {problem.strerror}", file=path) from problem
 
 
-def _parsed(number: int, text: str, report: LogReport) -> InstrumentLine | None:
-    time_text, _, sentence_text = text.partition(" ")
-    receive_ns = _receive_ns(time_text)
-    if receive_ns is None:
-        report.reject("no receive time", number, text)
-        return None
-    sentence = read_sentence(sentence_text)
-    if isinstance(sentence, NotOfInterest):
-        report.unused[sentence.name] += 1
-        return None
-    if isinstance(sentence, Unusable):
-        report.reject(sentence.reason, number, text)
-        return None
-    return InstrumentLine(number, receive_ns, sentence.kind, sentence.content)
+def _parsed(number: int, content: bytes, rules: LogRules, report: LogReport) -> Iterator[InstrumentLine]:
+    """Return what a line of the file holds: mostly one sentence."""
+    time_text, _, sentences = content.partition(b" ")
+    receive_ns = _receive_ns(time_text.decode("ascii", errors="replace"))
+    if receive_ns is None or sentences.lstrip()[:1] in (b"+", b"-"):  # an offset behind a space
+        report.reject("no receive time", number, content.decode("ascii", errors="backslashreplace"))
+        return
+    for heard in heard_texts(sentences, rules.needs_checksum):
+        line = _line(number, receive_ns, heard, rules, report)
+        if line is not None:
+            report.used[line.kind] += 1
+            yield line
+
+
+def _line(number: int, receive_ns: int, heard: HeardText, rules: LogRules, report: LogReport) -> InstrumentLine | None:
+    says = heard.says
+    if rules.talkers and heard.talker and heard.talker not in rules.talkers:
+        report.unused[f"talker {heard.talker}"] += 1
+    elif isinstance(says, NotOfInterest):
+        report.unused[says.name] += 1
+    elif isinstance(says, Unusable):
+        report.reject(says.detail or says.reason, number, heard.text)
+    else:
+        return InstrumentLine(number, receive_ns, says.kind, says.content, heard.talker)
+    return None
 
 
 def _receive_ns(text: str) -> int | None:
-    base, _, fraction = text.removesuffix("Z").partition(".")
+    """Return a time as POSIX time; None where it is not wholly understood."""
+    match = _TIME.fullmatch(text)
+    if match is None:
+        return None
+    base, fraction, sign, hours, minutes = match.groups()
     try:
-        moment = datetime.fromisoformat(base).replace(tzinfo=timezone.utc)
-        time_ns = datetime_ns(moment) + (int(fraction[:9].ljust(9, "0")) if fraction else 0)
+        offset = timedelta(hours=int(hours or 0), minutes=int(minutes or 0)) * (-1 if sign == "-" else 1)
+        moment = datetime.fromisoformat(base).replace(tzinfo=timezone(offset))
+        time_ns = datetime_ns(moment) + int((fraction or "0").ljust(9, "0"))
     except ValueError:
         return None
     # The time of day in a sentence may lie on the day before or after: both must be times that a stamp can carry.

@@ -14,6 +14,8 @@ import pynmea2
 
 BAD_CHECKSUM, UNPARSED = "checksum failed", "unparsed"
 UNKNOWN, VOID, OUT_OF_RANGE = "unknown sentence", "no values in it", "angle out of range"
+HALF_POSITION = "GGA without its position's N, S, E or W, or without a part of it"
+WRONG_MINUTES, WRONG_POSITION = "GGA with 60 minutes or more", "GGA beyond 90° of latitude or 180° of longitude"
 """Why in particular a line is unparsed: pynmea2 does not know the sentence, the instrument has nothing to say, or says
 what cannot be."""
 
@@ -52,6 +54,9 @@ _KINDS = {"SXN20": "PSXN20", "SXN23": "PSXN23", "ASHRATT": "PASHR"}
 
 
 _TIME_OF_DAY = re.compile(r"\d{6}(\.\d+)?", re.ASCII)
+_LATITUDE, _LONGITUDE = (re.compile(rf"\d{{3,{most}}}(\.\d*)?", re.ASCII) for most in (4, 5))
+_MINUTES = 60.0
+"""Of a degree."""
 
 
 class THS(pynmea2.TalkerSentence):  # type: ignore[misc]
@@ -146,8 +151,8 @@ def _of_interest(name: str, content: Any) -> Sentence | NotOfInterest | Unusable
         return Unusable(UNPARSED, OUT_OF_RANGE)
     if kind == "ZDA" and not 1970 < content.year < 2038:
         return Unusable("no year of ours")
-    if kind == "GGA" and not _has_readable_position(content):
-        return Unusable(UNPARSED)
+    if kind == "GGA" and (problem := _position_problem(content)):
+        return problem
     return Sentence(_KINDS.get(kind, kind), _mda_reading(content) if kind == "MDA" else content)
 
 
@@ -162,12 +167,20 @@ def _is_angle(field: str, value: Any) -> bool:
     return least is None or most is None or least <= float(value) <= most
 
 
-def _has_readable_position(gga: Any) -> bool:
-    """Whether latitude and longitude are numbers, or not given."""
-    try:
-        return not (gga.lat and gga.lon) or abs(gga.latitude) + abs(gga.longitude) >= 0.0
-    except ValueError:
-        return False
+def _position_problem(gga: Any) -> Unusable | None:
+    """Return why the position of a GGA cannot be used; None where it can, or where there is none."""
+    parts = (gga.lat, gga.lat_dir, gga.lon, gga.lon_dir)
+    if not any(parts):
+        return None
+    if not all(parts) or gga.lat_dir not in "NS" or gga.lon_dir not in "EW":
+        return Unusable(UNPARSED, HALF_POSITION)
+    if not (_LATITUDE.fullmatch(gga.lat) and _LONGITUDE.fullmatch(gga.lon)):
+        return Unusable(UNPARSED)
+    if not (float(gga.lat) % 100.0 < _MINUTES and float(gga.lon) % 100.0 < _MINUTES):
+        return Unusable(UNPARSED, WRONG_MINUTES)
+    if not (abs(gga.latitude) <= 90.0 and abs(gga.longitude) <= 180.0):
+        return Unusable(UNPARSED, WRONG_POSITION)
+    return None
 
 
 def _met_reading(sentence: str) -> MetReading | None:

@@ -5,6 +5,7 @@ import os.path
 from dataclasses import dataclass
 
 from ship_bags.nmea.instrument import GNSS, GYRO, INS, INSTRUMENT_TIME, REFERENCE, WEATHER, InstrumentRole
+from ship_bags.nmea.lines import OPTIONAL, REQUIRED, is_talker
 from ship_estimation.parameter_fields import mapping_of, parameter
 from ship_estimation.parameters import ParameterError
 from ship_node.parameters.places import ANY_ADDRESS, HeldPlace, PlaceKind, held_path, held_port, refuse_clashes
@@ -48,6 +49,14 @@ class NmeaSourceConfig:
     )
     talkers: tuple[str, ...] = parameter(
         (), doc="two letters each, as GP, HE: sentences of others are not used; empty for all; PSXN and PASHR have none"
+    )
+    checksum: str = parameter(
+        REQUIRED,
+        doc="optional: sentences without a checksum are used if all their fields are there",
+        choices=(REQUIRED, OPTIONAL),
+    )
+    quality_9_is_fix: bool = parameter(
+        False, doc="a GGA of quality 9 is a fix with SBAS, as some makers mean it; otherwise it is no fix"
     )
     time: str = parameter(
         INSTRUMENT_TIME,
@@ -99,7 +108,7 @@ class NmeaInConfig:
         for id_, source in self.sources.items():
             _check_place(f"sources.{id_}", source)
             for talker in source.talkers:
-                if not (len(talker) == 2 and talker.isascii() and talker.isalnum() and talker.isupper()):
+                if not is_talker(talker):
                     raise _error(f"sources.{id_}.talkers", talker, "expected two capital letters, as GP")
         for role in _ALONE:
             ids = [id_ for id_, source in self.sources.items() if source.becomes == role]
@@ -140,7 +149,13 @@ class NmeaInConfig:
         source = self.sources[id_]
         has_receiver = any(other.becomes == GNSS for other in self.sources.values())
         by_instrument = source.time == INSTRUMENT_TIME
-        return InstrumentRole(source.becomes, by_instrument, frozenset(source.transducers), has_fix=not has_receiver)
+        return InstrumentRole(
+            source.becomes,
+            by_instrument,
+            frozenset(source.transducers),
+            has_fix=not has_receiver,
+            quality_9_is_fix=source.quality_9_is_fix,
+        )
 
 
 def _check_place(name: str, source: NmeaSourceConfig) -> None:

@@ -5,8 +5,8 @@ import time
 from collections.abc import Iterator, Sequence
 
 from ship_bags.errors import BadInput
+from ship_bags.nmea.lines import REQUIRED, heard_texts
 from ship_nmea.instruments.config import SERIAL, UDP, NmeaInConfig
-from ship_nmea.instruments.lines import heard_texts
 from ship_nmea.instruments.links import LinkReader, link_of
 from ship_nmea.instruments.source import Source
 from ship_nmea.node_shell import NmeaNode, run_nmea_node
@@ -107,7 +107,7 @@ class NmeaIn:
 
     def _publish_line(self, place: str, arrival_ns: int, line: bytes) -> None:
         now_ns = time.monotonic_ns()
-        for heard in heard_texts(line):
-            for source in self._sources[place]:
+        for source in self._sources[place]:
+            for heard in heard_texts(line, source.config.checksum == REQUIRED):
                 for topic, message in source.take(heard, arrival_ns, now_ns):
                     self._publishers[topic].publish(message)

@@ -8,12 +8,13 @@ from typing import Any
 
 from ship_bags.message_factory import MessageFactory
 from ship_bags.nmea.instrument import WEATHER, Instrument, InstrumentRole
-from ship_bags.nmea.instrument_line import InstrumentLine, LineReport
+from ship_bags.nmea.instrument_line import InstrumentLine, LineReport, clock_problem
+from ship_bags.nmea.lines import HeardText
 from ship_bags.nmea.nmea_attitude import NOT_LATER
 from ship_bags.nmea.sentences import NotOfInterest, Unusable
+from ship_bags.nmea.talkers import TalkerComparison
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_nmea.instruments.config import ARRIVAL_TIME, NmeaSourceConfig
-from ship_nmea.instruments.lines import HeardText
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 
 NO_TIME = "no time: no /clock yet"
@@ -26,8 +27,6 @@ _BACK_NS = NS_PER_S
 
 _PUT_RIGHT_NS = 3 * NS_PER_S
 """Where none has been later for so long than a last one that is still to come, the instrument is heard anew, ns."""
-_AHEAD_NS = NS_PER_S // 20
-"""A stamp that is further ahead of the arrival is told; the estimators refuse such a one, ns."""
 
 _SHOWN_CHARACTERS = 60
 _MOST_NAMES, _MOST_TOLD, _LONGEST_NAME, _OTHERS = 50, 10, 12, "others"
@@ -90,7 +89,8 @@ class Source:
         self._given_before = 0
         # Long enough ago for neither to be shown.
         self._dropped, self._dropped_ns = 0, now_ns - 2 * SHOWN_NS
-        self._ahead_ns, self._ahead_at_ns = 0, now_ns - 2 * SHOWN_NS
+        self._clock_problem, self._clock_problem_ns = "", now_ns - 2 * SHOWN_NS
+        self._talkers = TalkerComparison()
         # Of an INS the attitude matters, of a weather station whatever it tells.
         self._wanted = tuple(self.topics) if role.becomes == WEATHER else tuple(self.topics)[:1]
 
@@ -124,8 +124,8 @@ class Source:
             stamp_ns = ns_from_stamp(message.header.stamp)
             if topic in self._wanted:
                 self._given_ns, self._stamp_ns = now_ns, stamp_ns
-            if stamp_ns - arrival_ns > _AHEAD_NS:
-                self._ahead_ns, self._ahead_at_ns = stamp_ns - arrival_ns, now_ns
+            if problem := clock_problem(arrival_ns - stamp_ns, "this computer's"):
+                self._clock_problem, self._clock_problem_ns = problem, now_ns
         return messages
 
     def _line(self, heard: HeardText, arrival_ns: int) -> InstrumentLine | None:
@@ -140,7 +140,9 @@ class Source:
             report.reject(NO_TIME, report.lines, heard.text)
         else:
             report.used[says.kind] += 1
-            return InstrumentLine(report.lines, arrival_ns, says.kind, says.content)
+            line = InstrumentLine(report.lines, arrival_ns, says.kind, says.content, heard.talker)
+            self._talkers.add(line)
+            return line
         return None
 
     def status(self, problem: str, dropped: int, now_ns: int) -> DiagnosticStatus:
@@ -191,11 +193,13 @@ class Source:
             return Level.ERROR, f"lines come, and no {topics} for {(now_ns - self._given_ns) / NS_PER_S:.0f} s: {why}"
         if now_ns - self._dropped_ns <= SHOWN_NS:
             return Level.ERROR, f"overflow: more came than can be taken; {self._dropped} lines were dropped"
-        if now_ns - self._ahead_at_ns <= SHOWN_NS:
-            ahead = f"its clock is {self._ahead_ns / NS_PER_S:.3g} s ahead of this computer's"
-            return Level.WARN, f"{ahead}: set the clocks by NTP or PTP, or stamp by time: {ARRIVAL_TIME}"
+        if now_ns - self._clock_problem_ns <= SHOWN_NS:
+            advice = f"set the clocks by NTP or PTP, or stamp by time: {ARRIVAL_TIME}"
+            return Level.WARN, f"{self._clock_problem}: {advice}"
         if wrong:
             return Level.WARN, wrong
+        if several := self._talkers.texts(self._arrival_ns - SHOWN_NS):
+            return Level.WARN, f"{'; '.join(several)}: choose one with talkers"
         if not any(self._given[topic] for topic in self._wanted):
             return Level.OK, f"{self.config.place}: waiting for the first {topics}"
         return Level.OK, f"gives {topics}"

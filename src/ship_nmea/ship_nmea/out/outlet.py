@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from ship_nmea.line_splitter import LONGEST_LINE
+from ship_bags.nmea.lines import LONGEST_LINE
 from ship_nmea.out.config import FILE, SERIAL, TCP_SERVER, UDP, SinkConfig
 
 RECEIVE_BYTES = 4096

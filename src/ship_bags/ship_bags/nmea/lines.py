@@ -1,7 +1,8 @@
-"""A line as it arrives becomes sentences, or what is wrong with it.
+"""A line, live or of a log, becomes sentences, or what is wrong with it.
 
-A live line is cut where a connection begins, ends or loses bytes. So a sentence counts only from its ``$`` to its
-checksum: half a heading, ``$GPHDT,21``, would be a heading as well.
+A line is cut where a connection begins, ends or loses bytes, and where a logger stops. So a sentence counts only from
+its ``$`` to its checksum: half a heading, ``$GPHDT,21``, would be a heading as well. Sources that write no checksums
+are read by the forms of :mod:`ship_bags.nmea.whole_sentences` where that is asked for.
 """
 
 import re
@@ -9,9 +10,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from ship_bags.nmea.sentences import NotOfInterest, Sentence, Unusable, read_sentence
-from ship_nmea.line_splitter import LONGEST_LINE
+from ship_bags.nmea.whole_sentences import is_whole
+
+LONGEST_LINE = 512
+"""Bytes of a line: a sentence of the standard has 82, makers' own have up to three times as many."""
 
 TOO_LONG, NOISE, HALF = "line too long", "binary noise", "half line or no checksum"
+
+REQUIRED, OPTIONAL = "required", "optional"
+"""Whether the sentences of an instrument need a checksum."""
 
 # In front of a sentence on an IEC 61162-450 network: the datagram's mark and a TAG block.
 _FRONT = re.compile(rb"(UdPbC\x00)?(\\[^\\]*\\)*")
@@ -34,8 +41,13 @@ class HeardText:
         return self.text[1:3] if self.text.startswith("$") and not self.text.startswith("$P") else ""
 
 
-def heard_texts(line: bytes) -> Iterator[HeardText]:
-    """What a line says: one sentence, or several of which the ends were lost."""
+def heard_texts(line: bytes, needs_checksum: bool = True) -> Iterator[HeardText]:
+    """Return the texts of a line: one sentence, or several whose ends were lost.
+
+    Args:
+        line: without anything in front but the mark of a datagram and TAG blocks.
+        needs_checksum: reject sentences without a checksum; otherwise whole ones are used.
+    """
     if len(line) > LONGEST_LINE:
         yield HeardText(_shown(line), Unusable(TOO_LONG))
         return
@@ -49,7 +61,22 @@ def heard_texts(line: bytes) -> Iterator[HeardText]:
         yield HeardText(before, _without_start(before, is_cut=bool(sentences)))
     for body in sentences:
         text = f"${body.rstrip()}"
-        yield HeardText(text, read_sentence(text) if _CHECKSUM.fullmatch(text) else Unusable(HALF))
+        yield HeardText(text, _read(text, needs_checksum))
+
+
+def _read(text: str, needs_checksum: bool) -> Sentence | NotOfInterest | Unusable:
+    """Read a text from its ``$`` on."""
+    if _CHECKSUM.fullmatch(text):
+        return read_sentence(text)
+    if needs_checksum or "*" in text:
+        return Unusable(HALF)
+    says = read_sentence(text)
+    return Unusable(HALF) if isinstance(says, Sentence) and not is_whole(says.kind, text) else says
+
+
+def is_talker(text: str) -> bool:
+    """True for a talker's two letters."""
+    return len(text) == 2 and text.isascii() and text.isalnum() and text.isupper()
 
 
 def _without_start(text: str, is_cut: bool) -> Sentence | NotOfInterest | Unusable:

@@ -1,0 +1,115 @@
+"""The ZDA that stamps an attitude without a time of its own: that of the same burst, before or after the attitude.
+
+Instruments send bursts. A ZDA opens those of a Seapath and closes those of others, so the ZDA before an attitude may be
+that of the burst before. The receive times decide: the delay from stamp to receive time must be the usual delay of the
+instrument, within half a period. The GGA of the burst gives that delay, as it carries a time of its own; where there
+is no GGA, the ZDA gives it.
+"""
+
+from collections import deque
+from dataclasses import dataclass
+from datetime import date, datetime, timezone
+from statistics import median
+
+from ship_bags.nmea.instrument_line import InstrumentLine, corrected_ns, datetime_ns, time_of_day_ns
+from ship_bags.stamps import NS_PER_S
+
+_LONGEST_PERIOD_NS = NS_PER_S
+"""Period of bursts until they are known; slower bursts are paired as if they had this one, ns."""
+_SHORTEST_PERIOD_NS = NS_PER_S // 100
+_GAPS = 9
+"""Gaps between attitudes whose median is their period."""
+_EARLIEST_NS = NS_PER_S // 100
+"""An attitude that was received before its stamp by more than this has another stamp, ns."""
+_FASTER = 0.75
+"""Attitudes whose period is shorter than this times that of the ZDA are not one to a burst."""
+
+
+@dataclass(frozen=True)
+class ZdaTime:
+    """A ZDA.
+
+    Attributes:
+        line: with its receive time.
+        stamp_ns: its date and time, as the instrument gives them.
+        delay_ns: from the stamp, corrected for lost weeks, to the receive time.
+    """
+
+    line: InstrumentLine
+    stamp_ns: int
+    delay_ns: int
+
+
+class BurstClock:
+    """Pairs each ZDA with one attitude of its burst. Lines come in the order in which they were received.
+
+    Attributes:
+        waiting: the attitude whose ZDA may follow.
+    """
+
+    def __init__(self) -> None:
+        self._zda: ZdaTime | None = None
+        self._last_zda_ns = self._last_attitude_ns = 0
+        self._zda_gap_ns = _LONGEST_PERIOD_NS
+        self._attitude_gaps_ns: deque[int] = deque(maxlen=_GAPS)
+        self._gga_ns, self._gga_delay_ns = 0, 0
+        self.waiting: InstrumentLine | None = None
+
+    def note_position(self, gga: InstrumentLine) -> None:
+        """Take the delay of a GGA."""
+        stamp_ns = time_of_day_ns(gga.content.timestamp, gga.receive_ns)
+        self._gga_ns, self._gga_delay_ns = gga.receive_ns, gga.receive_ns - stamp_ns
+
+    def pair_attitude(self, attitude: InstrumentLine) -> ZdaTime | None:
+        """Return the ZDA before an attitude if it is of the same burst; otherwise the attitude is :attr:`waiting`."""
+        if self._last_attitude_ns:
+            self._attitude_gaps_ns.append(max(attitude.receive_ns - self._last_attitude_ns, 0))
+        self._last_attitude_ns = attitude.receive_ns
+        zda, self._zda = self._zda, None
+        if zda is not None and self._is_of_burst(attitude, zda):
+            self.waiting = None
+            return zda
+        self.waiting = attitude
+        return None
+
+    def pair_time(self, line: InstrumentLine) -> tuple[InstrumentLine, ZdaTime] | None:
+        """Return the attitude that waits for this ZDA, with it, where they are of the same burst."""
+        zda = _zda_time(line)
+        if zda is None:
+            return None
+        if zda.stamp_ns > self._last_zda_ns:
+            self._zda_gap_ns = min(zda.stamp_ns - self._last_zda_ns, _LONGEST_PERIOD_NS)
+        self._last_zda_ns = zda.stamp_ns
+        attitude = self.waiting
+        if attitude is not None and self._is_of_burst(attitude, zda) and _is_possible(attitude, zda):
+            self._zda, self.waiting = None, None
+            return attitude, zda
+        self._zda = zda
+        return None
+
+    def _is_of_burst(self, attitude: InstrumentLine, zda: ZdaTime) -> bool:
+        """True if the attitude's delay by this ZDA is the instrument's own, within half a period."""
+        attitude_gap_ns = int(median(self._attitude_gaps_ns)) if self._attitude_gaps_ns else self._zda_gap_ns
+        period_ns = max(min(attitude_gap_ns, self._zda_gap_ns), _SHORTEST_PERIOD_NS)
+        delay_ns, usual_ns = attitude.receive_ns - (zda.line.receive_ns - zda.delay_ns), zda.delay_ns
+        is_one_to_a_burst = attitude_gap_ns >= _FASTER * self._zda_gap_ns
+        is_recent = abs(attitude.receive_ns - self._gga_ns) < self._zda_gap_ns
+        if is_one_to_a_burst and is_recent and abs(self._gga_delay_ns - zda.delay_ns) < 2 * self._zda_gap_ns:
+            usual_ns = self._gga_delay_ns
+        return abs(delay_ns - usual_ns) <= period_ns // 2
+
+
+def _is_possible(attitude: InstrumentLine, zda: ZdaTime) -> bool:
+    """False for an attitude received before its stamp; a clock that is behind says nothing of that."""
+    return zda.delay_ns < 0 or attitude.receive_ns - (zda.line.receive_ns - zda.delay_ns) >= -_EARLIEST_NS
+
+
+def _zda_time(line: InstrumentLine) -> ZdaTime | None:
+    """Return the time of a ZDA; None where it has no such day."""
+    content = line.content
+    try:
+        moment = datetime.combine(date(content.year, content.month, content.day), content.timestamp, timezone.utc)
+    except ValueError:
+        return None
+    stamp_ns = datetime_ns(moment)
+    return ZdaTime(line, stamp_ns, line.receive_ns - (corrected_ns(stamp_ns, line.receive_ns) or stamp_ns))

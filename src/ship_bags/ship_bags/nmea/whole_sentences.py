@@ -1,0 +1,36 @@
+"""Sentences without a checksum: the whole ones, by the number of their fields and the form of each.
+
+Half a heading is a heading: ``$HEHDT,21`` may be the beginning of ``$HEHDT,218.0,T``. Without a checksum a sentence is
+therefore used only if the form of its kind has an end that a cut sentence lacks.
+"""
+
+import re
+
+_NUMBER = r"[+-]?\d+(\.\d+)?"
+_TIME = r"\d{6}(\.\d+)?"
+_DIGIT, _HEAVE = r"\d", r"[+-]?\d+\.\d{2,}"
+_SIGMA = f"({_NUMBER})?"
+
+_FORMS: dict[str, tuple[str, ...]] = {
+    "HDT": (_NUMBER, "T"),
+    "THS": (f"({_NUMBER})?", "[A-Z]"),
+    "ZDA": (_TIME, r"\d\d", r"\d\d", r"\d{4}", r"([+-]?\d\d)?", r"(\d\d)?"),
+    "GGA": (
+        _TIME, r"(\d{3,4}(\.\d+)?)?", "[NS]?", r"(\d{3,5}(\.\d+)?)?", "[EW]?", _DIGIT, r"(\d+)?", f"({_NUMBER})?",
+        f"({_NUMBER})?", "M?", f"({_NUMBER})?", "M?", f"({_NUMBER})?", r"(\d{4})?",
+    ),
+    "PSXN20": ("20", _DIGIT, _DIGIT, _DIGIT, _DIGIT),
+    "PSXN23": ("23", _NUMBER, _NUMBER, _NUMBER, _HEAVE),
+    "PASHR": (
+        _TIME, _NUMBER, "T", _NUMBER, _NUMBER, f"({_NUMBER})?", _SIGMA, _SIGMA, _SIGMA, _DIGIT, _DIGIT,
+    ),
+}  # fmt: skip
+"""Kind of a sentence → form of each field behind the name. MDA and XDR have none: their last fields may be void."""
+
+_PATTERNS = {kind: re.compile(",".join(forms), re.ASCII) for kind, forms in _FORMS.items()}
+
+
+def is_whole(kind: str, text: str) -> bool:
+    """True if a sentence without a checksum has all fields of its kind, each in its form; False for other kinds."""
+    pattern = _PATTERNS.get(kind)
+    return pattern is not None and bool(pattern.fullmatch(text.partition(",")[2]))
