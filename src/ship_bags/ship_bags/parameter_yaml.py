@@ -129,6 +129,7 @@ def read_sections(source: Path | str) -> tuple[str, list[Section]]:
     root = composed(name, text)
     if root is None:
         raise BadInput(f"empty: expected a section 'NODE: {{{PARAMETERS_KEY}: ...}}'", file=name)
+    _refuse_alias(name, root)
     return name, list(_sections(name, root, ""))
 
 
@@ -179,9 +180,29 @@ def _text(source: Path | str) -> tuple[str, str]:
         raise BadInput("is not a text file (UTF-8): expected a ROS 2 parameter file", file=source) from error
 
 
+def _refuse_alias(name: str, root: yaml.Node) -> None:
+    """Refuse a file with aliases, with which rcl starts no node."""
+    seen, waiting = set(), [root]
+    while waiting:
+        node = waiting.pop()
+        if id(node) in seen:
+            reason = "the value here is used again by an alias: ROS reads none, write it out"
+            raise BadInput(reason, file=name, line=node.start_mark.line + 1)
+        seen.add(id(node))
+        if isinstance(node, yaml.MappingNode):
+            waiting += [part for entry in node.value for part in entry]
+        elif isinstance(node, yaml.SequenceNode):
+            waiting += node.value
+
+
 def _sections(name: str, node: yaml.Node, path: str, path_line: int = 1) -> Iterator[Section]:
+    has_parameters = False
     for key, line, value in _entries(name, node, path or "the file"):
+        if has_parameters:
+            reason = f"'{key}' stands behind '{PARAMETERS_KEY}' of '{path}', where ROS reads none: put it before that"
+            raise BadInput(reason, file=name, line=line)
         if key == PARAMETERS_KEY:
+            has_parameters = True
             if not path:
                 raise BadInput(f"'{PARAMETERS_KEY}' must stand below the name of a node", file=name, line=line)
             yield Section(_node_name(name, path_line, path), dict(_parameters(name, value, "")), path_line)
@@ -205,8 +226,6 @@ def _node_name(name: str, line: int, path: str) -> str:
 
 
 def _parameters(name: str, node: yaml.Node, prefix: str) -> Iterator[tuple[str, tuple[Any, int]]]:
-    if isinstance(node, yaml.ScalarNode) and _is_null(node):
-        return
     for key, line, value in _entries(name, node, prefix.rstrip(".") or PARAMETERS_KEY):
         if isinstance(value, yaml.MappingNode):
             if prefix and not value.value:

@@ -5,6 +5,8 @@ import os
 from pathlib import Path
 
 import pytest
+import rclpy
+from rclpy.context import Context
 
 from ship_bags.errors import BadInput
 from ship_bags.parameter_yaml import ParameterFile, merged, read_plain, read_sections, sections_text
@@ -31,6 +33,47 @@ def test_mend_25_a_text_is_never_taken_for_a_path(tmp_path):
     assert "configuration:1: the file: expected 'name: value' entries" in str(caught.value)
     assert "hash" not in str(caught.value)
     assert whole("ship: {ros__parameters: {a: 1}}").values == {"a": 1}
+
+
+_SECTION = "  ship_attitude:\n    ros__parameters: {a: 1}\n"
+_SHARED = "  ros__parameters: {use_sim_time: false}\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        (f"/**:\n{_SHARED}{_SECTION}", ":3: 'ship_attitude' stands behind 'ros__parameters' of '/**'"),
+        (f"ns:\n{_SHARED}  deeper: {{x: {{ros__parameters: {{a: 1}}}}}}\n", ":3: 'deeper' stands behind"),
+        ("x:\n  ros__parameters: {a: &p 1, b: *p}\n", ":2: the value here is used again by an alias"),
+        ("x:\n  ros__parameters:\n", ":2: ros__parameters: expected 'name: value' entries, got nothing"),
+        ("x:\n  ros__parameters: {a: 1}\n  other: 3\n", ":3: 'other' stands behind 'ros__parameters' of 'x'"),
+        ("x:\n  other: 3\n", ":2: x/other: expected 'name: value' entries"),
+        ("x:\n  ros__parameters: {a: }\n", ":2: parameter 'a' has no value"),
+        ("12:\n  ros__parameters: {a: 1}\n", ":1: section '12' is no name of a node"),
+        (f"/**:\n{_SECTION}{_SHARED}", ""),
+        (f"/**:\n{_SHARED}ship_attitude:\n  ros__parameters: {{a: 1}}\n", ""),
+        ("a:\n  b:\n    c: {ros__parameters: {a: 1}}\n  d:\n    ros__parameters: {a: 1}\n", ""),
+        ("x:\n  ros__parameters: {a: &p 1}\n", ""),
+        ("x:\n  ros__parameters: {}\n", ""),
+    ],
+)
+def test_a_file_is_refused_where_rcl_refuses_it(tmp_path, text, complaint):
+    """rcl itself is asked: what is called good must start a node, and what starts one must not be refused."""
+    path, context = tmp_path / "suite.yaml", Context()
+    path.write_text(text)
+    try:
+        rclpy.init(args=["--ros-args", "--params-file", str(path)], context=context)
+        context.try_shutdown()
+        is_refused_by_rcl = False
+    except RuntimeError:
+        is_refused_by_rcl = True
+    assert is_refused_by_rcl == bool(complaint)
+    if complaint:
+        with pytest.raises(BadInput) as caught:
+            read_sections(path)
+        assert complaint in str(caught.value)
+    else:
+        assert read_sections(path)
 
 
 @pytest.mark.parametrize(
