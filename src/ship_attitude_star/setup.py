@@ -5,6 +5,7 @@ import os
 from pathlib import Path
 
 from setuptools import Extension, find_packages, setup
+from setuptools.command.build_ext import build_ext
 
 package_name = "ship_attitude_star"
 
@@ -29,10 +30,17 @@ def digest_of_sources():
     return hashlib.sha256(b"\0".join(path.read_bytes() for path in sources)).hexdigest()
 
 
+class CompiledModules(build_ext):
+    """Decides how modules are compiled when they are: colcon reads this file before, for names and dependencies."""
+
+    def finalize_options(self):
+        if self.distribution.ext_modules:
+            self.distribution.ext_modules = compiled_modules()
+        super().finalize_options()
+
+
 def compiled_modules():
     """By Cython; where that is missing or older, from the generated C that a release or a bundle brings."""
-    if os.environ.get("SHIP_SUITE_IS_COMPILED"):
-        return []
     try:
         import Cython
         from Cython.Build import cythonize
@@ -66,7 +74,8 @@ setup(
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
     package_data={package_name: ["py.typed", "layout/page.html"]},
-    ext_modules=compiled_modules(),
+    ext_modules=[] if os.environ.get("SHIP_SUITE_IS_COMPILED") else modules(".py"),
+    cmdclass={"build_ext": CompiledModules},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),
