@@ -20,10 +20,9 @@ _YIELDS = pytest.StashKey[bool]()
 
 # colcon test starts ``python -m pytest`` in the folder of a package. Where that was built elsewhere, its modules are
 # not compiled here, and those that colcon installed are tested.
-if sys.path[0] in ("", os.getcwd()) and any(
-    not any(path.parent.glob(f"{path.stem}.*.so")) for path in Path.cwd().glob("*/**/compiled_*.py")
-):
-    del sys.path[0]
+_COMPILED = Path.cwd().glob(f"{Path.cwd().name}/**/compiled_*.py")
+if not all(any(path.parent.glob(f"{path.stem}.*.so")) for path in _COMPILED):
+    sys.path[:] = [path for path in sys.path if path not in ("", os.getcwd())]
 
 
 @pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads the groups
