@@ -1,4 +1,4 @@
-"""``frames.deck``, ``frames.horizon`` and ``publish_tf``: the suite under a URDF, or beside another source of frames."""
+"""``frames.deck``, ``frames.horizon`` and ``publish_tf``: the suite under a URDF, or beside other transforms."""
 
 import pytest
 import yaml

@@ -125,6 +125,14 @@ def test_every_parameter_and_file_that_is_named_exists(launch):
             assert (PACKAGE / path).is_file()
 
 
+def test_a_suite_file_that_is_not_there_ends_each_node_that_reads_it(launch):
+    """launch_ros leaves out a ``<param from>`` that is no file, with a warning; ``tools/try_launch.py`` tries it."""
+    readers = {node.node_name for node in (*ADAPTERS, *COMPANIONS)}
+    for node in launch.iter("node"):
+        assert (node.get("ros_args") == "--params-file $(var file)") == (node.get("exec") in readers)
+        assert [param.get("from") for param in node.iter("param") if "$(var" in param.get("from", "")] == []
+
+
 def test_every_option_of_the_suite_that_is_named_exists(launch, capsys):
     with pytest.raises(SystemExit):
         suite_command.main(["--help"])
@@ -145,6 +153,11 @@ SLIPS = [
     ('exec="optical_axis"', 'exec="optical_axes"', test_every_executable_exists),
     ('pkg="ship_monitor"', 'pkg="ship_monitors"', test_every_executable_exists),
     ("exec-in-pkg monitor", "exec-in-pkg monitors", test_every_executable_exists),
+    (
+        'ros_args="--params-file $(var file)"',
+        'ros_args="--param-file $(var file)"',
+        test_a_suite_file_that_is_not_there_ends_each_node_that_reads_it,
+    ),
     ('name="black_box"', 'name="blackbox"', test_every_parameter_and_file_that_is_named_exists),
     ('exec="alerts"', 'exec="alert"', test_every_executable_exists),
     ("config/two_sensors.yaml", "config/two_sensor.yaml", test_every_parameter_and_file_that_is_named_exists),
