@@ -24,7 +24,7 @@ FAULT_ARGS ?=
 ARGS ?=
 PORT ?= 5006
 
-.PHONY: help setup setup-all test test-all lint quick demo watch bags bench campaign faults returns hours kills reproduction stanford availability wheels bundle audit clean
+.PHONY: help setup setup-all test test-all lint quick demo watch bags bench campaign faults returns hours kills reproduction stanford availability wheels bundle release audit clean
 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 14
@@ -101,11 +101,14 @@ wheels: setup ## prebuilt wheels of our own packages, in prebuilt/: a checkout t
 bundle: setup ## one tar of this commit with all wheels, to set up without a network; FOR=3.12 for another Python
 	@$(RUN) python tools/bundle.py $(if $(FOR),--for $(FOR))
 
+release: setup ## one tar of this commit with the C that Cython generates: colcon builds it without Cython
+	@$(RUN) python tools/bundle.py --no-wheels
+
 audit: setup-all ## known vulnerabilities of the pinned packages, and their licences; asks the network
 	@$(RUN) python tools/licences.py --check
 	@$(RUN) python tools/audit.py
 
 clean: ## remove what was built; out/ with your files stays, and the wheels (rm -r .venv removes them)
 	@rm -rf build install log .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
-	@find src -name 'compiled_*.c' -delete -o -name 'compiled_*.so' -delete
+	@find src -name 'compiled_*.c' -delete -o -name 'compiled_*.so' -delete -o -name 'compiled_sources.sha256' -delete
 	@find src test tools -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true

@@ -7,6 +7,8 @@ together they take nearly as long as all others. What only computes yields to th
 """
 
 import os
+import sys
+from pathlib import Path
 
 import pytest
 
@@ -15,6 +17,12 @@ LIVE = "live"
 YIELDING = 10
 """Added to the niceness of workers that compute: where both want a core, live tests get nine tenths of it."""
 _YIELDS = pytest.StashKey[bool]()
+
+# colcon test starts ``python -m pytest`` in the folder of a package. Where that was built elsewhere, its modules are
+# not compiled here, and those that colcon installed are tested.
+_COMPILED = Path.cwd().glob(f"{Path.cwd().name}/**/compiled_*.py")
+if not all(any(path.parent.glob(f"{path.stem}.*.so")) for path in _COMPILED):
+    sys.path[:] = [path for path in sys.path if path not in ("", os.getcwd())]
 
 
 @pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads the groups

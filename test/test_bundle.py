@@ -16,8 +16,8 @@ from tools.wheelhouse import SUMS, WheelsRefused, locked, own_target, pinned, pi
 
 ROOT = Path(__file__).parents[1]
 TOOLS = (
-    "bundle.py", "prebuilt.py", "setup", "setup_build.py", "setup_common.py", "setup_environment.py", "setup_wheels.py",
-    "wheelhouse.py",
+    "bundle.py", "generated_c.py", "prebuilt.py", "setup", "setup_build.py", "setup_common.py", "setup_environment.py",
+    "setup_wheels.py", "wheelhouse.py",
 )  # fmt: skip
 WHEEL, ROS_WHEEL = "tiny_part-1.0-py3-none-any.whl", "ros_part-1.0-py3-none-any.whl"
 needs_git = pytest.mark.skipif(shutil.which("git") is None, reason="git is not installed")

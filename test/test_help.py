@@ -1,8 +1,12 @@
 """The help of every executable: what it is for, what it takes, an example at the end."""
 
+import ast
 import importlib
+import os
 import re
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -18,11 +22,9 @@ from ship_simulation.scenario.scenario import Fault, Scenario
 ROOT = Path(__file__).parents[1]
 NODES = {kind.node_name: kind for kind in ADAPTERS}
 SUITE = {"nmea_in", "nmea_out", "suite", "check_config", "preflight"}
-EXECUTABLES = re.findall(
-    # What has moved to another package only says where it is now.
-    r'"(\w+) = (?!ship_replay\.commands\.moved)([\w.]+):\w+"',
-    "".join(path.read_text(encoding="utf-8") for path in ROOT.glob("src/*/setup.py")),
-)
+SETUPS = "".join(path.read_text(encoding="utf-8") for path in ROOT.glob("src/*/setup.py"))
+# What has moved to another package only says where it is now.
+EXECUTABLES = re.findall(r'"(\w+) = (?!ship_replay\.commands\.moved)([\w.]+):\w+"', SETUPS)
 
 
 def help_of(name, module, capsys):
@@ -45,6 +47,34 @@ def test_mend_16_every_help_ends_with_an_example(name, module, capsys):
     # Files of the repository that it names are there, and its options are known.
     assert all((ROOT / word).exists() for word in command if word.startswith(("bags/", "examples/")))
     assert all(word in shown for word in command if word.startswith("--"))
+
+
+@pytest.mark.parametrize(("name", "module"), [row for row in EXECUTABLES if row[0] not in NODES])
+def test_an_abbreviated_option_is_refused(name, module, capsys):
+    with pytest.raises(SystemExit) as left:
+        importlib.import_module(module).main(["--hel"])
+    assert left.value.code == 2
+    assert "--hel" in capsys.readouterr().err
+
+
+def test_no_tool_takes_abbreviated_options():
+    for path in (ROOT / "tools").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("ArgumentParser"):
+                assert {each.arg: ast.unparse(each.value) for each in node.keywords}["allow_abbrev"] == "False", path
+
+
+@pytest.mark.parametrize("name", ["ship_attitude", "optical_axis", "nmea_in", "alerts", "replay"])
+def test_a_help_whose_reader_has_left_ends_without_a_word(name):
+    """As ``ship_attitude --help | head -1``: exit code 141, as that of ``cat``."""
+    module, function = re.search(rf'"{name} = ([\w.]+):(\w+)"', SETUPS).groups()
+    reader, writer = os.pipe()
+    os.close(reader)
+    code = f"import sys; from {module} import {function}; sys.exit({function}())"
+    command = [sys.executable, "-c", code, "--help"]
+    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (141, "")
 
 
 @pytest.mark.parametrize(("name", "module"), [row for row in EXECUTABLES if row[0] in {*NODES, *SUITE}])

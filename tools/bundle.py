@@ -1,6 +1,7 @@
 """``make bundle``: one tar with the tracked files of HEAD and all wheels of its lock, to set up without a network.
 
-The same commit, Python, machine and wheels give the same bytes. What was changed and not committed is not in it.
+``make release`` leaves the wheels out. Both hold the C that Cython makes of compiled modules. The same commit, Python,
+machine and wheels give the same bytes. What was changed and not committed is not in it.
 
 Exit code 0 done; 2 bad input, or a wheel cannot be had.
 """
@@ -18,6 +19,7 @@ from pathlib import Path
 from packaging.requirements import Requirement
 from packaging.tags import platform_tags
 
+from generated_c import generate_c
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
 from wheelhouse import LOCK, NETWORK_SIGNS, SUMS, WHEELS, pinned, pinned_by, sha256, sums, target
@@ -33,6 +35,7 @@ def main() -> int:
     parser = CommandParser(prog="bundle", description=__doc__.splitlines()[0].partition(": ")[2])
     parser.add_argument("--for", dest="python", default=OWN_PYTHON, choices=PYTHONS, help=f"Python ({OWN_PYTHON})")
     parser.add_argument("--out", type=Path, default=ROOT / "out", metavar="DIR", help="folder for the tar (out/)")
+    parser.add_argument("--no-wheels", action="store_true", help="a release: what colcon builds, and no wheels")
     return run_command(parser, _bundle, None)
 
 
@@ -41,20 +44,26 @@ def _bundle(options: argparse.Namespace) -> int:
     changed = len(_git("status", "--porcelain", "--untracked-files=no").splitlines())
     if changed:
         print(f"bundle: {changed} files differ from HEAD: the tar holds them as they are in HEAD", flush=True)
-    lock = _git("show", f"HEAD:{LOCK}")
-    folder = target(options.python, platform.machine())
     name = f"ship_suite-{commit[:12]}"
     options.out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=options.out) as work:
-        wheels = _download(pins(lock.decode(), options.python), options.python, Path(work) / folder)
-        (Path(work) / folder / SUMS).write_text(sums(lock, wheels))
-        part = Path(work) / "part.tar"
-        archive = ["archive", "--format=tar", f"--prefix={name}/", f"--output={part.resolve()}", "HEAD"]
-        _git("-c", "tar.umask=0022", *archive)
-        _append(part, [Path(work) / folder / SUMS, *wheels], f"{name}/{WHEELS}/{folder}", int(time_s))
-        path = options.out / f"{name}-{folder}.tar"
+        part = Path(work).resolve() / "part.tar"
+        _git("-c", "tar.umask=0022", "archive", "--format=tar", f"--prefix={name}/", f"--output={part}", "HEAD")
+        with tarfile.open(part) as archive:
+            sources = [entry for entry in archive if entry.name.startswith(f"{name}/src/")]
+            archive.extractall(part.parent, sources, filter="data")
+        files = {path: path.relative_to(part.parent) for path in generate_c(part.parent / name / "src")}
+        path, holds = options.out / f"{name}.tar", "no wheels"
+        if not options.no_wheels:
+            folder = target(options.python, platform.machine())
+            lock = _git("show", f"HEAD:{LOCK}")
+            wheels = _download(pins(lock.decode(), options.python), options.python, part.parent / folder)
+            (part.parent / folder / SUMS).write_text(sums(lock, wheels))
+            files |= {file: Path(name, WHEELS, folder, file.name) for file in (part.parent / folder / SUMS, *wheels)}
+            path, holds = options.out / f"{name}-{folder}.tar", f"{len(wheels)} wheels for {folder}"
+        _append(part, files, int(time_s))
         part.replace(path)
-    print(f"bundle: {path}: {path.stat().st_size / 1e6:.0f} MB, {len(wheels)} wheels for {folder}")
+    print(f"bundle: {path}: {path.stat().st_size / 1e6:.0f} MB, {holds}")
     print(f"bundle: sha256 {sha256(path)}")
     return EXIT_DONE
 
@@ -112,11 +121,11 @@ def _pip(command: str, *arguments: str) -> None:
         raise BadInput(f"pip {command}: {errors[-1]}")
 
 
-def _append(tar: Path, files: list[Path], folder: str, time_s: int) -> None:
-    """Put files behind those of a tar; of their owners and times nothing is kept."""
+def _append(tar: Path, files: dict[Path, Path], time_s: int) -> None:
+    """Put files behind those of a tar, by their places in it; of their owners and times nothing is kept."""
     with tarfile.open(tar, "a", format=tarfile.GNU_FORMAT) as archive:
-        for path in files:
-            entry = tarfile.TarInfo(f"{folder}/{path.name}")
+        for path, place in files.items():
+            entry = tarfile.TarInfo(str(place))
             entry.size, entry.mtime, entry.mode = path.stat().st_size, time_s, 0o644
             entry.uname = entry.gname = "root"
             with path.open("rb") as content:

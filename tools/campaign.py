@@ -37,7 +37,7 @@ PEER_SEEDS = 200
 
 def main() -> int:
     """Run the campaign; 0 where every case is in its bands."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0], allow_abbrev=False)
     parser.add_argument("cases", nargs="*", default=(*WITHOUT_RECORDING, PEER), help=", ".join((*CASES, PEER)))
     parser.add_argument("--seeds", type=int, default=SEEDS, help=f"runs of each case (default {SEEDS})")
     parser.add_argument("--processes", type=int, default=2, help="worker processes (default 2)")

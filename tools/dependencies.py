@@ -62,7 +62,7 @@ LIBRARIES = {
             "cython",
             "Cython",
             reason="`cython3` of Ubuntu 24.04 is 3.0, and 3.1 is needed",
-            use="compiling the Kalman steps and the rotations when the suite is built",
+            use="building from a checkout; releases and bundles bring the C that it generates",
         ),
         Library("foxglove", "foxglove-sdk", use="the server for Foxglove; optional, `monitor --foxglove`"),
         Library(

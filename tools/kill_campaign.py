@@ -19,7 +19,8 @@ BOX_FLUSH_PERIOD_S = 0.1
 
 def main() -> int:
     """Run the campaign; 0 where nothing but the last flush period is ever lost."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0], epilog=__doc__.splitlines()[2])
+    first, _, last = __doc__.splitlines()[:3]
+    parser = argparse.ArgumentParser(description=first, epilog=last, allow_abbrev=False)
     parser.add_argument("--kills", type=int, default=40, help="of each of the two (default 40)")
     parser.add_argument("--first-seed", type=int, default=1, help="seed of the first moment (default 1)")
     parser.add_argument(

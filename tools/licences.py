@@ -132,7 +132,7 @@ def unfit() -> list[str]:
 
 def main() -> int:
     """Write the page, or check."""
-    parser = argparse.ArgumentParser(description="The licences of all wheels of the lock.")
+    parser = argparse.ArgumentParser(description="The licences of all wheels of the lock.", allow_abbrev=False)
     parser.add_argument("--check", action="store_true", help="write nothing; exit code 1 where a licence does not fit")
     options = parser.parse_args()
     if not options.check:

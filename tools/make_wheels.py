@@ -64,7 +64,7 @@ def _build(package: Path, content: str, out: Path) -> None:
     """Build a wheel of a Python package from a copy, so that nothing stays in the sources."""
     with tempfile.TemporaryDirectory() as work:
         copy = Path(work) / package.name
-        made = shutil.ignore_patterns("test", "__pycache__", "*.egg-info", "*.so", "compiled_*.c")
+        made = shutil.ignore_patterns("test", "__pycache__", "*.egg-info", "*.so", "compiled_*.c", "compiled_*.sha256")
         shutil.copytree(package, copy, ignore=made)
         tag = f"--tag-build={local_version(content)}"
         command = [sys.executable, "setup.py", "-q", "egg_info", tag, "bdist_wheel", "--dist-dir"]

@@ -55,7 +55,7 @@ SPANS = (
 
 def main() -> int:
     """Run the campaign; 0 where all is as it must be."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0], allow_abbrev=False)
     parser.add_argument("--seeds", type=int, default=200, help="number of runs (default 200)")
     parser.add_argument("--processes", type=int, default=2, help="worker processes (default 2)")
     arguments = parser.parse_args()

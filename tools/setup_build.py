@@ -160,7 +160,7 @@ def remove_compiled(folder: Path) -> None:
     if is_of_messages(folder):
         for place in (BUILD, INSTALL):
             shutil.rmtree(place / folder.name, ignore_errors=True)
-    for suffix in (COMPILED_SUFFIX, ".c"):
+    for suffix in (COMPILED_SUFFIX, ".c", ".sha256"):
         for module in folder.glob(f"**/compiled_*{suffix}"):
             module.unlink()
 

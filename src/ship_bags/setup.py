@@ -7,13 +7,15 @@ setup(
     name=package_name,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={package_name: ["live/dds_profile.xml"]},
+    package_data={package_name: ["py.typed", "live/dds_profile.xml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),
     ],
     install_requires=[
         "setuptools",
+        "ship_geometry",
+        "ship_msgs",
         "numpy",
         "scipy",
         "PyYAML",

@@ -7,11 +7,12 @@ setup(
     name=package_name,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
+    package_data={package_name: ["py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),
     ],
-    install_requires=["setuptools", "numpy"],
+    install_requires=["setuptools", "ship_bags", "ship_estimation", "ship_geometry", "numpy"],
     extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="Ship attitude team",

@@ -16,10 +16,13 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from types import FrameType
-from typing import Any, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 from ship_bags.errors import one_line
 from ship_geometry.input_error import InputError
+
+if TYPE_CHECKING:
+    from _typeshed import SupportsWrite
 
 EXIT_DONE = 0
 EXIT_BOUND_NOT_MET = 1
@@ -37,22 +40,42 @@ Item = TypeVar("Item")
 class CommandParser(argparse.ArgumentParser):
     """An argument parser whose complaint is one line, and whose help ends with an example.
 
+    Options are written out: an abbreviation would mean something else once another option begins like it.
+
     Args:
         example: a whole command line, as it is typed; empty for a tool that is no executable of the suite.
         options: as of argparse.
     """
 
     def __init__(self, *, example: str = "", **options: Any) -> None:
-        super().__init__(**options)
+        super().__init__(allow_abbrev=False, **options)
         self._example = example
 
     def format_help(self) -> str:
         """The help, and the example as it stands: long lines stay whole."""
         return super().format_help() + (f"\nexample:\n  {self._example}\n" if self._example else "")
 
+    def print_help(self, file: "SupportsWrite[str] | None" = None) -> None:
+        """Print the help; leave with :data:`EXIT_NO_READER` where the reader of stdout is gone."""
+        if file is not None:
+            super().print_help(file)
+        elif code := print_text(self.format_help()):
+            self.exit(code)
+
     def error(self, message: str) -> NoReturn:
         """Say what is wrong with the arguments, in one line, and leave."""
         self.exit(EXIT_BAD_INPUT, f"{self.prog}: {message} (see {self.prog} --help)\n")
+
+
+def print_text(text: str) -> int:
+    """Print a text to stdout; return the exit code of a program that does nothing else."""
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:
+        if not _nobody_reads():
+            raise
+        return EXIT_NO_READER
+    return EXIT_DONE
 
 
 def run_command(

@@ -255,9 +255,7 @@ def _checked(name: str, value: Any, hint: Any, metadata: types.MappingProxyType[
         element = typing.get_args(hint)[0]
         length = None if typing.get_args(hint)[-1] is Ellipsis else len(typing.get_args(hint))
         if isinstance(value, str) or not hasattr(value, "__iter__"):
-            # ROS gives no value for a list that is empty in the file.
-            got = f"got {value!r}" if value is not None else "got an empty one: give an entry, or leave the key out"
-            raise ParameterError(f"parameter '{name}' must be a list, {got}", name, value=value)
+            raise ParameterError(f"parameter '{name}' must be a list, got {value!r}", name, value=value)
         elements = tuple(_checked_scalar(name, v, element, metadata, f"[{i}]") for i, v in enumerate(value))
         if length is not None and len(elements) != length:
             reason = f"parameter '{name}' must have {length} elements, got {len(elements)}"

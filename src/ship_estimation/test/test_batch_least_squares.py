@@ -84,7 +84,7 @@ def test_constant_measured_often_is_the_weighted_mean() -> None:
         _, _, gain = innovation(parts, measurement)
         correction, parts = update(parts, measurement, gain)
         mean = mean + correction
-    expected, *_ = np.linalg.lstsq(design / sigmas[:, None], values / sigmas)
+    expected, *_ = np.linalg.lstsq(design / sigmas[:, None], values / sigmas, rcond=None)
     np.testing.assert_allclose(mean, expected, rtol=0, atol=1e-7)
     normal = design.T @ (design / sigmas[:, None] ** 2)
     np.testing.assert_allclose(parts.sum(axis=0), np.linalg.inv(normal), rtol=1e-6)

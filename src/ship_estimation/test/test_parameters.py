@@ -102,7 +102,7 @@ def test_arrays_of_a_ros_node_are_lists() -> None:
         ({"convention": "nwu"}, r"'convention' = 'nwu' must be one of enu_flu, ned_frd"),
         ({"lever_m": [1.0, 2.0]}, r"'lever_m' must have 3 elements, got 2"),
         ({"lever_m": 1.0}, r"'lever_m' must be a list, got 1\.0"),
-        ({"topics": None}, r"'topics' must be a list, got an empty one: give an entry, or leave the key out"),
+        ({"lever_m": []}, r"'lever_m' must have 3 elements, got 0"),
         ({"lever_m": "123"}, r"'lever_m' must be a list, got '123'"),
         ({"lever_m": [1.0, float("nan"), 0.0]}, r"'lever_m\[1\]' must be finite"),
         ({"lever_m": [1.0, 0.0, 501.0]}, r"'lever_m\[2\]' = 501\.0 m is out of its range \[-500\.0, 500\.0\] m"),

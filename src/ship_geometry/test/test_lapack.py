@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -15,16 +16,16 @@ SAME = "assert all(getattr(lapack, n) is getattr(scipy.linalg.lapack, n) for n i
         "import scipy.linalg.lapack; from ship_geometry import lapack",
     ],
 )
-def test_functions_are_those_of_scipy(imports: str) -> None:
-    subprocess.run([sys.executable, "-c", f"{imports}; {SAME}"], check=True, timeout=60)
+def test_functions_are_those_of_scipy(imports: str, tmp_path: Path) -> None:
+    subprocess.run([sys.executable, "-c", f"{imports}; {SAME}"], cwd=tmp_path, check=True, timeout=60)
 
 
-def test_nothing_else_of_scipy_is_read() -> None:
+def test_nothing_else_of_scipy_is_read(tmp_path: Path) -> None:
     check = "import sys; from ship_geometry import lapack; assert 'scipy' not in sys.modules"
-    subprocess.run([sys.executable, "-c", check], check=True, timeout=60)
+    subprocess.run([sys.executable, "-c", check], cwd=tmp_path, check=True, timeout=60)
 
 
-def test_lapack_and_erfa_are_read_by_the_first_who_asks() -> None:
+def test_lapack_and_erfa_are_read_by_the_first_who_asks(tmp_path: Path) -> None:
     check = """
 import sys
 from ship_geometry import lapack, late_erfa, geodetic, star_directions, wahba
@@ -34,4 +35,4 @@ import erfa
 assert late_erfa.gd2gc is erfa.gd2gc and late_erfa.WGS84 == erfa.WGS84
 assert not hasattr(lapack, "dgemm") and not hasattr(late_erfa, "nothing")
 """
-    subprocess.run([sys.executable, "-c", check], check=True, timeout=60)
+    subprocess.run([sys.executable, "-c", check], cwd=tmp_path, check=True, timeout=60)

@@ -65,7 +65,7 @@ def test_bow_north_level_is_a_quarter_turn_about_up() -> None:
 
 
 def test_quaternions_of_all_attitudes_there_and_back() -> None:
-    rotations = Rotation.random(500, rng=np.random.default_rng(1)).as_matrix().reshape(50, 10, 3, 3)
+    rotations = Rotation.random(500, random_state=1).as_matrix().reshape(50, 10, 3, 3)
     quaternions = quaternion_from_rotation(rotations)
     assert quaternions.shape == (50, 10, 4)
     assert np.all(quaternions[..., 3] >= 0.0)

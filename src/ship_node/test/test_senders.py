@@ -42,3 +42,10 @@ def test_a_start_after_two_publishers_is_none_of_two() -> None:
     two_found([700, 1, 701, 2, 702, 3], senders=senders)
     senders.end()
     assert not any(senders.came(number, (60 + 10 * n) * MS) for n, number in enumerate((4, 5, 1, 2, 3, 4, 5, 6, 7)))
+
+
+def test_where_the_middleware_numbers_no_message_nothing_is_kept() -> None:
+    """As CycloneDDS: each message would be one of a new publisher, for ten seconds."""
+    senders = Senders()
+    assert not any(two_found([2**64 - 1] * 500, senders=senders))
+    assert senders._senders == []

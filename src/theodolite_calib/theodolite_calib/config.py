@@ -7,6 +7,7 @@ import numpy as np
 
 from ship_attitude_star.sky.config import SkyConfig
 from ship_attitude_star.stars.config import GivenCameraConfig
+from ship_estimation.frame_names import FrameNames, publish_tf
 from ship_estimation.gates import GateConfig
 from ship_estimation.ins import InsErrorConfig, StarInsConfig
 from ship_estimation.parameter_fields import (
@@ -447,6 +448,8 @@ class OpticalAxisConfig:
         maximum=3600.0,
         live=True,
     )
+    frames: FrameNames = section(FrameNames)
+    publish_tf: bool = publish_tf()
     sources_off: tuple[str, ...] = sources_off()
     max_age_s: float = stamp_age()
     slow_topics_period_s: float = parameter(

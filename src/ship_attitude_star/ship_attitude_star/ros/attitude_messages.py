@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeRun, StampArray
 from ship_bags.message_factory import MessageFactory
+from ship_estimation.frame_names import FRAME_NAMES, FrameNames
 from ship_estimation.outcome import Status
 from ship_estimation.protection import NORMAL_95
 from ship_geometry.compiled_angles import angle_covariances, angles, quaternions
@@ -20,7 +21,7 @@ from ship_geometry.ros_axes import ENU_FROM_HORIZON, FLU_FROM_DEVICE, enu_covari
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.edge.blocks import PublishedRows
 from ship_node.edge.messages_in import NOT_GIVEN
-from ship_node.edge.messages_out import DECK_FRAME, HORIZON_FRAME, TF_TOPIC, TF_TYPE, ZERO_VECTOR
+from ship_node.edge.messages_out import TF_TOPIC, TF_TYPE, ZERO_VECTOR
 from ship_node.edge.output_numbers import (
     Fields,
     MessageFields,
@@ -63,7 +64,9 @@ class AttitudeNumbers(NamedTuple):
         return self if len(places) == len(self.time_ns) else AttitudeNumbers(*(chosen(each, places) for each in self))
 
 
-def attitude_messages(factory: MessageFactory, estimate: AttitudeEstimate, rate_sigma: float) -> list[Published]:
+def attitude_messages(
+    factory: MessageFactory, estimate: AttitudeEstimate, rate_sigma: float, frames: FrameNames = FRAME_NAMES
+) -> list[Published]:
     """Return the messages of one attitude, as they are published.
 
     Where no attitude is claimed the first two are all NaN, and the others, which are for standard tools, are not made.
@@ -72,29 +75,36 @@ def attitude_messages(factory: MessageFactory, estimate: AttitudeEstimate, rate_
         factory: makes the messages.
         estimate: the attitude.
         rate_sigma: noise of the INS's angular rate, each axis, rad/s; 0 where it is not known.
+        frames: their names.
     """
-    messages = _messages(AttitudeNumbers.of([AttitudeRun.of_one(estimate)]), as_numbers, rate_sigma)
+    messages = _messages(AttitudeNumbers.of([AttitudeRun.of_one(estimate)]), as_numbers, rate_sigma, frames)
     return [(topic, factory.encoded(type_name, **fields)) for topic, type_name, fields in messages]
 
 
-def smoothed_message(factory: MessageFactory, estimate: AttitudeEstimate) -> Published:
+def smoothed_message(
+    factory: MessageFactory, estimate: AttitudeEstimate, frames: FrameNames = FRAME_NAMES
+) -> Published:
     """What an attitude that is told again, by later measurements too, becomes: the first of those messages alone."""
     attitude = AttitudeNumbers.of([AttitudeRun.of_one(estimate)])
-    _, type_name, fields = next(_messages(attitude, as_numbers, rate_sigma=0.0))
+    _, type_name, fields = next(_messages(attitude, as_numbers, 0.0, frames))
     return SMOOTHED_TOPIC, factory.encoded(type_name, **fields)
 
 
 def attitude_rows(
-    factory: MessageFactory, attitudes: AttitudeNumbers, rate_sigma: float
+    factory: MessageFactory, attitudes: AttitudeNumbers, rate_sigma: float, frames: FrameNames = FRAME_NAMES
 ) -> Iterator[PublishedRows]:
     """Return the messages of N attitudes; those of one are in the same order as by :func:`attitude_messages`."""
     known: list[bool] = np.all(np.isfinite(attitudes.rate_d), axis=1).tolist()
     claimed = [status is not Status.INVALID for status in attitudes.status]
     kinds = zip(claimed, known, attitudes.sources, strict=True)
-    return rows_by_kind(factory, kinds, lambda _, places: _messages(attitudes.some(places), as_columns, rate_sigma))
+    return rows_by_kind(
+        factory, kinds, lambda _, places: _messages(attitudes.some(places), as_columns, rate_sigma, frames)
+    )
 
 
-def _messages(attitudes: AttitudeNumbers, values_of: Callable[..., list[Any]], rate_sigma: float) -> MessageFields:
+def _messages(
+    attitudes: AttitudeNumbers, values_of: Callable[..., list[Any]], rate_sigma: float, frames: FrameNames
+) -> MessageFields:
     """Topic, type and fields of each message of attitudes that are alike."""
     of_angles = angles(attitudes.rotation_nd)
     covariances = angle_covariances(attitudes.covariance_n, of_angles, SINGULAR_ELEVATION)
@@ -111,7 +121,7 @@ def _messages(attitudes: AttitudeNumbers, values_of: Callable[..., list[Any]], r
         enu_covariance(attitudes.covariance_n).reshape(-1, 9),
         NORMAL_95 / ARCSEC * np.sqrt(covariances.diagonal(axis1=1, axis2=2)),
     )
-    header = {"stamp": time_ns, "frame_id": DECK_FRAME}
+    header = {"stamp": time_ns, "frame_id": frames.deck}
     orientation, rate = dict(zip("xyzw", quaternion, strict=True)), dict(zip("xyz", rates, strict=True))
     is_claimed = attitudes.status[0] is not Status.INVALID
     yield (
@@ -148,8 +158,8 @@ def _messages(attitudes: AttitudeNumbers, values_of: Callable[..., list[Any]], r
     )
     if is_claimed:
         deck = {
-            "header": {"stamp": time_ns, "frame_id": HORIZON_FRAME},
-            "child_frame_id": DECK_FRAME,
+            "header": {"stamp": time_ns, "frame_id": frames.horizon},
+            "child_frame_id": frames.deck,
             "transform": {"translation": ZERO_VECTOR, "rotation": orientation},
         }
         yield TF_TOPIC, TF_TYPE, {"transforms": [deck]}

@@ -54,8 +54,6 @@ from ship_node.edge.ins_messages import ins_block, ins_sample
 from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.messages_out import (
     BUDGET_TYPE,
-    DECK_FRAME,
-    HORIZON_FRAME,
     INNOVATION_TYPE,
     INTEGRITY_TYPE,
     TF_STATIC_TOPIC,
@@ -162,6 +160,8 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         self.start_warnings = self._lacking = start_warnings(config)
         self._observed: tuple[int, DiagnosticStatus] | None = None
         super().__init__(config, core, factory, self._attitude_messages, saved)
+        self.integrity_frame = config.frames.deck
+        self.outputs = tuple(output for output in self.outputs if output.type_name != TF_TYPE or config.publish_tf)
 
     def _alignment_to_save(self) -> AlignmentPrior | None:
         """Return what the estimator of now has learnt."""
@@ -170,7 +170,8 @@ class ShipAttitudeAdapter(RecoveringAdapter):
 
     def _attitude_messages(self, estimate: AttitudeEstimate) -> list[Published]:
         """Return the messages of one attitude."""
-        return attitude_messages(self.factory, estimate, self._rate_sigma)
+        messages = attitude_messages(self.factory, estimate, self._rate_sigma, self.config.frames)
+        return [each for each in messages if each[0] != TF_TOPIC or self.config.publish_tf]
 
     @property
     def _rate_sigma(self) -> float:
@@ -192,7 +193,9 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         published = super().published(outcome, now_ns, waiting_ns)
         if isinstance(self.core, SmoothingCore):
             try:
-                smoothed = [smoothed_message(self.factory, estimate) for estimate in self.core.smoothed()]
+                smoothed = [
+                    smoothed_message(self.factory, estimate, self.config.frames) for estimate in self.core.smoothed()
+                ]
             except Exception as error:
                 # What is told at once goes out all the same, and the next attitudes are smoothed again.
                 self.core.forget_told()
@@ -250,25 +253,27 @@ class ShipAttitudeAdapter(RecoveringAdapter):
 
     def block_messages(self, runs: Sequence[AttitudeRun]) -> Iterator[PublishedRows]:
         """See :meth:`BlockAdapter.block_messages`."""
-        return attitude_rows(self.factory, AttitudeNumbers.of(runs), self._rate_sigma)
+        rows = attitude_rows(self.factory, AttitudeNumbers.of(runs), self._rate_sigma, self.config.frames)
+        return (each for each in rows if each.topic != TF_TOPIC or self.config.publish_tf)
 
     def own_slow_topics(self, now_ns: int) -> list[Published]:
         """Budget and predicted errors of the latest attitude, once each; alignment and installation as now known."""
         factory, estimate, published = self.factory, self.budget_due, []
+        deck, horizon = self.config.frames.deck, self.config.frames.horizon
         if estimate is not None:
             sources = self.core.filter.model.sources
             published += [
-                ("ship/error_budget", attitude_budget(factory, estimate, sources)),
-                ("ship/error_arcsec", error_arcsec(factory, estimate)),
+                ("ship/error_budget", attitude_budget(factory, estimate, sources, deck)),
+                ("ship/error_arcsec", error_arcsec(factory, estimate, deck)),
             ]
-        installed = {
-            frame: self.core.star_installation(id_) for id_, frame in star_frames(self.config.star_sensors).items()
-        }
-        if installed:
-            published.append((TF_STATIC_TOPIC, installed_frames(factory, installed, now_ns)))
+        frames = star_frames(self.config.star_sensors, {deck, horizon})
+        installed = {frame: self.core.star_installation(id_) for id_, frame in frames.items()}
+        if installed and self.config.publish_tf:
+            published.append((TF_STATIC_TOPIC, installed_frames(factory, installed, now_ns, deck)))
         if estimate is not None and self.config.gravity.is_modelled:
-            published.append((DEFLECTION_TOPIC, deflection_message(factory, self.core.deflection(estimate.time_ns))))
-        return [*published, ("ship/alignment", alignment_state(factory, self.core.alignment(), now_ns))]
+            known = self.core.deflection(estimate.time_ns)
+            published.append((DEFLECTION_TOPIC, deflection_message(factory, known, horizon)))
+        return [*published, ("ship/alignment", alignment_state(factory, self.core.alignment(), now_ns, deck))]
 
     def no_output(self, now_ns: int, text: str) -> AttitudeEstimate:
         """See :meth:`ReportingAdapter.no_output`."""
@@ -293,7 +298,9 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         """See :class:`RecoveringAdapter`: smoothing ends its segment."""
         if not isinstance(self.core, SmoothingCore):
             return []
-        return [smoothed_message(self.factory, estimate) for estimate in self.core.smoothed_to_the_end()]
+        return [
+            smoothed_message(self.factory, estimate, self.config.frames) for estimate in self.core.smoothed_to_the_end()
+        ]
 
     def _observability_statuses(self) -> list[DiagnosticStatus]:
         """What the stars have told of the states, and what a turn would tell; looked at again once a minute."""
@@ -347,18 +354,18 @@ def hint_text(hint: TurnHint | None) -> str:
     return f"{turned}, {on_course} on this course"
 
 
-def attitude_budget(factory: MessageFactory, estimate: AttitudeEstimate, sources: Sequence[str]) -> Any:
+def attitude_budget(factory: MessageFactory, estimate: AttitudeEstimate, sources: Sequence[str], deck: str) -> Any:
     """ship_msgs/ErrorBudget of a published attitude; ``sources`` name the parts of its covariance."""
     parts_n, covariance_n = estimate.covariance_parts_n, estimate.covariance_n
-    return error_budget(factory, "ship_attitude", estimate.time_ns, DECK_FRAME, sources, parts_n, covariance_n)
+    return error_budget(factory, "ship_attitude", estimate.time_ns, deck, sources, parts_n, covariance_n)
 
 
-def deflection_message(factory: MessageFactory, known: DeflectionReading) -> Any:
+def deflection_message(factory: MessageFactory, known: DeflectionReading, horizon: str) -> Any:
     """ship_msgs/Deflection of what is known of the deflection."""
     assert known.covariance is not None
     return factory.make(
         DEFLECTION_TYPE,
-        header={"stamp": known.time_ns, "frame_id": HORIZON_FRAME},
+        header={"stamp": known.time_ns, "frame_id": horizon},
         xi=float(known.deflection[0]),
         eta=float(known.deflection[1]),
         covariance=known.covariance.ravel(),
@@ -381,14 +388,14 @@ def vertical_statuses(core: ShipAttitudeCore, latest: AttitudeEstimate | None) -
     return [DiagnosticStatus("vertical", Level.WARN if lacking else Level.OK, text, values)]
 
 
-def error_arcsec(factory: MessageFactory, estimate: AttitudeEstimate) -> Any:
+def error_arcsec(factory: MessageFactory, estimate: AttitudeEstimate, deck: str) -> Any:
     """ship_msgs/AttitudeErrorArcsec: predicted sigmas; an estimator never sees the truth, so errors are NaN."""
     heading, pitch, _ = angles_from_rotation(estimate.rotation_nd)
     sigma = np.sqrt(np.diagonal(angle_covariance(estimate.covariance_n, heading, pitch))) / ARCSEC
     unknown = float("nan")
     return factory.make(
         "ship_msgs/msg/AttitudeErrorArcsec",
-        header={"stamp": estimate.time_ns, "frame_id": DECK_FRAME},
+        header={"stamp": estimate.time_ns, "frame_id": deck},
         sigma_heading=float(sigma[0]),
         sigma_pitch=float(sigma[1]),
         sigma_roll=float(sigma[2]),
@@ -398,11 +405,11 @@ def error_arcsec(factory: MessageFactory, estimate: AttitudeEstimate) -> Any:
     )
 
 
-def alignment_state(factory: MessageFactory, alignment: Alignment, now_ns: int) -> Any:
+def alignment_state(factory: MessageFactory, alignment: Alignment, now_ns: int, deck: str) -> Any:
     """ship_msgs/AlignmentState."""
     return factory.encoded(
         "ship_msgs/msg/AlignmentState",
-        header={"stamp": now_ns, "frame_id": DECK_FRAME},
+        header={"stamp": now_ns, "frame_id": deck},
         names=list(alignment.names),
         values=alignment.values,
         covariance=alignment.covariance.ravel(),
@@ -410,25 +417,27 @@ def alignment_state(factory: MessageFactory, alignment: Alignment, now_ns: int) 
     )
 
 
-def star_frames(star_sensors: Mapping[str, StarSensorConfig]) -> dict[str, str]:
+def star_frames(star_sensors: Mapping[str, StarSensorConfig], taken: Set[str]) -> dict[str, str]:
     """Star sensor id → its frame: the configured frame_id, or star_<id> where it has none or that means another too."""
     count = Counter(star.frame_id for star in star_sensors.values())
     frames = {}
     for id_, star in star_sensors.items():
-        others = {HORIZON_FRAME, DECK_FRAME, *(f"star_{other}" for other in star_sensors if other != id_)}
+        others = {*taken, *(f"star_{other}" for other in star_sensors if other != id_)}
         is_its_own = star.frame_id and count[star.frame_id] == 1 and star.frame_id not in others
         frames[id_] = star.frame_id if is_its_own else f"star_{id_}"
     return frames
 
 
-def installed_frames(factory: MessageFactory, rotations_dv: Mapping[str, np.ndarray], now_ns: int) -> Any:
+def installed_frames(
+    factory: MessageFactory, rotations_dv: Mapping[str, np.ndarray], now_ns: int, deck: str
+) -> Any:
     """tf2_msgs/TFMessage of what is bolted to the deck at places unknown: frame → deck from device, shape (3, 3)."""
     transforms = []
     for frame, rotation_dv in rotations_dv.items():
         rotation = dict(zip("xyzw", mounting_quaternion(rotation_dv).tolist(), strict=True))
         transforms.append(
             {
-                "header": {"stamp": now_ns, "frame_id": DECK_FRAME},
+                "header": {"stamp": now_ns, "frame_id": deck},
                 "child_frame_id": frame,
                 "transform": {"translation": ZERO_VECTOR, "rotation": rotation},
             }

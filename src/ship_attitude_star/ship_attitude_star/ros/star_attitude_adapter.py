@@ -29,7 +29,6 @@ from ship_node.edge.ins_messages import ins_block, ins_sample
 from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.messages_out import (
     BUDGET_TYPE,
-    DECK_FRAME,
     INNOVATION_TYPE,
     DiagnosticStatus,
     Level,
@@ -170,7 +169,7 @@ class StarAttitudeAdapter(BlockAdapter):
         self.budget_due = solved if solved.valid else None
         for star in solved.refused:
             self.health.noted(_topic(star.source), star.refusal.reason)
-        published, refusal = self._solution(solved, DECK_FRAME), solved.solution.refusal
+        published, refusal = self._solution(solved, self.config.frames.deck), solved.solution.refusal
         if refusal is not None and refusal.reason is Reason.FAILED:
             self.health.failed(f"{self.main_topic}: {refusal.text}")
         if refusal is not None and refusal.reason not in (Reason.NO_FIX, Reason.NO_EARTH_ORIENTATION):
@@ -186,7 +185,7 @@ class StarAttitudeAdapter(BlockAdapter):
         """The budget of the latest joint solution, once."""
         if self.budget_due is None:
             return []
-        return [(f"star/{JOINT}/error_budget", solution_budget(self.factory, self.budget_due))]
+        return [(f"star/{JOINT}/error_budget", solution_budget(self.factory, self.budget_due, self.config.frames.deck))]
 
     def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
         """The solutions, and what the places of stars rest on."""
@@ -245,11 +244,11 @@ def star_horizon_attitude(factory: MessageFactory, solved: Solved, frame_id: str
     )
 
 
-def solution_budget(factory: MessageFactory, solved: Solved) -> Any:
+def solution_budget(factory: MessageFactory, solved: Solved, deck: str) -> Any:
     """ship_msgs/ErrorBudget of a joint solution."""
     parts_n, covariance_n = solved.solution.parts_n, solved.solution.covariance_n
     terms = SOLUTION_TERMS[: len(parts_n)]
-    return error_budget(factory, f"star_{JOINT}", solved.time_ns, DECK_FRAME, terms, parts_n, covariance_n)
+    return error_budget(factory, f"star_{JOINT}", solved.time_ns, deck, terms, parts_n, covariance_n)
 
 
 def refused_star(factory: MessageFactory, star: RefusedStar) -> Any:

@@ -11,6 +11,7 @@ from ship_attitude_star.measurements.samples import SHARED_BY_MESSAGES, SHARED_B
 from ship_attitude_star.sky.config import InertialConfig, SkyConfig
 from ship_attitude_star.stars.config import CameraConfig, MountingConfig, StarSensorsById
 from ship_attitude_star.vertical.config import GravityConfig
+from ship_estimation.frame_names import FrameNames, publish_tf
 from ship_estimation.gates import GateConfig
 from ship_estimation.ins import InsErrorConfig, StarInsConfig
 from ship_estimation.parameter_fields import (
@@ -281,6 +282,8 @@ class ShipAttitudeConfig(StarSensorsById):
     coasting_after_s: float = parameter(
         2.0, doc="without stars for this long the status is COASTING", unit="s", minimum=0.1, maximum=3600.0, live=True
     )
+    frames: FrameNames = section(FrameNames)
+    publish_tf: bool = publish_tf()
     sources_off: tuple[str, ...] = sources_off()
     max_age_s: float = stamp_age()
     slow_topics_period_s: float = parameter(

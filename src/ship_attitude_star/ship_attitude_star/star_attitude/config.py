@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from ship_attitude_star.sky.config import SkyConfig
 from ship_attitude_star.stars.config import GivenCameraConfig, MountingConfig, StarSensorsById
+from ship_estimation.frame_names import DeckFrame
 from ship_estimation.ins import StarInsConfig
 from ship_estimation.parameter_fields import mapping_of, parameter, section, sources_off, stamp_age
 
@@ -56,6 +57,7 @@ class StarAttitudeConfig(StarSensorsById):
     lag_s: float = parameter(
         2.0, doc="exposures later than this behind the newest data are not used", unit="s", minimum=0.0, maximum=600.0
     )
+    frames: DeckFrame = section(DeckFrame)
     sources_off: tuple[str, ...] = sources_off()
     max_age_s: float = stamp_age()
     slow_topics_period_s: float = parameter(

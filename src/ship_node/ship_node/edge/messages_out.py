@@ -23,12 +23,7 @@ DIAGNOSTICS_TYPE = "diagnostic_msgs/msg/DiagnosticArray"
 INNOVATION_TYPE = "ship_msgs/msg/Innovation"
 BUDGET_TYPE = "ship_msgs/msg/ErrorBudget"
 INTEGRITY_TYPE = "ship_msgs/msg/Integrity"
-DECK_FRAME = "deck"
-"""The frame_id of an attitude of the ship herself."""
-
 TF_TOPIC, TF_STATIC_TOPIC, TF_TYPE = "/tf", "/tf_static", "tf2_msgs/msg/TFMessage"
-HORIZON_FRAME = "horizon"
-"""The frame in which attitudes are given, East, North, Up: the root of all frames, with its origin in the deck's."""
 ZERO_VECTOR = dict.fromkeys("xyz", 0.0)
 """Fields of geometry_msgs/Vector3 for what is not known or not given: the place of a frame, an acceleration."""
 

@@ -134,7 +134,7 @@ class ReportingAdapter(ABC):
     """Of an output: what decides, beside the state that it rests on, whether its sources check one another."""
     directions: ClassVar["attrgetter[np.ndarray]"]
     """Of an output: what turns the errors of that state into those of its angles."""
-    integrity_frame: ClassVar[str] = messages_out.DECK_FRAME
+    integrity_frame: str = ""
     always_in: ClassVar[tuple[str, ...]] = ()
     """Sources without which there is no output: they cannot be taken out."""
     reset_text: ClassVar[str] = "the filter starts anew"

@@ -15,6 +15,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
+from ship_bags.command_line import print_text
 from ship_bags.errors import BadInput
 from ship_bags.live.dds import prepare_dds
 from ship_bags.message_factory import RosidlFactory
@@ -50,12 +51,12 @@ def run(adapter_class: type[Adapter], args: Sequence[str] | None = None) -> int:
         args: command line without the program's name; by default that of the process.
 
     Returns:
-        Exit code: 0 ended by a signal, 2 bad arguments or parameters (one line on stderr says which).
+        Exit code: 0 ended by a signal, 2 bad arguments or parameters (one line on stderr says which), 141 for a help
+        whose reader is gone.
     """
     arguments = list(sys.argv[1:] if args is None else args)
     if "-h" in arguments or "--help" in arguments:
-        print(usage_text(adapter_class, adapter_class.__module__.partition(".")[0], RosidlFactory()))
-        return EXIT_DONE
+        return print_text(usage_text(adapter_class, adapter_class.__module__.partition(".")[0], RosidlFactory()))
     return run_node(adapter_class.node_name, partial(LiveNode, adapter_class), arguments)
 
 

@@ -168,9 +168,12 @@ class NodeParameters:
 
 
 def _overrides(node: Node) -> dict[str, Any]:
-    """What files and command line say, by dotted name; rclpy has no public way to ask before declaring."""
-    overrides = node._parameter_overrides
-    return {name: _plain(p.value) for name, p in overrides.items() if not is_shell_parameter(name)}
+    """Values of files and command line, by dotted name; rclpy has no public way to ask before declaring.
+
+    Of an empty list, as ``ros2 param dump`` writes it, rcl keeps the name and no value.
+    """
+    given = {name: p for name, p in node._parameter_overrides.items() if not is_shell_parameter(name)}
+    return {name: [] if p.value is None else _plain(p.value) for name, p in given.items()}
 
 
 def _declared(node: Node, name: str, default: Any, description: str) -> Any:
@@ -186,13 +189,15 @@ def _declared(node: Node, name: str, default: Any, description: str) -> Any:
 def _declare(node: Node, name: str, value: Any, description: ParameterDescription) -> None:
     """Declare a parameter of the configuration."""
     descriptor = _descriptor(description)
-    kind = _LISTS.get(typing.get_args(description.kind)[:1]) if value == [] and description.live else None
+    kind = _LISTS.get(typing.get_args(description.kind)[:1]) if value == [] else None
     if kind is None:
         node.declare_parameter(name, value, descriptor, ignore_override=True)
         return
     # An empty list alone would be one of bytes to rclpy, and could never be anything else.
-    node.declare_parameter(name, kind, descriptor, ignore_override=True)
+    node.declare_parameter(name, kind, ignore_override=True)
     node.set_parameters([Parameter(name, kind, value)])
+    descriptor.type = kind.value
+    node.set_descriptor(name, descriptor)
 
 
 def _plain(value: Any) -> Any:

@@ -8,6 +8,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+UNNUMBERED = 2**64 - 1
+"""Number of every message where the middleware counts none, as CycloneDDS: then nothing is known of its publishers."""
+
 LEAST_SILENCE_NS = 1_000_000_000
 """A publisher counts as silent after this time at least, ns."""
 
@@ -55,6 +58,8 @@ class Senders:
 
     def came(self, number: int, now_ns: int) -> bool:
         """A message came, by its number and a steady clock, ns; returns whether two publishers send."""
+        if number == UNNUMBERED:
+            return False
         latest = self._latest
         if len(self._senders) == 1 and latest is not None and number > latest.number:
             # So is nearly every message.

@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
+from ship_estimation.frame_names import FRAME_NAMES
 from ship_estimation.outcome import Status
 from ship_estimation.refusals import Reason, shortened
 from ship_geometry.ros_axes import ENU_FROM_HORIZON, horizon_covariance
 from ship_node.edge.messages_in import ReadMessage, Refused, angular_covariance, finite_vector, frame, stamp_ns
-from ship_node.edge.messages_out import HORIZON_FRAME
 from theodolite_calib.ros.messages_in import LONGEST_TARGET_ID
 from theodolite_calib.target.common_moments import DirectionSample
 
@@ -18,20 +18,23 @@ _LEAST_SHARE = 1e-9
 """Of the variance one way across a direction, that the other way: what has less cannot be weighed."""
 
 
-def direction(message: Any, station: str, receive_ns: int) -> ReadMessage[DirectionSample]:
+def direction(
+    message: Any, station: str, receive_ns: int, horizon: str = FRAME_NAMES.horizon
+) -> ReadMessage[DirectionSample]:
     """A direction, or that the theodolite claims none.
 
     Args:
         message: TargetDirection.
         station: name of the theodolite.
         receive_ns: when it came.
+        horizon: name of the frame that it must be in.
 
     Raises:
         Refused: with the reason.
     """
     time_ns = stamp_ns(message.header, receive_ns)
     # A place by several theodolites is in another frame: it is no direction.
-    frame(message.header.frame_id, HORIZON_FRAME)
+    frame(message.header.frame_id, horizon)
     if message.status not in list(Status):
         expected = ", ".join(status.name for status in Status)
         raise Refused(Reason.UNITS, f"status {message.status} is unknown: expected one of {expected}")

@@ -3,8 +3,8 @@
 from typing import TYPE_CHECKING, Any
 
 from ship_bags.message_factory import MessageFactory
+from ship_estimation.frame_names import FRAME_NAMES
 from ship_geometry.ros_axes import ENU_FROM_HORIZON
-from ship_node.edge.messages_out import HORIZON_FRAME
 
 if TYPE_CHECKING:
     from theodolite_calib.escort.advice import EscortAdvice
@@ -12,12 +12,14 @@ if TYPE_CHECKING:
 ESCORT_TOPIC, ESCORT_TYPE = "theodolite/escort", "ship_msgs/msg/EscortAdvice"
 
 
-def escort_message(factory: MessageFactory, advice: "EscortAdvice", time_ns: int) -> Any:
+def escort_message(
+    factory: MessageFactory, advice: "EscortAdvice", time_ns: int, horizon: str = FRAME_NAMES.horizon
+) -> Any:
     """ship_msgs/EscortAdvice for the pointing of a moment; places are NaN where the limits leave none."""
     places = (advice.places_n @ ENU_FROM_HORIZON.T).tolist()
     return factory.make(
         ESCORT_TYPE,
-        header={"stamp": time_ns, "frame_id": HORIZON_FRAME},
+        header={"stamp": time_ns, "frame_id": horizon},
         beacon_ids=list(advice.names),
         places=[dict(zip("xyz", place, strict=True)) for place in places],
         sigma_now=advice.sigma_now,

@@ -114,7 +114,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
     main_topic: ClassVar[str] = POINTING_TOPIC
     innovation_topic: ClassVar[str] = "theodolite/innovation"
     integrity_topic: ClassVar[str] = INTEGRITY_TOPIC
-    integrity_frame: ClassVar[str] = MAIN_FRAME
+    integrity_frame: str = MAIN_FRAME
     quantities: ClassVar[tuple[str, ...]] = QUANTITIES
     always_in: ClassVar[tuple[str, ...]] = ("encoder", "ship")
     checked_by: ClassVar["attrgetter[tuple[Any, ...]]"] = attrgetter("status", "mode")
@@ -147,7 +147,13 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
             nothing="no light or star was used yet: there is no calibration to save",
         )
         self._lever = dict(zip("xyz", flu_from_device_vector(config.lever.vector_m).tolist(), strict=True))
-        super().__init__(config, core, factory, functools.partial(pointing_messages, factory, self._lever), saved)
+        super().__init__(config, core, factory, self._pointing_messages, saved)
+        self.outputs = tuple(output for output in self.outputs if output.type_name != TF_TYPE or config.publish_tf)
+
+    def _pointing_messages(self, estimate: PointingEstimate) -> list[Published]:
+        """Return what is published of one pointing."""
+        messages = pointing_messages(self.factory, self._lever, estimate, self.config.frames)
+        return [each for each in messages if each[0] != TF_TOPIC or self.config.publish_tf]
 
     def _calibration_to_save(self) -> CalibrationPrior | None:
         """Return what the estimator of now has learnt."""
@@ -226,12 +232,13 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         for target in outcome.targets:
             if target.status is not Status.INVALID:
                 self.health.accepted(TARGET_IMAGE_TOPIC, target.time_ns, now_ns)
-            published.append((TARGET_TOPIC, target_message(self.factory, target)))
+            published.append((TARGET_TOPIC, target_message(self.factory, target, self.config.frames.horizon)))
         return published + super().published(outcome, now_ns, waiting_ns)
 
     def block_messages(self, runs: Sequence[PointingRun]) -> Iterator[PublishedRows]:
         """See :meth:`BlockAdapter.block_messages`."""
-        return pointing_rows(self.factory, self._lever, PointingNumbers.of(runs))
+        rows = pointing_rows(self.factory, self._lever, PointingNumbers.of(runs), self.config.frames)
+        return (each for each in rows if each.topic != TF_TOPIC or self.config.publish_tf)
 
     def left_out_message(self, source: str, time_ns: int, name: str, refusal: Refusal) -> Any:
         """ship_msgs/Innovation of a light that had no part in its exposure, under its name; of a star as everywhere."""
@@ -248,9 +255,9 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
                 ("theodolite/error_budget", pointing_budget(factory, estimate, sources)),
                 ("theodolite/error_arcsec", error_arcsec(factory, estimate)),
             ]
-            advice = self.core.escort(estimate)
+            advice, horizon = self.core.escort(estimate), self.config.frames.horizon
             if advice is not None:
-                published.append((ESCORT_TOPIC, escort_message(factory, advice, estimate.time_ns)))
+                published.append((ESCORT_TOPIC, escort_message(factory, advice, estimate.time_ns, horizon)))
         calibration = calibration_message(factory, self.core.calibration(), now_ns)
         return [*published, ("theodolite/calibration", calibration)]
 

@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_bags.message_factory import MessageFactory
+from ship_estimation.frame_names import FRAME_NAMES, FrameNames
 from ship_estimation.outcome import Status
 from ship_geometry.compiled_angles import angle_covariances, angles, quaternions
 from ship_geometry.frames import SINGULAR_ELEVATION, angle_covariance, angles_from_rotation
 from ship_geometry.ros_axes import ENU_FROM_HORIZON, FLU_FROM_DEVICE, enu_covariance
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.edge.blocks import PublishedRows
-from ship_node.edge.messages_out import DECK_FRAME, HORIZON_FRAME, TF_TOPIC, TF_TYPE, ZERO_VECTOR, error_budget
+from ship_node.edge.messages_out import TF_TOPIC, TF_TYPE, ZERO_VECTOR, error_budget
 from ship_node.edge.output_numbers import (
     Fields,
     MessageFields,
@@ -74,7 +75,7 @@ class PointingNumbers(NamedTuple):
 
 
 def pointing_messages(
-    factory: MessageFactory, lever: Mapping[str, float], estimate: PointingEstimate
+    factory: MessageFactory, lever: Mapping[str, float], estimate: PointingEstimate, frames: FrameNames = FRAME_NAMES
 ) -> list[Published]:
     """What one pointing becomes, as messages on their way out.
 
@@ -84,35 +85,36 @@ def pointing_messages(
         factory: makes the messages.
         lever: place of the theodolite in the deck, x forward, y left, z up, m.
         estimate: the pointing.
+        frames: names of those that the theodolite stands in.
     """
     pointing, in_deck = PointingNumbers.of_one(estimate), math.isfinite(estimate.rotation_dm[0, 0])
     return [
         (topic, factory.encoded(type_name, **fields))
-        for topic, type_name, fields in _messages(pointing, lever, in_deck, as_numbers)
+        for topic, type_name, fields in _messages(pointing, lever, in_deck, as_numbers, frames)
     ]
 
 
 def smoothed_pointing(factory: MessageFactory, estimate: PointingEstimate) -> Published:
     """What a pointing that is told again, by later sightings too, becomes: the first of those messages alone."""
     pointing = PointingNumbers.of_one(estimate)
-    _, type_name, fields = next(_messages(pointing, ZERO_VECTOR, False, as_numbers))
+    _, type_name, fields = next(_messages(pointing, ZERO_VECTOR, False, as_numbers, FRAME_NAMES))
     return SMOOTHED_POINTING_TOPIC, factory.encoded(type_name, **fields)
 
 
 def pointing_rows(
-    factory: MessageFactory, lever: Mapping[str, float], pointings: PointingNumbers
+    factory: MessageFactory, lever: Mapping[str, float], pointings: PointingNumbers, frames: FrameNames = FRAME_NAMES
 ) -> Iterator[PublishedRows]:
     """What N pointings become; the messages of one are in the same order as by :func:`pointing_messages`."""
     in_deck: list[bool] = np.isfinite(pointings.rotation_dm[:, 0, 0]).tolist()
     claimed = [status is not Status.INVALID for status in pointings.status]
     kinds = zip(claimed, in_deck, strict=True)
     return rows_by_kind(
-        factory, kinds, lambda kind, places: _messages(pointings.some(places), lever, kind[1], as_columns)
+        factory, kinds, lambda kind, places: _messages(pointings.some(places), lever, kind[1], as_columns, frames)
     )
 
 
 def _messages(
-    pointings: PointingNumbers, lever: Fields, in_deck: bool, values_of: Callable[..., list[Any]]
+    pointings: PointingNumbers, lever: Fields, in_deck: bool, values_of: Callable[..., list[Any]], frames: FrameNames
 ) -> MessageFields:
     """Topic, type and fields of each message of pointings that are alike; ``in_deck`` where they know of the deck."""
     of_main = angles(pointings.rotation_nm)
@@ -143,11 +145,11 @@ def _messages(
     if pointings.status[0] is Status.INVALID:
         return
     if in_deck:
-        parent, translation = DECK_FRAME, lever
+        parent, translation = frames.deck, lever
         rotations = quaternions(FLU_FROM_DEVICE @ pointings.rotation_dm @ FLU_FROM_DEVICE.T)
     else:
-        # The INS alone: its attitude is not that of the frame "deck", and nobody may publish that one at all.
-        parent, translation = HORIZON_FRAME, ZERO_VECTOR
+        # The INS alone: its attitude is not that of the deck's frame, and nobody may publish that one at all.
+        parent, translation = frames.horizon, ZERO_VECTOR
         rotations = quaternions(ENU_FROM_HORIZON @ pointings.rotation_nm @ FLU_FROM_DEVICE.T)
     (quaternion,) = values_of(rotations)
     main = {

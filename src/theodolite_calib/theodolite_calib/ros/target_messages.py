@@ -6,15 +6,14 @@ from typing import Any
 from ship_bags.message_factory import MessageFactory
 from ship_geometry.ros_axes import ENU_FROM_HORIZON, enu_covariance
 from ship_geometry.rotations import FloatArray
-from ship_node.edge.messages_out import HORIZON_FRAME
 from theodolite_calib.measured.samples import TargetEstimate
 from theodolite_calib.target.direction import direction_angles
 
 TARGET_TOPIC, TARGET_TYPE = "theodolite/target_direction", "ship_msgs/msg/TargetDirection"
 
 
-def target_message(factory: MessageFactory, estimate: TargetEstimate, frame_id: str = HORIZON_FRAME) -> Any:
-    """ship_msgs/TargetDirection of one image; all numbers are NaN where no direction is claimed."""
+def target_message(factory: MessageFactory, estimate: TargetEstimate, frame_id: str) -> Any:
+    """ship_msgs/TargetDirection of one image, in a frame; all numbers are NaN where no direction is claimed."""
     (azimuth, elevation), covariance = direction_angles(estimate.direction_n, estimate.covariance_n)
     make: Callable[..., Any] = factory.make
     return make(

@@ -64,7 +64,8 @@ class TriangulationAdapter(ReportingAdapter):
         """Yield the inputs and the methods of a core that take them."""
         for name in sorted(config.stations):
             topic = InputTopic(config.topic_of(name), TARGET_TYPE, required=False, depth=100, at_times=True)
-            yield Feed(topic, f"station.{name}", functools.partial(direction, station=name), core.add_direction)
+            read = functools.partial(direction, station=name, horizon=config.frames.horizon)
+            yield Feed(topic, f"station.{name}", read, core.add_direction)
 
     def published(self, outcome: PlacingOutcome, now_ns: int, waiting_ns: int) -> list[Published]:
         """See :class:`ReportingAdapter`."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ship_estimation.frame_names import HorizonFrame
 from ship_estimation.parameter_fields import mapping_of, parameter, section, sources_off, stamp_age
 from ship_estimation.parameters import ParameterError
 from ship_geometry.geodetic import GeodeticPosition
@@ -92,6 +93,7 @@ class TriangulationConfig(PlacingConfig):
         minimum=0.0,
         maximum=60.0,
     )
+    frames: HorizonFrame = section(HorizonFrame)
     sources_off: tuple[str, ...] = sources_off()
     max_age_s: float = stamp_age()
     slow_topics_period_s: float = parameter(

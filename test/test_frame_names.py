@@ -1,0 +1,81 @@
+"""``frames.deck``, ``frames.horizon`` and ``publish_tf``: the suite under a URDF, or beside other transforms."""
+
+import pytest
+import yaml
+
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
+from ship_estimation.parameters import ParameterError, build
+from ship_replay.offline.nodes import ADAPTERS
+from ship_replay.offline.replay import replay
+from ship_testing.bag_parts import beginning
+from ship_testing.places import ROOT
+from ship_testing.small_voyage import clean_run, drive, new_adapter, voyage
+
+FRAMES = {"deck": "base_link", "horizon": "enu"}
+
+
+def frames_of(message):
+    """The frames that a message names: of itself, of its transforms and their children."""
+    yield message.header.frame_id if hasattr(message, "header") else ""
+    for transform in getattr(message, "transforms", ()):
+        yield transform.header.frame_id
+        yield transform.child_frame_id
+
+
+def links(messages):
+    return {(t.header.frame_id, t.child_frame_id) for message in messages for t in message.transforms}
+
+
+def test_every_message_of_the_ship_names_the_frames_as_configured():
+    run = drive(new_adapter(frames__deck="base_link", frames__horizon="enu"), voyage())
+    assert links(run.messages("/tf")) == {("enu", "base_link")}
+    assert links(run.messages("/tf_static")) == {("base_link", "star_fore"), ("base_link", "star_starboard")}
+    named = {(topic, frame) for _, topic, message in run.published for frame in frames_of(message)}
+    assert {topic for topic, frame in named if frame in ("deck", "horizon")} == set()
+    assert {topic for topic, frame in named if frame == "base_link"} >= {
+        "ship/attitude", "ship/imu", "ship/attitude_deg", "ship/alignment", "ship/integrity", "ship/error_budget",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(("publish_tf", "told"), [(True, {"/tf", "/tf_static"}), (False, set())])
+def test_transforms_are_left_to_another_node(publish_tf, told):
+    run = drive(new_adapter(publish_tf=publish_tf), voyage())
+    assert {topic for _, topic, _ in run.published if topic.startswith("/tf")} == told
+    assert {output.topic for output in run.adapter.outputs if output.topic.startswith("/tf")} == told
+    others = [(ns, topic, message) for ns, topic, message in clean_run().published if not topic.startswith("/tf")]
+    assert [topic for _, topic, _ in run.published if not topic.startswith("/tf")] == [topic for _, topic, _ in others]
+
+
+@pytest.mark.parametrize("publish_tf", [True, False])
+def test_the_theodolite_stands_in_the_frames_as_configured(publish_tf, tmp_path):
+    part = beginning(ROOT / "bags" / "theodolite.mcap", tmp_path / "part.mcap", 3.0)
+    out, suite = tmp_path / "out.mcap", tmp_path / "suite.yaml"
+    with read_bag(part) as bag:
+        values = yaml.safe_load(bag.attachments[SUITE_ATTACHMENT].decode())
+    values["/**/ship_attitude"] = {"ros__parameters": {"ins": {"frame_id": "ins"}, "frames": FRAMES}}
+    parameters = values["/**/optical_axis"]["ros__parameters"]
+    parameters["ship"]["frame_id"] = "base_link"
+    parameters |= {"frames": FRAMES, "publish_tf": publish_tf}
+    suite.write_text(yaml.safe_dump(values), encoding="utf-8")
+    replay(part, out, ADAPTERS, suite)
+    with read_bag(out) as bag:
+        messages = [(record.topic, record.decode()) for record in bag.records()]
+    below = {("base_link", "theodolite_main")} if publish_tf else set()
+    assert links(message for topic, message in messages if topic == "/tf") == {("enu", "base_link")} | below
+    ours = [(topic, message) for topic, message in messages if not topic.startswith(("truth/", "ins/", "beacon/"))]
+    assert {topic for topic, message in ours for frame in frames_of(message) if frame in ("deck", "horizon")} == set()
+
+
+@pytest.mark.parametrize(
+    ("frames", "reason"),
+    [
+        ({"deck": ""}, r"'frames\.deck' = '' is no name of a frame: expected one as 'base_link'"),
+        ({"horizon": "/map"}, r"'frames\.horizon' = '/map' is no name of a frame"),
+        ({"deck": "map", "horizon": "map"}, r"'frames\.deck' = 'map' is that of 'frames\.horizon'"),
+    ],
+)
+def test_what_tf2_would_not_take_is_refused(frames, reason):
+    with pytest.raises(ParameterError, match=reason):
+        build(ShipAttitudeConfig, {"frames": frames})

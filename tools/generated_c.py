@@ -1,0 +1,37 @@
+"""The C that Cython makes of compiled modules: in releases and bundles, for machines without Cython 3.1."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from ship_bags.errors import BadInput
+
+_GENERATE = (
+    "import setuptools; from distutils.core import run_setup;"
+    "run_setup('setup.py', ['-q', 'build_ext'], 'commandline').get_command_obj('build_ext').ensure_finalized()"
+)
+
+
+def generate_c(src: Path) -> list[Path]:
+    """Let the setup.py of each package with compiled modules generate C beside its sources, and compile nothing.
+
+    Args:
+        src: folder of packages, as exported from a commit: nothing built lies in it.
+
+    Returns:
+        The files made, sorted: C, and of each package the digest of the sources that its C was generated from.
+
+    Raises:
+        BadInput: a package's C cannot be generated.
+    """
+    made: list[Path] = []
+    environment = {name: value for name, value in os.environ.items() if name != "SHIP_SUITE_IS_COMPILED"}
+    for package in sorted({src / path.relative_to(src).parts[0] for path in src.rglob("compiled_*.py")}):
+        command = [sys.executable, "-c", _GENERATE]
+        answer = subprocess.run(command, cwd=package, env=environment, capture_output=True, text=True, check=False)
+        if answer.returncode:
+            last = (answer.stderr or answer.stdout).strip().splitlines()[-1]
+            raise BadInput(f"{package.name}: its C cannot be generated: {last}")
+        made += [*package.rglob("compiled_*.c"), *package.rglob("compiled_sources.sha256")]
+    return sorted(made)
