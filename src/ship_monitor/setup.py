@@ -13,7 +13,7 @@ setup(
         (f"share/{package_name}", ["package.xml"]),
     ],
     install_requires=["setuptools", "numpy", "bokeh", "tornado", "Jinja2", "matplotlib", "textual", "rich", "pyerfa"],
-    extras_require={"test": ["pytest"], "foxglove": ["foxglove-sdk"]},
+    extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="Ship attitude team",
     maintainer_email="maintainers@example.org",
