@@ -16,6 +16,7 @@ from ship_bags.output_files import write_whole
 from ship_geometry.rotations import FloatArray
 
 _STYLE = {
+    "text.parse_math": False,  # a name with $ is a name
     "font.size": 11,
     "axes.titlesize": 11.5,
     "axes.grid": True,

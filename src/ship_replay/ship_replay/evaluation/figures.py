@@ -23,6 +23,7 @@ from ship_replay.evaluation.statistics import AttitudeErrors, SourceInnovations
 from ship_watch.orientations import channel_name
 
 _STYLE = {
+    "text.parse_math": False,  # a name with $ is a name
     "font.size": 12,
     "axes.titlesize": 14,
     "axes.grid": True,

@@ -38,8 +38,9 @@ STATE_LOOKS = {
 """Fill and hatch of each word: told apart in black and white, too."""
 
 _SERIES = ("#0b3c6f", "#7a5fa8", "#1f8a82", "#8a9bb0", "#b08d57", "#c9cfd6")
-SVG_STYLE = {"svg.hashsalt": "ship report", "svg.fonttype": "none", "font.size": 10, "hatch.linewidth": 0.6}
-"""How every figure of a page is drawn."""
+SVG_STYLE = {"svg.hashsalt": "ship report", "svg.fonttype": "none", "font.size": 10, "hatch.linewidth": 0.6,
+             "text.parse_math": False}
+"""How every figure of a page is drawn; a name with $ is a name."""
 _STRIPPED = re.compile(r"<\?xml.*?\?>|<!DOCTYPE.*?>|<metadata>.*?</metadata>|\s+xmlns(:\w+)?=\"[^\"]*\"", re.DOTALL)
 
 
