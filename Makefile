@@ -32,7 +32,7 @@ help: ## this list
 setup: ## environment and build; takes minutes once, then a moment
 	@tools/setup
 
-setup-all: ## the same with the wheels that few people use: Parquet, GTSAM, Foxglove, style and types
+setup-all: ## the same with the wheels that few people use: Parquet, GTSAM, style and types
 	@tools/setup --all
 
 test: setup-all ## the tests that one runs while working, in minutes; PYTEST_ARGS="-k name" for some of them

@@ -64,7 +64,6 @@ LIBRARIES = {
             reason="`cython3` of Ubuntu 24.04 is 3.0, and 3.1 is needed",
             use="building from a checkout; releases and bundles bring the C that it generates",
         ),
-        Library("foxglove", "foxglove-sdk", use="the server for Foxglove; optional, `monitor --foxglove`"),
         Library(
             "gtsam",
             "gtsam",

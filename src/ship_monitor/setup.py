@@ -29,7 +29,7 @@ setup(
         "rich",
         "pyerfa",
     ],
-    extras_require={"test": ["pytest"], "foxglove": ["foxglove-sdk"]},
+    extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="Ship attitude team",
     maintainer_email="maintainers@example.org",

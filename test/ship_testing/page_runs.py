@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from queue import Queue
 
@@ -46,7 +46,9 @@ class SetPictures:
 
 
 @contextlib.contextmanager
-def served(source: SetPictures | None = None, port: int = 0) -> Iterator[PageServer]:
+def served(
+    source: SetPictures | None = None, port: int = 0, address: str = "127.0.0.1", allowed_hosts: Sequence[str] = ()
+) -> Iterator[PageServer]:
     """A server that runs until the end of the ``with`` statement."""
     shown = SetPictures() if source is None else source
     made: Queue[PageServer | BaseException] = Queue()
@@ -54,7 +56,7 @@ def served(source: SetPictures | None = None, port: int = 0) -> Iterator[PageSer
     def run() -> None:
         asyncio.set_event_loop(asyncio.new_event_loop())
         try:
-            server = PageServer(page_maker(lambda: shown, "day"), "127.0.0.1", port, lambda: None)
+            server = PageServer(page_maker(lambda: shown, "day"), address, port, lambda: None, allowed_hosts)
         except BaseException as problem:
             made.put(problem)
             raise

@@ -35,6 +35,9 @@ _KINDS = {
     stat.S_IFSOCK: "a socket",
 }
 
+_FORMULA_BEGINS = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "＠")
+"""What a spreadsheet takes for the begin of a formula."""
+
 _REASONS = {
     errno.EBUSY: "another program writes it",
     errno.ELOOP: "it is a link: take it away",
@@ -138,13 +141,27 @@ def named(problem: OSError, path: Path) -> OSError:
     return OSError(problem.errno, problem.strerror or str(problem), str(path))
 
 
+def csv_text(text: str) -> str:
+    """Return a text as a cell of CSV that a spreadsheet takes for no formula: with ' in front where it would be one.
+
+    A text that is a number, as -1.5, stays one.
+    """
+    if not text.startswith(_FORMULA_BEGINS):
+        return text
+    try:
+        float(text)
+    except ValueError:
+        return f"'{text}"
+    return text
+
+
 def write_csv(path: Path, header: Iterable[str], rows: Iterable[Iterable[Any]]) -> Path:
     """Write a table; returns its path."""
     import csv  # only tables need it
 
     table = io.StringIO()
     writer = csv.writer(table, lineterminator="\n")
-    writer.writerow(header)
+    writer.writerow(map(csv_text, header))
     writer.writerows([_text(value) for value in row] for row in rows)
     write_whole(path, table.getvalue())
     return path
@@ -248,8 +265,8 @@ def _refusal(number: int, path: Path) -> OSError:
 
 
 def _text(value: Any) -> Any:
-    """A number with five decimals: none that counts is lost, and every machine writes the same file."""
+    """A number with five decimals: none that counts is lost, and every machine writes the same file; a text as text."""
     if not isinstance(value, (float, np.floating)):
-        return value
+        return csv_text(value) if isinstance(value, str) else value
     # Adding zero takes the sign from a negative number that was rounded to zero.
     return "" if np.isnan(value) else f"{round(float(value), 5) + 0.0:.5f}"

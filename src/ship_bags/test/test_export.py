@@ -203,6 +203,21 @@ def test_csv_has_no_more_digits_than_a_number_needs(tmp_path):
     assert read_table(tmp_path / "out" / "double.csv")[1][0][2:] == ["0.1"]
 
 
+FORMULAS = ["=HYPERLINK(\"http://evil.example\")", "+1+cmd|' /C calc'!A0", "-2+3", "@SUM(1)", "\t=1", "\r=1", "－1+1"]
+TEXTS = ["-1.5", "+2", "-inf", "1-2", "a=b", "", " =1", "star.fore"]
+
+
+def test_a_text_in_csv_is_no_formula_and_a_number_stays_one(tmp_path):
+    with BagWriter(tmp_path / "a.mcap") as bag:
+        for text in (*FORMULAS, *TEXTS):
+            bag.write("text", message_store().types["std_msgs/msg/String"](text), START_NS)
+        bag.write("number", message_store().types["std_msgs/msg/Float64"](-1.5), START_NS)
+    assert main([str(tmp_path / "a.mcap"), "--out", str(tmp_path / "out")]) == 0
+    shown = [row[-1] for row in read_table(tmp_path / "out" / "text.csv")[1]]
+    assert shown == [*(f"'{text}" for text in FORMULAS), *TEXTS]
+    assert read_table(tmp_path / "out" / "number.csv")[1][0][2:] == ["-1.5"]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", SUFFIXES)
 @pytest.mark.parametrize("name", ["demo", "theodolite"])

@@ -15,7 +15,7 @@ import pytest
 
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_writer import BagWriter, TypeDefinition
-from ship_bags.output_files import DiskSync, open_new, part_of, write_whole
+from ship_bags.output_files import DiskSync, open_new, part_of, write_csv, write_whole
 from ship_node.documents.saved_document import DISK
 
 NEEDS_ROOT = pytest.mark.skipif(os.geteuid() != 0, reason="mounts a tiny disk in a namespace of its own: needs root")
@@ -156,3 +156,8 @@ def test_a_failed_sync_is_told_by_the_next_request(tmp_path):
     with pytest.raises(OSError, match="Bad file descriptor"):
         sync.request()
     sync.finish()
+
+
+def test_a_text_in_a_table_is_no_formula(tmp_path):
+    path = write_csv(tmp_path / "table.csv", ("name", "value"), [("=1+1", -1.5), ("-2", -2), ("@a", "-3.5")])
+    assert path.read_text() == "name,value\n'=1+1,-1.50000\n-2,-2\n'@a,-3.5\n"

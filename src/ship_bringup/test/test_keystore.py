@@ -170,8 +170,8 @@ def test_dates_of_certificates_and_permissions(keystore, later, told, is_error):
     if told is None:
         assert faults == []
         return
-    # Of both enclaves: certificate, authority and permissions.
-    assert len(faults) == 6
+    # Of both enclaves: certificate and permissions; their authority once.
+    assert len(faults) == 5
     assert all(told in fault.text and fault.is_error == is_error for fault in faults)
 
 

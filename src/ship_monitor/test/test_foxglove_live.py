@@ -15,6 +15,7 @@ from std_msgs.msg import Float64, String
 
 from ship_bags.live.ros_process import executable
 from ship_bags.stamps import NS_PER_S
+from ship_monitor.foxglove.server import FoxgloveServer
 from ship_monitor.live import reader as reader_module
 from ship_monitor.live.live_watch import LiveWatch
 from ship_msgs.msg import AlertArray, ErrorBudget, ShipAttitude
@@ -22,10 +23,6 @@ from ship_replay.trials.live_process import LiveProcess
 from ship_testing.foxglove_client import FoxgloveClient, deaf_client
 from ship_testing.publishing_ship import PublishingShip, attitude
 from ship_watch.limits import Limits
-
-FoxgloveServer = pytest.importorskip(
-    "ship_monitor.foxglove.server", reason="foxglove-sdk is not installed: make setup-all", exc_type=ImportError
-).FoxgloveServer
 
 pytestmark = pytest.mark.live
 

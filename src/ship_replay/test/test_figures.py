@@ -1,5 +1,6 @@
 """Figures of a run: what sets their scale, what they name, what may not lie over what."""
 
+from html import escape
 from itertools import combinations
 
 import matplotlib.pyplot as plt
@@ -8,8 +9,10 @@ import pytest
 
 from ship_geometry.rotations import ARCSEC
 from ship_node.documents.figure_files import settled
-from ship_replay.evaluation.figures import attitude_error_figure, innovation_figure
+from ship_replay.evaluation.figures import attitude_error_figure, innovation_figure, save_figure
 from ship_replay.evaluation.statistics import AttitudeErrors, Judged, SourceInnovations
+from ship_replay.report.drawings import budget_svg
+from ship_watch.history import BudgetPoint
 
 COUNT = 200
 CHANNELS = ("heading", "pitch", "roll")
@@ -81,3 +84,26 @@ def test_mend_24_labels_and_legends_lie_over_nothing():
         assert not any(one.overlaps(other) for one, other in combinations([*labels, *legends], 2))
         assert not any(box.overlaps(frame) for box in [*labels, *legends] for frame in frames)
         plt.close(figure)
+
+
+@pytest.mark.parametrize("name", ["a$x^{$", "$5 and $6", r"\frac{$1$}{2}", "<b>&amp;$$"])
+def test_a_name_with_dollars_is_a_name_and_no_formula(name, tmp_path):
+    many = [errors(name, 2.0), errors("star.$mast$", 2.0, 900.0)]
+    for number, figure in enumerate(
+        (attitude_error_figure(many, name), innovation_figure({name: innovations([2.0] * COUNT)}, name))
+    ):
+        path = tmp_path / f"{number}.svg"
+        with plt.rc_context({"svg.fonttype": "none"}):
+            save_figure(figure, path)
+        assert escape(name, quote=False) in path.read_text()
+
+
+def test_the_drawings_of_a_report_take_no_name_for_a_formula():
+    name = r"$\alpha_{$ <script>$x$"
+    variances = {name: np.full(3, ARCSEC**2)}
+    points = [
+        BudgetPoint(second * 10**9, variances, np.ones(3), {"heading": {name: ARCSEC**2}}) for second in range(20)
+    ]
+    drawn = budget_svg("ship/error_budget", points, 0)
+    assert "$" in drawn
+    assert "<script" not in drawn

@@ -26,6 +26,9 @@ QUIET_S = 300.0
 """A situation that stayed away for so long does not flap any more, s."""
 
 
+MOST_KEPT = 1000
+"""Alerts that are remembered where they are over."""
+
 _EXAMPLE = AlertShown("", 1, Priority.CAUTION, AlertState.NORMAL, "", "", math.nan, math.nan, "", 0, 0)
 
 
@@ -99,6 +102,7 @@ class AlertBook:
         changes = []
         there = {each.id: each for each in conditions}
         self._forget_pending(now_ns)
+        self._forget_over()
         # Those that explain others come first, so that nothing is told twice within one call.
         for condition in sorted(there.values(), key=lambda each: (len(each.under), each.id)):
             changes += self._present(condition, now_ns, utc_ns)
@@ -136,6 +140,12 @@ class AlertBook:
         for what, (_, last_ns) in list(self._pending.items()):
             if now_ns - last_ns > _ns(FORGOTTEN_S):
                 del self._pending[what]
+
+    def _forget_over(self) -> None:
+        """Of too many alerts forget those that are over, the oldest first: their next instances begin at 1 again."""
+        over = [id_ for id_, kept in self._kept.items() if kept.alert.state == AlertState.NORMAL]
+        for id_ in over[: max(0, len(self._kept) - MOST_KEPT)]:
+            del self._kept[id_]
 
     def _has_lasted(self, what: str, now_ns: int) -> bool:
         """Whether what was told to nobody yet has lasted long enough to be told; it is there now."""

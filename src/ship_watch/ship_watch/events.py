@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
+from ship_watch.names import MOST_NAMES
 from ship_watch.picture import AlertShown, Event, Presence, Priority, SourceStanding
 
 EVENTS_KEPT = 200
@@ -65,7 +66,7 @@ class EventBook:
 
 def alerts_shown(message: Any) -> list[AlertShown]:
     """The alerts of an AlertArray in its order, without those of a priority that nobody knows."""
-    return [_alert(alert) for alert in message.alerts if alert.priority in _PRIORITIES]
+    return [_alert(alert) for alert in message.alerts[:MOST_NAMES] if alert.priority in _PRIORITIES]
 
 
 def _alert(alert: Any) -> AlertShown:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_geometry.rotations import FloatArray
+from ship_watch.names import has_room
 from ship_watch.picture import Safety
 
 KEPT_S = 600.0
@@ -180,6 +181,8 @@ def append(buffers: dict[str, deque[Point]], name: str, point: Point) -> None:
     """Add a point to the buffer of a name; one that is older than the last takes its place among them."""
     buffer = buffers.get(name)
     if buffer is None:
+        if not has_room(buffers, name, "plotted name"):
+            return
         buffer = buffers[name] = deque(maxlen=MOST_KEPT)
     append_point(buffer, point)
 

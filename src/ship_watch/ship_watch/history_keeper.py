@@ -24,6 +24,7 @@ from ship_watch.history import (
     append_point,
     place_in_order,
 )
+from ship_watch.names import LONGEST_NAME, MOST_NAMES, has_room
 from ship_watch.orientations import POINTING, SHIP_ATTITUDE, Orientation
 from ship_watch.picture import ANGLES, Safety
 from ship_watch.seen import LightsSeenBook, StarsSeenBook
@@ -166,7 +167,9 @@ class HistoryKeeper:
 
     def note_budget(self, topic: str, message: Any) -> None:
         """Take an ErrorBudget."""
-        names = [str(name) for name in message.sources]
+        if len(message.sources) > MOST_NAMES:
+            return
+        names = [str(name)[:LONGEST_NAME] for name in message.sources]
         parts = np.asarray(message.covariances, dtype=float)
         if parts.size != 9 * len(names):
             return
@@ -183,6 +186,8 @@ class HistoryKeeper:
 
     def note_parameters(self, topic: str, message: Any) -> None:
         """Take an AlignmentState or a TheodoliteCalibration."""
+        if len(message.names) > MOST_NAMES:
+            return
         unobservable = {name for told in getattr(message, "unobservable", ()) for name in str(told).split()}
         names, count = [str(name) for name in message.names], len(message.names)
         covariance = np.asarray(message.covariance, dtype=float)
@@ -216,7 +221,7 @@ class HistoryKeeper:
             return 0.0
         if math.isnan(value):
             return self._nominal.get(name, math.nan)
-        return self._nominal.setdefault(name, value)
+        return self._nominal.setdefault(name, value) if has_room(self._nominal, name, "state") else value
 
 
 def innovation_point(message: Any) -> InnovationPoint:

@@ -3,9 +3,11 @@
 import math
 from collections import deque
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 from ship_bags.stamps import ns_from_stamp
+from ship_watch.names import LONGEST_NAME, MOST_NAMES
 from ship_watch.picture import InputShown
 
 WINDOW_NS = 60_000_000_000
@@ -21,6 +23,12 @@ UNKNOWN_PERIOD_NS = 5_000_000_000
 
 _FORGOTTEN_NS = 10_000_000_000
 """A node that has not reported for so long reports no more, ns."""
+
+_MOST_REPORTERS = 16
+"""Nodes that report on one topic."""
+
+_MOST_REPORTS = 1000
+"""Reports with refusals that are kept: those of a minute, of sixteen nodes, once a second."""
 
 _REPORT_PERIOD_NS = 1_000_000_000.0
 """How often a node reports, as long as that is not known from its reports, ns."""
@@ -80,10 +88,11 @@ class TopicReports:
         self._reporters: list[_Reporter] = []
         self._silence_ns = self._silence()
         self._nodes = 0
-        self._refused: deque[tuple[int, int, int, dict[str, int]]] = deque()
+        self._refused: deque[tuple[int, int, int, dict[str, int]]] = deque(maxlen=_MOST_REPORTS)
 
     def note(self, message: Any, now_ns: int) -> bool:
         """Take a report; the answer is whether it comes from a node that has started since the last one."""
+        reasons = zip(message.reasons, message.reason_counts, strict=False)
         report = _Reporter(
             0,
             ns_from_stamp(message.header.stamp),
@@ -91,7 +100,7 @@ class TopicReports:
             int(message.received),
             int(message.accepted),
             int(message.rejected),
-            {str(word): int(count) for word, count in zip(message.reasons, message.reason_counts, strict=False)},
+            {str(word)[:LONGEST_NAME]: int(count) for word, count in islice(reasons, MOST_NAMES)},
         )
         self.reported_ns = now_ns
         self.rate_hz, self._latency_s, self._level = float(message.rate_hz), float(message.latency_s), message.level
@@ -199,7 +208,8 @@ class TopicReports:
         )
         if before is None:
             is_new = bool(self._reporters)
-            self._reporters = [known for known in self._reporters if report.heard_ns - known.heard_ns < _FORGOTTEN_NS]
+            fresh = [known for known in self._reporters if report.heard_ns - known.heard_ns < _FORGOTTEN_NS]
+            self._reporters = fresh[-_MOST_REPORTERS:]
             self._nodes += 1
             report.number = self._nodes
             self._reporters.append(report)

@@ -11,6 +11,7 @@ from typing import Any
 
 from ship_bags.stamps import ns_from_stamp
 from ship_watch.limits import Limits
+from ship_watch.names import MOST_NAMES, has_room
 from ship_watch.one_source import HeardSource, SourceFault, standing_off
 from ship_watch.picture import Presence, SourceShown, SourceStanding
 from ship_watch.reports import TopicReports
@@ -64,15 +65,17 @@ class SourceBook:
     def note_health(self, message: Any, now_ns: int) -> bool:
         """Take an InputHealth; the answer is whether the node that tells it has started since the last one."""
         topic = str(message.topic)
+        if not has_room(self._reports, topic, "input topic"):
+            return False
         if topic not in self._reports:
             name = source_of_topic(topic)
             reports = self._reports[topic] = TopicReports(topic, self._limits.of_input(name).age_s)
-            if name:
+            if name and has_room(self._sources, name, "source"):
                 self._source(name).add(reports)
             self.has_theodolite |= topic.startswith("theodolite/")
             self.beacon_count += topic.startswith("beacon/") and topic.endswith("/baseline")
         has_started = self._reports[topic].note(message, now_ns)
-        if name := source_of_topic(topic):
+        if (name := source_of_topic(topic)) in self._sources:
             self._source(name).note_reports()
         return has_started
 
@@ -83,11 +86,12 @@ class SourceBook:
 
     def note_innovation(self, topic: str, message: Any, now_ns: int) -> str:
         """Take an Innovation that came on a topic; the answer is the source, empty where it speaks of none."""
-        name = self._who(str(message.source))
-        if not name:
+        name, key = self._who(str(message.source)), (topic, str(message.source))
+        if not name or not has_room(self._sources, name, "source"):
             return ""
         source, stamp_ns = self._source(name), ns_from_stamp(message.header.stamp)
-        key = (topic, str(message.source))
+        if not has_room(source.streaks, key, "name of a source"):
+            return ""
         streak = self._streak(source, key)
         streak.note(stamp_ns, message, now_ns, source.period_ns)
         if message.accepted:
@@ -100,14 +104,15 @@ class SourceBook:
 
     def note_solution(self, name: str, message: Any, now_ns: int) -> None:
         """Take the solution of a star sensor: the innovations of the node that made it tell of refused stars alone."""
-        if name:
+        if name and has_room(self._sources, name, "source"):
             streak = self._streak(self._source(name), (STAR_INNOVATION, name))
             is_used = message.status != _STAR_INVALID
             streak.note_whole(ns_from_stamp(message.header.stamp), is_used, now_ns)
 
     def note_integrity(self, topic: str, message: Any, utc_ns: int) -> None:
         """Take an Integrity: the sources that it excludes are out, those that it excluded before are not."""
-        excluded = {self._who(str(name)) for name in message.excluded} - {""}
+        excluded = {self._who(str(name)) for name in message.excluded[:MOST_NAMES]} - {""}
+        excluded = {name for name in excluded if has_room(self._sources, name, "source")}
         for name in excluded:
             self._source(name).excluded_since.setdefault(topic, utc_ns)
         for name, source in self._sources.items():

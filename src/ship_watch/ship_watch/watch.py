@@ -21,6 +21,7 @@ from ship_watch.events import SETTLED_NS, EventBook, alerts_shown
 from ship_watch.history import History
 from ship_watch.history_keeper import HistoryKeeper
 from ship_watch.limits import Limits
+from ship_watch.names import has_room
 from ship_watch.outputs import AttitudeHeard, OutputHeard, PointingHeard
 from ship_watch.picture import ANGLES, AlertShown, AngleShown, Picture, Safety, SourceStanding
 from ship_watch.sources import STAR_INNOVATION, SourceBook, blamed
@@ -58,7 +59,7 @@ class Watch:
     def __init__(self, limits: Limits | None = None, keeper: Callable[[], HistoryKeeper] = HistoryKeeper) -> None:
         self.limits = limits or Limits()
         self._make_keeper = keeper
-        self._takers: dict[str, Callable[[Any, int], None] | None] = {}
+        self._takers: dict[str, Callable[[Any, int], None]] = {}
         self._alerts: tuple[AlertShown, ...] | None = None
         self._forget()
 
@@ -98,18 +99,16 @@ class Watch:
             message: with the fields of its type as attributes.
             arrival_ns: when it came, by the caller's steady time.
         """
-        try:
-            taker = self._takers[topic]
-        except KeyError:
-            taker = self._takers[topic] = self._taker(topic)
+        taker = self._takers.get(topic) or self._taker(topic)
         if taker is not None:
+            self._takers[topic] = taker
             self._judge_until(arrival_ns)
             with np.errstate(all="ignore"):  # what makes no sense becomes NaN, which no gate lets through
                 taker(message, arrival_ns)
 
     def _taker(self, topic: str) -> Callable[[Any, int], None] | None:
         """What takes the messages of a topic; None where it is not watched."""
-        if watched_topic(topic) is None:
+        if watched_topic(topic) is None or not has_room(self._takers, topic, "topic"):
             return None
         keeper = self._keeper
         first, _, last = topic.rpartition("/")

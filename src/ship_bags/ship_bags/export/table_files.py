@@ -12,7 +12,7 @@ import numpy as np
 
 from ship_bags.errors import BadInput
 from ship_bags.export.table_rows import TEXT, Column
-from ship_bags.output_files import named, open_new, part_of
+from ship_bags.output_files import csv_text, named, open_new, part_of
 
 _ROW_GROUP_BYTES = 8_000_000
 """Held of a Parquet table before it is written: readers are slow over many small groups."""
@@ -114,7 +114,10 @@ class TableFile:
 
 
 class CsvFile(TableFile):
-    """CSV after RFC 4180 in UTF-8: the shortest digits that give the same number back, ``nan``, ``inf``, 0 and 1."""
+    """CSV after RFC 4180 in UTF-8: the shortest digits that give the same number back, ``nan``, ``inf``, 0 and 1.
+
+    A text that a spreadsheet would take for a formula has ``'`` in front.
+    """
 
     suffix = ".csv"
 
@@ -217,4 +220,6 @@ def _shown(column: Column, values: list[Any]) -> Iterable[Any]:
         return ["" if value is None else str(np.float32(value)) for value in values]
     if column.kind == "bool":
         return ["" if value is None else int(value) for value in values]
+    if column.kind == TEXT:
+        return ["" if value is None else csv_text(value) for value in values]
     return values

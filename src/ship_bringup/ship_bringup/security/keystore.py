@@ -7,17 +7,29 @@ ship has other enclaves, or another authority, or other subjects: each is told a
 import datetime
 import os
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 from cryptography import x509
-from cryptography.exceptions import InvalidSignature
+from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives.hashes import SHA256
-from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat, load_pem_private_key
+from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
 from ship_bags.errors import BadInput
+from ship_bringup.security.certificates import (
+    certified_key,
+    common_name,
+    is_authority,
+    is_issued_by,
+    public_bytes,
+    read_certificate,
+    validity,
+    weaknesses,
+)
+from ship_bringup.security.keystore_fault import KeystoreFault
+from ship_bringup.security.keystore_files import authority_key_faults, mode_faults
 from ship_bringup.security.policy_xml import FINGERPRINT, published, subscribed
 from ship_bringup.security.rights import Rights
 from ship_bringup.security.signed_xml import (
@@ -25,6 +37,7 @@ from ship_bringup.security.signed_xml import (
     governance_faults,
     read_permissions,
     read_signed,
+    signature_digest,
     signature_fault,
 )
 
@@ -34,25 +47,7 @@ _IDENTITY_CA, _PERMISSIONS_CA = "identity_ca.cert.pem", "permissions_ca.cert.pem
 _CERTIFICATE, _KEY, _GOVERNANCE, _PERMISSIONS = "cert.pem", "key.pem", "governance.p7s", "permissions.p7s"
 _FILES = _IDENTITY_CA, _PERMISSIONS_CA, _CERTIFICATE, _KEY, _GOVERNANCE, _PERMISSIONS
 _MOST_NAMED = 3
-_OTHERS_READ = 0o004
-_OTHERS_WRITE = 0o022
-
-
-@dataclass(frozen=True)
-class KeystoreFault:
-    """One thing that is wrong.
-
-    Attributes:
-        text: one line: file, line, what it is and what was expected.
-        advice: what to do.
-        is_error: whether the suite is not to start with it; otherwise people should know.
-        of_policy: whether it is about what an enclave may do, and not about who it is.
-    """
-
-    text: str
-    advice: str
-    is_error: bool = True
-    of_policy: bool = False
+_STRONG_DIGESTS = "sha256", "sha384", "sha512"
 
 
 @dataclass(frozen=True)
@@ -91,7 +86,13 @@ def keystore_faults(keystore: Path, use: KeystoreUse) -> list[KeystoreFault]:
         return [KeystoreFault(text, "set ROS_SECURITY_KEYSTORE to this ship's, or --namespace to its own")]
     used = [rights for rights in use.rights if rights.enclave in there or rights.is_needed]
     folders = [enclaves / rights.enclave.lstrip("/") for rights in used]
-    faults = list(_authority_faults([keystore / _PUBLIC, *folders], use.authority_sha256))
+    authorities = _authorities([keystore / _PUBLIC, *folders])
+    faults = list(_foreign_authority_faults([keystore / _PUBLIC, *folders], use.authority_sha256))
+    for path, authority in authorities.items():
+        faults += _weakness_faults(path, authority)
+        faults += _date_faults(use, path, *validity(authority))
+    faults += authority_key_faults(keystore, list(authorities.values()))
+    faults += mode_faults(keystore, [keystore / _PUBLIC, *folders], _FILES)
     for folder, rights in zip(folders, used, strict=True):
         faults += _Enclave(folder, rights, use).faults()
     return list(dict.fromkeys(faults))
@@ -115,13 +116,41 @@ def require_keystore(keystore: Path, use: KeystoreUse) -> list[str]:
     return [fault.text for fault in faults]
 
 
-def _authority_faults(folders: Sequence[Path], told: str) -> Iterator[KeystoreFault]:
+def _authorities(folders: Iterable[Path]) -> dict[Path, x509.Certificate]:
+    """Return the certificates of authorities in some folders, each once, by the first file that holds it."""
+    found: dict[x509.Certificate, Path] = {}
+    for path in (folder / name for folder in folders for name in (_IDENTITY_CA, _PERMISSIONS_CA)):
+        with suppress(BadInput):  # reported with its enclave
+            found.setdefault(read_certificate(path), path)
+    return {path: certificate for certificate, path in found.items()}
+
+
+def _weakness_faults(path: Path, certificate: x509.Certificate) -> Iterator[KeystoreFault]:
+    for text in weaknesses(certificate):
+        yield KeystoreFault(f"{path}: too weak: {text}", "make it again with 'ros2 security', and all that it signed")
+
+
+def _date_faults(
+    use: KeystoreUse, path: Path, first: datetime.datetime, last: datetime.datetime
+) -> Iterator[KeystoreFault]:
+    now, end = use.now, use.now + use.voyage
+    if not first <= now:
+        yield KeystoreFault(f"{path}: not_before {first:%Y-%m-%d %H:%M} UTC is still to come", "set the clock")
+    if not last > now:
+        yield KeystoreFault(f"{path}: not_after {last:%Y-%m-%d %H:%M} UTC is over", "make it anew")
+    elif not last > end:
+        days = (last - now).total_seconds() / 86400.0
+        text = f"{path}: not_after {last:%Y-%m-%d} is in {days:.1f} days, before the voyage ends"
+        yield KeystoreFault(text, "make it anew before the voyage", is_error=False)
+
+
+def _foreign_authority_faults(folders: Sequence[Path], told: str) -> Iterator[KeystoreFault]:
     """Identities of another ship: all folders must hold one authority, the one that the ship tells, else the first."""
     paths = [path for folder in folders if (path := folder / _IDENTITY_CA).is_file()]
     expected, by = told.replace(":", "").lower(), "machine.authority_sha256"
     for path in paths:
         try:
-            digest = _read_certificate(path).fingerprint(SHA256()).hex()
+            digest = read_certificate(path).fingerprint(SHA256()).hex()
         except BadInput:
             continue  # told with its enclave
         if not expected:
@@ -157,39 +186,38 @@ class _Enclave:
 
     @cached_property
     def _certificate(self) -> x509.Certificate:
-        return _read_certificate(self._folder / _CERTIFICATE)
+        return read_certificate(self._folder / _CERTIFICATE)
 
     def _certificate_faults(self) -> Iterator[KeystoreFault]:
         path, authority_path = self._folder / _CERTIFICATE, self._folder / _IDENTITY_CA
-        authority = _read_certificate(authority_path)
-        subject, expected = _common_name(self._certificate.subject), self._rights.enclave
+        authority = read_certificate(authority_path)
+        subject, expected = common_name(self._certificate.subject), self._rights.enclave
         if subject != expected:
             text = f"{path}: subject is 'CN={subject}': expected 'CN={expected}'"
             yield KeystoreFault(text, f"make it anew: ros2 security create_enclave KEYSTORE {expected}")
-        if not _is_issued_by(self._certificate, authority):
-            issuer = _common_name(self._certificate.issuer)
+        if not is_issued_by(self._certificate, authority):
+            issuer = common_name(self._certificate.issuer)
             text = (
                 f"{path}: a certificate of another ship: not signed by {authority_path} "
-                f"('CN={_common_name(authority.subject)}'), its issuer is 'CN={issuer}'"
+                f"('CN={common_name(authority.subject)}'), its issuer is 'CN={issuer}'"
             )
             yield KeystoreFault(text, "take the enclave from this ship's own keystore")
-        for certificate, name in ((self._certificate, path), (authority, authority_path)):
-            yield from self._date_faults(name, *_validity(certificate))
+        if is_authority(self._certificate):
+            text = f"{path}: CA:TRUE: the program could make certificates itself; expected CA:FALSE"
+            yield KeystoreFault(text, f"make it again: ros2 security create_enclave KEYSTORE {expected}")
+        yield from _weakness_faults(path, self._certificate)
+        yield from _date_faults(self._use, path, *validity(self._certificate))
 
     def _key_faults(self) -> Iterator[KeystoreFault]:
         path = self._folder / _KEY
-        mode = path.stat().st_mode
-        if mode & (_OTHERS_READ | _OTHERS_WRITE):
-            text = f"{path}: mode {mode & 0o777:o}: others may read or change the private key"
-            yield KeystoreFault(text, f"chmod 600 {path}")
         if not os.access(path, os.R_OK):
             yield KeystoreFault(f"{path}: cannot be read by this user", "run as the user that owns the keystore")
             return
         try:
             key = load_pem_private_key(path.read_bytes(), password=None)
-        except (ValueError, TypeError) as problem:
+        except (ValueError, TypeError, UnsupportedAlgorithm) as problem:
             raise BadInput("is no private key without a password (PEM)", file=path) from problem
-        if _public_bytes(key.public_key()) != _public_bytes(self._certificate.public_key()):
+        if public_bytes(key.public_key()) != certified_key(self._certificate):
             text = f"{path}: is not the key of {self._folder / _CERTIFICATE}"
             yield KeystoreFault(text, f"make both anew: ros2 security create_enclave KEYSTORE {self._rights.enclave}")
 
@@ -198,6 +226,7 @@ class _Enclave:
         file = read_signed(path)
         if (fault := signature_fault(path, self._folder / _PERMISSIONS_CA)) is not None:
             yield KeystoreFault(f"{path}: {fault}", "take governance.p7s from this ship's own keystore")
+        yield from _digest_faults(path)
         for problem in governance_faults(file, self._use.domain_id):
             yield KeystoreFault(str(problem), "sign governance.xml of 'policies' anew", of_policy=True)
 
@@ -206,29 +235,24 @@ class _Enclave:
         file = read_signed(path)
         if (fault := signature_fault(path, self._folder / _PERMISSIONS_CA)) is not None:
             yield KeystoreFault(f"{path}: {fault}", "sign the permissions with this ship's permissions authority")
+        yield from _digest_faults(path)
         permissions = read_permissions(file)
         expected = f"CN={self._rights.enclave}"
         if permissions.subject != expected:
             place = f"{path}:{file.line_of('<subject_name>') or 1}"
             text = f"{place}: subject_name is '{permissions.subject}': expected '{expected}'"
             yield KeystoreFault(text, "these are permissions of another enclave or ship: make them anew")
-        yield from self._date_faults(path, permissions.not_before, permissions.not_after)
+        yield from _date_faults(self._use, path, permissions.not_before, permissions.not_after)
         advice = "make the policies anew: ./ros2run ship_bringup policies"
         for text in policy_faults(permissions, self._rights, self._use.domain_id):
             yield KeystoreFault(f"{path}: {text}", advice, of_policy=True)
 
-    def _date_faults(
-        self, path: Path, first: datetime.datetime, last: datetime.datetime
-    ) -> Iterator[KeystoreFault]:
-        now, end = self._use.now, self._use.now + self._use.voyage
-        if not first <= now:
-            yield KeystoreFault(f"{path}: not_before {first:%Y-%m-%d %H:%M} UTC is still to come", "set the clock")
-        if not last > now:
-            yield KeystoreFault(f"{path}: not_after {last:%Y-%m-%d %H:%M} UTC is over", "make it anew")
-        elif not last > end:
-            days = (last - now).total_seconds() / 86400.0
-            text = f"{path}: not_after {last:%Y-%m-%d} is in {days:.1f} days, before the voyage ends"
-            yield KeystoreFault(text, "make it anew before the voyage", is_error=False)
+
+def _digest_faults(path: Path) -> Iterator[KeystoreFault]:
+    digest = signature_digest(path)
+    if digest not in ("", *_STRONG_DIGESTS):
+        text = f"{path}: too weak: it is signed with {digest.upper()}: expected SHA-256 or longer"
+        yield KeystoreFault(text, "sign it again: openssl smime -sign -md sha256")
 
 
 def policy_faults(permissions: Permissions, rights: Rights, domain_id: int) -> Iterator[str]:
@@ -255,37 +279,3 @@ def _few(names: Iterable[str]) -> str:
     every = list(names)
     more = f" and {len(every) - _MOST_NAMED} more" if len(every) > _MOST_NAMED else ""
     return ", ".join(every[:_MOST_NAMED]) + more
-
-
-def _read_certificate(path: Path) -> x509.Certificate:
-    try:
-        return x509.load_pem_x509_certificate(path.read_bytes())
-    except OSError as problem:
-        raise BadInput(f"cannot be read: {problem.strerror}", file=path) from problem
-    except ValueError as problem:
-        raise BadInput("is no certificate (PEM, X.509)", file=path) from problem
-
-
-def _common_name(name: x509.Name) -> str:
-    found = name.get_attributes_for_oid(x509.NameOID.COMMON_NAME)
-    return str(found[0].value) if found else ""
-
-
-def _is_issued_by(certificate: x509.Certificate, authority: x509.Certificate) -> bool:
-    try:
-        certificate.verify_directly_issued_by(authority)
-    except (ValueError, TypeError, InvalidSignature):
-        return False
-    return True
-
-
-def _validity(certificate: x509.Certificate) -> tuple[datetime.datetime, datetime.datetime]:
-    """Begin and end, UTC; cryptography before version 42, as in Ubuntu 24.04, gives them without a time zone."""
-    if hasattr(certificate, "not_valid_after_utc"):
-        return certificate.not_valid_before_utc, certificate.not_valid_after_utc
-    utc = datetime.timezone.utc
-    return certificate.not_valid_before.replace(tzinfo=utc), certificate.not_valid_after.replace(tzinfo=utc)
-
-
-def _public_bytes(key: Any) -> bytes:
-    return bytes(key.public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo))

@@ -141,6 +141,22 @@ def signature_fault(path: Path, authority: Path) -> str | None:
     return f"its signature is not that of {authority}" + (f" ({detail[1].strip()})" if detail else "")
 
 
+def signature_digest(path: Path) -> str:
+    """Digest with which a file was signed, as openssl names it; empty where none can be read.
+
+    Raises:
+        LookupError: there is no program ``openssl`` here.
+    """
+    program = shutil.which("openssl")
+    if program is None:
+        raise LookupError("openssl")
+    command = [program, "cms", "-cmsout", "-print", "-noout", "-inform", "SMIME", "-in", str(path)]
+    run = subprocess.run(command, capture_output=True, timeout=_OPENSSL_S, check=False)
+    signers = run.stdout.decode("utf-8", errors="replace").partition("signerInfos:")[2]
+    found = re.search(r"digestAlgorithm:\s+algorithm: (\S+)", signers)
+    return found[1] if found else ""
+
+
 def read_permissions(file: SignedFile) -> Permissions:
     """The permissions in a signed file; of several grants, the first.
 

@@ -14,6 +14,7 @@ from ship_watch.alert_conditions import Machine, NodeStatus, conditions
 from ship_watch.alerts import AlertBook, AlertChange
 from ship_watch.functions import Branch, tree
 from ship_watch.limits import Limits
+from ship_watch.names import has_room
 from ship_watch.picture import AlertShown, Picture
 from ship_watch.watch import Watch
 
@@ -22,6 +23,9 @@ LONGEST_PAUSE_NS = 5 * NS_PER_S
 
 STATUS_AGE_NS = 5 * NS_PER_S
 """What a node told of itself holds for so long; nodes tell it once a second."""
+
+MOST_STATUSES = 2000
+"""Diagnostic statuses that hold at once."""
 
 _DISK_PERIOD_NS = 10 * NS_PER_S
 _FORMAT, _VERSION = "ship_alerts", 1
@@ -64,7 +68,9 @@ class AlertKeeper:
 
     def take_status(self, status: NodeStatus, arrival_ns: int) -> None:
         """Take what a node told of itself."""
-        self._statuses[status.node, status.name] = status, arrival_ns
+        key = (status.node, status.name)
+        if has_room(self._statuses, key, "diagnostic status", MOST_STATUSES):
+            self._statuses[key] = status, arrival_ns
 
     def start_anew(self, now_ns: int) -> None:
         """The suite's time has gone back, or this machine slept: what was heard holds no more, the alerts go on."""
@@ -114,8 +120,12 @@ class AlertKeeper:
                 # A disk that is gone has no room.
                 self._disk_free_gb = 0.0
                 self._say(f"disk {self._limits.machine.disk_path}: {problem.strerror}")
-        fresh = [status for status, told_ns in self._statuses.values() if now_ns - told_ns <= STATUS_AGE_NS]
-        return Machine(tuple(fresh), self._disk_free_gb)
+        self._statuses = {
+            key: (status, told_ns)
+            for key, (status, told_ns) in self._statuses.items()
+            if now_ns - told_ns <= STATUS_AGE_NS
+        }
+        return Machine(tuple(status for status, _ in self._statuses.values()), self._disk_free_gb)
 
     def _read(self, now_ns: int) -> AlertBook:
         """The book that the file holds; an empty one where there is no file, or one that cannot be used."""

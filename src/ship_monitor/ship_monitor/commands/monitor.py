@@ -5,7 +5,6 @@ import contextlib
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
@@ -13,15 +12,13 @@ from ship_bags.live.heartbeat import heartbeat
 from ship_bags.live.ros_process import on_end_signals
 from ship_monitor.after.recorded_pictures import RecordedPictures
 from ship_monitor.after.recorded_suite import RecordedSuite
+from ship_monitor.foxglove.server import FoxgloveServer
 from ship_monitor.live.live_watch import LiveWatch
 from ship_monitor.page.app import page_maker
 from ship_monitor.page.picture_source import PictureSource
 from ship_monitor.page.server import PageServer
 from ship_monitor.page.themes import THEMES
 from ship_watch.limits import Limits, read_limits
-
-if TYPE_CHECKING:
-    from ship_monitor.foxglove.server import FoxgloveServer
 
 FOXGLOVE_PORT = 8765
 """Where Foxglove looks by itself."""
@@ -33,7 +30,8 @@ never wait for it, and nothing can be changed from the page. One reader of topic
 --address only browsers of this machine reach it; over ssh, open a tunnel: ssh -L 5006:localhost:5006 SHIP.
 
 With --foxglove it also serves the suite's topics by websocket to Foxglove or Lichtblick ("Open connection", "Foxglove
-WebSocket"), all messages of those topics that somebody there looks at. Nothing can be published that way.
+WebSocket"), all messages of those topics that somebody there looks at. Nothing can be published that way. Pages of
+other sites in a browser, Foxglove's own excepted, are refused.
 
 With --bag the same page shows a bag or a black box after the fact: a slider under the top bar, space plays, arrows move
 by 10 s (with shift by a minute), Home and End go to its ends. Each browser looks at its own time.
@@ -61,6 +59,14 @@ def _parser() -> CommandParser:
         "--bag", type=Path, metavar="BAG", help="look at a bag or black box after the fact, with a time slider"
     )
     parser.add_argument("--address", default="127.0.0.1", help="address to listen on; 0.0.0.0 is all (127.0.0.1)")
+    parser.add_argument(
+        "--allow-host",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="answer under this name of the machine, too, and with --foxglove pages that come from there; may be given "
+        "again (with --address the machine's own name and addresses, else localhost)",
+    )
     parser.add_argument("--port", type=_port, default=5006, metavar="N", help="TCP port; 0 takes a free one (5006)")
     parser.add_argument(
         "--foxglove",
@@ -97,14 +103,9 @@ def _run(parsed: argparse.Namespace) -> int:
         return _serve(parsed, lambda: watch, watch.tick, watch.place, foxglove)
 
 
-def _foxglove_server(parsed: argparse.Namespace) -> "FoxgloveServer":
-    """The server for Foxglove, whose package not everybody has."""
-    try:
-        from ship_monitor.foxglove.server import FoxgloveServer
-    except ModuleNotFoundError as problem:
-        how = "make setup-all, or pip install foxglove-sdk"
-        raise BadInput(f"--foxglove needs the Python package foxglove-sdk: {how}") from problem
-    return FoxgloveServer(parsed.namespace.strip("/") or "ship", parsed.address, parsed.foxglove)
+def _foxglove_server(parsed: argparse.Namespace) -> FoxgloveServer:
+    name = parsed.namespace.strip("/") or "ship"
+    return FoxgloveServer(name, parsed.address, parsed.foxglove, parsed.allow_host)
 
 
 def _show_bag(parsed: argparse.Namespace, limits: Limits) -> int:
@@ -125,13 +126,14 @@ def _serve(
     open_source: Callable[[], PictureSource],
     tick: Callable[[], None],
     shown: str,
-    foxglove: "FoxgloveServer | None" = None,
+    foxglove: FoxgloveServer | None = None,
 ) -> int:
     def tick_and_beat() -> None:
         heartbeat().beat(time.monotonic_ns())
         tick()
 
-    server = PageServer(page_maker(open_source, parsed.theme), parsed.address, parsed.port, tick_and_beat)
+    make = page_maker(open_source, parsed.theme)
+    server = PageServer(make, parsed.address, parsed.port, tick_and_beat, parsed.allow_host)
     on_end_signals(server.stop)
     if foxglove is not None:
         print(f"monitor: {foxglove.address} for Foxglove", flush=True)

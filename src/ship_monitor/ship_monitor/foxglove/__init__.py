@@ -1,5 +1,4 @@
 """Topics served to Foxglove, by a websocket of this machine.
 
-This room gets names, definitions and bytes, and gives them on as they are. It knows the package ``foxglove``, which is
-optional: nothing else of the package imports it. It knows no ROS.
+This room gets names, definitions and bytes, and gives them on as they are. It knows no ROS.
 """

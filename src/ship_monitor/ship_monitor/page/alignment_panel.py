@@ -7,7 +7,7 @@ import numpy as np
 from bokeh.models import ColumnDataSource, FixedTicker, Range1d
 
 from ship_monitor.page.curves import fixed_step, signed
-from ship_monitor.page.figures import ARCSEC_PER_RAD, PanelBox, SideLabels, plot
+from ship_monitor.page.figures import ARCSEC_PER_RAD, PanelBox, SideLabels, plot, without_formulas
 from ship_monitor.page.marking import is_of, with_mark
 from ship_monitor.page.themes import Theme
 from ship_watch.history import History, ParameterShown
@@ -65,7 +65,7 @@ class AlignmentPanel:
         }
         self.figure.yaxis[0].ticker.ticks = list(range(count))
         self.figure.yaxis[0].major_label_overrides = {
-            row: with_mark(state.name, is_of(state.name, marked)) for row, state in enumerate(states)
+            row: without_formulas(with_mark(state.name, is_of(state.name, marked))) for row, state in enumerate(states)
         }
         self._values.write({row: state_text(state) for row, state in enumerate(states)})
         hidden = [state.name for state in states if not state.is_observable]
@@ -107,6 +107,6 @@ def half_width(low: np.ndarray, value: np.ndarray, high: np.ndarray) -> float:
 
 def state_text(state: ParameterShown) -> str:
     """Deviation ± two sigma, in the unit that people use."""
-    scale, unit, digits = _UNITS[state.unit]
+    scale, unit, digits = _UNITS.get(state.unit, (1.0, f" {state.unit}", 3))
     text = f"{signed(scale * deviation(state), digits)} ± {2.0 * scale * state.sigma:.{digits}f}{unit}"
     return text if state.is_observable else f"({text})"

@@ -1,5 +1,6 @@
 """Figures and panels in the colours of a theme: no toolbar, no legend, drag zooms the time of all, nothing is white."""
 
+import re
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from html import escape
@@ -35,6 +36,8 @@ NARROW = "@media (max-width: 700px)"
 """Small screens: one column, plots 180 px high."""
 
 _SIDE_PX = 118
+
+_FORMULA_BEGIN = re.compile(r"(?<=\$)(?=\$)|(?<=\\)(?=[(\[])")
 
 
 def plot(theme: Theme, height: int, x_range: Range1d, y_range: Range1d, **options: Any) -> figure:
@@ -94,6 +97,11 @@ def frame(theme: Theme, made: figure, is_marked: bool, colour: str = "") -> None
     made.update(outline_line_color=theme.text if is_marked else usual, outline_line_width=3 if is_marked else 1)
 
 
+def without_formulas(text: str) -> str:
+    """Return a text that Bokeh draws letter by letter: what would begin a formula of TeX is split, unseen."""
+    return _FORMULA_BEGIN.sub("\u2060", text)
+
+
 class SideLabels:
     """Words at the right of a plot, at the heights of what they name."""
 
@@ -107,7 +115,7 @@ class SideLabels:
     def write(self, texts: Mapping[float, str]) -> None:
         """Show these words, each at its height."""
         self._axis.ticker.ticks = sorted(texts)
-        self._axis.major_label_overrides = dict(texts)
+        self._axis.major_label_overrides = {height: without_formulas(text) for height, text in texts.items()}
 
 
 def hover(theme: Theme, made: figure, html: str, renderers: list[Any], *, is_line: bool = False) -> None:
@@ -197,7 +205,9 @@ class PanelBox:
 
     def __init__(self, theme: Theme, title: str, children: Sequence[Any]) -> None:
         self._theme, self._title = theme, title
-        self._head = Div(sizing_mode="stretch_width", stylesheets=[InlineStyleSheet(css=_head_css(theme))])
+        self._head = Div(
+            disable_math=True, sizing_mode="stretch_width", stylesheets=[InlineStyleSheet(css=_head_css(theme))]
+        )
         self.layout = Column(
             children=[self._head, *children],
             sizing_mode="stretch_width",

@@ -13,7 +13,7 @@ from bokeh.models import ColumnDataSource, Range1d
 
 from ship_geometry.rotations import FloatArray
 from ship_monitor.page.curves import STEPS_ARCSEC, fixed_step, placed, signed
-from ship_monitor.page.figures import ARCSEC_PER_RAD, PanelBox, SideLabels, frame, hover, time_plot
+from ship_monitor.page.figures import ARCSEC_PER_RAD, PanelBox, SideLabels, frame, hover, time_plot, without_formulas
 from ship_monitor.page.marking import with_mark
 from ship_monitor.page.themes import Theme
 from ship_monitor.page.trails import BAND, MS, TimePlots, Trail, band
@@ -112,7 +112,7 @@ class _SourceRow:
         self._labels.write(_side_texts(newer(points, utc_ns - LATELY_NS), step))
         text, is_out = source_line(self._name, source, step)
         colour = self._theme.caution_border if is_out else self._theme.text
-        self.figure.title.update(text=with_mark(text, is_marked), text_color=colour)
+        self.figure.title.update(text=without_formulas(with_mark(text, is_marked)), text_color=colour)
         frame(self._theme, self.figure, is_marked)
         self.figure.title.text_font_style = "bold" if is_out else "normal"
         self._shade(source, utc_ns)

@@ -8,7 +8,7 @@ import math
 import numpy as np
 from bokeh.models import Column, ColumnDataSource, InlineStyleSheet, Range1d
 
-from ship_monitor.page.figures import NARROW, PanelBox, ResidualBars, frame, plot, words
+from ship_monitor.page.figures import NARROW, PanelBox, ResidualBars, frame, plot, without_formulas, words
 from ship_monitor.page.marking import with_mark
 from ship_monitor.page.sky import boresight, moon_direction, on_map
 from ship_monitor.page.themes import Theme
@@ -201,7 +201,7 @@ class _Field:
         fate = "REFUSED" if is_bad else "used"
         left_out = f" · {seen.rejected_count} left out" if seen.rejected_count else ""
         text = f"{'✕' if is_bad else '✓'} {name}  {seen.star_count} stars {fate}{left_out}"
-        self.figure.title.text = with_mark(text, is_marked)
+        self.figure.title.text = without_formulas(with_mark(text, is_marked))
         self.figure.title.text_color = theme.caution_border if is_bad else theme.text
 
 

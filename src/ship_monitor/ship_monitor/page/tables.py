@@ -123,4 +123,4 @@ def _table(theme: Theme) -> Div:
         f".marked{{outline:2px solid {theme.text};outline-offset:-2px}}"
         f"{NARROW}{{.wide{{display:none}}.n{{padding-right:8px}}.reasons{{width:auto}}}}"
     )
-    return Div(sizing_mode="stretch_width", stylesheets=[InlineStyleSheet(css=css)])
+    return Div(disable_math=True, sizing_mode="stretch_width", stylesheets=[InlineStyleSheet(css=css)])

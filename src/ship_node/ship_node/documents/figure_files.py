@@ -16,6 +16,7 @@ from ship_bags.output_files import write_whole
 from ship_geometry.rotations import FloatArray
 
 _STYLE = {
+    "text.parse_math": False,  # a name with $ is a name
     "font.size": 11,
     "axes.titlesize": 11.5,
     "axes.grid": True,
@@ -27,6 +28,9 @@ _STYLE = {
     "savefig.facecolor": "white",
 }
 
+
+_LONGEST_NAME = 40
+"""Letters of a name beside an axis: more would leave no room for what is drawn."""
 
 _SETTLED = 3.0
 """A start is over when sigma has come down to this many times what it is at its best."""
@@ -43,6 +47,11 @@ def settled(sigma: FloatArray) -> slice:
         return slice(None)
     # The least tenth and not the minimum, which sigma may have had for a moment only.
     return slice(int(np.argmax(sigma <= _SETTLED * np.percentile(known, 10.0))), None)
+
+
+def short_name(name: str) -> str:
+    """Return a name as a figure has room for it; tables have all of it."""
+    return name if len(name) <= _LONGEST_NAME else f"{name[: _LONGEST_NAME - 1]}…"
 
 
 def write_figures(figures: Iterable[tuple[str, Figure]], folder: Path) -> dict[str, Path]:

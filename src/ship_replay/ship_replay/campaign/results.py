@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ship_bags.errors import BadInput
-from ship_bags.output_files import check_folder, write_whole
+from ship_bags.output_files import check_folder, csv_text, write_whole
 from ship_replay.campaign.items import Item
 from ship_replay.campaign.one_item import Result
 
@@ -76,9 +76,10 @@ def table(made: Sequence[Made]) -> str:
     columns = list(dict.fromkeys(name for values in rows for name in values))
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["source", "parameters", "seed", "error", *columns])
+    writer.writerow(["source", "parameters", "seed", "error", *map(csv_text, columns)])
     for (item, result), values in zip(in_order, rows, strict=True):
-        head = [item.source.name, item.parameters_name, item.seed, result["error"]]
+        texts = (csv_text(text) for text in (item.source.name, item.parameters_name))
+        head = [*texts, item.seed, csv_text(result["error"] or "")]
         writer.writerow([*head, *(values.get(name) for name in columns)])
     return text.getvalue()
 

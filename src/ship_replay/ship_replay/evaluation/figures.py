@@ -17,12 +17,13 @@ from ship_bags.errors import BadInput
 from ship_bags.output_files import write_whole
 from ship_bags.stamps import NS_PER_S
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_node.documents.figure_files import settled
+from ship_node.documents.figure_files import settled, short_name
 from ship_replay.evaluation.evaluate import Evaluation
 from ship_replay.evaluation.statistics import AttitudeErrors, SourceInnovations
 from ship_watch.orientations import channel_name
 
 _STYLE = {
+    "text.parse_math": False,  # a name with $ is a name
     "font.size": 12,
     "axes.titlesize": 14,
     "axes.grid": True,
@@ -102,7 +103,8 @@ def innovation_figure(innovations: Mapping[str, SourceInnovations], title: str) 
             axes.fill_between(time_s, -band, band, color=_BAND_COLOUR, label="±3σ predicted")
             axes.plot(time_s, residuals / ARCSEC, ".", color=_LINE_COLOUR, ms=3, label="residual")
             # Level, since a source's name may be longer than its row is high.
-            axes.set_ylabel(f"{source}\n{component} [arcsec]", rotation="horizontal", ha="right", va="center")
+            label = f"{short_name(source)}\n{short_name(component)} [arcsec]"
+            axes.set_ylabel(label, rotation="horizontal", ha="right", va="center")
             later = settled(sigmas)
             _limit(axes, np.concatenate([residuals[later] / ARCSEC, band[later]]), percentile=100.0)
         grid[-1, 0].set_xlabel("time [s]")

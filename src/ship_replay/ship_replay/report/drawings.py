@@ -20,6 +20,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from ship_bags.stamps import NS_PER_S
 from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_node.documents.figure_files import short_name
 from ship_replay.evaluation.evaluate import Evaluation
 from ship_replay.evaluation.figures import attitude_error_figure, innovation_figure
 from ship_replay.evaluation.statistics import AttitudeErrors, SourceInnovations
@@ -38,8 +39,9 @@ STATE_LOOKS = {
 """Fill and hatch of each word: told apart in black and white, too."""
 
 _SERIES = ("#0b3c6f", "#7a5fa8", "#1f8a82", "#8a9bb0", "#b08d57", "#c9cfd6")
-SVG_STYLE = {"svg.hashsalt": "ship report", "svg.fonttype": "none", "font.size": 10, "hatch.linewidth": 0.6}
-"""How every figure of a page is drawn."""
+SVG_STYLE = {"svg.hashsalt": "ship report", "svg.fonttype": "none", "font.size": 10, "hatch.linewidth": 0.6,
+             "text.parse_math": False}
+"""How every figure of a page is drawn; a name with $ is a name."""
 _STRIPPED = re.compile(r"<\?xml.*?\?>|<!DOCTYPE.*?>|<metadata>.*?</metadata>|\s+xmlns(:\w+)?=\"[^\"]*\"", re.DOTALL)
 
 
@@ -155,7 +157,7 @@ def refusals_svg(night: Night) -> str:
         for row, (_, seconds) in enumerate(sorted(rows.items())):
             bars = [(start - start_s, max(length, 1)) for start, length in _runs(sorted(seconds))]
             axes.broken_barh(bars, (row - 0.35, 0.7), facecolor="#0b3c6f", lw=0)
-        axes.set_yticks(range(len(rows)), sorted(rows), fontsize=8)
+        axes.set_yticks(range(len(rows)), [short_name(name) for name in sorted(rows)], fontsize=8)
         axes.invert_yaxis()
         axes.set_xlim(0.0, (night.end_ns - night.start_ns) / NS_PER_S)
         plain([axes])
@@ -222,7 +224,7 @@ def _draw_budget(axes: Axes, points: Sequence[BudgetPoint], angle: str, start_ns
     order = np.argsort(-np.median(variances, axis=0), kind="stable")
     top, rest = order[:5], order[5:]
     stack = [variances[:, index] for index in top] + ([variances[:, rest].sum(axis=1)] if len(rest) else [])
-    labels = [names[index] for index in top] + (["other"] if len(rest) else [])
+    labels = [short_name(names[index]) for index in top] + (["other"] if len(rest) else [])
     kept = thinned(np.sum(stack, axis=0)[:, None], MOST_POINTS)
     time_s = np.array([(point.utc_ns - start_ns) / NS_PER_S for point in points])[kept]
     axes.stackplot(time_s, [part[kept] for part in stack], colors=_SERIES, labels=labels, lw=0)

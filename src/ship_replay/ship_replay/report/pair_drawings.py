@@ -11,6 +11,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 from ship_bags.stamps import NS_PER_S
 from ship_estimation.protection import NORMAL_95
 from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_node.documents.figure_files import short_name
 from ship_replay.report.drawings import (
     MOST_POINTS,
     SVG_STYLE,
@@ -135,7 +136,8 @@ def sides_svg(pair: Pair) -> str:
                 if name not in side:
                     axes.text(0.5, 0.5, "nothing", transform=axes.transAxes, ha="center", color="#888888")
             _limit(row[0], [part for _, line in found for part in (line.value, 3.0 * line.sigma)])
-            row[0].set_ylabel(name, fontsize=8, rotation="horizontal", ha="right", va="center")
+            label = "\n".join(map(short_name, name.split("\n")))
+            row[0].set_ylabel(label, fontsize=8, rotation="horizontal", ha="right", va="center")
         for letter, axes in zip("AB", grid[0], strict=True):
             axes.set_title(letter, fontsize=10, fontweight="bold")
         grid[0, 0].set_xlim(0.0, max((end_ns - start_ns) / NS_PER_S, 1.0))

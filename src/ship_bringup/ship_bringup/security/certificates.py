@@ -1,0 +1,103 @@
+"""X.509 certificates of a keystore: reading them, and what makes one too weak to be trusted."""
+
+import datetime
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from cryptography import x509
+from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
+from cryptography.hazmat.primitives.asymmetric import dsa, ec, rsa
+from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
+
+from ship_bags.errors import BadInput
+
+LEAST_RSA_BITS = 2048
+LEAST_CURVE_BITS = 256
+LEAST_DIGEST_BITS = 256
+"""Excludes MD5, SHA-1 and all forms of SHA-224."""
+
+
+def read_certificate(path: Path) -> x509.Certificate:
+    """Read a certificate.
+
+    Raises:
+        BadInput: it cannot be read, or is no certificate.
+    """
+    try:
+        return x509.load_pem_x509_certificate(path.read_bytes())
+    except OSError as problem:
+        raise BadInput(f"cannot be read: {problem.strerror}", file=path) from problem
+    except ValueError as problem:
+        raise BadInput("is no certificate (PEM, X.509)", file=path) from problem
+
+
+def weaknesses(certificate: x509.Certificate) -> Iterator[str]:
+    """Yield what makes the key or the signature of a certificate too weak, in words, with the least that is needed."""
+    try:
+        key = certificate.public_key()
+    except (ValueError, UnsupportedAlgorithm) as problem:
+        yield f"its key cannot be used ({problem}): expected a curve of {LEAST_CURVE_BITS} bits, as prime256v1"
+    else:
+        yield from _key_weaknesses(key)
+    try:
+        digest = certificate.signature_hash_algorithm
+    except UnsupportedAlgorithm as problem:
+        yield f"its signature cannot be judged ({problem}): expected SHA-256"
+    else:
+        if digest is not None and 8 * digest.digest_size < LEAST_DIGEST_BITS:
+            yield f"it is signed with {digest.name.upper()}: expected SHA-256 or longer"
+
+
+def is_authority(certificate: x509.Certificate) -> bool:
+    """True if a certificate may issue others (CA:TRUE)."""
+    try:
+        return certificate.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
+    except (x509.ExtensionNotFound, ValueError):
+        return False
+
+
+def is_issued_by(certificate: x509.Certificate, authority: x509.Certificate) -> bool:
+    """True if the authority has signed the certificate."""
+    try:
+        certificate.verify_directly_issued_by(authority)
+    except (ValueError, TypeError, InvalidSignature, UnsupportedAlgorithm):
+        return False
+    return True
+
+
+def common_name(name: x509.Name) -> str:
+    """Common name (CN); empty where there is none."""
+    found = name.get_attributes_for_oid(x509.NameOID.COMMON_NAME)
+    return str(found[0].value) if found else ""
+
+
+def validity(certificate: x509.Certificate) -> tuple[datetime.datetime, datetime.datetime]:
+    """Begin and end, UTC; cryptography before version 42, as in Ubuntu 24.04, gives them without a time zone."""
+    if hasattr(certificate, "not_valid_after_utc"):
+        return certificate.not_valid_before_utc, certificate.not_valid_after_utc
+    utc = datetime.timezone.utc
+    return certificate.not_valid_before.replace(tzinfo=utc), certificate.not_valid_after.replace(tzinfo=utc)
+
+
+def certified_key(certificate: x509.Certificate) -> bytes | None:
+    """Public key of a certificate (PEM); None where its kind is not supported."""
+    try:
+        return public_bytes(certificate.public_key())
+    except (ValueError, UnsupportedAlgorithm):
+        return None
+
+
+def public_bytes(key: Any) -> bytes:
+    """A public key (PEM)."""
+    return bytes(key.public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo))
+
+
+def _key_weaknesses(key: Any) -> Iterator[str]:
+    if isinstance(key, rsa.RSAPublicKey) and key.key_size < LEAST_RSA_BITS:
+        yield f"its RSA key has {key.key_size} bits: expected at least {LEAST_RSA_BITS}"
+    elif isinstance(key, ec.EllipticCurvePublicKey) and key.curve.key_size < LEAST_CURVE_BITS:
+        expected = f"expected at least {LEAST_CURVE_BITS}, as prime256v1"
+        yield f"its curve {key.curve.name} has {key.curve.key_size} bits: {expected}"
+    elif isinstance(key, dsa.DSAPublicKey):
+        yield f"its key is DSA: expected a curve of {LEAST_CURVE_BITS} bits, as prime256v1"

@@ -1,0 +1,20 @@
+"""One fault of a keystore."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class KeystoreFault:
+    """One thing that is wrong.
+
+    Attributes:
+        text: one line: file, line, what it is and what was expected.
+        advice: what to do.
+        is_error: whether the suite is not to start with it; otherwise people should know.
+        of_policy: whether it is about what an enclave may do, and not about who it is.
+    """
+
+    text: str
+    advice: str
+    is_error: bool = True
+    of_policy: bool = False

@@ -1,0 +1,84 @@
+"""Files of a keystore: who may read and change them, and private keys that do not belong aboard."""
+
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from cryptography import x509
+from cryptography.exceptions import UnsupportedAlgorithm
+from cryptography.hazmat.primitives.serialization import load_pem_private_key
+
+from ship_bringup.security.certificates import certified_key, common_name, public_bytes
+from ship_bringup.security.keystore_fault import KeystoreFault
+
+_KEY = "key.pem"
+_OTHERS_READ = 0o004
+_GROUP_WRITE, _OTHERS_WRITE = 0o020, 0o002
+_LARGEST_KEY_BYTES = 100_000
+_KEY_MARK = b"PRIVATE KEY-----"
+
+
+def mode_faults(keystore: Path, folders: Sequence[Path], names: Sequence[str]) -> Iterator[KeystoreFault]:
+    """Yield folders and files that other users may change, and keys that they may read.
+
+    Args:
+        keystore: its folder.
+        folders: those whose files are used.
+        names: of the files that are used.
+    """
+    holders = {keystore, *folders}
+    for folder in folders:
+        holders.update(parent for parent in folder.parents if parent.is_relative_to(keystore))
+    for holder in sorted(filter(Path.is_dir, holders)):
+        yield from _write_faults(holder, "replace the files in it")
+    # A link has the mode of the file that it leads to: each file once.
+    files = {path.resolve(): path for folder in folders for name in names if (path := folder / name).is_file()}
+    for path in sorted(files.values()):
+        if path.name != _KEY:
+            yield from _write_faults(path, "change it")
+        elif (mode := path.stat().st_mode) & (_OTHERS_READ | _GROUP_WRITE | _OTHERS_WRITE):
+            text = f"{path}: mode {mode & 0o777:o}: others may read or change the private key"
+            yield KeystoreFault(text, f"chmod 600 {path}")
+
+
+def authority_key_faults(keystore: Path, authorities: Sequence[x509.Certificate]) -> Iterator[KeystoreFault]:
+    """Yield private keys with which certificates can be made: an authority's, or any outside the enclaves' key.pem."""
+    names = {certified_key(each): common_name(each.subject) for each in authorities}
+    for path in _private_keys(keystore):
+        name = names.get(_public_half(path))
+        if name is None and path.name == _KEY:
+            continue
+        of = "a certificate authority, by its place" if name is None else f"the authority 'CN={name}'"
+        text = f"{path}: the private key of {of}: whoever reads it can make certificates of this ship"
+        yield KeystoreFault(text, "keep it ashore, and remove it from this computer")
+
+
+def _write_faults(path: Path, harm: str) -> Iterator[KeystoreFault]:
+    """Write access of all users is an error; that of a group may be meant, and is a warning."""
+    mode = path.stat().st_mode
+    if mode & (_GROUP_WRITE | _OTHERS_WRITE):
+        is_open = bool(mode & _OTHERS_WRITE)
+        who = "all users" if is_open else "its group"
+        yield KeystoreFault(f"{path}: mode {mode & 0o777:o}: {who} may {harm}", f"chmod go-w {path}", is_error=is_open)
+
+
+def _private_keys(keystore: Path) -> list[Path]:
+    """Return the files of a keystore that hold a private key (PEM), each once, links followed."""
+    paths = (Path(folder) / name for folder, _, names in os.walk(keystore) for name in names)
+    return sorted({path.resolve() for path in paths if _holds_key(path)})
+
+
+def _holds_key(path: Path) -> bool:
+    """True if a file holds a private key (PEM) that this user can read."""
+    try:
+        return path.is_file() and path.stat().st_size <= _LARGEST_KEY_BYTES and _KEY_MARK in path.read_bytes()
+    except OSError:
+        return False
+
+
+def _public_half(path: Path) -> bytes | None:
+    """Return the public key of a private one (PEM); None where a password protects it, or its kind is not supported."""
+    try:
+        return public_bytes(load_pem_private_key(path.read_bytes(), password=None).public_key())
+    except (ValueError, TypeError, UnsupportedAlgorithm):
+        return None

@@ -1,0 +1,189 @@
+"""One viewer at the server for Foxglove: its websocket, its subscriptions, and the messages that wait for it."""
+
+import asyncio
+import json
+import struct
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from tornado.websocket import WebSocketClosedError, WebSocketHandler
+
+if TYPE_CHECKING:
+    from ship_monitor.foxglove.server import Viewers
+
+PROTOCOL = "foxglove.sdk.v1"
+
+WAITING_MESSAGES = 1024
+"""Messages that may wait for one viewer: a second of a whole suite. Beyond, its oldest are dropped."""
+
+_MOST_NEWS = 100_000
+"""News of channels that may wait for one viewer. Beyond, it is left."""
+
+_AT_ONCE = 32
+"""Messages that are handed to the connection before it is waited for."""
+
+_MESSAGE = struct.Struct("<BIQ")
+_MESSAGE_DATA = 1
+_WARNING = 1
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A topic as viewers see it.
+
+    Attributes:
+        id: number of the channel.
+        topic: its full name.
+        type_name: of its messages.
+        definition: of that type.
+    """
+
+    id: int
+    topic: str
+    type_name: str
+    definition: str
+
+    def advertised(self) -> dict[str, Any]:
+        """Return the channel as the protocol states it."""
+        return {
+            "id": self.id, "topic": self.topic, "encoding": "cdr", "schemaName": self.type_name,
+            "schemaEncoding": "ros2msg", "schema": self.definition,
+        }  # fmt: skip
+
+
+class Client(WebSocketHandler):
+    """The connection of one viewer. All but :meth:`enqueue` is called in the thread of the server.
+
+    Attributes:
+        subscriptions: number of the viewer's subscription by number of the channel.
+    """
+
+    def initialize(self, viewers: "Viewers") -> None:
+        """Called by tornado with the arguments of the route."""
+        self._viewers = viewers
+        self.subscriptions: dict[int, int] = {}
+        self._news: deque[dict[str, Any]] = deque()
+        self._messages: deque[tuple[int, int, bytes]] = deque(maxlen=WAITING_MESSAGES)
+        self._has_waiting = asyncio.Event()
+        self._is_woken = self._is_over = False
+        self._writing: asyncio.Task[None] | None = None
+
+    def select_subprotocol(self, subprotocols: list[str]) -> str | None:
+        """Return the protocol, where the viewer has it."""
+        return PROTOCOL if PROTOCOL in subprotocols else None
+
+    def check_origin(self, origin: str) -> bool:
+        """Origins are checked before, with hosts."""
+        return True
+
+    async def open(self, *_: Any) -> None:
+        """Send the server's name and all channels."""
+        if self.selected_subprotocol is None:
+            self.close(1002, f"expected the protocol {PROTOCOL}")
+            return
+        self._writing = asyncio.create_task(self._write())
+        self._viewers.add(self)
+
+    async def on_message(self, message: str | bytes) -> None:
+        """Take a request; the next one is read when the answer to this one has been written."""
+        refusal = self._refusal(message)
+        if refusal:
+            try:
+                await self.write_message({"op": "status", "level": _WARNING, "message": refusal})
+            except WebSocketClosedError:
+                return
+
+    def on_close(self) -> None:
+        """Forget the viewer."""
+        self._is_over = True
+        self._has_waiting.set()
+        self._viewers.remove(self)
+
+    def abort(self) -> None:
+        """End the connection without a goodbye: the viewer has ceased to read."""
+        stream = None if self.ws_connection is None else self.ws_connection.stream
+        if stream is not None:
+            stream.close()
+
+    def notify(self, news: dict[str, Any]) -> None:
+        """Send what every viewer must get, in its order."""
+        self._news.append(news)
+        self._has_waiting.set()
+        if len(self._news) > _MOST_NEWS:
+            self.close()
+
+    def enqueue(self, channel: Channel, data: bytes, log_time_ns: int) -> bool:
+        """Let a message wait for the viewer; return whether it must be woken. Another thread calls it."""
+        self._messages.append((channel.id, log_time_ns, data))
+        was_woken, self._is_woken = self._is_woken, True
+        return not was_woken
+
+    def wake(self) -> None:
+        """Write what waits."""
+        self._is_woken = False
+        self._has_waiting.set()
+
+    def _refusal(self, message: str | bytes) -> str:
+        """Do what is requested; return why not, empty where it was done."""
+        if isinstance(message, bytes):
+            return "this server only gives out topics: binary messages are refused"
+        try:
+            request = json.loads(message)
+            operation = str(request["op"])
+            if operation == "subscribe":
+                return self._subscribe([(int(each["id"]), int(each["channelId"])) for each in request["subscriptions"]])
+            if operation == "unsubscribe":
+                return self._unsubscribe({int(each) for each in request["subscriptionIds"]})
+        except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
+            return "this is no request of the protocol"
+        return f"this server only gives out topics: '{operation[:40]}' is refused"
+
+    def _subscribe(self, wanted: Iterable[tuple[int, int]]) -> str:
+        refused, known, taken = "", self._viewers.channels, set(self.subscriptions.values())
+        added = []
+        for subscription, channel in wanted:
+            if not 0 <= subscription < 2**32 or subscription in taken:
+                refused = f"subscription {subscription} is refused: it is in use, or is no number of 32 bits"
+            elif channel in self.subscriptions or channel not in known:
+                refused = f"subscription {subscription} is refused: channel {channel} is unknown, or subscribed to"
+            else:
+                self.subscriptions[channel] = subscription
+                taken.add(subscription)
+                added.append(channel)
+        self._viewers.note_subscriptions(added)
+        return refused
+
+    def _unsubscribe(self, given_up: set[int]) -> str:
+        self.subscriptions = {
+            channel: subscription
+            for channel, subscription in self.subscriptions.items()
+            if subscription not in given_up
+        }
+        self._viewers.update_wanted()
+        return ""
+
+    async def _write(self) -> None:
+        """Write news first, then messages, until the viewer leaves."""
+        try:
+            while not self._is_over:
+                await self._has_waiting.wait()
+                self._has_waiting.clear()
+                while self._news or self._messages:
+                    while self._news:
+                        await self.write_message(self._news.popleft())
+                    await self._write_some()
+        except WebSocketClosedError:
+            return
+
+    async def _write_some(self) -> None:
+        written = None
+        for _ in range(min(_AT_ONCE, len(self._messages))):
+            channel, log_time_ns, data = self._messages.popleft()
+            subscription = self.subscriptions.get(channel)
+            if subscription is not None:
+                head = _MESSAGE.pack(_MESSAGE_DATA, subscription, log_time_ns)
+                written = self.write_message(head + data, binary=True)
+        if written is not None:
+            await written

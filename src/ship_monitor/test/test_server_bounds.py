@@ -1,0 +1,129 @@
+"""What is sent to the page's server beyond its bounds: it is refused in one line, and the page goes on."""
+
+import gc
+import http.client
+import logging
+import socket
+import time
+
+import pytest
+
+from ship_monitor.page.server import MOST_BROWSERS
+from ship_monitor.web import bounded_server
+from ship_monitor.web.bounded_server import MOST_BODY_BYTES, MOST_CONNECTIONS
+from ship_testing.page_runs import served
+
+
+class Lines(logging.Handler):
+    """Lines of the log, each with what would follow it as a traceback."""
+
+    def __init__(self):
+        super().__init__()
+        self.texts, self.tracebacks = [], []
+
+    def emit(self, record):
+        self.texts.append(record.getMessage())
+        self.tracebacks += [record.exc_info] if record.exc_info else []
+
+
+@pytest.fixture
+def page():
+    with served() as server:
+        yield "127.0.0.1", int(server.address.strip("/").rpartition(":")[2])
+
+
+@pytest.fixture
+def lines(page):
+    handler = Lines()
+    loggers = [logging.getLogger(f"tornado.{name}") for name in ("access", "application", "general")]
+    for logger in loggers:
+        for sparse in logger.filters:
+            sparse._last_s.clear()
+        logger.addHandler(handler)
+    yield handler
+    for logger in loggers:
+        logger.removeHandler(handler)
+
+
+def status(page, path="/health"):
+    connection = http.client.HTTPConnection(*page, timeout=20)
+    connection.request("GET", path)
+    answer = connection.getresponse()
+    answer.read()
+    connection.close()
+    return answer.status
+
+
+def ends(connection):
+    """True once the server has closed a connection."""
+    try:
+        while connection.recv(65536):
+            pass
+    except ConnectionError:
+        pass
+    return True
+
+
+def until(look, limit_s=30.0):
+    deadline_s = time.monotonic() + limit_s
+    while not look():
+        assert time.monotonic() < deadline_s
+        time.sleep(0.1)
+
+
+@pytest.mark.parametrize("path", ["/%00", "/static/js/%00", "/static/a%00b.js", "/fonts/%00.ttf", "/health%00"])
+def test_a_nul_in_a_path_is_not_there(page, lines, path):
+    assert status(page, path) == 404
+    until(lambda: len(lines.texts) == 1)
+    assert not lines.tracebacks
+
+
+def test_large_bodies_are_not_taken(page, lines):
+    for length in (MOST_BODY_BYTES + 1, 95_000_000, 10**30):
+        with socket.create_connection(page, timeout=20.0) as connection:
+            connection.sendall(f"POST / HTTP/1.1\r\nHost: localhost\r\nContent-Length: {length}\r\n\r\n".encode())
+            assert ends(connection)
+    assert lines.texts == ["Malformed HTTP message from 127.0.0.1: Content-Length too long"]
+    assert status(page) == 200
+
+
+def test_a_request_that_never_ends_is_closed(monkeypatch):
+    monkeypatch.setattr(bounded_server, "REQUEST_S", 0.3)
+    with served() as server:
+        place = "127.0.0.1", int(server.address.strip("/").rpartition(":")[2])
+        for begun in (
+            b"",
+            b"GET / HTTP/1.1\r\nHost: loc",
+            b"POST / HTTP/1.1\r\nHost: localhost\r\nContent-Length: 9\r\n\r\nab",
+        ):
+            with socket.create_connection(place, timeout=20.0) as connection:
+                connection.sendall(begun)
+                assert ends(connection)
+        assert status(place) == 200
+
+
+def test_connections_beyond_the_most_are_closed_in_one_line(page, lines):
+    begun = [socket.create_connection(page, timeout=20.0) for _ in range(MOST_CONNECTIONS + 20)]
+    assert all(ends(each) for each in begun[-20:])
+    assert lines.texts == [f"127.0.0.1: connection closed: {MOST_CONNECTIONS} are open, the most that are served"]
+    for each in begun:
+        each.close()
+
+    def answers():
+        try:
+            return status(page) == 200
+        except (ConnectionError, http.client.HTTPException):
+            return False
+
+    until(answers)
+
+
+def test_pages_beyond_the_most_are_refused_until_others_have_been_left(page, lines):
+    assert [status(page, "/") for _ in range(MOST_BROWSERS)] == [200] * MOST_BROWSERS
+    assert [status(page, "/") for _ in range(20)] == [503] * 20
+    assert status(page, "/autoload.js?bokeh-autoload-element=1") == 503
+    until(lambda: len(lines.texts) == 1)
+    assert status(page) == 200
+    # Bokeh looks through the heap for each page that was left: what was there before does not count.
+    assert gc.get_freeze_count() > 0
+    until(lambda: status(page, "/") == 200)

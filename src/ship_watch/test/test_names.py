@@ -1,0 +1,92 @@
+"""Names without end: memory does not follow, those that were there first go on, one line says what is not shown."""
+
+import logging
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from ship_bags.stamps import make_header
+from ship_testing.hand_made_bags import FACTORY, innovation
+from ship_watch import names
+from ship_watch.alert_states import Condition
+from ship_watch.alerts import MOST_KEPT, AlertBook
+from ship_watch.limits import AlertTimes, Limits
+from ship_watch.names import LONGEST_NAME, MOST_NAMES, has_room
+from ship_watch.picture import Priority
+from ship_watch.watch import Watch
+
+NS = 1_000_000_000
+START_NS = 1_700_000_000 * NS
+
+
+def health(topic, stamp_ns, reasons=()):
+    return FACTORY.make(
+        "ship_msgs/msg/InputHealth", header=make_header(FACTORY, stamp_ns), topic=topic, received=5, accepted=5,
+        rejected=0, rate_hz=1.0, latency_s=0.1, age_s=0.1, level=0, reasons=list(reasons),
+        reason_counts=np.arange(len(reasons), dtype=np.uint64),
+    )  # fmt: skip
+
+
+def invented(number, stamp_ns):
+    """Topic and message of each kind that bears a name, with names that were never there before."""
+    header = make_header(FACTORY, stamp_ns)
+    yield "input_health", health(f"reference/ship{number}/attitude", stamp_ns, [f"reason {number}"])
+    yield (
+        "ship/innovation",
+        innovation(stamp_ns, f"star.s{number}", [0.0, 0.0], [1.0, 1.0], 1.0, components=("right", "up")),
+    )
+    yield (
+        "ship/innovation",
+        innovation(stamp_ns, f"lights.{number}", [], [], 1.0, accepted=False, reason=1, components=()),
+    )
+    light = FACTORY.make("ship_msgs/msg/BeaconSighting", beacon_id=f"b{number}", x=0.0, z=0.0, sigma=1.0)
+    image = {"telescope_id": "", "exposure_s": 0.1, "beacons": [light]}
+    yield "theodolite/beacons", FACTORY.make("ship_msgs/msg/BeaconImage", header=header, **image)
+    yield "ship/error_budget", FACTORY.make(
+        "ship_msgs/msg/ErrorBudget", header=header, quantity="", sources=[f"n{number}-{part}" for part in range(300)],
+        covariances=np.zeros(2700), total=np.zeros(9),
+    )  # fmt: skip
+    yield "ship/alignment", FACTORY.make(
+        "ship_msgs/msg/AlignmentState", header=header, names=[f"star.{number}.azimuth"], values=np.ones(1),
+        covariance=np.ones(1), units=["rad"],
+    )  # fmt: skip
+
+
+def test_memory_does_not_follow_names_without_end(caplog):
+    names._logged_s.clear()
+    watch, sizes = Watch(Limits()), []
+    known = "star.fore"
+    tracemalloc.start()
+    for number in range(3 * MOST_NAMES):
+        now_ns = number * NS // 100
+        watch.take("ship/innovation", innovation(START_NS + now_ns, known, [0.0, 0.0], [1.0, 1.0], 1.0,
+                                                 components=("right", "up")), now_ns)  # fmt: skip
+        for topic, message in invented(number, START_NS + now_ns):
+            watch.take(topic, message, now_ns)
+        if number % MOST_NAMES == MOST_NAMES - 1:
+            sizes.append(tracemalloc.get_traced_memory()[0])
+    tracemalloc.stop()
+    picture, history = watch.look(now_ns), watch.history
+    assert len(picture.sources) <= MOST_NAMES + 3
+    assert len(picture.inputs) <= MOST_NAMES
+    assert all(len(of) <= MOST_NAMES for of in (history.innovations, history.lights, history.stars, history.budgets))
+    # The second lot of names costs as much as the points of the known source do, and those of no name.
+    assert sizes[2] - sizes[1] < 0.25 * sizes[0]
+    assert len(history.innovations[known]) == 3 * MOST_NAMES
+    lines = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
+    assert any(line.startswith("source '") and "and others are not shown: 256 are known" in line for line in lines)
+    assert len(lines) == len({line.partition(" '")[0] for line in lines})
+
+
+def test_alerts_that_are_over_are_forgotten_in_the_end():
+    book = AlertBook(AlertTimes(raise_after_s=0.0, clear_after_s=0.0, start_s=0.0))
+    for number in range(2 * MOST_KEPT):
+        book.take([Condition(f"node{number}.lost", Priority.CAUTION, "", "lost")], number * NS, START_NS)
+    assert len(book.saved()) <= MOST_KEPT + 2
+
+
+@pytest.mark.parametrize("name", ["x" * (LONGEST_NAME + 1), ("node", "x" * LONGEST_NAME)])
+def test_a_name_that_is_too_long_has_no_room(name):
+    assert not has_room({}, name, "name")
+    assert has_room({name}, name, "name")
