@@ -31,11 +31,11 @@ def source():
 
 
 def pashr(moment):
-    return sentence(f"PASHR,{moment:%H%M%S}.000,90.0,T,+1.0,+2.0,,0.1,0.1,0.1,1,1").encode()
+    return sentence(f"PASHR,{moment:%H%M%S.%f},90.0,T,+1.0,+2.0,,0.1,0.1,0.1,1,1").encode()
 
 
-def taken(source, line, arrival_ns, now_ns=0):
-    return [topic for heard in heard_texts(line) for topic, _ in source.take(heard, arrival_ns, now_ns)]
+def taken(source, line, arrival_ns, now_ns=0, *sender):
+    return [topic for heard in heard_texts(line) for topic, _ in source.take(heard, arrival_ns, now_ns, *sender)]
 
 
 def test_the_nodes_time_goes_back_and_attitudes_come_again(source):
@@ -122,6 +122,59 @@ def test_sentences_without_checksum_are_used_where_that_is_asked_for(source):
         gyro = source(becomes="gyro")
         (heard,) = heard_texts(b"$HEHDT,218.0,T", needs_checksum)
         assert [topic for topic, _ in gyro.take(heard, datetime_ns(START), 0)] == expected
+
+
+INS, FOREIGN = "10.0.0.7:4001", "10.0.0.9:4001"
+
+
+def given_at(source, senders, seconds):
+    """The seconds at which a source gives attitudes, where ``senders`` sends at each second; see test below."""
+    given = []
+    for second in seconds:
+        arrival = START + timedelta(seconds=second)
+        for sender, ahead_s in senders(second):
+            line = pashr(arrival + timedelta(seconds=ahead_s))
+            given += [second for _ in taken(source, line, datetime_ns(arrival), second * NS_PER_S, sender)]
+    return given
+
+
+def test_another_sender_whose_stamps_are_ahead_costs_no_attitude(source):
+    """One datagram every 2 s, stamped 30 s ahead, made those of the INS late."""
+    ins = source(becomes="ins")
+    given = given_at(ins, lambda second: [(INS, 0)] + [(FOREIGN, 30)] * (second % 2), range(60))
+    assert given == list(range(60))
+    status = ins.status("", 0, 60 * NS_PER_S)
+    assert (status.level, status.values["sender"]) == (Level.WARN, INS)
+    assert status.values[f"other sender: {FOREIGN}"] == "30"
+    assert f"sender other than the first (name the instrument's address in 'from') 30, as '{FOREIGN} $PASHR" in (
+        status.message
+    )
+
+
+def test_another_sender_is_taken_after_ten_seconds_of_silence(source):
+    ins = source(becomes="ins")
+    given = given_at(ins, lambda second: [(INS if second < 20 else FOREIGN, 0)], range(40))
+    assert given == [*range(20), *range(30, 40)]
+    assert ins.status("", 0, 40 * NS_PER_S).values["sender"] == FOREIGN
+
+
+def test_who_gives_nothing_of_use_is_not_held(source):
+    """A port that several instruments share: the first is heard, and only the INS gives attitudes."""
+    ins = source(becomes="ins")
+    for second in range(3):
+        arrival = START + timedelta(seconds=second)
+        heading = sentence("HEHDT,10.0,T").encode()
+        assert taken(ins, heading, datetime_ns(arrival), second * NS_PER_S, FOREIGN) == []
+        assert taken(ins, pashr(arrival), datetime_ns(arrival), second * NS_PER_S, INS) == ["ins/imu"]
+
+
+def test_only_listed_addresses_are_used_whatever_their_port(source):
+    ins = source(becomes="ins", **{"from": ["10.0.0.7"]})
+    ports = lambda second: [(FOREIGN, 0), (f"10.0.0.7:{4000 + second}", 0.5)]  # noqa: E731
+    assert given_at(ins, ports, range(20)) == list(range(20))
+    status = ins.status("", 0, 20 * NS_PER_S)
+    assert status.values["rejected: sender that is not in 'from'"] == "20"
+    assert status.values["sender"] == "10.0.0.7"
 
 
 def test_a_clock_that_stands_gives_one_attitude(source):
@@ -230,10 +283,10 @@ def test_datagrams_that_the_system_drops_are_counted():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         for _ in range(count):
             sender.sendto(b"$HEHDT,10.0,T*2D\r\n", ("127.0.0.1", port))
-        read = sum(1 for _ in iter(link.read, b""))
+        read = sum(1 for _ in iter(link.read, (b"", "")))
         # The count comes with the next datagram.
         sender.sendto(b"$HEHDT,10.0,T*2D\r\n", ("127.0.0.1", port))
-        assert link.read()
+        assert link.read()[0]
     assert link.lost > 0
     assert read + link.lost == count
     link.close()

@@ -101,13 +101,13 @@ class NmeaIn:
     def _publish_some(self, place: str) -> int:
         """Publish what some lines of a link say; returns how many."""
         lines = self._readers[place].take(_AT_ONCE)
-        for arrival_ns, line in lines:
-            self._guard.call(place, self._publish_line, place, arrival_ns, line)
+        for arrival_ns, line, sender in lines:
+            self._guard.call(place, self._publish_line, place, arrival_ns, line, sender)
         return len(lines)
 
-    def _publish_line(self, place: str, arrival_ns: int, line: bytes) -> None:
+    def _publish_line(self, place: str, arrival_ns: int, line: bytes, sender: str) -> None:
         now_ns = time.monotonic_ns()
         for source in self._sources[place]:
             for heard in heard_texts(line, source.config.checksum == REQUIRED):
-                for topic, message in source.take(heard, arrival_ns, now_ns):
+                for topic, message in source.take(heard, arrival_ns, now_ns, sender):
                     self._publishers[topic].publish(message)
