@@ -191,6 +191,13 @@ def test_an_instrument_that_says_itself_that_it_is_not_aligned_is_not_used(sourc
         assert taken(ins, text, datetime_ns(START)) == topics
 
 
+def test_heave_is_shown(source):
+    ins = source(becomes="ins")
+    assert "heave_m" not in ins.status("", 0, 0).values
+    taken(ins, sentence("PASHR,120000.000,90.0,T,+1.0,+2.0,-0.37,0.1,0.1,0.1,1,1").encode(), datetime_ns(START))
+    assert ins.status("", 0, 0).values["heave_m"] == "-0.37"
+
+
 def test_of_hdt_and_ths_the_one_that_says_when_it_is_not_to_be_used_rules(source):
     """HDT is used before the first THS and 3 s after the last one, whatever that said."""
     gyro = source(becomes="gyro")
@@ -248,7 +255,8 @@ def test_what_is_counted_is_bounded(source):
 
 TEMPLATES = [
     ("ins", "INZDA,120000.00,01,03,2026,,"), ("ins", "PSXN,20,1,0,0,0"), ("ins", "PSXN,23,0.35,-1.74,218.26,0.58"),
-    ("ins", "PASHR,120000.000,90.0,T,+1.0,+2.0,,0.1,0.1,0.1,1,1"),
+    ("ins", "PASHR,120000.000,90.0,T,+1.0,+2.0,,0.1,0.1,0.1,1,1"), ("gyro", "HEROT,3.5,A"),
+    ("ins", "PRDID,1.0,2.0,90.0"), ("ins", "PTNTHPR,90.0,N,1.0,N,2.0,N"), ("ins", "PSAT,HPR,120000.00,9.0,1.0,2.0,N"),
     ("gnss", "INGGA,120000.00,2200.110899,S,01756.359432,W,1,12,0.7,-2.76,M,4.67,M,,"),
     ("gyro", "HETHS,218.53,A"), ("gyro", "HEHDT,218.53,T"), ("weather", "WIXDR,C,23.3,C,0,H,50.1,P,0,P,1009.5,H,0"),
     ("weather", "WIMDA,30.2269,I,1.0236,B,17.7,C,,,43.3,,5.0,C,131.5,T,128.6,M,0.8,N,0.4,M"),

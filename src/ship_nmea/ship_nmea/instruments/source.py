@@ -11,7 +11,7 @@ from ship_bags.nmea.instrument import WEATHER, Instrument, InstrumentRole
 from ship_bags.nmea.instrument_line import InstrumentLine, LineReport, clock_problem
 from ship_bags.nmea.lines import HeardText
 from ship_bags.nmea.nmea_attitude import NOT_LATER
-from ship_bags.nmea.sentences import NotOfInterest, Unusable
+from ship_bags.nmea.sentences import NotOfInterest, Unusable, number
 from ship_bags.nmea.talkers import TalkerComparison
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_nmea.instruments.config import ARRIVAL_TIME, NmeaSourceConfig
@@ -95,6 +95,7 @@ class Source:
         self._arrival_ns = self._stamp_ns = 0
         self._heard_ns = self._given_ns = self._told_ns = now_ns
         self._given: Counter[str] = Counter()
+        self._heave_m: float | None = None
         self._given_before = 0
         # Long enough ago for neither to be shown.
         self._dropped, self._dropped_ns = 0, now_ns - 2 * SHOWN_NS
@@ -156,6 +157,8 @@ class Source:
             report.reject(NO_TIME, report.lines, heard.text)
         else:
             report.used[says.kind] += 1
+            heave_m = number(getattr(says.content, "heave", None))
+            self._heave_m = self._heave_m if heave_m is None else heave_m
             line = InstrumentLine(report.lines, arrival_ns, says.kind, says.content, heard.talker)
             self._talkers.add(line)
             return line
@@ -181,6 +184,7 @@ class Source:
         values = {
             "place": self.config.place,
             "sender": self._sender.held,
+            **({} if self._heave_m is None else {"heave_m": f"{self._heave_m:g}"}),
             "lines": str(self._report.lines),
             "messages_hz": f"{(given - self._given_before) / span_s:.1f}",
             **{topic: str(self._given[topic]) for topic in self.topics},
