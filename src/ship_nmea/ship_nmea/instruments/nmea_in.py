@@ -20,8 +20,9 @@ _DESCRIPTION = """\
 Hears instruments' sentences (NMEA 0183) on UDP ports, TCP servers and serial devices, and publishes ins/imu,
 reference/<id>/imu, gnss/fix, met/pressure, met/temperature and met/humidity, with the parser of import_nmea.
 
-Read are PSXN 20 and 23 with ZDA, PASHR, GGA, HDT, THS, XDR, MDA and MET. What cannot be used is counted by its reason
-in /diagnostics, for each source with an example. A source that is gone is told there and tried again.
+Read are PSXN 20 and 23, PRDID and PTNTHPR with ZDA, PASHR, PSAT,HPR, GGA, HDT, THS, ROT, XDR, MDA and MET. What cannot
+be used is counted by its reason in /diagnostics, for each source with an example; so are datagrams of another sender
+than the first, or than those in from. A source that is gone is told there and tried again.
 """
 
 _AT_ONCE = 50
