@@ -200,6 +200,21 @@ def test_mend_06_rates_left_at_zero_are_not_used_and_the_attitude_is_honest(keep
     assert_same_attitudes(run, drive(new_adapter(), changed_where(thinned(voyage(20.0), keep), of_ins(), no_rate)))
 
 
+def test_a_sigma_of_the_ins_that_contradicts_the_configured_one_is_reported() -> None:
+    """Its own sigma of the heading is 0.1°, 72″ are configured; it changes no attitude."""
+
+    def states(message: Any) -> None:
+        message.orientation_covariance = np.diag(np.deg2rad([0.002, 0.002, 0.1]) ** 2).ravel()
+
+    run = drive(new_adapter(), changed_where(voyage(), of_ins(), states))
+    reports = run.diagnostics("ins noise", START_NS + SECOND_NS, run.now_ns)
+    text = "ins/imu states a sigma of 360 arcsec in heading, ins.heading_sigma_arcsec is "
+    assert {(level, told.startswith(text)) for level, told in reports} == {(1, True)}
+    assert_same_attitudes(run, drive(new_adapter(), voyage()))
+    reports = drive(new_adapter(), voyage()).diagnostics("ins noise", START_NS + SECOND_NS, run.now_ns)
+    assert {level for level, _ in reports} == {0}
+
+
 def no_rate(message: Any) -> None:
     """What an Imu says that measures none."""
     message.angular_velocity_covariance[0] = -1.0

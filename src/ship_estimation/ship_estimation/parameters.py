@@ -76,28 +76,28 @@ def build(kind: type[Config], values: Mapping[str, Any], prefix: str = "", place
             value=values,
         )
     hints = typing.get_type_hints(kind)
-    fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    fields = {_name(field): field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
     for name in values:
         if name not in fields:
             reason = f"parameter '{prefix}{name}' is unknown: {_expected(str(name), fields)}"
             raise ParameterError(reason, f"{prefix}{name}", value=values[name])
     arguments: dict[str, Any] = {}
     for name, field in fields.items():
-        full_name = prefix + name
-        entry = _mapping_entry(hints[name])
+        full_name, hint = prefix + name, hints[field.name]
+        entry = _mapping_entry(hint)
         if entry is not None:
             group = values.get(name, {})
             if not isinstance(group, Mapping):
                 reason = f"parameter '{full_name}' must be a group of parameters, got {group!r}"
                 raise ParameterError(reason, full_name, value=group)
-            arguments[name] = {
+            arguments[field.name] = {
                 key: build(entry, group[key], f"{full_name}.{key}.", placeholder)
                 for key in _ids(full_name, group, placeholder)
             }
-        elif dataclasses.is_dataclass(hints[name]):
-            arguments[name] = build(hints[name], values.get(name, {}), full_name + ".", placeholder)
+        elif dataclasses.is_dataclass(hint):
+            arguments[field.name] = build(typing.cast(type, hint), values.get(name, {}), full_name + ".", placeholder)
         elif name in values:
-            arguments[name] = _checked(full_name, values[name], hints[name], field.metadata)
+            arguments[field.name] = _checked(full_name, values[name], hint, field.metadata)
         elif field.default is dataclasses.MISSING:
             raise ParameterError(f"parameter '{full_name}' ({field.metadata['doc']}) must be given", full_name)
     return kind(**arguments)
@@ -113,7 +113,7 @@ def describe(kind: type, prefix: str = "") -> Iterator[ParameterDescription]:
     """
     hints = typing.get_type_hints(kind)
     for field in dataclasses.fields(kind):
-        name = prefix + field.name
+        name = prefix + _name(field)
         entry = _mapping_entry(hints[field.name])
         if entry is not None:
             yield from describe(entry, name + ".<id>.")
@@ -134,7 +134,7 @@ def flatten(config: Any, prefix: str = "") -> dict[str, Any]:
     """
     flat: dict[str, Any] = {}
     for field in dataclasses.fields(config):
-        value, name = getattr(config, field.name), prefix + field.name
+        value, name = getattr(config, field.name), prefix + _name(field)
         if isinstance(value, dict):
             for key, entry in value.items():
                 flat |= flatten(entry, f"{name}.{key}.")
@@ -168,10 +168,15 @@ def changed(config: Config, changes: Mapping[str, Any]) -> Config:
     return build(type(config), nest({**flat, **changes}))
 
 
+def _name(field: "dataclasses.Field[Any]") -> str:
+    """Name of the parameter of a field, which has an underscore behind a word of Python: ``from_`` is ``from``."""
+    return field.name.removesuffix("_")
+
+
 def _live_names(config: Any, prefix: str = "") -> set[str]:
     names: set[str] = set()
     for field in dataclasses.fields(config):
-        value, name = getattr(config, field.name), prefix + field.name
+        value, name = getattr(config, field.name), prefix + _name(field)
         if isinstance(value, dict):
             for key, entry in value.items():
                 names |= _live_names(entry, f"{name}.{key}.")

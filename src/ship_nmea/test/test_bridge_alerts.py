@@ -111,6 +111,26 @@ def bridge():
     bridge.display.close()
 
 
+def acknowledgement(identifier):
+    """ACN without an instance: the present one is meant."""
+    body = f"BNACN,,ZZZ,{identifier},,A,C"
+    return f"${body}*{pynmea2.NMEASentence.checksum(body):02X}\r\n".encode()
+
+
+def foreign(kind, port):
+    """A socket of another host, as far as a sink can tell."""
+    found = socket.socket(socket.AF_INET, kind)
+    found.bind(("127.0.0.2", 0))
+    found.connect(("127.0.0.1", port))
+    return found
+
+
+def count(ship, name):
+    """A count in the diagnostics of the alerts."""
+    status = ship.statuses.get("nmea_out: alerts")
+    return int(next((pair.value for pair in status.values if pair.key == name), 0)) if status else 0
+
+
 def test_an_alert_is_heard_acknowledged_and_over_on_the_bridge(ship, bridge, processes, tmp_path):
     udp_port, listen_port = free_port(), free_port()
     mute = Display(free_port(socket.SOCK_STREAM))
@@ -119,10 +139,11 @@ def test_an_alert_is_heard_acknowledged_and_over_on_the_bridge(ship, bridge, pro
     suite = tmp_path / "suite.yaml"
     suite.write_text(
         "/**/nmea_out:\n  ros__parameters:\n    alerts_period_s: 0.5\n    sinks:\n"
-        f"      bridge: {{kind: tcp_server, port: {bridge.display.port}, sentences: [ALF, ALC, HBT]}}\n"
+        f"      bridge: {{kind: tcp_server, port: {bridge.display.port}, sentences: [ALF, ALC, HBT], "
+        "from: [127.0.0.1]}\n"
         f"      wing: {{kind: udp, address: 127.0.0.1, port: {udp_port}, listen_port: {listen_port}, "
         "sentences: [ALF]}\n"
-        f"      mute: {{kind: tcp_server, port: {mute.port}, sentences: [HDT]}}\n"
+        f"      mute: {{kind: tcp_server, port: {mute.port}, sentences: [HDT], from: [127.0.0.1]}}\n"
     )
     processes("nmea_out", "-m", "ship_nmea.commands.nmea_out", "--ros-args", "--params-file", str(suite),
               "-r", "__ns:=/demo")  # fmt: skip
@@ -157,6 +178,13 @@ def test_an_alert_is_heard_acknowledged_and_over_on_the_bridge(ship, bridge, pro
         mute.send(f"BNACN,120000.00,ZZZ,{SILENT},1,A,C")
         until(ship, lambda: mute.read() or mute.last("ARC"))
         mute.close()
+        # A host that is not the bridge acknowledges none, and is not answered.
+        for number, (kind, port) in enumerate(
+            ((socket.SOCK_STREAM, bridge.display.port), (socket.SOCK_DGRAM, listen_port)), start=1
+        ):
+            with foreign(kind, port) as stranger:
+                stranger.send(acknowledgement(SILENT))
+                until(ship, lambda number=number: count(ship, "not allowed") == number)
         bridge.command(SILENT, 2, "A")  # no such instance
         bridge.command(SILENT, 1, "S")  # silencing one alert is not known here
         bridge.command(SILENT + 1, 1, "A")  # no such alert
@@ -189,9 +217,7 @@ def test_an_alert_is_heard_acknowledged_and_over_on_the_bridge(ship, bridge, pro
             return fitting[-1] if fitting else None
 
         again = until(ship, lambda: (found := wing_hears("V")) and found.instance == 2 and found)
-        body = f"BNACN,,ZZZ,{SILENT},,A,C"  # without an instance: the present one
-        data = f"${body}*{pynmea2.NMEASentence.checksum(body):02X}\r\n".encode()
-        wing.sendto(data, ("127.0.0.1", listen_port))
+        wing.sendto(acknowledgement(SILENT), ("127.0.0.1", listen_port))
         until(ship, lambda: (found := wing_hears("A")) and found.instance == again.instance)
 
         # Who keeps the alerts is gone: the bridge learns it by the heartbeat, and no list says that all is well.
@@ -200,6 +226,7 @@ def test_an_alert_is_heard_acknowledged_and_over_on_the_bridge(ship, bridge, pro
         seen(lambda knows: knows.beats[-1] == "V")
         until(ship, lambda: ship.statuses["nmea_out: alerts"].level == b"\x01")
         values = {pair.key: pair.value for pair in ship.statuses["nmea_out: alerts"].values}
+        assert values["not allowed"] == "2"
         assert (values["acknowledged"], values["refused"], values["for others"], values["unreadable"]) == (
             "2", "4", "1", "2"
         )  # fmt: skip

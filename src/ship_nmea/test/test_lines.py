@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from ship_bags.nmea.lines import HALF, LONGEST_LINE, NOISE, TOO_LONG, heard_texts
+from ship_bags.nmea.lines import BINARY, HALF, LONGEST_LINE, NOISE, TOO_LONG, heard_texts
 from ship_bags.nmea.sentences import BAD_CHECKSUM, OUT_OF_RANGE, UNKNOWN, UNPARSED, VOID, NotOfInterest, Sentence
 from ship_nmea.line_splitter import LineSplitter
 from ship_testing.ship_logs import sentence
@@ -89,6 +89,27 @@ def test_a_line_without_end_is_told_once_and_not_kept(size):
 )
 def test_what_a_line_says(line, expected):
     assert said(line) == expected
+
+
+UBX = b"\xb5b\x01\x07\x08\x00" + bytes(range(0x20, 0x28)) + b"\x8a\x3f"
+RTCM = b"\xd3\x02\xbc" + bytes(number % 251 for number in range(700)) + b"\x47\xea\x4b"
+"""A message with ``$`` in it, and one of more bytes than a line may have, with line ends in it."""
+
+
+@pytest.mark.parametrize("binary", [UBX, RTCM, RTCM.translate(None, b"\r\n"), RTCM.translate(None, b"\r\n$")])
+@pytest.mark.parametrize("size", [7, 100, 10_000])
+def test_binary_messages_before_sentences_cost_none(binary, size):
+    """A receiver that gives UBX or RTCM on the same line, in pieces as they come."""
+    stream, splitter, found = 5 * (binary + HDT + b"\r\n" + PSXN23 + b"\r\n"), LineSplitter(), []
+    for at in range(0, len(stream), size):
+        found += [name for line in splitter.take(stream[at : at + size]) for name in said(line)]
+    assert [name for name in found if name in ("HDT", "PSXN23")] == 5 * ["HDT", "PSXN23"]
+    assert set(found) <= {"HDT", "PSXN23", BINARY, NOISE, TOO_LONG, HALF}
+
+
+def test_binary_before_a_sentence_is_no_fault():
+    assert said(UBX + HDT) == [BINARY, BINARY, "HDT"]
+    assert said(UBX) == [BINARY, NOISE]
 
 
 def test_noise_never_raises():

@@ -185,6 +185,29 @@ def test_a_silent_source_is_told_and_comes_back(listening):
     node.wait_until(speaks)
 
 
+def test_a_sender_from_elsewhere_and_cut_datagrams_cost_the_ins_nothing(listening):
+    """Every 20th datagram is foreign and stamped 30 s ahead; the INS's are cut in two, with UBX before them."""
+    node = listening({"seapath": udp("ins"), "gps": udp("gnss", **{"from": ["127.0.0.3"]})})
+    start = datetime.now(timezone.utc) - timedelta(seconds=2)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as foreign:
+        foreign.bind(("127.0.0.2", 0))
+        for number in range(100):
+            moment = start + timedelta(milliseconds=10 * number)
+            data = b"\xb5b\x01\x07$\x00\xff" + pashr(moment, 10.0, 1.0, 2.0)
+            node.send("seapath", data[:40])
+            node.send("seapath", data[40:])
+            if number % 20 == 1:
+                ahead = pashr(moment + timedelta(seconds=30), 90.0, 0.0, 0.0)
+                foreign.sendto(ahead, ("127.0.0.1", node.config.sources["seapath"].port))
+        node.wait_until(lambda: len(node.heard["ins/imu"]) == 100)
+        values = node.wait_until(lambda: (told := node.told("seapath"))[2].get("lines") == "305" and told[2])
+        assert values[f"other sender: 127.0.0.2:{foreign.getsockname()[1]}"] == "5"
+        assert values["not of interest: binary"] == "200"
+    node.send("gps", b"$INGGA,000000.16,2200.110899,S,01756.359432,W,1,12,0.7,-2.76,M,4.67,M,,*6C\r\n")
+    node.wait_until(lambda: "rejected: sender that is not in 'from'" in node.told("gps")[2])
+    assert node.exceptions() == "no exception"
+
+
 class Server:
     """A TCP server of sentences."""
 

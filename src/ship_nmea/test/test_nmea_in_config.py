@@ -23,6 +23,8 @@ SERIAL = {"kind": "serial", "device": "/dev/ttyUSB0"}
         ({"a": UDP | {"becomes": "compass"}}, "sources.a.becomes", "must be one of ins, reference, gyro"),
         ({"a": UDP | {"becomes": "ins", "port": 70000}}, "sources.a.port", "out of its range"),
         ({"a": UDP | {"becomes": "ins", "speed": 1}}, "sources.a.speed", "is unknown"),
+        ({"a": UDP | {"becomes": "ins", "from": ["ins.local"]}}, "sources.a.from", "expected IPv4 addresses"),
+        ({"a": SERIAL | {"becomes": "ins", "from": ["10.0.0.7"]}}, "sources.a.from", "means nothing to kind serial"),
         ({"a": UDP | {"becomes": "ins", "talkers": ["gp"]}}, "sources.a.talkers", "two capital letters"),
         ({n: UDP | {"becomes": "ins"} for n in "ab"}, "sources.b.becomes", "'a' becomes that already"),
         (

@@ -41,3 +41,33 @@ def test_what_only_one_sink_can_have_is_refused(one, other, parameter, complaint
 )
 def test_what_several_sinks_can_have_is_taken(one, other):
     build(NmeaOutConfig, {"sinks": {"a": one, "b": other}})
+
+
+@pytest.mark.parametrize(
+    ("sink", "parameter", "complaint"),
+    [
+        (SERVER | {"from": ["bridge.local"]}, "sinks.a.from", "names 'bridge.local': expected IPv4 addresses"),
+        (SERIAL | {"from": ["10.0.0.7"]}, "sinks.a.from", "means nothing to kind serial"),
+    ],
+)
+def test_addresses_that_cannot_command_are_refused(sink, parameter, complaint):
+    with pytest.raises(ParameterError, match=complaint) as caught:
+        build(NmeaOutConfig, {"sinks": {"a": sink}})
+    assert caught.value.parameters == (parameter,)
+
+
+def test_commands_come_from_configured_addresses_alone():
+    """Of UDP that is the address sent to, if no other is named; of a serial line its far end."""
+    listed = {"from": ["10.0.0.7"]}
+    sinks = build(NmeaOutConfig, {"sinks": {
+        "udp": UDP, "other": UDP | listed, "server": SERVER, "bridge": SERVER | listed | {"port": 10111},
+        "line": SERIAL,
+    }}).sinks  # fmt: skip
+    allowed = {
+        name: [address for address in ("192.168.1.40", "10.0.0.7", "10.0.0.9", "") if sink.takes_commands_of(address)]
+        for name, sink in sinks.items()
+    }
+    assert allowed == {
+        "udp": ["192.168.1.40", ""], "other": ["10.0.0.7", ""], "server": [""], "bridge": ["10.0.0.7", ""],
+        "line": [""],
+    }  # fmt: skip

@@ -15,6 +15,7 @@ import pytest
 from ship_nmea.line_splitter import LineSplitter
 from ship_nmea.opening import refusal
 from ship_nmea.out.config import SinkConfig
+from ship_nmea.out.network_outlets import MOST_OF_A_HOST
 from ship_nmea.out.outlet import command_texts
 from ship_nmea.out.sink import MOST_WAITING, RETRY_S, Sink
 from ship_node.edge.messages_out import Level
@@ -40,7 +41,7 @@ def open_sink():
 
     def make(**values):
         heard = []
-        sink = Sink("bridge", SinkConfig(**values), heard.append)
+        sink = Sink("bridge", SinkConfig(**values), lambda text, _: heard.append(text))
         sink.heard = heard
         sinks.append(sink)
         sink.start()
@@ -124,8 +125,46 @@ def test_a_client_that_does_not_read_holds_up_nobody_and_is_sent_away(open_sink,
 
         until(one_more_reaches_the_reader)
         assert "1 clients, " in sink.status().message
-        assert "skipped for clients that did not read" in sink.status().message
         assert sink.status().level is Level.WARN
+
+
+@pytest.mark.slow
+def test_a_client_that_never_reads_is_sent_away_at_a_low_rate_too(open_sink, monkeypatch):
+    """Its own system takes 2 kB. The 8 kB that this side's keeps for it take minutes more to fill."""
+    monkeypatch.setattr("ship_nmea.out.network_outlets.STALLED_S", 1.0)
+    port = free_port(socket.SOCK_STREAM)
+    sink = open_sink(kind="tcp_server", port=port)
+    with socket.socket() as lazy, connected(port) as reader:
+        lazy.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
+        lazy.connect(("127.0.0.1", port))
+        until(lambda: "2 clients" in sink.status().message)
+        count = 0
+
+        def one_more():
+            nonlocal count
+            count += 1
+            sink.put(SENTENCE)
+            assert reader.recv(1000) == f"{SENTENCE}\r\n".encode()
+            time.sleep(0.02)
+            return "1 clients, 1 clients sent away" in sink.status().message
+
+        until(one_more)
+        assert count < 400  # of 21 bytes; 480 fill both buffers
+
+
+def test_one_host_cannot_take_all_places(open_sink):
+    port = free_port(socket.SOCK_STREAM)
+    sink = open_sink(kind="tcp_server", port=port)
+    clients = [connected(port) for _ in range(MOST_OF_A_HOST + 2)]
+    try:
+        until(lambda: "2 clients sent away, 127.0.0.1 has 8 places and gets no more" in sink.status().message)
+        with socket.create_connection(("127.0.0.1", port), PATIENCE_S, ("127.0.0.2", 0)) as other:
+            until(lambda: "9 clients" in sink.status().message)
+            sink.put(SENTENCE)
+            assert other.recv(1000) == f"{SENTENCE}\r\n".encode()
+    finally:
+        for client in clients:
+            client.close()
 
 
 def test_what_a_slow_client_gets_are_whole_sentences(open_sink):

@@ -31,11 +31,11 @@ def source():
 
 
 def pashr(moment):
-    return sentence(f"PASHR,{moment:%H%M%S}.000,90.0,T,+1.0,+2.0,,0.1,0.1,0.1,1,1").encode()
+    return sentence(f"PASHR,{moment:%H%M%S.%f},90.0,T,+1.0,+2.0,,0.1,0.1,0.1,1,1").encode()
 
 
-def taken(source, line, arrival_ns, now_ns=0):
-    return [topic for heard in heard_texts(line) for topic, _ in source.take(heard, arrival_ns, now_ns)]
+def taken(source, line, arrival_ns, now_ns=0, *sender):
+    return [topic for heard in heard_texts(line) for topic, _ in source.take(heard, arrival_ns, now_ns, *sender)]
 
 
 def test_the_nodes_time_goes_back_and_attitudes_come_again(source):
@@ -124,6 +124,59 @@ def test_sentences_without_checksum_are_used_where_that_is_asked_for(source):
         assert [topic for topic, _ in gyro.take(heard, datetime_ns(START), 0)] == expected
 
 
+INS, FOREIGN = "10.0.0.7:4001", "10.0.0.9:4001"
+
+
+def given_at(source, senders, seconds):
+    """The seconds at which a source gives attitudes, where ``senders`` sends at each second; see test below."""
+    given = []
+    for second in seconds:
+        arrival = START + timedelta(seconds=second)
+        for sender, ahead_s in senders(second):
+            line = pashr(arrival + timedelta(seconds=ahead_s))
+            given += [second for _ in taken(source, line, datetime_ns(arrival), second * NS_PER_S, sender)]
+    return given
+
+
+def test_another_sender_whose_stamps_are_ahead_costs_no_attitude(source):
+    """One datagram every 2 s, stamped 30 s ahead, made those of the INS late."""
+    ins = source(becomes="ins")
+    given = given_at(ins, lambda second: [(INS, 0)] + [(FOREIGN, 30)] * (second % 2), range(60))
+    assert given == list(range(60))
+    status = ins.status("", 0, 60 * NS_PER_S)
+    assert (status.level, status.values["sender"]) == (Level.WARN, INS)
+    assert status.values[f"other sender: {FOREIGN}"] == "30"
+    assert f"sender other than the first (name the instrument's address in 'from') 30, as '{FOREIGN} $PASHR" in (
+        status.message
+    )
+
+
+def test_another_sender_is_taken_after_ten_seconds_of_silence(source):
+    ins = source(becomes="ins")
+    given = given_at(ins, lambda second: [(INS if second < 20 else FOREIGN, 0)], range(40))
+    assert given == [*range(20), *range(30, 40)]
+    assert ins.status("", 0, 40 * NS_PER_S).values["sender"] == FOREIGN
+
+
+def test_who_gives_nothing_of_use_is_not_held(source):
+    """A port that several instruments share: the first is heard, and only the INS gives attitudes."""
+    ins = source(becomes="ins")
+    for second in range(3):
+        arrival = START + timedelta(seconds=second)
+        heading = sentence("HEHDT,10.0,T").encode()
+        assert taken(ins, heading, datetime_ns(arrival), second * NS_PER_S, FOREIGN) == []
+        assert taken(ins, pashr(arrival), datetime_ns(arrival), second * NS_PER_S, INS) == ["ins/imu"]
+
+
+def test_only_listed_addresses_are_used_whatever_their_port(source):
+    ins = source(becomes="ins", **{"from": ["10.0.0.7"]})
+    ports = lambda second: [(FOREIGN, 0), (f"10.0.0.7:{4000 + second}", 0.5)]  # noqa: E731
+    assert given_at(ins, ports, range(20)) == list(range(20))
+    status = ins.status("", 0, 20 * NS_PER_S)
+    assert status.values["rejected: sender that is not in 'from'"] == "20"
+    assert status.values["sender"] == "10.0.0.7"
+
+
 def test_a_clock_that_stands_gives_one_attitude(source):
     ins = source(becomes="ins")
     given = [taken(ins, pashr(START), datetime_ns(START) + second * NS_PER_S, second * NS_PER_S) for second in range(9)]
@@ -136,6 +189,13 @@ def test_an_instrument_that_says_itself_that_it_is_not_aligned_is_not_used(sourc
     for fields, topics in (("0,0", []), ("0.0,0", []), ("0,1", ["ins/imu"])):
         text = sentence(f"PASHR,120000.000,90.0,T,+1.0,+2.0,,0.1,0.1,0.1,{fields}").encode()
         assert taken(ins, text, datetime_ns(START)) == topics
+
+
+def test_heave_is_shown(source):
+    ins = source(becomes="ins")
+    assert "heave_m" not in ins.status("", 0, 0).values
+    taken(ins, sentence("PASHR,120000.000,90.0,T,+1.0,+2.0,-0.37,0.1,0.1,0.1,1,1").encode(), datetime_ns(START))
+    assert ins.status("", 0, 0).values["heave_m"] == "-0.37"
 
 
 def test_of_hdt_and_ths_the_one_that_says_when_it_is_not_to_be_used_rules(source):
@@ -195,7 +255,8 @@ def test_what_is_counted_is_bounded(source):
 
 TEMPLATES = [
     ("ins", "INZDA,120000.00,01,03,2026,,"), ("ins", "PSXN,20,1,0,0,0"), ("ins", "PSXN,23,0.35,-1.74,218.26,0.58"),
-    ("ins", "PASHR,120000.000,90.0,T,+1.0,+2.0,,0.1,0.1,0.1,1,1"),
+    ("ins", "PASHR,120000.000,90.0,T,+1.0,+2.0,,0.1,0.1,0.1,1,1"), ("gyro", "HEROT,3.5,A"),
+    ("ins", "PRDID,1.0,2.0,90.0"), ("ins", "PTNTHPR,90.0,N,1.0,N,2.0,N"), ("ins", "PSAT,HPR,120000.00,9.0,1.0,2.0,N"),
     ("gnss", "INGGA,120000.00,2200.110899,S,01756.359432,W,1,12,0.7,-2.76,M,4.67,M,,"),
     ("gyro", "HETHS,218.53,A"), ("gyro", "HEHDT,218.53,T"), ("weather", "WIXDR,C,23.3,C,0,H,50.1,P,0,P,1009.5,H,0"),
     ("weather", "WIMDA,30.2269,I,1.0236,B,17.7,C,,,43.3,,5.0,C,131.5,T,128.6,M,0.8,N,0.4,M"),
@@ -230,10 +291,10 @@ def test_datagrams_that_the_system_drops_are_counted():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         for _ in range(count):
             sender.sendto(b"$HEHDT,10.0,T*2D\r\n", ("127.0.0.1", port))
-        read = sum(1 for _ in iter(link.read, b""))
+        read = sum(1 for _ in iter(link.read, (b"", "")))
         # The count comes with the next datagram.
         sender.sendto(b"$HEHDT,10.0,T*2D\r\n", ("127.0.0.1", port))
-        assert link.read()
+        assert link.read()[0]
     assert link.lost > 0
     assert read + link.lost == count
     link.close()

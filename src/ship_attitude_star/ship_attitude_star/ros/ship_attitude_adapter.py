@@ -27,18 +27,20 @@ from ship_attitude_star.ros.attitude_messages import (
     smoothed_message,
 )
 from ship_attitude_star.ship_attitude.alignment import Alignment, AlignmentPrior
-from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig, StarSensorConfig
+from ship_attitude_star.ship_attitude.config import InsConfig, ShipAttitudeConfig, StarSensorConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.integrity import QUANTITIES
 from ship_attitude_star.ship_attitude.manoeuvre import TurnHint
 from ship_attitude_star.sky.sky_watch import SkyWatch, installed_sky
 from ship_attitude_star.smoothing.core import SmoothingCore
 from ship_attitude_star.vertical.config import TOPIC
+from ship_bags.cdr_template import CdrRows
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.outcome import Status
 from ship_estimation.rate_guard import Rates
 from ship_estimation.recovery.displacements import TOGETHER
 from ship_estimation.refusals import failure
+from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.frames import angle_covariance, angles_from_rotation
 from ship_geometry.ros_axes import (
     mounting_quaternion,
@@ -47,10 +49,10 @@ from ship_geometry.rotations import ARCSEC
 from ship_geometry.time_scales import SECOND_NS
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.documents.saved_start import SavedStart
-from ship_node.edge.blocks import BlockFeed, PublishedRows
+from ship_node.edge.blocks import BlockFeed, PublishedRows, ReadBlock, StampArray
 from ship_node.edge.columns_in import ReadRows
 from ship_node.edge.contested import ATTITUDE, INNOVATION
-from ship_node.edge.ins_messages import ins_block, ins_sample
+from ship_node.edge.ins_messages import contradicted_sigmas, ins_block, ins_sample
 from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.messages_out import (
     BUDGET_TYPE,
@@ -159,6 +161,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         )
         self.start_warnings = self._lacking = start_warnings(config)
         self._observed: tuple[int, DiagnosticStatus] | None = None
+        self._stated_covariance: Any = None
         super().__init__(config, core, factory, self._attitude_messages, saved)
         self.integrity_frame = config.frames.deck
         self.outputs = tuple(output for output in self.outputs if output.type_name != TF_TYPE or config.publish_tf)
@@ -206,8 +209,8 @@ class ShipAttitudeAdapter(RecoveringAdapter):
     def table(self, config: ShipAttitudeConfig, core: ShipAttitudeCore) -> Iterator[Feed]:
         """Yield the inputs and the methods of a core that take them; each star sensor has one topic only."""
         ins = InputTopic("ins/imu", IMU_TYPE, required=True, depth=1000)
-        block = BlockFeed(functools.partial(ins_block, config=config.ins), core)
-        read_ins = functools.partial(ins_sample, config=config.ins)
+        block = BlockFeed(functools.partial(self._read_ins_block, config=config.ins), core)
+        read_ins = functools.partial(self._read_ins, config=config.ins)
         yield Feed(ins, "ins", read_ins, core.add_ins, block=block, continuous=ATTITUDE)
         for id_, star in config.star_sensors.items():
             topic = InputTopic(f"star/{id_}/{star.input}", _STAR_TYPES[star.input], False, depth=1000, named=True)
@@ -229,6 +232,18 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         if config.gravity.deflection == TOPIC:
             given = InputTopic("gravity/deflection", DEFLECTION_TYPE, False, depth=100, lasting=True)
             yield Feed(given, "gravity/deflection", messages_in.deflection, untimed(core.add_deflection))
+
+    def _read_ins(self, message: Any, receive_ns: int, config: InsConfig) -> ReadMessage[AttitudeSample]:
+        """Return a sample of the INS; what its message states of its accuracy is kept for the diagnostics."""
+        reading = ins_sample(message, config, receive_ns)
+        self._stated_covariance = message.orientation_covariance if reading.covariance_known else None
+        return reading
+
+    def _read_ins_block(self, messages: CdrRows, receive_ns: StampArray, config: InsConfig) -> ReadBlock:
+        """Return the samples of a block, as :meth:`_read_ins` does of a message."""
+        reading = ins_block(messages, receive_ns, config)
+        self._stated_covariance = messages.message(0).orientation_covariance if reading.covariance_known else None
+        return reading
 
     def _star_readers(
         self, id_: str, star: StarSensorConfig
@@ -319,7 +334,11 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         return [self._observed[1]]
 
     def _noise_status(self) -> DiagnosticStatus:
-        """Return whether the INS's attitudes have more noise than stated."""
+        """Return whether the INS's attitudes have more noise than configured, or larger errors by its own account."""
+        if self._stated_covariance is not None:
+            covariance = np.reshape(self._stated_covariance, (3, 3))
+            if contradicted := contradicted_sigmas(covariance, self.config.ins):
+                return DiagnosticStatus("ins noise", Level.WARN, f"{contradicted}: raise it, or check the INS")
         excess = self.core.excess_noise
         if not excess:
             text = "no more than ins.white_sigma_arcsec, as far as motion shows it"

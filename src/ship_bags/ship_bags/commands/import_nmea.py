@@ -27,8 +27,9 @@ def _parser() -> CommandParser:
         prog="import_nmea",
         example="./ros2run ship_bags import_nmea --ins seapath.log --out voyage.mcap --resample 20",
         epilog="exit code: 0 written; 2 bad input or usage, with one line that says which; 130 interrupted",
-        description="Turn ship logs (lines 'RECEIVE_TIME SENTENCE': GGA, ZDA, HDT, THS, PSXN 20 and 23, PASHR, MDA, "
-        "XDR, MET) into a bag with ins/imu, reference/<name>/imu, gnss/fix and met/*. Log time is the receive time.",
+        description="Turn ship logs (lines 'RECEIVE_TIME SENTENCE': GGA, ZDA, HDT, THS, PSXN 20 and 23, PASHR, PRDID, "
+        "PTNTHPR, PSAT,HPR, ROT, MDA, XDR, MET) into a bag with ins/imu, reference/<name>/imu, gnss/fix and met/*. Log "
+        "time is the receive time.",
     )
     parser.add_argument("--ins", type=Path, required=True, metavar="FILE", help="log of the system taken as the INS")
     parser.add_argument(

@@ -14,7 +14,7 @@ from ship_bags.nmea.instrument_line import InstrumentLine, LineReport, instrumen
 from ship_bags.nmea.nmea_attitude import AttitudeReader, LoggedAttitude
 from ship_bags.nmea.sentences import AUTONOMOUS, MetReading, number
 from ship_bags.stamps import NS_PER_S, make_header
-from ship_geometry.frames import rotation_from_angles
+from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.ros_axes import flu_from_device_vector, quaternion_from_rotation
 from ship_geometry.rotations import FloatArray
 
@@ -44,6 +44,11 @@ _GYRO_HEADING_SIGMA_DEG = 0.1
 
 _UNKNOWN_ANGLE_VARIANCE = 1.0
 """Variance (rad²) of roll and pitch where only a heading is measured: as good as unknown."""
+
+_UNKNOWN_RATE_VARIANCE = 1.0
+"""Variance (rad²/s²) of the rates of roll and pitch where only that of the heading is given."""
+_TURN_SIGMA_DEG_PER_MIN, _S_PER_MIN = 0.5, 60.0
+"""Standard deviation assumed of ROT, °/min: the error that IMO resolution A.526(13) allows a ship that hardly turns."""
 
 _RANGE_SIGMA_M = 3.0
 """Position error per unit of dilution of precision, single-point GNSS."""
@@ -118,6 +123,7 @@ class Instrument:
         self._report = report
         self._attitudes = AttitudeReader(role.by_instrument, report)
         self._ths_ns: int | None = None
+        self._turn: InstrumentLine | None = None
         self._transducers: dict[str, set[str]] = {}
 
     def take(self, line: InstrumentLine) -> Iterator[TimedMessage]:
@@ -138,6 +144,9 @@ class Instrument:
         Neither sentence carries a time: the stamp is the receive time. Of an instrument that gives both THS rules, as
         only that says when the heading is not to be used, until it has been silent for some seconds.
         """
+        if line.kind == "ROT":
+            self._turn = line
+            return
         if line.kind == "THS":
             self._ths_ns = line.receive_ns
             if line.content.mode != AUTONOMOUS:
@@ -148,10 +157,20 @@ class Instrument:
         variances = [_UNKNOWN_ANGLE_VARIANCE, _UNKNOWN_ANGLE_VARIANCE, np.deg2rad(_GYRO_HEADING_SIGMA_DEG) ** 2]
         rotation_nd = rotation_from_angles(*np.deg2rad([float(line.content.heading), 0.0, 0.0]))
         covariance = np.diag(variances).ravel()
+        rate_flu, rate_covariance = self._turn_rate(line.receive_ns)
         message = _imu(
-            self._factory, line.receive_ns, self._name, rotation_nd, covariance, np.zeros(3), _NOT_GIVEN
+            self._factory, line.receive_ns, self._name, rotation_nd, covariance, rate_flu, rate_covariance
         )
         yield line.receive_ns, imu_topic(GYRO, self._name), message
+
+    def _turn_rate(self, receive_ns: int) -> tuple[FloatArray, FloatArray]:
+        """Angular velocity (forward, left, up) by the ROT of the last second and its covariance, or none."""
+        if self._turn is None or not 0 <= receive_ns - self._turn.receive_ns <= NS_PER_S:
+            return np.zeros(3), _NOT_GIVEN
+        rate = np.deg2rad(self._turn.content.rate_of_turn) / _S_PER_MIN
+        sigma = np.deg2rad(_TURN_SIGMA_DEG_PER_MIN) / _S_PER_MIN
+        variances = [_UNKNOWN_RATE_VARIANCE, _UNKNOWN_RATE_VARIANCE, sigma**2]
+        return np.array([0.0, 0.0, -rate]), np.diag(variances).ravel()
 
     def _fix(self, line: InstrumentLine) -> Iterator[TimedMessage]:
         """GGA as sensor_msgs/NavSatFix; the altitude is NaN where the geoid's height is not in the sentence."""
@@ -235,8 +254,21 @@ def imu_message(factory: MessageFactory, becomes: str, name: str, attitude: Logg
     if attitude.rate_d is not None:
         rate_flu, rate_covariance = flu_from_device_vector(attitude.rate_d), _UNKNOWN
     frame_id = INS if becomes == INS else name
-    message = _imu(factory, attitude.stamp_ns, frame_id, attitude.rotation_nd, _UNKNOWN, rate_flu, rate_covariance)
+    # The configured sigma of a reference stays its noise, which a covariance would replace.
+    covariance = _UNKNOWN
+    if becomes == INS and attitude.sigmas is not None:
+        covariance = _covariance_enu(attitude.rotation_nd, attitude.sigmas)
+    message = _imu(factory, attitude.stamp_ns, frame_id, attitude.rotation_nd, covariance, rate_flu, rate_covariance)
     return attitude.log_time_ns, imu_topic(becomes, name), message
+
+
+def _covariance_enu(rotation_nd: FloatArray, sigmas: FloatArray) -> FloatArray:
+    """Return the covariance of a rotation about east, north, up of independent errors of roll, pitch and heading."""
+    heading, _, _ = angles_from_rotation(rotation_nd)
+    sine, cosine = np.sin(heading), np.cos(heading)
+    enu_from_level = np.array([[sine, -cosine, 0.0], [cosine, sine, 0.0], [0.0, 0.0, 1.0]])
+    covariance: FloatArray = enu_from_level @ np.diag(sigmas**2) @ enu_from_level.T
+    return covariance.ravel()
 
 
 def _imu(

@@ -16,6 +16,7 @@ LONGEST_LINE = 512
 """Bytes of a line: a sentence of the standard has 82, makers' own have up to three times as many."""
 
 TOO_LONG, NOISE, HALF = "line too long", "binary noise", "half line or no checksum"
+BINARY = "binary"
 
 REQUIRED, OPTIONAL = "required", "optional"
 """Whether the sentences of an instrument need a checksum."""
@@ -36,7 +37,7 @@ class HeardText:
     @property
     def talker(self) -> str:
         """Two letters of who speaks; empty where the sentence is a maker's own or broken."""
-        if isinstance(self.says, Unusable) and not self.says.detail:
+        if self.says == NotOfInterest(BINARY) or (isinstance(self.says, Unusable) and not self.says.detail):
             return ""
         return self.text[1:3] if self.text.startswith("$") and not self.text.startswith("$P") else ""
 
@@ -52,15 +53,17 @@ def heard_texts(line: bytes, needs_checksum: bool = True) -> Iterator[HeardText]
         yield HeardText(_shown(line), Unusable(TOO_LONG))
         return
     front = _FRONT.match(line)
-    line = line[front.end() if front else 0 :].strip()
-    if not _PRINTABLE.fullmatch(line):
-        yield HeardText(_shown(line), Unusable(NOISE))
-        return
-    before, *sentences = line.decode("ascii").split("$")
-    if before:
-        yield HeardText(before, _without_start(before, is_cut=bool(sentences)))
-    for body in sentences:
-        text = f"${body.rstrip()}"
+    before, *sentences = line[front.end() if front else 0 :].strip().split(b"$")
+    if not _PRINTABLE.fullmatch(before):
+        yield HeardText(_shown(before), _binary(is_before_sentence=bool(sentences)))
+    elif before:
+        text = before.decode("ascii")
+        yield HeardText(text, _without_start(text, is_cut=bool(sentences)))
+    for place, body in enumerate(sentences, start=1):
+        if not _PRINTABLE.fullmatch(body):
+            yield HeardText(_shown(b"$" + body), _binary(is_before_sentence=place < len(sentences)))
+            continue
+        text = f"${body.decode('ascii').rstrip()}"
         yield HeardText(text, _read(text, needs_checksum))
 
 
@@ -77,6 +80,11 @@ def _read(text: str, needs_checksum: bool) -> Sentence | NotOfInterest | Unusabl
 def is_talker(text: str) -> bool:
     """True for a talker's two letters."""
     return len(text) == 2 and text.isascii() and text.isalnum() and text.isupper()
+
+
+def _binary(is_before_sentence: bool) -> NotOfInterest | Unusable:
+    """What binary data are: messages of another kind (UBX, RTCM) before a sentence, or a disturbed line."""
+    return NotOfInterest(BINARY) if is_before_sentence else Unusable(NOISE)
 
 
 def _without_start(text: str, is_cut: bool) -> Sentence | NotOfInterest | Unusable:

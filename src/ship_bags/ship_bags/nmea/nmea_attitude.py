@@ -5,10 +5,12 @@ The attitude of a PSXN,23 is valid at the time in the ZDA of its burst. PASHR ca
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation, RotationSpline
 
+from ship_bags.nmea import dialects
 from ship_bags.nmea.burst_clock import BurstClock
 from ship_bags.nmea.instrument_line import InstrumentLine, LineReport, instrument_ns, time_of_day_ns
 from ship_bags.nmea.sentences import number
@@ -19,10 +21,13 @@ from ship_geometry.rotations import FloatArray
 LONGEST_GAP_S = 3.0
 """Attitudes further apart are not joined by a spline, s."""
 
-ATTITUDE_KINDS = ("PSXN23", "PASHR")
+ATTITUDE_KINDS = ("PSXN23", "PASHR", *dialects.ATTITUDES)
 """Of lines that tell an attitude."""
 
 _INVALID_QUALITY = 2
+
+_PASHR_SIGMAS, _LARGEST_SIGMA_DEG = slice(7, 10), 180.0
+"""Fields of PASHR with the standard deviations of roll, pitch and heading, and a value that is none."""
 
 _PASHR_STATUS = slice(10, 12)
 """Fields of PASHR behind the accuracies: aiding, and status of the IMU."""
@@ -44,12 +49,14 @@ class LoggedAttitude:
         log_time_ns: when it was there to be used.
         rotation_nd: horizon from deck, shape (3, 3).
         rate_d: angular velocity (bow, up, starboard) rad/s, shape (3,); None where it tells none.
+        sigmas: standard deviations of roll, pitch and heading by the instrument, rad; None where it gives none.
     """
 
     stamp_ns: int
     log_time_ns: int
     rotation_nd: FloatArray
     rate_d: FloatArray | None = None
+    sigmas: FloatArray | None = None
 
 
 class AttitudeReader:
@@ -101,8 +108,9 @@ class AttitudeReader:
         """Return the time at which an attitude is valid; None where it is wrong or not known yet."""
         if not self._by_instrument:
             return line.receive_ns
-        if line.kind == "PASHR":
-            return instrument_ns(time_of_day_ns(line.content.timestamp, line.receive_ns), line, self._report)
+        time_of_day = getattr(line.content, "timestamp", None)
+        if time_of_day is not None:
+            return instrument_ns(time_of_day_ns(time_of_day, line.receive_ns), line, self._report)
         self._reject_waiting()
         zda = self._bursts.pair_attitude(line)
         return None if zda is None else instrument_ns(zda.stamp_ns, zda.line, self._report)
@@ -122,7 +130,15 @@ class AttitudeReader:
         self._last_ns = stamp_ns
         heading_deg = content.head if line.kind == "PSXN23" else content.true_heading
         angles = np.deg2rad([heading_deg, content.pitch, content.roll])
-        return LoggedAttitude(stamp_ns, usable_ns, rotation_from_angles(*angles))
+        sigmas = _pashr_sigmas(content) if line.kind == "PASHR" else None
+        return LoggedAttitude(stamp_ns, usable_ns, rotation_from_angles(*angles), sigmas=sigmas)
+
+
+def _pashr_sigmas(content: Any) -> FloatArray | None:
+    """Return the standard deviations in a PASHR, rad; None where one is missing or no accuracy."""
+    sigmas_deg = np.array([number(field) or 0.0 for field in content.data[_PASHR_SIGMAS]])
+    is_known = len(sigmas_deg) == 3 and bool(np.all((sigmas_deg > 0.0) & (sigmas_deg < _LARGEST_SIGMA_DEG)))
+    return np.deg2rad(sigmas_deg) if is_known else None
 
 
 def resampled(logged: Sequence[LoggedAttitude], rate_hz: float) -> list[LoggedAttitude]:

@@ -7,10 +7,13 @@ which is not NMEA.
 import math
 import re
 from dataclasses import dataclass
+from datetime import time
 from decimal import Decimal
 from typing import Any
 
 import pynmea2
+
+from ship_bags.nmea.dialects import dialect_fields, dialect_of
 
 BAD_CHECKSUM, UNPARSED = "checksum failed", "unparsed"
 UNKNOWN, VOID, OUT_OF_RANGE = "unknown sentence", "no values in it", "angle out of range"
@@ -50,6 +53,9 @@ _RANGES_DEG = {
 }  # fmt: skip
 """Angles beyond are none: some instruments write 999.99 where they know nothing."""
 
+_NO_NUMBERS = ("timestamp", "status")
+"""Fields of dialects that are no numbers."""
+
 _KINDS = {"SXN20": "PSXN20", "SXN23": "PSXN23", "ASHRATT": "PASHR"}
 
 
@@ -70,8 +76,9 @@ class Sentence:
     """What a line says.
 
     Attributes:
-        kind: ``ZDA``, ``GGA``, ``HDT``, ``THS``, ``PSXN20``, ``PSXN23``, ``PASHR``, ``XDR``, ``MDA`` or ``MET``.
-        content: the sentence of pynmea2, or :class:`MetReading` of MDA and MET.
+        kind: ``ZDA``, ``GGA``, ``HDT``, ``THS``, ``PSXN20``, ``PSXN23``, ``PASHR``, ``XDR``, ``MDA`` or ``MET``, or a
+            row of :data:`ship_bags.nmea.dialects.DIALECTS`.
+        content: the sentence of pynmea2, or :class:`MetReading` of MDA and MET, or :class:`DialectContent`.
     """
 
     kind: str
@@ -102,6 +109,22 @@ class MetReading:
     pressure_pa: float | None = None
 
 
+@dataclass(frozen=True)
+class DialectContent:
+    """Content of a sentence of the table of dialects: angles in degrees, a rate in °/min; None where it has none."""
+
+    text: str
+    timestamp: time | None = None
+    true_heading: float | None = None
+    pitch: float | None = None
+    roll: float | None = None
+    rate_of_turn: float | None = None
+
+    def __str__(self) -> str:
+        """Return the sentence."""
+        return self.text
+
+
 def read_sentence(text: str) -> Sentence | NotOfInterest | Unusable:
     """What a line says, without anything in front of the sentence."""
     name = text.split(",")[0]
@@ -120,7 +143,26 @@ def read_sentence(text: str) -> Sentence | NotOfInterest | Unusable:
     except Exception:
         # Over sentences that are cut short pynmea2 raises IndexError and others, which it does not declare.
         return Unusable(UNPARSED)
+    if kind := dialect_of(text):
+        return _dialect(kind, text)
     return _of_interest(name.lstrip("$"), _pashr(content) if type(content).__name__ == "ASH" else content)
+
+
+def _dialect(kind: str, text: str) -> Sentence | NotOfInterest | Unusable:
+    """The content of a sentence of the table of dialects, if it is complete."""
+    fields = dialect_fields(kind, text)
+    if kind == "ROT" and (fields is None or not all(fields.values())):
+        return NotOfInterest(text.split(",")[0].lstrip("$"))
+    if fields is None:
+        return Unusable(UNPARSED, f"{kind}: a field or its status cannot be used")
+    if not all(fields.values()):
+        return Unusable(UNPARSED, VOID)
+    values: dict[str, Any] = {name: float(field) for name, field in fields.items() if name not in _NO_NUMBERS}
+    if "timestamp" in fields:
+        values["timestamp"] = pynmea2.nmea_utils.timestamp(fields["timestamp"])
+    if any(not _is_angle(name, value) for name, value in values.items()):
+        return Unusable(UNPARSED, OUT_OF_RANGE)
+    return Sentence(kind, DialectContent(text, **values))
 
 
 def _pashr(content: Any) -> Any:

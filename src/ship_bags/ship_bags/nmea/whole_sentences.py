@@ -21,6 +21,10 @@ _FORMS: dict[str, tuple[str, ...]] = {
     ),
     "PSXN20": ("20", _DIGIT, _DIGIT, _DIGIT, _DIGIT),
     "PSXN23": ("23", _NUMBER, _NUMBER, _NUMBER, _HEAVE),
+    "PRDID": (_NUMBER, _NUMBER, r"\d{1,3}\.\d\d"),
+    "PTNTHPR": (_NUMBER, "[A-Z]", _NUMBER, "[A-Z]", _NUMBER, "[A-Z]"),
+    "PSAT,HPR": ("HPR", _TIME, _NUMBER, _NUMBER, _NUMBER, "[A-Z]"),
+    "ROT": (_NUMBER, "A"),
     "PASHR": (
         _TIME, _NUMBER, "T", _NUMBER, _NUMBER, f"({_NUMBER})?", _SIGMA, _SIGMA, _SIGMA, _DIGIT, _DIGIT,
     ),

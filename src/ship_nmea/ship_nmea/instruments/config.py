@@ -1,6 +1,5 @@
 """The parameters of ``nmea_in``: the sources, where each is heard and what its sentences become."""
 
-import ipaddress
 import os.path
 from dataclasses import dataclass
 
@@ -8,12 +7,20 @@ from ship_bags.nmea.instrument import GNSS, GYRO, INS, INSTRUMENT_TIME, REFERENC
 from ship_bags.nmea.lines import OPTIONAL, REQUIRED, is_talker
 from ship_estimation.parameter_fields import mapping_of, parameter
 from ship_estimation.parameters import ParameterError
-from ship_node.parameters.places import ANY_ADDRESS, HeldPlace, PlaceKind, held_path, held_port, refuse_clashes
+from ship_node.parameters.places import (
+    ANY_ADDRESS,
+    HeldPlace,
+    PlaceKind,
+    held_path,
+    held_port,
+    is_ipv4,
+    refuse_clashes,
+)
 
 UDP, TCP, SERIAL = "udp", "tcp", "serial"
 ARRIVAL_TIME = "arrival"
 
-_MEANT = {UDP: ("address", "port", "interface"), TCP: ("address", "port"), SERIAL: ("device", "baud")}
+_MEANT = {UDP: ("address", "port", "interface", "from"), TCP: ("address", "port"), SERIAL: ("device", "baud")}
 """Of the parameters that say where a source is heard those that mean something to its kind."""
 
 _ALONE = (INS, GNSS, WEATHER)
@@ -42,6 +49,11 @@ class NmeaSourceConfig:
     )
     interface: str = parameter(
         "", doc="udp of a group: own IPv4 address of the network to use; empty for the default"
+    )
+    from_: tuple[str, ...] = parameter(
+        (),
+        doc="udp: IPv4 addresses of which datagrams are used; empty: those of the first sender, until it is silent for "
+        "10 s",
     )
     device: str = parameter("", doc="serial: the device, as /dev/ttyUSB0")
     baud: int = parameter(
@@ -159,25 +171,25 @@ class NmeaInConfig:
 
 
 def _check_place(name: str, source: NmeaSourceConfig) -> None:
-    for key in ("address", "port", "interface", "device"):
-        value, means = getattr(source, key), _MEANT[source.kind]
+    given = {
+        "address": source.address, "port": source.port, "interface": source.interface, "from": source.from_,
+        "device": source.device,
+    }  # fmt: skip
+    for key, value in given.items():
+        means = _MEANT[source.kind]
         if value and key not in means:
             raise _error(f"{name}.{key}", value, f"means nothing to kind {source.kind}, which takes {', '.join(means)}")
-    if source.interface and not _is_ipv4(source.interface):
+    if source.interface and not is_ipv4(source.interface):
         raise _error(f"{name}.interface", source.interface, "expected an IPv4 address of this machine")
+    for address in source.from_:
+        if not is_ipv4(address):
+            raise _error(f"{name}.from", address, "expected IPv4 addresses, as 10.0.0.7")
     if source.kind == SERIAL and not source.device:
         raise _error(f"{name}.device", "", "a serial source needs one, as /dev/ttyUSB0")
     if source.kind != SERIAL and not source.port:
         raise _error(f"{name}.port", source.port, f"a source of kind {source.kind} needs one, from 1 to 65535")
     if source.kind == TCP and not source.address:
         raise _error(f"{name}.address", "", "a source of kind tcp needs the server's name or address")
-
-
-def _is_ipv4(address: str) -> bool:
-    try:
-        return bool(ipaddress.IPv4Address(address))
-    except ValueError:
-        return False
 
 
 def _error(name: str, value: object, reason: str) -> ParameterError:

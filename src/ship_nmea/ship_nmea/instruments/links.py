@@ -8,11 +8,13 @@ import ipaddress
 import socket
 import sys
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from typing import Protocol
 
 from ship_nmea.instruments.config import SERIAL, UDP, NmeaSourceConfig
+from ship_nmea.instruments.datagrams import DatagramLines
 from ship_nmea.line_splitter import LineSplitter
 from ship_nmea.opening import opened_serial, words
 from ship_node.parameters.places import ANY_ADDRESS
@@ -50,8 +52,8 @@ class Link(Protocol):
         """Begin to listen."""
         ...
 
-    def read(self) -> bytes:
-        """The next bytes, empty where none came for a moment; of a datagram, all."""
+    def read(self) -> tuple[bytes, str]:
+        """Return the next bytes, empty where none came for a moment, and of a datagram all, with its sender."""
         ...
 
     def close(self) -> None:
@@ -89,16 +91,16 @@ class UdpLink:
             self._socket.close()
             raise
 
-    def read(self) -> bytes:
+    def read(self) -> tuple[bytes, str]:
         """See :class:`Link`."""
         try:
-            data, notes, _, _ = self._socket.recvmsg(_CHUNK, _NOTES)
+            data, notes, _, (address, port) = self._socket.recvmsg(_CHUNK, _NOTES)
         except TimeoutError:
-            return b""
+            return b"", ""
         for _, kind, value in notes:
             if kind == _SO_RXQ_OVFL:
                 self.lost = int.from_bytes(value, sys.byteorder)
-        return data
+        return data, f"{address}:{port}"
 
     def close(self) -> None:
         """See :class:`Link`."""
@@ -124,15 +126,15 @@ class TcpLink:
             if hasattr(socket, name):
                 self._socket.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
 
-    def read(self) -> bytes:
+    def read(self) -> tuple[bytes, str]:
         """See :class:`Link`."""
         try:
             data = self._socket.recv(_CHUNK)
         except TimeoutError:
-            return b""
+            return b"", ""
         if not data:
             raise ConnectionError("the server closed the connection")
-        return data
+        return data, ""
 
     def close(self) -> None:
         """See :class:`Link`."""
@@ -153,10 +155,10 @@ class SerialLink:
         """See :class:`Link`."""
         self._serial = opened_serial(self._device, self._baud, _WAIT_S)
 
-    def read(self) -> bytes:
+    def read(self) -> tuple[bytes, str]:
         """See :class:`Link`."""
         data: bytes = self._serial.read(max(1, self._serial.in_waiting))
-        return data
+        return data, ""
 
     def close(self) -> None:
         """See :class:`Link`."""
@@ -188,7 +190,7 @@ class LinkReader:
     def __init__(self, link: Link, now_ns: Callable[[], int], came: Callable[[], None]) -> None:
         self._link, self._is_open = link, False
         self._now_ns, self._came = now_ns, came
-        self._lines: deque[tuple[int, bytes]] = deque(maxlen=WAITING_LINES)
+        self._lines: deque[tuple[int, bytes, str]] = deque(maxlen=WAITING_LINES)
         self._lock = threading.Lock()
         self._stop = threading.Event()
         self.problem = "not open yet"
@@ -210,8 +212,8 @@ class LinkReader:
         """Lines that were displaced by newer ones, and datagrams that were dropped before they were read."""
         return self._displaced + self._link.lost
 
-    def take(self, most: int) -> list[tuple[int, bytes]]:
-        """The oldest lines that wait, each with the time at which it came."""
+    def take(self, most: int) -> list[tuple[int, bytes, str]]:
+        """Return the oldest lines that wait: of each the time at which it came, the line, and its sender."""
         with self._lock:
             return [self._lines.popleft() for _ in range(min(most, len(self._lines)))]
 
@@ -243,20 +245,21 @@ class LinkReader:
         self._is_open, self.problem = True, ""
 
     def _read(self) -> None:
-        splitter = LineSplitter()
+        splitter, datagrams = LineSplitter(), DatagramLines()
         while not self._stop.is_set():
-            data = self._link.read()
-            lines = splitter.take(data)
-            if not self._link.is_stream:
-                lines += splitter.end()
+            data, sender = self._link.read()
+            now_ns = self._now_ns()
+            if self._link.is_stream:
+                lines = [(now_ns, line, "") for line in splitter.take(data)]
+            else:
+                lines = datagrams.take(data, sender, now_ns, time.monotonic_ns())
             if lines:
                 self._put(lines)
 
-    def _put(self, lines: list[bytes]) -> None:
-        now_ns = self._now_ns()
+    def _put(self, lines: list[tuple[int, bytes, str]]) -> None:
         with self._lock:
             self._displaced += max(0, len(self._lines) + len(lines) - WAITING_LINES)
-            self._lines.extend((now_ns, line) for line in lines)
+            self._lines.extend(lines)
         self._came()
 
 

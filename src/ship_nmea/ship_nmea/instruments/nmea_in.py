@@ -20,8 +20,9 @@ _DESCRIPTION = """\
 Hears instruments' sentences (NMEA 0183) on UDP ports, TCP servers and serial devices, and publishes ins/imu,
 reference/<id>/imu, gnss/fix, met/pressure, met/temperature and met/humidity, with the parser of import_nmea.
 
-Read are PSXN 20 and 23 with ZDA, PASHR, GGA, HDT, THS, XDR, MDA and MET. What cannot be used is counted by its reason
-in /diagnostics, for each source with an example. A source that is gone is told there and tried again.
+Read are PSXN 20 and 23, PRDID and PTNTHPR with ZDA, PASHR, PSAT,HPR, GGA, HDT, THS, ROT, XDR, MDA and MET. What cannot
+be used is counted by its reason in /diagnostics, for each source with an example; so are datagrams of another sender
+than the first, or than those in from. A source that is gone is told there and tried again.
 """
 
 _AT_ONCE = 50
@@ -101,13 +102,13 @@ class NmeaIn:
     def _publish_some(self, place: str) -> int:
         """Publish what some lines of a link say; returns how many."""
         lines = self._readers[place].take(_AT_ONCE)
-        for arrival_ns, line in lines:
-            self._guard.call(place, self._publish_line, place, arrival_ns, line)
+        for arrival_ns, line, sender in lines:
+            self._guard.call(place, self._publish_line, place, arrival_ns, line, sender)
         return len(lines)
 
-    def _publish_line(self, place: str, arrival_ns: int, line: bytes) -> None:
+    def _publish_line(self, place: str, arrival_ns: int, line: bytes, sender: str) -> None:
         now_ns = time.monotonic_ns()
         for source in self._sources[place]:
             for heard in heard_texts(line, source.config.checksum == REQUIRED):
-                for topic, message in source.take(heard, arrival_ns, now_ns):
+                for topic, message in source.take(heard, arrival_ns, now_ns, sender):
                     self._publishers[topic].publish(message)

@@ -11,10 +11,11 @@ from ship_bags.nmea.instrument import WEATHER, Instrument, InstrumentRole
 from ship_bags.nmea.instrument_line import InstrumentLine, LineReport, clock_problem
 from ship_bags.nmea.lines import HeardText
 from ship_bags.nmea.nmea_attitude import NOT_LATER
-from ship_bags.nmea.sentences import NotOfInterest, Unusable
+from ship_bags.nmea.sentences import NotOfInterest, Unusable, number
 from ship_bags.nmea.talkers import TalkerComparison
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_nmea.instruments.config import ARRIVAL_TIME, NmeaSourceConfig
+from ship_nmea.instruments.sender import SenderRule
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 
 NO_TIME = "no time: no /clock yet"
@@ -38,12 +39,14 @@ class LiveReport(LineReport):
 
     Attributes:
         talkers: talker that is not of the source → count of its sentences.
+        senders: sender that is not used → count of its texts.
         last: reason → the line that was rejected last for it, cut short.
         rejected_ns: reason → when, by a steady clock.
         now_ns: steady time of the line at work.
     """
 
     talkers: Counter[str] = field(default_factory=Counter)
+    senders: Counter[str] = field(default_factory=Counter)
     last: dict[str, str] = field(default_factory=dict)
     rejected_ns: dict[str, int] = field(default_factory=dict)
     now_ns: int = 0
@@ -57,6 +60,11 @@ class LiveReport(LineReport):
     def set_aside(self, name: str) -> None:
         """Count a sentence of which nothing becomes."""
         _count(self.unused, name[:_LONGEST_NAME])
+
+    def reject_sender(self, reason: str, sender: str, text: str) -> None:
+        """Count a text of a sender that is not used."""
+        self.reject(reason, self.lines, f"{sender} {text}")
+        _count(self.senders, sender)
 
     def set_aside_talker(self, talker: str) -> None:
         """Count a sentence of a talker that is not of the source."""
@@ -82,10 +90,12 @@ class Source:
         self._role, self._factory = role, factory
         self._report = LiveReport(id_)
         self._instrument = Instrument(factory, role, id_, self._report)
+        self._sender = SenderRule(config.from_)
         self._lock = threading.Lock()
         self._arrival_ns = self._stamp_ns = 0
         self._heard_ns = self._given_ns = self._told_ns = now_ns
         self._given: Counter[str] = Counter()
+        self._heave_m: float | None = None
         self._given_before = 0
         # Long enough ago for neither to be shown.
         self._dropped, self._dropped_ns = 0, now_ns - 2 * SHOWN_NS
@@ -94,21 +104,28 @@ class Source:
         # Of an INS the attitude matters, of a weather station whatever it tells.
         self._wanted = tuple(self.topics) if role.becomes == WEATHER else tuple(self.topics)[:1]
 
-    def take(self, heard: HeardText, arrival_ns: int, now_ns: int) -> list[tuple[str, Any]]:
+    def take(self, heard: HeardText, arrival_ns: int, now_ns: int, sender: str = "") -> list[tuple[str, Any]]:
         """The messages of the next text, each with its topic; they count as given.
 
         Args:
             heard: the text and what it says.
             arrival_ns: the node's time at which it came; 0 where the node has no time yet.
             now_ns: steady time.
+            sender: address and port of a datagram; empty where the text came in a stream.
         """
         with self._lock:
-            return self._taken(heard, arrival_ns, now_ns)
+            self._report.lines += 1
+            self._report.now_ns = self._heard_ns = now_ns
+            if refusal := self._sender.refusal(sender, now_ns):
+                self._report.reject_sender(refusal, sender, heard.text)
+                return []
+            messages = self._taken(heard, arrival_ns, now_ns)
+            if any(topic in self._wanted for topic, _ in messages):
+                self._sender.hold(sender, now_ns)
+            return messages
 
     def _taken(self, heard: HeardText, arrival_ns: int, now_ns: int) -> list[tuple[str, Any]]:
         report = self._report
-        report.lines += 1
-        report.now_ns = self._heard_ns = now_ns
         if arrival_ns < self._arrival_ns - _BACK_NS:
             self._instrument = Instrument(self._factory, self._role, self.id, report)
         self._arrival_ns = arrival_ns
@@ -140,6 +157,8 @@ class Source:
             report.reject(NO_TIME, report.lines, heard.text)
         else:
             report.used[says.kind] += 1
+            heave_m = number(getattr(says.content, "heave", None))
+            self._heave_m = self._heave_m if heave_m is None else heave_m
             line = InstrumentLine(report.lines, arrival_ns, says.kind, says.content, heard.talker)
             self._talkers.add(line)
             return line
@@ -164,6 +183,8 @@ class Source:
         span_s = max(now_ns - self._told_ns, 1) / NS_PER_S
         values = {
             "place": self.config.place,
+            "sender": self._sender.held,
+            **({} if self._heave_m is None else {"heave_m": f"{self._heave_m:g}"}),
             "lines": str(self._report.lines),
             "messages_hz": f"{(given - self._given_before) / span_s:.1f}",
             **{topic: str(self._given[topic]) for topic in self.topics},
@@ -173,6 +194,7 @@ class Source:
             **_figures("put right", self._report.mended),
             **_figures("not of interest", self._report.unused),
             **_figures("other talker", self._report.talkers),
+            **_figures("other sender", self._report.senders),
             "dropped": str(dropped),
         }
         self._given_before, self._told_ns = given, now_ns

@@ -52,7 +52,7 @@ class BridgeAlerts:
         self._shell = shell
         self._config: NmeaOutConfig = shell.config
         self._sinks: Mapping[str, Sink] = {}
-        self._heard: deque[tuple[str, str]] = deque(maxlen=_MOST_HEARD)
+        self._heard: deque[tuple[str, str, str]] = deque(maxlen=_MOST_HEARD)
         self._asked: deque[_Asked] = deque()
         self._counts: Counter[str] = Counter()
         self._ledger = AlertLedger()
@@ -72,11 +72,11 @@ class BridgeAlerts:
         """Whether any sink wants alerts."""
         return any(self._with(name) for name in ALERT_SENTENCES)
 
-    def hear(self, name: str, text: str) -> None:
+    def hear(self, name: str, text: str, address: str) -> None:
         """Keep a line that came in at the sink of that name, in whose thread this is called, until it is answered."""
         if len(self._heard) == _MOST_HEARD:
             self._counts["dropped"] += 1
-        self._heard.append((name, text))
+        self._heard.append((name, text, address))
 
     def status(self) -> DiagnosticStatus:
         """What was told, and what was not."""
@@ -114,8 +114,8 @@ class BridgeAlerts:
 
     def _answer_commands(self) -> None:
         for _ in range(len(self._heard)):
-            name, text = self._heard.popleft()
-            self._take_line(self._sinks[name], text)
+            name, text, address = self._heard.popleft()
+            self._take_line(self._sinks[name], text, address)
         now_ns = time.monotonic_ns()
         for _ in range(len(self._asked)):
             asked = self._asked.popleft()
@@ -127,7 +127,7 @@ class BridgeAlerts:
             else:
                 self._asked.append(asked)
 
-    def _take_line(self, sink: Sink, text: str) -> None:
+    def _take_line(self, sink: Sink, text: str, address: str) -> None:
         try:
             command = alert_command(text, self._config.manufacturer)
         except ValueError as problem:
@@ -138,6 +138,14 @@ class BridgeAlerts:
             return
         if command is None:
             self._counts["for others"] += 1
+        elif not sink.config.takes_commands_of(address):
+            # No answer: the bridge, which would get it as well, gave no such command.
+            self._counts["not allowed"] += 1
+            self._shell.node.get_logger().warning(
+                f"{sink.name}: command {command.command} about alert {command.identifier} of {address} is not done: "
+                f"allow it by sinks.{sink.name}.from, if it is the bridge's",
+                throttle_duration_sec=1.0,
+            )
         else:
             self._do(sink, command)
 

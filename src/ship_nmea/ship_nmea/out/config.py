@@ -1,13 +1,12 @@
 """Parameters of ``nmea_out``."""
 
-import ipaddress
 import re
 from dataclasses import dataclass
 
 from ship_estimation.parameter_fields import mapping_of, parameter
 from ship_estimation.parameters import ParameterError
 from ship_nmea.sentences.attitude import ATTITUDE_SENTENCES
-from ship_node.parameters.places import HeldPlace, PlaceKind, held_path, held_port, refuse_clashes
+from ship_node.parameters.places import HeldPlace, PlaceKind, held_path, held_port, is_ipv4, refuse_clashes
 
 UDP, TCP_SERVER, SERIAL, FILE = "udp", "tcp_server", "serial", "file"
 ALF, ALC, HBT = "ALF", "ALC", "HBT"
@@ -15,8 +14,8 @@ ALERT_SENTENCES = ALF, ALC, HBT
 
 _NEEDED = {UDP: ("address", "port"), TCP_SERVER: ("port",), SERIAL: ("device",), FILE: ("path",)}
 _ALLOWED = {
-    UDP: ("address", "port", "listen_port", "interface"),
-    TCP_SERVER: ("address", "port"),
+    UDP: ("address", "port", "listen_port", "interface", "from"),
+    TCP_SERVER: ("address", "port", "from"),
     SERIAL: ("device", "baud"),
     FILE: ("path",),
 }
@@ -46,6 +45,10 @@ class SinkConfig:
     listen_port: int = parameter(
         0, doc="udp: own port, to which the bridge sends its commands (ACN); 0 for none", minimum=0, maximum=65535
     )
+    from_: tuple[str, ...] = parameter(
+        (), doc="udp and tcp_server: IPv4 addresses whose commands (ACN) are done; empty: of udp that of address, of "
+        "tcp_server none",
+    )  # fmt: skip
     interface: str = parameter("", doc="udp to a group: own IPv4 address of the network to use; empty for the default")
     device: str = parameter("", doc="serial: device, better by its name in /dev/serial/by-id")
     baud: int = parameter(
@@ -60,11 +63,15 @@ class SinkConfig:
             if not getattr(self, name):
                 return name, f"must be given for kind {self.kind}"
         allowed = _ALLOWED[self.kind]
-        for name in ("address", "port", "listen_port", "interface", "device", "path"):
-            if getattr(self, name) and name not in allowed:
+        for field in ("address", "port", "listen_port", "interface", "from_", "device", "path"):
+            name = field.removesuffix("_")
+            if getattr(self, field) and name not in allowed:
                 return name, f"means nothing to kind {self.kind}, which takes {', '.join(allowed)}"
+        for address in self.from_:
+            if not is_ipv4(address):
+                return "from", f"names '{address}': expected IPv4 addresses, as 10.0.0.7"
         for name in ("address", "interface"):
-            if getattr(self, name) and not _is_ipv4(getattr(self, name)):
+            if getattr(self, name) and not is_ipv4(getattr(self, name)):
                 return name, f"is '{getattr(self, name)}': expected an IPv4 address as 192.168.1.255"
         if not self.sentences:
             return "sentences", "is empty: expected at least one sentence"
@@ -72,6 +79,12 @@ class SinkConfig:
             if self.sentences.count(name) > 1:
                 return "sentences", f"names {name} twice: expected each sentence once"
         return None
+
+    def takes_commands_of(self, address: str) -> bool:
+        """True if the commands of an address are done; the far end of a serial line has none, and may command."""
+        if not address or address in self.from_:
+            return True
+        return not self.from_ and self.kind == UDP and address == self.address
 
     def held(self, name: str) -> HeldPlace | None:
         """What it holds of this machine, if anything: several may send to one UDP address.
@@ -141,9 +154,3 @@ def _check_letters(name: str, value: str, count: int) -> None:
         reason = f"parameter '{name}' = '{value:.20}': expected {count} capital letters"
         raise ParameterError(reason, name, value=value)
 
-
-def _is_ipv4(text: str) -> bool:
-    try:
-        return ipaddress.ip_address(text).version == 4
-    except ValueError:
-        return False

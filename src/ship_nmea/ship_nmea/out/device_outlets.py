@@ -62,7 +62,7 @@ class SerialOutlet(Outlet):
         if not data:
             raise OSError(errno.EIO, "the device is gone")
         for line in command_texts(self._splitter.take(data)):
-            self._hear(line)
+            self._hear(line, "")
 
 
 class FileOutlet(Outlet):

@@ -8,9 +8,10 @@ from ship_nmea.line_splitter import LineSplitter
 from ship_nmea.out.config import SinkConfig
 from ship_nmea.out.outlet import RECEIVE_BYTES, Heard, Outlet, command_texts
 
-MOST_CLIENTS = 32
+MOST_CLIENTS, MOST_OF_A_HOST = 32, 8
+"""Places for clients, and how many of them one host may have: it must not shut out the others."""
 STALLED_S = 10.0
-"""A client that takes nothing for so long is sent away, s."""
+"""A client whose system takes nothing of what waits for it for so long is sent away, s."""
 
 _MOST_READ = 20
 """So many reads in one go: a flood of one client must not hold up the sentences."""
@@ -56,21 +57,20 @@ class UdpOutlet(Outlet):
         assert self._socket is not None
         for _ in range(_MOST_READ):
             try:
-                data = self._socket.recv(RECEIVE_BYTES)
+                data, (address, _) = self._socket.recvfrom(RECEIVE_BYTES)
             except (BlockingIOError, ConnectionRefusedError):
                 return
             for line in command_texts(LineSplitter().take(data + b"\n")):
-                self._hear(line)
+                self._hear(line, address)
 
 
 class _Client:
-    """One who listens: what it has not taken yet of a sentence, and since when."""
+    """One who listens, and what it has not taken yet of a sentence."""
 
-    def __init__(self, connection: socket.socket) -> None:
-        self.connection = connection
+    def __init__(self, connection: socket.socket, address: str) -> None:
+        self.connection, self.address = connection, address
         self.splitter = LineSplitter()
         self.unsent = b""
-        self.took_s = time.monotonic()
 
 
 class TcpOutlet(Outlet):
@@ -81,6 +81,7 @@ class TcpOutlet(Outlet):
         self._server: socket.socket | None = None
         self._clients: list[_Client] = []
         self._skipped = self._sent_away = 0
+        self._crowded = ""
 
     def open(self, selector: selectors.BaseSelector) -> None:
         """See :meth:`Outlet.open`."""
@@ -100,9 +101,6 @@ class TcpOutlet(Outlet):
                 self._give(client)
             if client.unsent:
                 self._skipped += 1
-                if time.monotonic() - client.took_s > STALLED_S:
-                    self._send_away()
-                    self._drop(client)
             else:
                 client.unsent = sentence
                 self._give(client)
@@ -120,22 +118,27 @@ class TcpOutlet(Outlet):
         text = f"{len(self._clients)} clients"
         if self._skipped:
             text += f", {self._skipped} sentences skipped for clients that did not read"
-        return text + (f", {self._sent_away} clients sent away" if self._sent_away else "")
+        return text + (f", {self._sent_away} clients sent away{self._crowded}" if self._sent_away else "")
 
     def _accept(self) -> None:
         assert self._server is not None
         try:
-            connection, _ = self._server.accept()
+            connection, (address, _) = self._server.accept()
         except OSError:
             return  # gone again, or too many files are open: the listener itself is well
-        if len(self._clients) >= MOST_CLIENTS:
+        of_host = sum(client.address == address for client in self._clients)
+        if len(self._clients) >= MOST_CLIENTS or of_host >= MOST_OF_A_HOST:
             connection.close()
             self._send_away()
+            if of_host >= MOST_OF_A_HOST:
+                self._crowded = f", {address} has {MOST_OF_A_HOST} places and gets no more"
             return
         connection.setblocking(False)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
-        client = _Client(connection)
+        # At a low rate the buffer of this side takes minutes to fill; only the system knows when nothing arrives.
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(1000 * STALLED_S))
+        client = _Client(connection, address)
         self._clients.append(client)
         self._selector.register(connection, selectors.EVENT_READ, lambda: self._read(client))
 
@@ -148,27 +151,29 @@ class TcpOutlet(Outlet):
             count = client.connection.send(client.unsent)
         except BlockingIOError:
             return
-        except OSError:
-            self._drop(client)
+        except OSError as problem:
+            self._drop(client, problem)
             return
         client.unsent = client.unsent[count:]
-        client.took_s = time.monotonic()
 
     def _read(self, client: _Client) -> None:
         try:
             data = client.connection.recv(RECEIVE_BYTES)
         except BlockingIOError:
             return
-        except OSError:
-            data = b""
+        except OSError as problem:
+            self._drop(client, problem)
+            return
         if not data:
             self._drop(client)
             return
         for line in command_texts(client.splitter.take(data)):
-            self._hear(line)
+            self._hear(line, client.address)
 
-    def _drop(self, client: _Client) -> None:
+    def _drop(self, client: _Client, problem: OSError | None = None) -> None:
         if client in self._clients:
+            if isinstance(problem, TimeoutError):
+                self._send_away()
             self._clients.remove(client)
             self._selector.unregister(client.connection)
             client.connection.close()

@@ -15,7 +15,8 @@ from ship_nmea.out.config import FILE, SERIAL, TCP_SERVER, UDP, SinkConfig
 RECEIVE_BYTES = 4096
 """Read at once, at most."""
 
-Heard = Callable[[str], None]
+Heard = Callable[[str, str], None]
+"""Takes a line that came in, and the address that it came from, empty for that of a serial line."""
 
 
 class Outlet(ABC):
@@ -27,7 +28,7 @@ class Outlet(ABC):
 
     Args:
         config: of its sink.
-        hear: takes each line that comes in.
+        hear: takes each line that comes in, with its sender's address.
     """
 
     def __init__(self, config: SinkConfig, hear: Heard) -> None:

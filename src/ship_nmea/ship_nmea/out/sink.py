@@ -6,7 +6,6 @@ import selectors
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable
 from typing import NamedTuple
 
 from ship_bags.errors import BadInput
@@ -16,7 +15,7 @@ from ship_nmea.opening import refusal, words
 from ship_nmea.out.config import FILE, SERIAL, TCP_SERVER, UDP, SinkConfig
 from ship_nmea.out.device_outlets import FileOutlet, SerialOutlet
 from ship_nmea.out.network_outlets import TcpOutlet, UdpOutlet
-from ship_nmea.out.outlet import Outlet
+from ship_nmea.out.outlet import Heard, Outlet
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 
 MOST_WAITING = 200
@@ -53,13 +52,13 @@ class Sink:
     Args:
         name: of the sink.
         config: of the sink.
-        hear: takes each line that comes in, in the thread of the sink.
+        hear: takes each line that comes in, with its sender's address, in the thread of the sink.
 
     Attributes:
         refusal: of the first opening, where trying again will not help unless somebody does something; otherwise None.
     """
 
-    def __init__(self, name: str, config: SinkConfig, hear: Callable[[str], None]) -> None:
+    def __init__(self, name: str, config: SinkConfig, hear: Heard) -> None:
         self.name, self.config = name, config
         self.refusal: BadInput | None = None
         self._outlet: Outlet = _OUTLETS[config.kind](config, hear)

@@ -8,7 +8,7 @@ from ship_bags.cdr_template import CdrRows
 from ship_estimation.ins import InsInputConfig
 from ship_geometry.attitude_track import AttitudeSample, SampleBlock
 from ship_geometry.ros_axes import device_vector_from_ros, rotation_from_quaternion
-from ship_geometry.rotations import FloatArray
+from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.edge.blocks import ReadBlock, StampArray
 from ship_node.edge.columns_in import imu_quaternions, ship_rates, stamps
 from ship_node.edge.messages_in import (
@@ -21,6 +21,28 @@ from ship_node.edge.messages_in import (
     ship_rate,
     stamp_ns,
 )
+
+CONTRADICTED_FACTOR = 1.5
+"""Ratio of a sigma that an INS states to the configured one from which on it is reported."""
+
+
+def contradicted_sigmas(covariance: FloatArray, config: InsInputConfig) -> str:
+    """Return the sigmas that an INS states of itself and that are larger than the configured ones; empty if none is.
+
+    Args:
+        covariance: of the orientation in its messages, rad², shape (3, 3); the third axis is vertical.
+        config: of the INS.
+    """
+    stated_arcsec = np.sqrt(covariance.diagonal()) / ARCSEC
+    pairs = (
+        ("tilt", float(max(stated_arcsec[:2])), config.tilt_sigma_arcsec),
+        ("heading", float(stated_arcsec[2]), config.heading_sigma_arcsec),
+    )
+    return "; ".join(
+        f"ins/imu states a sigma of {stated:.0f} arcsec in {name}, ins.{name}_sigma_arcsec is {configured:g}"
+        for name, stated, configured in pairs
+        if stated > CONTRADICTED_FACTOR * np.hypot(configured, config.white_sigma_arcsec)
+    )
 
 
 def ins_sample(message: Any, config: InsInputConfig, receive_ns: int) -> ReadMessage[AttitudeSample]:

@@ -62,6 +62,14 @@ class HeldPlace:
         return not (self.address and other.address)
 
 
+def is_ipv4(text: str) -> bool:
+    """True for an IPv4 address as numbers."""
+    try:
+        return ipaddress.ip_address(text).version == 4
+    except ValueError:
+        return False
+
+
 def held_port(parameter: str, kind: PlaceKind, port: int, address: str = "") -> HeldPlace:
     """A port of an own address or of a group, as it is written; without one, or with 0.0.0.0, of all addresses."""
     return HeldPlace(parameter, kind, port, "" if address == ANY_ADDRESS else address)
