@@ -14,6 +14,7 @@ import yaml
 
 from ship_bags.errors import BadInput
 from ship_bags.regular_files import check_regular
+from ship_bags.renamed_topics import TOPICS_PARAMETER
 from ship_bags.yaml_text import composed
 from ship_geometry.input_error import InputError
 
@@ -31,6 +32,7 @@ SHELL_PARAMETERS = (
     "start_type_description_service",
     BLACK_BOX_PARAMETER,
     RELIABLE_INPUTS_PARAMETER,
+    TOPICS_PARAMETER,
 )
 """First part of the names of parameters that belong to rclpy or the node's shell and not to a configuration."""
 

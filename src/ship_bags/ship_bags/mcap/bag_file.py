@@ -56,6 +56,7 @@ class McapFile:
         path: the file.
         data: its records.
         chunks: places of the messages, in file order.
+        recorded_names: topic → its name in the file, of renamed topics.
         side_records: attachments and metadata as they lie in the file, in file order.
         problems: one line for each thing wrong with the file that is known so far.
     """
@@ -65,6 +66,7 @@ class McapFile:
     chunks: list[ChunkPlace] = field(default_factory=list)
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
+    recorded_names: dict[str, str] = field(default_factory=dict)
     attachments: dict[str, bytes] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     side_records: list[Attachment | Metadata] = field(default_factory=list)

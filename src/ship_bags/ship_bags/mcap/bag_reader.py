@@ -7,7 +7,7 @@ their messages are merged. Damaged records are skipped and listed in ``Bag.probl
 import re
 from bisect import bisect_left
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple
@@ -19,10 +19,13 @@ from rosbags.typesys.store import Typestore
 from ship_bags.command_line import with_bar
 from ship_bags.errors import BadInput, one_line
 from ship_bags.mcap.bag_file import McapFile, open_mcap
+from ship_bags.mcap.bag_writer import BOX_METADATA, SUITE_ATTACHMENT
 from ship_bags.mcap.folder import INFORMATION_FILE, file_names
 from ship_bags.mcap.records import ChunkPlace
 from ship_bags.message_store import message_store, store_with_definitions
+from ship_bags.renamed_topics import current_names
 from ship_bags.stamps import utc_text
+from ship_bags.topic_names import relative_topic
 
 # A name since rosbag2's metadata version 9, a number before.
 _LATCHED = re.compile(r"durability: (transient_local|1)\b")
@@ -87,6 +90,8 @@ class Bag:
 
     Attributes:
         topics: topic → type name, of the topics that can be read.
+        recorded_names: topic → its name in the bag, of the topics that are read under another one
+            (:mod:`ship_bags.renamed_topics`).
         skipped_topics: topic → why it cannot be read.
         differences: type name → one line per field that the bag defines otherwise than this version of the suite.
         attachments: name → content.
@@ -99,6 +104,7 @@ class Bag:
         self.path = path
         self.topics: dict[str, str] = {}
         self.skipped_topics: dict[str, str] = {}
+        self.recorded_names = {new: old for file in files for new, old in file.recorded_names.items()}
         self.attachments = {name: data for file in files for name, data in file.attachments.items()}
         self.metadata = {name: entries for file in files for name, entries in file.metadata.items()}
         self.message_count = 0
@@ -298,21 +304,51 @@ def read_bag(path: Path | str) -> Bag:
 
 
 def open_files(path: Path) -> list[McapFile]:
-    """Open the MCAP files that make up a bag, in order, whatever they hold.
+    """Open the MCAP files that make up a bag, in order, whatever they hold; topics have the names wanted.
 
     Raises:
-        BadInput: one is missing, unreadable, empty, not MCAP or of an unknown compression, or a folder is without
-            metadata.yaml.
+        BadInput: one is missing, unreadable, empty, not MCAP or of an unknown compression, a folder is without
+            metadata.yaml, or the names wanted cannot be given.
     """
     files: list[McapFile] = []
     try:
         for part in _parts(path):
             files.append(open_mcap(part))  # noqa: PERF401 - those opened so far are closed on failure
+        _rename_topics(path, files)
     except BadInput:
         for file in files:
             file.data.stream.close()
         raise
     return files
+
+
+def _rename_topics(path: Path, files: list[McapFile]) -> None:
+    """Give topics the names under which the command wants them; one that had such a name is not read."""
+    names = current_names()
+    if any(BOX_METADATA in file.metadata for file in files):
+        names = replace(names, is_by_suite=False)  # the node has given the suite's names already
+    topics = {channel.topic for file in files for channel in file.channels.values()}
+    attached = [file.attachments[SUITE_ATTACHMENT] for file in files if SUITE_ATTACHMENT in file.attachments]
+    renamed = names.new_names(topics, attached[-1].decode("utf-8", errors="replace") if attached else "")
+    unmatched = names.unmatched(topics)
+    if unmatched and not names.is_by_suite:
+        raise BadInput(f"has no topic '{unmatched[0]}' to rename; it has {', '.join(sorted(topics))}", file=path)
+    first: dict[str | None, str] = {}
+    for old, new in sorted(renamed.items()):
+        other = first.setdefault(relative_topic(new), old)
+        if other != old:
+            raise BadInput(f"topics '{other}' and '{old}' cannot both be read as '{new}'", file=path)
+    covered = {topic for topic in topics - renamed.keys() if relative_topic(topic) in first}
+    for file in files:
+        for number, channel in list(file.channels.items()):
+            if channel.topic in covered:
+                del file.channels[number]
+            elif channel.topic in renamed:
+                file.channels[number] = replace(channel, topic=renamed[channel.topic])
+        file.recorded_names = {new: old for old, new in renamed.items()}
+    lines = [f"has no topic '{name}' to rename" for name in unmatched]
+    lines += [f"topic '{topic}' is not read: {first[relative_topic(topic)]} has its name" for topic in sorted(covered)]
+    files[0].problems += [f"{path.name}: {line}" for line in lines]
 
 
 def watched(records: Iterator[BagRecord], bag: Bag) -> Iterator[BagRecord]:

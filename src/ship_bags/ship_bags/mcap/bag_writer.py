@@ -28,6 +28,9 @@ SUITE_ATTACHMENT = "suite.yaml"
 SCENARIO_ATTACHMENT = "scenario.yaml"
 """Name of the attachment that holds the scenario of a simulated bag."""
 
+BOX_METADATA = "black_box"
+"""Name of the metadata record of a node's black box, in which topics have the suite's names."""
+
 _FOREVER = "{sec: 9223372036, nsec: 854775807}"
 _QOS_TEMPLATE = """\
 - history: {history}

@@ -11,6 +11,7 @@ from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
 from ship_bags.live.heartbeat import heartbeat
 from ship_bags.live.ros_process import on_end_signals
+from ship_bags.renamed_topics import add_remap
 from ship_monitor.after.recorded_pictures import RecordedPictures
 from ship_monitor.after.recorded_suite import RecordedSuite
 from ship_monitor.live.live_watch import LiveWatch
@@ -60,6 +61,7 @@ def _parser() -> CommandParser:
     parser.add_argument(
         "--bag", type=Path, metavar="BAG", help="look at a bag or black box after the fact, with a time slider"
     )
+    add_remap(parser, is_by_suite=True)
     parser.add_argument("--address", default="127.0.0.1", help="address to listen on; 0.0.0.0 is all (127.0.0.1)")
     parser.add_argument("--port", type=_port, default=5006, metavar="N", help="TCP port; 0 takes a free one (5006)")
     parser.add_argument(

@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from ship_bags.errors import BadInput
+from ship_bags.mcap.bag_writer import BOX_METADATA
 from ship_node.edge.overload import Overload
 
 FORMAT = "2"
@@ -18,7 +19,7 @@ FORMAT = "2"
 
 EVENTS_TOPIC = "black_box/events"
 EVENTS_TYPE = "std_msgs/msg/String"
-METADATA = "black_box"
+METADATA = BOX_METADATA
 """Metadata record with the entries ``format``, ``node`` and ``namespace``."""
 
 VERSIONS_ATTACHMENT = "versions.json"

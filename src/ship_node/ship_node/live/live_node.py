@@ -143,14 +143,15 @@ class LiveNode:
 
     def _create_subscription(self, input_topic: InputTopic, qos: QoSProfile) -> Subscription:
         topic = input_topic.topic
+        name = self._parameters.topics.get(topic, topic)
         events = SubscriptionEventCallbacks(
             incompatible_qos=partial(self._guard.call, "QoS event", self._on_incompatible_qos, topic),
             message_lost=partial(self._guard.call, "QoS event", self._on_lost, topic),
         )
-        with overrides_checked(self.node, topic):
+        with overrides_checked(self.node, name):
             subscription = self.node.create_subscription(
                 message_class(input_topic.type_name),
-                topic,
+                name,
                 partial(self._guard.call, topic, self._on_message, topic),
                 qos,
                 event_callbacks=events,

@@ -13,6 +13,7 @@ from rclpy.parameter import Parameter
 
 from ship_bags.errors import BadInput
 from ship_bags.parameter_yaml import BLACK_BOX_PARAMETER, RELIABLE_INPUTS_PARAMETER, is_shell_parameter
+from ship_bags.renamed_topics import TOPICS_PARAMETER, topic_map
 from ship_estimation.parameters import (
     ParameterDescription,
     ParameterError,
@@ -62,6 +63,7 @@ class NodeParameters:
         config: the configuration as it is now.
         black_box: path of the node's black box, empty for none.
         has_reliable_inputs: whether what is lost on the way to its inputs is sent again.
+        topics: the suite's name of an input → the ship's, of those that the ship names otherwise.
 
     Args:
         node: has no parameters of its own yet.
@@ -79,6 +81,10 @@ class NodeParameters:
         self._last_refusal = ""
         self.black_box = str(_declared(node, BLACK_BOX_PARAMETER, "", _BLACK_BOX_DOC)) if has_black_box else ""
         self.has_reliable_inputs = bool(_declared(node, RELIABLE_INPUTS_PARAMETER, False, _RELIABLE_INPUTS_DOC))
+        overrides = node._parameter_overrides
+        self.topics = topic_map({name: parameter.value for name, parameter in overrides.items()})
+        for name in self.topics:
+            _declared(node, f"{TOPICS_PARAMETER}.{name}", "", f"the ship's name of the topic {name}")
         self._descriptions = _descriptions(flatten(self.config), config_type)
         for name, value in flatten(self.config).items():
             # The override is in the value already, as a float where the file had an integer.

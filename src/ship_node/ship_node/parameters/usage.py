@@ -5,6 +5,7 @@ from typing import Any
 
 from ship_bags.message_factory import MessageFactory
 from ship_bags.parameter_yaml import BLACK_BOX_PARAMETER, RELIABLE_INPUTS_PARAMETER
+from ship_bags.renamed_topics import TOPICS_PARAMETER
 from ship_estimation.parameter_rows import in_columns, in_lines, parameter_row
 from ship_estimation.parameters import ParameterDescription, build, describe, nest
 from ship_node.edge.adapter import Adapter
@@ -24,6 +25,13 @@ _SHELL_ROWS = (
         "False",
         "",
         "inputs are reliable: what is lost on the way is sent again, and what is newer waits for it",
+    ),
+    (
+        f"{TOPICS_PARAMETER}.<input>",
+        "-",
+        "",
+        "",
+        "the ship's name of an input, where it is another: topics: {ins/imu: /imu/data}",
     ),
 )
 _PLACEHOLDERS: dict[type, Any] = {float: 0.0, int: 0, bool: False, str: ""}
