@@ -6,7 +6,7 @@ their messages are merged. Damaged records are skipped and listed in ``Bag.probl
 
 import re
 from bisect import bisect_left
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
@@ -18,11 +18,12 @@ from rosbags.typesys.store import Typestore
 
 from ship_bags.command_line import with_bar
 from ship_bags.errors import BadInput, one_line
-from ship_bags.mcap.bag_file import McapFile, open_mcap
+from ship_bags.mcap.bag_file import open_mcap
 from ship_bags.mcap.bag_writer import BOX_METADATA, SUITE_ATTACHMENT
-from ship_bags.mcap.folder import INFORMATION_FILE, file_names
+from ship_bags.mcap.file_content import BagFile
+from ship_bags.mcap.folder import INFORMATION_FILE, file_names, needs_rosbags
 from ship_bags.mcap.records import ChunkPlace
-from ship_bags.message_store import message_store, store_with_definitions
+from ship_bags.message_store import BagTypes, message_store, store_with_definitions
 from ship_bags.renamed_topics import current_names
 from ship_bags.stamps import utc_text
 from ship_bags.topic_names import relative_topic
@@ -40,6 +41,10 @@ _PLACE_BITS = 32
 _RECORD_BYTES = 250
 """Memory that a message takes besides its own bytes."""
 
+
+_XCDR2_HEADS = b"\x00\x06", b"\x00\x07"
+"""Encapsulations of plain XCDR2, big and little endian. It is read as XCDR1, which is right where the padding is the
+same; where XCDR2 pads less, the message is too short to be decoded."""
 
 _PADDING_BYTES = 4
 """What stands before an 8-byte element at the most."""
@@ -100,7 +105,7 @@ class Bag:
         last_time_ns: log time of the last one; None before the first.
     """
 
-    def __init__(self, path: Path, files: list[McapFile]) -> None:
+    def __init__(self, path: Path, files: list[BagFile]) -> None:
         self.path = path
         self.topics: dict[str, str] = {}
         self.skipped_topics: dict[str, str] = {}
@@ -111,7 +116,9 @@ class Bag:
         self.last_time_ns: int | None = None
         self._files = files
         self._usable_channels = [self._channels_of(file) for file in files]
-        self._store, self.differences = self._types()
+        types = self._types()
+        self._store, self.differences = types.store, types.differences
+        self._skip_unreadable(types.unreadable)
 
     @property
     def store(self) -> Typestore:
@@ -207,7 +214,7 @@ class Bag:
     def close(self) -> None:
         """Close the files."""
         for file in self._files:
-            file.data.stream.close()
+            file.close()
 
     def __enter__(self) -> "Bag":
         return self
@@ -241,18 +248,20 @@ class Bag:
                 yield message.log_time, order, self._record(message, channels)
 
     def _record(self, message: Message, channels: dict[int, str]) -> BagRecord:
-        topic = channels[message.channel_id]
+        topic, data = channels[message.channel_id], message.data
+        if data[:2] in _XCDR2_HEADS:
+            data = b"\0" + bytes([data[1] & 1]) + data[2:]
         return BagRecord(
             topic,
             self.topics[topic],
             message.log_time,
-            message.data,
+            data,
             self._store,
             message.sequence,
             message.publish_time,
         )
 
-    def _channels_of(self, file: McapFile) -> dict[int, str]:
+    def _channels_of(self, file: BagFile) -> dict[int, str]:
         """Channel → topic for those that can be read; notes topics, types and what is skipped."""
         usable: dict[int, str] = {}
         for channel in file.channels.values():
@@ -273,17 +282,28 @@ class Bag:
                 usable[channel.id] = channel.topic
         return usable
 
-    def _types(self) -> tuple[Typestore, dict[str, list[str]]]:
+    def _skip_unreadable(self, unreadable: Mapping[str, str]) -> None:
+        """Skip the topics of types whose definitions cannot be used."""
+        for topic, type_name in list(self.topics.items()):
+            if type_name in unreadable:
+                del self.topics[topic]
+                self.skipped_topics[topic] = unreadable[type_name]
+        self._usable_channels = [
+            {number: topic for number, topic in usable.items() if topic in self.topics}
+            for usable in self._usable_channels
+        ]
+
+    def _types(self) -> BagTypes:
         definitions: dict[str, str] = {}
         for file, usable in zip(self._files, self._usable_channels, strict=True):
             for number in usable:
                 schema = file.schemas[file.channels[number].schema_id]
                 definitions.setdefault(schema.name, schema.data.decode("utf-8", errors="replace"))
-        return store_with_definitions(definitions, str(self.path))
+        return store_with_definitions(definitions)
 
 
 def read_bag(path: Path | str) -> Bag:
-    """Open a bag: one .mcap file, or a rosbag2 folder with metadata.yaml.
+    """Open a bag: one .mcap file, or a rosbag2 folder with metadata.yaml; of sqlite3 or compressed ones, too.
 
     Raises:
         BadInput: names the file and what is wrong: missing, unreadable, empty, not MCAP, of an unknown compression, a
@@ -299,30 +319,36 @@ def read_bag(path: Path | str) -> Bag:
         return Bag(path, files)
     except BadInput:
         for file in files:
-            file.data.stream.close()
+            file.close()
         raise
 
 
-def open_files(path: Path) -> list[McapFile]:
-    """Open the MCAP files that make up a bag, in order, whatever they hold; topics have the names wanted.
+def open_files(path: Path) -> list[BagFile]:
+    """Open the files that make up a bag, in order, whatever they hold; topics have the names wanted.
 
     Raises:
-        BadInput: one is missing, unreadable, empty, not MCAP or of an unknown compression, a folder is without
-            metadata.yaml, or the names wanted cannot be given.
+        BadInput: one is missing, unreadable, empty, of no known storage or of an unknown compression, a folder is
+            without metadata.yaml, or the names wanted cannot be given.
     """
-    files: list[McapFile] = []
+    files: list[BagFile] = []
     try:
-        for part in _parts(path):
-            files.append(open_mcap(part))  # noqa: PERF401 - those opened so far are closed on failure
+        if needs_rosbags(path):
+            # Reading the library takes a while, and few bags need it.
+            from ship_bags.mcap.rosbags_file import open_with_rosbags
+
+            files.append(open_with_rosbags(path))
+        else:
+            for part in _parts(path):
+                files.append(open_mcap(part))  # noqa: PERF401 - those opened so far are closed on failure
         _rename_topics(path, files)
     except BadInput:
         for file in files:
-            file.data.stream.close()
+            file.close()
         raise
     return files
 
 
-def _rename_topics(path: Path, files: list[McapFile]) -> None:
+def _rename_topics(path: Path, files: list[BagFile]) -> None:
     """Give topics the names under which the command wants them; one that had such a name is not read."""
     names = current_names()
     if any(BOX_METADATA in file.metadata for file in files):

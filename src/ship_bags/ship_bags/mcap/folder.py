@@ -19,6 +19,9 @@ from ship_bags.output_files import write_whole
 from ship_bags.yaml_text import plain_data
 
 INFORMATION_FILE = "metadata.yaml"
+_STORAGES = "mcap", "sqlite3"
+_SQLITE_SUFFIX = ".db3"
+_COMPRESSION_MODES = "none", "file", "message"
 _INFORMATION_KEY = "rosbag2_bagfile_information"
 _VERSION = 9
 _ROS_DISTRO = "jazzy"
@@ -165,42 +168,58 @@ class FolderWriter:
         self._outdated = False
 
 
+def needs_rosbags(path: Path) -> bool:
+    """True if a bag is no plain MCAP, but of a kind that the library `rosbags` reads: sqlite3, or compressed files.
+
+    Raises:
+        BadInput: it is a folder whose information file is wrong, or of a kind that nothing here reads.
+    """
+    if path.is_file():
+        return path.suffix == _SQLITE_SUFFIX
+    if not (path / INFORMATION_FILE).is_file():
+        return False
+    information = _read_information(path / INFORMATION_FILE)
+    _names(information, path / INFORMATION_FILE)
+    return information.get("storage_identifier") != "mcap" or _compression_mode(information) != "none"
+
+
 def file_names(information_path: Path) -> list[str]:
     """The files that an information file names, all of them in its own folder.
 
     Raises:
-        BadInput: it cannot be read, is no information file of MCAP files without compression, or names another folder.
+        BadInput: it cannot be read, is no information file of a known storage, or names another folder.
     """
+    return _names(_read_information(information_path), information_path)
+
+
+def _read_information(path: Path) -> dict[str, Any]:
+    """The entries of an information file of a storage that can be read."""
     try:
-        document = plain_data(str(information_path), information_path.read_text(encoding="utf-8"))
+        document = plain_data(str(path), path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as problem:
-        raise BadInput(f"cannot be read: {problem}", file=information_path) from problem
+        raise BadInput(f"cannot be read: {problem}", file=path) from problem
     information = document.get(_INFORMATION_KEY) if isinstance(document, dict) else None
     if not isinstance(information, dict):
-        raise BadInput(
-            f"not the information file of a rosbag2 bag: it has no {_INFORMATION_KEY}", file=information_path
-        )
-    storage, compression = information.get("storage_identifier"), information.get("compression_mode")
-    if storage != "mcap":
-        raise BadInput(
-            f"storage_identifier is '{storage!s:.40}': expected mcap (ros2 bag convert)",
-            file=information_path,
-        )
-    if compression is not None and str(compression).lower() not in ("", "none"):
-        raise BadInput(
-            f"compression_mode is '{compression!s:.40}': unpack the bag's files first",
-            file=information_path,
-        )
+        raise BadInput(f"not the information file of a rosbag2 bag: it has no {_INFORMATION_KEY}", file=path)
+    for key, known in (("storage_identifier", _STORAGES), ("compression_mode", _COMPRESSION_MODES)):
+        value = _compression_mode(information) if key == "compression_mode" else information.get(key)
+        if value not in known:
+            raise BadInput(f"{key} is '{value!s:.40}': expected {' or '.join(known)}", file=path)
+    return information
+
+
+def _compression_mode(information: dict[str, Any]) -> str:
+    return str(information.get("compression_mode") or "none").lower()
+
+
+def _names(information: dict[str, Any], path: Path) -> list[str]:
     names = information.get("relative_file_paths")
     if not isinstance(names, list) or not names:
-        raise BadInput("relative_file_paths names no file", file=information_path)
+        raise BadInput("relative_file_paths names no file", file=path)
     for name in names:
         # A file of another folder is no part of this bag, whatever the information file says.
         if not isinstance(name, str) or "\0" in name or Path(name).is_absolute() or ".." in Path(name).parts:
-            raise BadInput(
-                f"relative_file_paths: '{name!s:.80}' is no file of this folder",
-                file=information_path,
-            )
+            raise BadInput(f"relative_file_paths: '{name!s:.80}' is no file of this folder", file=path)
     return names
 
 
