@@ -232,7 +232,7 @@ class TestBadInput:
 
     def test_required_topic_missing(self, tmp_path):
         bag = write_imu_bag(tmp_path / "in.mcap", 5, "compass", attachments=[("suite.yaml", SUITE)])
-        self.refused(tmp_path, bag, r"in\.mcap: required topics ins/imu are missing; found compass$")
+        self.refused(tmp_path, bag, r"in\.mcap: required topics ins/imu are missing; found compass; sensor_msgs/Imu on compass: --remap compass:=ins/imu$")
 
     def test_required_topic_in_a_namespace(self, tmp_path):
         bag = write_imu_bag(tmp_path / "in.mcap", 5, "/ship/ins/imu", attachments=[("suite.yaml", SUITE)])

@@ -22,6 +22,7 @@ from ship_bags.mcap.bag_file import open_mcap
 from ship_bags.mcap.bag_writer import BOX_METADATA, SUITE_ATTACHMENT
 from ship_bags.mcap.file_content import BagFile
 from ship_bags.mcap.folder import INFORMATION_FILE, file_names, needs_rosbags
+from ship_bags.mcap.latched import repeated_times
 from ship_bags.mcap.records import ChunkPlace
 from ship_bags.message_store import BagTypes, message_store, store_with_definitions
 from ship_bags.renamed_topics import current_names
@@ -115,6 +116,8 @@ class Bag:
         self.message_count = 0
         self.last_time_ns: int | None = None
         self._files = files
+        # What a file repeats from those before it is needed only by who has that file alone.
+        self._repeated = [set[tuple[str, int]]() if n == 0 else repeated_times(f.metadata) for n, f in enumerate(files)]
         self._usable_channels = [self._channels_of(file) for file in files]
         types = self._types()
         self._store, self.differences = types.store, types.differences
@@ -203,10 +206,10 @@ class Bag:
 
     def records_in_file_order(self) -> Iterator[BagRecord]:
         """All messages as they lie in the bag, one file after the other, log times as they come."""
-        for file, channels in zip(self._files, self._usable_channels, strict=True):
+        for number, (file, channels) in enumerate(zip(self._files, self._usable_channels, strict=True)):
             for place in sorted(file.chunks, key=lambda place: place.offset):
                 for message in file.messages(place):
-                    if message.channel_id in channels:
+                    if message.channel_id in channels and not self._is_repeated(number, message):
                         self.message_count += 1
                         self.last_time_ns = message.log_time
                         yield self._record(message, channels)
@@ -244,8 +247,16 @@ class Bag:
     def _chunk_records(self, at: _BagPlace, channels: dict[int, str]) -> Iterator[tuple[int, int, BagRecord]]:
         """(log time, order in the bag, record) of the messages of some channels of one place."""
         for order, message in enumerate(self._files[at.file_number].messages(at.place), at.order << _PLACE_BITS):
-            if message.channel_id in channels:
+            if message.channel_id in channels and not self._is_repeated(at.file_number, message):
                 yield message.log_time, order, self._record(message, channels)
+
+    def _is_repeated(self, file_number: int, message: Message) -> bool:
+        """True if a message is the copy of one in an earlier file."""
+        repeated = self._repeated[file_number]
+        if not repeated:
+            return False
+        topic = self._files[file_number].channels[message.channel_id].topic
+        return (self.recorded_names.get(topic, topic), message.log_time) in repeated
 
     def _record(self, message: Message, channels: dict[int, str]) -> BagRecord:
         topic, data = channels[message.channel_id], message.data

@@ -31,6 +31,9 @@ SCENARIO_ATTACHMENT = "scenario.yaml"
 BOX_METADATA = "black_box"
 """Name of the metadata record of a node's black box, in which topics have the suite's names."""
 
+_NEW = os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
+_EXCLUSIVE, _REPLACING = _NEW | os.O_EXCL, _NEW | os.O_TRUNC
+
 _FOREVER = "{sec: 9223372036, nsec: 854775807}"
 _QOS_TEMPLATE = """\
 - history: {history}
@@ -335,4 +338,6 @@ class BagWriter:
 def _opened(path: Path, atomic: bool, exclusive: bool) -> BinaryIO:
     if atomic:
         return open_new(path)
-    return open(path, "xb" if exclusive else "wb", opener=lambda name, flags: os.open(name, flags | os.O_NOFOLLOW))
+    # Without a mode, files of Python's os.open can be executed.
+    number = os.open(path, _EXCLUSIVE if exclusive else _REPLACING, 0o666)
+    return os.fdopen(number, "wb")

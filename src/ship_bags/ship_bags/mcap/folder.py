@@ -14,6 +14,7 @@ import yaml
 
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_writer import BagWriter, own_qos_text
+from ship_bags.mcap.latched import REPEATED_METADATA, LatchedMessage, LatchedMessages
 from ship_bags.message_store import type_hash
 from ship_bags.output_files import write_whole
 from ship_bags.yaml_text import plain_data
@@ -80,7 +81,8 @@ class FolderWriter:
         self.files: list[FileInformation] = []
         self._limits = limits
         self._topics: dict[str, TopicInformation] = {}
-        self._latched: set[str] = set()
+        self._latched = LatchedMessages()
+        self._unrepeated: list[LatchedMessage] = []
         self._outdated = False
         try:
             folder.mkdir()
@@ -105,7 +107,7 @@ class FolderWriter:
         text = own_qos_text(latched) if qos_profiles is None else qos_profiles
         self._bag.add_topic(topic, type_name, latched, text)
         if latched:
-            self._latched.add(topic)
+            self._latched.add_topic(topic)
         self._topics[topic] = TopicInformation(topic, type_name, text, type_hash(type_name))
         self._outdated = True
 
@@ -115,6 +117,24 @@ class FolderWriter:
         """Add a message given by its CDR bytes, as they are."""
         if topic not in self._topics:
             self.add_topic(topic, type_name)
+        self._repeat_latched(log_time_ns)
+        self._write(topic, type_name, data, log_time_ns, publish_time_ns)
+        if topic in self._latched:
+            sent_ns = log_time_ns if publish_time_ns is None else publish_time_ns
+            self._latched.add(LatchedMessage(topic, type_name, bytes(data), sent_ns))
+
+    def _repeat_latched(self, log_time_ns: int) -> None:
+        """Write the latched messages of earlier files just before the first message of this one, and note that."""
+        if not self._unrepeated:
+            return
+        before_ns = log_time_ns - 1
+        for message in self._unrepeated:
+            self._write(message.topic, message.type_name, message.data, before_ns, message.publish_time_ns)
+        topics = {message.topic for message in self._unrepeated}
+        self._bag.add_metadata(REPEATED_METADATA, dict.fromkeys(sorted(topics), str(before_ns)))
+        self._unrepeated = []
+
+    def _write(self, topic: str, type_name: str, data: bytes, log_time_ns: int, publish_time_ns: int | None) -> None:
         self._bag.write_raw(topic, type_name, data, log_time_ns, publish_time_ns)
         self._topics[topic].message_count += 1
         self.files[-1].add(log_time_ns)
@@ -154,6 +174,7 @@ class FolderWriter:
         self._begun_s = time.monotonic()
         for topic in self._topics.values():
             self._bag.add_topic(topic.name, topic.type_name, topic.name in self._latched, topic.qos_profiles)
+        self._unrepeated = list(self._latched)
 
     def _is_full(self) -> bool:
         if self.files[-1].message_count == 0:
