@@ -23,6 +23,9 @@ PARAMETERS_KEY = "ros__parameters"
 BLACK_BOX_PARAMETER = "black_box"
 """Every node's shell has it: path of the box, empty for none."""
 
+BLACK_BOX_PART_PARAMETER = "black_box_part_mb"
+"""Every estimator's shell has it: size from which on its box goes on in a new file."""
+
 RELIABLE_INPUTS_PARAMETER = "reliable_inputs"
 """Every node's shell has it: whether what is lost on the way to its inputs is sent again."""
 
@@ -31,6 +34,7 @@ SHELL_PARAMETERS = (
     "qos_overrides",
     "start_type_description_service",
     BLACK_BOX_PARAMETER,
+    BLACK_BOX_PART_PARAMETER,
     RELIABLE_INPUTS_PARAMETER,
     TOPICS_PARAMETER,
 )

@@ -20,6 +20,9 @@ from ship_geometry.input_error import InputError
 TOPICS_PARAMETER = "topics"
 """Group of parameters, the same in each node: the suite's name of an input → the ship's name of it."""
 
+BOX_METADATA = "black_box"
+"""Name of the metadata record of a node's black box, in which topics have the suite's names."""
+
 _MOST_ADVISED = 3
 _PREFIX = f"{TOPICS_PARAMETER}."
 _NAME = r"[A-Za-z_][A-Za-z0-9_]*"

@@ -19,13 +19,14 @@ from rosbags.typesys.store import Typestore
 from ship_bags.command_line import with_bar
 from ship_bags.errors import BadInput, one_line
 from ship_bags.mcap.bag_file import open_mcap
-from ship_bags.mcap.bag_writer import BOX_METADATA, SUITE_ATTACHMENT
+from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
+from ship_bags.mcap.box_parts import further_box_files
 from ship_bags.mcap.file_content import BagFile
 from ship_bags.mcap.folder import INFORMATION_FILE, file_names, needs_rosbags
 from ship_bags.mcap.latched import repeated_times
 from ship_bags.mcap.records import ChunkPlace
 from ship_bags.message_store import BagTypes, message_store, store_with_definitions
-from ship_bags.renamed_topics import current_names
+from ship_bags.renamed_topics import BOX_METADATA, current_names
 from ship_bags.stamps import utc_text
 from ship_bags.topic_names import relative_topic
 
@@ -351,6 +352,7 @@ def open_files(path: Path) -> list[BagFile]:
         else:
             for part in _parts(path):
                 files.append(open_mcap(part))  # noqa: PERF401 - those opened so far are closed on failure
+            files += further_box_files(files[0])
         _rename_topics(path, files)
     except BadInput:
         for file in files:

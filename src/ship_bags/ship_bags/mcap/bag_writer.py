@@ -28,9 +28,6 @@ SUITE_ATTACHMENT = "suite.yaml"
 SCENARIO_ATTACHMENT = "scenario.yaml"
 """Name of the attachment that holds the scenario of a simulated bag."""
 
-BOX_METADATA = "black_box"
-"""Name of the metadata record of a node's black box, in which topics have the suite's names."""
-
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
 _EXCLUSIVE, _REPLACING = _NEW | os.O_EXCL, _NEW | os.O_TRUNC
 

@@ -171,7 +171,9 @@ class LiveNode:
         # Read only where a box is kept: the writer of bags takes a tenth of a node's start.
         from ship_node.black_box.black_box import BlackBox
 
-        box = BlackBox(path, self.adapter, config, _outputs(self.adapter), self.node.get_namespace(), self._log.error)
+        outputs, part_bytes = _outputs(self.adapter), self._parameters.black_box_part_bytes
+        namespace = self.node.get_namespace()
+        box = BlackBox(path, self.adapter, config, outputs, namespace, self._log.error, part_bytes)
         self._log.info(f"black box: {box.path}")
         return box
 
