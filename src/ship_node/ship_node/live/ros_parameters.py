@@ -1,6 +1,5 @@
 """A configuration dataclass as parameters of an rclpy node: declared with unit and range, changed live."""
 
-import math
 import re
 import sys
 import typing
@@ -38,7 +37,7 @@ USE_SIM_TIME = "use_sim_time"
 
 _BLACK_BOX_DOC = "file (.mcap) or folder that takes everything the node uses and gives; empty for none"
 _BLACK_BOX_PART_DOC = "size from which on the black box goes on in a new file [MB]; 0 for never"
-BLACK_BOX_PART_MB = 1000.0
+BLACK_BOX_PART_MB = 1000
 _BYTES_PER_MB = 1_000_000
 _RELIABLE_INPUTS_DOC = "inputs are reliable: what is lost on the way is sent again, and what is newer waits for it"
 
@@ -90,8 +89,7 @@ class NodeParameters:
         self._at_start = flatten(self.config)
         self._last_refusal = ""
         self.black_box = str(_declared(node, BLACK_BOX_PARAMETER, "", _BLACK_BOX_DOC)) if has_black_box else ""
-        part_mb = _part_mb(node) if has_black_box else 0.0
-        self.black_box_part_bytes = round(part_mb * _BYTES_PER_MB)
+        self.black_box_part_bytes = _part_mb(node) * _BYTES_PER_MB if has_black_box else 0
         self.has_reliable_inputs = bool(_declared(node, RELIABLE_INPUTS_PARAMETER, False, _RELIABLE_INPUTS_DOC))
         overrides = node._parameter_overrides
         self.topics = topic_map({name: parameter.value for name, parameter in overrides.items()})
@@ -201,10 +199,10 @@ def _declared(node: Node, name: str, default: Any, description: str) -> Any:
         raise BadInput(reason, parameters=(name,)) from error
 
 
-def _part_mb(node: Node) -> float:
+def _part_mb(node: Node) -> int:
     name = BLACK_BOX_PART_PARAMETER
-    value = float(_declared(node, name, BLACK_BOX_PART_MB, _BLACK_BOX_PART_DOC))
-    if not 0.0 <= value < math.inf:
+    value = int(_declared(node, name, BLACK_BOX_PART_MB, _BLACK_BOX_PART_DOC))
+    if value < 0:
         raise BadInput(f"parameter '{name}' = {value}: expected 0 MB or more", parameters=(name,), value=value)
     return value
 

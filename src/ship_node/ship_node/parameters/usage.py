@@ -22,7 +22,7 @@ _SHELL_ROWS = (
     (
         BLACK_BOX_PART_PARAMETER,
         "MB",
-        "1000.0",
+        "1000",
         "0 or more",
         "size from which on the box goes on in a new file beside the first (NAME.part2.mcap); 0 for never",
     ),
