@@ -4,7 +4,10 @@ import json
 from pathlib import Path
 
 import pytest
+import rclpy
 from rcl_interfaces.srv import ListParameters
+from rclpy.context import Context
+from sensor_msgs.msg import Imu
 
 from ship_bags.commands.export import main as export
 from ship_bags.commands.info import main as info
@@ -13,10 +16,12 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.renamed_topics import names_of, topic_names
 from ship_bags.stamps import NS_PER_S
+from ship_bringup.checks.network_look import look_at_network
 from ship_bringup.security.rights import suite_rights
 from ship_bringup.suite.plan import checked_nodes
 from ship_monitor.after.recorded_suite import RecordedSuite
 from ship_monitor.commands.monitor import _parser as monitor_parser
+from ship_node.edge.topics import InputTopic
 from ship_replay.commands.calibrate_installation import main as calibrate_installation
 from ship_replay.commands.campaign import main as campaign
 from ship_replay.commands.check_config import main as check_config
@@ -251,6 +256,23 @@ def test_a_suite_is_played_recorded_and_replayed_under_the_names_of_the_ship(ren
     assert replay([str(recorded), "--out", str(tmp_path / "again.mcap")]) == 0
     with read_bag(tmp_path / "again.mcap") as bag:
         assert any(record.topic == "ship/attitude" for record in bag.records())
+
+
+@pytest.mark.live
+def test_preflight_listens_to_the_names_of_the_ship(monkeypatch):
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain_id()))
+    context = Context()
+    rclpy.init(context=context)
+    driver = rclpy.create_node("driver", context=context)
+    driver.create_publisher(Imu, "/imu/data", 10)
+    topic = InputTopic("ins/imu", "sensor_msgs/msg/Imu", required=False, depth=100)
+    try:
+        (heard,) = look_at_network([topic], [], "ship", 0.1, {"ins/imu": "/imu/data"}).heard
+        assert [publisher.node for publisher in heard.publishers] == ["/driver"]
+    finally:
+        driver.destroy_node()
+        context.try_shutdown()
 
 
 def test_policies_allow_the_names_of_the_ship():

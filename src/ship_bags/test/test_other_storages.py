@@ -7,6 +7,7 @@ from mcap.writer import Writer
 
 from ship_bags.commands.info import main as info
 from ship_bags.errors import BadInput
+from ship_bags.mcap import rosbags_file
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.folder import FolderWriter, SplitLimits
 from ship_bags.message_store import definition, serialize
@@ -73,6 +74,24 @@ def test_a_damaged_file_of_sqlite3_is_one_line(plain, tmp_path):
     (tmp_path / "a.db3").write_bytes(b"SQLite format 3\0" + bytes(5000))
     with pytest.raises(BadInput, match=r"a\.db3: cannot be read by rosbags: "):
         read_bag(tmp_path / "a.db3")
+
+
+def test_a_message_that_unfolds_beyond_its_bound_is_not_read(plain, tmp_path, monkeypatch):
+    monkeypatch.setattr(rosbags_file, "MAX_CHUNK_BYTES", 200)
+    command = ["rosbags-convert", "--src", plain, "--dst", tmp_path / "other", *CONVERSIONS["message"]]
+    subprocess.run(list(map(str, command)), check=True, capture_output=True)
+    with pytest.raises(BadInput, match=r"cannot be read: a message unfolds to more than 256 MB"):
+        read_bag(tmp_path / "other")
+
+
+def test_files_that_unfold_to_more_than_the_disk_takes_are_refused_before(plain, tmp_path):
+    command = ["rosbags-convert", "--src", plain, "--dst", tmp_path / "other", *CONVERSIONS["file"]]
+    subprocess.run(list(map(str, command)), check=True, capture_output=True)
+    (part, *_) = (tmp_path / "other").glob("*.zstd")
+    # The head of a frame of 2^60 bytes: all of its size field is given.
+    part.write_bytes(b"\x28\xb5\x2f\xfd\xe0" + (2**60).to_bytes(8, "little") + bytes(8))
+    with pytest.raises(BadInput, match=r"other: unfolds to 1152921504607 MB: .* name another by TMPDIR"):
+        read_bag(tmp_path / "other")
 
 
 def test_a_bag_of_ros_1_names_the_command_that_converts_it(tmp_path):

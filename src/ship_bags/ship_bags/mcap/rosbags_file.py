@@ -1,19 +1,25 @@
 """rosbag2 folders and files that are no plain MCAP — sqlite3, or compressed — read by the library `rosbags`."""
 
+import shutil
+import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import zstandard
 from mcap.records import Channel, Message, Schema
 from rosbags.interfaces import Connection, MessageDefinitionFormat
 from rosbags.rosbag2 import Reader
 
 from ship_bags.errors import BadInput
+from ship_bags.mcap.chunk_content import MAX_CHUNK_BYTES, MAX_CHUNK_MB, decompressed
 from ship_bags.mcap.file_content import BagFile
 from ship_bags.mcap.records import ChunkPlace, has_time_of_stamps
 from ship_bags.stamps import NS_PER_S, utc_text
 
 _MOST_PLACES = 10_000
+_FRAME_HEAD_BYTES = 18
+"""Greatest length of the head of a zstd frame, which may state the size of its content."""
 _ENCODINGS = {MessageDefinitionFormat.MSG: "ros2msg", MessageDefinitionFormat.IDL: "ros2idl"}
 
 
@@ -44,8 +50,17 @@ class RosbagsFile(BagFile):
         self.reader.close()
 
     def _messages(self, place: ChunkPlace) -> Iterator[Message]:
-        for connection, time_ns, data in self.reader.messages((), place.start_ns, place.end_ns + 1):
-            yield Message(connection.id, time_ns, bytes(data), publish_time=time_ns, sequence=0)
+        span_ns = place.start_ns, place.end_ns + 1
+        if self.reader.compression_mode != "message":
+            for connection, time_ns, data in self.reader.messages((), *span_ns):
+                yield Message(connection.id, time_ns, bytes(data), publish_time=time_ns, sequence=0)
+            return
+        # The library would unfold whatever a message says.
+        numbers = {(connection.topic, connection.msgtype): connection.id for connection in self.reader.connections}
+        for storage in getattr(self.reader.storage, "storages", ()):
+            for connection, time_ns, data in storage.messages(storage.connections, *span_ns):
+                number = numbers[connection.topic, connection.msgtype]
+                yield Message(number, time_ns, _unfolded(data), publish_time=time_ns, sequence=0)
 
 
 def open_with_rosbags(path: Path) -> RosbagsFile:
@@ -54,6 +69,7 @@ def open_with_rosbags(path: Path) -> RosbagsFile:
     Raises:
         BadInput: it cannot be read.
     """
+    _check_room(path)
     try:
         reader = Reader(path)
         reader.open()
@@ -67,6 +83,32 @@ def open_with_rosbags(path: Path) -> RosbagsFile:
     if reader.message_count:
         file.chunks.extend(_places(file, reader.start_time, reader.end_time - 1))
     return file
+
+
+def _check_room(path: Path) -> None:
+    """Refuse a folder whose compressed files say that they unfold to more than the disk for temporary files takes.
+
+    Raises:
+        BadInput: as above.
+    """
+    needed = 0
+    for part in path.glob("*.zstd"):
+        with part.open("rb") as stream:
+            head = stream.read(_FRAME_HEAD_BYTES)
+        if head.startswith(zstandard.FRAME_HEADER):
+            needed += max(0, zstandard.frame_content_size(head))
+    folder = tempfile.gettempdir()
+    free = shutil.disk_usage(folder).free
+    if needed > free:
+        needed_mb, free_mb = (round(size / 1e6) for size in (needed, free))
+        raise BadInput(f"unfolds to {needed_mb} MB: {folder} has {free_mb} MB; name another by TMPDIR", file=path)
+
+
+def _unfolded(data: bytes) -> bytes:
+    content = decompressed("zstd", data)
+    if len(content) > MAX_CHUNK_BYTES:
+        raise ValueError(f"a message unfolds to more than {MAX_CHUNK_MB} MB")
+    return content
 
 
 def _described(connection: Connection) -> tuple[Schema, Channel]:
