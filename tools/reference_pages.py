@@ -50,8 +50,10 @@ warning. `check_config` and `replay` judge names in the same way.
 
 Every estimator has `black_box` besides: a file (`.mcap`) or folder that takes everything the node uses and gives, in
 that order; `replay BOX.mcap --verify` runs it again to the last bit. A file that is there is kept: the next box is
-`BOX_2.mcap`. Every node has `reliable_inputs` (`false`): what is lost on the way to its inputs is sent again
-([lossy links](../how-to/lossy_links.md)).
+`BOX_2.mcap`. After `black_box_part_mb` (`1000`; 0 for never) it goes on in `BOX.part2.mcap`.
+Every node has `reliable_inputs` (`false`): what is lost on the way to its inputs is sent again
+([lossy links](../how-to/lossy_links.md)). Every node has the map `topics`: the ship's names of its inputs, where they
+are other ones ([topics under other names](../how-to/replay_a_night.md#topics-under-other-names)).
 
 {_WRITTEN}"""
 

@@ -76,6 +76,7 @@ def make_box(
     lost: Callable[[int], bool] = lambda ns: False,
     autosave_s: float = 0.0,
     is_overloaded: bool = False,
+    part_bytes: int = 0,
 ) -> BlackBox:
     """Eight seconds of a bag, with all that can happen to a node; the clock goes back at the end.
 
@@ -88,6 +89,7 @@ def make_box(
         lost: times of waiting, ns since the bag's start, at which nothing comes.
         autosave_s: so often the node saves by itself; 0 for never.
         is_overloaded: whether it is behind its inputs from 6.5 s to 7.8 s.
+        part_bytes: size from which on the box goes on in a new file; 0 for never.
     """
     name = node.adapter_class.node_name
     with read_bag(node.bag) as bag:
@@ -106,7 +108,7 @@ def make_box(
     def node_time(waiting_ns: int) -> int:
         return start_ns + node_ns(waiting_ns - start_ns)
 
-    box = BlackBox(str(path), adapter, config, adapter.outputs, "/", print)
+    box = BlackBox(str(path), adapter, config, adapter.outputs, "/", print, part_bytes)
     calls = AdapterCalls(adapter, {output.topic: Nobody() for output in adapter.outputs}, files, box)
     plan = _plan(calls, node)
     if is_overloaded:

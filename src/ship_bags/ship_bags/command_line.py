@@ -19,6 +19,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 from ship_bags.errors import one_line
+from ship_bags.renamed_topics import TopicNames, names_of, topic_names, use_names
 from ship_geometry.input_error import InputError
 
 if TYPE_CHECKING:
@@ -90,7 +91,7 @@ def run_command(
     """
     parsed = parser.parse_args(arguments)
     code = EXIT_BAD_INPUT
-    with _one_interrupt():
+    with _one_interrupt(), topic_names(names_of(parsed)):
         try:
             done = command(parsed)
             sys.stdout.flush()
@@ -107,8 +108,13 @@ def run_command(
     return code
 
 
-def serve_a_command() -> None:
-    """Of a process that works for a command: Ctrl-C is the command's to answer, and the bar is its own to show."""
+def serve_a_command(names: TopicNames | None = None) -> None:
+    """Begin a process that works for a command: Ctrl-C is the command's to answer, and the bar is its own to show.
+
+    Args:
+        names: the command's names of topics, for the bags that this process reads.
+    """
+    use_names(names or TopicNames())
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     sys.stderr = io.StringIO()
 

@@ -8,7 +8,7 @@ import functools
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from rosbags.interfaces import Nodetype
@@ -46,7 +46,7 @@ def message_store() -> Typestore:
     store = get_typestore(Stores.ROS2_JAZZY)
     for path in sorted(ship_message_folder().glob("*.msg")):
         type_name = f"{SHIP_MESSAGES}{_REFERENCE_SEPARATOR}{path.stem}"
-        store.register(_parse(path.read_text(encoding="utf-8"), type_name, str(path)))
+        store.register(_parse(path.read_text(encoding="utf-8"), type_name, path))
     return store
 
 
@@ -99,42 +99,72 @@ def use_installed_definition(type_name: str) -> None:
     store.register(found)
 
 
-def store_with_definitions(definitions: Mapping[str, str], bag_name: str) -> tuple[Typestore, dict[str, list[str]]]:
-    """Types for reading one bag, and how its definitions differ from ours.
+class BagTypes(NamedTuple):
+    """The types for reading one bag.
+
+    Attributes:
+        store: in which the bag's definitions rule.
+        differences: type of the bag that differs from ours, in itself or in a part → one line per field.
+        unreadable: type of the bag whose definition cannot be used → why.
+    """
+
+    store: Typestore
+    differences: dict[str, list[str]]
+    unreadable: dict[str, str]
+
+
+def store_with_definitions(definitions: Mapping[str, str]) -> BagTypes:
+    """Types for reading one bag; a definition that cannot be used costs its own type alone.
 
     Args:
         definitions: type name → text of its definition, dependencies included; empty = not embedded, ours is taken.
-        bag_name: name of the bag for the messages.
-
-    Returns:
-        The store, in which the bag's definitions rule; and per type of ``definitions`` that differs from ours, in
-        itself or in a part, one line per field.
-
-    Raises:
-        BadInput: a definition cannot be parsed, or two of the bag's disagree.
     """
     ours = message_store()
-    embedded: dict[str, Any] = {}
-    differences: dict[str, list[str]] = {}
+    parsed: dict[str, Any] = {}
+    unreadable: dict[str, str] = {}
     for type_name, text in definitions.items():
-        parts = _parse(text or definition(type_name), type_name, bag_name)
-        embedded.update(parts)
-        lines = [
-            line
-            for part in sorted(parts.keys() & ours.fielddefs.keys())
-            for line in field_differences(part, parts[part][1], ours.fielddefs[part][1])
-        ]
-        if lines:
-            differences[type_name] = lines
-    if not differences and embedded.keys() <= ours.fielddefs.keys():
-        return ours, {}
+        try:
+            parsed[type_name] = _complete(_parse(text or definition(type_name), type_name), ours)
+        except BadInput as problem:  # noqa: PERF203 - each type by itself
+            unreadable[type_name] = problem.reason
+    found = {type_name: _part_differences(parts, ours) for type_name, parts in parsed.items()}
+    differences = {type_name: lines for type_name, lines in found.items() if lines}
+    if not differences and all(parts.keys() <= ours.fielddefs.keys() for parts in parsed.values()):
+        return BagTypes(ours, {}, unreadable)
     store = Typestore()
-    try:
-        store.register(embedded)
-    except Exception as problem:
-        # A bag may define anything: the store fails over it in any way.
-        raise BadInput(f"its message definitions disagree: {problem}", file=bag_name) from problem
-    return store, differences
+    # Those that are as ours come first: another one's strange idea of a part must not cost them.
+    for type_name in sorted(parsed, key=differences.__contains__):
+        try:
+            store.register(parsed[type_name])
+        except Exception as problem:  # noqa: PERF203 - a bag may define anything: the store fails over it in any way
+            unreadable[type_name] = f"its definition contradicts those of other topics: {problem}"
+            differences.pop(type_name, None)
+    return BagTypes(store, differences, unreadable)
+
+
+def _complete(parts: Any, ours: Typestore) -> Any:
+    """A parsed definition with all that it refers to; what it does not bring along is taken from ours.
+
+    Raises:
+        BadInput: it refers to a type that is not known here either.
+    """
+    complete = dict(parts)
+    pending = {name for _, fields in parts.values() for name in _referred(fields)} - complete.keys()
+    while pending:
+        name = pending.pop()
+        if name not in ours.fielddefs:
+            raise BadInput(f"its definition refers to {name}, which is not in the bag")
+        complete[name] = ours.fielddefs[name]
+        pending |= _referred(complete[name][1]) - complete.keys()
+    return complete
+
+
+def _part_differences(parts: Any, ours: Typestore) -> list[str]:
+    return [
+        line
+        for part in sorted(parts.keys() & ours.fielddefs.keys())
+        for line in field_differences(part, parts[part][1], ours.fielddefs[part][1])
+    ]
 
 
 def field_differences(type_name: str, theirs: Any, ours: Any) -> list[str]:
@@ -227,9 +257,10 @@ def _definition_text(type_name: str) -> str:
     raise BadInput(f"the definition of {type_name} is not installed (share/{package}/msg/{name}.msg)")
 
 
-def _parse(text: str, type_name: str, source: str) -> Any:
+def _parse(text: str, type_name: str, source: Path | None = None) -> Any:
     try:
-        return get_types_from_msg(text, type_name)
+        # Definitions written on Windows, or checked out there, end their lines in another way.
+        return get_types_from_msg(text.replace("\r\n", "\n"), type_name)
     except Exception as problem:
         # Any text may stand there: the parser fails over it in any way.
         raise BadInput(f"definition of {type_name} cannot be parsed: {problem}", file=source) from problem

@@ -14,6 +14,7 @@ import yaml
 
 from ship_bags.errors import BadInput
 from ship_bags.regular_files import check_regular
+from ship_bags.renamed_topics import TOPICS_PARAMETER
 from ship_bags.yaml_text import composed
 from ship_geometry.input_error import InputError
 
@@ -21,6 +22,9 @@ PARAMETERS_KEY = "ros__parameters"
 
 BLACK_BOX_PARAMETER = "black_box"
 """Every node's shell has it: path of the box, empty for none."""
+
+BLACK_BOX_PART_PARAMETER = "black_box_part_mb"
+"""Every estimator's shell has it: size from which on its box goes on in a new file."""
 
 RELIABLE_INPUTS_PARAMETER = "reliable_inputs"
 """Every node's shell has it: whether what is lost on the way to its inputs is sent again."""
@@ -30,7 +34,9 @@ SHELL_PARAMETERS = (
     "qos_overrides",
     "start_type_description_service",
     BLACK_BOX_PARAMETER,
+    BLACK_BOX_PART_PARAMETER,
     RELIABLE_INPUTS_PARAMETER,
+    TOPICS_PARAMETER,
 )
 """First part of the names of parameters that belong to rclpy or the node's shell and not to a configuration."""
 

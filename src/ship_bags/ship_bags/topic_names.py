@@ -19,6 +19,11 @@ def relative_topic(name: str, namespace: str = "") -> str | None:
     return bare.removeprefix(prefix + "/") if bare.startswith(prefix + "/") else None
 
 
+def resolved_topic(name: str, namespace: str) -> str:
+    """The full name of a topic, as ROS resolves it: a name without a slash at its beginning is in the namespace."""
+    return name if name.startswith("/") else "/".join(["", *filter(None, namespace.split("/")), name])
+
+
 def relative_topics(names: Iterable[str], namespace: str = "") -> dict[str, str]:
     """Relative name → name in the bag, of all topics inside the namespace."""
     pairs = ((relative_topic(name, namespace), name) for name in names)

@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import os
 import random
 import struct
 
@@ -187,3 +188,14 @@ def test_attachments_and_metadata_come_back(tmp_path):
     with read_bag(path) as bag:
         assert bag.attachments == {"suite.yaml": b"a: 1\n", "raw": b"\x00\xff"}
         assert json.dumps(bag.metadata) == '{"import_nmea": {"time": "instrument"}}'
+
+
+@pytest.mark.parametrize("options", [{}, {"atomic": False}, {"atomic": False, "exclusive": True}], ids=str)
+@pytest.mark.parametrize(("mask", "mode"), [(0o022, 0o644), (0o007, 0o660)])
+def test_a_file_has_the_rights_that_the_umask_leaves(tmp_path, options, mask, mode):
+    before = os.umask(mask)
+    try:
+        BagWriter(tmp_path / "a.mcap", **options).close()
+    finally:
+        os.umask(before)
+    assert (tmp_path / "a.mcap").stat().st_mode & 0o777 == mode

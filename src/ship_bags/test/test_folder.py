@@ -10,10 +10,11 @@ from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.folder import FolderWriter, SplitLimits
 from ship_bags.message_store import serialize
-from ship_testing.hand_made_bags import START_NS, imu
+from ship_bags.stamps import NS_PER_S
+from ship_testing.hand_made_bags import START_NS, imu, vector
 from ship_testing.rosbag2_folders import information, rosbags_times
 
-IMU = "sensor_msgs/msg/Imu"
+IMU, VECTOR = "sensor_msgs/msg/Imu", "geometry_msgs/msg/Vector3"
 PERIOD_NS = 10_000_000
 
 
@@ -96,3 +97,29 @@ def test_the_information_is_there_and_names_every_file_while_recording(tmp_path)
 def test_a_folder_that_is_there_is_not_touched(tmp_path):
     with pytest.raises(BadInput, match="cannot be made: File exists"):
         FolderWriter(tmp_path, SplitLimits())
+
+
+def test_every_file_repeats_the_latched_messages_and_the_whole_holds_each_once(tmp_path):
+    """Two nodes on one topic, each once, and a topic that is said again."""
+    bag = FolderWriter(tmp_path / "voyage", SplitLimits(size_bytes=3000))
+    for topic in ("/tf_static", "/ship/calibration"):
+        bag.add_topic(topic, VECTOR, latched=True)
+    said = [("/tf_static", 1.0), ("/tf_static", 2.0), ("/ship/calibration", 3.0)]
+    for number, (topic, value) in enumerate(said):
+        bag.write_raw(topic, VECTOR, serialize(vector(value)), START_NS + number)
+    for part in range(12):
+        write(bag, range(part * 10 + 1, part * 10 + 11))
+        bag.flush()
+    bag.close()
+    with read_bag(tmp_path / "voyage") as whole:
+        given = [(r.topic, r.decode().x) for r in whole.records({"/tf_static", "/ship/calibration"})]
+        assert given == said
+        assert sum(1 for _ in whole.records_in_file_order()) == 123
+    names = information(tmp_path / "voyage")["relative_file_paths"]
+    assert len(names) > 2
+    for name in names[:-1]:
+        with read_bag(tmp_path / "voyage" / name) as alone:
+            records = list(alone.records())
+            assert [(r.topic, r.decode().x) for r in records if r.topic != "/ins/imu"] == said
+            # A player of this file alone must not wait for hours between them.
+            assert records[-1].log_time_ns - records[0].log_time_ns < 2 * NS_PER_S

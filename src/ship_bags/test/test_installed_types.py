@@ -14,6 +14,6 @@ TYPES += ["diagnostic_msgs/msg/DiagnosticArray", "std_msgs/msg/String"]
 def test_fields_and_hash_are_the_same(type_name: str) -> None:
     found = installed_definition(type_name)
     assert found.hash == type_hash(type_name)
-    store, differences = store_with_definitions({type_name: found.text}, "installed")
-    assert differences == {}
-    assert store is message_store()
+    types = store_with_definitions({type_name: found.text})
+    assert types.differences == {}
+    assert types.store is message_store()

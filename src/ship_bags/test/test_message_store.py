@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ship_bags.errors import BadInput
 from ship_bags.message_factory import RosidlFactory
 from ship_bags.message_store import (
     RosbagsFactory,
@@ -132,9 +131,9 @@ def test_wrong_array_length_is_refused():
 
 
 def test_the_same_definitions_need_no_store_of_their_own():
-    store, differences = store_with_definitions({"sensor_msgs/msg/Imu": definition("sensor_msgs/msg/Imu")}, "bag")
-    assert store is message_store()
-    assert differences == {}
+    types = store_with_definitions({"sensor_msgs/msg/Imu": definition("sensor_msgs/msg/Imu")})
+    assert types.store is message_store()
+    assert (types.differences, types.unreadable) == ({}, {})
 
 
 @pytest.mark.parametrize(
@@ -149,13 +148,38 @@ def test_the_same_definitions_need_no_store_of_their_own():
 )
 def test_a_difference_names_the_field(change, line):
     text = definition("sensor_msgs/msg/Imu").replace(*change)
-    _, differences = store_with_definitions({"sensor_msgs/msg/Imu": text}, "bag")
+    differences = store_with_definitions({"sensor_msgs/msg/Imu": text}).differences
     assert any(line in difference for difference in differences["sensor_msgs/msg/Imu"])
 
 
-def test_a_definition_that_is_none_is_bad_input():
-    with pytest.raises(BadInput, match=r"voyage\.mcap: definition of x_msgs/msg/X cannot be parsed"):
-        store_with_definitions({"x_msgs/msg/X": "float64 ["}, "voyage.mcap")
+HEADER = "=" * 80 + "\nMSG: std_msgs/Header\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("float64 [", "definition of x_msgs/msg/X cannot be parsed"),
+        ("x_msgs/Y y", "its definition refers to x_msgs/msg/Y, which is not in the bag"),
+        (f"std_msgs/Header header\n{HEADER}uint8 seq\n", "its definition contradicts those of other topics"),
+    ],
+)
+def test_a_definition_that_cannot_be_used_costs_its_own_type_alone(text, why):
+    types = store_with_definitions({"x_msgs/msg/X": text, "sensor_msgs/msg/Imu": definition("sensor_msgs/msg/Imu")})
+    assert list(types.unreadable) == ["x_msgs/msg/X"]
+    assert types.unreadable["x_msgs/msg/X"].startswith(why)
+    assert types.differences == {}
+    assert "sensor_msgs/msg/Imu" in types.store.fielddefs
+
+
+def test_what_a_definition_leaves_out_is_taken_from_ours():
+    types = store_with_definitions({"x_msgs/msg/X": "std_msgs/Header header\nfloat64 value\n"})
+    assert types.unreadable == {}
+    assert {"std_msgs/msg/Header", "builtin_interfaces/msg/Time"} <= types.store.fielddefs.keys()
+
+
+def test_definitions_may_end_their_lines_as_windows_does():
+    text = definition("sensor_msgs/msg/Imu").replace("\n", "\r\n")
+    assert store_with_definitions({"sensor_msgs/msg/Imu": text}).store is message_store()
 
 
 def test_innovation_round_trip_keeps_nan_and_text():

@@ -153,10 +153,10 @@ def test_two_types_under_one_name_are_refused(domain, tmp_path):
     with BagWriter(tmp_path / "in.mcap") as bag:
         bag.write("ins/imu", imu(START_NS), START_NS)
         bag.write("ship/lever", vector(), START_NS)
-    player = domain.play(tmp_path / "in.mcap", "--remap", "ship/lever:=ins/imu")
+    player = domain.play(tmp_path / "in.mcap", "--remap", "ship/lever:=a/b", "ins/imu:=a/b")
     assert player.exit_code == 2
     (line,) = player.log().splitlines()
-    assert "topic 'ship/lever' (geometry_msgs/msg/Vector3) cannot be played as 'ins/imu'" in line
+    assert "in.mcap: topics 'ins/imu' and 'ship/lever' cannot both be read as 'a/b'" in line
 
 
 @contextlib.contextmanager

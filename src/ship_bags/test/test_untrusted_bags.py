@@ -172,9 +172,9 @@ INFORMATION = "rosbag2_bagfile_information:\n"
         *(
             (
                 INFORMATION + f"  storage_identifier: mcap\n  compression_mode: {mode}\n  relative_file_paths: [a]\n",
-                f"compression_mode is '{shown}': unpack the bag's files first",
+                f"compression_mode is '{shown}': expected none or file or message",
             )
-            for mode, shown in (("5", "5"), ("FILE", "FILE"), ("[x]", "['x']"), ("{a: 1}", "{'a': 1}"))
+            for mode, shown in (("5", "5"), ("LZ4", "lz4"), ("[x]", "['x']"), ("{a: 1}", "{'a': 1}"))
         ),
         pytest.param(
             INFORMATION + f"  storage_identifier: {'9' * 5000}\n",

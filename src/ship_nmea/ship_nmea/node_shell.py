@@ -168,10 +168,11 @@ class NmeaNode:
             qos = QoSProfile(
                 depth=topic.depth, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
             )
-        with overrides_checked(self.node, topic.topic):
+        name = self._parameters.topics.get(topic.topic, topic.topic)
+        with overrides_checked(self.node, name):
             self.node.create_subscription(
                 message_class(topic.type_name),
-                topic.topic,
+                name,
                 partial(self._call, topic.topic, take),
                 qos,
                 qos_overriding_options=overridable(),

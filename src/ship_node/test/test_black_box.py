@@ -4,18 +4,20 @@ import json
 import resource
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from mcap.reader import NonSeekingReader
 from std_msgs.msg import String
 
 from ship_bags.errors import BadInput
+from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.mcap.mcap_writer import CHUNK_BYTES
 from ship_bags.message_factory import RosidlFactory
 from ship_estimation.parameters import build
 from ship_node.black_box import black_box
-from ship_node.black_box.black_box import MOST_BEFORE_TIME, BlackBox, free_path
+from ship_node.black_box.black_box import MOST_BEFORE_TIME, BlackBox
 from ship_node.black_box.black_box_format import (
     EVENTS_TOPIC,
     FORMAT,
@@ -35,6 +37,7 @@ from ship_node.black_box.black_box_format import (
     event_from_text,
     event_text,
 )
+from ship_node.black_box.box_files import free_path
 from ship_node.documents.saved_document import NotedFiles
 from ship_node.edge.messages_out import Level
 from ship_node.live.adapter_calls import AdapterCalls
@@ -60,10 +63,10 @@ EVENTS: list[Event] = [
 ]
 
 
-def new_box(path: Path | str, failures: list[str] | None = None) -> BlackBox:
+def new_box(path: Path | str, failures: list[str] | None = None, part_bytes: int = 0) -> BlackBox:
     adapter = RelayAdapter(CONFIG, RosidlFactory())
     told = [] if failures is None else failures
-    return BlackBox(str(path), adapter, CONFIG, adapter.outputs, "/ship", told.append)
+    return BlackBox(str(path), adapter, CONFIG, adapter.outputs, "/ship", told.append, part_bytes)
 
 
 @pytest.mark.parametrize("event", EVENTS, ids=lambda event: type(event).__name__)
@@ -119,7 +122,9 @@ def test_parameters_versions_and_identity_are_attached(tmp_path: Path) -> None:
         attachments = {a.name: a.data.decode() for a in NonSeekingReader(stream).iter_attachments()}
     with (tmp_path / "box.mcap").open("rb") as stream:
         metadata = {m.name: m.metadata for m in NonSeekingReader(stream).iter_metadata()}
-    assert metadata[METADATA] == {"format": FORMAT, "node": "relay", "namespace": "/ship"}
+    of_box = metadata[METADATA]
+    assert len(of_box.pop("box")) == 16
+    assert of_box == {"format": FORMAT, "node": "relay", "namespace": "/ship", "part": "1", "first": "box.mcap"}
     assert load_config(RelayConfig, attachments[SUITE_ATTACHMENT], "relay") == CONFIG
     found = json.loads(attachments[VERSIONS_ATTACHMENT])
     assert found["suite"].keys() == {"ship_msgs", "ship_geometry", "ship_estimation", "ship_node", "ship_testing"}
@@ -231,6 +236,69 @@ def test_a_full_disk_ends_the_box_and_not_the_node(tmp_path: Path, monkeypatch: 
     assert "File too large" in box.status().message
     assert len(failures) == 1
     assert box.path.stat().st_size == whole_bytes
+
+
+def test_after_a_full_disk_the_box_goes_on_in_a_new_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(black_box, "FLUSH_PERIOD_S", 60.0)
+    monkeypatch.setattr(black_box, "RETRY_S", 0.0)
+    lines: list[str] = []
+    box = new_box(tmp_path / "box.mcap", lines)
+    box.put("ins/imu", b"before", SECOND_NS)
+    box._guarded(box._write_all)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (box.path.stat().st_size + 10, hard))
+    try:
+        for number in range(1000):
+            box.put("ins/imu", number.to_bytes(4, "little") * 8, SECOND_NS + number)
+        box._guarded(box._write_all)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))
+        for _ in range(3):  # it is tried again and again, and nothing is left of that
+            box.put("ins/imu", b"lost", 2 * SECOND_NS)
+            box._guarded(box._write_all)
+        assert [path.name for path in tmp_path.iterdir()] == ["box.mcap"]
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    box.put("ins/imu", b"after", 3 * SECOND_NS)
+    box.close()
+    assert [line.partition(": ")[0] for line in lines] == [
+        f"black box {tmp_path}/box.mcap", f"black box goes on in {tmp_path}/box.part2.mcap"
+    ]  # fmt: skip
+    assert "1003 entries lost: the disk was slow or full" in box.status().message
+    with read_bag(tmp_path / "box.mcap") as bag:
+        records = list(bag.records_in_file_order())
+    events = [event_from_text(r.decode().data) for r in records if r.topic == EVENTS_TOPIC]
+    assert [bytes(r.data) for r in records if r.topic != EVENTS_TOPIC] == [b"before", b"after"]
+    assert events == [EntriesLost(1003), Closed()]
+
+
+def test_a_box_goes_on_in_a_new_file_when_one_is_full(tmp_path: Path) -> None:
+    """The first one is opened, and all are read as one; each is a box with its parameters by itself."""
+    box = new_box(tmp_path / "box.mcap", part_bytes=20_000)
+    random = np.random.default_rng(1)
+    given = [(SECOND_NS * number, random.bytes(100)) for number in range(1, 301)]
+    for number, (time_ns, data) in enumerate(given):
+        box.put("ins/imu", data, time_ns)
+        if number % 50 == 0:
+            box._guarded(box._write_all)
+    box.close()
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert len(names) > 2
+    assert names == ["box.mcap", *(f"box.part{number}.mcap" for number in range(2, len(names) + 1))]
+    with read_bag(tmp_path / "box.mcap") as bag:
+        records = list(bag.records_in_file_order())
+        assert bag.problems == []
+    assert [(r.log_time_ns, bytes(r.data)) for r in records[:-1]] == given
+    assert [r.sequence for r in records] == list(range(1, 302))
+    with read_bag(tmp_path / "box.part2.mcap") as bag:
+        assert load_config(RelayConfig, bag.attachments[SUITE_ATTACHMENT].decode(), "relay") == CONFIG
+    (tmp_path / "box.part2.mcap").unlink()
+    with read_bag(tmp_path / "box.mcap") as bag:
+        assert bag.problems == ["box.mcap: part 2 of the black box is missing"]
+    # An earlier box's files are not taken for those of a later one of the same name.
+    (tmp_path / "box.mcap").unlink()
+    new_box(tmp_path / "box.mcap").close()
+    with read_bag(tmp_path / "box.mcap") as bag:
+        assert len(list(bag.records_in_file_order())) == 1
 
 
 class RaisingRelay(RelayAdapter):

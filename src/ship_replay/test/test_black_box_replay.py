@@ -61,6 +61,22 @@ def test_a_whole_box_is_equal_to_the_last_bit(box, capsys):
     assert "note" not in out
 
 
+def test_a_box_of_several_files_is_equal_to_the_last_bit(tmp_path, capsys):
+    """The first file is given; a further one by itself is refused with the name of the first."""
+    box = make_box(tmp_path / "box.mcap", tmp_path / "alignment.yaml", part_bytes=1).path
+    assert (tmp_path / "box.part2.mcap").is_file()
+    code, out, _ = verify(capsys, box)
+    assert code == 0, out
+    assert "outputs are equal to the last bit" in out
+    assert "note" not in out
+    expected = "part 2 of a black box: give its first file, box.mcap, with all parts beside it"
+    assert expected in refused(capsys, tmp_path / "box.part2.mcap")
+    (tmp_path / "box.part2.mcap").unlink()
+    code, out, _ = verify(capsys, box)
+    assert code == 1
+    assert "entries are missing before" in out
+
+
 def test_a_box_of_the_optical_axis_is_equal_to_the_last_bit(tmp_path, capsys):
     box = make_box(tmp_path / "box.mcap", tmp_path / "calibration.yaml", node=OPTICAL_AXIS).path
     code, out, _ = verify(capsys, box)

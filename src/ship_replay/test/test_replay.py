@@ -232,7 +232,8 @@ class TestBadInput:
 
     def test_required_topic_missing(self, tmp_path):
         bag = write_imu_bag(tmp_path / "in.mcap", 5, "compass", attachments=[("suite.yaml", SUITE)])
-        self.refused(tmp_path, bag, r"in\.mcap: required topics ins/imu are missing; found compass$")
+        advice = "sensor_msgs/Imu on compass: --remap compass:=ins/imu"
+        self.refused(tmp_path, bag, rf"in\.mcap: required topics ins/imu are missing; found compass; {advice}$")
 
     def test_required_topic_in_a_namespace(self, tmp_path):
         bag = write_imu_bag(tmp_path / "in.mcap", 5, "/ship/ins/imu", attachments=[("suite.yaml", SUITE)])

@@ -9,6 +9,7 @@ from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag, read_bag, watched
 from ship_bags.mcap.bag_writer import BagWriter, TypeDefinition
 from ship_bags.output_files import add_force, check_file
+from ship_bags.renamed_topics import add_bag_names
 from ship_bags.topic_names import relative_topics
 from ship_simulation.faults.injection import Injection, injectable_topics, optics_of_bag
 from ship_simulation.scenario.fault import kind_rows
@@ -47,7 +48,7 @@ def _parser() -> CommandParser:
     parser.add_argument("--faults", type=Path, required=True, metavar="FILE", help="what goes wrong (YAML)")
     parser.add_argument("--out", type=Path, required=True, metavar="OUT.mcap", help="bag to write")
     parser.add_argument("--seed", type=seed_of, default=1, metavar="N", help="seed of what the faults draw (1)")
-    parser.add_argument("--namespace", default="", help="namespace of the ship's topics in the bag")
+    add_bag_names(parser)
     add_force(parser)
     return parser
 

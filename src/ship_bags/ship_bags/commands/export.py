@@ -9,6 +9,7 @@ from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import one_line
 from ship_bags.export.export import FORMATS, ExportOrder, export
 from ship_bags.output_files import add_force
+from ship_bags.renamed_topics import add_remap
 from ship_bags.stamps import END_OF_TIME_NS, ns_from_utc_text
 
 _DESCRIPTION = """\
@@ -36,6 +37,7 @@ def _parser() -> CommandParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("bag", type=Path, help="bag to read: .mcap file or rosbag2 folder")
+    add_remap(parser)
     parser.add_argument(
         "--out",
         type=_out,

@@ -12,6 +12,7 @@ from ship_bags.errors import one_line
 from ship_bags.mcap.bag_content import BagContent, TopicContent, attached_suite, bag_content
 from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT
 from ship_bags.output_files import add_force, check_file, write_whole
+from ship_bags.renamed_topics import add_remap
 from ship_bags.stamps import NS_PER_S, utc_text
 
 _DESCRIPTION = """\
@@ -41,6 +42,7 @@ def _parser() -> CommandParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("bag", type=Path, help="bag to read: .mcap file or rosbag2 folder")
+    add_remap(parser)
     outputs = parser.add_mutually_exclusive_group()
     outputs.add_argument("--json", action="store_true", help="say it as JSON; times are nanoseconds since 1970, UTC")
     outputs.add_argument(

@@ -10,6 +10,7 @@ from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser
 from ship_bags.live.play import Player, PlayOptions
 from ship_bags.live.playback_clock import PlaybackClock, add_services, keyboard, served
 from ship_bags.live.ros_process import command_node, on_end_signals, positive, run_ros_command
+from ship_bags.renamed_topics import add_remap
 
 _DESCRIPTION = """\
 Publishes the messages of a bag live, byte for byte, at the times of its log, and that time every 10 ms on /clock.
@@ -58,9 +59,7 @@ def _parser() -> CommandParser:
     parser.add_argument(
         "--topics", nargs="+", default=[], metavar="TOPIC", help="play only these topics, named as in the bag"
     )
-    parser.add_argument(
-        "--remap", nargs="+", type=_remap, default=[], metavar="OLD:=NEW", help="play topic OLD as NEW"
-    )
+    add_remap(parser)
     parser.add_argument(
         "--wait-for-subscribers",
         nargs="+",
@@ -85,7 +84,6 @@ def _play(parsed: argparse.Namespace, ros_arguments: list[str]) -> int:
         start_offset_s=parsed.start_offset,
         loop_count=parsed.loop,
         topics=tuple(parsed.topics),
-        remaps=dict(parsed.remap),
         wait_for=dict(parsed.wait_for_subscribers),
         wait_timeout_s=parsed.wait_timeout,
     )
@@ -118,13 +116,6 @@ def _count(text: str) -> int:
     if value < 0:
         raise argparse.ArgumentTypeError(f"{text} is not a number of times, zero or more")
     return value
-
-
-def _remap(text: str) -> tuple[str, str]:
-    old, separator, new = text.partition(":=")
-    if not (old and separator and new):
-        raise argparse.ArgumentTypeError(f"'{text}' is not of the form OLD:=NEW")
-    return old, new
 
 
 def _expected(text: str) -> tuple[str, int]:

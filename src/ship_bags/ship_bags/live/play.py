@@ -48,7 +48,6 @@ class PlayOptions:
     start_offset_s: float = 0.0
     loop_count: int = 1
     topics: tuple[str, ...] = ()
-    remaps: Mapping[str, str] = field(default_factory=dict)
     wait_for: Mapping[str, int] = field(default_factory=dict)
     wait_timeout_s: float = 10.0
 
@@ -177,15 +176,15 @@ class Player:
 
     def _advertise(self, bag: Bag) -> None:
         """Make a publisher for each topic to be played."""
-        for name in (*self._options.topics, *self._options.remaps):
-            if name not in bag.topics:
+        in_bag = {topic: bag.recorded_names.get(topic, topic) for topic in bag.topics}
+        for name in self._options.topics:
+            if name not in in_bag.values():
                 raise BadInput(
-                    f"has no topic '{name}' to play; it has {', '.join(sorted(bag.topics))}",
+                    f"has no topic '{name}' to play; it has {', '.join(sorted(in_bag.values()))}",
                     file=bag.path,
                 )
-        types: dict[str, str] = {}
         for topic, type_name in bag.topics.items():
-            if topic not in self._options.topics and (self._options.topics or topic in _OWN_TOPICS):
+            if in_bag[topic] not in self._options.topics and (self._options.topics or topic in _OWN_TOPICS):
                 continue
             try:
                 kind = installed_class(type_name)
@@ -200,14 +199,7 @@ class Player:
                 DurabilityPolicy.TRANSIENT_LOCAL if topic in bag.latched_topics else DurabilityPolicy.VOLATILE
             )
             qos = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE, durability=durability)
-            name = self._options.remaps.get(topic, topic)
-            if types.setdefault(name, type_name) != type_name:
-                raise BadInput(
-                    f"topic '{topic}' ({type_name}) cannot be played as '{name}', "
-                    f"which carries {types[name]}",
-                    file=bag.path,
-                )
-            self._publishers[topic] = self._node.create_publisher(kind, name, qos)
+            self._publishers[topic] = self._node.create_publisher(kind, topic, qos)
         if not self._publishers:
             raise BadInput("none of its topics can be played", file=bag.path)
 

@@ -20,6 +20,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from ship_bags.mcap.bag_writer import qos_text
 from ship_bags.parameter_yaml import full_name, is_shell_parameter, sections_text
+from ship_bags.renamed_topics import is_topic_parameter
 
 DEPTH = 1000
 """Messages of a topic that may wait while the disk holds the recorder up: ten seconds at 100 Hz, one at 1 kHz."""
@@ -183,7 +184,8 @@ class HeardParameters:
         answer = asked.answer.result()
         if not asked.names:
             # How a node was run (clock, black box) is left out: it does not change what the node computes.
-            asked.names = [name for name in answer.result.names[:MOST_PARAMETERS] if not is_shell_parameter(name)]
+            names = answer.result.names[:MOST_PARAMETERS]
+            asked.names = [name for name in names if is_topic_parameter(name) or not is_shell_parameter(name)]
             if not asked.names:
                 return True
             asked.answer = by_value.call_async(GetParameters.Request(names=asked.names))

@@ -8,9 +8,9 @@ from mcap.records import Message
 
 from ship_bags.command_line import with_bar
 from ship_bags.errors import BadInput
-from ship_bags.mcap.bag_file import McapFile
 from ship_bags.mcap.bag_reader import Bag, open_files
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
+from ship_bags.mcap.file_content import BagFile
 from ship_bags.stamps import NS_PER_S
 
 
@@ -79,17 +79,17 @@ def bag_content(path: Path) -> BagContent:
     """
     files = open_files(path)
     try:
-        content = BagContent({file.path.name: file.data.size for file in files})
+        content = BagContent({file.path.name: file.size_bytes for file in files})
         for file in files:
             content.attachments |= file.attachments
             content.metadata |= file.metadata
             _count(content, file)
         content.topics = dict(sorted(content.topics.items()))
-        content.problems = _problems(path, files)
+        content.problems = Bag(path, files).problems
         return content
     finally:
         for file in files:
-            file.data.stream.close()
+            file.close()
 
 
 def attached_suite(path: Path) -> bytes:
@@ -100,7 +100,7 @@ def attached_suite(path: Path) -> bytes:
     """
     files = open_files(path)
     for file in files:
-        file.data.stream.close()
+        file.close()
     attached = {known: data for file in files for known, data in file.attachments.items()}
     if SUITE_ATTACHMENT not in attached:
         only = f", only {', '.join(sorted(attached))}" if attached else ""
@@ -113,7 +113,7 @@ def attached_suite(path: Path) -> bytes:
     return attached[SUITE_ATTACHMENT]
 
 
-def _count(content: BagContent, file: McapFile) -> None:
+def _count(content: BagContent, file: BagFile) -> None:
     for channel in file.channels.values():
         schema = file.schemas.get(channel.schema_id)
         content.topics.setdefault(channel.topic, TopicContent("unknown" if schema is None else schema.name))
@@ -125,14 +125,7 @@ def _count(content: BagContent, file: McapFile) -> None:
             topics[message.channel_id].add(message.log_time)
 
 
-def _messages(file: McapFile) -> Iterator[Message]:
+def _messages(file: BagFile) -> Iterator[Message]:
     for place in file.chunks:
         yield from file.messages(place)
 
-
-def _problems(path: Path, files: list[McapFile]) -> list[str]:
-    try:
-        return Bag(path, files).problems
-    except BadInput as problem:
-        # A definition that nobody can parse: the bag can be counted, not decoded.
-        return [*(line for file in files for line in file.problems), str(problem)]

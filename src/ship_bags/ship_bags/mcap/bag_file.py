@@ -5,11 +5,13 @@ was full — the records are walked through from the start up to the cut, past d
 """
 
 import io
+import shlex
 import struct
 import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import zstandard
 from mcap.opcode import Opcode
 from mcap.records import (
     Attachment,
@@ -28,11 +30,13 @@ from mcap.stream_reader import StreamReader
 
 from ship_bags.errors import BadInput
 from ship_bags.mcap.chunk_content import COMPRESSIONS, DamagedChunk, parsed
+from ship_bags.mcap.file_content import BagFile
 from ship_bags.mcap.mcap_writer import MAGIC
 from ship_bags.mcap.records import ChunkPlace, Gap, RecordFile, WalkedRecord, has_header, walk
 from ship_bags.regular_files import check_regular
 from ship_bags.stamps import utc_text
 
+_ROS1_BEGIN = b"#ROSBAG"
 _FOOTER = struct.Struct("<BQQQI8s")
 _CHUNK_TIMES = struct.Struct("<QQ")
 """Earliest and latest log time, with which the body of a chunk begins."""
@@ -49,40 +53,30 @@ _BLOCK_BYTES = 1 << 20
 
 
 @dataclass
-class McapFile:
-    """What an MCAP file holds besides its messages, and where the messages are.
+class McapFile(BagFile):
+    """An MCAP file by its records."""
 
-    Attributes:
-        path: the file.
-        data: its records.
-        chunks: places of the messages, in file order.
-        side_records: attachments and metadata as they lie in the file, in file order.
-        problems: one line for each thing wrong with the file that is known so far.
-    """
+    data: RecordFile = field(kw_only=True)
 
-    path: Path
-    data: RecordFile
-    chunks: list[ChunkPlace] = field(default_factory=list)
-    schemas: dict[int, Schema] = field(default_factory=dict)
-    channels: dict[int, Channel] = field(default_factory=dict)
-    attachments: dict[str, bytes] = field(default_factory=dict)
-    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
-    side_records: list[Attachment | Metadata] = field(default_factory=list)
-    problems: list[str] = field(default_factory=list)
+    @property
+    def size_bytes(self) -> int:
+        """See :class:`BagFile`."""
+        return self.data.size
 
     def messages(self, place: ChunkPlace) -> list[Message]:
-        """The messages of one place, in file order; none and a line in ``problems`` where it is damaged."""
+        """See :class:`BagFile`."""
         try:
             return [record for record in self.data.records_of(place) if isinstance(record, Message)]
         except DamagedChunk as damage:
-            problem = (
+            self.note(
                 f"{self.path.name}: the chunk at byte {place.offset} is damaged ({damage}): messages from "
                 f"{utc_text(place.start_ns)} to {utc_text(place.end_ns)} are lost"
             )
-            # A place may be read more than once, and its damage is told once.
-            if problem not in self.problems:
-                self.problems.append(problem)
             return []
+
+    def close(self) -> None:
+        """See :class:`BagFile`."""
+        self.data.stream.close()
 
 
 def open_mcap(path: Path) -> McapFile:
@@ -99,11 +93,11 @@ def open_mcap(path: Path) -> McapFile:
     size = stream.seek(0, io.SEEK_END)
     stream.seek(0)
     magic = stream.read(len(MAGIC))
-    file = McapFile(path, RecordFile(stream, size))
+    file = McapFile(path, data=RecordFile(stream, size))
     if magic != MAGIC:
         if not has_header(file.data, len(MAGIC)):
             stream.close()
-            raise BadInput(f"{path}: the file is empty" if size == 0 else f"{path}: not an MCAP file")
+            raise _no_mcap(path, size, magic)
         file.problems.append(f"{path.name}: its first {len(MAGIC)} bytes are damaged; nothing is lost by that")
     summary = _summary(file)
     if summary is not None:
@@ -111,6 +105,19 @@ def open_mcap(path: Path) -> McapFile:
     else:
         _walk(file)
     return file
+
+
+def _no_mcap(path: Path, size: int, begin: bytes) -> BadInput:
+    """What is wrong with a file of another kind, and what to do."""
+    if size == 0:
+        return BadInput("the file is empty", file=path)
+    if begin.startswith(_ROS1_BEGIN):
+        folder = shlex.quote(str(path.with_suffix("")))
+        advice = f"rosbags-convert --src {shlex.quote(str(path))} --dst {folder} makes a rosbag2 folder of it"
+        return BadInput(f"a bag of ROS 1: {advice}", file=path)
+    if begin.startswith(zstandard.FRAME_HEADER):
+        return BadInput("a compressed file: give the rosbag2 folder that it is in", file=path)
+    return BadInput("not an MCAP file", file=path)
 
 
 @dataclass

@@ -6,8 +6,8 @@ their messages are merged. Damaged records are skipped and listed in ``Bag.probl
 
 import re
 from bisect import bisect_left
-from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple
@@ -18,11 +18,17 @@ from rosbags.typesys.store import Typestore
 
 from ship_bags.command_line import with_bar
 from ship_bags.errors import BadInput, one_line
-from ship_bags.mcap.bag_file import McapFile, open_mcap
-from ship_bags.mcap.folder import INFORMATION_FILE, file_names
+from ship_bags.mcap.bag_file import open_mcap
+from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
+from ship_bags.mcap.box_parts import further_box_files
+from ship_bags.mcap.file_content import BagFile
+from ship_bags.mcap.folder import INFORMATION_FILE, file_names, needs_rosbags
+from ship_bags.mcap.latched import repeated_times
 from ship_bags.mcap.records import ChunkPlace
-from ship_bags.message_store import message_store, store_with_definitions
+from ship_bags.message_store import BagTypes, message_store, store_with_definitions
+from ship_bags.renamed_topics import BOX_METADATA, current_names
 from ship_bags.stamps import utc_text
+from ship_bags.topic_names import relative_topic
 
 # A name since rosbag2's metadata version 9, a number before.
 _LATCHED = re.compile(r"durability: (transient_local|1)\b")
@@ -37,6 +43,10 @@ _PLACE_BITS = 32
 _RECORD_BYTES = 250
 """Memory that a message takes besides its own bytes."""
 
+
+_XCDR2_HEADS = b"\x00\x06", b"\x00\x07"
+"""Encapsulations of plain XCDR2, big and little endian. It is read as XCDR1, which is right where the padding is the
+same; where XCDR2 pads less, the message is too short to be decoded."""
 
 _PADDING_BYTES = 4
 """What stands before an 8-byte element at the most."""
@@ -87,6 +97,8 @@ class Bag:
 
     Attributes:
         topics: topic → type name, of the topics that can be read.
+        recorded_names: topic → its name in the bag, of the topics that are read under another one
+            (:mod:`ship_bags.renamed_topics`).
         skipped_topics: topic → why it cannot be read.
         differences: type name → one line per field that the bag defines otherwise than this version of the suite.
         attachments: name → content.
@@ -95,17 +107,22 @@ class Bag:
         last_time_ns: log time of the last one; None before the first.
     """
 
-    def __init__(self, path: Path, files: list[McapFile]) -> None:
+    def __init__(self, path: Path, files: list[BagFile]) -> None:
         self.path = path
         self.topics: dict[str, str] = {}
         self.skipped_topics: dict[str, str] = {}
+        self.recorded_names = {new: old for file in files for new, old in file.recorded_names.items()}
         self.attachments = {name: data for file in files for name, data in file.attachments.items()}
         self.metadata = {name: entries for file in files for name, entries in file.metadata.items()}
         self.message_count = 0
         self.last_time_ns: int | None = None
         self._files = files
+        # What a file repeats from those before it is needed only by who has that file alone.
+        self._repeated = [set[tuple[str, int]]() if n == 0 else repeated_times(f.metadata) for n, f in enumerate(files)]
         self._usable_channels = [self._channels_of(file) for file in files]
-        self._store, self.differences = self._types()
+        types = self._types()
+        self._store, self.differences = types.store, types.differences
+        self._skip_unreadable(types.unreadable)
 
     @property
     def store(self) -> Typestore:
@@ -190,10 +207,10 @@ class Bag:
 
     def records_in_file_order(self) -> Iterator[BagRecord]:
         """All messages as they lie in the bag, one file after the other, log times as they come."""
-        for file, channels in zip(self._files, self._usable_channels, strict=True):
+        for number, (file, channels) in enumerate(zip(self._files, self._usable_channels, strict=True)):
             for place in sorted(file.chunks, key=lambda place: place.offset):
                 for message in file.messages(place):
-                    if message.channel_id in channels:
+                    if message.channel_id in channels and not self._is_repeated(number, message):
                         self.message_count += 1
                         self.last_time_ns = message.log_time
                         yield self._record(message, channels)
@@ -201,7 +218,7 @@ class Bag:
     def close(self) -> None:
         """Close the files."""
         for file in self._files:
-            file.data.stream.close()
+            file.close()
 
     def __enter__(self) -> "Bag":
         return self
@@ -231,22 +248,32 @@ class Bag:
     def _chunk_records(self, at: _BagPlace, channels: dict[int, str]) -> Iterator[tuple[int, int, BagRecord]]:
         """(log time, order in the bag, record) of the messages of some channels of one place."""
         for order, message in enumerate(self._files[at.file_number].messages(at.place), at.order << _PLACE_BITS):
-            if message.channel_id in channels:
+            if message.channel_id in channels and not self._is_repeated(at.file_number, message):
                 yield message.log_time, order, self._record(message, channels)
 
+    def _is_repeated(self, file_number: int, message: Message) -> bool:
+        """True if a message is the copy of one in an earlier file."""
+        repeated = self._repeated[file_number]
+        if not repeated:
+            return False
+        topic = self._files[file_number].channels[message.channel_id].topic
+        return (self.recorded_names.get(topic, topic), message.log_time) in repeated
+
     def _record(self, message: Message, channels: dict[int, str]) -> BagRecord:
-        topic = channels[message.channel_id]
+        topic, data = channels[message.channel_id], message.data
+        if data[:2] in _XCDR2_HEADS:
+            data = b"\0" + bytes([data[1] & 1]) + data[2:]
         return BagRecord(
             topic,
             self.topics[topic],
             message.log_time,
-            message.data,
+            data,
             self._store,
             message.sequence,
             message.publish_time,
         )
 
-    def _channels_of(self, file: McapFile) -> dict[int, str]:
+    def _channels_of(self, file: BagFile) -> dict[int, str]:
         """Channel → topic for those that can be read; notes topics, types and what is skipped."""
         usable: dict[int, str] = {}
         for channel in file.channels.values():
@@ -267,17 +294,28 @@ class Bag:
                 usable[channel.id] = channel.topic
         return usable
 
-    def _types(self) -> tuple[Typestore, dict[str, list[str]]]:
+    def _skip_unreadable(self, unreadable: Mapping[str, str]) -> None:
+        """Skip the topics of types whose definitions cannot be used."""
+        for topic, type_name in list(self.topics.items()):
+            if type_name in unreadable:
+                del self.topics[topic]
+                self.skipped_topics[topic] = unreadable[type_name]
+        self._usable_channels = [
+            {number: topic for number, topic in usable.items() if topic in self.topics}
+            for usable in self._usable_channels
+        ]
+
+    def _types(self) -> BagTypes:
         definitions: dict[str, str] = {}
         for file, usable in zip(self._files, self._usable_channels, strict=True):
             for number in usable:
                 schema = file.schemas[file.channels[number].schema_id]
                 definitions.setdefault(schema.name, schema.data.decode("utf-8", errors="replace"))
-        return store_with_definitions(definitions, str(self.path))
+        return store_with_definitions(definitions)
 
 
 def read_bag(path: Path | str) -> Bag:
-    """Open a bag: one .mcap file, or a rosbag2 folder with metadata.yaml.
+    """Open a bag: one .mcap file, or a rosbag2 folder with metadata.yaml; of sqlite3 or compressed ones, too.
 
     Raises:
         BadInput: names the file and what is wrong: missing, unreadable, empty, not MCAP, of an unknown compression, a
@@ -293,26 +331,63 @@ def read_bag(path: Path | str) -> Bag:
         return Bag(path, files)
     except BadInput:
         for file in files:
-            file.data.stream.close()
+            file.close()
         raise
 
 
-def open_files(path: Path) -> list[McapFile]:
-    """Open the MCAP files that make up a bag, in order, whatever they hold.
+def open_files(path: Path) -> list[BagFile]:
+    """Open the files that make up a bag, in order, whatever they hold; topics have the names wanted.
 
     Raises:
-        BadInput: one is missing, unreadable, empty, not MCAP or of an unknown compression, or a folder is without
-            metadata.yaml.
+        BadInput: one is missing, unreadable, empty, of no known storage or of an unknown compression, a folder is
+            without metadata.yaml, or the names wanted cannot be given.
     """
-    files: list[McapFile] = []
+    files: list[BagFile] = []
     try:
-        for part in _parts(path):
-            files.append(open_mcap(part))  # noqa: PERF401 - those opened so far are closed on failure
+        if needs_rosbags(path):
+            # Reading the library takes a while, and few bags need it.
+            from ship_bags.mcap.rosbags_file import open_with_rosbags
+
+            files.append(open_with_rosbags(path))
+        else:
+            for part in _parts(path):
+                files.append(open_mcap(part))  # noqa: PERF401 - those opened so far are closed on failure
+            files += further_box_files(files[0])
+        _rename_topics(path, files)
     except BadInput:
         for file in files:
-            file.data.stream.close()
+            file.close()
         raise
     return files
+
+
+def _rename_topics(path: Path, files: list[BagFile]) -> None:
+    """Give topics the names under which the command wants them; one that had such a name is not read."""
+    names = current_names()
+    if any(BOX_METADATA in file.metadata for file in files):
+        names = replace(names, is_by_suite=False)  # the node has given the suite's names already
+    topics = {channel.topic for file in files for channel in file.channels.values()}
+    attached = [file.attachments[SUITE_ATTACHMENT] for file in files if SUITE_ATTACHMENT in file.attachments]
+    renamed = names.new_names(topics, attached[-1].decode("utf-8", errors="replace") if attached else "")
+    unmatched = names.unmatched(topics)
+    if unmatched and not names.is_by_suite:
+        raise BadInput(f"has no topic '{unmatched[0]}' to rename; it has {', '.join(sorted(topics))}", file=path)
+    first: dict[str | None, str] = {}
+    for old, new in sorted(renamed.items()):
+        other = first.setdefault(relative_topic(new), old)
+        if other != old:
+            raise BadInput(f"topics '{other}' and '{old}' cannot both be read as '{new}'", file=path)
+    covered = {topic for topic in topics - renamed.keys() if relative_topic(topic) in first}
+    for file in files:
+        for number, channel in list(file.channels.items()):
+            if channel.topic in covered:
+                del file.channels[number]
+            elif channel.topic in renamed:
+                file.channels[number] = replace(channel, topic=renamed[channel.topic])
+        file.recorded_names = {new: old for old, new in renamed.items()}
+    lines = [f"has no topic '{name}' to rename" for name in unmatched]
+    lines += [f"topic '{topic}' is not read: {first[relative_topic(topic)]} has its name" for topic in sorted(covered)]
+    files[0].problems += [f"{path.name}: {line}" for line in lines]
 
 
 def watched(records: Iterator[BagRecord], bag: Bag) -> Iterator[BagRecord]:

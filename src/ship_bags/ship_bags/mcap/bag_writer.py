@@ -28,6 +28,9 @@ SUITE_ATTACHMENT = "suite.yaml"
 SCENARIO_ATTACHMENT = "scenario.yaml"
 """Name of the attachment that holds the scenario of a simulated bag."""
 
+_NEW = os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
+_EXCLUSIVE, _REPLACING = _NEW | os.O_EXCL, _NEW | os.O_TRUNC
+
 _FOREVER = "{sec: 9223372036, nsec: 854775807}"
 _QOS_TEMPLATE = """\
 - history: {history}
@@ -332,4 +335,6 @@ class BagWriter:
 def _opened(path: Path, atomic: bool, exclusive: bool) -> BinaryIO:
     if atomic:
         return open_new(path)
-    return open(path, "xb" if exclusive else "wb", opener=lambda name, flags: os.open(name, flags | os.O_NOFOLLOW))
+    # Without a mode, files of Python's os.open can be executed.
+    number = os.open(path, _EXCLUSIVE if exclusive else _REPLACING, 0o666)
+    return os.fdopen(number, "wb")

@@ -25,7 +25,7 @@ MAX_CHUNK_RECORDS = 1_000_000
 """The most records that a chunk may hold: a record without content takes twenty times its bytes in memory."""
 
 _BYTES_PER_MB = 1_000_000
-_MAX_CHUNK_BYTES = MAX_CHUNK_MB * _BYTES_PER_MB
+MAX_CHUNK_BYTES = MAX_CHUNK_MB * _BYTES_PER_MB
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
 _OTHERS_OF_CHUNK: dict[int, Callable[[ReadDataStream], McapRecord]] = {
     Opcode.CHANNEL: Channel.read, Opcode.SCHEMA: Schema.read
@@ -56,11 +56,11 @@ def _unfolded(chunk: Chunk) -> bytes:
     Raises:
         DamagedChunk: it cannot be decompressed, or holds more than it may.
     """
-    if chunk.uncompressed_size > _MAX_CHUNK_BYTES:
+    if chunk.uncompressed_size > MAX_CHUNK_BYTES:
         size_mb = chunk.uncompressed_size / _BYTES_PER_MB
         raise DamagedChunk(f"it says that it unfolds to {size_mb:.0f} MB: at most {MAX_CHUNK_MB} are taken")
-    content = guarded(lambda: _decompressed(chunk.compression, chunk.data))
-    if len(content) > _MAX_CHUNK_BYTES:
+    content = guarded(lambda: decompressed(chunk.compression, chunk.data))
+    if len(content) > MAX_CHUNK_BYTES:
         raise DamagedChunk(f"it unfolds to more than {MAX_CHUNK_MB} MB")
     if chunk.uncompressed_crc == 0 and len(content) != chunk.uncompressed_size:
         # Compressed bytes that are cut end without an error; here no checksum tells.
@@ -70,14 +70,14 @@ def _unfolded(chunk: Chunk) -> bytes:
     return content
 
 
-def _decompressed(compression: str, data: bytes) -> bytes:
+def decompressed(compression: str, data: bytes) -> bytes:
     """Content of compressed bytes, up to one byte more than a chunk may hold."""
     unfolded: bytes = data
     if compression == "zstd":
         with zstandard.ZstdDecompressor().stream_reader(data) as stream:
-            unfolded = stream.read(_MAX_CHUNK_BYTES + 1)
+            unfolded = stream.read(MAX_CHUNK_BYTES + 1)
     elif compression == "lz4":
-        unfolded = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=_MAX_CHUNK_BYTES + 1)
+        unfolded = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=MAX_CHUNK_BYTES + 1)
     return unfolded
 
 

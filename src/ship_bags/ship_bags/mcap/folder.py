@@ -14,11 +14,15 @@ import yaml
 
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_writer import BagWriter, own_qos_text
+from ship_bags.mcap.latched import REPEATED_METADATA, LatchedMessage, LatchedMessages
 from ship_bags.message_store import type_hash
 from ship_bags.output_files import write_whole
 from ship_bags.yaml_text import plain_data
 
 INFORMATION_FILE = "metadata.yaml"
+_STORAGES = "mcap", "sqlite3"
+_SQLITE_SUFFIX = ".db3"
+_COMPRESSION_MODES = "none", "file", "message"
 _INFORMATION_KEY = "rosbag2_bagfile_information"
 _VERSION = 9
 _ROS_DISTRO = "jazzy"
@@ -77,7 +81,8 @@ class FolderWriter:
         self.files: list[FileInformation] = []
         self._limits = limits
         self._topics: dict[str, TopicInformation] = {}
-        self._latched: set[str] = set()
+        self._latched = LatchedMessages()
+        self._unrepeated: list[LatchedMessage] = []
         self._outdated = False
         try:
             folder.mkdir()
@@ -102,7 +107,7 @@ class FolderWriter:
         text = own_qos_text(latched) if qos_profiles is None else qos_profiles
         self._bag.add_topic(topic, type_name, latched, text)
         if latched:
-            self._latched.add(topic)
+            self._latched.add_topic(topic)
         self._topics[topic] = TopicInformation(topic, type_name, text, type_hash(type_name))
         self._outdated = True
 
@@ -112,6 +117,24 @@ class FolderWriter:
         """Add a message given by its CDR bytes, as they are."""
         if topic not in self._topics:
             self.add_topic(topic, type_name)
+        self._repeat_latched(log_time_ns)
+        self._write(topic, type_name, data, log_time_ns, publish_time_ns)
+        if topic in self._latched:
+            sent_ns = log_time_ns if publish_time_ns is None else publish_time_ns
+            self._latched.add(LatchedMessage(topic, type_name, bytes(data), sent_ns))
+
+    def _repeat_latched(self, log_time_ns: int) -> None:
+        """Write the latched messages of earlier files just before the first message of this one, and note that."""
+        if not self._unrepeated:
+            return
+        before_ns = log_time_ns - 1
+        for message in self._unrepeated:
+            self._write(message.topic, message.type_name, message.data, before_ns, message.publish_time_ns)
+        topics = {message.topic for message in self._unrepeated}
+        self._bag.add_metadata(REPEATED_METADATA, dict.fromkeys(sorted(topics), str(before_ns)))
+        self._unrepeated = []
+
+    def _write(self, topic: str, type_name: str, data: bytes, log_time_ns: int, publish_time_ns: int | None) -> None:
         self._bag.write_raw(topic, type_name, data, log_time_ns, publish_time_ns)
         self._topics[topic].message_count += 1
         self.files[-1].add(log_time_ns)
@@ -151,6 +174,7 @@ class FolderWriter:
         self._begun_s = time.monotonic()
         for topic in self._topics.values():
             self._bag.add_topic(topic.name, topic.type_name, topic.name in self._latched, topic.qos_profiles)
+        self._unrepeated = list(self._latched)
 
     def _is_full(self) -> bool:
         if self.files[-1].message_count == 0:
@@ -165,42 +189,58 @@ class FolderWriter:
         self._outdated = False
 
 
+def needs_rosbags(path: Path) -> bool:
+    """True if a bag is no plain MCAP, but of a kind that the library `rosbags` reads: sqlite3, or compressed files.
+
+    Raises:
+        BadInput: it is a folder whose information file is wrong, or of a kind that nothing here reads.
+    """
+    if path.is_file():
+        return path.suffix == _SQLITE_SUFFIX
+    if not (path / INFORMATION_FILE).is_file():
+        return False
+    information = _read_information(path / INFORMATION_FILE)
+    _names(information, path / INFORMATION_FILE)
+    return information.get("storage_identifier") != "mcap" or _compression_mode(information) != "none"
+
+
 def file_names(information_path: Path) -> list[str]:
     """The files that an information file names, all of them in its own folder.
 
     Raises:
-        BadInput: it cannot be read, is no information file of MCAP files without compression, or names another folder.
+        BadInput: it cannot be read, is no information file of a known storage, or names another folder.
     """
+    return _names(_read_information(information_path), information_path)
+
+
+def _read_information(path: Path) -> dict[str, Any]:
+    """The entries of an information file of a storage that can be read."""
     try:
-        document = plain_data(str(information_path), information_path.read_text(encoding="utf-8"))
+        document = plain_data(str(path), path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as problem:
-        raise BadInput(f"cannot be read: {problem}", file=information_path) from problem
+        raise BadInput(f"cannot be read: {problem}", file=path) from problem
     information = document.get(_INFORMATION_KEY) if isinstance(document, dict) else None
     if not isinstance(information, dict):
-        raise BadInput(
-            f"not the information file of a rosbag2 bag: it has no {_INFORMATION_KEY}", file=information_path
-        )
-    storage, compression = information.get("storage_identifier"), information.get("compression_mode")
-    if storage != "mcap":
-        raise BadInput(
-            f"storage_identifier is '{storage!s:.40}': expected mcap (ros2 bag convert)",
-            file=information_path,
-        )
-    if compression is not None and str(compression).lower() not in ("", "none"):
-        raise BadInput(
-            f"compression_mode is '{compression!s:.40}': unpack the bag's files first",
-            file=information_path,
-        )
+        raise BadInput(f"not the information file of a rosbag2 bag: it has no {_INFORMATION_KEY}", file=path)
+    for key, known in (("storage_identifier", _STORAGES), ("compression_mode", _COMPRESSION_MODES)):
+        value = _compression_mode(information) if key == "compression_mode" else information.get(key)
+        if value not in known:
+            raise BadInput(f"{key} is '{value!s:.40}': expected {' or '.join(known)}", file=path)
+    return information
+
+
+def _compression_mode(information: dict[str, Any]) -> str:
+    return str(information.get("compression_mode") or "none").lower()
+
+
+def _names(information: dict[str, Any], path: Path) -> list[str]:
     names = information.get("relative_file_paths")
     if not isinstance(names, list) or not names:
-        raise BadInput("relative_file_paths names no file", file=information_path)
+        raise BadInput("relative_file_paths names no file", file=path)
     for name in names:
         # A file of another folder is no part of this bag, whatever the information file says.
         if not isinstance(name, str) or "\0" in name or Path(name).is_absolute() or ".." in Path(name).parts:
-            raise BadInput(
-                f"relative_file_paths: '{name!s:.80}' is no file of this folder",
-                file=information_path,
-            )
+            raise BadInput(f"relative_file_paths: '{name!s:.80}' is no file of this folder", file=path)
     return names
 
 

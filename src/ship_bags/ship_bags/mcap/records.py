@@ -159,13 +159,18 @@ def has_header(data: RecordFile, offset: int) -> bool:
     return record is not None and record.opcode == Opcode.HEADER
 
 
+def has_time_of_stamps(log_time_ns: int) -> bool:
+    """True if a stamp can carry a log time, and that of a day later."""
+    return 0 <= log_time_ns < _LATEST_NS
+
+
 def _of_our_time(records: list[McapRecord]) -> list[McapRecord]:
     """The records, where a replay can give each of them its time.
 
     Raises:
         DamagedChunk: no stamp can carry a log time.
     """
-    if any(isinstance(record, Message) and record.log_time >= _LATEST_NS for record in records):
+    if any(isinstance(record, Message) and not has_time_of_stamps(record.log_time) for record in records):
         raise DamagedChunk("it has log times beyond the year 2038, which no stamp can carry")
     return records
 

@@ -134,7 +134,7 @@ def _recover_file(
         finally:
             part.unlink(missing_ok=True)
     finally:
-        file.data.stream.close()
+        file.close()
     return Recovery(target, written.counts, file.problems), information
 
 

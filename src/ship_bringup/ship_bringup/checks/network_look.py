@@ -8,8 +8,9 @@ import math
 import os
 import statistics
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
 
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -104,7 +105,11 @@ class NetworkState:
 
 
 def look_at_network(
-    inputs: Sequence[InputTopic], outputs: Sequence[str], namespace: str, listen_s: float
+    inputs: Sequence[InputTopic],
+    outputs: Sequence[str],
+    namespace: str,
+    listen_s: float,
+    ship_names: Mapping[str, str] = MappingProxyType({}),
 ) -> NetworkState:
     """Listen to the inputs of a suite.
 
@@ -113,10 +118,13 @@ def look_at_network(
         outputs: relative names of topics that the suite itself gives.
         namespace: of the suite, without its outer slashes.
         listen_s: how long a topic is listened to from its first message on, s.
+        ship_names: of inputs that the ship names otherwise.
     """
     if is_demanded(os.environ):
         os.environ.setdefault(ENCLAVE, full_name(NAME, namespace))
-    arguments = ["--ros-args", "-r", f"__ns:=/{namespace}"] if namespace else []
+    rules = [f"__ns:=/{namespace}"] if namespace else []
+    rules += [f"{name}:={ship_name}" for name, ship_name in ship_names.items()]
+    arguments = ["--ros-args", *(word for rule in rules for word in ("-r", rule))] if rules else []
     try:
         with command_node(NAME, arguments) as node, _spinning(node) as spin:
             ears = [_Ear(node, topic, listen_s) for topic in inputs]

@@ -3,7 +3,9 @@
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 
-from ship_bags.parameter_yaml import RELIABLE_INPUTS_PARAMETER, full_name, read_sections
+from ship_bags.parameter_yaml import RELIABLE_INPUTS_PARAMETER, read_sections
+from ship_bags.renamed_topics import ship_names
+from ship_bags.topic_names import resolved_topic
 from ship_bringup.checks.check_line import CheckLine, Result
 from ship_bringup.checks.network_look import STRONGER, HeardTopic, NetworkState
 from ship_node.edge.input_record import MAX_AGE_S
@@ -30,7 +32,9 @@ def asked_qualities(
         namespace: of the suite.
         reliable_inputs: whether ``suite`` will be started with that option.
     """
-    begins = {f"{_OVERRIDES}{full_name(topic, namespace)}.subscription.": topic for topic in topics}
+    on_ship = ship_names(path)
+    names = {topic: resolved_topic(on_ship.get(topic, topic), namespace) for topic in topics}
+    begins = {f"{_OVERRIDES}{name}.subscription.": topic for topic, name in names.items()}
     found: dict[str, dict[str, str]] = {}
     if reliable_inputs:
         found = {topic: {_RELIABLE: "--reliable-inputs"} for topic in begins.values()}
@@ -89,12 +93,13 @@ def _judged(
     asked_for = Result.FAIL if heard.input.required or heard.input.named else Result.WARN
     needed = Result.NOT_CHECKED if heard.input.at_times else asked_for
     if not heard.publishers:
-        return needed, "nobody publishes it", "start its driver, or remap its topic to this name"
+        return needed, "nobody publishes it", "start its driver, or name its topic in the suite file (topics)"
     of_type = [each for each in heard.publishers if each.type_name == heard.input.type_name]
     who = ", ".join(sorted({each.node for each in heard.publishers}))
     if not of_type:
         other = heard.publishers[0].type_name
-        return Result.FAIL, f"{who} publishes {other}, expected {heard.input.type_name}", "change the driver or remap"
+        found = f"{who} publishes {other}, expected {heard.input.type_name}"
+        return Result.FAIL, found, "change the driver, or name another topic in the suite file (topics)"
     if lacking := [quality for quality in sorted(asked) if any(quality not in each.offers for each in of_type)]:
         settings = " and ".join(dict.fromkeys(asked[quality] for quality in lacking))
         found = f"{who} does not offer {' and '.join(lacking)}, asked for by {settings}: nothing will come"

@@ -9,6 +9,7 @@ from pathlib import Path
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.live.ros_process import namespace_name
 from ship_bags.output_files import add_force, check_folder, write_whole
+from ship_bags.renamed_topics import ship_names
 from ship_bringup.security.demand import DOMAIN, LAST_DOMAIN, domain_of
 from ship_bringup.security.policy_xml import governance_text, permissions_text, policy_text
 from ship_bringup.security.rights import companions_of, suite_rights
@@ -64,7 +65,8 @@ def _policies(options: argparse.Namespace) -> int:
     nodes, _ = checked_nodes(options.file, options.namespace)
     companions = companions_of(options.file, options.namespace)
     adapters = [node.adapter for node in nodes]
-    all_rights = suite_rights(adapters, options.namespace, options.locked, options.play, companions)
+    names = ship_names(options.file)
+    all_rights = suite_rights(adapters, options.namespace, options.locked, options.play, companions, names)
     domain_id = domain_of(os.environ) if options.domain is None else options.domain
     first = options.valid_from or datetime.datetime.now(datetime.timezone.utc)
     first = first.replace(hour=0, minute=0, second=0, microsecond=0)

@@ -15,6 +15,7 @@ from ship_bags.errors import BadInput
 from ship_bags.live.dds import dds_has_security, is_demanded, loaded_libraries
 from ship_bags.live.ros_process import namespace_name, positive
 from ship_bags.parameter_yaml import full_name
+from ship_bags.renamed_topics import ship_names
 from ship_bringup.checks.check_line import CheckLine, Result, exit_code, table, verdict, worst_first
 from ship_bringup.checks.clock_check import judge_clock, look_at_clock
 from ship_bringup.checks.disk_check import judge_disk, look_at_disk, night_bytes
@@ -144,9 +145,15 @@ def _security(suite: _Suite) -> Iterable[CheckLine]:
     yield from judge_security(os.environ, dds_has_security(loaded_libraries()), required)
     is_demand = required or is_demanded(os.environ)
     if keystore or is_demand:
-        namespace = suite.options.namespace
+        namespace, names = suite.options.namespace, ship_names(suite.options.file)
         use = KeystoreUse(
-            rights=suite_rights(suite.chain.adapters, namespace, suite.options.locked, companions=suite.companions),
+            rights=suite_rights(
+                suite.chain.adapters,
+                namespace,
+                suite.options.locked,
+                companions=suite.companions,
+                ship_names=names,
+            ),
             domain_id=domain_of(os.environ),
             now=datetime.datetime.now(datetime.timezone.utc),
             voyage=datetime.timedelta(days=suite.options.days),
@@ -168,7 +175,8 @@ def _network(suite: _Suite, settings: Sequence[CheckLine]) -> NetworkState:
         print(f"preflight: listens to each sensor for {suite.options.listen:g} s", file=sys.stderr)
     # Topics as /diagnostics are everybody's.
     given = [topic.topic for topic in suite.chain.outputs if not topic.topic.startswith("/")]
-    return look_at_network(suite.chain.inputs, given, suite.options.namespace, suite.options.listen)
+    options = suite.options
+    return look_at_network(suite.chain.inputs, given, options.namespace, options.listen, ship_names(options.file))
 
 
 def _disk(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:

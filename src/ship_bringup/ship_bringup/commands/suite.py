@@ -11,6 +11,7 @@ from ship_bags.errors import BadInput, one_line
 from ship_bags.live.dds import dds_has_security, loaded_libraries, require_demanded_security
 from ship_bags.live.ros_process import namespace_name, positive
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
+from ship_bags.renamed_topics import add_remap
 from ship_bringup.security.demand import require_profile
 from ship_bringup.suite.frozen_check import FROZEN_REPORT_S, FROZEN_RESTART_S
 from ship_bringup.suite.keeper import Keeper
@@ -60,6 +61,7 @@ def _parser() -> CommandParser:
         "--namespace", type=namespace_name, default="", metavar="NS", help="namespace of all nodes and topics (none)"
     )
     parser.add_argument("--bag", type=Path, metavar="BAG", help="play this bag into the nodes")
+    add_remap(parser)
     parser.add_argument(
         "--rate", type=positive, default=1.0, metavar="R", help="with --bag: seconds of the bag per second (1)"
     )

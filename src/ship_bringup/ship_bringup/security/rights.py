@@ -76,6 +76,7 @@ def suite_rights(
     locked: bool = False,
     played: bool = False,
     companions: Mapping[str, Any] = MappingProxyType({}),
+    ship_names: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[Rights, ...]:
     """The rights of all programs of a suite, its estimators first.
 
@@ -85,8 +86,9 @@ def suite_rights(
         locked: whether nobody may set a parameter of a running node.
         played: whether a bag may be played into it: somebody sets /clock and gives what sensors give. Not for a voyage.
         companions: what :func:`companions_of` tells of its file.
+        ship_names: of inputs, see :func:`ship_bags.renamed_topics.ship_names`.
     """
-    return tuple(_SuiteRights(adapters, namespace, locked, played, companions).all())
+    return tuple(_SuiteRights(adapters, namespace, locked, played, companions, ship_names).all())
 
 
 def companions_of(suite_path: Path, namespace: str) -> dict[str, Any]:
@@ -137,12 +139,13 @@ class _SuiteRights:
         locked: bool,
         played: bool,
         companions: Mapping[str, Any],
+        ship_names: Mapping[str, str],
     ) -> None:
         chain = AdapterChain(adapters)
         self._adapters, self._namespace, self._locked = chain.adapters, namespace, locked
         self._from_outside = {topic.topic: topic.type_name for topic in chain.inputs}
         self._clock = frozenset({full_name("clock", namespace), _CLOCK}) if played else frozenset()
-        self._played, self._companions = played, companions
+        self._played, self._companions, self._ship_names = played, companions, ship_names
         given = {topic.topic: topic.type_name for topic in chain.outputs}
         self._types = {**heard_by_nmea(companions), **self._from_outside, **given}
         self._types |= {ALERTS_TOPIC: MESSAGES + "AlertArray", DIAGNOSTICS_TOPIC: DIAGNOSTICS_TYPE}
@@ -158,7 +161,7 @@ class _SuiteRights:
             yield self._of_node(adapter)
         yield from self._of_companions()
         yield self._of_alerts()
-        everything = self._topics(self._types)
+        everything = self._topics(self._types) | self._inputs(self._from_outside)
         watched = self._topics([*self._watched, ALERTS_TOPIC, DIAGNOSTICS_TOPIC]) | self._clock
         acknowledge = {f"{self._alerts}/acknowledge"}
         # The page also passes topics on to Foxglove.
@@ -167,15 +170,15 @@ class _SuiteRights:
         # The recorder notes the parameters of whatever node it meets, and sets none.
         asked = {"/*/list_parameters", "/*/get_parameters"}
         yield self._tool("record", everything | self._clock | _OF_EVERY_NODE, asked)
-        yield self._tool("preflight", self._topics(self._from_outside))
+        yield self._tool("preflight", self._inputs(self._from_outside))
         yield self._tool("call", (), self._called(), answers=("/call_*",))
         settable = () if self._locked else ("set_parameters_atomically",)
         yield self._tool("param", (), self._asked(*_GET, *settable), answers=("/param_*",))
         yield from self._of_sensors()
         if self._played:
             services = {self._full(f"play/{name}") for name in ("pause", "resume", "toggle_paused", "play_next")}
-            played = [*self._from_outside, *(name for name in self._types if name.startswith(TRUTH_PREFIX))]
-            yield self._tool("play", publishes=self._topics(played) | self._clock, serves=services)
+            played = self._inputs([*self._from_outside, *(n for n in self._types if n.startswith(TRUTH_PREFIX))])
+            yield self._tool("play", publishes=played | self._clock, serves=services)
 
     def _of_node(self, adapter: Adapter) -> Rights:
         name = self._full(adapter.node_name)
@@ -185,7 +188,7 @@ class _SuiteRights:
         return Rights(
             enclave=name,
             publishes=self._topics([t.topic for t in adapter.outputs] + [DIAGNOSTICS_TOPIC]) | _OF_EVERY_NODE,
-            subscribes=self._topics(t.topic for t in adapter.inputs) | self._clock,
+            subscribes=self._inputs(t.topic for t in adapter.inputs) | self._clock,
             serves=frozenset(f"{name}/{service}" for service in adapter.services) | _own_services(name),
             declared=tuple(sorted([*types, *parameters])),
             is_needed=True,
@@ -203,7 +206,7 @@ class _SuiteRights:
     def _of_companions(self) -> Iterator[Rights]:
         diagnostics = {DIAGNOSTICS_TOPIC}
         if "nmea_out" in self._companions:
-            heard = self._topics(["ship/attitude", ALERTS_TOPIC]) | self._clock
+            heard = self._inputs(["ship/attitude", ALERTS_TOPIC]) | self._clock
             acknowledge = {f"{self._alerts}/acknowledge"}
             yield replace(self._tool("nmea_out", heard, acknowledge, diagnostics), is_needed=True)
         if "nmea_in" in self._companions:
@@ -215,7 +218,7 @@ class _SuiteRights:
         # Who reads an instrument with nmea_in has no driver for it: another certificate could only be misused.
         driven = set(self._from_outside) - set(heard_by_nmea(self._companions))
         for device in sorted({device_of(topic) for topic in driven}):
-            topics = self._topics(topic for topic in driven if device_of(topic) == device)
+            topics = self._inputs(topic for topic in driven if device_of(topic) == device)
             node = self._full(device)
             enclave = self._full(f"{SENSORS}/{device}")
             # A node of rclcpp hears /parameter_events, too, and does not start without that.
@@ -249,6 +252,10 @@ class _SuiteRights:
     def _asked(self, *names: str) -> frozenset[str]:
         nodes = [*self._nodes, self._alerts]
         return frozenset[str]().union(*(parameter_services(node, names) for node in nodes))
+
+    def _inputs(self, names: Iterable[str]) -> frozenset[str]:
+        """Topics as nodes take them, of which the ship may have other names."""
+        return self._topics(self._ship_names.get(name, name) for name in names)
 
     def _topics(self, names: Iterable[str]) -> frozenset[str]:
         return frozenset(map(self._full, names))

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ship_bags.errors import BadInput
@@ -10,7 +10,8 @@ from ship_bags.live.dds import is_demanded
 from ship_bags.live.ros_process import executable
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.parameter_yaml import anywhere, full_name, read_sections
-from ship_bags.topic_names import TRUTH_PREFIX, likely_namespace, relative_topics
+from ship_bags.renamed_topics import current_names, ship_names, topic_names
+from ship_bags.topic_names import TRUTH_PREFIX, likely_namespace, relative_topics, resolved_topic
 from ship_bringup.security.rights import companions_of, suite_rights
 from ship_bringup.suite.enclaves import in_enclaves
 from ship_bringup.suite.program import Program, Role
@@ -55,9 +56,9 @@ class SuiteOptions:
     limits: Path | None = None
     monitor_arguments: tuple[str, ...] = ()
 
-    def topic(self, relative: str) -> str:
-        """Full name of a topic of the suite."""
-        return full_name(relative, self.namespace)
+    def topic(self, name: str) -> str:
+        """Full name of a topic of the suite, or of the ship."""
+        return resolved_topic(name, self.namespace)
 
 
 @dataclass(frozen=True)
@@ -105,11 +106,12 @@ def plan_of(path: Path, options: SuiteOptions) -> Plan:
     if options.monitor:
         programs += _watchers(options, ros)
     if options.bag is not None:
-        programs.append(_player(options.bag, chain, options))
+        programs.append(_player(path, options.bag, chain, options))
     if is_demanded(os.environ):
         limits = Limits() if options.limits is None else read_limits(options.limits)
         beside = companions_of(path, options.namespace)
-        rights = suite_rights(chain.adapters, options.namespace, played=options.bag is not None, companions=beside)
+        is_played, names = options.bag is not None, ship_names(path)
+        rights = suite_rights(chain.adapters, options.namespace, played=is_played, companions=beside, ship_names=names)
         programs, told = in_enclaves(programs, rights, options.namespace, limits)
         warnings += told
     return Plan(tuple(programs), (*warnings, *without_saved_file(path, nodes), *_played_out(companions, options)))
@@ -189,15 +191,19 @@ def _watchers(options: SuiteOptions, ros: tuple[str, ...]) -> list[Program]:
     return [Program("monitor", page, Role.WATCHER), Program("alerts", alerts, Role.WATCHER)]
 
 
-def _player(path: Path, chain: AdapterChain, options: SuiteOptions) -> Program:
-    """Plays what the suite takes from outside, and the truth, under the names that they have in the suite."""
-    with read_bag(path) as bag:
+def _player(suite_file: Path, path: Path, chain: AdapterChain, options: SuiteOptions) -> Program:
+    """Plays what the suite takes from outside, and the truth, under the names by which the nodes take them."""
+    names = replace(current_names(), is_by_suite=True, suite_file=suite_file)
+    with topic_names(names), read_bag(path) as bag:
         required = [topic.topic for topic in chain.inputs if topic.required]
         namespace = likely_namespace(bag.topics, required) or ""
         played = match_inputs(bag, chain, namespace)
         found = relative_topics(bag.topics, namespace)
-    played |= {relative: name for relative, name in found.items() if relative.startswith(TRUTH_PREFIX)}
-    moved = [f"{name}:={options.topic(relative)}" for relative, name in played.items()]
+    on_ship = ship_names(suite_file)
+    targets = {name: on_ship.get(relative, relative) for relative, name in played.items()}
+    targets |= {name: relative for relative, name in found.items() if relative.startswith(TRUTH_PREFIX)}
+    recorded = {bag.recorded_names.get(name, name): options.topic(target) for name, target in targets.items()}
+    moved = [f"{name}:={target}" for name, target in recorded.items()]
     command = [*executable("ship_bags", "play"), str(path), "--rate", str(options.rate)]
-    command += ["--loop", str(options.loop), "--topics", *played.values(), "--remap", *moved]
+    command += ["--loop", str(options.loop), "--topics", *recorded, "--remap", *moved]
     return Program("play", (*command, "--ros-args", *_names(options)), Role.PLAYER)

@@ -10,6 +10,7 @@ from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
 from ship_bags.live.heartbeat import heartbeat
 from ship_bags.live.ros_process import on_end_signals
+from ship_bags.renamed_topics import add_remap
 from ship_monitor.after.recorded_pictures import RecordedPictures
 from ship_monitor.after.recorded_suite import RecordedSuite
 from ship_monitor.foxglove.server import FoxgloveServer
@@ -58,6 +59,7 @@ def _parser() -> CommandParser:
     parser.add_argument(
         "--bag", type=Path, metavar="BAG", help="look at a bag or black box after the fact, with a time slider"
     )
+    add_remap(parser, is_by_suite=True)
     parser.add_argument("--address", default="127.0.0.1", help="address to listen on; 0.0.0.0 is all (127.0.0.1)")
     parser.add_argument(
         "--allow-host",

@@ -4,7 +4,6 @@ The node only puts entries into a queue; a thread writes them, so that a slow di
 """
 
 import json
-import re
 import threading
 import time
 from collections import deque
@@ -16,21 +15,17 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 
 from ship_bags.errors import BadInput
-from ship_bags.live.installed_types import installed_definition, type_hash
-from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
-from ship_bags.parameter_yaml import BLACK_BOX_PARAMETER
+from ship_bags.live.installed_types import type_hash
 from ship_node.black_box.black_box_format import (
     EVENTS_TOPIC,
     EVENTS_TYPE,
-    FORMAT,
-    METADATA,
-    VERSIONS_ATTACHMENT,
     Closed,
     EntriesLost,
     Event,
     FileUsed,
     event_text,
 )
+from ship_node.black_box.box_files import BoxFiles, BoxHead
 from ship_node.black_box.versions import versions
 from ship_node.documents.saved_document import FileUse
 from ship_node.edge.adapter import Adapter
@@ -46,6 +41,9 @@ LONGEST_QUEUE = 50_000
 
 LARGEST_QUEUE_BYTES = 64 * 2**20
 """Bytes of the entries that wait; the files that the node read and wrote are not counted."""
+
+RETRY_S = 10.0
+"""Period at which a new file is tried after the disk has failed, s."""
 
 MOST_BEFORE_TIME = 1000
 """Entries that are kept while the node has no time yet; of more, the newest are kept."""
@@ -67,15 +65,16 @@ class BlackBox:
     """One box being written.
 
     Attributes:
-        path: the file.
+        path: the file; of several the first.
 
     Args:
-        path: the file as the parameter names it; see :func:`free_path`.
+        path: the file as the parameter names it; see :func:`ship_node.black_box.box_files.free_path`.
         adapter: what the node runs.
         config: its configuration.
         outputs: everything that is published.
         namespace: the node's.
-        on_failure: told once when the disk fails.
+        on_failure: receives a line when the disk fails, and when a new file goes on.
+        part_bytes: size from which on a new file begins; 0 for never.
 
     Raises:
         BadInput: the file cannot be made.
@@ -89,27 +88,23 @@ class BlackBox:
         outputs: Iterable[OutputTopic],
         namespace: str,
         on_failure: Callable[[str], None],
+        part_bytes: int = 0,
     ) -> None:
         node = adapter.node_name
         topics = [OutputTopic(EVENTS_TOPIC, EVENTS_TYPE)]
         topics += [*(OutputTopic(topic.topic, topic.type_name) for topic in adapter.inputs), *outputs]
-        self._types = {topic.topic: topic.type_name for topic in topics}
         package = type(adapter).__module__.partition(".")[0]
-        used = versions(package, {name: type_hash(name) for name in self._types.values()})
-        self._writer = _open(path, node)
-        self.path = self._writer.path
-        self._writer.add_metadata(METADATA, {"format": FORMAT, "node": node, "namespace": namespace})
-        self._writer.add_attachment(SUITE_ATTACHMENT, parameter_text(node, config))
-        self._writer.add_attachment(VERSIONS_ATTACHMENT, json.dumps(used, indent=1), "application/json")
-        for topic in topics:
-            self._writer.add_topic(topic.topic, topic.type_name, topic.latched)
-        self._writer.flush()
+        used = versions(package, {topic.type_name: type_hash(topic.type_name) for topic in topics})
+        head = BoxHead(node, namespace, parameter_text(node, config), json.dumps(used, indent=1), topics)
+        self._files = BoxFiles(path, head, part_bytes)
+        self.path = self._files.path
         self._queue: deque[_Message | _Attachment] = deque()
         self._bytes_put = self._bytes_written = 0
         self._before_time: deque[_Message] = deque()
         self._last_ns = 0
         self._file_count = self._lost = self._lost_unsaid = 0
-        self._failure = ""
+        self._unflushed = self._lost_by_failure = 0
+        self._failure, self._retry_s = "", 0.0
         self._on_failure = on_failure
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._write_on, name="black box", daemon=True)
@@ -154,12 +149,13 @@ class BlackBox:
     def status(self) -> DiagnosticStatus:
         """How the box does."""
         if self._failure:
-            return DiagnosticStatus("black box", Level.ERROR, f"{self.path}: writing ended: {self._failure}")
-        values = {"bytes": str(self._writer.whole_bytes), "waiting": str(len(self._queue)), "lost": str(self._lost)}
+            text = f"{self._files.last_path}: writing ended: {self._failure}; a new file is tried every {RETRY_S:g} s"
+            return DiagnosticStatus("black box", Level.ERROR, text)
+        values = {"bytes": str(self._files.whole_bytes), "waiting": str(len(self._queue)), "lost": str(self._lost)}
         if self._lost:
-            text = f"{self.path}: {self._lost} entries lost: the disk is slow"
+            text = f"{self._files.last_path}: {self._lost} entries lost: the disk was slow or full"
             return DiagnosticStatus("black box", Level.ERROR, text, values)
-        return DiagnosticStatus("black box", Level.OK, f"writing {self.path}", values)
+        return DiagnosticStatus("black box", Level.OK, f"writing {self._files.last_path}", values)
 
     def close(self) -> None:
         """Write what is left and finish the file; a second time does nothing."""
@@ -170,7 +166,7 @@ class BlackBox:
         # Where the node never had a time, the entries that wait for one are written now.
         self.put_event(Closed(), max(self._last_ns, 1))
         self._guarded(self._write_all)
-        self._guarded(self._writer.close)
+        self._guarded(self._files.close)
 
     def _append(self, message: _Message) -> None:
         waiting_bytes = self._bytes_put - self._bytes_written
@@ -199,65 +195,62 @@ class BlackBox:
         count = len(self._queue)
         for _ in range(count):
             entry = self._queue.popleft()
+            self._unflushed += 1
             if isinstance(entry, _Attachment):
-                self._writer.add_attachment(entry.name, entry.content, "application/octet-stream")
+                self._files.attach(entry.name, entry.content)
             else:
-                # Entries of all topics are counted together: one that is missing shows at the next one.
-                number = self._writer.message_count + 1
-                kind = self._types[entry.topic]
                 self._bytes_written += len(entry.data)
-                self._writer.write_raw(entry.topic, kind, entry.data, entry.time_ns, entry.waiting_ns, number)
+                self._write_loss(entry)
+                self._files.write(*entry)
         if count:
-            self._writer.flush()
+            self._files.flush()
+            self._unflushed = 0
+
+    def _write_loss(self, entry: _Message) -> None:
+        """Note before an entry what was lost since the disk failed."""
+        if self._lost_by_failure:
+            lost, self._lost_by_failure = _event_data(EntriesLost(self._lost_by_failure)), 0
+            self._files.write(EVENTS_TOPIC, lost, entry.time_ns, entry.waiting_ns)
 
     def _guarded(self, write: Callable[[], None]) -> None:
-        """Write; the first failure ends the box and not the node."""
-        if self._failure:
-            self._queue.clear()
+        """Write; after a failure, which does not end the node, entries are lost until a new file takes them."""
+        if self._failure and not self._has_new_file():
+            self._drop()
             return
         try:
             write()
         except Exception as error:
             self._failure = error.strerror if isinstance(error, OSError) and error.strerror else repr(error)
-            self._writer.cut()
-            self._on_failure(f"black box {self.path}: writing ended: {self._failure}; it is whole up to the last flush")
+            self._retry_s = time.monotonic() + RETRY_S
+            self._files.cut()
+            self._drop()
+            self._on_failure(
+                f"black box {self._files.last_path}: writing ended: {self._failure}; it is whole up to the last flush,"
+                f" and a new file is tried every {RETRY_S:g} s"
+            )
 
+    def _has_new_file(self) -> bool:
+        """Try to go on in a new file; True if it could be made."""
+        if time.monotonic() < self._retry_s:
+            return False
+        try:
+            self._files.begin_next()
+        except (OSError, BadInput):
+            self._retry_s = time.monotonic() + RETRY_S
+            return False
+        self._failure = ""
+        self._on_failure(f"black box goes on in {self._files.last_path}: {self._lost_by_failure} entries were lost")
+        return True
 
-def free_path(path: Path) -> Path:
-    """The path itself, or with the number after all that are there: ``box.mcap``, ``box_2.mcap``, ``box_3.mcap``."""
-    pattern = re.compile(re.escape(path.stem) + r"_(\d+)" + re.escape(path.suffix))
-    matches = [pattern.fullmatch(other.name) for other in path.parent.iterdir()]
-    newest = max((int(match[1]) for match in matches if match), default=1 if path.exists() else 0)
-    return path.with_name(f"{path.stem}_{newest + 1}{path.suffix}") if newest else path
-
-
-def _open(text: str, node_name: str) -> BagWriter:
-    """A new file for a box at a path, or of the node's name in a folder."""
-    path = Path(text)
-    if text.endswith("/") or path.is_dir():
-        path = path / f"{node_name}.mcap"
-    if path.suffix != ".mcap":
-        raise _unusable(text, "expected a file ending in .mcap, or a folder")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        while True:
-            free = free_path(path)
-            try:
-                return BagWriter(
-                    free, atomic=False, define=installed_definition, library="ship_node", exclusive=True
-                )
-            except BadInput:
-                # Another node may have taken the name meanwhile.
-                if not free.exists():
-                    raise
-    except (OSError, BadInput) as error:
-        raise _unusable(text, str(error)) from error
-
-
-def _unusable(path: str, reason: str) -> BadInput:
-    """The parameter names a place where no box can be written."""
-    name = BLACK_BOX_PARAMETER
-    return BadInput(f"parameter '{name}' = '{path}': {reason}", parameters=(name,), value=path)
+    def _drop(self) -> None:
+        """Count as lost what waits, and what was written since the last flush."""
+        count = len(self._queue)
+        for _ in range(count):
+            entry = self._queue.popleft()
+            self._bytes_written += 0 if isinstance(entry, _Attachment) else len(entry.data)
+        self._lost += count + self._unflushed
+        self._lost_by_failure += count + self._unflushed
+        self._unflushed = 0
 
 
 def _event_data(event: Event) -> bytes:

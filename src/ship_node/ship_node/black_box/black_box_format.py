@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from ship_bags.errors import BadInput
+from ship_bags.renamed_topics import BOX_METADATA
 from ship_node.edge.overload import Overload
 
 FORMAT = "2"
@@ -18,8 +19,9 @@ FORMAT = "2"
 
 EVENTS_TOPIC = "black_box/events"
 EVENTS_TYPE = "std_msgs/msg/String"
-METADATA = "black_box"
-"""Metadata record with the entries ``format``, ``node`` and ``namespace``."""
+METADATA = BOX_METADATA
+"""Metadata record with the entries ``format``, ``node``, ``namespace``, and ``box`` (the same in all files of a box),
+``part`` (from 1) and ``first`` (name of the first file), which boxes of one file alone may lack."""
 
 VERSIONS_ATTACHMENT = "versions.json"
 """Attachment with :func:`ship_node.black_box.versions.versions`; that with the parameters is
@@ -98,7 +100,7 @@ class FileUsed:
 
 @dataclass(frozen=True)
 class EntriesLost:
-    """The disk was too slow: so many entries are missing here."""
+    """The disk was too slow or full: so many entries are missing here."""
 
     count: int
 

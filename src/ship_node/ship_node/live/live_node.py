@@ -143,14 +143,15 @@ class LiveNode:
 
     def _create_subscription(self, input_topic: InputTopic, qos: QoSProfile) -> Subscription:
         topic = input_topic.topic
+        name = self._parameters.topics.get(topic, topic)
         events = SubscriptionEventCallbacks(
             incompatible_qos=partial(self._guard.call, "QoS event", self._on_incompatible_qos, topic),
             message_lost=partial(self._guard.call, "QoS event", self._on_lost, topic),
         )
-        with overrides_checked(self.node, topic):
+        with overrides_checked(self.node, name):
             subscription = self.node.create_subscription(
                 message_class(input_topic.type_name),
-                topic,
+                name,
                 partial(self._guard.call, topic, self._on_message, topic),
                 qos,
                 event_callbacks=events,
@@ -170,7 +171,9 @@ class LiveNode:
         # Read only where a box is kept: the writer of bags takes a tenth of a node's start.
         from ship_node.black_box.black_box import BlackBox
 
-        box = BlackBox(path, self.adapter, config, _outputs(self.adapter), self.node.get_namespace(), self._log.error)
+        outputs, part_bytes = _outputs(self.adapter), self._parameters.black_box_part_bytes
+        namespace = self.node.get_namespace()
+        box = BlackBox(path, self.adapter, config, outputs, namespace, self._log.error, part_bytes)
         self._log.info(f"black box: {box.path}")
         return box
 

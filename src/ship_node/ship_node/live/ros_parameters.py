@@ -12,7 +12,13 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from ship_bags.errors import BadInput
-from ship_bags.parameter_yaml import BLACK_BOX_PARAMETER, RELIABLE_INPUTS_PARAMETER, is_shell_parameter
+from ship_bags.parameter_yaml import (
+    BLACK_BOX_PARAMETER,
+    BLACK_BOX_PART_PARAMETER,
+    RELIABLE_INPUTS_PARAMETER,
+    is_shell_parameter,
+)
+from ship_bags.renamed_topics import TOPICS_PARAMETER, topic_map
 from ship_estimation.parameters import (
     ParameterDescription,
     ParameterError,
@@ -30,6 +36,9 @@ from ship_node.live.node_log import NodeLog
 USE_SIM_TIME = "use_sim_time"
 
 _BLACK_BOX_DOC = "file (.mcap) or folder that takes everything the node uses and gives; empty for none"
+_BLACK_BOX_PART_DOC = "size from which on the black box goes on in a new file [MB]; 0 for never"
+BLACK_BOX_PART_MB = 1000
+_BYTES_PER_MB = 1_000_000
 _RELIABLE_INPUTS_DOC = "inputs are reliable: what is lost on the way is sent again, and what is newer waits for it"
 
 _LISTS = {(str,): Parameter.Type.STRING_ARRAY, (float,): Parameter.Type.DOUBLE_ARRAY}
@@ -61,7 +70,9 @@ class NodeParameters:
     Attributes:
         config: the configuration as it is now.
         black_box: path of the node's black box, empty for none.
+        black_box_part_bytes: size from which on the box goes on in a new file; 0 for never.
         has_reliable_inputs: whether what is lost on the way to its inputs is sent again.
+        topics: the suite's name of an input → the ship's, of those that the ship names otherwise.
 
     Args:
         node: has no parameters of its own yet.
@@ -78,7 +89,12 @@ class NodeParameters:
         self._at_start = flatten(self.config)
         self._last_refusal = ""
         self.black_box = str(_declared(node, BLACK_BOX_PARAMETER, "", _BLACK_BOX_DOC)) if has_black_box else ""
+        self.black_box_part_bytes = _part_mb(node) * _BYTES_PER_MB if has_black_box else 0
         self.has_reliable_inputs = bool(_declared(node, RELIABLE_INPUTS_PARAMETER, False, _RELIABLE_INPUTS_DOC))
+        overrides = node._parameter_overrides
+        self.topics = topic_map({name: parameter.value for name, parameter in overrides.items()})
+        for name in self.topics:
+            _declared(node, f"{TOPICS_PARAMETER}.{name}", "", f"the ship's name of the topic {name}")
         self._descriptions = _descriptions(flatten(self.config), config_type)
         for name, value in flatten(self.config).items():
             # The override is in the value already, as a float where the file had an integer.
@@ -184,6 +200,14 @@ def _declared(node: Node, name: str, default: Any, description: str) -> Any:
     except InvalidParameterTypeException as error:
         reason = f"parameter '{name}' must be of type {type(default).__name__}: {error}"
         raise BadInput(reason, parameters=(name,)) from error
+
+
+def _part_mb(node: Node) -> int:
+    name = BLACK_BOX_PART_PARAMETER
+    value = int(_declared(node, name, BLACK_BOX_PART_MB, _BLACK_BOX_PART_DOC))
+    if value < 0:
+        raise BadInput(f"parameter '{name}' = {value}: expected 0 MB or more", parameters=(name,), value=value)
+    return value
 
 
 def _declare(node: Node, name: str, value: Any, description: ParameterDescription) -> None:

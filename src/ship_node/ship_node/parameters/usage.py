@@ -4,7 +4,8 @@ import inspect
 from typing import Any
 
 from ship_bags.message_factory import MessageFactory
-from ship_bags.parameter_yaml import BLACK_BOX_PARAMETER, RELIABLE_INPUTS_PARAMETER
+from ship_bags.parameter_yaml import BLACK_BOX_PARAMETER, BLACK_BOX_PART_PARAMETER, RELIABLE_INPUTS_PARAMETER
+from ship_bags.renamed_topics import TOPICS_PARAMETER
 from ship_estimation.parameter_rows import in_columns, in_lines, parameter_row
 from ship_estimation.parameters import ParameterDescription, build, describe, nest
 from ship_node.edge.adapter import Adapter
@@ -19,11 +20,25 @@ _SHELL_ROWS = (
         "file (.mcap) or folder that takes everything the node uses and gives, for replay --verify; empty for none",
     ),
     (
+        BLACK_BOX_PART_PARAMETER,
+        "MB",
+        "1000",
+        "0 or more",
+        "size from which on the box goes on in a new file beside the first (NAME.part2.mcap); 0 for never",
+    ),
+    (
         RELIABLE_INPUTS_PARAMETER,
         "-",
         "False",
         "",
         "inputs are reliable: what is lost on the way is sent again, and what is newer waits for it",
+    ),
+    (
+        f"{TOPICS_PARAMETER}.<input>",
+        "-",
+        "",
+        "",
+        "the ship's name of an input, where it is another: topics: {ins/imu: /imu/data}",
     ),
 )
 _PLACEHOLDERS: dict[type, Any] = {float: 0.0, int: 0, bool: False, str: ""}

@@ -64,6 +64,7 @@ class Item:
         seed: of the simulation; None for a bag.
         skip_s: the evaluation leaves out what is earlier than this after the beginning.
         namespace: of the ship in the bag.
+        remaps: of topics in the bag, see :class:`ship_bags.renamed_topics.TopicNames`.
         code: hash of the code that is to make it.
     """
 
@@ -72,6 +73,7 @@ class Item:
     seed: int | None
     skip_s: float
     namespace: str
+    remaps: tuple[tuple[str, str], ...]
     code: str
 
     @property
@@ -83,6 +85,7 @@ class Item:
             "seed": self.seed,
             "skip_s": self.skip_s,
             "namespace": self.namespace,
+            "remaps": [list(pair) for pair in self.remaps],
             "code_sha256": self.code,
         }
 
@@ -114,6 +117,7 @@ def items_of(
     seeds: Sequence[int],
     skip_s: float = 0.0,
     namespace: str = "",
+    remaps: Sequence[tuple[str, str]] = (),
 ) -> list[Item]:
     """All items of a campaign, sorted: each source under each parameter set, a scenario with each seed.
 
@@ -123,6 +127,7 @@ def items_of(
         seeds: of the scenarios.
         skip_s: see :class:`Item`.
         namespace: of the ship in the bags.
+        remaps: of topics in the bags.
 
     Raises:
         BadInput: a scenario or suite file is none. What is wrong with a bag, its run tells.
@@ -132,7 +137,7 @@ def items_of(
     sets: list[GivenFile | None] = [_parameter_set(path) for path in dict.fromkeys(parameter_sets)]
     code = code_sha256()
     items = [
-        Item(source, parameters, seed, skip_s, "" if source.is_scenario else namespace, code)
+        Item(source, parameters, seed, skip_s, *(("", ()) if source.is_scenario else (namespace, tuple(remaps))), code)
         for source in given
         for parameters in sets or [None]
         for seed in (dict.fromkeys(seeds) if source.is_scenario else (None,))

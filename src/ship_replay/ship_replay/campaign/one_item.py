@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ship_bags.renamed_topics import TopicNames, topic_names
 from ship_geometry.input_error import InputError
 from ship_replay.campaign.items import Item
 from ship_replay.evaluation.evaluate import Evaluation, evaluate
@@ -66,8 +67,9 @@ def _made(item: Item, folder: Path) -> Result:
         bag = folder / "in.mcap"
         write_bag(load_scenario(item.source.path), item.seed, bag, item.source.path.read_bytes())
     config = None if item.parameters is None else item.parameters.path
-    summary = replay(bag, out, ADAPTERS, config, item.namespace)
-    return _told(evaluate(out, bag, item.skip_s, item.namespace), summary)
+    with topic_names(TopicNames(item.remaps, item.namespace, is_by_suite=True, suite_file=config)):
+        summary = replay(bag, out, ADAPTERS, config, item.namespace)
+        return _told(evaluate(out, bag, item.skip_s, item.namespace), summary)
 
 
 def _told(evaluation: Evaluation, summary: ReplaySummary) -> Result:

@@ -10,6 +10,7 @@ from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import watched
 from ship_bags.output_files import add_force, check_file, check_folder, write_whole
+from ship_bags.renamed_topics import add_bag_names
 from ship_replay.calibration.result import InstallationCalibration, calibration_of
 from ship_replay.calibration.session import run_session
 from ship_replay.calibration.tables import json_text, print_calibration
@@ -43,7 +44,7 @@ def _parser() -> CommandParser:
         help="how well every installation is known beforehand, about each axis of its sensor [arcsec] (default: the "
         "configured installation_sigma_..._arcsec)",
     )
-    parser.add_argument("--namespace", default="", help="namespace of the ship's topics in the bag")
+    add_bag_names(parser)
     parser.add_argument("--report", type=Path, metavar="DIR", help="folder for installation.json and installation.png")
     add_force(parser)
     return parser

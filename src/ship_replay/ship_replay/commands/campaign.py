@@ -13,6 +13,7 @@ from rich.progress import Progress
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
 from ship_bags.output_files import write_whole
+from ship_bags.renamed_topics import add_bag_names
 from ship_replay.campaign.cluster import in_cluster
 from ship_replay.campaign.items import Item, items_of, seeds_of
 from ship_replay.campaign.one_item import Result, make
@@ -52,7 +53,7 @@ def _parser() -> CommandParser:
     parser.add_argument("--seeds", type=_seeds, metavar="LIST", help="of the scenarios: 1-200, or 1,5,7-9 (1)")
     parser.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder of results, table and page")
     parser.add_argument("--skip", type=float, default=0.0, metavar="S", help="leave out the first S seconds (0)")
-    parser.add_argument("--namespace", default="", help="namespace of the ship's topics in the bags")
+    add_bag_names(parser, "of the ship's topics in the bags")
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--workers", type=_workers, metavar="N", help="processes at a time (default: one a processor)")
     where.add_argument(
@@ -77,7 +78,8 @@ def _workers(text: str) -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
-    items = items_of(options.sources, options.config, options.seeds or [1], options.skip, options.namespace)
+    seeds = options.seeds or [1]
+    items = items_of(options.sources, options.config, seeds, options.skip, options.namespace, options.remap)
     if options.seeds is not None and all(item.seed is None for item in items):
         raise BadInput("--seeds is for scenarios (.yaml), and none is given")
     if not options.skip >= 0.0:

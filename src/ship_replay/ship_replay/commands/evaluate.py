@@ -6,6 +6,7 @@ from pathlib import Path
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_bags.output_files import add_force, check_file, write_whole
+from ship_bags.renamed_topics import add_bag_names
 from ship_replay.evaluation.bounds import Bounds, judge, read_bounds
 from ship_replay.evaluation.evaluate import Evaluation, evaluate
 from ship_replay.evaluation.tables import print_evaluation, table_console
@@ -35,7 +36,7 @@ def _parser() -> CommandParser:
         help="bounds to meet: 'quantity: {min: .., max: ..}' (bags/README.md)",
     )
     parser.add_argument("--skip", type=float, metavar="S", help="leave out the first S seconds (default: 0)")
-    parser.add_argument("--namespace", default="", help="namespace of the ship's topics in the bags")
+    add_bag_names(parser, "of the ship's topics in the bags")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all quantities (flat, units in the names)")
     parser.add_argument(
         "--figure", type=Path, metavar="FILE.png", help="draw the errors [arcsec] inside their ±3σ (.png, .pdf, .svg)"

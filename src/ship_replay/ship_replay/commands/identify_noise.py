@@ -9,6 +9,7 @@ from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import watched
 from ship_bags.output_files import add_force, check_file, write_whole
+from ship_bags.renamed_topics import add_bag_names
 from ship_replay.ins_noise.identification import identify
 from ship_replay.ins_noise.session import run_session
 from ship_replay.ins_noise.written import parameter_file_text, said
@@ -37,7 +38,7 @@ def _parser() -> CommandParser:
     parser.add_argument(
         "--out", type=Path, metavar="FILE.yaml", help="parameter file to write: section ins of ship_attitude"
     )
-    parser.add_argument("--namespace", default="", help="namespace of the ship's topics in the bag")
+    add_bag_names(parser)
     add_force(parser)
     return parser
 

@@ -8,6 +8,7 @@ from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser,
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag, watched
 from ship_bags.output_files import add_force, check_file, check_folder, write_whole
+from ship_bags.renamed_topics import add_bag_names
 from ship_replay.offline.black_box_identity import is_black_box
 from ship_replay.offline.black_box_replay import replay_black_box
 from ship_replay.offline.nodes import ADAPTERS
@@ -39,7 +40,7 @@ def _parser() -> CommandParser:
     parser.add_argument(
         "--config", type=Path, metavar="FILE", help="suite configuration (default: suite.yaml attached to the bag)"
     )
-    parser.add_argument("--namespace", default="", help="namespace of the ship's topics in the bag")
+    add_bag_names(parser)
     parser.add_argument(
         "--arrival",
         choices=("log", "stamps"),

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.output_files import add_force, check_file, write_whole
+from ship_bags.renamed_topics import add_bag_names
 from ship_watch.limits import Limits, read_limits
 
 
@@ -28,7 +29,7 @@ def add_page_options(parser: argparse.ArgumentParser, bags: str, page_name: str)
         "--limits", type=Path, metavar="FILE",
         help="limits of the ship as YAML (default: heading 5, tilt 3, pointing 10 arcsec)",
     )
-    parser.add_argument("--namespace", default="", help="namespace of the ship's topics in the bags")
+    add_bag_names(parser, "of the ship's topics in the bags")
     add_force(parser)
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.mcap.bag_reader import watched
 from ship_bags.output_files import add_force, check_file
+from ship_bags.renamed_topics import add_bag_names
 from ship_replay.offline.smooth import smooth
 
 
@@ -32,7 +33,7 @@ def _parser() -> CommandParser:
     parser.add_argument(
         "--config", type=Path, metavar="FILE", help="suite configuration (default: suite.yaml attached to the bag)"
     )
-    parser.add_argument("--namespace", default="", help="namespace of the ship's topics in the bag")
+    add_bag_names(parser)
     parser.add_argument(
         "--arrival",
         choices=("log", "stamps"),

@@ -12,6 +12,7 @@ from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser,
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import watched
 from ship_bags.output_files import add_force, check_file, write_whole
+from ship_bags.renamed_topics import add_bag_names
 from ship_replay.evaluation.stanford import Epochs, Region, epochs_of
 from ship_replay.evaluation.tables import table_console
 from ship_watch.orientations import POINTING, SHIP_ATTITUDE
@@ -52,7 +53,7 @@ def _parser() -> CommandParser:
         metavar=("AZ_COS_EL", "ELEVATION", "ROTATION"),
         help="alert limits of the pointing [arcsec] (default: those in the bags)",
     )
-    parser.add_argument("--namespace", default="", help="namespace of the ship's topics in the bags")
+    add_bag_names(parser, "of the ship's topics in the bags")
     add_force(parser)
     return parser
 

@@ -47,6 +47,10 @@ def box_adapter(bag: Bag, adapters: Iterable[type[Adapter]]) -> type[Adapter]:
             "replay it with the release of the suite that wrote it",
             file=bag.path,
         )
+    part = entries.get("part", "1")
+    if part != "1":
+        text = f"part {part} of a black box: give its first file, {entries.get('first')}, with all parts beside it"
+        raise BadInput(text, file=bag.path)
     known = {adapter.node_name: adapter for adapter in adapters}
     if entries.get("node") not in known:
         raise BadInput(

@@ -229,7 +229,7 @@ class _BoxReplay:
         elif isinstance(event, ChangeRefused):
             self._result.used["parameters refused"] += 1
         elif isinstance(event, EntriesLost):
-            self._result.unverified = f"the disk was too slow for {event.count} entries at {utc_text(time_ns)}"
+            self._result.unverified = f"the disk was too slow or full for {event.count} entries at {utc_text(time_ns)}"
         elif isinstance(event, Closed):
             self._expect_nothing_left(time_ns)
             self._closed = True

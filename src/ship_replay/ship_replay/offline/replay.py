@@ -14,6 +14,7 @@ from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag
 from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT, BagWriter
 from ship_bags.message_store import RosbagsFactory
+from ship_bags.renamed_topics import remap_advice
 from ship_bags.stamps import NS_PER_S
 from ship_bags.topic_names import TRUTH_PREFIX, likely_namespace, relative_topics
 from ship_node.edge.adapter import Adapter
@@ -127,6 +128,10 @@ def match_inputs(bag: Bag, adapter: Adapter | AdapterChain, namespace: str) -> d
     if missing:
         hint = likely_namespace(bag.topics, required)
         advice = f" (found under the namespace '{hint}': give --namespace {hint})" if hint and hint != namespace else ""
+        kinds = {topic.topic: topic.type_name for topic in adapter.outputs}
+        kinds |= {topic.topic: topic.type_name for topic in adapter.inputs}
+        remaps = (remap_advice(name, kinds[name], bag.topics, kinds, namespace) for name in missing)
+        advice = advice or "".join(f"; {text}" for text in remaps if text)
         skipped = "".join(f"; '{topic}' is unusable: {why}" for topic, why in sorted(bag.skipped_topics.items()))
         raise BadInput(
             f"required topics {', '.join(missing)} are missing; found {', '.join(sorted(found)) or 'none'}"

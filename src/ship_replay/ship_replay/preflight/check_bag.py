@@ -8,6 +8,7 @@ import re
 from collections.abc import Collection, Iterator
 from typing import Any
 
+from ship_bags.renamed_topics import remap_advice
 from ship_bags.topic_names import likely_namespace
 from ship_replay.offline.message_times import MessageTimes, exceeded
 from ship_replay.preflight.check_config import BagCheck, CheckedNode
@@ -39,13 +40,17 @@ def _check_presence(check: BagCheck, present: Collection[str]) -> None:
         for topic in node.adapter.inputs:
             if topic.topic not in present and not topic.at_times:
                 absent.setdefault(topic.topic, []).append((node, topic.required))
+    adapters = [node.adapter for node in check.nodes]
+    kinds = {topic.topic: topic.type_name for each in adapters for topic in each.outputs}
+    kinds |= {topic.topic: topic.type_name for each in adapters for topic in each.inputs}
     for name, takers in absent.items():
         needing = [node.adapter.node_name for node, required in takers if required]
         optional = [node.adapter.node_name for node, required in takers if not required]
         roles = ("needed by", needing), ("optional for", optional)
         whose = ", ".join(f"{role} {' and '.join(names)}" for role, names in roles if names)
         hint = likely_namespace(check.bag.topics, [name])
-        advice = f" (there is one under the namespace '{hint}')" if hint else ""
+        similar = remap_advice(name, kinds[name], check.bag.topics, kinds, check.namespace)
+        advice = f" (there is one under the namespace '{hint}')" if hint else f" ({similar})" if similar else ""
         place = takers[0][0].place(check.path, _section(name))
         check.say(bool(needing), f"{place}: topic '{name}' is not in {check.bag.path}: {whose}{advice}")
 

@@ -16,6 +16,7 @@ from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.parameter_yaml import ParameterFile, anywhere, full_name
+from ship_bags.renamed_topics import ship_names
 from ship_bags.topic_names import relative_topics
 from ship_estimation.parameters import ParameterDescription, ParameterError, build, describe
 from ship_node.documents.saved_document import UNTOUCHED
@@ -138,7 +139,22 @@ def check_file(
     held = [place for companion in companions for place in _held_places(path, companion, namespace, findings)]
     findings.errors += list(_held_twice(path, held))
     findings.warnings += list(_told_differently(path, nodes))
+    _check_names(path, nodes, findings)
     return nodes
+
+
+def _check_names(path: Path, nodes: Sequence[CheckedNode], findings: Findings) -> None:
+    """Check the map ``topics``: its entries, and that some node takes each input that is named."""
+    try:
+        names = ship_names(path)
+    except BadInput as problem:
+        findings.errors.append(str(problem))
+        return
+    taken = {topic.topic for node in nodes for topic in node.adapter.inputs}
+    for name in names if nodes else ():
+        if name not in taken:
+            place = next((n.place(path, f"topics.{name}") for n in nodes if f"topics.{name}" in n.file.lines), path)
+            findings.warnings.append(f"{place}: parameter 'topics.{name}': no estimator of this file takes {name}")
 
 
 def _expected(adapter_classes: Sequence[type[Adapter]]) -> str:

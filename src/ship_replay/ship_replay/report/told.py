@@ -4,12 +4,14 @@ import contextlib
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing import active_children, get_context
 from pathlib import Path
 
 from ship_bags.command_line import serve_a_command
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.renamed_topics import current_names
 from ship_bags.topic_names import relative_topics
 from ship_replay.evaluation.evaluate import Evaluation, evaluate
 from ship_replay.report.night import Night, read_night
@@ -56,7 +58,8 @@ def other_processes(count: int) -> Iterator[ProcessPoolExecutor]:
     of its own, which nobody would end.
     """
     known = {process.pid for process in active_children()}
-    with ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=serve_a_command) as executor:
+    context, begin = get_context("spawn"), partial(serve_a_command, current_names())
+    with ProcessPoolExecutor(count, mp_context=context, initializer=begin) as executor:
         try:
             yield executor
         except BaseException:

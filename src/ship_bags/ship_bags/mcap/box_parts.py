@@ -1,0 +1,38 @@
+"""The further files of a black box, which lie beside its first one and are read with it."""
+
+import re
+
+from ship_bags.errors import BadInput
+from ship_bags.mcap.bag_file import open_mcap
+from ship_bags.mcap.file_content import BagFile
+from ship_bags.renamed_topics import BOX_METADATA
+
+_FIRST = "1"
+
+
+def further_box_files(first: BagFile) -> list[BagFile]:
+    """The files that go on where the first one of a box ends, in order; none of any other file.
+
+    What is missing or cannot be read becomes a line in the problems of the first one.
+    """
+    entries = first.metadata.get(BOX_METADATA, {})
+    if entries.get("part") != _FIRST:
+        return []
+    found: dict[int, BagFile] = {}
+    pattern = re.compile(re.escape(first.path.stem) + r"\.part\d+\.mcap", re.ASCII)
+    for path in (path for path in first.path.parent.iterdir() if pattern.fullmatch(path.name)):
+        try:
+            file = open_mcap(path)
+        except BadInput as problem:
+            first.note(str(problem))
+            continue
+        # The head of the whole is that of the first file.
+        of_part = file.metadata.pop(BOX_METADATA, {})
+        number = of_part.get("part", "")
+        if of_part.get("box") == entries.get("box") and number.isascii() and number.isdecimal():
+            found[int(number)] = file
+        else:
+            file.close()
+    for missing in set(range(2, max(found, default=1))) - found.keys():
+        first.note(f"{first.path.name}: part {missing} of the black box is missing")
+    return [found[number] for number in sorted(found)]

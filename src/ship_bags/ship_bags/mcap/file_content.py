@@ -1,0 +1,50 @@
+"""What a file of a bag holds, whatever its storage."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from mcap.records import Attachment, Channel, Message, Metadata, Schema
+
+from ship_bags.mcap.records import ChunkPlace
+
+
+@dataclass
+class BagFile(ABC):
+    """What a file of a bag holds besides its messages, and where the messages are.
+
+    Attributes:
+        path: the file, or the folder where its files are read as one.
+        chunks: places of the messages, in file order.
+        recorded_names: topic → its name in the file, of renamed topics.
+        side_records: attachments and metadata as they lie in the file, in file order.
+        problems: one line for each thing wrong with the file that is known so far.
+    """
+
+    path: Path
+    chunks: list[ChunkPlace] = field(default_factory=list)
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    recorded_names: dict[str, str] = field(default_factory=dict)
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    side_records: list[Attachment | Metadata] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+
+    @property
+    @abstractmethod
+    def size_bytes(self) -> int:
+        """Length on the disk."""
+
+    @abstractmethod
+    def messages(self, place: ChunkPlace) -> list[Message]:
+        """The messages of one place, in file order; none and a line in ``problems`` where it is damaged."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close the file."""
+
+    def note(self, problem: str) -> None:
+        """Add a line to ``problems``, once: a place may be read more than once."""
+        if problem not in self.problems:
+            self.problems.append(problem)

@@ -1,0 +1,239 @@
+"""Topics of bags under the names of the suite: by ``--remap OLD:=NEW`` and by the map ``topics`` of a suite file.
+
+The map gives the ship's name of a topic by the suite's, as ``topics: {ins/imu: /imu/data}``. The names of a command
+hold for all bags that its process reads while it runs (:func:`ship_bags.command_line.run_command`): the reader of bags
+applies them, so that nothing else has to know of them.
+"""
+
+import argparse
+import contextlib
+import re
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from ship_bags.topic_names import TRUTH_PREFIX, relative_topic, resolved_topic
+from ship_geometry.input_error import InputError
+
+TOPICS_PARAMETER = "topics"
+"""Group of parameters, the same in each node: the suite's name of an input → the ship's name of it."""
+
+BOX_METADATA = "black_box"
+"""Name of the metadata record of a node's black box, in which topics have the suite's names."""
+
+_MOST_ADVISED = 3
+_PREFIX = f"{TOPICS_PARAMETER}."
+_NAME = r"[A-Za-z_][A-Za-z0-9_]*"
+_SUITE_NAME = re.compile(rf"{_NAME}(/{_NAME})+", re.ASCII)
+_SHIP_NAME = re.compile(rf"/?{_NAME}(/{_NAME})*", re.ASCII)
+
+
+@dataclass(frozen=True)
+class TopicNames:
+    """The names by which a command wants the topics of its bags.
+
+    Attributes:
+        remaps: pairs of the name in the bag and the name wanted.
+        namespace: of the ship in the bag, in which names without a slash at their beginning are.
+        is_by_suite: whether the map ``topics`` of a suite file holds, too.
+        suite_file: with the map; None takes the suite file that is attached to the bag.
+    """
+
+    remaps: tuple[tuple[str, str], ...] = ()
+    namespace: str = ""
+    is_by_suite: bool = False
+    suite_file: Path | None = None
+    _matched: set[str] = field(default_factory=set, compare=False, repr=False)
+
+    def new_names(self, topics: Collection[str], attached_suite: str) -> dict[str, str]:
+        """Topic in a bag → its new name, for the topics that get one.
+
+        Args:
+            topics: of the bag.
+            attached_suite: text of the suite file that is attached to it; empty for none.
+
+        Raises:
+            BadInput: the suite file cannot be read, or its map is wrong.
+        """
+        given = {new for _, new in self.remaps}
+        by_suite = {old: new for old, new in self._by_suite(attached_suite).items() if new not in given}
+        wanted = {self._full(old): new for old, new in (by_suite | dict(self.remaps)).items()}
+        in_bag = {topic: wanted.get(f"/{relative_topic(topic)}") for topic in topics}
+        return {topic: self._full(new) if self.namespace else new for topic, new in in_bag.items() if new is not None}
+
+    def unmatched(self, topics: Collection[str]) -> list[str]:
+        """Names to be replaced that no bag has had so far, this one neither, and no topic of the new name."""
+        there = {f"/{relative_topic(topic)}" for topic in topics}
+        self._matched.update(old for old, new in self.remaps if {self._full(old), self._full(new)} & there)
+        return [old for old, _ in self.remaps if old not in self._matched]
+
+    def _by_suite(self, attached_suite: str) -> dict[str, str]:
+        """Name in the bag → name in the suite."""
+        if not self.is_by_suite:
+            return {}
+        return self._of_file if self.suite_file is not None else _of_attached(attached_suite)
+
+    @cached_property
+    def _of_file(self) -> dict[str, str]:
+        return {} if self.suite_file is None else names_on_ship(self.suite_file)
+
+    def _full(self, name: str) -> str:
+        return resolved_topic(name, self.namespace)
+
+
+_names = TopicNames()
+
+
+def current_names() -> TopicNames:
+    """The names that hold now."""
+    return _names
+
+
+def use_names(names: TopicNames) -> None:
+    """Let names hold from now on, for all threads of the process."""
+    global _names  # noqa: PLW0603 - bags are read deep inside the commands, and in threads of theirs
+    _names = names
+
+
+@contextlib.contextmanager
+def topic_names(names: TopicNames) -> Iterator[None]:
+    """Let names hold for all bags that are read inside this."""
+    before = current_names()
+    use_names(names)
+    try:
+        yield
+    finally:
+        use_names(before)
+
+
+def add_remap(parser: argparse.ArgumentParser, is_by_suite: bool = False) -> None:
+    """Add the option ``--remap``.
+
+    Args:
+        parser: of a command that reads bags.
+        is_by_suite: whether the command knows topics by their names in the suite.
+    """
+    parser.add_argument(
+        "--remap",
+        nargs="+",
+        action="extend",
+        type=_remap,
+        default=[],
+        metavar="OLD:=NEW",
+        help="read topic OLD of a bag as NEW, e.g. /imu/data:=ins/imu; may be given several times",
+    )
+    parser.set_defaults(is_by_suite=is_by_suite)
+
+
+def add_bag_names(parser: argparse.ArgumentParser, of_what: str = "of the ship's topics in the bag") -> None:
+    """Add the options by which a command finds the suite's topics in bags: ``--namespace`` and ``--remap``."""
+    parser.add_argument("--namespace", default="", help=f"namespace {of_what}")
+    add_remap(parser, is_by_suite=True)
+
+
+def names_of(options: argparse.Namespace) -> TopicNames:
+    """The names that the options of a command give."""
+    suite_file = getattr(options, "config", None)
+    return TopicNames(
+        tuple(getattr(options, "remap", ())),
+        getattr(options, "namespace", ""),
+        getattr(options, "is_by_suite", False),
+        suite_file if isinstance(suite_file, Path) else None,
+    )
+
+
+def remap_advice(
+    wanted: str, type_name: str, topics: Mapping[str, str], known: Collection[str], namespace: str = ""
+) -> str:
+    """How topics of the type of a missing input would be read as it, as ``type on /x: --remap /x:=wanted``.
+
+    Args:
+        wanted: the suite's name of the input.
+        type_name: its type.
+        topics: topic of the bag → type.
+        known: the suite's names of all its topics: what has one of them is no candidate.
+        namespace: of the ship in the bag.
+    """
+    of_type = {topic: relative_topic(topic, namespace) or "" for topic, kind in topics.items() if kind == type_name}
+    free = sorted(topic for topic, name in of_type.items() if name not in known and not name.startswith(TRUTH_PREFIX))
+    names = free[:_MOST_ADVISED]
+    options = " or ".join(f"--remap {name}:={wanted}" for name in names)
+    return f"{type_name.replace('/msg/', '/')} on {', '.join(names)}: {options}" if names else ""
+
+
+def topic_map(parameters: Mapping[str, Any]) -> dict[str, str]:
+    """The suite's name of an input → the ship's, of a node's parameters by dotted names.
+
+    Raises:
+        InputError: names the parameter and what is expected.
+    """
+    entries = {name: value for name, value in parameters.items() if is_topic_parameter(name)}
+    for name, value in entries.items():
+        if not _SUITE_NAME.fullmatch(name.removeprefix(_PREFIX)):
+            reason = f"parameter '{name}': expected the suite's name of an input behind '{_PREFIX}', as ins/imu"
+            raise InputError(reason, parameters=(name,))
+        if not (isinstance(value, str) and _SHIP_NAME.fullmatch(value)):
+            reason = f"parameter '{name}' = {value!r}: expected the name of a topic, as /imu/data"
+            raise InputError(reason, parameters=(name,), value=value)
+    if TOPICS_PARAMETER in parameters:
+        reason = f"parameter '{TOPICS_PARAMETER}': expected a group of names, as {{ins/imu: /imu/data}}"
+        raise InputError(reason, parameters=(TOPICS_PARAMETER,))
+    return {name.removeprefix(_PREFIX): value for name, value in entries.items()}
+
+
+def is_topic_parameter(name: str) -> bool:
+    """True if a dotted name is an entry of the map."""
+    return name.startswith(_PREFIX)
+
+
+def ship_names(source: Path | str) -> dict[str, str]:
+    """The suite's name of an input → the ship's, of all sections of a suite file; see :func:`names_on_ship`."""
+    return {suite_name: ship_name for ship_name, suite_name in names_on_ship(source).items()}
+
+
+def names_on_ship(source: Path | str) -> dict[str, str]:
+    """The ship's name of a topic → the suite's, of all sections of a suite file (a path, or the text itself).
+
+    Raises:
+        BadInput: the file cannot be read; an entry is wrong; or two entries contradict one another for a bag, of which
+            all nodes read the same.
+    """
+    from ship_bags.parameter_yaml import merged, read_sections  # most commands have no such file
+
+    name, sections = read_sections(source)
+    found: dict[str, str] = {}
+    for section in sections:
+        file = merged(name, [section])
+        try:
+            entries = topic_map({key: value for key, (value, _) in section.parameters.items()})
+            for suite_name, ship_name in entries.items():
+                known = {suite: ship for ship, suite in found.items()}.get(suite_name, ship_name)
+                parameter = f"{_PREFIX}{suite_name}"
+                if known != ship_name:
+                    reason = f"parameter '{parameter}' = '{ship_name}': it is '{known}' in another section"
+                    raise InputError(f"{reason}, and a bag has one topic for all nodes", parameters=(parameter,))
+                if found.setdefault(ship_name, suite_name) != suite_name:
+                    reason = f"parameter '{parameter}' = '{ship_name}': that is {found[ship_name]} already"
+                    raise InputError(f"{reason}, and a topic of a bag has one name", parameters=(parameter,))
+        except InputError as problem:
+            raise file.error(problem) from problem
+    return found
+
+
+def _of_attached(text: str) -> dict[str, str]:
+    """As :func:`names_on_ship`; nothing of a file that cannot be used: whoever needs it refuses it."""
+    if TOPICS_PARAMETER not in text:
+        return {}
+    try:
+        return names_on_ship(text)
+    except InputError:
+        return {}
+
+
+def _remap(text: str) -> tuple[str, str]:
+    old, separator, new = text.partition(":=")
+    if not (separator and _SHIP_NAME.fullmatch(old) and _SHIP_NAME.fullmatch(new)):
+        raise argparse.ArgumentTypeError(f"'{text}' is not of the form OLD:=NEW, as /imu/data:=ins/imu")
+    return old, new

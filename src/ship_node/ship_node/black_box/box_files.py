@@ -1,0 +1,154 @@
+"""The files of a black box: the first, and a further one whenever that is full or the disk takes data again.
+
+A further file, ``NAME.part2.mcap`` and so on, lies beside the first and has the head of a box, too, so that it can be
+read by itself. The reader of bags reads all of them as one when the first is opened.
+"""
+
+import re
+import secrets
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from ship_bags.errors import BadInput
+from ship_bags.live.installed_types import installed_definition
+from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
+from ship_bags.parameter_yaml import BLACK_BOX_PARAMETER
+from ship_node.black_box.black_box_format import FORMAT, METADATA, VERSIONS_ATTACHMENT
+from ship_node.edge.topics import OutputTopic
+
+
+class BoxHead(NamedTuple):
+    """With what each file of a box begins: names, parameters and versions as texts, and all topics."""
+
+    node: str
+    namespace: str
+    parameters: str
+    versions: str
+    topics: Sequence[OutputTopic]
+
+
+class BoxFiles:
+    """The files of one box, of which the last is being written.
+
+    Attributes:
+        path: the first file.
+        last_path: the file that is being written.
+        count: entries written so far, in all files; each entry has its number.
+
+    Args:
+        path: as the parameter names it; see :func:`free_path`.
+        head: with what each file begins.
+        part_bytes: size from which on a file is full; 0 for never.
+
+    Raises:
+        BadInput: the first file cannot be made.
+    """
+
+    def __init__(self, path: str, head: BoxHead, part_bytes: int) -> None:
+        self.count = 0
+        self._head, self._part_bytes = head, part_bytes
+        self._types = {topic.topic: topic.type_name for topic in head.topics}
+        self._id, self._part = secrets.token_hex(8), 1
+        self._writer = _open(path, head.node)
+        self.path = self.last_path = self._writer.path
+        self._begin(self._writer)
+
+    @property
+    def whole_bytes(self) -> int:
+        """Length of the last file at its last flush."""
+        return self._writer.whole_bytes
+
+    def write(self, topic: str, data: bytes, time_ns: int, waiting_ns: int) -> None:
+        """Add an entry. Those of all topics are counted together: one that is missing shows at the next one."""
+        self.count += 1
+        self._writer.write_raw(topic, self._types[topic], data, time_ns, waiting_ns, self.count)
+
+    def attach(self, name: str, content: bytes) -> None:
+        """Attach a file that the node read or wrote."""
+        self._writer.add_attachment(name, content, "application/octet-stream")
+
+    def flush(self) -> None:
+        """Bring all of it onto the disk, and begin a new file where the last one is full."""
+        self._writer.flush()
+        if self._part_bytes and self._writer.whole_bytes >= self._part_bytes:
+            full = self._writer
+            self.begin_next()
+            full.close()
+
+    def begin_next(self) -> None:
+        """Begin a new file.
+
+        Raises:
+            OSError, BadInput: it cannot be made; nothing is left of the attempt.
+        """
+        number = self._part + 1
+        while (path := self.path.with_name(f"{self.path.stem}.part{number}.mcap")).exists():
+            number += 1
+        writer = _writer(path)
+        before, self._part = self._part, self._part + 1
+        try:
+            self._begin(writer)
+        except BaseException:
+            self._part = before
+            writer.cut()
+            path.unlink(missing_ok=True)
+            raise
+        self._writer, self.last_path = writer, path
+
+    def cut(self) -> None:
+        """Give the last file up after a failed write: it is whole up to its last flush."""
+        self._writer.cut()
+
+    def close(self) -> None:
+        """Finish the last file."""
+        self._writer.close()
+
+    def _begin(self, writer: BagWriter) -> None:
+        head = self._head
+        entries = {"format": FORMAT, "node": head.node, "namespace": head.namespace}
+        writer.add_metadata(METADATA, entries | {"box": self._id, "part": str(self._part), "first": self.path.name})
+        writer.add_attachment(SUITE_ATTACHMENT, head.parameters)
+        writer.add_attachment(VERSIONS_ATTACHMENT, head.versions, "application/json")
+        for topic in head.topics:
+            writer.add_topic(topic.topic, topic.type_name, topic.latched)
+        writer.flush()
+
+
+def free_path(path: Path) -> Path:
+    """The path itself, or with the number after all that are there: ``box.mcap``, ``box_2.mcap``, ``box_3.mcap``."""
+    pattern = re.compile(re.escape(path.stem) + r"_(\d+)" + re.escape(path.suffix))
+    matches = [pattern.fullmatch(other.name) for other in path.parent.iterdir()]
+    newest = max((int(match[1]) for match in matches if match), default=1 if path.exists() else 0)
+    return path.with_name(f"{path.stem}_{newest + 1}{path.suffix}") if newest else path
+
+
+def _open(text: str, node_name: str) -> BagWriter:
+    """A new file for a box at a path, or of the node's name in a folder."""
+    path = Path(text)
+    if text.endswith("/") or path.is_dir():
+        path = path / f"{node_name}.mcap"
+    if path.suffix != ".mcap":
+        raise _unusable(text, "expected a file ending in .mcap, or a folder")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        while True:
+            free = free_path(path)
+            try:
+                return _writer(free)
+            except BadInput:
+                # Another node may have taken the name meanwhile.
+                if not free.exists():
+                    raise
+    except (OSError, BadInput) as error:
+        raise _unusable(text, str(error)) from error
+
+
+def _writer(path: Path) -> BagWriter:
+    return BagWriter(path, atomic=False, define=installed_definition, library="ship_node", exclusive=True)
+
+
+def _unusable(path: str, reason: str) -> BadInput:
+    """The parameter names a place where no box can be written."""
+    name = BLACK_BOX_PARAMETER
+    return BadInput(f"parameter '{name}' = '{path}': {reason}", parameters=(name,), value=path)
