@@ -9,6 +9,7 @@ from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_estimation.parameters import ParameterError, build
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
+from ship_replay.offline.smooth import smooth
 from ship_testing.bag_parts import beginning
 from ship_testing.places import ROOT
 from ship_testing.small_voyage import clean_run, drive, new_adapter, voyage
@@ -48,10 +49,9 @@ def test_transforms_are_left_to_another_node(publish_tf, told):
     assert [topic for _, topic, _ in run.published if not topic.startswith("/tf")] == [topic for _, topic, _ in others]
 
 
-@pytest.mark.parametrize("publish_tf", [True, False])
-def test_the_theodolite_stands_in_the_frames_as_configured(publish_tf, tmp_path):
-    part = beginning(ROOT / "bags" / "theodolite.mcap", tmp_path / "part.mcap", 3.0)
-    out, suite = tmp_path / "out.mcap", tmp_path / "suite.yaml"
+def part_and_suite(tmp_path, publish_tf=True):
+    """The first seconds of the theodolite's bag, and its suite with a ship's attitude and other names of the frames."""
+    part, suite = beginning(ROOT / "bags" / "theodolite.mcap", tmp_path / "part.mcap", 3.0), tmp_path / "suite.yaml"
     with read_bag(part) as bag:
         values = yaml.safe_load(bag.attachments[SUITE_ATTACHMENT].decode())
     values["/**/ship_attitude"] = {"ros__parameters": {"ins": {"frame_id": "ins"}, "frames": FRAMES}}
@@ -59,6 +59,12 @@ def test_the_theodolite_stands_in_the_frames_as_configured(publish_tf, tmp_path)
     parameters["ship"]["frame_id"] = "base_link"
     parameters |= {"frames": FRAMES, "publish_tf": publish_tf}
     suite.write_text(yaml.safe_dump(values), encoding="utf-8")
+    return part, suite
+
+
+@pytest.mark.parametrize("publish_tf", [True, False])
+def test_the_theodolite_stands_in_the_frames_as_configured(publish_tf, tmp_path):
+    (part, suite), out = part_and_suite(tmp_path, publish_tf), tmp_path / "out.mcap"
     replay(part, out, ADAPTERS, suite)
     with read_bag(out) as bag:
         messages = [(record.topic, record.decode()) for record in bag.records()]
@@ -66,6 +72,15 @@ def test_the_theodolite_stands_in_the_frames_as_configured(publish_tf, tmp_path)
     assert links(message for topic, message in messages if topic == "/tf") == {("enu", "base_link")} | below
     ours = [(topic, message) for topic, message in messages if not topic.startswith(("truth/", "ins/", "beacon/"))]
     assert {topic for topic, message in ours for frame in frames_of(message) if frame in ("deck", "horizon")} == set()
+
+
+def test_smoothed_attitudes_name_the_frames_as_configured_and_the_theodolite_takes_them(tmp_path):
+    (part, suite), out = part_and_suite(tmp_path), tmp_path / "out.mcap"
+    smooth(part, out, suite)
+    with read_bag(out) as bag:
+        frames = {(record.topic, record.decode().header.frame_id) for record in bag.records()}
+    ours = {pair for pair in frames if not pair[0].startswith("truth/")}
+    assert ours == {("ship/attitude_smoothed", "base_link"), ("theodolite/pointing_smoothed", "theodolite_main")}
 
 
 @pytest.mark.parametrize(

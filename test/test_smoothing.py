@@ -14,6 +14,7 @@ from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMe
 from ship_attitude_star.ros.attitude_messages import SMOOTHED_TOPIC, smoothed_message
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.smoothing.core import SmoothingCore
+from ship_estimation.frame_names import FRAME_NAMES
 from ship_estimation.gates import mean_nees_band, normalized_error_squared
 from ship_estimation.parameters import build
 from ship_estimation.refusals import Reason
@@ -216,7 +217,7 @@ def whole_run(arrivals: tuple) -> dict[int, object]:
     core = adapter.core = SmoothingCore(adapter.config, None, None)
     adapter.set_parameters({})  # what feeds the core is bound anew
     drive(adapter, arrivals)
-    return {one.time_ns: smoothed_message(FACTORY, one)[1] for one in core.smoothed_to_the_end()}
+    return {one.time_ns: smoothed_message(FACTORY, one, FRAME_NAMES)[1] for one in core.smoothed_to_the_end()}
 
 
 def test_a_lag_shorter_than_late_data_waits_for_them() -> None:

@@ -16,14 +16,11 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from types import FrameType
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 from ship_bags.errors import one_line
 from ship_bags.renamed_topics import TopicNames, names_of, topic_names, use_names
 from ship_geometry.input_error import InputError
-
-if TYPE_CHECKING:
-    from _typeshed import SupportsWrite
 
 EXIT_DONE = 0
 EXIT_BOUND_NOT_MET = 1
@@ -56,7 +53,7 @@ class CommandParser(argparse.ArgumentParser):
         """The help, and the example as it stands: long lines stay whole."""
         return super().format_help() + (f"\nexample:\n  {self._example}\n" if self._example else "")
 
-    def print_help(self, file: "SupportsWrite[str] | None" = None) -> None:
+    def print_help(self, file: Any = None) -> None:
         """Print the help; leave with :data:`EXIT_NO_READER` where the reader of stdout is gone."""
         if file is not None:
             super().print_help(file)

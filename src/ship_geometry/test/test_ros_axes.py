@@ -69,7 +69,8 @@ def test_quaternions_of_all_attitudes_there_and_back() -> None:
     quaternions = quaternion_from_rotation(rotations)
     assert quaternions.shape == (50, 10, 4)
     assert np.all(quaternions[..., 3] >= 0.0)
-    of_scipy = Rotation.from_matrix(ENU_FROM_HORIZON @ rotations @ FLU_FROM_DEVICE.T).as_quat(canonical=True)
+    turned = (ENU_FROM_HORIZON @ rotations @ FLU_FROM_DEVICE.T).reshape(-1, 3, 3)
+    of_scipy = Rotation.from_matrix(turned).as_quat(canonical=True).reshape(50, 10, 4)
     np.testing.assert_allclose(quaternions, of_scipy, rtol=0, atol=1e-15)
     np.testing.assert_allclose(rotation_from_quaternion(quaternions), rotations, rtol=0, atol=2e-15)
     # One at a time, as a live node has them. All four ways to divide occur: each component is the largest somewhere.

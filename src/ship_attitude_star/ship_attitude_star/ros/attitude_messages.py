@@ -81,9 +81,7 @@ def attitude_messages(
     return [(topic, factory.encoded(type_name, **fields)) for topic, type_name, fields in messages]
 
 
-def smoothed_message(
-    factory: MessageFactory, estimate: AttitudeEstimate, frames: FrameNames = FRAME_NAMES
-) -> Published:
+def smoothed_message(factory: MessageFactory, estimate: AttitudeEstimate, frames: FrameNames) -> Published:
     """What an attitude that is told again, by later measurements too, becomes: the first of those messages alone."""
     attitude = AttitudeNumbers.of([AttitudeRun.of_one(estimate)])
     _, type_name, fields = next(_messages(attitude, as_numbers, 0.0, frames))

@@ -31,6 +31,7 @@ from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.message_factory import MessageFactory
 from ship_bags.message_store import RosbagsFactory, message_store, serialize
 from ship_bags.stamps import ns_from_stamp
+from ship_estimation.frame_names import FrameNames
 from ship_estimation.outcome import Status
 from ship_geometry.frames import angle_covariance, angles_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray
@@ -209,7 +210,7 @@ def smooth(
         if ship is not None:
             summary.outputs.append(Smoothed(SMOOTHED_TOPIC, ATTITUDE_TYPE, ("heading", "pitch", "roll")))
             estimates = itertools.chain(ship.ended, ship.core.smoothed_to_the_end())
-            attitudes = _attitudes(estimates, told.attitudes, factory, summary.outputs[-1])
+            attitudes = _attitudes(estimates, told.attitudes, factory, ship.config.frames, summary.outputs[-1])
         if axis is not None:
             # They are an input, and written afterwards.
             attitudes = list(attitudes)
@@ -249,11 +250,12 @@ def _attitudes(
     estimates: Iterable[AttitudeEstimate],
     told: Mapping[int, _AtOnce],
     factory: RosbagsFactory,
+    frames: FrameNames,
     smoothed: Smoothed,
 ) -> Iterator[BagRecord]:
     """The attitudes of the ship with hindsight; the summary of them is filled."""
     for estimate in estimates:
-        _, message = smoothed_message(factory, estimate)
+        _, message = smoothed_message(factory, estimate, frames)
         heading, pitch, _ = angles_from_rotation(estimate.rotation_nd)
         covariance = angle_covariance(estimate.covariance_n, heading, pitch)
         yield smoothed.record(told[estimate.time_ns], message, covariance)
