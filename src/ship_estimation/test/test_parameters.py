@@ -183,3 +183,17 @@ def test_live_parameters_change_and_the_rest_stays() -> None:
 def test_refused_changes(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ParameterError, match=message):
         changed(build(Config, VALUES), changes)
+
+
+def test_a_parameter_may_have_the_name_of_a_word_of_python() -> None:
+    @dataclass(frozen=True)
+    class Source:
+        from_: tuple[str, ...] = parameter((), doc="addresses", live=True)
+
+    config = build(Source, {"from": ["10.0.0.7"]})
+    assert config.from_ == ("10.0.0.7",)
+    assert flatten(config) == {"from": ["10.0.0.7"]}
+    assert [one.name for one in describe(Source)] == ["from"]
+    assert changed(config, {"from": []}).from_ == ()
+    with pytest.raises(ParameterError, match="'from_' is unknown"):
+        build(Source, {"from_": []})
