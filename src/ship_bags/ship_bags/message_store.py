@@ -21,6 +21,9 @@ from ship_bags.message_factory import Converters, PlannedFactory
 
 SHIP_MESSAGES = "ship_msgs"
 
+LARGEST_DEFINITION_BYTES = 100_000
+"""Of a message definition with all that it refers to, without comments: ten times of what a large one has."""
+
 _ARRAY_DTYPES = {"byte": "uint8", "char": "uint8"}
 _ELEMENTS = {
     "float64": "d",
@@ -228,6 +231,10 @@ def _definition_text(type_name: str) -> str:
 
 
 def _parse(text: str, type_name: str, source: str) -> Any:
+    size = sum(len(line.partition("#")[0]) for line in text.splitlines())
+    if size > LARGEST_DEFINITION_BYTES:
+        reason = f"definition of {type_name} has {size} bytes without comments, at most {LARGEST_DEFINITION_BYTES} are read"
+        raise BadInput(reason, file=source)
     try:
         return get_types_from_msg(text, type_name)
     except Exception as problem:
