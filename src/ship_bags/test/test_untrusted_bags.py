@@ -237,7 +237,7 @@ def test_each_topic_costs_info_the_same(tmp_path, monkeypatch):
 )
 def test_a_definition_of_megabytes_is_not_parsed(definition, tmp_path, capsys):
     path = write_topics(tmp_path / "large.mcap", 1, definition, "e_msgs/msg/Large")
-    with pytest.raises(BadInput, match=r"definition of e_msgs/msg/Large has \d+ bytes without comments, at most 100000"):
+    with pytest.raises(BadInput, match=r"of e_msgs/msg/Large has \d+ characters without comments, at most 100000"):
         read_bag(path)
     assert info_command.main([str(path)]) == 0
     assert "problem: " in capsys.readouterr().out
