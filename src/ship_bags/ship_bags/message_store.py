@@ -21,6 +21,9 @@ from ship_bags.message_factory import Converters, PlannedFactory
 
 SHIP_MESSAGES = "ship_msgs"
 
+LARGEST_DEFINITION_CHARACTERS = 100_000
+"""Of a message definition with all that it refers to, without comments: ten times of what a large one has."""
+
 _ARRAY_DTYPES = {"byte": "uint8", "char": "uint8"}
 _ELEMENTS = {
     "float64": "d",
@@ -258,9 +261,14 @@ def _definition_text(type_name: str) -> str:
 
 
 def _parse(text: str, type_name: str, source: Path | None = None) -> Any:
+    # Comments of a definition cost the parser as much as its fields do; lines may end as on Windows.
+    lines = (line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#"))
+    text = "\n".join(lines)
+    if len(text) > LARGEST_DEFINITION_CHARACTERS:
+        reason = f"definition of {type_name} has {len(text)} characters without comments"
+        raise BadInput(f"{reason}, at most {LARGEST_DEFINITION_CHARACTERS} are read", file=source)
     try:
-        # Definitions written on Windows, or checked out there, end their lines in another way.
-        return get_types_from_msg(text.replace("\r\n", "\n"), type_name)
+        return get_types_from_msg(text, type_name)
     except Exception as problem:
         # Any text may stand there: the parser fails over it in any way.
         raise BadInput(f"definition of {type_name} cannot be parsed: {problem}", file=source) from problem

@@ -12,8 +12,11 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Chunk
 from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.writer import Writer
 
+from ship_bags.commands import info as info_command
 from ship_bags.errors import BadInput
+from ship_bags.mcap.bag_content import BagContent, bag_content
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.chunk_content import MAX_CHUNK_RECORDS, records_of_chunk
 from ship_replay.commands import axis_sightings as axis_sightings_command
@@ -200,3 +203,47 @@ def test_the_records_of_a_chunk_are_those_that_the_library_of_mcap_finds(tmp_pat
     assert len(chunks) > 1
     for chunk in chunks:
         assert records_of_chunk(chunk) == breakup_chunk(chunk, validate_crc=True)
+
+
+def write_topics(path, count, definition="string data", type_name="std_msgs/msg/String"):
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2", "test")
+        schema = writer.register_schema(type_name, "ros2msg", definition.encode())
+        for number in range(count):
+            channel = writer.register_channel(f"/t{number}", "cdr", schema)
+            writer.add_message(channel, START_NS + number, b"\0\1\0\0\3\0\0\0hi\0", START_NS + number)
+        writer.finish()
+    return path
+
+
+def test_each_topic_costs_info_the_same(tmp_path, monkeypatch):
+    """Of 65 000 topics, as many as MCAP has numbers for: the start of the bag is looked for once, not once a topic."""
+    asked = []
+    start = BagContent.start_ns
+    monkeypatch.setattr(BagContent, "start_ns", property(lambda content: asked.append(1) or start.fget(content)))
+    content = bag_content(write_topics(tmp_path / "many.mcap", 300))
+    assert len(list(info_command._lines(tmp_path / "many.mcap", content))) > 300
+    assert len(asked) < 10
+
+
+@pytest.mark.parametrize(
+    "definition",
+    [
+        "".join(f"float64 field_{number}\n" for number in range(250_000)),
+        "e_msgs/T0 a\n" + "".join(f"{'=' * 80}\nMSG: e_msgs/T{n}\ne_msgs/T{n + 1} a\n" for n in range(50_000)),
+    ],
+    ids=["fields", "types"],
+)
+def test_a_definition_of_megabytes_is_not_parsed(definition, tmp_path, capsys):
+    path = write_topics(tmp_path / "large.mcap", 1, definition, "e_msgs/msg/Large")
+    with pytest.raises(BadInput, match=r"of e_msgs/msg/Large has \d+ characters without comments, at most 100000"):
+        read_bag(path)
+    assert info_command.main([str(path)]) == 0
+    assert "problem: " in capsys.readouterr().out
+
+
+def test_a_definition_with_megabytes_of_comments_is_read(tmp_path):
+    path = write_topics(tmp_path / "comments.mcap", 1, "# x\n" * 1_000_000 + "string data\n", "e_msgs/msg/Large")
+    with read_bag(path) as bag:
+        assert [record.decode().data for record in bag.records()] == ["hi"]

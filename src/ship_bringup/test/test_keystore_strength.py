@@ -13,7 +13,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption,
 
 from ship_bringup.checks.check_line import Result
 from ship_bringup.checks.security_check import judge_keystore
-from ship_bringup.security.keystore import KeystoreUse, keystore_faults
+from ship_bringup.security.keystore import KeystoreUse, keystore_faults, require_keystore
 from ship_bringup.security.policy_xml import permissions_text
 from ship_bringup.security.rights import suite_rights
 from ship_bringup.suite.plan import checked_nodes
@@ -142,6 +142,8 @@ def test_the_private_key_of_the_authority(keystore, place):
     (text,) = texts_of(keystore)
     told = "the private key of the authority 'CN=sros2CA': whoever reads it can make certificates of this ship"
     assert text == f"{path}: {told}"
+    # It is mended ashore: a suite that is started again at sea starts.
+    assert require_keystore(keystore.path, KeystoreUse(RIGHTS, DOMAIN, NOW, 30 * DAY)) == [text]
     (row, *_) = judge_keystore(str(keystore.path), KeystoreUse(RIGHTS, DOMAIN, NOW, 30 * DAY), False)
     assert row.result is Result.FAIL
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from ship_bags.stamps import NS_PER_S
-from ship_monitor.alerts.alert_keeper import AlertKeeper
+from ship_monitor.alerts.alert_keeper import MOST_STATUSES, STATUS_AGE_NS, AlertKeeper
 from ship_testing.watched_voyages import records, replayed
 from ship_watch.alert_conditions import NodeStatus
 from ship_watch.alert_states import AlertState
@@ -201,3 +201,12 @@ def test_disk_that_fills_up_is_told(tmp_path: Path) -> None:
         for tenth in range(5):
             keeper.look(tenth * LOOK_NS, CLOCK_NS)
         assert [alert.id for alert in keeper.alerts] == ["disk.full"]
+
+
+def test_statuses_of_names_without_end_are_forgotten():
+    keeper = AlertKeeper(Limits(), None, 0, print)
+    for number in range(3 * MOST_STATUSES):
+        keeper.take_status(NodeStatus("ship_attitude", f"invented {number}", 2, "x"), number)
+    assert len(keeper._statuses) == MOST_STATUSES
+    keeper.look(STATUS_AGE_NS + 3 * MOST_STATUSES, CLOCK_NS)
+    assert not keeper._statuses

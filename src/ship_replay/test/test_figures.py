@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ship_geometry.rotations import ARCSEC
-from ship_node.documents.figure_files import settled
+from ship_node.documents.figure_files import MOST_ROWS, settled
 from ship_replay.evaluation.figures import attitude_error_figure, innovation_figure, save_figure
 from ship_replay.evaluation.statistics import AttitudeErrors, Judged, SourceInnovations
 from ship_replay.report.drawings import budget_svg
@@ -107,3 +107,11 @@ def test_the_drawings_of_a_report_take_no_name_for_a_formula():
     drawn = budget_svg("ship/error_budget", points, 0)
     assert "$" in drawn
     assert "<script" not in drawn
+
+
+def test_a_figure_of_hundreds_of_sources_has_a_row_for_the_first_of_them():
+    many = {f"star.{number}": innovations([2.0] * 20) for number in range(200)}
+    figure = innovation_figure(many, "t")
+    assert len(figure.axes) == MOST_ROWS
+    assert f"the first {MOST_ROWS} of 400 components" in figure.get_suptitle()
+    plt.close(figure)

@@ -107,8 +107,9 @@ def _entry(value: str) -> str:
 
 def _topic_table(content: BagContent) -> Iterator[str]:
     rows = [("topic", "type", "messages", "rate Hz", "first s", "last s")]
+    start_ns = content.start_ns
     rows += [
-        (one_line(name), one_line(topic.type_name), str(topic.message_count), *_times(topic, content.start_ns))
+        (one_line(name), one_line(topic.type_name), str(topic.message_count), *_times(topic, start_ns))
         for name, topic in content.topics.items()
     ]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]

@@ -101,7 +101,7 @@ def keystore_faults(keystore: Path, use: KeystoreUse) -> list[KeystoreFault]:
 def require_keystore(keystore: Path, use: KeystoreUse) -> list[str]:
     """Refuse a keystore with which the suite could not run as this ship's; returns what else is wrong, one line each.
 
-    What is about policies does not keep a suite down that is started again at sea.
+    What is about policies, or only a weakness, does not keep a suite down that is started again at sea.
 
     Raises:
         BadInput: names the file, the line and what was expected.
@@ -111,7 +111,7 @@ def require_keystore(keystore: Path, use: KeystoreUse) -> list[str]:
     except LookupError:
         return ["signatures of the keystore are not checked: there is no program openssl"]
     for fault in faults:
-        if fault.is_error and not fault.of_policy:
+        if fault.is_error and not fault.of_policy and not fault.is_weakness:
             raise BadInput(f"{fault.text}: not started; {fault.advice}")
     return [fault.text for fault in faults]
 
@@ -127,7 +127,8 @@ def _authorities(folders: Iterable[Path]) -> dict[Path, x509.Certificate]:
 
 def _weakness_faults(path: Path, certificate: x509.Certificate) -> Iterator[KeystoreFault]:
     for text in weaknesses(certificate):
-        yield KeystoreFault(f"{path}: too weak: {text}", "make it again with 'ros2 security', and all that it signed")
+        advice = "make it again with 'ros2 security', and all that it signed"
+        yield KeystoreFault(f"{path}: too weak: {text}", advice, is_weakness=True)
 
 
 def _date_faults(
@@ -204,7 +205,8 @@ class _Enclave:
             yield KeystoreFault(text, "take the enclave from this ship's own keystore")
         if is_authority(self._certificate):
             text = f"{path}: CA:TRUE: the program could make certificates itself; expected CA:FALSE"
-            yield KeystoreFault(text, f"make it again: ros2 security create_enclave KEYSTORE {expected}")
+            advice = f"make it again: ros2 security create_enclave KEYSTORE {expected}"
+            yield KeystoreFault(text, advice, is_weakness=True)
         yield from _weakness_faults(path, self._certificate)
         yield from _date_faults(self._use, path, *validity(self._certificate))
 
@@ -252,7 +254,7 @@ def _digest_faults(path: Path) -> Iterator[KeystoreFault]:
     digest = signature_digest(path)
     if digest not in ("", *_STRONG_DIGESTS):
         text = f"{path}: too weak: it is signed with {digest.upper()}: expected SHA-256 or longer"
-        yield KeystoreFault(text, "sign it again: openssl smime -sign -md sha256")
+        yield KeystoreFault(text, "sign it again: openssl smime -sign -md sha256", is_weakness=True)
 
 
 def policy_faults(permissions: Permissions, rights: Rights, domain_id: int) -> Iterator[str]:

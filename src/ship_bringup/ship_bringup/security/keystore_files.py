@@ -50,7 +50,7 @@ def authority_key_faults(keystore: Path, authorities: Sequence[x509.Certificate]
             continue
         of = "a certificate authority, by its place" if name is None else f"the authority 'CN={name}'"
         text = f"{path}: the private key of {of}: whoever reads it can make certificates of this ship"
-        yield KeystoreFault(text, "keep it ashore, and remove it from this computer")
+        yield KeystoreFault(text, "keep it ashore, and remove it from this computer", is_weakness=True)
 
 
 def _write_faults(path: Path, harm: str) -> Iterator[KeystoreFault]:
@@ -59,7 +59,8 @@ def _write_faults(path: Path, harm: str) -> Iterator[KeystoreFault]:
     if mode & (_GROUP_WRITE | _OTHERS_WRITE):
         is_open = bool(mode & _OTHERS_WRITE)
         who = "all users" if is_open else "its group"
-        yield KeystoreFault(f"{path}: mode {mode & 0o777:o}: {who} may {harm}", f"chmod go-w {path}", is_error=is_open)
+        text = f"{path}: mode {mode & 0o777:o}: {who} may {harm}"
+        yield KeystoreFault(text, f"chmod go-w {path}", is_error=is_open, is_weakness=True)
 
 
 def _private_keys(keystore: Path) -> list[Path]:

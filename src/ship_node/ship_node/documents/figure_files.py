@@ -29,6 +29,9 @@ _STYLE = {
 }
 
 
+MOST_ROWS = 60
+"""Rows of a figure, one for each source or name: tables have all of them."""
+
 _LONGEST_NAME = 40
 """Letters of a name beside an axis: more would leave no room for what is drawn."""
 

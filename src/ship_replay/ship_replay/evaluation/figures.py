@@ -17,7 +17,7 @@ from ship_bags.errors import BadInput
 from ship_bags.output_files import write_whole
 from ship_bags.stamps import NS_PER_S
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_node.documents.figure_files import settled, short_name
+from ship_node.documents.figure_files import MOST_ROWS, settled, short_name
 from ship_replay.evaluation.evaluate import Evaluation
 from ship_replay.evaluation.statistics import AttitudeErrors, SourceInnovations
 from ship_watch.orientations import channel_name
@@ -89,7 +89,10 @@ def innovation_figure(innovations: Mapping[str, SourceInnovations], title: str) 
         raise BadInput(f"{title}: no figure: no measurement was accepted")
     empty = [source for source, part in innovations.items() if not part.components()]
     if empty:
-        title = f"{title}\nnothing accepted of: {', '.join(empty)}"
+        title = f"{title}\nnothing accepted of: {', '.join(map(short_name, empty[:MOST_ROWS]))}"
+    if len(rows) > MOST_ROWS:
+        title = f"{title}\nthe first {MOST_ROWS} of {len(rows)} components"
+    rows = rows[:MOST_ROWS]
     start_ns = min(min(part.compared) for _, part, _ in rows)
     with plt.rc_context(_STYLE):
         figure, grid = plt.subplots(

@@ -20,7 +20,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from ship_bags.stamps import NS_PER_S
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_node.documents.figure_files import short_name
+from ship_node.documents.figure_files import MOST_ROWS, short_name
 from ship_replay.evaluation.evaluate import Evaluation
 from ship_replay.evaluation.figures import attitude_error_figure, innovation_figure
 from ship_replay.evaluation.statistics import AttitudeErrors, SourceInnovations
@@ -151,13 +151,16 @@ def refusals_svg(night: Night) -> str:
             rows.setdefault(f"{refusal.source} ({refusal.by})", set()).add(refusal.utc_ns // NS_PER_S)
     if not rows:
         return ""
-    start_s = night.start_utc_ns / NS_PER_S
+    start_s, count = night.start_utc_ns / NS_PER_S, len(rows)
+    rows = dict(sorted(rows.items())[:MOST_ROWS])
     with plt.rc_context(SVG_STYLE):
         figure, axes = plt.subplots(figsize=(9.2, 0.7 + 0.27 * len(rows)), layout="constrained")
-        for row, (_, seconds) in enumerate(sorted(rows.items())):
+        if count > MOST_ROWS:
+            axes.set_title(f"the first {MOST_ROWS} of {count} sources", fontsize=8)
+        for row, seconds in enumerate(rows.values()):
             bars = [(start - start_s, max(length, 1)) for start, length in _runs(sorted(seconds))]
             axes.broken_barh(bars, (row - 0.35, 0.7), facecolor="#0b3c6f", lw=0)
-        axes.set_yticks(range(len(rows)), [short_name(name) for name in sorted(rows)], fontsize=8)
+        axes.set_yticks(range(len(rows)), [short_name(name) for name in rows], fontsize=8)
         axes.invert_yaxis()
         axes.set_xlim(0.0, (night.end_ns - night.start_ns) / NS_PER_S)
         plain([axes])
