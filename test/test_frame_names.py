@@ -1,5 +1,7 @@
 """``frames.deck``, ``frames.horizon`` and ``publish_tf``: the suite under a URDF, or beside other transforms."""
 
+import json
+
 import pytest
 import yaml
 
@@ -58,7 +60,7 @@ def part_and_suite(tmp_path, publish_tf=True):
     parameters = values["/**/optical_axis"]["ros__parameters"]
     parameters["ship"]["frame_id"] = "base_link"
     parameters |= {"frames": FRAMES, "publish_tf": publish_tf}
-    suite.write_text(yaml.safe_dump(values), encoding="utf-8")
+    suite.write_text(json.dumps(values), encoding="utf-8")
     return part, suite
 
 

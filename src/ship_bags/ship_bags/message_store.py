@@ -263,7 +263,7 @@ def _definition_text(type_name: str) -> str:
 def _parse(text: str, type_name: str, source: Path | None = None) -> Any:
     # Comments of a definition cost the parser as much as its fields do; lines may end as on Windows.
     lines = (line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#"))
-    text = "\n".join(lines)
+    text = "".join(f"{line}\n" for line in lines)
     if len(text) > LARGEST_DEFINITION_CHARACTERS:
         reason = f"definition of {type_name} has {len(text)} characters without comments"
         raise BadInput(f"{reason}, at most {LARGEST_DEFINITION_CHARACTERS} are read", file=source)

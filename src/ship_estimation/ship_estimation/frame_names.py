@@ -8,7 +8,16 @@ from ship_estimation.parameters import ParameterError
 
 
 def publish_tf() -> Any:
-    """Return the parameter ``publish_tf`` of a node that publishes transforms."""
+    """Return the parameter ``publish_tf`` of a node that publishes transforms.
+
+    Example:
+        >>> import dataclasses
+        >>> @dataclasses.dataclass(frozen=True)
+        ... class Node:
+        ...     publish_tf: bool = publish_tf()
+        >>> Node().publish_tf
+        True
+    """
     return parameter(
         True, doc="transforms go out on /tf and /tf_static; false where another node publishes those of these frames"
     )

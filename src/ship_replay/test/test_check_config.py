@@ -86,7 +86,7 @@ ship_attitude:
 def test_mend_16_each_error_is_said_once(check):
     _, lines, errors = check(GOOD.replace("    ins:", "    lagg_s: 1.0\n    ins:"))
     assert "".join(lines + errors).count("lagg_s") == 1
-    told = "expected one of lag_s, max_age_s, smoothing_lag_s or 16 others; did you mean 'lag_s'?"
+    told = "expected one of lag_s, max_age_s, smoothing_lag_s or 18 others; did you mean 'lag_s'?"
     assert lines[0] == f"error: suite.yaml:3: parameter 'lagg_s' is unknown: {told}"
 
 

@@ -236,7 +236,8 @@ def _topic_rows(bag: Bag, names: list[str], required: bool) -> tuple[dict[str, _
         else:
             refused.append(why)
     if not topics:
-        raise BadInput(f"no topic can be exported: {'; '.join(refused)}", file=bag.path)
+        skipped = [f"topic '{name}' is skipped: {why}" for name, why in sorted(bag.skipped_topics.items())]
+        raise BadInput(f"no topic can be exported: {'; '.join(refused + skipped)}", file=bag.path)
     return topics, refused
 
 
