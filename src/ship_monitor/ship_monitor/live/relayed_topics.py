@@ -97,6 +97,8 @@ class RelayedTopics:
             return
         self._types[topic] = type_name
         self._receiver.offer(topic, type_name, definition)
+        if topic in self._subscriptions:
+            self._leave(topic)  # it is of the former type
 
     def _subscribe(self, topic: str) -> None:
         """Subscribe to a topic, and again where its publishers have begun or ceased to keep their last message."""
