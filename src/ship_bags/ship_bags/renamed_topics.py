@@ -147,7 +147,7 @@ def names_of(options: argparse.Namespace) -> TopicNames:
 def remap_advice(
     wanted: str, type_name: str, topics: Mapping[str, str], known: Collection[str], namespace: str = ""
 ) -> str:
-    """How topics of the type of a missing input would be read as it, as ``type on /x: --remap /x:=wanted``.
+    """Return the options that read topics of its type as a missing input, as ``type on /x: --remap /x:=wanted``.
 
     Args:
         wanted: the suite's name of the input.
@@ -223,7 +223,7 @@ def names_on_ship(source: Path | str) -> dict[str, str]:
 
 
 def _of_attached(text: str) -> dict[str, str]:
-    """As :func:`names_on_ship`; nothing of a file that cannot be used: whoever needs it refuses it."""
+    """Return the map of an attached file; empty if the file cannot be used, as the command that needs it refuses it."""
     if TOPICS_PARAMETER not in text:
         return {}
     try:

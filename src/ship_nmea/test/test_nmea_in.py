@@ -112,6 +112,21 @@ def test_each_role_has_its_topics_and_stamps(listening):
     assert node.heard["met/pressure"][0].fluid_pressure == pytest.approx(100_950.0)
 
 
+def test_a_source_uses_sentences_without_checksum_where_its_parameter_allows_it(listening):
+    node = listening({"old": udp("gyro", checksum="optional"), "new": udp("gyro")})
+    for id_ in ("old", "new"):
+        node.send(id_, b"$HEHDT,218.0,T\r\n")
+        node.send(id_, b"$HEHDT,21\r\n")
+        node.send(id_, ended("HEHDT,219.0,T"))
+    node.wait_until(lambda: len(node.heard["reference/old/imu"]) == 2 and node.heard["reference/new/imu"])
+    for id_, rejected in (("old", "1"), ("new", "2")):
+        node.wait_until(
+            lambda id_=id_, rejected=rejected: (told := node.told(id_))
+            and told[2].get("rejected: half line or no checksum") == rejected
+        )
+    assert [len(node.heard[f"reference/{id_}/imu"]) for id_ in ("old", "new")] == [2, 1]
+
+
 def test_sources_of_one_port_are_told_apart_by_their_talkers(listening):
     port = free_port()
     node = listening({

@@ -116,67 +116,6 @@ def test_two_compasses_on_one_line_are_named_while_both_are_there(source):
     assert gyro.status("", 0, 30 * NS_PER_S).level == Level.OK
 
 
-def test_sentences_without_checksum_are_used_where_that_is_asked_for(source):
-    assert source(becomes="gyro", checksum="optional").config.checksum == "optional"
-    for needs_checksum, expected in ((True, []), (False, ["reference/a/imu"])):
-        gyro = source(becomes="gyro")
-        (heard,) = heard_texts(b"$HEHDT,218.0,T", needs_checksum)
-        assert [topic for topic, _ in gyro.take(heard, datetime_ns(START), 0)] == expected
-
-
-INS, FOREIGN = "10.0.0.7:4001", "10.0.0.9:4001"
-
-
-def given_at(source, senders, seconds):
-    """The seconds at which a source gives attitudes, where ``senders`` sends at each second; see test below."""
-    given = []
-    for second in seconds:
-        arrival = START + timedelta(seconds=second)
-        for sender, ahead_s in senders(second):
-            line = pashr(arrival + timedelta(seconds=ahead_s))
-            given += [second for _ in taken(source, line, datetime_ns(arrival), second * NS_PER_S, sender)]
-    return given
-
-
-def test_another_sender_whose_stamps_are_ahead_costs_no_attitude(source):
-    """One datagram every 2 s, stamped 30 s ahead, made those of the INS late."""
-    ins = source(becomes="ins")
-    given = given_at(ins, lambda second: [(INS, 0)] + [(FOREIGN, 30)] * (second % 2), range(60))
-    assert given == list(range(60))
-    status = ins.status("", 0, 60 * NS_PER_S)
-    assert (status.level, status.values["sender"]) == (Level.WARN, INS)
-    assert status.values[f"other sender: {FOREIGN}"] == "30"
-    assert f"sender other than the first (name the instrument's address in 'from') 30, as '{FOREIGN} $PASHR" in (
-        status.message
-    )
-
-
-def test_another_sender_is_taken_after_ten_seconds_of_silence(source):
-    ins = source(becomes="ins")
-    given = given_at(ins, lambda second: [(INS if second < 20 else FOREIGN, 0)], range(40))
-    assert given == [*range(20), *range(30, 40)]
-    assert ins.status("", 0, 40 * NS_PER_S).values["sender"] == FOREIGN
-
-
-def test_who_gives_nothing_of_use_is_not_held(source):
-    """A port that several instruments share: the first is heard, and only the INS gives attitudes."""
-    ins = source(becomes="ins")
-    for second in range(3):
-        arrival = START + timedelta(seconds=second)
-        heading = sentence("HEHDT,10.0,T").encode()
-        assert taken(ins, heading, datetime_ns(arrival), second * NS_PER_S, FOREIGN) == []
-        assert taken(ins, pashr(arrival), datetime_ns(arrival), second * NS_PER_S, INS) == ["ins/imu"]
-
-
-def test_only_listed_addresses_are_used_whatever_their_port(source):
-    ins = source(becomes="ins", **{"from": ["10.0.0.7"]})
-    ports = lambda second: [(FOREIGN, 0), (f"10.0.0.7:{4000 + second}", 0.5)]  # noqa: E731
-    assert given_at(ins, ports, range(20)) == list(range(20))
-    status = ins.status("", 0, 20 * NS_PER_S)
-    assert status.values["rejected: sender that is not in 'from'"] == "20"
-    assert status.values["sender"] == "10.0.0.7"
-
-
 def test_a_clock_that_stands_gives_one_attitude(source):
     ins = source(becomes="ins")
     given = [taken(ins, pashr(START), datetime_ns(START) + second * NS_PER_S, second * NS_PER_S) for second in range(9)]

@@ -142,7 +142,7 @@ class AlertBook:
                 del self._pending[what]
 
     def _forget_over(self) -> None:
-        """Of too many alerts forget those that are over, the oldest first: their next instances begin at 1 again."""
+        """Remove the oldest alerts that are over where there are too many; their next instances begin at 1 again."""
         over = [id_ for id_, kept in self._kept.items() if kept.alert.state == AlertState.NORMAL]
         for id_ in over[: max(0, len(self._kept) - MOST_KEPT)]:
             del self._kept[id_]

@@ -82,7 +82,7 @@ def attitude_messages(
 
 
 def smoothed_message(factory: MessageFactory, estimate: AttitudeEstimate, frames: FrameNames) -> Published:
-    """What an attitude that is told again, by later measurements too, becomes: the first of those messages alone."""
+    """Return the message of an attitude that is published again after smoothing: the first of those messages alone."""
     attitude = AttitudeNumbers.of([AttitudeRun.of_one(estimate)])
     _, type_name, fields = next(_messages(attitude, as_numbers, 0.0, frames))
     return SMOOTHED_TOPIC, factory.encoded(type_name, **fields)

@@ -108,7 +108,7 @@ def open_mcap(path: Path) -> McapFile:
 
 
 def _no_mcap(path: Path, size: int, begin: bytes) -> BadInput:
-    """What is wrong with a file of another kind, and what to do."""
+    """Return the error for a file of another kind, with the remedy."""
     if size == 0:
         return BadInput("the file is empty", file=path)
     if begin.startswith(_ROS1_BEGIN):

@@ -1,4 +1,4 @@
-"""What a file of a bag holds, whatever its storage."""
+"""The content of one file of a bag, whatever its storage."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
@@ -11,7 +11,7 @@ from ship_bags.mcap.records import ChunkPlace
 
 @dataclass
 class BagFile(ABC):
-    """What a file of a bag holds besides its messages, and where the messages are.
+    """Content of a file of a bag besides its messages, and the places of the messages.
 
     Attributes:
         path: the file, or the folder where its files are read as one.

@@ -83,12 +83,12 @@ def is_talker(text: str) -> bool:
 
 
 def _binary(is_before_sentence: bool) -> NotOfInterest | Unusable:
-    """What binary data are: messages of another kind (UBX, RTCM) before a sentence, or a disturbed line."""
+    """Classify binary data: messages of another kind (UBX, RTCM) before a sentence, or a disturbed line."""
     return NotOfInterest(BINARY) if is_before_sentence else Unusable(NOISE)
 
 
 def _without_start(text: str, is_cut: bool) -> Sentence | NotOfInterest | Unusable:
-    """What a text without ``$`` says: a line of a mast, an encapsulated sentence (AIS), or the end of a sentence."""
+    """Read a text without ``$``: a line of a mast, an encapsulated sentence (AIS), or the end of a sentence."""
     if text.startswith("!"):
         return NotOfInterest(text.split(",")[0])
     return Unusable(HALF) if is_cut or _CHECKSUM.fullmatch(text) else read_sentence(text)

@@ -35,7 +35,7 @@ _PAGES = "/", "/autoload.js"
 
 
 class _Refusal(RequestHandler):
-    """What is not there, or not for others: said in red light, because nobody knows how dark it is."""
+    """Answer for pages that do not exist or are refused, in the colours of the night: the bridge may be dark."""
 
     def initialize(self, status_code: int, reason: str | None = None) -> None:
         """Called by tornado with the arguments of the route."""

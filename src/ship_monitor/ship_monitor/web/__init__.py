@@ -1,1 +1,1 @@
-"""What both servers of the monitor share: which hosts and origins they answer, and the bounds of connections."""
+"""Parts that both servers of the monitor share: the hosts and origins they answer, and the bounds of connections."""

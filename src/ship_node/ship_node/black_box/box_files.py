@@ -19,7 +19,7 @@ from ship_node.edge.topics import OutputTopic
 
 
 class BoxHead(NamedTuple):
-    """With what each file of a box begins: names, parameters and versions as texts, and all topics."""
+    """The beginning of each file of a box: names, parameters and versions as texts, and all topics."""
 
     node: str
     namespace: str
