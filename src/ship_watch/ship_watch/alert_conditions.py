@@ -8,6 +8,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
+from ship_geometry.rotations import ARCSEC
 from ship_watch.alert_states import Condition
 from ship_watch.functions import ATTITUDE, POINTING, FunctionShown, functions, still
 from ship_watch.limits import InputLimits, Limits
@@ -31,6 +32,10 @@ drones; of the fix and the weather the last ones hold for a while."""
 
 _NOT_ITS_FAULT = ("no stars", "no lights")
 """Reasons for which a source is out although nothing is broken: clouds, daylight, drones on deck."""
+
+_VERBS = {"no stars": "sees ", "no lights": "sees "}
+_LATE = ": late"
+"""Ending of the reason of a source whose data come too late to be used; the alert's value is then their delay."""
 
 _SILENT = ("silent", "never heard", "not reported")
 """Endings of reasons for which the age says how long."""
@@ -115,7 +120,7 @@ def _outputs(picture: Picture, shown: tuple[FunctionShown, ...], limits: Limits)
             never = all(math.isinf(one.angle.age_s) for one in silent)
             yield Condition(
                 f"{output}.silent", Priority.WARNING if never else Priority.ALARM, "",
-                f"{topic} never heard" if never else f"{topic} silent: {_listed(silent)}",
+                f"{topic} never heard" if never else _lost_first(silent, f"{topic} silent"),
                 becomes_alarm=never, needs_start=never, is_blind=never,
                 under=above[:1] if never else (), lost=_lost(silent),
             )
@@ -125,7 +130,7 @@ def _outputs(picture: Picture, shown: tuple[FunctionShown, ...], limits: Limits)
             worst = max(members, key=lambda one: (one.priority or 0, one.accuracy_arcsec))
             priority = worst.priority or Priority.CAUTION
             yield Condition(
-                f"{output}.degraded", priority, "", f"{_listed(members)}: {worst.reason}", worst.accuracy_arcsec,
+                f"{output}.degraded", priority, "", _lost_first(members, worst.reason), worst.accuracy_arcsec,
                 worst.limit_arcsec, "arcsec", becomes_alarm=priority is Priority.WARNING,
                 needs_start=True, under=(*above, *outs), lost=_lost(members),
             )
@@ -139,23 +144,29 @@ def _is_over_for_a_moment(function: FunctionShown, limits: Limits) -> bool:
 def _sources_out(picture: Picture, shown: tuple[FunctionShown, ...]) -> Iterable[Condition]:
     """Sources that are out by a fault of their own; all star sensors out for one reason are one situation.
 
-    A source that is used although something in it had to be put right is told, too.
+    A source that is used although something in it had to be corrected is a situation, too, and so is one that was
+    reinstated with a shifted mounting.
     """
     guilty = _guilty(picture)
     stars = [source for source in picture.sources if source.name.startswith("star.")]
     stars_out = [source for source in guilty if source.name.startswith("star.")]
     if len(stars) == len(stars_out) >= 2 and len({still(source.reason) for source in stars_out}) == 1:
         names = {source.name for source in stars_out}
-        yield _out(STARS_OUT, "", stars_out[0], [one for one in shown if one.because_of in names], ())
+        yield _out(STARS_OUT, "", stars_out[0], [one for one in shown if one.because_of in names], picture, ())
     for source in guilty:
         under = (STARS_OUT,) if source in stars else ()
-        yield _out(
-            f"{source.name}.out", source.name, source, [one for one in shown if one.because_of == source.name], under
-        )
+        taken = [one for one in shown if one.because_of == source.name]
+        yield _out(f"{source.name}.out", source.name, source, taken, picture, under)
     for source in picture.sources:
         if source.presence is Presence.IN and source.disagreement:
-            text = f"{source.name}: {source.disagreement}, put right"
+            text = f"{source.name}: {source.disagreement}, corrected"
             yield Condition(f"{source.name}.mended", Priority.CAUTION, source.name, text)
+        if source.presence is Presence.IN and math.isfinite(source.mounting_shift):
+            shift_arcsec = source.mounting_shift / ARCSEC
+            text = f"{source.name} reinstated, mounting shifted by {shift_arcsec:.0f}″"
+            yield Condition(
+                f"{source.name}.remounted", Priority.CAUTION, source.name, text, shift_arcsec, unit="arcsec"
+            )
 
 
 def _unreported(picture: Picture) -> Iterable[Condition]:
@@ -170,17 +181,22 @@ def _unreported(picture: Picture) -> Iterable[Condition]:
 
 
 def _out(
-    id_: str, name: str, source: SourceShown, taken: list[FunctionShown], under: tuple[str, ...]
+    id_: str, name: str, source: SourceShown, taken: list[FunctionShown], picture: Picture, under: tuple[str, ...]
 ) -> Condition:
     base = _OUT_PRIORITY.get(source.name.partition(".")[0], Priority.WARNING)
     if source.reason in _NOT_ITS_FAULT:
         base = Priority.CAUTION
     priority = max([base, *(one.priority for one in taken if one.priority is not None)])
-    lost = _lost(taken)
-    text = f"{name or 'all star sensors'} out: {still(source.reason)}" + (f"; {_listed(taken)}" if lost else "")
+    lost, shown_name, reason = _lost(taken), name or "all star sensors", still(source.reason)
+    is_late = reason.endswith(_LATE)
+    cause = f"{shown_name} arrives late" if is_late else f"{shown_name} {_VERBS.get(reason, '')}{reason}"
+    text = _lost_first(taken, cause) if lost else f"{shown_name} out: {'arrives late' if is_late else reason}"
     value, unit = (source.residual, "sigma") if math.isfinite(source.residual) else (math.nan, "")
     if source.reason.endswith(_SILENT):
         value, unit = source.age_s, "s"
+    if is_late:
+        delays_s = [one.latency_s for one in picture.inputs if one.topic in source.topics]
+        value, unit = max(delays_s, default=math.nan), "s"
     return Condition(id_, priority, name, text, value, unit=unit, becomes_alarm=bool(lost), under=under, lost=lost)
 
 
@@ -266,13 +282,17 @@ def _guilty(picture: Picture) -> list[SourceShown]:
     return [one for one in picture.sources if one.presence is Presence.OUT and not one.because_of]
 
 
-def _listed(shown: Iterable[FunctionShown]) -> str:
-    """What has become of functions: "heading lost, tilt over its limit"; what is only unchecked where that is all."""
-    shown = list(shown)
+def _lost_first(taken: Iterable[FunctionShown], cause: str) -> str:
+    """Return what has become of functions, the worst first, and why: "Heading lost, tilt over its limit: ins silent".
+
+    Functions that are only unchecked are named where no other is worse.
+    """
+    taken = list(taken)
     by_words: dict[str, list[str]] = {}
-    for one in [one for one in shown if one.is_over] or shown:
+    for one in sorted([one for one in taken if one.is_over] or taken, key=lambda one: -(one.priority or 0)):
         by_words.setdefault(one.text.partition(" ")[2], []).append(one.name)
-    return ", ".join(f"{_and(names)} {words}" for words, names in by_words.items())
+    text = ", ".join(f"{_and(names)} {words}" for words, names in by_words.items())
+    return f"{text[:1].upper()}{text[1:]}: {cause}"
 
 
 def _and(names: list[str]) -> str:

@@ -6,9 +6,12 @@ times in integer ns. NaN means that there is no value; an infinite age, that not
 """
 
 import enum
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Protocol
+
+from ship_watch.alert_advice import advice_for
 
 ANGLES = ("heading", "pitch", "roll", "azimuth", "elevation")
 """The angles of a picture, in the order in which they are shown."""
@@ -137,6 +140,8 @@ class SourceShown(SourceStanding):
         rate_hz: mean rate of arrival; NaN before two messages.
         refused: messages refused in a row, in input or filter.
         topics: relative topics it comes by.
+        mounting_shift: angle between its mounting before an exclusion and after its reinstatement, rad, for ten minutes
+            after that; NaN otherwise.
     """
 
     verdict: NisVerdict | None
@@ -144,6 +149,7 @@ class SourceShown(SourceStanding):
     rate_hz: float
     refused: int
     topics: tuple[str, ...]
+    mounting_shift: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -171,6 +177,11 @@ class AlertShown:
     def is_over(self) -> bool:
         """Whether its situation is gone, and nobody acknowledged it."""
         return self.state == 4
+
+    @property
+    def advice(self) -> str:
+        """What to do about it, one line; empty for an alert that this suite does not know."""
+        return advice_for(self.id)
 
     @property
     def urgency(self) -> tuple[int, int, int, int, str]:
@@ -222,7 +233,7 @@ class Picture:
         ages_s: time since the last stars, lights and INS sample that were used: keys "stars", "lights", "ins".
         pointing_by: "2 lights", "1 light", "encoder", "no pointing"; empty without a theodolite.
         horizon: "geodetic", "gravity"; empty before the first attitude.
-        sources: OUT first, then in a fixed order.
+        sources: OUT first, each followed by those that are out because of it, then in a fixed order.
         alerts: as last published, the most urgent first; None where no alert node was heard.
         inputs: in the order of their topics.
         events: the newest first, at most 200.
@@ -239,6 +250,11 @@ class Picture:
     inputs: tuple[InputShown, ...]
     events: tuple[Event, ...]
     waiting_for: str
+
+    @property
+    def is_old(self) -> bool:
+        """True if no output comes any more: no tick, age or count of the picture is then of now."""
+        return all(angle.is_old for angle in self.angles)
 
 
 class Pictures(Protocol):

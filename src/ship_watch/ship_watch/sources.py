@@ -122,7 +122,7 @@ class SourceBook:
     # -- what it comes to -----------------------------------------------------------------------------------
 
     def standings(self, now_ns: int, utc_offset_ns: int) -> list[SourceStanding]:
-        """How all sources stand: OUT first, those that are to blame before those that need them, in a fixed order.
+        """Return how all sources stand: OUT first, each cause directly before its consequences, in a fixed order.
 
         Args:
             now_ns: the caller's time.
@@ -137,7 +137,7 @@ class SourceBook:
         because = {name: self._sources[name].blamed(fault, guilty) for name, fault in faults.items()}
         standings = [source.standing(because.get(name), now_ns) for name, source in self._sources.items()]
         standings += [standing_off(name) for name in self._not_configured()]
-        return sorted(standings, key=_order)
+        return _causes_first(sorted(standings, key=_order))
 
     def shown(self, standings: Iterable[SourceStanding], now_ns: int) -> list[SourceShown]:
         """Return all sources with all that is known of them, as they stand by :meth:`standings`."""
@@ -179,3 +179,18 @@ def blamed(sources: Iterable[SourceStanding], words: tuple[str, ...]) -> SourceS
 def _order(source: SourceStanding) -> tuple[bool, bool, bool, tuple[int, str]]:
     presence = source.presence
     return presence is not Presence.OUT, presence is Presence.OFF, bool(source.because_of), place_of(source.name)
+
+
+def _causes_first(sources: list[SourceStanding]) -> list[SourceStanding]:
+    """Return the sources with those that are out because of another one that is out directly after that one."""
+    causes = {source.name for source in sources if source.presence is Presence.OUT and not source.because_of}
+    consequences: dict[str, list[SourceStanding]] = {}
+    for source in sources:
+        if source.because_of in causes:
+            consequences.setdefault(source.because_of, []).append(source)
+    return [
+        each
+        for source in sources
+        if source.because_of not in causes
+        for each in (source, *consequences.get(source.name, ()))
+    ]

@@ -9,6 +9,7 @@ the same messages heard live.
 import functools
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from ship_watch.events import SETTLED_NS, EventBook, alerts_shown
 from ship_watch.history import History
 from ship_watch.history_keeper import HistoryKeeper
 from ship_watch.limits import Limits
+from ship_watch.mounting_shifts import MountingShifts
 from ship_watch.names import has_room
 from ship_watch.outputs import AttitudeHeard, OutputHeard, PointingHeard
 from ship_watch.picture import ANGLES, AlertShown, AngleShown, Picture, Safety, SourceStanding
@@ -82,6 +84,7 @@ class Watch:
         self._attitude, self._pointing = AttitudeHeard(self.limits), PointingHeard(self.limits)
         self._book = SourceBook(self.limits)
         self._behind = BehindBook()
+        self._mountings = MountingShifts()
         self._words = {name: HeldWord(self.limits.better_after_s) for name in ANGLES}
         self._over = {name: TimeOver() for name in ANGLES}
         self._events = EventBook()
@@ -121,7 +124,7 @@ class Watch:
             "alerts": self._take_alerts,
             "error_budget": lambda message, _: keeper.note_budget(topic, message),
             "error_arcsec": lambda message, _: keeper.note_error(topic, message),
-            "alignment": lambda message, _: keeper.note_parameters(topic, message),
+            "alignment": functools.partial(self._take_alignment, topic),
             "calibration": lambda message, _: keeper.note_parameters(topic, message),
         }
         if first == "truth":
@@ -148,6 +151,10 @@ class Watch:
         source = self._book.note_innovation(topic, message, now_ns)
         if source and topic != STAR_INNOVATION:
             self._keeper.note_innovation(source, message, now_ns)
+
+    def _take_alignment(self, topic: str, message: Any, _now_ns: int) -> None:
+        self._keeper.note_parameters(topic, message)
+        self._mountings.note_alignment(message)
 
     def _take_seen(self, topic: str, message: Any, now_ns: int) -> None:
         self._book.heard(topic, now_ns)
@@ -187,10 +194,14 @@ class Watch:
     def look(self, now_ns: int) -> Picture:
         """The picture of this moment, by the caller's time; it is the same however often somebody looks."""
         self._judge_until(now_ns)
-        sources = self._book.shown(self._standings(now_ns), now_ns)
+        utc_ns = now_ns + self._utc_offset_ns
+        sources = [
+            replace(source, mounting_shift=self._mountings.shift_of(source.name, utc_ns))
+            for source in self._book.shown(self._standings(now_ns), now_ns)
+        ]
         shown = [self._shown(name, claim, now_ns) for name, claim in self._claims(sources, now_ns).items()]
         return Picture(
-            utc_ns=now_ns + self._utc_offset_ns if self._newest_ns else 0,
+            utc_ns=utc_ns if self._newest_ns else 0,
             angles=tuple(shown),
             ages_s={
                 "stars": self._attitude.star_age_s(now_ns),
@@ -221,7 +232,10 @@ class Watch:
 
     def _judge(self, now_ns: int) -> None:
         sources = self._standings(now_ns)
-        self._events.tell_sources(sources, now_ns + self._utc_offset_ns)
+        utc_ns = now_ns + self._utc_offset_ns
+        self._events.tell_sources(sources, utc_ns)
+        for name, text in self._mountings.note_sources(sources, utc_ns):
+            self._events.tell("source", name, text, utc_ns)
         for name, claim in self._claims(sources, now_ns).items():
             word, reason = judged(claim)
             self._over[name].note(claim, now_ns)
@@ -230,10 +244,10 @@ class Watch:
             if self._output(name).is_heard and held.note(word, reason, now_ns) and held.word is not None:
                 change = f"{before.name} → {held.word.name}" if before is not None else held.word.name
                 text = f"{name} {change}" + (f", {held.reason}" if held.reason else "")
-                self._events.tell("state", name, text, now_ns + self._utc_offset_ns)
+                self._events.tell("state", name, text, utc_ns)
         words = {name: None if self._output(name).is_old(now_ns) else self._words[name].word for name in ANGLES}
         if self._newest_ns:
-            self._keeper.note_words(now_ns + self._utc_offset_ns, words)
+            self._keeper.note_words(utc_ns, words)
 
     def _claims(self, sources: Sequence[SourceStanding], now_ns: int) -> dict[str, AngleClaim]:
         """What is claimed of each angle; of those of a theodolite where there is one."""

@@ -1,11 +1,11 @@
 """Which situations are alerts: each row of the table in docs/explanation/alerts.md, and one alert for one situation."""
 
-import re
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from ship_geometry.rotations import ARCSEC
 from ship_testing.pictures import (
     angle,
     late_input,
@@ -17,6 +17,7 @@ from ship_testing.pictures import (
     silent,
     source,
 )
+from ship_watch.alert_advice import ADVICE, kind_of
 from ship_watch.alert_conditions import Machine, NodeStatus, conditions
 from ship_watch.alert_states import Condition
 from ship_watch.alerts import AlertBook
@@ -53,6 +54,8 @@ CASES: dict[tuple[str, str], tuple[Picture, Machine | None]] = {
     ("star.ID.out", "warning"): (picture(out("star.fore", "excluded")), None),
     ("star.ID.out", "caution"): (picture(out("star.fore", "no stars")), None),
     ("reference.ID.out", "warning"): (picture(out("reference.mast", "silent")), None),
+    ("star.ID.remounted", "caution"): (picture(source("star.fore", mounting_shift=51.0 * ARCSEC)), None),
+    ("reference.ID.remounted", "caution"): (picture(source("reference.mast", mounting_shift=51.0 * ARCSEC)), None),
     ("encoder.out", "warning"): (picture(out("encoder", "silent")), None),
     ("lights.out", "caution"): (picture(out("lights", "7 refused in a row")), None),
     ("baselines.out", "caution"): (picture(out("baselines", "silent")), None),
@@ -88,21 +91,11 @@ def told(shown: Picture, machine: Machine | None = None) -> dict[str, Condition]
     return {each.id: each for each in found if each.id in ids}
 
 
-def pattern(id_: str) -> str:
-    """The id as the table writes it."""
-    if re.fullmatch(r"(star|reference)\..+\.out", id_):
-        return id_.partition(".")[0] + ".ID.out"
-    if id_.endswith((".unreported", ".mended", ".rate")):
-        return "SOURCE." + id_.rpartition(".")[2]
-    id_ = re.sub(r"\.(sink|source)\.\w+$", r".\1.ID", id_)
-    return re.sub(r"^ship_attitude\.(?!out)", "NODE.", id_)
-
-
 @pytest.mark.parametrize("case", CASES, ids="-".join)
 def test_each_row_is_one_alert(case: tuple[str, str]) -> None:
     """The situation of a row gives one alert, with its id and its priority."""
     (found,) = told(*CASES[case]).values()
-    assert (pattern(found.id), found.priority.name.lower()) == case
+    assert (kind_of(found.id), found.priority.name.lower()) == case
     assert "\n" not in found.text
     assert len(found.text) < 90
 
@@ -113,13 +106,14 @@ def test_table_for_people_is_that_of_the_code() -> None:
     table = {(row[0].strip().strip("`"), word.strip()) for row in rows for word in row[1].split(",")}
     assert table == set(CASES)
     assert all(len(row) == 5 and all(cell.strip() for cell in row) for row in rows)
+    assert {row[0].strip().strip("`"): row[4].strip() for row in rows} == ADVICE
 
 
 def test_word_that_is_held_is_told_as_what_it_is_held_for() -> None:
     """An accuracy that was over its limit a moment ago is no lack of a check; the text says where to look."""
     for share in (1.5, 0.98):
         (found,) = told(picture(over("roll", share=share))).values()
-        assert (found.priority, found.text) == (Priority.WARNING, "tilt over its limit: see its error budget")
+        assert (found.priority, found.text) == (Priority.WARNING, "Tilt over its limit: see its error budget")
 
 
 def test_alert_rests_on_the_word_of_this_moment() -> None:
@@ -128,7 +122,7 @@ def test_alert_rests_on_the_word_of_this_moment() -> None:
     assert conditions(picture(well_again), LIMITS) == []
     worse_now = replace(over("roll"), now=(Safety.UNSAFE, "invalid"))
     (found,) = conditions(picture(worse_now), LIMITS)
-    assert (found.priority, found.text) == (Priority.ALARM, "tilt lost: invalid")
+    assert (found.priority, found.text) == (Priority.ALARM, "Tilt lost: invalid")
 
 
 def test_function_that_is_over_its_limit_for_a_moment_is_no_alert_and_a_lost_one_is() -> None:
@@ -153,7 +147,7 @@ def test_what_a_source_takes_away_is_told_with_it() -> None:
     assert list(found) == ["ins.out"]
     alert = found["ins.out"]
     assert (alert.priority, alert.source) == (Priority.ALARM, "ins")
-    assert alert.text == "ins out: silent; heading, tilt and pointing lost"
+    assert alert.text == "Heading, tilt and pointing lost: ins silent"
     assert (alert.value, alert.unit) == (4.0, "s")
     assert alert.lost == {"heading", "tilt", "pointing"}
 
@@ -176,7 +170,7 @@ def test_all_stars_out_for_one_reason_are_one_situation() -> None:
     taken = over("heading", "star.fore")
     both = told(picture(out("star.fore", "silent"), out("star.starboard", "silent"), taken))
     assert list(both) == ["stars.out"]
-    assert both["stars.out"].text == "all star sensors out: silent; heading over its limit"
+    assert both["stars.out"].text == "Heading over its limit: all star sensors silent"
     assert both["stars.out"].becomes_alarm
     two = told(picture(out("star.fore", "silent"), out("star.starboard", "81 refused in a row"), taken))
     assert sorted(two) == ["star.fore.out", "star.starboard.out"]
@@ -207,7 +201,7 @@ def test_texts_hold_no_figure_that_runs() -> None:
             angle("heading", **{**UNCHECKED, "reason": f"no stars for {count} s"}),
         )
         texts |= {each.text for each in conditions(shown, LIMITS)}
-    assert texts == {"star.fore out: refused in a row", "heading unchecked: no stars"}
+    assert texts == {"star.fore out: refused in a row", "Heading unchecked: no stars"}
 
 
 def test_box_may_lose_what_the_limits_allow() -> None:
@@ -217,6 +211,23 @@ def test_box_may_lose_what_the_limits_allow() -> None:
     assert len(conditions(picture(), patient, node("black box", lost="21"))) == 1
     assert len(conditions(picture(), patient, node("black box"))) == 1
     assert len(conditions(picture(), patient, node("black box", lost="many"))) == 1
+
+
+def test_source_that_arrives_late_is_named_once_with_its_delay() -> None:
+    """The pointing is lost because the ship's attitude comes too late: cause and consequence in one alert."""
+    late = out("ship_attitude", "81 refused in a row: late", topics=("ship/attitude",))
+    lights = out("lights", "needs ship_attitude", because_of="ship_attitude")
+    angles = [lost(name, "ship_attitude") for name in ANGLES_OF_POINTING]
+    (found,) = told(picture(late, lights, *angles, inputs=(late_input("ship/attitude", 1.0),))).values()
+    assert (found.text, found.value, found.unit) == ("Pointing lost: ship_attitude arrives late", 1.0, "s")
+    (alone,) = told(picture(late)).values()
+    assert alone.text == "ship_attitude out: arrives late"
+
+
+def test_what_is_lost_stands_before_what_is_over_its_limit() -> None:
+    """The worst comes first, whatever the order of the functions."""
+    (found,) = told(picture(out("ins", "silent"), over("heading", "ins"), lost("roll", "ins"))).values()
+    assert found.text == "Tilt lost, heading over its limit: ins silent"
 
 
 def test_tree_names_the_input_that_takes_a_function_away() -> None:

@@ -461,7 +461,7 @@ def test_a_node_that_is_behind_is_the_reason_and_no_source_is_to_blame_until_it_
     (alert,) = conditions(picture, Limits())
     assert alert.id == "attitude.degraded"
     still = "ship_attitude is behind: the computer is too slow (2 cores)"
-    assert alert.text == f"heading and tilt lost: {still}"
+    assert alert.text == f"Heading and tilt lost: {still}"
     # The node keeps up again; the sensor is in again after ten measurements.
     watch.take("ship/attitude", attitude(UTC + 14 * SECOND), at(14.0))
     picture = watch.look(at(14.1))

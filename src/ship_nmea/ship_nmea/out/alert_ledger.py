@@ -1,7 +1,6 @@
 """What the bridge has been told of each alert: its number, its revision, and which alert a command means."""
 
 import dataclasses
-import re
 import string
 import zlib
 from collections.abc import Container, Sequence
@@ -26,8 +25,6 @@ _STATES = "NVSAU"
 _LAST_REVISION = 99
 _LAST_ESCALATION = 9
 _TITLE_LENGTH = 16
-_AFTER_GROUP = r"(?<=lost), |(?<=its limit), "
-"""Between functions of which different things have become: "heading and tilt over its limit, pointing lost"."""
 
 
 @dataclass(frozen=True)
@@ -129,20 +126,9 @@ def _entry(number: int, alert: Any, before: _Entry | None) -> _Entry:
     instance = (alert.instance - 1) % GREATEST_INSTANCE + 1
     told = AlertToTell(
         number, instance, revision, escalation, priority, _STATES[alert.state], changed_ns, _title(alert.id),
-        _consequence_first(alert.text),
+        alert.text,
     )  # fmt: skip
     return _Entry(key, alert.id, alert.instance, told)
-
-
-def _consequence_first(text: str) -> str:
-    """What is lost first, for a description has room for some 45 characters and the title names what is out.
-
-    "ins out: silent; tilt over its limit, heading lost" is "heading lost, tilt over its limit; ins out: silent".
-    """
-    mark = ": " if text.endswith("lost") and "; " not in text else "; "
-    cause, found, consequence = text.rpartition(mark)
-    groups = sorted(re.split(_AFTER_GROUP, consequence), key=lambda group: not group.endswith("lost"))
-    return f"{', '.join(groups)}; {cause}" if found else text
 
 
 def _title(id_: str) -> str:

@@ -1,0 +1,77 @@
+"""Mounting shifts: an excluded device that comes back with other installation angles; covariances made by hand."""
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ship_geometry.rotations import ARCSEC
+from ship_watch.mounting_shifts import SHOWN_NS, MountingShifts
+from ship_watch.picture import Presence, SourceStanding
+
+SECOND = 1_000_000_000
+UTC = 1_404_906_607 * SECOND
+IN = SourceStanding("star.bow", Presence.IN, "", "", math.nan, 0, "")
+OUT = SourceStanding("star.bow", Presence.OUT, "excluded", "", math.nan, UTC + 20 * SECOND, "")
+NOMINAL = np.deg2rad([30.0, 60.0, 5.0])
+
+
+def alignment(second: float, shift: Any = 0.0, sigma: float = 3.0, device: str = "star.bow") -> SimpleNamespace:
+    """An AlignmentState with one device whose angles are shifted (arcsec), and an INS state before it."""
+    ends = ("azimuth", "elevation", "roll") if device.startswith("star") else ("roll", "pitch", "heading")
+    angles = NOMINAL + np.asarray(shift) * ARCSEC
+    if device.startswith("reference"):
+        angles = angles[::-1]
+    ns = UTC + round(second * SECOND)
+    return SimpleNamespace(
+        header=SimpleNamespace(stamp=SimpleNamespace(sec=ns // SECOND, nanosec=ns % SECOND)),
+        names=["ins.up", *(f"{device}.{end}" for end in ends)],
+        values=np.array([0.0, *angles]),
+        covariance=np.diag([1e-9, *[(sigma * ARCSEC) ** 2] * 3]).ravel(),
+    )
+
+
+def texts(shift: Any, sigma: float = 3.0, device: str = "star.bow") -> tuple[list[str], MountingShifts]:
+    """The texts of a voyage in which the device is out from 21 s to 80 s and comes back shifted."""
+    shifts, found = MountingShifts(), []
+    for second in range(120):
+        is_out = 21 <= second < 80
+        # From 20 s on the fault has pulled the estimate, and its covariance has been inflated.
+        wide = 20 <= second < 80
+        shifts.note_alignment(alignment(second, shift if second >= 20 else 0.0, 200.0 if wide else sigma, device))
+        source = replace(OUT if is_out else IN, name=device)
+        found += [text for _, text in shifts.note_sources([source], UTC + second * SECOND)]
+    return found, shifts
+
+
+@pytest.mark.parametrize("device", ["star.bow", "reference.mast"])
+def test_device_that_comes_back_shifted_is_an_event(device: str) -> None:
+    """50″ in elevation (or pitch): the angle between the two mountings, once, and shown for ten minutes."""
+    found, shifts = texts([0.0, 50.0, 0.0], device=device)
+    assert found == [f"{device} reinstated, mounting shifted by 50″"]
+    assert shifts.shift_of(device, UTC + 200 * SECOND) / ARCSEC == pytest.approx(50.0, abs=1e-6)
+    assert math.isnan(shifts.shift_of(device, UTC + 80 * SECOND + 2 * SHOWN_NS))
+
+
+def test_azimuth_of_a_sensor_that_looks_up_counts_by_its_cosine() -> None:
+    """100″ of azimuth at 60° elevation with the roll left as it is: a rotation about Up of 100″."""
+    found, _ = texts([100.0, 0.0, 0.0])
+    assert found == ["star.bow reinstated, mounting shifted by 100″"]
+
+
+@pytest.mark.parametrize(("shift", "sigma"), [(5.0, 3.0), (50.0, 60.0), (math.nan, 3.0), (50.0, math.nan), (0.0, 0.0)])
+def test_what_the_covariances_explain_or_do_not_know_is_no_shift(shift: float, sigma: float) -> None:
+    """Less than four sigmas of the difference, unknown angles, an unknown covariance, one of zeros."""
+    assert texts([0.0, shift, 0.0], sigma)[0] == []
+
+
+def test_source_that_is_out_because_of_another_is_not_looked_at() -> None:
+    """Stars without an INS are out, and nothing is wrong with their mounting."""
+    shifts = MountingShifts()
+    for second in range(40):
+        shifts.note_alignment(alignment(second, [0.0, 50.0 if second > 20 else 0.0, 0.0]))
+        needs = replace(OUT, reason="needs ins", because_of="ins") if 10 < second < 30 else IN
+        assert shifts.note_sources([needs], UTC + second * SECOND) == []
