@@ -1,16 +1,22 @@
 """A suite that is watched live: it comes, goes, comes again, and its time goes back."""
 
+import threading
 import time
 
 import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from ship_bags.stamps import NS_PER_S
+from ship_monitor.alerts.alert_node import AlertNode
 from ship_monitor.live.live_watch import LiveWatch, messages_wanted
 from ship_monitor.live.reader import DISCOVERY_NS, KEPT
 from ship_msgs.msg import Alert, AlertArray
 from ship_testing.publishing_ship import PublishingShip, attitude
 from ship_watch.limits import Limits
+from ship_watch.picture import Safety
 
 pytestmark = pytest.mark.live
 
@@ -122,3 +128,36 @@ def test_alerts_of_a_node_that_has_ended_are_not_shown_any_more(watch, until):
 )
 def test_of_outputs_the_newest_of_refusals_each_of_fast_inputs_none(topic, type_name, count):
     assert messages_wanted(topic, type_name) == count
+
+
+def test_page_terminal_and_alerts_show_one_state(ship, until):
+    """An alert node with tight limits: viewers show its words, and their own when it has gone."""
+    tight = Limits(heading_arcsec=0.2, tilt_arcsec=0.2, pointing_arcsec=0.2)
+    context = Context()
+    rclpy.init(context=context)
+    alerts = AlertNode(Node("alerts", context=context, namespace="demo"), tight, None)
+    thread = threading.Thread(target=alerts.run)
+    thread.start()
+    viewers = [LiveWatch(name, "demo", Limits()) for name in ("monitor", "monitor_terminal")]
+    times = iter(range(START_NS, START_NS + 1000 * NS_PER_S, NS_PER_S // 50))
+
+    def words():
+        ship.say("ship/attitude", attitude(next(times)))
+        shown = [viewer.look().angles for viewer in viewers]
+        return [[(angle.limit, angle.safety, angle.reason) for angle in angles[:3]] for angles in shown]
+
+    try:
+        wanted = tight.of_angle("heading")
+        by_page, by_terminal = until(lambda: (now := words()) and now[0][0][0] == now[1][0][0] == wanted and now)
+        assert by_page == by_terminal
+        assert by_page[0][1] is not Safety.SAFE
+        alerts.stop()
+        thread.join()
+        own = Limits().of_angle("heading")
+        assert until(lambda: (now := words()) and now[0][0][0] == now[1][0][0] == own)
+    finally:
+        alerts.stop()
+        thread.join()
+        for viewer in viewers:
+            viewer.close()
+        context.try_shutdown()

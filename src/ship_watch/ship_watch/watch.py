@@ -26,6 +26,7 @@ from ship_watch.mounting_shifts import MountingShifts
 from ship_watch.names import has_room
 from ship_watch.outputs import AttitudeHeard, OutputHeard, PointingHeard
 from ship_watch.picture import ANGLES, AlertShown, AngleShown, Picture, Safety, SourceStanding
+from ship_watch.published_state import PublishedState, published_state
 from ship_watch.sources import STAR_INNOVATION, SourceBook, blamed
 from ship_watch.states import AngleClaim, HeldWord, TimeOver, judged
 from ship_watch.topics import node_of, source_of_topic, watched_topic
@@ -63,6 +64,7 @@ class Watch:
         self._make_keeper = keeper
         self._takers: dict[str, Callable[[Any, int], None]] = {}
         self._alerts: tuple[AlertShown, ...] | None = None
+        self._published: PublishedState | None = None
         self._forget()
 
     @property
@@ -75,8 +77,8 @@ class Watch:
         self._forget()
 
     def forget_alerts(self) -> None:
-        """There is no alert node any more: what it told last is not told now."""
-        self._alerts = None
+        """There is no alert node any more: neither its alerts nor its state hold now."""
+        self._alerts, self._published = None, None
 
     def _forget(self) -> None:
         self._keeper = self._make_keeper()
@@ -89,6 +91,8 @@ class Watch:
         self._over = {name: TimeOver() for name in ANGLES}
         self._events = EventBook()
         self._newest_ns, self._utc_offset_ns, self._offset_met_ns = 0, 0, 0
+        self._published = None
+        self._shown_words: dict[str, Safety] = {}
         self._first_ns: int | None = None
         self._judged_ns: int | None = None
 
@@ -108,6 +112,15 @@ class Watch:
             self._judge_until(arrival_ns)
             with np.errstate(all="ignore"):  # what makes no sense becomes NaN, which no gate lets through
                 taker(message, arrival_ns)
+
+    def take_state(self, message: Any, arrival_ns: int) -> None:
+        """Take a SuiteState: while such messages come, angles and sources are shown as they contain them.
+
+        Raises:
+            ValueError: it contains a safety or a presence that does not exist.
+        """
+        self._judge_until(arrival_ns)
+        self._published = published_state(message, arrival_ns)
 
     def _taker(self, topic: str) -> Callable[[Any, int], None] | None:
         """What takes the messages of a topic; None where it is not watched."""
@@ -200,7 +213,7 @@ class Watch:
             for source in self._book.shown(self._standings(now_ns), now_ns)
         ]
         shown = [self._shown(name, claim, now_ns) for name, claim in self._claims(sources, now_ns).items()]
-        return Picture(
+        picture = Picture(
             utc_ns=utc_ns if self._newest_ns else 0,
             angles=tuple(shown),
             ages_s={
@@ -216,6 +229,13 @@ class Watch:
             events=tuple(self._events.events),
             waiting_for="" if self._attitude.is_heard else self._attitude.topic,
         )
+        published = self._current_state(now_ns)
+        return picture if published is None else published.shown_in(picture, now_ns)
+
+    def _current_state(self, now_ns: int) -> PublishedState | None:
+        """Return the published state that is shown now; None where there is no alert node, or it is late."""
+        published = self._published
+        return published if published is not None and published.is_current(now_ns) else None
 
     def _judge_until(self, now_ns: int) -> None:
         """Judge at each step of time until now; messages that came before are judged with what came before them."""
@@ -231,23 +251,31 @@ class Watch:
         return self._behind.attributed(self._book.standings(now_ns, self._utc_offset_ns), now_ns)
 
     def _judge(self, now_ns: int) -> None:
-        sources = self._standings(now_ns)
-        utc_ns = now_ns + self._utc_offset_ns
+        """Judge sources and angles, and tell the events: of the published state where there is a current one."""
+        sources, utc_ns = self._standings(now_ns), now_ns + self._utc_offset_ns
+        words: dict[str, tuple[Safety, str]] = {}
+        for name, claim in self._claims(sources, now_ns).items():
+            self._over[name].note(claim, now_ns)
+            if self._output(name).is_heard:
+                self._words[name].note(*judged(claim), now_ns)
+                words[name] = self._words[name].word or Safety.SAFE, self._words[name].reason
+        are_old = {name for name in ANGLES if self._output(name).is_old(now_ns)}
+        if (published := self._current_state(now_ns)) is not None:
+            sources = list(published.sources)
+            words = {angle.name: (angle.safety, angle.reason) for angle in published.angles if angle.stamp_ns}
+            are_old = {angle.name for angle in published.angles if angle.is_old}
         self._events.tell_sources(sources, utc_ns)
         for name, text in self._mountings.note_sources(sources, utc_ns):
             self._events.tell("source", name, text, utc_ns)
-        for name, claim in self._claims(sources, now_ns).items():
-            word, reason = judged(claim)
-            self._over[name].note(claim, now_ns)
-            held = self._words[name]
-            before = held.word
-            if self._output(name).is_heard and held.note(word, reason, now_ns) and held.word is not None:
-                change = f"{before.name} → {held.word.name}" if before is not None else held.word.name
-                text = f"{name} {change}" + (f", {held.reason}" if held.reason else "")
-                self._events.tell("state", name, text, utc_ns)
-        words = {name: None if self._output(name).is_old(now_ns) else self._words[name].word for name in ANGLES}
+        for name, (word, reason) in words.items():
+            before = self._shown_words.get(name)
+            if word is not before:
+                self._shown_words[name] = word
+                change = word.name if before is None else f"{before.name} → {word.name}"
+                self._events.tell("state", name, f"{name} {change}" + (f", {reason}" if reason else ""), utc_ns)
         if self._newest_ns:
-            self._keeper.note_words(utc_ns, words)
+            shown = {name: None if name in are_old or name not in words else words[name][0] for name in ANGLES}
+            self._keeper.note_words(utc_ns, shown)
 
     def _claims(self, sources: Sequence[SourceStanding], now_ns: int) -> dict[str, AngleClaim]:
         """What is claimed of each angle; of those of a theodolite where there is one."""

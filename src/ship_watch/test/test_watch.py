@@ -7,12 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ship_bags.message_factory import RosidlFactory
 from ship_estimation.refusals import Reason
 from ship_geometry.rotations import ARCSEC
 from ship_watch.alert_conditions import conditions
 from ship_watch.alerts import AlertBook
 from ship_watch.limits import Limits
 from ship_watch.picture import ANGLES, Presence, Safety
+from ship_watch.published_state import STATE_TYPE, state_fields
 from ship_watch.topics import TOPICS, source_of_name, source_of_topic, watched_topic
 from ship_watch.watch import Watch
 
@@ -485,3 +487,31 @@ def test_a_source_that_was_out_before_a_node_was_behind_keeps_the_blame() -> Non
     assert (star.name, star.reason, star.because_of) == ("star.bow", "excluded", "")
     assert {angle.now for angle in picture.angles[:3]} == {(Safety.CAUTION, "ship_attitude is 3.2 s behind")}
     assert {angle.because_of for angle in picture.angles[:3]} == {""}  # for that a node is to blame
+
+
+def published(watch: Watch, seconds: float) -> SimpleNamespace:
+    """The SuiteState of a watch, as the alert node publishes it."""
+    return RosidlFactory().make(STATE_TYPE, **state_fields(watch.look(at(seconds))))
+
+
+def test_a_watch_shows_the_published_state_in_place_of_its_own_and_its_own_without_one() -> None:
+    """Another watch finds all angles over their limits; while its state is published, this one shows and tells that."""
+    other, watch = heard(20.0, sigma_arcsec=3.0), heard(20.0)
+    assert {angle.safety for angle in watch.look(at(20.0)).angles} == {Safety.SAFE}
+    watch.take_state(published(other, 20.0), at(20.1))
+    shown = watch.look(at(20.3))
+    assert [(angle.safety, angle.reason, angle.since_ns) for angle in shown.angles] == [
+        (angle.safety, angle.reason, angle.since_ns) for angle in other.look(at(20.0)).angles
+    ]
+    events = [event.text for event in shown.events if event.kind == "state"]
+    assert "heading SAFE → CAUTION, over the limit" in events
+    assert watch.history.ribbons[-1].words["heading"] is Safety.SAFE  # of the second before
+    go_on(watch, 20.2, 22.0)
+    assert {angle.safety for angle in watch.look(at(22.0)).angles} == {Safety.CAUTION}
+    # Two seconds without a state: its own words again, at once.
+    go_on(watch, 22.1, 22.5)
+    assert {angle.safety for angle in watch.look(at(22.5)).angles} == {Safety.SAFE}
+    # The alert node leaves the network: its state does not outlive it.
+    watch.take_state(published(other, 20.0), at(22.6))
+    watch.forget_alerts()
+    assert {angle.safety for angle in watch.look(at(22.7)).angles} == {Safety.SAFE}

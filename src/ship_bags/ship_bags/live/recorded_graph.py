@@ -33,7 +33,8 @@ REPORTS = frozenset(
         *("rosgraph_msgs/msg/Clock", "rcl_interfaces/msg/Log", "rcl_interfaces/msg/ParameterEvent"),
         *("diagnostic_msgs/msg/DiagnosticArray", "ship_msgs/msg/InputHealth", "ship_msgs/msg/AlignmentState"),
         *("ship_msgs/msg/ErrorBudget", "ship_msgs/msg/TheodoliteCalibration", "ship_msgs/msg/AttitudeErrorArcsec"),
-        *("ship_msgs/msg/PointingErrorArcsec", "ship_msgs/msg/AlertArray", "tf2_msgs/msg/TFMessage"),
+        *("ship_msgs/msg/PointingErrorArcsec", "ship_msgs/msg/AlertArray", "ship_msgs/msg/SuiteState"),
+        "tf2_msgs/msg/TFMessage",
     }
 )
 """Types by which a node tells of itself for as long as it lives, on its own clock, whether anything comes or not."""

@@ -21,6 +21,7 @@ from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, TF_
 from ship_node.parameters.companions import named_companions
 from ship_node.parameters.parameter_file import load_config
 from ship_replay.offline.adapter_chain import AdapterChain
+from ship_watch.published_state import STATE_TOPIC, STATE_TYPE
 from ship_watch.topics import MESSAGES, TOPICS, watched_topic
 
 ALERTS_TOPIC = "ship/alerts"
@@ -148,7 +149,8 @@ class _SuiteRights:
         self._played, self._companions, self._ship_names = played, companions, ship_names
         given = {topic.topic: topic.type_name for topic in chain.outputs}
         self._types = {**heard_by_nmea(companions), **self._from_outside, **given}
-        self._types |= {ALERTS_TOPIC: MESSAGES + "AlertArray", DIAGNOSTICS_TOPIC: DIAGNOSTICS_TYPE}
+        self._types |= {ALERTS_TOPIC: MESSAGES + "AlertArray", STATE_TOPIC: STATE_TYPE}
+        self._types |= {DIAGNOSTICS_TOPIC: DIAGNOSTICS_TYPE}
         if played:
             truth = (row for row in TOPICS if row.pattern.startswith(TRUTH_PREFIX))
             self._types |= {row.pattern: row.type_name for row in truth}
@@ -162,7 +164,7 @@ class _SuiteRights:
         yield from self._of_companions()
         yield self._of_alerts()
         everything = self._topics(self._types) | self._inputs(self._from_outside)
-        watched = self._topics([*self._watched, ALERTS_TOPIC, DIAGNOSTICS_TOPIC]) | self._clock
+        watched = self._topics([*self._watched, ALERTS_TOPIC, STATE_TOPIC, DIAGNOSTICS_TOPIC]) | self._clock
         acknowledge = {f"{self._alerts}/acknowledge"}
         # The page also passes topics on to Foxglove.
         yield self._tool("monitor", everything | self._clock, acknowledge, answers=("monitor", "acknowledge"))
@@ -198,7 +200,7 @@ class _SuiteRights:
         services = {f"{self._alerts}/acknowledge", f"{self._alerts}/silence"}
         return Rights(
             enclave=self._alerts,
-            publishes=self._topics([ALERTS_TOPIC, DIAGNOSTICS_TOPIC]) | _OF_EVERY_NODE,
+            publishes=self._topics([ALERTS_TOPIC, STATE_TOPIC, DIAGNOSTICS_TOPIC]) | _OF_EVERY_NODE,
             subscribes=self._topics([*self._watched, DIAGNOSTICS_TOPIC]) | self._clock,
             serves=frozenset({*services, f"{self._alerts}_reader/{_TYPE_DESCRIPTION}"}) | _own_services(self._alerts),
         )

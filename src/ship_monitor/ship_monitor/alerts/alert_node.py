@@ -21,7 +21,7 @@ from ship_bags.message_factory import RosidlFactory
 from ship_bags.stamps import NS_PER_S
 from ship_monitor.alerts.alert_keeper import AlertKeeper
 from ship_monitor.live.reader import ALERTS_TOPIC, KEPT, TopicReader, steady_ns
-from ship_msgs.msg import AlertArray
+from ship_msgs.msg import AlertArray, SuiteState
 from ship_msgs.srv import AcknowledgeAlert
 from ship_node.edge.messages_out import (
     DIAGNOSTICS_TOPIC,
@@ -35,6 +35,7 @@ from ship_watch.alert_conditions import NodeStatus
 from ship_watch.alerts import AlertChange
 from ship_watch.limits import Limits, read_limits
 from ship_watch.picture import AlertShown, Priority
+from ship_watch.published_state import PERIOD_NS, STATE_TOPIC, STATE_TYPE, change_of_state, state_fields
 from ship_watch.topics import watched_topic
 
 LOOK_NS = NS_PER_S // 5
@@ -48,9 +49,10 @@ _DESCRIPTION = """\
 Raises alerts where the outputs and inputs of a suite are not within the limits of the ship, after IEC 62923-1: one
 alert of one situation, cautions, warnings and alarms, until they are over and acknowledged.
 
-It publishes ship/alerts (all alerts, latched, at every change) and, in /diagnostics, which function is lost because of
-which input. ~/acknowledge takes the id and the instance that a person has seen, ~/silence switches the sound off for a
-while. Alerts and acknowledgements outlive the node in a file.
+It publishes ship/alerts (all alerts, latched, at every change), ship/suite_state (the state of angles and sources that
+page and terminal show) and, in /diagnostics, which function is lost because of which input. ~/acknowledge takes the id
+and the instance that a person has seen, ~/silence switches the sound off for a while. Alerts and acknowledgements
+outlive the node in a file.
 
 ROS arguments may follow after --ros-args (namespace of the suite, use_sim_time).
 """
@@ -120,6 +122,9 @@ class AlertNode:
             depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
         )
         self._alerts = node.create_publisher(AlertArray, ALERTS_TOPIC, latched)
+        self._states = node.create_publisher(SuiteState, STATE_TOPIC, 1)
+        self._published_ns = 0
+        self._published_change: tuple[Any, ...] = ()
         self._diagnostics = node.create_publisher(DiagnosticArray, DIAGNOSTICS_TOPIC, 10)
         node.create_service(AcknowledgeAlert, "~/acknowledge", self._acknowledge)
         node.create_service(Trigger, "~/silence", self._silence)
@@ -163,6 +168,7 @@ class AlertNode:
             else:
                 self._guard.call(arrived.topic, self._keeper.take, arrived.topic, arrived.message, arrived.arrival_ns)
         self._tell(self._keeper.look(steady_ns(), time.time_ns()))
+        self._publish_state(steady_ns())
 
     def _take_statuses(self, message: Any, arrival_ns: int) -> None:
         namespaces = self._namespaces()
@@ -220,6 +226,14 @@ class AlertNode:
         header = {"stamp": self._utc_ns(), "frame_id": ""}
         alerts = [_fields(alert) for alert in self._keeper.alerts]
         self._alerts.publish(self._factory.make("ship_msgs/msg/AlertArray", header=header, alerts=alerts))
+
+    def _publish_state(self, now_ns: int) -> None:
+        """Publish the state that the alerts rest on: at once where it has changed, else twice a second."""
+        picture = self._keeper.picture
+        change = change_of_state(picture)
+        if change != self._published_change or now_ns - self._published_ns >= PERIOD_NS:
+            self._published_ns, self._published_change = now_ns, change
+            self._states.publish(self._factory.make(STATE_TYPE, **state_fields(picture)))
 
     def _report(self) -> None:
         alerts = self._keeper.alerts

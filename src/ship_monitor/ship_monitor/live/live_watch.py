@@ -17,6 +17,7 @@ from ship_monitor.live.relayed_topics import RelayedTopics, TopicReceiver
 from ship_watch.history import History
 from ship_watch.limits import Limits
 from ship_watch.picture import Picture
+from ship_watch.published_state import STATE_TOPIC, STATE_TYPE
 from ship_watch.topics import watched_topic
 from ship_watch.watch import Watch
 
@@ -36,7 +37,7 @@ class LiveWatch:
     Args:
         node_name: name of the node on the network.
         namespace: of the suite, with or without slashes; empty for none.
-        limits: of the ship.
+        limits: of the ship, for the state of a suite that has no alert node.
         receiver: gets the suite's topics as bytes.
 
     Raises:
@@ -66,7 +67,10 @@ class LiveWatch:
             if taken.alerts_ended:
                 self._watch.forget_alerts()
             for arrived in taken.messages:
-                self._watch.take(arrived.topic, arrived.message, arrived.arrival_ns)
+                if arrived.topic == STATE_TOPIC:
+                    self._watch.take_state(arrived.message, arrived.arrival_ns)
+                else:
+                    self._watch.take(arrived.topic, arrived.message, arrived.arrival_ns)
 
     def look(self) -> Picture:
         """The picture of this moment; those who look at nearly the same time share one."""
@@ -136,5 +140,7 @@ class LiveWatch:
 
 def messages_wanted(topic: str, type_name: str) -> int:
     """How many messages of a topic may wait between two ticks (:class:`ship_monitor.live.reader.TopicReader`)."""
+    if topic == STATE_TOPIC:
+        return int(type_name == STATE_TYPE)
     row = watched_topic(topic, type_name)
     return 0 if row is None else KEPT if row.every else 1

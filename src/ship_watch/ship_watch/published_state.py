@@ -1,0 +1,173 @@
+"""The state of a suite as a message: the node ``alerts`` computes it once, page and terminal show the same.
+
+:func:`state_fields` makes a SuiteState of a picture, :func:`published_state` reads a received one.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import islice
+from typing import Any
+
+from ship_bags.stamps import ns_from_stamp
+from ship_watch.names import LONGEST_NAME, MOST_NAMES
+from ship_watch.picture import AngleShown, NisVerdict, Picture, Presence, Safety, SourceShown
+
+STATE_TOPIC = "ship/suite_state"
+STATE_TYPE = "ship_msgs/msg/SuiteState"
+
+PERIOD_NS = 500_000_000
+"""Time between two messages while nothing changes, ns."""
+
+LONGEST_AGE_NS = 4 * PERIOD_NS
+"""A state older than this is not shown: its node has ended, or the network holds it up."""
+
+_PRESENCES = tuple(Presence)
+_LONGEST_TEXT = 4 * LONGEST_NAME
+
+
+def state_fields(picture: Picture) -> dict[str, Any]:
+    """Return the fields of a SuiteState for :meth:`ship_bags.message_factory.MessageFactory.make`."""
+    return {
+        "header": {"stamp": picture.utc_ns, "frame_id": ""},
+        "angles": [_angle_fields(angle) for angle in picture.angles],
+        **{f"{name}_age_s": picture.ages_s.get(name, math.inf) for name in ("stars", "lights", "ins")},
+        "pointing_by": picture.pointing_by,
+        "horizon": picture.horizon,
+        "sources": [_source_fields(source) for source in picture.sources],
+        "waiting_for": picture.waiting_for,
+    }
+
+
+def change_of_state(picture: Picture) -> tuple[Any, ...]:
+    """Return what is published at once where it changes: safety of the angles, presence of the sources, their order."""
+    angles = tuple((angle.name, angle.safety, angle.is_old) for angle in picture.angles)
+    return angles, tuple((source.name, source.presence, source.because_of) for source in picture.sources)
+
+
+@dataclass(frozen=True)
+class PublishedState:
+    """What a SuiteState contains, and when it arrived by the caller's time."""
+
+    angles: tuple[AngleShown, ...]
+    ages_s: Mapping[str, float]
+    sources: tuple[SourceShown, ...]
+    pointing_by: str
+    horizon: str
+    waiting_for: str
+    arrived_ns: int
+
+    def is_current(self, now_ns: int) -> bool:
+        """True if it is young enough to be shown."""
+        return now_ns - self.arrived_ns <= LONGEST_AGE_NS
+
+    def shown_in(self, picture: Picture, now_ns: int) -> Picture:
+        """Return a picture with this state in it. While messages arrive in time ages stand as published."""
+        overdue_s = max(0, now_ns - self.arrived_ns - PERIOD_NS) * 1e-9
+        return replace(
+            picture,
+            angles=tuple(replace(angle, age_s=angle.age_s + overdue_s) for angle in self.angles),
+            ages_s={name: age_s + overdue_s for name, age_s in self.ages_s.items()},
+            sources=tuple(replace(source, age_s=source.age_s + overdue_s) for source in self.sources),
+            pointing_by=self.pointing_by, horizon=self.horizon, waiting_for=self.waiting_for,
+        )
+
+
+def published_state(message: Any, arrived_ns: int) -> PublishedState:
+    """Return what a SuiteState contains.
+
+    Raises:
+        ValueError: it contains a safety or a presence that does not exist.
+    """
+    return PublishedState(
+        angles=tuple(_angle(each) for each in islice(message.angles, MOST_NAMES)),
+        ages_s={name: float(getattr(message, f"{name}_age_s")) for name in ("stars", "lights", "ins")},
+        sources=tuple(_source(each) for each in islice(message.sources, MOST_NAMES)),
+        pointing_by=_text(message.pointing_by),
+        horizon=_text(message.horizon),
+        waiting_for=_text(message.waiting_for),
+        arrived_ns=arrived_ns,
+    )
+
+
+def _angle_fields(angle: AngleShown) -> dict[str, Any]:
+    return {
+        "name": angle.name,
+        "value": angle.value,
+        "accuracy_95": angle.accuracy_95,
+        "limit": angle.limit,
+        "protection_level": angle.protection_level,
+        "safety": int(angle.safety),
+        "reason": angle.reason,
+        "because_of": angle.because_of,
+        "age_s": angle.age_s,
+        "is_old": angle.is_old,
+        "stamp": max(angle.stamp_ns, 0),
+        "since": max(angle.since_ns, 0),
+    }
+
+
+def _angle(message: Any) -> AngleShown:
+    return AngleShown(
+        name=_text(message.name),
+        value=float(message.value),
+        accuracy_95=float(message.accuracy_95),
+        limit=float(message.limit),
+        protection_level=float(message.protection_level),
+        safety=Safety(message.safety),
+        reason=_text(message.reason),
+        age_s=float(message.age_s),
+        is_old=bool(message.is_old),
+        stamp_ns=ns_from_stamp(message.stamp),
+        since_ns=ns_from_stamp(message.since),
+        because_of=_text(message.because_of),
+    )
+
+
+def _source_fields(source: SourceShown) -> dict[str, Any]:
+    verdict = source.verdict or NisVerdict(math.nan, -1, "", False)
+    return {
+        "name": source.name,
+        "presence": _PRESENCES.index(source.presence),
+        "reason": source.reason,
+        "because_of": source.because_of,
+        "disagreement": source.disagreement,
+        "residual": source.residual,
+        "out_since": max(source.out_since_ns, 0),
+        "nis_degrees": verdict.degrees,
+        "nis_ratio": verdict.ratio,
+        "nis_text": verdict.text,
+        "is_as_stated": verdict.is_as_stated,
+        "age_s": source.age_s,
+        "rate_hz": source.rate_hz,
+        "rejected_in_a_row": source.refused,
+        "topics": list(source.topics),
+        "mounting_shift": source.mounting_shift,
+    }
+
+
+def _source(message: Any) -> SourceShown:
+    verdict = NisVerdict(
+        float(message.nis_ratio), int(message.nis_degrees), _text(message.nis_text), bool(message.is_as_stated)
+    )
+    if not 0 <= message.presence < len(_PRESENCES):
+        raise ValueError(f"presence {message.presence} of source '{_text(message.name)}' does not exist")
+    return SourceShown(
+        name=_text(message.name),
+        presence=_PRESENCES[message.presence],
+        reason=_text(message.reason),
+        disagreement=_text(message.disagreement),
+        residual=float(message.residual),
+        out_since_ns=ns_from_stamp(message.out_since),
+        because_of=_text(message.because_of),
+        verdict=verdict if message.nis_degrees >= 0 else None,
+        age_s=float(message.age_s),
+        rate_hz=float(message.rate_hz),
+        refused=int(message.rejected_in_a_row),
+        topics=tuple(_text(topic) for topic in islice(message.topics, MOST_NAMES)),
+        mounting_shift=float(message.mounting_shift),
+    )
+
+
+def _text(text: Any) -> str:
+    return str(text)[:_LONGEST_TEXT]

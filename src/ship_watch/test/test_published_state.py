@@ -1,0 +1,92 @@
+"""The state that the alert node publishes: what goes into a message comes out of it, and is what a watch shows."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ship_bags.message_factory import RosidlFactory
+from ship_geometry.rotations import ARCSEC
+from ship_testing.pictures import NOW_NS, lost, out, over, picture, silent, source
+from ship_watch.picture import Picture, Presence, Safety
+from ship_watch.published_state import (
+    LONGEST_AGE_NS,
+    PERIOD_NS,
+    STATE_TYPE,
+    change_of_state,
+    published_state,
+    state_fields,
+)
+
+PICTURES = {
+    "all well": picture(),
+    "two faults": picture(
+        out("star.fore", "81 refused in a row", disagreement="right +49″", residual=8.1, out_since_ns=NOW_NS),
+        out("lights", "needs ship_attitude", because_of="ship_attitude"), lost("heading", "ins"), over("roll"),
+        source("star.starboard", mounting_shift=51.0 * ARCSEC), source("gnss", presence=Presence.OFF),
+    ),
+    "silent": picture(*silent("heading", "pitch", "roll"), ages_s={"stars": math.inf, "lights": math.nan, "ins": 7.0}),
+}
+
+
+def through_a_message(shown: Picture, elapsed_ns: int = 0) -> Picture:
+    """The picture that a viewer shows which computed something else by itself."""
+    message = RosidlFactory().make(STATE_TYPE, **state_fields(shown))
+    own = replace(shown, angles=(), sources=(), ages_s={}, pointing_by="?", horizon="?", waiting_for="?")
+    return published_state(message, NOW_NS).shown_in(own, NOW_NS + elapsed_ns)
+
+
+def same(first: object, second: object) -> bool:
+    """True if two values are equal where NaN equals NaN."""
+    return repr(first) == repr(second)
+
+
+@pytest.mark.parametrize("shown", PICTURES.values(), ids=list(PICTURES))
+def test_a_viewer_shows_what_was_published(shown: Picture) -> None:
+    """Angles, ages and sources in every field; what only alerts need of an angle is not sent."""
+    received = through_a_message(shown)
+    assert same(received.sources, shown.sources)
+    assert same(received.angles, tuple(replace(angle, over_s=0.0, now=None) for angle in shown.angles))
+    assert same(dict(received.ages_s), {name: shown.ages_s.get(name, math.inf) for name in ("stars", "lights", "ins")})
+    assert (received.pointing_by, received.horizon) == (shown.pointing_by, shown.horizon)
+    assert received.overall == shown.overall
+
+
+def test_ages_stand_between_two_messages_and_grow_where_the_next_is_late() -> None:
+    """As published for half a second; then by what it is late."""
+    shown = PICTURES["all well"]
+    ages = {late: through_a_message(shown, late).angles[0].age_s for late in (0, PERIOD_NS, PERIOD_NS + 10**9)}
+    assert [round(age_s - shown.angles[0].age_s, 6) for age_s in ages.values()] == [0.0, 0.0, 1.0]
+    state = published_state(RosidlFactory().make(STATE_TYPE, **state_fields(shown)), NOW_NS)
+    assert state.is_current(NOW_NS + LONGEST_AGE_NS)
+    assert not state.is_current(NOW_NS + LONGEST_AGE_NS + 1)
+
+
+@pytest.mark.parametrize("what", ["safety", "presence"])
+def test_a_word_that_does_not_exist_is_refused(what: str) -> None:
+    """A message of another version must not be shown as SAFE."""
+    message = RosidlFactory().make(STATE_TYPE, **state_fields(PICTURES["all well"]))
+    setattr(message.angles[0] if what == "safety" else message.sources[0], what, 7)
+    with pytest.raises(ValueError, match="7"):
+        published_state(message, NOW_NS)
+
+
+def test_texts_of_any_length_are_cut() -> None:
+    """The network is not trusted: 256 entries, texts of a thousand letters."""
+    message = RosidlFactory().make(STATE_TYPE, **state_fields(PICTURES["all well"]))
+    message.sources = [message.sources[0]] * 2000
+    message.sources[0].reason = "x" * 10**6
+    state = published_state(message, NOW_NS)
+    assert len(state.sources) <= 256
+    assert len(state.sources[0].reason) <= 1024
+
+
+def test_words_and_presences_are_changes_and_running_figures_are_none() -> None:
+    """What must be shown at once, and what waits for the next half second."""
+    well = PICTURES["all well"]
+    running = replace(well, angles=tuple(replace(angle, accuracy_95=np.pi, age_s=0.3) for angle in well.angles))
+    assert change_of_state(running) == change_of_state(well)
+    worse = replace(well, angles=(replace(well.angles[0], safety=Safety.CAUTION), *well.angles[1:]))
+    assert change_of_state(worse) != change_of_state(well)
+    assert change_of_state(picture(out("ins", "silent"))) != change_of_state(well)
