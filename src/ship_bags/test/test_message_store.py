@@ -98,8 +98,8 @@ def test_type_hash_is_that_of_the_built_messages(type_name):
 
 def test_all_messages_of_the_contract_are_there():
     # system.md §2 lists 17 messages; Integrity, Alert, AlertArray, AttitudeDeg, TargetImage, TargetDirection,
-    # EscortAdvice and Deflection are among the new ones.
-    assert len(SHIP_TYPES) == 25
+    # EscortAdvice, Deflection, SuiteState, SuiteAngle and SuiteSource are among the new ones.
+    assert len(SHIP_TYPES) == 28
 
 
 def test_factory_converts_arrays_to_the_type_of_the_field():
