@@ -224,6 +224,20 @@ class Event:
 
 
 @dataclass(frozen=True)
+class OverallState:
+    """One word for the whole suite.
+
+    Attributes:
+        safety: the worst word of all angles; UNSAFE where there is no angle.
+        text: the shortest of the reasons for it, after the names of the angles that have it; without names where all
+            angles have it; empty where all are SAFE.
+    """
+
+    safety: Safety
+    text: str
+
+
+@dataclass(frozen=True)
 class Picture:
     """All of one moment.
 
@@ -255,6 +269,17 @@ class Picture:
     def is_old(self) -> bool:
         """True if no output comes any more: no tick, age or count of the picture is then of now."""
         return all(angle.is_old for angle in self.angles)
+
+    @property
+    def overall(self) -> OverallState:
+        """Worst word of all angles, with its shortest reason."""
+        worst = max((angle.safety for angle in self.angles), default=Safety.UNSAFE)
+        if worst is Safety.SAFE:
+            return OverallState(worst, "")
+        reasons = (angle.reason for angle in self.angles if angle.safety is worst)
+        reason = min(reasons, key=len, default=f"waiting for {self.waiting_for}" if self.waiting_for else "")
+        names = [angle.name for angle in self.angles if angle.safety is worst and angle.reason == reason]
+        return OverallState(worst, reason if len(names) == len(self.angles) else f"{', '.join(names)}: {reason}")
 
 
 class Pictures(Protocol):

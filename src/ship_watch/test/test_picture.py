@@ -1,0 +1,33 @@
+"""One word for the whole suite: the worst of all angles, with its shortest reason."""
+
+from dataclasses import replace
+
+from ship_testing import pictures
+from ship_watch.picture import OverallState, Safety
+
+CAUTION = {"safety": Safety.CAUTION, "accuracy_95": 1.0}
+
+
+def test_all_angles_safe_is_safe_without_a_reason() -> None:
+    assert pictures.picture().overall == OverallState(Safety.SAFE, "")
+
+
+def test_the_worst_angle_decides_whatever_stands_first() -> None:
+    assert pictures.faulty().overall == OverallState(
+        Safety.UNSAFE, "azimuth, elevation: encoder silent since 11:59:55"
+    )
+
+
+def test_of_several_reasons_the_shortest_is_given() -> None:
+    heading = pictures.angle("heading", reason="no stars for 31 s", **CAUTION)
+    roll = pictures.angle("roll", reason="one star source", **CAUTION)
+    assert pictures.picture(heading, roll).overall.text == "roll: one star source"
+
+
+def test_a_reason_of_all_angles_stands_without_their_names() -> None:
+    behind = pictures.picture(*(pictures.angle(name, reason="BEHIND", **CAUTION) for name in pictures.ANGLES))
+    assert behind.overall == OverallState(Safety.CAUTION, "BEHIND")
+
+
+def test_without_an_angle_nothing_is_safe() -> None:
+    assert replace(pictures.picture(), angles=()).overall.safety is Safety.UNSAFE
