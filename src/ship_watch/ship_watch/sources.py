@@ -176,6 +176,18 @@ def blamed(sources: Iterable[SourceStanding], words: tuple[str, ...]) -> SourceS
     return None
 
 
+def newest_age_s(first_word: str, sources: Iterable[SourceShown], used_age_s: float) -> float:
+    """Return the age of a kind of source, s: of its newest that is IN, as the list of sources has it.
+
+    Args:
+        first_word: what the names of the kind begin with, as "star".
+        sources: all.
+        used_age_s: time since one of the kind was used, s, which is returned where all of them are OUT.
+    """
+    ages_s = (each.age_s for each in sources if each.name.partition(".")[0] == first_word and each.presence is Presence.IN)
+    return min(ages_s, default=used_age_s)
+
+
 def _order(source: SourceStanding) -> tuple[bool, bool, bool, tuple[int, str]]:
     presence = source.presence
     return presence is not Presence.OUT, presence is Presence.OFF, bool(source.because_of), place_of(source.name)
