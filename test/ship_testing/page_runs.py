@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from queue import Queue
+from zoneinfo import ZoneInfo
 
 from ship_monitor.page.app import page_maker
 from ship_monitor.page.server import PageServer
@@ -47,7 +48,11 @@ class SetPictures:
 
 @contextlib.contextmanager
 def served(
-    source: SetPictures | None = None, port: int = 0, address: str = "127.0.0.1", allowed_hosts: Sequence[str] = ()
+    source: SetPictures | None = None,
+    port: int = 0,
+    address: str = "127.0.0.1",
+    allowed_hosts: Sequence[str] = (),
+    zone: ZoneInfo | None = None,
 ) -> Iterator[PageServer]:
     """A server that runs until the end of the ``with`` statement."""
     shown = SetPictures() if source is None else source
@@ -56,7 +61,7 @@ def served(
     def run() -> None:
         asyncio.set_event_loop(asyncio.new_event_loop())
         try:
-            server = PageServer(page_maker(lambda: shown, "day"), address, port, lambda: None, allowed_hosts)
+            server = PageServer(page_maker(lambda: shown, "day", zone), address, port, lambda: None, allowed_hosts)
         except BaseException as problem:
             made.put(problem)
             raise

@@ -49,6 +49,16 @@ def test_an_unknown_key_of_the_limits_is_one_line_with_file_and_key(tmp_path, ca
     assert "heading_arcsecs" in said
 
 
+@pytest.mark.parametrize("name", ["Europe/Olso", "Europe", "../etc/passwd", ""])
+def test_what_is_no_time_zone_is_one_line_with_option_value_and_what_to_do(name, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["--time-zone", name])
+    assert ended.value.code == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert f"--time-zone: {name!r} is no time zone: give an IANA name such as Europe/Oslo" in said
+
+
 @pytest.mark.parametrize(
     "arguments", [["--port", "70000"], ["--port", "x"], ["--foxglove", "70000"], ["--theme", "white"]]
 )

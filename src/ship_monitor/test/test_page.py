@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from zoneinfo import ZoneInfo
 
 import matplotlib
 import pytest
@@ -15,11 +16,12 @@ from ship_testing import pictures
 from ship_testing.browser import Browser
 from ship_testing.page_runs import SetPictures, served
 from ship_testing.watched_minutes import watched_history, watched_picture
-from ship_watch.picture import Safety
+from ship_watch.picture import ANGLES, Safety
 
 pytestmark = pytest.mark.skipif(browser_module.CHROMIUM is None, reason="there is no Chromium on this machine")
 
 SIZES = {"watch": (1280, 800), "phone": (390, 844)}
+LAPTOP = (1366, 768)
 LIVE = (
     "!document.documentElement.classList.contains('nolink') && document.querySelector('#utc').textContent > '12:00:07'"
 )
@@ -260,13 +262,105 @@ def test_many_sources_are_counted_and_those_that_are_out_are_seen(browser, sourc
     assert browser.evaluate(f"document.querySelector('#more').getBoundingClientRect().bottom <= {list_bottom}")
 
 
-def test_a_ship_without_a_theodolite_has_empty_tiles_for_it(browser, source, page):
+@pytest.mark.slow
+def test_a_ship_without_a_theodolite_has_no_empty_tiles_and_her_three_take_the_room(browser, source, page):
     well = pictures.picture()
     source.set(replace(well, angles=well.angles[:3], pointing_by=""))
     browser.open(page)
     browser.until(LIVE)
-    assert browser.text("#azimuth .sense") == "not aboard"
-    assert browser.evaluate("getComputedStyle(document.querySelector('#azimuth .state')).visibility") == "hidden"
+    tiles = "[...document.querySelectorAll('.tile')].filter((each) => each.offsetHeight).map((each) => each.id)"
+    assert browser.evaluate(tiles) == ["heading", "pitch", "roll", "ages"]
+    rows = [rectangle(browser, f"#{name}") for name in ("heading", "pitch", "roll", "ages")]
+    assert [row[2] for row in rows] == pytest.approx([420] * 4, abs=2.0)
+    assert rows[2][1] == rows[3][1] > rows[0][1] == rows[1][1]
+
+
+def colour(browser, selector):
+    return browser.evaluate(f"getComputedStyle(document.querySelector('{selector}')).color")
+
+
+OLD_COLOUR = "rgb(127, 140, 153)"
+GREY = (".ages dd", "#head", "#sources li .who", "#sources li .age", "#sources li svg")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("is_linked", [True, False])
+def test_without_news_no_tick_no_age_and_no_count_looks_good(browser, source, page, is_linked):
+    browser.open(page)
+    browser.until(LIVE)
+    assert OLD_COLOUR not in [colour(browser, each) for each in GREY]
+    if is_linked:
+        source.set(pictures.picture(*pictures.silent(*ANGLES, age_s=19.0)))
+        browser.until("document.documentElement.classList.contains('stale')")
+    else:
+        source.fails = True
+        browser.until("document.documentElement.classList.contains('nolink')")
+    assert {each: colour(browser, each) for each in GREY} == dict.fromkeys(GREY, OLD_COLOUR)
+    glyphs = "[...document.querySelectorAll('#sources li use')].map((each) => each.getAttribute('href'))"
+    assert set(browser.evaluate(glyphs)) == {"#unknown"}
+    assert browser.text("#head") == "last: 8 of 8 in"
+    assert browser.text("#overall b") == "UNSAFE"
+    if not is_linked:
+        assert browser.text(".ages dd") != "0.5 s", "it grows older"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [*SIZES.values(), LAPTOP])
+def test_scrolled_down_the_state_of_each_angle_and_the_alert_stay_in_sight(browser, source, page, size):
+    source.set(pictures.faulty())
+    browser.open(page, *size)
+    browser.until(LIVE)
+    assert not browser.evaluate("document.querySelector('#states').offsetHeight")
+    browser.evaluate("scrollTo(0, innerHeight)")
+    browser.until("document.querySelector('#states').offsetHeight")
+    states = "[...document.querySelectorAll('#states .chip')].map((each) => each.dataset.safety)"
+    assert browser.evaluate(states) == ["CAUTION", "SAFE", "CAUTION", "UNSAFE", "UNSAFE"]
+    for selector in ("#states", "#alert-text", "#overall b"):
+        left, top, width, height = rectangle(browser, selector)
+        assert 0 <= top < top + height < 260, selector
+        assert 0 <= left < left + width <= size[0], selector
+    assert browser.text("#overall").startswith("UNSAFE")
+
+
+@pytest.mark.slow
+def test_at_1366_by_768_the_time_axis_is_above_the_fold(browser, page):
+    browser.open(page, *LAPTOP)
+    browser.until(LIVE)
+    assert browser.evaluate("document.querySelector('#ticks span').getBoundingClientRect().bottom") <= LAPTOP[1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [SIZES["watch"], LAPTOP])
+def test_two_that_are_out_leave_the_list_readable(browser, source, page, size):
+    source.set(pictures.faulty())
+    browser.open(page, *size)
+    browser.until(LIVE)
+    assert browser.evaluate("document.querySelector('#more').hidden"), "all eight are listed"
+    cut = "[...document.querySelectorAll('#sources li')].filter((each) => each.scrollHeight > each.clientHeight + 1)"
+    assert browser.evaluate(f"{cut}.length") == 0
+
+
+@pytest.mark.slow
+def test_on_a_phone_words_are_clear_of_stripes_and_reasons_of_digits(browser, source, page):
+    source.set(pictures.faulty())
+    browser.open(page, *SIZES["phone"])
+    browser.until(LIVE)
+    word, state = rectangle(browser, "#azimuth .state b"), rectangle(browser, "#azimuth .state")
+    stripe = "getComputedStyle(document.querySelector('#azimuth .state'), '::after')"
+    stripe_px = browser.evaluate(f"parseFloat({stripe}.width)")
+    assert word[0] + word[2] <= state[0] + state[2] - stripe_px
+    assert rectangle(browser, "#azimuth .state svg")[0] >= state[0] + stripe_px
+    _, top, _, height = rectangle(browser, "#azimuth .number")
+    assert rectangle(browser, "#azimuth .reason")[1] >= top + height - 1
+
+
+@pytest.mark.slow
+def test_local_time_stands_with_utc(browser, source):
+    with served(source, zone=ZoneInfo("Europe/Oslo")) as server:
+        browser.open(server.address)
+        browser.until(LIVE)
+        assert browser.text("#local").startswith("14:00:")
+        assert browser.text("#local").endswith(" CEST")
 
 
 def test_a_page_that_waits_says_for_what_and_where(browser, source, page):

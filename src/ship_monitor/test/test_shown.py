@@ -11,7 +11,7 @@ from ship_geometry.rotations import ARCSEC
 from ship_monitor.page.shown import shown
 from ship_testing import pictures
 from ship_watch.history import History, SafetyPoint
-from ship_watch.picture import Presence, Priority, Safety
+from ship_watch.picture import ANGLES, Presence, Priority, Safety
 
 WELL = pictures.picture()
 
@@ -75,12 +75,12 @@ def test_whatever_is_unknown_can_be_sent(value):
     picture = replace(WELL, angles=angles, sources=sources, ages_s=ages, utc_ns=0)
     told = json.loads(json.dumps(shown(picture, History(), "LIVE", ""), allow_nan=False))
     assert told["utc"] == "--:--:--"
-    assert told["ages"] == [["stars", "never"], ["lights", "never"], ["ins", "never"]]
+    assert told["ages"] == [["stars", "never", None], ["lights", "never", None], ["ins", "never", None]]
     assert told["angles"]["heading"]["age_s"] is None
 
 
 def test_without_a_theodolite_lights_have_no_age():
-    assert [name for name, _ in shown(replace(WELL, angles=WELL.angles[:3]), History(), "LIVE", "")["ages"]] == [
+    assert [name for name, *_ in shown(replace(WELL, angles=WELL.angles[:3]), History(), "LIVE", "")["ages"]] == [
         "stars",
         "ins",
     ]
@@ -117,10 +117,13 @@ def test_of_several_alerts_the_first_is_said_and_all_are_listed():
 
 def test_sources_that_are_out_are_named_and_why():
     sources = shown(pictures.faulty(), History(), "LIVE", "")["sources"]
-    assert sources["out"] == ["star.starboard", "encoder"]
-    assert sources["why"] == ["star.starboard right +49″", "encoder silent since 11:59:55"]
+    assert sources["out"] == [("star.starboard", "star.starboard OUT"), ("encoder", "encoder OUT")]
     assert sources["head"] == "6 of 8 in"
-    assert sources["rows"][0]["sub"] == "81 refused in a row"
+    assert [row["sub"] for row in sources["rows"][:2]] == [
+        "right +49″ · 81 refused in a row since 11:59:28",
+        "silent since 11:59:55",
+    ]
+    assert sources["why"] == [], "the list says it"
 
 
 def test_of_one_that_is_out_two_lines_say_more():
@@ -129,6 +132,46 @@ def test_of_one_that_is_out_two_lines_say_more():
         "disagrees: right +49″",
         "since 11:59:28 · 81 refused",
     ]
+
+
+def needing(*names, cause="encoder", reason="needs encoder"):
+    return [pictures.out(name, reason, because_of=cause, out_since_ns=pictures.NOW_NS) for name in names]
+
+
+def test_what_is_out_because_of_a_source_stands_below_it_and_has_no_banner():
+    encoder = pictures.out("encoder", "silent", out_since_ns=pictures.NOW_NS - pictures.NS)
+    sources = shown(pictures.picture(encoder, pictures.KNOCKED, *needing("lights")), History(), "LIVE", "")["sources"]
+    assert [name for name, _ in sources["out"]] == ["star.starboard", "encoder"]
+    rows = [(row["name"], row["is_because"]) for row in sources["rows"][:3]]
+    assert rows == [("star.starboard", False), ("encoder", False), ("lights", True)]
+
+
+def test_a_node_that_is_behind_is_the_banner_of_all_that_is_out_because_of_it():
+    behind = needing("star.fore", "lights", cause="ship_attitude", reason="ship_attitude is behind")
+    sources = shown(pictures.picture(*behind), History(), "LIVE", "")["sources"]
+    assert sources["out"] == [("ship_attitude", "ship_attitude is behind")]
+    assert [row["is_because"] for row in sources["rows"][:3]] == [True, True, False]
+
+
+def test_many_that_are_out_leave_the_list_its_room():
+    out = [pictures.out(name, "silent", out_since_ns=1) for name in ("ins", "star.fore", "gnss", "weather", "encoder")]
+    banners = shown(pictures.picture(*out), History(), "LIVE", "")["sources"]["out"]
+    assert [text for _, text in banners[:2]] == ["ins OUT", "star.fore OUT"]
+    assert banners[2][1] == "3 more OUT"
+
+
+def test_one_word_stands_for_all_angles():
+    assert shown(WELL, History(), "LIVE", "")["overall"] == {"safety": "SAFE", "text": ""}
+    overall = shown(pictures.faulty(), History(), "LIVE", "")["overall"]
+    assert overall == {"safety": "UNSAFE", "text": "encoder silent since 11:59:55 (azimuth, elevation)"}
+
+
+def test_where_all_outputs_are_old_nothing_is_known_of_the_sources():
+    old = pictures.picture(*pictures.silent(*ANGLES, age_s=19.0))
+    told = shown(old, History(), "LIVE", "")
+    assert told["is_stale"]
+    assert (told["sources"]["is_known"], told["sources"]["head"]) == (False, "last: 8 of 8 in")
+    assert not shown(pictures.faulty(), History(), "LIVE", "")["is_stale"], "the attitude is fresh"
 
 
 def test_what_is_not_configured_comes_last_and_is_not_counted():

@@ -69,15 +69,15 @@ def test_enter_tells_details_of_what_is_chosen_and_goes_back():
     async def use(app, pilot, suite):
         first = rows(app)
         await pilot.press("down", "enter")
-        assert rows(app)[1].startswith("── heading ─")
+        assert rows(app)[2].startswith("── heading ─")
         await pilot.press("enter")
         assert rows(app)[4].startswith(">HEADING")
         await pilot.press("up", "enter")
-        assert rows(app)[1].startswith("── weather ─")
+        assert rows(app)[2].startswith("── weather ─")
         await pilot.press("escape", "escape")
         assert rows(app) == first
         await pilot.press("enter")
-        assert rows(app)[1].startswith("── alerts ─")
+        assert rows(app)[2].startswith("── alerts ─")
 
     run(use)
 

@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import unicodedata
+from zoneinfo import ZoneInfo
 
 import pytest
 from hypothesis import given, settings
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 from ship_monitor.terminal.details import details, help_page
 from ship_monitor.terminal.pen import Look, Pen, plain_text
 from ship_monitor.terminal.screen import View, choices, screen, shown_alert
-from ship_testing.pictures import KNOCKED, KNOCKED_ALERT, KNOCKED_INPUT, NOW_NS, angle, knocked, source
+from ship_testing.pictures import KNOCKED, KNOCKED_ALERT, KNOCKED_INPUT, NOW_NS, angle, knocked, out, silent, source
 from ship_watch.picture import ANGLES, Event, Priority, Safety
 
 VIEW = View(80, 24, "demo", "LIVE", "namespace /demo, domain 7", "day")
@@ -36,7 +37,7 @@ def cells(text):
 
 def test_the_screen_of_the_design():
     assert texts(knocked()) == [
-        " demo  LIVE  day                                                   12:00:07 UTC",
+        " demo  LIVE  day   ! CAUTION  over the limit (roll)                12:00:07 UTC",
         " (!) WARNING star.starboard out        11:59:29  UNACK       1 unack, 1 active",
         "─" * 80,
         "           value                   95 %  limit  state       why",
@@ -67,7 +68,7 @@ def test_the_screen_of_the_design():
 def test_each_word_stands_as_a_word_with_its_look(word, look):
     shown = knocked(angles=(angle("heading", safety=Safety[word]),))
     spans = [span for line in drawn(shown) for span in line if word in span.text.split() and "HEADING" not in span.text]
-    assert [span.look for span in spans if "→" not in span.text] == [look]
+    assert [span.look for span in spans if "→" not in span.text] == [look, look]  # of the suite, of the angle
 
 
 def test_an_old_value_is_struck_through_and_has_its_age():
@@ -78,6 +79,54 @@ def test_an_old_value_is_struck_through_and_has_its_age():
     assert "OLD 12 s" in plain_text(heading)
     very_old = dataclasses.replace(old, age_s=754.0)
     assert texts(knocked(angles=(very_old,)))[4].split()[:4] == ["HEADING", "—", "OLD", "13"]
+
+
+def test_details_and_help_show_the_words_of_all_angles():
+    """Whatever page is open: the word for the suite in the first row, those of the angles in the second."""
+    shown = knocked()
+    for chosen in ("heading", "star.starboard", ""):
+        lines = details(shown, shown.alerts, dataclasses.replace(VIEW, chosen=chosen))
+        top, second = (plain_text(line) for line in lines[:2])
+        assert "! CAUTION  over the limit (roll)" in top
+        assert " ".join(second.split()) == "HDG ! CAUTION PIT + SAFE ROL ! CAUTION AZI + SAFE ELE + SAFE"
+        assert {span.look for span in lines[1]} >= {Look.SAFE, Look.CAUTION}
+    assert plain_text(help_page(shown, VIEW)[1]).startswith(" HDG ! CAUTION")
+
+
+def test_nothing_looks_well_where_no_output_comes():
+    """The suite has ended: no tick, no count, and ages struck through; what was OUT before stays OUT."""
+    angles = tuple(silent(*ANGLES, age_s=19.0))
+    shown = knocked(angles=angles)
+    lines = drawn(shown)
+    all_text = [plain_text(line) for line in lines]
+    sources = all_text[12:20]
+    assert [text[1] for text in sources] == ["x", *["?"] * 7]
+    assert not any(text[1:2] == "+" for text in all_text)
+    assert "8 in" not in "\n".join(all_text)
+    ages = next(line for line in lines if plain_text(line).startswith(" ages"))
+    assert Look.OLD in {span.look for span in ages}
+    assert all(Look.TEXT not in {span.look for span in line if span.text.strip()} for line in lines[13:20])
+
+
+def test_what_a_source_takes_with_it_is_indented_below_it():
+    """Lights need the ship's attitude, which is late: cause first, consequence below, the cause named once."""
+    late = out("ship_attitude", "81 refused in a row: late")
+    lights = out("lights", "needs ship_attitude", because_of="ship_attitude")
+    rows = texts(knocked(sources=(late, lights, source("ins"))))[12:15]
+    assert [row[:20] for row in rows] == [" x ship_attitude    ", " x   lights         ", " + ins              "]
+    assert rows[1].endswith("   needs ship_attitude")
+
+
+def test_local_time_stands_beside_utc():
+    line = texts(knocked(), dataclasses.replace(VIEW, zone=ZoneInfo("Europe/Oslo")))[0]
+    assert line.endswith(" 14:00:07 CEST  12:00:07 UTC")
+
+
+def test_each_alert_has_what_to_do():
+    """The list of alerts shows the advice below each."""
+    shown = knocked()
+    lines = [plain_text(line).strip() for line in details(shown, (KNOCKED_ALERT,), VIEW)]
+    assert f"to do: {KNOCKED_ALERT.advice}" in " ".join(lines)
 
 
 def test_a_suite_that_was_never_heard_is_waited_for_by_name():

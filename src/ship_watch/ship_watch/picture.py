@@ -229,8 +229,8 @@ class OverallState:
 
     Attributes:
         safety: the worst word of all angles; UNSAFE where there is no angle.
-        text: the shortest of the reasons for it, after the names of the angles that have it; without names where all
-            angles have it; empty where all are SAFE.
+        text: the shortest of the reasons for it, and behind it the angles that have it, unless all have; empty where
+            all are SAFE.
     """
 
     safety: Safety
@@ -244,7 +244,8 @@ class Picture:
     Attributes:
         utc_ns: the suite's time now, UTC as POSIX time: newest stamp plus the time since it came; 0 before the first.
         angles: in the order of :data:`ANGLES`; those of a theodolite only where one was ever heard.
-        ages_s: time since the last stars, lights and INS sample that were used: keys "stars", "lights", "ins".
+        ages_s: age of stars, lights and INS, keys "stars", "lights", "ins": of the newest such source that is IN, as
+            ``sources`` has it; where all are OUT the time since one was used.
         pointing_by: "2 lights", "1 light", "encoder", "no pointing"; empty without a theodolite.
         horizon: "geodetic", "gravity"; empty before the first attitude.
         sources: OUT first, each followed by those that are out because of it, then in a fixed order.
@@ -279,7 +280,7 @@ class Picture:
         reasons = (angle.reason for angle in self.angles if angle.safety is worst)
         reason = min(reasons, key=len, default=f"waiting for {self.waiting_for}" if self.waiting_for else "")
         names = [angle.name for angle in self.angles if angle.safety is worst and angle.reason == reason]
-        return OverallState(worst, reason if len(names) == len(self.angles) else f"{', '.join(names)}: {reason}")
+        return OverallState(worst, reason if len(names) == len(self.angles) else f"{reason} ({', '.join(names)})")
 
 
 class Pictures(Protocol):

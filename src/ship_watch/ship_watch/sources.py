@@ -26,6 +26,9 @@ _STAR_INVALID = 3
 
 _NS = 1e-9
 
+_UNUSED_S = 5.0
+"""A source that arrives and was last used so much longer ago is not being used, s."""
+
 
 class SourceBook:
     """What innovations, health and integrity tell of the sources, held against the limits of the ship.
@@ -174,6 +177,20 @@ def blamed(sources: Iterable[SourceStanding], words: tuple[str, ...]) -> SourceS
         if source.presence is Presence.OUT and not source.because_of and source.name.partition(".")[0] in words:
             return source
     return None
+
+
+def newest_age_s(first_word: str, sources: Iterable[SourceShown], used_age_s: float) -> float:
+    """Return the age of a kind of source, s: of its newest that is IN, as the list of sources shows it.
+
+    Args:
+        first_word: what the names of the kind begin with, as "star".
+        sources: all.
+        used_age_s: time since one of the kind was used, s. It is returned where all of them are OUT, and where they
+            arrive without being used.
+    """
+    is_in = (each for each in sources if each.presence is Presence.IN and each.name.partition(".")[0] == first_word)
+    age_s = min((each.age_s for each in is_in), default=used_age_s)
+    return age_s if used_age_s - age_s <= _UNUSED_S else used_age_s
 
 
 def _order(source: SourceStanding) -> tuple[bool, bool, bool, tuple[int, str]]:

@@ -25,9 +25,9 @@ from ship_watch.limits import Limits
 from ship_watch.mounting_shifts import MountingShifts
 from ship_watch.names import has_room
 from ship_watch.outputs import AttitudeHeard, OutputHeard, PointingHeard
-from ship_watch.picture import ANGLES, AlertShown, AngleShown, Picture, Safety, SourceStanding
+from ship_watch.picture import ANGLES, AlertShown, AngleShown, Picture, Safety, SourceShown, SourceStanding
 from ship_watch.published_state import PublishedState, published_state
-from ship_watch.sources import STAR_INNOVATION, SourceBook, blamed
+from ship_watch.sources import STAR_INNOVATION, SourceBook, blamed, newest_age_s
 from ship_watch.states import AngleClaim, HeldWord, TimeOver, judged
 from ship_watch.topics import node_of, source_of_topic, watched_topic
 
@@ -208,18 +208,15 @@ class Watch:
         """The picture of this moment, by the caller's time; it is the same however often somebody looks."""
         self._judge_until(now_ns)
         utc_ns = now_ns + self._utc_offset_ns
-        sources = [
-            replace(source, mounting_shift=self._mountings.shift_of(source.name, utc_ns))
-            for source in self._book.shown(self._standings(now_ns), now_ns)
-        ]
+        sources = [self._with_own_news(each, now_ns) for each in self._book.shown(self._standings(now_ns), now_ns)]
         shown = [self._shown(name, claim, now_ns) for name, claim in self._claims(sources, now_ns).items()]
         picture = Picture(
             utc_ns=utc_ns if self._newest_ns else 0,
             angles=tuple(shown),
             ages_s={
-                "stars": self._attitude.star_age_s(now_ns),
-                "lights": self._book.used_age_s("lights", now_ns),
-                "ins": self._attitude.ins_age_s(self._book.age_s("ins", now_ns), now_ns),
+                "stars": newest_age_s("star", sources, self._attitude.star_age_s(now_ns)),
+                "lights": newest_age_s("lights", sources, self._book.used_age_s("lights", now_ns)),
+                "ins": newest_age_s("ins", sources, self._attitude.ins_age_s(self._book.age_s("ins", now_ns), now_ns)),
             },
             pointing_by=self._pointing.by,
             horizon=self._attitude.horizon,
@@ -236,6 +233,12 @@ class Watch:
         """Return the published state that is shown now; None where there is no alert node, or it is late."""
         published = self._published
         return published if published is not None and published.is_current(now_ns) else None
+
+    def _with_own_news(self, source: SourceShown, now_ns: int) -> SourceShown:
+        """Return a source with what outputs show of it: a shifted mounting; of the INS an age newer than reports."""
+        shift = self._mountings.shift_of(source.name, now_ns + self._utc_offset_ns)
+        age_s = self._attitude.ins_age_s(source.age_s, now_ns) if source.name == "ins" else source.age_s
+        return replace(source, mounting_shift=shift, age_s=age_s)
 
     def _judge_until(self, now_ns: int) -> None:
         """Judge at each step of time until now; messages that came before are judged with what came before them."""

@@ -6,6 +6,7 @@ Minus is "−" (U+2212), a minute of arc never appears, and no sign stands where
 import math
 from datetime import datetime, timezone
 from typing import NamedTuple
+from zoneinfo import ZoneInfo
 
 from ship_geometry.rotations import ARCSEC
 from ship_watch.picture import AngleShown
@@ -84,6 +85,22 @@ def age(seconds: float) -> str:
 def clock(utc_ns: int) -> str:
     """The time of day, UTC: 12:00:07; dashes before the first. ``utc_ns`` is POSIX time in ns."""
     return f"{datetime.fromtimestamp(utc_ns // 1_000_000_000, timezone.utc):%H:%M:%S}" if utc_ns > 0 else "--:--:--"
+
+
+def local_clock(utc_ns: int, zone: ZoneInfo | None) -> str:
+    """The local time of day with the name of its offset: 14:00:07 CEST; empty without a zone, dashes before the first.
+
+    Args:
+        utc_ns: POSIX time, ns.
+        zone: time zone of the ship or of the people who watch.
+    """
+    if zone is None:
+        return ""
+    if utc_ns <= 0:
+        return "--:--:--"
+    local = datetime.fromtimestamp(utc_ns // 1_000_000_000, zone)
+    name = f"{local:%Z}"
+    return f"{local:%H:%M:%S} {name if name.isalpha() else f'UTC{name}'}"
 
 
 def date_and_clock(utc_ns: int) -> str:

@@ -14,14 +14,14 @@ def test_all_angles_safe_is_safe_without_a_reason() -> None:
 
 def test_the_worst_angle_decides_whatever_stands_first() -> None:
     assert pictures.faulty().overall == OverallState(
-        Safety.UNSAFE, "azimuth, elevation: encoder silent since 11:59:55"
+        Safety.UNSAFE, "encoder silent since 11:59:55 (azimuth, elevation)"
     )
 
 
 def test_of_several_reasons_the_shortest_is_given() -> None:
     heading = pictures.angle("heading", reason="no stars for 31 s", **CAUTION)
     roll = pictures.angle("roll", reason="one star source", **CAUTION)
-    assert pictures.picture(heading, roll).overall.text == "roll: one star source"
+    assert pictures.picture(heading, roll).overall.text == "one star source (roll)"
 
 
 def test_a_reason_of_all_angles_stands_without_their_names() -> None:

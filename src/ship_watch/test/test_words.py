@@ -1,6 +1,7 @@
 """What a watch officer reads of a number."""
 
 import math
+from zoneinfo import ZoneInfo
 
 import pytest
 from hypothesis import given
@@ -103,3 +104,10 @@ def test_any_number_has_a_short_text(name, degrees, age_s):
     if abs(degrees) <= (90.0 if name == "elevation" else 360.0):
         assert len(number) <= 7
         assert len(f"{number} {sense}") <= 16 or name == "roll"
+
+
+def test_local_time_has_the_name_of_its_offset_and_none_stands_without_a_zone() -> None:
+    assert words.local_clock(NOON_NS, ZoneInfo("Europe/Oslo")) == "14:00:07 CEST"
+    assert words.local_clock(NOON_NS, ZoneInfo("America/Sao_Paulo")) == "09:00:07 UTC-03"
+    assert words.local_clock(NOON_NS, None) == ""
+    assert words.local_clock(0, ZoneInfo("Europe/Oslo")) == "--:--:--"

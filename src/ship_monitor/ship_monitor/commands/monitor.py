@@ -13,6 +13,7 @@ from ship_bags.live.ros_process import on_end_signals
 from ship_bags.renamed_topics import add_remap
 from ship_monitor.after.recorded_pictures import RecordedPictures
 from ship_monitor.after.recorded_suite import RecordedSuite
+from ship_monitor.commands.time_zone import add_time_zone
 from ship_monitor.foxglove.server import FoxgloveServer
 from ship_monitor.live.live_watch import LiveWatch
 from ship_monitor.page.app import page_maker
@@ -82,6 +83,7 @@ def _parser() -> CommandParser:
     parser.add_argument(
         "--theme", choices=tuple(THEMES), default="day", help="where the page's address names none (day)"
     )
+    add_time_zone(parser)
     return parser
 
 
@@ -134,7 +136,7 @@ def _serve(
         heartbeat().beat(time.monotonic_ns())
         tick()
 
-    make = page_maker(open_source, parsed.theme)
+    make = page_maker(open_source, parsed.theme, parsed.time_zone)
     server = PageServer(make, parsed.address, parsed.port, tick_and_beat, parsed.allow_host)
     on_end_signals(server.stop)
     if foxglove is not None:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from ship_bags.command_line import CommandParser, run_command
 from ship_bags.errors import BadInput
+from ship_monitor.commands.time_zone import add_time_zone
 from ship_monitor.live.live_watch import LiveWatch
 from ship_monitor.page.themes import THEMES
 from ship_monitor.terminal.app import TerminalApp
@@ -40,6 +41,7 @@ def _parser() -> CommandParser:
     parser.add_argument("--namespace", default="", metavar="NS", help="namespace of the suite (none)")
     parser.add_argument("--limits", type=Path, metavar="FILE", help="YAML file with the limits of the ship (defaults)")
     parser.add_argument("--theme", choices=tuple(THEMES), default="day", help="colours to begin with (day)")
+    add_time_zone(parser)
     parser.add_argument(
         "--characters",
         choices=("auto", "utf8", "ascii"),
@@ -57,7 +59,7 @@ def _run(parsed: argparse.Namespace) -> int:
     with _terminal_alone():
         suite = LiveWatch("monitor_terminal", parsed.namespace, limits)
         try:
-            exit_code = TerminalApp(suite, parsed.theme, is_ascii=is_ascii).run()
+            exit_code = TerminalApp(suite, parsed.theme, is_ascii=is_ascii, zone=parsed.time_zone).run()
         finally:
             suite.close()
     # None: textual ended by itself, after an exception that it has shown.

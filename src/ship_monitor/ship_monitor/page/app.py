@@ -6,6 +6,7 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
+from zoneinfo import ZoneInfo
 
 from bokeh.core.templates import get_env
 from bokeh.document import Document
@@ -17,6 +18,7 @@ from ship_monitor.page.picture_source import PictureSource
 from ship_monitor.page.shown import shown
 from ship_monitor.page.themes import THEMES, Theme
 from ship_watch.picture import ANGLES
+from ship_watch.words import local_clock
 
 STATIC = Path(__file__).with_name("static")
 """Template, style and script of the page."""
@@ -45,10 +47,11 @@ class Page:
         document: of the browser.
         theme: in which it is drawn.
         source: of the pictures.
+        zone: of the local time; None for UTC alone.
     """
 
-    def __init__(self, document: Document, theme: Theme, source: PictureSource) -> None:
-        self._source, self._theme = source, theme
+    def __init__(self, document: Document, theme: Theme, source: PictureSource, zone: ZoneInfo | None) -> None:
+        self._source, self._theme, self._zone = source, theme, zone
         self._panels: Panels | None = None
         self._below = Column(name="panels", sizing_mode="stretch_width")
         self._count = 0
@@ -105,7 +108,8 @@ class Page:
     def _text(self) -> str:
         source = self._source
         self._picture = source.look()
-        told = shown(self._picture, source.history, source.label, source.place)
+        local = local_clock(self._picture.utc_ns, self._zone)
+        told = shown(self._picture, source.history, source.label, source.place, local)
         told["is_paused"] = self._is_paused or (self._panels is not None and self._panels.times.is_paused)
         return json.dumps(told, allow_nan=False)
 
@@ -131,12 +135,15 @@ class Page:
         self._panels.update(self._source.history, self._drawn)
 
 
-def page_maker(open_source: Callable[[], PictureSource], default_theme: str) -> Callable[[Document], None]:
+def page_maker(
+    open_source: Callable[[], PictureSource], default_theme: str, zone: ZoneInfo | None = None
+) -> Callable[[Document], None]:
     """What fills the document of each browser.
 
     Args:
         open_source: gives the source of pictures of one browser.
         default_theme: where the address names none.
+        zone: of the local time that stands beside UTC; None for UTC alone.
     """
 
     def make(document: Document) -> None:
@@ -144,7 +151,7 @@ def page_maker(open_source: Callable[[], PictureSource], default_theme: str) -> 
         named = (value.decode("utf-8", "replace") for value in arguments.get("theme", ()))
         theme = THEMES[next((name for name in named if name in THEMES), default_theme)]
         try:
-            Page(document, theme, open_source())
+            Page(document, theme, open_source(), zone)
         except Exception:
             # Bokeh's own answer is an empty white page.
             logging.getLogger(__name__).exception("a page cannot be drawn")

@@ -17,6 +17,8 @@ RIBBON_S = 600
 
 _OF_THEODOLITE = ("azimuth", "elevation")
 _TICK_S = 120
+_ITS_NODE = "its node"
+_BANNERS = 3  # with more, the list of sources would have no room
 _NS_PER_S = 1_000_000_000
 # Alert.state of ship_msgs: how an alert's icon and words say it.
 _ALERT_STATES = {
@@ -27,7 +29,7 @@ _ALERT_STATES = {
 }
 
 
-def shown(picture: Picture, history: History, label: str, place: str) -> dict[str, Any]:
+def shown(picture: Picture, history: History, label: str, place: str, local: str = "") -> dict[str, Any]:
     """All that the first screenful says, ready for JSON.
 
     Args:
@@ -35,19 +37,28 @@ def shown(picture: Picture, history: History, label: str, place: str) -> dict[st
         history: its ribbons.
         label: LIVE, BAG or SIMULATED, as the source of the pictures says now.
         place: where it was listened, for a page that waits.
+        local: local time, as it stands under UTC; empty for none.
     """
     has_lights = any(angle.name in _OF_THEODOLITE for angle in picture.angles)
     waiting = f"waiting for {picture.waiting_for}" if picture.waiting_for else ""
+    is_stale = all(angle.is_old for angle in picture.angles)
     return {
         "label": label,
         "utc": words.clock(picture.utc_ns),
+        "local": local,
+        "is_stale": is_stale,
+        "overall": {"safety": picture.overall.safety.name, "text": picture.overall.text},
         "waiting": waiting,
         "place": place if waiting else "",
         "alert": _alert_line(picture.alerts),
         "angles": {angle.name: _tile(angle) for angle in picture.angles},
-        "ages": [[name, words.age(age_s)] for name, age_s in picture.ages_s.items() if name != "lights" or has_lights],
+        "ages": [
+            [name, words.age(age_s), _finite(age_s)]
+            for name, age_s in picture.ages_s.items()
+            if name != "lights" or has_lights
+        ],
         "foot": _foot(picture),
-        "sources": _sources(picture.sources),
+        "sources": _sources(picture.sources, is_known=not is_stale),
         "ribbons": _ribbons(history, picture),
     }
 
@@ -68,7 +79,7 @@ def _tile(angle: AngleShown) -> dict[str, Any]:
         "reason": reason,
         "is_reason": bool(angle.reason),
         "is_old": angle.is_old,
-        "age_s": angle.age_s if angle.age_s < float("inf") else None,
+        "age_s": _finite(angle.age_s),
         "safety": angle.safety.name,
         "tip": _tip(angle),
     }
@@ -117,41 +128,69 @@ def _alert(alert: AlertShown) -> dict[str, str]:
     }
 
 
-def _sources(sources: tuple[SourceShown, ...]) -> dict[str, Any]:
-    """OUT in large with why, then the list; those that are not configured come last and are not counted."""
+def _sources(sources: tuple[SourceShown, ...], *, is_known: bool) -> dict[str, Any]:
+    """OUT in large with why, then the list; those that are not configured come last and are not counted.
+
+    A source that is OUT because of another one, or of a node that is behind, stands below that one, and has no banner
+    of its own.
+    """
     used = [source for source in sources if source.presence is not Presence.OFF]
     out = [source for source in used if source.presence is Presence.OUT]
+    names = {source.name for source in sources}
+    roots = [source for source in out if not source.because_of or source.because_of == _ITS_NODE]
+    roots += [source for source in out if source.because_of in names - {each.name for each in out}]  # in again
+    below = [source for source in out if source not in roots]
+    nodes = {source.because_of: source.reason for source in below if source.because_of not in names}
+    banners = [*((source.name, f"{source.name} OUT") for source in roots), *nodes.items()]
+    count = f"{len(used) - len(out)} of {len(used)} in" if used else ""
+    listed: list[SourceShown] = []
+    for source in sorted(sources, key=lambda each: each.presence is Presence.OFF):
+        if source not in below:
+            listed += [source, *(each for each in below if each.because_of == source.name)]
+    listed = [source for source in below if source.because_of in nodes] + listed
     return {
-        "head": f"{len(used) - len(out)} of {len(used)} in" if used else "",
-        "out": [source.name for source in out],
-        "why": _why(out),
-        "rows": [_source_row(source) for source in sorted(sources, key=lambda each: each.presence is Presence.OFF)],
+        "head": count if is_known or not count else f"last: {count}",
+        "is_known": is_known,
+        "out": banners if len(banners) <= _BANNERS else [*banners[: _BANNERS - 1], _more(banners[_BANNERS - 1 :])],
+        "why": _why(roots[0]) if len(banners) == len(roots) == 1 else [],
+        "rows": [_source_row(source, is_because=source in below, is_alone=len(banners) == 1) for source in listed],
     }
 
 
-def _why(out: list[SourceShown]) -> list[str]:
-    """Two lines about one that is OUT, or a line about each of several."""
-    if len(out) == 1:
-        source = out[0]
-        since = f"since {words.clock(source.out_since_ns)}"
-        refused = f"{source.refused} refused" if source.refused else ""
-        if not source.disagreement:
-            return [f"{source.reason} {since}"]
-        return [f"disagrees: {source.disagreement}", " · ".join(filter(None, (since, refused)))]
-    return [
-        f"{source.name} {source.disagreement or f'{source.reason} since {words.clock(source.out_since_ns)}'}"
-        for source in out
-    ]
+def _more(banners: list[tuple[str, str]]) -> tuple[str, str]:
+    return banners[0][0], f"{len(banners)} more OUT"
 
 
-def _source_row(source: SourceShown) -> dict[str, str]:
+def _why(source: SourceShown) -> list[str]:
+    """Two lines about the only one that is OUT by itself."""
+    since = f"since {words.clock(source.out_since_ns)}"
+    refused = f"{source.refused} refused" if source.refused else ""
+    if not source.disagreement:
+        return [f"{source.reason} {since}"]
+    return [f"disagrees: {source.disagreement}", " · ".join(filter(None, (since, refused)))]
+
+
+def _source_row(source: SourceShown, *, is_because: bool, is_alone: bool) -> dict[str, Any]:
     verdict = source.verdict.text if source.verdict is not None else ""
+    sub = source.disagreement or verdict
+    if source.presence is Presence.OUT:
+        # What stands in large about one that is alone stands here about each of several.
+        since = f"{source.reason} since {words.clock(source.out_since_ns)}" if source.out_since_ns else source.reason
+        sub = source.reason if is_alone or is_because else " · ".join(filter(None, (source.disagreement, since)))
+    is_used = source.presence is not Presence.OFF
     return {
         "name": source.name,
         "presence": source.presence.value,
-        "sub": source.reason if source.presence is Presence.OUT else source.disagreement or verdict,
-        "age": words.age(source.age_s) if source.presence is not Presence.OFF else "",
+        "sub": sub,
+        "age": words.age(source.age_s) if is_used else "",
+        "age_s": _finite(source.age_s) if is_used else None,
+        "is_because": is_because,
     }
+
+
+def _finite(seconds: float) -> float | None:
+    """An age as JSON may hold it; None where it is infinite or unknown."""
+    return seconds if seconds < float("inf") else None
 
 
 def _ribbons(history: History, picture: Picture) -> dict[str, Any]:

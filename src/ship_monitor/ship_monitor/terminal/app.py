@@ -6,6 +6,7 @@ import signal
 import time
 from collections.abc import Callable
 from typing import ClassVar, Protocol
+from zoneinfo import ZoneInfo
 
 from rich.segment import Segment
 from rich.style import Style
@@ -66,6 +67,7 @@ class TerminalApp(App[int]):
         suite: what is shown.
         theme_name: theme to begin with.
         is_ascii: whether the terminal shows ASCII alone.
+        zone: time zone whose clock is shown beside UTC; None for none.
     """
 
     ENABLE_COMMAND_PALETTE = False
@@ -82,9 +84,11 @@ class TerminalApp(App[int]):
         Binding("ctrl+c", f"leave({EXIT_INTERRUPTED})", priority=True),
     ]
 
-    def __init__(self, suite: Suite, theme_name: str = "day", *, is_ascii: bool = False) -> None:
+    def __init__(
+        self, suite: Suite, theme_name: str = "day", *, is_ascii: bool = False, zone: ZoneInfo | None = None
+    ) -> None:
         super().__init__()
-        self._suite, self._theme_name, self._is_ascii = suite, theme_name, is_ascii
+        self._suite, self._theme_name, self._is_ascii, self._zone = suite, theme_name, is_ascii, zone
         self._drawing = _Lines()
         self._picture: Picture | None = None
         self._paused_s = math.nan
@@ -131,6 +135,7 @@ class TerminalApp(App[int]):
             chosen=self._chosen,
             note=self._note if now_s < self._note_until_s else "",
             is_ascii=self._is_ascii,
+            zone=self._zone,
         )
         if self._page == "help":
             lines = help_page(self._picture, view)

@@ -5,7 +5,16 @@ from textwrap import wrap
 
 from ship_geometry.rotations import ARCSEC
 from ship_monitor.terminal.pen import Ink, Line, Look, Pen
-from ship_monitor.terminal.screen import View, alert_pieces, event_lines, input_line, reasons_text, source_line, top_bar
+from ship_monitor.terminal.screen import (
+    View,
+    alert_pieces,
+    event_lines,
+    input_line,
+    reasons_text,
+    source_line,
+    top_bar,
+    words_line,
+)
 from ship_watch import words
 from ship_watch.picture import AlertShown, AngleShown, Picture, SourceShown
 
@@ -50,7 +59,7 @@ def details(picture: Picture, alerts: tuple[AlertShown, ...] | None, view: View)
 
 def _page(picture: Picture, view: View, title: str, body: list[Line]) -> tuple[Line, ...]:
     pen = view.pen
-    rows = [top_bar(picture, view), pen.rule(title), *body][: max(view.height - 1, 0)]
+    rows = [top_bar(picture, view), words_line(picture, pen), pen.rule(title), *body][: max(view.height - 1, 0)]
     rows += [pen.line()] * (view.height - 1 - len(rows))
     keys = Ink(f" {view.note}", Look.STRONG) if view.note else Ink(_BACK, Look.SECOND)
     return (*rows, pen.line(keys))[-view.height :]
@@ -95,7 +104,7 @@ def _of_source(source: SourceShown, picture: Picture, pen: Pen) -> list[Line]:
     for each in picture.inputs:
         if each.topic in source.topics:
             inputs += [input_line(each, pen), _row(pen, "   refused for", reasons_text(each) or words.NO_VALUE)]
-    made = [source_line(source, pen, is_chosen=False), *(_row(pen, name, text) for name, text in rows.items())]
+    made = [source_line(source, picture, pen, is_chosen=False), *(_row(pen, name, text) for name, text in rows.items())]
     made += [pen.rule("inputs"), *inputs]
     return [*made, pen.rule("events"), *event_lines(picture, pen, 200, source.name)]
 
@@ -105,7 +114,9 @@ def _of_alerts(alerts: tuple[AlertShown, ...] | None, picture: Picture, pen: Pen
     made: list[Line] = []
     for alert in alerts or ():
         made.append(pen.line(*alert_pieces(alert, pen, pen.width - 24)))
-        whole = wrap(pen.clean(alert.text), max(pen.width - 6, 1))
-        made += [pen.line(Ink(f"     {part}", Look.TEXT)) for part in whole]
+        advice = f"to do: {alert.advice}" if alert.advice else ""
+        for text, look in ((alert.text, Look.TEXT), (advice, Look.SECOND)):
+            parts = wrap(pen.clean(text), max(pen.width - 6, 1))
+            made += [pen.line(Ink(f"     {part}", look)) for part in parts]
     made = made or [pen.line(Ink(f" {none}", Look.SECOND))]
     return [*made, pen.rule("inputs"), *(input_line(each, pen) for each in picture.inputs)]

@@ -6,6 +6,7 @@ there; where there are too few, one line says the worst.
 
 import math
 from dataclasses import dataclass
+from zoneinfo import ZoneInfo
 
 from ship_monitor.terminal.pen import Ink, Line, Look, Pen
 from ship_watch import words
@@ -24,6 +25,7 @@ _ALERT_LOOKS = {Priority.ALARM: Look.ALARM, Priority.WARNING: Look.WARNING, Prio
 # Alert.state of ship_msgs.
 _ALERT_STATES = {1: "UNACK", 2: "SILENCED", 3: "ack", 4: "OVER, UNACK"}
 _SOURCE_MARKS = {Presence.IN: "+", Presence.OUT: "x", Presence.OFF: "-"}
+_SHORT_NAMES = {"heading": "HDG", "pitch": "PIT", "roll": "ROL", "azimuth": "AZI", "elevation": "ELE"}
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,7 @@ class View:
         chosen: name of the angle or source that is chosen; empty for none.
         note: what was done last, shown instead of the keys; empty for nothing.
         is_ascii: whether the terminal shows ASCII alone.
+        zone: time zone whose clock is shown beside UTC; None for none.
     """
 
     width: int
@@ -53,6 +56,7 @@ class View:
     chosen: str = ""
     note: str = ""
     is_ascii: bool = False
+    zone: ZoneInfo | None = None
 
     @property
     def pen(self) -> Pen:
@@ -97,15 +101,34 @@ def choices(picture: Picture) -> tuple[str, ...]:
 
 
 def top_bar(picture: Picture, view: View) -> Line:
-    """Whose picture it is, of when, and whether it stands still."""
-    pen = view.pen
-    is_paused = not math.isnan(view.paused_s)
-    left = [Ink(" ", Look.TEXT), Ink(view.name, Look.STRONG), Ink(f"  {view.label}  {view.theme}", Look.SECOND)]
-    if is_paused:
-        left += [Ink("  ", Look.TEXT), Ink(f" PAUSED {words.age(view.paused_s)} ago ", Look.MARKED)]
-    right = f"{words.clock(picture.utc_ns)} UTC "
+    """Return the name of the suite, the word for all of it with its reason, and the time; PAUSED while it stands."""
+    pen, overall = view.pen, picture.overall
+    left = [Ink(" ", Look.TEXT), Ink(view.name, Look.STRONG), Ink(f"  {view.label}  {view.theme}  ", Look.SECOND)]
+    if not math.isnan(view.paused_s):
+        left += [Ink(f" PAUSED {words.age(view.paused_s)} ago ", Look.MARKED), Ink("  ", Look.TEXT)]
+    left += [
+        Ink(f" {_MARKS[overall.safety]} {overall.safety.name} ", _LOOKS[overall.safety]),
+        Ink(f" {overall.text}", Look.TEXT),
+    ]
+    local = words.local_clock(picture.utc_ns, view.zone)
+    right = f" {local}  " if local else " "
+    right += f"{words.clock(picture.utc_ns)} UTC "
     room = max(view.width - pen.length(right), 0)
     return pen.line(*Pen(room, view.is_ascii).line(*left), Ink(right, Look.STRONG))
+
+
+def words_line(picture: Picture, pen: Pen) -> Line:
+    """Return the words of all angles in one row, for pages that show something else: HDG + SAFE  PIT ! CAUTION."""
+    pieces = [
+        piece
+        for angle in picture.angles
+        for piece in (
+            Ink(f" {_SHORT_NAMES.get(angle.name, angle.name)} ", Look.SECOND),
+            Ink(f"{_MARKS[angle.safety]} {angle.safety.name}", _LOOKS[angle.safety]),
+            Ink(" ", Look.TEXT),
+        )
+    ]
+    return pen.line(*pieces)
 
 
 def alert_pieces(alert: AlertShown, pen: Pen, text_width: int) -> list[Ink]:
@@ -118,22 +141,28 @@ def alert_pieces(alert: AlertShown, pen: Pen, text_width: int) -> list[Ink]:
     return [Ink(head + text, look), Ink(f" {words.clock(alert.raised_ns)}  ", Look.SECOND), Ink(state, state_look)]
 
 
-def source_line(source: SourceShown, pen: Pen, *, is_chosen: bool) -> Line:
-    """A source: in or out, its age and rate, and what is said of it."""
+def source_line(source: SourceShown, picture: Picture, pen: Pen, *, is_chosen: bool) -> Line:
+    """Return a source: in or out, age and rate, what is known of it; indented below the source that it is out for.
+
+    Where no output comes any more, nothing of this is of now: it is struck through, and no tick is drawn.
+    """
     is_out = source.presence is Presence.OUT
+    is_consequence = is_out and source.because_of in {each.name for each in picture.sources if not each.because_of}
     verdict = source.verdict.text if source.verdict is not None else ""
-    told = [source.reason, source.disagreement] if is_out else [source.disagreement, verdict]
-    if is_out and source.because_of:
-        told.append(f"because of {source.because_of}")
+    known = [source.reason, source.disagreement] if is_out else [source.disagreement, verdict]
+    if is_out and source.because_of and not is_consequence and source.because_of not in source.reason:
+        known.append(f"because of {source.because_of}")
     rate = f"{source.rate_hz:7.1f} Hz" if math.isfinite(source.rate_hz) else " " * 10
-    name = f"{'>' if is_chosen else ' '}{_SOURCE_MARKS[source.presence]} {pen.cell(source.name, 16)}"
+    mark = "?" if picture.is_old and not is_out else _SOURCE_MARKS[source.presence]
+    name = f"{'>' if is_chosen else ' '}{mark} {pen.cell('  ' * is_consequence + source.name, 16)}"
     middle = f" {pen.cell(words.age(source.age_s), 8, to_right=True)} {rate}   "
-    look = Look.OUT if is_out else Look.TEXT
+    look = Look.OUT if is_out else Look.OLD if picture.is_old else Look.TEXT
+    second = Look.OLD if picture.is_old and not is_out else Look.SECOND
     return pen.line(
         Ink(name, Look.MARKED if is_chosen else look),
         Ink(f" {source.presence.value:3}", look),
-        Ink(middle, Look.SECOND),
-        Ink(", ".join(filter(None, told)), look if is_out else Look.SECOND),
+        Ink(middle, second),
+        Ink(", ".join(filter(None, known)), look if is_out else second),
     )
 
 
@@ -229,11 +258,14 @@ def _angle(angle: AngleShown, picture: Picture, view: View) -> Line:
 
 def _ages(picture: Picture, pen: Pen) -> Line:
     ages = "   ".join(f"{name} {words.age(age_s)}" for name, age_s in picture.ages_s.items())
-    horizon = f"       horizon {picture.horizon}" if picture.horizon else ""
-    return pen.line(Ink(" ages   ", Look.SECOND), Ink(ages, Look.TEXT), Ink(horizon, Look.SECOND))
+    horizon = f"horizon {picture.horizon}" if picture.horizon else ""
+    look, second = (Look.OLD, Look.OLD) if picture.is_old else (Look.TEXT, Look.SECOND)
+    return pen.line(Ink(" ages   ", Look.SECOND), Ink(ages, look), Ink(" " * 7, Look.TEXT), Ink(horizon, second))
 
 
 def _sources_rule(picture: Picture, pen: Pen) -> Line:
+    if picture.is_old:
+        return pen.rule("sources", "old")
     configured = [source for source in picture.sources if source.presence is not Presence.OFF]
     present = sum(source.presence is Presence.IN for source in configured)
     return pen.rule("sources", f"{present} of {len(configured)} in")
@@ -246,7 +278,7 @@ def _sources(picture: Picture, view: View, room: int) -> list[Line]:
     chosen = next((place for place, source in enumerate(sources) if source.name == view.chosen), 0)
     first = max(0, chosen - shown + 1) if shown else 0
     window = sources[first : first + shown]
-    made = [source_line(source, view.pen, is_chosen=source.name == view.chosen) for source in window]
+    made = [source_line(source, picture, view.pen, is_chosen=source.name == view.chosen) for source in window]
     hidden = [*sources[:first], *sources[first + shown :]]
     counts = {
         each: sum(source.presence is each for source in hidden) for each in (Presence.OUT, Presence.IN, Presence.OFF)

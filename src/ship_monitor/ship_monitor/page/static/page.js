@@ -32,12 +32,8 @@ const monitor = (() => {
 
   function tile(id, angle) {
     const tile = at(id), part = (name) => tile.querySelector(name);
-    tile.classList.toggle("absent", !angle);
-    if (!angle) {
-      tile.dataset.safety = "";
-      text(part(".sense"), "not aboard");
-      return;
-    }
+    tile.hidden = !angle;
+    if (!angle) return;
     const hasDegree = angle.number.endsWith("°");
     tile.dataset.safety = angle.safety;
     tile.classList.toggle("old", angle.is_old);
@@ -53,6 +49,32 @@ const monitor = (() => {
     icon(part(".state svg"), angle.safety);
     tile.tip = angle.tip;
   }
+
+  // One word for all, in the bar; below it each angle's own while the tiles are scrolled away.
+  function states(model) {
+    const overall = at("overall");
+    chip(overall.firstElementChild, model.overall.safety);
+    text(overall.querySelector("b"), model.overall.safety);
+    text(overall.lastElementChild, model.overall.text);
+    overall.title = model.overall.text;
+    for (const each of at("states").children) {
+      const angle = model.angles[each.dataset.angle];
+      each.hidden = !angle;
+      if (!angle) continue;
+      chip(each, angle.safety);
+      text(each.querySelector(".word"), angle.safety);
+      text(each.querySelector(".size"), angle.accuracy);
+    }
+  }
+  function chip(element, safety) {
+    element.dataset.safety = safety;
+    icon(element.firstElementChild, safety);
+  }
+  const watchScroll = () => {
+    const isPast = at("tiles").firstElementChild.getBoundingClientRect().bottom < at("bar").offsetHeight;
+    document.body.classList.toggle("scrolled", isPast);
+  };
+  addEventListener("scroll", watchScroll, { passive: true });
 
   function alertLine(alert) {
     at("alert").classList.toggle("calm", !alert.state);
@@ -76,23 +98,23 @@ const monitor = (() => {
   }
 
   function ages(rows, foot) {
-    list(document.querySelector("#ages dl"), rows.flat(), (parent) =>
+    list(document.querySelector("#ages dl"), rows.flatMap(([name, age]) => [name, age]), (parent) =>
       element(parent.children.length % 2 ? "dd" : "dt", parent), text);
     text(at("foot"), foot);
   }
 
   function sources(sources) {
-    const bars = sources.out.length > 2 ? [...sources.out.slice(0, 2)] : sources.out;
     at("head").hidden = sources.out.length > 0;
     text(at("head"), sources.head);
-    list(at("outs"), bars, (parent) => {
+    at("outs").className = sources.out.length > 1 ? "several" : "";
+    list(at("outs"), sources.out, (parent) => {
       const bar = element("b", parent);
       drawing(bar, "UNSAFE");
       element("span", bar);
       bar.onclick = () => toggle(bar.title);
       return bar;
-    }, (bar, name) => { bar.title = name; text(bar.children[1], name + " OUT"); });
-    text(at("why"), sources.why.slice(0, 3).join("\n"));
+    }, (bar, [name, words]) => { bar.title = name; text(bar.children[1], words); bar.className = words.length > 20 ? "long" : ""; });
+    text(at("why"), sources.why.join("\n"));
     list(document.querySelector("#sources ul"), sources.rows, (parent) => {
       const row = element("li", parent);
       drawing(row, "");
@@ -101,8 +123,8 @@ const monitor = (() => {
       row.onclick = () => toggle(row.children[1].textContent);
       return row;
     }, (row, source) => {
-      row.className = source.presence + (source.name === marked ? " marked" : "");
-      icon(row.children[0], { IN: "SAFE", OUT: "UNSAFE" }[source.presence] || "");
+      row.className = source.presence + (source.is_because ? " because" : "") + (source.name === marked ? " marked" : "");
+      icon(row.children[0], { IN: sources.is_known ? "SAFE" : "unknown", OUT: "UNSAFE" }[source.presence] || "");
       [source.name, source.presence, source.age, source.sub].forEach((value, index) => text(row.children[index + 1], value));
     });
     fit(sources.rows);
@@ -138,7 +160,7 @@ const monitor = (() => {
     });
     list(at("ticks"), ribbons.ticks.flat(), (parent) => element(parent.children.length % 2 ? "span" : "i", parent),
       (part, value) => {
-        if (part.tagName === "SPAN") { text(part, value); part.style.left = part.previousElementSibling.style.left; }
+        if (part.tagName === "SPAN") { text(part, value); part.style.left = part.previousElementSibling.style.left; part.className = parseFloat(part.style.left) > 97 ? "last" : ""; }
         else part.style.left = 100 * value + "%";
       });
     list(at("marks"), ribbons.marks, span, (part, place) => { part.style.left = 100 * place + "%"; });
@@ -146,12 +168,16 @@ const monitor = (() => {
 
   function draw(model) {
     text(at("utc"), model.utc);
+    text(at("local"), model.local);
+    document.documentElement.classList.toggle("stale", model.is_stale);
+    document.body.classList.toggle("ship-alone", !model.angles.azimuth);
     text(at("label"), model.label);
     at("paused").hidden = !model.is_paused;
     // An alert is more urgent than that something was never heard.
     alertLine(model.waiting && !model.alert.state
       ? { ...model.alert, icon: "", text: model.waiting, sub: model.place } : model.alert);
     for (const each of document.querySelectorAll("#tiles .tile:not(.ages)")) tile(each.id, model.angles[each.id]);
+    states(model);
     ages(model.ages, model.foot);
     sources(model.sources);
     ribbons(model.ribbons);
@@ -166,6 +192,11 @@ const monitor = (() => {
       angle.accuracy = ageS === null ? "—" : "OLD " + age(ageS);
       if (silentS > 60) angle.number = "—";
     }
+    old.overall = { safety: "UNSAFE", text: "no link to the monitor" };
+    old.ages = old.ages.map(([name, text, ageS]) => [name, ageS === null ? text : age(ageS + silentS)]);
+    for (const row of old.sources.rows) if (row.age_s !== null) row.age = age(row.age_s + silentS);
+    if (old.sources.is_known) old.sources.head = "last: " + old.sources.head;
+    old.sources.is_known = false;
     old.alert.text = (linked ? "NO LINK " : "CONNECTING ") + age(silentS);
     old.alert.sub = linked ? "the page connects again by itself" : "";
     Object.assign(old.alert, { icon: "", state: "lost", unack: 0 });
