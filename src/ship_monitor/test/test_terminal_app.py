@@ -102,7 +102,7 @@ def test_t_goes_through_the_themes():
     async def use(app, pilot, suite):
         names = []
         for _ in range(4):
-            names.append(rows(app)[0].split()[2])
+            names.append(app._theme_name)
             await pilot.press("t")
         assert names == ["day", "dusk", "night", "day"]
 

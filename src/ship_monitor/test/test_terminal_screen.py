@@ -15,7 +15,7 @@ from ship_monitor.terminal.screen import View, choices, screen, shown_alert
 from ship_testing.pictures import KNOCKED, KNOCKED_ALERT, KNOCKED_INPUT, NOW_NS, angle, knocked, out, silent, source
 from ship_watch.picture import ANGLES, Event, Priority, Safety
 
-VIEW = View(80, 24, "demo", "LIVE", "namespace /demo, domain 7", "day")
+VIEW = View(80, 24, "demo", "LIVE", "namespace /demo, domain 7")
 
 
 def drawn(shown, view=VIEW, alerts=...):
@@ -37,7 +37,7 @@ def cells(text):
 
 def test_the_screen_of_the_design():
     assert texts(knocked()) == [
-        " demo  LIVE  day   ! CAUTION  over the limit (roll)                12:00:07 UTC",
+        " demo  LIVE   ! CAUTION  over the limit (roll)                     12:00:07 UTC",
         " (!) WARNING star.starboard out        11:59:29  UNACK       1 unack, 1 active",
         "─" * 80,
         "           value                   95 %  limit  state       why",

@@ -12,7 +12,7 @@ from ship_geometry.rotations import ARCSEC
 from ship_watch.alert_states import Condition
 from ship_watch.functions import ATTITUDE, POINTING, FunctionShown, functions, still
 from ship_watch.limits import InputLimits, Limits
-from ship_watch.picture import Picture, Presence, Priority, SourceShown
+from ship_watch.picture import ITS_NODE, Picture, Presence, Priority, SourceShown
 
 STARS_OUT = "stars.out"
 
@@ -63,7 +63,6 @@ _RECOVERY, _RECOVERED = "recovery", "recovered after [s]"
 """Status of a node's second estimator, and its figure after an adoption."""
 
 _ERROR = 2
-_ITS_NODE = "its node"
 
 
 @dataclass(frozen=True)
@@ -172,10 +171,10 @@ def _sources_out(picture: Picture, shown: tuple[FunctionShown, ...]) -> Iterable
 def _unreported(picture: Picture) -> Iterable[Condition]:
     """Sources of which nothing is known because the node that reads them is gone, while the output still comes."""
     for source in picture.sources:
-        if source.presence is Presence.OUT and source.because_of == _ITS_NODE:
+        if source.presence is Presence.OUT and source.because_of == ITS_NODE:
             yield Condition(
                 f"{source.name}.unreported", Priority.WARNING, source.name,
-                f"{source.name} not reported: its node says nothing any more", source.age_s, unit="s",
+                f"{source.name} not reported: its node has stopped reporting", source.age_s, unit="s",
                 under=("attitude.silent", "pointing.silent"),
             )
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ship_estimation.refusals import Reason
-from ship_watch.picture import Presence, SourceShown, SourceStanding
+from ship_watch.picture import ITS_NODE, Presence, SourceShown, SourceStanding
 from ship_watch.reports import TopicReports
 from ship_watch.streak import NO_DISAGREEMENT, SHOWN_NS, Streak
 from ship_watch.topics import member_of
@@ -106,7 +106,7 @@ class HeardSource:
         if silent := [topic for topic in topics if topic.is_silent(now_ns)]:
             since_ns = min(topic.arrived_ns or 0 for topic in silent) + utc_offset_ns
             if all(topic.is_untold(now_ns) for topic in silent):
-                return SourceFault("not reported", since_ns, "its node")
+                return SourceFault("not reported", since_ns, ITS_NODE)
             return SourceFault(_with_members("silent", silent, topics), since_ns)
         worst: tuple[str, Streak] | None = None
         for key, streak in self.streaks.items():

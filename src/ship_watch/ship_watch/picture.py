@@ -16,6 +16,9 @@ from ship_watch.alert_advice import advice_for
 ANGLES = ("heading", "pitch", "roll", "azimuth", "elevation")
 """The angles of a picture, in the order in which they are shown."""
 
+ITS_NODE = "its node"
+"""What a source is out because of where the node that reads it has ended: nothing is known of the source itself."""
+
 
 class Safety(enum.IntEnum):
     """How far an angle may be relied on, in the words of IMO MSC.1/Circ.1575; the worse the larger."""

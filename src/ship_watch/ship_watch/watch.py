@@ -25,7 +25,16 @@ from ship_watch.limits import Limits
 from ship_watch.mounting_shifts import MountingShifts
 from ship_watch.names import has_room
 from ship_watch.outputs import AttitudeHeard, OutputHeard, PointingHeard
-from ship_watch.picture import ANGLES, AlertShown, AngleShown, Picture, Safety, SourceShown, SourceStanding
+from ship_watch.picture import (
+    ANGLES,
+    ITS_NODE,
+    AlertShown,
+    AngleShown,
+    Picture,
+    Safety,
+    SourceShown,
+    SourceStanding,
+)
 from ship_watch.published_state import PublishedState, published_state
 from ship_watch.sources import STAR_INNOVATION, SourceBook, blamed, newest_age_s
 from ship_watch.states import AngleClaim, HeldWord, TimeOver, judged
@@ -281,13 +290,19 @@ class Watch:
             self._keeper.note_words(utc_ns, shown)
 
     def _claims(self, sources: Sequence[SourceStanding], now_ns: int) -> dict[str, AngleClaim]:
-        """What is claimed of each angle; of those of a theodolite where there is one."""
+        """Return what is claimed of each angle; of those of a theodolite where there is one.
+
+        An output that is old while a node has stopped reporting has stopped with that node: no source is its cause.
+        """
+        has_node_stopped = any(source.because_of == ITS_NODE for source in sources)
         ship = blamed(sources, _SHIP_SOURCES if self._attitude.is_claimed(now_ns) else _SHIP_NEEDS)
         claims = {name: self._claim(name, ship, now_ns) for name in ANGLES[:3]}
         if self._pointing.is_heard or self._book.has_theodolite:
             needed = _POINTING_SOURCES if self._pointing.is_claimed(now_ns) else _POINTING_NEEDS
             guilty = blamed(sources, needed) or ship
             claims |= {name: self._claim(name, guilty, now_ns) for name in ANGLES[3:]}
+        if has_node_stopped:
+            claims = {name: replace(claim, guilty=None) if claim.is_old else claim for name, claim in claims.items()}
         return claims
 
     def _claim(self, name: str, guilty: SourceStanding | None, now_ns: int) -> AngleClaim:

@@ -516,3 +516,18 @@ def test_a_watch_shows_the_published_state_in_place_of_its_own_and_its_own_witho
     watch.take_state(published(other, 20.0), at(22.6))
     watch.forget_alerts()
     assert {angle.safety for angle in watch.look(at(22.7)).angles} == {Safety.SAFE}
+
+
+def test_an_output_that_stops_with_its_node_has_no_source_as_its_cause() -> None:
+    """A sensor never came, the INS carried the attitude, then the node ends: what stopped is the output itself."""
+    watch = Watch()
+    for tenth in range(100):
+        ns = tenth * SECOND // 10
+        if tenth % 10 == 0:
+            missing = health(UTC + ns, "star/bow/solution", 0, math.nan, math.nan)
+            missing.level = 1
+            watch.take("input_health", missing, at(ns / SECOND))
+            watch.take("input_health", health(UTC + ns, "ins/imu", 10 + tenth * 10, 100.0, 0.1), at(ns / SECOND))
+        watch.take("ship/attitude", attitude(UTC + ns, 100.0), at(ns / SECOND))
+    assert {angle.reason for angle in watch.look(at(10.0)).angles} == {"star.bow never heard"}
+    assert {angle.reason for angle in watch.look(at(20.0)).angles} == {"ship/attitude silent"}

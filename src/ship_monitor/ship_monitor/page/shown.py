@@ -9,7 +9,7 @@ from typing import Any
 from ship_geometry.rotations import ARCSEC
 from ship_watch import words
 from ship_watch.history import History, SafetyPoint
-from ship_watch.picture import ANGLES, AlertShown, AngleShown, Picture, Presence, Safety, SourceShown
+from ship_watch.picture import ANGLES, ITS_NODE, AlertShown, AngleShown, Picture, Presence, Safety, SourceShown
 from ship_watch.states import OVER_THE_LIMIT
 
 RIBBON_S = 600
@@ -17,7 +17,6 @@ RIBBON_S = 600
 
 _OF_THEODOLITE = ("azimuth", "elevation")
 _TICK_S = 120
-_ITS_NODE = "its node"
 _BANNERS = 3  # with more, the list of sources would have no room
 _NS_PER_S = 1_000_000_000
 # Alert.state of ship_msgs: how an alert's icon and words say it.
@@ -137,7 +136,7 @@ def _sources(sources: tuple[SourceShown, ...], *, is_known: bool) -> dict[str, A
     used = [source for source in sources if source.presence is not Presence.OFF]
     out = [source for source in used if source.presence is Presence.OUT]
     names = {source.name for source in sources}
-    roots = [source for source in out if not source.because_of or source.because_of == _ITS_NODE]
+    roots = [source for source in out if not source.because_of or source.because_of == ITS_NODE]
     roots += [source for source in out if source.because_of in names - {each.name for each in out}]  # in again
     below = [source for source in out if source not in roots]
     nodes = {source.because_of: source.reason for source in below if source.because_of not in names}

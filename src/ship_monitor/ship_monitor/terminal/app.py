@@ -130,7 +130,6 @@ class TerminalApp(App[int]):
             name=self._suite.name,
             label=self._suite.label,
             place=self._suite.place,
-            theme=self._theme_name,
             paused_s=now_s - self._paused_s,
             chosen=self._chosen,
             note=self._note if now_s < self._note_until_s else "",

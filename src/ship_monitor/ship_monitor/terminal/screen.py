@@ -38,7 +38,6 @@ class View:
         name: of the suite: its namespace.
         label: LIVE, BAG or SIMULATED.
         place: where it is listened, in words, for who waits.
-        theme: name of the theme.
         paused_s: for how long the picture has stood still; NaN while it does not.
         chosen: name of the angle or source that is chosen; empty for none.
         note: what was done last, shown instead of the keys; empty for nothing.
@@ -51,7 +50,6 @@ class View:
     name: str
     label: str
     place: str
-    theme: str
     paused_s: float = math.nan
     chosen: str = ""
     note: str = ""
@@ -103,7 +101,7 @@ def choices(picture: Picture) -> tuple[str, ...]:
 def top_bar(picture: Picture, view: View) -> Line:
     """Return the name of the suite, the word for all of it with its reason, and the time; PAUSED while it stands."""
     pen, overall = view.pen, picture.overall
-    left = [Ink(" ", Look.TEXT), Ink(view.name, Look.STRONG), Ink(f"  {view.label}  {view.theme}  ", Look.SECOND)]
+    left = [Ink(" ", Look.TEXT), Ink(view.name, Look.STRONG), Ink(f"  {view.label}  ", Look.SECOND)]
     if not math.isnan(view.paused_s):
         left += [Ink(f" PAUSED {words.age(view.paused_s)} ago ", Look.MARKED), Ink("  ", Look.TEXT)]
     left += [
@@ -265,7 +263,7 @@ def _ages(picture: Picture, pen: Pen) -> Line:
 
 def _sources_rule(picture: Picture, pen: Pen) -> Line:
     if picture.is_old:
-        return pen.rule("sources", "old")
+        return pen.rule("sources", *("old",) * bool(picture.sources))
     configured = [source for source in picture.sources if source.presence is not Presence.OFF]
     present = sum(source.presence is Presence.IN for source in configured)
     return pen.rule("sources", f"{present} of {len(configured)} in")
