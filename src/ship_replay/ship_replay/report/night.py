@@ -183,7 +183,7 @@ class _Reading:
         }
         newest: dict[str, int] = {}
         next_ns = self._night.start_ns + _LOOK_NS
-        for record in watched(bag.records(set(rows)), bag):
+        for record in watched(bag.records(set(rows)), bag, "reading"):
             now_ns = record.log_time_ns
             while next_ns <= now_ns:
                 self._look(next_ns)
