@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from ship_bags.mcap.bag_writer import BagWriter
+from ship_bags.suite_commit import COMMIT_RECORD, suite_commit
 from ship_replay.commands.report import main
 from ship_replay.evaluation.evaluate import evaluate
 from ship_replay.report.drawings import MOST_POINTS, source_colours, thin_errors, thinned
@@ -19,7 +20,7 @@ from ship_replay.report.told import read_told
 from ship_replay.report.wording import duration, number
 from ship_testing.hand_made_bags import PERIOD_NS, START_NS, imu, ship_attitude
 from ship_testing.refusals import refused
-from ship_testing.reported_nights import SECOND_NS, section, write_night
+from ship_testing.reported_nights import SECOND_NS, copied, section, write_night
 from ship_watch.picture import Event, Safety
 
 
@@ -287,3 +288,14 @@ def test_a_source_has_one_colour_in_all_figures(night_path):
     text = page(told)
     assert colours["star.fore"] in section(text, "refusals")
     assert colours["fused"] in section(text, "errors")
+
+
+def test_the_commit_of_the_suite_is_stated_of_a_plain_bag(tmp_path):
+    """Both: of the suite that wrote the bag, as the bag states it, and of the one that made the report."""
+    with BagWriter(tmp_path / "out.mcap") as writer:
+        writer.add_metadata(COMMIT_RECORD, {"commit": "0123abcd"})
+        copied(write_night(tmp_path / "night.mcap", 5), writer)
+    text = section(page(read_told(tmp_path / "out.mcap")), "provenance")
+    made_bag, made_report = text.split("Versions that made this report")
+    assert "<tr><td>suite, commit</td><td>0123abcd</td></tr>" in made_bag
+    assert f"<td>{suite_commit() or 'unknown: no git checkout'}</td>" in made_report

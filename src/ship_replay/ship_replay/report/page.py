@@ -10,6 +10,7 @@ import jinja2
 
 from ship_bags.progress import counted
 from ship_bags.stamps import NS_PER_S
+from ship_bags.suite_commit import COMMIT_RECORD, suite_commit
 from ship_node.black_box.black_box_format import VERSIONS_ATTACHMENT
 from ship_node.black_box.versions import LIBRARIES, SUITE_PACKAGES, package_versions
 from ship_replay.report.consistency import consistency
@@ -102,15 +103,18 @@ def render(template: str, **values: Any) -> str:
 
 def versions() -> list[tuple[str, str]]:
     """Of the suite and of what computes for it, here and now: those that made the report."""
-    return [("python", platform.python_version()), *package_versions(_PACKAGES).items()]
+    own = suite_commit() or "unknown: no git checkout"
+    return [("suite, commit", own), ("python", platform.python_version()), *package_versions(_PACKAGES).items()]
 
 
 def recorded_versions(night: Night) -> list[tuple[str, str]]:
-    """Those that made the bag, where it tells them as a black box does; empty where it does not."""
+    """Return the commit of the suite that made the bag, and the versions in a black box; empty where it has none."""
+    commit = night.metadata.get(COMMIT_RECORD, {}).get("commit", "")
+    of_commit = [("suite, commit", commit)] if commit else []
     try:
         told = json.loads(night.attachments.get(VERSIONS_ATTACHMENT, b"{}"))
-        return [(name, str(told[name])) for name in ("python", "machine") if name in told] + [
+        return of_commit + [(name, str(told[name])) for name in ("python", "machine") if name in told] + [
             (name, str(version)) for group in ("suite", "libraries") for name, version in told.get(group, {}).items()
         ]
     except (ValueError, AttributeError, TypeError):
-        return []  # damaged
+        return of_commit  # damaged
