@@ -23,7 +23,6 @@ setup(
         "rosbags",
         "zstandard",
         "pynmea2",
-        "rich",
         "lz4",
     ],
     extras_require={"test": ["pytest", "mcap-ros2-support"], "parquet": ["pyarrow"]},

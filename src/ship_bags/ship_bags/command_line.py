@@ -1,8 +1,7 @@
-"""What every command of the suite does alike: arguments, exit codes, interruption, progress.
+"""What every command of the suite does alike: arguments, exit codes, interruption.
 
 Bad input ends a command with one line on stderr and exit code 2, Ctrl-C with 130. Where the reader of its output has
-left, as ``head`` does, it ends without a word. Work of more than two seconds shows
-a bar on a terminal.
+left, as ``head`` does, it ends without a word. Progress is shown by :mod:`ship_bags.progress`.
 """
 
 import argparse
@@ -13,12 +12,12 @@ import select
 import signal
 import sys
 import threading
-import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from types import FrameType
-from typing import Any, NoReturn, TypeVar
+from typing import Any, NoReturn
 
 from ship_bags.errors import one_line
+from ship_bags.progress import erase_progress
 from ship_bags.renamed_topics import TopicNames, names_of, topic_names, use_names
 from ship_geometry.input_error import InputError
 
@@ -28,11 +27,6 @@ EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
 EXIT_NO_READER = 141
 """As a shell tells of a program that SIGPIPE ended, and so of cat or grep before ``head``."""
-
-_PATIENCE_S = 2.0
-_REFRESH_EVERY = 1000
-
-Item = TypeVar("Item")
 
 
 class CommandParser(argparse.ArgumentParser):
@@ -101,12 +95,13 @@ def run_command(
             reason = f"{problem.filename}: {problem.strerror}" if problem.filename else str(problem)
         except KeyboardInterrupt:
             reason, code = "interrupted", EXIT_INTERRUPTED
+        erase_progress()
         sys.stderr.write(f"{parser.prog}: {one_line(reason)}\n")
     return code
 
 
 def serve_a_command(names: TopicNames | None = None) -> None:
-    """Begin a process that works for a command: Ctrl-C is the command's to answer, and the bar is its own to show.
+    """Begin a process that works for a command: Ctrl-C is the command's to answer, and progress is its own to show.
 
     Args:
         names: the command's names of topics, for the bags that this process reads.
@@ -114,26 +109,6 @@ def serve_a_command(names: TopicNames | None = None) -> None:
     use_names(names or TopicNames())
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     sys.stderr = io.StringIO()
-
-
-def with_bar(
-    items: Iterable[Item], label: str, start_ns: int, end_ns: int, time_ns: Callable[[Item], int]
-) -> Iterator[Item]:
-    """Items in order of time, with a bar on stderr that shows how far they are from start to end."""
-    if not sys.stderr.isatty():
-        yield from items
-        return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    started_s, span_ns = time.monotonic(), max(end_ns - start_ns, 1)
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task(label, total=span_ns, visible=False)
-        for number, item in enumerate(items):
-            if number % _REFRESH_EVERY == 0:
-                shown = time.monotonic() - started_s > _PATIENCE_S
-                progress.update(task, completed=time_ns(item) - start_ns, visible=shown)
-            yield item
 
 
 def _nobody_reads() -> bool:

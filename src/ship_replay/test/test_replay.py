@@ -13,6 +13,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.message_store import serialize
 from ship_bags.stamps import ns_from_stamp
+from ship_bags.suite_commit import COMMIT_RECORD, commit_record
 from ship_estimation.parameter_fields import parameter
 from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.rotations import ARCSEC
@@ -158,7 +159,7 @@ def test_truth_and_marks_are_copied(tmp_path):
         assert len(kept[0]) == 50
         assert kept[0] == kept[1]
         assert second.attachments == {"suite.yaml": SUITE.encode()}
-        assert second.metadata == {"simulation": {"seed": "1"}}
+        assert second.metadata == {"simulation": {"seed": "1"}, COMMIT_RECORD: commit_record()}
 
 
 def test_errors_are_filled_in_from_the_truth(tmp_path):

@@ -6,17 +6,21 @@ import numpy as np
 import pytest
 
 from ship_bags.mcap.bag_writer import BagWriter
+from ship_bags.suite_commit import COMMIT_RECORD, suite_commit
 from ship_replay.commands.report import main
 from ship_replay.evaluation.evaluate import evaluate
-from ship_replay.report.drawings import MOST_POINTS, thin_errors, thinned
+from ship_replay.report.drawings import MOST_POINTS, source_colours, thin_errors, thinned
+from ship_replay.report.event_groups import event_rows
 from ship_replay.report.night import read_night
 from ship_replay.report.page import SECTIONS, page
+from ship_replay.report.summary import summary
 from ship_replay.report.tables import outages
+from ship_replay.report.time_axis import UtcTicks
 from ship_replay.report.told import read_told
 from ship_replay.report.wording import duration, number
 from ship_testing.hand_made_bags import PERIOD_NS, START_NS, imu, ship_attitude
 from ship_testing.refusals import refused
-from ship_testing.reported_nights import SECOND_NS, write_night
+from ship_testing.reported_nights import SECOND_NS, copied, section, write_night
 from ship_watch.picture import Event, Safety
 
 
@@ -81,7 +85,9 @@ def test_a_source_refused_five_times_in_a_row_is_in_the_verdict_and_an_alert(nig
     told = read_told(night_path)
     out = [event for event in told.night.events if event.subject == "star.fore" and "OUT" in event.text]
     assert abs(out[0].utc_ns - (START_NS + 34 * SECOND_NS)) <= 2 * SECOND_NS // 10
-    assert "star.fore was out from" in page(told)
+    assert summary(told.night)[1].startswith("Worst source: star.fore, out once, ")
+    assert "star.fore: clean the sensor and check its mounting" in summary(told.night)[4]
+    assert "<td>star.fore</td>" in section(page(told), "verdict")
     assert not told.night.alerts_are_recorded
     assert "star.fore.out" in {one.alert.id for one in told.night.alerts}
 
@@ -177,9 +183,119 @@ def test_thinned_lines_keep_their_extremes():
 
 def test_thinned_errors_keep_the_largest(night_path):
     errors = evaluate(night_path).errors[0]
-    assert np.abs(thin_errors(errors).error_arcsec).max() == np.abs(errors.error_arcsec).max()
+    assert np.nanmax(np.abs(thin_errors(errors).error_arcsec)) == np.abs(errors.error_arcsec).max()
 
 
 @pytest.mark.parametrize(("seconds", "text"), [(3.0, "3 s"), (65.2, "1 min 05 s"), (3720.0, "1 h 02 min")])
 def test_durations(seconds, text):
     assert duration(seconds) == text
+
+
+def events(*entries):
+    """Events of one kind: seconds and texts, whose first word is the subject."""
+    return [Event(START_NS + second * SECOND_NS, kind, text.split()[0], text) for second, kind, text in entries]
+
+
+class TestFiveSentences:
+    def test_each_opens_the_page_in_its_order(self, night_path):
+        told = read_told(night_path)
+        sentences = summary(told.night)
+        assert [text.partition(":")[0] for text in sentences] == [
+            "Availability", "Worst source", "Cause → consequence", "Mountings", "To do"
+        ]
+        shown = re.findall(r"<p>(.*?)</p>", section(page(told), "verdict").partition("<table>")[0])
+        assert len(shown) == 5
+
+    def test_availability_counts_the_silence(self, night_path):
+        """Silent from 20 s to 25 s of 40 s; the first second of it is within the limit of age."""
+        share = re.search(r"ship/attitude VALID ([\d.]+) % of the time", summary(read_night(night_path))[0])
+        assert float(share[1]) == pytest.approx(90.0, abs=1.0)
+
+    def test_the_cause_stands_before_what_needs_it(self, night_path):
+        night = read_night(night_path)
+        night.events = events(
+            (5, "source", "star.fore OUT, needs ins"), (5, "source", "ins OUT, silent"),
+            (5, "state", "heading SAFE → UNSAFE, ins silent"), (9, "source", "ins IN"), (9, "source", "star.fore IN"),
+        )
+        sentences = summary(night)
+        assert sentences[1].startswith("Worst source: ins, out once, 4 s in all (10 % of the time)")
+        assert re.fullmatch(
+            r"Cause → consequence: ins silent at \S+ → heading not SAFE, star.fore not usable.", sentences[2]
+        )
+
+    def test_a_relearnt_mounting_is_named(self, night_path):
+        night = read_night(night_path)
+        night.events = events(
+            (5, "source", "star.fore OUT, excluded"), (30, "source", "star.fore IN"),
+            (31, "source", "star.fore reinstated, mounting shifted by 51″"),
+        )
+        assert summary(night)[3].startswith("Mountings: star.fore reinstated, mounting shifted by 51″ at ")
+
+    def test_a_calm_night_has_nothing_to_do(self, tmp_path):
+        sentences = summary(read_night(write_night(tmp_path / "out.mcap")))
+        assert sentences[1] == "Worst source: none; no source was out."
+
+
+class TestEvents:
+    def test_changes_back_and_forth_are_one_row(self):
+        flapping = [(8 * number + 3 * (number % 2), "state",
+                     f"roll {'CAUTION → SAFE' if number % 2 else 'SAFE → CAUTION, over the limit'}")
+                    for number in range(8)]
+        other = [(4, "state", "pitch SAFE → CAUTION, over the limit"), (90, "source", "ins OUT, silent")]
+        rows = event_rows(events(*sorted(flapping + other)))
+        assert [row.text for row in rows] == [
+            "roll SAFE ↔ CAUTION (over the limit), 4 times, longest CAUTION 11 s",
+            "pitch SAFE → CAUTION, over the limit", "ins OUT, silent",
+        ]
+        assert sum(row.count for row in rows) == 10
+        assert "–" in rows[0].when
+
+    def test_changes_minutes_apart_are_rows_of_their_own(self):
+        apart = [(100 * number, "source", f"ins {'IN' if number % 2 else 'OUT, silent'}") for number in range(8)]
+        assert len(event_rows(events(*apart))) == 8
+
+    def test_each_time_leads_to_its_line_in_the_figure(self, night_path):
+        text = page(read_told(night_path))
+        targets = re.findall(r'href="#(status-mark-\d+)"', section(text, "events"))
+        assert targets
+        assert {*targets} <= {*re.findall(r'id="([^"]*)"', section(text, "status"))}
+
+
+def test_no_line_through_a_silence(night_path):
+    """Silent from 20 s to 25 s."""
+    errors = thin_errors(evaluate(night_path).errors[0])
+    empty = np.isnan(errors.error_arcsec).all(axis=1)
+    (second,) = (errors.time_ns[empty] - START_NS) / SECOND_NS
+    assert 20.0 <= second < 25.0
+
+
+@pytest.mark.parametrize(
+    ("length_s", "step_s"),
+    [(8, 2), (95, 20), (120, 20), (700, 120), (7000, 1200), (400_000, 86400)],
+)
+def test_ticks_are_at_round_times(length_s, step_s):
+    start_ns = START_NS + 123_456_789
+    places = np.array(UtcTicks(start_ns, 8).tick_values(0.0, float(length_s)))
+    assert np.allclose((places + start_ns / SECOND_NS) % step_s % step_s, 0.0, atol=1e-5) or np.allclose(
+        (places + start_ns / SECOND_NS) % step_s, step_s, atol=1e-5)
+    assert np.allclose(np.diff(places), step_s)
+
+
+def test_a_source_has_one_colour_in_all_figures(night_path):
+    told = read_told(night_path)
+    colours = source_colours(told.night, told.evaluation)
+    assert len({*colours.values()}) == len(colours) == 2
+    text = page(told)
+    assert colours["star.fore"] in section(text, "refusals")
+    assert colours["fused"] in section(text, "errors")
+
+
+def test_the_commit_of_the_suite_is_stated_of_a_plain_bag(tmp_path):
+    """Both: of the suite that wrote the bag, as the bag states it, and of the one that made the report."""
+    with BagWriter(tmp_path / "out.mcap") as writer:
+        writer.add_metadata(COMMIT_RECORD, {"commit": "0123abcd"})
+        copied(write_night(tmp_path / "night.mcap", 5), writer)
+    text = section(page(read_told(tmp_path / "out.mcap")), "provenance")
+    made_bag, made_report = text.split("Versions that made this report")
+    assert "<tr><td>suite, commit</td><td>0123abcd</td></tr>" in made_bag
+    assert f"<td>{suite_commit() or 'unknown: no git checkout'}</td>" in made_report

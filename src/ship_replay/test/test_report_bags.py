@@ -103,7 +103,7 @@ def test_outputs_of_one_node_alone(tmp_path):
             told = star_message(stamp_ns, np.eye(3), SIGMA_ENU @ SIGMA_ENU, "joint")
             bag.write("star/joint/solution", told, stamp_ns)
     text = page(read_told(tmp_path / "out.mcap"))
-    assert "No angle was ever told." in section(text, "verdict")
+    assert "no attitude and no pointing was published" in section(text, "verdict")
     assert "<td>star.joint</td>" in section(text, "errors")
 
 

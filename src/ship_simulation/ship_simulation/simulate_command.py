@@ -4,10 +4,11 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from ship_bags.command_line import EXIT_DONE, CommandParser, run_command, with_bar
+from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT, BagWriter
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.output_files import add_force, check_file
+from ship_bags.progress import with_progress
 from ship_estimation.parameter_rows import key_rows
 from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.messages.to_messages import messages
@@ -85,7 +86,7 @@ def write_bag(scenario: Scenario, seed: int, path: Path, scenario_text: bytes) -
     runs = simulate_stretches(scenario, seed)
     start_ns = start_of(scenario.start_utc)
     end_ns = start_ns + round(scenario.duration_s * SECOND_NS)
-    entries = with_bar(messages(runs, RosbagsFactory()), path.name, start_ns, end_ns, lambda entry: entry[2])
+    entries = with_progress(messages(runs, RosbagsFactory()), path.name, start_ns, end_ns, lambda entry: entry[2])
     with BagWriter(path) as bag:
         bag.add_attachment(SCENARIO_ATTACHMENT, scenario_text)
         bag.add_attachment(SUITE_ATTACHMENT, suite_yaml(scenario))

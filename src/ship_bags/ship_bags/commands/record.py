@@ -13,6 +13,7 @@ from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.mcap.folder import FolderWriter, SplitLimits
 from ship_bags.mcap.recover import recover, recovered_path
 from ship_bags.output_files import add_force, check_file
+from ship_bags.suite_commit import COMMIT_RECORD, commit_record
 
 _DESCRIPTION = """\
 Records live topics into one MCAP file or a rosbag2 folder, byte for byte, with definitions and quality of service as
@@ -114,9 +115,13 @@ def _opened(parsed: argparse.Namespace) -> BagWriter | FolderWriter:
         check_file(parsed.out, parsed.force)
         # Whoever reads the former one keeps it.
         parsed.out.unlink(missing_ok=True)
-        return BagWriter(parsed.out, atomic=False)
-    size_bytes = None if parsed.split_mb is None else round(parsed.split_mb * _BYTES_PER_MB)
-    return FolderWriter(parsed.out, SplitLimits(size_bytes, parsed.split_s))
+        bag: BagWriter | FolderWriter = BagWriter(parsed.out, atomic=False)
+    else:
+        size_bytes = None if parsed.split_mb is None else round(parsed.split_mb * _BYTES_PER_MB)
+        bag = FolderWriter(parsed.out, SplitLimits(size_bytes, parsed.split_s))
+    if commit := commit_record():
+        bag.add_metadata(COMMIT_RECORD, commit)
+    return bag
 
 
 def _record(parsed: argparse.Namespace, ros_arguments: list[str]) -> int:

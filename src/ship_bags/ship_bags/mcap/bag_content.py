@@ -6,11 +6,11 @@ from pathlib import Path
 
 from mcap.records import Message
 
-from ship_bags.command_line import with_bar
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag, open_files
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.mcap.file_content import BagFile
+from ship_bags.progress import with_progress
 from ship_bags.stamps import NS_PER_S
 
 
@@ -120,7 +120,7 @@ def _count(content: BagContent, file: BagFile) -> None:
     topics = {number: content.topics[channel.topic] for number, channel in file.channels.items()}
     start_ns = min((place.start_ns for place in file.chunks), default=0)
     end_ns = max((place.end_ns for place in file.chunks), default=0)
-    for message in with_bar(_messages(file), file.path.name, start_ns, end_ns, lambda message: message.log_time):
+    for message in with_progress(_messages(file), file.path.name, start_ns, end_ns, lambda message: message.log_time):
         if message.channel_id in topics:
             topics[message.channel_id].add(message.log_time)
 

@@ -16,7 +16,6 @@ from mcap.records import Message
 from rosbags.serde import SerdeError
 from rosbags.typesys.store import Typestore
 
-from ship_bags.command_line import with_bar
 from ship_bags.errors import BadInput, one_line
 from ship_bags.mcap.bag_file import open_mcap
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
@@ -26,6 +25,7 @@ from ship_bags.mcap.folder import INFORMATION_FILE, file_names, needs_rosbags
 from ship_bags.mcap.latched import repeated_times
 from ship_bags.mcap.records import ChunkPlace
 from ship_bags.message_store import BagTypes, message_store, store_with_definitions
+from ship_bags.progress import with_progress
 from ship_bags.renamed_topics import BOX_METADATA, current_names
 from ship_bags.stamps import utc_text
 from ship_bags.topic_names import relative_topic
@@ -390,11 +390,18 @@ def _rename_topics(path: Path, files: list[BagFile]) -> None:
     files[0].problems += [f"{path.name}: {line}" for line in lines]
 
 
-def watched(records: Iterator[BagRecord], bag: Bag) -> Iterator[BagRecord]:
-    """The records themselves, with a bar on stderr that shows how far into the bag they are."""
+def watched(records: Iterator[BagRecord], bag: Bag, doing: str = "") -> Iterator[BagRecord]:
+    """Yield the records, with progress on stderr: how far into the bag they are.
+
+    Args:
+        records: of the bag, in order of log time.
+        bag: its name is shown.
+        doing: what is done with it, for the line: "evaluating".
+    """
     if bag.start_ns is None or bag.end_ns is None:
         return records
-    return with_bar(records, bag.path.name, bag.start_ns, bag.end_ns, lambda record: record.log_time_ns)
+    label = f"{doing} {bag.path.name}".lstrip()
+    return with_progress(records, label, bag.start_ns, bag.end_ns, lambda record: record.log_time_ns)
 
 
 def _parts(path: Path) -> list[Path]:

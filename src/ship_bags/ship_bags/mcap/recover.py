@@ -16,11 +16,11 @@ from mcap.records import Attachment, Channel, Message
 from mcap.writer import Writer
 from rosbags.rosbag2 import Reader
 
-from ship_bags.command_line import with_bar
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_file import McapFile, open_mcap
 from ship_bags.mcap.folder import INFORMATION_FILE, FileInformation, TopicInformation, write_information
 from ship_bags.output_files import check_file, named, open_new
+from ship_bags.progress import with_progress
 
 _LIBRARY = "ship_bags record --recover"
 _NOTE = "recovered"
@@ -213,7 +213,7 @@ class _Channels:
 def _all_messages(file: McapFile) -> Iterable[Message]:
     first_ns = min(place.start_ns for place in file.chunks)
     last_ns = max(place.end_ns for place in file.chunks)
-    for place in with_bar(file.chunks, file.path.name, first_ns, last_ns, lambda place: place.start_ns):
+    for place in with_progress(file.chunks, file.path.name, first_ns, last_ns, lambda place: place.start_ns):
         yield from file.messages(place)
 
 

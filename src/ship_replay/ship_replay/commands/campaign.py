@@ -3,16 +3,13 @@
 import argparse
 import functools
 import os
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-
-from rich.console import Console
-from rich.progress import Progress
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
 from ship_bags.output_files import write_whole
+from ship_bags.progress import counted
 from ship_bags.renamed_topics import add_bag_names
 from ship_replay.campaign.cluster import in_cluster
 from ship_replay.campaign.items import Item, items_of, seeds_of
@@ -101,17 +98,15 @@ def _maker(options: argparse.Namespace) -> Maker:
 
 
 def _made(items: Sequence[Item], folder: ResultFolder, maker: Maker) -> list[Made]:
-    """Every item with its result: those that are missing are made, with a bar of progress, and kept."""
+    """Every item with its result: those that are missing are made, with progress on stderr, and kept."""
     known = ((item.key, folder.result(item)) for item in items)
     found = {key: result for key, result in known if result is not None}
     missing = {item.key: item for item in items if item.key not in found}
     print(f"{len(items)} items: {len(found)} results there already, {len(missing)} to make", flush=True)
-    with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as progress:
-        task = progress.add_task("items", total=len(missing))
-        for item, result in maker(list(missing.values())) if missing else ():
+    if missing:
+        for item, result in counted(maker(list(missing.values())), "campaign", len(missing)):
             folder.keep(item, result)
             found[item.key] = result
-            progress.advance(task)
     return [(item, found[item.key]) for item in items]
 
 

@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
@@ -15,6 +16,8 @@ from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
 from ship_replay.offline.replay_run import ReplaySummary
 from ship_replay.offline.verification import Verification, verify_bag
+
+_replaying = partial(watched, doing="replaying")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -86,12 +89,12 @@ def _run(options: argparse.Namespace) -> int:
         if is_box and by_stamps:
             raise BadInput("a black box holds its own order of arrival: leave out --arrival stamps", file=options.bag)
         if is_box:
-            verification = replay_black_box(bag, ADAPTERS, options.config, options.out, watched)
+            verification = replay_black_box(bag, ADAPTERS, options.config, options.out, _replaying)
         elif options.verify:
-            verification = verify_bag(bag, ADAPTERS, options.config, options.namespace, watched)
+            verification = verify_bag(bag, ADAPTERS, options.config, options.namespace, _replaying)
     if options.out is not None and not is_box:
         arrival = by_stamps, options.one_by_one
-        _print(replay(options.bag, options.out, ADAPTERS, options.config, options.namespace, watched, *arrival))
+        _print(replay(options.bag, options.out, ADAPTERS, options.config, options.namespace, _replaying, *arrival))
     if options.report is not None:
         _report(options)
     return EXIT_DONE if verification is None else _judge(verification, options.verify)

@@ -1,11 +1,12 @@
-"""``report``: a recording told in one HTML file."""
+"""``report``: a recording in one HTML file; of a folder of bags, a page with a row for each session."""
 
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
-from ship_bags.output_files import add_force, check_file, write_whole
+from ship_bags.errors import BadInput
+from ship_bags.output_files import add_force, check_file, check_folder, write_whole
 from ship_bags.renamed_topics import add_bag_names
 from ship_watch.limits import Limits, read_limits
 
@@ -45,18 +46,25 @@ def _parser() -> CommandParser:
         epilog="exit code: 0 written; 2 bad input or usage, with one line that says which; 130 interrupted",
         description="Tell a recording in one HTML file that needs no network and prints: how long each angle was SAFE, "
         "CAUTION and UNSAFE, what failed when, errors [arcsec] or innovations inside their σ, budget, alignment, "
-        "alerts, refusals, configuration.",
+        "alerts, refusals, configuration. Of a folder of bags: a page with one row for each session and its difference "
+        "to the session before, and the report of each in FILE_reports/.",
     )
-    parser.add_argument("bag", type=Path, metavar="OUT.mcap", help="bag with the nodes' outputs, or rosbag2 folder")
+    parser.add_argument(
+        "bag", type=Path, metavar="OUT.mcap", help="bag with the nodes' outputs, rosbag2 folder, or folder of bags"
+    )
     add_page_options(parser, "OUT.mcap", "OUT.html")
     return parser
 
 
 def _run(options: argparse.Namespace) -> int:
-    path = options.out or Path(f"{options.bag.stem}.html")
+    path = options.out or Path(f"{options.bag.resolve().stem}.html")
     check_file(path, options.force)
     limits = limits_of(options)
     # Loading the figures' libraries takes longer than to find out that an argument is wrong.
+    from ship_replay.report.folder import bags_in
+
+    if bags := bags_in(options.bag):
+        return _report_folder(options, bags, path, limits)
     from ship_replay.report.page import page
     from ship_replay.report.told import read_told
 
@@ -64,5 +72,28 @@ def _run(options: argparse.Namespace) -> int:
     write_whole(path, page(told))
     for problem in told.night.problems:
         print(f"warning: {problem}")
+    print(f"report: {path}")
+    return EXIT_DONE
+
+
+def _report_folder(options: argparse.Namespace, bags: Sequence[Path], path: Path, limits: Limits) -> int:
+    """Write the report of each bag of a folder, and the page with a row for each."""
+    from ship_replay.report.folder import SessionRow, index_page, session_reports
+    from ship_replay.report.told import read_told
+
+    if options.truth is not None:
+        raise BadInput("--truth is for one bag: the bags of a folder have their own truth or none", file=options.bag)
+    folder = path.with_name(f"{path.stem}_reports")
+    check_folder(folder, [SessionRow(bag.name).file for bag in bags], options.force)
+    folder.mkdir(exist_ok=True)
+    rows = []
+    reports = session_reports(
+        bags, lambda bag: read_told(bag, None, limits, options.namespace),
+        lambda name, text: write_whole(folder / name, text),
+    )
+    for number, row in enumerate(reports, 1):
+        print(f"{number} of {len(bags)}: {row.name}: {row.error or folder / row.file}", flush=True)
+        rows.append(row)
+    write_whole(path, index_page(options.bag, rows, folder.name))
     print(f"report: {path}")
     return EXIT_DONE

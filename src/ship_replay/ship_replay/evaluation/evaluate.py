@@ -13,7 +13,7 @@ from ship_attitude_star.ros.attitude_messages import SMOOTHED_TOPIC
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_bags.errors import BadInput
-from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag
+from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag, watched
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.parameter_yaml import anywhere
 from ship_bags.stamps import NS_PER_S
@@ -165,7 +165,7 @@ def _evaluate(bag: Bag, others: list[Bag], skip_s: float, namespace: str) -> Eva
     innovations = InnovationBook()
     last: dict[str, BagRecord] = {}
     for candidate, topics in _reading_plan(named, bag, [*collectors, *_RESULTS, TARGET_DIRECTION]):
-        for record in candidate.records(topics):
+        for record in watched(candidate.records(topics), candidate, "evaluating"):
             topic = topics[record.topic]
             if topic in _INNOVATION_TOPICS:
                 innovations.add(record.decode())

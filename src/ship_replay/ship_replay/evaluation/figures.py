@@ -49,13 +49,16 @@ def evaluation_figure(evaluation: Evaluation, title: str) -> Figure:
     return innovation_figure(evaluation.innovations, title)
 
 
-def attitude_error_figure(series: Sequence[AttitudeErrors], title: str) -> Figure:
+def attitude_error_figure(
+    series: Sequence[AttitudeErrors], title: str, colours: Mapping[str, str] | None = None
+) -> Figure:
     """Errors over time, a row a channel.
 
     Args:
         series: of each orientation the first is drawn inside its ±3σ band on its own scale; where there are others, all
             are drawn together in a further column, parts (``pointing.encoder``) aside.
         title: title of the figure.
+        colours: colour of each source; None takes them in order.
     """
     panels = [(group, together) for group in _by_orientation(series) for together in (False, True)[: len(group)]]
     start_ns = min(int(errors.time_ns[0]) for errors in series)
@@ -67,7 +70,7 @@ def attitude_error_figure(series: Sequence[AttitudeErrors], title: str) -> Figur
         for column, (group, together) in zip(grid.T, panels, strict=True):
             for row, axes in enumerate(column):
                 if together:
-                    _draw_together(axes, group, row, start_ns)
+                    _draw_together(axes, group, row, start_ns, colours or {})
                 else:
                     _draw_band(axes, group[0], row, start_ns)
                     name = channel_name(group[0].channels[row])
@@ -79,8 +82,12 @@ def attitude_error_figure(series: Sequence[AttitudeErrors], title: str) -> Figur
     return figure
 
 
-def innovation_figure(innovations: Mapping[str, SourceInnovations], title: str) -> Figure:
+def innovation_figure(
+    innovations: Mapping[str, SourceInnovations], title: str, colours: Mapping[str, str] | None = None
+) -> Figure:
     """Residuals of the accepted measurements inside their predicted ±3σ, one row per source and component.
+
+    Dots and band are of the same quantity: of single stars or lights a dot each, inside the σ of that one.
 
     A source of which nothing was accepted has no row: the title names it.
     """
@@ -104,7 +111,8 @@ def innovation_figure(innovations: Mapping[str, SourceInnovations], title: str) 
             time_s = (stamps - start_ns) / NS_PER_S
             band = 3.0 * sigmas / ARCSEC
             axes.fill_between(time_s, -band, band, color=_BAND_COLOUR, label="±3σ predicted")
-            axes.plot(time_s, residuals / ARCSEC, ".", color=_LINE_COLOUR, ms=3, label="residual")
+            colour = (colours or {}).get(source, _LINE_COLOUR)
+            axes.plot(time_s, residuals / ARCSEC, ".", color=colour, ms=3, label="residual")
             # Level, since a source's name may be longer than its row is high.
             label = f"{short_name(source)}\n{short_name(component)} [arcsec]"
             axes.set_ylabel(label, rotation="horizontal", ha="right", va="center")
@@ -156,13 +164,16 @@ def _legend_below(axes: Axes, with_points: bool) -> None:
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.22), ncols=3, markerscale=5 if with_points else 1)
 
 
-def _draw_together(axes: Axes, series: Sequence[AttitudeErrors], column: int, start_ns: int) -> None:
+def _draw_together(
+    axes: Axes, series: Sequence[AttitudeErrors], column: int, start_ns: int, colours: Mapping[str, str]
+) -> None:
     settled_errors = [errors.error_arcsec[settled(errors.sigma_arcsec[:, column]), column] for errors in series]
     _limit(axes, np.concatenate(settled_errors))
     top, beyond = axes.get_ylim()[1], 0
     for number, errors in enumerate(series):
         time_s = (errors.time_ns - start_ns) / NS_PER_S
-        colour = _LINE_COLOUR if number == 0 else _OTHER_COLOURS[(number - 1) % len(_OTHER_COLOURS)]
+        by_order = _LINE_COLOUR if number == 0 else _OTHER_COLOURS[(number - 1) % len(_OTHER_COLOURS)]
+        colour = colours.get(errors.label, by_order)
         # Points, since sources pause; the first lies on top of the noisier ones.
         axes.plot(
             time_s, errors.error_arcsec[:, column], ".", color=colour, ms=2.5, label=errors.label, zorder=3 - number

@@ -16,6 +16,7 @@ from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT, Bag
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.renamed_topics import remap_advice
 from ship_bags.stamps import NS_PER_S
+from ship_bags.suite_commit import COMMIT_RECORD, commit_record
 from ship_bags.topic_names import TRUTH_PREFIX, likely_namespace, relative_topics
 from ship_node.edge.adapter import Adapter
 from ship_node.edge.topics import OutputTopic
@@ -166,7 +167,9 @@ def announce(writer: BagWriter, bag: Bag, outputs: Sequence[OutputTopic], config
         writer.add_attachment(SCENARIO_ATTACHMENT, bag.attachments[SCENARIO_ATTACHMENT])
     for name, entries in bag.metadata.items():
         # rosbag2 keeps its own file information in a record of that name; it would be wrong in another file.
-        if name != "rosbag2":
+        if name not in ("rosbag2", COMMIT_RECORD):
             writer.add_metadata(name, entries)
+    if commit := commit_record():
+        writer.add_metadata(COMMIT_RECORD, commit)
     for output in outputs:
         writer.add_topic(output.topic, output.type_name, output.latched)

@@ -6,7 +6,7 @@ The figures of errors and residuals are those of ``evaluation/figures.py``.
 import io
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from datetime import datetime, timezone
+from dataclasses import replace
 
 import matplotlib
 
@@ -16,7 +16,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, MaxNLocator
+from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullFormatter
 
 from ship_bags.stamps import NS_PER_S
 from ship_geometry.rotations import ARCSEC, FloatArray
@@ -25,8 +25,10 @@ from ship_replay.evaluation.evaluate import Evaluation
 from ship_replay.evaluation.figures import attitude_error_figure, innovation_figure
 from ship_replay.evaluation.statistics import AttitudeErrors, SourceInnovations
 from ship_replay.report.night import Night
+from ship_replay.report.time_axis import gap_times, interrupted, utc_axis
 from ship_watch.history import BudgetPoint, extremes
 from ship_watch.picture import ANGLES, Safety
+from ship_watch.topics import source_of_name, source_of_topic
 
 MOST_POINTS = 1200
 """A line has no more points than this."""
@@ -38,7 +40,15 @@ STATE_LOOKS = {
 }
 """Fill and hatch of each word: told apart in black and white, too."""
 
+ROUND_NUMBERS = [digit * 10.0**power for power in range(-4, 7) for digit in (1, 2, 5)]
+"""Labels of a logarithmic axis."""
+
+MARK = "mark-"
+"""Beginning of the id of the line that marks a second in the figure of the status; the second, POSIX, follows."""
+
 _SERIES = ("#0b3c6f", "#7a5fa8", "#1f8a82", "#8a9bb0", "#b08d57", "#c9cfd6")
+_SOURCE_COLOURS = ("#0b3c6f", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a5fa8", "#8a6d3b")
+_FIRST_SOURCES = ("fused", "pointing", "ins")
 SVG_STYLE = {"svg.hashsalt": "ship report", "svg.fonttype": "none", "font.size": 10, "hatch.linewidth": 0.6,
              "text.parse_math": False}
 """How every figure of a page is drawn; a name with $ is a name."""
@@ -62,8 +72,27 @@ def svg(figure: Figure, name: str) -> str:
     return "\n".join(line.rstrip() for line in text.strip().splitlines())
 
 
-def status_svg(night: Night) -> str:
-    """A ribbon for each angle, a second a point, and below it how accurate it was; empty where none was ever told."""
+def source_colours(night: Night, evaluation: Evaluation) -> dict[str, str]:
+    """Return one colour for each source, the same in all panels of a report."""
+    named = [errors.label for errors in evaluation.errors]
+    named += [*evaluation.innovations, *(source_of(refusal.source) for refusal in night.refusals)]
+    first = [name for name in _FIRST_SOURCES if name in named]
+    names = [*first, *sorted({*named} - {*first})]
+    return {name: _SOURCE_COLOURS[number % len(_SOURCE_COLOURS)] for number, name in enumerate(names)}
+
+
+def source_of(name: str) -> str:
+    """Return the source that an innovation's name or an input topic belongs to; the name itself where it is none."""
+    return source_of_name(name) or source_of_topic(name) or name
+
+
+def status_svg(night: Night, marked: Iterable[int] = ()) -> str:
+    """Return a ribbon for each angle, a second a point, and below it how accurate it was; empty without any angle.
+
+    Args:
+        night: the recording.
+        marked: seconds, POSIX, that a link leads to: a line each, which is seen while it is the target of the page.
+    """
     shown = [name for name in ANGLES if night.words.get(name)]
     if not shown:
         return ""
@@ -84,8 +113,8 @@ def status_svg(night: Night) -> str:
             told = told[told[:, 1] > 0.0]  # a covariance of zeros was not given
             drawn += len(told)
             kept = np.flatnonzero(thinned(told[:, 1:], MOST_POINTS))
-            time_s = (told[kept, 0] - start_ns) / NS_PER_S
-            grid[1].plot(time_s, told[kept, 1] / ARCSEC, color=_SERIES[number % 5], lw=1.0,
+            time_ns, (value,) = interrupted(told[kept, 0], gap_times(told[:, 0]), told[kept, 1])
+            grid[1].plot((time_ns - start_ns) / NS_PER_S, value / ARCSEC, color=_SERIES[number % 5], lw=1.0,
                          ls=("-", "--", "-.", ":", "-")[number], label=name)
         grid[1].set_yscale("log" if drawn else "linear")
         grid[1].set_ylabel("95 % [arcsec]")
@@ -93,16 +122,22 @@ def status_svg(night: Night) -> str:
             grid[1].axhline(limit, color="#888888", lw=0.7, ls=(0, (6, 3)))
             grid[1].annotate(f"{limit:g}″", (1.0, limit), xycoords=("axes fraction", "data"), xytext=(3, 0),
                              textcoords="offset points", va="center", fontsize=8, color="#666666")
-        for set_formatter in (grid[1].yaxis.set_major_formatter, grid[1].yaxis.set_minor_formatter):
-            set_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        if drawn:
+            grid[1].yaxis.set_major_locator(FixedLocator(ROUND_NUMBERS))
+            grid[1].yaxis.set_minor_formatter(NullFormatter())
+        grid[1].yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         grid[1].legend(ncols=5, fontsize=8, frameon=False, loc="upper right")
         grid[1].set_xlim(0.0, (night.end_ns - night.start_ns) / NS_PER_S)
         plain(grid)
         utc_axis(grid[1], start_ns)
+        for second in sorted(set(marked)):
+            line = grid[0].axvline(second - start_ns / NS_PER_S, color="#1b2430", lw=2.0, ymin=-1.5, clip_on=False)
+            line.set_in_layout(False)
+            line.set_gid(f"{MARK}{second}")
     return svg(figure, "status")
 
 
-def errors_svg(evaluation: Evaluation) -> list[str]:
+def errors_svg(evaluation: Evaluation, colours: Mapping[str, str]) -> list[str]:
     """Errors inside their ±3σ where the truth is known, a figure an orientation; innovations inside theirs elsewhere.
 
     Empty without either.
@@ -111,13 +146,13 @@ def errors_svg(evaluation: Evaluation) -> list[str]:
     for errors in evaluation.errors:
         groups.setdefault(errors.channels, []).append(thin_errors(errors))
     figures = [
-        (attitude_error_figure(series, ""), min(int(errors.time_ns[0]) for errors in series))
+        (attitude_error_figure(series, "", colours), min(int(errors.time_ns[0]) for errors in series))
         for series in groups.values()
     ]
     innovations = {name: thin_innovations(part) for name, part in evaluation.innovations.items()}
     if not figures and any(part.components() for part in innovations.values()):
         start_ns = min(min(part.compared) for part in innovations.values() if part.compared)
-        figures = [(innovation_figure(innovations, ""), start_ns)]
+        figures = [(innovation_figure(innovations, "", colours), start_ns)]
     for figure, start_ns in figures:
         last_row = {axes: place.rowspan.stop for axes in figure.axes if (place := axes.get_subplotspec()) is not None}
         for axes, row in last_row.items():
@@ -132,18 +167,19 @@ def budget_svg(topic: str, points: Sequence[BudgetPoint], start_ns: int) -> str:
     if not points:
         return ""
     angles = list(points[-1].by_angle)
+    colours = _budget_colours(points)
     with plt.rc_context(SVG_STYLE):
         figure, grid = plt.subplots(
             len(angles), 1, figsize=(9.2, 1.75 * len(angles) + 0.3), sharex=True, squeeze=False, layout="constrained"
         )
         for axes, angle in zip(grid[:, 0], angles, strict=True):
-            _draw_budget(axes, points, angle, start_ns)
+            _draw_budget(axes, points, angle, start_ns, colours)
         plain(grid[:, 0])
         utc_axis(grid[-1, 0], start_ns)
     return svg(figure, "budget-" + topic.partition("/")[0])
 
 
-def refusals_svg(night: Night) -> str:
+def refusals_svg(night: Night, colours: Mapping[str, str]) -> str:
     """When which source was refused: a row a source, a tick a second."""
     rows: dict[str, set[int]] = {}
     for refusal in night.refusals:
@@ -157,9 +193,10 @@ def refusals_svg(night: Night) -> str:
         figure, axes = plt.subplots(figsize=(9.2, 0.7 + 0.27 * len(rows)), layout="constrained")
         if count > MOST_ROWS:
             axes.set_title(f"the first {MOST_ROWS} of {count} sources", fontsize=8)
-        for row, seconds in enumerate(rows.values()):
+        for row, (name, seconds) in enumerate(rows.items()):
+            colour = colours.get(source_of(name.rpartition(" (")[0]), _SERIES[0])
             bars = [(start - start_s, max(length, 1)) for start, length in _runs(sorted(seconds))]
-            axes.broken_barh(bars, (row - 0.35, 0.7), facecolor="#0b3c6f", lw=0)
+            axes.broken_barh(bars, (row - 0.35, 0.7), facecolor=colour, lw=0)
         axes.set_yticks(range(len(rows)), [short_name(name) for name in rows], fontsize=8)
         axes.invert_yaxis()
         axes.set_xlim(0.0, (night.end_ns - night.start_ns) / NS_PER_S)
@@ -196,11 +233,14 @@ def thinned(values: FloatArray, most: int) -> np.ndarray:
 
 
 def thin_errors(errors: AttitudeErrors) -> AttitudeErrors:
-    """Errors with their extremes, few enough to be drawn."""
+    """Return errors with their extremes, few enough to be drawn; NaN where the output was INVALID or silent."""
     together = np.hstack([errors.error_arcsec, errors.sigma_arcsec])
     kept = thinned(together, MOST_POINTS)
     kept[0] = True
-    return errors.where(kept, errors.label)
+    thin = errors.where(kept, errors.label)
+    columns = thin.error_arcsec, thin.sigma_arcsec, thin.nees
+    time_ns, (error, sigma, nees) = interrupted(thin.time_ns, gap_times(errors.time_ns), *columns)
+    return replace(thin, time_ns=time_ns, error_arcsec=error, sigma_arcsec=sigma, nees=nees)
 
 
 def thin_innovations(part: SourceInnovations) -> SourceInnovations:
@@ -220,7 +260,21 @@ def thin_innovations(part: SourceInnovations) -> SourceInnovations:
     return SourceInnovations({stamp: part.compared[stamp] for stamp in stamps[kept].tolist()}, part.refused)
 
 
-def _draw_budget(axes: Axes, points: Sequence[BudgetPoint], angle: str, start_ns: int) -> None:
+def _budget_colours(points: Sequence[BudgetPoint]) -> dict[str, str]:
+    """Return one colour for each source of error, the same for all angles; the largest sources come first."""
+    totals: dict[str, float] = {}
+    for angle in points[-1].by_angle:
+        found = [point.by_angle.get(angle, {}) for point in points]
+        for name in dict.fromkeys(name for one in found for name in one):
+            median = float(np.median([one.get(name, 0.0) for one in found]))
+            totals[name] = max(totals.get(name, 0.0), median)
+    names = sorted(totals, key=lambda name: -totals[name])
+    return {name: _SOURCE_COLOURS[number % len(_SOURCE_COLOURS)] for number, name in enumerate(names)}
+
+
+def _draw_budget(
+    axes: Axes, points: Sequence[BudgetPoint], angle: str, start_ns: int, colours: Mapping[str, str]
+) -> None:
     names = list(dict.fromkeys(name for point in points for name in point.by_angle.get(angle, {})))
     values = np.array([[point.by_angle.get(angle, {}).get(name, 0.0) for name in names] for point in points])
     variances = values / ARCSEC**2
@@ -229,8 +283,10 @@ def _draw_budget(axes: Axes, points: Sequence[BudgetPoint], angle: str, start_ns
     stack = [variances[:, index] for index in top] + ([variances[:, rest].sum(axis=1)] if len(rest) else [])
     labels = [short_name(names[index]) for index in top] + (["other"] if len(rest) else [])
     kept = thinned(np.sum(stack, axis=0)[:, None], MOST_POINTS)
-    time_s = np.array([(point.utc_ns - start_ns) / NS_PER_S for point in points])[kept]
-    axes.stackplot(time_s, [part[kept] for part in stack], colors=_SERIES, labels=labels, lw=0)
+    stamps_ns = np.array([point.utc_ns for point in points])
+    time_ns, bands = interrupted(stamps_ns[kept], gap_times(stamps_ns), *[part[kept] for part in stack])
+    drawn = [*(colours[names[index]] for index in top), _SERIES[-1]]
+    axes.stackplot((time_ns - start_ns) / NS_PER_S, bands, colors=drawn, labels=labels, lw=0)
     total = np.sum(stack, axis=0)
     high = float(np.percentile(total, 95.0)) * 1.3
     axes.set_ylim(0.0, high if high > 0.0 else 1.0)
@@ -264,14 +320,3 @@ def plain(grid: Iterable[Axes]) -> None:
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(axis="x", color="0.9", lw=0.6)
         axes.set_axisbelow(True)
-
-
-def utc_axis(axes: Axes, start_ns: int, most_labels: int = 6) -> None:
-    """Label seconds since a time by their UTC."""
-
-    def text(value: float, _: int | None) -> str:
-        return datetime.fromtimestamp(start_ns // NS_PER_S + value, tz=timezone.utc).strftime("%H:%M:%S")
-
-    axes.xaxis.set_major_locator(MaxNLocator(most_labels, steps=[1, 2, 3, 6, 10]))
-    axes.xaxis.set_major_formatter(FuncFormatter(text))
-    axes.set_xlabel("UTC")

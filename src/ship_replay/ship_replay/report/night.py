@@ -18,6 +18,7 @@ from ship_bags.topic_names import TRUTH_PREFIX, namespace_of_outputs, relative_t
 from ship_replay.evaluation.sources import JOINT_SOLUTION
 from ship_replay.evaluation.statistics import reason_name
 from ship_replay.offline.digests import content_sha256
+from ship_replay.offline.status_course import STATUS_WORDS
 from ship_watch.alert_conditions import conditions
 from ship_watch.alert_states import AlertState
 from ship_watch.alerts import AlertBook, AlertChange
@@ -30,6 +31,14 @@ from ship_watch.watch import Watch
 
 OUTPUTS = ("ship/attitude", "theodolite/pointing", JOINT_SOLUTION)
 ALERTS = "ship/alerts"
+
+OUTPUT_OF_ANGLE = {
+    name: "ship/attitude" if name in ("heading", "pitch", "roll") else "theodolite/pointing" for name in ANGLES
+}
+"""Angle → topic of the output that it is published in."""
+
+_LONGEST_S = 1.0
+"""Time for which an output that fell silent still counts with its last status, s: its age limit."""
 
 _LOOK_NS = NS_PER_S // 2
 """How often the picture is taken, ns: alerts that are computed here are told at these moments."""
@@ -76,7 +85,8 @@ class Night:
         attachments: of the bag.
         metadata: of the bag.
         words: angle → one (second, worst word) for each second in which it was told, UTC in s.
-        accuracy: angle → (UTC in ns, 1.96 sigma in rad), twice a second.
+        accuracy: angle → (UTC in ns, 1.96 sigma in rad), twice a second; none while its output is INVALID.
+        status_s: topic of an output → status → time for which it stood, s.
         events: in the order in which they were told.
         alerts: what became of alerts, in time; ``alerts_are_recorded`` tells whether an alert node published them.
         refusals: in time.
@@ -97,6 +107,7 @@ class Night:
     metadata: Mapping[str, Mapping[str, str]]
     words: dict[str, list[tuple[int, Safety]]] = field(default_factory=dict)
     accuracy: dict[str, list[tuple[int, float]]] = field(default_factory=dict)
+    status_s: dict[str, dict[str, float]] = field(default_factory=dict)
     events: list[Event] = field(default_factory=list)
     alerts: list[AlertTold] = field(default_factory=list)
     alerts_are_recorded: bool = False
@@ -173,6 +184,7 @@ class _Reading:
         self._last_point_ns: dict[str, int] = {}
         self._rejected: dict[str, int] = {}
         self._counts: dict[tuple[str, str], int] = {}
+        self._status: dict[str, tuple[int, str]] = {}
 
     def read(self, bag: Bag, topics: Mapping[str, str]) -> None:
         # Errors against the truth are those of evaluate.
@@ -183,7 +195,7 @@ class _Reading:
         }
         newest: dict[str, int] = {}
         next_ns = self._night.start_ns + _LOOK_NS
-        for record in watched(bag.records(set(rows)), bag):
+        for record in watched(bag.records(set(rows)), bag, "reading"):
             now_ns = record.log_time_ns
             while next_ns <= now_ns:
                 self._look(next_ns)
@@ -199,6 +211,8 @@ class _Reading:
             self._note_innovation(message)
         elif topic == "input_health":
             self._note_health(message)
+        elif topic in OUTPUT_OF_ANGLE.values():
+            self._note_status(topic, message, record.log_time_ns)
         self._watch.take(topic, message, record.log_time_ns)
         if topic == ALERTS:
             self._note_recorded(self._watch.look(record.log_time_ns))
@@ -210,7 +224,8 @@ class _Reading:
         picture = self._watch.look(now_ns)
         night = self._night
         for angle in picture.angles:
-            if picture.utc_ns and not angle.is_old and math.isfinite(angle.accuracy_95):
+            is_invalid = self._status.get(OUTPUT_OF_ANGLE[angle.name], (0, ""))[1] == "INVALID"
+            if picture.utc_ns and not angle.is_old and not is_invalid and math.isfinite(angle.accuracy_95):
                 night.accuracy.setdefault(angle.name, []).append((picture.utc_ns, angle.accuracy_95))
         fresh: list[Event] = []
         for event in picture.events:
@@ -247,6 +262,15 @@ class _Reading:
         if found:
             self._last_point_ns[name] = found[-1].utc_ns
         return found
+
+    def _note_status(self, topic: str, message: Any, now_ns: int) -> None:
+        """Count how long the status before this message stood; of a silence the first second."""
+        since_ns, word = self._status.get(topic, (now_ns, ""))
+        if word:
+            stood_s = min((now_ns - since_ns) / NS_PER_S, _LONGEST_S)
+            of_topic = self._night.status_s.setdefault(topic, {})
+            of_topic[word] = of_topic.get(word, 0.0) + stood_s
+        self._status[topic] = now_ns, STATUS_WORDS[message.status] if message.status < len(STATUS_WORDS) else "unknown"
 
     def _note_innovation(self, message: Any) -> None:
         if not message.accepted:

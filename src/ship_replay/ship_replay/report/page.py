@@ -2,17 +2,23 @@
 
 import json
 import platform
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import jinja2
 
+from ship_bags.progress import counted
 from ship_bags.stamps import NS_PER_S
+from ship_bags.suite_commit import COMMIT_RECORD, suite_commit
 from ship_node.black_box.black_box_format import VERSIONS_ATTACHMENT
 from ship_node.black_box.versions import LIBRARIES, SUITE_PACKAGES, package_versions
 from ship_replay.report.consistency import consistency
-from ship_replay.report.drawings import budget_svg, errors_svg, refusals_svg, status_svg
+from ship_replay.report.drawings import budget_svg, errors_svg, refusals_svg, source_colours, status_svg
+from ship_replay.report.event_groups import event_rows
 from ship_replay.report.night import Night
-from ship_replay.report.tables import before_after, refusal_rows, shares, verdict
+from ship_replay.report.summary import summary
+from ship_replay.report.tables import before_after, outage_rows, refusal_rows, shares
 from ship_replay.report.told import ToldNight
 from ship_replay.report.wording import duration, number, utc
 
@@ -42,6 +48,13 @@ def page(told: ToldNight) -> str:
     """The report of one recording as one HTML file that names no other; the same recording gives the same text."""
     night, evaluation = told.night, told.evaluation
     start_ns = night.start_utc_ns
+    events, colours = event_rows(night.events), source_colours(night, evaluation)
+    drawn = _drawn({
+        "status": partial(status_svg, night, [row.from_ns // NS_PER_S for row in events]),
+        "errors": partial(errors_svg, evaluation, colours),
+        "refusals": partial(refusals_svg, night, colours),
+        **{topic: partial(budget_svg, topic, points, start_ns) for topic, points in sorted(night.budgets.items())},
+    })
     return render(
         "report.html.j2",
         sections=SECTIONS,
@@ -51,17 +64,19 @@ def page(told: ToldNight) -> str:
         start=utc(start_ns),
         end=utc(start_ns + night.end_ns - night.start_ns),
         length=duration((night.end_ns - night.start_ns) / NS_PER_S),
-        verdict=verdict(night),
+        verdict=summary(night),
+        outages=outage_rows(night),
+        events=events,
         shares=shares(night),
         evaluation=evaluation,
         errors=[(series, series.statistics()) for series in evaluation.errors],
         consistency=consistency(evaluation),
-        status=status_svg(night),
-        drawn_errors=errors_svg(evaluation),
-        budgets=[(topic, budget_svg(topic, points, start_ns)) for topic, points in sorted(night.budgets.items())],
+        status=drawn["status"],
+        drawn_errors=drawn["errors"],
+        budgets=[(topic, drawn[topic]) for topic in sorted(night.budgets)],
         alignment=[(topic, before_after(night.before[topic], night.after[topic])) for topic in sorted(night.after)],
         refusals=refusal_rows(night),
-        refusal_drawing=refusals_svg(night),
+        refusal_drawing=drawn["refusals"],
         suite={name: data.decode(errors="replace") for name, data in sorted(night.attachments.items())
                if name.endswith((".yaml", ".yml"))},
         versions=versions(),
@@ -69,6 +84,11 @@ def page(told: ToldNight) -> str:
         problems=night.problems,
         left_out=[problem for problem in evaluation.problems if problem not in night.problems],
     )
+
+
+def _drawn(drawings: Mapping[str, Callable[[], Any]]) -> dict[str, Any]:
+    """Draw the figures of a page, with progress on stderr."""
+    return {name: draw() for name, draw in counted(drawings.items(), "drawing", len(drawings))}
 
 
 def render(template: str, **values: Any) -> str:
@@ -83,15 +103,18 @@ def render(template: str, **values: Any) -> str:
 
 def versions() -> list[tuple[str, str]]:
     """Of the suite and of what computes for it, here and now: those that made the report."""
-    return [("python", platform.python_version()), *package_versions(_PACKAGES).items()]
+    own = suite_commit() or "unknown: no git checkout"
+    return [("suite, commit", own), ("python", platform.python_version()), *package_versions(_PACKAGES).items()]
 
 
 def recorded_versions(night: Night) -> list[tuple[str, str]]:
-    """Those that made the bag, where it tells them as a black box does; empty where it does not."""
+    """Return the commit of the suite that made the bag, and the versions in a black box; empty where it has none."""
+    commit = night.metadata.get(COMMIT_RECORD, {}).get("commit", "")
+    of_commit = [("suite, commit", commit)] if commit else []
     try:
         told = json.loads(night.attachments.get(VERSIONS_ATTACHMENT, b"{}"))
-        return [(name, str(told[name])) for name in ("python", "machine") if name in told] + [
+        return of_commit + [(name, str(told[name])) for name in ("python", "machine") if name in told] + [
             (name, str(version)) for group in ("suite", "libraries") for name, version in told.get(group, {}).items()
         ]
     except (ValueError, AttributeError, TypeError):
-        return []  # damaged
+        return of_commit  # damaged

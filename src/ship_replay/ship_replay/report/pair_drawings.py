@@ -14,6 +14,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.documents.figure_files import MOST_ROWS, short_name
 from ship_replay.report.drawings import (
     MOST_POINTS,
+    ROUND_NUMBERS,
     SVG_STYLE,
     draw_ribbon,
     plain,
@@ -21,10 +22,10 @@ from ship_replay.report.drawings import (
     thin_errors,
     thin_innovations,
     thinned,
-    utc_axis,
 )
 from ship_replay.report.pair import Pair
 from ship_replay.report.published import OutputDifference
+from ship_replay.report.time_axis import gap_times, interrupted, utc_axis
 from ship_replay.report.told import ToldNight
 from ship_watch.orientations import ORIENTATIONS, channel_name
 from ship_watch.picture import ANGLES
@@ -33,7 +34,6 @@ _A, _B = ("#0b3c6f", "-"), ("#d55e00", "--")
 """Colour and dash of each: told apart in black and white, too."""
 
 _PALE = "#cfdceb"
-_ROUND_NUMBERS = [digit * 10.0**power for power in range(-4, 7) for digit in (1, 2, 5)]
 
 
 def states_svg(pair: Pair) -> str:
@@ -83,13 +83,15 @@ def difference_svg(difference: OutputDifference, span_ns: tuple[int, int]) -> st
         )
         drawn = np.hstack([difference.difference_arcsec, *difference.sigma_arcsec])
         kept = np.flatnonzero(thinned(drawn, 4 * MOST_POINTS))
-        time_s = (difference.time_ns[kept] - start_ns) / NS_PER_S
+        columns = difference.difference_arcsec[kept], *(sigma[kept] for sigma in difference.sigma_arcsec)
+        time_ns, (apart, *sigmas) = interrupted(difference.time_ns[kept], gap_times(difference.time_ns), *columns)
+        time_s = (time_ns - start_ns) / NS_PER_S
         for channel, axes in enumerate(grid[:, 0]):
-            band_a, band_b = NORMAL_95 * difference.sigma_arcsec[:, kept, channel]
+            band_a, band_b = (NORMAL_95 * sigma[:, channel] for sigma in sigmas)
             axes.fill_between(time_s, -band_a, band_a, color=_PALE, lw=0, label="±1.96σ of A")
             for sign in (-1.0, 1.0):
                 axes.plot(time_s, sign * band_b, color=_B[0], ls=_B[1], lw=0.8, label="±1.96σ of B" if sign > 0 else "")
-            values = difference.difference_arcsec[kept, channel]
+            values = apart[:, channel]
             axes.plot(time_s, values, color="#1b2430", lw=0.9, label="B − A")
             _limit(axes, [values, band_a, band_b])
             axes.set_ylabel(f"{channel_name(channels[channel])}\n[arcsec]", fontsize=8)
@@ -158,15 +160,15 @@ def _draw_accuracies(axes: Axes, pair: Pair, name: str, start_ns: int) -> None:
         told = told[told[:, 1] > 0.0]  # a covariance of zeros was not given
         kept = np.flatnonzero(thinned(told[:, 1:], MOST_POINTS))
         drawn += len(kept)
-        axes.plot((told[kept, 0] - start_ns) / NS_PER_S, told[kept, 1] / ARCSEC, color=colour, ls=dash, lw=1.0,
-                  label=letter)
+        time_ns, (value,) = interrupted(told[kept, 0], gap_times(told[:, 0]), told[kept, 1])
+        axes.plot((time_ns - start_ns) / NS_PER_S, value / ARCSEC, color=colour, ls=dash, lw=1.0, label=letter)
     limit = pair.a.night.limits.of_angle(name) / ARCSEC
     axes.axhline(limit, color="#888888", lw=0.7, ls=(0, (6, 3)))
     axes.annotate(f"{limit:g}″", (1.0, limit), xycoords=("axes fraction", "data"), xytext=(3, 0),
                   textcoords="offset points", va="center", fontsize=8, color="#666666")
     axes.set_yscale("log" if drawn else "linear")
     if drawn:
-        axes.yaxis.set_major_locator(FixedLocator(_ROUND_NUMBERS))
+        axes.yaxis.set_major_locator(FixedLocator(ROUND_NUMBERS))
         axes.yaxis.set_minor_formatter(NullFormatter())
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.tick_params(axis="y", labelsize=8)

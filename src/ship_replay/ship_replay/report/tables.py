@@ -5,34 +5,15 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from ship_bags.stamps import NS_PER_S
 from ship_geometry.rotations import ARCSEC, wrap_pi
 from ship_replay.report.night import Night
 from ship_replay.report.wording import duration, number, placed, utc
 from ship_watch.history import ParameterShown
 from ship_watch.picture import ANGLES, Safety
 
-_TIMES_TOLD = 3
-
-
-def verdict(night: Night) -> list[str]:
-    """In sentences: how long each word stood per angle, and what failed when."""
-    sentences = []
-    for name in ANGLES:
-        seconds = night.seconds(name)
-        if total := sum(seconds.values()):
-            parts = [
-                f"{word.name} {duration(seconds[word])} ({100.0 * seconds[word] / total:.1f} %)"
-                for word in Safety if seconds[word]
-            ]
-            sentences.append(f"{name.capitalize()}: {', '.join(parts)}.")
-    if not sentences:
-        return ["No angle was ever told."]
-    found = outages(night)
-    for source in dict.fromkeys(outage.source for outage in found):
-        times = [outage.text for outage in found if outage.source == source]
-        more = f" and {len(times) - _TIMES_TOLD} times more" if len(times) > _TIMES_TOLD else ""
-        sentences.append(f"{source} was out from {', '.join(times[:_TIMES_TOLD])}{more}.")
-    return sentences if found else [*sentences, "No source was out."]
+_NEEDS = "needs "
+"""Beginning of the reason of a source that is out because of another one."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +48,23 @@ def outages(night: Night) -> list[SourceOutage]:
     return found
 
 
+def root_outages(found: Sequence[SourceOutage]) -> list[SourceOutage]:
+    """Return the outages by a source's own fault: those that are no consequence of another source's."""
+    return [outage for outage in found if not outage.why.startswith(_NEEDS)]
+
+
+def outage_rows(night: Night) -> list[dict[str, str]]:
+    """Return a row for each outage: source, from, to, length and why."""
+    _, end_ns = night.span_ns
+    return [
+        {
+            "source": one.source, "from": utc(one.from_ns), "to": utc(one.to_ns) if one.to_ns else "the end",
+            "length": duration(((one.to_ns or end_ns) - one.from_ns) / NS_PER_S), "why": one.why,
+        }
+        for one in outages(night)
+    ]
+
+
 def shares(night: Night) -> list[tuple[str, dict[str, float], Counter[Safety]]]:
     """Angle, share of the time of each word, seconds of each word; only of angles that were told."""
     rows = []
@@ -92,7 +90,7 @@ def before_after(before: Sequence[ParameterShown], after: Sequence[ParameterShow
             "before_sigma": number(start.sigma / scale),
             "after": placed(told_value(shown) / scale, shown.sigma / scale),
             "after_sigma": number(shown.sigma / scale),
-            "change": f"{change / start.sigma:+.1f} σ" if start.sigma > 0.0 else "",
+            "change": f"{change / start.sigma:+.1f} σ".replace("-", "−") if start.sigma > 0.0 else "",
             "note": "" if shown.is_observable else "not observable",
         })
     return rows

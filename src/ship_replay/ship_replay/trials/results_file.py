@@ -7,10 +7,8 @@ from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_complet
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-from rich.progress import Progress
-
 from ship_bags.errors import BadInput
+from ship_bags.progress import counted
 
 Result = dict[str, Any]
 """What became of a voyage, as plain data; ``voyage`` is its number."""
@@ -70,20 +68,18 @@ class ResultsFile:
 
 
 def add_as_made(results: ResultsFile, processes: int, submit: Callable[[Executor], list[Future[Result]]]) -> None:
-    """Make voyages in worker processes, each result written when it is there, with a bar of progress.
+    """Make voyages in worker processes, each result written when it is there, with progress on stderr.
 
     Args:
         results: to which they are added.
         processes: how many workers.
         submit: gives the workers what is to be made; an interruption takes back what has not begun.
     """
-    with ProcessPoolExecutor(processes) as pool, Progress(console=Console(stderr=True), transient=True) as progress:
+    with ProcessPoolExecutor(processes) as pool:
         try:
             made = submit(pool)
-            task = progress.add_task("voyages", total=len(made))
-            for done in as_completed(made):
+            for done in counted(as_completed(made), "voyages", len(made)):
                 results.add(done.result())
-                progress.advance(task)
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise

@@ -1,0 +1,135 @@
+"""The reports of a folder of bags, and one page with a row for each session."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ship_bags.mcap.folder import INFORMATION_FILE
+from ship_bags.stamps import NS_PER_S
+from ship_geometry.input_error import InputError
+from ship_replay.report.page import page, render, versions
+from ship_replay.report.summary import summary, valid_shares, worst_source
+from ship_replay.report.tables import outages, root_outages
+from ship_replay.report.told import ToldNight
+from ship_replay.report.wording import duration, utc
+from ship_watch.picture import ANGLES, Safety
+
+
+@dataclass(frozen=True)
+class SessionRow:
+    """One session of a folder.
+
+    Attributes:
+        name: of the bag.
+        error: why there is no report; empty where there is one.
+        start_ns: UTC at which the outputs begin.
+        length_s: length of the recording.
+        shares: "ship/attitude VALID", "heading SAFE" → share of the time.
+        worst_source: source that was out longest by its own fault; empty where none was.
+        faults: number of outages of sources by their own fault.
+        to_do: what to do, one sentence.
+    """
+
+    name: str
+    error: str = ""
+    start_ns: int = 0
+    length_s: float = 0.0
+    shares: dict[str, float] = field(default_factory=dict)
+    worst_source: str = ""
+    faults: int = 0
+    to_do: str = ""
+
+    @property
+    def file(self) -> str:
+        """Name of the file with the session's report."""
+        return f"{self.name}.html"
+
+
+def bags_in(folder: Path) -> list[Path]:
+    """Return the bags of a folder by name: MCAP files and rosbag2 folders. Empty where the folder is itself a bag."""
+    if not folder.is_dir() or (folder / INFORMATION_FILE).exists():
+        return []
+    return sorted(
+        path for path in folder.iterdir()
+        if (path.suffix == ".mcap" and path.is_file()) or (path / INFORMATION_FILE).is_file()
+    )
+
+
+def session_reports(
+    bags: Sequence[Path], read: Callable[[Path], ToldNight], write: Callable[[str, str], None]
+) -> Iterator[SessionRow]:
+    """Write the report of each bag and yield its row; a bag without a report is a row with the error.
+
+    Args:
+        bags: of the folder.
+        read: reads and evaluates a bag.
+        write: writes a page under a name.
+    """
+    for path in bags:
+        try:
+            told = read(path)
+            row = session_row(told)
+            write(row.file, page(told))
+        except (InputError, OSError) as problem:
+            row = SessionRow(path.name, error=str(problem))
+        yield row
+
+
+def session_row(told: ToldNight) -> SessionRow:
+    """Return the row of a session."""
+    night = told.night
+    shares = {f"{topic} VALID": share for topic, share in valid_shares(night).items()}
+    for name in ANGLES:
+        if total := (seconds := night.seconds(name)).total():
+            shares[f"{name} SAFE"] = seconds[Safety.SAFE] / total
+    faults = len(root_outages(outages(night)))
+    length_s = (night.end_ns - night.start_ns) / NS_PER_S
+    return SessionRow(
+        night.path.name, "", night.start_utc_ns, length_s, shares, worst_source(night), faults, summary(night)[-1]
+    )
+
+
+def index_page(folder: Path, rows: Sequence[SessionRow], reports: str) -> str:
+    """Return the page of a folder: its sessions in order of time, bags without a report last.
+
+    Args:
+        folder: of the bags.
+        rows: of all bags.
+        reports: folder of the reports, relative to the page.
+    """
+    sessions = sorted((row for row in rows if not row.error), key=lambda row: (row.start_ns, row.name))
+    columns = list(dict.fromkeys(name for row in sessions for name in row.shares))
+    before: list[SessionRow | None] = [None, *sessions[:-1]]
+    return render(
+        "folder.html.j2",
+        title=folder.resolve().name,
+        reports=reports,
+        columns=columns,
+        sessions=[_shown(row, last, columns) for row, last in zip(sessions, before, strict=False)],
+        failed=[row for row in rows if row.error],
+        count=len(rows),
+        versions=versions(),
+    )
+
+
+def _shown(row: SessionRow, before: SessionRow | None, columns: Sequence[str]) -> dict[str, object]:
+    """Return the texts of a row, each value with its difference to the session before."""
+    cells = []
+    for name in columns:
+        share = row.shares.get(name)
+        last = None if before is None else before.shares.get(name)
+        cells.append((
+            "–" if share is None else f"{100.0 * share:.1f} %",
+            "" if share is None or last is None else _signed(100.0 * (share - last), 1),
+        ))
+    return {
+        "row": row, "date": utc(row.start_ns, "%Y-%m-%d"), "start": utc(row.start_ns), "length": duration(row.length_s),
+        "cells": cells, "worst": row.worst_source or "none",
+        "is_other": before is not None and before.worst_source != row.worst_source,
+        "more_faults": "" if before is None else _signed(row.faults - before.faults, 0),
+    }
+
+
+def _signed(value: float, places: int) -> str:
+    text = f"{value:+.{places}f}"
+    return "=" if float(text) == 0.0 else text.replace("-", "−")

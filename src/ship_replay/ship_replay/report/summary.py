@@ -1,0 +1,136 @@
+"""Five sentences that open a report: availability, worst source, causes, mountings, what to do."""
+
+import math
+import re
+from collections import Counter
+from collections.abc import Sequence
+
+from ship_bags.stamps import NS_PER_S
+from ship_replay.report.event_groups import states_of
+from ship_replay.report.night import Night
+from ship_replay.report.tables import SourceOutage, outages, root_outages
+from ship_replay.report.wording import duration, number, utc
+from ship_watch.picture import ANGLES, Safety
+
+_MOST_NAMED = 3
+_SHIFTED = "mounting shifted by"
+_MUCH_CHANGED_SIGMAS = 3.0
+_ADVISED = 2
+_CONSEQUENCE = ".degraded"
+"""Ending of the alerts of an output that is worse than its limit: the source that caused it has its own alert."""
+
+
+def summary(night: Night) -> list[str]:
+    """Return the five sentences; one where no output was published."""
+    if not any(night.words.get(name) for name in ANGLES):
+        return ["Availability: no attitude and no pointing was published."]
+    found = outages(night)
+    return [_availability(night), _worst_source(night, found), _causes(night, found), _mountings(night), _advice(night)]
+
+
+def worst_source(night: Night) -> str:
+    """Return the source that was out longest by its own fault; empty where none was out."""
+    seconds = _seconds_out(night, root_outages(outages(night)))
+    return max(seconds, key=lambda source: seconds[source], default="")
+
+
+def valid_shares(night: Night) -> dict[str, float]:
+    """Return topic of an output → share of the time in which it was VALID."""
+    length_s = max((night.end_ns - night.start_ns) / NS_PER_S, 1e-9)
+    return {topic: min(seconds.get("VALID", 0.0) / length_s, 1.0) for topic, seconds in sorted(night.status_s.items())}
+
+
+def _availability(night: Night) -> str:
+    parts = [
+        f"{name} SAFE {100.0 * seconds[Safety.SAFE] / total:.1f} %"
+        for name in ANGLES if (total := (seconds := night.seconds(name)).total())
+    ]
+    parts += [f"{topic} VALID {100.0 * share:.1f} %" for topic, share in valid_shares(night).items()]
+    return f"Availability: {', '.join(parts)} of the time."
+
+
+def _worst_source(night: Night, found: Sequence[SourceOutage]) -> str:
+    roots = root_outages(found)
+    source = worst_source(night)
+    if not source:
+        return "Worst source: none; no source was out."
+    mine = [outage for outage in roots if outage.source == source]
+    seconds = _seconds_out(night, mine)[source]
+    share = 100.0 * seconds / max((night.end_ns - night.start_ns) / NS_PER_S, 1e-9)
+    times = "once" if len(mine) == 1 else f"{len(mine)} times"
+    length = f"{duration(seconds)} in all ({share:.0f} % of the time)"
+    return f"Worst source: {source}, out {times}, {length}, {mine[0].text}."
+
+
+def _causes(night: Night, found: Sequence[SourceOutage]) -> str:
+    """Each source that was out by its own fault, then what could not be used or was not SAFE because of it."""
+    roots = list(dict.fromkeys(outage.source for outage in root_outages(found)))
+    if not roots:
+        unsafe = [name for name in ANGLES if _is_ever(night, name)]
+        return f"Cause: none by a source; {_listed(unsafe)} not SAFE for accuracy alone." if unsafe else \
+            "Cause: nothing failed."
+    texts = []
+    for source in roots[:_MOST_NAMED]:
+        first = next(outage for outage in root_outages(found) if outage.source == source)
+        needs = [one.source for one in found if one.why.startswith(f"needs {source}")]
+        angles = [
+            event.subject for event in night.events
+            if event.kind == "state" and states_of(event)[1] in ("CAUTION", "UNSAFE")
+            and re.search(rf"(^|\W){re.escape(source)}(\W|$)", states_of(event)[2])
+        ]
+        effects = [f"{_listed(list(dict.fromkeys(angles)))} not SAFE"] if angles else []
+        effects += [f"{_listed(list(dict.fromkeys(needs)))} not usable"] if needs else []
+        texts.append(f"{source} {first.why} at {utc(first.from_ns)}" + (f" → {', '.join(effects)}" if effects else ""))
+    more = f"; {len(roots) - _MOST_NAMED} more in the table" if len(roots) > _MOST_NAMED else ""
+    return f"Cause → consequence: {'; '.join(texts)}{more}."
+
+
+def _mountings(night: Night) -> str:
+    """The sources that were reinstated with another mounting, and estimates far from where they began."""
+    shifted = [event for event in night.events if event.kind == "source" and _SHIFTED in event.text]
+    if shifted:
+        return f"Mountings: {'; '.join(f'{event.text} at {utc(event.utc_ns)}' for event in shifted[:_MOST_NAMED])}."
+    changed: dict[str, float] = {}
+    for topic, after in night.after.items():
+        before = {shown.name: shown for shown in night.before[topic]}
+        for shown in after:
+            start = before.get(shown.name, shown)
+            sigmas = abs(math.remainder(shown.value - start.value, math.tau)) / start.sigma if (
+                shown.unit == "rad" and start.sigma > 0.0) else 0.0
+            if sigmas > _MUCH_CHANGED_SIGMAS:
+                changed[shown.name] = sigmas
+    if not changed:
+        return "Mountings: none was relearnt; all estimates are within 3σ of where they began."
+    worst = sorted(changed, key=lambda name: -changed[name])[:_MOST_NAMED]
+    texts = [f"{name} changed by {number(changed[name])} σ" for name in worst]
+    return f"Mountings: no source was reinstated with a shifted mounting, but {', '.join(texts)}."
+
+
+def _advice(night: Night) -> str:
+    """The advice for the alerts that were raised, causes first, then by priority."""
+    raised = [told.alert for told in night.alerts if told.what in ("raised", "active not acknowledged")]
+    raised.sort(key=lambda alert: (alert.id.endswith(_CONSEQUENCE), -int(alert.priority)))
+    texts = [
+        f"{alert.source or alert.id}: {alert.advice[:1].lower()}{alert.advice[1:]}" for alert in raised if alert.advice
+    ]
+    kept = list(dict.fromkeys(texts))[:_ADVISED]
+    return f"To do: {'. '.join(kept)}." if kept else "To do: nothing."
+
+
+def _seconds_out(night: Night, found: Sequence[SourceOutage]) -> Counter[str]:
+    _, end_ns = night.span_ns
+    seconds: Counter[str] = Counter()
+    for outage in found:
+        # Counter holds whole seconds: a tenth tells nothing here.
+        seconds[outage.source] += round(((outage.to_ns or end_ns) - outage.from_ns) / NS_PER_S)
+    return seconds
+
+
+def _is_ever(night: Night, name: str) -> bool:
+    """True if an angle was published and not always SAFE."""
+    seconds = night.seconds(name)
+    return seconds.total() > seconds[Safety.SAFE]
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join(([", ".join(names[:-1])] if len(names) > 1 else []) + list(names[-1:]))
