@@ -63,9 +63,8 @@ class FunctionShown:
 
     @property
     def is_over(self) -> bool:
-        """Whether the accuracy is not within the limit, or was not a moment ago, or there is no angle at all."""
-        is_held = self.angle.reason == OVER_THE_LIMIT
-        return self.safety is Safety.UNSAFE or is_held or not self.angle.accuracy_95 <= self.angle.limit
+        """Whether the accuracy is not within the limit, or there is no angle at all."""
+        return self.safety is Safety.UNSAFE or not self.angle.accuracy_95 <= self.angle.limit
 
     @property
     def priority(self) -> Priority | None:
@@ -81,6 +80,8 @@ class FunctionShown:
         """What it has lost, in words that stay the same as long as the situation does."""
         if self.safety is None:
             return f"{self.name} off"
+        if self.angle.is_good_again:
+            return f"{self.name} good again"
         return f"{self.name} {_WORDS[self.priority]}"
 
     @property
