@@ -172,7 +172,8 @@ def _line(function: FunctionShown) -> str:
     if function.safety is Safety.SAFE:
         return f"safe: {known}"
     because = f"because of {function.because_of}" if function.because_of else ""
-    return ", ".join(filter(None, [function.text.partition(" ")[2], because, function.angle.reason, known]))
+    lost = "" if function.angle.is_good_again else function.text.partition(" ")[2]
+    return ", ".join(filter(None, [lost, because, function.angle.reason, known]))
 
 
 def _level(function: FunctionShown) -> int:

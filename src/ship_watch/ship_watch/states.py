@@ -14,6 +14,7 @@ import re
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from ship_bags.stamps import NS_PER_S
 from ship_estimation.outcome import Status
 from ship_estimation.protection import IntegrityState
 from ship_watch import words
@@ -165,13 +166,13 @@ class ShownWord(NamedTuple):
         word: the worst of the last seconds.
         cause: the last reason for a word as bad as this.
         better: the word that follows where nothing changes; None where the shown word is that of now.
-        better_in_s: time until then, s.
+        better_in_ns: time until then, ns.
     """
 
     word: Safety
     cause: str
     better: Safety | None = None
-    better_in_s: float = 0.0
+    better_in_ns: int = 0
 
     def reason(self, now: Judgement, limit: float) -> str:
         """Return the reason as it is true now: that of now, and when the better word comes.
@@ -183,7 +184,7 @@ class ShownWord(NamedTuple):
         if self.better is None:
             return now.reason
         good = f"within {words.limit_size(limit)} again" if self.cause.startswith("over ") else "good again"
-        return f"{now.reason or good}{COUNTDOWN}{self.better.name} in {math.ceil(self.better_in_s)} s"
+        return f"{now.reason or good}{COUNTDOWN}{self.better.name} in {-(-self.better_in_ns // NS_PER_S)} s"
 
 
 class HeldWord:
@@ -229,7 +230,7 @@ class HeldWord:
             if now_ns < end_ns:
                 is_caution_next = level is Safety.UNSAFE and end_ns < self._end_ns(Safety.CAUTION, now, now_ns)
                 better = Safety.CAUTION if is_caution_next or now.word >= Safety.CAUTION else Safety.SAFE
-                return ShownWord(level, self._held[level].cause, better, (end_ns - now_ns) * 1e-9)
+                return ShownWord(level, self._held[level].cause, better, end_ns - now_ns)
         return ShownWord(Safety.SAFE, "")
 
     def _end_ns(self, level: Safety, now: Judgement, now_ns: int) -> int:
