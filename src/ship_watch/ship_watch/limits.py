@@ -125,8 +125,8 @@ class Limits:
     )
     better_after_s: float = parameter(
         5.0,
-        doc="an angle is called better when it has been so for this time; one that was over its limit, when it has been "
-        "10 % below it for this time, or below it for six times as long",
+        doc="an angle is called better when it has been so for this time; where its accuracy was over its limit, when "
+        "that has been 10 % below it for this time, or below it for six times as long",
         unit="s", minimum=0.0, maximum=600.0
     )
     attitude_age_s: float = parameter(

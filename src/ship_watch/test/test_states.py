@@ -1,9 +1,11 @@
 """SAFE, CAUTION, UNSAFE: each row of the table of the design, and that NaN fails each gate."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from ship_estimation.outcome import Status
@@ -114,23 +116,23 @@ def test_a_word_that_flickers_changes_once() -> None:
     assert changes == 2  # SAFE, then CAUTION
 
 
+def changes_of(accuracies: Iterable[float]) -> list[Safety | None]:
+    """The words that are shown one after another, given the accuracy of each tenth of a second."""
+    held = HeldWord(5.0)
+    at_each = [(held.note(over(accuracy), i * SECOND // 10), held.word) for i, accuracy in enumerate(accuracies)]
+    return [word for changed, word in at_each if changed]
+
+
 @pytest.mark.parametrize("period_s", [2.0, 12.0, 40.0])
 def test_an_accuracy_that_wanders_around_its_limit_changes_the_word_once(period_s: float) -> None:
     """By 2 % to either side, within its limit for up to 20 s at a time."""
-    held, changes = HeldWord(5.0), []
-    for tenth in range(6000):
-        accuracy = 5.0 * (1.0 + 0.02 * math.sin(2.0 * math.pi * tenth / (10.0 * period_s)))
-        if held.note(over(accuracy), tenth * SECOND // 10):
-            changes.append(held.word)
-    assert changes == [Safety.SAFE, Safety.CAUTION]
+    accuracies = 5.0 * (1.0 + 0.02 * np.sin(2.0 * np.pi * np.arange(6000) / (10.0 * period_s)))
+    assert changes_of(accuracies) == [Safety.SAFE, Safety.CAUTION]
 
 
 def test_an_accuracy_that_wanders_around_three_times_its_limit_changes_the_word_once() -> None:
-    held, changes = HeldWord(5.0), []
-    for tenth in range(6000):
-        if held.note(over(15.0 * (1.0 + 0.02 * math.sin(tenth / 20.0))), tenth * SECOND // 10):
-            changes.append(held.word)
-    assert changes == [Safety.CAUTION, Safety.UNSAFE]
+    accuracies = 15.0 * (1.0 + 0.02 * np.sin(np.arange(6000) / 20.0))
+    assert changes_of(accuracies) == [Safety.CAUTION, Safety.UNSAFE]
 
 
 def safe_after_s(*accuracies: tuple[float, float]) -> float:
@@ -159,7 +161,8 @@ def test_the_margin_is_for_an_accuracy_that_was_over_its_limit_alone() -> None:
     held = HeldWord(5.0)
     for tenth in range(100):
         now = over(4.9)
-        held.note(now._replace(word=Safety.CAUTION, reason="star.bow silent") if tenth < 10 else now, tenth * SECOND // 10)
+        silent = now._replace(word=Safety.CAUTION, reason="star.bow silent")
+        held.note(silent if tenth < 10 else now, tenth * SECOND // 10)
         assert (held.word is Safety.SAFE) == (tenth >= 59)
 
 
