@@ -27,7 +27,7 @@ WANTED_SHARE = 0.95
 """Share of the time for which a proposed limit is held."""
 
 START_UP_S = 30.0
-"""Time after the first output that is left out, s: the filters then find mountings and INS errors by the first stars."""
+"""Time after the first output that is left out, s: the filters find mountings and INS errors by the first stars."""
 
 STEP_NS = NS_PER_S // 5
 """Time between two samples of the accuracy, ns."""
