@@ -71,6 +71,9 @@ What page, terminal, alerts and report hold a suite against: a YAML file that a 
 `--limits FILE`. What the file does not name keeps its default. An unknown key or a value out of its range is one line
 with file, line, key and what was expected.
 
+Limits of heading, tilt and pointing are those of the task; their defaults are of no task. `suite --bag BAG --limits`
+shows how much of the time they would be held ([Watch a suite](../how-to/watch.md#limits-for-your-task)).
+
 `<id>` is a source or a kind of sources: `ins`, `star`, `reference`, `lights`, `encoder`, `baselines`, `ship_attitude`,
 `gnss`, `weather`, or one of several, as `star_bow` for `star.bow`. A source takes the limits of its own name, else
 those of its kind, else `every_input`.

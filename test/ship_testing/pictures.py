@@ -28,6 +28,9 @@ NS = 1_000_000_000
 NOW_NS = 1_777_636_807 * NS
 """2026-05-01 12:00:07 UTC."""
 
+LIMITS = Limits(heading_arcsec=5.0, tilt_arcsec=3.0, pointing_arcsec=10.0)
+"""Those of the ship in these pictures."""
+
 _VALUES_DEG = {"heading": 34.392, "pitch": -0.12, "roll": -2.1, "azimuth": 359.88, "elevation": 68.74}
 _ACCURACIES = {"heading": 3.3, "pitch": 2.7, "roll": 2.8, "azimuth": 4.9, "elevation": 5.3}
 _AGES = {"ins": 0.1, "star.fore": 0.6, "star.starboard": 0.6, "lights": 0.6, "encoder": 0.1, "baselines": 0.3}
@@ -40,7 +43,7 @@ def angle(name: str, **changes: Any) -> AngleShown:
         name=name,
         value=float(np.deg2rad(_VALUES_DEG[name])),
         accuracy_95=_ACCURACIES[name] * ARCSEC,
-        limit=Limits().of_angle(name),
+        limit=LIMITS.of_angle(name),
         protection_level=math.nan,
         safety=Safety.SAFE,
         reason="",
@@ -59,7 +62,7 @@ def lost(name: str, because_of: str = "") -> AngleShown:
 
 def over(name: str, because_of: str = "", share: float = 1.5) -> AngleShown:
     """An angle that is over its limit, by this share."""
-    limit = Limits().of_angle(name)
+    limit = LIMITS.of_angle(name)
     changes = {"accuracy_95": share * limit, "safety": Safety.CAUTION, "reason": "over the limit", "over_s": 7.0}
     return angle(name, because_of=because_of, **changes)
 

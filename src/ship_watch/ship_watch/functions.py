@@ -63,9 +63,8 @@ class FunctionShown:
 
     @property
     def is_over(self) -> bool:
-        """Whether the accuracy is not within the limit, or was not a moment ago, or there is no angle at all."""
-        is_held = self.angle.reason == OVER_THE_LIMIT
-        return self.safety is Safety.UNSAFE or is_held or not self.angle.accuracy_95 <= self.angle.limit
+        """Whether the accuracy is not within the limit, or there is no angle at all."""
+        return self.safety is Safety.UNSAFE or not self.angle.accuracy_95 <= self.angle.limit
 
     @property
     def priority(self) -> Priority | None:
@@ -81,6 +80,8 @@ class FunctionShown:
         """What it has lost, in words that stay the same as long as the situation does."""
         if self.safety is None:
             return f"{self.name} off"
+        if self.angle.is_good_again:
+            return f"{self.name} good again"
         return f"{self.name} {_WORDS[self.priority]}"
 
     @property
@@ -171,7 +172,8 @@ def _line(function: FunctionShown) -> str:
     if function.safety is Safety.SAFE:
         return f"safe: {known}"
     because = f"because of {function.because_of}" if function.because_of else ""
-    return ", ".join(filter(None, [function.text.partition(" ")[2], because, function.angle.reason, known]))
+    lost = "" if function.angle.is_good_again else function.text.partition(" ")[2]
+    return ", ".join(filter(None, [lost, because, function.angle.reason, known]))
 
 
 def _level(function: FunctionShown) -> int:

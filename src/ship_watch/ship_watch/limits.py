@@ -103,16 +103,20 @@ class MachineLimits:
 
 @dataclass(frozen=True)
 class Limits:
-    """All limits of a ship. Limits of angles are held against 1.96 sigma (95 %)."""
+    """All limits of a ship. Limits of angles are held against 1.96 sigma (95 %).
+
+    Limits of angles are those of the task. Their defaults are of no task: the suites and bags that come with this
+    software are within them for 95 % of the time.
+    """
 
     heading_arcsec: float = parameter(
-        5.0, doc="of the heading, 95 %", unit="arcsec", minimum=0.1, maximum=360_000.0
+        6.0, doc="of the heading, 95 %", unit="arcsec", minimum=0.1, maximum=360_000.0
     )
     tilt_arcsec: float = parameter(
-        3.0, doc="of pitch and roll, each, 95 %", unit="arcsec", minimum=0.1, maximum=360_000.0
+        4.0, doc="of pitch and roll, each, 95 %", unit="arcsec", minimum=0.1, maximum=360_000.0
     )
     pointing_arcsec: float = parameter(
-        10.0,
+        12.0,
         doc="of the pointing's azimuth times the cosine of its elevation, and of its elevation, each, 95 %",
         unit="arcsec", minimum=0.1, maximum=360_000.0,
     )
@@ -120,7 +124,10 @@ class Limits:
         3.0, doc="an angle is unsafe where its accuracy is over so many times its limit", minimum=1.0, maximum=1000.0
     )
     better_after_s: float = parameter(
-        5.0, doc="an angle is called better when it has been so for this time", unit="s", minimum=0.0, maximum=600.0
+        5.0,
+        doc="an angle is called better when it has been so for this time; where its accuracy was over its limit, when "
+        "that has been 10 % below it for this time, or below it for six times as long",
+        unit="s", minimum=0.0, maximum=600.0
     )
     attitude_age_s: float = parameter(
         1.0, doc="longest time without a message of ship/attitude", unit="s", minimum=0.05, maximum=3600.0

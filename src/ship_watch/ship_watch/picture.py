@@ -56,7 +56,8 @@ class AngleShown:
         limit: the ship's limit of ``accuracy_95``, rad.
         protection_level: bound under any single fault, rad; NaN where none is told.
         safety: the word.
-        reason: why it is not SAFE, a few words; empty where it is.
+        reason: why it is not SAFE, a few words, true now: where only the patience holds the word, when a better one
+            comes: "within 3″ again; SAFE in 4 s"; empty where it is SAFE.
         age_s: time since the last value arrived.
         is_old: whether that is too long: the value is then shown greyed, with its age.
         stamp_ns: time of the value, UTC as POSIX time; 0 before the first.
@@ -81,6 +82,11 @@ class AngleShown:
     because_of: str = ""
     over_s: float = 0.0
     now: tuple[Safety, str] | None = None
+
+    @property
+    def is_good_again(self) -> bool:
+        """True if the word of this moment is SAFE and the shown one is not yet."""
+        return self.now is not None and self.now[0] is Safety.SAFE and self.safety is not Safety.SAFE
 
     @property
     def held_by_nothing(self) -> "AngleShown":

@@ -4,21 +4,35 @@ The words are those of IMO MSC.1/Circ.1575. An angle is SAFE where its output is
 within the ship's limit and the protection levels are met. CAUTION: the accuracy is known and not over three times the
 limit, but integrity is unavailable, the output is COASTING or DEGRADED, or the accuracy is over its limit. All else is
 UNSAFE: every comparison is written so that NaN fails it.
+
+A word gets worse at once. It gets better after a time without a reason for it, with hysteresis: an accuracy that was
+over its limit must be below it by a margin for that time, or below it for several times as long.
 """
 
 import math
 import re
 from dataclasses import dataclass
+from typing import NamedTuple
 
+from ship_bags.stamps import NS_PER_S
 from ship_estimation.outcome import Status
 from ship_estimation.protection import IntegrityState
+from ship_watch import words
 from ship_watch.picture import Safety, SourceStanding
+
+MARGIN = 0.1
+"""Share of its limit by which an accuracy that was over it must be below it for a better word."""
+
+WITHIN_MARGIN_TIMES = 6
+"""An accuracy that stays below its limit by less than the margin has a better word after so many times the time."""
 
 BRIEF_NS = 1_000_000_000
 """An accuracy that was below its limit for less time than this was over it all the while, ns."""
 
 OVER_THE_LIMIT = "over the limit"
 """Reason of a CAUTION where only the accuracy is to blame, and no source."""
+COUNTDOWN = "; "
+"""What stands in a reason before the time at which a better word comes."""
 
 
 @dataclass(frozen=True)
@@ -115,41 +129,135 @@ def _guilty(source: SourceStanding | None) -> str:
 _RUN = re.compile(r"\d+ refused in a row")
 
 
+class Judgement(NamedTuple):
+    """Word of an angle at one time.
+
+    Attributes:
+        word: the word.
+        reason: why it is not SAFE; empty where it is.
+        by_accuracy: the word by its accuracy alone.
+        by_margin: the word by its accuracy alone, were the limit lower by :data:`MARGIN`.
+    """
+
+    word: Safety
+    reason: str
+    by_accuracy: Safety = Safety.SAFE
+    by_margin: Safety = Safety.SAFE
+
+
+def judgement(claim: AngleClaim) -> Judgement:
+    """Return the word of an angle, with the words by its accuracy alone."""
+    low = (1.0 - MARGIN) * claim.limit
+    by_accuracy, by_margin = (accuracy_word(claim.accuracy_95, x, claim.unsafe_factor) for x in (claim.limit, low))
+    return Judgement(*judged(claim), by_accuracy, by_margin)
+
+
+def accuracy_word(accuracy_95: float, limit: float, unsafe_factor: float) -> Safety:
+    """Return the word by an accuracy alone; UNSAFE for NaN."""
+    if not accuracy_95 <= unsafe_factor * limit:
+        return Safety.UNSAFE
+    return Safety.SAFE if accuracy_95 <= limit else Safety.CAUTION
+
+
+class ShownWord(NamedTuple):
+    """Word of an angle as it is shown.
+
+    Attributes:
+        word: the worst of the last seconds.
+        cause: the last reason for a word as bad as this.
+        better: the word that follows where nothing changes; None where the shown word is that of now.
+        better_in_ns: time until then, ns.
+    """
+
+    word: Safety
+    cause: str
+    better: Safety | None = None
+    better_in_ns: int = 0
+
+    def reason(self, now: Judgement, limit: float) -> str:
+        """Return the reason as it is true now: that of now, and when the better word comes.
+
+        Args:
+            now: the judgement of now.
+            limit: limit of the accuracy, rad.
+        """
+        if self.better is None:
+            return now.reason
+        good = f"within {words.limit_size(limit)} again" if self.cause.startswith("over ") else "good again"
+        return f"{now.reason or good}{COUNTDOWN}{self.better.name} in {-(-self.better_in_ns // NS_PER_S)} s"
+
+
 class HeldWord:
     """The word of one angle as it is shown: worse at once, better after some time.
 
     Attributes:
         word: as shown last; None before the first.
-        reason: why.
+        reason: the last reason for it.
         since_ns: since when it stands, by the caller's time.
     """
 
     def __init__(self, better_after_s: float) -> None:
         self._hold_ns = round(better_after_s * 1e9)
-        self._last: dict[Safety, tuple[int, str]] = {}
+        self._held: dict[Safety, _HeldLevel] = {}
         self.word: Safety | None = None
         self.reason = ""
         self.since_ns = 0
 
-    def note(self, word: Safety, reason: str, now_ns: int) -> bool:
-        """Take the word of now; the answer is whether the shown one changed."""
+    def note(self, now: Judgement, now_ns: int) -> bool:
+        """Take the judgement of now; return True if the shown word changed."""
         for level in (Safety.CAUTION, Safety.UNSAFE):
-            if word >= level:
-                self._last[level] = now_ns, reason
-        shown, self.reason = self.shown(word, reason, now_ns)
-        changed = shown is not self.word
+            held = self._held.get(level)
+            if now.word >= level:
+                was_over = now.by_accuracy >= level or (held is not None and held.was_over)
+                self._held[level] = _HeldLevel(now_ns, now_ns, was_over, now.reason)
+            elif held is not None and now_ns >= self._end_ns(level, now, now_ns):
+                del self._held[level]
+            elif held is not None and now.by_margin >= level:
+                self._held[level] = held._replace(near_ns=now_ns)
+        shown = self.shown(now, now_ns)
+        self.reason = shown.cause
+        changed = shown.word is not self.word
         if changed:
-            self.word, self.since_ns = shown, now_ns
+            self.word, self.since_ns = shown.word, now_ns
         return changed
 
-    def shown(self, word: Safety, reason: str, now_ns: int) -> tuple[Safety, str]:
-        """What is shown where the word of now is this: the worst of the last seconds."""
+    def shown(self, now: Judgement, now_ns: int) -> ShownWord:
+        """Return the word that is shown where this is the judgement of now: the worst of the last seconds."""
         for level in (Safety.UNSAFE, Safety.CAUTION):
-            if word >= level:
-                return word, reason
-            if level in self._last and now_ns - self._last[level][0] < self._hold_ns:
-                return level, self._last[level][1]
-        return Safety.SAFE, ""
+            if now.word >= level:
+                return ShownWord(now.word, now.reason)
+            end_ns = self._end_ns(level, now, now_ns)
+            if now_ns < end_ns:
+                is_caution_next = level is Safety.UNSAFE and end_ns < self._end_ns(Safety.CAUTION, now, now_ns)
+                better = Safety.CAUTION if is_caution_next or now.word >= Safety.CAUTION else Safety.SAFE
+                return ShownWord(level, self._held[level].cause, better, end_ns - now_ns)
+        return ShownWord(Safety.SAFE, "")
+
+    def _end_ns(self, level: Safety, now: Judgement, now_ns: int) -> int:
+        """Return until when a level is held where nothing changes; 0 where it is not."""
+        held = self._held.get(level)
+        if held is None:
+            return 0
+        if not held.was_over:
+            return held.last_ns + self._hold_ns
+        latest_ns = held.last_ns + WITHIN_MARGIN_TIMES * self._hold_ns
+        return latest_ns if now.by_margin >= level else min(held.near_ns + self._hold_ns, latest_ns)
+
+
+class _HeldLevel(NamedTuple):
+    """A word as bad as a level, while it is held.
+
+    Attributes:
+        last_ns: when the word was last as bad.
+        near_ns: when it was last as bad, or the accuracy was not below its limit by the margin.
+        was_over: whether the accuracy was over its limit in this time.
+        cause: the last reason.
+    """
+
+    last_ns: int
+    near_ns: int
+    was_over: bool
+    cause: str
 
 
 class TimeOver:

@@ -37,7 +37,7 @@ from ship_watch.picture import (
 )
 from ship_watch.published_state import PublishedState, published_state
 from ship_watch.sources import STAR_INNOVATION, SourceBook, blamed, newest_age_s
-from ship_watch.states import AngleClaim, HeldWord, TimeOver, judged
+from ship_watch.states import COUNTDOWN, AngleClaim, HeldWord, TimeOver, judgement
 from ship_watch.topics import node_of, source_of_topic, watched_topic
 
 STEP_NS = 100_000_000
@@ -269,8 +269,10 @@ class Watch:
         for name, claim in self._claims(sources, now_ns).items():
             self._over[name].note(claim, now_ns)
             if self._output(name).is_heard:
-                self._words[name].note(*judged(claim), now_ns)
-                words[name] = self._words[name].word or Safety.SAFE, self._words[name].reason
+                now = judgement(claim)
+                self._words[name].note(now, now_ns)
+                shown = self._words[name].shown(now, now_ns)
+                words[name] = shown.word, shown.reason(now, claim.limit)
         are_old = {name for name in ANGLES if self._output(name).is_old(now_ns)}
         if (published := self._current_state(now_ns)) is not None:
             sources = list(published.sources)
@@ -284,10 +286,11 @@ class Watch:
             if word is not before:
                 self._shown_words[name] = word
                 change = word.name if before is None else f"{before.name} → {word.name}"
-                self._events.tell("state", name, f"{name} {change}" + (f", {reason}" if reason else ""), utc_ns)
+                why = reason.partition(COUNTDOWN)[0]
+                self._events.tell("state", name, f"{name} {change}" + (f", {why}" if why else ""), utc_ns)
         if self._newest_ns:
-            shown = {name: None if name in are_old or name not in words else words[name][0] for name in ANGLES}
-            self._keeper.note_words(utc_ns, shown)
+            told = {name: None if name in are_old or name not in words else words[name][0] for name in ANGLES}
+            self._keeper.note_words(utc_ns, told)
 
     def _claims(self, sources: Sequence[SourceStanding], now_ns: int) -> dict[str, AngleClaim]:
         """Return what is claimed of each angle; of those of a theodolite where there is one.
@@ -325,9 +328,9 @@ class Watch:
         )
 
     def _shown(self, name: str, claim: AngleClaim, now_ns: int) -> AngleShown:
-        output, held, now = self._output(name), self._words[name], judged(claim)
-        word, reason = held.shown(*now, now_ns)
-        is_held = held.word is word
+        output, held, now = self._output(name), self._words[name], judgement(claim)
+        shown = held.shown(now, now_ns)
+        word, is_held = shown.word, held.word is shown.word
         return AngleShown(
             name=name,
             value=claim.value,
@@ -335,14 +338,14 @@ class Watch:
             limit=claim.limit,
             protection_level=claim.protection.level,
             safety=word,
-            reason=reason,
+            reason=shown.reason(now, claim.limit),
             age_s=output.age_s(now_ns),
             is_old=claim.is_old,
             stamp_ns=output.stamp_ns,
             since_ns=(held.since_ns if is_held else now_ns) + self._utc_offset_ns if claim.is_heard else 0,
             because_of=claim.guilty.name if claim.guilty is not None and word is not Safety.SAFE else "",
             over_s=self._over[name].lasted_s(now_ns),
-            now=now,
+            now=(now.word, now.reason),
         )
 
     def _output(self, name: str) -> OutputHeard:

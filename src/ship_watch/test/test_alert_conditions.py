@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from ship_geometry.rotations import ARCSEC
+from ship_testing.pictures import LIMITS as PICTURED
 from ship_testing.pictures import (
     angle,
     late_input,
@@ -109,11 +110,17 @@ def test_table_for_people_is_that_of_the_code() -> None:
     assert {row[0].strip().strip("`"): row[4].strip() for row in rows} == ADVICE
 
 
-def test_word_that_is_held_is_told_as_what_it_is_held_for() -> None:
-    """An accuracy that was over its limit a moment ago is no lack of a check; the text says where to look."""
-    for share in (1.5, 0.98):
-        (found,) = told(picture(over("roll", share=share))).values()
-        assert (found.priority, found.text) == (Priority.WARNING, "Tilt over its limit: see its error budget")
+def test_accuracy_over_its_limit_says_where_to_look() -> None:
+    (found,) = told(picture(over("roll"))).values()
+    assert (found.priority, found.text) == (Priority.WARNING, "Tilt over its limit: see its error budget")
+
+
+def test_function_that_is_good_again_says_so_until_its_word_is_better() -> None:
+    """Neither over its limit nor unchecked: the tree says what is true now."""
+    reason = "within 3″ again; SAFE in 4 s"
+    well_again = replace(over("roll", share=0.8), now=(Safety.SAFE, ""), reason=reason)
+    branches = {branch.path: (branch.level, branch.text) for branch in tree(picture(well_again), PICTURED)}
+    assert branches["tilt within 3″"] == (1, "within 3″ again; SAFE in 4 s, 2.4″ of 3″ (95 %)")
 
 
 def test_alert_rests_on_the_word_of_this_moment() -> None:
@@ -234,7 +241,7 @@ def test_tree_names_the_input_that_takes_a_function_away() -> None:
     """Each function with its limit, under it its sources; the guilty one is an error where the function is lost."""
     angles = [lost("heading", "ins"), over("roll", "ins", 2.0)]
     shown = picture(out("ins", "81 refused in a row", disagreement="up +100″"), *angles)
-    branches = {branch.path: (branch.level, branch.text) for branch in tree(shown, Limits())}
+    branches = {branch.path: (branch.level, branch.text) for branch in tree(shown, PICTURED)}
     assert branches["heading within 5″"] == (2, "lost, because of ins, invalid, no accuracy of 5″ (95 %)")
     assert branches["heading within 5″/ins"] == (2, "out: 81 refused in a row, up +100″, for this heading lost")
     assert branches["tilt within 3″"] == (1, "over its limit, because of ins, over the limit, 6.0″ of 3″ (95 %)")
@@ -243,4 +250,4 @@ def test_tree_names_the_input_that_takes_a_function_away() -> None:
     assert branches["pointing within 10″/ins"][0] == 1
     assert "heading within 5″/lights" not in branches
     off = picture(source("gnss", presence=Presence.OFF))
-    assert not any(branch.path.endswith("/gnss") for branch in tree(off, Limits()))
+    assert not any(branch.path.endswith("/gnss") for branch in tree(off, PICTURED))

@@ -1,15 +1,18 @@
 """SAFE, CAUTION, UNSAFE: each row of the table of the design, and that NaN fails each gate."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from ship_estimation.outcome import Status
 from ship_estimation.protection import IntegrityState
+from ship_geometry.rotations import ARCSEC
 from ship_watch.picture import Presence, Safety, SourceStanding
-from ship_watch.states import AngleClaim, HeldWord, Protection, judged
+from ship_watch.states import AngleClaim, HeldWord, Judgement, Protection, judged, judgement
 
 SECOND = 1_000_000_000
 KNOCKED = SourceStanding("star.bow", Presence.OUT, "excluded", "right +49″", 17.0, 1, "")
@@ -83,22 +86,113 @@ def test_a_level_that_another_angle_exceeds_does_not_colour_this_one() -> None:
     assert judged(replace(GOOD, protection=Protection(IntegrityState.EXCEEDED, 29.0)))[0] is Safety.SAFE
 
 
+def over(accuracy: float) -> Judgement:
+    """Judgement of an angle that nothing but its accuracy speaks against; its limit is 5."""
+    return judgement(replace(GOOD, accuracy_95=accuracy))
+
+
+SAFE = Judgement(Safety.SAFE, "")
+SILENT = Judgement(Safety.CAUTION, "star.bow silent")
+
+
 def test_worse_at_once_and_better_after_five_seconds() -> None:
     held = HeldWord(5.0)
-    assert held.note(Safety.SAFE, "", 0)
-    assert held.note(Safety.UNSAFE, "invalid", SECOND)
+    assert held.note(SAFE, 0)
+    assert held.note(Judgement(Safety.UNSAFE, "invalid"), SECOND)
     assert held.word is Safety.UNSAFE
-    assert not held.note(Safety.CAUTION, "over the limit", 2 * SECOND)
+    assert not held.note(SILENT, 2 * SECOND)
     assert (held.word, held.reason) == (Safety.UNSAFE, "invalid")
-    assert held.note(Safety.SAFE, "", 6 * SECOND)  # 5 s after it was UNSAFE, 4 s after it was a CAUTION
-    assert (held.word, held.reason, held.since_ns) == (Safety.CAUTION, "over the limit", 6 * SECOND)
-    assert not held.note(Safety.SAFE, "", 7 * SECOND - 1)
-    assert held.note(Safety.SAFE, "", 7 * SECOND)
+    assert held.note(SAFE, 6 * SECOND)  # 5 s after it was UNSAFE, 4 s after it was a CAUTION
+    assert (held.word, held.reason, held.since_ns) == (Safety.CAUTION, "star.bow silent", 6 * SECOND)
+    assert not held.note(SAFE, 7 * SECOND - 1)
+    assert held.note(SAFE, 7 * SECOND)
     assert (held.word, held.reason) == (Safety.SAFE, "")
 
 
 def test_a_word_that_flickers_changes_once() -> None:
     held, changes = HeldWord(5.0), 0
     for i in range(100):
-        changes += held.note(Safety.CAUTION if i % 2 else Safety.SAFE, "over the limit", i * SECOND // 2)
+        changes += held.note(SILENT if i % 2 else SAFE, i * SECOND // 2)
     assert changes == 2  # SAFE, then CAUTION
+
+
+def changes_of(accuracies: Iterable[float]) -> list[Safety | None]:
+    """The words that are shown one after another, given the accuracy of each tenth of a second."""
+    held = HeldWord(5.0)
+    at_each = [(held.note(over(accuracy), i * SECOND // 10), held.word) for i, accuracy in enumerate(accuracies)]
+    return [word for changed, word in at_each if changed]
+
+
+@pytest.mark.parametrize("period_s", [2.0, 12.0, 40.0])
+def test_an_accuracy_that_wanders_around_its_limit_changes_the_word_once(period_s: float) -> None:
+    """By 2 % to either side, within its limit for up to 20 s at a time."""
+    accuracies = 5.0 * (1.0 + 0.02 * np.sin(2.0 * np.pi * np.arange(6000) / (10.0 * period_s)))
+    assert changes_of(accuracies) == [Safety.SAFE, Safety.CAUTION]
+
+
+def test_an_accuracy_that_wanders_around_three_times_its_limit_changes_the_word_once() -> None:
+    accuracies = 15.0 * (1.0 + 0.02 * np.sin(np.arange(6000) / 20.0))
+    assert changes_of(accuracies) == [Safety.CAUTION, Safety.UNSAFE]
+
+
+def safe_after_s(*accuracies: tuple[float, float]) -> float:
+    """Time from an accuracy over its limit of 5 to SAFE, given accuracies and the times from which they are so, s."""
+    held = HeldWord(5.0)
+    held.note(over(6.0), 0)
+    for tenth in range(1, 1000):
+        accuracy = [value for start_s, value in accuracies if tenth >= start_s * 10][-1]
+        held.note(over(accuracy), tenth * SECOND // 10)
+        if held.word is Safety.SAFE:
+            return tenth / 10.0
+    return math.inf
+
+
+def test_better_after_five_seconds_below_the_margin_or_thirty_below_the_limit() -> None:
+    assert safe_after_s((0.0, 4.4)) == 5.0
+    assert safe_after_s((0.0, 4.9)) == 30.0
+    assert safe_after_s((0.0, 4.9), (10.0, 4.4)) == pytest.approx(14.9)
+    assert safe_after_s((0.0, 4.4), (3.0, 4.9), (4.0, 4.4)) == pytest.approx(8.9)
+    assert safe_after_s((0.0, 5.1)) == math.inf
+    assert safe_after_s((0.0, math.nan)) == math.inf
+
+
+def test_the_margin_is_for_an_accuracy_that_was_over_its_limit_alone() -> None:
+    """A silent source makes a CAUTION of 5 s, also where the accuracy is 2 % below its limit all the while."""
+    held = HeldWord(5.0)
+    for tenth in range(100):
+        now = over(4.9)
+        silent = now._replace(word=Safety.CAUTION, reason="star.bow silent")
+        held.note(silent if tenth < 10 else now, tenth * SECOND // 10)
+        assert (held.word is Safety.SAFE) == (tenth >= 59)
+
+
+def test_an_accuracy_that_was_once_over_its_limit_is_judged_by_the_limit_once_it_is_safe_again() -> None:
+    held = HeldWord(5.0)
+    held.note(over(6.0), 0)
+    held.note(over(4.0), 5 * SECOND)
+    assert held.word is Safety.SAFE
+    held.note(over(4.9), 6 * SECOND)
+    assert held.word is Safety.SAFE
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "at_s", "word", "reason"),
+    [
+        (over(6.0), over(6.0), 1.0, Safety.CAUTION, "over the limit"),
+        (over(6.0), over(4.0), 1.0, Safety.CAUTION, "within 5″ again; SAFE in 4 s"),
+        (over(6.0), over(4.0), 1.5, Safety.CAUTION, "within 5″ again; SAFE in 4 s"),
+        (over(6.0), over(4.9), 1.0, Safety.CAUTION, "within 5″ again; SAFE in 29 s"),
+        (over(16.0), over(4.0), 1.0, Safety.UNSAFE, "within 5″ again; SAFE in 4 s"),
+        (over(16.0), over(6.0), 1.0, Safety.UNSAFE, "over the limit; CAUTION in 4 s"),
+        (over(16.0), over(4.9), 1.0, Safety.UNSAFE, "within 5″ again; CAUTION in 4 s"),
+        (Judgement(Safety.UNSAFE, "invalid"), SAFE, 2.0, Safety.UNSAFE, "good again; SAFE in 3 s"),
+        (Judgement(Safety.UNSAFE, "invalid"), SILENT, 2.0, Safety.UNSAFE, "star.bow silent; CAUTION in 3 s"),
+        (SILENT, SAFE, 4.9, Safety.CAUTION, "good again; SAFE in 1 s"),
+        (SILENT, SAFE, 5.0, Safety.SAFE, ""),
+    ],
+)
+def test_the_reason_is_true_now(before: Judgement, now: Judgement, at_s: float, word: Safety, reason: str) -> None:
+    held = HeldWord(5.0)
+    held.note(before, 0)
+    shown = held.shown(now, round(at_s * SECOND))
+    assert (shown.word, shown.reason(now, 5.0 * ARCSEC)) == (word, reason)

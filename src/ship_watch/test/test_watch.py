@@ -89,7 +89,7 @@ def test_a_good_ship_is_safe_and_the_picture_tells_her_time() -> None:
     assert [angle.safety for angle in picture.angles] == [Safety.SAFE] * 3
     heading = picture.angles[0]
     assert heading.accuracy_95 == pytest.approx(1.96 * ARCSEC)
-    assert heading.limit == pytest.approx(5.0 * ARCSEC)
+    assert heading.limit == pytest.approx(6.0 * ARCSEC)
     assert heading.age_s == pytest.approx(0.3)
     assert heading.stamp_ns == UTC + 10 * SECOND
     assert picture.utc_ns == UTC + 10 * SECOND + 3 * SECOND // 10
@@ -294,6 +294,25 @@ def test_limits_of_the_ship_are_used() -> None:
     go_on(watch, 0.0, 3.0)
     words = [(angle.safety, angle.reason) for angle in watch.look(at(3.0)).angles]
     assert words == [(Safety.CAUTION, "over the limit"), (Safety.SAFE, ""), (Safety.SAFE, "")]
+
+
+def test_the_text_beside_a_caution_is_true_at_every_time() -> None:
+    """An accuracy over its limit for 2 s, then below it: the picture says when the word gets better."""
+    watch = Watch(Limits(tilt_arcsec=4.0))
+    go_on(watch, 0.0, 10.0)
+    go_on(watch, 10.1, 12.0, sigma_arcsec=2.1)
+    assert {(angle.safety, angle.reason) for angle in watch.look(at(12.0)).angles[1:]} == {
+        (Safety.CAUTION, "over the limit")
+    }
+    for tenth in range(121, 170):
+        go_on(watch, tenth / 10, tenth / 10)
+        (pitch,) = (angle for angle in watch.look(at(tenth / 10)).angles if angle.name == "pitch")
+        left_s = math.ceil(round(17.1 - tenth / 10, 6))  # a word is judged before the message of its time
+        assert (pitch.safety, pitch.reason) == (Safety.CAUTION, f"within 4″ again; SAFE in {left_s} s")
+    go_on(watch, 17.0, 17.2)
+    assert watch.look(at(17.2)).angles[1].safety is Safety.SAFE
+    told = [event.text for event in watch.look(at(17.2)).events if event.subject == "pitch"]
+    assert told[:2] == ["pitch CAUTION → SAFE", "pitch SAFE → CAUTION, over the limit"]
 
 
 def test_every_topic_is_watched_by_its_type_alone() -> None:

@@ -6,18 +6,19 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from ship_bags.command_line import CommandParser, run_command
+from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput, one_line
 from ship_bags.live.dds import dds_has_security, loaded_libraries, require_demanded_security
 from ship_bags.live.ros_process import namespace_name, positive
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.renamed_topics import add_remap
 from ship_bringup.security.demand import require_profile
+from ship_bringup.suite.expected_limits import expected_limits
 from ship_bringup.suite.frozen_check import FROZEN_REPORT_S, FROZEN_RESTART_S
 from ship_bringup.suite.keeper import Keeper
 from ship_bringup.suite.plan import SuiteOptions, attached_suite, plan_of
 from ship_bringup.suite.suite_log import SuiteLog, log_path
-from ship_watch.limits import read_limits
+from ship_watch.limits import Limits, read_limits
 
 _DESCRIPTION = """\
 Starts a node for each section of a suite file (ROS 2 parameter file with sections as '/**/ship_attitude:'), each as a
@@ -35,6 +36,9 @@ logs (ROS_LOG_DIR, else ~/.ros/log): 5 MB and the 5 MB before.
 Sections for nmea_in and nmea_out, as '/**/nmea_out:', start these nodes of ship_nmea, too: attitude and alerts go out
 as NMEA sentences, and instruments' sentences become topics, but not with --bag. The others do not need them.
 """
+_NO_FILE = Path()
+"""Value of --limits without a file."""
+
 _EPILOG = (
     "exit code: 0 ended by Ctrl-C, SIGTERM, SIGHUP or the end of the bag while all programs ran; otherwise that of\n"
     "the player, or of the first program that was down then (128 + n after signal n); 2 bad input or usage"
@@ -78,8 +82,16 @@ def _parser() -> CommandParser:
     parser.add_argument(
         "--limits",
         type=Path,
+        nargs="?",
+        const=_NO_FILE,
         metavar="FILE",
-        help="the ship's limits, for page and alerts; where they require DDS security, nothing starts without it",
+        help="the ship's limits, for page and alerts; where they require DDS security, nothing starts without it; "
+        "without FILE: --dry-run with the default limits",
+    )
+    parser.add_argument(
+        "--dry-run",
+        action="store_true",
+        help="start nothing: replay --bag, print for which share of the time the limits are held, and propose limits",
     )
     parser.add_argument(
         "--port", type=_port, metavar="PORT", help="with --monitor: port of the page (that of 'monitor')"
@@ -105,6 +117,8 @@ def _parser() -> CommandParser:
 def _suite(parsed: argparse.Namespace) -> int:
     if parsed.file is None and parsed.bag is None:
         raise BadInput("no FILE: expected a suite file, or --bag with a bag that has one attached")
+    if parsed.dry_run or parsed.limits is _NO_FILE:
+        return _show_limits(parsed)
     require_demanded_security()
     if parsed.limits is not None:
         require_profile(read_limits(parsed.limits), parsed.limits, dds_has_security(loaded_libraries()))
@@ -134,6 +148,18 @@ def _suite(parsed: argparse.Namespace) -> int:
             errors.write(f"suite: warning: {one_line(_named(warning, path, parsed))}")
         log.write(f"[suite] starts {', '.join(program.name for program in plan.programs)}")
         return Keeper(plan.programs, log.write, parsed.frozen_report, parsed.frozen_restart).run()
+
+
+def _show_limits(parsed: argparse.Namespace) -> int:
+    """Print expected availability and proposed limits; start nothing."""
+    if parsed.bag is None:
+        raise BadInput(
+            "limits need --bag BAG: the accuracy to expect is that of a recording replayed through the suite; before "
+            "there is one, simulate a voyage (./ros2run ship_simulation simulate)"
+        )
+    limits = Limits() if parsed.limits in (None, _NO_FILE) else read_limits(parsed.limits)
+    print("\n".join(expected_limits(parsed.file, parsed.bag, parsed.namespace, limits)))
+    return EXIT_DONE
 
 
 def _make_folder(box: Path) -> None:

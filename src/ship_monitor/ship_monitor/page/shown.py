@@ -67,8 +67,8 @@ def _tile(angle: AngleShown) -> dict[str, Any]:
     limit = words.limit_size(angle.limit)
     ratio = angle.accuracy_95 / (2.0 * angle.limit) if angle.limit > 0.0 else float("nan")
     reason = angle.reason or f"limit {limit}"
-    if angle.reason == OVER_THE_LIMIT:  # a better word comes seconds after a better value
-        reason = f"{'was ' if angle.accuracy_95 <= angle.limit else ''}{OVER_THE_LIMIT}, {limit}"
+    if angle.reason == OVER_THE_LIMIT:
+        reason += f", {limit}"
     return {
         "number": reading.number,
         "sense": reading.sense or ("theodolite" if angle.name in _OF_THEODOLITE else ""),

@@ -28,7 +28,7 @@ def add_page_options(parser: argparse.ArgumentParser, bags: str, page_name: str)
     parser.add_argument("--out", type=Path, metavar="FILE.html", help=f"file to write (default: {page_name})")
     parser.add_argument(
         "--limits", type=Path, metavar="FILE",
-        help="limits of the ship as YAML (default: heading 5, tilt 3, pointing 10 arcsec)",
+        help="limits of the ship as YAML (default: heading 6, tilt 4, pointing 12 arcsec)",
     )
     add_bag_names(parser, "of the ship's topics in the bags")
     add_force(parser)

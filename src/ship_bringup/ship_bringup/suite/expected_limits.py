@@ -1,0 +1,82 @@
+"""Expected availability of a suite's limits, from a recording that is replayed through the suite's own nodes."""
+
+import math
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from ship_bags.errors import BadInput
+from ship_bags.mcap.bag_reader import read_bag, watched
+from ship_bags.topic_names import TRUTH_PREFIX
+from ship_replay.offline.nodes import ADAPTERS
+from ship_replay.offline.replay import replay
+from ship_watch.availability import QUANTITIES, START_UP_S, WANTED_SHARE, Availability, AvailabilityRecord
+from ship_watch.limits import Limits
+from ship_watch.topics import watched_topic
+
+
+def expected_limits(suite_file: Path | None, bag: Path, namespace: str, limits: Limits) -> list[str]:
+    """Return lines for people: expected availability beside each limit, proposed limits, and how to adopt them.
+
+    Args:
+        suite_file: of the suite; None for the one attached to the bag.
+        bag: recording of the suite's inputs.
+        namespace: of the ship in the bag.
+        limits: of the ship.
+
+    Raises:
+        BadInput: bag or suite file do not serve, or nothing is published of which a limit decides.
+    """
+    record = AvailabilityRecord(limits)
+    with tempfile.TemporaryDirectory(prefix="ship_limits_") as folder:
+        outputs = Path(folder) / "outputs.mcap"
+        summary = replay(bag, outputs, ADAPTERS, suite_file, namespace, watched)
+        with read_bag(outputs) as replayed:
+            topics = {
+                name
+                for name, kind in replayed.topics.items()
+                if watched_topic(name, kind) and not name.startswith(TRUTH_PREFIX)
+            }
+            for each in watched(replayed.records(topics), replayed):
+                record.take(each.topic, each.decode(), each.log_time_ns)
+    found = [one for one in map(record.availability, QUANTITIES) if one is not None]
+    if not found:
+        reason = f"no limit can be proposed: after the first {START_UP_S:.0f} s no output was VALID and checked"
+        raise BadInput(reason, file=bag)
+    return [
+        f"{summary.duration_s:.0f} s of {bag} through the nodes of this suite, without the first {START_UP_S:.0f} s:",
+        "",
+        *_table(found),
+        "",
+        *_explanation(found),
+        "",
+        "Nothing is adopted. To adopt proposed limits, or those of your task, write them into a file for --limits FILE:",
+        "",
+        *(f"{one.quantity}_arcsec: {one.proposed_arcsec}" for one in found),
+    ]
+
+
+def _table(found: Sequence[Availability]) -> Iterator[str]:
+    yield f"{'':10}{'±95 %, median':>14}{'limit':>9}{'held':>9}{'proposed':>11}{'held':>9}"
+    for one in found:
+        limit, proposed = f"{one.limit_arcsec:g}″", f"{one.proposed_arcsec:g}″"
+        shares = (f"{_percent(share):>9}" for share in (one.share, one.proposed_share))
+        yield f"{one.quantity:10}{one.median_arcsec:13.1f}″{limit:>9}{next(shares)}{proposed:>11}{next(shares)}"
+
+
+def _explanation(found: Sequence[Availability]) -> Iterator[str]:
+    yield "held: share of the time in which the limit decides for which page and alerts would be SAFE."
+    yield f"proposed: the lowest round limit that is held for {_percent(WANTED_SHARE)} of it."
+    for one in found:
+        if one.other:
+            first, share = next(iter(one.other.items()))
+            yield (
+                f"{one.quantity}: not SAFE for {_percent(1.0 - one.decided_share)} of the time with any limit, "
+                f"{_percent(share)} by: {first}."
+            )
+    yield "The accuracies are those that the filters publish. In another sea, sky or suite they are others."
+
+
+def _percent(share: float) -> str:
+    """Return a share in percent, rounded down, so that 100 % is all."""
+    return f"{math.floor(share * 100.0 + 1e-9)} %"

@@ -1,0 +1,98 @@
+"""``suite … --limits``: expected availability and proposals; and that the shipped suites hold the limits."""
+
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+
+from ship_bringup.commands.suite import main as suite
+from ship_simulation.simulate_command import main as simulate
+from ship_watch.limits import Limits, read_limits
+
+ROOT = Path(__file__).parents[3]
+DEMO = ROOT / "bags" / "demo.mcap"
+TWO_SENSORS = ROOT / "examples" / "two_sensors.yaml"
+ROW = re.compile(r"(heading|tilt|pointing) +([\d.]+)″ +([\d.]+)″ +(\d+) % +([\d.]+)″ +(\d+) %")
+
+
+def shown(arguments: list[str], capsys: pytest.CaptureFixture) -> tuple[str, dict[str, tuple[float, ...]]]:
+    """What the command prints, and of each quantity median, limit, its share, proposed limit and its share."""
+    assert suite(arguments) == 0
+    text = capsys.readouterr().out
+    return text, {name: tuple(map(float, numbers)) for name, *numbers in ROW.findall(text)}
+
+
+def test_availability_stands_beside_each_limit_and_nothing_starts(capsys: pytest.CaptureFixture) -> None:
+    text, rows = shown([str(TWO_SENSORS), "--bag", str(DEMO), "--limits"], capsys)
+    assert "starts" not in text
+    assert "Nothing is adopted" in text
+    assert {name: row[1:2] + row[3:4] for name, row in rows.items()} == {"heading": (6.0, 5.0), "tilt": (4.0, 4.0)}
+    assert all(share >= 95.0 for row in rows.values() for share in (row[2], row[4]))
+    assert "tilt: not SAFE for 25 % of the time with any limit, 20 % by: star.fore silent." in text
+
+
+def test_the_lines_to_write_are_a_file_of_limits_that_is_held(capsys: pytest.CaptureFixture, tmp_path: Path) -> None:
+    tight, adopted = tmp_path / "tight.yaml", tmp_path / "adopted.yaml"
+    tight.write_text("heading_arcsec: 3.5\ntilt_arcsec: 2.9\n")
+    text, rows = shown([str(TWO_SENSORS), "--bag", str(DEMO), "--limits", str(tight), "--dry-run"], capsys)
+    assert rows["heading"][1:3] == (3.5, 0.0)
+    assert rows["tilt"][2] < 95.0
+    adopted.write_text("".join(line + "\n" for line in text.splitlines() if re.match(r"[a-z]+_arcsec: ", line)))
+    assert read_limits(adopted) == Limits(heading_arcsec=5.0, tilt_arcsec=4.0)
+
+
+def test_without_a_bag_or_outputs_it_is_one_line(capsys: pytest.CaptureFixture, tmp_path: Path) -> None:
+    assert suite([str(TWO_SENSORS), "--limits"]) == 2
+    assert "limits need --bag BAG" in capsys.readouterr().err
+    assert suite([str(TWO_SENSORS), "--dry-run"]) == 2
+    assert suite([str(TWO_SENSORS), "--bag", str(DEMO), "--limits", str(tmp_path / "none.yaml"), "--dry-run"]) == 2
+    capsys.readouterr()
+    (tmp_path / "short.yaml").write_text(yaml.safe_dump(scenario("demo") | {"duration_s": 20.0}))
+    assert simulate([str(tmp_path / "short.yaml"), "--out", str(tmp_path / "short.mcap"), "--seed", "1"]) == 0
+    assert suite([str(TWO_SENSORS), "--bag", str(tmp_path / "short.mcap"), "--limits"]) == 2
+    assert "after the first 30 s no output was VALID and checked" in capsys.readouterr().err
+
+
+def scenario(name: str) -> dict:
+    return yaml.safe_load((ROOT / "bags" / "scenarios" / f"{name}.yaml").read_text(encoding="utf-8"))
+
+
+def theodolite() -> dict:
+    """The voyage of test_examples for examples/theodolite.yaml: stars in place of a made attitude."""
+    voyage = scenario("theodolite")
+    voyage["fused_attitude"]["written"] = False
+    voyage["star_sensors"] = scenario("demo")["star_sensors"]
+    voyage["theodolite"]["telescope"]["phase_s"] = 0.1
+    return voyage
+
+
+def test_the_shipped_bags_hold_the_default_limits(capsys: pytest.CaptureFixture) -> None:
+    """At least 95 % of the time in which the limit decides: the output is VALID, checked, and 30 s old."""
+    _, rows = shown(["--bag", str(ROOT / "bags" / "theodolite.mcap"), "--limits"], capsys)
+    assert list(rows) == ["pointing"]
+    assert rows["pointing"][2] >= 95.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("voyage", "example", "quantities"),
+    [
+        # make watch
+        (scenario("everything"), "", ["heading", "tilt", "pointing"]),
+        (theodolite(), "theodolite", ["heading", "tilt", "pointing"]),
+        (scenario("three_sensors"), "three_sensors", ["heading", "tilt"]),
+    ],
+    ids=["everything", "theodolite", "three_sensors"],
+)
+def test_the_shipped_suites_hold_the_default_limits(
+    voyage: dict, example: str, quantities: list[str], tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    path, bag = tmp_path / "voyage.yaml", tmp_path / "voyage.mcap"
+    path.write_text(yaml.safe_dump(voyage))
+    assert simulate([str(path), "--out", str(bag), "--seed", "1"]) == 0
+    capsys.readouterr()
+    file = [str(ROOT / "examples" / f"{example}.yaml")] if example else []
+    _, rows = shown([*file, "--bag", str(bag), "--limits"], capsys)
+    assert list(rows) == quantities
+    assert all(row[2] >= 95.0 for row in rows.values()), rows

@@ -1,0 +1,166 @@
+"""Expected availability: the share of the time for which the angles of a recording are within a limit.
+
+A limit decides only where nothing else is wrong: while the output is VALID, fresh and checked. The share is that of the
+time in which the page shows SAFE, with its hysteresis. A proposed limit is the lowest round one with a share of 95 %.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ship_bags.stamps import NS_PER_S
+from ship_geometry.rotations import ARCSEC
+from ship_watch.functions import still
+from ship_watch.limits import Limits
+from ship_watch.picture import AngleShown, Safety
+from ship_watch.states import MARGIN, HeldWord, Judgement, accuracy_word
+from ship_watch.watch import Watch
+
+QUANTITIES = {"heading": ("heading",), "tilt": ("pitch", "roll"), "pointing": ("azimuth", "elevation")}
+"""Quantity with a limit of its own → its angles."""
+
+WANTED_SHARE = 0.95
+"""Share of the time for which a proposed limit is held."""
+
+START_UP_S = 30.0
+"""Time after the first output that is left out, s: the filters find mountings and INS errors by the first stars."""
+
+STEP_NS = NS_PER_S // 5
+"""Time between two samples of the accuracy, ns."""
+
+_ROUND = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0)
+_NO_LIMIT_ARCSEC = 360_000.0
+
+
+@dataclass(frozen=True)
+class Availability:
+    """Expected availability of one quantity.
+
+    Attributes:
+        quantity: "heading", "tilt" or "pointing".
+        limit_arcsec: its limit now.
+        share: share of the time within that limit, of the time in which the limit decides.
+        median_arcsec: median of the accuracy (95 %) of its worse angle in this time.
+        proposed_arcsec: the lowest round limit that is held for :data:`WANTED_SHARE` of this time.
+        proposed_share: share of this time within the proposed limit.
+        decided_share: share of the whole time, without the start, in which the limit decides.
+        other: reason → share of the whole time in which the quantity is not SAFE whatever its limit is.
+    """
+
+    quantity: str
+    limit_arcsec: float
+    share: float
+    median_arcsec: float
+    proposed_arcsec: float
+    proposed_share: float
+    decided_share: float
+    other: dict[str, float]
+
+
+@dataclass(frozen=True)
+class _Sample:
+    """Angles of a quantity at one time, judged without a limit of their accuracy."""
+
+    time_ns: int
+    is_start: bool
+    angles: tuple[AngleShown, ...]
+
+    @property
+    def is_decided(self) -> bool:
+        """True if nothing but the limit decides whether the quantity is SAFE."""
+        return not self.is_start and all(angle.safety is Safety.SAFE for angle in self.angles)
+
+
+class AvailabilityRecord:
+    """Accuracies of a recording, sampled at a fixed rate.
+
+    Args:
+        limits: of the ship.
+    """
+
+    def __init__(self, limits: Limits) -> None:
+        self._limits = limits
+        no_limit = {f"{quantity}_arcsec": _NO_LIMIT_ARCSEC for quantity in QUANTITIES}
+        self._watch = Watch(replace(limits, **no_limit))  # type: ignore[arg-type]
+        self._due_ns: int | None = None
+        self._samples: dict[str, list[_Sample]] = {quantity: [] for quantity in QUANTITIES}
+
+    def take(self, topic: str, message: Any, arrival_ns: int) -> None:
+        """Take a message of the recording, in order of arrival.
+
+        Args:
+            topic: its name, relative to the namespace of the suite.
+            message: with the fields of its type as attributes.
+            arrival_ns: when it came.
+        """
+        while self._due_ns is not None and self._due_ns <= arrival_ns:
+            self._sample(self._due_ns)
+            self._due_ns += STEP_NS
+        self._due_ns = self._due_ns or arrival_ns
+        self._watch.take(topic, message, arrival_ns)
+
+    def availability(self, quantity: str) -> Availability | None:
+        """Return the expected availability of a quantity; None where no limit decides at any time."""
+        samples = self._samples[quantity]
+        decided = [sample for sample in samples if sample.is_decided]
+        if not decided:
+            return None
+        accuracies = np.array([max(angle.accuracy_95 for angle in each.angles) for each in decided]) / ARCSEC
+        limit_arcsec = float(np.degrees(self._limits.of_angle(QUANTITIES[quantity][0])) * 3600.0)
+        for proposed_arcsec in _round_limits(float(np.min(accuracies))):
+            share = self._share(quantity, proposed_arcsec)
+            if share >= WANTED_SHARE or (1.0 - MARGIN) * proposed_arcsec > np.max(accuracies):
+                break
+        later = [sample for sample in samples if not sample.is_start]
+        reasons = Counter(_reason(sample.angles) for sample in later if not sample.is_decided)
+        return Availability(
+            quantity, limit_arcsec, self._share(quantity, limit_arcsec), float(np.median(accuracies)),
+            proposed_arcsec, share, len(decided) / len(later),
+            {reason: count / len(later) for reason, count in reasons.most_common()},
+        )
+
+    def _sample(self, time_ns: int) -> None:
+        angles = {angle.name: angle for angle in self._watch.look(time_ns).angles if math.isfinite(angle.age_s)}
+        for quantity, names in QUANTITIES.items():
+            if all(name in angles for name in names):
+                before = self._samples[quantity]
+                is_start = not before or time_ns - before[0].time_ns < START_UP_S * NS_PER_S
+                before.append(_Sample(time_ns, is_start, tuple(angles[name] for name in names)))
+
+    def _share(self, quantity: str, limit_arcsec: float) -> float:
+        """Return the share of the time in which the limit decides for which the quantity is SAFE with it."""
+        words = [HeldWord(self._limits.better_after_s) for _ in QUANTITIES[quantity]]
+        safe: list[bool] = []
+        for sample in self._samples[quantity]:
+            for held, angle in zip(words, sample.angles, strict=True):
+                held.note(self._judgement(angle, limit_arcsec * ARCSEC), sample.time_ns)
+            if sample.is_decided:
+                safe.append(all(held.word is Safety.SAFE for held in words))
+        return sum(safe) / len(safe)
+
+    def _judgement(self, angle: AngleShown, limit: float) -> Judgement:
+        """Return the judgement of an angle with another limit of its accuracy."""
+        factor, accuracy = self._limits.unsafe_factor, angle.accuracy_95
+        by_accuracy, by_margin = (accuracy_word(accuracy, x, factor) for x in (limit, (1.0 - MARGIN) * limit))
+        word, reason = angle.now or (angle.safety, angle.reason)
+        return Judgement(max(word, by_accuracy), reason, by_accuracy, by_margin)
+
+
+def _round_limits(least_arcsec: float) -> Iterator[float]:
+    """Yield round limits, upward from the first that is not below an accuracy."""
+    exponent = math.floor(math.log10(max(least_arcsec, 0.1)))
+    while True:
+        for first in _ROUND:
+            if (limit := round(first * 10.0**exponent, 3)) >= least_arcsec:
+                yield limit
+        exponent += 1
+
+
+def _reason(angles: Sequence[AngleShown]) -> str:
+    """Return why a quantity is not SAFE whatever its limit is, without figures that change."""
+    worst = max(angles, key=lambda angle: angle.safety)
+    return "a better word waits" if worst.is_good_again else still(worst.reason)

@@ -1,0 +1,87 @@
+"""Expected availability: the shares are those of the page, and a proposed limit is held."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ship_testing.watched_voyages import records, replayed
+from ship_watch.availability import START_UP_S, WANTED_SHARE, AvailabilityRecord
+from ship_watch.limits import Limits
+from ship_watch.picture import Safety
+from ship_watch.watch import Watch
+
+SECOND = 1_000_000_000
+
+
+def record_of(outputs: Path, limits: Limits) -> AvailabilityRecord:
+    record = AvailabilityRecord(limits)
+    for time_ns, topic, message in records(outputs):
+        record.take(topic, message, time_ns)
+    return record
+
+
+def safe_share(outputs: Path, limits: Limits) -> float:
+    """Share of the time without the start and without an outage of the stars for which pitch and roll are SAFE."""
+    watch, due_ns, first_ns = Watch(limits), 0, 0
+    words: list[bool] = []
+    for time_ns, topic, message in records(outputs):
+        first_ns = first_ns or time_ns
+        due_ns = due_ns or time_ns + round(START_UP_S * SECOND)
+        while due_ns <= time_ns:
+            if not 69.0 < (due_ns - first_ns) * 1e-9 < 100.0:
+                angles = watch.look(due_ns).angles
+                words.append(all(angle.safety is Safety.SAFE for angle in angles[1:3]))
+            due_ns += SECOND // 10
+        watch.take(topic, message, time_ns)
+    return sum(words) / len(words)
+
+
+@pytest.mark.parametrize("tilt_arcsec", [2.0, 3.0, 3.2, 4.0])
+def test_the_share_is_that_of_the_page(tilt_arcsec: float, tmp_path: Path) -> None:
+    """With hysteresis; the 20 s of cloud and the 5 s after them count neither here nor there."""
+    _, outputs = replayed(tmp_path, "demo")
+    limits = Limits(tilt_arcsec=tilt_arcsec)
+    found = record_of(outputs, limits).availability("tilt")
+    assert found is not None
+    assert found.share == pytest.approx(safe_share(outputs, limits), abs=0.05)
+    assert found.limit_arcsec == pytest.approx(tilt_arcsec)
+
+
+def test_the_proposed_limit_is_held_and_the_round_one_below_it_is_not(tmp_path: Path) -> None:
+    _, outputs = replayed(tmp_path, "demo")
+    proposed = {}
+    for quantity in ("heading", "tilt"):
+        found = record_of(outputs, Limits()).availability(quantity)
+        assert found is not None
+        assert found.proposed_share >= WANTED_SHARE
+        proposed[quantity] = found.proposed_arcsec
+        assert found.other
+        assert 0.6 < found.decided_share < 0.8
+    assert proposed == {"heading": 5.0, "tilt": 4.0}
+    lower = record_of(outputs, Limits(heading_arcsec=4.0, tilt_arcsec=3.0))
+    shares = [found.share for name in proposed if (found := lower.availability(name)) is not None]
+    assert len(shares) == 2
+    assert max(shares) < WANTED_SHARE
+
+
+def test_nothing_is_expected_of_what_is_not_published(tmp_path: Path) -> None:
+    _, outputs = replayed(tmp_path, "demo")
+    assert record_of(outputs, Limits()).availability("pointing") is None
+    assert AvailabilityRecord(Limits()).availability("heading") is None
+
+
+def test_an_accuracy_that_is_unknown_is_within_no_limit(tmp_path: Path) -> None:
+    """Half of the time the output gives no covariance: this half is not SAFE with any limit."""
+    _, outputs = replayed(tmp_path, "demo")
+    record, start_ns = AvailabilityRecord(Limits()), 0
+    for time_ns, topic, message in records(outputs):
+        start_ns = start_ns or time_ns
+        if topic == "ship/attitude" and (time_ns - start_ns) // (10 * SECOND) % 2:
+            message.covariance = np.full(9, math.nan)
+        record.take(topic, message, time_ns)
+    found = record.availability("heading")
+    assert found is not None
+    assert found.other["accuracy unknown"] == pytest.approx(0.5, abs=0.06)
+    assert found.decided_share < 0.4
