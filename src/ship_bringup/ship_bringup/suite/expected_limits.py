@@ -50,7 +50,7 @@ def expected_limits(suite_file: Path | None, bag: Path, namespace: str, limits: 
         "",
         *_explanation(found),
         "",
-        "Nothing is adopted. To adopt proposed limits, or those of your task, write them into a file for --limits FILE:",
+        "Nothing is adopted. To adopt proposed limits, or those of your task, write them into a file for --limits:",
         "",
         *(f"{one.quantity}_arcsec: {one.proposed_arcsec}" for one in found),
     ]
