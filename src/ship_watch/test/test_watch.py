@@ -516,7 +516,7 @@ def published(watch: Watch, seconds: float) -> SimpleNamespace:
 
 def test_a_watch_shows_the_published_state_in_place_of_its_own_and_its_own_without_one() -> None:
     """Another watch finds all angles over their limits; while its state is published, this one shows and tells that."""
-    other, watch = heard(20.0, sigma_arcsec=3.0), heard(20.0)
+    other, watch = heard(20.0, sigma_arcsec=4.0), heard(20.0)
     assert {angle.safety for angle in watch.look(at(20.0)).angles} == {Safety.SAFE}
     watch.take_state(published(other, 20.0), at(20.1))
     shown = watch.look(at(20.3))
