@@ -23,6 +23,7 @@ from ship_replay.report.pair import origin, read_pair
 from ship_replay.report.pair_page import PAIR_SECTIONS, pair_page
 from ship_replay.report.pair_tables import alignment_tables, budget_tables, error_rows, only_one_has
 from ship_replay.report.pair_verdict import pair_verdict
+from ship_replay.report.pair_warnings import pair_warnings
 from ship_replay.report.published import differences, read_published
 from ship_testing.bag_parts import beginning, part
 from ship_testing.browser import CHROMIUM, Browser
@@ -456,3 +457,38 @@ def test_it_is_written_and_not_written_over(tmp_path, capsys):
     assert capsys.readouterr().out == f"compare: {out}\n"
     assert main([str(a), str(a), "--out", str(out)]) == 2
     assert "--force" in capsys.readouterr().err
+
+
+class TestWarnings:
+    """Each says what is different, why that matters and what to do; it is no sentence of the verdict besides."""
+
+    def test_other_times(self, tmp_path):
+        a = write_attitudes(tmp_path / "a.mcap", 40, offset_rad=2 * ARCSEC)
+        b = write_attitudes(tmp_path / "b.mcap", 40, start_s=30)
+        pair = read_pair(a, b)
+        (times,) = [one for one in pair_warnings(pair, []) if "not of the same time" in one.what]
+        assert times.why.startswith("A share or mean of A is of other minutes")
+        assert "at equal stamps" in times.do
+        text = pair_page(pair)
+        assert text.count("They are not of the same time") == 1
+        assert f"To do: {times.do}" in text
+
+    def test_a_source_without_errors(self, tmp_path):
+        pair = read_pair(write_attitudes(tmp_path / "a.mcap", 5), write_attitudes(tmp_path / "b.mcap", 5))
+        problem = "A and B: star.fore is left out: no attitude on star/fore/horizon_attitude while the truth is known"
+        found = pair_warnings(pair, [problem, "A: a warning of its own"])
+        assert found[-2].why.startswith("Errors of this source are not in the tables")
+        assert "--truth BAG" in found[-2].do
+        assert (found[-1].what, found[-1].why) == ("A: a warning of its own", "")
+
+    def test_commits(self, tmp_path):
+        bags = []
+        for letter in "ab":
+            night = write_attitudes(tmp_path / f"{letter}.mcap", 5)
+            bags.append(tmp_path / f"{letter}_out.mcap")
+            with BagWriter(bags[-1]) as writer, read_bag(night) as bag:
+                writer.add_metadata("suite", {"commit": letter * 8})
+                for record in bag.records():
+                    writer.write_raw(record.topic, record.type_name, record.data, record.log_time_ns)
+        texts = [one.what for one in pair_warnings(read_pair(*bags), [])]
+        assert "A and B were made by different commits of the suite: aaaaaaaa and bbbbbbbb." in texts

@@ -21,13 +21,14 @@ p.lead { color: #51606f; margin-top: 0; }
 table { border-collapse: collapse; font-size: 0.88rem; margin: 0.8rem 0; }
 th, td { padding: 0.28rem 0.7rem; text-align: right; border-bottom: 1px solid #dde4ec;
 font-variant-numeric: tabular-nums; white-space: nowrap; }
-th { background: #f4f7fa; }
+th { background: #f4f7fa; white-space: normal; vertical-align: bottom; }
+details { margin: 1rem 0; } summary { cursor: pointer; color: #0b3c6f; font-weight: 600; }
 th:first-child, td:first-child { text-align: left; }
 table.words td:nth-child(2), table.words th:nth-child(2) { text-align: left; }
 tr.sum td { font-weight: 600; border-top: 2px solid #9fb2c5; }
 img { max-width: 100%; display: block; margin: 1.2rem auto; }
 dt { font-weight: 600; }
-img.small { max-width: 32rem; }
+img.small { max-width: min(100%, 32rem); }
 table.groups th { text-align: center; }
 table.groups th, table.groups td { padding: 0.28rem 0.4rem; font-size: 0.95em; }
 table.groups th:nth-child(3n+2), table.groups td:nth-child(3n+2) { border-left: 1px solid #dde4ec; }
@@ -47,6 +48,11 @@ def image(path: Path, words: str, style: str = "wide") -> str:
     """
     data = base64.b64encode(path.read_bytes()).decode("ascii")
     return f'<img class="{style}" alt="{escape(words)}" src="data:image/png;base64,{data}">'
+
+
+def folded(title: str, content: str, is_open: bool = False) -> str:
+    """A part of a page that a click on its title opens and closes."""
+    return f"<details{' open' if is_open else ''}><summary>{escape(title)}</summary>{content}</details>"
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]], last_is_sum: bool = False, style: str = "") -> str:

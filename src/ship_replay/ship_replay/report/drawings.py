@@ -16,7 +16,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullFormatter
+from matplotlib.transforms import blended_transform_factory
 
 from ship_bags.stamps import NS_PER_S
 from ship_geometry.rotations import ARCSEC, FloatArray
@@ -130,10 +132,13 @@ def status_svg(night: Night, marked: Iterable[int] = ()) -> str:
         grid[1].set_xlim(0.0, (night.end_ns - night.start_ns) / NS_PER_S)
         plain(grid)
         utc_axis(grid[1], start_ns)
+        across = blended_transform_factory(grid[0].transData, figure.transFigure)
         for second in sorted(set(marked)):
-            line = grid[0].axvline(second - start_ns / NS_PER_S, color="#1b2430", lw=2.0, ymin=-1.5, clip_on=False)
+            place_s = second - start_ns / NS_PER_S
+            line = Line2D([place_s, place_s], [0.14, 1.0], color="#1b2430", lw=2.0, transform=across)
             line.set_in_layout(False)
             line.set_gid(f"{MARK}{second}")
+            figure.add_artist(line)
     return svg(figure, "status")
 
 

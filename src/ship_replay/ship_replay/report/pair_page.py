@@ -19,6 +19,7 @@ from ship_replay.report.pair_tables import (
     refusal_rows_of_both,
 )
 from ship_replay.report.pair_verdict import pair_verdict
+from ship_replay.report.pair_warnings import pair_warnings
 from ship_replay.report.tables import shares
 from ship_replay.report.wording import duration, utc
 from ship_watch.picture import ANGLES
@@ -45,6 +46,8 @@ def pair_page(pair: Pair) -> str:
     a, b = pair.nights
     start_ns, end_ns = pair.span_ns
     parameters, errors = parameter_differences(a, b), error_rows(pair)
+    warnings = pair_warnings(pair, _problems(pair))
+    warned = [warning.what for warning in warnings]
     return render(
         "compare.html.j2",
         sections=PAIR_SECTIONS,
@@ -56,8 +59,8 @@ def pair_page(pair: Pair) -> str:
         start=utc(start_ns),
         end=utc(end_ns),
         length=duration((end_ns - start_ns) / NS_PER_S),
-        verdict=pair_verdict(pair, errors, parameters),
-        problems=_problems(pair),
+        verdict=[text for text in pair_verdict(pair, errors, parameters) if text not in warned],
+        warnings=warnings,
         shares=_shares_of_both(a, b),
         states=states_svg(pair),
         differences=difference_rows(pair.differences),
