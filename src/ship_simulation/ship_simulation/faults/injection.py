@@ -124,7 +124,8 @@ class Injection:
 
             for at_ns, order, record in alone._spoilt(bag, topic, noted(), optics):
                 found.setdefault(order, []).append((at_ns, record.data))
-        affected = [(given[order], found.get(order, [])) for order in sorted(given) if found.get(order) != [given[order]]]
+        pairs = [(given[order], found.get(order, [])) for order in sorted(given)]
+        affected = [(message, others) for message, others in pairs if others != [message]]
         replaced = [(message, others[0]) for message, others in affected if others and message not in others]
         return FaultEffect(
             times_ns=[message[0] for message, _ in affected],
