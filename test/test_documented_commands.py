@@ -2,7 +2,8 @@
 
 A block of the language ``bash`` is run, with those above it on the page, in a folder like the checkout, with the first
 seconds of each bag. Blocks marked ``live`` need nodes: those of a page's terminals are run together. Of blocks marked
-``shown``, which need hours or files of one's own, all that they name is there.
+``shown``, which need hours or files of one's own, all that they name is there. The lines of a block ``text printed``
+are lines that the page's commands print with the whole bags.
 """
 
 import re
@@ -25,12 +26,21 @@ VOYAGE_S = 6
 START_S = 30.0
 PREPARATION = r"^(?:mkdir[^\n]*|sed[^\n]*|cat > [^\n]*<<'EOF'\n.*?^EOF$|\./ros2run ship_simulation[^\n]*)"
 """Commands that make what the terminals of a page need."""
+WRITTEN = re.compile(
+    r"(?:--(?:out|report|json|suite|figure)[ =]|>>? ?|black_box:=|^cp \S+ )(out/[\w./-]*[\w-])", re.MULTILINE
+)
+"""A file or folder that a command writes."""
 
 
-def blocks(page: Path, mark: str) -> list[str]:
-    """The bash blocks of a page that bear a mark; an empty one for those that are run."""
+def blocks(page: Path, mark: str, language: str = "bash") -> list[str]:
+    """The blocks of a page in a language that bear a mark; an empty one for bash blocks that are run."""
     found = BLOCK.findall(page.read_text(encoding="utf-8"))
-    return [body for language, marked, body in found if language == "bash" and marked == mark]
+    return [body for written_in, marked, body in found if written_in == language and marked == mark]
+
+
+def printed_lines(page: Path) -> list[str]:
+    """Lines that the commands of a page print, as the page states them."""
+    return [line for body in blocks(page, "printed", "text") for line in body.splitlines()]
 
 
 def name(page: Path) -> str:
@@ -40,18 +50,45 @@ def name(page: Path) -> str:
 @pytest.fixture
 def checkout(tmp_path: Path) -> Path:
     """A folder that looks like this one, with short bags."""
-    folder = tmp_path / "checkout"
-    (folder / "bags").mkdir(parents=True)
-    for path in ROOT.iterdir():
-        if path.name not in ("bags", "out", "log", ".git"):
-            (folder / path.name).symlink_to(path)
+    folder = linked_checkout(tmp_path, "bags")
+    (folder / "bags").mkdir()
     for path in (ROOT / "bags").glob("*.mcap"):
         beginning(path, folder / "bags" / path.name, KEPT_S)
     return folder
 
 
+def linked_checkout(tmp_path: Path, *left_out: str) -> Path:
+    """Return a folder with links to what is in this one, results and `left_out` excepted."""
+    folder = tmp_path / "checkout"
+    folder.mkdir()
+    for path in ROOT.iterdir():
+        if path.name not in ("out", "log", ".git", *left_out):
+            (folder / path.name).symlink_to(path)
+    return folder
+
+
+def test_no_two_pages_write_the_same_file() -> None:
+    """Whoever follows one page after another in one checkout meets no file that already exists."""
+    pages: dict[str, set[str]] = {}
+    for page in PAGES:
+        for path in WRITTEN.findall("".join(blocks(page, "") + blocks(page, "live") + blocks(page, "shown"))):
+            pages.setdefault(path, set()).add(name(page))
+    assert len(pages) > 50
+    assert {path: sorted(writers) for path, writers in pages.items() if len(writers) > 1} == {}
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "")], ids=name)
+@pytest.mark.parametrize("page", [page for page in PAGES if printed_lines(page)], ids=name)
+def test_the_commands_of_a_page_print_the_numbers_that_it_states(page: Path, tmp_path: Path) -> None:
+    script = "set -eu\n" + "".join(blocks(page, ""))
+    folder = linked_checkout(tmp_path)
+    run = subprocess.run(["bash", "-c", script], cwd=folder, capture_output=True, text=True, timeout=600, check=False)
+    assert run.returncode == 0, run.stdout[-2000:] + run.stderr[-2000:]
+    assert [line for line in printed_lines(page) if line not in run.stdout.splitlines()] == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "") and not printed_lines(page)], ids=name)
 def test_the_commands_of_a_page_run_as_printed(page: Path, checkout: Path) -> None:
     script = "set -eu\n" + "".join(blocks(page, "")).replace("duration_s: 30.0", f"duration_s: {VOYAGE_S}.0")
     run = subprocess.run(["bash", "-c", script], cwd=checkout, capture_output=True, text=True, timeout=300, check=False)

@@ -11,6 +11,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.geodetic import rotation_horizon_from_ecef
@@ -24,6 +25,8 @@ GREY, INK = "#9aa3ab", "#22303c"
 _IDENTITY = np.eye(3)
 _UP = _IDENTITY[1]
 _ORIGIN = np.zeros(3)
+_HALO = (withStroke(linewidth=3.0, foreground="white"),)
+"""Around each label, so that no line crosses it."""
 
 
 class Panel:
@@ -59,7 +62,7 @@ class Panel:
 
     def text(self, point_n: FloatArray, words: str, colour: str = INK, **style: object) -> None:
         """Words at a point."""
-        options = {"fontsize": 9.5, "ha": "center", "va": "center", "zorder": 6} | style
+        options = {"fontsize": 9.5, "ha": "center", "va": "center", "zorder": 6, "path_effects": _HALO} | style
         self._axes.text(*self.flat(point_n), words, color=colour, **options)
 
     def arrow(self, start_n: FloatArray, along_n: FloatArray, words: str, colour: str, dashed: bool = False) -> None:
@@ -73,7 +76,7 @@ class Panel:
         steep = side == "center"
         level = "bottom" if steep and way[1] > 0.0 else "top" if steep else "center"
         beyond = end if steep else beyond
-        self._axes.text(*beyond, words, color=colour, fontsize=9.5, ha=side, va=level, zorder=6)
+        self._axes.text(*beyond, words, color=colour, fontsize=9.5, ha=side, va=level, zorder=6, path_effects=_HALO)
 
     def frame(
         self, origin_n: FloatArray, rotation: FloatArray, names: tuple[str, ...], length: float = 1.0, **style: bool
@@ -82,11 +85,31 @@ class Panel:
         for axis_n, name, colour in zip(rotation.T, names, DEVICE, strict=True):
             self.arrow(origin_n, length * axis_n, name, colour, **style)
 
-    def arc(self, start_n: FloatArray, turn_n: FloatArray, words: str, radius: float, named_at: int = 20) -> None:
-        """The way of a direction that turns by a rotation vector, with its name at one of the 40 points of the way."""
-        way = [radius * exp_rotation(part * turn_n) @ start_n for part in np.linspace(0.0, 1.0, 40)]
-        self.line(np.array(way), color=INK, lw=1.2)
-        self.text(1.16 * way[named_at], words)
+    def arc(
+        self,
+        start_n: FloatArray,
+        turn_n: FloatArray,
+        words: str,
+        radius: float,
+        label: tuple[float, float],
+        centre_n: FloatArray = _ORIGIN,
+    ) -> None:
+        """Draw the path of a direction that turns by a rotation vector, and a leader from its middle to its label.
+
+        Args:
+            start_n: direction at the beginning.
+            turn_n: rotation vector.
+            words: the label.
+            radius: of the path.
+            label: centre of the label on the paper.
+            centre_n: centre of the path.
+        """
+        path = np.array([radius * exp_rotation(part * turn_n) @ start_n for part in np.linspace(0.0, 1.0, 41)])
+        path += centre_n
+        self.line(path, color=INK, lw=1.2)
+        leader = {"arrowstyle": "-", "color": INK, "lw": 0.6, "shrinkA": 1, "shrinkB": 0}
+        style = {"fontsize": 9.5, "ha": "center", "va": "center", "zorder": 6, "path_effects": _HALO}
+        self._axes.annotate(words, self.flat(path[20]), label, color=INK, arrowprops=leader, **style)
 
     def circle(
         self, radius: float, normal_n: FloatArray = _UP, centre_n: FloatArray = _ORIGIN, **style: object
@@ -128,31 +151,31 @@ def draw_horizon(panel: Panel) -> None:
     level = rotation_from_angles(*np.deg2rad([155.0, 0.0, 0.0]))
     panel.arrow(_ORIGIN, 1.2 * star[:, 0], "a star ★", INK)
     panel.line(np.array([_ORIGIN, level[:, 0]]), ls="--")
-    panel.arc(_IDENTITY[0], np.deg2rad(-155.0) * _UP, "azimuth", 0.6, named_at=9)
-    panel.arc(level[:, 0], np.deg2rad(42.0) * level[:, 2], "elevation", 0.95, named_at=12)
+    panel.arc(_IDENTITY[0], np.deg2rad(-155.0) * _UP, "azimuth", 0.6, (0.55, 0.98))
+    panel.arc(level[:, 0], np.deg2rad(42.0) * level[:, 2], "elevation", 0.95, (1.2, -0.48))
 
 
 def draw_deck(panel: Panel) -> None:
     """The deck d in n."""
     rotation_nd = rotation_from_angles(*np.deg2rad([105.0, 8.0, 10.0]))
-    panel.circle(1.45)
-    panel.shape(hull(rotation_nd))
-    panel.arrow(_ORIGIN, 1.45 * _IDENTITY[0], "North", GREY)
-    panel.frame(_ORIGIN, rotation_nd, ("bow", "up", "starboard"), 1.1)
-    panel.arc(_IDENTITY[0], np.deg2rad(-105.0) * _UP, "heading", 0.8)
+    panel.circle(1.0)
+    panel.shape(hull(rotation_nd, 0.75))
+    panel.arrow(_ORIGIN, 1.3 * _IDENTITY[0], "North", GREY)
+    panel.frame(_ORIGIN, rotation_nd, ("bow", "up", "starboard"), 1.2)
+    panel.arc(_IDENTITY[0], np.deg2rad(-105.0) * _UP, "heading", 0.6, (0.6, 0.8))
 
 
 def draw_star_sensor(panel: Panel) -> None:
     """A star sensor s on the deck."""
-    panel.shape(hull(_IDENTITY, 1.2))
-    panel.arrow(_ORIGIN, 1.45 * _IDENTITY[0], "bow", GREY)
-    rotation_ds = rotation_from_angles(*np.deg2rad([75.0, 40.0, 0.0]))
-    level = rotation_from_angles(*np.deg2rad([75.0, 0.0, 0.0]))
+    panel.shape(hull(_IDENTITY, 0.9))
+    panel.arrow(_ORIGIN, 1.9 * _IDENTITY[0], "bow", GREY)
+    rotation_ds = rotation_from_angles(*np.deg2rad([60.0, 40.0, 0.0]))
+    level = rotation_from_angles(*np.deg2rad([60.0, 0.0, 0.0]))
     box(_ORIGIN, rotation_ds, panel, (0.34, 0.2, 0.2))
     panel.frame(_ORIGIN, rotation_ds, ("boresight", "up", "right"), 1.05)
     panel.line(np.array([_ORIGIN, level[:, 0]]), ls="--")
-    panel.arc(_IDENTITY[0], np.deg2rad(-75.0) * _UP, "A0", 0.7)
-    panel.arc(level[:, 0], np.deg2rad(40.0) * level[:, 2], "E0", 0.75)
+    panel.arc(_IDENTITY[0], np.deg2rad(-60.0) * _UP, "A0", 0.7, (-0.02, 0.92))
+    panel.arc(level[:, 0], np.deg2rad(40.0) * level[:, 2], "E0", 0.75, (1.05, 0.62))
 
 
 def draw_device(panel: Panel) -> None:
@@ -173,25 +196,25 @@ def draw_drone(panel: Panel) -> None:
     lever = rotation_nb @ np.array([0.1, -0.55, 0.05])
     panel.line(np.array([_ORIGIN, lever]), color=INK, ls=":")
     panel.text(lever, "●", "#d4a017", fontsize=13)
-    panel.text(lever + np.array([0.0, -0.18, 0.0]), "light, at its lever")
+    panel.text(lever + np.array([0.0, -0.3, 0.0]), "light, at its lever")
 
 
 def draw_theodolite(panel: Panel) -> None:
     """The theodolite: f, x, m and t."""
-    foot = np.array([0.0, -0.75, 0.0])
-    panel.shape(foot + hull(_IDENTITY, 0.75))
+    foot, top = np.array([0.0, -0.72, 0.0]), np.array([0.0, 0.3, 0.0])
+    panel.shape(foot + hull(_IDENTITY, 0.6))
     panel.frame(foot, _IDENTITY, ("f: bow", "", "f: starboard"), 0.95, dashed=True)
     rotation_dx = rotation_from_angles(*np.deg2rad([105.0, 0.0, 0.0]))
     rotation_dm = rotation_from_angles(*np.deg2rad([105.0, 35.0, 0.0]))
-    panel.line(np.array([foot, _ORIGIN]), color=INK, lw=3.0)
-    panel.arrow(_ORIGIN, 0.95 * rotation_dx[:, 0], "x: forward", GREY, dashed=True)
-    box(_ORIGIN, rotation_dm, panel, (0.6, 0.2, 0.2))
-    panel.frame(_ORIGIN, rotation_dm, ("m: optical axis", "m: up", "m: right"), 1.05)
-    beside = 0.3 * rotation_dm[:, 1] - 0.1 * rotation_dm[:, 0]
+    panel.line(np.array([foot, top]), color=INK, lw=3.0)
+    panel.arrow(top, 0.95 * rotation_dx[:, 0], "x: forward", GREY, dashed=True)
+    box(top, rotation_dm, panel, (0.6, 0.2, 0.2))
+    panel.frame(top, rotation_dm, ("m: optical axis", "m: up", "m: right"), 0.95)
+    beside = top + 0.3 * rotation_dm[:, 1] - 0.1 * rotation_dm[:, 0]
     box(beside, rotation_dm, panel, (0.35, 0.12, 0.12))
     tilted = rotation_dm @ rotation_from_angles(*np.deg2rad([-6.0, 5.0, 0.0]))
     panel.arrow(beside, 1.0 * tilted[:, 0], "t", "#8e44ad")
-    panel.arc(rotation_dx[:, 0], np.deg2rad(35.0) * rotation_dx[:, 2], "E", 0.6)
+    panel.arc(rotation_dx[:, 0], np.deg2rad(35.0) * rotation_dx[:, 2], "E", 0.6, (1.0, 0.55), top)
 
 
 def draw_earth(panel: Panel) -> None:

@@ -65,6 +65,8 @@ def _run(options: argparse.Namespace) -> int:
         for problem in bag.problems:
             print(f"warning: {problem}")
     print(f"{options.out}: {count} messages, {len(faults)} faults, seed {options.seed}")
+    for name, fault in faults.items():
+        print(f"{name}: {fault.kind} of {fault.topic}, {fault.window_text}: {injection.effect(name).text}")
     return EXIT_DONE
 
 

@@ -116,7 +116,7 @@ def check_a_kind(bag, start_ns, kind, topic):
         assert problems == [f"'faults.f.kind' = {kind} cannot happen to {TOPICS[topic]}"]
         return
     assert list(fault_problems({"f": fault}, TOPICS, "in the bag")) == []
-    changed_ns = Injection(bag, {"f": fault}, 1).changed_ns("f")
+    changed_ns = Injection(bag, {"f": fault}, 1).effect("f").times_ns
     since_s = [(time_ns - start_ns) / NS_PER_S for time_ns in changed_ns]
     assert bool(since_s) == ((kind, topic) not in UNCHANGED)
     # By stamps; arrivals are at most half a second behind them.
@@ -137,8 +137,8 @@ def test_covariances_can_be_spoilt_where_the_type_has_some(topic):
 def test_a_fault_may_change_nothing(bag):
     """The first message of a frozen time is its own; a delay of nothing is none; after the end there is no message."""
     fix = {"topic": "gnss/fix", "end_s": END_S}
-    frozen = Injection(bag, {"f": Fault(kind="freeze", start_s=START_S, **fix)}, 1).changed_ns("f")
-    dropped = Injection(bag, {"f": Fault(kind="drop", start_s=START_S, **fix)}, 1).changed_ns("f")
+    frozen = Injection(bag, {"f": Fault(kind="freeze", start_s=START_S, **fix)}, 1).effect("f").times_ns
+    dropped = Injection(bag, {"f": Fault(kind="drop", start_s=START_S, **fix)}, 1).effect("f").times_ns
     assert frozen == dropped[1:]
     for fault in (
         Fault(kind="drop", start_s=100.0, topic="ins/imu"),
@@ -146,7 +146,7 @@ def test_a_fault_may_change_nothing(bag):
         Fault(kind="flood", times=1, start_s=START_S, **fix),
         Fault(kind="wrong_fix", topic="beacon/a/baseline", start_s=START_S),
     ):
-        assert Injection(bag, {"f": fault}, 1).changed_ns("f") == []
+        assert Injection(bag, {"f": fault}, 1).effect("f").times_ns == []
 
 
 def test_what_a_fault_changes_is_counted_alone(bag):
@@ -156,5 +156,5 @@ def test_what_a_fault_changes_is_counted_alone(bag):
         "b": Fault(kind="frame", topic="ins/imu", start_s=START_S, end_s=END_S),
     }
     injection = Injection(bag, faults, 1)
-    assert len(injection.changed_ns("b")) == round(50.0 * (END_S - START_S))
-    assert len(injection.changed_ns("a")) > len(injection.changed_ns("b"))
+    assert len(injection.effect("b").times_ns) == round(50.0 * (END_S - START_S))
+    assert len(injection.effect("a").times_ns) > len(injection.effect("b").times_ns)

@@ -381,6 +381,38 @@ def test_a_recording_of_another_type_and_folder_keeps_what_it_holds(bag, tmp_pat
     assert truth == [r.data for r in records_of(bag, "truth/attitude")]
 
 
+def test_each_fault_is_summarised_in_one_line(bag, tmp_path, capsys):
+    window = "start_s: 2.0, end_s: 3.0"
+    faults = [
+        f"topic: {BOW}, kind: knock, start_s: 2.0, right_arcsec: 20.0",
+        f"topic: {INS}, kind: drop, {window}",
+        f"topic: {ENCODER}, kind: delay, delay_s: 0.5, {window}",
+        f"topic: {FIX}, kind: duplicate, {window}",
+        f"topic: {GYRO}, kind: drop, start_s: 50.0",
+    ]
+    counts = [
+        sum(1 for record in records_of(bag, topic) if since <= stamp_s(record, bag) < until)
+        for topic, since, until in [(BOW, 2.0, 9.0), (INS, 2.0, 3.0), (ENCODER, 2.0, 3.0), (FIX, 2.0, 3.0)]
+    ]
+    assert min(counts) > 0
+    injected(bag, tmp_path, faults)
+    heading, *lines = capsys.readouterr().out.splitlines()
+    assert heading.endswith("5 faults, seed 1")
+    assert lines == [
+        f"f0: knock of {BOW}, from 2 s to the end: {counts[0]} messages changed",
+        f"f1: drop of {INS}, from 2 s to 3 s: {counts[1]} messages dropped",
+        f"f2: delay of {ENCODER}, from 2 s to 3 s: {counts[2]} messages delayed",
+        f"f3: duplicate of {FIX}, from 2 s to 3 s: {counts[3]} messages added",
+        f"f4: drop of {GYRO}, from 50 s to the end: no message affected",
+    ]
+
+
+def stamp_s(record, path):
+    """Stamp of a message in seconds after the first message of its bag."""
+    with read_bag(path) as read:
+        return (ns_from_stamp(record.decode().header.stamp) - read.start_ns) / SECOND_NS
+
+
 def test_attachments_and_metadata_are_copied_and_the_faults_are_told(bag, tmp_path):
     out = injected(bag, tmp_path, [f"topic: {INS}, kind: drop, {WINDOW}"], 7)
     with read_bag(bag) as before, read_bag(out) as after:

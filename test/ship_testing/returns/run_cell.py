@@ -22,7 +22,8 @@ from ship_bags.stamps import NS_PER_S, ns_from_stamp, stamp_fields
 from ship_node.edge.adapter import TICK_PERIOD_NS
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC
 from ship_replay.evaluation.sources import JOINT_SOLUTION, Truth
-from ship_replay.trials.voyage_told import INTEGRITY, VoyageSink
+from ship_replay.offline.exclusion_history import INTEGRITY
+from ship_replay.trials.voyage_told import VoyageSink
 from ship_simulation.faults.faults import Delivery, spoilt
 from ship_simulation.scenario.fault import Fault
 from ship_testing.returns.cells import FIX_TOPIC, START_S, Cell

@@ -138,10 +138,8 @@ def _print(summary: ReplaySummary) -> None:
         print(f"warning: {held_up}; --arrival stamps takes the stamps for the times of arrival")
     rate = summary.duration_s / summary.elapsed_s
     print(f"{summary.duration_s:.1f} s of data in {summary.elapsed_s:.1f} s ({rate:.0f} x real time)")
-    for topic, course in sorted(summary.statuses.items()):
-        print("\n".join(course.lines(topic)))
-    for reason in summary.reasons:
-        print(reason)
+    for line in [*summary.course_lines(), *summary.reasons]:
+        print(line)
 
 
 def _judge(verification: Verification, decides: bool) -> int:

@@ -14,6 +14,7 @@ from ship_node.edge.adapter import TICK_PERIOD_NS
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC
 from ship_node.edge.topics import Published
 from ship_replay.offline.adapter_chain import AdapterChain
+from ship_replay.offline.exclusion_history import INTEGRITY, ExclusionHistory
 from ship_replay.offline.message_times import LogTimes, MessageTimes
 from ship_replay.offline.status_course import STATUS_TOPICS, StatusCourse
 from ship_replay.offline.truth_errors import TruthErrors
@@ -35,6 +36,7 @@ class ReplaySummary:
         noted: relative topic → reason → messages used with a note, or parts of them that were not.
         undecodable: relative topic → messages whose bytes are not of their type.
         statuses: topic of a status → its course over time.
+        exclusions: topic of Integrity messages → the exclusions that they report.
         times: relative topic → when its messages were stamped and arrived.
         log_times: how regularly they were logged.
         reasons: why outputs were INVALID or DEGRADED, one line each.
@@ -50,6 +52,7 @@ class ReplaySummary:
     noted: dict[str, dict[str, int]] = field(default_factory=dict)
     undecodable: Counter[str] = field(default_factory=Counter)
     statuses: dict[str, StatusCourse] = field(default_factory=dict)
+    exclusions: dict[str, ExclusionHistory] = field(default_factory=dict)
     times: dict[str, MessageTimes] = field(default_factory=dict)
     log_times: LogTimes = field(default_factory=LogTimes)
     reasons: list[str] = field(default_factory=list)
@@ -57,6 +60,17 @@ class ReplaySummary:
     problems: list[str] = field(default_factory=list)
     duration_s: float = 0.0
     elapsed_s: float = 0.0
+
+
+    def course_lines(self) -> list[str]:
+        """Return each output's statuses over time, with the sources excluded and reinstated below them."""
+        lines = []
+        for topic, course in sorted(self.statuses.items()):
+            lines += course.lines(topic)
+            history = self.exclusions.get(INTEGRITY.get(topic, ""))
+            if history is not None and course.spans:
+                lines += history.lines(course.spans[0].start_ns)
+        return lines
 
 
 class MessageSink(Protocol):
@@ -177,6 +191,8 @@ class ReplayRun:
         self._summary.outputs[topic] += 1
         if topic in STATUS_TOPICS:
             self._summary.statuses.setdefault(topic, StatusCourse()).add(message)
+        elif topic in INTEGRITY.values():
+            self._summary.exclusions.setdefault(topic, ExclusionHistory()).add(message)
         elif topic == DIAGNOSTICS_TOPIC:
             self._note_sayings(message)
 

@@ -24,8 +24,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_bags.stamps import NS_PER_S
+from ship_replay.offline.exclusion_history import INTEGRITY
 from ship_replay.trials.passage import Passage
-from ship_replay.trials.voyage_told import EXCLUSION, INTEGRITY, Claim, Sign, Told
+from ship_replay.trials.voyage_told import EXCLUSION, Claim, Sign, Told
 from ship_simulation.scenario.fault import Fault
 from ship_simulation.scenario.names import ENCODER_TOPIC, FUSED_TOPIC, IMAGE_TOPIC
 

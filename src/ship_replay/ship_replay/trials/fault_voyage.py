@@ -115,7 +115,7 @@ def fly(path: Path, drawn: Sequence[DrawnFault], seed: int, clean: Passage) -> t
     told = replayed(injection)
     verdicts = []
     for number, (name, one) in enumerate(zip(faults, drawn, strict=True)):
-        changed_ns = np.array(injection.changed_ns(name))
+        changed_ns = np.array(injection.effect(name).times_ns)
         if not changed_ns.size:
             continue
         later = [other.fault.start_s for other in drawn[number + 1 :]]

@@ -34,7 +34,7 @@ def one_fault_lines(path: Path, words: str, seed: int = 1) -> list[str]:
     with read_bag(path) as bag:
         faults = load_faults(f"faults: {{one: {{{words}}}}}", taken_topics(bag), "an input of the nodes")
     fault, injection = faults["one"], Injection(path, faults, seed)
-    changed_ns = np.array(injection.changed_ns("one"))
+    changed_ns = np.array(injection.effect("one").times_ns)
     if not changed_ns.size:
         raise BadInput(f"the fault changes no message of {fault.topic}", file=path)
     clean, told = clean_voyage(path), replayed(injection)

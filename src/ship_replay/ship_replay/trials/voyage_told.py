@@ -14,10 +14,8 @@ import numpy as np
 from ship_bags.stamps import ns_from_stamp
 from ship_estimation.refusals import Reason
 from ship_replay.evaluation.sources import Truth
+from ship_replay.offline.exclusion_history import INTEGRITY
 from ship_watch.orientations import ORIENTATIONS, Orientation
-
-INTEGRITY = {"ship/attitude": "ship/integrity", "theodolite/pointing": "theodolite/integrity"}
-"""Topic of an output → topic of its protection levels."""
 
 EXCLUSION = "excluded from the estimate"
 SILENT = "silent"

@@ -40,6 +40,31 @@ def optics_of_bag(bag: Bag, faults: Mapping[str, Fault], namespace: str = "") ->
 
 
 @dataclass(frozen=True)
+class FaultEffect:
+    """What one fault by itself does to the messages of its topic.
+
+    Attributes:
+        times_ns: arrival times, without the fault, of the messages that it affects, in order.
+        dropped: messages that do not arrive.
+        added: messages that arrive in addition.
+        changed: messages with other bytes.
+        delayed: messages with the same bytes that arrive at another time.
+    """
+
+    times_ns: list[int]
+    dropped: int
+    added: int
+    changed: int
+    delayed: int
+
+    @property
+    def text(self) -> str:
+        """The counts that are not zero, for people."""
+        counts = {name: getattr(self, name) for name in ("changed", "dropped", "delayed", "added")}
+        return ", ".join(f"{count} messages {name}" for name, count in counts.items() if count) or "no message affected"
+
+
+@dataclass(frozen=True)
 class Injection:
     """A bag with faults.
 
@@ -76,11 +101,8 @@ class Injection:
             for _, _, record in heapq.merge(*streams, key=lambda entry: entry[:2]):
                 yield record
 
-    def changed_ns(self, name: str) -> list[int]:
-        """When the messages that a fault by itself changes arrive without it, in order, ns.
-
-        Changed is a message with other bytes or another time of arrival, one that is missing, and one that another
-        message comes beside. A fault may change nothing: a telescope is knocked while no light is in view.
+    def effect(self, name: str) -> FaultEffect:
+        """Return what a fault by itself does; a fault may affect no message (no light in view of a knocked telescope).
 
         Args:
             name: of the fault.
@@ -102,7 +124,16 @@ class Injection:
 
             for at_ns, order, record in alone._spoilt(bag, topic, noted(), optics):
                 found.setdefault(order, []).append((at_ns, record.data))
-        return [message[0] for order, message in sorted(given.items()) if found.get(order) != [message]]
+        pairs = [(given[order], found.get(order, [])) for order in sorted(given)]
+        affected = [(message, others) for message, others in pairs if others != [message]]
+        replaced = [(message, others[0]) for message, others in affected if others and message not in others]
+        return FaultEffect(
+            times_ns=[message[0] for message, _ in affected],
+            dropped=sum(not others for _, others in affected),
+            added=sum(len(others) - 1 for _, others in affected if others),
+            changed=sum(first[1] != message[1] for message, first in replaced),
+            delayed=sum(first[1] == message[1] for message, first in replaced),
+        )
 
     def _spoilt(
         self, bag: Bag, name: str, deliveries: Iterator[Delivery], optics: Optics

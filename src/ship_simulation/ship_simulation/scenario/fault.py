@@ -124,6 +124,12 @@ class Fault:
         """The sizes that belong to its kind."""
         return KINDS[self.kind].sizes
 
+    @property
+    def window_text(self) -> str:
+        """When the fault is active, in seconds after the first message, for people."""
+        end = "the end" if self.end_s >= _TO_THE_END_S else f"{self.end_s:g} s"
+        return f"from {self.start_s:g} s to {end}"
+
 
 _DEFAULTS = {field.name: field.default for field in dataclasses.fields(Fault)}
 _SIZES = tuple(name for name in _DEFAULTS if name not in ("topic", "kind", "start_s", "end_s", "share"))

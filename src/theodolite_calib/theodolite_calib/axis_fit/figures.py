@@ -7,6 +7,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator, MultipleLocator
 from numpy.typing import NDArray
 
@@ -16,6 +17,7 @@ from theodolite_calib.axis_fit.robust_fit import AxisFit, rms
 from theodolite_calib.axis_fit.sightings import Sightings, azimuth_and_elevation
 
 _GOOD, _OUTLIER = "#0b3c6f", "#c1440e"
+_HALO = (withStroke(linewidth=3.0, foreground="white"),)
 _SIDES = ("to the right", "up")
 _ROOM = 1.12
 """Axes reach so much farther than the farthest point."""
@@ -42,7 +44,7 @@ def _figures(fit: AxisFit, sightings: Sightings) -> Iterator[tuple[str, Figure]]
 
 def _before_and_after(fit: AxisFit, sightings: Sightings) -> Figure:
     """How far the sightings lie beside the model, without and with it, to the same scale if that shows both."""
-    figure, panels = plt.subplots(1, 2, figsize=(11, 6.4), layout="compressed")
+    figure, panels = plt.subplots(1, 2, figsize=(11, 6.6), layout="compressed")
     limits = [_ROOM * float(np.max(np.abs(part))) / ARCSEC for part in (fit.before, fit.residuals)]
     if limits[0] < _STEEP * limits[1]:
         limits = [max(limits)] * 2
@@ -56,9 +58,12 @@ def _before_and_after(fit: AxisFit, sightings: Sightings) -> Figure:
         axes.set(xlim=(-limit, limit), ylim=(-limit, limit))
         # Long numbers need room.
         axes.xaxis.set_major_locator(MaxNLocator(8 if limit < 1000.0 else 4))
-    _name_outliers(panels[1], fit.residuals / ARCSEC, fit.outliers, sightings.labels)
+        axes.axhline(0.0, color="0.6", lw=0.8, zorder=1)
+        axes.axvline(0.0, color="0.6", lw=0.8, zorder=1)
+        _name_outliers(axes, residuals / ARCSEC, fit.outliers, sightings.labels)
     panels[0].set_ylabel(f"{_SIDES[1]} [″]")
-    panels[0].legend(loc="upper left")
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     figure.suptitle("True direction minus the model's, on the sky")
     return figure
 
@@ -156,7 +161,7 @@ def _terms(fit: AxisFit) -> Figure:
 def _draw_points(axes: Axes, x: FloatArray, y: FloatArray, outliers: NDArray[np.bool_]) -> None:
     axes.plot(x[~outliers], y[~outliers], "o", color=_GOOD, ms=4, label="sighting")
     if np.any(outliers):
-        axes.plot(x[outliers], y[outliers], "D", color=_OUTLIER, ms=6, label="outlier", zorder=4)
+        axes.plot(x[outliers], y[outliers], "D", color=_OUTLIER, ms=6, label="outlier, with its number", zorder=4)
 
 
 def _draw_beyond(axes: Axes, x: FloatArray, y: FloatArray, limit: float) -> None:
@@ -171,8 +176,8 @@ def _draw_beyond(axes: Axes, x: FloatArray, y: FloatArray, limit: float) -> None
 def _name_outliers(axes: Axes, places: FloatArray, outliers: NDArray[np.bool_], labels: tuple[str, ...]) -> None:
     for number in np.flatnonzero(outliers):
         axes.annotate(
-            labels[number], (places[number, 0], places[number, 1]), xytext=(8, 6), textcoords="offset points",
-            color=_OUTLIER, weight="bold", bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 1},
+            labels[number], (places[number, 0], places[number, 1]), xytext=(0, -8), textcoords="offset points",
+            color=_OUTLIER, weight="bold", ha="center", va="top", path_effects=_HALO, zorder=5,
         )  # fmt: skip
 
 
