@@ -11,7 +11,7 @@ from ship_attitude_star.layout.installation_model import SHIP_ANGLES
 from ship_attitude_star.layout.requirement import JudgedLayouts
 from ship_attitude_star.layout.requirement_told import binding, nearest_miss, places
 from ship_attitude_star.layout.study import LayoutStudy
-from ship_node.documents.html_page import arcsec_texts, image, table
+from ship_node.documents.html_page import arcsec_texts, folded, image, table
 
 
 def required_section(study: LayoutStudy, figures: Mapping[str, Path]) -> str:
@@ -26,14 +26,19 @@ def required_section(study: LayoutStudy, figures: Mapping[str, Path]) -> str:
         "recommended azimuths, each sensor moved alone, and all sensors moved together over a grid of 5°, which is "
         "searched from several starts.</p>"
         f"{image(figures['requirement'], 'Where each sensor may be')}"
-        "<h3>What elevation costs</h3><p>Low down refraction grows with the cotangent of the elevation, and the field "
-        "meets the horizon as the ship rolls. High up all sensors look the same way, and the error about their common "
-        f"line of sight becomes heading. {_best_elevation(required)}</p>"
-        f"{image(figures['elevation'], 'Share of the requirement over elevation')}"
-        "<h3>How large each error may be</h3><p><i>Together</i>: if all errors are scaled alike. <i>Alone</i>: while "
-        "the others stay as they are, sensors combined anew. Any size: another sensor covers it. The share is of the "
-        "variance of the angle that uses most.</p>"
-        + "".join(_allocation(name, rows) for name, rows in required.allocations.items())
+        + folded(
+            "What elevation costs",
+            "<p>Low down refraction grows with the cotangent of the elevation, and the field meets the horizon as the "
+            "ship rolls. High up all sensors look the same way, and the error about their common line of sight becomes "
+            f"heading. {_best_elevation(required)}</p>"
+            f"{image(figures['elevation'], 'Share of the requirement over elevation')}",
+        )
+        + folded(
+            "How large each error may be",
+            "<p><i>Together</i>: if all errors are scaled alike. <i>Alone</i>: while the others stay as they are, "
+            "sensors combined anew. Any size: another sensor covers it. The share is of the variance of the angle that "
+            "uses most.</p>" + "".join(_allocation(name, rows) for name, rows in required.allocations.items()),
+        )
     )
 
 

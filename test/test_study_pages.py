@@ -1,0 +1,42 @@
+"""The pages of the layout study and of the design study: nothing is cut off, and none is a dozen windows long."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from ship_attitude_star.layout.layout_study_command import main as layout_study
+from ship_testing.browser import CHROMIUM, Browser
+from theodolite_calib.design.design_study_command import main as design_study
+
+pytestmark = [
+    pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed"),
+]
+
+EXAMPLE = Path(__file__).parents[1] / "examples" / "studies" / "layout.yaml"
+STUDIES = {"layout_study": (layout_study, [str(EXAMPLE)]), "design_study": (design_study, [])}
+MOST_PX = 7000
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    browser = Browser()
+    yield browser
+    browser.close()
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_a_study_page_fits_its_window(name: str, browser: Browser, tmp_path: Path) -> None:
+    main, arguments = STUDIES[name]
+    assert main([*arguments, "--out", str(tmp_path)]) == 0
+    page = (tmp_path / f"{name}.html").as_uri()
+    for width in (1366, 390):
+        browser.open(page, width, 800)
+        assert browser.evaluate("document.documentElement.scrollWidth") <= width
+    browser.open(page, 1366, 800)
+    assert browser.evaluate("document.documentElement.scrollHeight") <= MOST_PX
+    wide = "[...document.querySelectorAll('.table')].filter(one => one.scrollWidth > one.clientWidth).length"
+    assert browser.evaluate(wide) == 0
+    # What is folded is there.
+    browser.evaluate("document.querySelectorAll('details').forEach(one => one.open = true)")
+    assert browser.evaluate("[...document.querySelectorAll('img')].every(one => one.clientHeight > 100)")
