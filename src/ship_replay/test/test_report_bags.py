@@ -109,7 +109,7 @@ def test_outputs_of_one_node_alone(tmp_path):
 
 def test_versions_of_the_bag_and_of_the_report_are_told_apart(night_path, tmp_path):
     shown = section(page(read_told(night_path)), "provenance")
-    assert "The bag does not say which versions of the suite made it." in shown
+    assert "The bag does not contain the commit or the versions of the suite that made it." in shown
     assert shown.count("<h3>") == 1
     path = tmp_path / "box.mcap"
     writer = BagWriter(path)
@@ -129,7 +129,7 @@ def test_damaged_versions_are_none(night_path, tmp_path, damaged):
     writer = BagWriter(tmp_path / "box.mcap")
     writer.add_attachment("versions.json", damaged)
     copied(night_path, writer)
-    assert "The bag does not say" in section(page(read_told(tmp_path / "box.mcap")), "provenance")
+    assert "The bag does not contain the commit" in section(page(read_told(tmp_path / "box.mcap")), "provenance")
 
 
 @pytest.mark.parametrize(("left", "end_s"), [(0.97, 40.0), (0.5, 30.0)])
