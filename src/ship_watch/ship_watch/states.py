@@ -234,10 +234,10 @@ class HeldWord:
         return ShownWord(Safety.SAFE, "")
 
     def _end_ns(self, level: Safety, now: Judgement, now_ns: int) -> int:
-        """Return until when a level is held where nothing changes; 0 where it is not."""
+        """Return until when a level is held where nothing changes; now where it is not."""
         held = self._held.get(level)
         if held is None:
-            return 0
+            return now_ns
         if not held.was_over:
             return held.last_ns + self._hold_ns
         latest_ns = held.last_ns + WITHIN_MARGIN_TIMES * self._hold_ns
