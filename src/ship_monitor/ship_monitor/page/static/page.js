@@ -84,7 +84,9 @@ const monitor = (() => {
     icon(document.querySelector("#icon .sign"), alert.state);
     text(at("alert-text"), alert.text);
     at("alert-text").classList.toggle("long", alert.text.length > 32);
-    text(at("alert-sub"), alert.sub);
+    // What to do stands before when it came; the list has both.
+    text(at("alert-sub"), alert.advice || alert.sub);
+    at("alert-sub").classList.toggle("advice", Boolean(alert.advice));
     at("unack-count").hidden = !alert.unack;
     at("unack-count").className = alert.icon;
     text(at("unack-count"), alert.unack + " UNACK");
@@ -92,8 +94,9 @@ const monitor = (() => {
       const line = element("p", parent);
       element("span", line);
       element("small", line);
+      element("div", line, "advice");
       return line;
-    }, (line, entry) => { text(line.children[0], entry.text); text(line.children[1], entry.sub); });
+    }, (line, entry) => [entry.text, entry.sub, entry.advice].forEach((value, index) => text(line.children[index], value)));
     if (!alert.all.length) at("alerts").hidden = true;
   }
 
@@ -175,7 +178,7 @@ const monitor = (() => {
     at("paused").hidden = !model.is_paused;
     // An alert is more urgent than that something was never heard.
     alertLine(model.waiting && !model.alert.state
-      ? { ...model.alert, icon: "", text: model.waiting, sub: model.place } : model.alert);
+      ? { ...model.alert, icon: "", text: model.waiting, sub: model.place, advice: "" } : model.alert);
     for (const each of document.querySelectorAll("#tiles .tile:not(.ages)")) tile(each.id, model.angles[each.id]);
     states(model);
     ages(model.ages, model.foot);
@@ -199,7 +202,7 @@ const monitor = (() => {
     old.sources.is_known = false;
     old.alert.text = (linked ? "NO LINK " : "CONNECTING ") + age(silentS);
     old.alert.sub = linked ? "the page connects again by itself" : "";
-    Object.assign(old.alert, { icon: "", state: "lost", unack: 0 });
+    Object.assign(old.alert, { icon: "", state: "lost", advice: "", unack: 0 });
     return old;
   }
   function age(seconds) {
