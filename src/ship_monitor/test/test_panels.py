@@ -46,10 +46,10 @@ def test_an_empty_suite_draws_empty_panels_that_say_so(panels) -> None:
 @pytest.mark.slow
 def test_without_truth_the_innovations_take_the_room_of_the_errors(panels) -> None:
     panels.update(watched_history(has_truth=True), PICTURE)
-    assert panels._errors.box.layout.visible
+    assert panels.frames["error"].visible
     assert "'innovations error' 'innovations budget'" in panels._grid.css
     panels.update(watched_history(has_truth=False), PICTURE)
-    assert not panels._errors.box.layout.visible
+    assert not panels.frames["error"].visible
     assert "'innovations budget' 'innovations events'" in panels._grid.css
     assert "error" not in panels._grid.css
 
@@ -58,10 +58,10 @@ def test_without_truth_the_innovations_take_the_room_of_the_errors(panels) -> No
 def test_without_a_telescope_the_sky_takes_the_room_of_the_lights(panels) -> None:
     history = watched_history()
     panels.update(replace(history, lights={}), PICTURE)
-    assert not panels._lights.box.layout.visible
+    assert not panels.frames["lights"].visible
     assert "'sky sky'" in panels._grid.css
     panels.update(history, PICTURE)
-    assert panels._lights.box.layout.visible
+    assert panels.frames["lights"].visible
     assert "'sky lights'" in panels._grid.css
 
 
@@ -73,18 +73,18 @@ def test_the_height_of_errors_is_that_of_now_and_a_start_is_cut_off(panels) -> N
         for index, point in enumerate(points)
     )
     panels.update(history, PICTURE)
-    heights = {key[1]: row._height.end for key, row in panels._errors._rows.items()}
+    heights = {key[1]: row._height.end for key, row in panels._errors.plots.rows.items()}
     assert heights == {"heading": 15.0, "pitch": 15.0, "roll": 15.0, "azimuth_cos_elevation": 15.0, "elevation": 15.0}
     history.errors["ship/error_arcsec"] = deque(replace(point, sigma={"roll": 8.0}) for point in points)
     panels.update(history, PICTURE)
-    row = panels._errors._rows[("ship/error_arcsec", "roll")]
+    row = panels._errors.plots.rows[("ship/error_arcsec", "roll")]
     assert row._height.end == 30.0
     assert row.figure.title.text == "roll · axis ±30″"
 
 
 def test_a_knocked_sensor_is_shown_refused_off_and_shaded(panels) -> None:
     panels.update(watched_history(), PICTURE)
-    row = panels._innovations._rows["star.starboard"]
+    row = panels._innovations.plots.rows["star.starboard"]
     right = row._trails[1].source.data
     times, refused, used = (np.asarray(right[name]) for name in ("t", "refused", "used"))
     knocked_ms = (NOW_NS - KNOCKED_S * 1e9) * 1e-6
@@ -106,7 +106,7 @@ def test_an_outage_that_is_over_stays_shaded_and_a_new_one_is_added(panels) -> N
         source = replace(GUILTY, out_since_ns=NOW_NS + since_s * 10**9) if since_s else replace(GOOD, name=GUILTY.name)
         panel.update(history, replace(PICTURE, utc_ns=NOW_NS + now_s * 10**9, sources=(source,)), "", has_truth=True)
     now_ms = NOW_NS * 1e-6
-    out = panel._rows["star.starboard"]._out.data
+    out = panel.plots.rows["star.starboard"]._out.data
     assert out["start"] == pytest.approx([now_ms - 40e3, now_ms + 15e3])
     assert out["end"] == pytest.approx([now_ms + 5e3, now_ms + 22e3])
 
@@ -115,7 +115,7 @@ def test_an_outage_that_is_over_stays_shaded_and_a_new_one_is_added(panels) -> N
 def test_an_outage_is_forgotten_where_the_time_goes_back_before_it(panels) -> None:
     history = watched_history()
     panels.update(history, PICTURE)
-    out = panels._innovations._rows["star.starboard"]._out
+    out = panels._innovations.plots.rows["star.starboard"]._out
     for seconds, spans in ((20, [(-40.0, -20.0)]), (60, [])):
         earlier = replace(PICTURE, utc_ns=NOW_NS - seconds * 10**9, sources=(GOOD,))
         panels.update(history, earlier)
@@ -131,7 +131,7 @@ def test_a_band_that_says_nothing_does_not_hide_what_is_measured(panels) -> None
     ]
     history.innovations["lights"] = deque(wide)
     panels.update(history, PICTURE)
-    assert panels._innovations._rows["lights"]._height.end == 15.0
+    assert panels._innovations.plots.rows["lights"]._height.end == 15.0
 
 
 @pytest.mark.parametrize(
@@ -283,10 +283,10 @@ def test_a_marked_source_stands_out_in_every_panel_and_nothing_else_does(panels)
         tables = {"events": panels._events._table.text, "inputs": panels._inputs._table.text}
         return {
             "innovations": [
-                name for name, row in panels._innovations._rows.items() if row.figure.title.text.startswith("▶")
+                name for name, row in panels._innovations.plots.rows.items() if row.figure.title.text.startswith("▶")
             ],
             "frames": [
-                name for name, row in panels._innovations._rows.items() if row.figure.outline_line_color == theme.text
+                name for name, row in panels._innovations.plots.rows.items() if row.figure.outline_line_color == theme.text
             ],
             "fields": [name for name, f in panels._sky._fields.items() if f.figure.outline_line_color == theme.text],
             "map": [str(width) for width in squares["width"] if width > 2.0],
@@ -335,10 +335,10 @@ def test_a_marked_source_stands_out_in_every_panel_and_nothing_else_does(panels)
 def test_the_error_of_a_chosen_angle_stands_out_and_of_no_other(panels) -> None:
     history = watched_history()
     panels.update(history, PICTURE)
-    titles = [row.figure.title.text for row in panels._errors._rows.values()]
+    titles = [row.figure.title.text for row in panels._errors.plots.rows.values()]
     panels.choose("roll")
     panels.update(history, PICTURE)
-    chosen = [row.figure.title.text for row in panels._errors._rows.values()]
+    chosen = [row.figure.title.text for row in panels._errors.plots.rows.values()]
     assert [text for text in chosen if text not in titles] == ["▶ roll"]
     assert panels._budget.box._head.text.count("roll, σ")
 
@@ -353,7 +353,7 @@ def test_a_panel_out_of_sight_is_not_drawn_and_catches_up(panels) -> None:
     panels.update(history, replace(PICTURE, utc_ns=NOW_NS + 3 * 10**9))
     sources = panels.layout.select({"type": ColumnDataSource})
     assert all(model.data is before[id(model)] for model in sources)
-    row = panels._errors._rows["ship/error_arcsec", "roll"]
+    row = panels._errors.plots.rows["ship/error_arcsec", "roll"]
     rows = len(row._trail.source.data["t"])
     panels.seen = {"error"}
     panels.update(history, replace(PICTURE, utc_ns=NOW_NS + 3 * 10**9))

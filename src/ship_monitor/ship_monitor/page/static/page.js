@@ -2,9 +2,9 @@
 // server still says anything. Times of arrival are by a clock that never steps.
 "use strict";
 const monitor = (() => {
-  const limits = { linkLostMs: 1600, reloadAfterMs: 4000, lookMs: 200 }, PHONE = "(max-width:699px)";
+  const limits = { linkLostMs: 1600, reloadAfterMs: 4000, lookMs: 200, busyMs: 10000 }, PHONE = "(max-width:699px)";
   const at = (id) => document.getElementById(id);
-  let heardMs = performance.now(), last = null, linked = false, lost = false, asking = false, marked = sessionStorage.getItem("marked") || "";
+  let heardMs = performance.now(), lookedMs = heardMs, last = null, linked = false, lost = false, asking = false, marked = sessionStorage.getItem("marked") || "";
 
   function text(element, value) {
     if (element.textContent !== value) element.textContent = value;
@@ -210,7 +210,10 @@ const monitor = (() => {
   }
 
   function watchLink() {
-    const silentMs = performance.now() - heardMs;
+    const nowMs = performance.now(), silentMs = nowMs - heardMs, isLate = nowMs - lookedMs > 2 * limits.lookMs;
+    lookedMs = nowMs;
+    // The page itself was busy: what has come meanwhile waits to be read.
+    if (isLate && silentMs < limits.busyMs) return;
     if (silentMs < limits.linkLostMs || last === null) return;
     lost = true;
     document.documentElement.classList.add("nolink");
