@@ -1,9 +1,16 @@
 """The page's server without a browser: what it serves, and whom it refuses."""
 
+import asyncio
 import http.client
+import json
+import logging
+import re
 import socket
+import time
 
 import pytest
+from tornado.httpclient import HTTPRequest
+from tornado.websocket import websocket_connect
 
 from ship_bags.errors import BadInput
 from ship_monitor.page.server import PageServer
@@ -88,6 +95,39 @@ def test_another_site_is_refused_and_an_ssh_tunnel_is_not(page):
     # Without a session's token Bokeh accepts the socket and closes it then.
     assert get(page, "/ws", origin=f"http://{place}", upgrade=True)[0] == 101
     assert get(page, "/ws", host="localhost:8080", origin="http://localhost:8080", upgrade=True)[0] == 101
+
+
+class BusySource(SetPictures):
+    """Each picture takes a while: meanwhile messages wait."""
+
+    def look(self):
+        time.sleep(0.3)
+        return super().look()
+
+
+async def leave_early(page, messages):
+    """Open a page, send messages, and close the connection without waiting for an answer."""
+    loop = asyncio.get_running_loop()
+    text = (await loop.run_in_executor(None, get, page, "/"))[1]
+    token = re.search(r'"token":"([^"]+)"', text)[1]
+    request = HTTPRequest(f"{page.address.replace('http', 'ws')}ws", headers={"Origin": page.address.rstrip("/")})
+    connection = await websocket_connect(request, subprotocols=["bokeh", token])
+    await connection.read_message()
+    for number in range(messages):
+        for part in ({"msgid": str(number), "msgtype": "PULL-DOC-REQ"}, {}, {}):
+            connection.write_message(json.dumps(part))
+    connection.protocol.stream.close()
+
+
+def test_a_tab_that_closes_early_is_no_traceback_in_the_log(caplog):
+    async def leave_all(page):
+        for messages in (20, 20, 3, 20):
+            await leave_early(page, messages)
+
+    with served(BusySource()) as page:
+        asyncio.run(leave_all(page))
+        assert get(page, "/health")[1] == "alive"  # and what was left behind has been read
+    assert [record.getMessage() for record in caplog.records if record.exc_info or record.levelno >= logging.ERROR] == []
 
 
 def test_a_port_in_use_is_said_in_one_line():
