@@ -347,7 +347,8 @@ def test_on_a_phone_words_are_clear_of_stripes_and_reasons_of_digits(browser, so
     browser.open(page, *SIZES["phone"])
     browser.until(LIVE)
     word, state = rectangle(browser, "#azimuth .state b"), rectangle(browser, "#azimuth .state")
-    stripe_px = browser.evaluate("parseFloat(getComputedStyle(document.querySelector('#azimuth .state'), '::after').width)")
+    stripe = "getComputedStyle(document.querySelector('#azimuth .state'), '::after').width"
+    stripe_px = browser.evaluate(f"parseFloat({stripe})")
     assert word[0] + word[2] <= state[0] + state[2] - stripe_px
     assert rectangle(browser, "#azimuth .state svg")[0] >= state[0] + stripe_px
     _, top, _, height = rectangle(browser, "#azimuth .number")

@@ -278,16 +278,12 @@ def test_a_marked_source_stands_out_in_every_panel_and_nothing_else_does(panels)
     picture = replace(PICTURE, events=(*PICTURE.events, event))
 
     def standing_out() -> dict[str, list[str]]:
-        budget, states = panels._budget, panels._alignment
+        budget, states, rows = panels._budget, panels._alignment, panels._innovations.plots.rows
         squares = panels._sky._map._squares.data
         tables = {"events": panels._events._table.text, "inputs": panels._inputs._table.text}
         return {
-            "innovations": [
-                name for name, row in panels._innovations.plots.rows.items() if row.figure.title.text.startswith("▶")
-            ],
-            "frames": [
-                name for name, row in panels._innovations.plots.rows.items() if row.figure.outline_line_color == theme.text
-            ],
+            "innovations": [name for name, row in rows.items() if row.figure.title.text.startswith("▶")],
+            "frames": [name for name, row in rows.items() if row.figure.outline_line_color == theme.text],
             "fields": [name for name, f in panels._sky._fields.items() if f.figure.outline_line_color == theme.text],
             "map": [str(width) for width in squares["width"] if width > 2.0],
             "lights": ["frame"] if panels._lights.figure.outline_line_color == theme.text else [],

@@ -184,8 +184,8 @@ def newest_age_s(first_word: str, sources: Iterable[SourceShown], used_age_s: fl
         sources: all.
         used_age_s: time since one of the kind was used, s, which is returned where all of them are OUT.
     """
-    ages_s = (each.age_s for each in sources if each.name.partition(".")[0] == first_word and each.presence is Presence.IN)
-    return min(ages_s, default=used_age_s)
+    used = (each for each in sources if each.presence is Presence.IN and each.name.partition(".")[0] == first_word)
+    return min((each.age_s for each in used), default=used_age_s)
 
 
 def _order(source: SourceStanding) -> tuple[bool, bool, bool, tuple[int, str]]:

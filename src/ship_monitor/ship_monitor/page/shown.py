@@ -17,6 +17,7 @@ RIBBON_S = 600
 
 _OF_THEODOLITE = ("azimuth", "elevation")
 _TICK_S = 120
+_NO_ALERT = {"icon": "", "state": "", "text": "No alerts", "sub": "", "advice": "", "unack": 0, "all": []}
 _ITS_NODE = "its node"
 _BANNERS = 3  # with more, the list of sources would have no room
 _NS_PER_S = 1_000_000_000
@@ -108,9 +109,9 @@ def _foot(picture: Picture) -> str:
 
 def _alert_line(alerts: tuple[AlertShown, ...] | None) -> dict[str, Any]:
     if alerts is None:
-        return {"icon": "", "state": "", "text": "No alert node", "sub": "alerts are not judged", "advice": "", "unack": 0, "all": []}
+        return _NO_ALERT | {"text": "No alert node", "sub": "alerts are not judged"}
     if not alerts:
-        return {"icon": "ok", "state": "", "text": "No alerts", "sub": "", "advice": "", "unack": 0, "all": []}
+        return _NO_ALERT | {"icon": "ok"}
     entries = [_alert(alert) for alert in alerts]
     unack = sum(not alert.is_acknowledged for alert in alerts)
     return {**entries[0], "unack": unack, "all": entries}
@@ -141,7 +142,7 @@ def _sources(sources: tuple[SourceShown, ...], *, is_known: bool) -> dict[str, A
     roots += [source for source in out if source.because_of in names - {each.name for each in out}]  # in again
     below = [source for source in out if source not in roots]
     nodes = {source.because_of: source.reason for source in below if source.because_of not in names}
-    banners = [*((source.name, f"{source.name} OUT") for source in roots), *((node, text) for node, text in nodes.items())]
+    banners = [*((source.name, f"{source.name} OUT") for source in roots), *nodes.items()]
     count = f"{len(used) - len(out)} of {len(used)} in" if used else ""
     return {
         "head": count if is_known or not count else f"last: {count}",
