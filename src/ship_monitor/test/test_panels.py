@@ -9,7 +9,7 @@ from bokeh.document import Document
 from bokeh.models import ColumnDataSource, Div
 
 from ship_geometry.rotations import ARCSEC
-from ship_monitor.page.alignment_panel import bars_arcsec, half_width, state_text
+from ship_monitor.page.alignment_panel import bars_arcsec, half_width, own_half_widths, state_text
 from ship_monitor.page.innovation_panel import InnovationPanel, source_line
 from ship_monitor.page.panels import build_panels
 from ship_monitor.page.sky import boresight
@@ -257,9 +257,32 @@ def test_states_are_told_from_their_nominal_values_with_two_sigma() -> None:
 
 def test_the_axis_of_the_states_holds_all_values_and_most_bars() -> None:
     value, reach = np.array([1.0, 2.0, 70.0, -3.0, 0.0]), np.array([5.0, 5.0, 2.0, 4000.0, 9.0])
-    assert half_width(value - reach, value, value + reach) == 120.0
+    assert half_width(value - reach, value + reach) == 120.0
     nothing = np.full(2, np.nan)
-    assert half_width(nothing, nothing, nothing) == 30.0
+    assert half_width(nothing, nothing) == 30.0
+
+
+def test_a_gyro_that_is_off_by_a_thousand_arcseconds_leaves_the_other_states_their_scale(panels) -> None:
+    history = watched_history()
+    panels.update(history, PICTURE)
+    states = panels._alignment
+    before, rows = states._x.end, len(history.alignment)
+    gyro = ParameterShown("reference.gyro.heading", 1000.0 * ARCSEC, 30.0 * ARCSEC, "rad", True, 0.0)
+    history.alignment = (*history.alignment, gyro)
+    panels.update(history, PICTURE)
+    assert states._x.end == before
+    assert np.abs(states._source.data["value"][rows]) <= states._x.end
+    labels = states._values._axis.major_label_overrides
+    assert labels[rows] == "+1000.0 ± 60.0″ · scale ±1200″"
+    assert not any("scale" in text for row, text in labels.items() if row != rows)
+
+
+def test_without_a_position_the_sky_says_why_there_is_no_moon() -> None:
+    history = replace(watched_history(), position=None)
+    for is_bag, text in ((True, "Moon not drawn: no GNSS position in this bag"), (False, "Moon not drawn: no GNSS position")):
+        panels = build_panels(THEMES["dusk"], is_bag=is_bag)
+        panels.update(history, PICTURE)
+        assert panels._sky.box._head.text.endswith(f"fields of view not to scale · bars: residuals · {text}</span>")
 
 
 def test_the_guilty_input_stands_out_although_its_node_refused_nothing() -> None:

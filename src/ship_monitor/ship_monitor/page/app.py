@@ -103,7 +103,7 @@ class Page:
     def _make_panels(self) -> None:
         """Make the panels, and show their frames; each panel follows when the browser says that it is in sight."""
         self._say()
-        self._panels = build_panels(self._theme, is_stepwise=True)
+        self._panels = build_panels(self._theme, is_stepwise=True, is_bag="BAG" in self._source.label.upper())
         self._drawn = self._picture
         self._panels.update(self._source.history, self._drawn)
         self._below.children = [self._panels.layout]

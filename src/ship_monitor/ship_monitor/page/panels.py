@@ -29,6 +29,7 @@ class Panels:
     Args:
         theme: colours.
         is_stepwise: True to begin with empty frames, which :meth:`place_next` fills.
+        is_bag: True where the data are from a bag, for what is said of data that are missing.
 
     Attributes:
         layout: what the page places below its first screenful.
@@ -38,13 +39,13 @@ class Panels:
         frames: where the panels stand.
     """
 
-    def __init__(self, theme: Theme, *, is_stepwise: bool = False) -> None:
+    def __init__(self, theme: Theme, *, is_stepwise: bool = False, is_bag: bool = False) -> None:
         self.times = TimePlots(KEPT_S)
         self.marked = ""
         self.seen: Collection[str] | None = frozenset() if is_stepwise else None
         self._innovations, self._errors = InnovationPanel(theme, self.times), ErrorPanel(theme, self.times)
         self._budget, self._events = BudgetPanel(theme, self.times), EventsPanel(theme)
-        self._sky, self._lights = SkyPanel(theme), LightsPanel(theme)
+        self._sky, self._lights = SkyPanel(theme, is_bag=is_bag), LightsPanel(theme)
         self._alignment, self._inputs = AlignmentPanel(theme), InputsPanel(theme)
         self._boxes = {
             "innovations": self._innovations.box,
@@ -133,9 +134,9 @@ class Panels:
         draw[name]()
 
 
-def build_panels(theme: Theme, *, is_stepwise: bool = False) -> Panels:
+def build_panels(theme: Theme, *, is_stepwise: bool = False, is_bag: bool = False) -> Panels:
     """Return the panels of one browser, empty as yet (:class:`Panels`)."""
-    return Panels(theme, is_stepwise=is_stepwise)
+    return Panels(theme, is_stepwise=is_stepwise, is_bag=is_bag)
 
 
 _ROWS_AT_ONCE = 1
