@@ -223,6 +223,7 @@ def test_the_alert_line_opens_the_list(browser, source, page):
     browser.until(LIVE)
     browser.evaluate("document.querySelector('#alert').click()")
     assert browser.text("#alerts p:nth-child(2) span") == "WARNING · star.starboard out"
+    assert browser.text("#alerts p:nth-child(2) .advice").startswith("Clean the sensor")
 
 
 def test_a_click_on_a_source_marks_it(browser, page):

@@ -9,7 +9,7 @@ from bokeh.document import Document
 from bokeh.models import ColumnDataSource, Div
 
 from ship_geometry.rotations import ARCSEC
-from ship_monitor.page.alignment_panel import bars_arcsec, half_width, state_text
+from ship_monitor.page.alignment_panel import bars_arcsec, half_width, own_half_widths, state_text
 from ship_monitor.page.innovation_panel import InnovationPanel, source_line
 from ship_monitor.page.panels import build_panels
 from ship_monitor.page.sky import boresight
@@ -46,10 +46,10 @@ def test_an_empty_suite_draws_empty_panels_that_say_so(panels) -> None:
 @pytest.mark.slow
 def test_without_truth_the_innovations_take_the_room_of_the_errors(panels) -> None:
     panels.update(watched_history(has_truth=True), PICTURE)
-    assert panels._errors.box.layout.visible
+    assert panels.frames["error"].visible
     assert "'innovations error' 'innovations budget'" in panels._grid.css
     panels.update(watched_history(has_truth=False), PICTURE)
-    assert not panels._errors.box.layout.visible
+    assert not panels.frames["error"].visible
     assert "'innovations budget' 'innovations events'" in panels._grid.css
     assert "error" not in panels._grid.css
 
@@ -58,10 +58,10 @@ def test_without_truth_the_innovations_take_the_room_of_the_errors(panels) -> No
 def test_without_a_telescope_the_sky_takes_the_room_of_the_lights(panels) -> None:
     history = watched_history()
     panels.update(replace(history, lights={}), PICTURE)
-    assert not panels._lights.box.layout.visible
+    assert not panels.frames["lights"].visible
     assert "'sky sky'" in panels._grid.css
     panels.update(history, PICTURE)
-    assert panels._lights.box.layout.visible
+    assert panels.frames["lights"].visible
     assert "'sky lights'" in panels._grid.css
 
 
@@ -73,18 +73,18 @@ def test_the_height_of_errors_is_that_of_now_and_a_start_is_cut_off(panels) -> N
         for index, point in enumerate(points)
     )
     panels.update(history, PICTURE)
-    heights = {key[1]: row._height.end for key, row in panels._errors._rows.items()}
+    heights = {key[1]: row._height.end for key, row in panels._errors.plots.rows.items()}
     assert heights == {"heading": 15.0, "pitch": 15.0, "roll": 15.0, "azimuth_cos_elevation": 15.0, "elevation": 15.0}
     history.errors["ship/error_arcsec"] = deque(replace(point, sigma={"roll": 8.0}) for point in points)
     panels.update(history, PICTURE)
-    row = panels._errors._rows[("ship/error_arcsec", "roll")]
+    row = panels._errors.plots.rows[("ship/error_arcsec", "roll")]
     assert row._height.end == 30.0
     assert row.figure.title.text == "roll · axis ±30″"
 
 
 def test_a_knocked_sensor_is_shown_refused_off_and_shaded(panels) -> None:
     panels.update(watched_history(), PICTURE)
-    row = panels._innovations._rows["star.starboard"]
+    row = panels._innovations.plots.rows["star.starboard"]
     right = row._trails[1].source.data
     times, refused, used = (np.asarray(right[name]) for name in ("t", "refused", "used"))
     knocked_ms = (NOW_NS - KNOCKED_S * 1e9) * 1e-6
@@ -106,7 +106,7 @@ def test_an_outage_that_is_over_stays_shaded_and_a_new_one_is_added(panels) -> N
         source = replace(GUILTY, out_since_ns=NOW_NS + since_s * 10**9) if since_s else replace(GOOD, name=GUILTY.name)
         panel.update(history, replace(PICTURE, utc_ns=NOW_NS + now_s * 10**9, sources=(source,)), "", has_truth=True)
     now_ms = NOW_NS * 1e-6
-    out = panel._rows["star.starboard"]._out.data
+    out = panel.plots.rows["star.starboard"]._out.data
     assert out["start"] == pytest.approx([now_ms - 40e3, now_ms + 15e3])
     assert out["end"] == pytest.approx([now_ms + 5e3, now_ms + 22e3])
 
@@ -115,7 +115,7 @@ def test_an_outage_that_is_over_stays_shaded_and_a_new_one_is_added(panels) -> N
 def test_an_outage_is_forgotten_where_the_time_goes_back_before_it(panels) -> None:
     history = watched_history()
     panels.update(history, PICTURE)
-    out = panels._innovations._rows["star.starboard"]._out
+    out = panels._innovations.plots.rows["star.starboard"]._out
     for seconds, spans in ((20, [(-40.0, -20.0)]), (60, [])):
         earlier = replace(PICTURE, utc_ns=NOW_NS - seconds * 10**9, sources=(GOOD,))
         panels.update(history, earlier)
@@ -131,7 +131,7 @@ def test_a_band_that_says_nothing_does_not_hide_what_is_measured(panels) -> None
     ]
     history.innovations["lights"] = deque(wide)
     panels.update(history, PICTURE)
-    assert panels._innovations._rows["lights"]._height.end == 15.0
+    assert panels._innovations.plots.rows["lights"]._height.end == 15.0
 
 
 @pytest.mark.parametrize(
@@ -257,9 +257,32 @@ def test_states_are_told_from_their_nominal_values_with_two_sigma() -> None:
 
 def test_the_axis_of_the_states_holds_all_values_and_most_bars() -> None:
     value, reach = np.array([1.0, 2.0, 70.0, -3.0, 0.0]), np.array([5.0, 5.0, 2.0, 4000.0, 9.0])
-    assert half_width(value - reach, value, value + reach) == 120.0
+    assert half_width(value - reach, value + reach) == 120.0
     nothing = np.full(2, np.nan)
-    assert half_width(nothing, nothing, nothing) == 30.0
+    assert half_width(nothing, nothing) == 30.0
+
+
+def test_a_gyro_that_is_off_by_a_thousand_arcseconds_leaves_the_other_states_their_scale(panels) -> None:
+    history = watched_history()
+    panels.update(history, PICTURE)
+    states = panels._alignment
+    before, rows = states._x.end, len(history.alignment)
+    gyro = ParameterShown("reference.gyro.heading", 1000.0 * ARCSEC, 30.0 * ARCSEC, "rad", True, 0.0)
+    history.alignment = (*history.alignment, gyro)
+    panels.update(history, PICTURE)
+    assert states._x.end == before
+    assert np.abs(states._source.data["value"][rows]) <= states._x.end
+    labels = states._values._axis.major_label_overrides
+    assert labels[rows] == "+1000.0 ± 60.0″ · scale ±1200″"
+    assert not any("scale" in text for row, text in labels.items() if row != rows)
+
+
+def test_without_a_position_the_sky_says_why_there_is_no_moon() -> None:
+    history = replace(watched_history(), position=None)
+    for is_bag, text in ((True, "Moon not drawn: no GNSS position in this bag"), (False, "Moon not drawn: no GNSS position")):
+        panels = build_panels(THEMES["dusk"], is_bag=is_bag)
+        panels.update(history, PICTURE)
+        assert panels._sky.box._head.text.endswith(f"fields of view not to scale · bars: residuals · {text}</span>")
 
 
 def test_the_guilty_input_stands_out_although_its_node_refused_nothing() -> None:
@@ -278,16 +301,12 @@ def test_a_marked_source_stands_out_in_every_panel_and_nothing_else_does(panels)
     picture = replace(PICTURE, events=(*PICTURE.events, event))
 
     def standing_out() -> dict[str, list[str]]:
-        budget, states = panels._budget, panels._alignment
+        budget, states, rows = panels._budget, panels._alignment, panels._innovations.plots.rows
         squares = panels._sky._map._squares.data
         tables = {"events": panels._events._table.text, "inputs": panels._inputs._table.text}
         return {
-            "innovations": [
-                name for name, row in panels._innovations._rows.items() if row.figure.title.text.startswith("▶")
-            ],
-            "frames": [
-                name for name, row in panels._innovations._rows.items() if row.figure.outline_line_color == theme.text
-            ],
+            "innovations": [name for name, row in rows.items() if row.figure.title.text.startswith("▶")],
+            "frames": [name for name, row in rows.items() if row.figure.outline_line_color == theme.text],
             "fields": [name for name, f in panels._sky._fields.items() if f.figure.outline_line_color == theme.text],
             "map": [str(width) for width in squares["width"] if width > 2.0],
             "lights": ["frame"] if panels._lights.figure.outline_line_color == theme.text else [],
@@ -335,10 +354,10 @@ def test_a_marked_source_stands_out_in_every_panel_and_nothing_else_does(panels)
 def test_the_error_of_a_chosen_angle_stands_out_and_of_no_other(panels) -> None:
     history = watched_history()
     panels.update(history, PICTURE)
-    titles = [row.figure.title.text for row in panels._errors._rows.values()]
+    titles = [row.figure.title.text for row in panels._errors.plots.rows.values()]
     panels.choose("roll")
     panels.update(history, PICTURE)
-    chosen = [row.figure.title.text for row in panels._errors._rows.values()]
+    chosen = [row.figure.title.text for row in panels._errors.plots.rows.values()]
     assert [text for text in chosen if text not in titles] == ["▶ roll"]
     assert panels._budget.box._head.text.count("roll, σ")
 
@@ -353,7 +372,7 @@ def test_a_panel_out_of_sight_is_not_drawn_and_catches_up(panels) -> None:
     panels.update(history, replace(PICTURE, utc_ns=NOW_NS + 3 * 10**9))
     sources = panels.layout.select({"type": ColumnDataSource})
     assert all(model.data is before[id(model)] for model in sources)
-    row = panels._errors._rows["ship/error_arcsec", "roll"]
+    row = panels._errors.plots.rows["ship/error_arcsec", "roll"]
     rows = len(row._trail.source.data["t"])
     panels.seen = {"error"}
     panels.update(history, replace(PICTURE, utc_ns=NOW_NS + 3 * 10**9))

@@ -1,9 +1,16 @@
 """The page's server without a browser: what it serves, and whom it refuses."""
 
+import asyncio
 import http.client
+import json
+import logging
+import re
 import socket
+import threading
 
 import pytest
+from tornado.httpclient import HTTPRequest
+from tornado.websocket import websocket_connect
 
 from ship_bags.errors import BadInput
 from ship_monitor.page.server import PageServer
@@ -88,6 +95,39 @@ def test_another_site_is_refused_and_an_ssh_tunnel_is_not(page):
     # Without a session's token Bokeh accepts the socket and closes it then.
     assert get(page, "/ws", origin=f"http://{place}", upgrade=True)[0] == 101
     assert get(page, "/ws", host="localhost:8080", origin="http://localhost:8080", upgrade=True)[0] == 101
+
+
+async def leave_early(page):
+    """Open a page and leave messages behind on a connection whose end the server has noticed by a ping."""
+    loop = asyncio.get_running_loop()
+    text = (await loop.run_in_executor(None, get, page, "/"))[1]
+    token = re.search(r'"token":"([^"]+)"', text)[1]
+    request = HTTPRequest(f"{page.address.replace('http', 'ws')}ws", headers={"Origin": page.address.rstrip("/")})
+    connection = await websocket_connect(request, subprotocols=["bokeh", token])
+    await connection.read_message()
+    application, is_lost = page._server._tornado, threading.Event()
+
+    def lose():
+        for client in list(application._clients):
+            application.client_lost(client)
+        is_lost.set()
+
+    page._loop.add_callback(lose)
+    assert await loop.run_in_executor(None, is_lost.wait, 20.0)
+    for part in ({"msgid": "1", "msgtype": "PULL-DOC-REQ"}, {}, {}):
+        await connection.write_message(json.dumps(part))
+    connection.close()
+    while await connection.read_message() is not None:
+        pass
+
+
+def test_a_tab_that_closes_early_is_no_traceback_in_the_log(caplog, monkeypatch):
+    monkeypatch.setattr(logging.getLogger("bokeh"), "propagate", True)  # without handlers of others bokeh has its own
+    with served() as page:
+        asyncio.run(leave_early(page))
+        assert get(page, "/")[0] == 200
+    told = [record.getMessage() for record in caplog.records if record.exc_info or record.levelno >= logging.ERROR]
+    assert told == []
 
 
 def test_a_port_in_use_is_said_in_one_line():

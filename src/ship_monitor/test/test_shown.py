@@ -111,6 +111,13 @@ def test_of_several_alerts_the_first_is_said_and_all_are_listed():
     assert line["text"] == "WARNING · pointing lost, encoder silent"
     assert line["sub"] == "11:59:57 · not acknowledged"
     assert (line["unack"], len(line["all"])) == (2, 2)
+    assert line["all"][1]["advice"] == "Clean the sensor and check its mounting; calibrate it again if it was moved"
+
+
+def test_a_mounting_that_was_learnt_again_is_said_of_its_source():
+    shifted = pictures.source("star.starboard", mounting_shift=51.0 * ARCSEC)
+    rows = shown(pictures.picture(shifted), History(), "LIVE", "")["sources"]["rows"]
+    assert next(row["sub"] for row in rows if row["name"] == "star.starboard") == "mounting shifted by 51.0″"
 
 
 def test_sources_that_are_out_are_named_and_why():
@@ -138,7 +145,8 @@ def needing(*names, cause="encoder", reason="needs encoder"):
 
 def test_what_is_out_because_of_a_source_stands_below_it_and_has_no_banner():
     encoder = pictures.out("encoder", "silent", out_since_ns=pictures.NOW_NS - pictures.NS)
-    sources = shown(pictures.picture(encoder, pictures.KNOCKED, *needing("lights")), History(), "LIVE", "")["sources"]
+    listed = (pictures.KNOCKED, encoder, *needing("lights"), pictures.source("ins"))
+    sources = shown(replace(WELL, sources=listed), History(), "LIVE", "")["sources"]
     assert [name for name, _ in sources["out"]] == ["star.starboard", "encoder"]
     rows = [(row["name"], row["is_because"]) for row in sources["rows"][:3]]
     assert rows == [("star.starboard", False), ("encoder", False), ("lights", True)]

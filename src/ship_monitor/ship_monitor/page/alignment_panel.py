@@ -1,4 +1,8 @@
-"""Alignment and calibration: each state minus its nominal value, with two sigma to both sides."""
+"""Alignment and calibration: each state minus its nominal value, with two sigma to both sides.
+
+Most rows have one scale. A row that does not fit into it has a wider one of its own, which it names: a gyro that is off
+by 1 000″ leaves the others as they are.
+"""
 
 import math
 from collections.abc import Sequence
@@ -12,7 +16,7 @@ from ship_monitor.page.marking import is_of, with_mark
 from ship_monitor.page.themes import Theme
 from ship_watch.history import History, ParameterShown
 
-STEPS_ARCSEC = (30.0, 60.0, 120.0, 300.0, 600.0, 1200.0, 3600.0)
+STEPS_ARCSEC = (30.0, 60.0, 120.0, 300.0, 600.0, 1200.0, 3600.0, 18_000.0, 90_000.0, 648_000.0)
 """Half widths that the axis may have, arcsec."""
 
 _ROW_PX = 20
@@ -53,13 +57,15 @@ class AlignmentPanel:
         self.figure.height = _ROW_PX * count + 60
         self._rows.update(start=count - 0.5, end=-0.5)
         low, value, high = bars_arcsec(states)
-        half = half_width(low, value, high)
+        half = half_width(low, high)
         self._x.update(start=-half, end=half)
+        own = own_half_widths(low, value, high, half)
+        scale = half / own
         self._source.data = {
             "row": np.arange(count),
-            "value": value,
-            "low": np.maximum(low, -half),
-            "high": np.minimum(high, half),
+            "value": scale * value,
+            "low": np.maximum(scale * low, -half),
+            "high": np.minimum(scale * high, half),
             "fill": [self._theme.text if state.is_observable else self._theme.panel for state in states],
             "bar": [self._theme.text if is_of(state.name, marked) else self._theme.series[0] for state in states],
         }
@@ -67,7 +73,12 @@ class AlignmentPanel:
         self.figure.yaxis[0].major_label_overrides = {
             row: without_formulas(with_mark(state.name, is_of(state.name, marked))) for row, state in enumerate(states)
         }
-        self._values.write({row: state_text(state) for row, state in enumerate(states)})
+        self._values.write(
+            {
+                row: state_text(state) + ("" if own[row] == half else f" · scale ±{own[row]:g}″")
+                for row, state in enumerate(states)
+            }
+        )
         hidden = [state.name for state in states if not state.is_observable]
         self.box.say(f"not observable: {', '.join(hidden)}" if hidden else "all observable")
 
@@ -96,13 +107,20 @@ def deviation(state: ParameterShown) -> float:
     return math.remainder(off, 2.0 * math.pi) if state.unit == "rad" and math.isfinite(off) else off
 
 
-def half_width(low: np.ndarray, value: np.ndarray, high: np.ndarray) -> float:
-    """Half the width of the axis, arcsec: it holds all values and three quarters of the bars; others are cut off."""
+def half_width(low: np.ndarray, high: np.ndarray) -> float:
+    """Half the width of the axis, arcsec: it holds three quarters of the bars."""
     known = np.isfinite(low) & np.isfinite(high)
     if not known.any():
         return STEPS_ARCSEC[0]
     reach = np.fmax(np.abs(low[known]), np.abs(high[known]))
-    return fixed_step(max(float(np.quantile(reach, 0.75)), 1.05 * float(np.max(np.abs(value[known])))), STEPS_ARCSEC)
+    return fixed_step(float(np.quantile(reach, 0.75)), STEPS_ARCSEC)
+
+
+def own_half_widths(low: np.ndarray, value: np.ndarray, high: np.ndarray, half: float) -> np.ndarray:
+    """Half the width that each row stands for, arcsec: that of the axis, or a wider step where its value needs that."""
+    known = np.isfinite(low) & np.isfinite(high)
+    needed = np.where(known, 1.05 * np.abs(value), 0.0)
+    return np.array([half if not need > half else fixed_step(need, STEPS_ARCSEC) for need in needed])
 
 
 def state_text(state: ParameterShown) -> str:

@@ -33,6 +33,9 @@ _TRIED_AGAIN = """\
 """
 
 TEXTS_PERIOD_MS = 500
+PLACE_PERIOD_MS = 20
+"""Time between two panels that are put into their frames."""
+
 PLOTS_EVERY = 2
 """Plots are told something every so many times that the texts are."""
 
@@ -40,8 +43,8 @@ PLOTS_EVERY = 2
 class Page:
     """Fills the document of one browser, and keeps it up to date.
 
-    Plots are made when the first of them come into sight, and each rests while it is out of sight or paused; the first
-    screenful waits for none of them.
+    Plots are made when the first of them come into sight, one panel after another, and each rests while it is out of
+    sight or paused; the texts of the first screenful wait for none of them.
 
     Args:
         document: of the browser.
@@ -52,7 +55,9 @@ class Page:
 
     def __init__(self, document: Document, theme: Theme, source: PictureSource, zone: ZoneInfo | None) -> None:
         self._source, self._theme, self._zone = source, theme, zone
+        self._document = document
         self._panels: Panels | None = None
+        self._is_placing = False
         self._below = Column(name="panels", sizing_mode="stretch_width")
         self._count = 0
         self._is_paused = False
@@ -96,14 +101,21 @@ class Page:
             self._panels.update(self._source.history, self._drawn)
 
     def _make_panels(self) -> None:
-        """Make the panels, draw what there is, and only then show them: Bokeh looks through all models once then.
-
-        A browser would otherwise speak of models that drawing has replaced since, which the document knows no more.
-        """
-        self._panels = build_panels(self._theme)
+        """Make the panels, and show their frames; each panel follows when the browser says that it is in sight."""
+        self._say()
+        self._panels = build_panels(self._theme, is_stepwise=True, is_bag="BAG" in self._source.label.upper())
         self._drawn = self._picture
         self._panels.update(self._source.history, self._drawn)
         self._below.children = [self._panels.layout]
+
+    def _place_panels(self) -> None:
+        """Put one panel after another into its frame; before each step the page has its texts of now."""
+        if self._panels is None:
+            return
+        self._say()
+        self._is_placing = self._panels.place_next(self._source.history, self._drawn)
+        if self._is_placing:
+            self._document.add_timeout_callback(self._place_panels, PLACE_PERIOD_MS)
 
     def _text(self) -> str:
         source = self._source
@@ -133,6 +145,9 @@ class Page:
             self._panels.seen = frozenset(str(choice["seen"]).split())
         # At once, and of a page that is paused the time at which it is.
         self._panels.update(self._source.history, self._drawn)
+        if not self._is_placing:
+            self._is_placing = True
+            self._document.add_next_tick_callback(self._place_panels)
 
 
 def page_maker(

@@ -102,7 +102,7 @@ class BudgetPanel:
         """An empty plot: each source of error has a column of its own."""
         columns = [_column(source) for source in self._sources]
         self._trail = Trail((*columns, "total"), by="total", filled=columns)
-        self._figure = time_plot(self._theme, self._times, 210, self._height, has_axis=True)
+        self._figure = time_plot(self._theme, self._times, 200, self._height, has_axis=True)
         self._figure.yaxis[0].ticker = FixedTicker(ticks=[])
         self._figure.stylesheets = [*self._figure.stylesheets, narrow_height(180)]
         self._labels = SideLabels(self._theme, self._figure)

@@ -8,7 +8,7 @@ from bokeh.models import Range1d
 
 from ship_geometry.rotations import FloatArray
 from ship_monitor.page.curves import fixed_step
-from ship_monitor.page.figures import PanelBox, SideLabels, frame, hover, time_plot
+from ship_monitor.page.figures import GrowingRows, PanelBox, SideLabels, frame, hover, time_plot
 from ship_monitor.page.marking import with_mark
 from ship_monitor.page.themes import Theme
 from ship_monitor.page.trails import BAND, TimePlots, Trail, band
@@ -43,12 +43,12 @@ class ErrorPanel:
 
     Attributes:
         box: the panel; it is not shown where there is no truth.
+        plots: one for each angle.
     """
 
     def __init__(self, theme: Theme, times: TimePlots) -> None:
-        self._theme, self._times = theme, times
-        self._rows: dict[tuple[str, str], _ErrorRow] = {}
         self.box = PanelBox(theme, "Error inside ±3σ", [])
+        self.plots = GrowingRows(self.box, lambda key, is_last: _ErrorRow(theme, times, key, has_axis=is_last))
 
     def update(self, history: History, chosen: str) -> None:
         """Draw what is new.
@@ -59,11 +59,8 @@ class ErrorPanel:
         """
         newest = {topic: points[-1].error for topic, points in history.errors.items() if points}
         shown = [key for key in CHANNELS if key[1] in newest.get(key[0], {})]
-        if shown != list(self._rows):
-            last = shown[-1] if shown else None
-            self._rows = {key: _ErrorRow(self._theme, self._times, key, has_axis=key == last) for key in shown}
-            self.box.hold([row.figure for row in self._rows.values()])
-        steps = {row.update(history.errors[topic], chosen) for (topic, _), row in self._rows.items()}
+        rows = self.plots.grow(shown)
+        steps = {row.update(history.errors[topic], chosen) for (topic, _), row in rows.items()}
         steps.discard(15.0)
         wider = " · wider where it says so" if steps else ""
         self.box.say(f"against the truth of the simulation · axis ±15″{wider}")

@@ -1,10 +1,10 @@
 """Figures and panels in the colours of a theme: no toolbar, no legend, drag zooms the time of all, nothing is white."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from html import escape
-from typing import Any
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from bokeh.core.properties import value
@@ -36,6 +36,16 @@ NARROW = "@media (max-width: 700px)"
 """Small screens: one column, plots 180 px high."""
 
 _SIDE_PX = 118
+
+
+class HasFigure(Protocol):
+    """Anything that draws into one plot."""
+
+    figure: Any
+
+
+Key = TypeVar("Key")
+Row = TypeVar("Row", bound=HasFigure)
 
 _FORMULA_BEGIN = re.compile(r"(?<=\$)(?=\$)|(?<=\\)(?=[(\[])")
 
@@ -196,15 +206,46 @@ class ResidualBars:
         return step
 
 
+class GrowingRows(Generic[Key, Row]):
+    """Plots below one another, of which few are made at a time: each takes a computer, and a browser, a while.
+
+    Args:
+        box: panel that holds them.
+        make: makes the plot of a key; the last one has the axis.
+
+    Attributes:
+        at_once: most plots that are made in one call of :meth:`grow`.
+        are_complete: True if there is one for each key.
+    """
+
+    def __init__(self, box: "PanelBox", make: Callable[[Key, bool], Row]) -> None:
+        self._box, self._make = box, make
+        self._keys: list[Key] = []
+        self.rows: dict[Key, Row] = {}
+        self.at_once = 1000
+        self.are_complete = False
+
+    def grow(self, keys: Sequence[Key]) -> dict[Key, Row]:
+        """Make plots of keys that have none, in the order of the keys; return all that there are."""
+        if list(keys) != self._keys:
+            self._keys, self.rows = list(keys), {}
+        for key in self._keys[len(self.rows) :][: self.at_once]:
+            self.rows[key] = self._make(key, key == self._keys[-1])
+        self.are_complete = len(self.rows) == len(self._keys)
+        self._box.hold([row.figure for row in self.rows.values()])
+        return self.rows
+
+
 class PanelBox:
     """A panel: its title, what is said beside it, and what it holds.
 
     Attributes:
+        title: its name.
         layout: what the page places.
     """
 
     def __init__(self, theme: Theme, title: str, children: Sequence[Any]) -> None:
-        self._theme, self._title = theme, title
+        self.title = title
         self._head = Div(
             disable_math=True, sizing_mode="stretch_width", stylesheets=[InlineStyleSheet(css=_head_css(theme))]
         )
@@ -217,7 +258,7 @@ class PanelBox:
 
     def say(self, text: str) -> None:
         """Write what stands beside the title, small."""
-        self._head.text = f"<b>{escape(self._title)}</b><span>{escape(text)}</span>"
+        self._head.text = f"<b>{escape(self.title)}</b><span>{escape(text)}</span>"
 
     def hold(self, children: Sequence[Any]) -> None:
         """Hold other things than before."""

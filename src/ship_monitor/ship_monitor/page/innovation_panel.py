@@ -13,7 +13,16 @@ from bokeh.models import ColumnDataSource, Range1d
 
 from ship_geometry.rotations import FloatArray
 from ship_monitor.page.curves import STEPS_ARCSEC, fixed_step, placed, signed
-from ship_monitor.page.figures import ARCSEC_PER_RAD, PanelBox, SideLabels, frame, hover, time_plot, without_formulas
+from ship_monitor.page.figures import (
+    ARCSEC_PER_RAD,
+    GrowingRows,
+    PanelBox,
+    SideLabels,
+    frame,
+    hover,
+    time_plot,
+    without_formulas,
+)
 from ship_monitor.page.marking import with_mark
 from ship_monitor.page.themes import Theme
 from ship_monitor.page.trails import BAND, MS, TimePlots, Trail, band
@@ -34,12 +43,12 @@ class InnovationPanel:
 
     Attributes:
         box: the panel.
+        plots: one for each source.
     """
 
     def __init__(self, theme: Theme, times: TimePlots) -> None:
-        self._theme, self._times = theme, times
-        self._rows: dict[str, _SourceRow] = {}
         self.box = PanelBox(theme, "Innovations by source", [])
+        self.plots = GrowingRows(self.box, lambda name, is_last: _SourceRow(theme, times, name, has_axis=is_last))
 
     def update(self, history: History, picture: Picture, marked: str, *, has_truth: bool) -> None:
         """Draw what is new; the panel says where the error itself cannot be known.
@@ -53,13 +62,10 @@ class InnovationPanel:
         sources = {source.name: source for source in picture.sources}
         shown = [name for name, points in history.innovations.items() if any(point.axes for point in points)]
         shown.sort(key=lambda name: (not name.startswith("star"), name))
-        if shown != list(self._rows):
-            last = shown[-1] if shown else ""
-            self._rows = {name: _SourceRow(self._theme, self._times, name, has_axis=name == last) for name in shown}
-            self.box.hold([row.figure for row in self._rows.values()])
-        for name, row in self._rows.items():
+        rows = self.plots.grow(shown)
+        for name, row in rows.items():
             row.update(history.innovations[name], sources.get(name), picture.utc_ns, is_marked=name == marked)
-        nothing = "" if self._rows else "no source is compared with a prediction yet. "
+        nothing = "" if rows else "no source is compared with a prediction yet. "
         markers = "means, ″ · ● up, z · ■ right, x · ✕ refused"
         self.box.say(nothing + (markers if has_truth else f"no truth here, so no error · {markers}"))
 

@@ -1,6 +1,7 @@
 """The panels below the first screenful, in two columns: why the tiles say what they say.
 
-A panel that is out of sight rests: it takes what it has missed when it comes into sight.
+A panel is put into its frame when it comes into sight, one at a time: between two of them the page has time for its
+texts. A panel that is out of sight rests: it takes what it has missed when it comes into sight.
 """
 
 from collections.abc import Callable, Collection
@@ -11,7 +12,7 @@ from bokeh.models import Column, InlineStyleSheet
 from ship_monitor.page.alignment_panel import AlignmentPanel
 from ship_monitor.page.budget_panel import BudgetPanel
 from ship_monitor.page.error_panel import ErrorPanel, has_truth
-from ship_monitor.page.figures import NARROW, tooltip_style
+from ship_monitor.page.figures import NARROW, PanelBox, models_at_once, tooltip_style
 from ship_monitor.page.innovation_panel import InnovationPanel
 from ship_monitor.page.lights_panel import LightsPanel
 from ship_monitor.page.sky_panel import SkyPanel
@@ -25,20 +26,26 @@ from ship_watch.picture import Picture
 class Panels:
     """All panels of one browser.
 
+    Args:
+        theme: colours.
+        is_stepwise: True to begin with empty frames, which :meth:`place_next` fills.
+        is_bag: True where the data are from a bag, for what is said of data that are missing.
+
     Attributes:
         layout: what the page places below its first screenful.
         times: the time that the plots show; it says whether they are paused.
         marked: name of the source that somebody has marked; empty for none.
-        seen: names of the panels in sight, which are drawn; None before that is known: all are.
+        seen: names of the panels in sight, which are drawn; None where all are, at once.
+        frames: where the panels stand.
     """
 
-    def __init__(self, theme: Theme) -> None:
+    def __init__(self, theme: Theme, *, is_stepwise: bool = False, is_bag: bool = False) -> None:
         self.times = TimePlots(KEPT_S)
         self.marked = ""
-        self.seen: Collection[str] | None = None
+        self.seen: Collection[str] | None = frozenset() if is_stepwise else None
         self._innovations, self._errors = InnovationPanel(theme, self.times), ErrorPanel(theme, self.times)
         self._budget, self._events = BudgetPanel(theme, self.times), EventsPanel(theme)
-        self._sky, self._lights = SkyPanel(theme), LightsPanel(theme)
+        self._sky, self._lights = SkyPanel(theme, is_bag=is_bag), LightsPanel(theme)
         self._alignment, self._inputs = AlignmentPanel(theme), InputsPanel(theme)
         self._boxes = {
             "innovations": self._innovations.box,
@@ -50,11 +57,14 @@ class Panels:
             "alignment": self._alignment.box,
             "inputs": self._inputs.box,
         }
-        for name, box in self._boxes.items():
-            box.layout.update(name=name, styles={"grid-area": name})
+        self._plots = {"innovations": self._innovations.plots, "error": self._errors.plots}
+        for plots in self._plots.values():
+            plots.at_once = _ROWS_AT_ONCE if is_stepwise else plots.at_once
+        self._placed: set[str] = set()
+        self.frames = {name: _frame(theme, name, box) for name, box in self._boxes.items()}
         self._grid = InlineStyleSheet(css="")
         self.layout = Column(
-            children=[box.layout for box in self._boxes.values()],
+            children=list(self.frames.values()),
             sizing_mode="stretch_width",
             stylesheets=[self._grid, tooltip_style(theme)],
         )
@@ -70,12 +80,47 @@ class Panels:
             history: what plots draw.
             picture: what is shown of this moment.
         """
+        for name in self._follow(history, picture):
+            if self.seen is None and name not in self._placed:
+                self._place(name)
+            if name in self._placed:
+                self._draw(name, history, picture)
+
+    def place_next(self, history: History, picture: Picture) -> bool:
+        """Draw some of a panel in sight that is not complete, in its frame; return False where all are.
+
+        It is drawn before: a browser would otherwise speak of models that drawing has replaced since.
+        """
+        name = next((each for each in self._follow(history, picture) if each not in self._complete), None)
+        if name is not None:
+            with models_at_once(self.layout):
+                self._draw(name, history, picture)
+                if name not in self._placed:
+                    self._place(name)
+        return name is not None
+
+    @property
+    def _complete(self) -> set[str]:
+        return {name for name in self._placed if name not in self._plots or self._plots[name].are_complete}
+
+    def _place(self, name: str) -> None:
+        self._placed.add(name)
+        self.frames[name].update(children=[self._boxes[name].layout], styles={"grid-area": name})
+
+    def _follow(self, history: History, picture: Picture) -> list[str]:
+        """Show the time, and frames for what is known; return the panels in sight."""
         self.times.follow(picture.utc_ns)
         is_simulated, has_telescope = has_truth(history), bool(history.lights)
-        self._errors.box.layout.visible = is_simulated
-        self._lights.box.layout.visible = has_telescope
+        self.frames["error"].visible = is_simulated
+        self.frames["lights"].visible = has_telescope
         self._grid.css = _grid_css(is_simulated=is_simulated, has_telescope=has_telescope)
-        marked = self.marked
+        return [name for name in self._boxes if self._is_in_sight(name)]
+
+    def _is_in_sight(self, name: str) -> bool:
+        return (self.seen is None or name in self.seen) and bool(self.frames[name].visible)
+
+    def _draw(self, name: str, history: History, picture: Picture) -> None:
+        marked, is_simulated = self.marked, bool(self.frames["error"].visible)
         draw: dict[str, Callable[[], Any]] = {
             "innovations": lambda: self._innovations.update(history, picture, marked, has_truth=is_simulated),
             "error": lambda: self._errors.update(history, self._budget.chosen),
@@ -86,14 +131,33 @@ class Panels:
             "alignment": lambda: self._alignment.update(history, marked),
             "inputs": lambda: self._inputs.update(picture, marked),
         }
-        for name, draw_one in draw.items():
-            if (self.seen is None or name in self.seen) and self._boxes[name].layout.visible:
-                draw_one()
+        draw[name]()
 
 
-def build_panels(theme: Theme) -> Panels:
-    """The panels of one browser, empty as yet."""
-    return Panels(theme)
+def build_panels(theme: Theme, *, is_stepwise: bool = False, is_bag: bool = False) -> Panels:
+    """Return the panels of one browser, empty as yet (:class:`Panels`)."""
+    return Panels(theme, is_stepwise=is_stepwise, is_bag=is_bag)
+
+
+_ROWS_AT_ONCE = 1
+"""Plots of one panel that are made in one step."""
+
+_HEIGHTS_PX = {"innovations": 420, "error": 420, "alignment": 300, "inputs": 200}
+"""Heights of frames without a panel; the others have 260 px."""
+
+
+def _frame(theme: Theme, name: str, box: PanelBox) -> Column:
+    """A frame with the title of a panel, as high as that will be."""
+    head = PanelBox(theme, box.title, []).layout
+    box.layout.styles = {"flex": "1 1 auto"}
+    head.styles = {"flex": "1 1 auto"}
+    head.children[0].text += "<span>Loading plots…</span>"
+    return Column(
+        name=name,
+        children=[head],
+        sizing_mode="stretch_width",
+        styles={"grid-area": name, "min-height": f"{_HEIGHTS_PX.get(name, 260)}px"},
+    )
 
 
 _ONE_COLUMN = ("error", "budget", "innovations", "sky", "lights", "alignment", "events", "inputs")

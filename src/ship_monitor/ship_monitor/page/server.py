@@ -12,6 +12,7 @@ import matplotlib
 from bokeh.document import Document
 from bokeh.server.server import BaseServer
 from bokeh.server.tornado import BokehTornado
+from bokeh.server.views.ws import WSHandler
 from tornado.httputil import HTTPServerRequest
 from tornado.ioloop import IOLoop, PeriodicCallback
 from tornado.web import RequestHandler, StaticFileHandler
@@ -63,6 +64,30 @@ class _Health(RequestHandler):
         self.finish("alive")
 
 
+class _Socket(WSHandler):
+    """A connection of Bokeh that may have left its session already.
+
+    A tab that is closed while the server is busy leaves messages behind, and its end is noticed more than once: by a
+    ping, by a write, by tornado. Bokeh asserts at each that there is still a session.
+    """
+
+    async def on_message(self, fragment: str | bytes) -> None:
+        """Take a message of a page that is still open."""
+        if not self._has_left():
+            await super().on_message(fragment)
+
+    def on_close(self) -> None:
+        """Leave the session, once."""
+        if not self._has_left():
+            super().on_close()
+
+    def _has_left(self) -> bool:
+        try:
+            return self.connection is not None and self.connection.session is None
+        except AssertionError:
+            return True
+
+
 class _Application(BokehTornado):
     """Bokeh's application, for pages of its own address only.
 
@@ -94,6 +119,9 @@ class _Application(BokehTornado):
             default_handler_class=_Refusal,
             default_handler_args={"status_code": 404},
         )
+        for rule in self.wildcard_router.rules:
+            if rule.target is WSHandler:
+                rule.target = _Socket
 
     def find_handler(self, request: HTTPServerRequest, **arguments: Any) -> Any:
         """Return the handler of a request; one that refuses, of another site's, and of one page too many."""

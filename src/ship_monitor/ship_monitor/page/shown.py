@@ -17,6 +17,7 @@ RIBBON_S = 600
 
 _OF_THEODOLITE = ("azimuth", "elevation")
 _TICK_S = 120
+_NO_ALERT = {"icon": "", "state": "", "text": "No alerts", "sub": "", "advice": "", "unack": 0, "all": []}
 _BANNERS = 3  # with more, the list of sources would have no room
 _NS_PER_S = 1_000_000_000
 # Alert.state of ship_msgs: how an alert's icon and words say it.
@@ -40,12 +41,11 @@ def shown(picture: Picture, history: History, label: str, place: str, local: str
     """
     has_lights = any(angle.name in _OF_THEODOLITE for angle in picture.angles)
     waiting = f"waiting for {picture.waiting_for}" if picture.waiting_for else ""
-    is_stale = all(angle.is_old for angle in picture.angles)
     return {
         "label": label,
         "utc": words.clock(picture.utc_ns),
         "local": local,
-        "is_stale": is_stale,
+        "is_stale": picture.is_old,
         "overall": {"safety": picture.overall.safety.name, "text": picture.overall.text},
         "waiting": waiting,
         "place": place if waiting else "",
@@ -57,7 +57,7 @@ def shown(picture: Picture, history: History, label: str, place: str, local: str
             if name != "lights" or has_lights
         ],
         "foot": _foot(picture),
-        "sources": _sources(picture.sources, is_known=not is_stale),
+        "sources": _sources(picture.sources, is_known=not picture.is_old),
         "ribbons": _ribbons(history, picture),
     }
 
@@ -108,9 +108,9 @@ def _foot(picture: Picture) -> str:
 
 def _alert_line(alerts: tuple[AlertShown, ...] | None) -> dict[str, Any]:
     if alerts is None:
-        return {"icon": "", "state": "", "text": "No alert node", "sub": "alerts are not judged", "unack": 0, "all": []}
+        return _NO_ALERT | {"text": "No alert node", "sub": "alerts are not judged"}
     if not alerts:
-        return {"icon": "ok", "state": "", "text": "No alerts", "sub": "", "unack": 0, "all": []}
+        return _NO_ALERT | {"icon": "ok"}
     entries = [_alert(alert) for alert in alerts]
     unack = sum(not alert.is_acknowledged for alert in alerts)
     return {**entries[0], "unack": unack, "all": entries}
@@ -124,6 +124,7 @@ def _alert(alert: AlertShown) -> dict[str, str]:
         "state": state,
         "text": f"{alert.priority.name} · {said}",
         "sub": f"{words.clock(alert.raised_ns)} · {text}",
+        "advice": alert.advice,
     }
 
 
@@ -142,17 +143,15 @@ def _sources(sources: tuple[SourceShown, ...], *, is_known: bool) -> dict[str, A
     nodes = {source.because_of: source.reason for source in below if source.because_of not in names}
     banners = [*((source.name, f"{source.name} OUT") for source in roots), *nodes.items()]
     count = f"{len(used) - len(out)} of {len(used)} in" if used else ""
-    listed: list[SourceShown] = []
-    for source in sorted(sources, key=lambda each: each.presence is Presence.OFF):
-        if source not in below:
-            listed += [source, *(each for each in below if each.because_of == source.name)]
-    listed = [source for source in below if source.because_of in nodes] + listed
     return {
         "head": count if is_known or not count else f"last: {count}",
         "is_known": is_known,
         "out": banners if len(banners) <= _BANNERS else [*banners[: _BANNERS - 1], _more(banners[_BANNERS - 1 :])],
         "why": _why(roots[0]) if len(banners) == len(roots) == 1 else [],
-        "rows": [_source_row(source, is_because=source in below, is_alone=len(banners) == 1) for source in listed],
+        "rows": [
+            _source_row(source, is_because=source in below, is_alone=len(banners) == 1)
+            for source in sorted(sources, key=lambda each: each.presence is Presence.OFF)
+        ],
     }
 
 
@@ -171,7 +170,8 @@ def _why(source: SourceShown) -> list[str]:
 
 def _source_row(source: SourceShown, *, is_because: bool, is_alone: bool) -> dict[str, Any]:
     verdict = source.verdict.text if source.verdict is not None else ""
-    sub = source.disagreement or verdict
+    shift = f"mounting shifted by {words.angle_size(source.mounting_shift)}" if source.mounting_shift > 0.0 else ""
+    sub = source.disagreement or shift or verdict
     if source.presence is Presence.OUT:
         # What stands in large about one that is alone stands here about each of several.
         since = f"{source.reason} since {words.clock(source.out_since_ns)}" if source.out_since_ns else source.reason

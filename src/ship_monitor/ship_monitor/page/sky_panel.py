@@ -32,15 +32,12 @@ class SkyPanel:
         box: the panel.
     """
 
-    def __init__(self, theme: Theme) -> None:
+    def __init__(self, theme: Theme, *, is_bag: bool = False) -> None:
         self._theme = theme
-        self._map = _SkyMap(theme)
+        self._map = _SkyMap(theme, is_bag=is_bag)
         self._fields: dict[str, _Field] = {}
         self._column = Column(children=[], sizing_mode="stretch_width")
-        self._columns = InlineStyleSheet(
-            css=":host{display:grid;grid-template-columns:minmax(0,11fr) minmax(0,9fr)}"
-            f"{NARROW}{{:host{{grid-template-columns:minmax(0,1fr)}}}}"
-        )
+        self._columns = InlineStyleSheet(css=_columns_css(has_fields=False))
         both = Column(
             children=[self._map.figure, self._column], sizing_mode="stretch_width", stylesheets=[self._columns]
         )
@@ -60,17 +57,28 @@ class SkyPanel:
         if shown != list(self._fields):
             self._fields = {name: self._fields.get(name) or _Field(self._theme) for name in shown}
             self._column.children = [field.figure for field in self._fields.values()]
+            self._columns.css = _columns_css(has_fields=bool(shown))
         for name, field in self._fields.items():
             field.update(_short(name), history.stars[name], sources.get(name), len(shown), is_marked=name == marked)
         told = self._map.update(history, picture, sources, marked)
-        self.box.say(f"fields of view larger than they are · bars: residuals{told}")
+        self.box.say(f"fields of view not to scale · bars: residuals{told}")
+
+
+def _columns_css(*, has_fields: bool) -> str:
+    """The map alone in the middle, or with the fields at its right."""
+    columns = "minmax(0,11fr) minmax(0,9fr)" if has_fields else "minmax(0,1fr)"
+    return (
+        f":host{{display:grid;grid-template-columns:{columns};justify-items:center}}"
+        f"{NARROW}{{:host{{grid-template-columns:minmax(0,1fr)}}}}"
+    )
 
 
 class _SkyMap:
     """The sky as a chart."""
 
-    def __init__(self, theme: Theme) -> None:
+    def __init__(self, theme: Theme, *, is_bag: bool) -> None:
         self._theme = theme
+        self._no_moon = f" · Moon not drawn: no GNSS position{' in this bag' if is_bag else ''}"
         self.figure = plot(theme, 320, Range1d(-1.32, 1.32), Range1d(-1.2, 1.2))
         self.figure.update(
             height=None,
@@ -147,7 +155,7 @@ class _SkyMap:
     def _draw_moon(self, history: History, picture: Picture, names: dict[str, list[object]]) -> str:
         if history.position is None or not picture.utc_ns:
             self._moon.data = {"x": [], "y": []}
-            return " · no fix, so no Moon"
+            return self._no_moon
         direction = moon_direction(picture.utc_ns, *history.position)
         if direction is None or not direction[1] > 0.0:
             self._moon.data = {"x": [], "y": []}

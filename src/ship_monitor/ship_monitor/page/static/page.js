@@ -2,9 +2,9 @@
 // server still says anything. Times of arrival are by a clock that never steps.
 "use strict";
 const monitor = (() => {
-  const limits = { linkLostMs: 1600, reloadAfterMs: 4000, lookMs: 200 }, PHONE = "(max-width:699px)";
+  const limits = { linkLostMs: 1600, reloadAfterMs: 4000, lookMs: 200, busyMs: 10000 }, PHONE = "(max-width:699px)";
   const at = (id) => document.getElementById(id);
-  let heardMs = performance.now(), last = null, linked = false, lost = false, asking = false, marked = sessionStorage.getItem("marked") || "";
+  let heardMs = performance.now(), lookedMs = heardMs, last = null, linked = false, lost = false, asking = false, marked = sessionStorage.getItem("marked") || "";
 
   function text(element, value) {
     if (element.textContent !== value) element.textContent = value;
@@ -84,7 +84,9 @@ const monitor = (() => {
     icon(document.querySelector("#icon .sign"), alert.state);
     text(at("alert-text"), alert.text);
     at("alert-text").classList.toggle("long", alert.text.length > 32);
-    text(at("alert-sub"), alert.sub);
+    // What to do stands before when it came; the list has both.
+    text(at("alert-sub"), alert.advice || alert.sub);
+    at("alert-sub").classList.toggle("advice", Boolean(alert.advice));
     at("unack-count").hidden = !alert.unack;
     at("unack-count").className = alert.icon;
     text(at("unack-count"), alert.unack + " UNACK");
@@ -92,8 +94,9 @@ const monitor = (() => {
       const line = element("p", parent);
       element("span", line);
       element("small", line);
+      element("div", line, "advice");
       return line;
-    }, (line, entry) => { text(line.children[0], entry.text); text(line.children[1], entry.sub); });
+    }, (line, entry) => [entry.text, entry.sub, entry.advice].forEach((value, index) => text(line.children[index], value)));
     if (!alert.all.length) at("alerts").hidden = true;
   }
 
@@ -175,7 +178,7 @@ const monitor = (() => {
     at("paused").hidden = !model.is_paused;
     // An alert is more urgent than that something was never heard.
     alertLine(model.waiting && !model.alert.state
-      ? { ...model.alert, icon: "", text: model.waiting, sub: model.place } : model.alert);
+      ? { ...model.alert, icon: "", text: model.waiting, sub: model.place, advice: "" } : model.alert);
     for (const each of document.querySelectorAll("#tiles .tile:not(.ages)")) tile(each.id, model.angles[each.id]);
     states(model);
     ages(model.ages, model.foot);
@@ -199,7 +202,7 @@ const monitor = (() => {
     old.sources.is_known = false;
     old.alert.text = (linked ? "NO LINK " : "CONNECTING ") + age(silentS);
     old.alert.sub = linked ? "the page connects again by itself" : "";
-    Object.assign(old.alert, { icon: "", state: "lost", unack: 0 });
+    Object.assign(old.alert, { icon: "", state: "lost", advice: "", unack: 0 });
     return old;
   }
   function age(seconds) {
@@ -207,7 +210,10 @@ const monitor = (() => {
   }
 
   function watchLink() {
-    const silentMs = performance.now() - heardMs;
+    const nowMs = performance.now(), silentMs = nowMs - heardMs, isLate = nowMs - lookedMs > 2 * limits.lookMs;
+    lookedMs = nowMs;
+    // The page itself was busy: what has come meanwhile waits to be read.
+    if (isLate && silentMs < limits.busyMs) return;
     if (silentMs < limits.linkLostMs || last === null) return;
     lost = true;
     document.documentElement.classList.add("nolink");
