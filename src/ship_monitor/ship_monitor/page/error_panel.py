@@ -48,7 +48,9 @@ class ErrorPanel:
 
     def __init__(self, theme: Theme, times: TimePlots) -> None:
         self.box = PanelBox(theme, "Error inside ±3σ", [])
-        self.plots = GrowingRows(self.box, lambda key, is_last: _ErrorRow(theme, times, key, has_axis=is_last))
+        self.plots: GrowingRows[tuple[str, str], _ErrorRow] = GrowingRows(
+            self.box, lambda key, is_last: _ErrorRow(theme, times, key, has_axis=is_last)
+        )
 
     def update(self, history: History, chosen: str) -> None:
         """Draw what is new.

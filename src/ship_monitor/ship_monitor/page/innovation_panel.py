@@ -48,7 +48,9 @@ class InnovationPanel:
 
     def __init__(self, theme: Theme, times: TimePlots) -> None:
         self.box = PanelBox(theme, "Innovations by source", [])
-        self.plots = GrowingRows(self.box, lambda name, is_last: _SourceRow(theme, times, name, has_axis=is_last))
+        self.plots: GrowingRows[str, _SourceRow] = GrowingRows(
+            self.box, lambda name, is_last: _SourceRow(theme, times, name, has_axis=is_last)
+        )
 
     def update(self, history: History, picture: Picture, marked: str, *, has_truth: bool) -> None:
         """Draw what is new; the panel says where the error itself cannot be known.

@@ -12,7 +12,7 @@ from bokeh.models import Column, InlineStyleSheet
 from ship_monitor.page.alignment_panel import AlignmentPanel
 from ship_monitor.page.budget_panel import BudgetPanel
 from ship_monitor.page.error_panel import ErrorPanel, has_truth
-from ship_monitor.page.figures import NARROW, PanelBox, models_at_once, tooltip_style
+from ship_monitor.page.figures import NARROW, GrowingRows, PanelBox, models_at_once, tooltip_style
 from ship_monitor.page.innovation_panel import InnovationPanel
 from ship_monitor.page.lights_panel import LightsPanel
 from ship_monitor.page.sky_panel import SkyPanel
@@ -57,7 +57,10 @@ class Panels:
             "alignment": self._alignment.box,
             "inputs": self._inputs.box,
         }
-        self._plots = {"innovations": self._innovations.plots, "error": self._errors.plots}
+        self._plots: dict[str, GrowingRows[Any, Any]] = {
+            "innovations": self._innovations.plots,
+            "error": self._errors.plots,
+        }
         for plots in self._plots.values():
             plots.at_once = _ROWS_AT_ONCE if is_stepwise else plots.at_once
         self._placed: set[str] = set()
@@ -157,6 +160,7 @@ def _frame(theme: Theme, name: str, box: PanelBox) -> Column:
         children=[head],
         sizing_mode="stretch_width",
         styles={"grid-area": name, "min-height": f"{_HEIGHTS_PX.get(name, 260)}px"},
+        stylesheets=[InlineStyleSheet(css=":host{align-self:stretch !important;height:auto !important}")],
     )
 
 
