@@ -458,6 +458,26 @@ def test_a_click_on_a_tile_shows_its_budget_and_its_error_in_one_window(browser,
     assert browser.until(f"{PANEL}('Error budget')[1] && {PANEL}('Error inside')[1]")
 
 
+@pytest.mark.slow
+def test_plots_that_come_one_after_another_all_have_their_titles_and_no_link_is_lost(browser, source, page):
+    source.set(watched_picture(), watched_history())
+    browser.open(page, 1280, 1600)
+    browser.until("monitor.isLinked()")
+    browser.evaluate(
+        "window.losses = 0; new MutationObserver(() => {"
+        " losses += document.documentElement.classList.contains('nolink'); })"
+        ".observe(document.documentElement, { attributes: true })"
+    )
+    browser.evaluate("document.querySelector('#panels').scrollIntoView()")
+    titles = f"{FIGURES}.map((each) => each.title?.text ?? '')"
+    for title in ("heading", "pitch", "roll", "elevation"):
+        browser.until(f"{titles}.includes('{title}')", 90.0)
+    for name in ("star.fore", "star.starboard", "lights"):
+        browser.until(f"{titles}.some((each) => each.includes('{name}'))", 90.0)
+    assert browser.evaluate("losses") == 0
+    assert browser.problems == []
+
+
 def counted(browser, each):
     """Wait until so many of each kind are marked."""
     browser.until(f"JSON.stringify({MARKED}) === '{json.dumps([each] * 4, separators=(',', ':'))}'")

@@ -112,6 +112,7 @@ class Page:
         """Put one panel after another into its frame; before each step the page has its texts of now."""
         if self._panels is None:
             return
+        self._is_placing = False  # also where one of the next lines fails
         self._say()
         self._is_placing = self._panels.place_next(self._source.history, self._drawn)
         if self._is_placing:

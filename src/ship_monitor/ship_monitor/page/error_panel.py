@@ -63,6 +63,7 @@ class ErrorPanel:
         shown = [key for key in CHANNELS if key[1] in newest.get(key[0], {})]
         rows = self.plots.grow(shown)
         steps = {row.update(history.errors[topic], chosen) for (topic, _), row in rows.items()}
+        self.plots.show()
         steps.discard(15.0)
         wider = " · wider where it says so" if steps else ""
         self.box.say(f"against the truth of the simulation · axis ±15″{wider}")

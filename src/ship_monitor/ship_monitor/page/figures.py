@@ -226,14 +226,21 @@ class GrowingRows(Generic[Key, Row]):
         self.are_complete = False
 
     def grow(self, keys: Sequence[Key]) -> dict[Key, Row]:
-        """Make plots of keys that have none, in the order of the keys; return all that there are."""
+        """Make plots of keys that have none, in the order of the keys; return all that there are.
+
+        The caller draws them, and only then shows them (:meth:`show`): what is drawn into a plot that is on its way to
+        a browser would not follow it, because the document does not know the plot yet.
+        """
         if list(keys) != self._keys:
             self._keys, self.rows = list(keys), {}
         for key in self._keys[len(self.rows) :][: self.at_once]:
             self.rows[key] = self._make(key, key == self._keys[-1])
+        return self.rows
+
+    def show(self) -> None:
+        """Put the plots that there are into the panel."""
         self.are_complete = len(self.rows) == len(self._keys)
         self._box.hold([row.figure for row in self.rows.values()])
-        return self.rows
 
 
 class PanelBox:

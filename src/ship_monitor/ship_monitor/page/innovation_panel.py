@@ -67,6 +67,7 @@ class InnovationPanel:
         rows = self.plots.grow(shown)
         for name, row in rows.items():
             row.update(history.innovations[name], sources.get(name), picture.utc_ns, is_marked=name == marked)
+        self.plots.show()
         nothing = "" if rows else "no source is compared with a prediction yet. "
         markers = "means, ″ · ● up, z · ■ right, x · ✕ refused"
         self.box.say(nothing + (markers if has_truth else f"no truth here, so no error · {markers}"))

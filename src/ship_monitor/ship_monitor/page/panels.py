@@ -108,7 +108,9 @@ class Panels:
 
     def _place(self, name: str) -> None:
         self._placed.add(name)
-        self.frames[name].update(children=[self._boxes[name].layout], styles={"grid-area": name})
+        # A style that is not named again would stay in the browser.
+        styles = {"grid-area": name, "min-height": "0"}
+        self.frames[name].update(children=[self._boxes[name].layout], styles=styles)
 
     def _follow(self, history: History, picture: Picture) -> list[str]:
         """Show the time, and frames for what is known; return the panels in sight."""
