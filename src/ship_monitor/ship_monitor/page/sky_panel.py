@@ -66,9 +66,9 @@ class SkyPanel:
 
 def _columns_css(*, has_fields: bool) -> str:
     """The map alone in the middle, or with the fields at its right."""
-    columns = "minmax(0,11fr) minmax(0,9fr)" if has_fields else "minmax(0,1fr)"
+    columns = "minmax(0,11fr) minmax(0,9fr)" if has_fields else "minmax(0,560px)"
     return (
-        f":host{{display:grid;grid-template-columns:{columns};justify-items:center}}"
+        f":host{{display:grid;justify-content:center;grid-template-columns:{columns}}}"
         f"{NARROW}{{:host{{grid-template-columns:minmax(0,1fr)}}}}"
     )
 
@@ -84,7 +84,7 @@ class _SkyMap:
             height=None,
             sizing_mode="scale_width",
             aspect_ratio=1.1,
-            max_width=440,
+            max_width=560,
             min_border=0,
             outline_line_color=None,
         )
