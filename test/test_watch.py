@@ -128,7 +128,7 @@ def test_lights_that_bear_each_others_names_are_told_though_they_are_put_right(t
     assert len(exchanged) == 1
     assert 25.0 < exchanged[0] <= 27.0
     (alert,) = (found for found in conditions(theodolite.at_s[28.0], Limits()) if found.source == "lights")
-    assert alert.text == "lights: names exchanged, put right"
+    assert alert.text == "lights: names exchanged, corrected"
     assert words_between(theodolite, 26.0, 33.0) == {Safety.SAFE}
 
 
