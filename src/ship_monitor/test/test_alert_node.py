@@ -187,7 +187,7 @@ def test_diagnostics_are_heard_and_told_as_a_tree(ship, start, until, tmp_path):
     ship.box_level = DiagnosticStatus.ERROR
     until(look, 30.0)
     assert ship.alerts()["ship_attitude.box"].priority == Alert.WARNING
-    name = "alerts: functions/heading within 5″"
+    name = "alerts: functions/heading within 6″"
 
     def is_lost():
         # While nothing has been heard yet, the function is not lost but not known.
@@ -197,7 +197,7 @@ def test_diagnostics_are_heard_and_told_as_a_tree(ship, start, until, tmp_path):
     until(is_lost, 10.0)
     lost = ship.told[name]
     assert lost.message.startswith("lost, ")
-    assert "39.2″ of 5″" in lost.message
+    assert "39.2″ of 6″" in lost.message
     assert ship.told["alerts: callbacks"].level == DiagnosticStatus.OK
 
 

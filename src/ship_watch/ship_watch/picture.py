@@ -282,11 +282,13 @@ class Picture:
 
     @property
     def overall(self) -> OverallState:
-        """Worst word of all angles, with its shortest reason."""
+        """Worst word of all angles, with the shortest reason that names a source, else the shortest."""
         worst = max((angle.safety for angle in self.angles), default=Safety.UNSAFE)
         if worst is Safety.SAFE:
             return OverallState(worst, "")
-        reasons = (angle.reason for angle in self.angles if angle.safety is worst)
+        worst_angles = [angle for angle in self.angles if angle.safety is worst]
+        caused = [angle.reason for angle in worst_angles if angle.because_of]
+        reasons = caused or [angle.reason for angle in worst_angles]
         reason = min(reasons, key=len, default=f"waiting for {self.waiting_for}" if self.waiting_for else "")
         names = [angle.name for angle in self.angles if angle.safety is worst and angle.reason == reason]
         return OverallState(worst, reason if len(names) == len(self.angles) else f"{reason} ({', '.join(names)})")

@@ -31,3 +31,10 @@ def test_a_reason_of_all_angles_stands_without_their_names() -> None:
 
 def test_without_an_angle_nothing_is_safe() -> None:
     assert replace(pictures.picture(), angles=()).overall.safety is Safety.UNSAFE
+
+
+def test_a_source_that_is_out_is_named_before_what_it_brings_about() -> None:
+    """The cause is longer than the consequence, and says more."""
+    heading = pictures.angle("heading", reason="star.starboard excluded", because_of="star.starboard", **CAUTION)
+    roll = pictures.angle("roll", reason="over the limit", **CAUTION)
+    assert pictures.picture(heading, roll).overall.text == "star.starboard excluded (heading)"
