@@ -97,8 +97,8 @@ def test_a_clock_that_follows_nothing_fails_though_its_offset_is_zero():
      ("0.050100000", Result.FAIL, "over machine.clock_offset_s, 50 ms")],
 )  # fmt: skip
 def test_the_offset_is_held_against_the_heading_and_the_stamps(offset, result, told):
-    """5 arcsec, the limit of the heading, are 0.2778 ms at 5 deg/s."""
-    row = judge_clock(chrony_state(CHRONY.replace("0.000001501", offset)), Limits())
+    """5 arcsec, the limit of the heading here, are 0.2778 ms at 5 deg/s."""
+    row = judge_clock(chrony_state(CHRONY.replace("0.000001501", offset)), Limits(heading_arcsec=5.0))
     assert row.result is result
     assert told in row.found
 
