@@ -65,7 +65,7 @@ class Named:
     def note_picture(self, picture: Picture, history: History) -> None:
         """What a picture says, as it is, as the page writes it, and as the lines of a terminal."""
         page = shown(picture, history, "LIVE", "")
-        lines = screen(picture, picture.alerts, View(80, 24, "ship", "LIVE", "", "day"))
+        lines = screen(picture, picture.alerts, View(80, 24, "ship", "LIVE", ""))
         rows = [plain_text(line) for line in lines]
         for source in picture.sources:
             told = source.reason or source.disagreement
