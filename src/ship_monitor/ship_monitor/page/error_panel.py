@@ -75,7 +75,7 @@ class _ErrorRow:
     def __init__(self, theme: Theme, times: TimePlots, key: tuple[str, str], *, has_axis: bool) -> None:
         self._theme, self._channel, self._title = theme, key[1], CHANNELS[key]
         self._height = Range1d(-15.0, 15.0)
-        self.figure = time_plot(theme, times, 90 if has_axis else 68, self._height, has_axis=has_axis)
+        self.figure = time_plot(theme, times, 88 if has_axis else 66, self._height, has_axis=has_axis)
         self._labels = SideLabels(theme, self.figure)
         self._trail = Trail(("error", "sigma", *BAND), by="error", filled=BAND[:2])
         source, colour = self._trail.source, theme.series[0]
