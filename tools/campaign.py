@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from ship_bags.progress import counted
+from ship_bags.progress import with_count
 from ship_estimation.gates import mean_nees_band, sigma_ratio_band
 from ship_geometry.rotations import ARCSEC
 from ship_replay.trials.monte_carlo import FinalError, final_error
@@ -69,7 +69,7 @@ def _errors(
     pool: Executor, name: str, error: Callable[[Scenario, int], FinalError], scenario: Scenario, seeds: int
 ) -> list[FinalError]:
     runs = pool.map(error, repeat(scenario, seeds), range(seeds))
-    return list(counted(runs, name, seeds))
+    return list(with_count(runs, name, seeds))
 
 
 def _beside_a_peer(console: Console, pool: Executor, seeds: int) -> bool:

@@ -1,4 +1,4 @@
-"""What every command of the suite does alike: arguments, exit codes, interruption.
+"""The parts that all commands of the suite share: arguments, exit codes, interruption.
 
 Bad input ends a command with one line on stderr and exit code 2, Ctrl-C with 130. Where the reader of its output has
 left, as ``head`` does, it ends without a word. Progress is shown by :mod:`ship_bags.progress`.

@@ -107,7 +107,7 @@ def with_progress(
             yield item
 
 
-def counted(items: Iterable[Item], label: str, count: int) -> Iterator[Item]:
+def with_count(items: Iterable[Item], label: str, count: int) -> Iterator[Item]:
     """Yield items, and show how many of them are done."""
     with Progress(label) as progress:
         for number, item in enumerate(items):

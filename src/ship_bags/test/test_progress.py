@@ -8,16 +8,16 @@ import sys
 
 import pytest
 
-from ship_bags.progress import Progress, counted, progress_text, with_progress
+from ship_bags.progress import Progress, progress_text, with_count, with_progress
 
 # A command that works for three seconds; asked to, it is interrupted then.
 COMMAND = """
 import sys, time
 from ship_bags.command_line import CommandParser, run_command
-from ship_bags.progress import counted
+from ship_bags.progress import with_count
 
 def work(_options):
-    kept = counted(range(30), "night.mcap", 30)
+    kept = with_count(range(30), "night.mcap", 30)
     for number in kept:
         time.sleep(0.1)
         if number == 28 and sys.argv[1] == "interrupted":
@@ -60,7 +60,7 @@ def test_the_time_left_follows_from_the_share(share, elapsed_s, text):
 
 def test_all_items_pass():
     assert list(with_progress([3, 5, 9], "a", 3, 9, float)) == [3, 5, 9]
-    assert list(counted(iter("abc"), "a", 3)) == ["a", "b", "c"]
+    assert list(with_count(iter("abc"), "a", 3)) == ["a", "b", "c"]
     assert list(with_progress([], "a", 0, 0, float)) == []
 
 

@@ -13,7 +13,7 @@ from ship_bags.stamps import NS_PER_S
 from ship_monitor.alerts.alert_node import AlertNode
 from ship_monitor.live.live_watch import LiveWatch, messages_wanted
 from ship_monitor.live.reader import DISCOVERY_NS, KEPT
-from ship_msgs.msg import Alert, AlertArray
+from ship_msgs.msg import Alert, AlertArray, SuiteSource, SuiteState
 from ship_testing.publishing_ship import PublishingShip, attitude
 from ship_watch.limits import Limits
 from ship_watch.picture import Safety
@@ -161,3 +161,18 @@ def test_page_terminal_and_alerts_show_one_state(ship, until):
         for viewer in viewers:
             viewer.close()
         context.try_shutdown()
+
+
+def test_a_state_of_another_version_is_dropped_and_the_messages_after_it_are_taken(watch, ship, until, caplog):
+    """A presence that does not exist: one line, no state of it, and the attitude goes on to be shown."""
+    wrong = SuiteState(sources=[SuiteSource(name="ins", presence=9)])
+    times = iter(range(START_NS, START_NS + 1000 * NS_PER_S, NS_PER_S // 50))
+
+    def look():
+        ship.say("ship/suite_state", wrong)
+        ship.say("ship/attitude", attitude(next(times)))
+        shown = heading(watch)
+        return "presence 9" in caplog.text and not shown.is_old and shown
+
+    assert until(look).value == 1.0
+    assert caplog.text.count("is not shown") == 1

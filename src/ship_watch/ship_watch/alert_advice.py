@@ -1,4 +1,4 @@
-"""What to do about each alert, one line for people; docs/explanation/alerts.md has the same table."""
+"""Advice for each kind of alert, one line for people; docs/explanation/alerts.md has the same table."""
 
 import re
 

@@ -17,7 +17,7 @@ from ship_geometry.rotations import ARCSEC
 from ship_watch.functions import still
 from ship_watch.limits import Limits
 from ship_watch.picture import AngleShown, Safety
-from ship_watch.states import MARGIN, HeldWord, Judgement, accuracy_word
+from ship_watch.states import MARGIN, AngleWord, HeldWord, accuracy_word
 from ship_watch.watch import Watch
 
 QUANTITIES = {"heading": ("heading",), "tilt": ("pitch", "roll"), "pointing": ("azimuth", "elevation")}
@@ -142,12 +142,12 @@ class AvailabilityRecord:
                 safe.append(all(held.word is Safety.SAFE for held in words))
         return sum(safe) / len(safe)
 
-    def _judgement(self, angle: AngleShown, limit: float) -> Judgement:
+    def _judgement(self, angle: AngleShown, limit: float) -> AngleWord:
         """Return the judgement of an angle with another limit of its accuracy."""
         factor, accuracy = self._limits.unsafe_factor, angle.accuracy_95
         by_accuracy, by_margin = (accuracy_word(accuracy, x, factor) for x in (limit, (1.0 - MARGIN) * limit))
         word, reason = angle.now or (angle.safety, angle.reason)
-        return Judgement(max(word, by_accuracy), reason, by_accuracy, by_margin)
+        return AngleWord(max(word, by_accuracy), reason, by_accuracy, by_margin)
 
 
 def _round_limits(least_arcsec: float) -> Iterator[float]:

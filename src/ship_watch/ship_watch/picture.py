@@ -189,7 +189,7 @@ class AlertShown:
 
     @property
     def advice(self) -> str:
-        """What to do about it, one line; empty for an alert that this suite does not know."""
+        """Advice for people, one line; empty for an alert that this suite does not know."""
         return advice_for(self.id)
 
     @property

@@ -47,7 +47,7 @@ def change_of_state(picture: Picture) -> tuple[Any, ...]:
 
 @dataclass(frozen=True)
 class PublishedState:
-    """What a SuiteState contains, and when it arrived by the caller's time."""
+    """Content of a SuiteState, with its time of arrival by the caller's clock."""
 
     angles: tuple[AngleShown, ...]
     ages_s: Mapping[str, float]

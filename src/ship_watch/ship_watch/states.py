@@ -129,7 +129,7 @@ def _guilty(source: SourceStanding | None) -> str:
 _RUN = re.compile(r"\d+ refused in a row")
 
 
-class Judgement(NamedTuple):
+class AngleWord(NamedTuple):
     """Word of an angle at one time.
 
     Attributes:
@@ -145,11 +145,11 @@ class Judgement(NamedTuple):
     by_margin: Safety = Safety.SAFE
 
 
-def judgement(claim: AngleClaim) -> Judgement:
+def judgement(claim: AngleClaim) -> AngleWord:
     """Return the word of an angle, with the words by its accuracy alone."""
     low = (1.0 - MARGIN) * claim.limit
     by_accuracy, by_margin = (accuracy_word(claim.accuracy_95, x, claim.unsafe_factor) for x in (claim.limit, low))
-    return Judgement(*judged(claim), by_accuracy, by_margin)
+    return AngleWord(*judged(claim), by_accuracy, by_margin)
 
 
 def accuracy_word(accuracy_95: float, limit: float, unsafe_factor: float) -> Safety:
@@ -174,7 +174,7 @@ class ShownWord(NamedTuple):
     better: Safety | None = None
     better_in_ns: int = 0
 
-    def reason(self, now: Judgement, limit: float) -> str:
+    def reason(self, now: AngleWord, limit: float) -> str:
         """Return the reason as it is true now: that of now, and when the better word comes.
 
         Args:
@@ -203,7 +203,7 @@ class HeldWord:
         self.reason = ""
         self.since_ns = 0
 
-    def note(self, now: Judgement, now_ns: int) -> bool:
+    def note(self, now: AngleWord, now_ns: int) -> bool:
         """Take the judgement of now; return True if the shown word changed."""
         for level in (Safety.CAUTION, Safety.UNSAFE):
             held = self._held.get(level)
@@ -221,7 +221,7 @@ class HeldWord:
             self.word, self.since_ns = shown.word, now_ns
         return changed
 
-    def shown(self, now: Judgement, now_ns: int) -> ShownWord:
+    def shown(self, now: AngleWord, now_ns: int) -> ShownWord:
         """Return the word that is shown where this is the judgement of now: the worst of the last seconds."""
         for level in (Safety.UNSAFE, Safety.CAUTION):
             if now.word >= level:
@@ -233,7 +233,7 @@ class HeldWord:
                 return ShownWord(level, self._held[level].cause, better, end_ns - now_ns)
         return ShownWord(Safety.SAFE, "")
 
-    def _end_ns(self, level: Safety, now: Judgement, now_ns: int) -> int:
+    def _end_ns(self, level: Safety, now: AngleWord, now_ns: int) -> int:
         """Return until when a level is held where nothing changes; now where it is not."""
         held = self._held.get(level)
         if held is None:

@@ -12,7 +12,7 @@ from ship_estimation.outcome import Status
 from ship_estimation.protection import IntegrityState
 from ship_geometry.rotations import ARCSEC
 from ship_watch.picture import Presence, Safety, SourceStanding
-from ship_watch.states import AngleClaim, HeldWord, Judgement, Protection, judged, judgement
+from ship_watch.states import AngleClaim, AngleWord, HeldWord, Protection, judged, judgement
 
 SECOND = 1_000_000_000
 KNOCKED = SourceStanding("star.bow", Presence.OUT, "excluded", "right +49″", 17.0, 1, "")
@@ -86,19 +86,19 @@ def test_a_level_that_another_angle_exceeds_does_not_colour_this_one() -> None:
     assert judged(replace(GOOD, protection=Protection(IntegrityState.EXCEEDED, 29.0)))[0] is Safety.SAFE
 
 
-def over(accuracy: float) -> Judgement:
-    """Judgement of an angle that nothing but its accuracy speaks against; its limit is 5."""
+def over(accuracy: float) -> AngleWord:
+    """AngleWord of an angle that nothing but its accuracy speaks against; its limit is 5."""
     return judgement(replace(GOOD, accuracy_95=accuracy))
 
 
-SAFE = Judgement(Safety.SAFE, "")
-SILENT = Judgement(Safety.CAUTION, "star.bow silent")
+SAFE = AngleWord(Safety.SAFE, "")
+SILENT = AngleWord(Safety.CAUTION, "star.bow silent")
 
 
 def test_worse_at_once_and_better_after_five_seconds() -> None:
     held = HeldWord(5.0)
     assert held.note(SAFE, 0)
-    assert held.note(Judgement(Safety.UNSAFE, "invalid"), SECOND)
+    assert held.note(AngleWord(Safety.UNSAFE, "invalid"), SECOND)
     assert held.word is Safety.UNSAFE
     assert not held.note(SILENT, 2 * SECOND)
     assert (held.word, held.reason) == (Safety.UNSAFE, "invalid")
@@ -185,13 +185,13 @@ def test_an_accuracy_that_was_once_over_its_limit_is_judged_by_the_limit_once_it
         (over(16.0), over(4.0), 1.0, Safety.UNSAFE, "within 5″ again; SAFE in 4 s"),
         (over(16.0), over(6.0), 1.0, Safety.UNSAFE, "over the limit; CAUTION in 4 s"),
         (over(16.0), over(4.9), 1.0, Safety.UNSAFE, "within 5″ again; CAUTION in 4 s"),
-        (Judgement(Safety.UNSAFE, "invalid"), SAFE, 2.0, Safety.UNSAFE, "good again; SAFE in 3 s"),
-        (Judgement(Safety.UNSAFE, "invalid"), SILENT, 2.0, Safety.UNSAFE, "star.bow silent; CAUTION in 3 s"),
+        (AngleWord(Safety.UNSAFE, "invalid"), SAFE, 2.0, Safety.UNSAFE, "good again; SAFE in 3 s"),
+        (AngleWord(Safety.UNSAFE, "invalid"), SILENT, 2.0, Safety.UNSAFE, "star.bow silent; CAUTION in 3 s"),
         (SILENT, SAFE, 4.9, Safety.CAUTION, "good again; SAFE in 1 s"),
         (SILENT, SAFE, 5.0, Safety.SAFE, ""),
     ],
 )
-def test_the_reason_is_true_now(before: Judgement, now: Judgement, at_s: float, word: Safety, reason: str) -> None:
+def test_the_reason_is_true_now(before: AngleWord, now: AngleWord, at_s: float, word: Safety, reason: str) -> None:
     held = HeldWord(5.0)
     held.note(before, 0)
     shown = held.shown(now, round(at_s * SECOND))

@@ -531,8 +531,9 @@ def test_a_watch_shows_the_published_state_in_place_of_its_own_and_its_own_witho
     # Two seconds without a state: its own words again, at once.
     go_on(watch, 22.1, 22.5)
     assert {angle.safety for angle in watch.look(at(22.5)).angles} == {Safety.SAFE}
-    # The alert node leaves the network: its state does not outlive it.
+    # It comes again, and its state is shown again; then it leaves the network, and its state does not outlive it.
     watch.take_state(published(other, 20.0), at(22.6))
+    assert {angle.safety for angle in watch.look(at(22.6)).angles} == {Safety.CAUTION}
     watch.forget_alerts()
     assert {angle.safety for angle in watch.look(at(22.7)).angles} == {Safety.SAFE}
 

@@ -10,6 +10,7 @@ import logging
 import threading
 from collections.abc import Callable
 from queue import Empty, SimpleQueue
+from typing import Any
 
 from ship_monitor.live.acknowledge import acknowledge
 from ship_monitor.live.reader import KEPT, Taken, TopicReader, steady_ns
@@ -49,6 +50,7 @@ class LiveWatch:
         self._relayed = None if receiver is None else RelayedTopics(self._reader, receiver)
         self._watch = Watch(limits)
         self._picture: Picture | None = None
+        self._has_refused_state = False
         self._picture_ns = 0
         self._waiting: SimpleQueue[Taken] = SimpleQueue()
         self._is_over = threading.Event()
@@ -68,9 +70,19 @@ class LiveWatch:
                 self._watch.forget_alerts()
             for arrived in taken.messages:
                 if arrived.topic == STATE_TOPIC:
-                    self._watch.take_state(arrived.message, arrived.arrival_ns)
+                    self._take_state(arrived.message, arrived.arrival_ns)
                 else:
                     self._watch.take(arrived.topic, arrived.message, arrived.arrival_ns)
+
+    def _take_state(self, message: Any, arrival_ns: int) -> None:
+        """Take a SuiteState. One that cannot be used is dropped with a line: the messages after it are taken."""
+        try:
+            self._watch.take_state(message, arrival_ns)
+        except ValueError as problem:
+            if not self._has_refused_state:
+                text = "%s is not shown: %s; do the alert node and this viewer have the same version?"
+                logging.getLogger(__name__).warning(text, STATE_TOPIC, problem)
+            self._has_refused_state = True
 
     def look(self) -> Picture:
         """The picture of this moment; those who look at nearly the same time share one."""

@@ -154,7 +154,7 @@ class Page:
 def page_maker(
     open_source: Callable[[], PictureSource], default_theme: str, zone: ZoneInfo | None = None
 ) -> Callable[[Document], None]:
-    """What fills the document of each browser.
+    """Return a function that fills the document of each browser.
 
     Args:
         open_source: gives the source of pictures of one browser.

@@ -9,7 +9,7 @@ from pathlib import Path
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
 from ship_bags.output_files import write_whole
-from ship_bags.progress import counted
+from ship_bags.progress import with_count
 from ship_bags.renamed_topics import add_bag_names
 from ship_replay.campaign.cluster import in_cluster
 from ship_replay.campaign.items import Item, items_of, seeds_of
@@ -104,7 +104,7 @@ def _made(items: Sequence[Item], folder: ResultFolder, maker: Maker) -> list[Mad
     missing = {item.key: item for item in items if item.key not in found}
     print(f"{len(items)} items: {len(found)} results there already, {len(missing)} to make", flush=True)
     if missing:
-        for item, result in counted(maker(list(missing.values())), "campaign", len(missing)):
+        for item, result in with_count(maker(list(missing.values())), "campaign", len(missing)):
             folder.keep(item, result)
             found[item.key] = result
     return [(item, found[item.key]) for item in items]

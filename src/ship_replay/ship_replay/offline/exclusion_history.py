@@ -1,4 +1,4 @@
-"""Which sources a run excluded and reinstated, and when, from its Integrity messages."""
+"""Exclusions and reinstatements of sources in a run, with their times, from its Integrity messages."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -10,7 +10,7 @@ INTEGRITY = {"ship/attitude": "ship/integrity", "theodolite/pointing": "theodoli
 
 
 @dataclass
-class Exclusion:
+class ExclusionSpan:
     """One exclusion of a source.
 
     Attributes:
@@ -28,8 +28,8 @@ class ExclusionHistory:
     """The exclusions that one output's Integrity messages report, in order of their beginning."""
 
     def __init__(self) -> None:
-        self._exclusions: list[Exclusion] = []
-        self._current: dict[str, Exclusion] = {}
+        self._exclusions: list[ExclusionSpan] = []
+        self._current: dict[str, ExclusionSpan] = {}
 
     def add(self, message: Any) -> None:
         """Add an Integrity message, in order of stamps."""
@@ -38,7 +38,7 @@ class ExclusionHistory:
             self._current.pop(source).end_ns = stamp_ns
         for source, excluded_for_s in zip(message.excluded, message.excluded_for_s, strict=False):
             if source not in self._current:
-                exclusion = Exclusion(source, stamp_ns - round(excluded_for_s * NS_PER_S))
+                exclusion = ExclusionSpan(source, stamp_ns - round(excluded_for_s * NS_PER_S))
                 self._current[source] = exclusion
                 self._exclusions.append(exclusion)
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import jinja2
 
-from ship_bags.progress import counted
+from ship_bags.progress import with_count
 from ship_bags.stamps import NS_PER_S
 from ship_bags.suite_commit import COMMIT_RECORD, suite_commit
 from ship_node.black_box.black_box_format import VERSIONS_ATTACHMENT
@@ -88,7 +88,7 @@ def page(told: ToldNight) -> str:
 
 def _drawn(drawings: Mapping[str, Callable[[], Any]]) -> dict[str, Any]:
     """Draw the figures of a page, with progress on stderr."""
-    return {name: draw() for name, draw in counted(drawings.items(), "drawing", len(drawings))}
+    return {name: draw() for name, draw in with_count(drawings.items(), "drawing", len(drawings))}
 
 
 def render(template: str, **values: Any) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ship_bags.errors import BadInput
-from ship_bags.progress import counted
+from ship_bags.progress import with_count
 
 Result = dict[str, Any]
 """What became of a voyage, as plain data; ``voyage`` is its number."""
@@ -78,7 +78,7 @@ def add_as_made(results: ResultsFile, processes: int, submit: Callable[[Executor
     with ProcessPoolExecutor(processes) as pool:
         try:
             made = submit(pool)
-            for done in counted(as_completed(made), "voyages", len(made)):
+            for done in with_count(as_completed(made), "voyages", len(made)):
                 results.add(done.result())
         except BaseException:
             pool.shutdown(cancel_futures=True)

@@ -41,7 +41,7 @@ def optics_of_bag(bag: Bag, faults: Mapping[str, Fault], namespace: str = "") ->
 
 @dataclass(frozen=True)
 class FaultEffect:
-    """What one fault by itself does to the messages of its topic.
+    """Effect of one fault by itself on the messages of its topic.
 
     Attributes:
         times_ns: arrival times, without the fault, of the messages that it affects, in order.
