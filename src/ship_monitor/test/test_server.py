@@ -24,7 +24,7 @@ def page():
 
 
 def get(page, path, host=None, origin=None, upgrade=False):
-    """Status and text."""
+    """Return status and text; of an accepted websocket, no text, after the server has closed it."""
     place = page.address.removeprefix("http://").rstrip("/")
     connection = http.client.HTTPConnection(place, timeout=20)
     headers = {"Host": host or place} | ({"Origin": origin} if origin else {})
@@ -33,7 +33,10 @@ def get(page, path, host=None, origin=None, upgrade=False):
         headers |= {"Upgrade": "websocket", "Connection": "Upgrade"} | key
     connection.request("GET", path, headers=headers)
     answer = connection.getresponse()
-    text = b"" if answer.status == 101 else answer.read()
+    text = answer.read()
+    if answer.status == 101:
+        while connection.sock.recv(1024):  # what the server logs of it is logged before it closes
+            pass
     connection.close()
     return answer.status, text.decode("utf-8", "replace")
 
