@@ -17,7 +17,7 @@ from ship_geometry.rotations import ARCSEC
 from ship_msgs.msg import AlertArray, ShipAttitude
 from ship_nmea.sentences import defined  # noqa: F401 - so that the parser knows its sentences
 
-PATIENCE_S = 40.0
+PATIENCE_S = 120.0
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -77,9 +77,12 @@ class Display:
 
     def read(self):
         try:
-            *lines, self._rest = (self._rest + self.connection.recv(65536)).split(b"\r\n")
+            received = self.connection.recv(65536)
         except BlockingIOError:
             return
+        if not received:
+            raise ConnectionError(f"the sink at port {self.port} closed the connection")
+        *lines, self._rest = (self._rest + received).split(b"\r\n")
         self.texts += [line.decode("ascii") for line in lines]
         self.sentences += [pynmea2.parse(line.decode("ascii"), check=True) for line in lines]
 

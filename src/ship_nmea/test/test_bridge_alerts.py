@@ -80,7 +80,7 @@ class Bridge:
 
 @pytest.fixture
 def processes(tmp_path):
-    """Starts programs in the namespace demo; what still runs at the end is ended."""
+    """Starts programs in the namespace demo; at the end those that still run are ended, and all logs printed."""
     running = []
     environment = os.environ | {"ROS_LOG_DIR": str(tmp_path / "log")}
 
@@ -95,6 +95,8 @@ def processes(tmp_path):
         if process.poll() is None:
             process.send_signal(signal.SIGINT)
             process.wait(20.0)
+    for log in sorted(tmp_path.glob("*.txt")):
+        print(f"{log.name}:\n{log.read_text()}")
 
 
 @pytest.fixture
