@@ -17,7 +17,7 @@ from ship_geometry.rotations import ARCSEC
 from ship_watch.functions import still
 from ship_watch.limits import Limits
 from ship_watch.picture import AngleShown, Safety
-from ship_watch.states import MARGIN, AngleWord, HeldWord, accuracy_word
+from ship_watch.states import MARGIN, AngleWord, HeldWord, words_by_accuracy
 from ship_watch.watch import Watch
 
 QUANTITIES = {"heading": ("heading",), "tilt": ("pitch", "roll"), "pointing": ("azimuth", "elevation")}
@@ -137,15 +137,14 @@ class AvailabilityRecord:
         safe: list[bool] = []
         for sample in self._samples[quantity]:
             for held, angle in zip(words, sample.angles, strict=True):
-                held.note(self._judgement(angle, limit_arcsec * ARCSEC), sample.time_ns)
+                held.note(self._angle_word(angle, limit_arcsec * ARCSEC), sample.time_ns)
             if sample.is_decided:
                 safe.append(all(held.word is Safety.SAFE for held in words))
         return sum(safe) / len(safe)
 
-    def _judgement(self, angle: AngleShown, limit: float) -> AngleWord:
-        """Return the judgement of an angle with another limit of its accuracy."""
-        factor, accuracy = self._limits.unsafe_factor, angle.accuracy_95
-        by_accuracy, by_margin = (accuracy_word(accuracy, x, factor) for x in (limit, (1.0 - MARGIN) * limit))
+    def _angle_word(self, angle: AngleShown, limit: float) -> AngleWord:
+        """Return the word of an angle with another limit of its accuracy."""
+        by_accuracy, by_margin = words_by_accuracy(angle.accuracy_95, limit, self._limits.unsafe_factor)
         word, reason = angle.now or (angle.safety, angle.reason)
         return AngleWord(max(word, by_accuracy), reason, by_accuracy, by_margin)
 

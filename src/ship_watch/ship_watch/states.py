@@ -85,13 +85,13 @@ class AngleClaim:
     behind: str = ""
 
 
-def judged(claim: AngleClaim) -> tuple[Safety, str]:
-    """The word of an angle, and why it is not SAFE."""
-    word, reason = _judged(claim)
+def word_and_reason(claim: AngleClaim) -> tuple[Safety, str]:
+    """Return the word of an angle, and the reason why it is not SAFE."""
+    word, reason = _word_and_reason(claim)
     return word, (claim.behind or reason) if word else ""
 
 
-def _judged(claim: AngleClaim) -> tuple[Safety, str]:
+def _word_and_reason(claim: AngleClaim) -> tuple[Safety, str]:
     if not claim.is_heard:
         return Safety.UNSAFE, f"waiting for {claim.topic}"
     guilty = _guilty(claim.guilty)
@@ -145,14 +145,20 @@ class AngleWord(NamedTuple):
     by_margin: Safety = Safety.SAFE
 
 
-def judgement(claim: AngleClaim) -> AngleWord:
+def angle_word(claim: AngleClaim) -> AngleWord:
     """Return the word of an angle, with the words by its accuracy alone."""
-    low = (1.0 - MARGIN) * claim.limit
-    by_accuracy, by_margin = (accuracy_word(claim.accuracy_95, x, claim.unsafe_factor) for x in (claim.limit, low))
-    return AngleWord(*judged(claim), by_accuracy, by_margin)
+    return AngleWord(
+        *word_and_reason(claim), *words_by_accuracy(claim.accuracy_95, claim.limit, claim.unsafe_factor)
+    )
 
 
-def accuracy_word(accuracy_95: float, limit: float, unsafe_factor: float) -> Safety:
+def words_by_accuracy(accuracy_95: float, limit: float, unsafe_factor: float) -> tuple[Safety, Safety]:
+    """Return the word by an accuracy alone, and the word were the limit lower by :data:`MARGIN`."""
+    lower = (1.0 - MARGIN) * limit
+    return _accuracy_word(accuracy_95, limit, unsafe_factor), _accuracy_word(accuracy_95, lower, unsafe_factor)
+
+
+def _accuracy_word(accuracy_95: float, limit: float, unsafe_factor: float) -> Safety:
     """Return the word by an accuracy alone; UNSAFE for NaN."""
     if not accuracy_95 <= unsafe_factor * limit:
         return Safety.UNSAFE
@@ -178,7 +184,7 @@ class ShownWord(NamedTuple):
         """Return the reason as it is true now: that of now, and when the better word comes.
 
         Args:
-            now: the judgement of now.
+            now: the word of the angle now.
             limit: limit of the accuracy, rad.
         """
         if self.better is None:
@@ -192,7 +198,6 @@ class HeldWord:
 
     Attributes:
         word: as shown last; None before the first.
-        reason: the last reason for it.
         since_ns: since when it stands, by the caller's time.
     """
 
@@ -200,11 +205,10 @@ class HeldWord:
         self._hold_ns = round(better_after_s * 1e9)
         self._held: dict[Safety, _HeldLevel] = {}
         self.word: Safety | None = None
-        self.reason = ""
         self.since_ns = 0
 
     def note(self, now: AngleWord, now_ns: int) -> bool:
-        """Take the judgement of now; return True if the shown word changed."""
+        """Take the word of now; return True if the shown word changed."""
         for level in (Safety.CAUTION, Safety.UNSAFE):
             held = self._held.get(level)
             if now.word >= level:
@@ -214,15 +218,14 @@ class HeldWord:
                 del self._held[level]
             elif held is not None and now.by_margin >= level:
                 self._held[level] = held._replace(near_ns=now_ns)
-        shown = self.shown(now, now_ns)
-        self.reason = shown.cause
-        changed = shown.word is not self.word
+        shown = self.shown_word(now, now_ns).word
+        changed = shown is not self.word
         if changed:
-            self.word, self.since_ns = shown.word, now_ns
+            self.word, self.since_ns = shown, now_ns
         return changed
 
-    def shown(self, now: AngleWord, now_ns: int) -> ShownWord:
-        """Return the word that is shown where this is the judgement of now: the worst of the last seconds."""
+    def shown_word(self, now: AngleWord, now_ns: int) -> ShownWord:
+        """Return the word that is shown where ``now`` is the word of now: the worst of the last seconds."""
         for level in (Safety.UNSAFE, Safety.CAUTION):
             if now.word >= level:
                 return ShownWord(now.word, now.reason)

@@ -37,7 +37,7 @@ from ship_watch.picture import (
 )
 from ship_watch.published_state import PublishedState, published_state
 from ship_watch.sources import STAR_INNOVATION, SourceBook, blamed, newest_age_s
-from ship_watch.states import COUNTDOWN, AngleClaim, HeldWord, TimeOver, judgement
+from ship_watch.states import COUNTDOWN, AngleClaim, HeldWord, TimeOver, angle_word
 from ship_watch.topics import node_of, source_of_topic, watched_topic
 
 STEP_NS = 100_000_000
@@ -269,9 +269,9 @@ class Watch:
         for name, claim in self._claims(sources, now_ns).items():
             self._over[name].note(claim, now_ns)
             if self._output(name).is_heard:
-                now = judgement(claim)
+                now = angle_word(claim)
                 self._words[name].note(now, now_ns)
-                shown = self._words[name].shown(now, now_ns)
+                shown = self._words[name].shown_word(now, now_ns)
                 words[name] = shown.word, shown.reason(now, claim.limit)
         are_old = {name for name in ANGLES if self._output(name).is_old(now_ns)}
         if (published := self._current_state(now_ns)) is not None:
@@ -328,8 +328,8 @@ class Watch:
         )
 
     def _shown(self, name: str, claim: AngleClaim, now_ns: int) -> AngleShown:
-        output, held, now = self._output(name), self._words[name], judgement(claim)
-        shown = held.shown(now, now_ns)
+        output, held, now = self._output(name), self._words[name], angle_word(claim)
+        shown = held.shown_word(now, now_ns)
         word, is_held = shown.word, held.word is shown.word
         return AngleShown(
             name=name,

@@ -12,7 +12,7 @@ from ship_estimation.outcome import Status
 from ship_estimation.protection import IntegrityState
 from ship_geometry.rotations import ARCSEC
 from ship_watch.picture import Presence, Safety, SourceStanding
-from ship_watch.states import AngleClaim, AngleWord, HeldWord, Protection, judged, judgement
+from ship_watch.states import AngleClaim, AngleWord, HeldWord, Protection, ShownWord, angle_word, word_and_reason
 
 SECOND = 1_000_000_000
 KNOCKED = SourceStanding("star.bow", Presence.OUT, "excluded", "right +49″", 17.0, 1, "")
@@ -34,9 +34,9 @@ GOOD = AngleClaim(
 
 
 def test_valid_within_its_limit_and_protected_is_safe() -> None:
-    assert judged(GOOD) == (Safety.SAFE, "")
-    assert judged(replace(GOOD, accuracy_95=5.0)) == (Safety.SAFE, "")
-    assert judged(replace(GOOD, protection=Protection(IntegrityState.NO_LIMIT, 10.0))) == (Safety.SAFE, "")
+    assert word_and_reason(GOOD) == (Safety.SAFE, "")
+    assert word_and_reason(replace(GOOD, accuracy_95=5.0)) == (Safety.SAFE, "")
+    assert word_and_reason(replace(GOOD, protection=Protection(IntegrityState.NO_LIMIT, 10.0))) == (Safety.SAFE, "")
 
 
 @pytest.mark.parametrize(
@@ -57,7 +57,7 @@ def test_valid_within_its_limit_and_protected_is_safe() -> None:
     ],
 )
 def test_what_is_a_caution(change: dict[str, Any], reason: str) -> None:
-    assert judged(replace(GOOD, **change)) == (Safety.CAUTION, reason)
+    assert word_and_reason(replace(GOOD, **change)) == (Safety.CAUTION, reason)
 
 
 @pytest.mark.parametrize(
@@ -78,17 +78,17 @@ def test_what_is_a_caution(change: dict[str, Any], reason: str) -> None:
     ],
 )
 def test_the_rest_is_unsafe(change: dict[str, Any], reason: str) -> None:
-    assert judged(replace(GOOD, **change)) == (Safety.UNSAFE, reason)
+    assert word_and_reason(replace(GOOD, **change)) == (Safety.UNSAFE, reason)
 
 
 def test_a_level_that_another_angle_exceeds_does_not_colour_this_one() -> None:
-    assert judged(replace(GOOD, protection=Protection(IntegrityState.EXCEEDED, 29.0, 30.0)))[0] is Safety.SAFE
-    assert judged(replace(GOOD, protection=Protection(IntegrityState.EXCEEDED, 29.0)))[0] is Safety.SAFE
+    assert word_and_reason(replace(GOOD, protection=Protection(IntegrityState.EXCEEDED, 29.0, 30.0)))[0] is Safety.SAFE
+    assert word_and_reason(replace(GOOD, protection=Protection(IntegrityState.EXCEEDED, 29.0)))[0] is Safety.SAFE
 
 
 def over(accuracy: float) -> AngleWord:
-    """AngleWord of an angle that nothing but its accuracy speaks against; its limit is 5."""
-    return judgement(replace(GOOD, accuracy_95=accuracy))
+    """Return the word of an angle that nothing but its accuracy speaks against; its limit is 5."""
+    return angle_word(replace(GOOD, accuracy_95=accuracy))
 
 
 SAFE = AngleWord(Safety.SAFE, "")
@@ -101,12 +101,13 @@ def test_worse_at_once_and_better_after_five_seconds() -> None:
     assert held.note(AngleWord(Safety.UNSAFE, "invalid"), SECOND)
     assert held.word is Safety.UNSAFE
     assert not held.note(SILENT, 2 * SECOND)
-    assert (held.word, held.reason) == (Safety.UNSAFE, "invalid")
+    assert held.shown_word(SILENT, 2 * SECOND)[:2] == (Safety.UNSAFE, "invalid")
     assert held.note(SAFE, 6 * SECOND)  # 5 s after it was UNSAFE, 4 s after it was a CAUTION
-    assert (held.word, held.reason, held.since_ns) == (Safety.CAUTION, "star.bow silent", 6 * SECOND)
+    assert (held.word, held.since_ns) == (Safety.CAUTION, 6 * SECOND)
+    assert held.shown_word(SAFE, 6 * SECOND)[:2] == (Safety.CAUTION, "star.bow silent")
     assert not held.note(SAFE, 7 * SECOND - 1)
     assert held.note(SAFE, 7 * SECOND)
-    assert (held.word, held.reason) == (Safety.SAFE, "")
+    assert held.shown_word(SAFE, 7 * SECOND) == ShownWord(Safety.SAFE, "")
 
 
 def test_a_word_that_flickers_changes_once() -> None:
@@ -194,5 +195,5 @@ def test_an_accuracy_that_was_once_over_its_limit_is_judged_by_the_limit_once_it
 def test_the_reason_is_true_now(before: AngleWord, now: AngleWord, at_s: float, word: Safety, reason: str) -> None:
     held = HeldWord(5.0)
     held.note(before, 0)
-    shown = held.shown(now, round(at_s * SECOND))
+    shown = held.shown_word(now, round(at_s * SECOND))
     assert (shown.word, shown.reason(now, 5.0 * ARCSEC)) == (word, reason)

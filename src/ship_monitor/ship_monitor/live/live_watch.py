@@ -50,7 +50,7 @@ class LiveWatch:
         self._relayed = None if receiver is None else RelayedTopics(self._reader, receiver)
         self._watch = Watch(limits)
         self._picture: Picture | None = None
-        self._has_refused_state = False
+        self._has_rejected_state = False
         self._picture_ns = 0
         self._waiting: SimpleQueue[Taken] = SimpleQueue()
         self._is_over = threading.Event()
@@ -79,10 +79,10 @@ class LiveWatch:
         try:
             self._watch.take_state(message, arrival_ns)
         except ValueError as problem:
-            if not self._has_refused_state:
+            if not self._has_rejected_state:
                 text = "%s is not shown: %s; do the alert node and this viewer have the same version?"
                 logging.getLogger(__name__).warning(text, STATE_TOPIC, problem)
-            self._has_refused_state = True
+            self._has_rejected_state = True
 
     def look(self) -> Picture:
         """The picture of this moment; those who look at nearly the same time share one."""
