@@ -17,7 +17,7 @@ from ship_geometry.rotations import ARCSEC
 from ship_msgs.msg import AlertArray, ShipAttitude
 from ship_nmea.sentences import defined  # noqa: F401 - so that the parser knows its sentences
 
-PATIENCE_S = 120.0
+PATIENCE_S = 40.0
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 

@@ -190,6 +190,23 @@ def test_no_link_is_said_within_two_seconds_of_the_last_news(browser, page):
     assert sum(limits) <= 2000
 
 
+def test_a_page_that_was_busy_itself_does_not_claim_a_lost_link(browser, page):
+    """The news that came meanwhile waits to be read: opening the plots keeps a page busy."""
+    browser.open(page)
+    browser.until(LIVE)
+    browser.evaluate(
+        "window.losses = 0; new MutationObserver(() => {"
+        " losses += document.documentElement.classList.contains('nolink'); })"
+        ".observe(document.documentElement, { attributes: true });"
+        "setTimeout(() => { const endMs = performance.now() + monitor.limits.linkLostMs + 1000;"
+        " while (performance.now() < endMs); window.wasBusy = true; }, 0)"
+    )
+    browser.until("window.wasBusy")
+    clock = browser.text("#utc")
+    browser.until(f"document.querySelector('#utc').textContent > '{clock}'")
+    assert browser.evaluate("losses") == 0
+
+
 @pytest.mark.slow
 def test_a_server_that_starts_again_is_found_again(browser, source):
     with served(source) as server:
