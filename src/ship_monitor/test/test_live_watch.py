@@ -135,7 +135,8 @@ def test_page_terminal_and_alerts_show_one_state(ship, until):
     tight = Limits(heading_arcsec=0.2, tilt_arcsec=0.2, pointing_arcsec=0.2)
     context = Context()
     rclpy.init(context=context)
-    alerts = AlertNode(Node("alerts", context=context, namespace="demo"), tight, None)
+    node = Node("alerts", context=context, namespace="demo")
+    alerts = AlertNode(node, tight, None)
     thread = threading.Thread(target=alerts.run)
     thread.start()
     viewers = [LiveWatch(name, "demo", Limits()) for name in ("monitor", "monitor_terminal")]
@@ -160,6 +161,7 @@ def test_page_terminal_and_alerts_show_one_state(ship, until):
         thread.join()
         for viewer in viewers:
             viewer.close()
+        node.destroy_node()  # without this its latched alerts stay in the domain, for other tests too
         context.try_shutdown()
 
 

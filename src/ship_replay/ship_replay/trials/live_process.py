@@ -16,10 +16,11 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
-# DDS-RTPS: a domain's first participant listens at 7410 + 250 * domain for discovery. Beyond domain 101 the ports run
-# into those that Linux gives to anybody.
+# DDS-RTPS: a domain's participant listens at 7410 + 250 * domain + 2 * participant for discovery. Beyond domain 101 the
+# ports run into those that Linux gives to anybody.
 _FIRST_PORT = 7410
 _PORTS_PER_DOMAIN = 250
+_PARTICIPANTS = 120
 _LAST_DOMAIN = 101
 _STEP = 37
 _END_S = 15.0
@@ -28,7 +29,7 @@ _POLL_S = 0.02
 
 
 def free_domain_id() -> int:
-    """A ROS domain in which nobody on this machine takes part at the moment.
+    """Return a ROS domain in which no program on this machine takes part at the moment.
 
     Raises:
         OSError: all are taken.
@@ -36,13 +37,19 @@ def free_domain_id() -> int:
     # Two runs at the same time begin their search at different domains, and do not step onto each other's next ones.
     for step in range(_LAST_DOMAIN):
         domain = 1 + (os.getpid() + _STEP * step) % _LAST_DOMAIN
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            try:
-                probe.bind(("", _FIRST_PORT + _PORTS_PER_DOMAIN * domain))
-                return domain
-            except OSError:
-                continue
+        # All ports: the first participant may have left before the others.
+        if all(_is_port_free(_FIRST_PORT + _PORTS_PER_DOMAIN * domain + 2 * number) for number in range(_PARTICIPANTS)):
+            return domain
     raise OSError("no ROS domain is free on this machine: end other ROS programs")
+
+
+def _is_port_free(port: int) -> bool:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind(("", port))
+        except OSError:
+            return False
+    return True
 
 
 def live_environment(domain_id: int, log_folder: Path) -> dict[str, str]:
