@@ -24,7 +24,7 @@ FAULT_ARGS ?=
 ARGS ?=
 PORT ?= 5006
 
-.PHONY: help setup setup-all test test-all lint quick demo watch bags bench campaign faults returns hours kills reproduction stanford availability wheels bundle release audit clean
+.PHONY: help setup setup-all test test-all lint quick demo watch bags golden bench campaign faults returns hours kills reproduction stanford availability wheels bundle release audit clean
 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 14
@@ -55,6 +55,9 @@ watch: setup ## a simulated voyage again and again, live, and its page in the br
 
 bags: setup ## the bags in bags/, from their scenarios
 	@$(RUN) python tools/make_bags.py
+
+golden: setup ## the numbers that replays publish, compared to the last bit; ARGS=--renew where they changed on purpose
+	@$(RUN) python tools/golden.py $(ARGS)
 
 bench: setup-all ## speed, as ratios within one run; ARGS="--only setup" for a part
 	@$(RUN) python tools/bench.py $(ARGS)

@@ -1,5 +1,6 @@
 """Black boxes made without DDS, by what a live node uses to make them; and copies of them with one thing changed."""
 
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -117,7 +118,11 @@ def make_box(
         plan.append((7_800_000_000, lambda ns: calls.overload(Overload(0.0, 2, 12.0), ns)))
     planned = len(plan)
     grid = TickGrid()
-    for record in [*records, *records[:300]]:
+    # Where a flush begins a new file, the box is given time for one at each third: three files at least.
+    pauses = {len(records) // 3: 2, 2 * len(records) // 3: 3} if part_bytes else {}
+    for number, record in enumerate([*records, *records[:300]]):
+        if number in pauses:
+            _wait_for(path.with_suffix(f".part{pauses[number]}.mcap"))
         waiting_ns = record.log_time_ns
         now_ns = node_time(waiting_ns)
         if record is records[0] and len(plan) < planned:
@@ -132,6 +137,14 @@ def make_box(
     if close:
         box.close()
     return box
+
+
+def _wait_for(path: Path) -> None:
+    """Wait until a file exists."""
+    deadline_s = time.monotonic() + 60.0
+    while not path.exists():
+        assert time.monotonic() < deadline_s, f"{path} does not appear"
+        time.sleep(0.02)
 
 
 def _plan(calls: AdapterCalls, node: BoxedNode) -> list[tuple[int, Callable[[int], Any]]]:

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -76,6 +77,43 @@ def test_the_first_changed_field_is_named_with_both_values(parts, tmp_path, caps
     value = float(originals[100].rotation_covariance[4])
     expected = f"({stamp.sec}{stamp.nanosec:09d} ns), field rotation_covariance[4]: recorded 7.0, replayed {value!r}"
     assert expected in out
+
+
+def with_changed_innovations(outputs, change):
+    """The outputs, the first ten innovations changed."""
+    changed = list(outputs)
+    for number in [i for i, r in enumerate(outputs) if r.topic == "ship/innovation"][:10]:
+        message = outputs[number].decode()
+        change(message)
+        data = bytes(message_store().serialize_cdr(message, message.__msgtype__))
+        changed[number] = replace(outputs[number], data=data)
+    return changed
+
+
+def rename_components(message):
+    message.components = [f"earlier {name}" for name in message.components]
+
+
+def test_texts_that_differ_are_counted_and_no_difference(parts, tmp_path, capsys):
+    change = partial(with_changed_innovations, change=rename_components)
+    path = joined(tmp_path / "b.mcap", parts, change=change)
+    code, out, _ = verify(capsys, path)
+    assert code == 0, out
+    assert "other texts: ship/innovation 10; the first: ship/innovation, stamp 2014-" in out
+    assert "field components[0]: recorded 'earlier " in out
+    assert re.search(r"verified: the numbers of \d+ outputs are equal to the last bit", out)
+
+
+def test_a_number_that_differs_beside_a_text_is_the_difference(parts, tmp_path, capsys):
+    def change_both(message):
+        rename_components(message)
+        message.nis = np.nextafter(message.nis, 1e9)
+
+    change = partial(with_changed_innovations, change=change_both)
+    path = joined(tmp_path / "b.mcap", parts, change=change)
+    code, out, _ = verify(capsys, path)
+    assert code == 1
+    assert re.search(r"first difference: ship/innovation, stamp .*, field nis: recorded", out)
 
 
 def test_what_is_missing_at_the_end_is_a_difference(parts, tmp_path, capsys):

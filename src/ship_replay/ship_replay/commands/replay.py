@@ -29,9 +29,8 @@ def _parser() -> CommandParser:
     parser = CommandParser(
         prog="replay",
         example="./ros2run ship_replay replay bags/demo.mcap --out out.mcap --report report",
-        epilog="exit code: 0 replayed, with --verify: and equal to the last bit; 1 --verify found a difference or "
-        "could not compare all; 2 bad input or usage, with one line that says which; 130 "
-        "interrupted",
+        epilog="exit code: 0 replayed, with --verify: and all numbers equal to the last bit; 1 --verify found another "
+        "number or could not compare all; 2 bad input or usage, with one line that says which; 130 interrupted",
         description=f"Replay a bag through the nodes that the configuration has sections for "
         f"({', '.join(adapter.node_name for adapter in ADAPTERS)}; what one publishes goes on to those after it), in "
         "process and as fast as it goes; the same bag and configuration give the same output. Topics truth/* are "
@@ -150,10 +149,13 @@ def _judge(verification: Verification, decides: bool) -> int:
         print(f"note: {note}")
     if verification.unverified:
         print(f"verified up to there: {verification.unverified}")
+    if verification.text_difference is not None:
+        print(f"other texts: {_counts(verification.other_texts)}; the first: {verification.text_difference.line}")
     if verification.difference is not None:
         print(f"first difference: {verification.difference.line}")
     elif verification.holds:
-        print(f"verified: {verification.equal.total()} outputs are equal to the last bit")
+        numbers = "the numbers of " if verification.other_texts else ""
+        print(f"verified: {numbers}{verification.equal.total()} outputs are equal to the last bit")
     return EXIT_DONE if verification.holds or not decides else EXIT_BOUND_NOT_MET
 
 

@@ -181,7 +181,7 @@ class _BoxReplay:
             try:
                 self._take(record)
             except AnotherFileUse as problem:
-                self._differ(problem.difference)
+                self._result.add_difference(problem.difference)
             if self._result.unverified or (self._result.difference is not None and self._writer is None):
                 return
         if not self._closed:
@@ -285,26 +285,22 @@ class _BoxReplay:
         topic, replayed = self._awaited.popleft() if self._awaited else ("", None)
         if topic != record.topic:
             given = f"a message on {topic}" if topic else "nothing"
-            self._differ(Difference(record.topic, stamp_of(recorded, time_ns), "", "a message", given))
-        elif difference := message_difference(topic, recorded, replayed, time_ns):
-            self._differ(difference)
-        elif self._result.difference is None:
-            self._result.equal[topic] += 1
+            self._result.add_difference(Difference(record.topic, stamp_of(recorded, time_ns), "", "a message", given))
+        else:
+            self._result.add(topic, message_difference(topic, recorded, replayed, time_ns))
 
     def _compare_values(self, what: str, time_ns: int, field: str, recorded: Any, replayed: Any) -> None:
         if recorded != replayed:
-            self._differ(Difference(what, time_ns, field, repr(recorded), repr(replayed)))
+            are_texts = isinstance(recorded, str) and isinstance(replayed, str)
+            difference = Difference(what, time_ns, field, repr(recorded), repr(replayed), is_text=are_texts)
+            self._result.add_difference(difference)
 
     def _expect_nothing_left(self, time_ns: int) -> None:
         """Check that the box holds all outputs of the last use."""
         if self._awaited:
             topic, message = self._awaited.popleft()
-            self._differ(Difference(topic, stamp_of(message, time_ns), "", "nothing", "a message"))
+            self._result.add_difference(Difference(topic, stamp_of(message, time_ns), "", "nothing", "a message"))
             self._awaited.clear()
-
-    def _differ(self, difference: Difference) -> None:
-        if self._result.difference is None:
-            self._result.difference = difference
 
 
 def _refusal(adapter: Adapter, event: ParametersChanged) -> str | None:

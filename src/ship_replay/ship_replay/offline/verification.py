@@ -1,16 +1,13 @@
 """Whether a replay gives what was recorded, to the last bit: two messages compared, and a whole bag."""
 
-import dataclasses
-import struct
 from collections import Counter, defaultdict, deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ship_bags.cdr_template import CdrMessage
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag
 from ship_bags.message_store import RosbagsFactory, message_store, serialize
@@ -19,6 +16,7 @@ from ship_bags.topic_names import relative_topics
 from ship_node.edge.adapter import Adapter
 from ship_node.edge.messages_out import DIAGNOSTICS_TYPE
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain
+from ship_replay.offline.message_values import values
 from ship_replay.offline.replay import Watcher, match_inputs
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 
@@ -36,6 +34,7 @@ class Difference:
         field: dotted name of the field, empty where one of the two gave nothing at all.
         recorded: its value in the bag.
         replayed: its value now.
+        is_text: True if it is a text, whose numbers are equal.
     """
 
     topic: str
@@ -43,6 +42,7 @@ class Difference:
     field: str
     recorded: str
     replayed: str
+    is_text: bool = False
 
     @property
     def line(self) -> str:
@@ -53,7 +53,7 @@ class Difference:
 
 
 def message_difference(topic: str, recorded: Any, replayed: Any, time_ns: int) -> Difference | None:
-    """The first field in which two messages differ; None where all bits are the same.
+    """Return the first number in which two messages differ, or else the first text; None where all bits are the same.
 
     Args:
         topic: topic of both.
@@ -61,13 +61,14 @@ def message_difference(topic: str, recorded: Any, replayed: Any, time_ns: int) -
         replayed: of the same type.
         time_ns: when they were published, for messages without a stamp.
     """
-    # Compared anew serialised: what fills the gaps between fields is no part of a message.
-    if serialize(recorded) == serialize(replayed):
+    # Both are serialised again: the bytes between the fields are not part of a message.
+    one, other = serialize(recorded), serialize(replayed)
+    if one == other:
         return None
-    if isinstance(replayed, CdrMessage):
-        replayed = message_store().deserialize_cdr(replayed.__cdr__, replayed.__msgtype__)
-    field, one, other = _first_difference("", recorded, replayed) or ("", "other bytes", "other bytes")
-    return Difference(topic, stamp_of(recorded, time_ns), field, _text(one), _text(other))
+    read = message_store().deserialize_cdr
+    pair = read(one, recorded.__msgtype__), read(other, replayed.__msgtype__)
+    found = list(_value_differences(topic, *pair, stamp_of(recorded, time_ns)))
+    return next((difference for difference in found if not difference.is_text), found[0])
 
 
 def stamp_of(message: Any, time_ns: int) -> int:
@@ -76,29 +77,21 @@ def stamp_of(message: Any, time_ns: int) -> int:
     return time_ns if header is None else ns_from_stamp(header.stamp)
 
 
-def _first_difference(name: str, one: Any, other: Any) -> tuple[str, Any, Any] | None:
-    """Name of the first field that differs, and both values."""
-    if dataclasses.is_dataclass(one):
-        for field in dataclasses.fields(one):
-            inner = f"{name}.{field.name}".lstrip(".")
-            if found := _first_difference(inner, getattr(one, field.name), getattr(other, field.name)):
-                return found
-        return None
-    if isinstance(one, (list, np.ndarray)):
-        if len(one) != len(other):
-            return f"{name} (length)", len(one), len(other)
-        pairs = enumerate(zip(one, other, strict=True))
-        return next((found for i, (a, b) in pairs if (found := _first_difference(f"{name}[{i}]", a, b))), None)
-    return None if _bits(one) == _bits(other) else (name, one, other)
-
-
-def _bits(value: Any) -> Any:
-    """A value that equals another only if all bits do: NaN equals itself, 0.0 does not equal -0.0."""
-    return struct.pack("<d", value) if isinstance(value, (float, np.floating)) else value
-
-
-def _text(value: Any) -> str:
-    return repr(value.item() if isinstance(value, np.generic) else value)
+def _value_differences(topic: str, recorded: Any, replayed: Any, stamp_ns: int) -> Iterator[Difference]:
+    """Yield the fields that differ, up to the first sequence with another length."""
+    for (name, one), (_, other) in zip(values(recorded), values(replayed), strict=False):
+        if isinstance(one, str) or isinstance(other, str):
+            if one != other:
+                yield Difference(topic, stamp_ns, name, repr(one), repr(other), is_text=True)
+        elif one.shape != other.shape:
+            yield Difference(topic, stamp_ns, f"{name} (length)", str(one.size), str(other.size))
+            return
+        elif one.tobytes() != other.tobytes():
+            index = next(i for i in np.ndindex(one.shape) if one[i].tobytes() != other[i].tobytes())
+            field = f"{name}[{index[0]}]" if index else name
+            yield Difference(topic, stamp_ns, field, repr(one[index].item()), repr(other[index].item()))
+            if name.endswith("(length)"):
+                return
 
 
 @dataclass
@@ -107,8 +100,10 @@ class Verification:
 
     Attributes:
         used: input topic or kind of event → how many the adapter was given.
-        equal: output topic → messages that are the same to the last bit.
-        difference: the first difference; None where there is none.
+        equal: output topic → messages whose numbers are equal to the last bit.
+        other_texts: output topic → those of them in which a text differs.
+        difference: the first difference in a number; None where there is none.
+        text_difference: the first difference in a text; None where there is none.
         notes: what else is to be said, one line each.
         unverified: why not all of the bag could be compared; empty where all was.
         cut: whether that is nothing but the file's sudden end.
@@ -116,7 +111,9 @@ class Verification:
 
     used: Counter[str] = field(default_factory=Counter)
     equal: Counter[str] = field(default_factory=Counter)
+    other_texts: Counter[str] = field(default_factory=Counter)
     difference: Difference | None = None
+    text_difference: Difference | None = None
     notes: list[str] = field(default_factory=list)
     unverified: str = ""
     cut: bool = False
@@ -125,6 +122,26 @@ class Verification:
     def holds(self) -> bool:
         """Whether all outputs are the same, at least up to the sudden end of a file."""
         return self.difference is None and (self.cut or not self.unverified)
+
+    def add(self, topic: str, difference: Difference | None) -> None:
+        """Add the comparison of two messages.
+
+        Args:
+            topic: topic of both.
+            difference: of a number or a text; None where they are equal.
+        """
+        if difference is not None:
+            self.add_difference(difference)
+        if self.difference is None:
+            self.equal[topic] += 1
+
+    def add_difference(self, difference: Difference) -> None:
+        """Add a difference: the first one in a number is kept, those in texts are counted."""
+        if not difference.is_text:
+            self.difference = self.difference or difference
+        elif self.difference is None:
+            self.other_texts[difference.topic] += 1
+            self.text_difference = self.text_difference or difference
 
 
 def verify_bag(
@@ -216,11 +233,11 @@ class _Comparison:
     def finish(self) -> None:
         """End the comparison: a message that is left over on one side is a difference."""
         left = []
-        for side, values in ((self._recorded, ("a message", "nothing")), (self._replayed, ("nothing", "a message"))):
+        for side, found in ((self._recorded, ("a message", "nothing")), (self._replayed, ("nothing", "a message"))):
             for topic, rest in side.items():
                 if rest:
                     message, time_ns = rest[0]
-                    left.append((time_ns, topic, Difference(topic, stamp_of(message, time_ns), "", *values)))
+                    left.append((time_ns, topic, Difference(topic, stamp_of(message, time_ns), "", *found)))
         if left and self.result.difference is None:
             _, _, self.result.difference = min(left, key=lambda entry: entry[:2])
 
@@ -228,8 +245,4 @@ class _Comparison:
         if self._recorded[topic] and self._replayed[topic]:
             recorded, time_ns = self._recorded[topic].popleft()
             replayed, _ = self._replayed[topic].popleft()
-            difference = message_difference(topic, recorded, replayed, time_ns)
-            if difference is None:
-                self.result.equal[topic] += 1
-            elif self.result.difference is None:
-                self.result.difference = difference
+            self.result.add(topic, message_difference(topic, recorded, replayed, time_ns))

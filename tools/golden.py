@@ -1,0 +1,176 @@
+"""A golden table of what replays publish: a change of behaviour is seen at once, and the table is renewed on purpose.
+
+Each bag is replayed twice, in blocks and one message at a time. `test/golden_replays.yaml` holds a line for each topic:
+
+- ``messages``: number of messages;
+- ``sum``: sum of asinh(x / 1 nano-unit) over all numbers x in them, which changes by δ where one number changes by the
+  ratio 1 + δ, whatever its unit; numbers that are not finite count as nothing;
+- ``sha256``: hash of the same numbers (first 16 digits). Texts are left out.
+
+Mathematical libraries round differently on other processors: there the hashes differ and the sums agree.
+"""
+
+import argparse
+import hashlib
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
+from ship_bags.commands.import_nmea import main as import_nmea
+from ship_bags.mcap.bag_reader import read_bag
+from ship_bags.topic_names import TRUTH_PREFIX
+from ship_replay.offline.message_values import numbers
+from ship_replay.offline.nodes import ADAPTERS
+from ship_replay.offline.replay import replay
+from ship_simulation.scenario.scenario_file import load_scenario
+from ship_simulation.simulate_command import write_bag
+
+ROOT = Path(__file__).resolve().parents[1]
+TABLE = ROOT / "test" / "golden_replays.yaml"
+SHIP_LOGS = ROOT.parent / "shared" / "data" / "nbp1406"
+KEPT = "demo", "theodolite"
+"""Bags in bags/."""
+SIMULATED_S = {"everything": 60.0, "paper_stars": 60.0, "theodolite_night": 60.0}
+"""Scenario in bags/scenarios → length of the part that is simulated with seed 1 and replayed, s."""
+RECORDED = "nbp1406"
+"""The real ship's logs, where they are at hand."""
+NAMES = (*KEPT, *SIMULATED_S, RECORDED)
+TOLERANCE = 1e-9
+"""Mean ratio by which numbers may differ between processors."""
+
+Row = dict[str, int | float | str]
+
+
+@dataclass
+class _Sum:
+    """Numbers of one topic."""
+
+    messages: int = 0
+    total: float = 0.0
+    digest: "hashlib._Hash" = field(default_factory=hashlib.sha256)
+
+    def add(self, values: np.ndarray) -> None:
+        """Add the numbers of a message."""
+        self.messages += 1
+        self.digest.update(values.tobytes())
+        self.total += float(np.arcsinh(values[np.isfinite(values)] * 1e9).sum())
+
+    def row(self) -> Row:
+        """Return the line of the table."""
+        return {"messages": self.messages, "sum": self.total, "sha256": self.digest.hexdigest()[:16]}
+
+
+def replayed_rows(name: str, one_by_one: bool, folder: Path) -> dict[str, Row]:
+    """Replay a bag of the table and return topic → its line.
+
+    Args:
+        name: of NAMES.
+        one_by_one: one message at a time instead of in blocks.
+        folder: takes the bags.
+    """
+    bag_path = _bag(name, folder)
+    out_path = folder / f"{name}_{'one_by_one' if one_by_one else 'blocks'}.mcap"
+    config = ROOT / "examples" / f"{name}.yaml" if name == RECORDED else None
+    replay(bag_path, out_path, ADAPTERS, config, one_by_one=one_by_one)
+    sums: dict[str, _Sum] = {}
+    with read_bag(out_path) as bag:
+        for record in bag.records():
+            if not record.topic.startswith(TRUTH_PREFIX):
+                sums.setdefault(record.topic, _Sum()).add(numbers(record.decode()))
+    return {topic: one.row() for topic, one in sorted(sums.items())}
+
+
+def _bag(name: str, folder: Path) -> Path:
+    """Return the bag, made where it is not kept."""
+    if name in KEPT:
+        return ROOT / "bags" / f"{name}.mcap"
+    path = folder / f"{name}.mcap"
+    if path.exists():
+        return path
+    if name == RECORDED:
+        logs = ["--ins", str(SHIP_LOGS / "NBP1406_seap-2014-08-01")]
+        logs += ["--reference", f"s330={SHIP_LOGS / 'NBP1406_s330-2014-08-01'}"]
+        import_nmea([*logs, "--resample", "20", "--out", str(path)])
+    else:
+        file = ROOT / "bags" / "scenarios" / f"{name}.yaml"
+        write_bag(replace(load_scenario(file), duration_s=SIMULATED_S[name]), 1, path, file.read_bytes())
+    return path
+
+
+def differences(wanted: dict[str, Row], found: dict[str, Row], tolerance: float) -> Iterator[str]:
+    """Yield a line for each topic that differs from the table.
+
+    Args:
+        wanted: lines of the table.
+        found: lines of a replay.
+        tolerance: mean ratio by which numbers may differ; 0 compares the hashes.
+    """
+    for topic in sorted(wanted.keys() | found.keys()):
+        old, new = wanted.get(topic), found.get(topic)
+        if old is None or new is None:
+            yield f"{topic}: {'not in the table' if old is None else 'not published'}"
+        elif old["messages"] != new["messages"]:
+            yield f"{topic}: {new['messages']} messages, {old['messages']} in the table"
+        elif old["sha256"] != new["sha256"]:
+            change = abs(float(new["sum"]) - float(old["sum"])) / max(abs(float(old["sum"])), 1.0)
+            if not change <= tolerance or not tolerance:
+                yield f"{topic}: numbers differ, their sum by a ratio of {change:.2g}"
+
+
+def table() -> dict[str, dict[str, Row]]:
+    """Return the table: name of a replay → topic → line."""
+    rows: dict[str, dict[str, Row]] = yaml.safe_load(TABLE.read_text(encoding="utf-8"))
+    return rows
+
+
+def main() -> int:
+    """Check or renew the table."""
+    parser = CommandParser(
+        prog="golden",
+        description="Replay the bags of the golden table and compare all numbers to the last bit. Exit code: 0 equal; "
+        "1 one differs; 2 bad usage.",
+    )
+    parser.add_argument("--renew", action="store_true", help="write the table instead of comparing")
+    parser.add_argument("--only", nargs="+", choices=NAMES, default=NAMES, help="some of the replays")
+    return run_command(parser, _run, None)
+
+
+def _run(options: argparse.Namespace) -> int:
+    wanted = table() if TABLE.exists() else {}
+    differ = False
+    with tempfile.TemporaryDirectory() as folder:
+        for name in options.only:
+            if name == RECORDED and not SHIP_LOGS.is_dir():
+                print(f"{name}: left out, its logs are not here: {SHIP_LOGS}")
+                continue
+            blocks, single = (replayed_rows(name, one_by_one, Path(folder)) for one_by_one in (False, True))
+            lines = [f"one by one: {line}" for line in differences(blocks, single, 0.0)]
+            if options.renew:
+                wanted[name] = blocks
+            else:
+                lines += differences(wanted.get(name, {}), blocks, 0.0)
+            print(f"{name}: {len(blocks)} topics, {f'{len(lines)} differ' if lines else 'equal'}", *lines, sep="\n  ")
+            differ = differ or bool(lines)
+    if options.renew:
+        TABLE.write_text(_text(wanted), encoding="utf-8")
+    return EXIT_BOUND_NOT_MET if differ else EXIT_DONE
+
+
+def _text(rows: dict[str, dict[str, Row]]) -> str:
+    """Return the text of the table, a line a topic."""
+    lines = ["# Numbers that replays publish: explained, checked and renewed by tools/golden.py (make golden)."]
+    for name in (name for name in NAMES if name in rows):
+        lines.append(f"{name}:")
+        for topic, row in rows[name].items():
+            numbers = f"messages: {row['messages']}, sum: {row['sum']!r}, sha256: '{row['sha256']}'"
+            lines.append(f"  {topic}: {{{numbers}}}")
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
