@@ -180,7 +180,7 @@ def with_common_error(
     by_states: FloatArray,
     covariance: FloatArray,
 ) -> Separation:
-    """Return the separations and levels of an output with a common error of all stars as an additional, last hypothesis.
+    """Return the separations and levels of an output with a common error of all stars as last hypothesis.
 
     If no sum of corrections exceeds its threshold, such an error is at most the threshold. The estimate without the
     stars of the window is then correct within ``missed_detection`` times its sigma.
