@@ -411,7 +411,7 @@ def test_of_a_flood_with_random_stamps_the_steps_are_few_and_what_is_too_much_is
     assert len(estimator.decided) < 2 * (taken + len(in_order)) + MOST_REPEATS_PER_S * (seconds + LAG_S + 1.0)
     assert max(at_once) < MOST_REPEATS_AT_ONCE + 20
     told = next(text for text in texts if "source" in text)
-    assert told.endswith(f"later ones of their source: {MOST_OVERTAKEN_PER_S} such pairs a second are taken")
+    assert told.endswith(f"later ones of their source: {MOST_OVERTAKEN_PER_S} such pairs a second are accepted")
 
 
 def test_what_is_refused_as_overflow_leaves_no_trace() -> None:
