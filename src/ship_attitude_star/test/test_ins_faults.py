@@ -129,7 +129,7 @@ def test_mend_10_one_wrong_sample_is_refused_and_changes_nothing(zero_rates: boo
     run = drive(new_adapter(), replaced(arrivals, index, negated_w))
     without = drive(new_adapter(), (*arrivals[:index], *arrivals[index + 1 :]))
     assert run.reasons(INS) == {"gate": 1}
-    assert "from where the samples before lead" in run.innovations(Reason.GATE)[0].reason_text
+    assert "from its prediction by earlier samples" in run.innovations(Reason.GATE)[0].reason_text
     assert run.results() == without.results()
     assert run.state() == without.state()
 
