@@ -136,7 +136,7 @@ def test_one_star_of_each_exposure_far_off_is_misidentified_and_the_sigma_is_as_
     assert found.kind is VerdictKind.MISIDENTIFIED
     assert found.far_share == pytest.approx(1 / 8, abs=0.01)
     assert found.factor == pytest.approx(1.0, abs=0.1)
-    assert found.text.startswith("misidentified: 13 % lie far off, the others are as stated")
+    assert found.text.startswith("misidentified: 13 % are outliers, the others are as stated")
 
 
 def test_some_attitudes_far_off_are_misidentified() -> None:
@@ -150,7 +150,7 @@ def test_some_attitudes_far_off_are_misidentified() -> None:
 def test_exposures_of_which_no_star_could_be_used_are_misidentified() -> None:
     found = verdict([exposure(k, one) for k, one in enumerate(1000.0 * white(6, shape=(8, 2)))])
     assert found.kind is VerdictKind.MISIDENTIFIED
-    assert "100 % lie far off; " in found.text
+    assert "100 % are outliers; " in found.text
 
 
 @pytest.mark.parametrize("factor", [1.5, 2.0, 4.0])
