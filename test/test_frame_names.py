@@ -88,8 +88,8 @@ def test_smoothed_attitudes_name_the_frames_as_configured_and_the_theodolite_tak
 @pytest.mark.parametrize(
     ("frames", "reason"),
     [
-        ({"deck": ""}, r"'frames\.deck' = '' is no name of a frame: expected one as 'base_link'"),
-        ({"horizon": "/map"}, r"'frames\.horizon' = '/map' is no name of a frame"),
+        ({"deck": ""}, r"'frames\.deck' = '' is not a frame name: expected one like 'base_link'"),
+        ({"horizon": "/map"}, r"'frames\.horizon' = '/map' is not a frame name"),
         ({"deck": "map", "horizon": "map"}, r"'frames\.deck' = 'map' is that of 'frames\.horizon'"),
     ],
 )

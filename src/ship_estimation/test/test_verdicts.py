@@ -191,7 +191,7 @@ def test_a_bias_that_grows_is_not_steady() -> None:
     noise[:, 2] += np.linspace(0.0, 8.0, MINUTE)
     found = of_attitudes(noise)
     assert found.kind is VerdictKind.BIASED
-    assert "it drifts" in found.text
+    assert "a drift" in found.text
 
 
 def test_errors_that_last_are_told_by_their_correlation() -> None:
