@@ -90,7 +90,7 @@ def test_smoothed_attitudes_name_the_frames_as_configured_and_the_theodolite_tak
     [
         ({"deck": ""}, r"'frames\.deck' = '' is not a frame name: expected one like 'base_link'"),
         ({"horizon": "/map"}, r"'frames\.horizon' = '/map' is not a frame name"),
-        ({"deck": "map", "horizon": "map"}, r"'frames\.deck' = 'map' is that of 'frames\.horizon'"),
+        ({"deck": "map", "horizon": "map"}, r"'frames\.deck' = 'map' equals 'frames\.horizon'"),
     ],
 )
 def test_what_tf2_would_not_take_is_refused(frames, reason):
