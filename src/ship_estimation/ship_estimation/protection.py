@@ -350,8 +350,8 @@ def integrity_report(
         >>> limits = IntegrityConfig(alert_limit_arcsec=(24.0, 24.0, 24.0))
         >>> k = Factors(right=6.0, false_exclusion=5.0, missed=np.array([2.0]))
         >>> found = Separation(np.array([1.67]), np.full(3, 18.0 * ARCSEC), 0, 3.0 * ARCSEC)
-        >>> told = integrity_report(0, limits, k, ("star.bow",), found, excluded=(), checked=True)
-        >>> print(told.state.name, told.dominant, (told.level / ARCSEC).round(1))
+        >>> report = integrity_report(0, limits, k, ("star.bow",), found, excluded=(), checked=True)
+        >>> print(report.state.name, report.dominant, (report.level / ARCSEC).round(1))
         MET star.bow [18. 18. 18.]
     """
     # A level requires separations within the threshold; NaN is not within it.
@@ -381,8 +381,8 @@ def above_limit(report: IntegrityReport, quantities: Sequence[str]) -> str:
 
     Example:
         >>> level = ARCSEC * np.array([3.6, 7.2, 14.4])
-        >>> told = IntegrityReport(0, IntegrityState.EXCEEDED, level, ("ins",), np.zeros(1), 5.1, (), "ins", 0.0)
-        >>> above_limit(told, ["heading", "pitch", "roll"])
+        >>> report = IntegrityReport(0, IntegrityState.EXCEEDED, level, ("ins",), np.zeros(1), 5.1, (), "ins", 0.0)
+        >>> above_limit(report, ["heading", "pitch", "roll"])
         'a protection level is above its alert limit: heading 3.6″, pitch 7.2″, roll 14.4″'
     """
     if report.state is IntegrityState.EXCEEDED:

@@ -177,17 +177,17 @@ class Contradictions:
         contested: by source, the stamp from which two publishers send, and a text that names them.
 
     Example:
-        >>> told = Contradictions()
-        >>> told.note("ship", 5 * SECOND_NS, Refusal(Reason.CONFLICT, "the same stamp with other content"))
-        >>> told.note("encoder", 5 * SECOND_NS, Refusal(Reason.DUPLICATE, "the same again"))
-        >>> told.at(12 * SECOND_NS)
+        >>> conflicts = Contradictions()
+        >>> conflicts.note("ship", 5 * SECOND_NS, Refusal(Reason.CONFLICT, "the same stamp with other content"))
+        >>> conflicts.note("encoder", 5 * SECOND_NS, Refusal(Reason.DUPLICATE, "the same again"))
+        >>> conflicts.at(12 * SECOND_NS)
         {'ship': 5000000000}
-        >>> told.at(16 * SECOND_NS)
+        >>> conflicts.at(16 * SECOND_NS)
         {}
-        >>> told.together({"ship", "encoder"}), told.together({"ship"})
+        >>> conflicts.together({"ship", "encoder"}), conflicts.together({"ship"})
         (None, (5000000000, 15000000000))
-        >>> told.contest("ins", 20 * SECOND_NS, "two publishers send on ins/imu")
-        >>> told.at(30 * SECOND_NS), told.text({"ins"})
+        >>> conflicts.contest("ins", 20 * SECOND_NS, "two publishers send on ins/imu")
+        >>> conflicts.at(30 * SECOND_NS), conflicts.text({"ins"})
         ({'ins': 18000000000}, 'two publishers send on ins/imu')
     """
 

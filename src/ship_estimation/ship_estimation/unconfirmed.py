@@ -32,10 +32,10 @@ class Unconfirmed(NamedTuple):
     def after_agreement(self, time_ns: int, source: str = "") -> "Unconfirmed | None":
         """Return the step after a consistent measurement of a source; None if it is confirmed now.
 
-        >>> doubt = Unconfirmed(10, "the encoders have jumped", "lights")
-        >>> doubt.after_agreement(10) is doubt, doubt.after_agreement(20).agreed_ns
+        >>> step = Unconfirmed(10, "the encoders have jumped", "lights")
+        >>> step.after_agreement(10) is step, step.after_agreement(20).agreed_ns
         (True, 20)
-        >>> doubt.after_agreement(20).after_agreement(30) is None
+        >>> step.after_agreement(20).after_agreement(30) is None
         True
         >>> first = Unconfirmed(9, "one exposure alone", "stars", agreed_ns=10, agreed_by="star.fore")
         >>> first.after_agreement(10, "star.fore") is first, first.after_agreement(10, "star.aft")

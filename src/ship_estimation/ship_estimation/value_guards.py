@@ -59,8 +59,8 @@ class StuckGuard:
 
     >>> guard = StuckGuard()
     >>> turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    >>> said = [Witness(0, np.eye(3), ARCSEC), *(Witness(n * 300_000_000, turned, ARCSEC) for n in (1, 2))]
-    >>> [guard.observe(one.time_ns, np.eye(3), ARCSEC, {"another": one}) for one in said]
+    >>> references = [Witness(0, np.eye(3), ARCSEC), *(Witness(n * 300_000_000, turned, ARCSEC) for n in (1, 2))]
+    >>> [guard.observe(one.time_ns, np.eye(3), ARCSEC, {"another": one}) for one in references]
     [False, False, True]
     """
 
