@@ -81,7 +81,7 @@ def test_error_of_a_prediction_grows_from_the_last_measurement(table):
 @pytest.mark.parametrize("date", [(1972, 12, 31), (2060, 1, 1)])
 def test_outside_the_table_there_is_a_reason(table, date):
     time_ns = ns_of(*date)
-    assert "finals2000A.all reaches from 1973-01-02" in table.reason_against(time_ns)
+    assert "finals2000A.all covers 1973-01-02" in table.reason_against(time_ns)
     with pytest.raises(OutsideEarthOrientation, match=f"no Earth orientation for {date[0]}-.* newer astropy-iers-data"):
         table.at(np.array([ns_of(2020, 1, 1), time_ns]))
     assert table.reason_against(ns_of(2020, 1, 1)) is None
