@@ -284,7 +284,7 @@ def predict(
 
 
 def innovation(parts: FloatArray, measurement: LinearMeasurement) -> ResidualCompared:
-    """Return innovation covariance, NIS and gain of a measurement, for the state covariance ``parts.sum(axis=0)``.
+    """Return innovation covariance, NIS and gain of a measurement, for a state covariance by error source.
 
     Raises:
         numpy.linalg.LinAlgError: the innovation covariance is not positive definite.
@@ -312,7 +312,7 @@ def update(
     """Return the correction of the state, shape (n,), and the covariance by error source after a measurement update.
 
     Args:
-        parts: before the measurement, shape (n_sources, n, n).
+        covariance_by_source: before the measurement, shape (n_sources, n, n).
         measurement: linearised at the predicted state.
         gain: as returned by :func:`innovation`; Joseph's form is valid for any gain.
 

@@ -212,7 +212,7 @@ def separation(
             (3, n); covariance of the errors of the output in the main filter, shape (3, 3).
         mean: states of the main filter, shape (m,).
         means: states of each subfilter, shape (h, m).
-        parts: covariance of the main filter by error source, shape (p, m, m).
+        covariance_by_source: covariance of the main filter by error source, shape (p, m, m).
         subfilter_covariances: covariance of each subfilter, shape (h, m, m).
 
     Example:

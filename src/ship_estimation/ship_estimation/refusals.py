@@ -29,7 +29,7 @@ AGREES_AGAIN_AFTER_S = 10.0
 _AGREES_AGAIN_AFTER_NS = round(AGREES_AGAIN_AFTER_S * SECOND_NS)
 
 _AT_ALL_STAMPS_NS = -(2**62)
-"""Stamp from which a source is contested if its stamps may have restarted meanwhile."""
+"""Stamp from which a source has two publishers if its stamps may have restarted meanwhile."""
 
 FOUND_WITHIN_S = 2.0
 """Time from their second message within which two publishers of one source are detected, s."""
@@ -169,12 +169,12 @@ class Contradictions:
     """Sources that recently sent conflicting data with the same stamp.
 
     One of the two inputs is kept, and it may be the wrong one: results from such a source are not VALID. Neither are
-    results from a contested source, for which two publishers send.
+    results from a source with two publishers.
 
     Attributes:
         latest_ns: by source, the stamp of its last conflict, however old.
         since_ns: by source, the stamp of the first conflict of the series, each within ten seconds of another.
-        contested: by source, the stamp from which two publishers send, and a text that names them.
+        duplicate_publishers: by source, the stamp from which two publishers send, and a text that names them.
 
     Example:
         >>> conflicts = Contradictions()
@@ -196,20 +196,20 @@ class Contradictions:
         self.forget()
 
     def __bool__(self) -> bool:
-        """True if any source has had a conflict or is contested."""
+        """True if any source has had a conflict or has two publishers."""
         return bool(self.latest_ns or self.contested)
 
     def forget(self) -> None:
-        """Clear the conflicts. A contested source stays contested until :meth:`set_contested` ends it.
+        """Clear the conflicts; two publishers of a source remain recorded until :meth:`set_duplicate_publishers` ends it.
 
-        It is contested at all stamps then, because stamps may restart before the one at which it was detected.
+        They then apply to all stamps, because stamps may restart before the one of the detection.
         """
         self.latest_ns: dict[str, int] = {}
         self.since_ns: dict[str, int] = {}
         self.contested = {source: (_AT_ALL_STAMPS_NS, text) for source, (_, text) in self.contested.items()}
 
     def contest(self, source: str, time_ns: int, text: str) -> None:
-        """Mark a source as contested by two publishers; an empty text ends it.
+        """Record that a source has two publishers; an empty text ends it.
 
         Args:
             source: the source.
@@ -236,7 +236,7 @@ class Contradictions:
     def at(self, time_ns: int) -> dict[str, int]:
         """Return the sources with a recent conflict, each with the stamp of its last one.
 
-        A contested source is returned with the stamp since which it is contested.
+        A source with two publishers is returned with the stamp from which both may have sent.
         """
         if not self:
             return {}
@@ -245,7 +245,7 @@ class Contradictions:
         return latest | {source: since_ns for source, (since_ns, _) in self.contested.items()}
 
     def text(self, sources: Iterable[str]) -> str:
-        """Return the text for sources that have a conflict or are contested; empty without sources.
+        """Return the text for sources that have a conflict or two publishers; empty without sources.
 
         Example:
             >>> Contradictions().text(["ship"])

@@ -38,7 +38,7 @@ class ToldLevels:
     Attributes:
         report: published last; None before the first.
         state: filter state of the last output that was evaluated.
-        checked_by: further conditions on which the existence of a level depends.
+        redundancy_key: further conditions on which the existence of a level depends.
         directions: direction cosines in which the errors of that output are measured, shape (k, l).
         until_ns: stamp from which levels are published in any case.
         max_variance: trace of an output's covariance up to which the published levels cover it, rad².
