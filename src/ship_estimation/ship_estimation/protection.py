@@ -54,7 +54,9 @@ class PriorConfig:
     ins: float = parameter(
         1e-4, doc="INS: a step or a drift that its own rates do not show", unit="1/h", minimum=1e-12, maximum=1.0
     )
-    star_sensor: float = parameter(1e-3, doc="star sensor: mounting shift or drift", unit="1/h", minimum=1e-12, maximum=1.0)
+    star_sensor: float = parameter(
+        1e-3, doc="star sensor: mounting shift or drift", unit="1/h", minimum=1e-12, maximum=1.0
+    )
     reference: float = parameter(1e-2, doc="other attitude system", unit="1/h", minimum=1e-12, maximum=1.0)
     all_stars: float = parameter(
         5e-6,

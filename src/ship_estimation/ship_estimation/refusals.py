@@ -200,7 +200,7 @@ class Contradictions:
         return bool(self.latest_ns or self.contested)
 
     def forget(self) -> None:
-        """Clear the conflicts; two publishers of a source remain recorded until :meth:`set_duplicate_publishers` ends it.
+        """Clear the conflicts; two publishers remain recorded until :meth:`set_duplicate_publishers` ends it.
 
         They then apply to all stamps, because stamps may restart before the one of the detection.
         """
