@@ -6,7 +6,7 @@ from scipy.linalg import block_diag
 from ship_estimation.backward import Backward, Known, backward
 
 
-def test_a_step_back_is_batch_least_squares_of_any_linear_chain() -> None:
+def test_backward_step_equals_batch_least_squares() -> None:
     # States of which one is known exactly and one repeats; dense numpy over all epochs.
     rng, n, count = np.random.default_rng(2), 4, 12
     start = np.diag([4.0, 1.0, 0.0, 2.0])

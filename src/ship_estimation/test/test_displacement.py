@@ -50,7 +50,7 @@ def test_noise_and_drift_are_no_step() -> None:
 
 @pytest.mark.parametrize("arcsec", [20.0, 60.0, 120.0, -3600.0])
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_a_turn_that_lasts_is_never_back(arcsec: float, seed: int) -> None:
+def test_permanent_displacement_never_ends(arcsec: float, seed: int) -> None:
     """For an hour, in which the INS's heading drifts by about as much (its sigma after an hour is 50″)."""
     found = sailed(lasting(arcsec, 20, 4000, 3600), seed)
     assert not any(found[:20])
@@ -60,7 +60,7 @@ def test_a_turn_that_lasts_is_never_back(arcsec: float, seed: int) -> None:
 @pytest.mark.parametrize("minutes", [1, 15, 60])
 @pytest.mark.parametrize("arcsec", [20.0, 60.0, 3600.0])
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_a_turn_that_goes_back_is_over(minutes: int, arcsec: float, seed: int) -> None:
+def test_displacement_ends_when_the_source_moves_back(minutes: int, arcsec: float, seed: int) -> None:
     end_s = 20 + 60 * minutes
     found = sailed(lasting(arcsec, 20, end_s, end_s + 60), seed)
     assert all(found[22:end_s])
@@ -68,13 +68,13 @@ def test_a_turn_that_goes_back_is_over(minutes: int, arcsec: float, seed: int) -
 
 
 @pytest.mark.parametrize("part", [0.5, 0.7])
-def test_a_turn_that_goes_back_by_a_part_is_not_over(part: float) -> None:
+def test_displacement_does_not_end_with_a_partial_return(part: float) -> None:
     """By 0.7 of 120″ 36″ are left; of 60″ it would be 18″, which are 4 sigmas of what one sensor shows of two steps."""
     turns = lasting(120.0, 20, 100, 300) + lasting(120.0 * (1.0 - part), 100, 300, 300)
     assert all(sailed(turns, 1)[22:])
 
 
-def test_two_turns_are_over_when_both_are() -> None:
+def test_two_displacements_end_when_both_have_ended() -> None:
     found = sailed(lasting(60.0, 20, 200, 300) + lasting(90.0, 60, 120, 300), 1)
     assert all(found[22:200])
     assert not any(found[206:])
@@ -88,7 +88,7 @@ def test_a_step_within_a_second_is_measured_whole() -> None:
     assert not any(found[107:])
 
 
-def test_a_jump_that_the_ins_showed_itself_displaces_nothing() -> None:
+def test_jump_shown_by_the_ins_itself_is_no_displacement() -> None:
     source, jump = Displacement(), np.array([0.0, 100.0 * ARCSEC, 0.0])
     for second in range(60):
         source.add(MemoryResidual(jump * (second >= 30), NOISE, EXPECTED, DRIFT))
@@ -98,7 +98,7 @@ def test_a_jump_that_the_ins_showed_itself_displaces_nothing() -> None:
     assert not source.is_displaced
 
 
-def test_a_jump_of_the_ins_as_large_as_a_displacement_ends_it() -> None:
+def test_ins_jump_as_large_as_a_displacement_resets_it() -> None:
     """The INS turned by 100″, unseen, and its rates show how it turns back: the stars have not moved."""
     source, turned = Displacement(), np.array([0.0, 100.0 * ARCSEC, 0.0])
     for second in range(60):
@@ -124,7 +124,7 @@ def test_a_jump_within_a_second_leaves_no_displacement(begins: int) -> None:
     assert not source.is_displaced
 
 
-def test_a_residual_that_is_no_number_hides_no_step() -> None:
+def test_nan_residual_hides_no_step() -> None:
     source = Displacement()
     for second in range(30):
         turn = np.full(3, np.nan) if second == 10 else np.array([0.0, 60.0 * ARCSEC * (second >= 20), 0.0])
@@ -150,13 +150,13 @@ def moved(fore_n: np.ndarray, starboard_n: np.ndarray, seed: int) -> Displacemen
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_a_turn_of_all_that_one_of_them_cannot_see_is_one_of_all(seed: int) -> None:
+def test_common_rotation_that_one_sensor_cannot_observe_is_common(seed: int) -> None:
     """20″ about the line of sight of one sensor, whose noise there is 45″ in a second."""
     assert set(moved(20.0 * ARCSEC * FORE, 20.0 * ARCSEC * FORE, seed).displaced) == {TOGETHER}
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_a_source_that_moves_by_itself_is_named(seed: int) -> None:
+def test_source_that_moves_by_itself_is_isolated(seed: int) -> None:
     up = np.array([0.0, 60.0 * ARCSEC, 0.0])
     found = moved(up, 0.0 * up, seed)
     assert set(found.displaced) == {"star.fore"}
@@ -164,7 +164,7 @@ def test_a_source_that_moves_by_itself_is_named(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_what_one_sensor_saw_poorly_of_a_turn_is_over_with_it(seed: int) -> None:
+def test_poorly_observed_rotation_ends_with_the_common_one(seed: int) -> None:
     """The turn is 20″ about East. The other sensor comes back while it lasts, and shows what the first could not."""
     rng, found, turn_n = np.random.default_rng(seed), Displacements(), np.array([0.0, 0.0, 20.0 * ARCSEC])
     for second in range(140):
@@ -193,7 +193,7 @@ def test_steps_in_every_second_for_half_an_hour_leave_a_covariance() -> None:
     assert source.is_displaced
 
 
-def test_what_is_there_at_the_beginning_is_no_rest() -> None:
+def test_initial_displacement_is_detected() -> None:
     """Encoders that stood still leave a memory of 20°: the fault is in the first measurements, and it ends."""
     source, vague = Displacement(), np.deg2rad(20.0) ** 2 * np.eye(3)
     for second in range(30):

@@ -106,7 +106,7 @@ def state_for_outputs(estimator: Estimator) -> float:
     return outcome.estimates[0]
 
 
-def test_what_is_older_than_the_lag_is_refused_and_says_by_how_much() -> None:
+def test_late_measurement_is_rejected_with_its_lag() -> None:
     window = LagWindow(LAG_S)
     window.move_to(5 * SECOND_NS)
     window.move_to(4 * SECOND_NS)
@@ -115,7 +115,7 @@ def test_what_is_older_than_the_lag_is_refused_and_says_by_how_much() -> None:
     assert late == Refusal(Reason.LATE, "2.001 s behind the newest data: more than lag_s = 2")
 
 
-def test_the_same_again_is_refused_and_of_conflicting_ones_that_whose_bytes_sort_first_is_kept() -> None:
+def test_duplicate_is_rejected_and_of_conflicting_ones_the_first_in_byte_order_is_kept() -> None:
     first, second = toy(10, 0.5), toy(10, 0.25)
     states = []
     for order in ((first, second), (second, first), (first, first, second), (second, first, second)):
@@ -132,7 +132,7 @@ def test_the_same_again_is_refused_and_of_conflicting_ones_that_whose_bytes_sort
     assert states[0] == alone.shell.state
 
 
-def test_a_late_measurement_takes_its_place_and_what_follows_is_decided_anew() -> None:
+def test_late_measurement_is_inserted_and_later_ones_are_applied_again() -> None:
     in_order, late = Estimator(), Estimator()
     for time_ms in (10, 20, 30):
         in_order.add(toy(time_ms, 0.01 * time_ms))
@@ -144,7 +144,7 @@ def test_a_late_measurement_takes_its_place_and_what_follows_is_decided_anew() -
     assert [decision.measurement.time_ns // MS for decision in late.decided] == [20, 30, 10, 20, 30]
 
 
-def test_a_decision_that_turns_out_otherwise_is_told_as_revised() -> None:
+def test_changed_decision_is_reported_as_revised() -> None:
     gate = {"open": True}
 
     def step(state: float, measurement: Toy, may_wait: bool) -> tuple[float, Decision[Toy]]:
@@ -174,7 +174,7 @@ def test_a_decision_that_turns_out_otherwise_is_told_as_revised() -> None:
     assert outcome.decisions == []
 
 
-def test_a_sample_that_changes_what_was_compared_makes_it_compared_anew() -> None:
+def test_late_sample_applies_dependent_measurements_again() -> None:
     late, prompt = Estimator(), Estimator()
     for estimator, order in ((prompt, "stm"), (late, "mst")):
         for what in order:
@@ -193,7 +193,7 @@ def test_a_sample_that_changes_what_was_compared_makes_it_compared_anew() -> Non
     assert late.shell.state == prompt.shell.state
 
 
-def test_a_measurement_waits_for_its_data_and_those_after_it_with_it_but_not_beyond_the_lag() -> None:
+def test_measurement_waits_for_its_data_up_to_the_lag() -> None:
     estimator = Estimator()
     estimator.waits = True
     estimator.add_sample(0, 0.1)
@@ -207,7 +207,7 @@ def test_a_measurement_waits_for_its_data_and_those_after_it_with_it_but_not_bey
     assert [decision.measurement.time_ns // MS for decision in outcome.decisions] == [20]
 
 
-def test_a_step_that_raises_is_told_leaves_the_state_and_holds_up_nothing() -> None:
+def test_exception_in_a_step_is_reported_and_keeps_the_state() -> None:
     estimator, without = Estimator(), Estimator()
     for time_ms, value in ((10, 0.5), (20, math.nan), (30, 0.25)):
         outcome = estimator.add(toy(time_ms, value))
@@ -220,7 +220,7 @@ def test_a_step_that_raises_is_told_leaves_the_state_and_holds_up_nothing() -> N
     assert "test_estimator_shell.py" in estimator.decided[1].text
 
 
-def test_a_jump_that_the_state_cannot_be_opened_for_is_told_once_as_failed() -> None:
+def test_failed_inflation_is_reported_once() -> None:
     estimator, outcome = Estimator(), ToyOutcome()
     estimator.shell.add(toy(100), outcome)
     before = estimator.shell.state
@@ -237,7 +237,7 @@ def test_a_jump_that_the_state_cannot_be_opened_for_is_told_once_as_failed() -> 
     assert len(outcome.decisions) == 3
 
 
-def test_a_jump_counts_for_outputs_at_once_and_for_the_state_at_its_place() -> None:
+def test_jump_inflates_outputs_at_once_and_the_state_at_its_time() -> None:
     estimator = Estimator()
     estimator.add(toy(10))
     before = estimator.shell.state
@@ -261,7 +261,7 @@ def test_a_jump_counts_for_outputs_at_once_and_for_the_state_at_its_place() -> N
 
 @repeatable
 @given(data=st.data())
-def test_any_order_of_arrival_ends_in_the_same_state_with_all_that_can_go_wrong_together(data: st.DataObject) -> None:
+def test_any_order_of_arrival_gives_the_same_state_with_all_faults_combined(data: st.DataObject) -> None:
     """Refused and failing measurements, duplicates, conflicts, jumps and late samples, shuffled within the lag."""
     toys = [
         toy(time_ms, value, source)
@@ -316,7 +316,7 @@ def put_out_one(estimator: Estimator, number: int) -> None:
     estimator.claimed += [time_ns] * len(outcome.estimates)
 
 
-def test_outputs_that_claim_something_strictly_increase_and_one_that_fails_is_told() -> None:
+def test_outputs_strictly_increase_and_a_failure_is_reported() -> None:
     estimator, outcome = Estimator(), ToyOutcome()
     for time_ms in (10, 10, 5, 20):
         estimator.shell.put_out(outcome, time_ms * MS, 0, lambda state, time_ms=time_ms: float(time_ms))
@@ -334,7 +334,7 @@ def test_outputs_that_claim_something_strictly_increase_and_one_that_fails_is_to
 
 
 @pytest.mark.parametrize("patience_s", [0.05, 1.0, 3.0])
-def test_invalid_is_said_once_a_second_after_the_patience_whatever_the_stamps_say(patience_s: float) -> None:
+def test_invalid_is_reported_once_a_second_after_the_timeout_for_any_stamps(patience_s: float) -> None:
     estimator = Estimator()
     patience_ns = round(patience_s * SECOND_NS)
     outcome = ToyOutcome()
@@ -349,7 +349,7 @@ def test_invalid_is_said_once_a_second_after_the_patience_whatever_the_stamps_sa
     assert said == list(range(first_ns, 8 * SECOND_NS, SECOND_NS))
 
 
-def test_a_clock_that_jumps_back_lets_earlier_outputs_follow_and_a_reset_alone_does_not() -> None:
+def test_earlier_outputs_may_follow_a_clock_jump_but_not_a_reset() -> None:
     estimator, outcome = Estimator(), ToyOutcome()
     estimator.add(toy(10))
     estimator.shell.put_out(outcome, 10 * MS, 0, lambda state: 1.0)
@@ -361,7 +361,7 @@ def test_a_clock_that_jumps_back_lets_earlier_outputs_follow_and_a_reset_alone_d
     assert estimator.add(toy(10)).refusal is None
 
 
-def test_before_the_first_output_invalid_is_due_at_once() -> None:
+def test_invalid_is_due_at_once_before_the_first_output() -> None:
     estimator, said = Estimator(), []
     for waiting_ns in (0, SECOND_NS - 1, SECOND_NS):
         outcome = ToyOutcome()
@@ -388,7 +388,7 @@ def flood(rng: np.random.Generator, count: int, seconds: float) -> list[Toy]:
     return [Toy(*one) for one in zip(stamps_ns.tolist(), rng.random(count).tolist(), strict=True)]
 
 
-def test_of_a_flood_with_random_stamps_the_steps_are_few_and_what_is_too_much_is_an_overflow() -> None:
+def test_flood_with_random_stamps_is_limited_by_overflow() -> None:
     """Fifty times an exposure at 2 Hz, beside a source in order; unbounded it would be some 100 repeats for each."""
     seconds, estimator = 30.0, Estimator()
     reasons, texts, at_once = [], [], []
@@ -414,7 +414,7 @@ def test_of_a_flood_with_random_stamps_the_steps_are_few_and_what_is_too_much_is
     assert told.endswith(f"later ones of their source: {MOST_OVERTAKEN_PER_S} such pairs a second are accepted")
 
 
-def test_what_is_refused_as_overflow_leaves_no_trace() -> None:
+def test_overflow_does_not_change_the_state() -> None:
     estimator, without = Estimator(), Estimator()
     for number, late in enumerate(flood(np.random.default_rng(8), 1000, 10.0)):
         outcome = estimator.add(late)
@@ -425,7 +425,7 @@ def test_what_is_refused_as_overflow_leaves_no_trace() -> None:
     assert told == told_without
 
 
-def test_samples_that_come_late_without_end_cost_so_many_steps_a_second_and_end_in_the_same_state() -> None:
+def test_flood_of_late_samples_is_rate_limited_and_gives_the_same_state() -> None:
     """Samples at 100 Hz, each up to two seconds late, under measurements at 20 Hz: each would repeat up to forty."""
     rng, seconds, estimator, in_order = np.random.default_rng(9), 20.0, Estimator(), Estimator()
     estimator.waits = in_order.waits = True

@@ -50,7 +50,7 @@ def insert(log: Log, key: Key, value: float) -> None:
 
 @repeatable
 @given(known=measurements, data=st.data())
-def test_any_order_of_arrival_any_pauses_give_the_same_state_and_last_decisions(
+def test_any_order_of_arrival_and_any_pauses_give_the_same_state_and_decisions(
     known: dict[Key, float], data: st.DataObject
 ) -> None:
     log = Log(START)
@@ -74,7 +74,7 @@ def test_any_order_of_arrival_any_pauses_give_the_same_state_and_last_decisions(
 
 @repeatable
 @given(known=measurements, data=st.data())
-def test_measurement_that_comes_again_replaces_the_first(known: dict[Key, float], data: st.DataObject) -> None:
+def test_repeated_key_replaces_the_measurement(known: dict[Key, float], data: st.DataObject) -> None:
     log = Log(START)
     for key, value in known.items():
         insert(log, key, value)
@@ -120,7 +120,7 @@ def test_rewinding_applies_again_from_the_first_affected(known: dict[Key, float]
 
 @repeatable
 @given(known=measurements, late=measurements, oldest_ns=st.integers(0, 45))
-def test_forgotten_measurements_stay_in_the_state_and_later_ones_can_still_be_late(
+def test_committed_measurements_stay_in_the_state(
     known: dict[Key, float], late: dict[Key, float], oldest_ns: int
 ) -> None:
     log = Log(START)
@@ -141,7 +141,7 @@ def test_forgotten_measurements_stay_in_the_state_and_later_ones_can_still_be_la
 
 @repeatable
 @given(known=measurements, oldest_ns=st.integers(0, 45))
-def test_what_still_waits_is_not_forgotten(known: dict[Key, float], oldest_ns: int) -> None:
+def test_pending_measurements_are_not_committed(known: dict[Key, float], oldest_ns: int) -> None:
     log = Log(START)
     for key, value in known.items():
         insert(log, key, value)
@@ -151,7 +151,7 @@ def test_what_still_waits_is_not_forgotten(known: dict[Key, float], oldest_ns: i
     assert log.state == in_own_order(known)[0]
 
 
-def test_decisions_are_told_with_what_they_replace() -> None:
+def test_decisions_are_returned_with_the_replaced_ones() -> None:
     log = Log(START)
     insert(log, (2, "b"), 0.5)
     assert log.apply(step, failed) == [((2, 0.1), None)]
@@ -161,7 +161,7 @@ def test_decisions_are_told_with_what_they_replace() -> None:
     assert log.apply(step, failed) == [((1, 0.1), None), ((2, state_1[1]), (2, 0.1))]
 
 
-def test_tie_breaker_orders_measurements_of_one_moment() -> None:
+def test_tie_breaker_orders_measurements_of_one_time() -> None:
     forth, back = Log(START), Log(START)
     for log, order in ((forth, ("a", "b", "c")), (back, ("c", "b", "a"))):
         for name in order:
@@ -182,7 +182,7 @@ def failing(state: State, measurement: tuple[int, float]) -> tuple[State, Decisi
 
 @repeatable
 @given(known=measurements, data=st.data())
-def test_mend_02_a_step_that_raises_leaves_the_state_and_holds_up_nothing(
+def test_exception_in_a_step_keeps_the_state_and_delays_nothing(
     known: dict[Key, float], data: st.DataObject
 ) -> None:
     log, raised = Log(START), []
@@ -201,7 +201,7 @@ def test_mend_02_a_step_that_raises_leaves_the_state_and_holds_up_nothing(
     assert set(raised) == {(key[0], value) for key, value in known.items() if key not in good}
 
 
-def test_mend_02_one_that_raised_is_tried_again_where_it_meets_another_state() -> None:
+def test_failed_measurement_is_applied_again_to_another_state() -> None:
     log = Log(START)
     insert(log, (2, "a"), -0.2)
     assert log.apply(failing, lambda measurement, error: (measurement[0], -1.0)) == [((2, -1.0), None)]
@@ -264,7 +264,7 @@ TestLogAgainstSorting = LogAgainstSorting.TestCase
 TestLogAgainstSorting.settings = settings(repeatable, max_examples=100, stateful_step_count=30)
 
 
-def test_mend_18_a_flood_of_late_measurements_repeats_so_much_a_second_and_ends_in_the_same_state() -> None:
+def test_flood_of_late_measurements_is_rate_limited_and_gives_the_same_state() -> None:
     """Half of what comes is a second late: each time everything since would be applied again."""
     ms, lag_ns, log = 1_000_000, 2_000_000_000, Log(START)
     known: dict[Key, float] = {}

@@ -51,7 +51,7 @@ def sigma_arcsec(noise: ExtraNoise) -> float:
 
 @pytest.mark.parametrize("rate_hz", [10.0, 20.0, 50.0, 100.0])
 @pytest.mark.parametrize(("ratio", "within_s"), [(3.0, 2.0), (10.0, 2.0), (30.0, 2.0)])
-def test_a_large_excess_is_seen_within_two_seconds(rate_hz: float, ratio: float, within_s: float) -> None:
+def test_large_excess_is_detected_within_two_seconds(rate_hz: float, ratio: float, within_s: float) -> None:
     """Of ten samples in a second 20 steps are needed: twice as long."""
     onset_s = 30.0
     found = changes(noisy(stream(40.0, rate_hz), ratio, round(onset_s * rate_hz)))
@@ -60,14 +60,14 @@ def test_a_large_excess_is_seen_within_two_seconds(rate_hz: float, ratio: float,
 
 
 @pytest.mark.parametrize("rate_hz", [20.0, 100.0])
-def test_half_as_much_again_is_seen_within_half_a_minute(rate_hz: float) -> None:
+def test_excess_of_one_half_is_detected_within_half_a_minute(rate_hz: float) -> None:
     # Noise of 1″ and further noise make 1.5″ together.
     found = changes(noisy(stream(90.0, rate_hz), np.sqrt(1.5**2 - 1.0), round(40.0 * rate_hz)))
     assert 40.0 < found[0][0] < 70.0
 
 
 @pytest.mark.parametrize("rate_hz", [20.0, 100.0])
-def test_jitter_is_told_from_noise_of_the_attitude_and_is_over_when_it_ends(rate_hz: float) -> None:
+def test_jitter_is_distinguished_from_attitude_noise_and_its_end_is_detected(rate_hz: float) -> None:
     samples = stream(60.0, rate_hz)
     first, last = round(30.0 * rate_hz), round(45.0 * rate_hz)
     ends = [*jittering(samples[:last], 0.004, first), *samples[last:]]
@@ -125,7 +125,7 @@ def test_a_larger_stated_noise_has_no_excess() -> None:
     assert changes(samples, white_sigma_arcsec=1.0) != []
 
 
-def test_an_excess_is_over_or_another_one_when_the_stated_noise_becomes_larger() -> None:
+def test_larger_stated_noise_ends_or_reduces_an_excess() -> None:
     """Noise of 1″ and further noise of 5″ make 5.1″ together."""
     samples = noisy(stream(20.0, 20.0), 5.0, 0)
     for stated_arcsec, excess_arcsec in ((5.1, 0.0), (2.0, np.sqrt(26.0 - 4.0))):
@@ -141,7 +141,7 @@ def test_an_excess_is_over_or_another_one_when_the_stated_noise_becomes_larger()
         assert (guard.excess_text != "") == (excess_arcsec > 0.0)
 
 
-def test_extra_noise_counts_from_its_stamp_on_between_samples_and_at_the_newest() -> None:
+def test_extra_noise_applies_from_its_stamp_on() -> None:
     track, rate_d = AttitudeTrack(10**9), np.array([0.1, 0.0, 0.0])
     for number in range(5):
         rotation_nd: FloatArray = exp_rotation(0.1 * number * rate_d)

@@ -106,33 +106,33 @@ def _voyage(seed, sensors, knocks=None, epochs=2 * AT, pairs=False):
 
 
 @pytest.mark.parametrize("sensors", [2, 3])
-def test_sources_that_are_right_are_not_called_wrong(sensors):
+def test_fault_free_sources_are_not_excluded(sensors):
     assert [_voyage(seed, sensors, epochs=1000) for seed in range(3)] == [None] * 3
 
 
 @pytest.mark.parametrize("knocked", [0, 2])
 @pytest.mark.parametrize("knock", [30.0, 60.0, -60.0])
-def test_a_knock_of_ten_sigmas_is_told_within_three_measurements_and_the_right_one_of_three_is_named(knock, knocked):
+def test_shift_of_ten_sigmas_is_isolated_within_three_measurements(knock, knocked):
     found = [_voyage(seed, 3, {knocked: knock}) for seed in range(8)]
     assert [named for _, named in found] == [(knocked,)] * 8
     assert max(epochs for epochs, _ in found) <= 3
 
 
-def test_small_knocks_are_told_within_seconds_and_named():
+def test_small_shifts_are_isolated_within_seconds():
     """Of 4 σ of one measurement: no single one tells it, their mean does."""
     found = [_voyage(seed, 3, {1: 12.0}) for seed in range(8)]
     assert [named for _, named in found] == [(1,)] * 8
     assert max(epochs for epochs, _ in found) <= 50
 
 
-def test_of_two_sensors_the_right_one_is_named_by_what_the_base_can_turn():
+def test_fault_of_one_of_two_sensors_is_isolated_by_the_motion_of_the_base():
     found = [_voyage(seed, 2, {seed % 2: 40.0}) for seed in range(8)]
     assert [named for _, named in found] == [(seed % 2,) for seed in range(8)]
 
 
 @pytest.mark.parametrize("sensors", [3, 4])
 @pytest.mark.parametrize("knocks", [(40.0, 40.0), (40.0, -60.0), (25.0, 1e4)])
-def test_two_sensors_knocked_at_once_are_both_named_where_pairs_are_left_out(sensors, knocks):
+def test_simultaneous_shifts_of_two_sensors_are_isolated_with_subfilters_of_pairs(sensors, knocks):
     both = dict(zip((0, 2), knocks, strict=True))
     found = [_voyage(seed, sensors, both, pairs=True) for seed in range(4)]
     assert [named for _, named in found] == [(0, 2)] * 4
@@ -142,16 +142,16 @@ def test_two_sensors_knocked_at_once_are_both_named_where_pairs_are_left_out(sen
 
 
 @pytest.mark.parametrize("knock", [12.0, 30.0, 1e4])
-def test_the_smaller_hypothesis_is_preferred_where_pairs_are_left_out(knock):
+def test_single_fault_is_preferred_over_pairs(knock):
     """A pair explains whatever a single source of it does."""
     assert [_voyage(seed, 4, {1: knock}, pairs=True)[1] for seed in range(4)] == [(1,)] * 4
 
 
-def test_rows_without_pairs_call_nobody_wrong_where_all_are_right():
+def test_without_pairs_fault_free_sources_are_not_excluded():
     assert [_voyage(seed, 4, epochs=1000, pairs=True) for seed in range(2)] == [None] * 2
 
 
-def test_a_row_of_two_is_asked_where_no_row_of_one_can_be_it_or_where_it_stands_farthest():
+def test_pair_subfilter_is_tested_if_no_single_one_explains_the_fault_or_if_it_separates_most():
     uses = np.array([[True] * 3, [False, True, True], [True, False, True], [False, False, True]])
     seen = no_means(4, 3)
     seen.heard_ns[:], seen.excess[:2, 1], seen.excess[2, 0] = 0, [3.0, 2.0], 0.8
@@ -166,7 +166,7 @@ def test_a_row_of_two_is_asked_where_no_row_of_one_can_be_it_or_where_it_stands_
         assert find_fault(agrees, uses, np.array([0.0, 4.5, 4.4, far]), 5.0, [1, 2], 0, larger=[3]).row == told
 
 
-def test_after_a_refusal_a_distance_names_nobody():
+def test_separation_isolates_nothing_after_a_rejection():
     """The first row has not used what another one has: their covariances do not tell how far apart they may be."""
     uses = np.array([[True, True], [False, True], [True, False]])
     seen = no_means(3, 2)
@@ -180,7 +180,7 @@ def test_after_a_refusal_a_distance_names_nobody():
     assert find_fault(seen, uses & [True, False], apart, 5.0, [1, 2], 0).row == 1
 
 
-def test_a_single_gross_error_excludes_nobody():
+def test_single_gross_error_excludes_no_source():
     bank, rng = Bank(3), np.random.default_rng(8)
     for epoch in range(100):
         for sensor in range(3):
@@ -189,7 +189,7 @@ def test_a_single_gross_error_excludes_nobody():
             assert not bank.finding(epoch * SECOND_NS).fault
 
 
-def test_nan_does_not_agree():
+def test_nan_is_inconsistent():
     means = no_means(2, 1)
     means.excess[0, 0], means.heard_ns[0] = np.nan, 0
     uses = np.array([[True], [False]])
@@ -198,7 +198,7 @@ def test_nan_does_not_agree():
 
 
 @pytest.mark.parametrize("after", [2, 6])
-def test_refusals_in_a_row_contradict_a_row_though_no_mean_does(after):
+def test_successive_rejections_make_a_filter_inconsistent_without_a_mean(after):
     uses = np.array([[True, True], [False, True], [True, False]])
 
     def found(by_all, by_second):
@@ -212,7 +212,7 @@ def test_refusals_in_a_row_contradict_a_row_though_no_mean_does(after):
     assert (found(after, after - 1).fault, found(after, after - 1).row) == (True, None)
 
 
-def test_a_source_returns_after_it_agreed_for_long_enough_without_a_break():
+def test_source_is_reinstated_after_an_unbroken_time_of_consistency():
     means, exclusion = no_means(1, 1), Exclusion(since_ns=0)
     for second in range(30):
         exclusion, back = judge_return(exclusion, means, 0, second * SECOND_NS, 60.0)
@@ -226,7 +226,7 @@ def test_a_source_returns_after_it_agreed_for_long_enough_without_a_break():
     assert judge_return(exclusion, means, 0, 91 * SECOND_NS, 60.0)[1]
 
 
-def test_a_source_that_was_not_knocked_must_come_back_and_its_mean_shows_it():
+def test_source_without_mounting_shift_is_reinstated_when_its_offset_has_vanished():
     """60 s after the mean over 20 measurements is below a half, which takes ln(2) 21/2 = 7 of them."""
     means, exclusion = no_means(1, 1), Exclusion(since_ns=0, apart=np.array([0.0, 30.0, 0.0]))
     for second in range(200):
@@ -238,7 +238,7 @@ def test_a_source_that_was_not_knocked_must_come_back_and_its_mean_shows_it():
 
 
 @pytest.mark.parametrize("gross", [np.nan, np.inf, -1e6, 1e6])
-def test_a_gross_measurement_is_no_return_and_delays_one_by_some_measurements(gross):
+def test_gross_error_delays_a_reinstatement_by_some_measurements_only(gross):
     """After eight of them the mean over 20 is 1.1, and after eight right ones 0.5 again."""
     exclusion, agreed = Exclusion(since_ns=0, apart=np.array([0.0, 30.0, 0.0]), share_left=0.0), []
     for second, share in enumerate([gross] * 8 + [0.0] * 14):

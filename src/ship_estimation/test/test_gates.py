@@ -31,7 +31,7 @@ def test_bands_of_200_and_2000_seeds(samples: int, ratio: tuple[float, float], n
     assert tuple(round(bound, 2) for bound in mean_nees_band(samples, 3)) == nees
 
 
-def test_bands_hold_the_share_of_experiments_they_promise() -> None:
+def test_bands_contain_the_stated_share_of_experiments() -> None:
     """At 90 %, where a count can tell: 4000 experiments of 50 draws."""
     rng = np.random.default_rng(1)
     experiments, samples = 4000, 50

@@ -107,7 +107,7 @@ def test_very_precise_measurement_leaves_a_valid_covariance() -> None:
         assert np.linalg.eigvalsh(parts.sum(axis=0))[0] > 0.0
 
 
-def test_budget_is_the_variance_that_each_source_alone_causes() -> None:
+def test_covariance_by_source_is_the_variance_of_each_source_alone() -> None:
     """Drawn errors, all gains equal: the estimate's error is the sum of what each source did to it."""
     model = ship_like_model()
     rng = np.random.default_rng(8)
@@ -165,7 +165,7 @@ def test_inputs_are_left_as_they_were() -> None:
         np.testing.assert_array_equal(array, copy)
 
 
-def test_impossible_innovation_covariance_is_refused() -> None:
+def test_impossible_innovation_covariance_raises() -> None:
     model = ship_like_model()
     measurement = LinearMeasurement(np.zeros(1), np.zeros((1, model.size)), {3: np.array([[-1.0]])})
     with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):

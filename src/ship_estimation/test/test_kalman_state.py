@@ -91,7 +91,7 @@ def test_white_noise_is_new_after_the_least_time(model: StateModel) -> None:
     assert noise[WHITE] == 1.0
 
 
-def test_initial_parts_are_booked_to_the_blocks_sources(model: StateModel) -> None:
+def test_initial_covariance_belongs_to_the_sources_of_the_blocks(model: StateModel) -> None:
     parts = model.initial_parts()
     assert parts.shape == (4, 6, 6)
     diagonals = {source: np.diagonal(part).tolist() for source, part in zip(model.sources, parts, strict=True)}
@@ -103,7 +103,7 @@ def test_initial_parts_are_booked_to_the_blocks_sources(model: StateModel) -> No
     }
 
 
-def test_booking_keeps_correlations_inside_a_source_and_the_sum(model: StateModel) -> None:
+def test_covariance_by_source_keeps_correlations_within_a_source_and_the_sum(model: StateModel) -> None:
     covariance = np.diag([4.0, 9.0, 1.0, 25.0, 36.0, 0.25])
     covariance[0, 1] = covariance[1, 0] = 3.0
     covariance[3, 5] = covariance[5, 3] = -1.0  # two blocks of one source
@@ -113,7 +113,7 @@ def test_booking_keeps_correlations_inside_a_source_and_the_sum(model: StateMode
     assert parts[2, 3, 5] == -1.0
 
 
-def test_process_noise_is_booked_to_the_blocks_sources(model: StateModel) -> None:
+def test_process_noise_belongs_to_the_sources_of_the_blocks(model: StateModel) -> None:
     decay, noise = model.transition(10.0)
     parts = predict(model.initial_parts(), decay, noise, model.source_of)
     np.testing.assert_allclose(np.diagonal(parts.sum(axis=0)), [4.0, 9.0, 1.0, 25.0, 36.0, 0.25 + 0.1], rtol=1e-14)

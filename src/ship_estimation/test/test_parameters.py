@@ -185,7 +185,7 @@ def test_refused_changes(changes: dict[str, Any], message: str) -> None:
         changed(build(Config, VALUES), changes)
 
 
-def test_a_parameter_may_have_the_name_of_a_word_of_python() -> None:
+def test_parameter_may_be_named_like_a_python_keyword() -> None:
     @dataclass(frozen=True)
     class Source:
         from_: tuple[str, ...] = parameter((), doc="addresses", live=True)

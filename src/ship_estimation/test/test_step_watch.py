@@ -59,7 +59,7 @@ def _state(watch: StepWatch) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("block", [1, 7, 64, 500])
-def test_samples_followed_together_leave_what_they_leave_one_by_one(block: int) -> None:
+def test_block_gives_the_state_of_single_samples(block: int) -> None:
     stream, step = Stream(stepped_from=2000, seed=1), 2000
     single = StepWatch(5e-6, 0.0)
     for number in range(1000):
@@ -78,7 +78,7 @@ def test_samples_followed_together_leave_what_they_leave_one_by_one(block: int) 
     assert max(single._sizes) > 1.0
 
 
-def test_a_sample_that_is_no_number_is_not_followed() -> None:
+def test_nan_sample_is_not_accepted_in_a_block() -> None:
     stream, watch = Stream(stepped_from=_SAMPLES, seed=2), StepWatch(5e-6, 0.0)
     for number in range(1000):
         stream.look(watch, number)
@@ -87,7 +87,7 @@ def test_a_sample_that_is_no_number_is_not_followed() -> None:
     assert stream.follow(watch, slice(1000, 1100)) == 10
 
 
-def test_samples_after_a_gap_are_not_followed() -> None:
+def test_samples_after_a_gap_are_not_accepted_in_a_block() -> None:
     stream, watch = Stream(stepped_from=_SAMPLES, seed=3), StepWatch(5e-6, 0.0)
     for number in range(1000):
         stream.look(watch, number)
@@ -96,7 +96,7 @@ def test_samples_after_a_gap_are_not_followed() -> None:
     assert stream.follow(watch, slice(1000, 1100)) == 20
 
 
-def test_a_watch_learns_before_it_is_known_how_far_a_good_sample_may_be() -> None:
+def test_statistics_start_before_the_first_bound_is_known() -> None:
     stream, watch = Stream(stepped_from=2000, seed=1), StepWatch(5e-6, 0.0)
     for number in range(1900):
         sample = AttitudeSample(int(stream.times_ns[number]), stream.rotations[number], stream.rates[number])

@@ -107,7 +107,7 @@ def test_interpolation_agrees_with_scipys_rotation_spline() -> None:
 
 
 @pytest.mark.parametrize("with_rate", [True, False])
-def test_steady_turn_is_met_exactly_even_half_a_turn_between_samples(with_rate: bool) -> None:
+def test_constant_rotation_is_interpolated_exactly_up_to_half_a_turn(with_rate: bool) -> None:
     """Interpolation is exact for constant rate, whatever the rate: 170° from sample to sample here."""
     rate = np.deg2rad(1700.0) * np.array([0.6, 0.0, 0.8])
     track = AttitudeTrack(MAX_GAP_NS)
@@ -137,7 +137,7 @@ def test_the_chord_is_scipys_slerp_whatever_the_rates(fraction: float) -> None:
 
 
 @pytest.mark.parametrize("with_rate", [True, False])
-def test_samples_themselves_come_back_untouched(with_rate: bool) -> None:
+def test_samples_are_returned_unchanged(with_rate: bool) -> None:
     samples = regular(5, with_rate)
     track = track_of(samples)
     for sample in samples:
@@ -209,7 +209,7 @@ def test_any_order_of_arrival_gives_the_same_track_to_the_bit(seed: int) -> None
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_insert_tells_from_where_attitudes_change(seed: int) -> None:
+def test_insert_returns_the_stamp_after_which_attitudes_change(seed: int) -> None:
     """At or before the stamp returned, nothing has changed; None promises it of all that was covered."""
     samples = irregular(seed)
     rng = np.random.default_rng(seed)
@@ -223,7 +223,7 @@ def test_insert_tells_from_where_attitudes_change(seed: int) -> None:
         assert all(identical(before[t], track.at(t)) for t in kept)
 
 
-def test_late_sample_at_the_very_front_changes_its_own_moment() -> None:
+def test_late_sample_at_the_very_front_changes_its_own_time() -> None:
     samples = regular(4, with_rate=True)
     track = track_of(samples[1:])
     assert track.at(0) is None
@@ -253,7 +253,7 @@ def test_replaced_sample_counts_as_if_it_had_come_first(index: int, with_rate: b
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(20))
-def test_covered_moments_stay_as_they_are_when_samples_arrive_in_order(seed: int) -> None:
+def test_final_values_do_not_change_when_samples_arrive_in_order(seed: int) -> None:
     samples = irregular(seed)
     complete, growing = track_of(samples), AttitudeTrack(MAX_GAP_NS)
     times = moments(samples, seed, 50)
@@ -263,7 +263,7 @@ def test_covered_moments_stay_as_they_are_when_samples_arrive_in_order(seed: int
             assert identical(growing.at(t), complete.at(t))
 
 
-def test_measured_rates_cover_up_to_the_newest_sample_and_differenced_ones_up_to_the_one_before() -> None:
+def test_values_are_final_up_to_the_newest_sample_with_rates_and_the_one_before_without() -> None:
     with_rates, without = track_of(regular(4, with_rate=True)), track_of(regular(4, with_rate=False))
     assert with_rates.covers(3 * STEP_NS)
     assert not with_rates.covers(3 * STEP_NS + 1)
@@ -352,7 +352,7 @@ def test_noise_gain_is_the_variance_of_noisy_tracks(with_rate: bool, fraction: f
 
 @pytest.mark.slow
 @pytest.mark.parametrize("ahead_s", [-0.02, -0.005, 0.0, 0.005, 0.02])
-def test_newest_sample_moved_by_measured_rates(ahead_s: float) -> None:
+def test_newest_sample_propagated_by_measured_rates(ahead_s: float) -> None:
     """Second order: the error is the third derivative's, 0.1 rad/s³ in this seaway, and the rate's change."""
     for count in range(20, 60):
         track = track_of(regular(count, with_rate=True))
@@ -365,14 +365,14 @@ def test_newest_sample_moved_by_measured_rates(ahead_s: float) -> None:
         assert moved.noise_gain == 1.0
 
 
-def test_newest_sample_moved_forth_and_back_is_not_the_same_attitude() -> None:
+def test_newest_sample_propagated_forth_and_back_is_not_the_same_attitude() -> None:
     track = track_of(regular(20, with_rate=True))
     turn = log_rotation(track.newest_moved(-0.005).rotation_nd.T @ track.newest_moved(0.005).rotation_nd)
     np.testing.assert_allclose(turn, 0.01 * ship_rate(1.9), rtol=0, atol=1e-7)
 
 
 @pytest.mark.parametrize("ahead_s", [-0.04, -0.005, 0.0, 0.005, 0.04])
-def test_newest_sample_moved_by_differences(ahead_s: float) -> None:
+def test_newest_sample_propagated_by_differences(ahead_s: float) -> None:
     samples = regular(20, with_rate=False)
     moved = track_of(samples).newest_moved(ahead_s)
     # Second order, by three samples; the third derivative is below 0.15 rad/s³.
@@ -387,7 +387,7 @@ def test_newest_sample_moved_by_differences(ahead_s: float) -> None:
     assert moved.noise_gain == pytest.approx(np.sum(np.square(responses)), rel=1e-6)
 
 
-def test_lone_newest_sample_moves_by_its_rate_or_not_at_all() -> None:
+def test_single_sample_is_propagated_by_its_rate_or_not_at_all() -> None:
     with_rate = track_of([sample_at(0, True)]).newest_moved(0.01)
     np.testing.assert_allclose(
         log_rotation(ship_rotation(0.0).T @ with_rate.rotation_nd), 0.01 * ship_rate(0.0), atol=1e-15

@@ -83,7 +83,7 @@ def test_quaternions_are_those_of_arrays_and_lead_back() -> None:
     equal(rotation_from_quaternion(found), ENU_FROM_HORIZON.T @ by_scipy @ FLU_FROM_DEVICE)
 
 
-def test_one_attitude_gives_to_the_bit_what_it_gives_among_others() -> None:
+def test_attitude_does_not_depend_on_the_block() -> None:
     covariances = rotations() @ rotations().swapaxes(1, 2)
     angles = compiled_angles.angles(rotations())
     calls = [

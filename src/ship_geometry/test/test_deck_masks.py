@@ -33,7 +33,7 @@ def drawn_polygon(rng: np.random.Generator) -> FloatArray:
     return middle + sizes[:, None] * np.stack([np.cos(bearing), 0.4 * np.sin(bearing)], axis=-1)
 
 
-def test_hidden_is_what_matplotlib_finds_in_the_polygon_or_a_turn_away() -> None:
+def test_hidden_directions_equal_those_of_matplotlib() -> None:
     rng = np.random.default_rng(11)
     hidden_share = []
     for _ in range(40):
@@ -62,7 +62,7 @@ def test_a_mask_all_round_hides_all_azimuths_below_its_edge() -> None:
     assert not masks_of(round_ship).hide(directions(np.stack([azimuths, np.full(48, 12.1)], axis=-1))).any()
 
 
-def test_what_is_no_direction_is_hidden() -> None:
+def test_nan_direction_is_hidden() -> None:
     nowhere = np.array([[np.nan, 0.0, 1.0], [0.0, np.nan, 0.0]])
     assert masks_of(FUNNEL).hide(nowhere).all()
     assert masks_of(FUNNEL).hide(nowhere, margin=0.1).all()

@@ -139,7 +139,7 @@ def claims(rate_hz: float, measured_rates: bool, noise_arcsec: float = 0.0) -> t
     ("rate_hz", "measured_rates"),
     [(1.0, True), *((hz, rates) for hz in (1.5, 2.5, 5.0, 10.0) for rates in (True, False))],
 )
-def test_mend_27_the_error_claimed_between_samples_is_the_error_made(rate_hz: float, measured_rates: bool) -> None:
+def test_estimated_interpolation_error_equals_the_actual_one(rate_hz: float, measured_rates: bool) -> None:
     errors, covariances = claims(rate_hz, measured_rates)
     made, claimed = np.mean(errors**2), np.mean(np.trace(covariances, axis1=-2, axis2=-1)) / 3.0
     assert made < claimed < 1.8 * made + (0.04 * ARCSEC) ** 2
@@ -151,7 +151,7 @@ def test_mend_27_the_error_claimed_between_samples_is_the_error_made(rate_hz: fl
 
 
 @pytest.mark.parametrize(("measured_rates", "share"), [(True, 0.02), (False, 0.08)])
-def test_mend_27_noise_of_good_samples_is_not_taken_for_an_error(measured_rates: bool, share: float) -> None:
+def test_sample_noise_is_not_estimated_as_interpolation_error(measured_rates: bool, share: float) -> None:
     _, covariances = claims(100.0, measured_rates, noise_arcsec=1.0)
     claimed = np.mean(np.trace(covariances, axis1=-2, axis2=-1)) / 3.0
     # Of the 0.5 or 0.64 that is left of the variance of the samples themselves.
@@ -160,7 +160,7 @@ def test_mend_27_noise_of_good_samples_is_not_taken_for_an_error(measured_rates:
 
 @pytest.mark.parametrize("measured_rates", [True, False])
 @pytest.mark.parametrize(("rate_hz", "ahead_s"), [(2.5, 0.005), (5.0, -0.003), (5.0, 0.1), (100.0, 0.1)])
-def test_mend_27_the_newest_sample_says_how_far_off_it_was_moved(
+def test_newest_sample_has_the_error_of_its_propagation(
     rate_hz: float, ahead_s: float, measured_rates: bool
 ) -> None:
     distances, made, claimed = [], [], []
@@ -183,7 +183,7 @@ def test_mend_27_the_newest_sample_says_how_far_off_it_was_moved(
     assert np.mean(claimed) < (4.0 if measured_rates else 60.0) * np.mean(made) + (0.02 * ARCSEC) ** 2
 
 
-def test_mend_27_nothing_is_worse_than_half_a_turn() -> None:
+def test_error_is_bounded_by_half_a_turn() -> None:
     track = AttitudeTrack(SECOND_NS)
     for k in range(5):
         track.insert(AttitudeSample(k * SECOND_NS, np.eye(3), np.full(3, 1e9 * (-1) ** k)))

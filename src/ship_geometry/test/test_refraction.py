@@ -62,7 +62,7 @@ def test_claimed_model_error_covers_ray_tracing(zenith_distance_deg, traced_arcs
 
 
 @pytest.mark.parametrize(("model", "lowest_deg"), [("erfa", 5.0), ("almanac", 14.0), ("ray_trace", 5.0)])
-def test_refused_below_the_lowest_elevation(model, lowest_deg):
+def test_nan_below_the_lowest_elevation(model, lowest_deg):
     found = refraction(model, np.deg2rad([lowest_deg + 0.01, lowest_deg - 0.01, -10.0, np.nan]), PAPER)
     for values in (found.angle, found.per_hpa, found.per_kelvin, found.model_sigma, found.sigma(1.0, 1.0)):
         assert np.array_equal(np.isnan(values), [False, True, True, True])
@@ -113,7 +113,7 @@ def test_slopes_equal_finite_differences(model):
         assert curvature == pytest.approx((more - 2.0 * here + less) / step**2, rel=max(2.0 * exact, 1e-4))
 
 
-def test_lifting_turns_towards_the_zenith_only():
+def test_refraction_raises_towards_the_zenith_only():
     rng = np.random.default_rng(5)
     directions = rng.normal(size=(200, 3))
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
@@ -135,7 +135,7 @@ def test_weather_in_other_units_is_refused(field, value):
 
 
 @pytest.mark.filterwarnings("error")
-def test_mend_08_lifting_is_regular_at_the_zenith():
+def test_raised_directions_are_regular_at_the_zenith():
     assert lifting_axis(np.array([0.0, 1.0, 0.0])).tolist() == [0.0, 0.0, 0.0]
     near = np.array([1e-200, 1.0, 0.0])
     assert lifting_axis(near) == pytest.approx([0.0, 0.0, 1.0])

@@ -113,7 +113,7 @@ def test_refreshed_directions_keep_up_with_time_and_ship():
         assert np.max(angle_between(sky.directions(stars, time_ns, ship), exact)) < 0.1 * MAS
 
 
-def test_what_was_asked_before_does_not_matter():
+def test_result_does_not_depend_on_earlier_calls():
     stars, _, _ = random_sky(7, 5)
     ship = Observer(GeodeticPosition(0.5, 1.0, 0.0))
     times_ns = [NIGHT_NS + k * REFRESH_PERIOD_NS // 3 for k in range(40)]
@@ -158,7 +158,7 @@ def test_own_velocity_is_10_mas_at_15_metres_per_second():
     assert np.max(angle_between(refreshed, after)) < 0.1 * MAS
 
 
-def test_many_moments_against_many_stars():
+def test_many_times_against_many_stars():
     stars, times_ns, _ = random_sky(9, 6)
     ship = Observer(GeodeticPosition(0.6, 2.0, 0.0))
     grid = directions(stars, times_ns[:4, None], ship, TABLE.at(times_ns[:4, None]))
@@ -204,7 +204,7 @@ def test_negative_parallax_is_none():
     assert found.right_ascension[0] == found.right_ascension[1]
 
 
-def test_beyond_the_table_the_refreshed_sky_says_so():
+def test_refreshed_sky_raises_beyond_the_table():
     star, ship = fixed_stars(1.0, 0.5), Observer(GeodeticPosition(0.6, 2.0, 0.0))
     with pytest.raises(OutsideEarthOrientation, match="newer astropy-iers-data"):
         RefreshedSky(TABLE).directions(star, TABLE.last_ns + DAY_NS, ship)
