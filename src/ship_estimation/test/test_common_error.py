@@ -1,4 +1,4 @@
-"""Sums of corrections against filters that do without the measurements of a window, and against a common error."""
+"""Sums of corrections against filters without the measurements of a window, and with a common error."""
 
 import numpy as np
 import pytest
@@ -12,14 +12,14 @@ NOISE, WALK, COUNT = 9.0, 0.2, 40
 
 
 def filtered(measured: FloatArray, heard: int) -> tuple[FloatArray, FloatArray, list[RowsCompared]]:
-    """A walk of three states, by the first measurements alone; plain equations of the Kalman filter.
+    """Filter a random walk of three states with the first measurements only; plain equations of the Kalman filter.
 
     Args:
         measured: shape (N, 3).
-        heard: how many are used.
+        used_count: number of measurements that are used.
 
     Returns:
-        Mean and covariance after all N steps, and each measurement that is used beside its prediction.
+        Mean and covariance after all N steps, and the innovation of each measurement that is used.
     """
     mean, covariance, found = np.zeros(3), 25.0 * np.eye(3), []
     for number, one in enumerate(measured):
@@ -42,7 +42,7 @@ def absorbed_of(compared: list[RowsCompared]) -> Absorbed:
 
 
 def window_of(compared: list[RowsCompared]) -> int:
-    """How many measurements the sums are of: those whose gains leave four blocks of half a time constant."""
+    """Return the number of measurements in the sums: those of four blocks of half a time constant."""
     for count in range(1, len(compared)):
         if absorbed_of(compared[-count:]).variance == pytest.approx(absorbed_of(compared).variance):
             return count

@@ -1,4 +1,4 @@
-"""What innovations say of their source, compiled, against the same in plain numpy."""
+"""Compiled statistics of innovations against the same in plain numpy."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def test_innovation_statistics_equal_numpy(parts: int, axes: int) -> None:
     for part in range(parts):
         rows = np.flatnonzero(part_of == part)
         expected = residual[rows] @ np.linalg.solve(covariance[np.ix_(rows, rows)], residual[rows])
-        assert squares[part] == pytest.approx(expected, rel=1e-9)  # as well as numpy solves it
+        assert squares[part] == pytest.approx(expected, rel=1e-9)  # to the accuracy of numpy's solution
     assert own_share == pytest.approx(np.trace(np.linalg.solve(covariance, noise)) / size, rel=1e-9)
     sigma = np.sqrt(np.diagonal(covariance))
     correlation = covariance / np.outer(sigma, sigma)
@@ -66,7 +66,7 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
 
 
 def kept(rng: np.random.Generator, count: int, axes: int, parts: int) -> FloatArray:
-    """Innovations as a table has them, some without an axis, some of fewer parts, some left out, some not used."""
+    """Return innovations as in a table: some without an axis, with fewer parts, with rejected parts, or not used."""
     numbers = np.full((count, 5 + 2 * axes + parts), np.nan)
     numbers[:, 0], numbers[:, 2] = rng.integers(0, 4, count), rng.integers(0, 9, count)
     numbers[:, 1], numbers[:, 3] = rng.chisquare(3, count), rng.uniform(0.3, 1.0, count)

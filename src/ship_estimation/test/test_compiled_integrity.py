@@ -1,4 +1,4 @@
-"""The compiled arithmetic of integrity against the same in plain numpy, and against what is no number.
+"""Compiled integrity functions against the same in plain numpy, and with NaN.
 
 "Equal" is 1e-13 relative, to the largest element where differences are taken.
 """
@@ -25,7 +25,7 @@ def covariances(rng: np.random.Generator, *shape: int) -> FloatArray:
 
 
 def separation_of_numpy(distance: FloatArray, variance: FloatArray, variance_0: FloatArray, k: Factors):
-    """Statistic, level and dominant hypothesis."""
+    """Return statistic, level and dominant hypothesis."""
     grown = np.maximum(variance, variance_0)
     apart = np.sqrt(np.maximum(grown - variance_0, np.maximum(1e-6 * variance_0, 1e-24)))
     levels = k.false_exclusion * apart + k.missed[:, None] * np.sqrt(grown)
@@ -40,7 +40,7 @@ def test_separations_and_levels_by_states_equal_numpy(hypotheses: int) -> None:
     to_components, by_states = rng.standard_normal((2, 3, 3))
     covariance, parts = covariances(rng, 3), covariances(rng, SOURCES, STATES)
     left_out, mean = covariances(rng, hypotheses, STATES), 1e-5 * rng.standard_normal(STATES)
-    # Without a source as much worse known as two sources make it, so that differences are as exact as what they are of.
+    # The subfilter is as much less accurate as two sources make it, so that differences keep their relative accuracy.
     left_out += 10.0 * parts.sum(axis=0)
     means = mean + 1e-6 * rng.standard_normal((hypotheses, STATES))
     k, asked = Factors(6.0, 5.1, rng.uniform(0.0, 3.0, hypotheses)), np.arange(hypotheses)[::2]
@@ -62,7 +62,7 @@ def test_separations_and_levels_equal_numpy(seed: int) -> None:
     rng, count = np.random.default_rng(seed), 1 + seed % 6
     k = Factors(6.0, 5.1, rng.uniform(0.0, 3.0, count))
     variance_0 = 10.0 ** rng.uniform(-12.0, -8.0, 3)
-    # Some not apart at all, some known better without the source.
+    # Some without separation, some more accurate without the source.
     variance = variance_0 * rng.choice([0.9, 1.0, 1.0 + 1e-9, 1.3, 4.0], (count, 3))
     distance = 1e-5 * rng.standard_normal((count, 3))
     for rows in ([*range(count)], [*range(count)][::2]):
@@ -153,7 +153,7 @@ def test_outputs_of_other_shapes_are_refused() -> None:
 
 
 def coverage_of_numpy(level: FloatArray, told: FloatArray, covariance: FloatArray, entering: float):
-    """Whether told levels cover those of an output, and up to which variance and turn they cover those after it."""
+    """Return the coverage of an output by published levels, and the bounds of variance and rotation for later ones."""
     covers = bool(np.all(level <= 1.05 * told) or np.all(np.isnan(level) & np.isnan(told)))
     if not np.isfinite(level).all():
         return covers, np.inf, np.inf

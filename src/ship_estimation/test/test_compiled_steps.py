@@ -1,4 +1,4 @@
-"""The compiled steps against the same formulas in plain numpy, for which LAPACK does the rest.
+"""The compiled steps against the same formulas in plain numpy and LAPACK.
 
 "Equal" is 1e-13 of the largest number of an array: what two orders of summation may differ by in well-conditioned
 cases, of which the cases here are.
@@ -12,7 +12,7 @@ from ship_estimation.hypotheses import RowsCompared, add_error, compare_rows, co
 from ship_estimation.kalman import LinearMeasurement, StateModel, block, predict, slow_error_later
 
 SHAPES = [(1, 1, 1, 1), (4, 2, 2, 1), (19, 3, 7, 1), (19, 3, 7, 4), (23, 16, 7, 4), (9, 24, 3, 3)]
-"""States, residuals, sources, rows: the paper's ship alone and with its rows, single stars, more residuals than states.
+"""States, residuals, sources, filters: the paper's ship without and with subfilters, single stars, many residuals.
 """
 
 
@@ -23,7 +23,7 @@ def equal(found: np.ndarray, expected: np.ndarray) -> None:
 def case(
     shape: tuple[int, int, int, int], seed: int = 1
 ) -> tuple[np.ndarray, np.ndarray, LinearMeasurement, np.ndarray]:
-    """A stack, means, a measurement that says nothing of a third of the states, and its derivative by a turn."""
+    """A stack, means, a measurement that does not depend on a third of the states, and its rotation Jacobian."""
     states, residuals, sources, rows = shape
     rng = np.random.default_rng(seed)
     roots = rng.standard_normal((sources + rows - 1, states, 2 * states))
@@ -85,7 +85,7 @@ def test_predicted_covariances_equal_numpy(shape: tuple[int, int, int, int]) -> 
 
 @pytest.mark.parametrize("dt_s", [1e-9, 0.2, 3600.0])
 def test_propagated_states_equal_numpy(dt_s: float) -> None:
-    """A single time is compiled, several are not; white noise, a constant that walks and two that die out."""
+    """A single time is compiled, several are not; white noise, a random walk and two Gauss–Markov states."""
     slow, white = block("slow", [3.0, 2.0], "a", time_s=[1800.0, 2.0]), block("white", [1.0], "b", time_s=0.0)
     model = StateModel([slow, white, block("walking", [5.0], "a", walk=0.1)], noise_sources=[])
     for found, expected in zip(model.transition(dt_s), model.transition(np.array([dt_s])), strict=True):
@@ -135,7 +135,7 @@ def test_innovations_of_all_filters_equal_numpy(shape: tuple[int, int, int, int]
 def test_updates_of_all_filters_equal_numpy(shape: tuple[int, int, int, int], share: float) -> None:
     stack, means, measured, by_turn = case(shape)
     if shape[2] > 1:
-        stack[0] = 0.0  # a source that only this measurement gives a part
+        stack[0] = 0.0  # a source that only this measurement contributes
     compared = compare_rows(means, stack, measured, means[0], by_turn)
     learns = np.random.default_rng(3).uniform(size=means.shape) < share
     corrections, updated = update_rows(stack, measured, compared, learns)
@@ -146,7 +146,7 @@ def test_updates_of_all_filters_equal_numpy(shape: tuple[int, int, int, int], sh
 
 
 def test_unobserved_rotation_has_no_whitened_innovation() -> None:
-    """Residuals that do not change by a turn about the third axis."""
+    """Residuals that are independent of a rotation about the third axis."""
     stack, means, measured, by_turn = case((6, 4, 2, 2))
     by_turn[:, 2] = 0.0
     found = compare_rows(means, stack, measured, means[0], by_turn)
@@ -164,7 +164,7 @@ def test_invalid_innovation_covariance_raises(wrong: float) -> None:
 
 
 def test_noise_of_any_memory_layout_is_read() -> None:
-    """A transposed view, as a product of rotations may leave it."""
+    """A transposed view, as a product of rotations may be."""
     stack, means, measured, by_turn = case((6, 4, 2, 2))
     views = {source: np.asfortranarray(part) for source, part in measured.noise_by_source.items()}
     assert not all(part.flags.c_contiguous for part in views.values())
@@ -177,7 +177,7 @@ def test_noise_of_any_memory_layout_is_read() -> None:
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
-    """The loops look at no bounds."""
+    """The loops do not check bounds."""
     stack, means, measured, by_turn = case((6, 4, 2, 2))
     arguments = means, stack, measured, means[0], by_turn
     found = compare_rows(*arguments)

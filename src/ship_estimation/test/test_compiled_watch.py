@@ -1,6 +1,6 @@
-"""The compiled arithmetic of the INS's watch against the same in plain numpy, and one sample against many.
+"""Compiled checks of an INS against the same in plain numpy, and single samples against blocks.
 
-"Equal" is 1e-13 relative; what many samples give together is what each gives alone, to the last bit.
+"Equal" is 1e-13 relative; a block gives the results of its single samples to the last bit.
 """
 
 import itertools
@@ -16,7 +16,7 @@ COUNT = 50
 
 
 def rates(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Stamps (ns) and rates (rad/s) of samples at about 100 Hz, the first one of the sample before."""
+    """Stamps (ns) and rates (rad/s) of samples at about 100 Hz, the first one is the sample before the block."""
     times_ns = np.cumsum(rng.integers(5_000_000, 15_000_000, COUNT + 1))
     return times_ns, 0.1 * rng.standard_normal((COUNT + 1, 3))
 
@@ -27,7 +27,7 @@ def test_rotation_steps_and_their_error_equal_numpy() -> None:
     turns, missed = compiled_watch.turns(times_ns[1:], rate[1:], times_ns[0], rate[0], 0.5, 2.0 * drift, SECOND_NS)
     seconds = np.diff(times_ns)[:, None] * 1e-9
     np.testing.assert_allclose(turns, seconds * (0.5 * (rate[1:] + rate[:-1]) - drift), rtol=1e-12)
-    # A quarter of the change, and of the turn what the mean of two values misses of a wave of four seconds.
+    # A quarter of the change, and the error of the mean of two values for a wave of four seconds.
     share = (2.0 * np.pi * seconds / 4.0) ** 2 / 12.0
     change, mean = np.diff(rate, axis=0), 0.5 * (rate[1:] + rate[:-1])
     norms = 0.25 * np.linalg.norm(change, axis=1) + share[:, 0] * np.linalg.norm(mean, axis=1)

@@ -1,4 +1,4 @@
-"""The estimator shell with a toy model whose step rounds and does not commute: any wrong order shows in the state."""
+"""The time-ordered estimator with a toy model whose step rounds and does not commute: any wrong order shows."""
 
 import itertools
 import math
@@ -32,7 +32,7 @@ START = 0.1
 
 @dataclass(frozen=True)
 class Toy:
-    """A measurement; one of a negative value is refused, and the step raises on NaN."""
+    """A measurement; one with a negative value is rejected, and the step raises for NaN."""
 
     time_ns: int
     value: float
@@ -49,7 +49,7 @@ ToyOutcome = Outcome[Decision[Toy], float]
 
 
 class Estimator:
-    """A model in the shell: the state depends on each measurement and on the sample of the track before it."""
+    """An estimator whose state depends on each measurement and on the sample of the track before it."""
 
     def __init__(self) -> None:
         self.track: VectorTrack[VectorSample] = VectorTrack(SECOND_NS)
@@ -99,7 +99,7 @@ def toy(time_ms: int, value: float = 0.5, source: str = "toy") -> Toy:
 
 
 def state_for_outputs(estimator: Estimator) -> float:
-    """What an output at the next moment rests on."""
+    """Return the state for an output at the next time."""
     outcome, moments = ToyOutcome(), itertools.count(10**15)
     while not outcome.estimates:
         estimator.shell.put_out(outcome, next(moments), 0, lambda state: state)
@@ -139,7 +139,7 @@ def test_late_measurement_is_inserted_and_later_ones_are_applied_again() -> None
     for time_ms in (20, 30, 10):
         outcome = late.add(toy(time_ms, 0.01 * time_ms))
     assert late.shell.state == in_order.shell.state
-    # Only the new decision is told: the others did not turn out otherwise. The model hears of all.
+    # Only the new decision is reported: the others are unchanged. The model receives all.
     assert [decision.measurement.time_ns for decision in outcome.decisions] == [10 * MS]
     assert [decision.measurement.time_ns // MS for decision in late.decided] == [20, 30, 10, 20, 30]
 
@@ -184,7 +184,7 @@ def test_late_sample_applies_dependent_measurements_again() -> None:
                 estimator.add_sample(10 if what == "s" else 20, 0.3 if what == "s" else 0.4)
     assert late.shell.state != START
     assert [decision.measurement.time_ns // MS for decision in prompt.decided] == [30]
-    # A newest sample changes nothing that was covered; one within the track does.
+    # A newest sample changes no final value; one within the track does.
     late.add_sample(15, 0.9)
     prompt.add_sample(15, 0.9)
     late.add_sample(40, 0.9)
@@ -230,7 +230,7 @@ def test_failed_inflation_is_reported_once() -> None:
     assert (time_ns, refusal.reason) == (120 * MS, Reason.FAILED)
     assert "no size" in refusal.text
     assert estimator.shell.state == before
-    # What is applied again tells it no second time, and goes on after it.
+    # A repeated application does not report it again, and continues after it.
     estimator.shell.add(toy(110), outcome)
     estimator.shell.add(toy(130), outcome)
     assert len(outcome.failures) == 1
@@ -262,7 +262,7 @@ def test_jump_inflates_outputs_at_once_and_the_state_at_its_time() -> None:
 @repeatable
 @given(data=st.data())
 def test_any_order_of_arrival_gives_the_same_state_with_all_faults_combined(data: st.DataObject) -> None:
-    """Refused and failing measurements, duplicates, conflicts, jumps and late samples, shuffled within the lag."""
+    """Rejected and failing measurements, duplicates, conflicts, jumps and late samples, shuffled within the lag."""
     toys = [
         toy(time_ms, value, source)
         for time_ms, value, source in data.draw(
@@ -293,7 +293,7 @@ def test_any_order_of_arrival_gives_the_same_state_with_all_faults_combined(data
             else:
                 estimator.shell.add_jump(what[0] * MS, "ins", what[1])
             put_out_one(estimator, number)
-        # A newest sample does not reopen what the toy model, unlike a real one, did not wait for.
+        # A newest sample does not repeat what the toy model, unlike a real one, did not wait for.
         estimator.shell.data_changed(0)
         estimator.shell.apply(ToyOutcome())
         assert estimator.claimed == sorted(set(estimator.claimed))
@@ -302,7 +302,7 @@ def test_any_order_of_arrival_gives_the_same_state_with_all_faults_combined(data
 
 
 def put_out_one(estimator: Estimator, number: int) -> None:
-    """An output after each arrival, at moments that go forth and back; each fourth one cannot be computed."""
+    """Add an output after each arrival, at times that go forth and back; each fourth one cannot be computed."""
     time_ns, outcome = (3 * number + 3) % 7 * MS + number * MS, ToyOutcome()
 
     def estimate(state: float) -> float:
@@ -374,7 +374,7 @@ def test_the_window_closes_behind_the_lag_and_the_reach() -> None:
     estimator = Estimator()
     for time_ms in range(0, 8000, 100):
         estimator.add_sample(time_ms, 0.1)
-    # 8 samples, and those of the last second, always stay.
+    # 8 samples, and those of the last second, are always kept.
     assert len(estimator.track) <= 35
     late = estimator.add(toy(5000))
     assert late.refusal is not None
@@ -382,14 +382,14 @@ def test_the_window_closes_behind_the_lag_and_the_reach() -> None:
 
 
 def flood(rng: np.random.Generator, count: int, seconds: float) -> list[Toy]:
-    """Measurements of one source, evenly in time, each stamped up to the lag earlier."""
+    """Return measurements of one source, evenly in time, each stamped up to the lag earlier."""
     arrival_ns = np.linspace(0.0, seconds * SECOND_NS, count)
     stamps_ns = (arrival_ns + (10.0 - rng.uniform(0.0, LAG_S, count)) * SECOND_NS).astype(int)
     return [Toy(*one) for one in zip(stamps_ns.tolist(), rng.random(count).tolist(), strict=True)]
 
 
 def test_flood_with_random_stamps_is_limited_by_overflow() -> None:
-    """Fifty times an exposure at 2 Hz, beside a source in order; unbounded it would be some 100 repeats for each."""
+    """Fifty times an exposure at 2 Hz, with a source in order; without limits about 100 repeats for each."""
     seconds, estimator = 30.0, Estimator()
     reasons, texts, at_once = [], [], []
     flooded = flood(np.random.default_rng(7), 3000, seconds)
@@ -407,7 +407,7 @@ def test_flood_with_random_stamps_is_limited_by_overflow() -> None:
     taken, late = reasons.count(None), reasons.count(Reason.LATE)
     assert late < 20
     assert reasons.count(Reason.OVERFLOW) == 3000 - taken - late > 1800
-    # Each once, once more as the window closes, and the repeats of each second; the first second has saved up one.
+    # Each once, once more when the window closes, and the repeats of each second; the first second has one in reserve.
     assert len(estimator.decided) < 2 * (taken + len(in_order)) + MOST_REPEATS_PER_S * (seconds + LAG_S + 1.0)
     assert max(at_once) < MOST_REPEATS_AT_ONCE + 20
     told = next(text for text in texts if "source" in text)
@@ -426,7 +426,7 @@ def test_overflow_does_not_change_the_state() -> None:
 
 
 def test_flood_of_late_samples_is_rate_limited_and_gives_the_same_state() -> None:
-    """Samples at 100 Hz, each up to two seconds late, under measurements at 20 Hz: each would repeat up to forty."""
+    """Samples at 100 Hz, each up to two seconds late, with measurements at 20 Hz: each would repeat up to forty."""
     rng, seconds, estimator, in_order = np.random.default_rng(9), 20.0, Estimator(), Estimator()
     estimator.waits = in_order.waits = True
     stamps_ms = np.arange(10_000, 10_000 + round(1000 * seconds), 10)
@@ -440,7 +440,7 @@ def test_flood_of_late_samples_is_rate_limited_and_gives_the_same_state() -> Non
             estimator.add_sample(ms, value)
         assert len(estimator.decided) - steps <= MOST_REPEATS_AT_ONCE + 20
     assert len(estimator.decided) < 2 * len(stamps_ms[::5]) + MOST_REPEATS_PER_S * (seconds + LAG_S + 1.0)
-    # When nothing comes any more, the ticks go on with it.
+    # Without further inputs the ticks continue.
     ticks = 0
     while estimator.shell.is_behind:
         ticks += 1

@@ -1,4 +1,4 @@
-"""The time-ordered log: whatever the order of arrival, the state is that of the measurements in their own order.
+"""The time-ordered log: for any order of arrival, the state is that of the measurements in time order.
 
 The step of these tests is not associative and rounds, so any difference in order or repetition shows in the state.
 """
@@ -17,7 +17,7 @@ repeatable = settings(derandomize=True, database=None, deadline=None, max_exampl
 State = tuple[int, float]
 """Measurements so far, and a number that depends on their order."""
 Decision = tuple[int, float]
-"""Time of the measurement and the state that it met."""
+"""Time of the measurement and the state before it."""
 Log = TimeOrderedLog[State, tuple[int, float], Decision]
 
 START: State = (0, 0.1)
@@ -106,7 +106,7 @@ def test_measurements_wait_for_their_data(known: dict[Key, float], ready_ns: lis
 @repeatable
 @given(known=measurements, since_ns=st.integers(0, 45))
 def test_rewinding_applies_again_from_the_first_affected(known: dict[Key, float], since_ns: int) -> None:
-    """What the step depends on besides its measurements, the INS's samples, was other up to now."""
+    """The samples of the INS, on which the step also depends, have changed."""
     log = Log(START)
     for key, value in known.items():
         insert(log, key, value)
@@ -174,7 +174,7 @@ def test_tie_breaker_orders_measurements_of_one_time() -> None:
 
 
 def failing(state: State, measurement: tuple[int, float]) -> tuple[State, Decision]:
-    """The step, which raises on even times where the value is negative."""
+    """A step that raises at even times for negative values."""
     if measurement[0] % 2 == 0 and measurement[1] < 0.0:
         raise ArithmeticError("singular")
     return step(state, measurement)
@@ -211,7 +211,7 @@ def test_failed_measurement_is_applied_again_to_another_state() -> None:
 
 
 class LogAgainstSorting(RuleBasedStateMachine):
-    """Any mixture of arrivals, replacements, rewinds, applications and forgetting, against sorting everything."""
+    """Any mixture of arrivals, replacements, rewinds, applications and commits, against sorting everything."""
 
     @initialize()
     def start(self) -> None:
@@ -265,7 +265,7 @@ TestLogAgainstSorting.settings = settings(repeatable, max_examples=100, stateful
 
 
 def test_flood_of_late_measurements_is_rate_limited_and_gives_the_same_state() -> None:
-    """Half of what comes is a second late: each time everything since would be applied again."""
+    """Half of the measurements are a second late: without limits each would repeat everything since."""
     ms, lag_ns, log = 1_000_000, 2_000_000_000, Log(START)
     known: dict[Key, float] = {}
     repeats_by_second, most_at_once, most_waiting = [0] * 8, 0, 0
@@ -281,7 +281,7 @@ def test_flood_of_late_measurements_is_rate_limited_and_gives_the_same_state() -
             most_at_once = max(most_at_once, repeats)
         log.forget_before(newest_ns - lag_ns)
         most_waiting = max(most_waiting, log.waiting)
-    # Unbounded it would be 500 times some 500 a second. Each is brought up to date once as the window closes.
+    # Without limits it would be 500 times some 500 a second. Each is applied once more when the window closes.
     assert max(repeats_by_second) <= 2 * MOST_REPEATS_PER_S + 1000
     assert most_at_once <= MOST_REPEATS_AT_ONCE + 2
     assert most_waiting <= 3 * 1000

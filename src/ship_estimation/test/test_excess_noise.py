@@ -1,4 +1,4 @@
-"""Noise of an INS beyond what is stated: seen in time, as large as it is, over with its cause; never without one."""
+"""Excess noise of an INS: detected in time, with its size and end; no false detection."""
 
 import os
 from dataclasses import replace
@@ -15,11 +15,11 @@ from ship_testing.ins_streams import CALM, STORM, SWELL, Angles, stepped, stream
 
 NOTHING_LATE = AttitudeTrack(500_000_000)
 HOURS = float(os.environ.get("NOISE_HOURS", "0.5"))
-"""Of healthy streams, each; 10 of them are tried with ``NOISE_HOURS=10``."""
+"""Hours of each healthy stream; set ``NOISE_HOURS=10`` for 10."""
 
 
 def noisy(samples: list[AttitudeSample], sigma_arcsec: float, first: int) -> list[AttitudeSample]:
-    """The samples with more noise of the attitude from one number on."""
+    """Return the samples with more attitude noise from one number on."""
     turns = exp_rotation(sigma_arcsec * ARCSEC * np.random.default_rng(3).standard_normal((len(samples), 3)))
     return [
         replace(sample, rotation_nd=turn @ sample.rotation_nd) if number >= first else sample
@@ -36,7 +36,7 @@ def jittering(samples: list[AttitudeSample], sigma_s: float, first: int) -> list
 
 
 def changes(samples: list[AttitudeSample], **config: float) -> list[tuple[float, ExtraNoise]]:
-    """When the noise changed, s after the first sample, and what it is then."""
+    """Return the changes of the noise: time after the first sample, s, and the noise then."""
     guard, found = InsGuard(GuardedInsConfig(**config)), []
     for sample in samples:
         judged: JudgedIns = guard.judge(sample, NOTHING_LATE, {})
@@ -52,7 +52,7 @@ def sigma_arcsec(noise: ExtraNoise) -> float:
 @pytest.mark.parametrize("rate_hz", [10.0, 20.0, 50.0, 100.0])
 @pytest.mark.parametrize(("ratio", "within_s"), [(3.0, 2.0), (10.0, 2.0), (30.0, 2.0)])
 def test_large_excess_is_detected_within_two_seconds(rate_hz: float, ratio: float, within_s: float) -> None:
-    """Of ten samples in a second 20 steps are needed: twice as long."""
+    """At ten samples a second the necessary 20 steps take twice as long."""
     onset_s = 30.0
     found = changes(noisy(stream(40.0, rate_hz), ratio, round(onset_s * rate_hz)))
     assert onset_s < found[0][0] < onset_s + within_s * max(1.0, 20.0 / rate_hz)
@@ -73,7 +73,7 @@ def test_jitter_is_distinguished_from_attitude_noise_and_its_end_is_detected(rat
     ends = [*jittering(samples[:last], 0.004, first), *samples[last:]]
     found = changes(ends)
     assert 30.0 < found[0][0] < 32.0
-    # The folded normal's own deviation is 0.60 of its parameter.
+    # The standard deviation of the folded normal is 0.60 of its parameter.
     jitter_s = float(np.sqrt(next(noise for time_s, noise in reversed(found) if time_s < 45.0).jitter_s2))
     assert 0.7 * 0.6 * 0.004 < jitter_s < 1.4 * 0.6 * 0.004
     assert found[-1][0] < 48.0

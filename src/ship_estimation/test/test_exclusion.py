@@ -1,4 +1,4 @@
-"""Which source is wrong: two to four sensors on a shaken base, one of them knocked, or two."""
+"""Fault isolation: two to four sensors on a shaken base, with a mounting shift of one or two of them."""
 
 import copy
 import functools
@@ -18,7 +18,7 @@ NOISE, WALK, MOUNTING = 3.0, 0.3, 20.0
 
 
 class Bank:
-    """An angle about each axis that wanders, seen by sensors whose mounting is to be learnt.
+    """An angle about each axis with a random walk, measured by sensors whose mounting is estimated.
 
     A row without each sensor and, where there are ``pairs``, without each two.
     """
@@ -56,7 +56,7 @@ class Bank:
 
 
 AT = 200
-"""Epoch since when sensors are knocked."""
+"""Epoch of the mounting shifts."""
 
 
 class Base:
@@ -68,7 +68,7 @@ class Base:
         self.angle = 10.0 * self.rng.standard_normal(3)
 
     def until(self, epoch, knocks):
-        """What is found in each measurement before that epoch, and in which epoch it is."""
+        """Yield the fault isolation of each measurement before an epoch, with its epoch."""
         while self.epoch < epoch:
             for sensor, mounting in enumerate(self.mounting):
                 self.angle = self.angle + WALK * self.rng.standard_normal(3)
@@ -81,14 +81,14 @@ class Base:
 
 @functools.cache
 def _before_knocks(seed, sensors, pairs):
-    """The base at AT, where nothing was called wrong; it is the same whatever is knocked then."""
+    """Return the base at AT, without a detected fault; it is the same for all shifts."""
     base = Base(seed, sensors, pairs)
     assert not any(found.fault for _, found in base.until(AT, {}))
     return base
 
 
 def _voyage(seed, sensors, knocks=None, epochs=2 * AT, pairs=False):
-    """Epochs after the knocks until a fault is told, and the sensors first named; None where none is told.
+    """Return the epochs after the shifts until a fault is detected, and the sensors first isolated; None without one.
 
     Args:
         seed: of the noise.
@@ -119,7 +119,7 @@ def test_shift_of_ten_sigmas_is_isolated_within_three_measurements(knock, knocke
 
 
 def test_small_shifts_are_isolated_within_seconds():
-    """Of 4 σ of one measurement: no single one tells it, their mean does."""
+    """Shifts of 4 σ of one measurement: no single innovation detects them, their mean does."""
     found = [_voyage(seed, 3, {1: 12.0}) for seed in range(8)]
     assert [named for _, named in found] == [(1,)] * 8
     assert max(epochs for epochs, _ in found) <= 50
@@ -137,7 +137,7 @@ def test_simultaneous_shifts_of_two_sensors_are_isolated_with_subfilters_of_pair
     found = [_voyage(seed, sensors, both, pairs=True) for seed in range(4)]
     assert [named for _, named in found] == [(0, 2)] * 4
     assert max(epochs for epochs, _ in found) <= 3
-    # Without such rows the faults are told, and nobody is named.
+    # Without such subfilters the faults are detected but not isolated.
     assert _voyage(0, sensors, both)[1] is None
 
 
@@ -155,19 +155,19 @@ def test_pair_subfilter_is_tested_if_no_single_one_explains_the_fault_or_if_it_s
     uses = np.array([[True] * 3, [False, True, True], [True, False, True], [False, False, True]])
     seen = no_means(4, 3)
     seen.heard_ns[:], seen.excess[:2, 1], seen.excess[2, 0] = 0, [3.0, 2.0], 0.8
-    # The third row, of one, is not contradicted: it may still explain what is seen.
+    # The third subfilter, of one source, is consistent: it may still explain the fault.
     assert find_fault(seen, uses, np.zeros(4), 5.0, [1, 2], 0, larger=[3]).row is None
     seen.excess[2, 0] = 1.1
     assert find_fault(seen, uses, np.zeros(4), 5.0, [1, 2], 0, larger=[3]).row == 3
     agrees = no_means(4, 3)
     agrees.heard_ns[:] = 0
     for far, told in ((6.0, 3), (5.2, None)):
-        # Nothing is clearly farther, and no row of one is beyond the threshold.
+        # No separation is clearly the largest, and no subfilter of one source exceeds the threshold.
         assert find_fault(agrees, uses, np.array([0.0, 4.5, 4.4, far]), 5.0, [1, 2], 0, larger=[3]).row == told
 
 
 def test_separation_isolates_nothing_after_a_rejection():
-    """The first row has not used what another one has: their covariances do not tell how far apart they may be."""
+    """The main filter has not used a measurement of a subfilter: their covariances do not bound their separation."""
     uses = np.array([[True, True], [False, True], [True, False]])
     seen = no_means(3, 2)
     seen.heard_ns[:] = 0
@@ -176,7 +176,7 @@ def test_separation_isolates_nothing_after_a_rejection():
     seen.refused[0, 1] = 1
     found = find_fault(seen, uses, apart, 5.0, [1, 2], 0)
     assert (found.fault, found.row) == (True, None)
-    # One that the first row does not use refuses nothing of it.
+    # Rejections of a source that the main filter does not use have no effect.
     assert find_fault(seen, uses & [True, False], apart, 5.0, [1, 2], 0).row == 1
 
 
@@ -208,7 +208,7 @@ def test_successive_rejections_make_a_filter_inconsistent_without_a_mean(after):
 
     assert not found(after - 1, after).fault
     assert found(after, after).row == 1
-    # The row that uses the same source is not contradicted: it may still be the one that is right.
+    # The subfilter that uses the same source is consistent: it may still be the fault-free one.
     assert (found(after, after - 1).fault, found(after, after - 1).row) == (True, None)
 
 

@@ -1,4 +1,4 @@
-"""Rows of hypotheses against estimates made one at a time, and by Monte Carlo."""
+"""Subfilters against single filters, and by Monte Carlo."""
 
 import numpy as np
 import pytest
@@ -40,7 +40,7 @@ def test_each_filter_is_updated_as_if_alone_and_the_main_filter_keeps_its_parts(
 
 
 def test_subfilter_gets_no_information_from_its_excluded_source():
-    """Three sources in turn; the states 5 and 6 belong to the first alone. Against an estimate without it."""
+    """Three sources in turn; the states 5 and 6 belong to the first only. Against a filter without it."""
     rng = np.random.default_rng(2)
     stack, mean = _stack(rng, 1), np.zeros((1, STATES))
     own = np.arange(STATES) >= 5
@@ -103,7 +103,7 @@ def test_invalid_innovation_covariance_raises():
 
 @pytest.mark.parametrize("wrong", [0.0, np.nan])
 def test_solution_separations_in_their_sigmas(wrong: float) -> None:
-    """Four rows of five states, of which the third is known better than the first one; by numpy."""
+    """Four filters of five states, the third more accurate than the main filter; by numpy."""
     rng = np.random.default_rng(3)
     roots = rng.normal(size=(5, 5, 10))
     stack, means = roots @ roots.transpose(0, 2, 1), rng.normal(size=(4, 5))
@@ -126,5 +126,5 @@ def test_filters_are_consistent_up_to_the_threshold(moved: float) -> None:
     means[2, 3] += moved
     _, sigmas = separations(means, stack, slice(2, 5))
     for most_sigmas in (0.5 * np.max(sigmas), 1.001 * np.max(sigmas)):
-        expected = all(one <= most_sigmas for one in sigmas)  # NaN is far
+        expected = all(one <= most_sigmas for one in sigmas)  # NaN exceeds the threshold
         assert stand_together(means, stack, slice(2, 5), most_sigmas) is expected

@@ -1,4 +1,4 @@
-"""The guard of an INS's samples, over minutes of healthy streams of many kinds, and over faults in them."""
+"""Checks of INS samples, over minutes of healthy streams of many kinds, and with faults."""
 
 from collections import Counter
 from dataclasses import replace
@@ -15,11 +15,11 @@ from ship_geometry.rotations import ARCSEC, exp_rotation
 from ship_testing.ins_streams import CALM, STORM, stream
 
 NOTHING_LATE = AttitudeTrack(500_000_000)
-"""Samples used so far matter only where one comes late."""
+"""Accepted samples, which are used only if a sample is late."""
 
 
 def judged(samples: list[AttitudeSample]) -> tuple[list[str], InsGuard, int]:
-    """What became of each sample, the guard after them, and how many jumps it saw."""
+    """Return the rejection reason of each sample, the checks after them, and the number of jumps."""
     guard, results, jumps = InsGuard(GuardedInsConfig()), [], 0
     for sample in samples:
         result = guard.judge(sample, NOTHING_LATE, {})
@@ -58,7 +58,7 @@ def test_no_sample_of_a_healthy_ins_is_rejected(name: str) -> None:
 
 
 def test_freeze_in_calm_swell_is_detected_within_two_seconds_and_ends_with_the_next_value() -> None:
-    """An INS that prints a hundredth of a degree, frozen for three seconds, its rates going on."""
+    """An INS with a resolution of a hundredth of a degree, frozen for three seconds while its rates continue."""
     samples = stream(**HEALTHY[PRINTED])
     frozen = [replace(s, rotation_nd=samples[3000].rotation_nd) for s in samples[3000:3300]]
     results, _, jumps = judged([*samples[:3000], *frozen, *samples[3300:]])
@@ -71,7 +71,7 @@ def test_freeze_in_calm_swell_is_detected_within_two_seconds_and_ends_with_the_n
 
 
 def test_attitudes_accepted_against_the_rates_are_a_jump() -> None:
-    """An INS that stands still, and then drifts by 165″/min, which its stuck guard cannot see; its rates go on."""
+    """A frozen INS that then drifts by 165″/min, which its stuck check cannot detect; its rates continue."""
     samples = stream(20.0, 100.0)
     frozen, drifts_ns = samples[1000], samples[1080].time_ns
     lying = [
@@ -124,11 +124,11 @@ def test_wrong_unit_is_identified_and_right_rates_are_confirmed_again(factor: fl
 
 
 def test_rates_at_rest_are_not_checked() -> None:
-    """Zero rates are right at rest: only motion tells."""
+    """Zero rates are right at rest: only motion shows that they are wrong."""
     still, moving = stream(10.0, 50.0, (0.0, 0.0, 0.0), rate_factor=0.0), stream(20.0, 50.0, rate_factor=0.0)[500:]
     _, guard, _ = judged(still)
     assert guard.rates is Rates.UNPROVEN
-    # Where the swell begins, attitude and motion jump.
+    # At the start of the swell, attitude and motion jump.
     assert [guard.judge(sample, NOTHING_LATE, {}).refusal for sample in moving][8:] == [None] * (len(moving) - 8)
     assert guard.rates is Rates.NOT_MEASURED
 
@@ -174,7 +174,7 @@ def test_changed_noise_applies_at_once() -> None:
 
 
 def test_jump_that_a_clock_step_explains_is_shared_equally() -> None:
-    """Against the moments of a draw that lays each jump to the one or to the other."""
+    """Against the moments of draws that attribute each jump to the attitude or to the clock."""
     rng, jump = np.random.default_rng(5), InsJump(0, np.array([2e-3, -1e-3, 5e-4]), 1e-12, -0.03)
     of_clock = rng.random(40_000) < 0.5
     changed = np.column_stack([-jump.jump_n * ~of_clock[:, None], jump.clock_s * of_clock])
@@ -182,7 +182,7 @@ def test_jump_that_a_clock_step_explains_is_shared_equally() -> None:
     scale = np.append(np.abs(jump.jump_n), 0.03)
     np.testing.assert_allclose(changed.mean(axis=0) / scale, mean / scale, atol=0.01)
     scale = np.outer(scale, scale)
-    # A step of the clock is known to a tenth of it besides, and two large turns do not commute.
+    # A clock step is known to a tenth of it, and two large rotations do not commute.
     np.testing.assert_allclose(np.cov(changed.T) / scale, covariance / scale, atol=0.02)
 
 
@@ -206,7 +206,7 @@ def test_clock_step_of_an_ins_is_identified(step_s: float, rate_hz: int) -> None
 
 @pytest.mark.parametrize("per_min_arcsec", [0.0, 100.0, 200.0])
 def test_drift_of_the_attitude_against_its_rates_is_detected_within_seconds(per_min_arcsec: float) -> None:
-    """Its slow error walks by 0.3″ in a second, as that of a tilt; a hundred seconds in, it creeps besides."""
+    """Its correlated error walks by 0.3″ in a second, as that of a tilt; after a hundred seconds it also drifts."""
     samples, rng = stream(140.0, 50.0), np.random.default_rng(4)
     walk = np.cumsum(rng.normal(0.0, 0.3 / np.sqrt(50.0), len(samples)))
     creeps_s = [max(one.time_ns - samples[5000].time_ns, 0) * 1e-9 for one in samples]

@@ -1,4 +1,4 @@
-"""Two streams in one: found where there are two, never in healthy streams, and over when one has ended."""
+"""Interleaved streams: detected if there are two, never in healthy streams, and not after one has ended."""
 
 from dataclasses import replace
 from typing import Any
@@ -15,7 +15,7 @@ LEAST = 40.0 * ARCSEC
 
 
 def seen(samples: list[AttitudeSample]) -> list[float]:
-    """The distance of two streams after each sample."""
+    """Return the distance of two streams after each sample."""
     streams, apart = InterleavedStreams(LEAST), []
     for sample in samples:
         streams.add(sample.time_ns, sample.rotation_nd.ravel())
@@ -24,7 +24,7 @@ def seen(samples: list[AttitudeSample]) -> list[float]:
 
 
 def with_another(samples: list[AttitudeSample], off_deg: float, every: int = 2) -> list[AttitudeSample]:
-    """The samples, of which some are those of another INS."""
+    """Return the samples with some of another INS among them."""
     other_d = exp_rotation([0.0, np.deg2rad(off_deg), 0.0])
     return [
         sample if n % every else replace(sample, rotation_nd=sample.rotation_nd @ other_d)

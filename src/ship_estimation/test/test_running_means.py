@@ -1,4 +1,4 @@
-"""The running means against the same formulas in plain numpy; what they lead to is in the tests of exclusion."""
+"""Windowed innovation means against the same formulas in plain numpy; test_fault_isolation tests their use."""
 
 from dataclasses import replace
 
@@ -62,7 +62,7 @@ def equal(found: Means, expected: Means) -> None:
 @pytest.mark.parametrize("sources", [[1], [2, 0]])
 @pytest.mark.parametrize("beside", [False, True])
 def test_innovation_means_equal_numpy(sources: list[int], beside: bool) -> None:
-    """A hundred measurements, of which some are refused and some are gross; late ones among them."""
+    """A hundred measurements with rejections, gross errors and late ones."""
     rng = np.random.default_rng(1)
     root = rng.normal(size=(3, 3))
     noise = 0.1 * root @ root.T if beside and len(sources) == 1 else None
@@ -109,7 +109,7 @@ def test_largest_mean_component_equals_numpy() -> None:
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
-    """The loops look at no bounds."""
+    """The loops do not check bounds."""
     means, turn, accepted = no_means(ROWS, SOURCES), np.zeros((ROWS, 3)), np.ones(ROWS, dtype=bool)
     calls = [
         lambda: observed(means, SOURCES, turn, accepted, 0, LIMIT),

@@ -1,4 +1,4 @@
-"""Stamps inside a value move together; all else stays."""
+"""All stamps in a value are shifted together; all other fields are unchanged."""
 
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType

@@ -1,6 +1,6 @@
-"""A value that stands still is stuck only where others say that the ship has turned by more than it can resolve.
+"""A repeated value is stuck only if other sources show a rotation of the ship above its resolution.
 
-A value that jumps is refused; after a few refused values that agree among themselves the jump is believed.
+A value that jumps is rejected; after a few consistent rejected values the jump is accepted.
 """
 
 import math
@@ -25,7 +25,7 @@ def told(time_ms: int, degrees: float, sigma_rad: float = ARCSEC, drift: float =
 
 
 def after(values_deg: list[float], step_ms: int = 50) -> tuple[StuckGuard, int]:
-    """A guard that has seen values which others confirmed, and the time of the next."""
+    """Return a check after values that other sources confirmed, and the time of the next value, ms."""
     guard = StuckGuard()
     for n, degrees in enumerate(values_deg):
         assert not guard.observe(n * step_ms * MS, rolled(degrees), ARCSEC, told(n * step_ms, degrees))
@@ -57,9 +57,9 @@ def test_value_may_be_repeated_at_rest() -> None:
 
 
 def test_resolution_is_estimated_from_the_changes_of_the_value() -> None:
-    """Printed to a tenth of a degree: a turn of less than that says nothing."""
+    """With a resolution of a tenth of a degree a smaller rotation shows nothing."""
     guard, start_ms = after([0.1 * (n // 4) for n in range(40)])
-    # About one axis two rows of the matrix turn, by the step each.
+    # A rotation about one axis changes two rows of the matrix, each by the step.
     assert guard.coarseness_rad == pytest.approx(np.deg2rad(0.1), rel=1e-3)
     held = 0.9
     times_ms = range(start_ms, start_ms + 3000, 50)

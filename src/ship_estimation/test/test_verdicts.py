@@ -1,4 +1,4 @@
-"""Verdicts: each finding told from the others, with its figures, and none about a source that is as stated."""
+"""Innovation diagnosis: each kind is distinguished, with its values, and none for a source that is as stated."""
 
 from dataclasses import replace
 
@@ -21,9 +21,9 @@ GATE = 21.11
 STARS = tuple(f"HIP {star} {axis}" for star in range(8) for axis in ("up", "right"))
 STAR_SIGMA = 5.0 * ARCSEC
 PREDICTED_SIGMA = 1.0 * ARCSEC
-"""Of the prediction, in each component of an attitude."""
+"""Error of the prediction in each component of an attitude."""
 MINUTE = 300
-"""Measurements of a minute."""
+"""Number of measurements in a minute."""
 
 
 def attitude(k: int, noise: FloatArray) -> Decision[VectorSample]:
@@ -46,10 +46,10 @@ def attitude(k: int, noise: FloatArray) -> Decision[VectorSample]:
 
 
 def exposure(k: int, noise: FloatArray) -> Decision[VectorSample]:
-    """Decision k about stars with noise of sigma 1, shape (8, 2): those far off are left out, as the selection does."""
+    """Decision k about stars with noise of sigma 1, shape (8, 2): outliers are rejected, as the selection does."""
     squares = np.sum(noise**2, axis=-1)
     kept = squares < 16.0
-    # The worst are left out until the others agree.
+    # The worst are rejected until the others are consistent.
     while kept.any() and np.sum(squares[kept]) > 2.5 * 2 * np.sum(kept):
         kept[np.argmax(np.where(kept, squares, -1.0))] = False
     names = tuple(name for row, name in enumerate(STARS) if kept[row // 2])
@@ -92,7 +92,7 @@ def white(seed: int, count: int = MINUTE, shape: tuple[int, ...] = (3,)) -> Floa
 @pytest.mark.statistics
 @pytest.mark.parametrize("count", [LEAST_COUNT, 60, MINUTE])
 def test_consistent_attitudes_are_as_stated(count: int) -> None:
-    """120 windows: by the stated probability one in a million is judged otherwise."""
+    """120 windows: the stated probability of another result is one in a million."""
     found = [of_attitudes(white(seed, count)) for seed in range(40)]
     assert {one.kind for one in found} == {VerdictKind.AS_STATED}
     # The median of n values of chi² with 3 degrees has a relative sigma of 1.05 / √n: 3.3 of them, halved for sigma.
@@ -122,7 +122,7 @@ def test_understated_attitude_noise_is_reported_with_its_factor_in_spite_of_reje
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [1.5, 2.0, 3.0])
 def test_understated_star_noise_is_distinguished_from_misidentification(factor: float) -> None:
-    """Many stars a little too far off, of which the selection leaves out the worst."""
+    """Many stars with slightly large innovations, of which the selection rejects the worst."""
     for seed in range(5):
         found = verdict([exposure(k, factor * noise) for k, noise in enumerate(white(seed, shape=(8, 2)))])
         assert found.kind is VerdictKind.OPTIMISTIC
@@ -157,13 +157,13 @@ def test_exposures_without_a_usable_star_are_misidentified() -> None:
 def test_an_overstated_noise_is_conservative(factor: float) -> None:
     found = of_attitudes(white(7) / factor)
     assert found.kind is VerdictKind.CONSERVATIVE
-    # The prediction's error, 1″ where 3″ are stated, is as stated and limits how well a small noise is seen.
+    # The prediction error, 1″ of the stated 3″, is as stated and limits the detection of a smaller noise.
     assert found.factor == pytest.approx(1.0 / factor, abs=0.1)
 
 
 def test_shifted_sensor_with_all_measurements_rejected_is_biased() -> None:
     noise = white(8)
-    noise[:, 1] += 50.0 / 3.0  # 50″ about up, where 3″ are stated
+    noise[:, 1] += 50.0 / 3.0  # 50″ about up, stated 3″
     decisions = [attitude(k, row) for k, row in enumerate(noise)]
     assert not any(decision.accepted for decision in decisions)
     found = verdict(decisions)
@@ -174,7 +174,7 @@ def test_shifted_sensor_with_all_measurements_rejected_is_biased() -> None:
 
 
 def test_common_prediction_error_of_an_excluded_source_is_no_bias() -> None:
-    """The estimate without it may be off by two of its sigmas, 2″, for as long as the source is excluded."""
+    """The filter without it may have an error of two of its sigmas, 2″, while the source is excluded."""
     noise = white(16)
     noise[:, 1] += 2.0 / 3.0
     decisions = [attitude(k, row) for k, row in enumerate(noise)]
