@@ -1,4 +1,4 @@
-"""The track of attitudes: order of arrival, what later samples may change, gaps, noise, moving a sample."""
+"""The track of attitudes: order of arrival, changes by later samples, gaps, noise, propagation of a sample."""
 
 from dataclasses import replace
 
@@ -113,7 +113,7 @@ def test_constant_rotation_is_interpolated_exactly_up_to_half_a_turn(with_rate: 
     track = AttitudeTrack(MAX_GAP_NS)
     for k in range(6):
         rotation = Rotation.from_rotvec(rate * k * 0.1).as_matrix()
-        # Differences over two samples would be over half a turn: the ends of the track use one.
+        # Differences over two samples would exceed half a turn: the ends of the track use one step.
         track.insert(AttitudeSample(k * STEP_NS, rotation, rate if with_rate or 0 < k < 5 else None))
     for time_ns in range(0, 5 * STEP_NS, 3_333_333):
         found = track.at(time_ns)
@@ -132,7 +132,7 @@ def test_the_chord_is_scipys_slerp_whatever_the_rates(fraction: float) -> None:
     expected = slerp(moment_ns - samples[1].time_ns).as_matrix()
     assert found is not None
     assert found.chord_nd(moment_ns) == pytest.approx(expected, abs=1e-15)
-    # Of a ship in a seaway it is another attitude than the cubic's, but at the samples.
+    # For a ship in a seaway it differs from the cubic, except at the samples.
     assert (error_arcsec(found.rotation_nd, expected) > 1.0) == (fraction > 0.0)
 
 
@@ -177,7 +177,7 @@ def test_gap_is_not_bridged_neither_by_attitude_nor_by_differences() -> None:
     before, after = regular(4, with_rate=False), regular(4, with_rate=False, first_ns=3 * STEP_NS + MAX_GAP_NS + 1)
     track = track_of(before + after)
     assert track.at(3 * STEP_NS + MAX_GAP_NS // 2) is None
-    # On either side it is as if the other side were not there.
+    # Each side is independent of the other.
     assert identical(track.at(2 * STEP_NS + 1), track_of(before).at(2 * STEP_NS + 1))
     last_ns = after[1].time_ns - 1
     assert identical(track.at(last_ns), track_of(after).at(last_ns))
@@ -210,7 +210,7 @@ def test_any_order_of_arrival_gives_the_same_track_to_the_bit(seed: int) -> None
 
 @pytest.mark.parametrize("seed", range(20))
 def test_insert_returns_the_stamp_after_which_attitudes_change(seed: int) -> None:
-    """At or before the stamp returned, nothing has changed; None promises it of all that was covered."""
+    """At or before the returned stamp nothing has changed; None means this for all final values."""
     samples = irregular(seed)
     rng = np.random.default_rng(seed)
     times = moments(samples, seed, 50)
@@ -269,7 +269,7 @@ def test_values_are_final_up_to_the_newest_sample_with_rates_and_the_one_before_
     assert not with_rates.covers(3 * STEP_NS + 1)
     assert without.covers(2 * STEP_NS)
     assert not without.covers(2 * STEP_NS + 1)
-    # Not covered for a reason: the next sample does change it.
+    # It is not final: the next sample changes it.
     early = without.at(2 * STEP_NS + STEP_NS // 2)
     without.insert(sample_at(4 * STEP_NS, False))
     assert not identical(early, without.at(2 * STEP_NS + STEP_NS // 2))
@@ -288,7 +288,7 @@ def test_drop_before_keeps_all_that_is_needed_and_no_more(seed: int) -> None:
         assert identical(full.newest_moved(0.01), trimmed.newest_moved(0.01))
         recent = max(8, sum(s.time_ns >= newest_ns - SECOND_NS for s in samples))
         assert len(trimmed) <= max(3 + sum(s.time_ns > oldest_ns for s in samples), recent)
-        # Growing goes on as before.
+        # The track grows as before.
         for track in (full, trimmed):
             track.insert(sample_at(newest_ns + STEP_NS, False))
         assert identical(full.at(newest_ns + STEP_NS // 2), trimmed.at(newest_ns + STEP_NS // 2))
@@ -298,9 +298,9 @@ def test_drop_before_keeps_all_that_is_needed_and_no_more(seed: int) -> None:
 
 
 def gain_by_response(samples: list[AttitudeSample], time_ns: int) -> float:
-    """Sum of the squared responses of the interpolated attitude to a small turn of each sample, one at a time.
+    """Return the sum of the squared responses of the interpolated attitude to a small rotation of each sample.
 
-    Samples of one and the same attitude, so that the responses are plain weights.
+    All samples have the same attitude, so that the responses are plain weights.
     """
     step = 1e-6
     nominal = track_of(samples).at(time_ns)
@@ -347,7 +347,7 @@ def test_noise_gain_is_the_variance_of_noisy_tracks(with_rate: bool, fraction: f
     assert np.mean(errors**2) / sigma**2 == pytest.approx(nominal.noise_gain, rel=4 * (2 / (3 * draws)) ** 0.5)
 
 
-# -- the newest sample, moved by a clock offset
+# -- the newest sample, propagated by a clock offset
 
 
 @pytest.mark.slow

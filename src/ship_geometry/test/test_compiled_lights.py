@@ -1,4 +1,4 @@
-"""The compiled lines of sight and image points against plain numpy; their derivatives are held where they are called.
+"""The compiled lines of sight and image points against plain numpy; their derivatives are tested where they are called.
 
 "Equal" is 1e-13 of the numbers' size.
 """
@@ -15,7 +15,7 @@ EARTH_RADIUS_M = 6_371_000.0
 
 
 def seen() -> list[FloatArray]:
-    """The arrays of each exposure: baselines, drones, levers of the lights, ships, mounts, refraction."""
+    """Return the arrays of each exposure: baselines, drones, levers of the lights, ships, mounts, refraction."""
     rng = np.random.default_rng(RNG_SEED)
     turns = [rng.uniform(-2.0, 2.0, shape) for shape in ((EPOCHS, LIGHTS, 3), (EPOCHS, 3), (EPOCHS, 3))]
     baselines = 1000.0 * rng.standard_normal((EPOCHS, LIGHTS, 3))
@@ -95,7 +95,7 @@ def test_exposure_does_not_depend_on_the_block() -> None:
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
-    """The loops look at no bounds."""
+    """The loops do not check bounds."""
     fewer = [[v[:3] if n == number else v for n, v in enumerate(seen())] for number in range(6)]
     calls = [
         *(lambda arrays=arrays: lines(arrays) for arrays in fewer),

@@ -1,4 +1,4 @@
-"""The compiled pointing of a mount on a ship against plain numpy and finite differences.
+"""The compiled axis geometry of a mount on a ship against plain numpy and finite differences.
 
 "Equal" is 1e-13, in radians and parts of one; covariances are of unit size.
 """
@@ -30,7 +30,7 @@ def moments(count: int = COUNT) -> tuple[FloatArray, FloatArray, FloatArray, Flo
 
 
 def main_frame(errors: FloatArray, rotation: FloatArray, rate: FloatArray, angles: FloatArray) -> FloatArray:
-    """The main frame in the horizon, as the head of the module has it."""
+    """Return the main frame in the horizon by the formula of the module's docstring."""
     g, h, c, tilt, beta_x, beta_y, flexure, time_s = errors[6:]
     azimuth, elevation = angles
     axes = exp_rotation(np.array([beta_y, 0.0, -beta_x])) @ exp_rotation(-(azimuth - g) * Y) @ exp_rotation(-tilt * X)
@@ -66,7 +66,7 @@ def test_derivatives_equal_finite_differences() -> None:
 
 
 def readings(size: int) -> tuple[list[FloatArray], tuple[Any, ...]]:
-    """What pointings are made of: arrays of N, and the estimate."""
+    """Return the arguments of pointings: arrays of N, and the estimate."""
     rng = np.random.default_rng(RNG_SEED)
     errors, rotations, rates, angles = moments()
     roots = rng.standard_normal((COUNT, 3, 3))
@@ -138,7 +138,7 @@ def test_result_does_not_depend_on_the_block() -> None:
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
-    """The loops look at no bounds."""
+    """The loops do not check bounds."""
     of_each, estimate = readings(13)
     parts = np.zeros((2, 3, 3, 3))
     calls = [

@@ -1,4 +1,4 @@
-"""Refraction, compiled, against the same by numpy: angles, directions, and what shared errors do to these."""
+"""Compiled refraction against the same by numpy: angles, directions, and displacement by common errors."""
 
 import numpy as np
 import pytest
@@ -85,7 +85,7 @@ def test_directions_and_angles_broadcast() -> None:
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
-    """The loops look at no bounds."""
+    """The loops do not check bounds."""
     stars, coefficients, sigmas, turns = some_stars(), TWO_TERMS, SIGMAS["erfa"], np.zeros((3, 3))
     for arguments in (
         (stars[:, :2].copy(), coefficients, sigmas, turns),

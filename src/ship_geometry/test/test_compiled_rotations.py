@@ -1,4 +1,4 @@
-"""The compiled rotations of single moments against those of arrays, finite differences and plain numpy.
+"""The compiled single rotations against those of arrays, finite differences and plain numpy.
 
 "Equal" is 1e-13, in radians and parts of one: the rounding of a product of a few rotations is a hundredth of that.
 """
@@ -47,7 +47,7 @@ def test_views_that_are_not_contiguous_are_read_as_they_are() -> None:
 
 
 def test_composed_attitude_is_the_product_with_derivatives_of_small_steps() -> None:
-    """Four links, of which the third hangs on a turning base and the last counts 0.7 times; two clocks."""
+    """Four links, the third on a rotating base and the last with a factor of 0.7; two clocks."""
     rng = np.random.default_rng(RNG_SEED)
     links, fixed, base = np.array([9, 3, 0, 6]), exp_rotation(vectors(9)[5:]), exp_rotation(np.array([0.3, -1.0, 0.2]))
     mean, rate, signs, root = np.zeros(14), rng.standard_normal(3), np.array([1.0, -1.0]), rng.standard_normal((3, 3))
@@ -126,7 +126,7 @@ def test_between_two_attitudes_lies_the_cubic_with_their_rates(at: float) -> Non
 @pytest.mark.parametrize("other_at", [0.0, -0.7])
 @pytest.mark.parametrize("largest", [1e-6, 10.0])
 def test_error_of_the_cubic_is_estimated(at: float, other_at: float, largest: float) -> None:
-    """By numpy: the miss at another sample, scaled by t² (1 - t)², and the third derivative of the cubic."""
+    """The error by numpy: the difference at another sample, scaled by t² (1 - t)², and the cubic's third derivative."""
     first, second, other = exp_rotation(np.array([[0.4, -1.0, 0.3], [0.45, -0.9, 0.5], [0.2, -1.1, 0.3]]))
     first_rate, second_rate, interval_s = np.array([0.3, -0.1, 0.2]), np.array([0.0, -0.2, 0.4]), 0.2
     turn, to_other = log_rotation(first.T @ second), log_rotation(first.T @ other)
@@ -182,7 +182,7 @@ def test_propagation_does_not_depend_on_the_block() -> None:
 
 
 def test_corrected_attitudes_equal_numpy() -> None:
-    """Fifty samples by five estimates; some components of their errors last. Units of one, so that 1e-13 means all."""
+    """Fifty samples by five estimates; some components of their errors do not decay. All values are near one."""
     rng = np.random.default_rng(RNG_SEED)
     count, sources, estimates = 50, 4, 5
     by = rng.integers(estimates, size=count)
@@ -213,13 +213,13 @@ def test_corrected_attitudes_equal_numpy() -> None:
 
 
 def hung_by(links: FloatArray, fixed: FloatArray, clocks: FloatArray) -> None:
-    """A chain of seven states on a base."""
+    """Seven states on a base."""
     base, rate = np.eye(3), np.zeros(3)
     compiled_rotations.hung(np.zeros(7), links, fixed, 0, 0, 1.0, clocks, np.ones(1), base, rate, base)
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
-    """The loops look at no bounds."""
+    """The loops do not check bounds."""
     calls = [
         lambda: exp_rotation(np.zeros(2)),
         lambda: left_jacobian(np.zeros(4)),

@@ -34,7 +34,7 @@ def test_other_series_of_the_iers_agrees(table):
     ours = table.at((c04[:, 0].astype(np.int64) - UNIX_EPOCH_MJD) * DAY_NS)
     ut1_difference_s = ours.ut1_minus_utc_s - c04[:, 3]
     assert np.max(np.abs(ut1_difference_s)) < 1e-3
-    # The error claimed is 50 µs at least: the two series differ by less than that in the mean.
+    # The stated error is at least 50 µs: the two series differ by less on average.
     assert np.std(ut1_difference_s) < 50e-6
     assert np.std(ut1_difference_s) < np.median(ours.ut1_sigma_s)
     assert np.max(np.abs(ours.pole_x / ARCSEC - c04[:, 1])) < 1e-3
@@ -58,7 +58,7 @@ def test_interpolation_runs_smoothly_over_a_leap_second(table):
 
 
 def test_error_between_the_daily_values_is_within_its_sigma(table):
-    # Each second day left out and interpolated: with twice the step the error is four times as large.
+    # Every second day is omitted and interpolated: with twice the step the error is four times as large.
     recent = table.mjd > 51_544.0
     ut1_s, sigma_s = table.ut1_minus_tai_s[recent], 50e-6
     error_s = 0.5 * (ut1_s[:-2] + ut1_s[2:]) - ut1_s[1:-1]

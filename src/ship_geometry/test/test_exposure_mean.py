@@ -1,4 +1,4 @@
-"""The mean over an exposure: against brute-force averages of true motions, and the noise that samples bring in."""
+"""The mean over an exposure against averages of true motions, and the noise by the samples."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
 
 SECOND_NS = 1_000_000_000
-# Where the roll is greatest, and with it the angular acceleration.
+# At the largest roll, with the largest angular acceleration.
 CREST_S = 2.75
 
 
@@ -25,7 +25,7 @@ def attitude(time_s: float) -> np.ndarray:
 
 
 def moments(exposure_s: float, count: int = 4000) -> np.ndarray:
-    """Many moments of an exposure, evenly, each the middle of its share."""
+    """Return many evenly spaced times of an exposure, each the middle of its part."""
     return exposure_s * ((np.arange(count) + 0.5) / count - 0.5)
 
 
@@ -51,7 +51,7 @@ def test_mean_and_spread_equal_those_of_many_times(exposure_s):
 
 
 def track(rate_hz: float, measured_rates: bool, noise: np.ndarray | None = None) -> AttitudeTrack:
-    """Samples of the ship from -1 s to 1 s, each turned by its noise (rotation vector) where there is some."""
+    """Return samples of the ship from -1 s to 1 s, each rotated by its noise (rotation vector) if there is any."""
     found = AttitudeTrack(round(2.5 * SECOND_NS / rate_hz))
     for row, number in enumerate(range(round(-rate_hz), round(rate_hz) + 1)):
         time_s = number / rate_hz
@@ -66,7 +66,7 @@ def track(rate_hz: float, measured_rates: bool, noise: np.ndarray | None = None)
 @pytest.mark.parametrize(("rate_hz", "measured_rates"), [(100.0, True), (100.0, False), (20.0, True), (5.0, True)])
 @pytest.mark.parametrize("exposure_s", [0.05, 0.2, 0.5])
 def test_mean_direction_is_that_of_the_true_motion(rate_hz, measured_rates, exposure_s):
-    """Angular acceleration and the centripetal part together: directions, each seen by the turning body."""
+    """Angular acceleration and the centripetal part together, for directions in the rotating body."""
     middle_ns = 33_000_000
     turning = turning_over(track(rate_hz, measured_rates), middle_ns, exposure_nodes(exposure_s))
     seen = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
@@ -77,7 +77,7 @@ def test_mean_direction_is_that_of_the_true_motion(rate_hz, measured_rates, expo
 
 
 def test_the_rate_is_that_of_the_mean_and_holds_little_of_the_noise():
-    """Over a quarter of a second two samples good to 1" give a rate good to 6" a second, about each axis."""
+    """Over a quarter of a second two samples with 1" give a rate with 6" per second, about each axis."""
     middle_ns, nodes, rng = 33_000_000, exposure_nodes(0.25), np.random.default_rng(5)
     true = log_rotation(attitude(0.033).T @ np.array([attitude(0.033 + t) for t in (-0.125, 0.125)]))
     noisy = []

@@ -1,4 +1,4 @@
-"""The wrapped functions are scipy's own, whichever of the two is read first."""
+"""The wrapped functions are scipy's own, for either order of import."""
 
 import subprocess
 import sys

@@ -84,7 +84,7 @@ def test_derivatives_equal_finite_differences(model):
         less = replace(PAPER, **{name: getattr(PAPER, name) - 0.1})
         difference = (refraction(model, elevation, more).angle - refraction(model, elevation, less).angle) / 0.2
         usable = ~np.isnan(difference)
-        # Below 10° the derivatives leave a change of some percent out.
+        # Below 10° the derivatives neglect a change of some percent.
         assert derivative[usable] == pytest.approx(difference[usable], rel=0.03 if model == "erfa" else 1e-4)
         assert derivative[2:] == pytest.approx(difference[2:], rel=2e-3)
 
@@ -106,7 +106,7 @@ def test_slopes_equal_finite_differences(model):
         less, here, more = refraction(model, elevation + step * np.array([-1.0, 0.0, 1.0]), PAPER).angle
         if np.isnan(less):
             continue
-        # Of erfa the slopes leave out that its zenith distance is the observed one.
+        # For erfa the slopes neglect that its zenith distance is the observed one.
         exact = 1e-3 / np.sin(elevation) ** 2 if model == "erfa" else 1e-6
         slope, curvature = refraction_slopes(model, float(elevation), PAPER)
         assert slope == pytest.approx((more - less) / (2.0 * step), rel=exact)

@@ -1,4 +1,4 @@
-"""Numbers of text tables are those of Python's float, to the last bit; what is no number is refused."""
+"""Numbers of text tables are those of Python's float, to the last bit; other texts are refused."""
 
 from pathlib import Path
 

@@ -13,7 +13,7 @@ def ns_of(*date):
 
 
 def test_leap_seconds_are_those_compiled_into_erfa():
-    # erfa.leap_seconds is a table of its own: year, month, TAI - UTC from the first of that month.
+    # erfa.leap_seconds is a separate table: year, month, TAI - UTC from the first of that month.
     for year, month, tai_minus_utc_s in erfa.leap_seconds.get():
         if year < 1972:
             continue

@@ -1,4 +1,4 @@
-"""Interpolation of vectors: exact for what a cubic with differenced slopes holds, the short way round, any order."""
+"""Interpolation of vectors: exact for a cubic with differenced slopes, the short way round, any order."""
 
 import itertools
 

@@ -11,7 +11,7 @@ def unit(vectors):
 
 
 def noisy(rng, directions, sigma):
-    """Directions with white errors of sigma (rad, shape (..., k)) per axis across the line of sight."""
+    """Return directions with white errors of sigma (rad, shape (..., k)) per axis across the line of sight."""
     errors = rng.normal(size=directions.shape) * np.asarray(sigma)[..., None]
     return unit(directions + errors)
 
@@ -126,7 +126,7 @@ def test_one_star_is_not_solved_but_has_information_on_two_components():
 
 @pytest.mark.parametrize("second", [1.0, -1.0], ids=["parallel", "antiparallel"])
 def test_two_stars_nearly_in_line_are_not_solved(second):
-    # Two stars of 3" at 10" from each other know the turn about their line to 3" sqrt(2) / 10", 24°; at 10' to 0.4°.
+    # Two stars of 3" that are 10" apart determine the rotation about their line to 3" sqrt(2) / 10", 24°; 10': 0.4°.
     for apart_arcsec, solved in ((10.0, False), (600.0, True)):
         turn = exp_rotation(np.array([0.0, apart_arcsec * ARCSEC, 0.0]))
         stars = np.array([[1.0, 0.0, 0.0], second * (turn @ [1.0, 0.0, 0.0])])
