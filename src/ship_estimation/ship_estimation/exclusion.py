@@ -164,7 +164,7 @@ def agrees_with_all(means: Means, degraded_after: int) -> bool:
         True
     """
     by_source = zip(means.excess[0].tolist(), means.refused[0].tolist(), strict=True)
-    return all(excess <= 1.0 and refused < degraded_after for excess, refused in by_source)  # NaN does not agree
+    return all(excess <= 1.0 and refused < degraded_after for excess, refused in by_source)  # NaN is inconsistent
 
 
 def _first_row_agrees(means: Means, uses: NDArray[np.bool_], since_ns: int, degraded_after: int) -> bool:
@@ -172,7 +172,7 @@ def _first_row_agrees(means: Means, uses: NDArray[np.bool_], since_ns: int, degr
     by_source = zip(
         means.excess[0].tolist(), means.refused[0].tolist(), means.heard_ns.tolist(), uses.tolist(), strict=True
     )
-    # NaN does not agree.
+    # NaN is inconsistent.
     return all(
         excess <= 1.0 and refused < degraded_after
         for excess, refused, heard_ns, used in by_source
@@ -216,7 +216,7 @@ def judge_return(
         >>> judge_return(agreed, no_means(1, 1), 0, 70 * SECOND_NS, return_after_s=60.0)[1]
         True
     """
-    agrees = means.excess[0, source] <= WELL and means.refused[0, source] == 0  # NaN does not agree
+    agrees = means.excess[0, source] <= WELL and means.refused[0, source] == 0  # NaN is inconsistent
     if exclusion.apart is not None:
         measured_share = measured_share if abs(measured_share) < _GROSS else _GROSS  # NaN is gross
         share_left = exclusion.share_left + (measured_share - exclusion.share_left) * 2.0 / (_MEAN_OVER + 1.0)

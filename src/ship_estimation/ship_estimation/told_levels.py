@@ -1,4 +1,4 @@
-"""The protection levels published last, and whether they still cover the outputs.
+"""The protection levels published last, and their coverage of later outputs.
 
 A protection level belongs to one output. The levels of the following outputs are mostly the same. They are therefore
 published once a period, and before an output that the published ones do not cover: its levels are larger or not

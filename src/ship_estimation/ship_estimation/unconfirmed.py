@@ -16,7 +16,7 @@ class Unconfirmed(NamedTuple):
 
     Attributes:
         since_ns: stamp after which measurements may confirm it.
-        why: text that says what is unconfirmed.
+        why: text that names what is unconfirmed.
         confirming: text that names the confirming sources: stars, lights.
         confirmed_ns: stamp of the first consistent measurement; None before it.
         confirmed_by: source of that measurement, if another source at the same time confirms it as well; empty if only

@@ -23,7 +23,7 @@ Frames
                                                                 was surveyed, carries it there
     x     forward, up, right       the theodolite               the part of the mount that turns in azimuth
     m     optical axis, up, right  the theodolite               main frame: the main tube
-    t     optical axis, up, right  the theodolite               calibration telescope beside the main tube
+    t     optical axis, up, right  the theodolite               calibration telescope, parallel to the main tube
     c     x, y, z of the ICRS      the IAU                      celestial frame (ICRS): x to right ascension 0, z to
                                                                 the celestial north pole
     e     x, y, z of ECEF          WGS 84                       Earth: x to Greenwich on the equator, z to the pole

@@ -104,7 +104,7 @@ class DeckMasks:
 
 @dataclass(frozen=True)
 class SensorMasks:
-    """The masks of the deck as a star sensor sees them.
+    """The masks of the deck in the frame of a star sensor.
 
     Attributes:
         masks: of the deck.

@@ -1,7 +1,7 @@
 """A device frame (forward, up, right) in its parent frame: three angles, one matrix, one covariance.
 
 [Z14] (1)-(3), [P15] (17)-(19), docs/explanation/frames.md. Angles are azimuth (clockwise seen from above, from the
-parent's forward axis), elevation (up positive) and roll (right side down positive). All functions take
+parent's forward axis), elevation (up positive) and roll (right side down positive). All functions accept
 leading dimensions.
 """
 

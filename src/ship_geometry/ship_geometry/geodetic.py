@@ -2,7 +2,7 @@
 
 ECEF is the Earth-fixed frame of WGS 84 (x to Greenwich on the equator, z to the north pole). The horizon's Up is the
 ellipsoid normal, so a level instrument differs from it by the deflection of the vertical.
-All functions take arrays of positions.
+All functions accept arrays of positions.
 """
 
 import math
