@@ -88,9 +88,9 @@ def test_smoothed_attitudes_name_the_frames_as_configured_and_the_theodolite_tak
 @pytest.mark.parametrize(
     ("frames", "reason"),
     [
-        ({"deck": ""}, r"'frames\.deck' = '' is no name of a frame: expected one as 'base_link'"),
-        ({"horizon": "/map"}, r"'frames\.horizon' = '/map' is no name of a frame"),
-        ({"deck": "map", "horizon": "map"}, r"'frames\.deck' = 'map' is that of 'frames\.horizon'"),
+        ({"deck": ""}, r"'frames\.deck' = '' is not a frame name: expected one like 'base_link'"),
+        ({"horizon": "/map"}, r"'frames\.horizon' = '/map' is not a frame name"),
+        ({"deck": "map", "horizon": "map"}, r"'frames\.deck' = 'map' equals 'frames\.horizon'"),
     ],
 )
 def test_what_tf2_would_not_take_is_refused(frames, reason):

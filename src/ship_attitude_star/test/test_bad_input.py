@@ -306,7 +306,7 @@ def test_of_two_messages_with_one_stamp_the_same_one_is_kept_in_either_order(top
     assert sorted(kept) == [False, True]
     for run in (one_first, another_first):
         assert {message.status for message in run.messages("ship/attitude")[-10:]} == {Status.DEGRADED}
-        text = f"{SOURCE[topic]} says different things of one moment"
+        text = f"{SOURCE[topic]} sent conflicting data with one stamp"
         assert run.diagnostics("attitude", second_ns, run.now_ns)[-1] == (1, f"DEGRADED: {text}")
 
 

@@ -175,7 +175,7 @@ def test_mend_14_the_first_exposure_is_confirmed_by_the_next_one_or_by_another_s
     first = after(ship_filter.initial_state(), "fore", TIME_NS)
     assert first.unconfirmed is not None
     assert first.unconfirmed.text == (
-        "the attitude rests on one star measurement, and stars of another time or sensor have not confirmed it since"
+        "the attitude rests on one star measurement; confirmation by stars of another time or sensor is pending"
     )
     assert after(first, "starboard", TIME_NS).unconfirmed is None
     second = after(first, "fore", TIME_NS + 100_000_000)

@@ -1,12 +1,12 @@
-"""The chain of a filter's states, along which later measurements tell of earlier moments.
+"""Rauch-Tung-Striebel smoother over the states of a filter, with a fixed lag.
 
-A link of the chain is an estimate by the measurements up to its moment. What comes between two links is prediction, an
-error that was added (a jump of a source, a gate re-opened), and the measurement of the later one. Where the estimate
-changed otherwise, because a source was excluded or only some states were learnt, nothing leads back: the chain begins
-anew there, and what is before it knows nothing of what comes after.
+A link is an estimate by the measurements up to its time. Between two links are the prediction, an inflation of the
+covariance (for a jump of a source or a mounting shift), and the measurement of the later link. If the estimate changed
+otherwise, because a source was excluded or only some states were updated, there is no backward step: the smoother
+restarts there, and earlier times get no information from later measurements.
 
-What is told of the moments between two links, and how the states go on from one to the next, each filter knows itself
-(:class:`Between`). Its states must tell how they came about (:class:`Traced`).
+Each filter defines the smoothed quantities between two links, and the prediction from one to the next
+(:class:`StatePredictor`). Its states must record how they resulted (:class:`TracedState`).
 """
 
 import bisect
@@ -21,26 +21,26 @@ from ship_estimation.backward import Backward, Known, backward
 from ship_geometry.rotations import FloatArray
 
 Given = TypeVar("Given")
-"""What else than an estimate and its moment the prediction from there asks for."""
+"""Further input of the prediction, besides an estimate and its time."""
 GivenOut = TypeVar("GivenOut", covariant=True)
 
 _MOST_AT_ONCE = 1000
-"""Moments between two links that are predicted together."""
+"""Maximum number of times between two links that are predicted together."""
 
 _ROUNDING = 1e-9
-"""Of a difference of two covariances that counts as none."""
+"""Least eigenvalue of a difference of two normalised covariances that counts as zero."""
 
 
 @dataclass(frozen=True)
 class Came:
-    """How a filter came to an estimate.
+    """Last update of a filter state.
 
     Attributes:
-        predicted: from the state before, with all that was added to its covariance before the measurement was used.
-        estimate: with the measurement.
-        is_update: whether it is what prediction and measurement together tell. Otherwise nothing leads back from it:
-            only some states were learnt, or another estimate has taken its place.
-        jumped_ns: of a jump of a source the stamp of its last sample before it, which may be later than the state;
+        predicted: prediction from the state before, with inflations of its covariance.
+        estimate: estimate after the measurement.
+        is_update: True if it is the full update of the prediction. False if only some states were updated, or if
+            another filter replaced the estimate: there is no backward step then.
+        jumped_ns: for a jump of a source the stamp of its last sample before it, which may be later than the state;
             None for a measurement.
     """
 
@@ -51,42 +51,42 @@ class Came:
 
 
 class Traced(Protocol[GivenOut]):
-    """A filter's state that tells its last step."""
+    """A filter state that records its last update."""
 
     @property
     def time_ns(self) -> int | None:
-        """Its moment; None before the first measurement."""
+        """Time of the state; None before the first measurement."""
         ...
 
     @property
     def mean(self) -> FloatArray:
-        """The estimate, shape (n,)."""
+        """Mean of the state, shape (n,)."""
         ...
 
     @property
     def covariance(self) -> FloatArray:
-        """Of its error, shape (n, n)."""
+        """Covariance of the state, shape (n, n)."""
         ...
 
     @property
     def came(self) -> Came | None:
-        """By the last measurement used, or the last jump; None before the first."""
+        """The last update, by an accepted measurement or a jump; None before the first."""
         ...
 
     @property
     def given(self) -> GivenOut:
-        """What else the prediction from it asks for."""
+        """Further input of the prediction from this state."""
         ...
 
 
 @dataclass(frozen=True)
 class Anchor(Generic[Given]):
-    """An estimate of all n states from which is predicted.
+    """An estimate of all n states as the start of predictions.
 
     Attributes:
-        time_ns: its moment; None before the first measurement.
-        known: mean and covariance.
-        given: what else the prediction from there asks for.
+        time_ns: time of the estimate; None before the first measurement.
+        estimate: mean and covariance.
+        prediction_input: further input of the prediction.
     """
 
     time_ns: int | None
@@ -95,26 +95,26 @@ class Anchor(Generic[Given]):
 
 
 class Between(Protocol[Given]):
-    """What a filter's states are at moments between two links of a chain."""
+    """Prediction of a filter's states between two links."""
 
     @property
     def knows_before_the_first(self) -> bool:
-        """Whether anything is known of moments before the first measurement."""
+        """True if quantities can be given for times before the first measurement."""
         ...
 
     def cross_to(self, anchor: Anchor[Given], later: Anchor[Given]) -> FloatArray:
-        """Covariance between the states at an anchor and those that are predicted at a later one, shape (n, n)."""
+        """Return the covariance between the states at an anchor and those predicted at a later one, shape (n, n)."""
         ...
 
     def at(
         self, anchor: Anchor[Given], times_ns: Sequence[int], later: Anchor[Given] | None
     ) -> tuple[Known, FloatArray | None]:
-        """The r quantities that are told of N moments, none before the anchor, in ascending order.
+        """Return the r smoothed quantities at N times, none before the anchor, in ascending order.
 
         Args:
             anchor: the last estimate before them.
-            times_ns: the moments; those before a jump may be later than the estimate which that opens.
-            later: the next estimate; None where there is none, or nothing leads back from it.
+            times_ns: the times; those before a jump may be later than the estimate that is inflated for it.
+            later: the next estimate; None if there is none, or no backward step from it.
 
         Returns:
             Shapes (N, r) and (N, r, r); and the covariance with all states at the next estimate, shape (N, r, n).
@@ -123,11 +123,11 @@ class Between(Protocol[Given]):
 
 
 class Piece(NamedTuple):
-    """Moments between two links, in ascending order.
+    """Requested times between two links, in ascending order.
 
     Attributes:
-        times_ns: N of them.
-        found: what is told of them, by the later link; where nothing leads back from that, as it is known.
+        times_ns: N times.
+        found: backward step to them from the later link; their estimate if there is no backward step.
     """
 
     times_ns: list[int]
@@ -136,11 +136,11 @@ class Piece(NamedTuple):
 
 @dataclass
 class _Link:
-    """An estimate, and what leads back from it.
+    """An estimate, and the backward steps from it.
 
     Attributes:
-        back: to the link before; where nothing leads there, that link as it is known. None for the first link.
-        stretches: moments between the two.
+        back: backward step to the link before; the estimate of that link if there is none. None for the first link.
+        pieces: requested times between the two.
     """
 
     back: Backward | Known | None
@@ -148,14 +148,14 @@ class _Link:
 
 
 class Chain(Generic[Given]):
-    """Links of a chain and the moments between them, from the oldest one that is still asked for.
+    """Links and the requested times between them, from the oldest one still required.
 
     Args:
-        between: predicts.
+        predictor: predicts states and quantities between links.
         start: the state before those that are added.
 
     Attributes:
-        between: the same; another one from the moment on at which noise and gates are others.
+        predictor: as above; it is replaced when noise and gates are reconfigured.
     """
 
     def __init__(self, between: Between[Given], start: Traced[Given]) -> None:
@@ -168,37 +168,37 @@ class Chain(Generic[Given]):
 
     @property
     def newest_ns(self) -> int | None:
-        """Moment of the last link, or of the start; None before the first measurement."""
+        """Time of the last link, or of the start; None before the first measurement."""
         return self._last.time_ns
 
     def ask(self, time_ns: int) -> None:
-        """A moment is asked for, after the last link and after all others that were asked for."""
+        """Request a time, later than the last link and than all times requested before."""
         self._asked.append(time_ns)
 
     def add(self, state: Traced[Given]) -> None:
-        """The state after a measurement or a jump, which follows the one added last; most make a link."""
+        """Add the state after a measurement or a jump, which follows the one added last; most make a link."""
         came, before, now = state.came, self._last_came, Known(state.mean, state.covariance)
         self._last_came = came
         if state.time_ns is None:
             if not _same(now, self._last.known):
-                # Changed before the first measurement: of what was until then nothing is told back.
+                # Changed before the first measurement: earlier requests are dropped.
                 self._asked.clear()
                 self._last = Anchor(None, now, state.given)
             return
         if came is not None and came is not before:
             self._lead_to(state, came.predicted, came.estimate, came.is_update, came.jumped_ns)
         if not _same(now, self._last.known):
-            # Beside measurement and jump: the gate was re-opened, a mounting may have been knocked, or another row is
-            # the first one now.
+            # Neither measurement nor jump: the covariance was inflated, or the filters restarted from a subfilter.
             self._lead_to(state, now, now, _is_opened(self._last.known, now))
 
     def take_until(self, time_ns: int) -> list[tuple[list[int], Known]]:
-        """The moments up to one, and what is told of them by all links; they are not asked for again.
+        """Return the requested times up to one with their smoothed estimates, and remove the requests.
 
-        A moment before the first link is left out where nothing is known of it.
+        A time before the first link is omitted if no estimate exists.
 
         Returns:
-            N moments in ascending order, and shapes (N, r) and (N, r, r) (:class:`Between`), more than once.
+            A list of N times in ascending order with mean (N, r) and covariance (N, r, r); see
+            :class:`StatePredictor`.
         """
         taken = []
         while self._links:
@@ -221,7 +221,7 @@ class Chain(Generic[Given]):
     def _lead_to(
         self, state: Traced[Given], predicted: Known, estimate: Known, leads_back: bool, jumped_ns: int | None = None
     ) -> None:
-        """A link more, and the moments before it; before a jump of a source are all that its samples tell of."""
+        """Add a link with the requested times before it; for a jump up to the last sample before the jump."""
         assert state.time_ns is not None
         last, is_first = self._last, self._last.time_ns is None
         reached = Anchor(state.time_ns, estimate, state.given)
@@ -240,14 +240,14 @@ class Chain(Generic[Given]):
         self._by_all = []
 
     def _asked_until(self, time_ns: int) -> list[int]:
-        """The moments up to one that are asked for and belong to no link yet; they belong to one from now on."""
+        """Remove and return the requested times up to one that belong to no link yet."""
         times_ns = []
         while self._asked and self._asked[0] <= time_ns:
             times_ns.append(self._asked.popleft())
         return times_ns
 
     def _known(self, stretch: Piece) -> Known:
-        """Moments before the first link that is left, by all links."""
+        """Return the smoothed estimates at times before the first remaining link."""
         if isinstance(stretch.found, Known):
             return stretch.found
         if not self._by_all:
@@ -262,7 +262,7 @@ class Chain(Generic[Given]):
 
 
 def _cut(stretch: Piece, time_ns: int) -> tuple[Piece, Piece | None]:
-    """Its moments up to one, and the others."""
+    """Split a piece at a time; return the part up to it and the rest, or None without a rest."""
     count = bisect.bisect_right(stretch.times_ns, time_ns)
     if count == len(stretch.times_ns):
         return stretch, None
@@ -278,11 +278,11 @@ def _same(one: Known, other: Known) -> bool:
 
 
 def _is_opened(before: Known, after: Known) -> bool:
-    """Whether the one is the other with an error added."""
+    """True if ``after`` is ``before`` with an inflated covariance."""
     if not np.array_equal(before.mean, after.mean):
         return False
     sigma = np.sqrt(after.covariance.diagonal())
     scale = np.where(sigma > 0.0, sigma, 1.0)
     added = (after.covariance - before.covariance) / (scale[:, None] * scale)
-    # Written so that NaN is not.
+    # Written so that NaN gives False.
     return bool(np.linalg.eigvalsh(added)[0] >= -_ROUNDING)

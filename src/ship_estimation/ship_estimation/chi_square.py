@@ -1,9 +1,9 @@
-"""The χ² distribution in plain floats: its tails, its quantiles, and the quantiles of the normal one.
+"""The χ² distribution in plain floats: its tails and quantiles, and the quantiles of the normal distribution.
 
-A node judges each measurement by these few functions. scipy has them too, but reading it takes longer than all else
-that a node reads. A χ² value v of k degrees of freedom stays below v with the regularised incomplete gamma function
-P(a, x), a = k/2, x = v/2: its series where x < a + 1, elsewhere the continued fraction of Q = 1 − P (Press et al.
-2007, §6.2). A small tail is computed as such and never as one minus the other.
+The gate of every measurement needs these few functions. scipy has them too, but its import takes longer than all other
+imports of a node. The probability that χ² of k degrees of freedom is below v is the regularised incomplete gamma
+function P(a, x), a = k/2, x = v/2: its series for x < a + 1, otherwise the continued fraction of Q = 1 − P (Press et
+al. 2007, §6.2). A small tail is computed directly and never as one minus the other.
 """
 
 import math
@@ -12,17 +12,17 @@ from functools import cache
 _EPSILON = 2.0**-53
 
 _LEAST = 1e-300
-"""A smaller probability is zero; a denominator of the continued fraction is made this instead of zero."""
+"""Smallest probability above zero; also the least denominator of the continued fraction."""
 
 _LAST_STEP = 1e-9
-"""Newton's steps halve the exponent of the error: after one that is smaller, relative, nothing is left to do."""
+"""Relative size of Newton's last step: the error after it is about its square."""
 
 _LARGE = 20.0
-"""From here on Stirling's series, cut where its terms end below, gives Γ to the last digit."""
+"""Argument from which the truncated Stirling series below gives Γ to the last digit."""
 
 
 def probability_above(value: float, degrees: int) -> float:
-    """Probability that a χ² value of ``degrees`` is larger than ``value``; NaN where that is NaN.
+    """Return the probability that χ² of ``degrees`` is larger than ``value``; NaN if that is NaN.
 
     Example:
         >>> print(round(probability_above(7.815, degrees=3), 4))
@@ -32,7 +32,7 @@ def probability_above(value: float, degrees: int) -> float:
 
 
 def probability_below(value: float, degrees: int) -> float:
-    """Probability that a χ² value of ``degrees`` is smaller than ``value``; NaN where that is NaN.
+    """Return the probability that χ² of ``degrees`` is smaller than ``value``; NaN if that is NaN.
 
     Example:
         >>> print(round(probability_below(7.815, degrees=3), 4))
@@ -43,7 +43,7 @@ def probability_below(value: float, degrees: int) -> float:
 
 @cache
 def value_above(probability: float, degrees: int) -> float:
-    """The value that χ² of ``degrees`` exceeds with ``probability``; infinite for 0, which is all below 1e-300.
+    """Return the value that χ² of ``degrees`` exceeds with ``probability``; infinite below 1e-300.
 
     Example:
         >>> print(round(value_above(0.05, degrees=3), 3))
@@ -55,11 +55,11 @@ def value_above(probability: float, degrees: int) -> float:
         return math.nan if math.isnan(probability) else math.inf
     a, wanted = 0.5 * degrees, math.log(probability)
     value = _first_guess(math.sqrt(-2.0 * math.log(2.0 * probability)), degrees)
-    # The logarithm of the tail is concave: Newton's second step is beyond the root, and those after it come nearer.
+    # The logarithm of the tail is concave: from Newton's second step on the iteration converges monotonically.
     while True:
         tail = _tails(0.5 * value, a)[1]
         if tail == 0.0:
-            value = 0.5 * (value + degrees)  # the first guess was so far out that nothing is left of the tail
+            value = 0.5 * (value + degrees)  # the tail at the first guess underflows
             continue
         step = (math.log(tail) - wanted) * value * tail / (a * _power(0.5 * value, a))
         value += step
@@ -69,7 +69,7 @@ def value_above(probability: float, degrees: int) -> float:
 
 @cache
 def value_below(probability: float, degrees: int) -> float:
-    """The value that χ² of ``degrees`` stays below with ``probability``; infinite for 1.
+    """Return the value below which χ² of ``degrees`` is with ``probability``; infinite for 1.
 
     Example:
         >>> print(round(value_below(0.05, degrees=3), 3))
@@ -85,7 +85,7 @@ def value_below(probability: float, degrees: int) -> float:
     if least == 0.0:
         return 0.0
     value = max(least, _first_guess(-math.sqrt(-2.0 * math.log(2.0 * probability)), degrees))
-    # Concave over the logarithm of the value: the same as above.
+    # Concave as a function of the logarithm of the value: the same as above.
     while True:
         tail = _tails(0.5 * value, a)[0]
         step = (wanted - math.log(tail)) * tail / (a * _power(0.5 * value, a))
@@ -95,7 +95,7 @@ def value_below(probability: float, degrees: int) -> float:
 
 
 def normal_value_above(probability: float) -> float:
-    """What a normal error of sigma 1 exceeds, on that side, with a ``probability`` of at most a half.
+    """Return the value that a normal error of sigma 1 exceeds, one-sided, with a ``probability`` of at most a half.
 
     Example:
         >>> print(round(normal_value_above(0.025), 2))
@@ -105,7 +105,7 @@ def normal_value_above(probability: float) -> float:
 
 
 def _tails(x: float, a: float) -> tuple[float, float]:
-    """P(a, x) and Q(a, x)."""
+    """Return P(a, x) and Q(a, x)."""
     if not 0.0 < x < math.inf:
         return (math.nan, math.nan) if math.isnan(x) else (0.0, 1.0) if x <= 0.0 else (1.0, 0.0)
     if x < a + 1.0:
@@ -116,7 +116,7 @@ def _tails(x: float, a: float) -> tuple[float, float]:
 
 
 def _series(x: float, a: float) -> float:
-    """1 + x / (a + 1) + x² / ((a + 1) (a + 2)) + …."""
+    """Return 1 + x / (a + 1) + x² / ((a + 1) (a + 2)) + …."""
     term = total = 1.0
     while term > total * _EPSILON:
         a += 1.0
@@ -126,7 +126,7 @@ def _series(x: float, a: float) -> float:
 
 
 def _continued_fraction(x: float, a: float) -> float:
-    """Q(a, x) Γ(a) / (xᵃ e⁻ˣ), by Lentz's method."""
+    """Return Q(a, x) Γ(a) / (xᵃ e⁻ˣ), by Lentz's method."""
     b = x + 1.0 - a
     c, d = 1.0 / _LEAST, 1.0 / b
     total, n, factor = d, 0.0, 0.0
@@ -142,7 +142,7 @@ def _continued_fraction(x: float, a: float) -> float:
 
 
 def _power(x: float, a: float) -> float:
-    """xᵃ e⁻ˣ / Γ(a + 1); of large a without the difference of large logarithms."""
+    """Return xᵃ e⁻ˣ / Γ(a + 1), for large a without a difference of large logarithms."""
     if a < _LARGE:
         return math.exp(a * math.log(x) - x) / math.gamma(a + 1.0)
     beyond = (x - a) / a
@@ -152,6 +152,6 @@ def _power(x: float, a: float) -> float:
 
 
 def _first_guess(sigmas: float, degrees: int) -> float:
-    """The χ² value that lies where a normal one lies at ``sigmas`` (Wilson, Hilferty 1931)."""
+    """Return the χ² value of the same probability as a normal one at ``sigmas`` (Wilson, Hilferty 1931)."""
     variance = 2.0 / (9.0 * degrees)
     return float(degrees * max(1.0 - variance + sigmas * math.sqrt(variance), 0.0) ** 3)

@@ -1,14 +1,13 @@
-"""An error that all star sensors share from some time on: its trace in the corrections, and what the data leave of it.
+"""Detection of an error that all star sensors share, from the sum of the filter's corrections.
 
-A wrong position, a step of UTC or a turn of the deck changes all star measurements in the same way. No star sensor
-contradicts another one then; only the INS does, which wanders by itself. The estimate follows the stars within the time
-constant of the filter, and after that nothing contradicts anything.
+A wrong position, a step of UTC or a rotation of the deck changes all star measurements in the same way. The star
+sensors remain consistent with one another; only the INS, which drifts, is inconsistent with them. The filter follows
+the stars within its time constant, and after that no innovation shows the error.
 
-Without such an error the corrections by successive measurements are independent of one another, with the covariance by
-which each makes the estimate better known. So their sum over a window, beside the sum of these covariances, is the
-separation of the estimate from the one that does without the stars of that window (solution separation, as in
-:mod:`ship_estimation.protection`). The window is two time constants of the filter long: a common error is absorbed to
-78 to 86 % in it, and the INS has not wandered farther than need be.
+Without such an error the corrections by successive measurements are independent. The covariance of each is the decrease
+of the state covariance. Their sum over a window, with the sum of these covariances, is therefore the solution
+separation from a filter without the stars of that window (see :mod:`ship_estimation.protection_levels`). The window
+has two time constants of the filter: 78 to 86 % of a common error is absorbed in it, and the drift of the INS is small.
 """
 
 import math
@@ -24,21 +23,21 @@ from ship_estimation.running_means import MEASUREMENTS_PER_H
 from ship_geometry.rotations import FloatArray
 
 SUSPECTED_SIGMAS = 4.5
-"""A sum of corrections beyond this is covered by the published covariance."""
+"""Sum of corrections above which the published covariance is inflated, sigmas."""
 
 _BLOCKS = 4
 _BLOCK_LEFT = math.exp(-0.5)
-"""Share of a common error that the corrections of one block leave: half a time constant of the filter."""
+"""Share of a common error that remains after the corrections of one block, half a time constant of the filter."""
 
 _COMPONENTS = 3
 
 
 class Suspicion(NamedTuple):
-    """An error that all stars may share: the INS contradicted them, and not so much that they are set aside.
+    """A common error of all stars that is detected by the INS, but below the threshold for their exclusion.
 
     Attributes:
-        variance: of the attitude by it, about North, Up and East, rad², shape (3,).
-        until_ns: stamp until which the covariance holds it.
+        variance: variance of the attitude due to it, about North, Up and East, rad², shape (3,).
+        until_ns: stamp until which the published covariance contains it.
     """
 
     variance: FloatArray
@@ -46,13 +45,13 @@ class Suspicion(NamedTuple):
 
 
 class Absorbed(NamedTuple):
-    """Corrections of three states by the star sensors of late, about North, Up and East.
+    """Recent corrections of three states by the star sensors, about North, Up and East.
 
     Attributes:
-        sums: by block, the newest first: the sum of the corrections, rad, the sum of their variances, rad², and the
-            share of a common error that they leave; shape (b, 3, 3).
-        sigmas: the sum over all blocks that is farthest from zero, in its own sigmas.
-        suspicion: what the stars may share; None where nothing tells of it.
+        sums: for each block, the newest first: the sum of the corrections, rad, the sum of their variances, rad², and
+            the remaining share of a common error; shape (b, 3, 3).
+        sigmas: largest component of the sum over all blocks, in its own sigmas.
+        unresolved: a common error that is detected but not isolated; None if there is none.
     """
 
     sums: FloatArray
@@ -61,13 +60,13 @@ class Absorbed(NamedTuple):
 
     @property
     def turn_n(self) -> FloatArray:
-        """Sum of the corrections, rad, shape (3,)."""
+        """Sum of the corrections about North, Up and East, rad, shape (3,)."""
         turn_n: FloatArray = self.sums[:, 0].sum(axis=0)
         return turn_n
 
     @property
     def variance(self) -> FloatArray:
-        """Its variance where no error is common to all stars, rad², shape (3,)."""
+        """Variance of the sum of the corrections without a common error, rad², shape (3,)."""
         variance: FloatArray = self.sums[:, 1].sum(axis=0)
         return variance
 
@@ -79,29 +78,29 @@ class Absorbed(NamedTuple):
 
     @property
     def error_n(self) -> FloatArray:
-        """Common error that explains the sum, rad, shape (3,); the sum itself where nothing was absorbed."""
+        """Common error that explains the sum, rad, shape (3,); the sum itself if nothing was absorbed."""
         response = self.response
         error_n: FloatArray = self.turn_n / np.where(response > 0.0, response, 1.0)
         return error_n
 
     @property
     def error_variance(self) -> FloatArray:
-        """Variance of the common error that the sum tells, rad², shape (3,); infinite where nothing was absorbed."""
+        """Variance of that common error, rad², shape (3,); infinite if nothing was absorbed."""
         response = self.response
         is_known = response > 0.0
         variance: FloatArray = np.where(is_known, self.variance / np.where(is_known, response, 1.0) ** 2, np.inf)
         return variance
 
     def with_correction(self, compared: RowsCompared, jacobian: FloatArray, first: int) -> "Absorbed":
-        """The sums after one more measurement of a star sensor.
+        """Return the sums after one more measurement of a star sensor.
 
         Args:
-            compared: the measurement with every row; the first row has learnt of it.
+            innovations: innovations of the measurement; the main filter was updated with it.
             jacobian: of the measurement, shape (m, n).
-            first: of the three states.
+            first: index of the first of the three states.
 
         Example:
-            A sensor with the sigma 1 and a state with the sigma 1; half of each residual becomes a correction:
+            A sensor and a state with sigma 1 each; half of each residual becomes a correction:
 
             >>> gain, one = 0.5 * np.eye(3)[None], np.eye(3)[None]
             >>> compared = RowsCompared(np.full((1, 3), 4.0), 2.0 * one, np.ones(1), gain, *(np.empty(0),) * 3)
@@ -115,15 +114,16 @@ class Absorbed(NamedTuple):
         return Absorbed(sums, sigmas, self.suspicion)
 
     def without_corrections(self) -> "Absorbed":
-        """The sums after the estimate was replaced by another one, which has not followed the same measurements."""
+        """Return the sums without corrections, for a filter state that did not result from these measurements."""
         sums = self.sums.copy()
         sums[:, 0] = 0.0
         return Absorbed(sums, 0.0, self.suspicion)
 
     def suspected_variance(self) -> FloatArray:
-        """Variance that covers a suspected common error, rad², shape (3,).
+        """Return the variance that covers an unresolved common error, rad², shape (3,).
 
-        It begins from nothing at :data:`SUSPECTED_SIGMAS`, as in :func:`ship_estimation.protection.disputed`.
+        It starts at zero at :data:`INFLATION_START_SIGMAS`, as
+        :func:`ship_estimation.protection_levels.separation_inflation` does.
 
         Example:
             >>> sums = np.zeros((1, 3, 3))
@@ -136,13 +136,13 @@ class Absorbed(NamedTuple):
         return found
 
     def with_suspicion(self, time_ns: int, hold_ns: int) -> "Absorbed":
-        """The sums with what they tell at a time, or told not long before.
+        """Return the sums with the unresolved common error at a time, present or held from before.
 
-        The estimate follows an error that all stars share within seconds. The covariance must hold it longer.
+        The filter follows a common error within seconds. The published covariance must contain it longer.
 
         Args:
             time_ns: stamp of the last correction.
-            hold_ns: how long a suspicion lasts after the last sum beyond :data:`SUSPECTED_SIGMAS`.
+            hold_ns: time for which it is held after the last sum above :data:`INFLATION_START_SIGMAS`, ns.
         """
         before = self.suspicion if self.suspicion is not None and time_ns < self.suspicion.until_ns else None
         if not self.sigmas > SUSPECTED_SIGMAS:
@@ -154,14 +154,14 @@ class Absorbed(NamedTuple):
 
 
 NOTHING_ABSORBED = Absorbed(np.tile(np.array([0.0, 0.0, 1.0])[:, None], (_BLOCKS, 1, _COMPONENTS)), 0.0)
-"""Before any measurement."""
+"""Sums before any measurement."""
 
 
 def common_threshold(config: IntegrityConfig) -> float:
-    """Sigmas of a sum of corrections beyond which all star sensors contradict the INS.
+    """Return the threshold of a sum of corrections above which all star sensors are inconsistent with the INS, sigmas.
 
-    Stars that are right are set aside a quarter as often as a source is excluded that is right; this comes in addition.
-    It is shared out to the three components of each measurement of an hour, as if all sums were independent.
+    Its rate of false exclusions is a quarter of the configured one, in addition to it. It is allocated to the three
+    components of each measurement in an hour, as if all sums were independent.
 
     Example:
         >>> print(round(common_threshold(IntegrityConfig()), 2))
@@ -180,22 +180,22 @@ def with_common_error(
     by_states: FloatArray,
     covariance: FloatArray,
 ) -> Separation:
-    """The separations and levels of an output with those of an error that all stars share, as the last hypothesis.
+    """Return the separations and levels of an output with a common error of all stars as last hypothesis.
 
-    Where no sum of corrections is above its threshold, such an error is at most the threshold away from none, and the
-    estimate without the stars of the window is right to ``missed`` of its sigmas.
+    If no sum of corrections exceeds its threshold, such an error is at most the threshold. The estimate without the
+    stars of the window is then correct within ``missed_detection`` times its sigma.
 
     Args:
-        found: by all other hypotheses.
-        k: their numbers of sigmas.
-        missed: K_md of this hypothesis.
-        threshold: of the sum of corrections, by :func:`common_threshold`.
-        absorbed: the corrections by all stars of late.
-        by_states: the components by the errors about North, Up and East, shape (3, 3).
-        covariance: of the components by all sources, shape (3, 3).
+        found: separations and levels of all other hypotheses.
+        k: their sigma multipliers.
+        missed_detection: K_md of this hypothesis.
+        threshold: of the sum of corrections, by :func:`common_threshold`, sigmas.
+        corrections: recent corrections by all stars.
+        by_states: derivative of the components by the errors about North, Up and East, shape (3, 3).
+        covariance: of the components in the main filter, rad², shape (3, 3).
 
     Example:
-        The corrections tell a common error to 2″, the output has 1″ in each component:
+        The corrections determine a common error to 2″, the output has 1″ in each component:
 
         >>> sums, every = np.zeros((1, 3, 3)), np.eye(3)
         >>> sums[0, 1] = 4.0
@@ -207,10 +207,10 @@ def with_common_error(
     """
     variance, level = absorbed.error_variance.tolist(), []
     for by_state, own in zip(np.square(by_states).tolist(), covariance.diagonal().tolist(), strict=True):
-        # What a component does not depend on may be unknown: infinity times zero is no number.
+        # A component may be independent of an unknown error: infinity times zero would be NaN.
         of_error = sum(square * one for square, one in zip(by_state, variance, strict=True) if square)
         level.append(threshold * math.sqrt(of_error) + missed * math.sqrt(own + of_error))
-    # In units of the threshold that all hypotheses of a report are held against.
+    # In units of the threshold of all other hypotheses of the report.
     statistic = np.append(found.statistic, absorbed.sigmas * k.false_exclusion / threshold)
     largest = found.level.max()
     is_largest = not all(one <= largest for one in level)  # NaN is

@@ -1,8 +1,8 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""What innovations say of their source, compiled: one of them, and many.
+"""Compiled statistics of innovations, of a single one and of many.
 
-This is the one source of it. It is Python with C types for its numbers, compiled by Cython when the package is built.
-What the functions compute is told in :mod:`ship_estimation.innovations`; the same in plain numpy stands in the tests.
+This is the only implementation. It is Python with C types, compiled by Cython when the package is built. The functions
+are documented in :mod:`ship_estimation.innovations`; the tests contain the same in plain numpy.
 """
 
 import cython
@@ -23,7 +23,7 @@ def _whiten(matrix: cython.double[:, ::1], size: cython.Py_ssize_t) -> cython.bi
     """Replace the lower triangle of a covariance by the inverse of its Cholesky factor.
 
     Returns:
-        False where the matrix is not positive definite, or NaN.
+        False if the matrix is not positive definite, or for NaN.
     """
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
@@ -59,21 +59,21 @@ def innovation(
     parts: cython.Py_ssize_t,
     axes: cython.Py_ssize_t,
 ):
-    """What a residual says of its source.
+    """Return the statistics of an innovation.
 
     Args:
         residual: shape (m,).
-        covariance: predicted, shape (m, m).
-        noise: the measurement's own part of it, shape (m, m).
-        part_of: which part each component belongs to, shape (m,).
-        axis_of: along which axis it lies, shape (m,).
-        parts: how many there are.
-        axes: how many there are.
+        covariance: innovation covariance, shape (m, m).
+        noise: measurement noise, a part of it, shape (m, m).
+        part_of: index of the part of each component, shape (m,).
+        axis_of: index of its axis, shape (m,).
+        parts: number of parts.
+        axes: number of axes.
 
     Returns:
-        Of each part its normalised square, the own share, and of each axis the mean in its sigma and in rad, as
-        :class:`ship_estimation.innovations.Innovation` has them; None where
-        one of the numbers is none, or the covariance is not positive definite.
+        Normalised square of each part, own share, and mean along each axis in its sigma and in rad, as in
+        :class:`ship_estimation.innovations.Innovation`; None for a number that is not finite, or a covariance that is
+        not positive definite.
     """
     m: cython.Py_ssize_t = residual.shape[0]
     check("covariance", covariance.shape[0] == covariance.shape[1] == m)
@@ -126,7 +126,7 @@ def innovation(
             for i in range(count):
                 for j in range(count):
                     white[i, j] = covariance[chosen[i], chosen[j]]
-            _whiten(white, count)  # a block of what is positive definite is so too
+            _whiten(white, count)  # a block of a positive definite matrix is positive definite
         square[group] = 0.0
         for i in range(count):
             row = 0.0
@@ -141,7 +141,7 @@ def innovation(
 def _members(
     group_of: cython.const[cython.Py_ssize_t][:], group: cython.Py_ssize_t, chosen: cython.Py_ssize_t[::1]
 ) -> cython.Py_ssize_t:
-    """Number of the components of a group; their places are written."""
+    """Write the indices of the components of a group; return their number."""
     count: cython.Py_ssize_t = 0
     i: cython.Py_ssize_t
     for i in range(group_of.shape[0]):
@@ -152,17 +152,17 @@ def _members(
 
 
 def sizes(numbers: cython.const[cython.double][:, :], first: cython.Py_ssize_t, least_own_share: cython.double):
-    """How large the parts of many measurements are.
+    """Return the sizes of the parts of many measurements.
 
     Args:
-        numbers: of n innovations, shape (n, c); the columns are those of
+        numbers: n innovations, shape (n, c), in the columns of
             :class:`ship_estimation.innovations.InnovationTable`.
-        first: column of the first square; those after it are squares too.
-        least_own_share: innovations of which the own share is less are not looked at.
+        first: column of the first square; all following columns are squares.
+        least_own_share: least own share of an innovation that is used.
 
     Returns:
-        The squares of those looked at in ascending order, shape (k,); their largest number of degrees; their mean own
-        share, NaN where there are none; the sums of the normalised squares and of the components of all.
+        The squares of the used innovations in ascending order, shape (k,); their largest number of degrees; their mean
+        own share, NaN without any; the sums of NIS and of components of all innovations.
     """
     check("columns", 5 <= first <= numbers.shape[1])
     of_squares = np.empty(numbers.shape[0] * (numbers.shape[1] - first))
@@ -184,7 +184,7 @@ def sizes(numbers: cython.const[cython.double][:, :], first: cython.Py_ssize_t, 
         degrees = max(degrees, numbers[n, 0])
         own_share += numbers[n, 3]
         for part in range(first, numbers.shape[1]):
-            # What fills the table is no number.
+            # Padding is NaN.
             if numbers[n, part] == numbers[n, part]:
                 square[filled] = numbers[n, part]
                 filled += 1
@@ -196,7 +196,7 @@ def sizes(numbers: cython.const[cython.double][:, :], first: cython.Py_ssize_t, 
 @cython.cfunc
 @cython.exceptval(check=False)
 def _median(ordered: cython.double[:], count: cython.Py_ssize_t) -> cython.double:
-    """Of the first numbers, which are in ascending order."""
+    """Return the median of the first ``count`` numbers, in ascending order."""
     half: cython.Py_ssize_t = count // 2
     return ordered[half] if count % 2 else 0.5 * (ordered[half - 1] + ordered[half])
 
@@ -208,19 +208,18 @@ def along_axes(
     sigma_of_spread: cython.double,
     clipped_at: cython.double,
 ):
-    """Where the mean of innovations lies, and how long they last.
+    """Return bias, spread and correlation of innovations along each axis.
 
     Args:
-        numbers: as in :func:`sizes`, in order of time.
-        axes: how many there are.
-        least: axes along which fewer were measured are not looked at.
+        numbers: as in :func:`part_sizes`, in order of time.
+        axes: number of axes.
+        least: minimum number of innovations along an axis.
         sigma_of_spread: sigma of normal values over the median of their distances from their median.
-        clipped_at: innovations count as no farther from the median, in sigmas of their spread.
+        clipped_at: bound of the distance from the median, in sigmas of the spread.
 
     Returns:
-        Of each axis how many innovations have it, and its bias, spread and correlation as in
-        :class:`ship_estimation.innovations.Axis`, NaN where too few have it, shape (axes, 4); and what lasts of the
-        prediction's error.
+        Count, bias, spread and correlation of each axis as in :class:`ship_estimation.innovations.AxisStatistics`, NaN
+        with too few innovations, shape (axes, 4); and the common variance of the prediction error.
     """
     count: cython.Py_ssize_t = numbers.shape[0]
     check("columns", 5 + 2 * axes <= numbers.shape[1] and least > 0)
@@ -246,7 +245,7 @@ def along_axes(
                 value[axis, known] = ordered[axis, known] = numbers[n, 5 + 2 * axis]
                 known += 1
         found[axis, 0] = known
-    of_ordered.sort(axis=1)  # what is no number comes last
+    of_ordered.sort(axis=1)  # NaN is sorted last
     for axis in range(axes):
         known = int(found[axis, 0])
         if known < least:

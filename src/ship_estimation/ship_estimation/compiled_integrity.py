@@ -1,10 +1,9 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""The arithmetic of integrity, compiled: protection levels of an output, and what those told last cover.
+"""Compiled integrity: protection levels of an output, and the coverage of outputs by published levels.
 
-This is the one source of it. It is Python with C types for its numbers, compiled by Cython when the package is built.
-What the functions compute is told where they are called, in :mod:`ship_estimation.protection` and
-:mod:`ship_estimation.told_levels`; the same in plain numpy stands in the tests. What is no number makes what rests on
-it no number.
+This is the only implementation. It is Python with C types, compiled by Cython when the package is built. The functions
+are documented where they are called, in :mod:`ship_estimation.protection_levels` and
+:mod:`ship_estimation.published_levels`; the tests contain the same in plain numpy. NaN propagates to dependent results.
 """
 
 import cython
@@ -26,7 +25,7 @@ def _form(
     matrix: cython.const[cython.double][:, :],
     right: cython.const[cython.double][:],
 ) -> cython.double:
-    """leftᵀ matrix right."""
+    """Return leftᵀ matrix right."""
     total: cython.double = 0.0
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
@@ -52,23 +51,23 @@ def separation(
     share: cython.double,
     tiny: cython.double,
 ):
-    """The fields of :class:`ship_estimation.protection.Separation`, by the hypotheses in question.
+    """Return the fields of :class:`ship_estimation.protection_levels.SolutionSeparation` for the tested hypotheses.
 
     Args:
-        states: that make the components, shape (n,).
-        to_components: of the errors of the output, shape (3, 3).
-        by_states: of these states, shape (3, n).
-        covariance: of the errors of the output, by all sources, shape (3, 3).
-        mean: of all states by all sources, shape (m,).
-        means: without some, shape (h, m).
-        parts: whose sum is the covariance of all states by all sources, shape (p, m, m).
-        left_out: that without some, shape (h, m, m).
-        rows: in question.
-        right: and the next two: numbers of sigmas, as :class:`ship_estimation.protection.Factors` has them.
-        false_exclusion: of a separation.
-        missed: shape (h,).
-        share: of the variance by all sources, that a distance has at least.
-        tiny: least variance of a distance.
+        states: indices of the states that determine the components, shape (n,).
+        to_components: derivative of the components by the errors of the output, shape (3, 3).
+        by_states: derivative of the components by these states, shape (3, n).
+        covariance: of the errors of the output in the main filter, shape (3, 3).
+        mean: states of the main filter, shape (m,).
+        means: states of the subfilters, shape (h, m).
+        parts: covariance of the main filter by error source, shape (p, m, m).
+        subfilter_covariances: covariances of the subfilters, shape (h, m, m).
+        tested_subfilters: indices of the tested subfilters.
+        fault_free: K_0; see :class:`ship_estimation.protection_levels.SigmaMultipliers`.
+        false_exclusion: K_fa.
+        missed_detection: K_md, shape (h,).
+        share: least variance of a separation, as a share of the main filter's variance.
+        tiny: least variance of a separation.
     """
     n: cython.Py_ssize_t = states.shape[0]
     m: cython.Py_ssize_t = mean.shape[0]
@@ -81,7 +80,7 @@ def separation(
     of_statistic, of_level = np.empty(asked), np.empty(3)
     statistic: cython.double[::1] = of_statistic
     level: cython.double[::1] = of_level
-    # Of the states by all sources, and what it grows by without some.
+    # Covariance of the states in the main filter, and its growth in a subfilter.
     covariances: cython.double[:, :, ::1] = np.zeros((2, n, n))
     variance_0 = cython.declare(cython.double[3])
     dominant: cython.Py_ssize_t = -1
@@ -119,8 +118,8 @@ def separation(
             distance = 0.0
             for j in range(n):
                 distance += by_states[i, j] * (means[row, states[j]] - mean[states[j]])
-            # What an output adds to the error of the states is the same in every estimate. Without a source nothing is
-            # known better, but for one that was refused with it and is used without.
+            # The errors that an output adds are the same in every filter. A subfilter is never more accurate than the
+            # main filter, except if it accepts a source that the main filter rejected.
             grown = _larger(variance_0[i] + _form(by_states[i], covariances[1], by_states[i]), variance_0[i])
             sigma = _separation_sigma(grown, variance_0[i], share, tiny)
             value = false_exclusion * sigma + missed[row] * sqrt(grown)
@@ -137,13 +136,13 @@ def separation_sigmas(
     share: cython.double,
     tiny: cython.double,
 ):
-    """See :func:`ship_estimation.protection.separation_sigma`.
+    """See :func:`ship_estimation.protection_levels.separation_sigma`.
 
     Args:
         variance: shape (h, n).
         variance_0: shape (n,).
-        share: of the variance by all sources, that a distance has at least.
-        tiny: least variance of a distance.
+        share: least variance of a separation, as a share of the main filter's variance.
+        tiny: least variance of a separation.
     """
     columns: cython.Py_ssize_t = variance.shape[1]
     check("variance", variance_0.shape[0] == columns)
@@ -163,7 +162,7 @@ def separation_sigmas(
 def _separation_sigma(
     variance: cython.double, variance_0: cython.double, share: cython.double, tiny: cython.double
 ) -> cython.double:
-    # Rounding may leave nothing of a small difference; a thousandth of the sigma is nothing to a level.
+    # Rounding may cancel a small difference; a thousandth of the sigma is negligible in a protection level.
     return sqrt(_larger(variance - variance_0, _larger(share * variance_0, tiny)))
 
 
@@ -175,19 +174,19 @@ def coverage(
     most_growth: cython.double,
     tiny: cython.double,
 ):
-    """How far levels that were told cover those of an output, and of those after it on the same state.
+    """Return the coverage by published levels of an output, and of later ones from the same state.
 
     Args:
         level: of the output, shape (3,).
-        told: shape (3,).
+        published: shape (3,).
         covariance: of the error of the output, shape (3, 3).
-        entering: by how much a level grows, at most, where the directions turn, rad.
-        most_growth: so many times the told levels its own may be.
-        tiny: least number that something is divided by.
+        entering: maximum growth of a level per unit rotation of the directions, rad.
+        most_growth: maximum ratio of a level to the published one.
+        tiny: least denominator.
 
     Returns:
-        Whether they cover the output, and the fields ``greatest_variance`` and ``most_turned`` of
-        :class:`ship_estimation.told_levels.ToldLevels` where they are the levels told last.
+        True if the published levels cover the output; and the fields ``max_variance`` and ``max_direction_change`` of
+        :class:`ship_estimation.published_levels.PublishedLevels`.
     """
     check("levels", level.shape[0] == told.shape[0] == 3)
     check("covariance", covariance.shape[0] == covariance.shape[1] == 3)
@@ -200,7 +199,7 @@ def coverage(
     trace: cython.double
     i: cython.int
     for i in range(3):
-        # Levels that are no numbers are those of the state UNAVAILABLE, which was told.
+        # NaN levels are those of the state UNAVAILABLE, which was published.
         unknown = unknown and level[i] != level[i] and told[i] != told[i]
         covers = covers and level[i] <= most_growth * told[i]
         known = known and fabs(level[i]) < INFINITY
@@ -212,8 +211,8 @@ def coverage(
         growth = -_larger(-growth, -most_growth * told[i] / level[i])
     room = 0.5 * (growth - 1.0)
     trace = covariance[0, 0] + covariance[1, 1] + covariance[2, 2]
-    # What is added to a covariance adds at most its trace to the variance of any angle, and a level grows no faster
-    # than the sigma. A turn brings something of the errors that make the angles into the one with the smallest level.
+    # A term added to a covariance adds at most its trace to the variance of any angle, and a level grows no faster than
+    # the sigma. A rotation mixes errors of all angles into the one with the smallest level.
     return (
         covers,
         trace + least_eigenvalue(covariance) * ((1.0 + room) * (1.0 + room) - 1.0),
@@ -230,16 +229,16 @@ def covered(
     told: cython.const[cython.double][:, :],
     most_turned: cython.double,
 ) -> cython.Py_ssize_t:
-    """How many of N outputs, from the first one on, are covered by protection levels that were told before.
+    """Return the number of leading outputs, of N, that are covered by published protection levels.
 
     Args:
         times_ns: stamps, shape (N,).
         covariances: shape (N, 3, 3).
-        directions: in which the errors are measured, shape (N, k, l).
-        until_ns: levels cover what is before.
-        greatest_variance: trace of a covariance up to which they do.
-        told: the directions that they are of, shape (k, l).
-        most_turned: change of each number of the directions up to which they do.
+        directions: direction cosines in which the errors are measured, shape (N, k, l).
+        until_ns: stamp until which the levels are valid.
+        max_variance: trace of a covariance up to which they cover an output.
+        published_directions: direction cosines of the published levels, shape (k, l).
+        max_direction_change: change of each direction cosine up to which they cover an output.
     """
     count: cython.Py_ssize_t = times_ns.shape[0]
     check("covariances", covariances.shape[0] == count and covariances.shape[1] == covariances.shape[2] == 3)
@@ -263,7 +262,7 @@ def covered(
 
 @cython.ccall
 def least_eigenvalue(matrix: cython.const[cython.double][:, :]) -> cython.double:
-    """The least eigenvalue of a symmetric 3 × 3 matrix, by Jacobi's rotations; only the lower triangle is read."""
+    """Return the least eigenvalue of a symmetric 3 × 3 matrix; only the lower triangle is read."""
     check("matrix", matrix.shape[0] == matrix.shape[1] == 3)
     a = cython.declare(cython.double[9])
     vectors = cython.declare(cython.double[9])
@@ -277,7 +276,7 @@ def least_eigenvalue(matrix: cython.const[cython.double][:, :]) -> cython.double
 
 
 def square_root(matrix: cython.const[cython.double][:, :]):
-    """L with L Lᵀ a covariance of the shape (3, 3), which may be singular; only its lower triangle is read."""
+    """Return L with L Lᵀ a covariance, shape (3, 3), which may be singular; only its lower triangle is read."""
     check("matrix", matrix.shape[0] == matrix.shape[1] == 3)
     a = cython.declare(cython.double[9])
     vectors = cython.declare(cython.double[9])

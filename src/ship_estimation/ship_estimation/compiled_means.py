@@ -1,8 +1,8 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""The running means of whitened turns, compiled: every measurement changes a few numbers of them.
+"""Compiled windowed means of whitened innovations.
 
-This is the one source of them. It is Python with C types for its numbers, compiled by Cython when the package is built.
-What is computed is told in :mod:`ship_estimation.running_means`; the same in plain numpy stands in the tests.
+This is the only implementation. It is Python with C types, compiled by Cython when the package is built. The functions
+are documented in :mod:`ship_estimation.innovation_means`; the tests contain the same in plain numpy.
 """
 
 import cython
@@ -19,9 +19,9 @@ from cython.cimports.ship_estimation.compiled_steps import _larger
 
 _COLUMNS = cython.declare(cython.Py_ssize_t, 5)
 _LASTING = cython.declare(cython.double, 1e-9)
-"""Of an error that lasts, so that one without noise has a covariance."""
+"""Variance added to a constant error, so that a mean without noise has a regular covariance."""
 _LEAST_VARIANCE = cython.declare(cython.double, 1e-24)
-"""Of a sum of corrections, rad²: nothing is learnt of what is known exactly."""
+"""Least variance of a sum of corrections, rad²: states known exactly get no corrections."""
 
 
 @cython.cfunc
@@ -29,7 +29,7 @@ _LEAST_VARIANCE = cython.declare(cython.double, 1e-24)
 def _average(
     mean: cython.p_double, turn: cython.p_double, weights: cython.const[cython.double][::1]
 ) -> cython.void:
-    """Take one turn more into the means, in place, shape (w, 5)."""
+    """Update the means with one innovation, in place, shape (w, 5)."""
     k: cython.Py_ssize_t
     i: cython.Py_ssize_t
     weight: cython.double
@@ -45,16 +45,16 @@ def _average(
 @cython.cfunc
 @cython.exceptval(check=False)
 def _chi2(mean: cython.p_double) -> cython.double:
-    """Chi² of a mean of independent turns."""
+    """Return chi² of a mean of independent innovations."""
     return (mean[0] * mean[0] + mean[1] * mean[1] + mean[2] * mean[2]) / mean[4]
 
 
 @cython.cfunc
 @cython.exceptval(check=False)
 def _chi2_beside(mean: cython.p_double, turn_noise: cython.const[cython.double][:, :]) -> cython.double:
-    """Chi² of a mean that a row sees against an error of its own that lasts: only the noise averages out.
+    """Return chi² of a mean if the error of the filter is constant: only the measurement noise averages out.
 
-    The covariance of the mean is decomposed by Cholesky's factor; chi² is no number where it is none.
+    The covariance of the mean is decomposed by a Cholesky factor; chi² is NaN if that does not exist.
     """
     lasting: cython.double = mean[3] * mean[3]
     factor = cython.declare(cython.double[9])
@@ -103,28 +103,28 @@ def observed(
     beside: cython.bint,
     turn_noise: cython.const[cython.double][:, :],
 ):
-    """The means after a measurement of each of several sources: the fields of ``Means``, in their order.
+    """Return the fields of ``InnovationMeans``, in their order, after a measurement of each of several sources.
 
     Args:
-        running: as in :class:`ship_estimation.running_means.Means`, shape (h, s, w, 5), as are the next four.
+        running: as in :class:`ship_estimation.innovation_means.InnovationMeans`, shape (h, s, w, 5), as the next four.
         excess: shape (h, s).
-        refused: shape (h, s).
-        heard_ns: shape (s,).
-        contradicts_ns: shape (s,).
-        sources: index of each of l sources that measured.
-        turn: whitened, in every row, shape (h, l, 3).
-        accepted: whether the measurement passed the gate of each row, shape (h, l).
-        time_ns: its stamp.
-        weights: of one measurement in each mean, shape (w,).
-        limit: of chi².
-        largest: a turn counts as no larger.
-        well: share of the limit below which a source well agrees.
-        long_ago_ns: stamp of one that contradicts nothing.
-        beside: whether the first row does without the source.
-        turn_noise: in that case, the share of the noise in its turn, shape (3, 3).
+        rejection_counts: shape (h, s).
+        last_measured_ns: shape (s,).
+        inconsistent_since_ns: shape (s,).
+        sources: indices of the l measuring sources.
+        innovation: whitened innovation in every filter, shape (h, l, 3).
+        accepted: true if the measurement passed the gate of each filter, shape (h, l).
+        time_ns: stamp of the measurement.
+        weights: weight of one measurement in each mean, shape (w,).
+        limit: limit of chi².
+        max_innovation: bound of the length of an innovation.
+        consistent_ratio: share of the limit below which a source is consistent.
+        never_ns: stamp of a consistent source.
+        is_excluded: true if the main filter excludes the source.
+        whitened_noise: in that case, the part of the measurement noise in the whitened covariance, shape (3, 3).
 
     Returns:
-        None where a turn is no number, or infinite.
+        None if an innovation is not finite.
     """
     rows: cython.Py_ssize_t = running.shape[0]
     count: cython.Py_ssize_t = running.shape[1]
@@ -180,7 +180,7 @@ def observed(
             excesses[row, s] = worst / limit
             refusals[row, s] = 0 if accepted[row, one] else refusals[row, s] + 1
         heard[s] = max(heard[s], time_ns)
-        # Written so that NaN does not agree.
+        # Written so that NaN is inconsistent.
         if excesses[0, s] <= well and refusals[0, s] == 0:
             contradicts[s] = long_ago_ns
         elif contradicts[s] == long_ago_ns:
@@ -193,9 +193,9 @@ def averaged(
     turn: cython.const[cython.double][:],
     weights: cython.const[cython.double][::1],
 ):
-    """The means of one row and source after one turn more, shape (w, 5), and their farthest component.
+    """Return the means of one filter and source after one more innovation, shape (w, 5), and their largest component.
 
-    It is the one that is farthest from zero in its own sigmas; no number where one is none.
+    The largest component is given in its own sigmas; NaN if one of them is NaN.
     """
     check("averaged", running.shape[0] == weights.shape[0] and running.shape[1] == _COLUMNS and turn.shape[0] == 3)
     result = np.empty((weights.shape[0], _COLUMNS))
@@ -227,16 +227,16 @@ def absorbed(
     first: cython.Py_ssize_t,
     block_left: cython.double,
 ):
-    """The sums of corrections after one more of the first row, shape (b, 3, 3), and the farthest one in its sigmas.
+    """Return the sums of corrections after one more of the main filter, shape (b, 3, 3), and the largest in sigmas.
 
     Args:
-        sums: before, as :class:`ship_estimation.common_error.Absorbed` has them.
+        sums: before, as in :class:`ship_estimation.common_error.CorrectionSums`.
         gain: shape (h, n, m).
         residual: shape (h, m).
-        covariance: of the residual, shape (h, m, m).
+        covariance: innovation covariance, shape (h, m, m).
         jacobian: shape (m, n).
-        first: of the three states.
-        block_left: a block that leaves no more than this of a common error is full.
+        first: index of the first of the three states.
+        block_left: remaining share of a common error at which a block is full.
     """
     blocks: cython.Py_ssize_t = sums.shape[0]
     m: cython.Py_ssize_t = residual.shape[1]

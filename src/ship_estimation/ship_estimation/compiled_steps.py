@@ -1,17 +1,16 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""The loops of the Kalman steps, compiled: covariances by source and rows of hypotheses are carried and updated here.
+"""Compiled Kalman filter steps: time and measurement update of covariances by error source and of subfilters.
 
-This is the one source of these steps. It is Python with C types for its numbers, compiled by Cython when the package is
-built. It knows no state's name: any number of states, sources, rows and residuals will do. What each function computes
-is told where it is called, in :mod:`ship_estimation.kalman` and :mod:`ship_estimation.hypotheses`; the same in plain
-numpy stands in the tests.
+This is the only implementation of these steps. It is Python with C types, compiled by Cython when the package is built.
+It works for any number of states, sources, filters and residuals. The functions are documented where they are called,
+in :mod:`ship_estimation.kalman` and :mod:`ship_estimation.subfilters`; the tests contain the same in plain numpy.
 
-A covariance P becomes (I - K H) P (I - K H)ᵀ + K N Kᵀ by a measurement with the Jacobian H, the gain K and the noise N.
-The matrix I - K H is never made: two thin factors of K H are applied from the right and from the left, which is a fifth
-of the work for 19 states and 3 residuals.
+A measurement with Jacobian H, gain K and noise N changes a covariance P to (I - K H) P (I - K H)ᵀ + K N Kᵀ. The matrix
+I - K H is never formed: two thin factors of K H are applied from the right and from the left, a fifth of the work for
+19 states and 3 residuals.
 
-Matrices lie row by row. Every loop that counts adds rows times numbers to another row (:func:`_add_rows`): that is what
-compilers make fast.
+Matrices are stored row by row. The inner loops add weighted rows to another row (:func:`_add_rows`), which compilers
+vectorise.
 """
 
 import cython
@@ -26,7 +25,7 @@ from cython.cimports.libc.math import exp, fabs, sqrt
 from cython.cimports.libc.string import memcpy, memset
 
 _JACOBI_SWEEPS = 12
-"""Of a symmetric 3 × 3 matrix five make the off-diagonal elements vanish to the last bit."""
+"""Maximum number of Jacobi sweeps; five make the off-diagonal elements of a 3 × 3 matrix vanish to the last bit."""
 
 
 @cython.cfunc
@@ -53,17 +52,17 @@ def _add_rows(
     stride: cython.Py_ssize_t,
     count: cython.Py_ssize_t,
 ) -> cython.void:
-    """Add several rows to one, each times its weight; four at a time, so that the target is read and written less.
+    """Add several rows to one, each times its weight; four at a time, for fewer reads and writes of the target.
 
     Args:
-        target: of so many numbers.
-        sign: of all weights.
-        weights: one for each row, ``step`` apart.
+        target: row of ``count`` numbers.
+        sign: factor of all weights.
+        weights: one for each row, with spacing ``step``.
         step: 1 along a row of a matrix, its width along a column.
         inner: number of rows.
-        rows: ``stride`` apart.
+        rows: the rows, with spacing ``stride``.
         stride: width of their matrix.
-        count: numbers of each row.
+        count: number of elements of each row.
     """
     j: cython.Py_ssize_t
     k: cython.Py_ssize_t = 0
@@ -83,7 +82,7 @@ def _add_rows(
         k += 4
     if k == inner:
         return
-    # Up to three are left: of an attitude these are all.
+    # Up to three rows remain; for an attitude these are all.
     row = rows + k * stride
     first = sign * weights[k * step]
     if inner - k == 1:
@@ -109,7 +108,7 @@ def _product(
     columns: cython.Py_ssize_t,
     out: cython.p_double,
 ) -> cython.void:
-    """The product of two matrices."""
+    """Write the product of two matrices."""
     i: cython.Py_ssize_t
     memset(out, 0, rows * columns * cython.sizeof(cython.double))
     for i in range(rows):
@@ -121,7 +120,7 @@ def _product(
 def _sum(
     parts: cython.p_double, count: cython.Py_ssize_t, size: cython.Py_ssize_t, out: cython.p_double
 ) -> cython.void:
-    """The sum of matrices that lie one after the other."""
+    """Write the sum of contiguous matrices."""
     s: cython.Py_ssize_t
     memcpy(out, parts, size * cython.sizeof(cython.double))
     for s in range(1, count):
@@ -143,7 +142,7 @@ def _transposed(
 @cython.cfunc
 @cython.exceptval(check=False)
 def _decomposed(matrix: cython.p_double, size: cython.Py_ssize_t) -> cython.bint:
-    """Replace the upper triangle by Cholesky's factor; False where the matrix is not positive definite, or NaN."""
+    """Replace the upper triangle by the Cholesky factor; return False if not positive definite, or for NaN."""
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
     root: cython.double
@@ -165,7 +164,7 @@ def _decomposed(matrix: cython.p_double, size: cython.Py_ssize_t) -> cython.bint
 def _solve(
     factor: cython.p_double, size: cython.Py_ssize_t, asked: cython.p_double, columns: cython.Py_ssize_t
 ) -> cython.void:
-    """Replace a matrix of so many columns by the inverse of the decomposed matrix times it."""
+    """Replace a right-hand side of ``columns`` columns by the solution with a Cholesky factor."""
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
     k: cython.Py_ssize_t
@@ -190,7 +189,7 @@ def carried(
     noise: cython.const[cython.double][::1],
     source_of: cython.const[cython.Py_ssize_t][::1],
 ):
-    """The covariances of several stacks after a diagonal transition; each state's noise is booked to its source."""
+    """Return the predicted covariances of several stacks; each state's process noise is added to its error source."""
     matrices: cython.Py_ssize_t = stacks.shape[1]
     n: cython.Py_ssize_t = stacks.shape[2]
     check("carried", stacks.shape[3] == n == decay.shape[0] == noise.shape[0] == source_of.shape[0])
@@ -212,7 +211,7 @@ def _carry(
     source_of: cython.const[cython.Py_ssize_t][::1],
     out: cython.double[:, :, ::1],
 ) -> cython.void:
-    """The covariances of one stack after a diagonal transition."""
+    """Write the predicted covariances of one stack for a diagonal transition."""
     n: cython.Py_ssize_t = stack.shape[1]
     s: cython.Py_ssize_t
     i: cython.Py_ssize_t
@@ -231,7 +230,7 @@ def transition(
     steady_variance: cython.const[cython.double][::1],
     walk_variance: cython.const[cython.double][::1],
 ):
-    """What is left of each state after some time and the variance that comes new, shapes (n,), (n,)."""
+    """Return decay factor and process noise variance of each state over a time, shapes (n,), (n,)."""
     n: cython.Py_ssize_t = time_s.shape[0]
     check("transition", steady_variance.shape[0] == walk_variance.shape[0] == n)
     of_decay, of_noise = np.empty(n), np.empty(n)
@@ -251,7 +250,7 @@ def _pass(
     decay: cython.double[::1],
     noise: cython.double[::1],
 ) -> cython.void:
-    """Write what time leaves of each state, and the variance that comes new."""
+    """Write decay factor and process noise variance of each state."""
     i: cython.Py_ssize_t
     for i in range(time_s.shape[0]):
         decay[i] = exp(-dt_s / time_s[i])
@@ -270,19 +269,19 @@ def later(
     sigma: cython.const[cython.double][::1],
     beyond: cython.double,
 ):
-    """What time leaves of each state, and all rows after it: shapes (n,), (h, n) and (n_sources + h - 1, n, n).
+    """Propagate all filters; return decay factors (n,), means (h, n) and stack (n_sources + h - 1, n, n).
 
     Args:
-        dt_s: the time.
+        dt_s: the time, s.
         means: before, shape (h, n).
         stack: before, shape (n_sources + h - 1, n, n).
-        time_s: correlation time of each state, shape (n,).
-        steady_variance: of a state that dies out, shape (n,).
-        walk_variance: per second, of a state that walks, shape (n,).
-        source_of: index of the source to which the noise of each state is booked, shape (n,).
-        first: of k states that stay as they are where they are too large.
-        sigma: of these, shape (k,).
-        beyond: how many sigmas are too large.
+        time_s: correlation time of each state, s, shape (n,).
+        steady_variance: steady variance of a Gauss–Markov state, shape (n,).
+        walk_variance: variance per second of a random walk, shape (n,).
+        source_of: index of the error source of each state's noise, shape (n,).
+        first: index of the first of k states that do not decay if they exceed the threshold.
+        sigma: standard deviation of these states, shape (k,).
+        threshold_sigmas: the threshold, sigmas.
     """
     rows: cython.Py_ssize_t = means.shape[0]
     n: cython.Py_ssize_t = means.shape[1]
@@ -315,15 +314,15 @@ def add_error(
     covariance: cython.const[cython.double][:, :],
     row: cython.Py_ssize_t,
 ):
-    """Add an error of some states, in place, to all rows of a stack or to one of those beside the first.
+    """Inflate the covariance of some states, in place, in all filters of a stack or in one subfilter.
 
     Args:
         stack: shape (n_sources + h - 1, n, n).
-        rows: h.
-        part: of the first row, to which the error is booked.
-        first: of the k states that err.
-        covariance: of the error, shape (k, k).
-        row: which one; 0 for all.
+        rows: number of filters, h.
+        part: error source of the added covariance in the main filter.
+        first: index of the first of the k states.
+        covariance: added covariance, shape (k, k).
+        row: index of the subfilter; 0 for all filters.
     """
     sources: cython.Py_ssize_t = stack.shape[0] - rows + 1
     count: cython.Py_ssize_t = covariance.shape[0]
@@ -344,7 +343,7 @@ def add_error(
 @cython.exceptval(check=False)
 @cython.inline
 def _larger(first: cython.double, second: cython.double) -> cython.double:
-    """The larger of two numbers; no number where one of them is none."""
+    """Return the larger of two numbers; NaN if one of them is NaN."""
     return first if first != first or second <= first else second
 
 
@@ -356,15 +355,15 @@ def separations(
     least_share: cython.double,
     least_variance: cython.double,
 ):
-    """How far each row is from the first one in k states, shape (h, k), and at most, in sigmas, shape (h,).
+    """Return the solution separations in k states, shape (h, k), and the largest of each filter, sigmas, shape (h,).
 
     Args:
         means: shape (h, n).
         stack: shape (n_sources + h - 1, n, n).
-        first: of the states.
-        count: k.
-        least_share: share of the first row's variance that the variance of a distance has at least.
-        least_variance: what it has at least.
+        first: index of the first state.
+        count: number of states, k.
+        least_share: least variance of a separation, as a share of the main filter's variance.
+        least_variance: least variance of a separation.
     """
     rows: cython.Py_ssize_t = means.shape[0]
     of_apart, of_statistic = np.empty((rows, count)), np.zeros(rows)
@@ -393,7 +392,7 @@ def separated(
     least_variance: cython.double,
     most_sigmas: cython.double,
 ) -> cython.bint:
-    """Whether a row is farther from the first one than so many sigmas; arguments as in :func:`separations`."""
+    """True if a solution separation exceeds the threshold; arguments as for :func:`solution_separations`."""
     by_all: cython.double
     row: cython.Py_ssize_t
     i: cython.Py_ssize_t
@@ -401,7 +400,7 @@ def separated(
     for i in range(first, first + count):
         by_all = _variance_by_all(stack, means.shape[0], i)
         for row in range(means.shape[0]):
-            # Written so that NaN is far.
+            # Written so that NaN exceeds the threshold.
             if not _sigmas_apart(means, stack, row, i, by_all, least_share, least_variance) <= most_sigmas:
                 return True
     return False
@@ -425,7 +424,7 @@ def _check_separations(
 def _variance_by_all(
     stack: cython.const[cython.double][:, :, ::1], rows: cython.Py_ssize_t, state: cython.Py_ssize_t
 ) -> cython.double:
-    """The variance of a state in the first row."""
+    """Return the variance of a state in the main filter."""
     total: cython.double = 0.0
     s: cython.Py_ssize_t
     for s in range(stack.shape[0] - rows + 1):
@@ -445,7 +444,7 @@ def _sigmas_apart(
     least_share: cython.double,
     least_variance: cython.double,
 ) -> cython.double:
-    """How far a row is from the first one in a state, in sigmas."""
+    """Return the solution separation of a filter in a state, sigmas."""
     variance: cython.double = 0.0
     if row:
         variance = stack[stack.shape[0] - means.shape[0] + row, state, state] - by_all
@@ -454,7 +453,7 @@ def _sigmas_apart(
 
 
 def row_covariances(stack: cython.const[cython.double][:, :, ::1], rows: cython.Py_ssize_t):
-    """The covariance of each row of a stack: the parts of the first one added up, the others as they are."""
+    """Return the covariance of each filter: the sum of the parts of the main filter, and those of the subfilters."""
     sources: cython.Py_ssize_t = stack.shape[0] - rows + 1
     size: cython.Py_ssize_t = stack.shape[1] * stack.shape[2]
     check("row_covariances", rows >= 1 and sources >= 1)
@@ -468,7 +467,7 @@ def row_covariances(stack: cython.const[cython.double][:, :, ::1], rows: cython.
 
 
 def total(stack: cython.const[cython.double][:, :, ::1], sources: cython.Py_ssize_t):
-    """The sum of the parts of the first row, shape (n, n)."""
+    """Return the covariance of the main filter, the sum of its parts, shape (n, n)."""
     check("total", 1 <= sources <= stack.shape[0])
     result = np.empty((stack.shape[1], stack.shape[2]))
     out: cython.double[:, ::1] = result
@@ -480,7 +479,7 @@ def total(stack: cython.const[cython.double][:, :, ::1], sources: cython.Py_ssiz
 def variance_along(
     weights: cython.const[cython.double][::1], covariance: cython.const[cython.double][:, :]
 ) -> cython.double:
-    """The variance of a sum of states, each times a weight: shapes (n,) and (n, n). Most of the weights are zero."""
+    """Return the variance of a weighted sum of states: shapes (n,) and (n, n); most of the weights are zero."""
     n: cython.Py_ssize_t = weights.shape[0]
     check("variance_along", covariance.shape[0] == covariance.shape[1] == n)
     total: cython.double = 0.0
@@ -499,12 +498,12 @@ def spread(
     covariance: cython.const[cython.double][:, ::1],
     without: cython.const[cython.double][::1],
 ) -> cython.double:
-    """The sum of the variances of what some states do: the trace of J P Jᵀ.
+    """Return the trace of J P Jᵀ, the sum of the projected variances, without some states.
 
     Args:
         jacobian: J, shape (m, n).
         covariance: P, shape (n, n).
-        without: states for which it is not zero have no part, shape (n,).
+        excluded_states: not zero for each state that is excluded, shape (n,).
     """
     n: cython.Py_ssize_t = jacobian.shape[1]
     check("spread", covariance.shape[0] == covariance.shape[1] == without.shape[0] == n)
@@ -534,10 +533,10 @@ def compared(
     at_mean: cython.const[cython.double][::1],
     by_turn: cython.const[cython.double][:, ::1],
 ):
-    """A measurement beside all rows: the fields of :class:`ship_estimation.hypotheses.RowsCompared`, in their order.
+    """Return the innovations in all filters: the fields of :class:`ship_estimation.subfilters.FilterInnovations`.
 
     Raises:
-        numpy.linalg.LinAlgError: a covariance of the residual is not positive definite.
+        numpy.linalg.LinAlgError: an innovation covariance is not positive definite.
     """
     rows: cython.Py_ssize_t = means.shape[0]
     n: cython.Py_ssize_t = means.shape[1]
@@ -558,8 +557,8 @@ def compared(
     turn: cython.double[:, ::1] = of_turn
     root: cython.double[:, :, ::1] = of_root
     share: cython.double[:, ::1] = of_noise
-    # In a row: the Jacobian transposed, the columns asked for, the cross covariance, a factor, what a turn does, and
-    # the covariance of the first row.
+    # Contiguous: transposed Jacobian, right-hand side, cross covariance, Cholesky factor, solution, its product with
+    # the rotation Jacobian, information, and the covariance of the main filter.
     scratch: cython.double[::1] = np.empty(n * m + wide * m + n * m + m * m + 4 * m + 12 + 9 + n * n)
     transposed: cython.p_double = cython.address(scratch[0])
     asked: cython.p_double = transposed + n * m
@@ -626,7 +625,7 @@ def _share_of_noise(
     noise: cython.const[cython.double][:, ::1],
     share: cython.p_double,
 ) -> cython.void:
-    """The covariance of the whitened turn by the measurement's noise alone, shape (3, 3)."""
+    """Write the part of the measurement noise in the covariance of the whitened innovation, shape (3, 3)."""
     m: cython.Py_ssize_t = noise.shape[0]
     scratch: cython.double[::1] = np.empty(9 * m)
     weights: cython.p_double = cython.address(scratch[0])
@@ -641,7 +640,7 @@ def _share_of_noise(
 @cython.cfunc
 @cython.exceptval(check=False)
 def _diagonalise(matrix: cython.p_double, vectors: cython.p_double) -> cython.void:
-    """Make a symmetric 3 × 3 matrix diagonal by Jacobi's rotations; eigenvectors become the columns of the other."""
+    """Diagonalise a symmetric 3 × 3 matrix by Jacobi rotations; write eigenvectors as columns of the other matrix."""
     p: cython.int
     q: cython.int
     k: cython.int
@@ -683,9 +682,9 @@ def _diagonalise(matrix: cython.p_double, vectors: cython.p_double) -> cython.vo
 @cython.cfunc
 @cython.exceptval(check=False)
 def _inverse_root(matrix: cython.p_double, root: cython.p_double) -> cython.void:
-    """The symmetric root of the inverse of an information matrix (3 × 3), which is used up; by Jacobi's rotations.
+    """Write the symmetric square root of the inverse of an information matrix (3 × 3), which is overwritten.
 
-    A direction without information counts for nothing, instead of for infinity.
+    A direction without information gets zero instead of infinity.
     """
     vectors = cython.declare(cython.double[9])
     scale = cython.declare(cython.double[3])
@@ -713,15 +712,15 @@ def updated(
     booked: tuple,
     noise: cython.const[cython.double][:, ::1],
 ):
-    """Corrections (h, n) and the stack after a measurement.
+    """Return the corrections (h, n) and the stack after a measurement update.
 
     Args:
         stack: before, shape (n_sources + h - 1, n, n).
         jacobian: shape (m, n).
-        residual: of each row, shape (h, m).
-        gain: of the optimal update, shape (h, n, m).
-        learns: which states each row learns, shape (h, n).
-        booked: pairs of a source and its part of the noise, shape (m, m) each.
+        residual: of each filter, shape (h, m).
+        gain: Kalman gain, shape (h, n, m).
+        updated_states: states that each filter updates, shape (h, n).
+        noise_parts: pairs of a source index and its part of the noise, shape (m, m) each.
         noise: their sum.
     """
     rows: cython.Py_ssize_t = gain.shape[0]
@@ -737,7 +736,7 @@ def updated(
     own: cython.double[:, ::1] = np.empty((n, m))
     states: cython.Py_ssize_t[::1] = np.empty(n, dtype=np.intp)
     seen: cython.Py_ssize_t = _seen_states(jacobian, states)
-    # To choose states costs nothing, to multiply by H does.
+    # Selecting states is cheaper than multiplying by H.
     chosen: cython.Py_ssize_t = seen if seen <= 2 * m else 0
     room: cython.double[::1] = np.empty(3 * n * max(m, chosen) + n * n + 2 * n * m)
     scratch: cython.p_double = cython.address(room[0])
@@ -756,7 +755,7 @@ def updated(
                 total += own[i, j] * residual[row, j]
             moved[row, i] = total
         _thin_factor(own, h, states, chosen, scratch)
-        # The first row has all parts, each other one a covariance of its own.
+        # The main filter has all parts, each subfilter one covariance.
         for s in range(sources + row - 1 if row else 0, sources + row if row else sources):
             if _is_zero(cython.address(stack[s, 0, 0]), n * n):
                 memset(cython.address(out[s, 0, 0]), 0, n * n * cython.sizeof(cython.double))
@@ -787,7 +786,7 @@ def updated(
 @cython.cfunc
 @cython.exceptval(check=False)
 def _is_zero(numbers: cython.pointer(cython.const[cython.double]), count: cython.Py_ssize_t) -> cython.bint:
-    """Whether all numbers are zero: those of a source that has no part in any state yet."""
+    """True if all numbers are zero, as for an error source without a part in any state."""
     i: cython.Py_ssize_t = 0
     while i < count and numbers[i] == 0.0:
         i += 1
@@ -799,7 +798,7 @@ def _is_zero(numbers: cython.pointer(cython.const[cython.double]), count: cython
 def _seen_states(
     jacobian: cython.const[cython.double][:, ::1], states: cython.Py_ssize_t[::1]
 ) -> cython.Py_ssize_t:
-    """List the states that H has a column for; returns how many there are."""
+    """Write the indices of the states with a nonzero column of H; return their number."""
     count: cython.Py_ssize_t = 0
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
@@ -821,9 +820,9 @@ def _thin_factor(
     chosen: cython.Py_ssize_t,
     scratch: cython.p_double,
 ) -> cython.void:
-    """Write the left factor A of K H into the scratch, shape (n, r), and its transpose behind it.
+    """Write the left factor A of K H into the scratch, shape (n, r), and its transpose after it.
 
-    It is K, and H is the right one; or, where ``chosen`` tells how many states H sees, it is K H of these.
+    A is K, with H as the right factor. If ``chosen`` is not zero, A is K H of the observed states.
     """
     n: cython.Py_ssize_t = gain.shape[0]
     m: cython.Py_ssize_t = gain.shape[1]
@@ -852,7 +851,7 @@ def _across(
     n: cython.Py_ssize_t,
     out: cython.p_double,
 ) -> cython.void:
-    """The right factor of K H times a matrix: H times it, or its rows of the chosen states."""
+    """Write the right factor of K H times a matrix: H times it, or its rows of the observed states."""
     k: cython.Py_ssize_t
     if not chosen:
         _product(jacobian, m, n, matrix, n, out)
@@ -872,13 +871,13 @@ def _both_sides(
     scratch: cython.p_double,
     out: cython.p_double,
 ) -> cython.void:
-    """(I - A B) P (I - A B)ᵀ with A in the scratch; of the result only the upper triangle is written."""
+    """Write the upper triangle of (I - A B) P (I - A B)ᵀ, with A in the scratch."""
     r: cython.Py_ssize_t = chosen or m
     transposed: cython.p_double = scratch + n * r
     across: cython.p_double = transposed + n * r
     halfway: cython.p_double = across + n * r
     i: cython.Py_ssize_t
-    # Of a symmetric matrix rows are columns: of B P the transpose is P Bᵀ.
+    # P is symmetric: the transpose of B P is P Bᵀ.
     _across(jacobian, m, states, chosen, covariance, n, across)
     memcpy(halfway, covariance, n * n * cython.sizeof(cython.double))
     for i in range(n):
@@ -897,7 +896,7 @@ def _add_noise(
     out: cython.p_double,
     scratch: cython.double[::1],
 ) -> cython.void:
-    """Add K N Kᵀ to the upper triangle of a covariance; the end of the scratch is used."""
+    """Add K N Kᵀ to the upper triangle of a covariance; use the end of the scratch."""
     n: cython.Py_ssize_t = gain.shape[0]
     m: cython.Py_ssize_t = gain.shape[1]
     transposed: cython.p_double = cython.address(scratch[scratch.shape[0] - 2 * n * m])

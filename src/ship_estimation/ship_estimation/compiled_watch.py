@@ -1,10 +1,10 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""The arithmetic of watching streams, an INS against its own rates, compiled: for one value, and for many of a block.
+"""Compiled checks of streams, such as of an INS against its own rates, for single values and for blocks.
 
-This is the one source of it. It is Python with C types for its numbers, compiled by Cython when the package is built.
-What the functions compute is told where they are called, in :mod:`ship_estimation.integrated_rates`,
-:mod:`ship_estimation.step_watch` and :mod:`ship_estimation.value_guards`; the same in plain numpy stands in the tests.
-What a sample gives does not depend on how many others are given with it.
+This is the only implementation. It is Python with C types, compiled by Cython when the package is built. The functions
+are documented where they are called, in :mod:`ship_estimation.integrated_rates`,
+:mod:`ship_estimation.ins_step_detector` and :mod:`ship_estimation.value_checks`; the tests contain the same in plain
+numpy. The result for a sample does not depend on the number of samples in a call.
 """
 
 import cython
@@ -18,29 +18,30 @@ if not cython.compiled:
 from cython.cimports.libc.math import INFINITY, M_PI, sqrt
 
 _CHANGE_SHARE = cython.declare(cython.double, 0.25)
-"""The mean of two rates may miss this share of their change, times the time between them."""
+"""Bound of the integration error of two rates, as a share of their change times the time between them."""
 _SHORTEST_PERIOD_S = cython.declare(cython.double, 4.0)
 """Shortest period of a hull's motion, s.
 
-The mean of two rates then misses at most (2 pi h / period)² / 12 of the turn.
+The integration error of the mean of two rates is then at most (2 pi h / period)² / 12 of the rotation.
 """
 _TYPICAL = cython.declare(cython.double, 3.10)
-"""What noise of three axes exceeds once in 6e10 times, in eighth roots of its mean eighth power, 945 sigma⁸."""
+"""Value that noise of three axes exceeds once in 6e10 times, in units of the eighth root of its mean eighth power,
+945 sigma⁸."""
 _MEMORY = cython.declare(cython.longlong, 1500)
-"""The mean is one over so many steps."""
+"""Number of steps over which the mean is taken."""
 _LEARNT_ONE = cython.declare(cython.longlong, 64)
 _LEARNT_ALL = cython.declare(cython.longlong, 250)
-"""So many are learnt before a sample is judged by the line, and before means are."""
+"""Numbers of steps in the statistics from which single samples, and means, are checked against the line."""
 _UNKNOWN_RAD = cython.declare(cython.double, 10.0)
-"""No step is as large: what is not known yet is not judged."""
+"""Bound without statistics, rad: no step is as large."""
 SET_EVERY, FORGET = 8, 0.78
-"""Bounds follow what was learnt so many times in between; of what integration feigned at most so much is left then."""
+"""Number of updates of the statistics between two updates of the bounds; decay factor of the apparent step then."""
 
 
 @cython.cfunc
 @cython.exceptval(check=False)
 def _missed(first: cython.p_double, second: cython.p_double, seconds: cython.double) -> cython.double:
-    """What the mean of two rates may miss of the turn between them."""
+    """Return the bound of the integration error by the mean of two rates, rad."""
     change: cython.double = 0.0
     twice_mean: cython.double = 0.0
     phase: cython.double = 2.0 * M_PI * seconds / _SHORTEST_PERIOD_S
@@ -54,7 +55,7 @@ def _missed(first: cython.p_double, second: cython.p_double, seconds: cython.dou
 def missed_by_mean(
     first: cython.const[cython.double][:], second: cython.const[cython.double][:], seconds: cython.double
 ):
-    """What the mean of two rates (rad/s, shape (3,)) may miss of the turn between them, rad."""
+    """Return the bound of the integration error by the mean of two rates (rad/s, shape (3,)), rad."""
     check("rates", first.shape[0] == second.shape[0] == 3)
     one = cython.declare(cython.double[3])
     other = cython.declare(cython.double[3])
@@ -73,20 +74,20 @@ def turns(
     twice_drift: cython.const[cython.double][:],
     longest_ns: cython.longlong,
 ):
-    """How far N rates turn the attitude, each from the sample before: by the mean of both, less the drift.
+    """Return the rotations of N samples, each from the sample before: by the mean of both rates minus the drift.
 
     Args:
         times_ns: stamps of the samples, shape (N,).
         rates: angular velocities, rad/s, shape (N, 3).
         last_ns: stamp of the sample before them.
         last_rate: its rate, shape (3,).
-        missed_rad: what the integration may have missed up to it.
-        twice_drift: twice what is taken out of each rate, rad/s, shape (3,).
-        longest_ns: rates that are further apart are not joined.
+        error_rad: bound of the integration error up to it.
+        twice_drift: twice the error of each rate, rad/s, shape (3,).
+        longest_ns: maximum interval between two rates.
 
     Returns:
-        Rotation vectors about the axes of the deck, rad, shape (N, 3), and what the integration may have missed up to
-        each sample, shape (N,). From the first one on that is not joined, or no number, that is infinite.
+        Rotation vectors about the axes of the deck, rad, shape (N, 3), and bounds of the integration error up to each
+        sample, shape (N,): infinite from the first gap, or number that is not finite, on.
     """
     count: cython.Py_ssize_t = times_ns.shape[0]
     check("rates", rates.shape[0] == count and rates.shape[1] == last_rate.shape[0] == twice_drift.shape[0] == 3)
@@ -122,7 +123,7 @@ def _sizes_of_steps(
     first: cython.Py_ssize_t,
     sizes: cython.double[:],
 ) -> cython.void:
-    """Squares of the steps in the window over the rows from a first one on, one for each of k places."""
+    """Write the squared steps in a window of rows, one for each of k positions."""
     x: cython.double
     y: cython.double
     z: cython.double
@@ -138,10 +139,10 @@ def _sizes_of_steps(
 
 
 def step_sizes(weights: cython.const[cython.double][:, :], rows: cython.const[cython.double][:, :]):
-    """Squares of the steps in a window over rows.
+    """Return the squared steps in a window of rows.
 
     Args:
-        weights: of the rows, oldest first, for each of k places of a step, shape (k, length).
+        weights: of the rows, oldest first, for each of k positions of a step, shape (k, length).
         rows: shape (length, 3).
 
     Returns:
@@ -157,7 +158,7 @@ def step_sizes(weights: cython.const[cython.double][:, :], rows: cython.const[cy
 @cython.cfunc
 @cython.exceptval(check=False)
 def _judged(learns: cython.longlong, first_rad: cython.double) -> cython.bint:
-    """Whether a sample is judged by its own step."""
+    """True if a single sample is checked by its own step."""
     return learns >= _LEARNT_ONE or first_rad < INFINITY
 
 
@@ -187,7 +188,7 @@ def _set(
         if not learnt <= bound:
             bound = learnt
         bound += coarse_rad + feigned_rad
-        # An infinite one stays out: a step over it is zero, and nothing could be learnt from that.
+        # An infinite bound is not used: the ratio of a step to it would be zero in the statistics.
         if p == 0 and learns < _LEARNT_ONE and bound < first_rad < INFINITY:
             bound = first_rad
         if learns < _LEARNT_ALL and not (p == 0 and _judged(learns, first_rad)):
@@ -209,23 +210,22 @@ def set_bounds(
     bounds: cython.double[:],
     scaled: cython.double[:, :],
 ):
-    """The largest steps that errors of good samples feign.
+    """Set the bounds of apparent steps by the errors of good samples.
 
     Args:
-        weights: of the rows of a window, for each of k places of a step, shape (k, length).
-        least_rad: the bounds by the noise that is configured, shape (k,).
-        shares: of the bounds that the steps learnt make, shape (k,).
-        high: means of the fourth powers of the steps' squares, shape (k,) or longer.
-        learns: how many steps they are means of.
-        coarse_rad: what rounding adds.
-        feigned_rad: what integration adds.
-        first_rad: how far a sample may be from the line as long as too few steps are learnt; infinite where it is not
-            judged then.
-        bounds: is set, rad, shape (k,).
-        scaled: is set to the weights over the bounds, shape (k, length).
+        weights: of the rows of a window, for each of k positions of a step, shape (k, length).
+        least_rad: bounds by the configured noise, shape (k,).
+        shares: factors of the bounds by the statistics, shape (k,).
+        high: means of the fourth powers of the squared steps, shape (k,) or longer.
+        learns: number of steps in these means.
+        coarse_rad: part of the bound by rounding.
+        apparent_step_rad: part of the bound by integration errors.
+        first_rad: bound of a single sample before the statistics are known; infinite if it is not checked then.
+        bounds: output, rad, shape (k,).
+        scaled: output, weights over bounds, shape (k, length).
 
     Returns:
-        Whether samples are judged.
+        True if single samples are checked.
     """
     places: cython.Py_ssize_t = weights.shape[0]
     check("bounds", least_rad.shape[0] == shares.shape[0] == bounds.shape[0] == places and high.shape[0] >= places)
@@ -257,13 +257,13 @@ def learn(
     learns: cython.longlong,
     high: cython.double[:],
 ):
-    """Learn how large the steps are that no sample made.
+    """Update the statistics of apparent steps.
 
     Args:
-        sizes: squares of steps over their bounds, shape (k,).
+        sizes: squared steps over their bounds, shape (k,).
         bounds: rad, shape (k,).
-        learns: which ones these are, the first are 1.
-        high: means of the fourth powers of the steps' squares, are changed, shape (k,).
+        learns: number of this update, from 1.
+        high: means of the fourth powers of the squared steps, changed in place, shape (k,).
     """
     check("sizes", sizes.shape[0] == bounds.shape[0] == high.shape[0])
     _learn(sizes, bounds, learns, high)
@@ -292,34 +292,34 @@ def followed(
     bounds: cython.double[:],
     scaled: cython.double[:, :],
 ):
-    """Take samples, from the first one on, that lie on the line of those kept, and learn from them.
+    """Accept the leading samples that are on the line of the kept ones, and update the statistics with them.
 
     Args:
         times_ns: stamps of the samples, shape (N,).
         rows: the samples, shape (N, 3), rad.
-        missed_rad: what the integration may have missed up to each, shape (N,).
-        end: how many are kept.
-        last_ns: stamp of the last of them.
-        longest_ns: over more than that the line does not lead.
-        last_missed_rad: what the integration may have missed up to it.
-        last_feigned_rad: in the last step alone.
-        feigned_rad: what the bounds hold of that.
-        weights: and the next four, and ``high`` to ``scaled``, as of :func:`set_bounds`.
+        error_rad: bound of the integration error up to each, shape (N,).
+        end: number of kept samples.
+        last_ns: stamp of the last kept sample.
+        longest_ns: maximum gap that the line spans.
+        last_error_rad: bound of the integration error up to the last kept sample.
+        last_apparent_step_rad: its growth in the last step.
+        apparent_step_rad: part of the bounds by a change of that growth.
+        weights: as for :func:`set_bounds`, as are the next four and ``high`` to ``scaled``.
         least_rad: rad.
-        shares: of what is learnt.
+        shares: factors of the bounds by the statistics.
         coarse_rad: rad.
         first_rad: rad.
-        learn_every: of so many samples one is learnt from.
-        since_learnt: how many were kept since.
-        learns: how many were learnt from.
-        kept: their rows; those taken are written behind them, shape (room, 3).
-        high: is changed.
-        bounds: is changed.
-        scaled: is changed.
+        learn_every: number of samples for one update of the statistics.
+        since_learnt: number of samples since the last update.
+        learns: number of updates.
+        kept: rows of the kept samples; accepted ones are appended, shape (room, 3).
+        high: changed in place.
+        bounds: changed in place.
+        scaled: changed in place.
 
     Returns:
-        How many are taken; then what is the state after the last of them: the squares of its steps over their bounds,
-        shape (k,), ``last_feigned_rad``, ``feigned_rad``, ``since_learnt``, ``learns``.
+        Number of accepted samples; then the state after the last of them: squared steps over their bounds, shape (k,),
+        ``last_apparent_step_rad``, ``apparent_step_rad``, ``since_learnt``, ``learns``.
     """
     places: cython.Py_ssize_t = weights.shape[0]
     length: cython.Py_ssize_t = weights.shape[1]
@@ -364,7 +364,7 @@ def followed(
 
 
 def changes(before: cython.const[cython.double][:, :], values: cython.const[cython.double][:, :, :]):
-    """How far each of N values is from the one before it: the largest length of a row's change, a list.
+    """Return the change of each of N values from the one before it: the largest length of a row's change, a list.
 
     Args:
         before: the value before the first one, shape (k, l).
@@ -385,7 +385,7 @@ def changes(before: cython.const[cython.double][:, :], values: cython.const[cyth
             for j in range(values.shape[2]):
                 change = values[n, i, j] - (values[n - 1, i, j] if n else before[i, j])
                 square += change * change
-            # What is no number stays none.
+            # Written so that NaN stays NaN.
             if not square <= largest and largest == largest:
                 largest = square
         found.append(sqrt(largest))

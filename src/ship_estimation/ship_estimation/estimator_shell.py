@@ -1,25 +1,25 @@
-"""The shell of every estimator: which measurement is used when, which is refused, and in which order outputs go out.
+"""Time-ordered estimator: order of measurements, late data, rejections, and the order of outputs.
 
-An estimator is a :class:`Model` (how a state and a measurement become the next state) in an :class:`EstimatorShell`.
-The shell knows nothing of what is measured. A measurement goes this way:
+An estimator is an :class:`EstimatorModel` (state transition by a measurement) in a :class:`TimeOrderedEstimator`, which
+is independent of what is measured. A measurement is processed as follows:
 
-1. Older than ``lag_s`` behind the newest data: refused as LATE (:class:`LagWindow`). The core asks this first, and then
-   its guards whether the measurement can be true at all; what they refuse does not reach the shell.
-2. Of the same source and stamp as another one: refused as DUPLICATE, or where the bytes differ told as CONFLICT; the
-   one whose bytes sort first is kept. One that comes after too many later ones of its source is refused as OVERFLOW.
-3. It takes its place in the order of stamps (:class:`TimeOrderedLog`). What was applied after that place is applied
-   again, and a decision that turns out otherwise is told again as revised. How much is applied again is bounded for
-   each input and for each second; the rest waits.
-4. It waits, and all after it, as long as the model misses data that may still come within ``lag_s``.
-5. The model uses it or refuses it. Where the model raises, the measurement is refused as FAILED and the state stays.
-6. ``lag_s`` later the window closes behind it: the decision is final.
+1. If it is more than ``lag_s`` behind the newest data, it is rejected as LATE (:class:`LagWindow`). The core checks
+   this first, and then the plausibility of the measurement; what it rejects does not reach the time-ordered estimator.
+2. If another one has the same source and stamp, it is rejected as DUPLICATE or, if the bytes differ, as CONFLICT; the
+   one whose bytes sort first is kept. If too many later ones of its source are known, it is rejected as OVERFLOW.
+3. It is inserted in the order of stamps (:class:`TimeOrderedLog`). Later measurements are applied again, and a decision
+   that changes is published again as revised. The number of repetitions is limited for each input and for each second;
+   the rest is pending.
+4. It is pending, with all measurements after it, while the model lacks data that may still arrive within ``lag_s``.
+5. The model accepts or rejects it. If the model raises an exception, it is rejected as FAILED and the state is kept.
+6. After ``lag_s`` the window closes behind it: it is committed, the decision is final.
 
-Any order of arrival within the window therefore ends in the same state, to the last bit, as long as no source sends
-more out of order than :data:`MOST_OVERTAKEN_PER_S`.
+Any order of arrival within the window therefore gives the same state, to the last bit, as long as no source sends more
+out of order than :data:`MOST_OVERTAKEN_PER_S`.
 
-Two clocks are at work. Outputs are ordered by their stamps, the time of the data. Silence is measured in the time of
-waiting, a clock that nobody sets and that the shell of the node gives with each input and tick: old stamps, or a
-system clock that is put right, are no silence.
+Two clocks are used. Outputs are ordered by their stamps, the time of the data. Timeouts are measured in waiting time, a
+monotonic clock that the node runtime gives with each input and tick: old stamps, or a correction of the system clock,
+cause no timeout.
 """
 
 import bisect
@@ -44,14 +44,14 @@ Verdict = TypeVar("Verdict")
 
 
 class LagWindow:
-    """The stamps that are still taken: from ``lag_s`` behind the newest data on.
+    """Window of accepted stamps: from ``lag_s`` behind the newest data on.
 
     Args:
-        lag_s: how late data may come.
+        lag_s: maximum lag of data, s.
 
     Attributes:
         newest_ns: latest stamp of all data.
-        oldest_ns: data older than this come too late.
+        oldest_ns: oldest accepted stamp.
     """
 
     def __init__(self, lag_s: float) -> None:
@@ -59,31 +59,31 @@ class LagWindow:
         self.newest_ns, self.oldest_ns = 0, -self._lag_ns
 
     def late(self, time_ns: int) -> Refusal | None:
-        """The refusal of data that come too late."""
+        """Return the rejection of data with this stamp if they are late; None otherwise."""
         if time_ns >= self.oldest_ns:
             return None
         late_s = (self.newest_ns - time_ns) / SECOND_NS
         return Refusal(Reason.LATE, f"{late_s:.3f} s behind the newest data: more than lag_s = {self._lag_s:g}")
 
     def move_to(self, time_ns: int) -> None:
-        """Data of this stamp were taken."""
+        """Advance the window to data of this stamp."""
         self.newest_ns = max(self.newest_ns, time_ns)
         self.oldest_ns = self.newest_ns - self._lag_ns
 
 
 _MOST_AHEAD_NS = SECOND_NS // 10
-"""No stamp that is used is further ahead of its arrival, by half of it."""
+"""Twice the maximum time by which an accepted stamp is ahead of its arrival, ns."""
 
 
 def surely_in_time(
     times_ns: NDArray[np.int64], arrivals_ns: NDArray[np.int64], lag_s: float
 ) -> NDArray[np.bool_]:
-    """Which data cannot come too late, whatever other data come before their turn, shape (N,).
+    """True for each of N data that cannot be late, whatever other data arrive before it, shape (N,).
 
     Args:
-        times_ns: their stamps, shape (N,).
-        arrivals_ns: when each comes, by the clock that judges stamps, shape (N,).
-        lag_s: how late data may come.
+        times_ns: stamps, shape (N,).
+        arrivals_ns: times of arrival by the clock that checks stamps, shape (N,).
+        lag_s: maximum lag of data, s.
 
     Example:
         >>> surely_in_time(np.zeros(2), np.array([1_000_000_000, 1_950_000_000]), lag_s=2.0)
@@ -94,20 +94,23 @@ def surely_in_time(
 
 
 MOST_REPEATS_PER_S = 400
-"""Measurements applied again in a second: ten in ordinary data, two to three hundred where every input of a ship comes
-out of order by up to two seconds. A flood of late ones would make thousands, and hold up the output."""
+"""Maximum number of measurements applied again in a second.
+
+Ordinary data need ten; inputs of a ship that all arrive out of order by up to two seconds need two to three hundred. A
+flood of late data would need thousands, and delay the outputs."""
 MOST_REPEATS_AT_ONCE = 50
-"""Of these for one input: the output that follows it waits no longer than they take."""
+"""Maximum number of measurements applied again for one input; it limits the delay of the next output."""
 MOST_OVERTAKEN_PER_S = 200
-"""Later measurements of its own source that those which come late may find here already, summed over a second. Star
-exposures at 14 Hz in any order within two seconds make so many, and so do attitudes at 100 Hz late by up to 0.1 s."""
+"""Maximum number of later measurements of the same source that late ones may find in the log, summed over a second.
+
+It suffices for star exposures at 14 Hz in any order within two seconds, and attitudes at 100 Hz late by up to 0.1 s."""
 
 
 class _Allowance:
-    """So many a second: after a second of rest all of them at once.
+    """Rate limit with a burst of one second.
 
     Args:
-        per_s: the number.
+        per_s: permitted number in a second.
     """
 
     def __init__(self, per_s: int) -> None:
@@ -115,15 +118,15 @@ class _Allowance:
         self._paid_until_ns = -SECOND_NS
 
     def covers(self, count: int, now_ns: int) -> bool:
-        """Whether so many are left."""
+        """True if ``count`` more are permitted."""
         return self._since_ns(now_ns) + count * self._cost_ns <= now_ns
 
     def spend(self, count: int, now_ns: int) -> None:
-        """Take so many of them, more than are left where need be."""
+        """Use up ``count`` of them, more than are permitted if necessary."""
         self._paid_until_ns = self._since_ns(now_ns) + count * self._cost_ns
 
     def _since_ns(self, now_ns: int) -> int:
-        """Up to when all is spent: a second ago at the earliest, and in a second at the latest."""
+        """Return the time up to which the limit is used up, bounded to one second before and after ``now_ns``."""
         return min(max(self._paid_until_ns, now_ns - SECOND_NS), now_ns + SECOND_NS)
 
 
@@ -140,18 +143,18 @@ class _Entry(Generic[State, Item, Verdict]):
 
 
 class TimeOrderedLog(Generic[State, Item, Verdict]):
-    """A window of measurements over a base state, each with the state after it.
+    """Measurements of the window in time order, on a committed state, each with the state after it.
 
-    One that arrives late takes its place, and everything after it is applied again from the state before it. One on
-    which the step raises changes no state and holds up no other.
+    A late measurement is inserted, and all measurements after it are applied again from the state before it. A
+    measurement for which the step raises an exception changes no state and delays no other one.
 
     Args:
         state: the state before any measurement.
 
     Attributes:
-        state: after the last measurement applied by :meth:`apply`.
-        waiting: number of measurements not applied yet.
-        oldest_ns: time of the first measurement of the window; None where there is none.
+        state: state after the last measurement applied by :meth:`apply`.
+        pending_count: number of measurements not applied yet.
+        oldest_ns: time of the first measurement of the window; None if there is none.
     """
 
     def __init__(self, state: State) -> None:
@@ -164,30 +167,30 @@ class TimeOrderedLog(Generic[State, Item, Verdict]):
 
     @property
     def base(self) -> State:
-        """The state before the first measurement of the window: none before it is asked for any more."""
+        """The committed state, before the first measurement of the window."""
         return self._base
 
     @property
     def is_behind(self) -> bool:
-        """Whether the next measurement to apply was applied before, and waits only because of the bounds."""
+        """True if the next measurement was applied before and is pending only because of the rate limits."""
         return self.waiting > 0 and self._entries[self._applied].decision is not None
 
     def not_applied(self) -> list[Item]:
-        """The measurements that wait, in order."""
+        """Return the pending measurements, in order."""
         return [entry.measurement for entry in self._entries[self._applied :]]
 
     def get(self, key: Key) -> Item | None:
-        """The measurement of exactly this time and tie-breaker."""
+        """Return the measurement of exactly this time and tie-breaker; None if there is none."""
         index = bisect.bisect_left(self._keys, key)
         found = index < len(self._keys) and self._keys[index] == key
         return self._entries[index].measurement if found else None
 
     def overtaken(self, key: Key) -> int:
-        """How many measurements with the same tie-breaker and a later time are here already."""
+        """Return the number of measurements in the log with the same tie-breaker and a later time."""
         return sum(other[1] == key[1] for other in self._keys[bisect.bisect_right(self._keys, key) :])
 
     def insert(self, key: Key, measurement: Item) -> None:
-        """Put a measurement in its place; one with the same key is replaced."""
+        """Insert a measurement in time order; one with the same key is replaced."""
         index = bisect.bisect_left(self._keys, key)
         if index < len(self._keys) and self._keys[index] == key:
             self._entries[index].measurement = measurement
@@ -212,18 +215,18 @@ class TimeOrderedLog(Generic[State, Item, Verdict]):
         failed: Callable[[Item, Exception], Verdict],
         window_ns: tuple[int, int] | None = None,
     ) -> list[tuple[Verdict, Verdict | None]]:
-        """Apply what waits, in order, until ``step`` returns None because it needs data still to come.
+        """Apply pending measurements, in order, until ``step`` returns None because it needs data still to arrive.
 
         Args:
-            step: state and decision after a measurement.
-            failed: the decision about a measurement on which ``step`` raised; the state stays as it was before it.
-            window_ns: the stamp before which no data can come that matter, and the time now. What was applied before
-                is applied again :data:`MOST_REPEATS_AT_ONCE` times at most, and :data:`MOST_REPEATS_PER_S` times in a
-                second. What is beyond that waits for the next call, or until no more data can come: the state is
-                behind meanwhile, and ends the same. None: nothing waits.
+            step: returns state and decision after a measurement.
+            failure_decision: returns the decision about a measurement for which ``step`` raised; the state is kept.
+            window_ns: the stamp before which no relevant data can arrive, and the time now. At most
+                :data:`MOST_REPEATS_AT_ONCE` measurements are applied again, and :data:`MOST_REPEATS_PER_S` in a second.
+                The others stay pending until the next call, or until no more data can arrive. The final state is the
+                same. None: no limit.
 
         Returns:
-            For each measurement applied: its decision and, where it had been applied before, the one it replaces.
+            For each applied measurement: its decision and, if it was applied before, the one that it replaces.
         """
         decisions: list[tuple[Verdict, Verdict | None]] = []
         repeats = 0
@@ -252,10 +255,10 @@ class TimeOrderedLog(Generic[State, Item, Verdict]):
         return decisions
 
     def forget_before(self, time_ns: int) -> list[State]:
-        """Close the window at a time: applied measurements before it can no longer be revised.
+        """Commit the applied measurements before a time: they can no longer be revised.
 
         Returns:
-            The states after these.
+            The states after each of them.
         """
         count = min(bisect.bisect_left(self._keys, (time_ns,)), self._applied)
         closed = self.states(count)
@@ -267,7 +270,7 @@ class TimeOrderedLog(Generic[State, Item, Verdict]):
         return closed
 
     def states(self, count: int | None = None) -> list[State]:
-        """The states after the first measurements of the window; None for all that are applied."""
+        """Return the states after the first ``count`` measurements of the window; None for all applied ones."""
         return [self._state_before(number + 1) for number in range(self._applied if count is None else count)]
 
     @property
@@ -276,30 +279,30 @@ class TimeOrderedLog(Generic[State, Item, Verdict]):
         return len(self._entries) - self.waiting
 
     def _may_repeat(self, key: Key, repeats: int, closed_ns: int, now_ns: int) -> bool:
-        # What no data can reach any more is right once it is applied again, and is so never after.
+        # Before the closed time no data can arrive: one more repetition is final there.
         return key[0] < closed_ns or (repeats < MOST_REPEATS_AT_ONCE and self._repeats.covers(1, now_ns))
 
     def _state_before(self, index: int) -> State:
         if index == 0:
             return self._base
         state = self._entries[index - 1].state_after
-        assert state is not None  # entries before the applied mark always carry their state
+        assert state is not None  # applied entries always have their state
         return state
 
 
 @dataclass(frozen=True, kw_only=True)
 class Model(Generic[State, Measured, Judged, Jump]):
-    """What an estimator is beside its shell; all functions leave the state that they are given as it is.
+    """The functions of an estimator; none of them changes the state that it receives.
 
     Attributes:
-        step: the state after a measurement, and the decision about it. The last argument says whether the measurement
-            may wait; where it may, None says that data still to come belong to it.
-        opened: the state after a jump of a source, which opens the state by as much.
-        failed: the decision about a measurement on which ``step`` raised.
-        until_ns: the stamp up to which samples matter to a decision: later ones cannot change it.
-        forget_before: drops the data that no measurement at or after a stamp needs.
-        decided: told of each decision, also of one that is made again.
-        closed: takes the states after measurements whose decisions are final, in order.
+        step: returns the state after a measurement and the decision about it. The last argument is True if the
+            measurement may wait; the function then returns None if data that belong to it may still arrive.
+        inflate: returns the state with the covariance inflated for a jump of a source.
+        failure_decision: returns the decision about a measurement for which ``step`` raised.
+        until_ns: returns the stamp of the last sample that can change a decision.
+        drop_before: drops the data that no measurement at or after a stamp needs.
+        on_decision: called with each decision, also with a repeated one.
+        on_commit: called with the states after committed measurements, in order.
     """
 
     step: Callable[[State, Measured, bool], tuple[State, Judged] | None]
@@ -313,7 +316,7 @@ class Model(Generic[State, Measured, Judged, Jump]):
 
 @dataclass(frozen=True)
 class _Opening(Generic[Jump]):
-    """A jump of a source at its place among the measurements, and why the state was not opened for it, if so."""
+    """An inflation of the covariance for a jump of a source, at its time; ``failed`` if it raised an exception."""
 
     time_ns: int
     jump: Jump
@@ -321,18 +324,18 @@ class _Opening(Generic[Jump]):
 
 
 class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
-    """One estimator's measurements in time order, and its outputs.
+    """An estimator with its measurements in time order, and the order of its outputs.
 
     Args:
-        model: the estimator itself.
-        state: before any measurement.
-        lag_s: measurements up to this late are applied at their own time.
-        reach_ns: so far before its own stamp data may matter to a measurement.
+        model: the functions of the estimator.
+        state: state before any measurement.
+        lag_s: maximum lag of a measurement, which is then applied at its own time, s.
+        reach_ns: time before its stamp in which data may affect a measurement, ns.
 
     Attributes:
-        state: after the last measurement applied.
-        window: the stamps that are still taken.
-        contradictions: the sources that said different things of one moment.
+        state: state after the last applied measurement.
+        window: window of accepted stamps.
+        stamp_conflicts: sources that sent conflicting data with the same stamp.
     """
 
     def __init__(self, model: Model[State, Measured, Judged, Jump], state: State, lag_s: float, reach_ns: int) -> None:
@@ -342,7 +345,7 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         self.reset(state, clock_jumped=True)
 
     def reset(self, state: State, clock_jumped: bool = False) -> None:
-        """Forget all measurements. After a jump of the clock, outputs may start again at earlier times."""
+        """Drop all measurements and start from a state; after a jump of the clock, outputs may restart earlier."""
         self.state = state
         self._jumped = False
         self.window = LagWindow(self._lag_s)
@@ -355,7 +358,7 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
             self._said_invalid_ns: int | None = None
 
     def step_time_base(self, state: State, step_ns: int) -> None:
-        """Forget all measurements and go on from a state by clocks that have stepped; outputs go on in order."""
+        """Drop all measurements and continue from a state after a step of all clocks; outputs stay in order."""
         self.reset(state)
         if self._last_claim_ns is not None:
             self._last_claim_ns += step_ns
@@ -363,15 +366,15 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
     # -- inputs ---------------------------------------------------------------------------------------------
 
     def add(self, measurement: Measured, outcome: Outcome[Judged, Estimate]) -> bool:
-        """Take a measurement that is not late; False where another one of its source and stamp is kept."""
+        """Add a measurement that is not late; return False if another one of its source and stamp is kept."""
         key = measurement.time_ns, measurement.source
         known, taken = self._log.get(key), True
         if known is not None and not isinstance(known, _Opening):
             taken, outcome.refusal = same_stamp(known, measurement)
             self.contradictions.note(measurement.source, measurement.time_ns, outcome.refusal)
         if taken and not self._may_overtake(key):
-            bound = f"{MOST_OVERTAKEN_PER_S} such pairs a second are taken"
-            text = f"too many come after later ones of their source: {bound}"
+            bound = f"{MOST_OVERTAKEN_PER_S} such pairs a second are accepted"
+            text = f"too many measurements arrive after later ones of their source: {bound}"
             taken, outcome.refusal = False, Refusal(Reason.OVERFLOW, text)
         if taken:
             self._log.insert(key, measurement)
@@ -381,9 +384,9 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
     def add_sample(
         self, source: str, track: SampleTrack[Any], sample: Any, outcome: Outcome[Judged, Estimate]
     ) -> bool:
-        """Take a sample that is not late into a track that measurements are compared with; False as with :meth:`add`.
+        """Add a sample that is not late to a track on which measurements depend; return False as :meth:`add` does.
 
-        What was compared with values of the track that change now is compared anew.
+        Measurements that depend on changed values of the track are applied again.
         """
         known, taken = track.get(sample.time_ns), True
         if known is not None:
@@ -398,28 +401,28 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
 
     @property
     def is_idle(self) -> bool:
-        """Whether nothing waits to be applied: new samples, behind all others, only go into their track."""
+        """True if no measurement is pending: a new sample, the newest of its track, is only stored then."""
         return not self._log.waiting
 
     def move_to(self, time_ns: int) -> None:
-        """Samples up to a stamp were taken, behind all others of their track, while nothing waits (:attr:`is_idle`)."""
+        """Advance the window after samples up to a stamp were appended to their track, while :attr:`is_idle`."""
         self.window.move_to(time_ns)
         self._close()
 
     def add_refused(self, source: str, track: SampleTrack[Any], sample: Any) -> None:
-        """A sample is refused: where one of its stamp was taken and it is not late, the source contradicts itself."""
+        """Record a conflict for a rejected sample that is not late if the track has another one of its stamp."""
         known = track.get(sample.time_ns)
         if known is not None and self.window.late(sample.time_ns) is None:
             self.contradictions.note(source, sample.time_ns, same_stamp(known, sample)[1])
 
     def add_jump(self, time_ns: int, source: str, jump: Jump, changed_after_ns: int | None = None) -> None:
-        """A source has jumped at a moment: the state after it is open by as much.
+        """Inflate the covariance for a jump of a source.
 
         Args:
-            time_ns: the moment, also before what was applied already.
-            source: that has jumped.
-            jump: how far.
-            changed_after_ns: stamp after which samples that were taken belong together otherwise; None where none do.
+            time_ns: time of the jump; it may be earlier than applied measurements.
+            source: the source.
+            jump: the jump.
+            changed_after_ns: stamp after which interpolated values of the track have changed; None if none have.
         """
         self._log.insert((time_ns, source), _Opening(time_ns, jump))
         self._jumped = True
@@ -427,7 +430,7 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
             self.data_changed(changed_after_ns)
 
     def data_changed(self, after_ns: int) -> None:
-        """Samples after a stamp have changed: at the next :meth:`apply`, compare anew what they matter to."""
+        """Apply again, at the next :meth:`apply`, the measurements that depend on samples after a stamp."""
         self.rewind_where(lambda decision: self._model.until_ns(decision) > after_ns)
 
     def rewind_where(self, affected: Callable[[Judged], bool]) -> None:
@@ -435,21 +438,21 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         self._log.rewind_where(lambda verdict: not isinstance(verdict, _Opening) and affected(verdict))
 
     def tick(self, now_ns: int, outcome: Outcome[Judged, Estimate]) -> None:
-        """Go on with what waits only because so much was applied again, where no data come that would do so."""
+        """Apply measurements that are pending because of the rate limits, without a new input."""
         if self.is_behind:
             self.apply(outcome, now_ns)
 
     @property
     def is_behind(self) -> bool:
-        """Whether something is to be applied again, and waits only because of the bounds."""
+        """True if measurements are to be applied again and are pending only because of the rate limits."""
         return self._log.is_behind
 
     def apply(self, outcome: Outcome[Judged, Estimate], now_ns: int | None = None) -> None:
-        """Apply what can be applied now, and tell the decisions that are new or turn out otherwise.
+        """Apply pending measurements as far as possible, and add new and revised decisions to the outcome.
 
         Args:
-            outcome: takes the decisions.
-            now_ns: the time now, for the bounds; None for the newest stamp.
+            outcome: receives the decisions.
+            now_ns: the time now, for the rate limits; None for the newest stamp.
         """
         if not self._log.waiting:
             return
@@ -471,7 +474,7 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
                 outcome.decisions.append(replace(decision, revised=True))
 
     def _may_overtake(self, key: Key) -> bool:
-        """Whether a measurement may still take its place before later ones of its source."""
+        """True if a measurement may still be inserted before later ones of its source."""
         overtaken = self._log.overtaken(key)
         if not overtaken:
             return True
@@ -482,22 +485,22 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         return True
 
     def _advance(self, time_ns: int, outcome: Outcome[Judged, Estimate]) -> None:
-        """Apply what can be applied now, then close the window."""
+        """Advance the window, apply pending measurements as far as possible, and commit."""
         self.window.move_to(time_ns)
         self.apply(outcome)
         self._close()
 
     def states_in_window(self) -> list[State]:
-        """The states after the measurements whose decisions may still change, in order."""
+        """Return the states after the measurements that are not committed, in order."""
         return self._log.states()
 
     @property
     def oldest_state(self) -> State:
-        """The earliest state from which anything may still be carried on."""
+        """The committed state: the earliest one from which a measurement may still be applied."""
         return self._log.base
 
     def _close(self) -> None:
-        """Close the window: what is older than it can no longer be revised."""
+        """Commit the measurements that are older than the window."""
         closed_ns = self.window.oldest_ns - self._reach_ns
         if self._log.oldest_ns is not None and self._log.oldest_ns < closed_ns:
             closed = self._log.forget_before(closed_ns)
@@ -519,7 +522,7 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
     # -- outputs --------------------------------------------------------------------------------------------
 
     def follows(self, time_ns: int) -> bool:
-        """Whether an output for a moment may still go out: it is later than all before."""
+        """True if an output of this stamp may be published: it is later than all before."""
         return self._last_claim_ns is None or time_ns > self._last_claim_ns
 
     def put_out(
@@ -530,16 +533,16 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
         estimate: Callable[[State], Estimate | None],
         patience_ns: int = SECOND_NS,
     ) -> None:
-        """Put out the estimate of a moment that is later than all before, where there is one.
+        """Add the estimate of a stamp to the outcome if it is later than all before.
 
-        An estimate that cannot be computed is told as a failure; the next one is tried all the same.
+        If its computation raises an exception, a failure is reported; the next estimate is computed as usual.
 
         Args:
-            outcome: takes the estimate.
-            time_ns: the moment.
-            waiting_ns: the time of waiting.
-            estimate: computes it from the state now; None where there is none.
-            patience_ns: how long the next one may take before INVALID is said; never less than a second.
+            outcome: receives the estimate.
+            time_ns: the stamp.
+            waiting_ns: the waiting time.
+            estimate: computes the estimate from the current state; None if there is none.
+            timeout_ns: time without a further output after which INVALID is reported; at least a second.
         """
         if not self.follows(time_ns):
             return
@@ -553,18 +556,18 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
             self.was_put_out(time_ns, waiting_ns, patience_ns)
 
     def was_put_out(self, time_ns: int, waiting_ns: int, patience_ns: int = SECOND_NS) -> None:
-        """An estimate of a moment went out, later than all before; arguments as in :meth:`put_out`."""
+        """Record that an estimate was published, later than all before; arguments as for :meth:`add_output`."""
         self._last_claim_ns, self._said_invalid_ns = time_ns, None
         self._silent_after_ns = waiting_ns + max(patience_ns, SECOND_NS)
 
     def continue_outputs(self, before: "EstimatorShell[Any, Any, Any, Any, Any]") -> None:
-        """Go on with the outputs where another shell ends: what this one put out itself was not published."""
+        """Continue the sequence of outputs of another estimator; own outputs so far were not published."""
         self._last_claim_ns, self._said_invalid_ns = before._last_claim_ns, before._said_invalid_ns
         self._silent_after_ns = before._silent_after_ns
 
     @property
     def state_now(self) -> State:
-        """The state for outputs: jumps count at once, also where measurements of before them still wait."""
+        """The state for outputs: jumps inflate it at once, even if measurements before them are pending."""
         if not (self._jumped and self._log.waiting):
             return self.state
         openings = [item for item in self._log.not_applied() if isinstance(item, _Opening)]
@@ -573,10 +576,9 @@ class EstimatorShell(Generic[State, Measured, Judged, Jump, Estimate]):
     def say_invalid(
         self, outcome: Outcome[Judged, Estimate], waiting_ns: int, nothing: Callable[[], Estimate]
     ) -> None:
-        """Say, once a second, that there is no estimate, where none went out for too long whatever came in.
+        """Add an INVALID output, once a second, if no estimate was published for the timeout.
 
-        Such an output carries the time of a tick. An INVALID output does not count for output order; an
-        older valid estimate may follow.
+        It has the time of a tick. It does not count for the order of outputs: an older valid estimate may follow.
         """
         if self._silent_after_ns is not None and waiting_ns <= self._silent_after_ns:
             return

@@ -1,14 +1,15 @@
-"""Attitude noise of an INS beyond what is stated, measured against its own rates.
+"""Excess attitude noise of an INS, measured against its own rates.
 
-The attitude of a sample differs from the attitude before it, carried on by the rates, by the noise of both samples.
-Such differences d of neighbouring steps give the noise variance of one attitude: the mean of d_k²/2 - d_k d_{k-1},
-per axis, is twice that variance, and the noise of the rates cancels. Noise along the axis of turn alone is jitter of
-the stamps; noise about all axes is that of the attitude itself, as coarse digits make it. At rest jitter does not show,
-and nothing is reported.
+The attitude of a sample differs from the attitude before it, propagated by the rates, by the noise of both samples.
+From such differences d of neighbouring steps follows the noise variance of one attitude: the mean of
+d_k²/2 - d_k d_{k-1}, per axis, is twice that variance, and the noise of the rates cancels. Noise along the axis of
+rotation only is jitter of the stamps; noise about all axes is that of the attitude itself, for example by coarse
+resolution. At rest jitter has no effect, and nothing is reported.
 
-A small excess shows in the samples that pass the step check. A large excess makes samples fail it: from the first such
-sample on, and at the start, all samples are collected, rejected ones included, until the median difference tells noise
-from a step. While there is an excess, samples are collected on, so that a change and the end of it are seen in seconds.
+A small excess shows in the samples that pass the step check. A large excess makes samples fail it. From the first such
+sample on, and at the start, all samples are collected, rejected ones included, until the median difference
+distinguishes noise from a step. During an excess samples are collected as well, so that changes and the end are
+detected within seconds.
 """
 
 import math
@@ -24,44 +25,44 @@ from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_geometry.time_scales import SECOND_NS
 
 _LONG_NS, _MEMORY_NS, _SHORT_NS = 30 * SECOND_NS, 10 * SECOND_NS, 2 * SECOND_NS
-"""A small excess is looked for in means over up to the first; once found, noise is averaged over up to the second; a
-large excess, and its end, show within the third."""
+"""Averaging times: for the detection of a small excess, for the noise during an excess, and for the detection of a
+large excess or of its end."""
 _SETTLED_NS = _MEMORY_NS - SECOND_NS
-"""Length of a mean over the second of these, at least."""
+"""Minimum length of a mean over the second of these."""
 _LEAST_RATIO2 = 1.25**2
 """Smallest ratio of measured to stated variance that is reported."""
 _ESTIMATED, _SIGMAS = 1.25, 6.0
-"""Standard deviation of a variance estimated from N steps, times sqrt(N), as a share of it; the excess that is reported
-is so many of them."""
+"""Relative standard deviation of a variance estimated from N steps, times sqrt(N); least reported excess in units of
+it."""
 _MEDIAN_RATIO, _START_RATIO = 2.0, 4.0
-"""Ratio of the median difference to the usual one from which on rejected samples show noise and not a step; at the
-start it is not known what is usual, and the rates may be noisy."""
+"""Ratio of the median difference to the usual one from which rejected samples indicate noise and not a step; the second
+applies at the start, when the usual difference is unknown and the rates may be noisy."""
 _LARGER, _OTHER, _MORE_STEPS = 1.5, 1.25, 3
-"""Ratio of standard deviations from which on a new estimate over the short time, or the long, replaces that in use; the
-long one by that many times as many steps."""
+"""Ratios of standard deviations from which a new estimate over the short time, or the long, replaces the present one;
+least ratio of the number of steps for the long one."""
 _OVER_SHORT, _OVER_LONG, _WOULD_SHOW = 1.5, 1.2, 1.4
-"""An excess is over where the noise has fallen below so many times the stated, over the short time or the long, and the
-excess would show by twice the first, or by the third."""
+"""Ratios of measured to stated noise below which an excess ends, over the short time and the long; the excess must be
+large enough to show: twice the first ratio, or the third."""
 _FIRST_NS, _EVERY_NS, _LEAST_STEPS = SECOND_NS // 2, SECOND_NS // 4, 10
-"""Collected samples are evaluated after the first time, with so many steps at least, and then every so often."""
+"""Time of the first evaluation of collected samples, period of further ones, and least number of steps."""
 _MEDIAN_OF_DIFFERENCE = 1.538 * math.sqrt(2.0)
 """Median length of the difference of two samples with unit noise about each of three axes."""
 _FARTHEST = (8.0, 5.0)
-"""Differences beyond so many of their standard deviations are steps; first and second pass."""
+"""Outlier limits of the differences, standard deviations, in the first and second pass."""
 _ALONG_TURN = 2.0
-"""Noise is jitter where the variance along the axis of turn is so many times that across."""
+"""Ratio of the variances along and across the axis of rotation from which the noise is jitter."""
 _DELAY_SIGMAS = 2.0
-"""Stamps that are late at random are late on average by up to so many standard deviations: 1.7 if uniform from zero."""
+"""Bound of the mean delay of randomly late stamps, standard deviations: 1.7 if uniform from zero."""
 
 
 class NoiseSums(NamedTuple):
-    """Noise that steps from sample to sample show.
+    """Sums of the noise in steps from sample to sample.
 
     Attributes:
         first_ns: stamp of the first sample.
         last_ns: stamp of the last sample.
         steps: number of steps.
-        variance_sum: sum of the noise variances that they show, each axis, rad².
+        variance_sum: sum of the noise variances of the steps, each axis, rad².
     """
 
     first_ns: int
@@ -71,14 +72,14 @@ class NoiseSums(NamedTuple):
 
 
 class MeasuredNoise(NamedTuple):
-    """Noise of the attitudes as measured.
+    """Measured noise of the attitudes.
 
     Attributes:
-        first_ns: stamp of the first sample that shows it.
-        white_rad2: variance about each axis that does not depend on the turn.
-        jitter_s2: variance of the stamps.
-        rate2: mean square of the rate of turn meanwhile, (rad/s)².
-        steps: number of steps that show it.
+        first_ns: stamp of the first sample with this noise.
+        white_rad2: variance about each axis, independent of the rotation.
+        jitter_s2: variance of the stamps, s².
+        rate2: mean square of the angular rate in that time, (rad/s)².
+        steps: number of evaluated steps.
     """
 
     first_ns: int
@@ -88,11 +89,11 @@ class MeasuredNoise(NamedTuple):
     steps: int
 
     def sigma_rad(self, rate2: float | None = None) -> float:
-        """Standard deviation of an attitude about its worst axis, at the rate of turn meanwhile or at another one."""
+        """Return the standard deviation of an attitude about its worst axis, at ``rate2`` or the measured rate, rad."""
         return math.sqrt(self.white_rad2 + self.jitter_s2 * (self.rate2 if rate2 is None else rate2))
 
     def text(self, stated_rad: float) -> str:
-        """Measured against stated standard deviation, in words.
+        """Return the text of measured and stated standard deviation.
 
         >>> MeasuredNoise(0, 0.0, 1.6e-5, 3e-4, 40).text(ARCSEC)
         'stamps jitter by 4.0 ms (1 sigma): attitude noise is 14.3″ at this rate of turn, stated 1.0″'
@@ -107,12 +108,12 @@ class MeasuredNoise(NamedTuple):
 
 
 def noise_sums(times_ns: NDArray[np.int64], differences: FloatArray, longest_ns: float) -> NoiseSums:
-    """Return the noise that steps show.
+    """Return the noise sums of steps from sample to sample.
 
     Args:
         times_ns: stamps of the samples, shape (n + 1,).
-        differences: of each sample's attitude from that before it carried on by the rates, rad, shape (n, 3).
-        longest_ns: in longer steps what the integration of the rates misses is no noise; they are left out.
+        differences: of each attitude from the one before, propagated by the rates, rad, shape (n, 3).
+        longest_ns: longer steps are excluded, because the integration error of the rates dominates there.
 
     Example:
         Noise of a tenth of a milliradian about each axis:
@@ -130,13 +131,13 @@ def noise_sums(times_ns: NDArray[np.int64], differences: FloatArray, longest_ns:
 
 
 class ExcessNoise:
-    """Finds attitude noise beyond what is stated.
+    """Detects attitude noise above the stated one.
 
     Args:
         stated_rad: noise of an attitude, each axis.
 
     Attributes:
-        found: noise that is in excess now; None where none is.
+        found: measured noise during an excess; None without one.
 
     >>> excess, noise = ExcessNoise(1e-5), np.random.default_rng(1).normal(0.0, 3e-5, (201, 3))
     >>> extra = excess.add(noise_sums(10_000_000 * np.arange(201), np.diff(noise, axis=0), longest_ns=2e7))
@@ -154,7 +155,7 @@ class ExcessNoise:
         self._usual_rad = self._fastest2 = 0.0
 
     def reconfigure(self, stated_rad: float) -> ExtraNoise | None:
-        """Go on with another stated noise; return the excess over that, where there was one over the stated before."""
+        """Set another stated noise; return the excess over it if there was an excess before."""
         changed, self._stated_rad = stated_rad != self._stated_rad, stated_rad
         found = self.found
         if found is None or not changed:
@@ -165,7 +166,7 @@ class ExcessNoise:
         return self._end(found, newest_ns)
 
     def forget(self) -> None:
-        """Forget what was measured: the rates have changed, or are not measured."""
+        """Drop all measurements: the rates have changed, or are not measured."""
         self._sums.clear()
         self._collected.clear()
         self._suspected_ns = None
@@ -176,11 +177,11 @@ class ExcessNoise:
         return self._suspected_ns is not None or self.found is not None
 
     def suspect(self, time_ns: int, usual_rad: float) -> None:
-        """Collect samples from now on: one failed the step check, or means of some showed a step.
+        """Collect samples from now on, because one failed the step check or means showed a step.
 
         Args:
-            time_ns: its stamp.
-            usual_rad: root mean square of the differences met before.
+            time_ns: stamp of that sample.
+            usual_rad: root mean square of the earlier differences.
         """
         if self._suspected_ns is None:
             self._usual_rad = usual_rad
@@ -188,13 +189,13 @@ class ExcessNoise:
 
     @property
     def sigma_rad(self) -> float:
-        """Noise of an attitude about its worst axis at the fastest turn since the excess began; stated without one."""
+        """Noise about the worst axis at the fastest rotation since the excess began; the stated one without excess."""
         if self.found is None:
             return self._stated_rad
         return max(self._stated_rad, self.found.sigma_rad(self._fastest2))
 
     def add(self, sums: NoiseSums) -> ExtraNoise | None:
-        """Take noise of samples that passed the step check; return the excess where it is a new one."""
+        """Add noise of samples that passed the step check; return a newly detected excess."""
         if self.found is not None:
             return None
         while self._sums and self._sums[0].first_ns < sums.last_ns - _LONG_NS:
@@ -210,12 +211,12 @@ class ExcessNoise:
         return None
 
     def observe(self, sample: AttitudeSample, integrated: Integrated, rates_proven: bool = True) -> ExtraNoise | None:
-        """Collect a sample; return the excess where it is a new one.
+        """Collect a sample; return a newly detected or changed excess.
 
         Args:
             sample: the sample, with a rate.
-            integrated: attitude by the rates alone at its stamp.
-            rates_proven: whether the rates are known to be right; before that there is no excess.
+            integrated: attitude by integrated rates at its stamp.
+            rates_proven: True if the rates are confirmed; no excess is reported before.
         """
         time_ns, collected = sample.time_ns, self._collected
         if self._suspected_ns is not None and time_ns - self._suspected_ns > _SHORT_NS:
@@ -237,7 +238,7 @@ class ExcessNoise:
         return self._first(steps) if self.found is None else self._changed(self.found, steps)
 
     def _first(self, steps: "_Steps") -> ExtraNoise | None:
-        """Return the excess of the samples collected; None where their median difference is no larger than usual."""
+        """Return the excess of the collected samples; None if their median difference is not larger than usual."""
         usual_sigma_rad = max(self._stated_rad, self._usual_rad / math.sqrt(6.0), steps.missed_rad)
         ratio = _MEDIAN_RATIO if self._usual_rad else _START_RATIO
         if not steps.median_sigma_rad >= ratio * usual_sigma_rad:
@@ -246,7 +247,7 @@ class ExcessNoise:
         return self._use(measured, steps.fastest2) if measured.sigma_rad() >= ratio * self._stated_rad else None
 
     def _changed(self, found: MeasuredNoise, steps: "_Steps") -> ExtraNoise | None:
-        """Return the excess where it has changed, or is over; None otherwise, or where it does not show."""
+        """Return the excess if it has changed or ended; None otherwise."""
         if steps.fastest2 > _OTHER**2 * self._fastest2:
             self._fastest2 = steps.fastest2
         recent = steps.since(int(steps.times_ns[-1]) - _SHORT_NS)
@@ -280,7 +281,7 @@ class ExcessNoise:
     def _use(self, measured: MeasuredNoise, fastest2: float = 0.0) -> ExtraNoise:
         before, self.found, self._fastest2 = self.found, measured, fastest2
         self._sums.clear()
-        # A variance is known to a standard deviation of its own; the covariance counts with that.
+        # The covariance includes one standard deviation of the estimated variance.
         more = 1.0 + _ESTIMATED / math.sqrt(measured.steps)
         white_rad2 = max(more * measured.white_rad2 - self._stated_rad**2, 0.0)
         jitter_s2 = max(measured.jitter_s2, 0.0 if before is None else before.jitter_s2)
@@ -288,7 +289,7 @@ class ExcessNoise:
         return ExtraNoise(measured.first_ns, white_rad2, more * measured.jitter_s2, clock_sigma_s)
 
     def _end(self, found: MeasuredNoise, time_ns: int) -> ExtraNoise:
-        """Return that there is no excess from a stamp on; when it ended before that is known to a second or two."""
+        """Return an excess of zero from a stamp on; the time of its end is known to a second or two."""
         self.found = None
         self.forget()
         return ExtraNoise(time_ns, 0.0, 0.0, _DELAY_SIGMAS * math.sqrt(found.jitter_s2))
@@ -298,11 +299,10 @@ class _Steps(NamedTuple):
     """Steps from sample to sample.
 
     Attributes:
-        times_ns: stamps of the samples that they lead to, shape (n,).
-        differences: of their attitudes from those before, carried on by the rates, horizon frame, rad, shape (n, 3).
-        rates: of turn, horizon frame, rad/s, shape (n, 3).
-        missed_rad: how much more the integration of the rates may miss in a step than in the one before, root mean
-            square: steps of unequal length hide noise.
+        times_ns: stamps of the samples at their ends, shape (n,).
+        differences: of the attitudes from those before, propagated by the rates, horizon frame, rad, shape (n, 3).
+        rates: angular rates, horizon frame, rad/s, shape (n, 3).
+        error_rad: root mean square change of the integration error from step to step: unequal steps hide noise.
     """
 
     times_ns: NDArray[np.int64]
@@ -319,29 +319,29 @@ class _Steps(NamedTuple):
         rates_d: FloatArray,
         missed_rad: FloatArray,
     ) -> "_Steps":
-        """The steps between samples, by their attitudes, those by the rates alone, the rates and what these miss."""
+        """Return the steps between samples, from attitudes, integrated attitudes, rates and integration errors."""
         carried_nd = rotation_nd[:-1] @ by_rates[:-1].swapaxes(-1, -2) @ by_rates[1:]
         differences = log_rotation(rotation_nd[1:] @ carried_nd.swapaxes(-1, -2))
         missed = float(np.sqrt(np.mean(np.diff(missed_rad, n=2) ** 2)))
         return cls(times_ns[1:], differences, (rotation_nd[1:] @ rates_d[1:, :, None])[..., 0], missed)
 
     def since(self, since_ns: int) -> "_Steps":
-        """Those to samples from a stamp on, or the last ones where these are few."""
+        """Return the steps to samples from a stamp on, at least the last :data:`_LEAST_STEPS`."""
         first = min(int(np.searchsorted(self.times_ns, since_ns)), len(self.times_ns) - _LEAST_STEPS)
         return _Steps(self.times_ns[first:], self.differences[first:], self.rates[first:], self.missed_rad)
 
     @property
     def fastest2(self) -> float:
-        """Largest square of the rate of turn, (rad/s)²."""
+        """Largest squared angular rate, (rad/s)²."""
         return float(np.max(np.sum(self.rates**2, axis=1)))
 
     @property
     def median_sigma_rad(self) -> float:
-        """Noise of an attitude, each axis, by the median difference."""
+        """Noise of an attitude, each axis, from the median difference, rad."""
         return float(np.median(np.linalg.norm(self.differences, axis=1))) / _MEDIAN_OF_DIFFERENCE
 
     def measured(self) -> MeasuredNoise:
-        """Return the noise, without steps that are far larger than most at their rate of turn."""
+        """Return the measured noise without outliers for their angular rate."""
         differences, rate2 = self.differences, np.sum(self.rates**2, axis=1)
         axes = self.rates / np.sqrt(np.where(rate2 > 0.0, rate2, 1.0))[:, None]
         sizes = np.linalg.norm(differences, axis=1)

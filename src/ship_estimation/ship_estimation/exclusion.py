@@ -1,12 +1,12 @@
-"""Which source is wrong, since when it is excluded, and when it may return.
+"""Fault isolation: which source is faulty, its exclusion, and its reinstatement.
 
-Every row of hypotheses (:mod:`ship_estimation.hypotheses`) sees the measurements of every source, and running means
-(:mod:`ship_estimation.running_means`) tell how well it agrees with each. A source is wrong where the row of all
-sources does not agree with what it sees, or stands too far from the row without that source, while all that the row
-without it uses agrees.
+Every subfilter (:mod:`ship_estimation.subfilters`) computes innovations for the measurements of every source. Windowed
+innovation means (:mod:`ship_estimation.innovation_means`) show how consistent a filter is with each source. A fault is
+detected if the main filter is inconsistent with a source, or if a solution separation exceeds its threshold. The source
+is isolated if the subfilter without it is consistent with all sources that it uses.
 
-What is excluded is watched by the row that leaves it out. It returns once it has agreed with the others for a while:
-the others know how it is mounted now, be it as before or, after a knock, anew.
+An excluded source is monitored by the subfilter without it. The source is reinstated after a time of consistency. By
+then its mounting is known, unchanged or, after a mounting shift, estimated again.
 """
 
 from collections.abc import Sequence
@@ -20,49 +20,49 @@ from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
 HEARD_NS = 10 * SECOND_NS
-"""A source not heard of for so long contradicts nobody."""
+"""Maximum age of a source's last measurement for it to count in fault isolation, ns."""
 
 _CLEARER = 0.6
-"""By so much of its limit the chi² of the row that explains a fault is smaller than that of any other row: with the
-usual limits the fault is 75 000 times as probable there. A source that creeps is judged anew at hundreds of
-measurements before anybody is named: with 2 000 to one, six voyages of 40 named a sensor that was right."""
+"""Margin, as a share of the chi² limit, by which the subfilter that explains a fault must be better than any other.
+
+With the usual limits the fault is then 75 000 times as probable there. A drifting source is tested at hundreds of
+measurements before it is isolated: with a ratio of 2 000, six voyages of 40 isolated a healthy sensor."""
 
 _FARTHER = 1.3
-"""Where all rows agree with what they see, the one that stands so many times farther off than any other explains it."""
+"""Ratio of the largest solution separation to the second by which it isolates a fault that no innovation shows."""
 
 _MOST_DOUBLINGS = 6
 
 _HALF_BACK = 0.5
-"""A source that was not knocked, and yet contradicted all others, has come back when less of its distance is left."""
+"""Maximum remaining offset ratio at which a source whose mounting did not shift is reinstated."""
 
 _DRIFT_SIGMAS = 3.0
-"""The others show that it has come back only while half of its distance is so many standard deviations of their own
-error: an INS that carries on alone drifts by as much in time."""
+"""Least size of half of the offset, in standard deviations of the error of the other sources, for a reinstatement.
+
+An INS that propagates alone drifts by as much in time."""
 
 _MEAN_OVER = 20
-"""Measurements over which the share of a distance that is left is averaged: one of them has more noise than half of a
-small distance."""
+"""Number of measurements over which the remaining offset ratio is averaged: a single one is too noisy."""
 
 _GROSS = 2.0
-"""A measurement farther off than so many times the distance counts as that far: one gross error delays a return only
-by some measurements."""
+"""Bound of the measured offset ratio: one gross error delays a reinstatement by some measurements only."""
 
 
 @dataclass(frozen=True)
 class Exclusion:
-    """A source that is not used.
+    """State of an excluded source.
 
     Attributes:
-        since_ns: stamp of the measurement that led to it.
-        times: how often the source was excluded, with this time; each time it must agree for twice as long.
-        agrees_since_ns: since when it has agreed with the others; None where it does not.
-        apart: how far the source was from the others at that time, rotation vector of the device, rad, shape (3,): it
-            must come back from there; None where its mounting is learnt anew.
-        share_left: share of ``apart`` that is left, mean over some measurements.
-        farther_since_ns: since when it is much farther from the others than then, in the same direction; None where
-            it is not.
-        is_shared: True if all stars were excluded together, for an error that they may share.
-        on_suspicion: whether it told a fault of its own and nobody has contradicted it yet.
+        since_ns: stamp of the measurement that led to the exclusion.
+        exclusion_count: number of exclusions of this source, this one included; each doubles the reinstatement time.
+        consistent_since_ns: stamp since which it has been consistent with the other sources; None if it is not.
+        offset: rotation vector of the device from the other sources at the exclusion, rad, shape (3,), which must
+            vanish before the reinstatement; None if the mounting is estimated again.
+        remaining_offset_ratio: share of ``offset`` that remains, mean over some measurements.
+        growing_since_ns: stamp since which the offset is much larger than at the exclusion, in the same direction; None
+            if it is not.
+        is_shared: True if all star sensors were excluded together, for an error that they may share.
+        is_self_reported: True if the source reported the fault itself and no other source has contradicted it yet.
     """
 
     since_ns: int
@@ -77,12 +77,12 @@ class Exclusion:
 
 @dataclass(frozen=True)
 class Finding:
-    """What the rows say together.
+    """Result of fault detection and isolation.
 
     Attributes:
-        fault: whether a source is wrong.
-        row: of the hypothesis that explains it; None where none does, or more than one.
-        explaining: the rows that explain it, the one that does so best first.
+        is_detected: True if a source is faulty.
+        subfilter: index of the subfilter that explains the fault; None if none does, or more than one.
+        explaining_subfilters: all subfilters that explain it, the best first.
     """
 
     fault: bool
@@ -103,23 +103,23 @@ def find_fault(
     degraded_after: int = 3,
     larger: Sequence[int] = (),
 ) -> Finding:
-    """Which source is wrong, if any; or which two are.
+    """Detect a fault and isolate the faulty source, or the two faulty ones.
 
     Args:
-        means: what every row has seen of every source.
-        uses: which sources each row uses, shape (h, s).
-        statistic: distance of each row from the first one, sigmas, shape (h,); 0 for the first.
-        threshold: that a distance does not exceed where all sources are right.
-        candidates: the rows that may explain a fault, in the order of their preference.
-        now_ns: the moment.
-        degraded_after: refusals in a row of one source that contradict a row.
-        larger: rows that leave out more than one of the candidates does. Such a row explains what each of them does
-            that it contains; so it is asked only where all candidates are contradicted, or where it stands clearly
-            farther off than any other.
+        means: windowed innovation means of every filter and source.
+        uses: sources that each filter uses, shape (h, s).
+        separations: largest solution separation of each subfilter, sigmas, shape (h,); 0 for the main filter.
+        threshold: largest separation without a fault, sigmas.
+        candidates: subfilters that may explain a fault, in order of preference.
+        now_ns: the time.
+        degraded_after: number of successive rejections after which a filter is inconsistent with a source.
+        larger_subfilters: subfilters that exclude more sources than a candidate. Such a subfilter explains everything
+            that a candidate contained in it explains. It is therefore tested only if all candidates are inconsistent,
+            or if its separation is clearly the largest.
 
     Example:
-        Three rows: by both sources, without the first one, without the second. The first source contradicts all that
-        use it; so it is wrong:
+        Three filters: with both sources, without the first, without the second. Every filter that uses the first source
+        is inconsistent with it, so this source is faulty:
 
         >>> from ship_estimation.running_means import no_means
         >>> excess, heard_ns = np.array([[2.0, 0.1], [9.0, 0.1], [2.0, 0.1]]), np.zeros(2, dtype=int)
@@ -136,7 +136,7 @@ def find_fault(
     counts = uses & heard
     contradicted = np.where(means.refused >= degraded_after, np.maximum(means.excess, 2.0), means.excess)
     worst = np.max(np.where(counts, contradicted, 0.0), axis=-1, initial=0.0)
-    # A row explains a fault where all that it uses was heard since the contradiction began, and well agrees with it.
+    # A subfilter explains a fault if it is consistent with all its sources, each measured since the fault began.
     began_ns = np.max(means.contradicts_ns, initial=LONG_AGO_NS, where=heard)
     well = (means.excess <= WELL) & (means.refused == 0) & (means.heard_ns >= began_ns)
     explains = np.all(well | ~counts, axis=-1)
@@ -148,7 +148,7 @@ def find_fault(
     if all(not worst[row] < worst[best] + _CLEARER for row in asked if row != best):
         return Finding(fault=True, row=best, explaining=tuple(explaining))
     row = None
-    # After a refusal the first row has not used all that the others have: its distance from them tells nothing then.
+    # After a rejection the main filter has used less than the subfilters; the separations do not compare them then.
     if agrees and len(explaining) > 1 and not (means.refused[0] * counts[0]).any():
         both = [*explaining, *(row for row in larger if explains[row])]
         row = _farthest(both, statistic, threshold) or _farthest(explaining, statistic, threshold)
@@ -156,7 +156,7 @@ def find_fault(
 
 
 def agrees_with_all(means: Means, degraded_after: int) -> bool:
-    """Whether the first row agrees with every source, as :func:`find_fault` asks of those that it uses and has heard.
+    """True if the main filter is consistent with every source, by the criterion of :func:`isolate_fault`.
 
     Example:
         >>> from ship_estimation.running_means import no_means
@@ -164,15 +164,15 @@ def agrees_with_all(means: Means, degraded_after: int) -> bool:
         True
     """
     by_source = zip(means.excess[0].tolist(), means.refused[0].tolist(), strict=True)
-    return all(excess <= 1.0 and refused < degraded_after for excess, refused in by_source)  # NaN does not agree
+    return all(excess <= 1.0 and refused < degraded_after for excess, refused in by_source)  # NaN is inconsistent
 
 
 def _first_row_agrees(means: Means, uses: NDArray[np.bool_], since_ns: int, degraded_after: int) -> bool:
-    """Whether the first row agrees with all sources that it uses and that were heard since a moment."""
+    """True if the main filter is consistent with all sources that it uses and that were measured since a stamp."""
     by_source = zip(
         means.excess[0].tolist(), means.refused[0].tolist(), means.heard_ns.tolist(), uses.tolist(), strict=True
     )
-    # NaN does not agree.
+    # NaN is inconsistent.
     return all(
         excess <= 1.0 and refused < degraded_after
         for excess, refused, heard_ns, used in by_source
@@ -181,7 +181,7 @@ def _first_row_agrees(means: Means, uses: NDArray[np.bool_], since_ns: int, degr
 
 
 def _farthest(rows: Sequence[int], statistic: FloatArray, threshold: float) -> int | None:
-    """Which of two rows or more stands beyond the threshold, and clearly farther than the others; None: none does."""
+    """Return the subfilter whose separation exceeds the threshold and is clearly the largest; None if there is none."""
     farthest, second = sorted(rows, key=lambda row: -statistic[row])[:2]
     clear = statistic[farthest] > max(threshold, _FARTHER * statistic[second])
     return farthest if clear else None
@@ -196,19 +196,19 @@ def judge_return(
     measured_share: float = 0.0,
     share_sigma: float = 0.0,
 ) -> tuple[Exclusion, bool]:
-    """Return an excluded source's exclusion after one of its measurements, and True if it is used again.
+    """Return the state of an excluded source after one of its measurements, and True if it is reinstated.
 
-    A source whose mounting is not learnt anew must have come back: that the covariance of the others has grown, until
-    its error is small beside that, is no agreement.
+    If its mounting is not estimated again, its offset must have vanished. A covariance of the other sources that has
+    grown beyond the offset is not consistency.
 
     Args:
-        exclusion: before.
-        means: with that measurement; the first row is that without the source.
-        source: its index.
-        time_ns: the stamp.
-        return_after_s: how long it must agree after its first exclusion.
-        measured_share: share of :attr:`Exclusion.apart` that is left by that measurement.
-        share_sigma: its standard deviation by the error of the others, without the noise of the measurement.
+        excluded: state of the source before the measurement.
+        means: innovation means with that measurement; the first filter is the one without the source.
+        source: index of the source.
+        time_ns: stamp of the measurement.
+        return_after_s: reinstatement time after the first exclusion, s.
+        measured_ratio: share of :attr:`ExcludedSource.offset` that remains by that measurement.
+        ratio_sigma: its standard deviation by the error of the other sources, without the noise of the measurement.
 
     Example:
         >>> from ship_estimation.running_means import no_means
@@ -216,7 +216,7 @@ def judge_return(
         >>> judge_return(agreed, no_means(1, 1), 0, 70 * SECOND_NS, return_after_s=60.0)[1]
         True
     """
-    agrees = means.excess[0, source] <= WELL and means.refused[0, source] == 0  # NaN does not agree
+    agrees = means.excess[0, source] <= WELL and means.refused[0, source] == 0  # NaN is inconsistent
     if exclusion.apart is not None:
         measured_share = measured_share if abs(measured_share) < _GROSS else _GROSS  # NaN is gross
         share_left = exclusion.share_left + (measured_share - exclusion.share_left) * 2.0 / (_MEAN_OVER + 1.0)
@@ -231,7 +231,7 @@ def judge_return(
 
 
 def must_agree_s(exclusion: Exclusion, return_after_s: float) -> float:
-    """How long an excluded source must agree before it is used again, s.
+    """Return the time for which an excluded source must be consistent before it is reinstated, s.
 
     Example:
         >>> must_agree_s(Exclusion(since_ns=0, times=3), return_after_s=60.0)

@@ -1,4 +1,4 @@
-"""Parameters that name the frames of the ship herself: other trees of ROS frames have names of their own for them."""
+"""Parameters that name the ship's frames, because other trees of ROS frames use their own names."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -19,15 +19,15 @@ def publish_tf() -> Any:
         True
     """
     return parameter(
-        True, doc="transforms go out on /tf and /tf_static; false where another node publishes those of these frames"
+        True, doc="publish transforms on /tf and /tf_static; false if another node publishes those of these frames"
     )
 
 
 def _check_name(name: str, frame: str) -> None:
-    """Refuse what tf2 takes for no frame's name."""
+    """Raise :class:`ParameterError` for a name that tf2 does not accept as a frame."""
     if not frame or frame.startswith("/") or frame != frame.strip():
         raise ParameterError(
-            f"parameter '{name}' = {frame!r} is no name of a frame: expected one as 'base_link', without a slash first",
+            f"parameter '{name}' = {frame!r} is not a frame name: expected one like 'base_link', no slash first",
             name,
             value=frame,
         )
@@ -35,7 +35,7 @@ def _check_name(name: str, frame: str) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class DeckFrame:
-    """The name of the ship's own frame."""
+    """Name of the ship's frame."""
 
     deck: str = parameter("deck", doc="name of the ship's frame (forward, left, up), as base_link")
 
@@ -45,7 +45,7 @@ class DeckFrame:
 
 @dataclass(frozen=True, kw_only=True)
 class HorizonFrame:
-    """The name of the horizon's frame."""
+    """Name of the horizon frame."""
 
     horizon: str = parameter("horizon", doc="name of the frame East, North, Up at the ship")
 
@@ -55,10 +55,10 @@ class HorizonFrame:
 
 @dataclass(frozen=True, kw_only=True)
 class FrameNames(DeckFrame, HorizonFrame):
-    """The names of both.
+    """Names of both frames.
 
     Raises:
-        ParameterError: one is no name, or both are the same.
+        ParameterError: a name is invalid, or both are the same.
     """
 
     def __post_init__(self) -> None:
@@ -66,11 +66,11 @@ class FrameNames(DeckFrame, HorizonFrame):
         HorizonFrame.__post_init__(self)
         if self.deck == self.horizon:
             raise ParameterError(
-                f"parameter 'frames.deck' = {self.deck!r} is that of 'frames.horizon': expected two names",
+                f"parameter 'frames.deck' = {self.deck!r} equals 'frames.horizon': expected two different names",
                 "frames.deck",
                 value=self.deck,
             )
 
 
 FRAME_NAMES = FrameNames()
-"""The names by default."""
+"""The default names."""

@@ -1,8 +1,4 @@
-"""What chi² says: is a residual too improbable to use its measurement, is a covariance honest?
-
-This module computes; the filters decide. Normalised errors and their bands follow Bar-Shalom, Li, Kirubarajan 2001,
-§5.4.
-"""
+"""Innovation gates, and NEES and NIS with their acceptance bands (Bar-Shalom, Li, Kirubarajan 2001, §5.4)."""
 
 from dataclasses import dataclass
 
@@ -15,31 +11,31 @@ from ship_geometry.rotations import FloatArray
 
 @dataclass(frozen=True, kw_only=True)
 class GateConfig:
-    """When a measurement is too improbable to use, and what several refusals in a row mean."""
+    """Parameters of the innovation gate, and of successive rejections of one source."""
 
     probability: float = parameter(
         0.9999, doc="a consistent measurement passes with this probability", minimum=0.5, maximum=0.999999999, live=True
     )
     conflict_after: int = parameter(
-        10, doc="refusals in a row of one source that are reported as a conflict", minimum=1, live=True
+        10, doc="successive rejections of one source that are reported as a conflict", minimum=1, live=True
     )
     degraded_after: int = parameter(
         3,
-        doc="refusals in a row by which a source contradicts the rest; where all do, the output is DEGRADED",
+        doc="successive rejections that make a source inconsistent; if all sources are, the output is DEGRADED",
         minimum=1,
         maximum=1000,
         live=True,
     )
     reopen_after: int = parameter(
-        0, doc="refusals in a row that inflate the covariance to let the source back in; 0 never", minimum=0, live=True
+        0, doc="successive rejections that inflate the covariance to re-admit the source; 0 never", minimum=0, live=True
     )
     reopen_factor: float = parameter(
-        100.0, doc="factor on the covariance when a gate is re-opened", minimum=1.0, maximum=1e9, live=True
+        100.0, doc="factor on the covariance when it is inflated so", minimum=1.0, maximum=1e9, live=True
     )
 
 
 def chi_square_gate(probability: float, degrees: int) -> float:
-    """The chi² value that a consistent measurement of ``degrees`` components stays below with ``probability``.
+    """Return the chi² value below which a consistent measurement of ``degrees`` components is with ``probability``.
 
     Example:
         An attitude (three components) passes with 99.99 % up to a normalised innovation squared of 21.1:
@@ -51,10 +47,10 @@ def chi_square_gate(probability: float, degrees: int) -> float:
 
 
 def normalized_error_squared(error: FloatArray, covariance: FloatArray) -> FloatArray:
-    """NEES, or NIS: error^T P^-1 error, shape (...), for errors (..., n) and covariances (..., n, n).
+    """Return NEES or NIS, error^T P^-1 error, shape (...), for errors (..., n) and covariances (..., n, n).
 
     Example:
-        Errors of 3″ and 4″ where 3″ and 2″ were claimed, independent of one another:
+        Independent errors of 3″ and 4″ with predicted sigmas of 3″ and 2″:
 
         >>> print(normalized_error_squared(np.array([3.0, 4.0]), np.diag([9.0, 4.0])))
         5.0
@@ -65,10 +61,10 @@ def normalized_error_squared(error: FloatArray, covariance: FloatArray) -> Float
 
 
 def mean_nees_band(samples: int, degrees: int, probability: float = 0.999) -> tuple[float, float]:
-    """Two-sided band of the mean of ``samples`` independent chi² values with ``degrees`` each.
+    """Return the two-sided band of the mean of ``samples`` independent chi² values with ``degrees`` each.
 
     Example:
-        The mean NEES of 200 honest attitudes, three angles each, lies near 3:
+        The mean NEES of 200 consistent attitudes, three angles each, is near 3:
 
         >>> low, high = mean_nees_band(samples=200, degrees=3)
         >>> print(f"{low:.2f} to {high:.2f}")
@@ -79,12 +75,12 @@ def mean_nees_band(samples: int, degrees: int, probability: float = 0.999) -> tu
 
 
 def sigma_ratio_band(samples: int, probability: float = 0.999) -> tuple[float, float]:
-    """Two-sided band of RMS error / predicted sigma over ``samples`` independent errors of one component.
+    """Return the two-sided band of RMS error / predicted sigma over ``samples`` independent errors of one component.
 
     Example:
         >>> low, high = sigma_ratio_band(samples=200)
-        >>> print(f"RMS error / sigma of 200 honest angles: {low:.2f} to {high:.2f}")
-        RMS error / sigma of 200 honest angles: 0.84 to 1.17
+        >>> print(f"RMS error / sigma of 200 consistent angles: {low:.2f} to {high:.2f}")
+        RMS error / sigma of 200 consistent angles: 0.84 to 1.17
     """
     low, high = mean_nees_band(samples, 1, probability)
     return float(np.sqrt(low)), float(np.sqrt(high))

@@ -1,12 +1,13 @@
-"""Several estimates side by side: by all sources, and without each of them, updated in one step.
+"""Main filter and subfilters: one filter uses all sources, each subfilter excludes one; all are updated together.
 
-Each estimate is a row. A measurement is compared with all rows at once. A row that does without the source of a
-measurement learns of it nothing but the states that belong to that source alone (its installation): the other states,
-and their covariance, are to the last digit those of an estimate that never heard of the source. So the row goes on
-watching the source that it leaves out, and knows, should the source be used again, how it was mounted.
+The innovations of a measurement are computed for all filters at once. A subfilter that excludes the source of a
+measurement updates only the states that belong to that source alone (its installation). The other states and their
+covariance are, to the last digit, those of a filter that never received the source. So the subfilter monitors the
+source that it excludes, and its mounting is known when the source is reinstated.
 
-The first row has an error budget: its covariance is kept by error source. For the others one matrix each is enough. All
-are kept in one stack: the n_sources parts of the first row, then the covariances of the h - 1 others.
+The main filter keeps its covariance by error source; each subfilter keeps one matrix. All are kept in one stack: the
+n_sources parts of the main filter, then the covariances of the h - 1 subfilters. The terms are those of solution
+separation (Blanch et al. 2015, see :mod:`ship_estimation.protection_levels`).
 """
 
 from typing import NamedTuple
@@ -21,17 +22,18 @@ from ship_geometry.rotations import FloatArray
 
 
 class RowsCompared(NamedTuple):
-    """A measurement of m components beside h rows of n states.
+    """Innovations of a measurement of m components in h filters of n states: the main filter first, then subfilters.
 
     Attributes:
-        residual: measured minus predicted by each row, shape (h, m).
-        covariance: of the residual, shape (h, m, m).
+        residual: measured minus predicted by each filter, shape (h, m).
+        covariance: innovation covariance, shape (h, m, m).
         nis: normalised innovation squared, shape (h,).
-        gain: of the optimal update, shape (h, n, m).
-        turn: the rotation of the device that the residual shows, whitened: of unit covariance where the row is right,
-            shape (h, 3).
-        turn_noise: share of the measurement's own noise in that unit covariance in the first row, shape (3, 3).
-        turn_root: root of the covariance of that rotation, rad, shape (h, 3, 3): ``turn_root @ turn`` is in rad.
+        gain: Kalman gain, shape (h, n, m).
+        whitened_innovation: rotation of the device by least squares from the residual, whitened: unit covariance if the
+            filter is consistent, shape (h, 3).
+        whitened_noise: part of the measurement noise in that unit covariance in the main filter, shape (3, 3).
+        whitening_root: square root of the covariance of that rotation, rad, shape (h, 3, 3):
+            ``whitening_root @ whitened_innovation`` is in rad.
     """
 
     residual: FloatArray
@@ -44,10 +46,10 @@ class RowsCompared(NamedTuple):
 
 
 def covariances(stack: FloatArray, rows: int) -> FloatArray:
-    """The covariance of each of h rows, shape (h, n, n), of a stack of them.
+    """Return the covariance of each of h filters, shape (h, n, n), from their stack.
 
     Example:
-        The first row has two parts, of 1 and of 2; the second one is 5:
+        The main filter has two parts, 1 and 2; the subfilter has 5:
 
         >>> print(covariances(np.array([[[1.0]], [[2.0]], [[5.0]]]), rows=2).ravel())
         [3. 5.]
@@ -59,18 +61,18 @@ def covariances(stack: FloatArray, rows: int) -> FloatArray:
 def add_error(
     stack: FloatArray, rows: int, part: int, states: slice, covariance: FloatArray, row: int | None = None
 ) -> None:
-    """Add an error of some states, in place, to all rows or to one of those beside the first.
+    """Inflate the covariance of some states, in place, in all filters or in one subfilter.
 
     Args:
         stack: shape (n_sources + h - 1, n, n).
-        rows: h.
-        part: of the first row, to which the error is booked.
-        states: that err.
-        covariance: of the error, as many rows and columns as there are of these states.
-        row: which one; None for all.
+        filter_count: h.
+        source_index: error source to which the added covariance belongs in the main filter.
+        states: the k states.
+        covariance: added covariance, shape (k, k).
+        subfilter: index of the subfilter; None for all filters.
 
     Example:
-        >>> stack = np.zeros((3, 1, 1))  # two parts of the first row, and a second row
+        >>> stack = np.zeros((3, 1, 1))  # two parts of the main filter, and a subfilter
         >>> add_error(stack, 2, part=1, states=slice(0, 1), covariance=np.array([[4.0]]))
         >>> print(stack.ravel())
         [0. 4. 4.]
@@ -80,18 +82,21 @@ def add_error(
 
 
 def separations(means: FloatArray, stack: FloatArray, states: slice) -> tuple[FloatArray, FloatArray]:
-    """How far each row is from the first one in k states, shape (h, k), and at most, in sigmas, shape (h,).
+    """Return the solution separations of the filters from the main filter in k states.
 
-    Their sigmas are those of :func:`ship_estimation.protection.separation_sigma`. A row of which a distance is no
-    number has no number of sigmas.
+    The sigmas are those of :func:`ship_estimation.protection_levels.separation_sigma`. A separation that is NaN gives a
+    statistic that is NaN.
 
     Args:
         means: shape (h, n).
         stack: shape (n_sources + h - 1, n, n).
-        states: in which the rows are compared.
+        states: the k states.
+
+    Returns:
+        The separations, shape (h, k), and the largest of each filter in sigmas, shape (h,).
 
     Example:
-        The second row, of the variance 13, is six away from the first one, whose two parts are 1 and 3:
+        A subfilter of variance 13 is separated by six from the main filter, whose two parts are 1 and 3:
 
         >>> stack = np.array([1.0, 3.0, 13.0])[:, None, None]
         >>> apart, sigmas = separations(np.array([[0.0], [6.0]]), stack, slice(0, 1))
@@ -106,7 +111,7 @@ def separations(means: FloatArray, stack: FloatArray, states: slice) -> tuple[Fl
 
 
 def stand_together(means: FloatArray, stack: FloatArray, states: slice, most_sigmas: float) -> bool:
-    """Whether no row is farther from the first one than so many sigmas, as :func:`separations` tells them.
+    """True if no solution separation (:func:`solution_separations`) exceeds ``threshold_sigmas``; false for NaN.
 
     Example:
         >>> stack = np.array([1.0, 3.0, 13.0])[:, None, None]
@@ -121,19 +126,18 @@ def stand_together(means: FloatArray, stack: FloatArray, states: slice, most_sig
 
 
 def promoted(stack: FloatArray, rows: int, row: int) -> FloatArray:
-    """The stack in which one of the rows has become the first, and the start of all others.
+    """Return the stack with all filters restarted from one subfilter.
 
-    That row had no budget of its own. The parts of the first row are carried over by the linear map that turns the
-    covariance of the one into that of the other: their sum is right, and what each source has in it is about what it
-    had. Later measurements change them as the filter does.
+    A subfilter has no covariance by error source. The parts of the main filter are transformed by the linear map that
+    takes its covariance to that of the subfilter. Their sum is exact; the share of each source is approximately kept.
 
     Args:
         stack: shape (n_sources + h - 1, n, n).
-        rows: h.
-        row: which one.
+        filter_count: h.
+        subfilter: index of the subfilter.
 
     Example:
-        >>> stack = np.array([[[1.0]], [[3.0]], [[8.0]]])  # parts of 1 and 3, and a second row of 8
+        >>> stack = np.array([[[1.0]], [[3.0]], [[8.0]]])  # parts of 1 and 3, and a subfilter of 8
         >>> print(promoted(stack, 2, row=1).ravel())
         [2. 6. 8.]
     """
@@ -146,7 +150,7 @@ def promoted(stack: FloatArray, rows: int, row: int) -> FloatArray:
     to_row = (vectors[1] * root[1]) @ vectors[1].T @ (vectors[0] * inverse) @ vectors[0].T
     to_row = scale[:, None] * to_row / scale
     parts = to_row @ stack[: len(stack) - rows + 1] @ to_row.T
-    # What is known exactly stays so, rounding aside.
+    # States that are known exactly stay exact in spite of rounding.
     parts[:, sigma == 0.0, :] = parts[:, :, sigma == 0.0] = 0.0
     parts[np.argmax(np.trace(parts, axis1=-2, axis2=-1))] += both[1] - parts.sum(axis=0)
     return np.concatenate([parts, np.tile(both[1], (rows - 1, 1, 1))])
@@ -155,21 +159,21 @@ def promoted(stack: FloatArray, rows: int, row: int) -> FloatArray:
 def compare_rows(
     means: FloatArray, stack: FloatArray, measurement: LinearMeasurement, at_mean: FloatArray, by_turn: FloatArray
 ) -> RowsCompared:
-    """Compare a measurement with every row.
+    """Return the innovations of a measurement in the main filter and all subfilters.
 
     Args:
         means: predicted states, shape (h, n).
         stack: their covariances, shape (n_sources + h - 1, n, n).
-        measurement: linearised; its residual is that of the state ``at_mean``.
-        at_mean: shape (n,).
-        by_turn: derivative of the residual by a rotation of the device, shape (m, 3).
+        measurement: linearised at the state ``linearisation_mean``.
+        linearisation_mean: shape (n,).
+        rotation_jacobian: derivative of the residual by a rotation of the device, shape (m, 3).
 
     Raises:
-        numpy.linalg.LinAlgError: a covariance of the residual is not positive definite.
+        numpy.linalg.LinAlgError: an innovation covariance is not positive definite.
 
     Example:
-        One state, known to 3 and to 4, is measured as 10 with the sigma 4; the rows stand at 0 and at 5, and the first
-        one has two parts:
+        One state has sigma 3 in the main filter (two parts) and 4 in the subfilter. It is predicted as 0 and 5, and
+        measured as 10 with sigma 4:
 
         >>> stack = np.array([[[5.0]], [[4.0]], [[16.0]]])
         >>> measured = LinearMeasurement(np.array([10.0]), np.array([[1.0]]), {0: np.array([[16.0]])})
@@ -187,19 +191,19 @@ def compare_rows(
 def update_rows(
     stack: FloatArray, measurement: LinearMeasurement, compared: RowsCompared, learns: NDArray[np.bool_]
 ) -> tuple[FloatArray, FloatArray]:
-    """Corrections, shape (h, n), and the stack of covariances after a measurement.
+    """Return the corrections, shape (h, n), and the stack of covariances after a measurement update of all filters.
 
-    The update has Joseph's form, which is right for any gain: that of a row that learns only some states too.
+    The update has Joseph's form, which is valid for any gain, also for a subfilter that updates only some states.
 
     Args:
-        stack: before, shape (n_sources + h - 1, n, n).
-        measurement: as compared.
-        compared: by :func:`compare_rows`.
-        learns: which states each row learns of it; none where the row refuses it, shape (h, n).
+        stack: before the measurement, shape (n_sources + h - 1, n, n).
+        measurement: the same as for ``innovations``.
+        innovations: by :func:`subfilter_innovations`.
+        updated_states: states that each filter updates, shape (h, n); none if it rejects the measurement.
 
     Example:
-        Of two states with a variance of 4 each, the sum is measured with the sigma 1. The second row learns only of the
-        second state; what it knows of the first one stays, but it knows now how the two go together:
+        The sum of two states of variance 4 is measured with sigma 1. The subfilter updates only the second state: the
+        variance of the first one stays, and the two become correlated:
 
         >>> stack = np.tile(4.0 * np.eye(2), (2, 1, 1))
         >>> measured = LinearMeasurement(np.array([9.0]), np.array([[1.0, 1.0]]), {0: np.array([[1.0]])})

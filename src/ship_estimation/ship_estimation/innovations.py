@@ -1,9 +1,9 @@
-"""Innovations of one source: how large they are, where their mean lies, and how long they last.
+"""Statistics of the innovations of one source: size, mean and correlation.
 
-An innovation is the residual of a measurement against its prediction. A measurement has parts: stars, lights, or the
-attitude as a whole. An :class:`InnovationTable` holds many of them; :class:`Parts` tells whether the sizes of the parts
-are those predicted, :class:`Axis` whether their mean is zero and each independent of the one before. Medians make a few
-that lie far off count little.
+An innovation is the residual of a measurement against its prediction. A measurement has parts: stars, beacons, or the
+attitude as a whole. An :class:`InnovationTable` holds many innovations. :class:`PartStatistics` compares the sizes of
+the parts with the prediction; :class:`AxisStatistics` tests for a mean of zero and for independence in time. Medians
+limit the effect of a few outliers.
 """
 
 import math
@@ -23,25 +23,25 @@ from ship_estimation.refusals import Reason
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 LEAST_COUNT = 30
-"""Fewer measurements are too few for a verdict."""
+"""Minimum number of measurements for a diagnosis."""
 
 FALSE_VERDICT = 1e-7
-"""Probability that one test speaks against a source that is as stated."""
+"""Probability of a false alarm of one test, for a source that is as stated."""
 
 TOLERATED_FACTOR = 1.25
-"""Of a sigma that is off by less nothing is said."""
+"""Ratio of true to stated sigma up to which no diagnosis is made."""
 
 TOLERATED_BIAS = 0.25
-"""Of a smaller mean of the innovations, in their sigmas, nothing is said."""
+"""Mean of the innovations, in their sigmas, up to which no bias is reported."""
 
 TOLERATED_CORRELATION = 0.2
-"""Of a smaller correlation of each innovation with the one before nothing is said."""
+"""Correlation of successive innovations up to which none is reported."""
 
 _FAR = 1e-3
-"""Parts that are less probable lie far off. The selection of stars leaves out about what is as improbable."""
+"""Probability below which a part is an outlier; the selection of stars rejects about the same parts."""
 
 _LEAST_OWN_SHARE = 0.5
-"""A residual of which a larger part is the prediction's error says little of the source."""
+"""Least share of the measurement noise in an innovation that is used to assess the source's sigma."""
 
 _MANY_FAR = 0.25
 _STEADY = 0.25
@@ -56,17 +56,17 @@ _SIGMA_OF_SPREAD = 1.4826
 
 
 class Innovation(NamedTuple):
-    """One measurement as it is judged.
+    """Innovation of one measurement.
 
     Attributes:
-        time_ns: its stamp.
-        squares: of each part, its normalised square, shape (p,); infinite where the part was left out.
-        degrees: components of a part; 0 where no part was compared.
-        nis: normalised square of the whole residual; 0 where nothing was compared.
-        components: of the whole residual.
-        own_share: the measurement's own noise over what is predicted of its residual.
-        is_used: whether the estimate uses the source. If not, the prediction's error lasts: nothing corrects it.
-        axes: axis → mean over the parts of the residual along it, in its sigma, and in rad.
+        time_ns: stamp of the measurement.
+        squares: normalised square of each part, shape (p,); infinite for a rejected part.
+        degrees: number of components of a part; 0 if no part was compared.
+        nis: normalised innovation squared; 0 if nothing was compared.
+        components: number of components of the innovation.
+        own_share: share of the measurement noise in the innovation covariance.
+        is_used: True if the filter uses the source. Otherwise the error of the prediction is not corrected.
+        axes: axis → mean innovation along it over the parts, in its sigma and in rad.
     """
 
     time_ns: int
@@ -80,10 +80,10 @@ class Innovation(NamedTuple):
 
 
 def innovation_of(decision: Decision[Any]) -> Innovation | None:
-    """What a decision says of its source; None where it says nothing, as of a measurement that was never compared.
+    """Return the innovation of a measurement decision; None without one, as for a measurement that was not compared.
 
     Example:
-        An error of 6″ where 3″ are predicted:
+        An innovation of 6″ with a predicted sigma of 3″:
 
         >>> from ship_geometry.vector_track import VectorSample
         >>> residual, covariance = np.array([6.0]) * ARCSEC, np.array([[9.0]]) * ARCSEC**2
@@ -100,11 +100,11 @@ def innovation_of(decision: Decision[Any]) -> Innovation | None:
             return None
         return Innovation(time_ns, np.full(max(left_out, 1), np.inf), 0, 0.0, 0, 1.0, True, {})
     if len(decision.covariance) != len(decision.residual):
-        return None  # its covariance is not known
+        return None  # unknown covariance
     groups = _grouped(decision.components)
     found = compiled_innovations.innovation(decision.residual, decision.covariance, decision.noise, *groups[:4])
     if found is None:
-        return None  # what is no number, or no covariance, says nothing
+        return None  # NaN, or a covariance that is not positive definite
     squares, own_share, along = found
     return Innovation(
         time_ns=time_ns,
@@ -119,15 +119,15 @@ def innovation_of(decision: Decision[Any]) -> Innovation | None:
 
 
 class _Groups(NamedTuple):
-    """Which part and which axis each of m components belongs to.
+    """Part and axis of each of m components.
 
     Attributes:
         part_of: number of its part, shape (m,).
         axis_of: number of its axis, shape (m,).
-        parts: how many there are.
-        axis_count: how many there are.
-        axes: their names.
-        degrees: components of the first part.
+        parts: number of parts.
+        axis_count: number of axes.
+        axes: names of the axes.
+        degrees: number of components of the first part.
     """
 
     part_of: NDArray[np.intp]
@@ -140,7 +140,7 @@ class _Groups(NamedTuple):
 
 @lru_cache(maxsize=256)
 def _grouped(components: tuple[str, ...]) -> _Groups:
-    """``"HIP 92420 up"`` is the axis ``up`` of the part ``HIP 92420``; remembered, as a source mostly has the same."""
+    """Return parts and axes of component names: ``"HIP 92420 up"`` is the axis ``up`` of the part ``HIP 92420``."""
     names = [name.rpartition(" ") for name in components]
     parts = list(dict.fromkeys(part for part, _, _ in names))
     axes = tuple(dict.fromkeys(axis for _, _, axis in names))
@@ -158,11 +158,10 @@ class InnovationTable:
     """Innovations of one source in order of time, one of each stamp.
 
     Attributes:
-        axes: names of the axes that any of them has.
+        axes: names of all axes.
         times_ns: stamps, shape (n,).
-        numbers: of each the degrees, the normalised square, the number of components, the own share and whether it is
-            used; then for each axis what was measured along it, in sigmas and in rad; then the squares of its parts.
-            What it does not have is NaN. Shape (n, c).
+        numbers: in columns: degrees, NIS, number of components, own share, is used; then for each axis the innovation
+            in sigmas and in rad; then the squares of the parts. Missing values are NaN. Shape (n, c).
 
     Example:
         >>> table = InnovationTable()
@@ -183,23 +182,23 @@ class InnovationTable:
 
     @property
     def squares(self) -> FloatArray:
-        """Of the parts of each innovation, filled with NaN, shape (n, p)."""
+        """Normalised squares of the parts of each innovation, padded with NaN, shape (n, p)."""
         squares: FloatArray = self.numbers[:, self.first_square :]
         return squares
 
     @property
     def first_square(self) -> int:
-        """Column of the first of them."""
+        """Column of the first square."""
         return _SINGLE_NUMBERS + 2 * len(self.axes)
 
     def along(self, axis: str) -> FloatArray:
-        """What was measured along an axis, in sigmas and in rad, shape (k, 2), of the k innovations that have it."""
+        """Return the innovations along an axis, in sigmas and in rad, shape (k, 2), of the k that have this axis."""
         start = _SINGLE_NUMBERS + 2 * self.axes.index(axis)
         along: FloatArray = self.numbers[:, start : start + 2]
         return along[~np.isnan(along[:, 0])]
 
     def take(self, innovations: Collection[Innovation]) -> None:
-        """Add innovations; of those with one stamp the last one taken stays."""
+        """Add innovations; of several with one stamp the last one is kept."""
         self._widen(innovations)
         added_ns = [one.time_ns for one in innovations]
         times_ns = np.concatenate([self.times_ns, np.array(added_ns, dtype=np.int64)])
@@ -211,13 +210,13 @@ class InnovationTable:
         self.times_ns, self.numbers = times_ns, numbers
 
     def forget(self, until_ns: int, most: int) -> None:
-        """Forget those up to a stamp, and of the others all but the newest."""
+        """Drop the innovations up to a stamp, and all but the newest ``most`` of the others."""
         first = max(int(self.times_ns.searchsorted(until_ns, side="right")), len(self) - most)
         if first > 0:
             self.times_ns, self.numbers = self.times_ns[first:], self.numbers[first:]
 
     def _widen(self, innovations: Collection[Innovation]) -> None:
-        """Make room for axes that the table does not have yet, and for more parts than any had."""
+        """Add columns for new axes and for additional parts."""
         axes = tuple(dict.fromkeys(chain(self.axes, *(one.axes for one in innovations))))
         known = self.squares
         parts = max(known.shape[1], *(len(one.squares) for one in innovations))
@@ -228,7 +227,7 @@ class InnovationTable:
             self.squares[:, : known.shape[1]] = known
 
     def _rows(self, innovations: Collection[Innovation]) -> FloatArray:
-        """Innovations as they stand in the table, shape (n, c)."""
+        """Return innovations as rows of the table, shape (n, c)."""
         width, rows = self.numbers.shape[1], []
         for one in innovations:
             row = [one.degrees, one.nis, one.components, one.own_share, one.is_used]
@@ -238,19 +237,19 @@ class InnovationTable:
 
 
 class Parts:
-    """The sizes of the parts of many measurements.
+    """Statistics of the sizes of the parts of many measurements.
 
-    What lies far off may be misidentified, or the tail of a wider noise: without it, the bulk tells which.
+    Outliers may be misidentifications or the tail of a larger noise; the other parts distinguish the two.
 
     Attributes:
-        factor: true sigma of the source over the stated one; NaN where too few tell.
-        far_share: share of the parts that lie far off, or were left out; NaN likewise.
-        components: of all residuals.
-        nis: mean normalised square of a component; NaN where there is none.
+        factor: true sigma of the source over the stated one; NaN with too few parts.
+        outlier_share: share of the parts that are outliers or were rejected; NaN with too few parts.
+        components: number of components of all innovations.
+        nis: mean normalised square of a component; NaN without components.
     """
 
     def __init__(self, table: InnovationTable) -> None:
-        # In order, so that each share of them is a number of places.
+        # Sorted: a quantile is an index.
         self._squares, degrees, self._own_share, nis, self.components = compiled_innovations.sizes(
             table.numbers, table.first_square, _LEAST_OWN_SHARE
         )
@@ -264,64 +263,65 @@ class Parts:
 
     @property
     def is_optimistic(self) -> bool:
-        """Whether even those that are not far off are larger than predicted."""
+        """True if the parts that are no outliers are larger than predicted."""
         return self._bulk_factor > TOLERATED_FACTOR and (self._excess(self._count) > _SIGMAS or self._many_far)
 
     @property
     def is_conservative(self) -> bool:
-        """Whether they are smaller than predicted."""
+        """True if the parts are smaller than predicted."""
         return self._bulk_factor < 1.0 / TOLERATED_FACTOR and self._excess(self._near) < -_SIGMAS
 
     @property
     def is_misidentified(self) -> bool:
-        """Whether many lie far off, and the others, where there are enough, are as predicted."""
+        """True if there are many outliers, and the other parts, if enough, are as predicted."""
         return self._many_far and not self._bulk_factor > TOLERATED_FACTOR
 
     @property
     def _many_far(self) -> bool:
-        """Whether more lie far off than would with a sigma that is as optimistic as is tolerated."""
+        """True if there are more outliers than a sigma of the tolerated factor explains."""
         count, expected = self._count, _expected_far(self._degrees)
         return count * (self.far_share - expected) > _SIGMAS * math.sqrt(count * expected * (1.0 - expected))
 
     def _factor(self, count: int) -> float:
-        """True sigma over the stated one, by the median of the least squares; by the lower quarter where many are far.
+        """Return true over stated sigma, by the median of the smallest squares, or by the lower quartile.
 
-        Of an exposure with too large errors not only the stars that lie far off are left out, but as many of the
-        largest as make the others agree. That changes the median, but hardly the lower quarter.
+        The lower quartile is used with many outliers. From an exposure with large errors the selection rejects not only
+        outliers but as many of the largest parts as make the others consistent. This changes the median, but hardly the
+        lower quartile.
         """
         if count < LEAST_COUNT:
             return math.nan
         share = 0.5 if max(count - self._near, 0) / count < _MANY_FAR else 0.25
         found = float(self._squares[math.ceil(share * count) - 1])
         if math.isinf(found):
-            return math.nan  # so many were left out that nobody knows how far off they were
-        # The square of a part is that of the prediction's error and that of the source's own, which alone is scaled.
+            return math.nan  # too many rejected parts of unknown size
+        # The innovation variance is that of the prediction plus that of the source; only the latter is scaled.
         ratio = found / value_above(1.0 - share, self._degrees)
         return math.sqrt(max(1.0 + (ratio - 1.0) / self._own_share, 0.0))
 
     def _excess(self, count: int) -> float:
-        """Of the least squares those above the predicted median, beyond half of them, in sigmas of that number."""
+        """Return the number of the smallest squares above the predicted median minus half of them, in its sigmas."""
         below = min(int(self._squares.searchsorted(value_above(0.5, self._degrees), side="right")), count)
         return (count - 2 * below) / math.sqrt(count)
 
 
 @cache
 def _expected_far(degrees: int) -> float:
-    """Share of the parts that lie far off where a sigma is as optimistic as is tolerated."""
+    """Return the share of outliers for a sigma that is optimistic by the tolerated factor."""
     return probability_above(value_above(_FAR, degrees) / TOLERATED_FACTOR**2, degrees)
 
 
 @dataclass(frozen=True)
 class Axis:
-    """The innovations along one axis, in order of time.
+    """Statistics of the innovations along one axis, in order of time.
 
     Attributes:
-        name: of the axis.
-        count: how many there are.
-        lasting: variance, in squares of their sigmas, of what of the prediction's error is the same in all of them.
+        name: name of the axis.
+        count: number of innovations.
+        common_variance: variance of the prediction error that is common to all innovations, in their sigmas squared.
         bias_sigma: median of the innovations, in their sigmas.
         spread: sigma of the innovations about their median, in predicted sigmas; at least 1.
-        correlation: of each innovation with the one before, those that are far off clipped; 0 where all are the same.
+        correlation: correlation of successive innovations, outliers clipped; 0 if all are equal.
     """
 
     name: str
@@ -333,49 +333,49 @@ class Axis:
 
     @property
     def is_biased(self) -> bool:
-        """Whether the median is not zero."""
+        """True if the median differs significantly from zero."""
         return abs(self.bias_sigma) > max(TOLERATED_BIAS, _SIGMAS * self._sigma_of_median)
 
     @property
     def is_lasting(self) -> bool:
-        """Whether the innovations are not independent of one another, although the prediction's errors are."""
+        """True if successive innovations are correlated although the errors of the prediction are not."""
         most = max(TOLERATED_CORRELATION, _SIGMAS / math.sqrt(self.count))
         return self.lasting == 0.0 and abs(self.correlation) > most
 
     def bias_text(self, residual: FloatArray) -> str:
-        """The size of a bias, and what it may come from, by what was measured along the axis, rad, shape (n,)."""
-        # In rad, as the sigma changes with the prediction's; the noise by successive differences, free of a drift.
+        """Return the text of a bias and its possible cause, from the innovations along the axis, rad, shape (n,)."""
+        # In rad, because the sigma changes with the prediction; the noise from successive differences, free of drift.
         half, bias = len(residual) // 2, float(np.median(residual))
         change = float(np.median(residual[half:]) - np.median(residual[:half]))
         noise = _SIGMA_OF_SPREAD * float(np.median(np.abs(np.diff(residual)))) / math.sqrt(2.0)
         size = f"bias of {bias / ARCSEC:+.1f} arcsec in {self.name} ({self.bias_sigma:+.1f} sigma)"
         if abs(change) < max(_STEADY * abs(bias), _SIGMAS * _MEDIAN_SIGMA * noise * math.sqrt(4.0 / half)):
             return f"{size}, steady: look at installation and alignment"
-        return f"{size}, changing by {change / ARCSEC:+.1f} arcsec within the window: it drifts, or has just begun"
+        return f"{size}, changing by {change / ARCSEC:+.1f} arcsec in the window: a drift, or a new bias"
 
     @property
     def correlation_text(self) -> str:
-        """What a correlation may come from."""
+        """Text of a correlation and its possible cause."""
         if self.correlation > 0.0:
             return (
-                f"errors last: innovations in {self.name} are like the ones before "
-                f"(correlation {self.correlation:.2f}); an error of the source or of the INS lasts, or a clock is off"
+                f"errors correlated: innovations in {self.name} resemble the previous ones "
+                f"(correlation {self.correlation:.2f}); correlated error of the source or the INS, or a clock offset"
             )
         return (
-            f"innovations in {self.name} contradict the ones before (correlation {self.correlation:.2f}): "
-            "the estimate follows its measurements too closely"
+            f"innovations in {self.name} have the opposite sign of the previous ones "
+            f"(correlation {self.correlation:.2f}): the filter follows its measurements too closely"
         )
 
     @property
     def _sigma_of_median(self) -> float:
-        """Of the median of the innovations, in predicted sigmas: as of fewer where they are correlated."""
+        """Sigma of the median, in predicted sigmas; correlated innovations count as fewer."""
         alike = min(max(self.correlation, 0.0), _MOST_CORRELATED)
         variance = (_MEDIAN_SIGMA * self.spread) ** 2 * (1.0 + alike) / (1.0 - alike) / self.count
         return math.sqrt(variance + self.lasting)
 
 
 def axes_of(table: InnovationTable) -> list[Axis]:
-    """The axes along which enough was measured.
+    """Return the statistics of each axis with enough innovations.
 
     Example:
         >>> table = InnovationTable()

@@ -1,4 +1,4 @@
-"""What more than one estimator knows of an INS: its parameters, and a jump of its attitude that is believed."""
+"""INS parameters that several estimators share, and the accepted jump of an INS attitude."""
 
 import math
 from dataclasses import dataclass
@@ -13,14 +13,14 @@ from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
 
 _CLOCK_SIGMAS, _CLOCK_SHARE = 3.0, 0.1
-"""What a step of the clock leaves of a jump is at most so many sigmas, and this share of the jump."""
+"""Bound of the part of a jump that a clock step does not explain: sigmas, and a share of the jump."""
 _CLEAR_SIGMAS = 15.0
-"""A jump of so many sigmas lies along the ship's turn, to a few tenths of it, only where a clock makes it."""
+"""Size in sigmas from which a jump along the ship's rotation is attributed to the clock."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class InsInputConfig:
-    """What must be known of an INS to use its attitudes: axes, size of the errors, clock."""
+    """Parameters required to use the attitudes of an INS: axes, standard deviations, clock."""
 
     convention: str = parameter(
         "enu_flu", doc="axes of ins/imu: ENU <- FLU (REP-103) or NED <- FRD", choices=("enu_flu", "ned_frd")
@@ -30,8 +30,8 @@ class InsInputConfig:
     installation_heading_deg: float = degrees(0.0, doc="azimuth of the INS's forward axis in the deck")
     installation_pitch_deg: float = degrees(0.0, doc="elevation of the INS's forward axis in the deck")
     installation_roll_deg: float = degrees(0.0, doc="roll of the INS in the deck, right side down")
-    tilt_sigma_arcsec: float = arcsec(10.0, doc="slow error in tilt, each axis", live=True)
-    heading_sigma_arcsec: float = arcsec(72.0, doc="slow error in heading", live=True)
+    tilt_sigma_arcsec: float = arcsec(10.0, doc="correlated error in tilt, each axis", live=True)
+    heading_sigma_arcsec: float = arcsec(72.0, doc="correlated error in heading", live=True)
     white_sigma_arcsec: float = arcsec(1.0, doc="noise of each sample, each axis, quantisation included", live=True)
     time_offset_s: float = parameter(
         0.0, doc="a sample is valid at its stamp plus this", unit="s", minimum=-1.0, maximum=1.0
@@ -52,35 +52,35 @@ class InsInputConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class GuardedInsConfig(InsInputConfig):
-    """The parameters of an INS whose attitudes are watched for jumps."""
+    """Parameters of an INS whose attitudes are checked for jumps."""
 
     jump_samples: int = parameter(
         JUMP_SAMPLES,
-        doc="samples refused for a jump of the attitude that agree among themselves; the next is believed",
+        doc="rejected, mutually consistent samples after which a jump of the attitude is accepted",
         minimum=1,
         maximum=1000,
         live=True,
     )
     rate_sigma_arcsec_per_s: float = parameter(
         0.0,
-        doc="noise of the angular rate, each axis, 0 where it is not known; what is met is learnt where it is larger",
+        doc="noise of the angular rate, each axis, 0 if unknown; a larger noise is estimated from the samples",
         unit="arcsec/s",
         minimum=0.0,
         maximum=36_000.0,
         live=True,
     )
     rate_has_earth_rate: bool = parameter(
-        False, doc="the angular rate is the gyroscopes' own: the Earth's turn, 15 arcsec/s, has not been taken out"
+        False, doc="the angular rate is that of the gyroscopes: it contains the Earth rate, 15 arcsec/s"
     )
 
 
 @dataclass(frozen=True, kw_only=True)
 class StarInsConfig(GuardedInsConfig):
-    """The parameters of an INS beside stars: it tells how the ship turned during their exposures."""
+    """Parameters of an INS that measures the ship's rotation during star exposures."""
 
     untold_acceleration_deg_per_s2: float = parameter(
         2.0,
-        doc="angular acceleration of the deck, each axis, taken for an exposure during which the INS tells none",
+        doc="angular acceleration of the deck, each axis, assumed for an exposure without INS data",
         unit="deg/s2",
         minimum=0.0,
         maximum=100.0,
@@ -90,7 +90,7 @@ class StarInsConfig(GuardedInsConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class InsErrorConfig(InsInputConfig):
-    """The parameters of an INS whose slow errors are estimated: how long these last besides."""
+    """Parameters of an INS whose correlated errors are estimated: their correlation times."""
 
     tilt_time_s: float = parameter(
         1800.0, doc="correlation time of the tilt error", unit="s", minimum=1.0, maximum=1e7
@@ -102,14 +102,14 @@ class InsErrorConfig(InsInputConfig):
 
 @dataclass(frozen=True)
 class InsJump:
-    """An attitude of the INS that has jumped for good.
+    """A permanent jump of the INS attitude.
 
     Attributes:
         time_ns: just before the first sample after the jump.
         jump_n: the jump, rotation vector in the horizon frame, rad, shape (3,).
         sigma_rad: standard deviation of the jump about each axis.
-        clock_s: step of the INS's clock that would explain the jump, s; NaN where none would.
-        creeps: whether the attitude did not jump but crept so far, and may creep on.
+        clock_s: step of the INS's clock that would explain the jump, s; NaN if none would.
+        is_drift: True if the attitude drifted by this amount, and may drift further, instead of a jump.
 
     >>> jump = InsJump(time_ns=0, jump_n=np.array([0.0, 0.1, 0.0]), sigma_rad=0.001)
     >>> [round(float(sigma), 3) for sigma in np.sqrt(np.diagonal(jump.covariance_n))]
@@ -124,24 +124,23 @@ class InsJump:
 
     @property
     def covariance_n(self) -> FloatArray:
-        """Covariance of what the INS's slow error may have become by the jump, rad², shape (3, 3).
+        """Covariance by which the INS's correlated error is inflated for the jump, rad², shape (3, 3).
 
-        Along the jump it is the square of the jump. About every axis it is the jump's own variance and, because two
-        large turns do not commute, the square of half the squared jump.
+        Along the jump it is the square of the jump. About every axis it is the variance of the jump and, because large
+        rotations do not commute, the square of half the squared jump.
         """
         covariance_n: FloatArray = np.outer(self.jump_n, self.jump_n) + self._across_rad**2 * np.eye(3)
         return covariance_n
 
     @property
     def shared(self) -> tuple[FloatArray, FloatArray]:
-        """Half of the jump laid to the attitude and half to the clock, and how surely.
+        """Return the jump with one half attributed to the attitude and one half to the clock, and its covariance.
 
-        Which of the two has jumped nothing tells as long as the ship turns as she does. It may be the one or the other
-        alone: both are one sigma away from the half, and what the one has more the other has less.
+        While the ship's rotation does not change, a jump of the attitude and a clock step cannot be distinguished. The
+        halves are fully anticorrelated: attitude alone and clock alone are both one sigma away.
 
         Returns:
-            By how much the slow error and the offset of the clock have changed, rad and s, shape (4,); its covariance,
-            shape (4, 4).
+            Change of the correlated error and of the clock offset, rad and s, shape (4,); its covariance, shape (4, 4).
         """
         half, jump_rad = 0.5 * np.append(self.jump_n, self.clock_s), size(self.jump_n)
         covariance = np.outer(half, half)
@@ -151,7 +150,7 @@ class InsJump:
 
     @property
     def is_of_clock(self) -> bool:
-        """Whether it was the clock that jumped: the jump is large beside its sigma, and a step explains it."""
+        """True if a clock step explains the jump and the jump is large compared with its sigma."""
         clear = size(self.jump_n) >= _CLEAR_SIGMAS * self.sigma_rad
         return clear and not math.isnan(self.clock_s)
 
@@ -161,11 +160,11 @@ class InsJump:
 
 
 InsChange = InsJump | ExtraNoise
-"""What makes the error of an INS uncertain: its attitude has jumped, or the noise of its samples has changed."""
+"""Change of an INS error: a jump of its attitude, or a change of its sample noise."""
 
 
 def clock_step_s(jump_n: FloatArray, sigma_rad: float, rate_n: FloatArray) -> float:
-    """Step of a clock that explains a jump: the ship has turned no further than she does in that time; NaN where none.
+    """Return the clock step that explains a jump by the ship's rotation in that time, s; NaN if none does.
 
     Args:
         jump_n: rotation vector, rad, shape (3,).
@@ -183,6 +182,6 @@ def clock_step_s(jump_n: FloatArray, sigma_rad: float, rate_n: FloatArray) -> fl
     if not square > 0.0:
         return math.nan
     step_s = float(jump_n @ rate_n) / square
-    # The rate changes in that time.
+    # The rate of rotation changes in that time.
     explained = size(jump_n - step_s * rate_n) <= _CLOCK_SIGMAS * sigma_rad + _CLOCK_SHARE * size(jump_n)
     return step_s if explained else math.nan

@@ -1,9 +1,9 @@
-"""The guard of an INS's samples. It tells a frozen INS, an attitude that jumps, and rates that are none.
+"""Plausibility checks of INS samples: frozen values, jumps of the attitude, and rates that are not measured.
 
-The guard watches the samples in the order of their stamps. Each attitude is compared with the place where those before
-lead: by the rates where these are proven, otherwise by the motion before, otherwise by what a hull can turn in the
-time. Rates that are not measured are left out of the samples; what was taken with them before is named, so that it can
-be mended.
+Samples are checked in the order of their stamps. Each attitude is compared with its prediction from earlier samples: by
+the rates if these are confirmed, otherwise by continued motion, otherwise by the fastest rotation of a hull. Rates that
+are not measured are removed from the samples, and the stamp after which earlier rates were wrong is returned for the
+correction of the track.
 """
 
 import math
@@ -24,21 +24,19 @@ from ship_estimation.witnesses import Witness
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, ExtraNoise, SampleBlock
 from ship_geometry.rotations import ARCSEC, FloatArray
 
-_STUCK = Refusal(Reason.STUCK, "orientation stands still while other sources move")
+_STUCK = Refusal(Reason.STUCK, "orientation is constant while other sources rotate")
 
 
 class JudgedIns(NamedTuple):
-    """What is to be done with a sample.
+    """Result of the checks of a sample.
 
     Attributes:
-        sample: the sample as it may be used: without its rate where the rates are not measured.
-        refusal: why the sample is not used; None where it is.
-        jumps: the jump of the attitude that is believed with this sample, at each end of the time in which it may have
-            happened; empty where there is none.
-        rates_wrong_after_ns: stamp after which the rates of samples taken before are no rates; None where nothing new
-            is known of them.
-        noise: noise of the samples beyond what is stated, as it is known with this sample; None where nothing new is
-            known of it.
+        sample: the sample as it may be used: without its rate if the rates are not measured.
+        rejection: rejection of the sample; None if it is accepted.
+        jumps: the jump of the attitude that is accepted with this sample, at each end of the interval in which it may
+            have happened; empty if there is none.
+        rates_wrong_after_ns: stamp after which the rates of earlier samples were wrong; None without new information.
+        noise: excess noise of the samples as estimated with this sample; None without new information.
     """
 
     sample: AttitudeSample
@@ -49,12 +47,11 @@ class JudgedIns(NamedTuple):
 
 
 class Followed:
-    """The samples of a block that were judged ahead.
+    """The leading samples of a block that were checked together.
 
     Attributes:
-        count: how many these are.
-        last: what is to be done with the last of them where something is, because the attitude crept, or the rates
-            turned out to be wrong with it.
+        count: number of these samples.
+        last: result for the last one, if the attitude drifted or the rates are wrong with it; None otherwise.
     """
 
     def __init__(self) -> None:
@@ -64,16 +61,16 @@ class Followed:
 
     @property
     def usual(self) -> int:
-        """How many of them go the usual way, from the first one on."""
+        """Number of leading samples that are accepted unchanged."""
         return self.count - (self.last is not None)
 
     def add(self, times_ns: StampArray, rotations: FloatArray, drift_rad_per_s: float) -> None:
-        """Further samples were judged: their stamps, their attitudes by the rates, shape (N, 3, 3), and their drift."""
+        """Add checked samples: stamps, attitudes by integrated rates, shape (N, 3, 3), and bound of their drift."""
         self._pieces.append(_Piece(self.count, times_ns, rotations, drift_rad_per_s))
         self.count += len(times_ns)
 
     def by_rates(self, number: int) -> Witness:
-        """At one of them the attitude by the rates alone, for the guards of other sources."""
+        """Return the attitude by integrated rates at a sample, as motion reference for the checks of other sources."""
         piece = self._pieces[-1]
         for piece in reversed(self._pieces):
             if piece.start <= number:
@@ -83,7 +80,7 @@ class Followed:
 
 
 class _Piece(NamedTuple):
-    """Samples from a number on, and what :meth:`Followed.add` was told of them."""
+    """Samples from a number on, with the arguments of :meth:`CheckedBlock.add`."""
 
     start: int
     times_ns: StampArray
@@ -92,15 +89,15 @@ class _Piece(NamedTuple):
 
 
 class InsGuard:
-    """Judges the samples of one INS.
+    """Plausibility checks of the samples of one INS.
 
     Args:
-        config: noise of the INS, and after how many refused samples a jump is believed.
+        config: noise of the INS, and number of rejected samples after which a jump is accepted.
 
     Attributes:
         noise_rad: noise of an attitude about its worst axis, rounding included.
-        by_rates: attitude by the rates alone at the last sample, as a witness for the guards of other sources; None
-            where the sample has no rate or the rates are not to be believed.
+        by_rates: attitude by integrated rates at the last sample, as motion reference for the checks of other sources;
+            None if the sample has no rate or the rates are not usable.
 
     >>> from ship_geometry.rotations import exp_rotation
     >>> guard, used = InsGuard(GuardedInsConfig()), AttitudeTrack(max_gap_ns=500_000_000)
@@ -117,22 +114,22 @@ class InsGuard:
         self._slopes = SlopeWatch()
         self._previous: SeenSample | None = None
         self._taken: SeenSample | None = None
-        # The first of the samples that are refused for a jump.
+        # The first of the samples that are rejected for a jump.
         self._jumps_with: AttitudeSample | None = None
-        # Whether each sample since the last one taken goes on with the motion before it.
+        # True if each sample since the last accepted one continues the motion before it.
         self._smooth_since_taken = True
-        # By so much attitudes contradicted the rates, and from which stamp on, when the rates lost their trust by it.
+        # Difference between attitudes and rates, and its stamp, at which the rates were found to be wrong.
         self._disputed: InsJump | None = None
-        # How often a drift of the rates was learnt.
+        # Number of estimates of the rates' drift.
         self._learnt = 0
         self._excess = ExcessNoise(ARCSEC)
-        # Noise that is known but not returned yet, with the judgement of a sample.
+        # Excess noise that is estimated but not returned with a sample yet.
         self._new_noise: ExtraNoise | None = None
         self.by_rates: Witness | None = None
         self.reconfigure(config)
 
     def reconfigure(self, config: GuardedInsConfig) -> None:
-        """Go on with another noise, an arcsecond at least."""
+        """Set the noise and the other parameters of a new configuration; the noise is an arcsecond at least."""
         self._stated_rad = max(config.white_sigma_arcsec * ARCSEC, ARCSEC)
         self._rate_sigma = config.rate_sigma_arcsec_per_s * ARCSEC
         self._new_noise = self._excess.reconfigure(self._stated_rad) or self._new_noise
@@ -141,7 +138,7 @@ class InsGuard:
         self._set_sigma()
 
     def _set_sigma(self) -> None:
-        """Judge samples by the stated noise or, where more was measured, by that."""
+        """Set the noise of all checks: the stated one or, if larger, the measured one."""
         self._sigma_rad = self._excess.sigma_rad
         self._leads.by_rates.sigma_rad = self._leads.by_motion.sigma_rad = self._sigma_rad
         self._steps.reconfigure(self._sigma_rad, self._rate_sigma)
@@ -149,27 +146,28 @@ class InsGuard:
 
     @property
     def rates(self) -> Rates:
-        """What the rates are worth."""
+        """Status of the rates."""
         return self._rates.rates
 
     @property
     def excess_text(self) -> str:
-        """Measured against stated noise of the samples, in words; empty where it is no larger."""
+        """Text of measured and stated noise of the samples; empty without excess noise."""
         found = self._excess.found
         return "" if found is None else found.text(self._stated_rad)
 
     def judge(
         self, sample: AttitudeSample, used: AttitudeTrack, witnesses: Mapping[str, Witness], told_rad: float = 0.0
     ) -> JudgedIns:
-        """Judge a sample by those before it in time.
+        """Check a sample against those before it in time.
 
-        The guards watch the stream in order. A sample that comes after later ones is judged by its neighbour alone.
+        The checks follow the stream in order. A sample that arrives after later ones is compared with its neighbour
+        only.
 
         Args:
             sample: the sample.
-            used: the samples used so far.
-            witnesses: by name, the attitude as other sources have it at about this time.
-            told_rad: by so much the source itself says that it may have stepped with this sample.
+            accepted_track: the samples accepted so far.
+            motion_references: by name, the attitude by other sources at about this time.
+            reported_step_rad: possible step with this sample that the source itself reports, rad.
         """
         self._leads.told_rad = told_rad
         previous = self._previous
@@ -183,11 +181,11 @@ class InsGuard:
 
     @property
     def least_step_rad(self) -> float:
-        """While samples go the usual way, one with which the source may have stepped by no more is judged as others."""
+        """Largest reported step that does not affect the check of a sample while :attr:`can_check_block` holds, rad."""
         return self._steps.least_rad
 
     def looks_ahead(self, time_ns: int) -> bool:
-        """Whether a sample may go the usual way: rates are proven, a line leads to it, and nothing is in question."""
+        """True if a block may be checked from this stamp on: rates are confirmed, and no check is unresolved."""
         taken = self._taken
         if taken is None or self._previous is not taken or self._rates.rates is not Rates.MEASURED:
             return False
@@ -195,14 +193,14 @@ class InsGuard:
         return in_order and self._disputed is None and self._steps.judges and not self._excess.collects
 
     def look_ahead(self, samples: Sequence[AttitudeSample], block: SampleBlock) -> Followed:
-        """Judge the samples of a block, from the first one on, as long as they go the way of nearly all.
+        """Check the leading samples of a block as long as all are accepted without special cases.
 
-        Each of them is judged as by :meth:`judge` and may be used as it is; witnesses have no part in that. The next
-        one is for :meth:`judge`, after :meth:`arrive`.
+        The result for each is that of :meth:`check`; motion references do not affect it. After :meth:`commit_block` the
+        next sample is for :meth:`check`.
 
         Args:
             samples: later than all before, in the order of their stamps.
-            block: the same as arrays.
+            block: the same samples as arrays.
         """
         followed = Followed()
         if not self.looks_ahead(samples[0].time_ns):
@@ -219,15 +217,15 @@ class InsGuard:
         return followed
 
     def arrive(self, values: FloatArray, followed: Followed, witnesses: Mapping[str, Witness]) -> None:
-        """Samples that were judged ahead have come, all of them.
+        """Commit the samples that :meth:`check_block` checked.
 
         Args:
             values: their attitudes, shape (N, 3, 3).
-            followed: what :meth:`look_ahead` gave.
-            witnesses: as in :meth:`judge`, at the last of them.
+            checked: result of :meth:`check_block`.
+            motion_references: as in :meth:`check`, at the last sample.
         """
         by_rates = followed.by_rates(followed.count - 1)
-        # The guard of what stands still hears the rates as they were before they were judged with the last sample.
+        # The stuck check uses the rates as they were before their check with the last sample.
         self._stuck.follow(by_rates.time_ns, values, {**witnesses, "rate": by_rates})
         self.noise_rad = math.hypot(self._sigma_rad, self._stuck.coarseness_rad / math.sqrt(12.0))
         self.by_rates = by_rates if self._rates.usable else None
@@ -236,10 +234,10 @@ class InsGuard:
     def _follow_run(
         self, samples: Sequence[AttitudeSample], block: SampleBlock, integrated: IntegratedRun, followed: Followed
     ) -> None:
-        """Follow samples as far as their rates are integrated as before: until a drift of the rates is learnt."""
+        """Check samples until a new drift of the rates is estimated, which changes their integration."""
         start, joined, drift_rad_per_s = 0, len(integrated.missed_rad), self._leads.drift.bound_rad_per_s
         while start < joined and followed.last is None:
-            # With the sample at which that is due the rates are judged.
+            # The rates are checked with the sample that reaches the due time.
             due = start + 1 + int(block.times_ns[start:joined].searchsorted(self._rates.due_ns))
             some = slice(start, min(due, joined))
             times_ns, learnt = block.times_ns[some], self._learnt
@@ -253,16 +251,16 @@ class InsGuard:
     def _follow(
         self, samples: Sequence[AttitudeSample], block: SampleBlock, integrated: IntegratedRun, due: int
     ) -> tuple[int, JudgedIns | None]:
-        """Take the samples that lie on one line with those before, up to one with which something is learnt.
+        """Accept leading samples that lie on the line of those before, up to one that updates the statistics.
 
         Args:
-            samples: that may be taken.
-            block: the same as arrays.
-            integrated: their attitudes by the rates.
-            due: with so many of them the rates are judged.
+            samples: the samples.
+            block: the same samples as arrays.
+            integrated: their attitudes by integrated rates.
+            due: number of samples after which the rates are checked.
 
         Returns:
-            How many are taken; and what is to be done with the last one where something is.
+            Number of accepted samples; and the result for the last one if it needs one.
         """
         taken = self._taken
         if taken is None or taken.integrated is None or integrated.run != taken.integrated.run:
@@ -288,7 +286,7 @@ class InsGuard:
     def _last_two(
         samples: Sequence[AttitudeSample], integrated: IntegratedRun, taken: SeenSample, count: int
     ) -> tuple[SeenSample, SeenSample]:
-        """The last two of so many samples taken, as the guard has seen them; before all of them is the one taken."""
+        """Return the last two of ``count`` accepted samples, numbered; ``taken`` is the one accepted before them."""
         before = (taken.before, taken.sample, *samples[max(count - 3, 0) : count])
         last = SeenSample(samples[count - 1], taken.number + count, before[-2], integrated.one(count - 1))
         if count == 1:
@@ -298,7 +296,7 @@ class InsGuard:
     def _judge_next(
         self, sample: AttitudeSample, previous: SeenSample | None, witnesses: Mapping[str, Witness]
     ) -> JudgedIns:
-        """Judge a sample later than all before."""
+        """Check a sample later than all before."""
         integrated = self._integrator.integrate(sample.time_ns, sample.rate_d)
         number, before = (0, None) if previous is None else (previous.number + 1, previous.sample)
         self._previous = seen = SeenSample(sample, number, before, integrated)
@@ -320,7 +318,7 @@ class InsGuard:
         return self._compare(self._taken, previous, seen)
 
     def _compare(self, taken: SeenSample, previous: SeenSample, seen: SeenSample) -> JudgedIns:
-        """Judge a sample by the last one taken and the one before it."""
+        """Check a sample against the last accepted one and the one before it."""
         sample, on_line, measured = seen.sample, None, self._rates.rates is Rates.MEASURED
         if measured and seen.integrated is not None:
             if self._leads.told_rad and self._leads.told_rad > self._steps.smallest_rad:
@@ -332,7 +330,7 @@ class InsGuard:
         if seen.integrated is not None and self._excess.collects:
             self._new_noise = self._excess.observe(sample, seen.integrated, measured) or self._new_noise
         if on_line and previous is taken:
-            # Nearly all samples of a healthy INS go this way.
+            # Nearly all samples of a healthy INS take this branch.
             jumps = self._kept(seen)
             self._take(seen, None if jumps else taken)
             due = sample.time_ns >= self._rates.due_ns
@@ -345,8 +343,8 @@ class InsGuard:
         if not fits:
             smooth = self._smooth_since_taken and self._leads.match_by_motion(previous, seen).fits
             self._smooth_since_taken = smooth
-            # Trusted rates refuse the attitudes that they contradict. Once the rates have lost their trust these
-            # attitudes are right after all, provided that each of them went on with the motion before it.
+            # Confirmed rates reject inconsistent attitudes. If the rates are then found to be wrong, these attitudes
+            # are accepted, provided that each of them continued the motion before it.
             fits = smooth and not measured
         verdict = self._jumps.judge(sample.time_ns, fits, step.fits)
         if verdict is JumpVerdict.REFUSED:
@@ -362,11 +360,11 @@ class InsGuard:
     def _taken_after_all(
         self, taken: SeenSample, previous: SeenSample, seen: SeenSample, match: Match, next_one: bool, jumped: bool
     ) -> JudgedIns:
-        """Take a sample that the line of those before does not tell of: there is none yet, or it has jumped."""
+        """Accept a sample without a line of earlier ones: at the start, or after a jump."""
         jumps: tuple[InsJump, ...] = ()
         refusal = None
         if self._disputed is not None:
-            # The rates are not believed any more; whether the attitudes were right, only others can tell.
+            # The rates were found to be wrong; only other sources can confirm the attitudes.
             jumps, self._disputed = (self._disputed,), None
         elif jumped:
             jumps = (self._believed(match),)
@@ -378,7 +376,7 @@ class InsGuard:
         self._take(seen, None if jumps else taken)
         one = one_run(taken.integrated, seen.integrated)
         wrong_after_ns = self._judge_rates(previous, seen)
-        # How far good samples are from the place where those before lead is learnt from steps of one sample.
+        # The typical difference is estimated from steps of one sample.
         if not jumps and next_one:
             if self._rates.rates is not Rates.MEASURED:
                 self._learn_unproven(taken, seen, match, one)
@@ -389,14 +387,14 @@ class InsGuard:
         return JudgedIns(seen.sample, refusal, jumps, wrong_after_ns)
 
     def _believed(self, match: Match) -> InsJump:
-        """The jump that is believed after samples that were refused for it."""
+        """Return the jump that is accepted after samples that were rejected for it."""
         first, clock_s = self._jumps_with, math.nan
         if first is not None and first.rate_d is not None and self._rates.rates is Rates.MEASURED:
             clock_s = clock_step_s(match.difference, match.sigma_rad, first.rotation_nd @ first.rate_d)
         return InsJump(self._jumps.since_ns - 1, match.difference, match.sigma_rad, clock_s)
 
     def _kept(self, seen: SeenSample) -> tuple[InsJump, ...]:
-        """Take a sample into the line by which the next ones are judged; the jump that it makes known."""
+        """Add a sample to the line by which the next ones are checked; return the jump that it shows."""
         found = self._steps.keep()
         if found is None:
             return self._crept_since(seen.sample)
@@ -406,7 +404,7 @@ class InsGuard:
         return tuple(InsJump(time_ns - 1, found.step_n, found.sigma_rad) for time_ns in moments_ns)
 
     def _with_noise(self, judged: JudgedIns) -> JudgedIns:
-        """Return the judgement with noise of the samples that has become known; they are judged by it from now on."""
+        """Return the result with new excess noise, which all checks use from now on."""
         noise, self._new_noise = self._new_noise, None
         if noise is None:
             return judged
@@ -416,7 +414,7 @@ class InsGuard:
         return judged._replace(noise=noise)
 
     def _crept_since(self, sample: AttitudeSample) -> tuple[InsJump, ...]:
-        """Learn from what samples on a line tell; the jump as large as what has crept where it does not fit."""
+        """Update drift and noise from the samples on the line; return the jump of a drift beyond the usual."""
         sums, self._steps.noise = self._steps.noise, None
         if sums is not None:
             self._new_noise = self._excess.add(sums) or self._new_noise
@@ -430,7 +428,7 @@ class InsGuard:
         return () if crept is None else (InsJump(sample.time_ns - 1, crept.turn_n, crept.sigma_rad, creeps=True),)
 
     def _late_refusal(self, sample: AttitudeSample, before: AttitudeSample | None) -> Refusal | None:
-        """Why a sample that comes after later ones is not used, by the one used before it in time."""
+        """Return the rejection of a sample that arrives after later ones, by the accepted one before it in time."""
         if self._stuck.is_frozen(sample.rotation_nd):
             return _STUCK
         if self._rates.rates is Rates.WRONG_UNITS:
@@ -441,12 +439,12 @@ class InsGuard:
         return None if match.fits else _gate_refusal(match)
 
     def _judge_rates(self, previous: SeenSample, seen: SeenSample) -> int | None:
-        """Let the rates be judged where the attitude can be true; returns the stamp after which they are wrong."""
+        """Check the rates if the attitude is plausible; return the stamp after which they are wrong, or None."""
         sample, integrated = seen.sample, seen.integrated
         if integrated is None or not one_run(previous.integrated, integrated) or self._stuck.repeated:
             return None
         reach_rad = FASTEST_RAD_PER_S * seconds_between(previous.sample, sample)
-        # 0.75 of the chord between two matrices is more than the turn: good samples need no logarithm.
+        # 0.75 of the chord between two matrices exceeds the rotation: good samples need no logarithm.
         chord = math.hypot(*(sample.rotation_nd - previous.sample.rotation_nd).ravel().tolist())
         if not (0.75 * chord <= reach_rad <= 1.0 or self._leads.match_by_time(previous.sample, sample).fits):
             self._rates.restart()
@@ -461,7 +459,7 @@ class InsGuard:
             self._steps.forget()
             self._slopes.forget()
             self._excess.forget()
-        # The rates may have lost their trust with this sample, or have got it back.
+        # The status of the rates may have changed with this sample.
         if not self._rates.usable:
             self.by_rates = None
         elif self.by_rates is None:
@@ -469,14 +467,14 @@ class InsGuard:
         return wrong_after_ns
 
     def _take(self, seen: SeenSample, before: SeenSample | None) -> None:
-        """Take a sample; ``before`` tells how the deck moves at it, None after a jump."""
+        """Accept a sample; ``before`` is the earlier sample that defines its motion, None after a jump."""
         self._taken = seen._replace(before=None if before is None else before.sample)
         if self._previous is seen:
             self._previous = self._taken
         self._smooth_since_taken = True
 
     def _learn_unproven(self, taken: SeenSample, seen: SeenSample, match: Match, one: bool) -> None:
-        """Learn from a good sample while the rates are not proven: by the motion, and by rates that may be right."""
+        """Update the bounds with a good sample while the rates are not confirmed: by motion, and by usable rates."""
         if match.led:
             self._leads.by_motion.learn(match.difference)
         if self._rates.usable and one:
@@ -488,18 +486,18 @@ class InsGuard:
 
 
 def _gate_refusal(match: Match) -> Refusal:
-    """The refusal of a sample that is not where those before lead."""
+    """Return the rejection of a sample that differs from its prediction."""
     off, bound = math.degrees(size(match.difference)), math.degrees(match.bound_rad)
-    text = f"orientation is {off:.3g}° from where the samples before lead: more than {bound:.3g}°"
+    text = f"orientation is {off:.3g}° from its prediction by earlier samples: more than {bound:.3g}°"
     return Refusal(Reason.GATE, text)
 
 
 def _stepped(jumps: tuple[InsJump, ...]) -> Refusal | None:
-    """The refusal that tells of a step found by means, or of a creep; None where there is none.
+    """Return the rejection that reports a step or drift found by means; None without one.
 
-    The samples since were taken: only the one that makes the step known can tell of it.
+    The samples since the step were accepted; the step is reported with the sample at which it was detected.
     """
     if not jumps:
         return None
-    off_arcsec, how = size(jumps[-1].jump_n) / ARCSEC, "crept" if jumps[-1].creeps else "stepped"
+    off_arcsec, how = size(jumps[-1].jump_n) / ARCSEC, "drifted" if jumps[-1].creeps else "stepped"
     return Refusal(Reason.GATE, f"orientation has {how} by {off_arcsec:.3g} arcsec against its own rates")

@@ -1,4 +1,4 @@
-"""Where the samples of an INS lead: the place at which a later sample is expected, and how far from it it may be."""
+"""Predictions of INS samples from earlier ones, and the bounds of the differences from them."""
 
 import math
 from dataclasses import replace
@@ -20,23 +20,23 @@ from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
 
 _LARGEST_ACCELERATION = math.radians(60.0)
-"""Of a hull, rad/s²: a small craft that rolls by 30 degrees in five seconds comes to 47 degrees per second squared."""
+"""Maximum angular acceleration of a hull, rad/s²: a small craft that rolls by 30° in 5 s reaches 47°/s²."""
 FASTEST_RAD_PER_S = math.radians(60.0)
-"""Nothing that floats turns faster: the limit used when no rate predicts the next attitude."""
+"""Maximum angular rate of a hull, rad/s: the limit if no rate predicts the next attitude."""
 _LONGEST_STEP_S = 1.0
 _PIECES, _LEARNT_RAD_PER_S, _FORGET = 12, 5.0 * ARCSEC, 0.95
-"""The drift of the rates is a mean over so many pieces of some seconds. Once known it may still be off by the second
-number, and by twice what a piece was off of late, of which a twentieth is forgotten with each."""
+"""Number of pieces of some seconds over which the drift of the rates is averaged; part of its bound, rad/s; and decay
+factor per piece of the largest recent drift, which enters the bound twice."""
 
 
 class SeenSample(NamedTuple):
-    """A sample as the guard has seen it.
+    """A sample with its number and the attitude by integrated rates.
 
     Attributes:
         sample: the sample itself.
         number: its number among all samples.
-        before: the sample that tells how the deck moves at this one; None where there is none.
-        integrated: attitude by the rates alone at its stamp; None where it has no rate.
+        before: the earlier sample that defines the motion at this one; None if there is none.
+        integrated: attitude by integrated rates at its stamp; None if it has no rate.
     """
 
     sample: AttitudeSample
@@ -46,14 +46,14 @@ class SeenSample(NamedTuple):
 
 
 class RateDrift:
-    """Learns the steady error of the rates.
+    """Estimates the constant error of the rates.
 
-    The bias of gyroscopes is steady in the deck. Where they show the Earth's turn, that is the larger part, and steady
-    in the horizon.
+    The gyroscope bias is constant in the deck frame. If the rates contain the Earth rate, that is the larger part, and
+    constant in the horizon frame.
 
     Attributes:
-        with_earth: whether the rates contain the Earth's turn.
-        bound_rad_per_s: how large the error may still be.
+        has_earth_rate: True if the rates contain the Earth rate.
+        bound_rad_per_s: bound of the remaining error.
 
     >>> drift = RateDrift()
     >>> print(drift.learnt(drift_n=np.array([0.0, 1e-5, 0.0]), rotation_nd=np.eye(3)))
@@ -66,14 +66,14 @@ class RateDrift:
         self._drift, self._pieces, self._largest = np.zeros(3), 0, 0.0
 
     def learnt(self, drift_n: FloatArray, rotation_nd: FloatArray) -> FloatArray:
-        """Learn from how fast the attitude ran away from the rates; returns the error of the rates now, rad/s.
+        """Update the estimate; return the current error of the rates in the deck frame, rad/s, shape (3,).
 
         Args:
-            drift_n: in the horizon frame, rad/s, shape (3,).
-            rotation_nd: attitude now, shape (3, 3).
+            drift_n: measured drift of the attitude against the rates, horizon frame, rad/s, shape (3,).
+            rotation_nd: current attitude, shape (3, 3).
         """
         self._pieces += 1
-        # The attitude drifts against the rates by what these show too little.
+        # The attitude drifts against the rates by the negative of their error.
         self._drift = self._drift - (drift_n if self.with_earth else drift_n @ rotation_nd) / min(self._pieces, _PIECES)
         self._largest = max(size(drift_n), _FORGET * self._largest)
         if self._pieces >= _PIECES:
@@ -83,16 +83,16 @@ class RateDrift:
 
 
 class Leads:
-    """Compares samples with the places to which earlier ones lead, and learns how far good ones are from there.
+    """Compares samples with their predictions, and estimates the bounds of the differences.
 
     Args:
-        stuck: tells how coarsely the attitude is printed.
+        stuck: stuck check, which estimates the resolution of the attitude.
 
     Attributes:
-        by_rates: how far a sample may be from where rates lead.
-        by_motion: how far it may be from where the motion before leads.
-        drift: of the rates.
-        told_rad: by so much the source itself says that it may have stepped with the newest sample.
+        rate_bound: bound of the difference from a prediction by rates.
+        motion_bound: bound of the difference from a prediction by continued motion.
+        drift: constant error of the rates.
+        reported_step_rad: possible step with the newest sample that the source itself reports, rad.
 
     >>> leads, turns = Leads(StuckGuard()), [exp_rotation(np.array([0.0, 1e-4 * n, 0.0])) for n in (0, 1, 2, 50)]
     >>> samples = [AttitudeSample(n * 10_000_000, turn) for n, turn in enumerate(turns)]
@@ -107,13 +107,13 @@ class Leads:
         self._stuck = stuck
 
     def match(self, start: SeenSample, end: SeenSample, rates_measured: bool) -> Match:
-        """By the rates of all samples between or, where these do not lead there, by the motion before."""
+        """Compare two samples by the rates between them or, without an unbroken run, by continued motion."""
         if rates_measured and one_run(start.integrated, end.integrated):
             return self.match_by_rates(start, end)
         return self.match_by_motion(start, end)
 
     def match_by_rates(self, start: SeenSample, end: SeenSample) -> Match:
-        """By the integrated rates of all samples between; both samples belong to one run of rates."""
+        """Compare two samples of one run by the integrated rates between them."""
         assert start.integrated is not None
         assert end.integrated is not None
         predicted_nd = start.sample.rotation_nd @ start.integrated.rotation.T @ end.integrated.rotation
@@ -122,7 +122,7 @@ class Leads:
         return self.by_rates.match(log_rotation(end.sample.rotation_nd @ predicted_nd.T), step)
 
     def match_by_motion(self, start: SeenSample, end: SeenSample) -> Match:
-        """By the motion going on as before; where the way is too long for that, by the time."""
+        """Compare two samples by continued motion; over too long a time by the elapsed time only."""
         seconds, before = seconds_between(start.sample, end.sample), start.before
         turned_s = 0.0 if before is None else seconds_between(before, start.sample)
         if before is None or max(seconds, turned_s) > _LONGEST_STEP_S:
@@ -133,7 +133,7 @@ class Leads:
         return self.by_motion.match(difference_n, step)
 
     def match_by_two_rates(self, start: AttitudeSample, end: AttitudeSample, rates_measured: bool) -> Match:
-        """By the rates of the two samples alone; where these do not lead there, by the time."""
+        """Compare two samples by their own two rates; over too long a time by the elapsed time only."""
         seconds = seconds_between(start, end)
         if not rates_measured or start.rate_d is None or end.rate_d is None or seconds > _LONGEST_STEP_S:
             return self.match_by_time(start, end)
@@ -142,12 +142,12 @@ class Leads:
         return self.by_rates.match(log_rotation(end.rotation_nd @ predicted_nd.T), step)
 
     def lied_between(self, start: SeenSample, end: SeenSample, step: Match) -> bool:
-        """Whether the rates of refused samples between two are as wrong as the attitudes were, and these two agree.
+        """True if two samples are consistent, and the rates of the rejected samples between them are faulty.
 
         Args:
-            start: the last sample taken.
-            end: a later one.
-            step: the same against the sample before it, refused as that was.
+            start: the last accepted sample.
+            end: a later sample.
+            step: match of that sample with the rejected one before it.
         """
         direct = self.match_by_two_rates(start.sample, end.sample, rates_measured=True)
         by_all = self.match(start, end, rates_measured=True)
@@ -155,7 +155,7 @@ class Leads:
         return direct.led and apart_rad > 2.0 * direct.bound_rad and direct.fits_again(step)
 
     def match_by_time(self, start: AttitudeSample, end: AttitudeSample) -> Match:
-        """By nothing but what a hull can turn in the time."""
+        """Compare two samples by the fastest rotation of a hull in the elapsed time."""
         seconds = seconds_between(start, end)
         step = self._step(seconds, FASTEST_RAD_PER_S * seconds)
         return self.by_motion.match(log_rotation(end.rotation_nd @ start.rotation_nd.T), step, led=False)
@@ -166,9 +166,9 @@ class Leads:
 
 
 def moved_back(sample: AttitudeSample, taken: SeenSample) -> AttitudeSample | None:
-    """The deck at the time of the last accepted sample, extrapolated back from a new sample.
+    """Return the attitude at the time of the last accepted sample, extrapolated back from a new sample.
 
-    It moves as it did before the last accepted sample. After a jump, the next sample is predicted with it.
+    The motion is that before the last accepted sample. After a jump, the next sample is predicted with it.
 
     Example:
         >>> still, turned = (AttitudeSample(n, exp_rotation(np.array([0.0, 0.1 * n, 0.0]))) for n in (1, 3))
@@ -184,7 +184,7 @@ def moved_back(sample: AttitudeSample, taken: SeenSample) -> AttitudeSample | No
 
 
 def one_run(first: Integrated | None, second: Integrated | None) -> bool:
-    """Whether unbroken rates lead from one sample to the other.
+    """True if two attitudes by integrated rates belong to one unbroken run of rates.
 
     Example:
         >>> one_run(Integrated(np.eye(3), 1, 0.0), None)
@@ -194,7 +194,7 @@ def one_run(first: Integrated | None, second: Integrated | None) -> bool:
 
 
 def seconds_between(first: AttitudeSample, second: AttitudeSample) -> float:
-    """Time from one sample to another, s.
+    """Return the time from one sample to another, s.
 
     Example:
         >>> seconds_between(AttitudeSample(0, np.eye(3)), AttitudeSample(500_000_000, np.eye(3)))

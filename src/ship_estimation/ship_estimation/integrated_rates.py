@@ -1,4 +1,4 @@
-"""The attitude by an INS's rates alone."""
+"""Attitude by integrated angular rates of an INS."""
 
 import math
 from typing import NamedTuple
@@ -15,16 +15,16 @@ StampArray = NDArray[np.int64]
 """Stamps, ns."""
 
 _LONGEST_STEP_NS = SECOND_NS
-"""Rates that are further apart are not joined by integration."""
+"""Maximum interval between two rates for their integration, ns."""
 
 
 class Integrated(NamedTuple):
-    """The attitude by the rates alone.
+    """An attitude by integrated rates.
 
     Attributes:
         rotation: the attitude, from an arbitrary start, shape (3, 3).
         run: number of the unbroken run of rates to which it belongs; attitudes of two runs must not be compared.
-        missed_rad: what the integration may have missed since that run began.
+        error_rad: bound of the integration error since that run began.
     """
 
     rotation: FloatArray
@@ -33,12 +33,12 @@ class Integrated(NamedTuple):
 
 
 class IntegratedRun(NamedTuple):
-    """The attitudes by the rates alone of N samples that belong to one run; see :class:`Integrated`.
+    """The attitudes by integrated rates of N samples of one run; see :class:`IntegratedAttitude`.
 
     Attributes:
         rotations: shape (N, 3, 3).
         run: number of the run.
-        missed_rad: shape (N,).
+        error_rad: shape (N,).
     """
 
     rotations: FloatArray
@@ -46,11 +46,11 @@ class IntegratedRun(NamedTuple):
     missed_rad: FloatArray
 
     def one(self, number: int) -> Integrated:
-        """One of them."""
+        """Return the attitude of one sample."""
         return Integrated(self.rotations[number], self.run, float(self.missed_rad[number]))
 
     def some(self, which: slice) -> "IntegratedRun":
-        """Some of them."""
+        """Return the attitudes of a slice of the samples."""
         return IntegratedRun(self.rotations[which], self.run, self.missed_rad[which])
 
 
@@ -70,17 +70,17 @@ class RateIntegrator:
         self._twice_drift_d = np.zeros(3)
 
     def integrate(self, time_ns: int, rate_d: FloatArray | None) -> Integrated | None:
-        """Integrate the rates up to the next sample: the mean of two successive rates turns the attitude.
+        """Integrate the rates up to the next sample, by the mean of two successive rates.
 
-        For motion of one period the error is a constant small share of the turn. Where the step from the last sample
-        with a rate is too long to integrate, a new run begins.
+        For periodic motion the error is a constant small share of the rotation. If the interval since the last rate is
+        too long, a new run starts.
 
         Args:
             time_ns: stamp of the sample, later than all before.
             rate_d: its angular velocity in the deck frame, rad/s, shape (3,); None where it has none.
 
         Returns:
-            The attitude by the rates alone; None where the sample has no rate, or one that is not a number.
+            The attitude by integrated rates; None if the sample has no rate, or a rate that is NaN.
         """
         if rate_d is None:
             return None
@@ -96,14 +96,14 @@ class RateIntegrator:
         return self._integrated
 
     def integrate_all(self, times_ns: StampArray, rates_d: FloatArray) -> IntegratedRun:
-        """The same for the samples of a block, in which nothing is taken yet: see :meth:`take`.
+        """Integrate the rates of a block without changing the state; see :meth:`resume_from`.
 
         Args:
             times_ns: their stamps, shape (N,).
             rates_d: their rates, rad/s, shape (N, 3).
 
         Returns:
-            The attitudes of those that go on with the run of before; none where there is no run.
+            The attitudes of the leading samples that continue the present run; none without a run.
         """
         if self._last is None:
             return IntegratedRun(np.empty((0, 3, 3)), self._integrated.run, np.empty(0))
@@ -112,11 +112,11 @@ class RateIntegrator:
         return IntegratedRun(rotations[:joined], self._integrated.run, missed[:joined])
 
     def take(self, time_ns: int, rate_d: FloatArray, integrated: Integrated) -> None:
-        """Go on from a sample of a block, its rate in rad/s, shape (3,)."""
+        """Continue from a sample of a block, its rate in rad/s, shape (3,)."""
         self._integrated, self._last = integrated, (time_ns, rate_d)
 
     def _integrate(self, times_ns: StampArray, rates_d: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Attitudes by the rates, shape (N, 3, 3), and what may be missed, infinite from a gap on, shape (N,)."""
+        """Return the attitudes, shape (N, 3, 3), and bounds of their error, infinite from a gap on, shape (N,)."""
         assert self._last is not None
         rotation, _, missed_rad = self._integrated
         turns_d, missed = compiled_watch.turns(
@@ -125,12 +125,12 @@ class RateIntegrator:
         return compiled_rotations.turned_on(rotation, turns_d), missed
 
     def take_out(self, drift_d: FloatArray) -> None:
-        """From now on the rates are taken to be larger by this than the turn of the deck, rad/s, shape (3,)."""
+        """Set the error of the rates, deck frame, rad/s, shape (3,), which is subtracted from now on."""
         self._twice_drift_d = 2.0 * drift_d
 
 
 def missed_by_mean_rad(first_rate_d: FloatArray, second_rate_d: FloatArray, seconds: float) -> float:
-    """What the mean of two rates (rad/s, shape (3,)) may miss of the turn between them, rad.
+    """Return the bound of the integration error by the mean of two rates (rad/s, shape (3,)), rad.
 
     >>> steady = np.array([0.0, 0.0, 0.1])
     >>> missed_by_mean_rad(steady, steady, seconds=0.0)

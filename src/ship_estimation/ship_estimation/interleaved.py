@@ -1,8 +1,8 @@
-"""Two streams in one: values that run alternately, each of the two continuous with itself.
+"""Detection of two interleaved streams: values that alternate between two continuous streams.
 
-Two publishers on one topic look like that in a recording, where no middleware names them. A window of values is
-fitted by a cubic in time. Where the remainders fall into two narrow groups far apart, between which the stream
-changes again and again, the window holds two streams.
+Two publishers on one topic cause this in a recording, which does not name publishers. A window of values is fitted by a
+cubic in time. If the residuals form two narrow, distant groups and the values change between them repeatedly, the
+window contains two streams.
 """
 
 import math
@@ -15,7 +15,7 @@ from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
 WINDOW = 32
-"""Number of values that are judged together."""
+"""Number of values of a window."""
 
 _EVERY_NS = SECOND_NS // 2
 """Time from the first value of a window to the first value of the next one; slower streams use each value."""
@@ -24,13 +24,13 @@ _FEWEST, _FEWEST_CHANGES = 3, 4
 """Least number of values in the smaller group, and of changes between the two groups."""
 
 _SCATTERS = 8.0
-"""Least distance of the two groups, in standard deviations within a group: 3 is usual for noise cut in two."""
+"""Least distance of the two groups, in standard deviations within a group: noise divided in two has 3."""
 
 _STEPS = 5.0
 """Least distance of the two groups, in smallest steps of values that repeat: rounding makes groups a digit apart."""
 
 _MOVES = 2.0
-"""Least distance of the two groups, in changes of the value between two samples: wrong stamps feign up to one."""
+"""Least distance of the two groups, in changes of the value between two samples: wrong stamps cause up to one."""
 
 _CLEAN = 2
 """Number of successive windows with one stream after which the stream is one again."""
@@ -39,7 +39,7 @@ StampArray = NDArray[np.int64]
 
 
 class _Judged(NamedTuple):
-    """The distance of two streams in a window, 0 where there is one, and whether the motion may feign it."""
+    """The distance of two streams in a window, 0 for one stream; and True if motion may explain the distance."""
 
     distance: float
     may_be_feigned: bool = False
@@ -55,7 +55,7 @@ class InterleavedStreams:
         least: distance below which two streams count as one, in the unit of the values.
 
     Attributes:
-        distance: distance of the two streams in the unit of the values; 0 where there is one.
+        distance: distance of the two streams in the unit of the values; 0 for one stream.
         newest_ns: stamp of the last value; None before the first one.
 
     >>> streams = InterleavedStreams(least=0.01)
@@ -75,7 +75,7 @@ class InterleavedStreams:
         self._clean = 0
 
     def add(self, time_ns: int, value: FloatArray) -> bool:
-        """Add a value, shape (n,); returns whether one stream has become two, or two have become one."""
+        """Add a value, shape (n,); return True if the number of streams (one or two) changed."""
         self.newest_ns = time_ns
         if not self._times and self._due_ns - _EVERY_NS < time_ns < self._due_ns:
             return False
@@ -86,7 +86,7 @@ class InterleavedStreams:
         return self._judge()
 
     def count_before_change(self, times_ns: StampArray, values: FloatArray) -> int:
-        """Number of values, from the first one on, after which the answer is what it is now.
+        """Return the number of leading values that leave the number of streams unchanged.
 
         Args:
             times_ns: stamps in ascending order, shape (N,).
@@ -98,7 +98,7 @@ class InterleavedStreams:
         return tried.add_all(times_ns, values)
 
     def add_all(self, times_ns: StampArray, values: FloatArray) -> int:
-        """Add values as by :meth:`add`, up to the one that changes the answer; returns the number before that one."""
+        """Add values up to the one that changes the number of streams; return the number before that one."""
         start = 0
         if len(times_ns):
             self.newest_ns = int(times_ns[-1])
@@ -114,7 +114,7 @@ class InterleavedStreams:
         return len(times_ns)
 
     def _judge(self) -> bool:
-        """Judge a full window and begin another; returns as :meth:`add`."""
+        """Evaluate a full window and start another one; return as :meth:`add`."""
         judged = _judged(np.array(self._times), np.array(self._values), self._least)
         self._due_ns = self._times[0] + _EVERY_NS
         self._times, self._values = [], []
@@ -129,7 +129,7 @@ class InterleavedStreams:
 
 
 def _judged(times_ns: StampArray, values: FloatArray, least: float) -> _Judged:
-    """Judge the values of a window, in their order of arrival."""
+    """Evaluate the values of a window, in their order of arrival."""
     # A change between two streams makes a third difference of twice their distance; smooth motion makes small ones.
     thirds = np.diff(values, n=3, axis=0)
     if float(np.max(np.einsum("ij,ij->i", thirds, thirds))) < least**2:  # NaN is not
@@ -158,6 +158,6 @@ def _judged(times_ns: StampArray, values: FloatArray, least: float) -> _Judged:
 
 
 def _smallest_step(values: FloatArray, upper: NDArray[np.bool_]) -> float:
-    """Smallest step of successive values within a group, infinite where there is none; 0 where no value repeats."""
+    """Return the smallest step within a group, infinite if there is none; 0 if no value is repeated."""
     steps = np.concatenate([np.linalg.norm(np.diff(values[group], axis=0), axis=1) for group in (upper, ~upper)])
     return float(steps[steps > 0.0].min(initial=math.inf)) if np.any(steps == 0.0) else 0.0

@@ -1,11 +1,13 @@
-"""The state vector by names, and Kalman steps on a covariance that is kept as a sum over the sources of error.
+"""State vector of named blocks, and Kalman filter steps on a covariance that is kept by error source.
 
-A state vector is made of named blocks (:class:`StateBlock`, :class:`StateModel`): which slice is which quantity, how it
-evolves, which source its noise is booked to. Its covariance P is carried as ``parts``, shape (n_sources, n, n), with
-P = parts.sum(axis=0). All steps are linear in P (the update in Joseph's form), so each part goes through with the
-filter's own gain and the sum stays exact: this is the error budget.
+A state vector consists of named blocks (:class:`StateBlock`, :class:`StateModel`). A block defines which slice of the
+state is which quantity, how it evolves, and to which error source its process noise belongs. The covariance P is kept
+as ``parts``, shape (n_sources, n, n), with P = parts.sum(axis=0). All steps are linear in P (the update in Joseph's
+form). Each part is therefore propagated and updated with the gain of the filter, and the sum stays exact. This is the
+covariance by error source, the error budget.
 
-The steps themselves are compiled (:mod:`ship_estimation.compiled_steps`); here is told what they are.
+:func:`predict` is the time update, :func:`innovation` and :func:`update` are the measurement update. The arithmetic is
+compiled (:mod:`ship_estimation.compiled_steps`).
 """
 
 from collections.abc import Mapping
@@ -24,18 +26,18 @@ _NO_TIME_S = 1e-200
 
 @dataclass(frozen=True)
 class StateBlock:
-    """One named part of the state with the process that drives it.
+    """One named block of the state with the process that drives it.
 
     Every element is a first-order Gauss–Markov process x' = -x / T + noise with steady standard deviation
-    ``sigma``, or, where ``time_s`` is infinite, a constant that starts with ``sigma`` and walks by ``walk``
-    per square root of a second. ``time_s`` = 0 is white noise: independent at every new moment.
+    ``sigma``. If ``time_s`` is infinite, it is a constant that starts with ``sigma`` and walks by ``walk``
+    per square root of a second. ``time_s`` = 0 is white noise: independent at every time.
 
     Attributes:
         name: for example ``ins.attitude`` or ``star.fore.installation``.
         sigma: standard deviation of each element before any measurement, shape (n,).
         time_s: correlation time of each element in seconds, shape (n,).
         walk: random walk per square root of a second, shape (n,); only where ``time_s`` is infinite.
-        source: the error source its noise is booked to.
+        source: the error source of its process noise.
     """
 
     name: str
@@ -52,10 +54,10 @@ def block(
     time_s: FloatArray | list[float] | float = np.inf,
     walk: FloatArray | list[float] | float = 0.0,
 ) -> StateBlock:
-    """A :class:`StateBlock` with scalars broadcast to the length of ``sigma``.
+    """Return a :class:`StateBlock` with scalars broadcast to the length of ``sigma``.
 
     Example:
-        The slow error of an INS: 10″ in tilt over half an hour, 72″ in heading over three hours.
+        The correlated error of an INS: 10″ in tilt over half an hour, 72″ in heading over three hours.
 
         >>> from ship_geometry.rotations import ARCSEC
         >>> sigma = [10.0 * ARCSEC, 72.0 * ARCSEC]
@@ -77,23 +79,23 @@ class StateModel:
     """Blocks laid end to end, with the transition of the whole vector.
 
     Args:
-        blocks: the parts, in order.
-        noise_sources: sources of measurement noise, booked beside the blocks' own.
+        blocks: in order.
+        noise_sources: error sources of measurement noise, in addition to those of the blocks.
 
     Attributes:
         blocks: by name.
-        slices: which states they are.
+        slices: states of each block.
         size: number of states, n.
-        sources: of error, by name, in the order of the parts.
-        source_indices: where each source stands among them.
-        source_of: index of the source that the noise of each state is booked to, shape (n,).
+        sources: error sources, by name, in the order of the parts.
+        source_indices: index of each error source.
+        source_of: index of the error source of each state's process noise, shape (n,).
 
     Example:
         >>> ins, mount = block("ins", [10.0], "ins_drift", time_s=1800.0), block("mount", [20.0], "installation")
         >>> model = StateModel([ins, mount], noise_sources=["star_noise"])
         >>> print(model.sources, model.slices["mount"])
         ['ins_drift', 'installation', 'star_noise'] slice(1, 2, None)
-        >>> decay, noise = model.transition(dt_s=1800.0)  # what is left of each, and the variance that comes new
+        >>> decay, noise = model.transition(dt_s=1800.0)  # decay factors and added variance
         >>> print(decay.round(3), noise.round(1))
         [0.368 1.   ] [86.5  0. ]
     """
@@ -109,7 +111,7 @@ class StateModel:
         self.sources = list(dict.fromkeys([b.source for b in blocks] + noise_sources))
         self.source_indices = {source: index for index, source in enumerate(self.sources)}
         time_s = np.concatenate([b.time_s for b in blocks])
-        # White noise decays to nothing in any time but 0, and without a division by zero.
+        # White noise decays to zero in any time above 0; a tiny time constant avoids a division by zero.
         self._time_s = np.where(time_s == 0.0, _NO_TIME_S, time_s)
         sigma = np.concatenate([b.sigma for b in blocks])
         walk = np.concatenate([b.walk for b in blocks])
@@ -125,11 +127,11 @@ class StateModel:
         return np.arange(self.slices[name].start, self.slices[name].stop)
 
     def initial_parts(self) -> FloatArray:
-        """Covariance parts before any measurement, shape (n_sources, n, n)."""
+        """Return the covariance by error source before any measurement, shape (n_sources, n, n)."""
         return self.booked(np.diag(self._initial_variance))
 
     def booked(self, covariance: FloatArray) -> FloatArray:
-        """A covariance split by the sources of the blocks, shape (n_sources, n, n).
+        """Return a covariance split by the error sources of the blocks, shape (n_sources, n, n).
 
         Cross terms between blocks of different sources must be zero.
         """
@@ -137,7 +139,7 @@ class StateModel:
         return np.where(own[:, :, None] & own[:, None, :], covariance, 0.0)
 
     def transition(self, dt_s: float | FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Diagonal of the transition matrix and of the process noise over ``dt_s`` >= 0, shapes (..., n), (..., n)."""
+        """Return the diagonals of the transition matrix and process noise over ``dt_s`` >= 0, shapes (..., n)."""
         if isinstance(dt_s, float) and dt_s == 0.0:
             return np.ones(self.size), np.zeros(self.size)
         if isinstance(dt_s, float):
@@ -152,16 +154,20 @@ class StateModel:
     def later(
         self, dt_s: float, means: FloatArray, stack: FloatArray, slow: str
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """What some time leaves of each state, shape (n,), and the estimates and covariances of all rows after it.
+        """Propagate the main filter and all subfilters by a time.
 
         Args:
-            dt_s: the time, not negative.
-            means: estimates of h rows, shape (h, n); those of a slow error become as :func:`slow_error_later` tells.
-            stack: their covariances (:mod:`ship_estimation.hypotheses`), shape (n_sources + h - 1, n, n).
-            slow: name of the block of that slow error.
+            dt_s: the time, s, not negative.
+            means: states of h filters, shape (h, n). The correlated error is propagated by
+                :func:`propagate_correlated_error`.
+            stack: their covariances (:mod:`ship_estimation.subfilters`), shape (n_sources + h - 1, n, n).
+            correlated: name of the block of the correlated error.
+
+        Returns:
+            Decay factor of each state, shape (n,); means and stack after that time.
 
         Example:
-            Half an hour later the error of 8 is 3; the jump of 3600 stays:
+            After half an hour the error of 8 has decayed to 3; the step of 3600 remains:
 
             >>> model = StateModel([block("ins", [10.0, 10.0], "ins_drift", time_s=1800.0)], noise_sources=[])
             >>> _, means, stack = model.later(1800.0, np.array([[8.0, 3600.0]]), 4.0 * np.eye(2)[None], "ins")
@@ -184,18 +190,23 @@ class StateModel:
 
 
 def slow_error_later(error: FloatArray, decay: FloatArray, sigma: FloatArray) -> FloatArray:
-    """A slow error after some time, shape (n,): it dies out; what is far beyond its sigma, as after a jump, stays.
+    """Propagate a correlated error, shape (n,): it decays, but an element far beyond its sigma (a step) is kept.
+
+    Args:
+        error: the error, shape (n,).
+        decay: decay factor of each element, shape (n,).
+        sigma: steady standard deviation of each element, shape (n,).
 
     Example:
         >>> sigma, decay = np.array([10.0, 10.0]), np.array([0.5, 0.5])
-        >>> print(slow_error_later(np.array([8.0, 3600.0]), decay, sigma))  # the second is a jump of a degree: it stays
+        >>> print(slow_error_later(np.array([8.0, 3600.0]), decay, sigma))  # the second is a step of a degree: kept
         [   4. 3600.]
     """
     return np.where(lasting(error, sigma), error, decay * error)
 
 
 def lasting(error: FloatArray, sigma: FloatArray) -> NDArray[np.bool_]:
-    """Which elements of a slow error are far beyond their sigma, and so do not die out, shape (n,).
+    """True for each element of a correlated error that is beyond five sigma and does not decay, shape (n,).
 
     Example:
         >>> print(lasting(np.array([8.0, 3600.0]), sigma=np.array([10.0, 10.0])))
@@ -212,10 +223,9 @@ class LinearMeasurement:
     Attributes:
         residual: measured minus predicted, shape (m,).
         jacobian: shape (m, n).
-        noise_by_source: covariance of the measurement noise, shape (m, m), by the index of the source that it is
-            booked to.
+        noise_by_source: covariance of the measurement noise, shape (m, m), by the index of its error source.
         noise: covariance of the whole measurement noise, shape (m, m).
-        booked: the noise by source as the compiled steps take it.
+        noise_parts: the noise by source, contiguous, for the compiled steps.
     """
 
     residual: FloatArray
@@ -235,12 +245,12 @@ class LinearMeasurement:
 
 
 class ResidualCompared(NamedTuple):
-    """A measurement of m components beside an estimate of n states.
+    """Innovation covariance, NIS and Kalman gain of a measurement of m components, for n states.
 
     Attributes:
-        covariance: of the residual, shape (m, m).
-        nis: normalised innovation squared: chi² with m degrees of freedom where all is as modelled.
-        gain: of the optimal update, shape (n, m).
+        covariance: innovation covariance, shape (m, m).
+        nis: normalised innovation squared: chi² with m degrees of freedom if the model holds.
+        gain: Kalman gain, shape (n, m).
     """
 
     covariance: FloatArray
@@ -251,18 +261,18 @@ class ResidualCompared(NamedTuple):
 def predict(
     stack: FloatArray, decay: FloatArray, noise: FloatArray, source_of: NDArray[np.intp], rows: int = 1
 ) -> FloatArray:
-    """The covariances after a step with diagonal transition and process noise, both of shape (n,).
+    """Return the predicted covariances (time update) for a diagonal transition and process noise, shapes (n,).
 
     Args:
-        stack: covariance by source, and those of further rows (:mod:`ship_estimation.hypotheses`), if there are any,
-            shape (n_sources + h - 1, n, n); several such stacks may be given, as a leading axis.
-        decay: what is left of each state.
-        noise: variance that comes new.
-        source_of: index of the source to which it is booked (:attr:`StateModel.source_of`).
-        rows: h; the further rows have no budget.
+        stack: covariance by error source, followed by those of the subfilters (:mod:`ship_estimation.subfilters`), if
+            there are any, shape (n_sources + h - 1, n, n); several stacks may be given, as a leading axis.
+        decay: decay factor of each state.
+        noise: variance of the process noise.
+        source_of: index of its error source (:attr:`StateModel.source_of`).
+        filter_count: h; the subfilters have no covariance by error source.
 
     Example:
-        One state, whose covariance of 4 belongs to the first of two sources; it decays by half, and 1 comes new:
+        One state, whose covariance of 4 belongs to the first of two sources, decays by half; noise of 1 is added:
 
         >>> parts = np.array([[[4.0]], [[0.0]]])
         >>> print(predict(parts, decay=np.array([0.5]), noise=np.array([1.0]), source_of=np.array([0])).ravel())
@@ -274,13 +284,13 @@ def predict(
 
 
 def innovation(parts: FloatArray, measurement: LinearMeasurement) -> ResidualCompared:
-    """A measurement beside the estimate whose covariance is the sum of the parts.
+    """Return innovation covariance, NIS and gain of a measurement, for a state covariance by error source.
 
     Raises:
-        numpy.linalg.LinAlgError: the covariance of the residual is not positive definite.
+        numpy.linalg.LinAlgError: the innovation covariance is not positive definite.
 
     Example:
-        A state with variance 3, measured with variance 1 and found 4 away, two sigma of their sum:
+        A state with variance 3, a measurement with variance 1 and an innovation of 4, two sigma of their sum:
 
         >>> measured = LinearMeasurement(np.array([4.0]), np.array([[1.0]]), {1: np.array([[1.0]])})
         >>> parts = np.array([[[3.0]], [[0.0]]])  # by the INS, by the stars
@@ -299,12 +309,12 @@ def innovation(parts: FloatArray, measurement: LinearMeasurement) -> ResidualCom
 def update(
     parts: FloatArray, measurement: LinearMeasurement, gain: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Correction of the state, shape (n,), and the parts after a measurement.
+    """Return the correction of the state, shape (n,), and the covariance by error source after a measurement update.
 
     Args:
-        parts: before the measurement, shape (n_sources, n, n).
+        covariance_by_source: before the measurement, shape (n_sources, n, n).
         measurement: linearised at the predicted state.
-        gain: as :func:`innovation` gives it; the form is Joseph's, which is right for any.
+        gain: as returned by :func:`innovation`; Joseph's form is valid for any gain.
 
     Example:
         The measurement of :func:`innovation` has the weight 3/4, and the parts add up to the new variance 3/4:

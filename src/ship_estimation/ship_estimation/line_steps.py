@@ -1,4 +1,4 @@
-"""Steps in values that otherwise lie on a straight line: least squares for their size, likelihood for their place."""
+"""Steps in values on a straight line: size by least squares, position by likelihood."""
 
 import functools
 from typing import NamedTuple
@@ -8,17 +8,17 @@ import numpy as np
 from ship_geometry.rotations import FloatArray
 
 _UNSURE = 9.0
-"""Places of a step that are less likely than the best one by so much of chi square are ruled out: three sigma."""
+"""Chi² difference to the most likely position of a step from which a position is ruled out: three sigma."""
 _INTERVALS = 9
-"""So many intervals tell the time between samples."""
+"""Number of intervals of which the median is the period of the samples."""
 
 
 class StepPlan(NamedTuple):
-    """How a step is estimated from values in a row, for several places of the step.
+    """Estimator of a step in successive values, for several positions of the step.
 
     Attributes:
         length: number of values.
-        counts: how many of the values are taken as after the step, k numbers.
+        counts: numbers of values after the step, one for each of k positions.
         weights: the step in terms of the values, oldest first, shape (k, length).
         white: sigma of the step per sigma of a value, shape (k,).
         walk: the same per sigma of a random walk from value to value, shape (k,).
@@ -33,11 +33,11 @@ class StepPlan(NamedTuple):
 
 @functools.lru_cache(maxsize=64)
 def step_plan(length: int, counts: tuple[int, ...]) -> StepPlan:
-    """Least squares for a step, with a line of any height and slope through all values.
+    """Return the least-squares estimator of a step, with a line of any height and slope through all values.
 
     Args:
-        length: number of values, three at least.
-        counts: how many of the values are taken as after the step, each less than ``length - 1``.
+        length: number of values, at least three.
+        counts: numbers of values after the step, each less than ``length - 1``.
 
     Example:
         >>> plan = step_plan(12, (1, 4))
@@ -56,7 +56,7 @@ def step_plan(length: int, counts: tuple[int, ...]) -> StepPlan:
 
 
 def doubling(last: int) -> tuple[int, ...]:
-    """One, two, four and so on, and the last.
+    """Return 1, 2, 4 and so on, and the last number.
 
     Example:
         >>> doubling(20)
@@ -66,16 +66,15 @@ def doubling(last: int) -> tuple[int, ...]:
 
 
 def located(plan: StepPlan, values: FloatArray, sigmas: FloatArray) -> tuple[FloatArray, float, list[int]]:
-    """The most likely step among those of a plan.
+    """Return the most likely step among the positions of a plan.
 
     Args:
-        plan: with all places at which there may be a step.
-        values: in a row, oldest first, shape (length, n).
-        sigmas: standard deviation of the step at each place, each component, shape (k,).
+        plan: with all possible positions of the step.
+        values: successive values, oldest first, shape (length, n).
+        sigmas: standard deviation of the step at each position, each component, shape (k,).
 
     Returns:
-        The step, shape (n,); its standard deviation, each component; and all numbers of values after it that are
-        possible.
+        The step, shape (n,); its standard deviation, each component; and all possible numbers of values after it.
 
     Example:
         >>> values = np.repeat([[0.0], [2.0]], [8, 4], axis=0)
@@ -94,7 +93,7 @@ class Period:
     """The time between samples: the median of the first ones.
 
     Attributes:
-        ns: the period; zero before it is known.
+        ns: the period, ns; zero before it is known.
 
     >>> period = Period()
     >>> [period.seen(time_ns) for time_ns in (10, 20, 30, 40, 50, 80, 90, 100, 110, 120)][-2:]
@@ -106,7 +105,7 @@ class Period:
         self._intervals_ns: list[int] = []
 
     def seen(self, time_ns: int) -> int:
-        """Take the stamp of a sample; returns the period as known then."""
+        """Add the stamp of a sample; return the period, ns."""
         if self._last_ns:
             self._intervals_ns.append(time_ns - self._last_ns)
         self._last_ns = time_ns

@@ -1,7 +1,7 @@
-"""Which combinations of states the data have left as open as they were before, in words.
+"""Unobservable combinations of states: linear combinations that the data have not determined better than the prior.
 
-A single state may look unknown although its sum with another one is known well: what is told is the combination. Each
-one has as few states as possible.
+A single state may look unknown although its sum with another one is well known. The combinations are therefore given,
+each with as few states as possible.
 """
 
 from collections.abc import Sequence
@@ -11,46 +11,45 @@ import numpy as np
 from ship_geometry.rotations import FloatArray
 
 _OPEN = 0.5
-"""A combination with a larger share of the sigma from before left counts as open."""
+"""Ratio of sigma to prior sigma above which a combination counts as unobservable."""
 
 _TAKES_PART = 0.1
-"""States with a smaller share of the largest one, in sigmas from before, take no part in a combination."""
+"""Least coefficient of a state in a combination, relative to the largest one, in prior sigmas."""
 
 
 def open_combinations(
     covariance: FloatArray, sigma: FloatArray, leading: Sequence[str], told: Sequence[str] | None = None
 ) -> tuple[str, ...]:
-    """Combinations of names that are open, as ``g - deformation_up``.
+    """Return the unobservable combinations as texts, for example ``g - deformation_up``.
 
     Args:
         covariance: of n states, shape (n, n).
-        sigma: of each before the data, more than 0, shape (n,).
-        leading: names of the states. In this order they lead the combinations: the one that leads a combination is
-            eliminated from all others, and the last ones pair with whatever is left.
-        told: the same names in the order in which a combination tells them; None for the same order.
+        sigma: prior sigma of each state, above 0, shape (n,).
+        leading: names of the states, in pivot order: the leading state of a combination is eliminated from all others.
+        order: the same names in the order in which a text lists them; None for the same order.
 
     Example:
-        Only the sum of two was measured; the third was found:
+        Only the sum of two states was measured; the third state was determined:
 
         >>> covariance = np.array([[0.5, -0.5, 0.0], [-0.5, 0.5, 0.0], [0.0, 0.0, 0.01]])
         >>> open_combinations(covariance, np.ones(3), ["heading", "azimuth", "roll"])
         ('heading - azimuth',)
     """
     values, vectors = np.linalg.eigh(covariance / np.outer(sigma, sigma))
-    # Rows: open combinations, in sigmas from before.
+    # Rows: unobservable combinations, in prior sigmas.
     runs = _sparse(vectors[:, values > _OPEN**2].T)
     told = leading if told is None else told
     return tuple(_words(run, sigma, leading, told) for run in runs)
 
 
 def _words(run: FloatArray, sigma: FloatArray, names: Sequence[str], told: Sequence[str]) -> str:
-    """A combination in words: its states, with a factor where they are not as large as the first one.
+    """Return a combination as text: its states, each with a factor if it differs from the first one in size.
 
     Args:
-        run: the combination in sigmas from before, shape (n,).
-        sigma: of each state before the data, shape (n,).
+        run: the combination in prior sigmas, shape (n,).
+        sigma: prior sigma of each state, shape (n,).
         names: of the states.
-        told: the same names in the order in which they are told.
+        order: the same names in the order of the text.
     """
     taking_part = np.flatnonzero(np.abs(run) > _TAKES_PART * np.max(np.abs(run)))
     part = sorted(taking_part.tolist(), key=lambda index: told.index(names[index]))
@@ -63,7 +62,7 @@ def _words(run: FloatArray, sigma: FloatArray, names: Sequence[str], told: Seque
 
 
 def _sparse(runs: FloatArray) -> FloatArray:
-    """Rows that span the same space, each with as few elements as possible: Gauss–Jordan, leading columns in order."""
+    """Return rows that span the same space with few elements each: Gauss–Jordan, leading columns in order."""
     runs = runs.copy()
     done = 0
     for column in range(runs.shape[1]):

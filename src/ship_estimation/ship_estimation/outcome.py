@@ -1,8 +1,8 @@
-"""What an estimator says of its inputs, and what an output is worth: the same words for every estimator of the suite.
+"""Outcome of an input: measurement decisions, estimates and failures, the same types for every estimator.
 
-A core answers each input with an :class:`Outcome`: the refusal of that very input, the decisions about measurements
-that could be judged now, and the estimates to publish. What every decision has stands in :class:`Decision`; an
-estimator adds what is its own in a subclass.
+A core answers each input with an :class:`Outcome`: the rejection of that input, the decisions about measurements that
+could be evaluated now, and the estimates to publish. :class:`MeasurementDecision` holds what all decisions have in
+common; an estimator adds fields in a subclass.
 """
 
 import enum
@@ -16,7 +16,7 @@ from ship_geometry.rotations import FloatArray
 
 
 class Status(enum.IntEnum):
-    """What an attitude or a pointing is worth; the values are those of the messages."""
+    """Status of an attitude or a pointing; the values are those of the messages."""
 
     VALID = 0
     COASTING = 1
@@ -25,11 +25,11 @@ class Status(enum.IntEnum):
 
 
 class Measurement(Protocol):
-    """What every kind of measurement has: its source, its stamp, and bytes to tell it from another of its stamp."""
+    """Common properties of all measurements: source, stamp, and content as bytes."""
 
     @property
     def source(self) -> str:
-        """Who measured: ``star.<id>``, ``reference.<name>``, ``beacons``."""
+        """Source of the measurement: ``star.<id>``, ``reference.<name>``, ``beacons``."""
         ...
 
     @property
@@ -39,16 +39,16 @@ class Measurement(Protocol):
 
     @property
     def covariance_known(self) -> bool:
-        """False where the message gave none and the configured sigma stands in."""
+        """False if the message had no covariance and the configured sigma is used."""
         ...
 
     @property
     def reach_ns(self) -> int:
-        """Data up to this long before and after the stamp belong to it: half of an exposure; mostly 0."""
+        """Time before and after the stamp that belongs to the measurement, ns: half of an exposure; mostly 0."""
         ...
 
     def content(self) -> bytes:
-        """All values as bytes: equal for a repeated message, and an order for conflicting ones."""
+        """Return all values as bytes: equal for a repeated message, and an order for conflicting ones."""
         ...
 
 
@@ -57,22 +57,22 @@ Measured = TypeVar("Measured", bound=Measurement, covariant=True)
 
 @dataclass(frozen=True)
 class Decision(Generic[Measured]):
-    """What became of a measurement.
+    """Decision about a measurement: accepted or rejected.
 
     Attributes:
         measurement: the measurement itself.
-        reason: why it was not used, or what was wrong with it although it was; NONE where nothing is to be said.
-        accepted: True where the measurement entered the estimate.
+        reason: reason of the rejection, or of a remark on an accepted measurement; NONE if there is neither.
+        accepted: True if the measurement updated the estimate.
         components: names of the residuals.
-        residual: measured minus predicted, rad, shape (m,); empty where the measurement was not compared at all.
+        residual: measured minus predicted, rad, shape (m,); empty if no residual was computed.
         sigma: predicted standard deviation of each component of the residual, rad, shape (m,).
         nis: normalised innovation squared, chi² with m degrees of freedom.
         gate: the value that ``nis`` must not exceed.
         text: explanation for people.
-        left_out: parts of the measurement (stars, lights) that were not used, by name, and why.
-        revised: True where a measurement that arrived late changed an earlier decision.
-        covariance: predicted covariance of the residual, rad², shape (m, m).
-        noise: the part of it that is the measurement's own noise, rad², shape (m, m).
+        rejected_parts: parts of the measurement (stars, beacons) that were not used, by name, with the reason.
+        revised: True if a measurement that arrived late changed an earlier decision.
+        covariance: innovation covariance, rad², shape (m, m).
+        noise: measurement noise, a part of it, rad², shape (m, m).
     """
 
     measurement: Measured
@@ -96,14 +96,14 @@ Estimate = TypeVar("Estimate")
 
 @dataclass
 class Outcome(Generic[Judged, Estimate]):
-    """What one input led to.
+    """Result of one input.
 
     Attributes:
-        refusal: why this very input was not used; None where it was, or still waits.
-        decisions: measurements judged now: this one, or others that had waited for it.
-        estimates: what to publish. The times of those that claim something strictly increase
-            (:meth:`ship_estimation.estimator_shell.EstimatorShell.put_out`).
-        failures: by stamp, outputs that could not be computed: the software itself failed.
+        rejection: rejection of this input; None if it was accepted or is pending.
+        decisions: decisions made now: about this input, or about measurements that waited for it.
+        estimates: estimates to publish. The times of valid ones strictly increase
+            (:meth:`ship_estimation.time_ordered_estimator.TimeOrderedEstimator.add_output`).
+        failures: by stamp, outputs that could not be computed because the software failed.
     """
 
     refusal: Refusal | None = None

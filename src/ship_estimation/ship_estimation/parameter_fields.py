@@ -1,7 +1,7 @@
-"""The fields of a configuration: each parameter with its unit, its range and its meaning.
+"""Fields of a configuration: each parameter with its unit, range and description.
 
-A component's configuration is a frozen dataclass with fields made here; :mod:`ship_estimation.parameters` builds and
-checks it.
+A component's configuration is a frozen dataclass with these fields; :mod:`ship_estimation.parameters` builds and checks
+it.
 """
 
 import dataclasses
@@ -18,10 +18,10 @@ def parameter(
     choices: tuple[str, ...] = (),
     live: bool = False,
 ) -> Any:
-    """A dataclass field with its documentation; without ``default`` it must be given.
+    """Return a dataclass field with its description; without ``default`` the parameter must be given.
 
     Args:
-        default: value used where none is given.
+        default: value used if none is given.
         doc: one sentence for the parameter's description.
         unit: unit of the value, empty for none.
         minimum: least value allowed (of each element of a tuple).
@@ -48,7 +48,7 @@ def parameter(
 
 
 def degrees(default: Any = dataclasses.MISSING, *, doc: str) -> Any:
-    """An angle of the geometry; without a default it must be given.
+    """Return the field of a geometric angle, degrees; without a default the parameter must be given.
 
     Example:
         >>> @dataclasses.dataclass(frozen=True)
@@ -61,7 +61,7 @@ def degrees(default: Any = dataclasses.MISSING, *, doc: str) -> Any:
 
 
 def arcsec(default: float, *, doc: str, live: bool = False) -> Any:
-    """A standard deviation.
+    """Return the field of a standard deviation, arcseconds.
 
     Example:
         >>> @dataclasses.dataclass(frozen=True)
@@ -74,7 +74,7 @@ def arcsec(default: float, *, doc: str, live: bool = False) -> Any:
 
 
 def stamp_age() -> Any:
-    """The parameter ``max_age_s`` of every node: how old a stamp may be without a word, s.
+    """Return the parameter ``max_age_s`` of every node: maximum age of a stamp before an error is reported, s.
 
     Example:
         >>> @dataclasses.dataclass(frozen=True)
@@ -93,7 +93,7 @@ def stamp_age() -> Any:
 
 
 def accept_unset_covariance() -> Any:
-    """The parameter ``accept_unset_covariance`` of every input of type sensor_msgs/Imu.
+    """Return the parameter ``accept_unset_covariance`` of every input of type sensor_msgs/Imu.
 
     Example:
         >>> @dataclasses.dataclass(frozen=True)
@@ -104,13 +104,13 @@ def accept_unset_covariance() -> Any:
     """
     return parameter(
         False,
-        doc="use orientations whose covariance begins with -1, which means in sensor_msgs/Imu that none is given:"
-        " for drivers that set it and give one all the same",
+        doc="use orientations whose covariance begins with -1, which means in sensor_msgs/Imu that there is no"
+        " orientation: for drivers that set it although they give one",
     )
 
 
 def autosave_period() -> Any:
-    """The parameter ``alignment_autosave_s`` of a node that learns: how often it saves what it has learned, s.
+    """Return the parameter ``alignment_autosave_s`` of a node that estimates an alignment: period of saving it, s.
 
     Example:
         >>> @dataclasses.dataclass(frozen=True)
@@ -121,8 +121,8 @@ def autosave_period() -> Any:
     """
     return parameter(
         60.0,
-        doc="so often the node saves by itself what it has learned, while its output is VALID and the file it would"
-        " replace knows nothing better; 0 for never",
+        doc="period at which the node saves its alignment, while its output is VALID and the existing file is not"
+        " more accurate; 0 for never",
         unit="s",
         minimum=0.0,
         maximum=86400.0,
@@ -131,7 +131,7 @@ def autosave_period() -> Any:
 
 
 def sources_off() -> Any:
-    """The live parameter ``sources_off`` of an estimator: the sources that people have taken out.
+    """Return the live parameter ``sources_off`` of an estimator: the sources that are switched off.
 
     Example:
         >>> @dataclasses.dataclass(frozen=True)
@@ -142,14 +142,14 @@ def sources_off() -> Any:
     """
     return parameter(
         (),
-        doc="sources, by their names in innovations and health, that are taken out: their messages are read and"
-        " counted, and not used",
+        doc="sources, by their names in innovations and health, that are switched off: their messages are read and"
+        " counted, but not used",
         live=True,
     )
 
 
 def mapping_of(doc: str) -> Any:
-    """A field of type ``dict[str, Dataclass]``, empty by default.
+    """Return a field of type ``dict[str, Dataclass]``, empty by default.
 
     Example:
         >>> @dataclasses.dataclass(frozen=True)
@@ -162,7 +162,7 @@ def mapping_of(doc: str) -> Any:
 
 
 def section(kind: type) -> Any:
-    """A field that is itself a configuration dataclass, by default with its own defaults.
+    """Return a field that is itself a configuration dataclass, with its own defaults.
 
     Example:
         >>> from ship_estimation.gates import GateConfig

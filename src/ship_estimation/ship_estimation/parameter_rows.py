@@ -6,12 +6,12 @@ from ship_estimation.parameters import ParameterDescription, describe
 
 _WIDTH = 120
 _WIDEST = 24
-"""What is wider than this in a column but the first one does not push the next column away in the other rows."""
+"""Maximum width of a column other than the first; a wider cell does not widen the column."""
 _BELOW = " " * 6
 
 
 def key_rows(kind: type) -> list[str]:
-    """What a file of nested keys may hold: name, unit, default, range and meaning in columns.
+    """Return the keys of a nested file as lines: name, unit, default, range and description in columns.
 
     Args:
         kind: the dataclass that the file is read into.
@@ -25,7 +25,7 @@ def key_rows(kind: type) -> list[str]:
 
 
 def parameter_row(description: ParameterDescription) -> tuple[str, ...]:
-    """Name, unit, default, range and meaning of a parameter; a star marks one that may change while the node runs.
+    """Return name, unit, default, range and description of a parameter; a star marks a live parameter.
 
     Example:
         >>> from ship_estimation.gates import GateConfig
@@ -43,7 +43,7 @@ def parameter_row(description: ParameterDescription) -> tuple[str, ...]:
 
 
 def in_columns(rows: list[tuple[str, ...]]) -> list[str]:
-    """The cells of rows as lines of text with aligned columns; the last column is not padded.
+    """Return rows of cells as lines of text with aligned columns; the last column is not padded.
 
     Example:
         >>> in_columns([("heading", "deg"), ("sigma", "arcsec")])
@@ -55,7 +55,7 @@ def in_columns(rows: list[tuple[str, ...]]) -> list[str]:
 
 
 def in_lines(rows: list[tuple[str, ...]]) -> list[str]:
-    """As :func:`in_columns`, with no line longer than 120: where the last cell of a row does not fit, it stands below.
+    """Return aligned lines of at most 120 characters; a last cell that does not fit is wrapped on the next lines.
 
     Example:
         >>> for line in in_lines([("heading", "deg", "true"), ("sigma", "arcsec", "of the heading, " * 7)]):

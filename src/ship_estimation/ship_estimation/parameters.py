@@ -1,8 +1,8 @@
-"""Configuration as frozen dataclasses, checked in one place: built, described, flattened, changed.
+"""Configuration as frozen dataclasses: build, check, describe, flatten and change.
 
-The fields of a configuration are declared by :mod:`ship_estimation.parameter_fields`; nested dataclasses and
+The fields of a configuration are declared by :mod:`ship_estimation.parameter_fields`. Nested dataclasses and
 ``dict[str, Dataclass]`` (one entry per sensor id) give dotted names such as ``star_sensors.fore.elevation_deg``.
-:func:`build` makes a configuration from a nested mapping (a ROS parameter file), :func:`describe` lists every parameter
+:func:`build` makes a configuration from a nested mapping (a ROS parameter file). :func:`describe` lists every parameter
 for the node, for ``check_config`` and for the documentation.
 """
 
@@ -21,13 +21,13 @@ Config = TypeVar("Config")
 _ID = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _MOST_NAMED = 8
 _LIKEST = 3
-"""Of more names than fit a line only the likest are told where another one was expected."""
+"""Number of closest names in an error text if there are more than :data:`_MAX_NAMES`."""
 
 
 class ParameterError(InputError):
-    """A parameter is unknown, of the wrong type, out of its range or missing.
+    """Error of a parameter: unknown, of the wrong type, out of its range or missing.
 
-    The text names it; ``parameters`` holds its dotted name, and ``value`` the value that was refused.
+    The text names it; ``parameters`` has its dotted name, and ``value`` the refused value.
     """
 
     def __init__(self, reason: str, *parameters: str, value: Any = None) -> None:
@@ -36,7 +36,7 @@ class ParameterError(InputError):
 
 @dataclasses.dataclass(frozen=True)
 class ParameterDescription:
-    """What is known of one parameter, by its dotted name (``<id>`` stands for any key of a mapping)."""
+    """Description of one parameter by its dotted name (``<id>`` stands for any key of a mapping)."""
 
     name: str
     kind: type
@@ -50,13 +50,13 @@ class ParameterDescription:
 
 
 def build(kind: type[Config], values: Mapping[str, Any], prefix: str = "", placeholder: str = "") -> Config:
-    """A checked configuration from a nested mapping.
+    """Return a checked configuration from a nested mapping.
 
     Args:
         kind: the dataclass.
         values: nested mapping.
-        prefix: what stands before the names in messages.
-        placeholder: the one id that need not be one: it stands for all of them in a help text.
+        prefix: prefix of the names in messages.
+        placeholder: text that is accepted as an id; it stands for all ids in a help text.
 
     Raises:
         ParameterError: names the parameter, its value, its unit and what is allowed.
@@ -104,7 +104,7 @@ def build(kind: type[Config], values: Mapping[str, Any], prefix: str = "", place
 
 
 def describe(kind: type, prefix: str = "") -> Iterator[ParameterDescription]:
-    """Every parameter of a configuration dataclass, in order of declaration.
+    """Yield the description of every parameter of a configuration dataclass, in order of declaration.
 
     Example:
         >>> from ship_estimation.gates import GateConfig
@@ -125,7 +125,7 @@ def describe(kind: type, prefix: str = "") -> Iterator[ParameterDescription]:
 
 
 def flatten(config: Any, prefix: str = "") -> dict[str, Any]:
-    """Dotted name → value of a configuration; tuples become lists.
+    """Return dotted name → value of a configuration; tuples become lists.
 
     Example:
         >>> from ship_estimation.gates import GateConfig
@@ -146,7 +146,7 @@ def flatten(config: Any, prefix: str = "") -> dict[str, Any]:
 
 
 def changed(config: Config, changes: Mapping[str, Any]) -> Config:
-    """A configuration with live parameters changed, dotted name → value.
+    """Return a configuration with changed live parameters, dotted name → value.
 
     Raises:
         ParameterError: a parameter is unknown, out of range, or can be set only at the start.
@@ -169,7 +169,7 @@ def changed(config: Config, changes: Mapping[str, Any]) -> Config:
 
 
 def _name(field: "dataclasses.Field[Any]") -> str:
-    """Name of the parameter of a field, which has an underscore behind a word of Python: ``from_`` is ``from``."""
+    """Return the parameter name of a field; a field named like a Python keyword has an underscore: ``from_``."""
     return field.name.removesuffix("_")
 
 
@@ -188,7 +188,7 @@ def _live_names(config: Any, prefix: str = "") -> set[str]:
 
 
 def nest(flat: Mapping[str, Any]) -> dict[str, Any]:
-    """The nested mapping of dotted names.
+    """Return the nested mapping of dotted names.
 
     Example:
         >>> nest({"gate.probability": 0.999, "gate.reopen_after": 5})
@@ -207,15 +207,15 @@ def nest(flat: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _near(name: str, known: Iterable[str]) -> str:
-    """The dotted name that was probably meant."""
+    """Return the text with the dotted name that was probably meant."""
     import difflib  # only an error needs it
 
     near = difflib.get_close_matches(name, known, n=1)
-    return f"did you mean '{near[0]}'?" if near else "ros2 param list tells them all"
+    return f"did you mean '{near[0]}'?" if near else "see ros2 param list"
 
 
 def _expected(name: str, known: Collection[str]) -> str:
-    """The names that there are, of many the likest and how many others; and the one that was probably meant.
+    """Return the text with the expected names (of many the closest ones), and the one that was probably meant.
 
     Example:
         >>> _expected("colour", ["gate", "lever_m"])
@@ -234,16 +234,16 @@ def _expected(name: str, known: Collection[str]) -> str:
 
 
 def _ids(name: str, group: Mapping[Any, Any], placeholder: str) -> list[str]:
-    """The ids of a group of devices, in order.
+    """Return the ids of a group of devices, sorted.
 
     Raises:
-        ParameterError: an id could not be part of a topic's name, which is what becomes of it.
+        ParameterError: an id cannot be part of a topic name.
     """
     for id_ in group:
         if not (isinstance(id_, str) and (id_ == placeholder or _ID.fullmatch(id_))):
             raise ParameterError(
                 f"parameter '{name}.{id_}': {id_!r} cannot be an id: expected letters, digits and _, no digit first, "
-                "for it becomes part of the names of topics",
+                "because it becomes part of topic names",
                 f"{name}.{id_}",
                 value=id_,
             )
@@ -251,7 +251,7 @@ def _ids(name: str, group: Mapping[Any, Any], placeholder: str) -> list[str]:
 
 
 def _mapping_entry(hint: Any) -> type | None:
-    """The dataclass of a ``dict[str, Dataclass]``, otherwise None."""
+    """Return the dataclass of a ``dict[str, Dataclass]``, otherwise None."""
     return typing.get_args(hint)[1] if typing.get_origin(hint) is dict else None
 
 
@@ -272,10 +272,10 @@ def _checked(name: str, value: Any, hint: Any, metadata: types.MappingProxyType[
 def _checked_scalar(
     name: str, value: Any, kind: type, metadata: types.MappingProxyType[Any, Any], index: str = ""
 ) -> Any:
-    """A value of the kind and range that its field asks for; ``index`` is shown behind the name.
+    """Return a value checked for type, range and choices; ``index`` is shown after the name.
 
     Raises:
-        ParameterError: it is not.
+        ParameterError: the value is not allowed.
     """
     shown = f"parameter '{name}{index}'"
     wrong_type = isinstance(value, bool) != (kind is bool) or not isinstance(

@@ -1,14 +1,14 @@
-"""Protection levels: how far an estimate may be wrong under a fault of one source that nothing has told.
+"""Protection levels: bounds of the error of an output under an undetected fault of one source.
 
-An estimate by all sources stands beside one by all but source i. Where source i is right, the two differ by d_i with
-the covariance P_i - P_0. A source whose |d_i| is above K_fa σ(d_i) is excluded. What is not excluded may still be
-wrong, but not by more than the level
+The main filter uses all sources; subfilter i excludes source i. Without a fault of source i their solution separation
+d_i has the covariance P_i - P_0. A source with |d_i| above K_fa σ(d_i) is excluded. The error of a component under a
+fault that was not excluded is bounded by the protection level
 
     max( K_0 σ_0,  max over i of  K_fa σ(d_i) + K_md,i σ_i )
 
-of each component: where source i is wrong the estimate without it is right, and the estimate with it is at most the
-threshold away. This is the solution separation of ARAIM (Blanch et al. 2015, IEEE Trans. Aerosp. Electron. Syst. 51,
-DOI 10.1109/TAES.2014.130739).
+If source i is faulty, subfilter i is fault-free, and the main filter is at most the threshold away from it. This is the
+solution separation of ARAIM (Blanch et al. 2015, IEEE Trans. Aerosp. Electron. Syst. 51, DOI
+10.1109/TAES.2014.130739).
 """
 
 import enum
@@ -27,32 +27,36 @@ from ship_estimation.parameters import ParameterError
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 TESTS_PER_H = 360
-"""Independent values of a separation in an hour: it changes over ten seconds and more, as the slow error of an INS is
-found anew."""
+"""Number of independent values of a solution separation in an hour.
+
+A separation changes over ten seconds and more, as the estimate of the INS's correlated error changes."""
 
 NORMAL_95 = 1.96
-"""95 % of a normal error lie within so many sigmas to both sides: what the suite calls the accuracy of an angle."""
+"""Half-width of the two-sided 95 % interval of a normal error, sigmas: the accuracy of an angle in this suite."""
 
 _COMPONENTS = 3
 LEAST_SHARE, LEAST_VARIANCE_RAD2 = 1e-6, 1e-24
-"""What the variance of a distance has at least, as a share of the variance by all sources and by itself: of a source
-that is taken for exact nothing is apart by more than rounding."""
+"""Least variance of a solution separation, as a share of the main filter's variance and absolute, rad².
+
+They keep rounding errors from exceeding a threshold where a source is taken as exact."""
 UNDISPUTED_SIGMAS = 3.0
-"""Estimates without one source that are no further from that by all are as near as they are when all is right."""
+"""Solution separation above which the published covariance is inflated, sigmas; smaller ones are usual."""
 _NO_LEVEL = np.full(_COMPONENTS, np.nan)
 _NO_LEVEL.flags.writeable = False
 _MOST_PROBABLE_MISS = 0.5
-"""A level never lies below the threshold itself, however improbable the fault is."""
+"""Largest probability of a missed detection: a protection level is never below the threshold itself."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PriorConfig:
-    """How often a source of each kind goes wrong without a word."""
+    """Fault rates of the sources of each kind: faults that the source itself does not report."""
 
     ins: float = parameter(
-        1e-4, doc="INS: a step or a drift that its own rates do not tell", unit="1/h", minimum=1e-12, maximum=1.0
+        1e-4, doc="INS: a step or a drift that its own rates do not show", unit="1/h", minimum=1e-12, maximum=1.0
     )
-    star_sensor: float = parameter(1e-3, doc="star sensor: knocked or drifting", unit="1/h", minimum=1e-12, maximum=1.0)
+    star_sensor: float = parameter(
+        1e-3, doc="star sensor: mounting shift or drift", unit="1/h", minimum=1e-12, maximum=1.0
+    )
     reference: float = parameter(1e-2, doc="other attitude system", unit="1/h", minimum=1e-12, maximum=1.0)
     all_stars: float = parameter(
         5e-6,
@@ -70,31 +74,31 @@ class PriorConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class IntegrityConfig:
-    """How sure the protection levels are, and when a source is excluded and returns."""
+    """Probabilities of the protection levels, of fault exclusion, and the time until reinstatement."""
 
     p_hmi: float = parameter(
         1e-5,
-        doc="probability that an error is above its protection level and nothing says so",
+        doc="probability that an error exceeds its protection level without an alert",
         unit="1/h",
         minimum=1e-12,
         maximum=0.1,
     )
     false_exclusions_per_h: float = parameter(
-        1e-3, doc="exclusions of sources that are right", unit="1/h", minimum=1e-9, maximum=10.0
+        1e-3, doc="rate of exclusions of fault-free sources", unit="1/h", minimum=1e-9, maximum=10.0
     )
     alert_limit_arcsec: tuple[float, ...] = parameter(
         (),
         doc="largest protection level of heading, pitch, roll; or of azimuth times cos E, elevation, image rotation; "
-        "above it the output is DEGRADED; empty: the level is told and limits nothing",
+        "above it the output is DEGRADED; empty: the level is published without a limit",
         unit="arcsec",
         minimum=0.001,
         maximum=648_000.0,
     )
     return_after_s: float = parameter(
-        60.0, doc="an excluded source is used again once it has agreed so long", unit="s", minimum=1.0, maximum=86400.0
+        60.0, doc="consistent time before an excluded source is reinstated", unit="s", minimum=1.0, maximum=86400.0
     )
     max_hypotheses: int = parameter(
-        8, doc="most estimates side by side: all sources, and without those of each hypothesis", minimum=2, maximum=64
+        8, doc="maximum number of filters: the main filter and one subfilter for each hypothesis", minimum=2, maximum=64
     )
     prior_per_h: PriorConfig = section(PriorConfig)
 
@@ -109,19 +113,19 @@ class IntegrityConfig:
 
     @property
     def alert_limit(self) -> FloatArray:
-        """Of each component, rad, shape (3,); NaN where none is configured."""
+        """Alert limit of each component, rad, shape (3,); NaN if none is configured."""
         return ARCSEC * np.array(self.alert_limit_arcsec or [math.nan] * _COMPONENTS)
 
 
 def prior_of_all(priors_per_h: Sequence[float]) -> float:
-    """How often in an hour independent sources go wrong together: the product of their probabilities in that hour.
+    """Return the rate of simultaneous faults of independent sources, 1/h: the product of their hourly probabilities.
 
-    The probability of several faults at a time is the product of those of each (Blanch et al. 2015, the fault modes of
-    section III). Each is that of an exposure: here the hour of ``p_hmi``. So the two faults begin in the same hour, in
-    any order. That an older fault which nothing has told is met by a second one is not counted.
+    The probability of several faults at a time is the product of the single ones (Blanch et al. 2015, fault modes of
+    section III). Each is that of one exposure, here the hour of ``p_hmi``: the faults begin in the same hour, in any
+    order. An older undetected fault followed by a second one is not counted.
 
     Example:
-        Two sources, each of which fails once in a thousand hours:
+        Two sources with one fault in a thousand hours each:
 
         >>> prior_of_all([1e-3, 1e-3])
         1e-06
@@ -131,12 +135,12 @@ def prior_of_all(priors_per_h: Sequence[float]) -> float:
 
 @dataclass(frozen=True)
 class Factors:
-    """Numbers of sigmas for a set of hypotheses.
+    """Sigma multipliers K of a set of fault hypotheses.
 
     Attributes:
-        right: K_0, of the estimate by all sources.
-        false_exclusion: K_fa, of a separation.
-        missed: K_md of each hypothesis, of the estimate without its source, shape (h,).
+        fault_free: K_0, for the main filter.
+        false_exclusion: K_fa, for a solution separation.
+        missed_detection: K_md of each hypothesis, for its subfilter, shape (h,).
     """
 
     right: float
@@ -145,19 +149,19 @@ class Factors:
 
 
 def factors(config: IntegrityConfig, priors_per_h: Sequence[float]) -> Factors:
-    """The numbers of sigmas that keep the configured probabilities.
+    """Return the sigma multipliers for the configured probabilities.
 
-    The probability of misleading information is shared out in equal parts to "all sources are right" and to each
-    hypothesis. Half of the false exclusions is shared out to all separations and to their independent values in an hour
+    The probability of misleading information is allocated in equal parts to the fault-free case and to each hypothesis.
+    Half of the false exclusions is allocated to all solution separations and to their independent values in an hour
     (:data:`TESTS_PER_H`).
 
     Args:
         config: the probabilities.
-        priors_per_h: how often the source of each hypothesis goes wrong in an hour; of several by
-            :func:`prior_of_all`. Where it is no more than twice the share the level is the threshold alone.
+        priors_per_h: fault rate of each hypothesis, 1/h; for several sources by :func:`joint_prior_per_h`. If it is at
+            most twice the allocated probability, the protection level is the threshold alone.
 
     Example:
-        Two star sensors and an INS, each of which fails once in a thousand hours:
+        Two star sensors and an INS with one fault in a thousand hours each:
 
         >>> found = factors(IntegrityConfig(), [1e-3, 1e-3, 1e-3])
         >>> print(round(found.right, 2), round(found.false_exclusion, 2), found.missed.round(2))
@@ -168,20 +172,20 @@ def factors(config: IntegrityConfig, priors_per_h: Sequence[float]) -> Factors:
     missed = [normal_value_above(min(share / prior, _MOST_PROBABLE_MISS)) for prior in priors_per_h]
     return Factors(
         right=normal_value_above(0.5 * share / tests),
-        # On both sides; the other half of the false exclusions is that of ship_estimation.running_means.
+        # Two-sided; the other half of the false exclusions is allocated to ship_estimation.innovation_means.
         false_exclusion=normal_value_above(0.25 * config.false_exclusions_per_h / (tests * max(len(priors_per_h), 1))),
         missed=np.array(missed),
     )
 
 
 class Separation(NamedTuple):
-    """An output beside those that leave one source out each; h hypotheses in question, three components.
+    """Solution separations and protection levels of an output; h tested hypotheses, three components.
 
     Attributes:
         statistic: largest |d_i| / σ(d_i) over the components, shape (h,).
         level: protection level of each component, shape (3,).
-        dominant: which hypothesis makes the largest level; -1 for that of all sources.
-        widest: largest sigma of a state that makes the components, in any hypothesis.
+        dominant: index of the hypothesis with the largest level; -1 for the fault-free case.
+        largest_sigma: largest sigma, in any subfilter, of a state that determines the components.
     """
 
     statistic: FloatArray
@@ -200,21 +204,21 @@ def separation(
     parts: FloatArray,
     left_out: FloatArray,
 ) -> Separation:
-    """The separations of the outputs without one source from that by all, and the protection levels.
+    """Return the solution separations of the subfilters from the main filter, and the protection levels.
 
     Args:
-        k: numbers of sigmas of h hypotheses.
-        rows: which of them are in question, and told of.
-        states: that make the components, shape (n,).
-        by_output: the components by the errors of the output, shape (3, 3); by these states, shape (3, n); the
-            covariance of the errors of the output, by all sources, shape (3, 3).
-        mean: of all states by all sources, shape (m,).
-        means: without one source each, shape (h, m).
-        parts: whose sum is the covariance of all states by all sources, shape (p, m, m).
-        left_out: that without one source each, shape (h, m, m).
+        k: sigma multipliers of h hypotheses.
+        tested_subfilters: indices of the hypotheses that are tested and reported.
+        states: indices of the n states that determine the components, shape (n,).
+        by_output: derivative of the components by the errors of the output, shape (3, 3), and by these states, shape
+            (3, n); covariance of the errors of the output in the main filter, shape (3, 3).
+        mean: states of the main filter, shape (m,).
+        means: states of each subfilter, shape (h, m).
+        covariance_by_source: covariance of the main filter by error source, shape (p, m, m).
+        subfilter_covariances: covariance of each subfilter, shape (h, m, m).
 
     Example:
-        A source is left out; the estimate moves by 4″, and its sigma grows from 1.8″ to 3″, in each component alike:
+        Without one source each component differs by 4″, and its sigma grows from 1.8″ to 3″:
 
         >>> k, every = Factors(right=6.0, false_exclusion=5.0, missed=np.array([2.0])), np.eye(3)
         >>> found = separation(k, np.array([0]), np.arange(3), (every, every, 3.24 * every), np.zeros(3),
@@ -240,11 +244,11 @@ def separation(
 
 
 def separation_sigma(variance: FloatArray, variance_0: FloatArray) -> FloatArray:
-    """Standard deviation of each distance of an estimate without one source from the estimate by all, shape (h, 3).
+    """Return the standard deviation of each solution separation, rad, shape (h, 3).
 
     Args:
-        variance: of the components without each source, rad², shape (h, 3).
-        variance_0: of those by all sources, rad², shape (3,).
+        variance: of the components in each subfilter, rad², shape (h, 3).
+        variance_0: of the components in the main filter, rad², shape (3,).
 
     Example:
         >>> print(separation_sigma(np.array([[9.0, 25.0, 16.0]]), np.array([0.0, 16.0, 16.0])))
@@ -255,26 +259,24 @@ def separation_sigma(variance: FloatArray, variance_0: FloatArray) -> FloatArray
 
 
 def disputed(distance: FloatArray, statistic: FloatArray) -> FloatArray:
-    """What an output adds to its covariance where estimates without one source stand apart from that by all.
+    """Return the covariance that is added to an output because of its solution separations.
 
-    A source that creeps moves the estimate by all away from the one without it long before the separation is beyond
-    the threshold at which it is excluded. Until then nobody knows which of the two is right, so that the covariance
-    holds both: of each row d dᵀ (1 - 9 / s²) where its separation s is above three sigmas. It begins from nothing
-    there, so that nothing jumps. The rows are added up.
+    A drifting source separates the main filter from its subfilter long before the separation exceeds the threshold.
+    Until then the fault is unresolved, and the published covariance covers both solutions: each subfilter adds
+    d dᵀ (1 - 9 / s²) if its separation s exceeds three sigmas. The term starts at zero there, so it does not jump.
 
-    It is for what is put out alone. The estimates, their separations and the levels rest on the covariance without it.
+    The term is added to published covariances only. States, separations and protection levels do not contain it.
 
     Args:
-        distance: components of the estimate without each source minus those by all, or the states that make them,
+        separations: components of each subfilter minus those of the main filter, or the states that determine them,
             shape (h, n).
-        statistic: the separation of each, sigmas, shape (h,); a row of which this or the distance is no number adds
-            nothing.
+        statistic: separation of each subfilter, sigmas, shape (h,). A subfilter with a NaN adds nothing.
 
     Returns:
         Covariance of the components, shape (n, n).
 
     Example:
-        One estimate is 10″ away in the second component, at six sigmas; another one is as near as it should be:
+        One subfilter is separated by 10″ in the second component, six sigmas; another one by less than three sigmas:
 
         >>> print(disputed(np.array([[0.0, 10.0, 0.0], [4.0, 4.0, 4.0]]), np.array([6.0, 2.0])))
         [[ 0.  0.  0.]
@@ -282,7 +284,7 @@ def disputed(distance: FloatArray, statistic: FloatArray) -> FloatArray:
          [ 0.  0.  0.]]
     """
     known = np.all(np.isfinite(distance), axis=-1, keepdims=True)
-    # fmax takes the limit where there is no number.
+    # fmax returns the limit for NaN.
     weight = 1.0 - (UNDISPUTED_SIGMAS / np.fmax(statistic, UNDISPUTED_SIGMAS)) ** 2
     apart = np.where(known, distance, 0.0)
     added: FloatArray = (weight * apart.T) @ apart
@@ -290,7 +292,7 @@ def disputed(distance: FloatArray, statistic: FloatArray) -> FloatArray:
 
 
 class IntegrityState(enum.IntEnum):
-    """Whether the levels are within their alert limits; the values are those of ship_msgs/Integrity."""
+    """State of the protection levels against their alert limits; the values are those of ship_msgs/Integrity."""
 
     MET = 0
     EXCEEDED = 1
@@ -299,19 +301,19 @@ class IntegrityState(enum.IntEnum):
 
 
 class IntegrityReport(NamedTuple):
-    """How far an output may be wrong although nothing says so, and who is excluded; h hypotheses.
+    """Protection levels of an output and the excluded sources; h hypotheses.
 
     Attributes:
         time_ns: stamp of the output.
         state: of the levels against their limits.
-        level: protection level of each component, rad, shape (3,); NaN where there is none.
-        hypotheses: the sources of which each is left out in turn.
-        statistic: largest separation of each, sigmas, shape (h,).
-        threshold: that it must not exceed, sigmas.
-        excluded: the sources that are excluded, and since which stamp.
-        dominant: the hypothesis that makes the largest level; empty for that of all sources.
-        widest: largest sigma of a state that makes the components, in any hypothesis, rad: so much of it as the
-            components turn enters them.
+        level: protection level of each component, rad, shape (3,); NaN if there is none.
+        hypotheses: the source that each subfilter excludes.
+        statistic: largest solution separation of each, sigmas, shape (h,).
+        threshold: of the separations, sigmas.
+        excluded: the excluded sources, and the stamp since which each is excluded.
+        dominant: the hypothesis with the largest level; empty for the fault-free case.
+        largest_sigma: largest sigma, in any subfilter, of a state that determines the components, rad: it enters the
+            components in proportion to a rotation of their directions.
     """
 
     time_ns: int
@@ -334,27 +336,27 @@ def integrity_report(
     excluded: tuple[tuple[str, int], ...],
     checked: bool,
 ) -> IntegrityReport:
-    """What is to be said of an output.
+    """Return the integrity report of an output.
 
     Args:
-        time_ns: its stamp.
+        time_ns: stamp of the output.
         config: with the alert limits.
-        k: numbers of sigmas.
-        names: of the hypotheses in question; not those without a source that is excluded in any case.
-        found: the output beside those of these hypotheses.
-        excluded: the sources that are excluded, and since which stamp.
-        checked: whether the sources in use are enough to check one another; else there is no level, nor is there one
-            where a separation is beyond the threshold.
+        k: sigma multipliers.
+        names: of the tested hypotheses; sources that are excluded already are not tested.
+        found: solution separations and levels of these hypotheses.
+        excluded: the excluded sources, and the stamp since which each is excluded.
+        is_checked: True if the sources in use can check one another. Otherwise there is no level, nor is there one if a
+            separation exceeds the threshold.
 
     Example:
         >>> limits = IntegrityConfig(alert_limit_arcsec=(24.0, 24.0, 24.0))
         >>> k = Factors(right=6.0, false_exclusion=5.0, missed=np.array([2.0]))
         >>> found = Separation(np.array([1.67]), np.full(3, 18.0 * ARCSEC), 0, 3.0 * ARCSEC)
-        >>> told = integrity_report(0, limits, k, ("star.bow",), found, excluded=(), checked=True)
-        >>> print(told.state.name, told.dominant, (told.level / ARCSEC).round(1))
+        >>> report = integrity_report(0, limits, k, ("star.bow",), found, excluded=(), checked=True)
+        >>> print(report.state.name, report.dominant, (report.level / ARCSEC).round(1))
         MET star.bow [18. 18. 18.]
     """
-    # A level counts on separations within the threshold; NaN is not within it.
+    # A level requires separations within the threshold; NaN is not within it.
     checked = checked and all(statistic <= k.false_exclusion for statistic in found.statistic.tolist())
     level = found.level if checked and names else _NO_LEVEL
     state = IntegrityState.UNAVAILABLE
@@ -377,12 +379,12 @@ def integrity_report(
 
 
 def above_limit(report: IntegrityReport, quantities: Sequence[str]) -> str:
-    """Why the levels do not meet their limits; empty where they do, or where none are configured.
+    """Return the reason why the alert limits are not met; empty if they are met, or if none are configured.
 
     Example:
         >>> level = ARCSEC * np.array([3.6, 7.2, 14.4])
-        >>> told = IntegrityReport(0, IntegrityState.EXCEEDED, level, ("ins",), np.zeros(1), 5.1, (), "ins", 0.0)
-        >>> above_limit(told, ["heading", "pitch", "roll"])
+        >>> report = IntegrityReport(0, IntegrityState.EXCEEDED, level, ("ins",), np.zeros(1), 5.1, (), "ins", 0.0)
+        >>> above_limit(report, ["heading", "pitch", "roll"])
         'a protection level is above its alert limit: heading 3.6″, pitch 7.2″, roll 14.4″'
     """
     if report.state is IntegrityState.EXCEEDED:

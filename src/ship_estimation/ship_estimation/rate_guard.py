@@ -1,7 +1,7 @@
-"""A guard against angular rates that are well formed but cannot be true: zero, noise, in degrees, about other axes.
+"""Rate consistency check: detects angular rates that are well formed but wrong: zero, noise, in degrees, other axes.
 
-The rates integrated (:mod:`ship_estimation.integrated_rates`) over a short piece of motion must give the turn of the
-attitude. How the two differ tells what the rates are. Only motion can tell it: at rest the last verdict stands.
+The rates integrated over a short piece of motion (:mod:`ship_estimation.integrated_rates`) must equal the rotation of
+the attitude. Their difference determines the status of the rates. Without motion the last status is kept.
 """
 
 import enum
@@ -18,7 +18,7 @@ from ship_geometry.time_scales import SECOND_NS
 
 
 class Rates(enum.Enum):
-    """What the rates of an INS are worth."""
+    """Status of the rates of an INS."""
 
     UNPROVEN = "unproven"
     MEASURED = "measured"
@@ -28,7 +28,7 @@ class Rates(enum.Enum):
 
 @dataclass(frozen=True)
 class _Start:
-    """Where a piece of motion begins."""
+    """Start of a piece of motion."""
 
     time_ns: int
     number: int
@@ -37,19 +37,19 @@ class _Start:
 
 
 class RateGuard:
-    """Judges the rates of an INS piece by piece.
+    """Checks the rates of an INS, piece of motion by piece of motion.
 
-    A piece of motion is as long as it takes to turn clearly: a quarter of a second at least and two seconds at most. A
-    piece in which nothing turns says nothing. The rates of a piece are right where they give the turn of the attitude
-    but for three tenths. As long as no piece was right, a single wrong one is enough to doubt the rates; later it takes
-    two in a row. Twenty right pieces in a row prove rates that were doubted. Twenty pieces whose rates are 57.3 or
-    1/57.3 times the turn tell that the unit is wrong, and four pieces of another kind end that verdict.
+    A piece lasts until the rotation is clear: at least a quarter of a second and at most two seconds. A piece without
+    rotation is ignored. The rates of a piece are right if they equal the rotation of the attitude to three tenths.
+    Before the first right piece a single wrong one makes the rates unusable; later two successive ones do. Twenty
+    successive right pieces make them usable again. Twenty pieces with a ratio of 57.3 or 1/57.3 show a wrong unit, and
+    four pieces with another ratio end that status.
 
     Attributes:
-        rates: the verdict.
-        usable: whether nothing is known against the rates.
-        slope: turn by the rates over the turn by the attitude, once the unit is wrong.
-        due_ns: before this stamp no sample can end the piece of motion; zero where the next one may.
+        status: status of the rates.
+        is_usable: True if the rates have not been found to be wrong.
+        slope: rotation by the rates over rotation by the attitude, if the unit is wrong.
+        due_ns: stamp before which no sample can end the piece of motion; zero if the next one may.
 
     >>> from ship_estimation.integrated_rates import RateIntegrator
     >>> from ship_geometry.rotations import exp_rotation
@@ -65,11 +65,10 @@ class RateGuard:
     _SHORTEST_NS = 250_000_000
     _LONGEST_NS = 2 * SECOND_NS
     _SLOWEST_RAD_PER_S = 72.0 * ARCSEC
-    """A turn slower than this is not judged: the Earth's own turn, 15 arcseconds a second, is within the rates of some
-    and the bias of others."""
+    """Slowest rotation that is checked, rad/s: rates may contain the Earth rate, 15″ per second, or a bias."""
     _CLEAR_SIGMAS = 25.0
     _FIRST_SIGMA_RAD = 36.0 * ARCSEC / np.sqrt(12.0)
-    """At the start nobody knows how coarsely the attitude is printed: to a hundredth of a degree, as many are."""
+    """Assumed noise before the resolution of the attitude is known, rad: that of a hundredth of a degree."""
     _TOLERANCE = 0.3
     _PIECES = 20
     _DOUBTS = 2
@@ -91,7 +90,7 @@ class RateGuard:
         self._turns: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=self._PIECES)
 
     def restart(self) -> None:
-        """End the piece of motion: the attitude of the next sample is not joined to those before."""
+        """End the piece of motion: the attitude of the next sample starts a new one."""
         self._start, self.due_ns = None, 0
 
     def observe(
@@ -103,19 +102,19 @@ class RateGuard:
         sigma_rad: float,
         step_sigma_rad: float = 0.0,
     ) -> int | None:
-        """Compare a measured attitude with what the rates alone make of it, and judge the rates.
+        """Compare a measured attitude with the integrated rates, and update the status of the rates.
 
         Args:
             time_ns: stamp of both.
             number: number of the sample.
             rotation_nd: measured attitude, shape (3, 3).
-            integrated: attitude by the rates alone. Where it does not go on from that before, a new piece begins.
+            integrated: attitude by integrated rates. A new run starts a new piece.
             sigma_rad: noise of a measured attitude about its worst axis.
-            step_sigma_rad: what each further sample of a piece adds to that, by the noise of its rate.
+            step_sigma_rad: noise that each further sample of a piece adds by its rate.
 
         Returns:
-            The stamp after which the rates were wrong, -1 for all of them, where this attitude has taken the trust from
-            the rates; None otherwise.
+            The stamp after which the rates were wrong, -1 for all of them, if this attitude made them unusable; None
+            otherwise.
         """
         start, here = self._start, _Start(time_ns, number, rotation_nd, integrated)
         if start is None or integrated.run != start.integrated.run:
@@ -133,7 +132,7 @@ class RateGuard:
         clear = turn > self._CLEAR_SIGMAS * piece_sigma_rad + self._SLOWEST_RAD_PER_S * lasted_ns * 1e-9
         right = difference <= self._TOLERANCE * turn
         were_usable = self.usable
-        # Rates that nothing speaks for yet are doubted after one interval; all else takes its time.
+        # Unconfirmed rates are found wrong after one interval; everything else takes the full length of a piece.
         if clear and (lasted_ns >= self._SHORTEST_NS or not right):
             size_known = size(attitude) > 0.4 * self._CLEAR_SIGMAS * sigma_rad
             self._judge(time_ns, right, attitude, rate, size_known)
@@ -149,7 +148,7 @@ class RateGuard:
         self.due_ns = start.time_ns + self._SHORTEST_NS if self.rates is not Rates.UNPROVEN else 0
 
     def _judge(self, time_ns: int, right: bool, attitude: FloatArray, rate: FloatArray, size_known: bool) -> None:
-        """Take a piece that turned clearly into account; ``size_known`` where the attitude's turn exceeds its noise."""
+        """Evaluate a piece with clear rotation; ``size_known`` is true if the rotation exceeds the attitude noise."""
         self._right, self._wrong = (self._right + 1, 0) if right else (0, self._wrong + 1)
         if size_known:
             self._turns.append((attitude, rate))
@@ -172,7 +171,7 @@ class RateGuard:
         self.usable = self.rates in (Rates.UNPROVEN, Rates.MEASURED)
 
     def _in_other_units(self, turns: list[tuple[FloatArray, FloatArray]], least: int) -> bool:
-        """Whether the rates give the turns of the attitude, but for a factor of about 57.3."""
+        """True if the rates equal the rotations of the attitude up to a factor of about 57.3."""
         if len(turns) < least:
             return False
         attitude, rate = (np.array(values) for values in zip(*turns, strict=True))

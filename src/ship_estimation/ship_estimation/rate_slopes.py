@@ -1,8 +1,8 @@
-"""Whether the attitude of an INS creeps away from its own integrated rates.
+"""Detection of a drift of an INS attitude against its own integrated rates.
 
-The rates have a bias that changes slowly, and the attitude an error that walks. How fast the two run apart over some
-seconds is therefore much the same from piece to piece. Where it suddenly is not, the attitude creeps, or the bias of
-the rates has changed: one of the two is wrong.
+The rates have a slowly changing bias, and the attitude error is a random walk. Their relative drift is therefore
+similar from one piece of some seconds to the next. If it changes suddenly, the attitude drifts or the bias of the rates
+has changed.
 """
 
 import math
@@ -13,24 +13,24 @@ import numpy as np
 from ship_geometry.rotations import FloatArray
 
 _OVER = (1, 2, 4)
-"""Pieces that are looked at together: the slower the creep, the longer it takes to stand out."""
+"""Numbers of pieces that are tested together: a slower drift needs more of them."""
 _LIMIT, _LIMIT_EARLY = 36.0, 25.0
-"""Chi² that three axes exceed once in 1e7 pieces of two seconds, which is once in thousands of hours; and the one for
-the first minute, in which few pieces tell how much slopes spread, widened as Student's distribution is."""
+"""Chi² limit of three axes, exceeded once in 1e7 pieces of two seconds, once in thousands of hours; and the limit in
+the first minute, widened as for Student's distribution because the spread is estimated from few pieces."""
 _LEAST, _MEMORY = 8, 500
-"""So many pieces tell how much slopes spread before any is judged, and of so many the mean is made."""
+"""Number of pieces from which the spread of slopes is known, and over which it is averaged."""
 _FARTHEST = 3.0
-"""Of a slope no more than so many sigmas count towards the spread: one that creeps is no measure of it."""
+"""Bound of a slope in the estimate of the spread, sigmas: a drifting piece must not enlarge it."""
 
 _FASTER = 1.5
-"""A ship that turns so many times faster than in all pieces known shows errors of scale that none of them has told."""
+"""Ratio to the fastest earlier rotation above which a piece is not tested: it shows scale errors not met before."""
 
 
 class Crept(NamedTuple):
-    """How far an attitude has crept away from the rates.
+    """Drift of an attitude against its rates.
 
     Attributes:
-        turn_n: rotation vector in the horizon frame, rad, shape (3,).
+        turn_n: the drift as rotation vector in the horizon frame, rad, shape (3,).
         sigma_rad: its standard deviation about the worst axis.
     """
 
@@ -39,7 +39,7 @@ class Crept(NamedTuple):
 
 
 class SlopeWatch:
-    """Watches how fast the attitude of one INS runs away from its rates, piece by piece.
+    """Detects drift of one INS attitude against its rates, piece by piece.
 
     >>> watch, rng = SlopeWatch(), np.random.default_rng(1)
     >>> clean = [watch.crept(rng.normal(0.0, 1e-6, 3), 2.0, 0.1) for _ in range(30)]
@@ -56,27 +56,27 @@ class SlopeWatch:
         self._fresh = -1
 
     def forget(self) -> None:
-        """Learn the spread of slopes anew: the rates, or how they are measured, have changed."""
+        """Reset the spread of slopes: the rates, or their calibration, have changed."""
         self._square, self._known, self._fresh = np.zeros(3), 0, -1
         self._fastest = 0.0
         self._slopes_n.clear()
         self._turning.clear()
 
     def crept(self, slope_n: FloatArray, seconds: float, turning: float) -> Crept | None:
-        """How far the attitude has crept with this piece and those before; None where that is no more than usual.
+        """Return the drift of the attitude in this piece and those before; None if it is no larger than usual.
 
         Args:
-            slope_n: of a piece, less what was learnt before, horizon frame, rad/s, shape (3,).
-            seconds: length of the piece.
-            turning: how fast the ship turned in it, all in all, rad/s.
+            slope_n: drift of the piece, minus the estimated one, horizon frame, rad/s, shape (3,).
+            seconds: length of the piece, s.
+            turning: mean angular rate of the ship in it, rad/s.
         """
         self._fresh += 1
         if self._fresh == 0 and not self._known:
-            return None  # The first piece holds the whole bias.
+            return None  # the first piece contains the whole bias
         self._slopes_n.append(slope_n)
         self._turning.append(turning)
         if len(self._slopes_n) > _OVER[-1]:
-            # What is looked at is no measure of the spread yet.
+            # Pieces under test do not enter the spread.
             self._learn(self._slopes_n.pop(0), self._turning.pop(0))
         if self._known < _LEAST:
             return None
@@ -87,7 +87,7 @@ class SlopeWatch:
         for over in _OVER:
             summed_n = np.sum(self._slopes_n[-over:], axis=0)
             square = over * self._square
-            # Written so that a spread of zero, and NaN, tell nothing.
+            # Written so that a spread of zero, and NaN, never exceed the limit.
             if over <= self._fresh and square.min() > 0.0 and float(np.sum(summed_n**2 / square)) > limit:
                 self._fresh = 0
                 return Crept(summed_n * seconds, math.sqrt(float(square.max())) * seconds)
@@ -96,7 +96,7 @@ class SlopeWatch:
     def _learn(self, slope_n: FloatArray, turning: float) -> None:
         known = self._known >= _LEAST
         if known and turning > _FASTER * self._fastest:
-            # At once: while she turns so, each piece shows the same.
+            # At once: during this rotation every piece shows the same scale error.
             self._square = np.maximum(self._square, slope_n**2)
         elif known:
             slope_n = np.minimum(np.abs(slope_n), _FARTHEST * np.sqrt(self._square))

@@ -1,20 +1,20 @@
-"""Why an input is not used: the same reasons for every estimator of the suite.
+"""Rejections of inputs and their reasons, the same for every estimator of the suite.
 
-This module names the reasons. A measurement meets those who decide in this order:
+A measurement is checked in this order:
 
 1. the inbox of a live node that cannot keep up (``ship_node/live/backlog``): BEHIND;
 2. the reader of its message (``ros/`` of each estimator, with the checks of ``ship_node/edge/messages_in``): fields;
-   and the adapter (``ship_node/edge/reporting_adapter``), where people have taken the source out: OFF;
-3. :class:`ship_estimation.estimator_shell.LagWindow`: LATE;
-4. the guards, which look at one stream by itself: :mod:`ship_estimation.ins_guard` at an INS, ``guards/`` at star
-   sensors and references, ``theodolite_calib/measured/encoder_watch`` at encoders: STUCK, UNITS, and GATE for one
-   sample that jumps; ``sky/stamped_values`` at the fix and the air: JUMP;
-5. :class:`ship_estimation.estimator_shell.EstimatorShell`: DUPLICATE, CONFLICT, OVERFLOW, and FAILED for our own
-   defects;
-6. the filter that compares it with its state (``ship_attitude/filter``, ``theodolite_calib/filter/judgement``) and, in
-   it, what it is compared with (``ship_attitude/comparison``, ``theodolite_calib/measured/sighting``): all others.
+   and the adapter (``ship_node/edge/reporting_adapter``), if the source is switched off: OFF;
+3. :class:`ship_estimation.time_ordered_estimator.LagWindow`: LATE;
+4. the checks of a single stream: :mod:`ship_estimation.ins_check` for an INS, ``guards/`` for star sensors and
+   references, ``theodolite_calib/measured/encoder_watch`` for encoders: STUCK, UNITS, and GATE for a single sample that
+   jumps; ``sky/stamped_values`` for position and weather: JUMP;
+5. :class:`ship_estimation.time_ordered_estimator.TimeOrderedEstimator`: DUPLICATE, CONFLICT, OVERFLOW, and FAILED for
+   defects of the software;
+6. the filter, which computes the innovation (``ship_attitude/filter``, ``theodolite_calib/filter/judgement``), and its
+   measurement model (``ship_attitude/comparison``, ``theodolite_calib/measured/sighting``): all others.
 
-``star_attitude`` asks 5 before 4, and a reading of the encoders in degrees is told before its age.
+``star_attitude`` checks 5 before 4, and encoder readings in degrees are rejected before their age is checked.
 """
 
 import enum
@@ -25,21 +25,21 @@ from typing import Protocol
 from ship_geometry.time_scales import SECOND_NS
 
 AGREES_AGAIN_AFTER_S = 10.0
-"""So long a source that contradicted itself must have agreed with itself before what rests on it is VALID again."""
+"""Time without a conflict of stamps after which results from a source are VALID again, s."""
 _AGREES_AGAIN_AFTER_NS = round(AGREES_AGAIN_AFTER_S * SECOND_NS)
 
 _AT_ALL_STAMPS_NS = -(2**62)
-"""Stamp from which a source is contested where its stamps may have restarted meanwhile."""
+"""Stamp from which a source has two publishers if its stamps may have restarted meanwhile."""
 
 FOUND_WITHIN_S = 2.0
-"""Two publishers of one source are found within this time from their second message on."""
+"""Time from their second message within which two publishers of one source are detected, s."""
 
 LONGEST_TEXT = 200
-"""Characters of a reason; and what comes from outside is never longer than that in anything that goes out."""
+"""Maximum length of a reason, and of any text from outside in an output, characters."""
 
 
 def shortened(text: str, most: int = LONGEST_TEXT) -> str:
-    """The text itself, or where it has more characters its beginning with an ellipsis, ``most`` in all.
+    """Return a text, shortened to ``most`` characters with an ellipsis if it is longer.
 
     Example:
         >>> shortened("star_fore_of_a_very_long_name", most=12)
@@ -49,7 +49,7 @@ def shortened(text: str, most: int = LONGEST_TEXT) -> str:
 
 
 class Reason(enum.IntEnum):
-    """Why a measurement was not used; the values are those of ship_msgs/Innovation."""
+    """Reason of a rejection; the values are those of ship_msgs/Innovation."""
 
     NONE = 0
     NON_FINITE = 1
@@ -89,13 +89,13 @@ class Reason(enum.IntEnum):
 
     @property
     def word(self) -> str:
-        """The reason as people read it in health, diagnostics and reports: ``bad_stamp``."""
+        """Name of the reason in health, diagnostics and reports: ``bad_stamp``."""
         return self.name.lower()
 
 
 @dataclass(frozen=True)
 class Refusal:
-    """Why an input was not used at all."""
+    """Rejection of an input: reason and text; the text is shortened to :data:`LONGEST_TEXT`."""
 
     reason: Reason
     text: str
@@ -105,9 +105,9 @@ class Refusal:
 
 
 def failure(error: Exception) -> Refusal:
-    """The refusal of an input on which our own code stumbled.
+    """Return the rejection of an input because of an exception in this software.
 
-    Reported as a defect of this software; other inputs go on.
+    It is reported as a defect of the software; other inputs are processed as usual.
 
     Example:
         >>> failure(ZeroDivisionError("division by zero"))
@@ -117,7 +117,7 @@ def failure(error: Exception) -> Refusal:
 
 
 def singular_covariance() -> Refusal:
-    """The refusal of a measurement whose residual cannot be judged, nor weighed, by its covariance.
+    """Return the rejection of a measurement whose innovation covariance is singular.
 
     Example:
         >>> singular_covariance().reason.word
@@ -128,7 +128,7 @@ def singular_covariance() -> Refusal:
 
 
 def _place_of(error: Exception) -> str:
-    """File and line that raised; where the file lies is known from its name."""
+    """Return file name and line where an exception was raised; "nowhere" without a traceback."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next
@@ -136,17 +136,17 @@ def _place_of(error: Exception) -> str:
 
 
 class Content(Protocol):
-    """Something that can be told from another of its kind."""
+    """An object whose content can be compared as bytes."""
 
     def content(self) -> bytes:
-        """All values as bytes: equal for a repeated message, and an order for conflicting ones."""
+        """Return all values as bytes: equal for a repeated message, and an order for conflicting ones."""
         ...
 
 
 def same_stamp(known: Content, new: Content) -> tuple[bool, Refusal]:
-    """Of two inputs with the same stamp: whether the new one takes the place of the known one, and what to say of it.
+    """Return, for two inputs with the same stamp, True if the new one replaces the known one, and the rejection.
 
-    The one whose bytes sort first is kept, so that the order of arrival does not matter.
+    The input whose bytes sort first is kept, so that the order of arrival does not matter.
 
     Example:
         >>> from ship_geometry.vector_track import VectorSample
@@ -166,28 +166,28 @@ def same_stamp(known: Content, new: Content) -> tuple[bool, Refusal]:
 
 
 class Contradictions:
-    """The sources that said different things of one moment not long ago.
+    """Sources that recently sent conflicting data with the same stamp.
 
-    Of the two things one is kept, which may as well be the wrong one: what rests on such a source is not VALID. Nor is
-    what rests on a contested source, as which two publishers send.
+    One of the two inputs is kept, and it may be the wrong one: results from such a source are not VALID. Neither are
+    results from a source with two publishers.
 
     Attributes:
-        latest_ns: by source, the stamp of its last conflict, however long ago.
-        since_ns: by source, the stamp of the first of the conflicts that led to it, each within ten seconds of another.
-        contested: by source, the stamp from which on two publishers send, and a text for people that names them.
+        latest_ns: by source, the stamp of its last conflict, however old.
+        since_ns: by source, the stamp of the first conflict of the series, each within ten seconds of another.
+        duplicate_publishers: by source, the stamp from which two publishers send, and a text that names them.
 
     Example:
-        >>> told = Contradictions()
-        >>> told.note("ship", 5 * SECOND_NS, Refusal(Reason.CONFLICT, "the same stamp with other content"))
-        >>> told.note("encoder", 5 * SECOND_NS, Refusal(Reason.DUPLICATE, "the same again"))
-        >>> told.at(12 * SECOND_NS)
+        >>> conflicts = Contradictions()
+        >>> conflicts.note("ship", 5 * SECOND_NS, Refusal(Reason.CONFLICT, "the same stamp with other content"))
+        >>> conflicts.note("encoder", 5 * SECOND_NS, Refusal(Reason.DUPLICATE, "the same again"))
+        >>> conflicts.at(12 * SECOND_NS)
         {'ship': 5000000000}
-        >>> told.at(16 * SECOND_NS)
+        >>> conflicts.at(16 * SECOND_NS)
         {}
-        >>> told.together({"ship", "encoder"}), told.together({"ship"})
+        >>> conflicts.together({"ship", "encoder"}), conflicts.together({"ship"})
         (None, (5000000000, 15000000000))
-        >>> told.contest("ins", 20 * SECOND_NS, "two publishers send on ins/imu")
-        >>> told.at(30 * SECOND_NS), told.text({"ins"})
+        >>> conflicts.contest("ins", 20 * SECOND_NS, "two publishers send on ins/imu")
+        >>> conflicts.at(30 * SECOND_NS), conflicts.text({"ins"})
         ({'ins': 18000000000}, 'two publishers send on ins/imu')
     """
 
@@ -196,25 +196,25 @@ class Contradictions:
         self.forget()
 
     def __bool__(self) -> bool:
-        """True if any source has contradicted itself, or is contested."""
+        """True if any source has had a conflict or has two publishers."""
         return bool(self.latest_ns or self.contested)
 
     def forget(self) -> None:
-        """Forget the conflicts; a contested source stays so until :meth:`contest` ends that, at all stamps from now on.
+        """Clear the conflicts; two publishers remain recorded until :meth:`set_duplicate_publishers` ends it.
 
-        Stamps may begin anew, before the one from which on it was contested.
+        They then apply to all stamps, because stamps may restart before the one of the detection.
         """
         self.latest_ns: dict[str, int] = {}
         self.since_ns: dict[str, int] = {}
         self.contested = {source: (_AT_ALL_STAMPS_NS, text) for source, (_, text) in self.contested.items()}
 
     def contest(self, source: str, time_ns: int, text: str) -> None:
-        """Set that two publishers send as a source; an empty text ends it.
+        """Record that a source has two publishers; an empty text ends it.
 
         Args:
             source: the source.
-            time_ns: stamp at which that is found: they may have sent for :data:`FOUND_WITHIN_S` before.
-            text: for people, with the names of the publishers.
+            time_ns: stamp of the detection; both may have sent for :data:`DETECTION_TIME_S` before.
+            text: text for users, with the names of the publishers.
         """
         if text:
             since_ns = time_ns - round(FOUND_WITHIN_S * SECOND_NS)
@@ -223,20 +223,20 @@ class Contradictions:
             self.contested.pop(source, None)
 
     def note(self, source: str, time_ns: int, refusal: Refusal | None) -> None:
-        """Take note of what was said of an input with this stamp; only CONFLICT counts."""
+        """Record the rejection of an input with this stamp if its reason is CONFLICT."""
         if refusal is not None and refusal.reason is Reason.CONFLICT:
             latest_ns = self.latest_ns.get(source, time_ns)
             since_ns = self.since_ns.get(source, time_ns)
-            # A conflict long after the last one begins anew; one long before it is over.
+            # A conflict long after the last one, or long before the first, starts a new series.
             begins_anew = time_ns - latest_ns > _AGREES_AGAIN_AFTER_NS
             if begins_anew or since_ns - _AGREES_AGAIN_AFTER_NS <= time_ns < since_ns:
                 since_ns = time_ns
             self.since_ns[source], self.latest_ns[source] = since_ns, max(time_ns, latest_ns)
 
     def at(self, time_ns: int) -> dict[str, int]:
-        """The sources that have not agreed with themselves for long, each with the stamp of its last conflict.
+        """Return the sources with a recent conflict, each with the stamp of its last one.
 
-        A contested source comes with the stamp since when it is contested.
+        A source with two publishers is returned with the stamp from which both may have sent.
         """
         if not self:
             return {}
@@ -245,20 +245,20 @@ class Contradictions:
         return latest | {source: since_ns for source, (since_ns, _) in self.contested.items()}
 
     def text(self, sources: Iterable[str]) -> str:
-        """Words for sources that contradict themselves or are contested; empty where there are none.
+        """Return the text for sources that have a conflict or two publishers; empty without sources.
 
         Example:
             >>> Contradictions().text(["ship"])
-            'ship says different things of one moment'
+            'ship sent conflicting data with one stamp'
         """
         words = [
-            self.contested[source][1] if source in self.contested else f"{source} says different things of one moment"
+            self.contested[source][1] if source in self.contested else f"{source} sent conflicting data with one stamp"
             for source in sorted(sources)
         ]
         return " and ".join(words)
 
     def together(self, sources: Set[str]) -> tuple[int, int] | None:
-        """From when until when sources all contradict themselves, each since its first conflict; None for never."""
+        """Return the interval in which all sources have conflicts, each from its first one on; None if none."""
         if not sources <= self.latest_ns.keys():
             return None
         first_ns = max(self.since_ns[source] for source in sources)

@@ -1,9 +1,9 @@
-"""Running means of whitened turns: how well every row of hypotheses agrees with every source.
+"""Windowed innovation means: the consistency of every filter with every source.
 
-Every row of hypotheses (:mod:`ship_estimation.hypotheses`) sees the measurements of every source. Where the row is
-right and uses a source, the whitened turns of that source have the mean zero, the covariance one, and are independent
-of one another. Their running means over few and over many measurements therefore tell a knock within three
-measurements and a creeping error later. Who is wrong, :mod:`ship_estimation.exclusion` concludes from them.
+The main filter and every subfilter (:mod:`ship_estimation.subfilters`) compute innovations for every source. If a
+filter is fault-free and uses a source, the whitened innovations of that source have zero mean and unit covariance, and
+are independent of one another. Their exponential means over few and over many measurements show a mounting shift within
+three measurements, and a drift later. :mod:`ship_estimation.fault_isolation` isolates the faulty source.
 """
 
 import math
@@ -19,46 +19,47 @@ from ship_estimation.protection import IntegrityConfig
 from ship_geometry.rotations import FloatArray
 
 MEANS_OVER = (3, 30, 300)
-"""Measurements over which whitened turns are averaged."""
+"""Window lengths of the means of whitened innovations, measurements."""
 
 MEASUREMENTS_PER_H = 18_000
-"""Of one source, for the probability of a false exclusion: five in a second."""
+"""Number of measurements of one source in an hour, for the probability of a false exclusion: five in a second."""
 
 WELL = 0.5
-"""A source that well agrees stays below this share of the chi² that excludes it."""
+"""Share of the chi² limit below which a source counts as consistent."""
 
 LONG_AGO_NS = -(2**62)
-"""Before any stamp: of a source not heard, or that contradicts nothing."""
+"""Stamp before any other, of a source without a measurement or without inconsistency."""
 
 SEEN_BY_ROWS = ("running", "excess", "refused")
-"""What of :class:`Means` each row has seen for itself."""
+"""Fields of :class:`InnovationMeans` with one row for each filter."""
 
 _LARGEST_TURN = math.sqrt(0.5)
-"""A whitened turn counts as no larger, as a share of the root of the limit: two gross errors in a row leave the mean
-over three below the limit, the third does not."""
+"""Bound of a whitened innovation, as a share of the square root of the chi² limit.
+
+Two successive gross errors keep the mean over three measurements below the limit, the third does not."""
 
 _WEIGHTS = np.array([2.0 / (count + 1.0) for count in MEANS_OVER])
-"""Of a measurement in each mean, shape (w,)."""
+"""Weight of a measurement in each mean, shape (w,)."""
 
 _NO_NOISE = np.zeros((3, 3))
 
 NO_MEANS = np.zeros((len(MEANS_OVER), 5))
-"""The columns of :class:`Means` before any measurement."""
+"""Columns of :attr:`InnovationMeans.running` before any measurement, shape (w, 5)."""
 
 
 @dataclass(frozen=True)
 class Means:
-    """Running means of whitened turns; h rows, s sources, w lengths.
+    """Windowed means of whitened innovations; h filters, s sources, w window lengths.
 
     Attributes:
-        running: in five columns the mean turn (three), the share of the mean that measurements fill (0 at the start, 1
-            soon), and the variance of a mean of independent turns as a share of that of one; shape (h, s, w, 5).
-        excess: largest chi² of a mean over its limit, shape (h, s); of a source that a row does without only that of
-            the first row counts.
-        refused: refusals in a row, shape (h, s).
-        heard_ns: stamp of the last measurement of each source, shape (s,).
-        contradicts_ns: since when the first row does not well agree with each source, shape (s,); far in the past where
-            it does.
+        running: in five columns the mean innovation (three), the filled share of the window (0 at the start, soon 1),
+            and the variance of a mean of independent innovations as a share of that of one; shape (h, s, w, 5).
+        excess: largest chi² of a mean over its limit, shape (h, s). For a source that a filter excludes, it is used in
+            the main filter only.
+        rejection_counts: number of successive rejections, shape (h, s).
+        last_measured_ns: stamp of the last measurement of each source, shape (s,).
+        inconsistent_since_ns: stamp since which the main filter is inconsistent with each source, shape (s,);
+            :data:`NEVER_NS` if it is consistent.
     """
 
     running: FloatArray
@@ -69,7 +70,7 @@ class Means:
 
 
 def no_means(rows: int, sources: int) -> Means:
-    """Before any measurement.
+    """Return the innovation means before any measurement.
 
     Example:
         >>> no_means(rows=3, sources=2).running.shape
@@ -85,9 +86,9 @@ def no_means(rows: int, sources: int) -> Means:
 
 
 def excess_limit(config: IntegrityConfig, sources: int) -> float:
-    """The chi² that no mean of a source that is right exceeds, but for half of the false exclusions configured.
+    """Return the chi² limit of an innovation mean, for half of the configured rate of false exclusions.
 
-    A mean over N measurements has an independent value every N measurements.
+    A mean over N measurements has one independent value in N measurements.
 
     Example:
         >>> print(round(excess_limit(IntegrityConfig(), sources=2), 1))
@@ -106,19 +107,20 @@ def observed(
     limit: float,
     turn_noise: FloatArray | None = None,
 ) -> Means:
-    """The means after a measurement, or after one of each of several sources at the same moment.
+    """Return the means after a measurement, or after simultaneous measurements of several sources.
 
     Args:
-        means: before.
-        source: its index; or those of l sources, and the arrays have an axis more.
-        turn: whitened, in every row, shape (h, 3) or (h, l, 3).
-        accepted: whether its NIS passed the gate of each row, shape (h,) or (h, l).
-        time_ns: its stamp.
-        limit: by :func:`excess_limit`.
-        turn_noise: where the first row does without the source, the share of the noise in its turn, shape (3, 3).
+        means: before the measurement.
+        source: index of the source; or indices of l sources, and the arrays have one axis more.
+        innovation: whitened innovation in every filter, shape (h, 3) or (h, l, 3).
+        accepted: True if its NIS passed the gate of each filter, shape (h,) or (h, l).
+        time_ns: stamp of the measurement.
+        limit: chi² limit by :func:`excess_limit`.
+        whitened_noise: part of the measurement noise in the whitened covariance, shape (3, 3), if the main filter
+            excludes the source; None otherwise.
 
     Example:
-        Turns of three sigmas, always in the same direction, are too many after a few measurements:
+        Innovations of three sigmas in the same direction exceed the limit after a few measurements:
 
         >>> found, turn = no_means(1, 1), np.array([[3.0, 0.0, 0.0]])
         >>> for number in range(8):
@@ -149,20 +151,20 @@ def observed(
     )
     if after is not None:
         return Means(*after)
-    # What is no number has no mean; it is a refusal.
+    # A NaN does not enter the means; it counts as a rejection.
     refused = means.refused.copy()
     refused[:, list(source)] += 1
     return replace(means, refused=refused)
 
 
 def averaged(running: FloatArray, turn: FloatArray) -> tuple[FloatArray, float]:
-    """The columns of :attr:`Means.running` of one row and source after one turn more, and how far a mean is off.
+    """Return the windowed means of one filter and source after one more innovation, and their largest component.
 
-    That is the component of a mean, of all lengths, that is farthest from zero in its own sigmas.
+    The largest component of all window lengths is given in its own sigmas.
 
     Args:
-        running: before, shape (w, 5).
-        turn: whitened, shape (3,).
+        running: columns of :attr:`InnovationMeans.running` before, shape (w, 5).
+        innovation: whitened innovation, shape (3,).
 
     Example:
         >>> running, sigmas = averaged(NO_MEANS, np.array([0.0, 4.0, 1.0]))
@@ -174,7 +176,7 @@ def averaged(running: FloatArray, turn: FloatArray) -> tuple[FloatArray, float]:
 
 
 def forgotten(means: Means, rows: Sequence[int] | slice, sources: Sequence[int] | slice) -> Means:
-    """The means without what some rows saw of some sources.
+    """Return the means with those of some filters and sources cleared.
 
     Example:
         >>> seen = replace(no_means(2, 2), refused=np.array([[1, 2], [3, 4]]))

@@ -1,9 +1,8 @@
-"""Steps of an INS's measured attitude against the attitude by its rates alone.
+"""Detection of steps of an INS attitude against its integrated rates.
 
-Attitude and integrated rates of a healthy INS differ by a turn that drifts slowly: by the bias of the gyroscopes, by
-the Earth's turn where the rates hold it, by what integration misses. Over a second that is a straight line. A step of
-the attitude breaks the line, and shows at once where it is many times the noise of a sample; the mean of several
-samples after it against the line before shows a smaller one.
+Attitude and integrated rates of a healthy INS differ by a slowly drifting rotation: gyroscope bias, Earth rate if the
+rates contain it, integration error. Over a second this is a straight line. A step of the attitude leaves the line. A
+large step shows at the first sample; a smaller one shows in the mean of several samples against the line before.
 """
 
 import math
@@ -22,32 +21,32 @@ from ship_geometry.rotations import FloatArray, exp_rotation
 from ship_geometry.time_scales import SECOND_NS
 
 _BEFORE_S, _AFTER_S = (0.5, 0.25, 0.125), 0.2
-"""Samples of so long tell the line, the shorter the noisier the rates; of up to so long whether there was a step."""
+"""Lengths of the line before the step, s, shorter for noisier rates; maximum length after the step, s."""
 _LEAST_BEFORE, _LONGEST_PERIOD_NS = 16, SECOND_NS // 5
-"""At fewer than five samples a second the waves between two of them hide small steps, and nothing is looked for."""
+"""Least number of samples before the step; maximum period: below 5 Hz wave motion hides small steps."""
 _MISSING, _IRREGULAR = 1.8, 0.35
-"""Samples further apart than so many periods have lost one between them. Times are irregular where their steps scatter
-by more than this share of the mean: one message in ten lost makes 0.27, stamps of 20 Hz late by 0 to 12 ms make 0.1."""
+"""Interval from which a sample is missing, periods; scatter of intervals, as a share of their mean, from which stamps
+are irregular: one lost message in ten makes 0.27, stamps at 20 Hz late by 0 to 12 ms make 0.1."""
 _GAP = 8
-"""The line does not lead over a gap of more than so many periods."""
+"""Maximum gap that a line spans, periods."""
 _SIGMAS = 7.3
-"""What noise of three axes exceeds once in 6e10 times; docs/explanation/when_inputs_fail.md says how often an hour."""
+"""Threshold of a step, sigmas: exceeded by noise of three axes once in 6e10 times (explanation/when_inputs_fail.md)."""
 _LAG_S = 0.0025
-"""Rates may lag behind the attitude by this much."""
+"""Maximum lag of the rates behind the attitude, s."""
 _LEARN_HZ = 25.0
-"""How often steps of no sample are learnt in a second."""
+"""Rate at which the statistics of apparent steps are updated, 1/s."""
 _FAR_RAD = 1e-3
-"""Rotation vectors of this size still add like vectors, to a hundredth of an arcsecond."""
+"""Size up to which rotation vectors add like vectors, to a hundredth of an arcsecond."""
 _ROOM = 4
-"""Samples are kept in an array so many times as long as the line."""
+"""Length of the sample buffer, in lengths of the line."""
 
 
 class FoundStep(NamedTuple):
-    """A step of the attitude that means before and after have told.
+    """A step of the attitude, detected by means before and after it.
 
     Attributes:
-        first_ns: stamp of the first sample that may lie after the step.
-        last_ns: stamp of the first sample that surely does.
+        first_ns: stamp of the first sample that may be after the step.
+        last_ns: stamp of the first sample that certainly is.
         step_n: rotation vector in the horizon frame, rad, shape (3,).
         sigma_rad: its standard deviation about each axis.
     """
@@ -59,13 +58,13 @@ class FoundStep(NamedTuple):
 
 
 class Learnt(NamedTuple):
-    """What samples on a line tell of their errors.
+    """Errors of the samples on a line.
 
     Attributes:
-        drift_n: how fast the attitude runs away from the rates, horizon frame, rad/s, shape (3,).
-        seconds: over how long.
-        turning: how fast the deck turned in that time, all in all, rad/s.
-        typical_rad: how far a sample is from the place where the one before leads, root mean square.
+        drift_n: drift of the attitude against the rates, horizon frame, rad/s, shape (3,).
+        seconds: length of the line, s.
+        turning: mean angular rate of the deck in that time, rad/s.
+        typical_rad: root mean square difference of a sample from its prediction by the one before.
     """
 
     drift_n: FloatArray
@@ -75,18 +74,18 @@ class Learnt(NamedTuple):
 
 
 class StepWatch:
-    """Watches the attitude of one INS against its own integrated rates.
+    """Detects steps of one INS attitude against its integrated rates.
 
-    It learns the period of the samples and how large a step their errors feign: by a high power, in which the rare
-    large ones count, as rounding makes them.
+    The period of the samples and the size of apparent steps by their errors are estimated, the latter by the mean of a
+    high power, which rare large errors dominate, as rounding causes them.
 
     Args:
         white_rad: noise of an attitude, each axis.
         rate_sigma_rad_per_s: noise of a rate, each axis.
 
     Attributes:
-        learnt: what the samples kept of late tell of their errors; None where nothing new is known.
-        noise: sums for the noise of the samples kept of late; None where there are no new ones.
+        line_statistics: errors of the samples recently accepted; None without new ones.
+        noise: noise sums of the samples recently accepted; None without new ones.
 
     >>> watch, turned = StepWatch(5e-6, 0.0), np.random.default_rng(1).normal(0.0, 5e-6, (1500, 3))
     >>> turned[1400:] += [0.0, 3e-5, 0.0]
@@ -116,20 +115,20 @@ class StepWatch:
         self.restart()
 
     def reconfigure(self, white_rad: float, rate_sigma_rad_per_s: float) -> None:
-        """Go on with another noise."""
+        """Set another noise."""
         if (white_rad, rate_sigma_rad_per_s) != (self._white_rad, self._rate_sigma):
             self._white_rad, self._rate_sigma = white_rad, rate_sigma_rad_per_s
             if self._period.ns:
                 self._make_plan()
 
     def forget(self) -> None:
-        """Learn the errors of the samples anew: the rates, or how they are measured, have changed."""
+        """Reset the statistics of the samples: the rates, or their calibration, have changed."""
         self._learns = 0
         self._high[:] = 0.0
         self.restart()
 
     def restart(self) -> None:
-        """Begin a new line with the next sample: the attitude has stepped, or a line does not lead so far."""
+        """Start a new line with the next sample: after a step of the attitude, or a gap."""
         self._end = self._newest = 0
         self._to_line = None
         self._plan: StepPlan | None = None
@@ -139,17 +138,17 @@ class StepWatch:
 
     @property
     def smallest_rad(self) -> float:
-        """The smallest step that is told from noise; infinite where none is."""
+        """Smallest detectable step, rad; infinite if none is."""
         return math.inf if self._plan is None else float(self._bounds[-1])
 
     @property
     def least_rad(self) -> float:
-        """No smaller step is told from noise as long as the line is not another one; infinite where there is none."""
+        """Lower bound of the smallest detectable step of the present line, rad; infinite without a line."""
         return math.inf if self._plan is None else float(self._least_rad[-1])
 
     @property
     def judges(self) -> bool:
-        """Whether samples are judged by a line as long as it is to be."""
+        """True if samples are checked against a line of full length."""
         return self._plan is not None and self._plan is self._full and self._judges
 
     def look(
@@ -159,13 +158,13 @@ class StepWatch:
         first_rad: float,
         coarseness_rad: float,
     ) -> bool | None:
-        """Whether a sample lies on the line of those kept; None where that is not known, and NaN does not.
+        """Return True if a sample is on the line of those accepted, None if unknown; False for NaN.
 
         Args:
-            sample: with a rate; later than all kept.
-            integrated: the attitude by its rates.
-            first_rad: how far a good sample may be from the line as long as the watch has not learnt it itself.
-            coarseness_rad: steps in which the attitude is printed; zero where every value is new.
+            sample: with a rate; later than all accepted ones.
+            integrated: the attitude by integrated rates.
+            first_rad: bound of the distance of a good sample from the line before the statistics are known.
+            coarseness_rad: resolution of the attitude; zero if every value is new.
         """
         self._pending, time_ns = None, sample.time_ns
         if self._full is None:
@@ -178,7 +177,7 @@ class StepWatch:
         if self._to_line is None:
             self._to_line = integrated.rotation.dot(sample.rotation_nd.T)
         missed_rad = integrated.missed_rad - self._missed_rad
-        # What integration misses alike in every step is a slope. A change of it feigns a step.
+        # A constant integration error per step is a slope. A change of it is an apparent step.
         feigned_rad = abs(missed_rad - self._missed_before_rad)
         self._missed_rad, self._missed_before_rad = integrated.missed_rad, missed_rad
         self._now_ns = time_ns
@@ -196,18 +195,18 @@ class StepWatch:
         self._sizes = compiled_watch.step_sizes(self._scaled, rows)
         if not self._judges:
             return None
-        # Where more than this sample alone speaks for a step, it began before, and this sample goes on after it.
+        # If several samples show a step better than this one alone, the step was before this sample.
         own, *others = self._sizes.tolist()
         return bool(own <= 1.0 or max(others, default=0.0) > own)
 
     def match(self) -> Match:
-        """The sample that was looked at last, against the line."""
+        """Return the match of the last checked sample with the line."""
         assert self._plan is not None
         step = self._plan.weights[0].dot(self._rows[self._end + 1 - self._plan.length : self._end + 1])
         return Match(step, float(self._bounds[0]), bool(self._sizes[0] <= 1.0))
 
     def keep(self) -> FoundStep | None:
-        """Take the sample that was looked at last for a good one; the step that it makes known, if any."""
+        """Accept the last checked sample; return the step that is detected with it, if any."""
         if self._pending is None:
             return None
         self._times[self._end] = self._last_ns = self._now_ns
@@ -233,18 +232,18 @@ class StepWatch:
         first_rad: float,
         coarseness_rad: float,
     ) -> int:
-        """Take the samples of a block, from the first one on, that lie on the line of those kept; returns how many.
+        """Accept the leading samples of a block that are on the line; return their number.
 
-        Each is taken as by :meth:`look` and :meth:`keep`. The next one may be taken likewise, after what was learnt
-        with the last one; where none is taken the first one is for these: it may be off the line, or begin one.
+        The result is that of :meth:`check` and :meth:`accept` for each sample. If the first sample is not accepted, it
+        may be off the line or start a new one, and is for these methods.
 
         Args:
-            times_ns: stamps, each later than all kept, shape (N,).
+            times_ns: stamps, each later than all accepted ones, shape (N,).
             rotations_nd: attitudes, shape (N, 3, 3).
-            rates_d: rad/s, shape (N, 3).
-            integrated: the attitudes by the rates.
-            first_rad: and the next one as in :meth:`look`.
-            coarseness_rad: rad.
+            rates_d: angular velocities, rad/s, shape (N, 3).
+            integrated: the attitudes by integrated rates.
+            first_rad: as in :meth:`check`.
+            coarseness_rad: as in :meth:`check`.
         """
         plan, end = self._plan, self._end
         if plan is None or self._to_line is None or not self.judges or integrated.run != self._run:
@@ -286,15 +285,15 @@ class StepWatch:
         return int(count)
 
     def _lags(self, plan: StepPlan) -> bool:
-        """Whether rates that lag a little explain what looks like a step, as where a turn begins."""
+        """True if a small lag of the rates explains the apparent step, as at the start of a rotation."""
         steps = plan.weights.dot(self._rates[self._newest + 1 - plan.length : self._newest + 1])
         feigned_rad = _LAG_S * np.sqrt(np.sum(steps * steps, axis=1))
         return bool(np.all(np.sqrt(self._sizes) * self._bounds <= self._bounds + feigned_rad))
 
-    # -- what is learnt -------------------------------------------------------------------------------------
+    # -- statistics -----------------------------------------------------------------------------------------
 
     def _make_plan(self) -> None:
-        """Choose how long the line is by the period of the samples and their noise, and learn anew."""
+        """Choose the length of the line by the period of the samples and their noise, and reset the statistics."""
         per_s = SECOND_NS / self._period.ns
         after = max(round(_AFTER_S * per_s), 1)
         lengths = {max(round(seconds * per_s), _LEAST_BEFORE) + after for seconds in _BEFORE_S}
@@ -307,7 +306,7 @@ class StepWatch:
         self.forget()
 
     def _learn(self) -> None:
-        """Learn how large the steps are that no sample made, and go over to a longer line where there is one."""
+        """Update the statistics of apparent steps, and change to a longer line if possible."""
         assert self._full is not None
         self._since_learnt, full, before = 0, self._full, self._plan
         if before is full:
@@ -327,7 +326,7 @@ class StepWatch:
                 return
 
     def _go_over(self, plan: StepPlan) -> None:
-        """Judge by another line from now on."""
+        """Check samples against another line from now on."""
         assert self._full is not None
         self._plan = plan
         self._least_rad = _SIGMAS * self._sigmas(plan)
@@ -336,7 +335,7 @@ class StepWatch:
         self._set_bounds(plan)
 
     def _set_bounds(self, plan: StepPlan) -> None:
-        """The largest steps that errors of good samples feign."""
+        """Set the bounds of apparent steps by the errors of good samples."""
         self._judges = compiled_watch.set_bounds(
             plan.weights,
             self._least_rad,
@@ -351,13 +350,13 @@ class StepWatch:
         )
 
     def _sigmas(self, plan: StepPlan) -> FloatArray:
-        """Sigma of each step of a plan by the noise of attitudes and rates, each axis, rad."""
+        """Return sigma of each step of a plan by the noise of attitudes and rates, each axis, rad, shape (k,)."""
         turn_rad = self._rate_sigma * self._period.ns * 1e-9
         sigmas: FloatArray = np.hypot(self._white_rad * plan.white, turn_rad * plan.walk)
         return sigmas
 
     def _shift(self) -> None:
-        """Make room for further samples, and let the line start anew where it has led far."""
+        """Make room for further samples, compute the line statistics, and restart a line that has become large."""
         assert self._full is not None
         keep, rows = self._full.length, self._rows
         seconds = float(self._times[-1] - self._times[0]) * 1e-9 * (1.0 - 1.0 / _ROOM)
@@ -374,9 +373,9 @@ class StepWatch:
             rows[:keep] -= rows[keep - 1].copy()
 
     def _sum_noise(self) -> FloatArray:
-        """Sum up the noise of the samples kept; returns the differences of each from the one before.
+        """Sum the noise of the accepted samples; return the differences of successive ones, rad, shape (n, 3).
 
-        Of samples at irregular times nothing is summed: what the integration of the rates misses there is no noise.
+        Samples at irregular times are not summed: there the integration error of the rates exceeds the noise.
         """
         times_ns, differences = self._times[: self._end], np.diff(self._rows[: self._end], axis=0)
         steps_ns = np.diff(times_ns)
@@ -385,10 +384,10 @@ class StepWatch:
         return differences
 
     def _found(self) -> FoundStep:
-        """The step between the samples kept, as large as it is and at all moments at which it may have happened."""
+        """Return the step between the accepted samples, with the interval of stamps at which it may have happened."""
         assert self._plan is not None
         worst = max(range(len(self._sizes)), key=self._sizes.tolist().__getitem__)
-        # By how much the samples are worse than their noise says.
+        # Ratio of the observed errors of the samples to their stated noise.
         excess = float(self._bounds[worst]) / (_SIGMAS * float(self._sigmas(self._plan)[worst]))
         everywhere = step_plan(self._plan.length, tuple(range(1, self._plan.counts[-1] + 1)))
         sigmas_rad = excess * self._sigmas(everywhere)

@@ -1,4 +1,4 @@
-"""Estimates carried over a step of the time base: the same values, with all their stamps moved by the step."""
+"""Time shift of estimates at a step of the time base: the same values, with all stamps shifted by the step."""
 
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
@@ -12,14 +12,14 @@ Value = TypeVar("Value")
 
 
 def with_shifted_stamps(value: Value, step_ns: int) -> Value:
-    """Return a copy of an immutable value in which every field named ``…_ns`` is later by a step.
+    """Return a copy of an immutable value in which every field named ``…_ns`` is shifted by a step.
 
-    Such fields hold stamps: an integer, None, an array or a mapping of integers. Fields of other names are searched for
-    more of them.
+    Such fields hold stamps: an integer, None, an array or a mapping of integers. Fields of other names are searched
+    recursively.
 
     Args:
         value: a frozen dataclass, a named tuple, a mapping, or anything without stamps.
-        step_ns: the step.
+        step_ns: the step, ns.
 
     Example:
         >>> from ship_estimation.unconfirmed import Unconfirmed

@@ -1,8 +1,8 @@
-"""Which protection levels were told last, and whether they still cover what is put out.
+"""The protection levels published last, and their coverage of later outputs.
 
-A level belongs to one output. The levels of the outputs after it are mostly the same, so that they are told once a
-period, and before an output that the last told ones do not cover: its own are larger, or there are none, or another
-source is excluded.
+A protection level belongs to one output. The levels of the following outputs are mostly the same. They are therefore
+published once a period, and before an output that the published ones do not cover: its levels are larger or not
+available, or the excluded sources have changed.
 """
 
 from typing import Any, Protocol
@@ -15,34 +15,34 @@ from ship_estimation.protection import IntegrityReport
 from ship_geometry.rotations import FloatArray
 
 MOST_GROWTH = 1.05
-"""So many times the levels told last an output's own may be without being told."""
+"""Ratio by which an output's protection level may exceed the published one before a new report is due."""
 
 _SIGMAS = 2.0
-"""A level is at most so many times its threshold, in sigmas of an estimate without a source."""
+"""Upper bound of a protection level, in units of its threshold times the sigma of a subfilter."""
 _TINY = 1e-12
 
 
 class LevelledEstimate(Protocol):
-    """What is asked of an output: its stamp, and the covariance of its error."""
+    """An output with its stamp and the covariance of its error, rad², shape (3, 3)."""
 
     time_ns: int
     covariance_n: FloatArray
 
 
 class ToldLevels:
-    """The levels told last, and up to which outputs they need not be computed again.
+    """The protection levels published last, and the bounds within which following outputs need no new computation.
 
-    The levels of two outputs that rest on one state of a filter differ by what the covariance has grown between them,
-    and by how far the directions have turned in which they are measured.
+    The levels of two outputs from the same filter state differ by the growth of the covariance between them, and by the
+    rotation of the directions in which the errors are measured.
 
     Attributes:
-        report: told last; None before.
-        state: what the last output that was looked at rests on.
-        checked_by: what decides beside it whether there is a level.
-        directions: in which the errors of that output are measured, as cosines, shape (k, l).
-        until_ns: stamp from which levels are told again whatever they are.
-        greatest_variance: trace of an output's covariance up to which the told levels cover it on the same state, rad².
-        most_turned: change of each of its directions up to which they do.
+        report: published last; None before the first.
+        state: filter state of the last output that was evaluated.
+        redundancy_key: further conditions on which the existence of a level depends.
+        directions: direction cosines in which the errors of that output are measured, shape (k, l).
+        until_ns: stamp from which levels are published in any case.
+        max_variance: trace of an output's covariance up to which the published levels cover it, rad².
+        max_direction_change: change of each direction cosine up to which they do.
 
     Example:
         >>> from types import SimpleNamespace
@@ -51,13 +51,13 @@ class ToldLevels:
         >>> def levels(size):
         ...     state = IntegrityState.NO_LIMIT
         ...     return IntegrityReport(0, state, np.full(3, size), ("ins",), np.zeros(1), 5.0, (), "ins", 1.0)
-        >>> told = ToldLevels()
-        >>> [told.must_tell(output, levels(size), period_ns=10**9) for size in (10.0, 10.4, 9.0, 10.6, 11.0)]
+        >>> published = ToldLevels()
+        >>> [published.must_tell(output, levels(size), period_ns=10**9) for size in (10.0, 10.4, 9.0, 10.6, 11.0)]
         [True, False, False, True, False]
 
-        10.6 is told, and 11.0 may still grow by a hundredth: half of it with the variance, half by turning.
+        10.6 is published, and 11.0 may still grow by a hundredth: half by the variance, half by a rotation.
 
-        >>> print(round(told.greatest_variance, 3), round(told.most_turned, 4))
+        >>> print(round(published.greatest_variance, 3), round(published.most_turned, 4))
         3.012 0.0065
     """
 
@@ -69,24 +69,24 @@ class ToldLevels:
         self.until_ns, self.greatest_variance, self.most_turned = 0, 0.0, 0.0
 
     def covered(self, times_ns: NDArray[np.int64], covariances_n: FloatArray, directions: FloatArray) -> int:
-        """How many of N outputs on the same state, from the first one on, the told levels cover for certain.
+        """Return the number of leading outputs, of N from the same state, that the published levels certainly cover.
 
         Args:
             times_ns: stamps, shape (N,).
             covariances_n: of their errors, rad², shape (N, 3, 3).
-            directions: of each as in the attributes, shape (N, k, l).
+            directions: direction cosines of each, shape (N, k, l).
         """
         until, told = (self.until_ns, self.greatest_variance), (self.directions, self.most_turned)
         count: int = compiled_integrity.covered(times_ns, covariances_n, directions, *until, *told)
         return count
 
     def must_tell(self, output: LevelledEstimate, report: IntegrityReport, period_ns: int) -> bool:
-        """Whether the levels of an output are to be told before it; they are the last told ones then.
+        """True if the levels of an output must be published before it; they are then stored as the published ones.
 
         Args:
             output: the output.
-            report: its levels.
-            period_ns: so often they are told in any case.
+            report: its protection levels.
+            period_ns: period of publication in any case, ns.
         """
         told = self.report
         if told is not None and output.time_ns < self.until_ns and _as_told(report, told):
@@ -99,12 +99,12 @@ class ToldLevels:
 
 
 def _as_told(report: IntegrityReport, told: IntegrityReport) -> bool:
-    """Whether a report differs from that told last in numbers alone."""
+    """True if a report has the integrity state and the excluded sources of the published one."""
     return report.state is told.state and report.excluded == told.excluded
 
 
 def _coverage(output: LevelledEstimate, report: IntegrityReport, told: IntegrityReport) -> tuple[bool, float, float]:
-    """Whether told levels cover those of an output, and up to which variance and turn they cover those after it."""
+    """True if published levels cover those of an output; and the variance and rotation up to which they do later."""
     entering = _SIGMAS * report.threshold * report.widest
     found: tuple[bool, float, float] = compiled_integrity.coverage(
         report.level, told.level, output.covariance_n, entering, MOST_GROWTH, _TINY

@@ -1,26 +1,26 @@
-"""What a source says after a jump is in doubt until others have agreed with it at two moments.
+"""A step of a source is unconfirmed until other sources are consistent with it at two different times.
 
-The estimate is opened for a jump, so that the first measurement after it finds where the source is now, whatever it
-does. Only one of another moment tells whether it goes on from there: a source that stands still while the ship or the
-telescope turns, or whose axis does not follow, agrees with none but the first.
+The covariance is inflated for a step, so that the first measurement after it determines the new value in any case. Only
+a measurement of another time can confirm it: a source that is frozen while the ship or the telescope rotates, or whose
+axis does not follow, is consistent with the first one only.
 
-The first measurement of all is used by a prior that may be wide. It is confirmed by the next one that agrees with it,
-of another time or of another source.
+The very first measurement is used with a prior that may be wide. It is confirmed by the next consistent one, of another
+time or of another source.
 """
 
 from typing import NamedTuple
 
 
 class Unconfirmed(NamedTuple):
-    """A jump that others have not confirmed yet.
+    """A step that other sources have not confirmed yet.
 
     Attributes:
-        since_ns: what they measure after this stamp counts.
-        why: what is in doubt, in words.
-        by: who may confirm it, in words: stars, lights.
-        agreed_ns: stamp of the first measurement that agreed; None before.
-        agreed_by: source of that measurement, where another source confirms it at the same time as well; empty where
-            only another time counts.
+        since_ns: stamp after which measurements may confirm it.
+        why: text that names what is unconfirmed.
+        confirming: text that names the confirming sources: stars, lights.
+        confirmed_ns: stamp of the first consistent measurement; None before it.
+        confirmed_by: source of that measurement, if another source at the same time confirms it as well; empty if only
+            another time counts.
     """
 
     since_ns: int
@@ -30,12 +30,12 @@ class Unconfirmed(NamedTuple):
     agreed_by: str = ""
 
     def after_agreement(self, time_ns: int, source: str = "") -> "Unconfirmed | None":
-        """Return what is still unconfirmed after a consistent measurement of a source; None where nothing is.
+        """Return the step after a consistent measurement of a source; None if it is confirmed now.
 
-        >>> doubt = Unconfirmed(10, "the encoders have jumped", "lights")
-        >>> doubt.after_agreement(10) is doubt, doubt.after_agreement(20).agreed_ns
+        >>> step = Unconfirmed(10, "the encoders have jumped", "lights")
+        >>> step.after_agreement(10) is step, step.after_agreement(20).agreed_ns
         (True, 20)
-        >>> doubt.after_agreement(20).after_agreement(30) is None
+        >>> step.after_agreement(20).after_agreement(30) is None
         True
         >>> first = Unconfirmed(9, "one exposure alone", "stars", agreed_ns=10, agreed_by="star.fore")
         >>> first.after_agreement(10, "star.fore") is first, first.after_agreement(10, "star.aft")
@@ -48,6 +48,6 @@ class Unconfirmed(NamedTuple):
 
     @property
     def text(self) -> str:
-        """In words."""
-        of = "another time or sensor" if self.agreed_by else "two moments"
-        return f"{self.why}, and {self.by} of {of} have not confirmed it since"
+        """Text of an unconfirmed step."""
+        of = "another time or sensor" if self.agreed_by else "two different times"
+        return f"{self.why}; confirmation by {self.by} of {of} is pending"

@@ -1,11 +1,11 @@
-"""Two guards for any stream of values: one finds a value that stands still, the other a value that jumps.
+"""Two checks for any stream of values: for a repeated value (frozen source) and for a jump.
 
-**A value that stands still.** A frozen sensor repeats one value to the last bit, and so does a healthy sensor that
-prints coarsely while little moves. Other sources, the witnesses, tell the two apart by how far the ship has turned
-meanwhile: a healthy value stands no longer than until the turn exceeds the resolution, which the guard learns.
+**Frozen source.** A frozen sensor repeats one value to the last bit, and so does a healthy sensor with coarse
+resolution while there is little motion. Other sources, the motion references, distinguish the two by the rotation of
+the ship: a healthy value is repeated no longer than the rotation is below the resolution, which is estimated.
 
-**A value that jumps.** Each value is compared with the place where the earlier values lead. :class:`Continuation` tells
-how far a good value may be from there. :class:`JumpGuard` believes a jump after a few refused values that agree.
+**Jump.** Each value is compared with its prediction from earlier values. :class:`PredictionBound` gives the largest
+difference of a good value. :class:`JumpCheck` accepts a jump after a few rejected values that are consistent.
 """
 
 import enum
@@ -22,14 +22,14 @@ from ship_estimation.witnesses import RECENT_NS, TurnWatch, Witness
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 JUMP_SAMPLES = 5
-"""After so many refused values that agree among themselves a jump is believed, if nothing else is configured."""
+"""Default number of rejected, mutually consistent values after which a jump is accepted."""
 
 ACROSS = 1.8
-"""Rounding to steps of one in each of three axes makes errors of up to sqrt(3); this is a little more."""
+"""Bound of the error by rounding to unit steps in each of three axes: a little more than sqrt(3)."""
 
 
 def size(vector: FloatArray) -> float:
-    """Length of one vector: for a few numbers this takes a fifth of the time of an array's norm.
+    """Return the length of a vector of a few components, five times as fast as the norm of an array.
 
     Example:
         >>> size(np.array([3.0, 4.0, 0.0]))
@@ -39,28 +39,28 @@ def size(vector: FloatArray) -> float:
 
 
 _LEAST_NS = 500_000_000
-"""A value that stands for less than this is not judged: drivers repeat a value now and then."""
+"""Least time for which a value is repeated before it counts as frozen, ns: drivers repeat values occasionally."""
 _UNKNOWN_RESOLUTION = np.deg2rad(0.1)
-"""Resolution that is assumed before the value has changed at all, rad."""
+"""Resolution assumed before the value has changed, rad."""
 _STEPS = 64
-"""The resolution is the smallest of so many changes of the value."""
+"""Number of changes of the value of which the smallest is the resolution."""
 
 
 class StuckGuard:
-    """Finds a source that repeats one value while others say that the ship moves.
+    """Detects a source that repeats one value while other sources show motion.
 
-    A value is stuck when it has stood for half a second and a witness has turned meanwhile by more than five sigma (the
-    noise of witness and source taken together) beyond the resolution of the source. The first other value is taken
-    again. If the stuck value returns to the bit within two seconds, the source is still stuck.
+    A source is stuck if a value has been repeated for half a second and a motion reference has rotated meanwhile by
+    more than five sigma (of both sources) beyond the resolution of the source. The next different value is accepted. If
+    the stuck value returns to the bit within two seconds, the source is still stuck.
 
     Attributes:
-        repeated: whether the last value is equal to the one before it.
-        coarseness_rad: steps in which the source prints its values; zero for a source whose every value is new.
+        is_repeated: True if the last value is equal to the one before it.
+        coarseness_rad: resolution of the source's values, rad; zero if every value is new.
 
     >>> guard = StuckGuard()
     >>> turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    >>> said = [Witness(0, np.eye(3), ARCSEC), *(Witness(n * 300_000_000, turned, ARCSEC) for n in (1, 2))]
-    >>> [guard.observe(one.time_ns, np.eye(3), ARCSEC, {"another": one}) for one in said]
+    >>> references = [Witness(0, np.eye(3), ARCSEC), *(Witness(n * 300_000_000, turned, ARCSEC) for n in (1, 2))]
+    >>> [guard.observe(one.time_ns, np.eye(3), ARCSEC, {"another": one}) for one in references]
     [False, False, True]
     """
 
@@ -74,18 +74,17 @@ class StuckGuard:
         self.repeated = False
 
     def is_frozen(self, value: FloatArray) -> bool:
-        """Whether a value is the one at which the source is stuck."""
+        """True if the value is the one at which the source is stuck."""
         return self._held is not None and self._held.stuck and _same(value, self._held.value)
 
     def observe(self, time_ns: int, value: FloatArray, sigma_rad: float, witnesses: Mapping[str, Witness]) -> bool:
-        """Take the next value of the source; True where the source is stuck.
+        """Check the next value of the source; return True if the source is stuck.
 
         Args:
             time_ns: stamp of the value.
-            value: what the source says now: its attitude, shape (3, 3), the directions of its stars, shape (k, 3), or
-                its angles, shape (2,).
+            value: the value: an attitude, shape (3, 3), directions of stars, shape (k, 3), or angles, shape (2,).
             sigma_rad: noise of the value about its worst axis.
-            witnesses: by name, the attitude as others have it at about this time.
+            motion_references: by name, the attitude by other sources at about this time.
         """
         held = self._held
         if held is not None and _same(value, held.value):
@@ -101,10 +100,10 @@ class StuckGuard:
         return held.stuck
 
     def new_values(self, first_ns: int, values: FloatArray) -> int:
-        """Of how many values in a row, from the first one on, it is plain that none stands; the rest is for observe().
+        """Return the number of leading values that need no check: none of them is a repetition.
 
         Args:
-            first_ns: stamp of the first one.
+            first_ns: stamp of the first value.
             values: as in :meth:`observe`, shape (N, 3, 3).
         """
         held = self._held
@@ -116,12 +115,12 @@ class StuckGuard:
         return len(new) if new.all() else int(np.argmin(new))
 
     def follow(self, time_ns: int, values: FloatArray, witnesses: Mapping[str, Witness]) -> None:
-        """Take values of which none stands (:meth:`new_values`).
+        """Accept values without repetition, as counted by :meth:`count_new_values`.
 
         Args:
-            time_ns: stamp of the last one.
+            time_ns: stamp of the last value.
             values: shape (N, 3, 3), N at least 1.
-            witnesses: as in :meth:`observe`, at the last one.
+            motion_references: as in :meth:`observe`, at the last value.
         """
         assert self._held is not None
         newest = values[-_STEPS:]
@@ -132,7 +131,7 @@ class StuckGuard:
         self._held = _Held(values[-1], time_ns, dict(witnesses))
 
     def _changed(self, time_ns: int, value: FloatArray, witnesses: Mapping[str, Witness]) -> "_Held":
-        """Take a value that differs from the one before: a new value, or the frozen value again."""
+        """Start a value that differs from the one before: a new value, or the frozen value again."""
         before, former = self._held, self._former
         if former is not None and time_ns - self._left_ns <= RECENT_NS and _same(value, former.value):
             self._held, self._former = former, None
@@ -149,8 +148,8 @@ class StuckGuard:
         return self._held
 
     def _learn(self, before: FloatArray, values: FloatArray) -> None:
-        """Learn the resolution from the changes of values, shape (N, k, l), the first one from that before, (k, l)."""
-        # Of rotations and of directions alike: the farthest that one of the axes, or stars, has turned.
+        """Estimate the resolution from the changes of values, shape (N, k, l), after the value before, shape (k, l)."""
+        # For rotations and for directions: the largest change of an axis, or of a star.
         self._steps.extend(filter(math.isfinite, compiled_watch.changes(before, values)))
         if self._steps:
             self._resolution_rad = min(self._steps)
@@ -158,7 +157,7 @@ class StuckGuard:
 
 @dataclass
 class _Held:
-    """A value, since when the source says it, and what the witnesses said then."""
+    """A value, the stamp since which the source repeats it, and the motion references at that stamp."""
 
     value: FloatArray
     since_ns: int
@@ -169,35 +168,35 @@ class _Held:
 
 
 def _same(value: FloatArray, other: FloatArray) -> bool:
-    """Whether two values, not empty, are equal to the bit; mostly their first numbers tell that they are not."""
+    """True if two values, not empty, are equal to the bit; the first numbers are compared first, for speed."""
     return bool(value.item(0) == other.item(0)) and np.array_equal(value, other)
 
 
 _SIGMAS = 7.0
-"""At 100 samples a second, good ones must not be refused once in a voyage."""
+"""Bound of a good difference, sigmas: at 100 Hz no good sample must be rejected in a voyage."""
 _TYPICAL = 6.0
-"""A good difference is at most so many times the typical one."""
+"""Bound of a good difference, in units of the typical one."""
 _MEMORY = 100
-"""The typical difference is a mean over about so many."""
+"""Number of differences over which the typical one is averaged."""
 _LEARNING = 20
-"""Before so many differences were met, the typical one is not known and the bound is wider by the next constant."""
+"""Number of differences before the typical one is known; until then the bound is wider by the next constant."""
 _UNKNOWN_RAD = math.radians(0.1)
 DRIFT_RAD_PER_S = 60.0 * ARCSEC
-"""Rates run away from the attitude by the Earth's own turn, and by the bias of a gyroscope."""
+"""Bound of the drift of integrated rates against the attitude, rad/s: Earth rate and gyroscope bias."""
 _BOUND_SIGMAS = 3.0
-"""A bound on the difference of a good value is at least so many of its sigmas."""
+"""Ratio of the bound of a difference to its standard deviation, at least."""
 
 
 class Step(NamedTuple):
-    """What leads from one value to a later one, and how surely.
+    """The prediction of a value from an earlier one, and its uncertainty.
 
     Attributes:
-        seconds: time between the two values.
-        samples: samples of the source between them, the later one included: 1 for the next.
-        uncertain_rad: error of the place to which the earlier value leads, by accelerations or changes of the rate.
+        seconds: time between the two values, s.
+        samples: number of samples from the earlier to the later value: 1 for the next.
+        uncertain_rad: error of the prediction by accelerations or changes of the rate.
         noise_gain: variance of the difference per variance of a sample's noise.
-        coarseness_rad: steps in which the source prints its values; zero where every value is new.
-        drift_rad_per_s: how fast what leads may run away from the values.
+        coarseness_rad: resolution of the source's values; zero if every value is new.
+        drift_rad_per_s: bound of the drift of the prediction against the values.
     """
 
     seconds: float
@@ -209,16 +208,16 @@ class Step(NamedTuple):
 
 
 def step_by_motion(turned_s: float, seconds: float, max_acceleration: float, coarseness_rad: float) -> Step:
-    """The step that is led by the motion between two earlier values, which goes on as before.
+    """Return the prediction by continued motion between two earlier values.
 
     Args:
-        turned_s: time between the two earlier values.
-        seconds: time from the second of them to the value.
-        max_acceleration: how fast the motion may change, rad/s².
-        coarseness_rad: as in :class:`Step`.
+        turned_s: time between the two earlier values, s.
+        seconds: time from the second of them to the value, s.
+        max_acceleration: maximum angular acceleration, rad/s².
+        coarseness_rad: as in :class:`PredictionStep`.
 
     Example:
-        A second after a turn that took a second, with accelerations up to 2°/s²:
+        One second after a rotation of one second, with accelerations up to 2°/s²:
 
         >>> step = step_by_motion(1.0, 1.0, math.radians(2.0), coarseness_rad=0.0)
         >>> print(f"{math.degrees(step.uncertain_rad):.1f} deg, noise gain {step.noise_gain:.0f}")
@@ -230,14 +229,13 @@ def step_by_motion(turned_s: float, seconds: float, max_acceleration: float, coa
 
 
 class Match(NamedTuple):
-    """A value against the place where an earlier value leads.
+    """A value compared with its prediction from an earlier value.
 
     Attributes:
-        difference: from that place to the value, rad, shape (n,).
-        bound_rad: how large the difference may be.
-        fits: whether it is within that bound; NaN is not.
-        led: False where the value cannot be predicted from the earlier one; then only elapsed time limits the
-            difference.
+        difference: value minus prediction, rad, shape (n,).
+        bound_rad: bound of the difference.
+        fits: True if the difference is within the bound; false for NaN.
+        is_predicted: False if the value cannot be predicted; only the elapsed time limits the difference then.
     """
 
     difference: FloatArray
@@ -247,32 +245,32 @@ class Match(NamedTuple):
 
     @property
     def sigma_rad(self) -> float:
-        """Standard deviation of the difference about each axis, as far as the bound tells it."""
+        """Standard deviation of the difference about each axis, derived from the bound."""
         return self.bound_rad / _BOUND_SIGMAS
 
     def fits_again(self, step: "Match") -> bool:
-        """Whether the value fits the last value taken although values between were refused.
+        """True if the value is consistent with the last accepted one although values between were rejected.
 
-        The bound widens with time. A value that agrees with the refused one before it must not profit by that: then
-        the bound is no wider than that of the last step alone.
+        The bound grows with time. For a value that is consistent with the rejected one before it, the bound is no wider
+        than that of the last step alone.
 
         Args:
-            step: the same value against the place where the value before it leads, refused or not.
+            step: the same value compared with its prediction from the value before it, accepted or not.
         """
         limit_rad = step.bound_rad if step.fits else math.inf
         return size(self.difference) <= min(self.bound_rad, limit_rad)
 
 
 class Continuation:
-    """How far a value may be from the place where an earlier value leads.
+    """Bound of the difference between a value and its prediction.
 
-    The noise is the configured one or, where it is larger, that of the differences met so far. These hold what
-    rounding, the noise of the rates and their integration add.
+    The noise is the configured one or, if larger, that of the differences so far, which contain rounding, rate noise
+    and integration errors.
 
     Attributes:
         sigma_rad: noise of a value about its worst axis.
-        typical_rad: root mean square of the differences met so far, one sample apart; zero before there are enough.
-        noise_rad: how far noise takes a value from the place where the one before leads; infinite before that.
+        typical_rad: root mean square of the one-sample differences so far; zero before there are enough.
+        noise_rad: bound of a one-sample difference by noise; infinite before there are enough.
 
     >>> next_sample = Step(seconds=0.01, samples=1, uncertain_rad=0.0, noise_gain=2.0, coarseness_rad=0.0)
     >>> match = Continuation(sigma_rad=ARCSEC).match(np.array([0.0, 0.001, 0.0]), next_sample)
@@ -285,13 +283,13 @@ class Continuation:
         self.forget()
 
     def forget(self) -> None:
-        """Learn the differences anew."""
+        """Reset the statistics of the differences."""
         self.typical_rad = self._mean_square = 0.0
         self.noise_rad = math.inf
         self._count = 0
 
     def match(self, difference: FloatArray, step: Step, led: bool = True) -> Match:
-        """Compare a value with the place to which a step leads; arguments as in :class:`Match`."""
+        """Return the match of a difference with the bound of a step; arguments as in :class:`PredictionMatch`."""
         gain = math.sqrt(step.noise_gain)
         noise = max(_SIGMAS * gain * self.sigma_rad, _TYPICAL * self.typical_rad)
         more = self.typical_rad * math.sqrt(step.samples - 1)
@@ -301,12 +299,12 @@ class Continuation:
         return Match(difference, bound_rad, size(difference) <= bound_rad, led)
 
     def know(self, typical_rad: float) -> None:
-        """Go on with a typical difference that is known from many values."""
+        """Set the typical difference, estimated from many values."""
         self._mean_square, self._count = typical_rad**2, _MEMORY
         self._set_typical()
 
     def learn(self, difference: FloatArray) -> None:
-        """Learn from a value that was taken, one sample after the one before: how far it was from its place."""
+        """Add the difference of an accepted value, one sample after the one before, to the statistics."""
         self._count = min(self._count + 1, _MEMORY)
         self._mean_square += (size(difference) ** 2 - self._mean_square) / self._count
         if self._count >= _LEARNING:
@@ -318,7 +316,7 @@ class Continuation:
 
 
 class JumpVerdict(enum.Enum):
-    """What becomes of a value."""
+    """Decision about a value."""
 
     TAKEN = "taken"
     REFUSED = "refused"
@@ -326,13 +324,13 @@ class JumpVerdict(enum.Enum):
 
 
 class JumpGuard:
-    """Counts values that contradict the last value taken.
+    """Rejects values that are inconsistent with the last accepted one, until a jump is accepted.
 
     Args:
-        samples: after so many refused values that agree among themselves, the next is believed.
+        samples: number of rejected, mutually consistent values after which the next one is accepted.
 
     Attributes:
-        refused: number of values in a row that were refused and agree among themselves.
+        rejected_count: number of successive values that were rejected and are mutually consistent.
         since_ns: stamp of the first of them.
 
     >>> guard = JumpGuard(samples=2)
@@ -346,12 +344,12 @@ class JumpGuard:
         self.since_ns = 0
 
     def judge(self, time_ns: int, continues: bool, agrees: bool) -> JumpVerdict:
-        """Judge a value.
+        """Return the decision about a value.
 
         Args:
             time_ns: stamp of the value.
-            continues: whether it lies where the last value taken leads.
-            agrees: whether it lies where the value before leads, taken or not.
+            continues: True if it matches the prediction from the last accepted value.
+            is_consistent: True if it matches the prediction from the value before it, accepted or not.
         """
         if continues:
             self.refused = 0

@@ -1,20 +1,20 @@
-"""Verdicts: what the innovations of a source say of its stated sigma, of its alignment and of its clock.
+"""Innovation diagnosis: is a source consistent with its stated sigma, its alignment and its clock?
 
-An innovation is the residual of a measurement against the prediction. Where all that is stated is true, innovations
-have mean zero and the predicted covariance, and each is independent of the one before. A :class:`VerdictBook` keeps
-those of the last minute of data, source by source, and judges each source by them:
+An innovation is the residual of a measurement against its prediction. If the model is correct, innovations have zero
+mean and the predicted covariance, and are independent in time. An :class:`InnovationHistory` keeps those of the last
+minute of data for each source, and diagnoses each source by them:
 
-- The bulk of the parts (stars, lights, whole attitudes) is larger or smaller than predicted: the sigma of the source is
+- Most parts (stars, beacons, whole attitudes) are larger or smaller than predicted: the sigma of the source is
   optimistic or conservative. The factor is that of the source's own sigma, not of the prediction.
-- The bulk is as stated, but more parts lie far off than belong to it: they are misidentified.
-- The mean is not zero: a bias. One that stays the same is a matter of installation or alignment.
-- Each innovation is like the one before: an error lasts longer than the model says.
+- Most parts are as stated, but there are too many outliers: misidentifications.
+- The mean is not zero: a bias. A constant one indicates installation or alignment.
+- Successive innovations are correlated: an error has a longer correlation time than the model.
 
-Refused measurements are judged with the others: a source whose bad measurements are all refused would look perfect. A
-few measurements that are far off do not pass for many that are a little off (:mod:`ship_estimation.innovations`).
+Rejected measurements are included: a source whose bad measurements are all rejected would look perfect otherwise. A few
+outliers are not mistaken for many slightly large innovations (:mod:`ship_estimation.innovations`).
 
-Each of these tests speaks against a source that is as stated with the probability ``FALSE_VERDICT`` (1e-7). What is
-true but small (``TOLERATED_FACTOR``, ``TOLERATED_BIAS``, ``TOLERATED_CORRELATION``) is not told.
+Each test has the false alarm probability ``FALSE_DIAGNOSIS_PROBABILITY`` (1e-7) for a source that is as stated. Small
+deviations (``TOLERATED_FACTOR``, ``TOLERATED_BIAS``, ``TOLERATED_CORRELATION``) are not reported.
 """
 
 import enum
@@ -40,41 +40,42 @@ from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
 WINDOW_S = 60.0
-"""So much of the newest data is judged."""
+"""Length of the window of the newest data for a diagnosis, s."""
 
 CLOCK_SIGMAS = 4.0
-"""A clock offset that is estimated so many of its configured sigmas away from its configured value contradicts them."""
+"""Deviation of an estimated clock offset from its configured value above which it is reported, configured sigmas."""
 
 _MOST_KEPT = 6000
 _LEAST_TOLD = 0.1
 
 
 class VerdictKind(enum.Enum):
-    """What is found of a source."""
+    """Kind of a diagnosis."""
 
-    UNKNOWN = "not judged"
+    UNKNOWN = "not assessed"
     AS_STATED = "as stated"
     OPTIMISTIC = "sigma optimistic"
     CONSERVATIVE = "sigma conservative"
     MISIDENTIFIED = "misidentified"
     BIASED = "bias"
-    CORRELATED = "errors last"
+    CORRELATED = "errors correlated"
 
 
 @dataclass(frozen=True)
 class SourceVerdict:
-    """What is found of a source.
+    """Diagnosis of a source.
 
     Attributes:
-        kind: what it is.
-        text: for people, with figures.
-        count: measurements judged.
-        nis: mean normalised innovation squared per component; NaN where too few were measured.
-        nis_band: where it lies with the probability 1 - FALSE_VERDICT if all is as stated; None likewise.
-        factor: true sigma of the source over the stated one, by the bulk of the parts; NaN where too few tell.
-        far_share: share of the parts that lie far off or were left out.
+        kind: kind of the diagnosis.
+        text: text for users, with values.
+        count: number of measurements.
+        nis: mean normalised innovation squared per component; NaN with too few measurements.
+        nis_band: band of ``nis`` with probability 1 - FALSE_DIAGNOSIS_PROBABILITY if the source is as stated; None with
+            too few measurements.
+        factor: true sigma of the source over the stated one; NaN with too few parts.
+        outlier_share: share of the parts that are outliers or were rejected.
         bias_sigma: median of the innovations in their sigmas, by axis.
-        correlation: of each innovation with the one before, by axis.
+        correlation: correlation of successive innovations, by axis.
     """
 
     kind: VerdictKind
@@ -89,7 +90,7 @@ class SourceVerdict:
 
 
 class VerdictBook:
-    """The innovations of the newest data by source, and the verdicts about the sources by them.
+    """Innovations of the newest data by source, and the diagnosis of each source.
 
     Example:
         A sensor states 1″ about each axis, and measures with 2″:
@@ -114,20 +115,20 @@ class VerdictBook:
         self._newest_ns = 0
 
     def clear(self) -> None:
-        """Forget all, as after a reset of the estimator."""
+        """Drop all innovations, as after a reset of the estimator."""
         self._tables.clear()
         self._fresh.clear()
         self._newest_ns = 0
 
     def add(self, source: str, decision: Decision[Any]) -> None:
-        """Take a decision; one about a measurement that was judged before takes the place of the earlier one."""
+        """Add the innovation of a decision; it replaces that of an earlier decision about the same measurement."""
         innovation = innovation_of(decision)
         if innovation is not None:
             self._fresh.setdefault(source, []).append(innovation)
             self._newest_ns = max(self._newest_ns, innovation.time_ns)
 
     def verdicts(self) -> dict[str, SourceVerdict]:
-        """The verdict about each source, in the order of their names."""
+        """Return the diagnosis of each source, in the order of their names."""
         for source, innovations in self._fresh.items():
             if source not in self._tables:
                 self._tables[source] = InnovationTable()
@@ -141,12 +142,12 @@ class VerdictBook:
 
 
 def clock_verdicts(model: StateModel, mean: FloatArray, groups: Mapping[str, str]) -> list[str]:
-    """What there is to say of clocks whose estimated offset contradicts its configured sigma, one line each.
+    """Return one line for each clock whose estimated offset exceeds :data:`CLOCK_SIGMAS` of its configured sigma.
 
     Args:
-        model: whose states named ``<device>.time_offset`` are clock offsets against what is configured, s.
-        mean: of the states, shape (n,).
-        groups: first word of a device's name → where its parameters stand, where that is another word.
+        model: state model; states named ``<device>.time_offset`` are clock offsets from the configured ones, s.
+        mean: states, shape (n,).
+        groups: first word of a device's name → group of its parameters, if that differs.
 
     Example:
         >>> import numpy as np
@@ -171,10 +172,10 @@ def clock_verdicts(model: StateModel, mean: FloatArray, groups: Mapping[str, str
 
 
 def _verdict(table: InnovationTable) -> SourceVerdict:
-    """The verdict by the innovations of a source."""
+    """Return the diagnosis of a source from its innovations."""
     count = len(table)
     if count < LEAST_COUNT:
-        return SourceVerdict(VerdictKind.UNKNOWN, f"too few measurements to judge: {count} of {LEAST_COUNT}", count)
+        return SourceVerdict(VerdictKind.UNKNOWN, f"too few measurements: {count} of {LEAST_COUNT}", count)
     parts, axes = Parts(table), axes_of(table)
     kind, text = _finding(table, parts, axes)
     return SourceVerdict(
@@ -191,7 +192,7 @@ def _verdict(table: InnovationTable) -> SourceVerdict:
 
 
 def _finding(table: InnovationTable, parts: Parts, axes: Iterable[Axis]) -> tuple[VerdictKind, str]:
-    """What weighs most. A bias makes a sigma look wrong, and a wrong sigma makes parts lie far off."""
+    """Return kind and text of the most important result: a bias affects the sigma test, a wrong sigma the outliers."""
     biased = max((axis for axis in axes if axis.is_biased), key=lambda axis: abs(axis.bias_sigma), default=None)
     if biased is not None:
         return VerdictKind.BIASED, biased.bias_text(table.along(biased.name)[:, 1])
@@ -199,7 +200,7 @@ def _finding(table: InnovationTable, parts: Parts, axes: Iterable[Axis]) -> tupl
         return VerdictKind.OPTIMISTIC, f"sigma optimistic by {parts.factor:.1f}: the noise is understated"
     if parts.is_misidentified:
         others = ", the others are as stated" if math.isfinite(parts.factor) else ""
-        return VerdictKind.MISIDENTIFIED, f"misidentified: {100.0 * parts.far_share:.0f} % lie far off{others}"
+        return VerdictKind.MISIDENTIFIED, f"misidentified: {100.0 * parts.far_share:.0f} % are outliers{others}"
     if parts.is_conservative:
         times = f"{1.0 / parts.factor:.1f}" if parts.factor > _LEAST_TOLD else f"more than {1.0 / _LEAST_TOLD:.0f}"
         return VerdictKind.CONSERVATIVE, f"sigma conservative by {times}: the noise is overstated"
@@ -207,5 +208,5 @@ def _finding(table: InnovationTable, parts: Parts, axes: Iterable[Axis]) -> tupl
     if lasting is not None:
         return VerdictKind.CORRELATED, lasting.correlation_text
     if math.isnan(parts.factor):
-        return VerdictKind.UNKNOWN, "its sigma cannot be judged: the prediction is less certain than the measurements"
+        return VerdictKind.UNKNOWN, "sigma not assessed: the prediction is less certain than the measurements"
     return VerdictKind.AS_STATED, f"as stated, to a factor of {parts.factor:.2f} in its sigma"

@@ -1,4 +1,4 @@
-"""What other sources say of the ship's motion while one source repeats its value, and whether that is a turn."""
+"""Motion check: detect by other sources that the ship rotated while one source repeated its value."""
 
 from collections import deque
 from collections.abc import Mapping
@@ -9,21 +9,21 @@ import numpy as np
 from ship_geometry.rotations import FloatArray, log_rotation
 
 RECENT_NS = 2_000_000_000
-"""A witness is compared with what it said up to this long before. Motion is told within this time."""
+"""Length of a reference's history with which it is compared, ns; motion is detected within this time."""
 _APART_NS = 250_000_000
-"""Time between two memories of a witness."""
+"""Spacing of a reference's history, ns."""
 _SIGMAS = 5.0
 _TWICE = 2
 
 
 class Witness(NamedTuple):
-    """What another source says of the ship's attitude.
+    """The ship's attitude by another source.
 
     Attributes:
-        time_ns: moment of that attitude.
-        rotation: the attitude, in any constant frame, shape (3, 3).
-        sigma_rad: its noise about its worst axis.
-        drift_rad_per_s: how fast the source may run away from the truth, as integrated rates do.
+        time_ns: time of the attitude.
+        rotation: the attitude, relative to any constant frame, shape (3, 3).
+        sigma_rad: standard deviation of its noise about the worst axis.
+        drift_rad_per_s: bound of its drift, as of integrated rates.
     """
 
     time_ns: int
@@ -33,11 +33,11 @@ class Witness(NamedTuple):
 
 
 class TurnWatch:
-    """Tells when one of the witnesses has turned while a value stood.
+    """Detects that a motion reference has rotated while a source repeated its value.
 
     Args:
-        since_ns: since when the value stands. What a witness said of an earlier moment says nothing of the time since.
-        first_said: by name, what the witnesses said when the value came.
+        since_ns: stamp since which the value is repeated; earlier reference attitudes are ignored.
+        first_references: by name, the reference attitudes at that stamp.
 
     >>> turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     >>> watch = TurnWatch(0, {"another": Witness(0, np.eye(3), sigma_rad=1e-5)})
@@ -51,12 +51,12 @@ class TurnWatch:
         self.turned(first_said, 0.0, 0.0)
 
     def turned(self, witnesses: Mapping[str, Witness], sigma_rad: float, resolution_rad: float) -> bool:
-        """Whether a witness has turned too far for the value to stand.
+        """True if a reference has rotated too far for the repeated value.
 
         Args:
-            witnesses: by name, what the witnesses say now.
-            sigma_rad: noise of the value that stands, about its worst axis.
-            resolution_rad: the largest turn that the value cannot show.
+            motion_references: by name, the current reference attitudes.
+            sigma_rad: noise of the repeated value about its worst axis.
+            resolution_rad: largest rotation that the value cannot resolve.
         """
         turned = False
         for name, now in witnesses.items():
@@ -69,10 +69,10 @@ class TurnWatch:
 
 
 class _Record:
-    """What one witness said while a value stood.
+    """Attitudes of one reference while a value is repeated.
 
     Args:
-        first: the first attitude that the witness gave.
+        first: the first attitude of the reference.
     """
 
     def __init__(self, first: Witness) -> None:
@@ -81,11 +81,11 @@ class _Record:
         self._moved = 0
 
     def add(self, now: Witness, sigma_rad: float, resolution_rad: float) -> bool:
-        """Take what the witness says now; True where it has turned, in two attitudes running.
+        """Add the current attitude; return True if two successive attitudes show a rotation.
 
-        A turn is more than five sigma of all noise, the drift of the witness and the resolution of the value. It takes
-        two in a row because a witness that is asked for hours is five sigma off now and then. An attitude that is no
-        later than the last one says nothing new.
+        A rotation exceeds five sigma of all noise plus the drift of the reference and the resolution of the value. Two
+        successive ones are required because in hours single attitudes exceed five sigma. An attitude that is not later
+        than the last one is ignored.
         """
         if now.time_ns > self._last.time_ns:
             moved = any(_moved(then, now, sigma_rad, resolution_rad) for then in (self._first, *self._recent))

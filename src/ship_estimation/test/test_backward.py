@@ -1,4 +1,4 @@
-"""One step back in time against dense least squares over all epochs at once."""
+"""The backward step of the smoother against dense least squares over all epochs at once."""
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -6,8 +6,8 @@ from scipy.linalg import block_diag
 from ship_estimation.backward import Backward, Known, backward
 
 
-def test_a_step_back_is_batch_least_squares_of_any_linear_chain() -> None:
-    # States of which one is known exactly and one repeats; dense numpy over all epochs.
+def test_backward_step_equals_batch_least_squares() -> None:
+    # One state is known exactly and one is repeated; dense numpy over all epochs.
     rng, n, count = np.random.default_rng(2), 4, 12
     start = np.diag([4.0, 1.0, 0.0, 2.0])
     decays, noise = rng.uniform(0.5, 1.0, (count, n)), rng.uniform(0.1, 1.0, (count, n))
@@ -29,7 +29,7 @@ def test_a_step_back_is_batch_least_squares_of_any_linear_chain() -> None:
     for back in reversed(backs):
         assert isinstance(back, Backward)
         found.append(back.by(found[-1]))
-    # All states by the first one and by what came new at each epoch.
+    # All states as functions of the first one and of the process noise at each epoch.
     of_new = np.zeros((count, n, count, n))
     for epoch in range(count):
         for since in range(epoch + 1):

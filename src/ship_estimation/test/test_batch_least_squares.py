@@ -37,7 +37,7 @@ def sequential(jacobians: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, n
 
 
 def prior_covariance() -> np.ndarray:
-    """Of all states at all epochs, ordered (epoch, state), by autocovariances: no step between epochs."""
+    """Return the prior covariance of all states at all epochs, ordered (epoch, state), from autocovariances."""
     t = np.array(TIMES_S)
     apart_s = np.abs(t[:, None] - t)
     covariance = np.zeros((len(t), 4, len(t), 4))
@@ -49,7 +49,7 @@ def prior_covariance() -> np.ndarray:
 
 
 def batch(jacobians: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Least squares of all measurements against the prior: mean and covariance of the last epoch's state."""
+    """Return the least-squares solution of all measurements and the prior: last state and covariance."""
     epochs = len(TIMES_S)
     design = np.zeros((epochs, 2, epochs, 4))
     for k in range(epochs):
@@ -72,7 +72,7 @@ def test_filter_is_batch_least_squares() -> None:
 
 
 def test_constant_measured_often_is_the_weighted_mean() -> None:
-    """Normal equations without a prior to speak of: sigma²/n, and numpy's own least squares."""
+    """Normal equations with a negligible prior: sigma²/n, and numpy's own least squares."""
     rng = np.random.default_rng(3)
     design, true = rng.standard_normal((50, 3)), np.array([1.0, -2.0, 0.5])
     sigmas = rng.uniform(0.5, 2.0, 50)
@@ -88,5 +88,5 @@ def test_constant_measured_often_is_the_weighted_mean() -> None:
     np.testing.assert_allclose(mean, expected, rtol=0, atol=1e-7)
     normal = design.T @ (design / sigmas[:, None] ** 2)
     np.testing.assert_allclose(parts.sum(axis=0), np.linalg.inv(normal), rtol=1e-6)
-    # With so wide a prior, all that is left is booked to the noise.
+    # With so wide a prior, all of the remaining covariance belongs to the noise.
     assert np.trace(parts[0]) < 1e-6 * np.trace(parts[1])

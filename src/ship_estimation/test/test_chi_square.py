@@ -1,4 +1,4 @@
-"""χ² in plain floats against scipy's, over all that a gate, a fit or a protection level may ask."""
+"""χ² in plain floats against scipy's, over the range of gates, fits and protection levels."""
 
 import math
 
@@ -36,7 +36,7 @@ def check_quantiles_and_tails(degrees: int) -> None:
 
 @pytest.mark.parametrize("degrees", [1_000, 600_000])
 def test_bands_of_many_samples_are_those_of_scipy(degrees: int) -> None:
-    """As the mean NEES of a long night has them."""
+    """Degrees of freedom of the mean NEES of a long run."""
     for probability in PROBABILITIES:
         assert value_above(probability, degrees) == pytest.approx(chi2.isf(probability, degrees), rel=1e-12)
 
@@ -63,6 +63,6 @@ def test_ends_of_the_range() -> None:
 
 
 def test_nan_stays_nan() -> None:
-    """A gate is passed by ``nis <= gate`` alone, which NaN fails."""
+    """A measurement passes a gate only if ``nis <= gate``, which is false for NaN."""
     for found in (value_above, value_below, probability_above, probability_below):
         assert math.isnan(found(math.nan, 3))

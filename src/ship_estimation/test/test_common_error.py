@@ -1,4 +1,4 @@
-"""Sums of corrections against filters that do without the measurements of a window, and against a common error."""
+"""Sums of corrections against filters without the measurements of a window, and with a common error."""
 
 import numpy as np
 import pytest
@@ -12,14 +12,14 @@ NOISE, WALK, COUNT = 9.0, 0.2, 40
 
 
 def filtered(measured: FloatArray, heard: int) -> tuple[FloatArray, FloatArray, list[RowsCompared]]:
-    """A walk of three states, by the first measurements alone; plain equations of the Kalman filter.
+    """Filter a random walk of three states with the first measurements only; plain equations of the Kalman filter.
 
     Args:
         measured: shape (N, 3).
-        heard: how many are used.
+        used_count: number of measurements that are used.
 
     Returns:
-        Mean and covariance after all N steps, and each measurement that is used beside its prediction.
+        Mean and covariance after all N steps, and the innovation of each measurement that is used.
     """
     mean, covariance, found = np.zeros(3), 25.0 * np.eye(3), []
     for number, one in enumerate(measured):
@@ -42,14 +42,14 @@ def absorbed_of(compared: list[RowsCompared]) -> Absorbed:
 
 
 def window_of(compared: list[RowsCompared]) -> int:
-    """How many measurements the sums are of: those whose gains leave four blocks of half a time constant."""
+    """Return the number of measurements in the sums: those of four blocks of half a time constant."""
     for count in range(1, len(compared)):
         if absorbed_of(compared[-count:]).variance == pytest.approx(absorbed_of(compared).variance):
             return count
     return len(compared)
 
 
-def test_the_sum_is_the_separation_from_the_estimate_without_the_window() -> None:
+def test_correction_sum_equals_the_separation_from_a_filter_without_the_window() -> None:
     measured = np.random.default_rng(3).normal(0.0, 3.0, (COUNT, 3))
     mean, covariance, compared = filtered(measured, COUNT)
     found, window = absorbed_of(compared), window_of(compared)
@@ -60,7 +60,7 @@ def test_the_sum_is_the_separation_from_the_estimate_without_the_window() -> Non
     assert found.sigmas == pytest.approx(np.max(np.abs(found.turn_n) / np.sqrt(found.variance)))
 
 
-def test_the_response_is_what_a_common_error_over_the_window_makes_of_the_estimate() -> None:
+def test_absorbed_share_is_the_effect_of_a_common_error_in_the_window() -> None:
     measured = np.random.default_rng(4).normal(0.0, 3.0, (COUNT, 3))
     mean, _, compared = filtered(measured, COUNT)
     found, window = absorbed_of(compared), window_of(compared)
@@ -71,7 +71,7 @@ def test_the_response_is_what_a_common_error_over_the_window_makes_of_the_estima
     assert np.all((found.response > 0.77) & (found.response < 0.88))
 
 
-def test_another_estimate_forgets_the_corrections_and_not_how_much_is_known_of_a_common_error() -> None:
+def test_restart_clears_the_corrections_but_not_their_variance() -> None:
     found = absorbed_of(filtered(np.full((COUNT, 3), 5.0), COUNT)[2])
     after = found.without_corrections()
     assert after.turn_n.tolist() == [0.0, 0.0, 0.0]
@@ -79,13 +79,13 @@ def test_another_estimate_forgets_the_corrections_and_not_how_much_is_known_of_a
     assert found.sums[:, 0].any()
 
 
-def test_before_any_measurement_there_is_no_bound() -> None:
+def test_without_measurements_the_error_variance_is_infinite() -> None:
     others = Separation(np.array([1.0]), np.full(3, 8.0), 0, 1.0)
     k, level_of = Factors(6.0, 5.0, np.array([2.0])), np.eye(3) + 0.1
     assert with_common_error(others, k, 1.0, 6.0, NOTHING_ABSORBED, level_of, np.eye(3)).level.tolist() == [np.inf] * 3
 
 
-def test_a_suspicion_is_held_for_a_while_and_the_larger_one_counts() -> None:
+def test_unresolved_error_is_held_and_the_larger_variance_applies() -> None:
     sums = np.zeros((1, 3, 3))
     sums[0, 1] = 1.0
     sums[0, 0, 1] = 5.0

@@ -1,4 +1,4 @@
-"""What innovations say of their source, compiled, against the same in plain numpy."""
+"""Compiled statistics of innovations against the same in plain numpy."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def covariances(rng: np.random.Generator, *shape: int) -> FloatArray:
 
 
 @pytest.mark.parametrize(("parts", "axes"), [(1, 3), (1, 1), (8, 2), (2, 3)])
-def test_what_an_innovation_says_is_what_numpy_says(parts: int, axes: int) -> None:
+def test_innovation_statistics_equal_numpy(parts: int, axes: int) -> None:
     rng, size = np.random.default_rng(parts), parts * axes
     noise = covariances(rng, size)
     covariance, residual = noise + covariances(rng, size), 1e-5 * rng.standard_normal(size)
@@ -27,7 +27,7 @@ def test_what_an_innovation_says_is_what_numpy_says(parts: int, axes: int) -> No
     for part in range(parts):
         rows = np.flatnonzero(part_of == part)
         expected = residual[rows] @ np.linalg.solve(covariance[np.ix_(rows, rows)], residual[rows])
-        assert squares[part] == pytest.approx(expected, rel=1e-9)  # as well as numpy solves it
+        assert squares[part] == pytest.approx(expected, rel=1e-9)  # to the accuracy of numpy's solution
     assert own_share == pytest.approx(np.trace(np.linalg.solve(covariance, noise)) / size, rel=1e-9)
     sigma = np.sqrt(np.diagonal(covariance))
     correlation = covariance / np.outer(sigma, sigma)
@@ -37,7 +37,7 @@ def test_what_an_innovation_says_is_what_numpy_says(parts: int, axes: int) -> No
         np.testing.assert_allclose(along[axis], [mean, np.mean(residual[rows])], rtol=1e-12)
 
 
-def test_an_innovation_of_well_conditioned_numbers_is_that_of_numpy_to_rounding() -> None:
+def test_well_conditioned_innovation_statistics_equal_numpy_to_rounding() -> None:
     rng = np.random.default_rng(7)
     noise = np.diag(rng.uniform(1.0, 4.0, 6))
     covariance, residual, every = noise + 0.1, rng.standard_normal(6), np.arange(6)
@@ -47,7 +47,7 @@ def test_an_innovation_of_well_conditioned_numbers_is_that_of_numpy_to_rounding(
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -1.0])
-def test_what_is_no_covariance_or_no_number_says_nothing(bad: float) -> None:
+def test_invalid_covariance_or_nan_gives_no_innovation(bad: float) -> None:
     one, every = np.array([0]), np.eye(1)
     assert compiled_innovations.innovation(np.ones(1), bad * every, every, one, one, 1, 1) is None
     if not np.isfinite(bad):
@@ -66,7 +66,7 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
 
 
 def kept(rng: np.random.Generator, count: int, axes: int, parts: int) -> FloatArray:
-    """Innovations as a table has them, some without an axis, some of fewer parts, some left out, some not used."""
+    """Return innovations as in a table: some without an axis, with fewer parts, with rejected parts, or not used."""
     numbers = np.full((count, 5 + 2 * axes + parts), np.nan)
     numbers[:, 0], numbers[:, 2] = rng.integers(0, 4, count), rng.integers(0, 9, count)
     numbers[:, 1], numbers[:, 3] = rng.chisquare(3, count), rng.uniform(0.3, 1.0, count)
@@ -81,7 +81,7 @@ def kept(rng: np.random.Generator, count: int, axes: int, parts: int) -> FloatAr
 
 @pytest.mark.parametrize("parts", [1, 8])
 @pytest.mark.parametrize("count", [0, 1, 40, 301])
-def test_sizes_are_those_of_numpy(count: int, parts: int) -> None:
+def test_part_sizes_equal_numpy(count: int, parts: int) -> None:
     numbers = kept(np.random.default_rng(count), count, 2, parts)
     squares, degrees, own_share, nis, components = compiled_innovations.sizes(numbers, 9, 0.5)
     telling = numbers[numbers[:, 3] >= 0.5]
@@ -94,7 +94,7 @@ def test_sizes_are_those_of_numpy(count: int, parts: int) -> None:
 
 
 @pytest.mark.parametrize("count", [0, 20, 41, 300])
-def test_bias_spread_and_correlation_along_axes_are_those_of_numpy(count: int) -> None:
+def test_axis_statistics_equal_numpy(count: int) -> None:
     numbers = kept(np.random.default_rng(count), count, 3, 2)
     figures, lasting = compiled_innovations.along_axes(numbers, 3, 20, 1.4826, 3.0)
     unused = numbers[numbers[:, 4] == 0.0]
@@ -114,7 +114,7 @@ def test_bias_spread_and_correlation_along_axes_are_those_of_numpy(count: int) -
         assert found[2] == pytest.approx(correlation, rel=1e-12)
 
 
-def test_innovations_that_are_all_the_same_are_not_correlated() -> None:
+def test_equal_innovations_are_not_correlated() -> None:
     numbers = np.ones((30, 7))
     figures, _ = compiled_innovations.along_axes(numbers, 1, 30, 1.4826, 3.0)
     assert figures.tolist() == [[30.0, 1.0, 1.0, 0.0]]

@@ -1,4 +1,4 @@
-"""The compiled arithmetic of integrity against the same in plain numpy, and against what is no number.
+"""Compiled integrity functions against the same in plain numpy, and with NaN.
 
 "Equal" is 1e-13 relative, to the largest element where differences are taken.
 """
@@ -25,7 +25,7 @@ def covariances(rng: np.random.Generator, *shape: int) -> FloatArray:
 
 
 def separation_of_numpy(distance: FloatArray, variance: FloatArray, variance_0: FloatArray, k: Factors):
-    """Statistic, level and dominant hypothesis."""
+    """Return statistic, level and dominant hypothesis."""
     grown = np.maximum(variance, variance_0)
     apart = np.sqrt(np.maximum(grown - variance_0, np.maximum(1e-6 * variance_0, 1e-24)))
     levels = k.false_exclusion * apart + k.missed[:, None] * np.sqrt(grown)
@@ -35,12 +35,12 @@ def separation_of_numpy(distance: FloatArray, variance: FloatArray, variance_0: 
 
 
 @pytest.mark.parametrize("hypotheses", [1, 3, 10])
-def test_separations_and_levels_by_states_are_those_of_numpy(hypotheses: int) -> None:
+def test_separations_and_levels_by_states_equal_numpy(hypotheses: int) -> None:
     rng = np.random.default_rng(1)
     to_components, by_states = rng.standard_normal((2, 3, 3))
     covariance, parts = covariances(rng, 3), covariances(rng, SOURCES, STATES)
     left_out, mean = covariances(rng, hypotheses, STATES), 1e-5 * rng.standard_normal(STATES)
-    # Without a source as much worse known as two sources make it, so that differences are as exact as what they are of.
+    # The subfilter is as much less accurate as two sources make it, so that differences keep their relative accuracy.
     left_out += 10.0 * parts.sum(axis=0)
     means = mean + 1e-6 * rng.standard_normal((hypotheses, STATES))
     k, asked = Factors(6.0, 5.1, rng.uniform(0.0, 3.0, hypotheses)), np.arange(hypotheses)[::2]
@@ -58,11 +58,11 @@ def test_separations_and_levels_by_states_are_those_of_numpy(hypotheses: int) ->
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_separations_and_levels_are_those_of_numpy(seed: int) -> None:
+def test_separations_and_levels_equal_numpy(seed: int) -> None:
     rng, count = np.random.default_rng(seed), 1 + seed % 6
     k = Factors(6.0, 5.1, rng.uniform(0.0, 3.0, count))
     variance_0 = 10.0 ** rng.uniform(-12.0, -8.0, 3)
-    # Some not apart at all, some known better without the source.
+    # Some without separation, some more accurate without the source.
     variance = variance_0 * rng.choice([0.9, 1.0, 1.0 + 1e-9, 1.3, 4.0], (count, 3))
     distance = 1e-5 * rng.standard_normal((count, 3))
     for rows in ([*range(count)], [*range(count)][::2]):
@@ -77,7 +77,7 @@ def test_separations_and_levels_are_those_of_numpy(seed: int) -> None:
 
 
 @pytest.mark.parametrize("place", ["distance", "variance", "variance_0"])
-def test_what_is_no_number_is_no_level_and_no_separation(place: str) -> None:
+def test_nan_gives_no_level_and_no_separation(place: str) -> None:
     k, numbers = Factors(6.0, 5.0, np.full(2, 2.0)), {"distance": np.ones((2, 3)), "variance": np.full((2, 3), 9.0)}
     numbers["variance_0"] = np.full(3, 4.0)
     numbers[place][..., 1] = np.nan
@@ -88,21 +88,21 @@ def test_what_is_no_number_is_no_level_and_no_separation(place: str) -> None:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_the_least_eigenvalue_is_that_of_numpy(seed: int) -> None:
+def test_least_eigenvalue_equals_numpy(seed: int) -> None:
     matrix = covariances(np.random.default_rng(seed), 3)
     expected = np.linalg.eigvalsh(matrix)
     assert abs(compiled_integrity.least_eigenvalue(matrix) - expected[0]) <= 1e-14 * expected[-1]
 
 
 @pytest.mark.parametrize("rank", [0, 1, 3])
-def test_a_square_root_of_a_covariance_times_itself_is_the_covariance(rank: int) -> None:
+def test_square_root_times_its_transpose_is_the_covariance(rank: int) -> None:
     turns = np.random.default_rng(rank).normal(size=(3, rank))
     covariance = turns @ turns.T
     root = compiled_integrity.square_root(covariance)
     np.testing.assert_allclose(root @ root.T, covariance, rtol=0, atol=1e-14 * max(covariance.max(), 1e-300))
 
 
-def test_the_least_eigenvalue_of_alike_and_of_unknown_variances() -> None:
+def test_least_eigenvalue_of_equal_and_of_nan_variances() -> None:
     assert compiled_integrity.least_eigenvalue(4.0 * np.eye(3)) == 4.0
     assert compiled_integrity.least_eigenvalue(np.diag([3.0, -2.0, 5.0])) == -2.0
     for place in np.ndindex(3, 3):
@@ -153,7 +153,7 @@ def test_outputs_of_other_shapes_are_refused() -> None:
 
 
 def coverage_of_numpy(level: FloatArray, told: FloatArray, covariance: FloatArray, entering: float):
-    """Whether told levels cover those of an output, and up to which variance and turn they cover those after it."""
+    """Return the coverage of an output by published levels, and the bounds of variance and rotation for later ones."""
     covers = bool(np.all(level <= 1.05 * told) or np.all(np.isnan(level) & np.isnan(told)))
     if not np.isfinite(level).all():
         return covers, np.inf, np.inf
@@ -163,7 +163,7 @@ def coverage_of_numpy(level: FloatArray, told: FloatArray, covariance: FloatArra
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_what_told_levels_cover_is_what_numpy_says(seed: int) -> None:
+def test_coverage_of_published_levels_equals_numpy(seed: int) -> None:
     rng = np.random.default_rng(seed)
     level, covariance = rng.uniform(1e-5, 1e-4, 3), covariances(rng, 3)
     told = level * rng.uniform(0.93, 1.1, 3)

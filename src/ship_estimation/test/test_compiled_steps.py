@@ -1,4 +1,4 @@
-"""The compiled steps against the same formulas in plain numpy, for which LAPACK does the rest.
+"""The compiled steps against the same formulas in plain numpy and LAPACK.
 
 "Equal" is 1e-13 of the largest number of an array: what two orders of summation may differ by in well-conditioned
 cases, of which the cases here are.
@@ -12,7 +12,7 @@ from ship_estimation.hypotheses import RowsCompared, add_error, compare_rows, co
 from ship_estimation.kalman import LinearMeasurement, StateModel, block, predict, slow_error_later
 
 SHAPES = [(1, 1, 1, 1), (4, 2, 2, 1), (19, 3, 7, 1), (19, 3, 7, 4), (23, 16, 7, 4), (9, 24, 3, 3)]
-"""States, residuals, sources, rows: the paper's ship alone and with its rows, single stars, more residuals than states.
+"""States, residuals, sources, filters: the paper's ship without and with subfilters, single stars, many residuals.
 """
 
 
@@ -23,7 +23,7 @@ def equal(found: np.ndarray, expected: np.ndarray) -> None:
 def case(
     shape: tuple[int, int, int, int], seed: int = 1
 ) -> tuple[np.ndarray, np.ndarray, LinearMeasurement, np.ndarray]:
-    """A stack, means, a measurement that says nothing of a third of the states, and its derivative by a turn."""
+    """A stack, means, a measurement that does not depend on a third of the states, and its rotation Jacobian."""
     states, residuals, sources, rows = shape
     rng = np.random.default_rng(seed)
     roots = rng.standard_normal((sources + rows - 1, states, 2 * states))
@@ -69,7 +69,7 @@ def numpy_updated(
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_a_stack_is_carried_as_by_numpy(shape: tuple[int, int, int, int]) -> None:
+def test_predicted_covariances_equal_numpy(shape: tuple[int, int, int, int]) -> None:
     stack, _, _, _ = case(shape)
     states, _, sources, rows = shape
     rng = np.random.default_rng(2)
@@ -84,8 +84,8 @@ def test_a_stack_is_carried_as_by_numpy(shape: tuple[int, int, int, int]) -> Non
 
 
 @pytest.mark.parametrize("dt_s", [1e-9, 0.2, 3600.0])
-def test_a_moment_later_the_states_are_as_many_moments_later_are_by_numpy(dt_s: float) -> None:
-    """A single time is compiled, several are not; white noise, a constant that walks and two that die out."""
+def test_propagated_states_equal_numpy(dt_s: float) -> None:
+    """A single time is compiled, several are not; white noise, a random walk and two Gauss–Markov states."""
     slow, white = block("slow", [3.0, 2.0], "a", time_s=[1800.0, 2.0]), block("white", [1.0], "b", time_s=0.0)
     model = StateModel([slow, white, block("walking", [5.0], "a", walk=0.1)], noise_sources=[])
     for found, expected in zip(model.transition(dt_s), model.transition(np.array([dt_s])), strict=True):
@@ -102,7 +102,7 @@ def test_a_moment_later_the_states_are_as_many_moments_later_are_by_numpy(dt_s: 
 
 
 @pytest.mark.parametrize("row", [None, 1, 2])
-def test_an_error_is_added_to_the_rows_that_it_belongs_to(row: int | None) -> None:
+def test_covariance_is_inflated_in_the_right_filters(row: int | None) -> None:
     stack, covariance = case((6, 3, 3, 3))[0], np.arange(4.0).reshape(2, 2)
     found, expected = stack.copy(), stack.copy()
     add_error(found, 3, 1, slice(2, 4), covariance, row)
@@ -111,7 +111,7 @@ def test_an_error_is_added_to_the_rows_that_it_belongs_to(row: int | None) -> No
     np.testing.assert_array_equal(found, expected)
 
 
-def test_variances_along_some_states_are_as_by_numpy() -> None:
+def test_projected_variances_equal_numpy() -> None:
     rng = np.random.default_rng(5)
     root, jacobian, weights = rng.normal(size=(7, 9)), rng.normal(size=(3, 7)), np.zeros(7)
     weights[[1, 5]], covariance = (1.0, -2.0), root @ root.T
@@ -121,7 +121,7 @@ def test_variances_along_some_states_are_as_by_numpy() -> None:
 
 
 @pytest.mark.parametrize("shape", [shape for shape in SHAPES if shape[1] >= 3])
-def test_a_measurement_beside_all_rows_is_as_by_numpy(shape: tuple[int, int, int, int]) -> None:
+def test_innovations_of_all_filters_equal_numpy(shape: tuple[int, int, int, int]) -> None:
     stack, means, measured, by_turn = case(shape)
     at_mean = means[-1] + 0.1
     found = compare_rows(means, stack, measured, at_mean, by_turn)
@@ -132,10 +132,10 @@ def test_a_measurement_beside_all_rows_is_as_by_numpy(shape: tuple[int, int, int
 
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("share", [0.0, 0.7, 1.0])
-def test_what_each_row_learns_is_as_by_numpy(shape: tuple[int, int, int, int], share: float) -> None:
+def test_updates_of_all_filters_equal_numpy(shape: tuple[int, int, int, int], share: float) -> None:
     stack, means, measured, by_turn = case(shape)
     if shape[2] > 1:
-        stack[0] = 0.0  # a source that only this measurement gives a part
+        stack[0] = 0.0  # a source that only this measurement contributes
     compared = compare_rows(means, stack, measured, means[0], by_turn)
     learns = np.random.default_rng(3).uniform(size=means.shape) < share
     corrections, updated = update_rows(stack, measured, compared, learns)
@@ -145,8 +145,8 @@ def test_what_each_row_learns_is_as_by_numpy(shape: tuple[int, int, int, int], s
     np.testing.assert_array_equal(updated, updated.transpose(0, 2, 1))
 
 
-def test_a_turn_that_is_not_seen_counts_for_nothing() -> None:
-    """Residuals that do not change by a turn about the third axis."""
+def test_unobserved_rotation_has_no_whitened_innovation() -> None:
+    """Residuals that are independent of a rotation about the third axis."""
     stack, means, measured, by_turn = case((6, 4, 2, 2))
     by_turn[:, 2] = 0.0
     found = compare_rows(means, stack, measured, means[0], by_turn)
@@ -156,15 +156,15 @@ def test_a_turn_that_is_not_seen_counts_for_nothing() -> None:
 
 
 @pytest.mark.parametrize("wrong", [-1e6, np.nan])
-def test_a_covariance_that_is_none_is_refused(wrong: float) -> None:
+def test_invalid_innovation_covariance_raises(wrong: float) -> None:
     stack, means, measured, by_turn = case((6, 4, 2, 2))
     stack[2, 0, 0] = wrong
     with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
         compare_rows(means, stack, measured, means[0], by_turn)
 
 
-def test_noise_that_does_not_lie_row_by_row_is_read_as_it_is() -> None:
-    """A transposed view, as a product of rotations may leave it."""
+def test_noise_of_any_memory_layout_is_read() -> None:
+    """A transposed view, as a product of rotations may be."""
     stack, means, measured, by_turn = case((6, 4, 2, 2))
     views = {source: np.asfortranarray(part) for source, part in measured.noise_by_source.items()}
     assert not all(part.flags.c_contiguous for part in views.values())
@@ -177,7 +177,7 @@ def test_noise_that_does_not_lie_row_by_row_is_read_as_it_is() -> None:
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
-    """The loops look at no bounds."""
+    """The loops do not check bounds."""
     stack, means, measured, by_turn = case((6, 4, 2, 2))
     arguments = means, stack, measured, means[0], by_turn
     found = compare_rows(*arguments)

@@ -1,6 +1,6 @@
-"""The compiled arithmetic of the INS's watch against the same in plain numpy, and one sample against many.
+"""Compiled checks of an INS against the same in plain numpy, and single samples against blocks.
 
-"Equal" is 1e-13 relative; what many samples give together is what each gives alone, to the last bit.
+"Equal" is 1e-13 relative; a block gives the results of its single samples to the last bit.
 """
 
 import itertools
@@ -16,25 +16,25 @@ COUNT = 50
 
 
 def rates(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Stamps (ns) and rates (rad/s) of samples at about 100 Hz, the first one of the sample before."""
+    """Stamps (ns) and rates (rad/s) of samples at about 100 Hz, the first one is the sample before the block."""
     times_ns = np.cumsum(rng.integers(5_000_000, 15_000_000, COUNT + 1))
     return times_ns, 0.1 * rng.standard_normal((COUNT + 1, 3))
 
 
-def test_turns_are_the_means_of_two_rates_and_miss_what_numpy_says() -> None:
+def test_rotation_steps_and_their_error_equal_numpy() -> None:
     rng = np.random.default_rng(1)
     (times_ns, rate), drift = rates(rng), 1e-5 * rng.standard_normal(3)
     turns, missed = compiled_watch.turns(times_ns[1:], rate[1:], times_ns[0], rate[0], 0.5, 2.0 * drift, SECOND_NS)
     seconds = np.diff(times_ns)[:, None] * 1e-9
     np.testing.assert_allclose(turns, seconds * (0.5 * (rate[1:] + rate[:-1]) - drift), rtol=1e-12)
-    # A quarter of the change, and of the turn what the mean of two values misses of a wave of four seconds.
+    # A quarter of the change, and the error of the mean of two values for a wave of four seconds.
     share = (2.0 * np.pi * seconds / 4.0) ** 2 / 12.0
     change, mean = np.diff(rate, axis=0), 0.5 * (rate[1:] + rate[:-1])
     norms = 0.25 * np.linalg.norm(change, axis=1) + share[:, 0] * np.linalg.norm(mean, axis=1)
     np.testing.assert_allclose(missed, 0.5 + np.cumsum(seconds[:, 0] * norms), rtol=1e-13)
 
 
-def test_each_turn_is_the_same_alone_and_among_others() -> None:
+def test_rotation_step_does_not_depend_on_the_block() -> None:
     rng = np.random.default_rng(2)
     (times_ns, rate), zero = rates(rng), np.zeros(3)
     turns, missed = compiled_watch.turns(times_ns[1:], rate[1:], times_ns[0], rate[0], 0.0, zero, SECOND_NS)
@@ -48,7 +48,7 @@ def test_each_turn_is_the_same_alone_and_among_others() -> None:
 
 
 @pytest.mark.parametrize("fault", ["gap", "back", "nan"])
-def test_from_what_is_not_joined_on_everything_is_missed(fault: str) -> None:
+def test_integration_error_is_infinite_from_a_gap_on(fault: str) -> None:
     times_ns, rate = rates(np.random.default_rng(3))
     if fault == "gap":
         times_ns[21:] += SECOND_NS
@@ -60,7 +60,7 @@ def test_from_what_is_not_joined_on_everything_is_missed(fault: str) -> None:
     assert np.isfinite(missed).tolist() == [True] * 20 + [False] * (COUNT - 20)
 
 
-def test_sizes_of_steps_are_those_of_numpy() -> None:
+def test_step_sizes_equal_numpy() -> None:
     rng = np.random.default_rng(4)
     weights, rows = rng.standard_normal((6, 30)), rng.standard_normal((30, 3))
     steps = weights @ rows
@@ -68,7 +68,7 @@ def test_sizes_of_steps_are_those_of_numpy() -> None:
 
 
 @pytest.mark.parametrize(("learns", "first_rad"), [(40, math.inf), (40, 0.3), (100, math.inf), (300, 0.3)])
-def test_bounds_are_the_larger_of_noise_configured_and_learnt(learns: int, first_rad: float) -> None:
+def test_bounds_use_the_larger_of_configured_and_estimated_noise(learns: int, first_rad: float) -> None:
     rng = np.random.default_rng(5)
     weights, least, shares = rng.standard_normal((4, 30)), rng.uniform(0.1, 1.0, 4), rng.uniform(0.5, 2.0, 4)
     high, bounds, scaled = rng.uniform(0.0, 0.1, 6) ** 8, np.empty(4), np.empty((4, 30))
@@ -84,7 +84,7 @@ def test_bounds_are_the_larger_of_noise_configured_and_learnt(learns: int, first
 
 
 @pytest.mark.parametrize("learns", [3, 4000])
-def test_what_is_learnt_is_a_mean_of_the_eighth_powers_of_steps(learns: int) -> None:
+def test_statistics_are_means_of_eighth_powers_of_steps(learns: int) -> None:
     rng = np.random.default_rng(6)
     sizes, bounds, high = rng.uniform(0.0, 1.0, (3, 4))
     expected = high + ((sizes * bounds**2) ** 4 - high) / min(learns, 1500)
@@ -103,7 +103,7 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
 
 
 @pytest.mark.parametrize("rows", [1, 3, 8])
-def test_changes_are_those_of_numpy_and_each_is_the_same_alone(rows: int) -> None:
+def test_changes_equal_numpy_and_do_not_depend_on_the_block(rows: int) -> None:
     values = np.random.default_rng(rows).standard_normal((COUNT + 1, rows, 3))
     values[7, 0, 1] = np.nan
     found = compiled_watch.changes(values[0], values[1:])

@@ -1,6 +1,6 @@
-"""Has a source that contradicted the others moved back: noise and drift, turns that last and turns that go back.
+"""Displacement of a source: noise and drift, permanent displacements and returns.
 
-The expected numbers are those of the simulated turns; how often noise is taken for a step is held against the binomial
+The expected numbers are those of the simulated rotations; the rate of false steps is compared with the binomial
 distribution (scipy).
 """
 
@@ -22,7 +22,7 @@ EXPECTED = (2.0 * ARCSEC) ** 2 * np.eye(3)
 
 
 def sailed(turns: np.ndarray, seed: int, drifts: bool = True) -> list[bool]:
-    """Whether a source is displaced after each second; it is turned about Up by so much."""
+    """Return True for each second after which a source is displaced, for its rotations about Up, rad."""
     rng, source, drift, found = np.random.default_rng(seed), Displacement(), 0.0, []
     variance = EXPECTED.copy()
     for turn in turns:
@@ -36,13 +36,13 @@ def sailed(turns: np.ndarray, seed: int, drifts: bool = True) -> list[bool]:
 
 
 def lasting(arcsec: float, from_s: int, until_s: int, length_s: int) -> np.ndarray:
-    """A turn in each second, rad."""
+    """Return the rotation in each second, rad."""
     seconds = np.arange(length_s)
     return arcsec * ARCSEC * ((seconds >= from_s) & (seconds < until_s))
 
 
 def test_noise_and_drift_are_no_step() -> None:
-    """Each second may be a step with 5.7e-7; of five hours none, at 99.9 %."""
+    """Each second is a false step with a probability of 5.7e-7: none in five hours, at 99.9 %."""
     hours = 5
     displaced = sum(any(sailed(np.zeros(3600), seed)) for seed in range(hours))
     assert displaced <= binom.ppf(0.999, hours * 3600, 5.733e-7)
@@ -50,8 +50,8 @@ def test_noise_and_drift_are_no_step() -> None:
 
 @pytest.mark.parametrize("arcsec", [20.0, 60.0, 120.0, -3600.0])
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_a_turn_that_lasts_is_never_back(arcsec: float, seed: int) -> None:
-    """For an hour, in which the INS's heading drifts by about as much (its sigma after an hour is 50″)."""
+def test_permanent_displacement_never_ends(arcsec: float, seed: int) -> None:
+    """For an hour, in which the INS's heading drifts by a similar amount (its sigma after an hour is 50″)."""
     found = sailed(lasting(arcsec, 20, 4000, 3600), seed)
     assert not any(found[:20])
     assert all(found[22:])
@@ -60,7 +60,7 @@ def test_a_turn_that_lasts_is_never_back(arcsec: float, seed: int) -> None:
 @pytest.mark.parametrize("minutes", [1, 15, 60])
 @pytest.mark.parametrize("arcsec", [20.0, 60.0, 3600.0])
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_a_turn_that_goes_back_is_over(minutes: int, arcsec: float, seed: int) -> None:
+def test_displacement_ends_when_the_source_moves_back(minutes: int, arcsec: float, seed: int) -> None:
     end_s = 20 + 60 * minutes
     found = sailed(lasting(arcsec, 20, end_s, end_s + 60), seed)
     assert all(found[22:end_s])
@@ -68,27 +68,27 @@ def test_a_turn_that_goes_back_is_over(minutes: int, arcsec: float, seed: int) -
 
 
 @pytest.mark.parametrize("part", [0.5, 0.7])
-def test_a_turn_that_goes_back_by_a_part_is_not_over(part: float) -> None:
-    """By 0.7 of 120″ 36″ are left; of 60″ it would be 18″, which are 4 sigmas of what one sensor shows of two steps."""
+def test_displacement_does_not_end_with_a_partial_return(part: float) -> None:
+    """A return by 0.7 of 120″ leaves 36″; of 60″ it would leave 18″, 4 sigmas of two steps of one sensor."""
     turns = lasting(120.0, 20, 100, 300) + lasting(120.0 * (1.0 - part), 100, 300, 300)
     assert all(sailed(turns, 1)[22:])
 
 
-def test_two_turns_are_over_when_both_are() -> None:
+def test_two_displacements_end_when_both_have_ended() -> None:
     found = sailed(lasting(60.0, 20, 200, 300) + lasting(90.0, 60, 120, 300), 1)
     assert all(found[22:200])
     assert not any(found[206:])
 
 
 def test_a_step_within_a_second_is_measured_whole() -> None:
-    """The turn begins between two measurements of a second, and ends so: neither part is lost."""
+    """The displacement begins and ends between two measurements of a second: neither part is lost."""
     turns = lasting(30.0, 20, 100, 160) + lasting(12.0, 19, 20, 160) + lasting(18.0, 100, 101, 160)
     found = sailed(turns, 4)
     assert all(found[22:99])
     assert not any(found[107:])
 
 
-def test_a_jump_that_the_ins_showed_itself_displaces_nothing() -> None:
+def test_jump_shown_by_the_ins_itself_is_no_displacement() -> None:
     source, jump = Displacement(), np.array([0.0, 100.0 * ARCSEC, 0.0])
     for second in range(60):
         source.add(MemoryResidual(jump * (second >= 30), NOISE, EXPECTED, DRIFT))
@@ -98,8 +98,8 @@ def test_a_jump_that_the_ins_showed_itself_displaces_nothing() -> None:
     assert not source.is_displaced
 
 
-def test_a_jump_of_the_ins_as_large_as_a_displacement_ends_it() -> None:
-    """The INS turned by 100″, unseen, and its rates show how it turns back: the stars have not moved."""
+def test_ins_jump_as_large_as_a_displacement_resets_it() -> None:
+    """The INS rotated by 100″, undetected, and its rates show the rotation back: the stars have not moved."""
     source, turned = Displacement(), np.array([0.0, 100.0 * ARCSEC, 0.0])
     for second in range(60):
         source.add(MemoryResidual(turned * (20 <= second < 40), NOISE, EXPECTED, DRIFT))
@@ -112,7 +112,7 @@ def test_a_jump_of_the_ins_as_large_as_a_displacement_ends_it() -> None:
 
 @pytest.mark.parametrize("begins", [20, 38])
 def test_a_jump_within_a_second_leaves_no_displacement(begins: int) -> None:
-    """Encoders that stood still move again: of the second in which they do, one measurement is from before."""
+    """Frozen encoders move again: one measurement of that second is from before."""
     source, turned = Displacement(), np.array([0.0, 3600.0 * ARCSEC, 0.0])
     for second in range(60):
         if second == 40:
@@ -124,7 +124,7 @@ def test_a_jump_within_a_second_leaves_no_displacement(begins: int) -> None:
     assert not source.is_displaced
 
 
-def test_a_residual_that_is_no_number_hides_no_step() -> None:
+def test_nan_residual_hides_no_step() -> None:
     source = Displacement()
     for second in range(30):
         turn = np.full(3, np.nan) if second == 10 else np.array([0.0, 60.0 * ARCSEC * (second >= 20), 0.0])
@@ -134,11 +134,11 @@ def test_a_residual_that_is_no_number_hides_no_step() -> None:
 
 
 FORE, STARBOARD = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
-"""Lines of sight of two level star sensors, North and East: a turn about one is seen by the other."""
+"""Lines of sight of two level star sensors, North and East: a rotation about one is observed by the other."""
 
 
 def moved(fore_n: np.ndarray, starboard_n: np.ndarray, seed: int) -> Displacements:
-    """Two star sensors that are turned at 20 s, rotation vectors, rad."""
+    """Return the displacements of two star sensors that are rotated at 20 s, rotation vectors, rad."""
     rng, found = np.random.default_rng(seed), Displacements()
     for second in range(40):
         for name, sight_n, turn_n in (("star.fore", FORE, fore_n), ("star.starboard", STARBOARD, starboard_n)):
@@ -150,13 +150,13 @@ def moved(fore_n: np.ndarray, starboard_n: np.ndarray, seed: int) -> Displacemen
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_a_turn_of_all_that_one_of_them_cannot_see_is_one_of_all(seed: int) -> None:
+def test_common_rotation_that_one_sensor_cannot_observe_is_common(seed: int) -> None:
     """20″ about the line of sight of one sensor, whose noise there is 45″ in a second."""
     assert set(moved(20.0 * ARCSEC * FORE, 20.0 * ARCSEC * FORE, seed).displaced) == {TOGETHER}
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_a_source_that_moves_by_itself_is_named(seed: int) -> None:
+def test_source_that_moves_by_itself_is_isolated(seed: int) -> None:
     up = np.array([0.0, 60.0 * ARCSEC, 0.0])
     found = moved(up, 0.0 * up, seed)
     assert set(found.displaced) == {"star.fore"}
@@ -164,8 +164,8 @@ def test_a_source_that_moves_by_itself_is_named(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_what_one_sensor_saw_poorly_of_a_turn_is_over_with_it(seed: int) -> None:
-    """The turn is 20″ about East. The other sensor comes back while it lasts, and shows what the first could not."""
+def test_poorly_observed_rotation_ends_with_the_common_one(seed: int) -> None:
+    """The rotation is 20″ about East. The other sensor returns during it, and observes what the first could not."""
     rng, found, turn_n = np.random.default_rng(seed), Displacements(), np.array([0.0, 0.0, 20.0 * ARCSEC])
     for second in range(140):
         for name, sight_n, from_s in (("star.fore", FORE, 0), ("star.starboard", STARBOARD, 60)):
@@ -180,7 +180,7 @@ def test_what_one_sensor_saw_poorly_of_a_turn_is_over_with_it(seed: int) -> None
 
 
 def test_steps_in_every_second_for_half_an_hour_leave_a_covariance() -> None:
-    """As of a source that sends two attitudes in turn: each step opens the displacement anew."""
+    """A source that sends two attitudes alternately: each step inflates the displacement again."""
     rng, source = np.random.default_rng(5), Displacement()
     noise = NOISE + (500.0 * ARCSEC) ** 2 * np.outer(np.ones(3), np.ones(3))
     for second in range(1800):
@@ -193,8 +193,8 @@ def test_steps_in_every_second_for_half_an_hour_leave_a_covariance() -> None:
     assert source.is_displaced
 
 
-def test_what_is_there_at_the_beginning_is_no_rest() -> None:
-    """Encoders that stood still leave a memory of 20°: the fault is in the first measurements, and it ends."""
+def test_displacement_in_the_first_measurements_ends() -> None:
+    """After frozen encoders the stored state is known to 20°: the fault is in the first measurements, and it ends."""
     source, vague = Displacement(), np.deg2rad(20.0) ** 2 * np.eye(3)
     for second in range(30):
         source.add(MemoryResidual(np.array([0.0, 10000.0 * ARCSEC * (second < 4), 0.0]), NOISE, vague, DRIFT))

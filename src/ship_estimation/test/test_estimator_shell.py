@@ -1,4 +1,4 @@
-"""The estimator shell with a toy model whose step rounds and does not commute: any wrong order shows in the state."""
+"""The time-ordered estimator with a toy model whose step rounds and does not commute: any wrong order shows."""
 
 import itertools
 import math
@@ -32,7 +32,7 @@ START = 0.1
 
 @dataclass(frozen=True)
 class Toy:
-    """A measurement; one of a negative value is refused, and the step raises on NaN."""
+    """A measurement; one with a negative value is rejected, and the step raises for NaN."""
 
     time_ns: int
     value: float
@@ -49,7 +49,7 @@ ToyOutcome = Outcome[Decision[Toy], float]
 
 
 class Estimator:
-    """A model in the shell: the state depends on each measurement and on the sample of the track before it."""
+    """An estimator whose state depends on each measurement and on the sample of the track before it."""
 
     def __init__(self) -> None:
         self.track: VectorTrack[VectorSample] = VectorTrack(SECOND_NS)
@@ -99,14 +99,14 @@ def toy(time_ms: int, value: float = 0.5, source: str = "toy") -> Toy:
 
 
 def state_for_outputs(estimator: Estimator) -> float:
-    """What an output at the next moment rests on."""
+    """Return the state for an output at the next time."""
     outcome, moments = ToyOutcome(), itertools.count(10**15)
     while not outcome.estimates:
         estimator.shell.put_out(outcome, next(moments), 0, lambda state: state)
     return outcome.estimates[0]
 
 
-def test_what_is_older_than_the_lag_is_refused_and_says_by_how_much() -> None:
+def test_late_measurement_is_rejected_with_its_lag() -> None:
     window = LagWindow(LAG_S)
     window.move_to(5 * SECOND_NS)
     window.move_to(4 * SECOND_NS)
@@ -115,7 +115,7 @@ def test_what_is_older_than_the_lag_is_refused_and_says_by_how_much() -> None:
     assert late == Refusal(Reason.LATE, "2.001 s behind the newest data: more than lag_s = 2")
 
 
-def test_the_same_again_is_refused_and_of_conflicting_ones_that_whose_bytes_sort_first_is_kept() -> None:
+def test_duplicate_is_rejected_and_of_conflicting_ones_the_first_in_byte_order_is_kept() -> None:
     first, second = toy(10, 0.5), toy(10, 0.25)
     states = []
     for order in ((first, second), (second, first), (first, first, second), (second, first, second)):
@@ -132,19 +132,19 @@ def test_the_same_again_is_refused_and_of_conflicting_ones_that_whose_bytes_sort
     assert states[0] == alone.shell.state
 
 
-def test_a_late_measurement_takes_its_place_and_what_follows_is_decided_anew() -> None:
+def test_late_measurement_is_inserted_and_later_ones_are_applied_again() -> None:
     in_order, late = Estimator(), Estimator()
     for time_ms in (10, 20, 30):
         in_order.add(toy(time_ms, 0.01 * time_ms))
     for time_ms in (20, 30, 10):
         outcome = late.add(toy(time_ms, 0.01 * time_ms))
     assert late.shell.state == in_order.shell.state
-    # Only the new decision is told: the others did not turn out otherwise. The model hears of all.
+    # Only the new decision is reported: the others are unchanged. The model receives all.
     assert [decision.measurement.time_ns for decision in outcome.decisions] == [10 * MS]
     assert [decision.measurement.time_ns // MS for decision in late.decided] == [20, 30, 10, 20, 30]
 
 
-def test_a_decision_that_turns_out_otherwise_is_told_as_revised() -> None:
+def test_changed_decision_is_reported_as_revised() -> None:
     gate = {"open": True}
 
     def step(state: float, measurement: Toy, may_wait: bool) -> tuple[float, Decision[Toy]]:
@@ -174,7 +174,7 @@ def test_a_decision_that_turns_out_otherwise_is_told_as_revised() -> None:
     assert outcome.decisions == []
 
 
-def test_a_sample_that_changes_what_was_compared_makes_it_compared_anew() -> None:
+def test_late_sample_applies_dependent_measurements_again() -> None:
     late, prompt = Estimator(), Estimator()
     for estimator, order in ((prompt, "stm"), (late, "mst")):
         for what in order:
@@ -184,7 +184,7 @@ def test_a_sample_that_changes_what_was_compared_makes_it_compared_anew() -> Non
                 estimator.add_sample(10 if what == "s" else 20, 0.3 if what == "s" else 0.4)
     assert late.shell.state != START
     assert [decision.measurement.time_ns // MS for decision in prompt.decided] == [30]
-    # A newest sample changes nothing that was covered; one within the track does.
+    # A newest sample changes no final value; one within the track does.
     late.add_sample(15, 0.9)
     prompt.add_sample(15, 0.9)
     late.add_sample(40, 0.9)
@@ -193,7 +193,7 @@ def test_a_sample_that_changes_what_was_compared_makes_it_compared_anew() -> Non
     assert late.shell.state == prompt.shell.state
 
 
-def test_a_measurement_waits_for_its_data_and_those_after_it_with_it_but_not_beyond_the_lag() -> None:
+def test_measurement_waits_for_its_data_up_to_the_lag() -> None:
     estimator = Estimator()
     estimator.waits = True
     estimator.add_sample(0, 0.1)
@@ -207,7 +207,7 @@ def test_a_measurement_waits_for_its_data_and_those_after_it_with_it_but_not_bey
     assert [decision.measurement.time_ns // MS for decision in outcome.decisions] == [20]
 
 
-def test_a_step_that_raises_is_told_leaves_the_state_and_holds_up_nothing() -> None:
+def test_exception_in_a_step_is_reported_and_keeps_the_state() -> None:
     estimator, without = Estimator(), Estimator()
     for time_ms, value in ((10, 0.5), (20, math.nan), (30, 0.25)):
         outcome = estimator.add(toy(time_ms, value))
@@ -220,7 +220,7 @@ def test_a_step_that_raises_is_told_leaves_the_state_and_holds_up_nothing() -> N
     assert "test_estimator_shell.py" in estimator.decided[1].text
 
 
-def test_a_jump_that_the_state_cannot_be_opened_for_is_told_once_as_failed() -> None:
+def test_failed_inflation_is_reported_once() -> None:
     estimator, outcome = Estimator(), ToyOutcome()
     estimator.shell.add(toy(100), outcome)
     before = estimator.shell.state
@@ -230,14 +230,14 @@ def test_a_jump_that_the_state_cannot_be_opened_for_is_told_once_as_failed() -> 
     assert (time_ns, refusal.reason) == (120 * MS, Reason.FAILED)
     assert "no size" in refusal.text
     assert estimator.shell.state == before
-    # What is applied again tells it no second time, and goes on after it.
+    # A repeated application does not report it again, and continues after it.
     estimator.shell.add(toy(110), outcome)
     estimator.shell.add(toy(130), outcome)
     assert len(outcome.failures) == 1
     assert len(outcome.decisions) == 3
 
 
-def test_a_jump_counts_for_outputs_at_once_and_for_the_state_at_its_place() -> None:
+def test_jump_inflates_outputs_at_once_and_the_state_at_its_time() -> None:
     estimator = Estimator()
     estimator.add(toy(10))
     before = estimator.shell.state
@@ -261,8 +261,8 @@ def test_a_jump_counts_for_outputs_at_once_and_for_the_state_at_its_place() -> N
 
 @repeatable
 @given(data=st.data())
-def test_any_order_of_arrival_ends_in_the_same_state_with_all_that_can_go_wrong_together(data: st.DataObject) -> None:
-    """Refused and failing measurements, duplicates, conflicts, jumps and late samples, shuffled within the lag."""
+def test_any_order_of_arrival_gives_the_same_state_with_all_faults_combined(data: st.DataObject) -> None:
+    """Rejected and failing measurements, duplicates, conflicts, jumps and late samples, shuffled within the lag."""
     toys = [
         toy(time_ms, value, source)
         for time_ms, value, source in data.draw(
@@ -293,7 +293,7 @@ def test_any_order_of_arrival_ends_in_the_same_state_with_all_that_can_go_wrong_
             else:
                 estimator.shell.add_jump(what[0] * MS, "ins", what[1])
             put_out_one(estimator, number)
-        # A newest sample does not reopen what the toy model, unlike a real one, did not wait for.
+        # A newest sample does not repeat what the toy model, unlike a real one, did not wait for.
         estimator.shell.data_changed(0)
         estimator.shell.apply(ToyOutcome())
         assert estimator.claimed == sorted(set(estimator.claimed))
@@ -302,7 +302,7 @@ def test_any_order_of_arrival_ends_in_the_same_state_with_all_that_can_go_wrong_
 
 
 def put_out_one(estimator: Estimator, number: int) -> None:
-    """An output after each arrival, at moments that go forth and back; each fourth one cannot be computed."""
+    """Add an output after each arrival, at times that go forth and back; each fourth one cannot be computed."""
     time_ns, outcome = (3 * number + 3) % 7 * MS + number * MS, ToyOutcome()
 
     def estimate(state: float) -> float:
@@ -316,7 +316,7 @@ def put_out_one(estimator: Estimator, number: int) -> None:
     estimator.claimed += [time_ns] * len(outcome.estimates)
 
 
-def test_outputs_that_claim_something_strictly_increase_and_one_that_fails_is_told() -> None:
+def test_outputs_strictly_increase_and_a_failure_is_reported() -> None:
     estimator, outcome = Estimator(), ToyOutcome()
     for time_ms in (10, 10, 5, 20):
         estimator.shell.put_out(outcome, time_ms * MS, 0, lambda state, time_ms=time_ms: float(time_ms))
@@ -334,7 +334,7 @@ def test_outputs_that_claim_something_strictly_increase_and_one_that_fails_is_to
 
 
 @pytest.mark.parametrize("patience_s", [0.05, 1.0, 3.0])
-def test_invalid_is_said_once_a_second_after_the_patience_whatever_the_stamps_say(patience_s: float) -> None:
+def test_invalid_is_reported_once_a_second_after_the_timeout_for_any_stamps(patience_s: float) -> None:
     estimator = Estimator()
     patience_ns = round(patience_s * SECOND_NS)
     outcome = ToyOutcome()
@@ -349,7 +349,7 @@ def test_invalid_is_said_once_a_second_after_the_patience_whatever_the_stamps_sa
     assert said == list(range(first_ns, 8 * SECOND_NS, SECOND_NS))
 
 
-def test_a_clock_that_jumps_back_lets_earlier_outputs_follow_and_a_reset_alone_does_not() -> None:
+def test_earlier_outputs_may_follow_a_clock_jump_but_not_a_reset() -> None:
     estimator, outcome = Estimator(), ToyOutcome()
     estimator.add(toy(10))
     estimator.shell.put_out(outcome, 10 * MS, 0, lambda state: 1.0)
@@ -361,7 +361,7 @@ def test_a_clock_that_jumps_back_lets_earlier_outputs_follow_and_a_reset_alone_d
     assert estimator.add(toy(10)).refusal is None
 
 
-def test_before_the_first_output_invalid_is_due_at_once() -> None:
+def test_invalid_is_due_at_once_before_the_first_output() -> None:
     estimator, said = Estimator(), []
     for waiting_ns in (0, SECOND_NS - 1, SECOND_NS):
         outcome = ToyOutcome()
@@ -374,7 +374,7 @@ def test_the_window_closes_behind_the_lag_and_the_reach() -> None:
     estimator = Estimator()
     for time_ms in range(0, 8000, 100):
         estimator.add_sample(time_ms, 0.1)
-    # 8 samples, and those of the last second, always stay.
+    # 8 samples, and those of the last second, are always kept.
     assert len(estimator.track) <= 35
     late = estimator.add(toy(5000))
     assert late.refusal is not None
@@ -382,14 +382,14 @@ def test_the_window_closes_behind_the_lag_and_the_reach() -> None:
 
 
 def flood(rng: np.random.Generator, count: int, seconds: float) -> list[Toy]:
-    """Measurements of one source, evenly in time, each stamped up to the lag earlier."""
+    """Return measurements of one source, evenly in time, each stamped up to the lag earlier."""
     arrival_ns = np.linspace(0.0, seconds * SECOND_NS, count)
     stamps_ns = (arrival_ns + (10.0 - rng.uniform(0.0, LAG_S, count)) * SECOND_NS).astype(int)
     return [Toy(*one) for one in zip(stamps_ns.tolist(), rng.random(count).tolist(), strict=True)]
 
 
-def test_of_a_flood_with_random_stamps_the_steps_are_few_and_what_is_too_much_is_an_overflow() -> None:
-    """Fifty times an exposure at 2 Hz, beside a source in order; unbounded it would be some 100 repeats for each."""
+def test_flood_with_random_stamps_is_limited_by_overflow() -> None:
+    """Fifty times an exposure at 2 Hz, with a source in order; without limits about 100 repeats for each."""
     seconds, estimator = 30.0, Estimator()
     reasons, texts, at_once = [], [], []
     flooded = flood(np.random.default_rng(7), 3000, seconds)
@@ -407,14 +407,14 @@ def test_of_a_flood_with_random_stamps_the_steps_are_few_and_what_is_too_much_is
     taken, late = reasons.count(None), reasons.count(Reason.LATE)
     assert late < 20
     assert reasons.count(Reason.OVERFLOW) == 3000 - taken - late > 1800
-    # Each once, once more as the window closes, and the repeats of each second; the first second has saved up one.
+    # Each once, once more when the window closes, and the repeats of each second; the first second has one in reserve.
     assert len(estimator.decided) < 2 * (taken + len(in_order)) + MOST_REPEATS_PER_S * (seconds + LAG_S + 1.0)
     assert max(at_once) < MOST_REPEATS_AT_ONCE + 20
     told = next(text for text in texts if "source" in text)
-    assert told.endswith(f"later ones of their source: {MOST_OVERTAKEN_PER_S} such pairs a second are taken")
+    assert told.endswith(f"later ones of their source: {MOST_OVERTAKEN_PER_S} such pairs a second are accepted")
 
 
-def test_what_is_refused_as_overflow_leaves_no_trace() -> None:
+def test_overflow_does_not_change_the_state() -> None:
     estimator, without = Estimator(), Estimator()
     for number, late in enumerate(flood(np.random.default_rng(8), 1000, 10.0)):
         outcome = estimator.add(late)
@@ -425,8 +425,8 @@ def test_what_is_refused_as_overflow_leaves_no_trace() -> None:
     assert told == told_without
 
 
-def test_samples_that_come_late_without_end_cost_so_many_steps_a_second_and_end_in_the_same_state() -> None:
-    """Samples at 100 Hz, each up to two seconds late, under measurements at 20 Hz: each would repeat up to forty."""
+def test_flood_of_late_samples_is_rate_limited_and_gives_the_same_state() -> None:
+    """Samples at 100 Hz, each up to two seconds late, with measurements at 20 Hz: each would repeat up to forty."""
     rng, seconds, estimator, in_order = np.random.default_rng(9), 20.0, Estimator(), Estimator()
     estimator.waits = in_order.waits = True
     stamps_ms = np.arange(10_000, 10_000 + round(1000 * seconds), 10)
@@ -440,7 +440,7 @@ def test_samples_that_come_late_without_end_cost_so_many_steps_a_second_and_end_
             estimator.add_sample(ms, value)
         assert len(estimator.decided) - steps <= MOST_REPEATS_AT_ONCE + 20
     assert len(estimator.decided) < 2 * len(stamps_ms[::5]) + MOST_REPEATS_PER_S * (seconds + LAG_S + 1.0)
-    # When nothing comes any more, the ticks go on with it.
+    # Without further inputs the ticks continue.
     ticks = 0
     while estimator.shell.is_behind:
         ticks += 1

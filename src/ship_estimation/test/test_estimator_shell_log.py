@@ -1,4 +1,4 @@
-"""The time-ordered log: whatever the order of arrival, the state is that of the measurements in their own order.
+"""The time-ordered log: for any order of arrival, the state is that of the measurements in time order.
 
 The step of these tests is not associative and rounds, so any difference in order or repetition shows in the state.
 """
@@ -17,7 +17,7 @@ repeatable = settings(derandomize=True, database=None, deadline=None, max_exampl
 State = tuple[int, float]
 """Measurements so far, and a number that depends on their order."""
 Decision = tuple[int, float]
-"""Time of the measurement and the state that it met."""
+"""Time of the measurement and the state before it."""
 Log = TimeOrderedLog[State, tuple[int, float], Decision]
 
 START: State = (0, 0.1)
@@ -50,7 +50,7 @@ def insert(log: Log, key: Key, value: float) -> None:
 
 @repeatable
 @given(known=measurements, data=st.data())
-def test_any_order_of_arrival_any_pauses_give_the_same_state_and_last_decisions(
+def test_any_order_of_arrival_and_any_pauses_give_the_same_state_and_decisions(
     known: dict[Key, float], data: st.DataObject
 ) -> None:
     log = Log(START)
@@ -74,7 +74,7 @@ def test_any_order_of_arrival_any_pauses_give_the_same_state_and_last_decisions(
 
 @repeatable
 @given(known=measurements, data=st.data())
-def test_measurement_that_comes_again_replaces_the_first(known: dict[Key, float], data: st.DataObject) -> None:
+def test_repeated_key_replaces_the_measurement(known: dict[Key, float], data: st.DataObject) -> None:
     log = Log(START)
     for key, value in known.items():
         insert(log, key, value)
@@ -106,7 +106,7 @@ def test_measurements_wait_for_their_data(known: dict[Key, float], ready_ns: lis
 @repeatable
 @given(known=measurements, since_ns=st.integers(0, 45))
 def test_rewinding_applies_again_from_the_first_affected(known: dict[Key, float], since_ns: int) -> None:
-    """What the step depends on besides its measurements, the INS's samples, was other up to now."""
+    """The samples of the INS, on which the step also depends, have changed."""
     log = Log(START)
     for key, value in known.items():
         insert(log, key, value)
@@ -120,7 +120,7 @@ def test_rewinding_applies_again_from_the_first_affected(known: dict[Key, float]
 
 @repeatable
 @given(known=measurements, late=measurements, oldest_ns=st.integers(0, 45))
-def test_forgotten_measurements_stay_in_the_state_and_later_ones_can_still_be_late(
+def test_committed_measurements_stay_in_the_state(
     known: dict[Key, float], late: dict[Key, float], oldest_ns: int
 ) -> None:
     log = Log(START)
@@ -141,7 +141,7 @@ def test_forgotten_measurements_stay_in_the_state_and_later_ones_can_still_be_la
 
 @repeatable
 @given(known=measurements, oldest_ns=st.integers(0, 45))
-def test_what_still_waits_is_not_forgotten(known: dict[Key, float], oldest_ns: int) -> None:
+def test_pending_measurements_are_not_committed(known: dict[Key, float], oldest_ns: int) -> None:
     log = Log(START)
     for key, value in known.items():
         insert(log, key, value)
@@ -151,7 +151,7 @@ def test_what_still_waits_is_not_forgotten(known: dict[Key, float], oldest_ns: i
     assert log.state == in_own_order(known)[0]
 
 
-def test_decisions_are_told_with_what_they_replace() -> None:
+def test_decisions_are_returned_with_the_replaced_ones() -> None:
     log = Log(START)
     insert(log, (2, "b"), 0.5)
     assert log.apply(step, failed) == [((2, 0.1), None)]
@@ -161,7 +161,7 @@ def test_decisions_are_told_with_what_they_replace() -> None:
     assert log.apply(step, failed) == [((1, 0.1), None), ((2, state_1[1]), (2, 0.1))]
 
 
-def test_tie_breaker_orders_measurements_of_one_moment() -> None:
+def test_tie_breaker_orders_measurements_of_one_time() -> None:
     forth, back = Log(START), Log(START)
     for log, order in ((forth, ("a", "b", "c")), (back, ("c", "b", "a"))):
         for name in order:
@@ -174,7 +174,7 @@ def test_tie_breaker_orders_measurements_of_one_moment() -> None:
 
 
 def failing(state: State, measurement: tuple[int, float]) -> tuple[State, Decision]:
-    """The step, which raises on even times where the value is negative."""
+    """A step that raises at even times for negative values."""
     if measurement[0] % 2 == 0 and measurement[1] < 0.0:
         raise ArithmeticError("singular")
     return step(state, measurement)
@@ -182,7 +182,7 @@ def failing(state: State, measurement: tuple[int, float]) -> tuple[State, Decisi
 
 @repeatable
 @given(known=measurements, data=st.data())
-def test_mend_02_a_step_that_raises_leaves_the_state_and_holds_up_nothing(
+def test_exception_in_a_step_keeps_the_state_and_delays_nothing(
     known: dict[Key, float], data: st.DataObject
 ) -> None:
     log, raised = Log(START), []
@@ -201,7 +201,7 @@ def test_mend_02_a_step_that_raises_leaves_the_state_and_holds_up_nothing(
     assert set(raised) == {(key[0], value) for key, value in known.items() if key not in good}
 
 
-def test_mend_02_one_that_raised_is_tried_again_where_it_meets_another_state() -> None:
+def test_failed_measurement_is_applied_again_to_another_state() -> None:
     log = Log(START)
     insert(log, (2, "a"), -0.2)
     assert log.apply(failing, lambda measurement, error: (measurement[0], -1.0)) == [((2, -1.0), None)]
@@ -211,7 +211,7 @@ def test_mend_02_one_that_raised_is_tried_again_where_it_meets_another_state() -
 
 
 class LogAgainstSorting(RuleBasedStateMachine):
-    """Any mixture of arrivals, replacements, rewinds, applications and forgetting, against sorting everything."""
+    """Any mixture of arrivals, replacements, rewinds, applications and commits, against sorting everything."""
 
     @initialize()
     def start(self) -> None:
@@ -264,8 +264,8 @@ TestLogAgainstSorting = LogAgainstSorting.TestCase
 TestLogAgainstSorting.settings = settings(repeatable, max_examples=100, stateful_step_count=30)
 
 
-def test_mend_18_a_flood_of_late_measurements_repeats_so_much_a_second_and_ends_in_the_same_state() -> None:
-    """Half of what comes is a second late: each time everything since would be applied again."""
+def test_flood_of_late_measurements_is_rate_limited_and_gives_the_same_state() -> None:
+    """Half of the measurements are a second late: without limits each would repeat everything since."""
     ms, lag_ns, log = 1_000_000, 2_000_000_000, Log(START)
     known: dict[Key, float] = {}
     repeats_by_second, most_at_once, most_waiting = [0] * 8, 0, 0
@@ -281,7 +281,7 @@ def test_mend_18_a_flood_of_late_measurements_repeats_so_much_a_second_and_ends_
             most_at_once = max(most_at_once, repeats)
         log.forget_before(newest_ns - lag_ns)
         most_waiting = max(most_waiting, log.waiting)
-    # Unbounded it would be 500 times some 500 a second. Each is brought up to date once as the window closes.
+    # Without limits it would be 500 times some 500 a second. Each is applied once more when the window closes.
     assert max(repeats_by_second) <= 2 * MOST_REPEATS_PER_S + 1000
     assert most_at_once <= MOST_REPEATS_AT_ONCE + 2
     assert most_waiting <= 3 * 1000

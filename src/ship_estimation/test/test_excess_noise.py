@@ -1,4 +1,4 @@
-"""Noise of an INS beyond what is stated: seen in time, as large as it is, over with its cause; never without one."""
+"""Excess noise of an INS: detected in time, with its size and end; no false detection."""
 
 import os
 from dataclasses import replace
@@ -15,11 +15,11 @@ from ship_testing.ins_streams import CALM, STORM, SWELL, Angles, stepped, stream
 
 NOTHING_LATE = AttitudeTrack(500_000_000)
 HOURS = float(os.environ.get("NOISE_HOURS", "0.5"))
-"""Of healthy streams, each; 10 of them are tried with ``NOISE_HOURS=10``."""
+"""Hours of each healthy stream; set ``NOISE_HOURS=10`` for 10."""
 
 
 def noisy(samples: list[AttitudeSample], sigma_arcsec: float, first: int) -> list[AttitudeSample]:
-    """The samples with more noise of the attitude from one number on."""
+    """Return the samples with more attitude noise from one number on."""
     turns = exp_rotation(sigma_arcsec * ARCSEC * np.random.default_rng(3).standard_normal((len(samples), 3)))
     return [
         replace(sample, rotation_nd=turn @ sample.rotation_nd) if number >= first else sample
@@ -36,7 +36,7 @@ def jittering(samples: list[AttitudeSample], sigma_s: float, first: int) -> list
 
 
 def changes(samples: list[AttitudeSample], **config: float) -> list[tuple[float, ExtraNoise]]:
-    """When the noise changed, s after the first sample, and what it is then."""
+    """Return the changes of the noise: time after the first sample, s, and the noise then."""
     guard, found = InsGuard(GuardedInsConfig(**config)), []
     for sample in samples:
         judged: JudgedIns = guard.judge(sample, NOTHING_LATE, {})
@@ -51,8 +51,8 @@ def sigma_arcsec(noise: ExtraNoise) -> float:
 
 @pytest.mark.parametrize("rate_hz", [10.0, 20.0, 50.0, 100.0])
 @pytest.mark.parametrize(("ratio", "within_s"), [(3.0, 2.0), (10.0, 2.0), (30.0, 2.0)])
-def test_a_large_excess_is_seen_within_two_seconds(rate_hz: float, ratio: float, within_s: float) -> None:
-    """Of ten samples in a second 20 steps are needed: twice as long."""
+def test_large_excess_is_detected_within_two_seconds(rate_hz: float, ratio: float, within_s: float) -> None:
+    """At ten samples a second the necessary 20 steps take twice as long."""
     onset_s = 30.0
     found = changes(noisy(stream(40.0, rate_hz), ratio, round(onset_s * rate_hz)))
     assert onset_s < found[0][0] < onset_s + within_s * max(1.0, 20.0 / rate_hz)
@@ -60,20 +60,20 @@ def test_a_large_excess_is_seen_within_two_seconds(rate_hz: float, ratio: float,
 
 
 @pytest.mark.parametrize("rate_hz", [20.0, 100.0])
-def test_half_as_much_again_is_seen_within_half_a_minute(rate_hz: float) -> None:
+def test_excess_of_one_half_is_detected_within_half_a_minute(rate_hz: float) -> None:
     # Noise of 1″ and further noise make 1.5″ together.
     found = changes(noisy(stream(90.0, rate_hz), np.sqrt(1.5**2 - 1.0), round(40.0 * rate_hz)))
     assert 40.0 < found[0][0] < 70.0
 
 
 @pytest.mark.parametrize("rate_hz", [20.0, 100.0])
-def test_jitter_is_told_from_noise_of_the_attitude_and_is_over_when_it_ends(rate_hz: float) -> None:
+def test_jitter_is_distinguished_from_attitude_noise_and_its_end_is_detected(rate_hz: float) -> None:
     samples = stream(60.0, rate_hz)
     first, last = round(30.0 * rate_hz), round(45.0 * rate_hz)
     ends = [*jittering(samples[:last], 0.004, first), *samples[last:]]
     found = changes(ends)
     assert 30.0 < found[0][0] < 32.0
-    # The folded normal's own deviation is 0.60 of its parameter.
+    # The standard deviation of the folded normal is 0.60 of its parameter.
     jitter_s = float(np.sqrt(next(noise for time_s, noise in reversed(found) if time_s < 45.0).jitter_s2))
     assert 0.7 * 0.6 * 0.004 < jitter_s < 1.4 * 0.6 * 0.004
     assert found[-1][0] < 48.0
@@ -125,7 +125,7 @@ def test_a_larger_stated_noise_has_no_excess() -> None:
     assert changes(samples, white_sigma_arcsec=1.0) != []
 
 
-def test_an_excess_is_over_or_another_one_when_the_stated_noise_becomes_larger() -> None:
+def test_larger_stated_noise_ends_or_reduces_an_excess() -> None:
     """Noise of 1″ and further noise of 5″ make 5.1″ together."""
     samples = noisy(stream(20.0, 20.0), 5.0, 0)
     for stated_arcsec, excess_arcsec in ((5.1, 0.0), (2.0, np.sqrt(26.0 - 4.0))):
@@ -141,7 +141,7 @@ def test_an_excess_is_over_or_another_one_when_the_stated_noise_becomes_larger()
         assert (guard.excess_text != "") == (excess_arcsec > 0.0)
 
 
-def test_extra_noise_counts_from_its_stamp_on_between_samples_and_at_the_newest() -> None:
+def test_extra_noise_applies_from_its_stamp_on() -> None:
     track, rate_d = AttitudeTrack(10**9), np.array([0.1, 0.0, 0.0])
     for number in range(5):
         rotation_nd: FloatArray = exp_rotation(0.1 * number * rate_d)

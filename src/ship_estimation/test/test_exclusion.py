@@ -1,4 +1,4 @@
-"""Which source is wrong: two to four sensors on a shaken base, one of them knocked, or two."""
+"""Fault isolation: two to four sensors on a shaken base, with a mounting shift of one or two of them."""
 
 import copy
 import functools
@@ -18,7 +18,7 @@ NOISE, WALK, MOUNTING = 3.0, 0.3, 20.0
 
 
 class Bank:
-    """An angle about each axis that wanders, seen by sensors whose mounting is to be learnt.
+    """An angle about each axis with a random walk, measured by sensors whose mounting is estimated.
 
     A row without each sensor and, where there are ``pairs``, without each two.
     """
@@ -56,7 +56,7 @@ class Bank:
 
 
 AT = 200
-"""Epoch since when sensors are knocked."""
+"""Epoch of the mounting shifts."""
 
 
 class Base:
@@ -68,7 +68,7 @@ class Base:
         self.angle = 10.0 * self.rng.standard_normal(3)
 
     def until(self, epoch, knocks):
-        """What is found in each measurement before that epoch, and in which epoch it is."""
+        """Yield the fault isolation of each measurement before an epoch, with its epoch."""
         while self.epoch < epoch:
             for sensor, mounting in enumerate(self.mounting):
                 self.angle = self.angle + WALK * self.rng.standard_normal(3)
@@ -81,14 +81,14 @@ class Base:
 
 @functools.cache
 def _before_knocks(seed, sensors, pairs):
-    """The base at AT, where nothing was called wrong; it is the same whatever is knocked then."""
+    """Return the base at AT, without a detected fault; it is the same for all shifts."""
     base = Base(seed, sensors, pairs)
     assert not any(found.fault for _, found in base.until(AT, {}))
     return base
 
 
 def _voyage(seed, sensors, knocks=None, epochs=2 * AT, pairs=False):
-    """Epochs after the knocks until a fault is told, and the sensors first named; None where none is told.
+    """Return the epochs after the shifts until a fault is detected, and the sensors first isolated; None without one.
 
     Args:
         seed: of the noise.
@@ -106,68 +106,68 @@ def _voyage(seed, sensors, knocks=None, epochs=2 * AT, pairs=False):
 
 
 @pytest.mark.parametrize("sensors", [2, 3])
-def test_sources_that_are_right_are_not_called_wrong(sensors):
+def test_fault_free_sources_are_not_excluded(sensors):
     assert [_voyage(seed, sensors, epochs=1000) for seed in range(3)] == [None] * 3
 
 
 @pytest.mark.parametrize("knocked", [0, 2])
 @pytest.mark.parametrize("knock", [30.0, 60.0, -60.0])
-def test_a_knock_of_ten_sigmas_is_told_within_three_measurements_and_the_right_one_of_three_is_named(knock, knocked):
+def test_shift_of_ten_sigmas_is_isolated_within_three_measurements(knock, knocked):
     found = [_voyage(seed, 3, {knocked: knock}) for seed in range(8)]
     assert [named for _, named in found] == [(knocked,)] * 8
     assert max(epochs for epochs, _ in found) <= 3
 
 
-def test_small_knocks_are_told_within_seconds_and_named():
-    """Of 4 σ of one measurement: no single one tells it, their mean does."""
+def test_small_shifts_are_isolated_within_seconds():
+    """Shifts of 4 σ of one measurement: no single innovation detects them, their mean does."""
     found = [_voyage(seed, 3, {1: 12.0}) for seed in range(8)]
     assert [named for _, named in found] == [(1,)] * 8
     assert max(epochs for epochs, _ in found) <= 50
 
 
-def test_of_two_sensors_the_right_one_is_named_by_what_the_base_can_turn():
+def test_fault_of_one_of_two_sensors_is_isolated_by_the_motion_of_the_base():
     found = [_voyage(seed, 2, {seed % 2: 40.0}) for seed in range(8)]
     assert [named for _, named in found] == [(seed % 2,) for seed in range(8)]
 
 
 @pytest.mark.parametrize("sensors", [3, 4])
 @pytest.mark.parametrize("knocks", [(40.0, 40.0), (40.0, -60.0), (25.0, 1e4)])
-def test_two_sensors_knocked_at_once_are_both_named_where_pairs_are_left_out(sensors, knocks):
+def test_simultaneous_shifts_of_two_sensors_are_isolated_with_subfilters_of_pairs(sensors, knocks):
     both = dict(zip((0, 2), knocks, strict=True))
     found = [_voyage(seed, sensors, both, pairs=True) for seed in range(4)]
     assert [named for _, named in found] == [(0, 2)] * 4
     assert max(epochs for epochs, _ in found) <= 3
-    # Without such rows the faults are told, and nobody is named.
+    # Without such subfilters the faults are detected but not isolated.
     assert _voyage(0, sensors, both)[1] is None
 
 
 @pytest.mark.parametrize("knock", [12.0, 30.0, 1e4])
-def test_the_smaller_hypothesis_is_preferred_where_pairs_are_left_out(knock):
+def test_single_fault_is_preferred_over_pairs(knock):
     """A pair explains whatever a single source of it does."""
     assert [_voyage(seed, 4, {1: knock}, pairs=True)[1] for seed in range(4)] == [(1,)] * 4
 
 
-def test_rows_without_pairs_call_nobody_wrong_where_all_are_right():
+def test_without_pairs_fault_free_sources_are_not_excluded():
     assert [_voyage(seed, 4, epochs=1000, pairs=True) for seed in range(2)] == [None] * 2
 
 
-def test_a_row_of_two_is_asked_where_no_row_of_one_can_be_it_or_where_it_stands_farthest():
+def test_pair_subfilter_is_tested_if_no_single_one_explains_the_fault_or_if_it_separates_most():
     uses = np.array([[True] * 3, [False, True, True], [True, False, True], [False, False, True]])
     seen = no_means(4, 3)
     seen.heard_ns[:], seen.excess[:2, 1], seen.excess[2, 0] = 0, [3.0, 2.0], 0.8
-    # The third row, of one, is not contradicted: it may still explain what is seen.
+    # The third subfilter, of one source, is consistent: it may still explain the fault.
     assert find_fault(seen, uses, np.zeros(4), 5.0, [1, 2], 0, larger=[3]).row is None
     seen.excess[2, 0] = 1.1
     assert find_fault(seen, uses, np.zeros(4), 5.0, [1, 2], 0, larger=[3]).row == 3
     agrees = no_means(4, 3)
     agrees.heard_ns[:] = 0
     for far, told in ((6.0, 3), (5.2, None)):
-        # Nothing is clearly farther, and no row of one is beyond the threshold.
+        # No separation is clearly the largest, and no subfilter of one source exceeds the threshold.
         assert find_fault(agrees, uses, np.array([0.0, 4.5, 4.4, far]), 5.0, [1, 2], 0, larger=[3]).row == told
 
 
-def test_after_a_refusal_a_distance_names_nobody():
-    """The first row has not used what another one has: their covariances do not tell how far apart they may be."""
+def test_separation_isolates_nothing_after_a_rejection():
+    """The main filter has not used a measurement of a subfilter: their covariances do not bound their separation."""
     uses = np.array([[True, True], [False, True], [True, False]])
     seen = no_means(3, 2)
     seen.heard_ns[:] = 0
@@ -176,11 +176,11 @@ def test_after_a_refusal_a_distance_names_nobody():
     seen.refused[0, 1] = 1
     found = find_fault(seen, uses, apart, 5.0, [1, 2], 0)
     assert (found.fault, found.row) == (True, None)
-    # One that the first row does not use refuses nothing of it.
+    # Rejections of a source that the main filter does not use have no effect.
     assert find_fault(seen, uses & [True, False], apart, 5.0, [1, 2], 0).row == 1
 
 
-def test_a_single_gross_error_excludes_nobody():
+def test_single_gross_error_excludes_no_source():
     bank, rng = Bank(3), np.random.default_rng(8)
     for epoch in range(100):
         for sensor in range(3):
@@ -189,7 +189,7 @@ def test_a_single_gross_error_excludes_nobody():
             assert not bank.finding(epoch * SECOND_NS).fault
 
 
-def test_nan_does_not_agree():
+def test_nan_is_inconsistent():
     means = no_means(2, 1)
     means.excess[0, 0], means.heard_ns[0] = np.nan, 0
     uses = np.array([[True], [False]])
@@ -198,7 +198,7 @@ def test_nan_does_not_agree():
 
 
 @pytest.mark.parametrize("after", [2, 6])
-def test_refusals_in_a_row_contradict_a_row_though_no_mean_does(after):
+def test_successive_rejections_make_a_filter_inconsistent_without_a_mean(after):
     uses = np.array([[True, True], [False, True], [True, False]])
 
     def found(by_all, by_second):
@@ -208,11 +208,11 @@ def test_refusals_in_a_row_contradict_a_row_though_no_mean_does(after):
 
     assert not found(after - 1, after).fault
     assert found(after, after).row == 1
-    # The row that uses the same source is not contradicted: it may still be the one that is right.
+    # The subfilter that uses the same source is consistent: it may still be the fault-free one.
     assert (found(after, after - 1).fault, found(after, after - 1).row) == (True, None)
 
 
-def test_a_source_returns_after_it_agreed_for_long_enough_without_a_break():
+def test_source_is_reinstated_after_an_unbroken_time_of_consistency():
     means, exclusion = no_means(1, 1), Exclusion(since_ns=0)
     for second in range(30):
         exclusion, back = judge_return(exclusion, means, 0, second * SECOND_NS, 60.0)
@@ -226,7 +226,7 @@ def test_a_source_returns_after_it_agreed_for_long_enough_without_a_break():
     assert judge_return(exclusion, means, 0, 91 * SECOND_NS, 60.0)[1]
 
 
-def test_a_source_that_was_not_knocked_must_come_back_and_its_mean_shows_it():
+def test_source_without_mounting_shift_is_reinstated_when_its_offset_has_vanished():
     """60 s after the mean over 20 measurements is below a half, which takes ln(2) 21/2 = 7 of them."""
     means, exclusion = no_means(1, 1), Exclusion(since_ns=0, apart=np.array([0.0, 30.0, 0.0]))
     for second in range(200):
@@ -238,7 +238,7 @@ def test_a_source_that_was_not_knocked_must_come_back_and_its_mean_shows_it():
 
 
 @pytest.mark.parametrize("gross", [np.nan, np.inf, -1e6, 1e6])
-def test_a_gross_measurement_is_no_return_and_delays_one_by_some_measurements(gross):
+def test_gross_error_delays_a_reinstatement_by_some_measurements_only(gross):
     """After eight of them the mean over 20 is 1.1, and after eight right ones 0.5 again."""
     exclusion, agreed = Exclusion(since_ns=0, apart=np.array([0.0, 30.0, 0.0]), share_left=0.0), []
     for second, share in enumerate([gross] * 8 + [0.0] * 14):

@@ -1,4 +1,4 @@
-"""Gates against scipy's chi², bands of consistency against the figures of the design and against draws."""
+"""Gates against scipy's chi², consistency bands against the values of the design and against draws."""
 
 import numpy as np
 import pytest
@@ -31,8 +31,8 @@ def test_bands_of_200_and_2000_seeds(samples: int, ratio: tuple[float, float], n
     assert tuple(round(bound, 2) for bound in mean_nees_band(samples, 3)) == nees
 
 
-def test_bands_hold_the_share_of_experiments_they_promise() -> None:
-    """At 90 %, where a count can tell: 4000 experiments of 50 draws."""
+def test_bands_contain_the_stated_share_of_experiments() -> None:
+    """At 90 %, which a count can verify: 4000 experiments of 50 draws."""
     rng = np.random.default_rng(1)
     experiments, samples = 4000, 50
     errors = rng.standard_normal((experiments, samples, 3))

@@ -1,4 +1,4 @@
-"""Rows of hypotheses against estimates made one at a time, and by Monte Carlo."""
+"""Subfilters against single filters, and by Monte Carlo."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def _stack(rng, rows):
     return roots @ roots.transpose(0, 2, 1)
 
 
-def test_each_row_is_updated_as_if_it_were_alone_and_the_first_keeps_its_budget():
+def test_each_filter_is_updated_as_if_alone_and_the_main_filter_keeps_its_parts():
     rng = np.random.default_rng(1)
     means, stack = rng.standard_normal((4, STATES)), _stack(rng, 4)
     measured, at_mean = _measurement(rng), rng.standard_normal(STATES)
@@ -39,8 +39,8 @@ def test_each_row_is_updated_as_if_it_were_alone_and_the_first_keeps_its_budget(
             np.testing.assert_allclose(updated[:SOURCES], after, rtol=1e-9, atol=1e-10)
 
 
-def test_a_row_that_leaves_a_source_out_knows_nothing_of_it_but_its_own_states():
-    """Three sources in turn; the states 5 and 6 belong to the first alone. Against an estimate without it."""
+def test_subfilter_gets_no_information_from_its_excluded_source():
+    """Three sources in turn; the states 5 and 6 belong to the first only. Against a filter without it."""
     rng = np.random.default_rng(2)
     stack, mean = _stack(rng, 1), np.zeros((1, STATES))
     own = np.arange(STATES) >= 5
@@ -65,7 +65,7 @@ def test_a_row_that_leaves_a_source_out_knows_nothing_of_it_but_its_own_states()
     assert np.trace(after[5:, 5:]) < 0.5 * np.trace(never_heard[5:, 5:])
 
 
-def test_a_row_becomes_the_first_with_the_budget_carried_over():
+def test_restart_from_a_subfilter_keeps_the_shares_of_the_sources():
     rng = np.random.default_rng(4)
     stack = _stack(rng, 3)
     stack[:, 6] = stack[:, :, 6] = 0.0  # a state that is known exactly
@@ -78,7 +78,7 @@ def test_a_row_becomes_the_first_with_the_budget_carried_over():
     np.testing.assert_allclose(promoted(same, 2, row=1)[:SOURCES], stack[:SOURCES], rtol=1e-6, atol=1e-7)
 
 
-def test_whitened_turns_have_unit_covariance_and_the_share_of_the_noise_is_right():
+def test_whitened_innovations_have_unit_covariance_and_the_right_noise_part():
     rng = np.random.default_rng(3)
     stack, measured = _stack(rng, 1), _measurement(rng, size=8)
     by_turn = rng.standard_normal((8, 3))
@@ -95,15 +95,15 @@ def test_whitened_turns_have_unit_covariance_and_the_share_of_the_noise_is_right
     np.testing.assert_allclose(np.cov(np.array(by_noise).T), compared.turn_noise, atol=0.12)
 
 
-def test_a_covariance_that_is_none_is_refused():
+def test_invalid_innovation_covariance_raises():
     measured = LinearMeasurement(np.zeros(2), np.eye(2), {0: np.array([[1.0, 2.0], [2.0, 1.0]])})
     with pytest.raises(np.linalg.LinAlgError):
         compare_rows(np.zeros((1, 2)), np.zeros((1, 2, 2)), measured, np.zeros(2), np.eye(2, 3))
 
 
 @pytest.mark.parametrize("wrong", [0.0, np.nan])
-def test_separations_are_those_of_their_sigmas(wrong: float) -> None:
-    """Four rows of five states, of which the third is known better than the first one; by numpy."""
+def test_solution_separations_in_their_sigmas(wrong: float) -> None:
+    """Four filters of five states, the third more accurate than the main filter; by numpy."""
     rng = np.random.default_rng(3)
     roots = rng.normal(size=(5, 5, 10))
     stack, means = roots @ roots.transpose(0, 2, 1), rng.normal(size=(4, 5))
@@ -120,11 +120,11 @@ def test_separations_are_those_of_their_sigmas(wrong: float) -> None:
 
 
 @pytest.mark.parametrize("moved", [0.0, 3.0, 8.0, np.nan])
-def test_rows_stand_together_where_no_separation_is_larger(moved: float) -> None:
+def test_filters_are_consistent_up_to_the_threshold(moved: float) -> None:
     rng = np.random.default_rng(7)
     means, stack = rng.standard_normal((4, STATES)), _stack(rng, 4)
     means[2, 3] += moved
     _, sigmas = separations(means, stack, slice(2, 5))
     for most_sigmas in (0.5 * np.max(sigmas), 1.001 * np.max(sigmas)):
-        expected = all(one <= most_sigmas for one in sigmas)  # NaN is far
+        expected = all(one <= most_sigmas for one in sigmas)  # NaN exceeds the threshold
         assert stand_together(means, stack, slice(2, 5), most_sigmas) is expected

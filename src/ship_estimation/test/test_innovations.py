@@ -21,7 +21,7 @@ def table_of(*innovations: Innovation) -> InnovationTable:
     return table
 
 
-def test_innovations_stand_in_order_of_time_and_the_last_of_a_stamp_counts() -> None:
+def test_table_is_in_order_of_time_and_keeps_the_last_of_a_stamp() -> None:
     table = table_of(innovation(3, [3.0]), innovation(1, [1.0]), innovation(3, [33.0]))
     table.take([innovation(2, [2.0]), innovation(1, [11.0])])
     assert table.times_ns.tolist() == [1, 2, 3]
@@ -37,7 +37,7 @@ def test_a_table_grows_with_parts_and_axes_and_keeps_what_it_has() -> None:
     assert table.along("right").tolist() == [[5.0, 6.0]]
 
 
-def test_what_is_old_and_what_is_too_many_is_forgotten() -> None:
+def test_old_and_surplus_innovations_are_dropped() -> None:
     table = table_of(*[innovation(time_ns, [0.0]) for time_ns in range(10)])
     table.forget(until_ns=3, most=100)
     assert table.times_ns.tolist() == [4, 5, 6, 7, 8, 9]
@@ -47,8 +47,8 @@ def test_what_is_old_and_what_is_too_many_is_forgotten() -> None:
 
 @pytest.mark.parametrize("far", [0, 20, 60])
 @pytest.mark.parametrize("count", [29, 101, 150])
-def test_the_factor_is_that_of_the_median_or_of_the_lower_quarter(count: int, far: int) -> None:
-    """Two parts in each; some are left out, and some innovations are mostly the prediction's error."""
+def test_factor_is_by_the_median_or_the_lower_quartile(count: int, far: int) -> None:
+    """Two parts in each; some are rejected, and some innovations are mostly prediction error."""
     rng = np.random.default_rng([count, far])
     squares = 2.0 * rng.chisquare(2, (count, 2))
     squares[:far, 1] = np.inf
@@ -74,7 +74,7 @@ def factor(squares: FloatArray) -> float:
 
 
 @pytest.mark.parametrize("count", [30, 31, 300])
-def test_bias_and_correlation_are_those_of_numpy(count: int) -> None:
+def test_bias_and_correlation_equal_numpy(count: int) -> None:
     rng = np.random.default_rng(count)
     values = 0.3 + rng.standard_normal(count) * rng.choice([1.0, 10.0], count)
     table = table_of(
@@ -89,12 +89,12 @@ def test_bias_and_correlation_are_those_of_numpy(count: int) -> None:
     assert found.correlation == pytest.approx(expected, rel=1e-12)
 
 
-def test_only_an_axis_along_which_enough_was_measured_is_told() -> None:
+def test_axis_with_too_few_innovations_is_omitted() -> None:
     rare = [innovation(k, [1.0], axes={"right": (1.0, 1.0)}) for k in range(LEAST_COUNT - 1)]
     often = [innovation(100 + k, [1.0]) for k in range(LEAST_COUNT)]
     assert [axis.name for axis in axes_of(table_of(*rare, *often))] == ["up"]
 
 
-def test_a_table_of_nothing_has_no_factor() -> None:
+def test_empty_table_has_no_factor() -> None:
     assert math.isnan(Parts(InnovationTable()).factor)
     assert axes_of(InnovationTable()) == []

@@ -1,4 +1,4 @@
-"""The guard of an INS's samples, over minutes of healthy streams of many kinds, and over faults in them."""
+"""Checks of INS samples, over minutes of healthy streams of many kinds, and with faults."""
 
 from collections import Counter
 from dataclasses import replace
@@ -15,11 +15,11 @@ from ship_geometry.rotations import ARCSEC, exp_rotation
 from ship_testing.ins_streams import CALM, STORM, stream
 
 NOTHING_LATE = AttitudeTrack(500_000_000)
-"""Samples used so far matter only where one comes late."""
+"""Accepted samples, which are used only if a sample is late."""
 
 
 def judged(samples: list[AttitudeSample]) -> tuple[list[str], InsGuard, int]:
-    """What became of each sample, the guard after them, and how many jumps it saw."""
+    """Return the rejection reason of each sample, the checks after them, and the number of jumps."""
     guard, results, jumps = InsGuard(GuardedInsConfig()), [], 0
     for sample in samples:
         result = guard.judge(sample, NOTHING_LATE, {})
@@ -51,14 +51,14 @@ HEALTHY: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("name", HEALTHY)
-def test_mend_03_no_sample_of_a_healthy_ins_is_refused(name: str) -> None:
+def test_no_sample_of_a_healthy_ins_is_rejected(name: str) -> None:
     results, guard, jumps = judged(stream(**HEALTHY[name]))
     assert (set(results), jumps) == ({""}, 0)
     assert guard.rates in (Rates.UNPROVEN, Rates.MEASURED)
 
 
-def test_mend_03_a_freeze_in_calm_swell_is_told_within_two_seconds_and_ends_with_the_first_other_value() -> None:
-    """An INS that prints a hundredth of a degree, frozen for three seconds, its rates going on."""
+def test_freeze_in_calm_swell_is_detected_within_two_seconds_and_ends_with_the_next_value() -> None:
+    """An INS with a resolution of a hundredth of a degree, frozen for three seconds while its rates continue."""
     samples = stream(**HEALTHY[PRINTED])
     frozen = [replace(s, rotation_nd=samples[3000].rotation_nd) for s in samples[3000:3300]]
     results, _, jumps = judged([*samples[:3000], *frozen, *samples[3300:]])
@@ -70,8 +70,8 @@ def test_mend_03_a_freeze_in_calm_swell_is_told_within_two_seconds_and_ends_with
     assert jumps == 0
 
 
-def test_attitudes_taken_against_the_rates_are_a_jump_until_others_confirm_them() -> None:
-    """An INS that stands still, and then drifts by 165″/min, which its stuck guard cannot see; its rates go on."""
+def test_attitudes_accepted_against_the_rates_are_a_jump() -> None:
+    """A frozen INS that then drifts by 165″/min, which its stuck check cannot detect; its rates continue."""
     samples = stream(20.0, 100.0)
     frozen, drifts_ns = samples[1000], samples[1080].time_ns
     lying = [
@@ -93,7 +93,7 @@ def _turned_east(arcsec: float) -> np.ndarray:
 
 @pytest.mark.parametrize("rate_hz", [100.0, 50.0, 20.0, 10.0, 2.0])
 @pytest.mark.parametrize("factor", [0.0, -1.0])
-def test_mend_06_rates_that_are_none_are_known_before_they_do_harm(rate_hz: float, factor: float) -> None:
+def test_wrong_rates_are_detected_early(rate_hz: float, factor: float) -> None:
     guard, samples = InsGuard(GuardedInsConfig()), stream(10.0, rate_hz, rate_factor=factor)
     results = [guard.judge(sample, NOTHING_LATE, {}) for sample in samples]
     assert all(result.refusal is None for result in results)
@@ -104,14 +104,14 @@ def test_mend_06_rates_that_are_none_are_known_before_they_do_harm(rate_hz: floa
     assert guard.rates is Rates.NOT_MEASURED
 
 
-def test_mend_06_noise_is_no_rate() -> None:
+def test_noise_is_not_accepted_as_rates() -> None:
     results, guard, _ = judged(stream(20.0, 100.0, rate_factor=0.0, rate_noise_arcsec_per_s=3600.0))
     assert set(results) == {""}
     assert guard.rates is Rates.NOT_MEASURED
 
 
 @pytest.mark.parametrize(("factor", "slope"), [(np.rad2deg(1.0), 57.3), (np.deg2rad(1.0), 1.0 / 57.3)])
-def test_mend_06_a_wrong_unit_is_named_and_right_rates_are_proven_again(factor: float, slope: float) -> None:
+def test_wrong_unit_is_identified_and_right_rates_are_confirmed_again(factor: float, slope: float) -> None:
     wrong, right = stream(20.0, 50.0, rate_factor=factor), stream(40.0, 50.0)
     results, guard, _ = judged(wrong)
     assert 5.0 <= results.index("UNITS") / 50.0 <= 6.5
@@ -123,18 +123,18 @@ def test_mend_06_a_wrong_unit_is_named_and_right_rates_are_proven_again(factor: 
     assert back[-1].sample.rate_d is not None
 
 
-def test_mend_06_rates_at_rest_say_nothing() -> None:
-    """Zero rates are right at rest: only motion tells."""
+def test_rates_at_rest_are_not_checked() -> None:
+    """Zero rates are right at rest: only motion shows that they are wrong."""
     still, moving = stream(10.0, 50.0, (0.0, 0.0, 0.0), rate_factor=0.0), stream(20.0, 50.0, rate_factor=0.0)[500:]
     _, guard, _ = judged(still)
     assert guard.rates is Rates.UNPROVEN
-    # Where the swell begins, attitude and motion jump.
+    # At the start of the swell, attitude and motion jump.
     assert [guard.judge(sample, NOTHING_LATE, {}).refusal for sample in moving][8:] == [None] * (len(moving) - 8)
     assert guard.rates is Rates.NOT_MEASURED
 
 
 @pytest.mark.parametrize("arcsec", [30.0, 100.0, 3600.0])
-def test_mend_10_a_step_of_ten_sigmas_is_seen_at_the_sample(arcsec: float) -> None:
+def test_step_of_ten_sigmas_is_detected_at_the_sample(arcsec: float) -> None:
     samples = stream(20.0, 100.0)
     step = exp_rotation(np.array([arcsec, 0.0, 0.0]) * ARCSEC)
     results, _, jumps = judged(
@@ -144,7 +144,7 @@ def test_mend_10_a_step_of_ten_sigmas_is_seen_at_the_sample(arcsec: float) -> No
     assert (set(results), jumps) == ({"", "GATE"}, 1)
 
 
-def test_mend_10_a_wrong_rate_alone_is_no_jump() -> None:
+def test_single_wrong_rate_is_no_jump() -> None:
     samples = stream(20.0, 50.0)
     samples[500] = replace(samples[500], rate_d=np.array([0.0, 3.0, 0.0]))
     results, guard, jumps = judged(samples)
@@ -152,7 +152,7 @@ def test_mend_10_a_wrong_rate_alone_is_no_jump() -> None:
     assert (jumps, guard.rates) == (0, Rates.MEASURED)
 
 
-def test_mend_08_what_is_not_a_number_is_refused() -> None:
+def test_nan_sample_is_rejected() -> None:
     samples = stream(10.0, 50.0)
     samples[300] = replace(samples[300], rotation_nd=np.full((3, 3), np.nan))
     results, _, jumps = judged(samples)
@@ -160,7 +160,7 @@ def test_mend_08_what_is_not_a_number_is_refused() -> None:
     assert jumps == 0
 
 
-def test_mend_07_another_noise_holds_at_once() -> None:
+def test_changed_noise_applies_at_once() -> None:
     samples = stream(20.0, 50.0)
     samples[700] = replace(samples[700], rotation_nd=exp_rotation(np.full(3, 40.0 * ARCSEC)) @ samples[700].rotation_nd)
     for sigma_arcsec, refused in ((1.0, {"", "GATE"}), (20.0, {""})):
@@ -173,8 +173,8 @@ def test_mend_07_another_noise_holds_at_once() -> None:
         assert Counter(refusal is None for refusal in later)[False] <= 1
 
 
-def test_a_jump_that_a_clock_explains_is_shared_as_if_each_were_as_probable() -> None:
-    """Against the moments of a draw that lays each jump to the one or to the other."""
+def test_jump_that_a_clock_step_explains_is_shared_equally() -> None:
+    """Against the moments of draws that attribute each jump to the attitude or to the clock."""
     rng, jump = np.random.default_rng(5), InsJump(0, np.array([2e-3, -1e-3, 5e-4]), 1e-12, -0.03)
     of_clock = rng.random(40_000) < 0.5
     changed = np.column_stack([-jump.jump_n * ~of_clock[:, None], jump.clock_s * of_clock])
@@ -182,13 +182,13 @@ def test_a_jump_that_a_clock_explains_is_shared_as_if_each_were_as_probable() ->
     scale = np.append(np.abs(jump.jump_n), 0.03)
     np.testing.assert_allclose(changed.mean(axis=0) / scale, mean / scale, atol=0.01)
     scale = np.outer(scale, scale)
-    # A step of the clock is known to a tenth of it besides, and two large turns do not commute.
+    # A clock step is known to a tenth of it, and two large rotations do not commute.
     np.testing.assert_allclose(np.cov(changed.T) / scale, covariance / scale, atol=0.02)
 
 
 @pytest.mark.parametrize("step_s", [0.02, -0.05, 0.3])
 @pytest.mark.parametrize("rate_hz", [20, 100])
-def test_a_step_of_the_clock_of_an_ins_is_told_as_one(step_s: float, rate_hz: int) -> None:
+def test_clock_step_of_an_ins_is_identified(step_s: float, rate_hz: int) -> None:
     """A ship that rolls by 6 degrees in 8 s; her INS's stamps step, and her attitude does not."""
 
     def sample(time_s: float, stamp_s: float) -> AttitudeSample:
@@ -205,8 +205,8 @@ def test_a_step_of_the_clock_of_an_ins_is_told_as_one(step_s: float, rate_hz: in
 
 
 @pytest.mark.parametrize("per_min_arcsec", [0.0, 100.0, 200.0])
-def test_an_attitude_that_creeps_away_from_its_rates_is_told_within_seconds(per_min_arcsec: float) -> None:
-    """Its slow error walks by 0.3″ in a second, as that of a tilt; a hundred seconds in, it creeps besides."""
+def test_drift_of_the_attitude_against_its_rates_is_detected_within_seconds(per_min_arcsec: float) -> None:
+    """Its correlated error walks by 0.3″ in a second, as that of a tilt; after a hundred seconds it also drifts."""
     samples, rng = stream(140.0, 50.0), np.random.default_rng(4)
     walk = np.cumsum(rng.normal(0.0, 0.3 / np.sqrt(50.0), len(samples)))
     creeps_s = [max(one.time_ns - samples[5000].time_ns, 0) * 1e-9 for one in samples]
@@ -224,7 +224,7 @@ def test_an_attitude_that_creeps_away_from_its_rates_is_told_within_seconds(per_
 
 
 @pytest.mark.parametrize(("every", "phase"), [(5, 1), (10, 2)])
-def test_two_ins_on_one_topic_are_judged_to_the_end(every: int, phase: int) -> None:
+def test_two_ins_on_one_topic_are_checked_to_the_end(every: int, phase: int) -> None:
     samples, other_d = stream(duration_s=40.0, rate_hz=50.0), exp_rotation([0.0, 0.0, np.deg2rad(0.5)])
     other = [replace(sample, rotation_nd=sample.rotation_nd @ other_d) for sample in samples[phase::every]]
     both = sorted([*samples[::5], *other], key=lambda sample: sample.time_ns)

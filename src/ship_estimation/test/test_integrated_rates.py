@@ -1,4 +1,4 @@
-"""Steps of an INS's attitude against its own rates: seen, located and opened as large as they are."""
+"""Steps of an INS attitude against its own rates: detected, located, with the right size."""
 
 import os
 from collections.abc import Iterable
@@ -18,15 +18,15 @@ from ship_testing.ins_streams import CALM, STORM, SWELL, stepped, stream
 
 RATES_HZ = (20.0, 50.0, 100.0, 200.0)
 LEARNT_S = 16.0
-"""The guard knows its INS by then."""
+"""Time after which the statistics of the INS are known, s."""
 DAY_EARTH = 2.0 * np.pi / 86164.0905
 TEN_MINUTES = int(os.environ.get("TEN_MINUTES", "2"))
-"""Runs of so long without a step; ``make campaign`` takes more."""
+"""Length of the runs without a step, ten minutes each; ``make campaign`` uses more."""
 NOTHING_LATE = AttitudeTrack(500_000_000)
 
 
 class Told(NamedTuple):
-    """What the guard made of a run: the samples refused by their numbers, jumps by the number of the one that told."""
+    """Result of the checks of a run: numbers of the rejected samples, jumps by the number of the reporting sample."""
 
     refused: list[int]
     jumps: dict[int, tuple[InsJump, ...]]
@@ -49,7 +49,7 @@ def number_at(rate_hz: float, seconds: float = LEARNT_S) -> int:
 
 
 def assert_opened(found: Told, samples: list[AttitudeSample], first: int, arcsec_n: tuple[float, float, float]) -> None:
-    """One step was found, none of its moments within the other's samples, and the covariance covers it."""
+    """Check that one step was found, at the right time, and that the covariance covers it."""
     (jumps,) = found.jumps.values()
     taken = next(n for n in range(first, len(samples)) if n not in found.refused)
     assert jumps[0].time_ns < samples[taken].time_ns
@@ -75,8 +75,8 @@ def assert_opened(found: Told, samples: list[AttitudeSample], first: int, arcsec
     ],
     ids=["calm", "swell", "storm", "10 deg/s", "20 deg/s in swell"],
 )
-def test_steps_of_fourteen_sigma_and_more_are_seen_at_the_sample(rate_hz: float, motion: dict[str, Any]) -> None:
-    """White noise of 1″; each sample after the step is refused until it is believed, five samples later."""
+def test_steps_from_fourteen_sigma_on_are_detected_at_the_sample(rate_hz: float, motion: dict[str, Any]) -> None:
+    """White noise of 1″; each sample after the step is rejected until the step is accepted, five samples later."""
     samples, first = stream(LEARNT_S + 1.0, rate_hz, **motion), number_at(rate_hz)
     for axis, arcsec in ((0, 14.0), (1, 14.0), (2, -20.0), (1, 30.0), (0, 100.0), (1, 300.0)):
         step = tuple(arcsec * np.eye(3)[axis])
@@ -89,8 +89,8 @@ def test_steps_of_fourteen_sigma_and_more_are_seen_at_the_sample(rate_hz: float,
 
 @pytest.mark.statistics
 @pytest.mark.parametrize(("rate_hz", "least_arcsec"), [(20.0, 12.0), (50.0, 7.0), (100.0, 6.0), (200.0, 5.0)])
-def test_smaller_steps_are_seen_within_a_fifth_of_a_second(rate_hz: float, least_arcsec: float) -> None:
-    """In forty runs each; ``least_arcsec`` is what the page of the documentation says."""
+def test_smaller_steps_are_detected_within_a_fifth_of_a_second(rate_hz: float, least_arcsec: float) -> None:
+    """In forty runs each; ``least_arcsec`` is the value in the documentation."""
     first = number_at(rate_hz)
     for seed in range(40):
         step = np.random.default_rng(seed).standard_normal(3)
@@ -98,9 +98,9 @@ def test_smaller_steps_are_seen_within_a_fifth_of_a_second(rate_hz: float, least
         changed = stepped(stream(LEARNT_S + 1.0, rate_hz, seed=seed), first, arcsec_n)
         found = told(changed)
         assert len(found.jumps) == 1, seed
-        # Where some were refused on the way, those that agree are counted anew.
+        # After a rejection the consistent samples are counted again.
         assert first <= min([*found.refused, *found.jumps]) <= first + round(0.2 * rate_hz), seed
-        # Means tell of samples taken before: then the one that makes the step known is refused, and tells of it.
+        # A step found by means is among accepted samples: the sample at its detection is rejected and reports it.
         (known,) = found.jumps
         assert known in found.refused or known - 1 in found.refused, seed
         assert_opened(found, changed, first, arcsec_n)
@@ -119,7 +119,7 @@ def test_a_step_that_goes_back_is_a_glitch(rate_hz: float, length: int, arcsec: 
 
 @pytest.mark.parametrize("rate_hz", RATES_HZ)
 @pytest.mark.parametrize("arcsec", [200.0, 300.0])
-def test_steps_of_an_ins_that_prints_hundredths_of_a_degree_are_seen_beyond_its_resolution(
+def test_steps_of_an_ins_with_a_resolution_of_a_hundredth_of_a_degree_are_detected(
     rate_hz: float, arcsec: float
 ) -> None:
     first = number_at(rate_hz)
@@ -130,7 +130,7 @@ def test_steps_of_an_ins_that_prints_hundredths_of_a_degree_are_seen_beyond_its_
 
 
 @pytest.mark.parametrize("turned_too", [False, True])
-def test_axes_exchanged_for_good_are_refused_and_then_opened(turned_too: bool) -> None:
+def test_permanently_exchanged_axes_are_rejected_and_then_inflate_the_covariance(turned_too: bool) -> None:
     """Bow and starboard exchanged in the attitudes alone, and in the rates too."""
     samples, first = stream(LEARNT_S + 4.0, 50.0), number_at(50.0)
     exchange = rotation_from_angles(np.pi / 2.0, 0.0, 0.0)
@@ -146,7 +146,7 @@ def test_axes_exchanged_for_good_are_refused_and_then_opened(turned_too: bool) -
 
 
 @pytest.mark.parametrize("missing", ["none", "nan"])
-def test_rates_that_are_missing_now_and_then_end_no_line(missing: str) -> None:
+def test_occasionally_missing_rates_do_not_end_the_line(missing: str) -> None:
     samples, first = stream(LEARNT_S + 1.0, 100.0), number_at(100.0)
     gone = None if missing == "none" else np.full(3, np.nan)
     samples = [replace(s, rate_d=gone) if n % 7 == 3 and abs(n - first) > 1 else s for n, s in enumerate(samples)]
@@ -156,17 +156,17 @@ def test_rates_that_are_missing_now_and_then_end_no_line(missing: str) -> None:
     assert_opened(found, changed, first, (0.0, 14.0, 0.0))
 
 
-def test_a_freeze_in_a_slow_turn_is_told_once_the_drift_of_the_rates_is_known() -> None:
-    """Gyroscopes with a bias of 30″/s that show the Earth's turn, in an INS that freezes while the ship turns by 40″/s.
+def test_freeze_in_a_slow_rotation_is_detected_with_known_rate_drift() -> None:
+    """Gyroscopes with a bias of 30″/s that measure the Earth rate, in an INS that freezes in a rotation of 40″/s.
 
-    Rates that may be off by 60″/s cannot tell such a turn from their bias.
+    Rates with an error of up to 60″/s cannot distinguish such a rotation from their bias.
     """
     earth_n = DAY_EARTH * np.array([0.5, np.sqrt(0.75), 0.0])
     errors = {"bias_arcsec_per_s": 30.0, "earth_n": earth_n}
     for known_s, seen in ((60.0, True), (3.0, False)):
         waves = stream(known_s, 100.0, **errors)
         slow = stream(4.0, 100.0, (0.0, 0.0, 0.0), turn_deg_per_s=40.0 / 3600.0, **errors)
-        # From where the waves end the ship goes on without them.
+        # After the waves the ship continues without them.
         onto = waves[-1].rotation_nd @ slow[0].rotation_nd.T
         after_ns = waves[-1].time_ns - slow[0].time_ns + 10_000_000
         moving = [replace(s, time_ns=s.time_ns + after_ns, rotation_nd=onto @ s.rotation_nd) for s in slow]
@@ -208,12 +208,12 @@ def test_noise_alone_is_no_step_in_the_reference_motion() -> None:
     ],
     ids=["printed", "noisier than configured", "noisy rates", "rates that lag", "bias and scale"],
 )
-def test_an_ins_worse_than_configured_is_learnt(rate_hz: float, amplitude_deg: Any, kinds: dict[str, float]) -> None:
+def test_larger_noise_than_configured_is_estimated(rate_hz: float, amplitude_deg: Any, kinds: dict[str, float]) -> None:
     found = told(stream(120.0, rate_hz, amplitude_deg, **kinds))
     assert (found.refused, found.jumps) == ([], {})
 
 
-def test_a_turn_that_begins_is_no_step() -> None:
+def test_start_of_a_rotation_is_no_step() -> None:
     """From rest to 20°/s within four seconds, with rates that lag by 2 ms and are 0.1 % too large."""
     t_s = np.arange(0.0, 40.0, 0.01)
 
@@ -234,7 +234,7 @@ def test_a_turn_that_begins_is_no_step() -> None:
 
 
 @pytest.mark.slow
-def test_another_noise_of_the_rates_holds_at_once() -> None:
+def test_changed_rate_noise_applies_at_once() -> None:
     """Rates with noise of 60″/s: known, the line is shorter, and steps of 20″ are seen that were lost before."""
     first = number_at(100.0)
     counts = []

@@ -1,4 +1,4 @@
-"""Two streams in one: found where there are two, never in healthy streams, and over when one has ended."""
+"""Interleaved streams: detected if there are two, never in healthy streams, and not after one has ended."""
 
 from dataclasses import replace
 from typing import Any
@@ -15,7 +15,7 @@ LEAST = 40.0 * ARCSEC
 
 
 def seen(samples: list[AttitudeSample]) -> list[float]:
-    """The distance of two streams after each sample."""
+    """Return the distance of two streams after each sample."""
     streams, apart = InterleavedStreams(LEAST), []
     for sample in samples:
         streams.add(sample.time_ns, sample.rotation_nd.ravel())
@@ -24,7 +24,7 @@ def seen(samples: list[AttitudeSample]) -> list[float]:
 
 
 def with_another(samples: list[AttitudeSample], off_deg: float, every: int = 2) -> list[AttitudeSample]:
-    """The samples, of which some are those of another INS."""
+    """Return the samples with some of another INS among them."""
     other_d = exp_rotation([0.0, np.deg2rad(off_deg), 0.0])
     return [
         sample if n % every else replace(sample, rotation_nd=sample.rotation_nd @ other_d)
@@ -36,7 +36,7 @@ def with_another(samples: list[AttitudeSample], off_deg: float, every: int = 2) 
 @pytest.mark.parametrize(
     ("rate_hz", "off_deg", "every"), [(200.0, 0.1, 2), (200.0, 1.0, 5), (40.0, 0.3, 2), (20.0, 1.0, 3)]
 )
-def test_two_streams_are_found_within_two_windows(
+def test_two_streams_are_detected_within_two_windows(
     rate_hz: float, off_deg: float, every: int, amplitude_deg: Any
 ) -> None:
     samples = with_another(stream(20.0, rate_hz, amplitude_deg), off_deg, every)
@@ -82,13 +82,13 @@ def test_jitter_of_stamps_is_one_stream() -> None:
     assert not any(seen([replace(s, time_ns=s.time_ns + int(rng.uniform(0.0, 12e6))) for s in samples]))
 
 
-def test_what_is_no_number_is_one_stream() -> None:
+def test_nan_is_one_stream() -> None:
     samples = with_another(stream(10.0, 100.0), 0.5)
     assert not any(seen([replace(sample, rotation_nd=np.nan * sample.rotation_nd) for sample in samples]))
 
 
 @pytest.mark.parametrize("block", [1, 10, 333])
-def test_a_block_is_seen_as_its_samples_one_by_one(block: int) -> None:
+def test_block_gives_the_result_of_its_samples_one_by_one(block: int) -> None:
     samples = stream(4.0, 100.0) + [
         replace(s, time_ns=s.time_ns + 4_000_000_000) for s in with_another(stream(2.0, 100.0), 0.5)
     ]

@@ -64,7 +64,7 @@ def test_sum_of_parts_is_the_textbook_filter(seed: int) -> None:
         assert nis == pytest.approx(expected_nis, rel=1e-9)
         correction, parts = update(parts, measurement, gain)
         expected_correction, P = textbook_update(P, measurement)
-        # 72² is the size of the covariance at the start, and of its rounding.
+        # 72² is the scale of the initial covariance, and of its rounding.
         np.testing.assert_allclose(parts.sum(axis=0), P, rtol=0, atol=1e-12 * 72.0**2)
         np.testing.assert_allclose(correction, expected_correction, rtol=0, atol=1e-11 * 72.0)
 
@@ -107,15 +107,15 @@ def test_very_precise_measurement_leaves_a_valid_covariance() -> None:
         assert np.linalg.eigvalsh(parts.sum(axis=0))[0] > 0.0
 
 
-def test_budget_is_the_variance_that_each_source_alone_causes() -> None:
-    """Drawn errors, all gains equal: the estimate's error is the sum of what each source did to it."""
+def test_covariance_by_source_is_the_variance_of_each_source_alone() -> None:
+    """Drawn errors with equal gains: the estimation error is the sum of the effects of all sources."""
     model = ship_like_model()
     rng = np.random.default_rng(8)
     draws = 20_000
     parts = model.initial_parts()
     rows = (model.source_of == np.arange(len(model.sources))[:, None]).astype(float)
     start_sigma = np.sqrt(np.diagonal(parts, axis1=1, axis2=2))
-    # errors[s] is what the estimate's error would be had source s alone been at work.
+    # errors[s] is the estimation error with source s only.
     errors = start_sigma[:, None, :] * rng.standard_normal((len(SOURCES), draws, model.size))
     for dt_s, measurement in random_measurements(model, 25, 9):
         decay, noise = model.transition(dt_s)
@@ -150,7 +150,7 @@ def test_useless_measurement_changes_nothing() -> None:
 
 
 def test_inputs_are_left_as_they_were() -> None:
-    """States are kept and returned to by the time-ordered log: a step must not write into them."""
+    """The time-ordered log keeps states and returns to them: a step must not change them."""
     model = ship_like_model()
     parts = model.initial_parts()
     _, measurement = next(random_measurements(model, 1, 1))
@@ -165,7 +165,7 @@ def test_inputs_are_left_as_they_were() -> None:
         np.testing.assert_array_equal(array, copy)
 
 
-def test_impossible_innovation_covariance_is_refused() -> None:
+def test_impossible_innovation_covariance_raises() -> None:
     model = ship_like_model()
     measurement = LinearMeasurement(np.zeros(1), np.zeros((1, model.size)), {3: np.array([[-1.0]])})
     with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):

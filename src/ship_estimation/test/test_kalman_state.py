@@ -1,4 +1,4 @@
-"""The state vector by names: transition, process noise and the booking to sources."""
+"""The state vector of named blocks: transition, process noise and covariance by error source."""
 
 import numpy as np
 import pytest
@@ -42,7 +42,7 @@ def test_transition_is_the_solution_of_the_differential_equation(model: StateMod
     decay, noise = model.transition(dt_s)
     for index, (sigma, time_s) in enumerate([(2.0, 30.0), (3.0, 180.0)]):
         density = 2.0 * sigma**2 / time_s
-        # Van Loan's matrix holds exp(+dt/T): carried in pieces, so that it does not overflow.
+        # Van Loan's matrix contains exp(+dt/T): propagated in pieces to avoid an overflow.
         pieces = max(1, round(dt_s / time_s))
         van_loan = expm(np.array([[1.0 / time_s, density], [0.0, -1.0 / time_s]]) * dt_s / pieces)
         step_decay = van_loan[1, 1]
@@ -62,7 +62,7 @@ def test_transition_is_the_solution_of_the_differential_equation(model: StateMod
 
 @pytest.mark.parametrize("split", [(1.0, 2.0, 3.0), (0.1, 5.9), (5.999, 0.001), (6.0, 0.0)])
 def test_steps_add_up(model: StateModel, split: tuple[float, ...]) -> None:
-    """Semigroup: going by pieces is going at once."""
+    """Semigroup: several steps equal one long step."""
     decay, _ = model.transition(6.0)
     np.testing.assert_allclose(np.prod([model.transition(s)[0] for s in split], axis=0), decay, rtol=1e-14)
     start = np.array([0.0, 100.0, 7.0, 1.0, 2.0, 3.0])
@@ -79,7 +79,7 @@ def test_steady_state_stays_and_is_found_from_anywhere(model: StateModel) -> Non
 
 
 def test_no_time_no_change_not_even_of_white_noise(model: StateModel) -> None:
-    """Two measurements of one moment share the white error of that moment."""
+    """Two simultaneous measurements share the white error of that time."""
     decay, noise = model.transition(0.0)
     np.testing.assert_array_equal(decay, 1.0)
     np.testing.assert_array_equal(noise, 0.0)
@@ -91,7 +91,7 @@ def test_white_noise_is_new_after_the_least_time(model: StateModel) -> None:
     assert noise[WHITE] == 1.0
 
 
-def test_initial_parts_are_booked_to_the_blocks_sources(model: StateModel) -> None:
+def test_initial_covariance_belongs_to_the_sources_of_the_blocks(model: StateModel) -> None:
     parts = model.initial_parts()
     assert parts.shape == (4, 6, 6)
     diagonals = {source: np.diagonal(part).tolist() for source, part in zip(model.sources, parts, strict=True)}
@@ -103,7 +103,7 @@ def test_initial_parts_are_booked_to_the_blocks_sources(model: StateModel) -> No
     }
 
 
-def test_booking_keeps_correlations_inside_a_source_and_the_sum(model: StateModel) -> None:
+def test_covariance_by_source_keeps_correlations_within_a_source_and_the_sum(model: StateModel) -> None:
     covariance = np.diag([4.0, 9.0, 1.0, 25.0, 36.0, 0.25])
     covariance[0, 1] = covariance[1, 0] = 3.0
     covariance[3, 5] = covariance[5, 3] = -1.0  # two blocks of one source
@@ -113,7 +113,7 @@ def test_booking_keeps_correlations_inside_a_source_and_the_sum(model: StateMode
     assert parts[2, 3, 5] == -1.0
 
 
-def test_process_noise_is_booked_to_the_blocks_sources(model: StateModel) -> None:
+def test_process_noise_belongs_to_the_sources_of_the_blocks(model: StateModel) -> None:
     decay, noise = model.transition(10.0)
     parts = predict(model.initial_parts(), decay, noise, model.source_of)
     np.testing.assert_allclose(np.diagonal(parts.sum(axis=0)), [4.0, 9.0, 1.0, 25.0, 36.0, 0.25 + 0.1], rtol=1e-14)

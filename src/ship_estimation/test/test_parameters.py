@@ -1,4 +1,4 @@
-"""Configuration dataclasses: what is built, described, refused and changed while running."""
+"""Configuration dataclasses: build, describe, refuse and change while running."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -62,7 +62,7 @@ def test_build_fills_defaults_and_turns_whole_numbers_into_floats() -> None:
         star_sensors={"abeam": Sensor(90.0, 5.0), "fore": Sensor(0.0, 3.0)},
     )
     assert type(config.star_sensors["fore"].azimuth_deg) is float
-    assert list(config.star_sensors) == ["abeam", "fore"]  # the same order whatever the file's
+    assert list(config.star_sensors) == ["abeam", "fore"]  # independent of the order in the file
 
 
 def test_arrays_of_a_ros_node_are_lists() -> None:
@@ -185,7 +185,7 @@ def test_refused_changes(changes: dict[str, Any], message: str) -> None:
         changed(build(Config, VALUES), changes)
 
 
-def test_a_parameter_may_have_the_name_of_a_word_of_python() -> None:
+def test_parameter_may_be_named_like_a_python_keyword() -> None:
     @dataclass(frozen=True)
     class Source:
         from_: tuple[str, ...] = parameter((), doc="addresses", live=True)

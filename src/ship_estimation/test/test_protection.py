@@ -1,4 +1,4 @@
-"""Protection levels: their factors keep the configured probabilities, their bounds hold in a Monte Carlo run."""
+"""Protection levels: sigma multipliers for the configured probabilities, and bounds verified by Monte Carlo."""
 
 import itertools
 import math
@@ -22,18 +22,18 @@ from ship_geometry.rotations import ARCSEC
 from ship_testing.separations import separated
 
 
-def test_factors_keep_the_configured_probabilities():
+def test_sigma_multipliers_keep_the_configured_probabilities():
     config, priors = IntegrityConfig(p_hmi=1e-5, false_exclusions_per_h=1e-3), [1e-4, 1e-3]
     found = factors(config, priors)
     share, tests = 1e-5 / 3, 3 * TESTS_PER_H
-    # Two-sided for what may lie on both sides; on the side of the threshold alone for what is missed.
+    # Two-sided for the fault-free case and false exclusions, one-sided for missed detections.
     assert 2 * norm.sf(found.right) * tests == pytest.approx(share)
     assert 2 * norm.sf(found.false_exclusion) * tests * 2 == pytest.approx(0.5 * 1e-3)
     np.testing.assert_allclose(norm.sf(found.missed) * priors, [share, share])
 
 
-def test_a_fault_that_is_not_told_stays_within_the_level():
-    """Two sensors and a third: sensor 0 is wrong by every size; where no separation tells, the level holds."""
+def test_error_under_an_undetected_fault_is_within_the_protection_level():
+    """Two sensors and a third: sensor 0 has faults of all sizes; without a detection the level bounds the error."""
     rng = np.random.default_rng(5)
     sigma = np.array([3.0, 3.0, 3.0])
     k = Factors(right=4.0, false_exclusion=4.0, missed=np.full(3, 3.0))
@@ -52,7 +52,7 @@ def test_a_fault_that_is_not_told_stays_within_the_level():
 
 
 def misled_by_two_faults(sensors, bias, pairs, draws=300, seed=5):
-    """How often nothing tells of two sensors that are wrong by the same, and a component is beyond its level.
+    """Return the probability that two equal faults are not detected and an error exceeds its protection level.
 
     The estimate is the mean of the sensors, of three components; each sensor measures them with the sigma 3, so k
     sensors have the variance 9/k, and two nested estimates differ by the difference of their variances.
@@ -75,20 +75,20 @@ def misled_by_two_faults(sensors, bias, pairs, draws=300, seed=5):
 
 
 MISSED = 2.0
-"""K_md: on one side of a component, 2.3 % are farther off."""
+"""K_md: one-sided, 2.3 % of a component are larger."""
 
 
 @pytest.mark.parametrize("sensors", [3, 4])
-def test_two_faults_at_a_time_that_are_not_told_stay_within_the_level_of_pairs(sensors):
+def test_error_under_two_undetected_faults_is_within_the_protection_level_of_pairs(sensors):
     biases = np.linspace(0.0, 40.0, 21)
-    # Each of three components may be beyond it.
+    # Each of three components may exceed it.
     most = 3.0 * norm.sf(MISSED)
     assert max(misled_by_two_faults(sensors, bias, pairs=True) for bias in biases) <= most
-    # The levels of single faults do not promise that.
+    # The levels of single faults do not guarantee that.
     assert max(misled_by_two_faults(sensors, bias, pairs=False) for bias in biases) > 3.0 * most
 
 
-def test_the_threat_of_two_faults_is_as_probable_as_both_in_one_hour():
+def test_prior_of_two_faults_is_the_product_of_their_hourly_probabilities():
     """Faults of two Poisson processes of an hour, counted."""
     rng, rates, hours = np.random.default_rng(6), [0.02, 0.05], 400_000
     both = np.sum(np.all(rng.poisson(rates, (hours, 2)) > 0, axis=1)) / hours
@@ -97,7 +97,7 @@ def test_the_threat_of_two_faults_is_as_probable_as_both_in_one_hour():
     assert both == pytest.approx(prior_of_all(rates), rel=0.2)
 
 
-def test_a_threat_less_probable_than_its_share_adds_nothing_to_the_threshold():
+def test_improbable_fault_adds_nothing_to_the_threshold():
     found = factors(IntegrityConfig(p_hmi=1e-5), [1e-3, 1e-6, 1e-9])
     assert found.missed[0] > 2.5
     np.testing.assert_array_equal(found.missed[1:], [norm.isf(0.5)] * 2)
@@ -123,17 +123,17 @@ def test_limits_are_three_or_none_and_positive():
 
 
 @pytest.mark.parametrize("prior", [0.0, -1e-4, float("nan")])
-def test_a_threat_without_a_prior_is_refused_by_name(prior):
+def test_invalid_prior_is_refused_by_name(prior):
     with pytest.raises(ParameterError, match=r"prior_per_h\.star_sensor"):
         build(IntegrityConfig, {"prior_per_h": {"star_sensor": prior}}, prefix="")
 
 
 @pytest.mark.parametrize("statistic", [5.2, math.nan])
-def test_there_is_no_level_where_a_separation_is_beyond_its_threshold(statistic):
-    """The level of a source is K_fa sigma_d and more: it bounds nothing where the distance itself is larger."""
+def test_no_level_with_a_separation_above_its_threshold(statistic):
+    """The level of a source is at least K_fa sigma_d: it is no bound if the separation itself is larger."""
     k = Factors(right=6.0, false_exclusion=5.12, missed=np.array([2.0, 2.0]))
     for beyond, state in ((5.0, IntegrityState.NO_LIMIT), (statistic, IntegrityState.UNAVAILABLE)):
-        # Without a source the sigma is 2 instead of the square root of 3: the distance has a sigma of 1.
+        # In the subfilter the sigma is 2 instead of the square root of 3: the separation has a sigma of 1.
         distance = np.array([[0.5] * 3, [beyond] * 3])
         found = separated(distance, np.full((2, 3), 4.0), np.full(3, 3.0), k)
         told = integrity_report(0, IntegrityConfig(), k, ("star.bow", "ins"), found, (), checked=True)
@@ -142,8 +142,8 @@ def test_there_is_no_level_where_a_separation_is_beyond_its_threshold(statistic)
         assert np.isfinite(told.level).all() == (state is IntegrityState.NO_LIMIT)
 
 
-def test_a_source_that_is_excluded_has_no_part_in_the_level():
-    """Its row stands apart by a hundred sigmas, and would make the largest level."""
+def test_excluded_source_does_not_affect_the_level():
+    """Its subfilter is separated by a hundred sigmas, and would give the largest level."""
     k = Factors(right=6.0, false_exclusion=5.12, missed=np.array([2.0, 2.0]))
     distance, variance = np.array([[100.0] * 3, [0.5] * 3]), np.array([[9.0] * 3, [4.0] * 3])
     found = separated(distance, variance, np.full(3, 3.0), k, rows=[1])
@@ -153,7 +153,7 @@ def test_a_source_that_is_excluded_has_no_part_in_the_level():
     np.testing.assert_allclose(told.level, 6.0 * np.sqrt(3.0))
 
 
-def test_with_no_hypothesis_in_question_there_is_no_level_and_no_limit_is_met():
+def test_without_tested_hypotheses_there_is_no_level():
     k, nobody = Factors(right=6.0, false_exclusion=5.0, missed=np.array([2.0])), []
     found = separated(np.zeros((1, 3)), np.full((1, 3), 9.0), np.full(3, 3.0), k, rows=nobody)
     for limit, state in (((), IntegrityState.NO_LIMIT), ((1e6,) * 3, IntegrityState.EXCEEDED)):
@@ -163,7 +163,7 @@ def test_with_no_hypothesis_in_question_there_is_no_level_and_no_limit_is_met():
         assert np.isnan(told.level).all()
 
 
-def test_what_rows_dispute_begins_at_three_sigmas_and_no_row_without_a_number_hides_another():
+def test_separation_inflation_starts_at_three_sigmas_and_ignores_nan():
     distance = ARCSEC * np.array([[10.0, 0.0, 5.0], [np.nan, 1.0, 1.0], [1.0, 1.0, 1.0], [0.0, 8.0, 0.0]])
     at_the_limit = disputed(distance, np.array([3.0, 9.0, np.nan, 2.0]))
     np.testing.assert_array_equal(at_the_limit, np.zeros((3, 3)))

@@ -1,4 +1,4 @@
-"""The running means against the same formulas in plain numpy; what they lead to is in the tests of exclusion."""
+"""Windowed innovation means against the same formulas in plain numpy; test_fault_isolation tests their use."""
 
 from dataclasses import replace
 
@@ -61,8 +61,8 @@ def equal(found: Means, expected: Means) -> None:
 
 @pytest.mark.parametrize("sources", [[1], [2, 0]])
 @pytest.mark.parametrize("beside", [False, True])
-def test_means_are_as_by_numpy(sources: list[int], beside: bool) -> None:
-    """A hundred measurements, of which some are refused and some are gross; late ones among them."""
+def test_innovation_means_equal_numpy(sources: list[int], beside: bool) -> None:
+    """A hundred measurements with rejections, gross errors and late ones."""
     rng = np.random.default_rng(1)
     root = rng.normal(size=(3, 3))
     noise = 0.1 * root @ root.T if beside and len(sources) == 1 else None
@@ -82,7 +82,7 @@ def test_means_are_as_by_numpy(sources: list[int], beside: bool) -> None:
 
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, 1e200])
-def test_what_is_no_number_is_a_refusal_and_has_no_mean(wrong: float) -> None:
+def test_nan_innovation_counts_as_a_rejection_without_a_mean(wrong: float) -> None:
     means, turn = no_means(ROWS, SOURCES), np.zeros((ROWS, 3))
     turn[2, 1] = wrong
     found = observed(means, 1, turn, np.ones(ROWS, dtype=bool), 5, LIMIT)
@@ -92,13 +92,13 @@ def test_what_is_no_number_is_a_refusal_and_has_no_mean(wrong: float) -> None:
     equal(replace(found, refused=means.refused), means)
 
 
-def test_a_share_of_the_noise_that_is_none_agrees_with_nothing() -> None:
+def test_invalid_noise_part_is_inconsistent() -> None:
     found = observed(no_means(1, 1), 0, np.ones((1, 3)), np.array([True]), 5, LIMIT, np.full((3, 3), np.nan))
     assert np.isnan(found.excess[0, 0])
     assert found.contradicts_ns[0] == 5
 
 
-def test_the_mean_that_is_farthest_off_is_that_of_numpy() -> None:
+def test_largest_mean_component_equals_numpy() -> None:
     rng, running, expected = np.random.default_rng(2), NO_MEANS, NO_MEANS
     for _ in range(50):
         turn = rng.normal(size=3)
@@ -109,7 +109,7 @@ def test_the_mean_that_is_farthest_off_is_that_of_numpy() -> None:
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
-    """The loops look at no bounds."""
+    """The loops do not check bounds."""
     means, turn, accepted = no_means(ROWS, SOURCES), np.zeros((ROWS, 3)), np.ones(ROWS, dtype=bool)
     calls = [
         lambda: observed(means, SOURCES, turn, accepted, 0, LIMIT),

@@ -1,6 +1,6 @@
-"""The watch of an attitude against its rates: samples of a block against the same samples one by one.
+"""The INS step detector: samples of a block against the same samples one by one.
 
-Whether it finds the steps that it must find is asked in test_integrated_rates.
+Its detections are tested in test_integrated_rates.
 """
 
 import copy
@@ -19,7 +19,7 @@ _RATE_NS, _SAMPLES = 10_000_000, 3000
 
 
 class Stream:
-    """Samples of an attitude that stands still, with noise, and the attitude by the rates, which drifts."""
+    """Samples of a constant attitude with noise, and the attitude by integrated rates, which drifts."""
 
     def __init__(self, stepped_from: int, seed: int) -> None:
         rng = np.random.default_rng(seed)
@@ -30,23 +30,23 @@ class Stream:
         drift = np.arange(_SAMPLES)[:, None] * np.array([1e-8, 0.0, 2e-8])
         self.by_rates = np.array([exp_rotation(vector) for vector in drift])
         self.rates = rng.normal(0.0, 1e-5, (_SAMPLES, 3))
-        # What the integration may miss grows unsteadily, so that the bounds must widen now and then.
+        # The integration error grows irregularly, so that the bounds must widen sometimes.
         self.missed = np.cumsum(rng.choice([1e-9, 5e-7], _SAMPLES, p=[0.99, 0.01]))
 
     def look(self, watch: StepWatch, number: int) -> bool | None:
-        """Let the watch look at one sample."""
+        """Check and accept one sample."""
         sample = AttitudeSample(int(self.times_ns[number]), self.rotations[number], self.rates[number])
         integrated = Integrated(self.by_rates[number], 0, float(self.missed[number]))
         return watch.look(sample, integrated, first_rad=1e-4, coarseness_rad=0.0)
 
     def follow(self, watch: StepWatch, some: slice) -> int:
-        """Let the watch follow some samples together."""
+        """Accept some samples as a block."""
         integrated = IntegratedRun(self.by_rates[some], 0, self.missed[some])
         return watch.follow(self.times_ns[some], self.rotations[some], self.rates[some], integrated, 1e-4, 0.0)
 
 
 def _state(watch: StepWatch) -> dict[str, Any]:
-    """All that the watch goes on from, without rows that nothing stands in any more."""
+    """Return the state of the detector, without unused rows."""
     state = dict(vars(watch))
     for name in ("_rows", "_rates", "_times"):
         state[name] = state[name][: watch._end]
@@ -59,7 +59,7 @@ def _state(watch: StepWatch) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("block", [1, 7, 64, 500])
-def test_samples_followed_together_leave_what_they_leave_one_by_one(block: int) -> None:
+def test_block_gives_the_state_of_single_samples(block: int) -> None:
     stream, step = Stream(stepped_from=2000, seed=1), 2000
     single = StepWatch(5e-6, 0.0)
     for number in range(1000):
@@ -72,13 +72,13 @@ def test_samples_followed_together_leave_what_they_leave_one_by_one(block: int) 
             assert single.keep() is None
         assert _state(single) == _state(together)
         number += count
-    # The first one that is off the line is for look().
+    # The first one off the line is for check().
     assert step <= number < step + 20
     assert stream.look(single, number) is not None
     assert max(single._sizes) > 1.0
 
 
-def test_a_sample_that_is_no_number_is_not_followed() -> None:
+def test_nan_sample_is_not_accepted_in_a_block() -> None:
     stream, watch = Stream(stepped_from=_SAMPLES, seed=2), StepWatch(5e-6, 0.0)
     for number in range(1000):
         stream.look(watch, number)
@@ -87,7 +87,7 @@ def test_a_sample_that_is_no_number_is_not_followed() -> None:
     assert stream.follow(watch, slice(1000, 1100)) == 10
 
 
-def test_samples_after_a_gap_are_not_followed() -> None:
+def test_samples_after_a_gap_are_not_accepted_in_a_block() -> None:
     stream, watch = Stream(stepped_from=_SAMPLES, seed=3), StepWatch(5e-6, 0.0)
     for number in range(1000):
         stream.look(watch, number)
@@ -96,7 +96,7 @@ def test_samples_after_a_gap_are_not_followed() -> None:
     assert stream.follow(watch, slice(1000, 1100)) == 20
 
 
-def test_a_watch_learns_before_it_is_known_how_far_a_good_sample_may_be() -> None:
+def test_statistics_start_before_the_first_bound_is_known() -> None:
     stream, watch = Stream(stepped_from=2000, seed=1), StepWatch(5e-6, 0.0)
     for number in range(1900):
         sample = AttitudeSample(int(stream.times_ns[number]), stream.rotations[number], stream.rates[number])

@@ -1,4 +1,4 @@
-"""Stamps inside a value move together; all else stays."""
+"""All stamps in a value are shifted together; all other fields are unchanged."""
 
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -26,7 +26,7 @@ class State:
     counts: dict[str, int] = field(default_factory=dict)
 
 
-def test_all_stamps_are_later_by_the_step_and_nothing_else_changes() -> None:
+def test_all_stamps_are_shifted_by_the_step_and_nothing_else_changes() -> None:
     means = np.arange(3.0)
     jump = Jump(40, None, "jumped")
     used_ns = MappingProxyType({"star": 10, "ins": 20})
@@ -41,6 +41,6 @@ def test_all_stamps_are_later_by_the_step_and_nothing_else_changes() -> None:
     assert state.time_ns == 100
 
 
-def test_long_ago_stays_long_ago() -> None:
+def test_never_stamp_is_not_shifted() -> None:
     means = replace(no_means(rows=1, sources=2), heard_ns=np.array([LONG_AGO_NS, 50]))
     assert with_shifted_stamps(means, 7).heard_ns.tolist() == [LONG_AGO_NS, 57]

@@ -1,4 +1,4 @@
-"""Verdicts: each finding told from the others, with its figures, and none about a source that is as stated."""
+"""Innovation diagnosis: each kind is distinguished, with its values, and none for a source that is as stated."""
 
 from dataclasses import replace
 
@@ -21,9 +21,9 @@ GATE = 21.11
 STARS = tuple(f"HIP {star} {axis}" for star in range(8) for axis in ("up", "right"))
 STAR_SIGMA = 5.0 * ARCSEC
 PREDICTED_SIGMA = 1.0 * ARCSEC
-"""Of the prediction, in each component of an attitude."""
+"""Error of the prediction in each component of an attitude."""
 MINUTE = 300
-"""Measurements of a minute."""
+"""Number of measurements in a minute."""
 
 
 def attitude(k: int, noise: FloatArray) -> Decision[VectorSample]:
@@ -46,10 +46,10 @@ def attitude(k: int, noise: FloatArray) -> Decision[VectorSample]:
 
 
 def exposure(k: int, noise: FloatArray) -> Decision[VectorSample]:
-    """Decision k about stars with noise of sigma 1, shape (8, 2): those far off are left out, as the selection does."""
+    """Decision k about stars with noise of sigma 1, shape (8, 2): outliers are rejected, as the selection does."""
     squares = np.sum(noise**2, axis=-1)
     kept = squares < 16.0
-    # The worst are left out until the others agree.
+    # The worst are rejected until the others are consistent.
     while kept.any() and np.sum(squares[kept]) > 2.5 * 2 * np.sum(kept):
         kept[np.argmax(np.where(kept, squares, -1.0))] = False
     names = tuple(name for row, name in enumerate(STARS) if kept[row // 2])
@@ -91,8 +91,8 @@ def white(seed: int, count: int = MINUTE, shape: tuple[int, ...] = (3,)) -> Floa
 
 @pytest.mark.statistics
 @pytest.mark.parametrize("count", [LEAST_COUNT, 60, MINUTE])
-def test_nothing_is_found_where_all_is_as_stated(count: int) -> None:
-    """120 windows: by the stated probability one in a million is judged otherwise."""
+def test_consistent_attitudes_are_as_stated(count: int) -> None:
+    """120 windows: the stated probability of another result is one in a million."""
     found = [of_attitudes(white(seed, count)) for seed in range(40)]
     assert {one.kind for one in found} == {VerdictKind.AS_STATED}
     # The median of n values of chi² with 3 degrees has a relative sigma of 1.05 / √n: 3.3 of them, halved for sigma.
@@ -102,14 +102,14 @@ def test_nothing_is_found_where_all_is_as_stated(count: int) -> None:
     assert all(inside)
 
 
-def test_nothing_is_found_where_stars_are_as_stated() -> None:
+def test_consistent_stars_are_as_stated() -> None:
     found = [verdict([exposure(k, noise) for k, noise in enumerate(white(seed, 60, (8, 2)))]) for seed in range(40)]
     assert {one.kind for one in found} == {VerdictKind.AS_STATED}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [1.5, 2.0, 3.0, 10.0])
-def test_an_understated_noise_of_attitudes_is_told_with_its_factor_though_the_gate_refuses_the_worst(
+def test_understated_attitude_noise_is_reported_with_its_factor_in_spite_of_rejections(
     factor: float,
 ) -> None:
     for seed in range(10):
@@ -121,25 +121,25 @@ def test_an_understated_noise_of_attitudes_is_told_with_its_factor_though_the_ga
 
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [1.5, 2.0, 3.0])
-def test_an_understated_noise_of_stars_is_told_from_misidentified_stars(factor: float) -> None:
-    """Many stars a little too far off, of which the selection leaves out the worst."""
+def test_understated_star_noise_is_distinguished_from_misidentification(factor: float) -> None:
+    """Many stars with slightly large innovations, of which the selection rejects the worst."""
     for seed in range(5):
         found = verdict([exposure(k, factor * noise) for k, noise in enumerate(white(seed, shape=(8, 2)))])
         assert found.kind is VerdictKind.OPTIMISTIC
         assert found.factor == pytest.approx(factor, rel=0.2)
 
 
-def test_one_star_of_each_exposure_far_off_is_misidentified_and_the_sigma_is_as_stated() -> None:
+def test_one_outlier_star_in_each_exposure_is_misidentified() -> None:
     noise = white(3, shape=(8, 2))
     noise[:, 5] += 30.0
     found = verdict([exposure(k, one) for k, one in enumerate(noise)])
     assert found.kind is VerdictKind.MISIDENTIFIED
     assert found.far_share == pytest.approx(1 / 8, abs=0.01)
     assert found.factor == pytest.approx(1.0, abs=0.1)
-    assert found.text.startswith("misidentified: 13 % lie far off, the others are as stated")
+    assert found.text.startswith("misidentified: 13 % are outliers, the others are as stated")
 
 
-def test_some_attitudes_far_off_are_misidentified() -> None:
+def test_some_outlier_attitudes_are_misidentified() -> None:
     noise = white(4)
     rng = np.random.default_rng(5)
     wrong = rng.random(MINUTE) < 0.2
@@ -147,23 +147,23 @@ def test_some_attitudes_far_off_are_misidentified() -> None:
     assert of_attitudes(noise).kind is VerdictKind.MISIDENTIFIED
 
 
-def test_exposures_of_which_no_star_could_be_used_are_misidentified() -> None:
+def test_exposures_without_a_usable_star_are_misidentified() -> None:
     found = verdict([exposure(k, one) for k, one in enumerate(1000.0 * white(6, shape=(8, 2)))])
     assert found.kind is VerdictKind.MISIDENTIFIED
-    assert "100 % lie far off; " in found.text
+    assert "100 % are outliers; " in found.text
 
 
 @pytest.mark.parametrize("factor", [1.5, 2.0, 4.0])
 def test_an_overstated_noise_is_conservative(factor: float) -> None:
     found = of_attitudes(white(7) / factor)
     assert found.kind is VerdictKind.CONSERVATIVE
-    # The prediction's error, 1″ where 3″ are stated, is as stated and limits how well a small noise is seen.
+    # The prediction error, 1″ of the stated 3″, is as stated and limits the detection of a smaller noise.
     assert found.factor == pytest.approx(1.0 / factor, abs=0.1)
 
 
-def test_a_knocked_sensor_all_of_whose_measurements_are_refused_is_biased() -> None:
+def test_shifted_sensor_with_all_measurements_rejected_is_biased() -> None:
     noise = white(8)
-    noise[:, 1] += 50.0 / 3.0  # 50″ about up, where 3″ are stated
+    noise[:, 1] += 50.0 / 3.0  # 50″ about up, stated 3″
     decisions = [attitude(k, row) for k, row in enumerate(noise)]
     assert not any(decision.accepted for decision in decisions)
     found = verdict(decisions)
@@ -173,8 +173,8 @@ def test_a_knocked_sensor_all_of_whose_measurements_are_refused_is_biased() -> N
     assert "steady: look at installation and alignment" in found.text
 
 
-def test_of_an_excluded_source_the_lasting_error_of_the_prediction_is_no_bias() -> None:
-    """The estimate without it may be off by two of its sigmas, 2″, for as long as the source is excluded."""
+def test_common_prediction_error_of_an_excluded_source_is_no_bias() -> None:
+    """The filter without it may have an error of two of its sigmas, 2″, while the source is excluded."""
     noise = white(16)
     noise[:, 1] += 2.0 / 3.0
     decisions = [attitude(k, row) for k, row in enumerate(noise)]
@@ -191,10 +191,10 @@ def test_a_bias_that_grows_is_not_steady() -> None:
     noise[:, 2] += np.linspace(0.0, 8.0, MINUTE)
     found = of_attitudes(noise)
     assert found.kind is VerdictKind.BIASED
-    assert "it drifts" in found.text
+    assert "a drift" in found.text
 
 
-def test_errors_that_last_are_told_by_their_correlation() -> None:
+def test_correlated_errors_are_reported() -> None:
     noise, rho = white(10), 0.6
     for k in range(1, MINUTE):
         noise[k] = rho * noise[k - 1] + np.sqrt(1.0 - rho**2) * noise[k]
@@ -203,14 +203,14 @@ def test_errors_that_last_are_told_by_their_correlation() -> None:
     assert found.correlation["forward"] == pytest.approx(rho, abs=0.15)
 
 
-def test_innovations_that_alternate_are_told() -> None:
+def test_alternating_innovations_are_reported() -> None:
     noise = white(11, MINUTE + 1)
     found = of_attitudes((noise[1:] - noise[:-1]) / np.sqrt(2.0))  # correlation -0.5
     assert found.kind is VerdictKind.CORRELATED
     assert "too closely" in found.text
 
 
-def test_too_few_measurements_are_no_verdict_nor_are_those_of_before_the_window() -> None:
+def test_too_few_measurements_in_the_window_give_no_diagnosis() -> None:
     wrong = [attitude(k, 5.0 * row) for k, row in enumerate(white(12, LEAST_COUNT - 1))]
     found = verdict(wrong)
     assert (found.kind, found.count) == (VerdictKind.UNKNOWN, LEAST_COUNT - 1)
@@ -219,7 +219,7 @@ def test_too_few_measurements_are_no_verdict_nor_are_those_of_before_the_window(
     assert verdict([*wrong, *wrong, *good]).kind is VerdictKind.AS_STATED
 
 
-def test_a_prediction_that_is_less_certain_than_the_measurements_tells_nothing_of_their_sigma() -> None:
+def test_sigma_is_not_assessed_by_an_uncertain_prediction() -> None:
     rng, decisions = np.random.default_rng(14), []
     for k in range(MINUTE):
         residual = 10.0 * ARCSEC * rng.standard_normal(3)
@@ -234,7 +234,7 @@ def test_a_prediction_that_is_less_certain_than_the_measurements_tells_nothing_o
     assert "less certain than the measurements" in found.text
 
 
-def test_what_was_never_compared_or_is_not_finite_counts_for_nothing() -> None:
+def test_measurements_without_innovation_are_ignored() -> None:
     book = VerdictBook()
     sample = VectorSample(1, np.zeros(3))
     book.add("star.bow", Decision(sample, Reason.GAP))
@@ -243,7 +243,7 @@ def test_what_was_never_compared_or_is_not_finite_counts_for_nothing() -> None:
     assert book.verdicts() == {}
 
 
-def test_a_decision_made_anew_takes_the_place_of_the_earlier_one_and_order_does_not_matter() -> None:
+def test_repeated_decision_replaces_the_earlier_one_in_any_order() -> None:
     noise = white(15)
     decisions = [attitude(k, row) for k, row in enumerate(noise)]
     wrong = [attitude(k, row + 100.0) for k, row in enumerate(noise)]
@@ -252,20 +252,20 @@ def test_a_decision_made_anew_takes_the_place_of_the_earlier_one_and_order_does_
     assert verdict(decisions[::-1]) == expected
 
 
-def test_a_cleared_book_is_empty() -> None:
+def test_cleared_history_is_empty() -> None:
     book = VerdictBook()
     book.add("star.bow", attitude(0, np.zeros(3)))
     book.clear()
     assert book.verdicts() == {}
 
 
-def test_values_that_stand_still_are_judged_without_a_division_by_zero() -> None:
+def test_constant_values_are_assessed_without_a_division_by_zero() -> None:
     sample = [Decision(VectorSample(k, np.zeros(3)), Reason.NONE, True, ATTITUDE, np.zeros(3), covariance=np.eye(3),
                        noise=np.eye(3), nis=0.0) for k in range(40)]  # fmt: skip
     assert verdict(sample).kind is VerdictKind.CONSERVATIVE
 
 
-def test_a_clock_is_told_beyond_four_of_its_configured_sigmas() -> None:
+def test_clock_offset_is_reported_above_four_configured_sigmas() -> None:
     blocks = [
         block("ins.attitude", [1.0, 1.0, 1.0], "ins"),
         block("ins.time_offset", [0.0015], "ins_time"),

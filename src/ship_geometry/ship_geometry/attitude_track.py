@@ -1,4 +1,4 @@
-"""Attitude between samples: a time-ordered track, cubic interpolation, and what it does to the samples' noise.
+"""Attitude between samples: a time-ordered track, cubic interpolation, and the propagation of the samples' noise.
 
 Between two samples the rotation vector relative to the earlier one is a cubic with the right attitude and the
 right rate at both ends. The rates are measured where the source gives them; otherwise they come from the
@@ -20,10 +20,10 @@ from ship_geometry.sample_track import RECENT, SampleTrack
 from ship_geometry.time_scales import SECOND_NS
 
 _EVERY_NS = 100_000_000
-"""Spacing of the samples that tell the newest one's motion: closer ones tell more of their noise than of the motion."""
+"""Spacing of the samples from which the motion is estimated, ns: with closer ones noise dominates."""
 
 RATES = 4
-"""How many measured rates, at most, tell the angular acceleration and how that changes."""
+"""Maximum number of measured rates for the angular acceleration and its change."""
 
 _WORST_OF_DIFFERENCED = 0.0962
 """Greatest value of s (1 - s) (1 - 2 s), 0 < s < 1.
@@ -31,7 +31,7 @@ _WORST_OF_DIFFERENCED = 0.0962
 The error of a cubic with differenced rates is at most this times step³ times the third divided difference."""
 
 _LARGEST_VARIANCE = np.pi**2
-"""Bound of an estimated error, rad²: no attitude is off by more than half a turn."""
+"""Bound of an estimated error, rad²: no attitude error exceeds half a turn."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class AttitudeSample:
     Attributes:
         time_ns: time in the source's own stamps.
         rotation_nd: horizon from deck, shape (3, 3).
-        rate_d: angular velocity in the deck frame, rad/s, shape (3,); None where the source measures none.
+        rate_d: angular velocity in the deck frame, rad/s, shape (3,); None if the source measures none.
     """
 
     time_ns: int
@@ -49,12 +49,12 @@ class AttitudeSample:
     rate_d: FloatArray | None = None
 
     def content(self) -> bytes:
-        """All values as bytes: equal for a repeated sample, and an order for conflicting ones."""
+        """Return all values as bytes: equal for a repeated sample, and an order for conflicting ones."""
         return self.rotation_nd.tobytes() + (b"" if self.rate_d is None else self.rate_d.tobytes())
 
 
 class SampleBlock(NamedTuple):
-    """The samples of one source that follow one another, each with a measured rate; see :class:`AttitudeSample`.
+    """Successive samples of one source, each with a measured rate; see :class:`AttitudeSample`.
 
     Attributes:
         times_ns: in ascending order, shape (N,).
@@ -67,24 +67,24 @@ class SampleBlock(NamedTuple):
     rates_d: FloatArray
 
     def samples(self) -> list[AttitudeSample]:
-        """Each of them as a sample."""
+        """Return the samples as a list."""
         return list(map(AttitudeSample, self.times_ns.tolist(), self.rotations_nd, self.rates_d))
 
     def one(self, number: int) -> AttitudeSample:
-        """One of them."""
+        """Return one sample."""
         return AttitudeSample(int(self.times_ns[number]), self.rotations_nd[number], self.rates_d[number])
 
     def some(self, which: slice) -> "SampleBlock":
-        """Some of them."""
+        """Return a slice of the samples."""
         return SampleBlock(self.times_ns[which], self.rotations_nd[which], self.rates_d[which])
 
 
 class RecentRates(NamedTuple):
-    """The last RATES - 1 samples before a block, joined to one another; see :class:`AttitudeSample`.
+    """The last MAX_RATES - 1 samples before a block, without a gap; see :class:`AttitudeSample`.
 
     Attributes:
-        times_ns: in ascending order, shape (RATES - 1,).
-        rates_d: shape (RATES - 1, 3).
+        times_ns: in ascending order, shape (MAX_RATES - 1,).
+        rates_d: shape (MAX_RATES - 1, 3).
     """
 
     times_ns: NDArray[np.int64]
@@ -92,13 +92,13 @@ class RecentRates(NamedTuple):
 
 
 class ExtraNoise(NamedTuple):
-    """Independent noise of a source's samples beyond what is stated for it, from a stamp on.
+    """Independent noise of a source's samples in excess of the stated noise, from a stamp on.
 
     Attributes:
-        from_ns: the first stamp that it counts for.
+        from_ns: first stamp to which it applies.
         white_rad2: variance of each attitude, each axis.
-        jitter_s2: variance of each stamp, s²: along its turn an attitude is off by that much.
-        clock_sigma_s: by about so much the mean delay of the stamps may have changed.
+        jitter_s2: variance of each stamp, s², which acts along the rotation.
+        clock_sigma_s: standard deviation of the change of the mean delay of the stamps.
     """
 
     from_ns: int
@@ -108,7 +108,7 @@ class ExtraNoise(NamedTuple):
 
     @property
     def time_ns(self) -> int:
-        """Just before the first stamp that it counts for."""
+        """Time just before the first stamp to which it applies."""
         return self.from_ns - 1
 
     def covariances_d(self, rates_d: FloatArray) -> FloatArray:
@@ -127,7 +127,7 @@ class ExtraNoise(NamedTuple):
 
 
 class MovedBlock(NamedTuple):
-    """Attitudes of a block, each moved by a short time; each field is that of :class:`InterpolatedAttitude`.
+    """Attitudes of a block, each propagated by a short time; the fields are those of :class:`InterpolatedAttitude`.
 
     Attributes:
         rotation_nd: shape (N, 3, 3).
@@ -142,31 +142,31 @@ class MovedBlock(NamedTuple):
     error_covariance_d: FloatArray
 
     def with_noise(self, extra: ExtraNoise | None) -> "MovedBlock":
-        """Return the same with extra noise of the samples."""
+        """Return the block with extra noise of the samples."""
         if extra is None:
             return self
         return self._replace(error_covariance_d=self.error_covariance_d + extra.covariances_d(self.rate_d))
 
     def some(self, which: slice) -> "MovedBlock":
-        """Some of them."""
+        """Return a slice of the attitudes."""
         return MovedBlock(*(values[which] for values in self))
 
 
 @dataclass(frozen=True)
 class InterpolatedAttitude:
-    """The attitude at a moment of the track.
+    """The attitude at a time of the track.
 
     Attributes:
         rotation_nd: horizon from deck, shape (3, 3).
         rate_d: angular velocity in the deck frame, rad/s, shape (3,).
         noise_gain: variance of the result per variance of the samples' independent noise.
-        error_covariance_d: covariance of the interpolation's own error, estimated from the samples around, and of the
+        error_covariance_d: covariance of the interpolation error, estimated from the neighbouring samples, and of the
             samples' extra noise: rotation vector in the deck frame, rad², shape (3, 3).
-        sample: the last one of the track at or before the moment; None where the attitude is not from between samples.
-        next_sample: the one after the moment, where the attitude is from between the two.
-        errors_d: the estimates of the interpolation's own error, rotation vectors in the deck frame, rad, shape (3,)
-            each; they tell how the errors of two moments between the same samples go together
-            (:func:`ship_geometry.interpolation_error.joint_covariance`). None at a sample.
+        sample: last sample of the track at or before the time; None if the attitude is not interpolated.
+        next_sample: sample after the time, if the attitude is interpolated.
+        errors_d: estimates of the interpolation error, rotation vectors in the deck frame, rad, shape (3,) each, for
+            the correlation of errors at two times between the same samples
+            (:func:`ship_geometry.interpolation_error.joint_covariance`). Empty at a sample.
     """
 
     rotation_nd: FloatArray
@@ -179,15 +179,15 @@ class InterpolatedAttitude:
 
     @property
     def error_covariance_n(self) -> FloatArray:
-        """Covariance of the interpolation's own error about the horizon's axes, rad², shape (3, 3)."""
+        """Covariance of the interpolation error about the horizon's axes, rad², shape (3, 3)."""
         covariance_n: FloatArray = self.rotation_nd @ self.error_covariance_d @ self.rotation_nd.T
         return covariance_n
 
     def chord_nd(self, time_ns: int) -> FloatArray:
-        """Horizon from deck by a steady turn between the two samples, shape (3, 3): what tf2 and slerp give.
+        """Return the attitude by a constant rotation between the two samples (slerp, as tf2), shape (3, 3).
 
         Args:
-            time_ns: the moment that was asked for; between two samples, or at one.
+            time_ns: the time; between two samples, or at one.
         """
         first, second = self.sample, self.next_sample
         if first is None or second is None:
@@ -199,10 +199,10 @@ class InterpolatedAttitude:
 
 
 class AttitudeTrack(SampleTrack[AttitudeSample]):
-    """Attitudes of one source, joined by a cubic of the rotation vector.
+    """Attitudes of one source, interpolated by a cubic of the rotation vector.
 
     Example:
-        A ship that turns by 10° in a second, halfway between two samples:
+        A ship that turns by 10° in one second, halfway between two samples:
 
         >>> from ship_geometry.frames import angles_from_rotation, rotation_from_angles
         >>> rate_d = np.deg2rad([0.0, -10.0, 0.0])  # clockwise seen from above is negative about up
@@ -220,19 +220,19 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         self._extra: list[ExtraNoise] = []
 
     def add_noise(self, extra: ExtraNoise) -> int:
-        """Take extra noise of the samples from a stamp on; returns the stamp after which values have changed."""
+        """Add extra noise of the samples from a stamp on; return the stamp after which values have changed."""
         kept = [one for one in self._extra if one.from_ns < extra.from_ns]
-        # What counts before the first sample that is kept counts for none, but for the last such entry.
+        # Of the entries before the first kept sample only the last one applies.
         past = [one for one in kept if self._times and one.from_ns <= self._times[0]]
         self._extra = [*kept[max(len(past) - 1, 0) :], extra]
         return extra.time_ns
 
     def extra_noise(self, time_ns: int) -> ExtraNoise | None:
-        """Return the extra noise of the samples at a stamp; None where there is none."""
+        """Return the extra noise of the samples at a stamp; None if there is none."""
         return next((one for one in reversed(self._extra) if one.from_ns <= time_ns), None)
 
     def at(self, time_ns: int) -> InterpolatedAttitude | None:
-        """The attitude at a moment; None outside the track or in a gap."""
+        """Return the attitude at a time; None outside the track or in a gap."""
         interval = self._interval(time_ns)
         if interval is None:
             return None
@@ -246,18 +246,18 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
 
     @property
     def newest_rate_known(self) -> bool:
-        """Whether the newest sample has a rate: a measured one, or the difference from the sample before."""
+        """True if the newest sample has a rate: a measured one, or the difference from the sample before."""
         index = len(self._samples) - 1
         return self._has_rate(index) or (index > 0 and self._joined(index - 1))
 
     def newest_moved(self, ahead_s: float) -> InterpolatedAttitude:
-        """The newest sample's attitude moved by a short time, by its rate and its angular acceleration.
+        """Return the newest attitude propagated by a short time, with its rate and angular acceleration.
 
-        A sample is moved by the offset of its source's clock. Moved so, one sample gives one attitude, whatever the
-        sign of the offset; interpolation would have to wait for the next sample where the offset is positive.
+        The short time is the clock offset of the source. Each sample then gives one attitude for either sign of the
+        offset; interpolation would have to wait for the next sample for a positive offset.
 
         Args:
-            ahead_s: seconds after the newest sample, or before it where negative.
+            ahead_s: time after the newest sample, s; negative before it.
         """
         index = len(self._samples) - 1
         if self._samples[index].rate_d is None:
@@ -267,7 +267,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         return self._with_noise(moved, self._times[index]) if self._extra else moved
 
     def _with_noise(self, found: InterpolatedAttitude, time_ns: int) -> InterpolatedAttitude:
-        """Return an attitude with the extra noise of the samples that it is made of."""
+        """Return an attitude with the extra noise of its samples."""
         extra = self.extra_noise(time_ns)
         if extra is None:
             return found
@@ -275,21 +275,21 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         return replace(found, error_covariance_d=found.error_covariance_d + noise_d)
 
     def recent_rates(self) -> RecentRates | None:
-        """What moves samples to come, together with their own rates; None where RATES - 1 samples do not tell it."""
+        """Return the rates for the propagation of later samples; None with fewer than MAX_RATES - 1 samples."""
         recent, times_ns = self._samples[1 - RATES :], self._times[1 - RATES :]
         rates_d = [sample.rate_d for sample in recent if sample.rate_d is not None]
         if len(rates_d) < RATES - 1 or max(np.diff(times_ns)) > self.max_gap_ns:
             return None
-        # A jump lies behind all of these samples or it is too near.
+        # A jump after the first of these samples is too recent.
         if self._cuts_ns and max(self._cuts_ns) >= times_ns[0]:
             return None
         return RecentRates(np.array(times_ns), np.array(rates_d))
 
     def forget_rates(self, after_ns: int) -> int | None:
-        """Forget the measured rates of all samples stamped after a moment, because they turned out to be wrong.
+        """Drop the measured rates of all samples after a stamp, because they are wrong.
 
         Returns:
-            The stamp after which interpolated values may have changed; None where no sample had a rate.
+            The stamp after which interpolated values may have changed; None if no sample had a rate.
         """
         start = bisect.bisect_right(self._times, after_ns)
         if all(sample.rate_d is None for sample in self._samples[start:]):
@@ -298,7 +298,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         return self._times[start - 1] if start > 0 else self._times[0] - 1
 
     def rate(self, index: int) -> FloatArray:
-        """Angular velocity in the deck frame at sample ``index``, rad/s: measured, or the neighbours' difference."""
+        """Return the angular velocity at sample ``index``, deck frame, rad/s: measured, or from the neighbours."""
         sample = self._samples[index]
         if sample.rate_d is not None:
             return sample.rate_d
@@ -308,9 +308,9 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         return self._turn(before, after) * (SECOND_NS / (self._times[after] - self._times[before]))
 
     def _moved_by_rates(self, index: int, ahead_s: float) -> InterpolatedAttitude:
-        """The newest sample moved by its measured rate and by the change of the rate since the sample before.
+        """Propagate the newest sample by its measured rate and the change of the rate since the sample before.
 
-        The difference of two rates is the acceleration half a step ago: what it lacks acts over that time too.
+        The difference of two rates is the acceleration half a step ago: its error acts over that time too.
         """
         rotation_nd, rates = self._samples[index].rotation_nd, self._recent_rates(index)
         if len(rates) == 1:
@@ -323,7 +323,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         return InterpolatedAttitude(moved_nd, rate_d, 1.0, error_d)
 
     def _recent_rates(self, index: int) -> list[FloatArray]:
-        """Measured rates, rad/s, newest first: four at most, none from beyond a gap, a jump or a sample without one."""
+        """Return up to four measured rates, rad/s, newest first, without a gap, jump or missing rate between them."""
         recent: list[FloatArray] = []
         for sample in reversed(self._samples[max(index + 1 - RATES, 0) : index + 1]):
             if sample.rate_d is None or (recent and not self._joined(index - len(recent))):
@@ -332,7 +332,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         return recent
 
     def _moved_by_differences(self, index: int, ahead_s: float) -> InterpolatedAttitude:
-        """The newest sample moved, where no rates are measured, by a parabola through it and two samples before."""
+        """Propagate the newest sample without measured rates, by a parabola through it and two samples before."""
         sample = self._samples[index]
         recent = self._recent(index)
         if len(recent) == 1:
@@ -360,9 +360,9 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         return InterpolatedAttitude(sample.rotation_nd @ exp_rotation(vector), rate, float(gain), error)
 
     def _recent(self, index: int) -> list[int]:
-        """Indices of the samples that tell the newest one's motion, newest first.
+        """Return the indices of the samples from which the newest one's motion is estimated, newest first.
 
-        They are the newest sample, the one before it, and from there on one every tenth of a second back.
+        They are the newest sample, the one before it, and then one sample every tenth of a second back.
         """
         recent = [index]
         oldest = self._recent_from()
@@ -383,12 +383,12 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         return self._samples[index].rate_d is not None
 
     def _between(self, left: int, fraction: float) -> InterpolatedAttitude:
-        """Between two samples, by a cubic in the rotation vector from the first one."""
+        """Interpolate between two samples, by a cubic of the rotation vector from the first one."""
         first, second = self._samples[left], self._samples[left + 1]
         if first.rate_d is None or second.rate_d is None:
             return self._between_without_rates(left, fraction)
         interval_s = self._seconds(left, left + 1)
-        # How far the cubic may be off is told by how far it misses the sample before.
+        # The error of the cubic is estimated from its difference to the sample before.
         before, at_before = first, 0.0
         if left > 0 and self._joined(left - 1):
             before, at_before = self._samples[left - 1], -self._seconds(left - 1, left) / interval_s
@@ -408,7 +408,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         return InterpolatedAttitude(rotation_nd, rate_d, gain, covariance_d, first, second, tuple(errors_d))
 
     def _between_without_rates(self, left: int, fraction: float) -> InterpolatedAttitude:
-        """Between two samples of which one has no measured rate: the neighbours tell it, and the cubic's error."""
+        """Interpolate between two samples with rates, and the error of the cubic, from the neighbouring samples."""
         first, second = self._samples[left], self._samples[left + 1]
         turn, interval_s = self._turn(left, left + 1), self._seconds(left, left + 1)
         rotation_nd, rate_d, vector = compiled_rotations.cubic(
@@ -421,7 +421,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         return InterpolatedAttitude(rotation_nd, rate_d, gain, covariance_d, first, second, errors)
 
     def _turn(self, first: int, second: int) -> FloatArray:
-        """Rotation vector from one sample to another, rad."""
+        """Return the rotation vector from one sample to another, rad, shape (3,)."""
         turn: FloatArray = compiled_rotations.turn_between(
             self._samples[first].rotation_nd, self._samples[second].rotation_nd
         )
@@ -429,15 +429,15 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
 
 
 def moved_block(before: RecentRates, block: SampleBlock, ahead_s: FloatArray) -> MovedBlock:
-    """The samples of a block, each moved as :meth:`AttitudeTrack.newest_moved` moves it while it is the newest.
+    """Propagate the samples of a block, each as by :meth:`AttitudeTrack.propagate_newest` while it is the newest.
 
     Args:
-        before: the samples before the block, joined to it.
-        block: N samples, joined to one another.
-        ahead_s: seconds after each sample, or before it where negative, shape (N,).
+        before: the samples before the block, without a gap.
+        block: N samples without a gap.
+        ahead_s: time after each sample, s, negative before it, shape (N,).
 
     Example:
-        A ship that turns at 0.1 rad/s, four samples ten seconds apart; the last one moved by a second:
+        A ship that turns at 0.1 rad/s, four samples ten seconds apart; the last one propagated by one second:
 
         >>> times_ns, rate_d = 10 * SECOND_NS * np.arange(4), np.array([0.0, -0.1, 0.0])
         >>> rotations_nd, rates_d = exp_rotation(np.outer(times_ns / SECOND_NS, rate_d)), np.tile(rate_d, (4, 1))
@@ -449,7 +449,7 @@ def moved_block(before: RecentRates, block: SampleBlock, ahead_s: FloatArray) ->
     count = len(ahead_s)
     steps_s = np.diff(np.concatenate([before.times_ns, block.times_ns[:count]])) / SECOND_NS
     rates_d = np.concatenate([before.rates_d, block.rates_d[:count]])
-    # Newest first, as of each sample.
+    # Newest first for each sample.
     recent = np.arange(RATES - 1, RATES - 1 + count)[:, None] - np.arange(RATES)
     moved_nd, rate_d, error_d = moved_by_rates(
         block.rotations_nd[:count], rates_d[recent], steps_s[recent[:, :-1] - 1], ahead_s
@@ -460,19 +460,19 @@ def moved_block(before: RecentRates, block: SampleBlock, ahead_s: FloatArray) ->
 def moved_by_rates(
     rotation_nd: FloatArray, rates_d: FloatArray, steps_s: FloatArray, ahead_s: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """N samples moved by short times, by their rates and angular accelerations.
+    """Propagate N samples by short times, with their rates and angular accelerations.
 
     Args:
         rotation_nd: of the samples, shape (N, 3, 3).
-        rates_d: measured with each sample and with those before it, newest first, rad/s, shape (N, k, 3), k at least 2.
-        steps_s: times between them, shape (N, k - 1).
-        ahead_s: seconds after each sample, or before it where negative, shape (N,).
+        rates_d: rates of each sample and of those before it, newest first, rad/s, shape (N, k, 3), k at least 2.
+        steps_s: intervals between them, s, shape (N, k - 1).
+        ahead_s: time after each sample, s, negative before it, shape (N,).
 
     Returns:
-        As :class:`InterpolatedAttitude` has them: horizon from deck, rad/s, and the covariance of the own error, rad².
+        Attitude, rate (rad/s) and error covariance (rad²) as in :class:`InterpolatedAttitude`.
 
     Example:
-        A sample moved by 10 ms at a steady 0.1 rad/s:
+        A sample propagated by 10 ms at a constant 0.1 rad/s:
 
         >>> rates_d, steps_s = np.full((1, 4, 3), [0.1, 0.0, 0.0]), np.full((1, 3), 0.01)
         >>> moved_nd, _, _ = moved_by_rates(np.eye(3)[None], rates_d, steps_s, np.array([0.01]))
@@ -486,15 +486,15 @@ def moved_by_rates(
 
 
 def _error_by_differences(nodes_s: FloatArray, second: FloatArray, ahead_s: float) -> FloatArray:
-    """Covariance of the error of a parabola, and of the error that interpolation causes in an estimated clock offset.
+    """Return the covariance of the errors of a parabola and of a clock offset estimated with interpolated attitudes.
 
-    Both follow from the third derivative of the motion. It is the root mean square over all samples given, because a
-    single value lies somewhere in the wave, where it may happen to be zero.
+    Both follow from the third derivative of the motion, as the root mean square over all samples: a single value may be
+    zero at its phase of the wave.
 
-    The second error arises as follows. Without measured rates the error of interpolation is proportional to the third
+    The second error has this cause: Without measured rates the interpolation error is proportional to the third
     derivative, which in a swell is proportional to the rate. The effect of a clock offset is proportional to the rate
-    too. A filter that estimates the offset from interpolated attitudes therefore takes the one for the other, and the
-    sample that is moved by this offset here has that error.
+    too. A filter that estimates the offset from interpolated attitudes therefore cannot separate the two, and the
+    sample propagated by this offset has that error.
 
     Args:
         nodes_s: times of the samples relative to the newest one, which comes first: 0, then negative, shape (n,).

@@ -1,10 +1,9 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""The numbers in which attitudes are published, compiled: angles, their covariance, quaternions, of N attitudes each.
+"""Compiled conversion of attitudes: angles, their covariance and quaternions, of N attitudes.
 
-This is the one source of them for single attitudes and for those of a block; for one attitude numpy would take ten
-times as long. It is Python with C types for its numbers, compiled by Cython when the package is built. What the numbers
-mean is told in :mod:`ship_geometry.frames` and :mod:`ship_geometry.ros_axes`, whose functions for arrays the tests hold
-against these.
+It is used for single attitudes and for blocks; for one attitude numpy would take ten times as long. It is Python with C
+types, compiled by Cython when the package is built. The functions are documented in :mod:`ship_geometry.frames` and
+:mod:`ship_geometry.ros_axes`; the tests compare them with the array functions there.
 """
 
 import cython
@@ -19,7 +18,7 @@ from cython.cimports.libc.math import M_PI, NAN, atan2, copysign, cos, fabs, hyp
 
 
 def angles(rotations: cython.const[cython.double][:, :, :]):
-    """Azimuth, elevation and roll (rad), shape (N, 3), of rotations "parent from device", shape (N, 3, 3)."""
+    """Return azimuth, elevation and roll (rad), shape (N, 3), of rotations "parent from device", shape (N, 3, 3)."""
     check("rotations", rotations.shape[1] == rotations.shape[2] == 3)
     count: cython.Py_ssize_t = rotations.shape[0]
     of_angles = np.empty((count, 3))
@@ -32,7 +31,7 @@ def angles(rotations: cython.const[cython.double][:, :, :]):
         azimuth = atan2(rotations[n, 2, 0], rotations[n, 0, 0])
         if azimuth < 0.0:
             azimuth += 2.0 * M_PI
-        # A tiny negative angle is rounded up to a full turn itself; and zero has no sign.
+        # A tiny negative angle is rounded up to a full turn; zero gets no sign.
         if azimuth == 2.0 * M_PI or azimuth == 0.0:
             azimuth = 0.0
         ca, sa = cos(azimuth), sin(azimuth)
@@ -46,7 +45,7 @@ def angles(rotations: cython.const[cython.double][:, :, :]):
 
 
 def rotations(of_angles: cython.const[cython.double][:, :]):
-    """Rotations "parent from device", shape (N, 3, 3), of azimuth, elevation and roll (rad), shape (N, 3)."""
+    """Return rotations "parent from device", shape (N, 3, 3), of azimuth, elevation and roll (rad), shape (N, 3)."""
     check("angles", of_angles.shape[1] == 3)
     count: cython.Py_ssize_t = of_angles.shape[0]
     of_rotations = np.empty((count, 3, 3))
@@ -73,7 +72,7 @@ def rotations(of_angles: cython.const[cython.double][:, :]):
 def _by_rotation_vector(
     azimuth: cython.double, elevation: cython.double, highest: cython.double, out: cython.p_double
 ) -> cython.void:
-    """The errors of the angles by those of a rotation vector, 3 × 3; NaN beyond the highest elevation."""
+    """Write the derivative of the angles by a rotation vector, 3 × 3; NaN beyond the highest elevation."""
     ca: cython.double = cos(azimuth)
     sa: cython.double = sin(azimuth)
     ce: cython.double = cos(elevation)
@@ -89,7 +88,7 @@ def _by_rotation_vector(
 
 
 def angle_errors(azimuth: cython.double, elevation: cython.double, highest: cython.double):
-    """The errors of one attitude's angles by those of its rotation vector, shape (3, 3); NaN beyond ``highest``."""
+    """Return the derivative of one attitude's angles by a rotation vector, shape (3, 3); NaN beyond ``highest``."""
     matrix = np.empty((3, 3))
     out: cython.double[:, ::1] = matrix
     _by_rotation_vector(azimuth, elevation, highest, cython.address(out[0, 0]))
@@ -101,12 +100,12 @@ def angle_covariances(
     of_angles: cython.const[cython.double][:, :],
     highest: cython.double,
 ):
-    """Covariance of the angles, rad², shape (N, 3, 3), of that of rotation vectors in the parent frame.
+    """Return the covariance of the angles, rad², shape (N, 3, 3), from that of rotation vectors in the parent frame.
 
     Args:
         covariances: rad², shape (N, 3, 3).
         of_angles: azimuth, elevation and roll, rad, shape (N, 3).
-        highest: elevation beyond which it is NaN, rad.
+        highest: elevation beyond which the result is NaN, rad.
     """
     count: cython.Py_ssize_t = covariances.shape[0]
     check("covariances", covariances.shape[1] == covariances.shape[2] == of_angles.shape[1] == 3)
@@ -138,7 +137,7 @@ def angle_covariances(
 
 
 def quaternions(matrices: cython.const[cython.double][:, :, :]):
-    """Quaternions x, y, z, w (w >= 0), shape (N, 4), of rotation matrices, by the largest component (Shepperd 1978)."""
+    """Return quaternions x, y, z, w (w >= 0), shape (N, 4), of rotation matrices (Shepperd 1978)."""
     check("matrices", matrices.shape[1] == matrices.shape[2] == 3)
     count: cython.Py_ssize_t = matrices.shape[0]
     of_result = np.empty((count, 4))
@@ -175,7 +174,7 @@ def quaternions(matrices: cython.const[cython.double][:, :, :]):
 
 
 def rotations_of(quaternions: cython.const[cython.double][:, :]):
-    """Rotation matrices, shape (N, 3, 3), of quaternions x, y, z, w of any norm but zero, shape (N, 4)."""
+    """Return rotation matrices, shape (N, 3, 3), of quaternions x, y, z, w of any norm above zero, shape (N, 4)."""
     check("quaternions", quaternions.shape[1] == 4)
     count: cython.Py_ssize_t = quaternions.shape[0]
     of_result = np.empty((count, 3, 3))

@@ -1,8 +1,8 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Lines of sight to lights and their points in an image, compiled: of one exposure with N lights, and of many.
+"""Compiled lines of sight to beacons, and their image points, of one exposure with N beacons, and of many.
 
-This is the one source of them. It is Python with C types for its numbers, compiled by Cython when the package is built.
-What they mean is told in :mod:`theodolite_calib.lights`.
+This is the only implementation. It is Python with C types, compiled by Cython when the package is built. The model is
+documented in :mod:`theodolite_calib.lights`.
 """
 
 import cython
@@ -22,7 +22,7 @@ _COLUMNS = cython.declare(cython.int, 19)
 @cython.cfunc
 @cython.exceptval(check=False)
 def _copied(matrix: cython.const[cython.double][:, :], out: cython.p_double) -> cython.void:
-    """The nine numbers of a 3 × 3 matrix row by row, however they lie."""
+    """Copy the nine elements of a 3 × 3 matrix of any memory layout, row by row."""
     i: cython.int
     j: cython.int
     for i in range(3):
@@ -35,7 +35,7 @@ def _copied(matrix: cython.const[cython.double][:, :], out: cython.p_double) -> 
 def _by_frame(
     row: cython.p_double, rotation: cython.p_double, sign: cython.double, out: cython.p_double
 ) -> cython.void:
-    """A row times a rotation (3 × 3), with a sign."""
+    """Write a row times a rotation (3 × 3), with a sign."""
     j: cython.int
     for j in range(3):
         out[j] = sign * (row[0] * rotation[j] + row[1] * rotation[3 + j] + row[2] * rotation[6 + j])
@@ -44,7 +44,7 @@ def _by_frame(
 @cython.cfunc
 @cython.exceptval(check=False)
 def _by_turn(row: cython.p_double, vector: cython.p_double, sign: cython.double, out: cython.p_double) -> cython.void:
-    """A row times [v x], with a sign: the cross product of the row with v."""
+    """Write a row times [v x], with a sign: the cross product of the row with v."""
     out[0] = sign * (row[1] * vector[2] - row[2] * vector[1])
     out[1] = sign * (row[2] * vector[0] - row[0] * vector[2])
     out[2] = sign * (row[0] * vector[1] - row[1] * vector[0])
@@ -61,24 +61,24 @@ def sight_lines(
     refraction: cython.const[cython.double][:, :],
     earth_radius_m: cython.double,
 ):
-    """Where N lights are seen from a telescope on a ship, in each of E exposures.
+    """Return the directions of N beacons from a telescope on a ship, in each of E exposures.
 
     Args:
         baselines: from the ship's antenna to the drones', in n (North, Up, East), m, shape (E, N, 3).
         drones: attitudes of the drones (n from b), shape (E, N, 3, 3).
-        light_levers: from a drone's antenna to its light, in b, m, shape (E, N, 3).
+        beacon_levers: from a drone's antenna to its light, in b, m, shape (E, N, 3).
         ships: attitude of the ship (n from d), shape (E, 3, 3).
         mounts: main frame of the mount (d from m), shape (E, 3, 3).
         lever: from the ship's antenna to the mount, in d, m, shape (3,).
-        principal_point: of the lens from there, in m, m, shape (3,).
-        refraction: coefficient k of each way, shape (E, N).
-        earth_radius_m: by which a light is raised by k d²/2.
+        principal_point: of the lens relative to the mount, in m, m, shape (3,).
+        refraction: refraction coefficient k of each path, shape (E, N).
+        earth_radius_m: Earth radius R; a light at the distance d appears higher by k d²/(2 R).
 
     Returns:
-        Unit vectors in n, refraction included, shape (E, N, 3); distances, m, shape (E, N); and the change of the unit
-        vectors, rad per unit, shape (E, N, 3, 19), by errors of the baseline (n), of the lever (d), of the principal
-        point (m), of the light's lever (b), by a turn of the ship and one of the drone (rotation vectors in n), with
-        three columns each, and by the refraction with one.
+        Unit vectors in n, refraction included, shape (E, N, 3); distances, m, shape (E, N); and the derivative of the
+        unit vectors, rad per unit, shape (E, N, 3, 19). Its columns, three each, are the baseline (n), the lever (d),
+        the principal point (m), the light's lever (b), and rotations of ship and drone (rotation vectors in n); the
+        last column is the refraction coefficient.
     """
     epochs: cython.Py_ssize_t = baselines.shape[0]
     count: cython.Py_ssize_t = baselines.shape[1]
@@ -127,7 +127,7 @@ def sight_lines(
                 seen[i] = baselines[e, n, i] + light[i] - lens[i]
                 length += seen[i] * seen[i]
             distances[e, n] = sqrt(length)
-            # A coefficient of 1 raises the light by so many metres.
+            # Apparent height of the light for a coefficient of 1, m.
             raised = length / (2.0 * earth_radius_m)
             seen[1] += refraction[e, n] * raised
             length = sqrt(seen[0] * seen[0] + seen[1] * seen[1] + seen[2] * seen[2])
@@ -153,17 +153,17 @@ def image_points(
     focal_lengths_m: cython.const[cython.double][:],
     principal_points_m: cython.const[cython.double][:, :],
 ):
-    """Where N lights are found on the detector of a telescope, in each of E exposures; NaN behind the telescope.
+    """Return the image points of N beacons on the detector of a telescope, in each of E exposures; NaN behind it.
 
     Args:
-        directions: of the lights in n, shape (E, N, 3).
+        directions: of the beacons in n, shape (E, N, 3).
         telescopes: attitudes (n from t: forward, up, right), shape (E, 3, 3).
         focal_lengths_m: shape (E,).
         principal_points_m: of the detector (x right, z up), shape (E, 2).
 
     Returns:
-        Points, m, shape (E, N, 2); their change by the rotation vector of the telescope in n and by the directions,
-        m/rad, shape (E, N, 2, 3) each; and by the focal length, m/m, shape (E, N, 2).
+        Points, m, shape (E, N, 2); their derivatives by the rotation vector of the telescope in n and by the
+        directions, m/rad, shape (E, N, 2, 3) each; and by the focal length, m/m, shape (E, N, 2).
     """
     epochs: cython.Py_ssize_t = directions.shape[0]
     count: cython.Py_ssize_t = directions.shape[1]
@@ -193,7 +193,7 @@ def image_points(
             _by_frame(seen_n, rotation_nt, 1.0, seen_t)
             if not seen_t[0] > 0.0:
                 seen_t[0] = NAN
-            # The image is inverted: x by what is to the right, z by what is above.
+            # The image is inverted: x is from the right component, z from the up component.
             for k in range(2):
                 across = seen_t[2 - k] / seen_t[0]
                 scale = -focal_lengths_m[e] / seen_t[0]

@@ -1,14 +1,14 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Where a mount with two axes points that stands on a ship, compiled: for one reading of its encoders, and for many.
+"""Compiled axis geometry of a two-axis mount on a ship, for one reading of its encoders, and for many.
 
-This is the one source of it. It is Python with C types for its numbers, compiled by Cython when the package is built.
-With R the measured attitude of the ship (horizon n from deck d) and ω her rate about her own axes, the main frame m of
-the mount (optical axis, up, right) is
+This is the only implementation. It is Python with C types, compiled by Cython when the package is built. With R the
+measured attitude of the ship (horizon n from deck d) and ω her angular rate about her own axes, the main frame m of the
+mount (optical axis, up, right) is
 
     R_nm = exp(a) R exp(-τ ω) · exp(e) · T Ry(A - g) Rx(I) Rz(-(E - h + f cos E)) Ry(-c),   T = exp((βy, 0, -βx))
 
-A and E are what the encoders read. The errors have this order everywhere: a (rotation vector in n), e (rotation vector
-in d), g, h, c, I, βx, βy, f, and τ in seconds. Those of the axes are told in :mod:`theodolite_calib.chain.axes`.
+A and E are the encoder readings. The order of the errors is always: a (rotation vector in n), e (rotation vector in d),
+g, h, c, I, βx, βy, f, and τ in seconds. Those of the axes are documented in :mod:`theodolite_calib.chain.axes`.
 """
 
 import cython
@@ -24,7 +24,7 @@ from cython.cimports.ship_geometry.compiled_rotations import _exponential, _jaco
 
 _ERRORS = cython.declare(cython.int, 14)
 _DYING = cython.declare(cython.int, 6)
-"""The first errors, a and e, may die out; the others are constants."""
+"""Number of correlated errors, a and e, which come first; the others are constants."""
 
 
 @cython.cfunc
@@ -37,9 +37,9 @@ def _axes(
     by_error: cython.p_double,
     by_encoder: cython.p_double,
 ) -> cython.void:
-    """The main frame in the base of the mount, and its rotation vector there by error (3 × 7) and encoder (3 × 2).
+    """Write the main frame in the base of the mount, and its derivatives by error (3 × 7) and encoder (3 × 2).
 
-    The errors are those of the axes alone, from g on.
+    The errors are those of the axes only, from g on; the derivatives are rotation vectors in the base.
     """
     tilt = cython.declare(cython.double[3])
     tilted = cython.declare(cython.double[9])
@@ -97,7 +97,7 @@ def _chain(
     by_error: cython.p_double,
     by_encoder: cython.p_double,
 ) -> cython.void:
-    """One moment of :func:`chains`."""
+    """Write the results of :func:`axis_geometries` for one time."""
     vector = cython.declare(cython.double[3])
     turn = cython.declare(cython.double[9])
     moved = cython.declare(cython.double[9])
@@ -150,18 +150,18 @@ def chains(
     rates: cython.const[cython.double][:, :],
     angles: cython.const[cython.double][:, :],
 ):
-    """The mount at N moments.
+    """Return the axis geometry of the mount at N times.
 
     Args:
-        errors: as they are known at each moment, shape (N, 14).
+        errors: estimated errors at each time, shape (N, 14).
         rotations: measured attitudes of the ship, shape (N, 3, 3).
         rates: her angular velocity about her own axes, rad/s, shape (N, 3).
-        angles: azimuth and elevation as the encoders read them, rad, shape (N, 2).
+        angles: encoder readings of azimuth and elevation, rad, shape (N, 2).
 
     Returns:
-        The corrected attitude of the ship (n from d), the main frame in the deck with the bending e in it (d from m)
-        and in the horizon (n from m), shape (N, 3, 3) each; and the rotation vector of the main frame in n per error,
-        shape (N, 3, 14), and per encoder angle, shape (N, 3, 2).
+        The corrected attitude of the ship (n from d), the main frame in the deck including the bending e (d from m)
+        and in the horizon (n from m), shape (N, 3, 3) each; and the derivative of the main frame, as rotation vector in
+        n, by errors, shape (N, 3, 14), and by encoder angles, shape (N, 3, 2).
     """
     count: cython.Py_ssize_t = errors.shape[0]
     check("moments", rotations.shape[0] == rates.shape[0] == angles.shape[0] == count)
@@ -205,7 +205,7 @@ def chains(
 def _add_turned(
     by_vector: cython.p_double, width: cython.Py_ssize_t, covariance: cython.p_double, out: cython.p_double
 ) -> cython.void:
-    """Add to a covariance (3 × 3) that of a vector of three errors, each with a column of a matrix so wide."""
+    """Add J P Jᵀ to a covariance (3 × 3), with P of shape (3, 3) and J three columns of a matrix of this width."""
     half = cython.declare(cython.double[3])
     i: cython.int
     j: cython.int
@@ -228,7 +228,7 @@ def _add_turned(
 def _turned(
     by_error: cython.p_double, parts: cython.p_double, size: cython.Py_ssize_t, out: cython.p_double
 ) -> cython.void:
-    """J P Jᵀ with J of shape (3, size) and P symmetric, shape (size, size)."""
+    """Write J P Jᵀ with J of shape (3, size) and P symmetric, shape (size, size)."""
     half = cython.declare(cython.double[14])
     total: cython.double
     i: cython.Py_ssize_t
@@ -266,33 +266,33 @@ def pointings(
     encoder: cython.Py_ssize_t,
     white: cython.Py_ssize_t,
 ):
-    """The mount at N readings of its encoders, corrected by one estimate of its errors, with its covariance by source.
+    """Return the main frame at N encoder readings, corrected by one estimate of the errors, with covariance by source.
 
-    The errors a and e are Gauss–Markov processes, and e has the steady covariance to which it returns; that of a is the
-    steady one too, and a share of a may be gone and something new come at the moment itself.
+    The errors a and e are Gauss–Markov processes with steady covariances. At a reading, a may also have decayed to a
+    remaining share, with an added covariance.
 
     Args:
-        since_ns: time since the estimate, shape (N,); less than none counts as none.
+        since_ns: time since the estimate, ns, shape (N,); negative times count as 0.
         rotations: measured attitudes of the ship at the readings, shape (N, 3, 3).
         rates: her angular velocity about her own axes, rad/s, shape (N, 3).
-        ship_variances: of a further error of each attitude, the same about all axes, rad², shape (N,).
-        angles: azimuth and elevation as the encoders read them, rad, shape (N, 2).
-        angle_variances: of the noise of each of the two, rad², shape (N,).
-        kept: share of a that is left at the moment, shape (N, 3), or (0, 3) where nothing happens at any.
-        new: covariance of what has come new of a, rad², shape (N, 3, 3), or (0, 3, 3).
-        errors: as estimated, shape (14,).
-        lasting: which of the first six do not die out in the mean, shape (6,).
-        time_s: correlation time of the first six, shape (6,).
+        ship_variances: variance of a further error of each attitude, equal about all axes, rad², shape (N,).
+        angles: encoder readings of azimuth and elevation, rad, shape (N, 2).
+        angle_variances: variance of the noise of each of the two, rad², shape (N,).
+        remaining_share: remaining share of a, shape (N, 3), or (0, 3) if a is unchanged at all readings.
+        added_covariance: covariance added to a, rad², shape (N, 3, 3), or (0, 3, 3).
+        errors: estimated errors, shape (14,).
+        exceeds_model: true for each of the first six whose mean does not decay, shape (6,).
+        time_s: correlation time of the first six, s, shape (6,).
         steady: steady covariance of a and of e, rad², shape (2, 3, 3).
-        parts: covariance of the errors by source, with the first 13 or with all of them, shape (n_sources, k, k).
-        ship: index of the source of a.
-        bending: of e.
-        encoder: of the noise of the encoders.
-        white: of the further error of the attitudes.
+        parts: covariance of the errors by source, of the first 13 or of all 14, shape (n_sources, k, k).
+        ship: index of the error source of a.
+        bending: index of the error source of e.
+        encoder: index of the error source of the encoder noise.
+        white: index of the error source of the further attitude error.
 
     Returns:
-        The main frame in the horizon, shape (N, 3, 3); its rotation vector in n per error at the moment, shape
-        (N, 3, k); and the covariance of that vector by source, rad², shape (N, n_sources, 3, 3).
+        The main frame in the horizon, shape (N, 3, 3); its derivative, as rotation vector in n, by the errors, shape
+        (N, 3, k); and the covariance of that vector by error source, rad², shape (N, n_sources, 3, 3).
     """
     count: cython.Py_ssize_t = since_ns.shape[0]
     sources: cython.Py_ssize_t = parts.shape[0]
@@ -395,14 +395,14 @@ def totals(
     added: cython.const[cython.uchar][:],
     source: cython.Py_ssize_t,
 ):
-    """The sums of N covariances by source, before and after that of further errors is added to one source in place.
+    """Add the covariance of further errors to one source in place; return the sums over sources before and after.
 
     Args:
-        parts: covariance by source, shape (N, n_sources, 3, 3).
-        by_error: rotation vector per error, shape (N, 3, k).
-        beside: symmetric covariance of the further errors, shape (k, k).
-        added: to which of the N it is added, shape (N,).
-        source: index of the source.
+        parts: covariance by error source, shape (N, n_sources, 3, 3).
+        by_error: derivative by the errors, shape (N, 3, k).
+        further_covariance: symmetric covariance of the further errors, shape (k, k).
+        added: true for each of the N to which it is added, shape (N,).
+        source: index of the error source.
 
     Returns:
         Shape (N, 3, 3) each.

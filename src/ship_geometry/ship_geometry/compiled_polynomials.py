@@ -1,9 +1,9 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Values between a few samples, by a cubic, and how far it is off by the polynomial through all of them, compiled.
+"""Compiled cubic interpolation between a few samples, with its error by the polynomial through all of them.
 
-This is the one source of it. It is Python with C types for its numbers, compiled by Cython when the package is built.
-What the functions compute is told where they are called, in :mod:`ship_geometry.interpolation_error` and
-:mod:`ship_geometry.vector_track`; the same in plain numpy stands in the tests.
+This is the only implementation. It is Python with C types, compiled by Cython when the package is built. The functions
+are documented where they are called, in :mod:`ship_geometry.interpolation_error` and
+:mod:`ship_geometry.vector_track`; the tests contain the same in plain numpy.
 """
 
 import cython
@@ -30,7 +30,7 @@ def _off(
     beside: cython.double,
     out: cython.p_double,
 ) -> cython.void:
-    """How far a value is off by Newton's polynomial through some, which are used up; and what that lacks, after it."""
+    """Write the error of a value by Newton's polynomial through samples, which are overwritten, and its last term."""
     order: cython.Py_ssize_t
     row: cython.Py_ssize_t
     i: cython.Py_ssize_t
@@ -61,20 +61,20 @@ def errors_by_polynomial(
     found: cython.const[cython.double][:],
     beside: cython.double,
 ) -> FloatArray:
-    """What :func:`ship_geometry.interpolation_error.by_polynomial` tells of three samples or more, shape (2, k).
+    """Return :func:`ship_geometry.interpolation_error.polynomial_errors` for three samples or more, shape (2, k).
 
     Args:
-        nodes: where the samples are, shape (n,), n at most 8.
+        nodes: times of the samples, shape (n,), n at most 8.
         values: the samples, shape (n, k).
-        at: where the value is.
+        at: time of the value.
         found: the value, shape (k,).
-        beside: share of the last term that stands for those left out.
+        next_term_share: share of the last term that estimates the missing ones.
     """
     count: cython.Py_ssize_t = values.shape[0]
     width: cython.Py_ssize_t = values.shape[1]
-    check("samples", nodes.shape[0] == count and 1 < count <= 8)  # as many as the room below holds
+    check("samples", nodes.shape[0] == count and 1 < count <= 8)  # size of the arrays below
     check("values", found.shape[0] == width)
-    # Behind the samples the value itself.
+    # The samples, followed by the value.
     room: cython.double[::1] = np.empty((count + 1) * width + 1)
     places = cython.declare(cython.double[8])
     errors = np.empty((2, width))
@@ -115,32 +115,32 @@ def between(
     beside: cython.double,
     any_direction: cython.double,
 ):
-    """The vector between two of a few neighbours that are joined to one another.
+    """Interpolate a vector between two of a few neighbouring samples without a gap.
 
     Args:
-        times_ns: stamps of the neighbours: two at most before the interval, one at most behind it, shape (n,).
+        times_ns: stamps of the neighbours: at most two before the interval, at most one after it, shape (n,).
         vectors: the samples, shape (n, k).
         left: number of the sample at which the interval begins.
-        time_ns: the moment.
-        period: after which all components repeat; infinite for lengths.
-        value0: and the next three as :func:`ship_geometry.sample_track.hermite_weights` gives them.
+        time_ns: the time.
+        period: period of all components; infinite for lengths.
+        value0: weight of :func:`ship_geometry.sample_track.hermite_weights`.
         slope0: likewise.
         value1: likewise.
         slope1: likewise.
-        beside: and the next as the numbers of :mod:`ship_geometry.interpolation_error`, for these samples.
+        next_term_share: constant of :mod:`ship_geometry.interpolation_error` for these samples.
         any_direction: likewise.
 
     Returns:
-        The vector, shape (k,), its variance per variance of the samples' noise, and the covariance of its own error,
-        shape (k, k).
+        The vector, shape (k,), its variance per variance of the samples' noise, and the covariance of the interpolation
+        error, shape (k, k).
     """
     count: cython.Py_ssize_t = vectors.shape[0]
     width: cython.Py_ssize_t = vectors.shape[1]
     check("samples", times_ns.shape[0] == count and 0 <= left <= 2 and left + 1 < count <= left + 3)
     interval_ns: cython.longlong = times_ns[left + 1] - times_ns[left]
     fraction: cython.double = cython.cast(cython.double, time_ns - times_ns[left]) / interval_ns
-    # The change from the sample at the beginning of the interval to each: its two ends, the one before, the one behind,
-    # the second before, as far as there are.
+    # The changes from the sample at the start of the interval: to its two ends, the sample before, the sample after,
+    # and the second before, as far as they exist.
     around = cython.declare(cython.Py_ssize_t[5])
     nodes = cython.declare(cython.double[5])
     rows: cython.Py_ssize_t = 2
@@ -179,7 +179,7 @@ def between(
         change[i] = slope0 * slope_before + value1 * changes[width + i] + slope1 * slope_after
         result[i] = vectors[left, i] + change[i]
     if rows == 2:
-        # No other sample is there: as if the whole change could begin, or end, within the interval.
+        # Without other samples: as if the whole change began, or ended, within the interval.
         for i in range(width):
             errors[i] = 0.5 * fraction * (1.0 - fraction) * changes[width + i]
     else:
@@ -202,7 +202,7 @@ def _change(
     component: cython.Py_ssize_t,
     period: cython.double,
 ) -> cython.double:
-    """Change of a component from one sample to another, each step the short way round."""
+    """Return the change of a component from one sample to another, each step taken the short way round."""
     change: cython.double = 0.0
     step: cython.double
     i: cython.Py_ssize_t
@@ -220,7 +220,7 @@ def _share(
     before: cython.Py_ssize_t,
     after: cython.Py_ssize_t,
 ) -> cython.double:
-    """Length of the interval over the time between two samples."""
+    """Return the length of the interval over the time between two samples."""
     return cython.cast(cython.double, times_ns[left + 1] - times_ns[left]) / (times_ns[after] - times_ns[before])
 
 
@@ -236,7 +236,7 @@ def _noise_gain(
     value1: cython.double,
     slope1: cython.double,
 ) -> cython.double:
-    """Sum of the squares of the weights of the samples."""
+    """Return the sum of the squared weights of the samples."""
     share0: cython.double = slope0 * _share(times_ns, left, before, left + 1)
     share1: cython.double = slope1 * _share(times_ns, left, left, after)
     weight0: cython.double = value0 - share1

@@ -1,9 +1,8 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Refraction of a handful of stars, compiled: how far the air lifts them, and where they are then seen.
+"""Compiled refraction of a few stars: refraction angles and apparent directions.
 
-This is the one source of it. It is Python with C types for its numbers, compiled by Cython when the package is built.
-What the functions compute is told where they are called, in :mod:`ship_geometry.refraction`; the same in plain numpy
-stands in the tests.
+This is the only implementation. It is Python with C types, compiled by Cython when the package is built. The functions
+are documented where they are called, in :mod:`ship_geometry.refraction`; the tests contain the same in plain numpy.
 """
 
 import cython
@@ -18,7 +17,7 @@ if not cython.compiled:
 from cython.cimports.libc.math import NAN, atan2, cos, hypot, sin, tan
 
 _TINY = cython.declare(cython.double, 1e-300)
-"""At the zenith itself there is no azimuth to turn in, and no refraction."""
+"""Least horizontal component of a direction: at the zenith there is no azimuth, and no refraction."""
 
 
 @cython.cfunc
@@ -32,7 +31,7 @@ def _bent(
     sigmas: cython.const[cython.double][::1],
     angles: cython.p_double,
 ) -> cython.double:
-    """Write the angle and its derivatives by pressure and temperature; returns the standard deviation of the model."""
+    """Write the angle and its derivatives by pressure and temperature; return the standard deviation of the model."""
     tan_z: cython.double = 1.0 / tan(elevation) if elevation >= lowest else NAN
     tan2_z: cython.double = tan_z * tan_z
     divisor: cython.double
@@ -45,8 +44,8 @@ def _bent(
             angles[i] = coefficients[power, i] + angles[i] * x
         angles[i] *= tan_z
     if of_observed:
-        # A and B, two coefficients, belong to the observed zenith distance. One step of Newton's method leads there
-        # from the true one, as in ERFA's atioq. In the derivatives the small change of this divisor is left out.
+        # The two coefficients A and B belong to the observed zenith distance. One step of Newton's method computes it
+        # from the true one, as in ERFA's atioq. The derivatives neglect the small change of this divisor.
         divisor = 1.0 + (coefficients[0, 0] + 3.0 * coefficients[1, 0] * tan2_z) * (1.0 + tan2_z)
         for i in range(3):
             angles[i] /= divisor
@@ -56,7 +55,7 @@ def _bent(
 @cython.cfunc
 @cython.exceptval(check=False)
 def _lifted(direction: cython.p_double, angle: cython.double, out: cython.p_double) -> cython.void:
-    """A direction (North, Up, East) turned upwards by an angle."""
+    """Write a direction (North, Up, East) raised by an angle."""
     horizontal: cython.double = hypot(direction[0], direction[2])
     stretch: cython.double = cos(angle) - sin(angle) * direction[1] / max(horizontal, _TINY)
     out[0], out[2] = direction[0] * stretch, direction[2] * stretch
@@ -64,7 +63,7 @@ def _lifted(direction: cython.p_double, angle: cython.double, out: cython.p_doub
 
 
 def _fits(coefficients, of_observed, sigmas) -> None:
-    """Refuse numbers that are not those of a model; the loops look at no bounds."""
+    """Raise ValueError for numbers that are not those of a model, because the loops do not check bounds."""
     terms = coefficients.shape[0]
     check("model", terms == 2 or (terms > 2 and not of_observed))
     check("model", coefficients.shape[1] == sigmas.shape[0] == 3)
@@ -78,16 +77,16 @@ def bent(
     of_observed: cython.bint,
     sigmas: cython.const[cython.double][::1],
 ) -> tuple[FloatArray, FloatArray]:
-    """Refraction at k elevations.
+    """Return refraction at k elevations.
 
     Args:
         elevation: without air, rad, shape (k,).
         coefficients: cᵢ of tan z Σ cᵢ xⁱ with x = tan² z/(1 + c tan² z), each with its derivatives by pressure and
             temperature, shape (t, 3).
-        curvature: c; with 0 they are those of tan z, tan³ z, tan⁵ z ….
-        lowest: elevation of the model, rad; below it all is NaN.
-        of_observed: whether the coefficients, two of them, belong to the zenith distance with air.
-        sigmas: of the model: rad, rad per tan⁵ z, and per angle, shape (3,).
+        curvature: c; with c = 0 the terms are tan z, tan³ z, tan⁵ z ….
+        lowest: lowest elevation of the model, rad; below it the results are NaN.
+        of_observed: True if the coefficients, two of them, belong to the zenith distance with air.
+        sigmas: standard deviation of the model: rad, rad per tan⁵ z, and per angle, shape (3,).
 
     Returns:
         The angle, rad, and its derivatives, shape (k, 3); standard deviation of the model itself, rad, shape (k,).
@@ -106,7 +105,7 @@ def bent(
 
 
 def lifted(direction_n: cython.const[cython.double][:, ::1], angle: cython.const[cython.double][::1]) -> FloatArray:
-    """Directions (North, Up, East), shape (k, 3), turned upwards by angles, rad, shape (k,)."""
+    """Return directions (North, Up, East), shape (k, 3), raised by angles, rad, shape (k,)."""
     count: cython.Py_ssize_t = angle.shape[0]
     check("directions", direction_n.shape[0] == count and direction_n.shape[1] == 3)
     result = np.empty((count, 3))
@@ -130,22 +129,22 @@ def seen(
     temperature_sigma: cython.double,
     turns_n: cython.const[cython.double][:, ::1],
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Stars as they are seen through the air, k of them, and what the errors that they share do to them.
+    """Return the apparent directions of k stars through the air, and their displacement by common errors.
 
     Args:
         without_air_n: unit vectors (North, Up, East), shape (k, 3).
-        coefficients: and the next as in :func:`bent`.
+        coefficients: as in :func:`refraction_angles`.
         curvature: likewise.
         lowest: likewise.
         of_observed: likewise.
         sigmas: likewise.
         pressure_sigma: of the air, hPa.
         temperature_sigma: of the air, K.
-        turns_n: turns of the whole sky, rotation vectors, rad, shape (m, 3).
+        turns_n: rotations of the whole sky, rotation vectors, rad, shape (m, 3).
 
     Returns:
-        Unit vectors with air, shape (k, 3); their displacement by one sigma of refraction and by each of the turns,
-        rad, shape (k, 3, 1 + m); the elevations without air, rad, shape (k,).
+        Unit vectors with air, shape (k, 3); their displacement by one sigma of refraction and by each rotation, rad,
+        shape (k, 3, 1 + m); the elevations without air, rad, shape (k,).
     """
     _fits(coefficients, of_observed, sigmas)
     count: cython.Py_ssize_t = without_air_n.shape[0]
@@ -169,7 +168,7 @@ def seen(
         sigma = hypot(hypot(angles[1] * pressure_sigma, angles[2] * temperature_sigma), sigma)
         _lifted(star, angles[0], cython.address(direction[k, 0]))
         star[0], star[1], star[2] = direction[k, 0], direction[k, 1], direction[k, 2]
-        # Across the direction, where the elevation grows. At the zenith it grows nowhere: that is short instead of NaN.
+        # Perpendicular to the direction, upwards. At the zenith, where this is undefined, it is small instead of NaN.
         level = hypot(star[0], star[2])
         upward = -star[1] / max(level, _TINY) * sigma
         shared[k, 0, 0], shared[k, 1, 0], shared[k, 2, 0] = star[0] * upward, level * sigma, star[2] * upward

@@ -1,9 +1,8 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""The rotations of single moments, compiled: most calls of a live node are single, and numpy is made for many.
+"""Compiled rotations for single calls, which are most calls of a live node; numpy is efficient for arrays only.
 
-This is the one source of them. It is Python with C types for its numbers, compiled by Cython when the package is built.
-What the functions compute is told where they are called; the same for whole arrays stands in
-:mod:`ship_geometry.rotations`, and the tests hold the one against the other.
+It is Python with C types, compiled by Cython when the package is built. The functions are documented where they are
+called; :mod:`ship_geometry.rotations` has the same for arrays, and the tests compare the two.
 """
 
 import cython
@@ -18,7 +17,7 @@ from cython.cimports.libc.math import atan2, cos, exp, sin, sqrt
 from cython.cimports.libc.string import memcpy
 
 _SMALL_ANGLE = cython.declare(cython.double, 1e-4)
-"""Below this angle (rad) the series used are exact to the last bit of a double."""
+"""Angle below which the series are exact to the last bit of a double, rad."""
 
 
 @cython.cfunc
@@ -26,7 +25,7 @@ _SMALL_ANGLE = cython.declare(cython.double, 1e-4)
 def _polynomial(
     v: cython.p_double, linear: cython.double, quadratic: cython.double, out: cython.p_double
 ) -> cython.void:
-    """Identity + linear [v x] + quadratic [v x]²."""
+    """Write identity + linear [v x] + quadratic [v x]²."""
     x: cython.double = v[0]
     y: cython.double = v[1]
     z: cython.double = v[2]
@@ -70,7 +69,7 @@ def _jacobian(v: cython.p_double, out: cython.p_double) -> cython.void:
 
 
 def exponential(vector: cython.const[cython.double][:]):
-    """:func:`ship_geometry.rotations.exp_rotation` of one vector."""
+    """Return :func:`ship_geometry.rotations.exp_rotation` of one vector."""
     check("vector", vector.shape[0] == 3)
     v = cython.declare(cython.double[3])
     v[0], v[1], v[2] = vector[0], vector[1], vector[2]
@@ -81,7 +80,7 @@ def exponential(vector: cython.const[cython.double][:]):
 
 
 def jacobian(vector: cython.const[cython.double][:]):
-    """:func:`ship_geometry.rotations.left_jacobian` of one vector."""
+    """Return :func:`ship_geometry.rotations.left_jacobian` of one vector."""
     check("vector", vector.shape[0] == 3)
     v = cython.declare(cython.double[3])
     v[0], v[1], v[2] = vector[0], vector[1], vector[2]
@@ -94,7 +93,7 @@ def jacobian(vector: cython.const[cython.double][:]):
 @cython.cfunc
 @cython.exceptval(check=False)
 def _logarithm(rotation: cython.p_double, out: cython.p_double) -> cython.void:
-    """By the antisymmetric part; near half a turn by R + Rᵀ = 2 cos t I + 2 (1 - cos t) n nᵀ, of axis n and angle t."""
+    """Write the logarithm, by the antisymmetric part; near half a turn by R + Rᵀ = 2 cos t I + 2 (1 - cos t) n nᵀ."""
     cosine: cython.double = 0.5 * (rotation[0] + rotation[4] + rotation[8] - 1.0)
     x: cython.double = rotation[7] - rotation[5]
     y: cython.double = rotation[2] - rotation[6]
@@ -125,7 +124,7 @@ def _logarithm(rotation: cython.p_double, out: cython.p_double) -> cython.void:
 @cython.cfunc
 @cython.exceptval(check=False)
 def _copied(matrix: cython.const[cython.double][:, :], out: cython.p_double) -> cython.void:
-    """The nine numbers of a 3 × 3 matrix row by row, however they lie."""
+    """Copy the nine elements of a 3 × 3 matrix of any memory layout, row by row."""
     i: cython.int
     j: cython.int
     for i in range(3):
@@ -134,7 +133,7 @@ def _copied(matrix: cython.const[cython.double][:, :], out: cython.p_double) -> 
 
 
 def logarithm(rotation: cython.const[cython.double][:, :]):
-    """:func:`ship_geometry.rotations.log_rotation` of one matrix."""
+    """Return :func:`ship_geometry.rotations.log_rotation` of one matrix."""
     check("rotation", rotation.shape[0] == rotation.shape[1] == 3)
     matrix = cython.declare(cython.double[9])
     vector = np.empty(3)
@@ -147,7 +146,7 @@ def logarithm(rotation: cython.const[cython.double][:, :]):
 @cython.cfunc
 @cython.exceptval(check=False)
 def _times(left: cython.p_double, right: cython.p_double, out: cython.p_double) -> cython.void:
-    """The product of two 3 × 3 matrices."""
+    """Write the product of two 3 × 3 matrices."""
     i: cython.int
     j: cython.int
     for i in range(3):
@@ -156,14 +155,14 @@ def _times(left: cython.p_double, right: cython.p_double, out: cython.p_double) 
 
 
 def turned_on(rotation: cython.const[cython.double][:, :], vectors: cython.const[cython.double][:, :]):
-    """A rotation turned on by N rotation vectors, one after another, each about the axes reached before it.
+    """Return the N rotations that follow from a rotation by N successive rotation vectors about the rotated axes.
 
     Args:
         rotation: shape (3, 3).
         vectors: rad, shape (N, 3).
 
     Returns:
-        The rotations reached, shape (N, 3, 3).
+        The rotation after each vector, shape (N, 3, 3).
     """
     count: cython.Py_ssize_t = vectors.shape[0]
     check("turned_on", rotation.shape[0] == rotation.shape[1] == 3 and vectors.shape[1] == 3)
@@ -190,12 +189,12 @@ def differences(
     others: cython.const[cython.double][:, :, :],
     turn: cython.const[cython.double][:, :],
 ):
-    """Rotation vectors of N rotations against others, R Oᵀ T, in the frame on their left.
+    """Return the rotation vectors of R Oᵀ T, for N rotations R and O, in the left frame of R.
 
     Args:
         rotations: R, shape (N, 3, 3).
-        others: O, to other frames on the left, shape (N, 3, 3).
-        turn: T, nearly what turns the frame of R into that of O, shape (3, 3).
+        others: O, with another frame on the left, shape (N, 3, 3).
+        turn: T, approximate rotation between the left frames of O and R, shape (3, 3).
 
     Returns:
         rad, shape (N, 3).
@@ -230,7 +229,7 @@ def differences(
 @cython.cfunc
 @cython.exceptval(check=False)
 def _transposed_times(left: cython.p_double, right: cython.p_double, out: cython.p_double) -> cython.void:
-    """The product of two 3 × 3 matrices, the first one transposed."""
+    """Write the product of two 3 × 3 matrices, the first one transposed."""
     i: cython.int
     j: cython.int
     for i in range(3):
@@ -251,22 +250,22 @@ def hung(
     rate: cython.const[cython.double][:],
     base_error: cython.const[cython.double][:, :],
 ):
-    """The attitude of what hangs by a chain of rotations on a base that turns, with its derivatives.
+    """Return the attitude composed of a rotating base and a sequence of rotations (links), with its derivatives.
 
-    The chain is multiplied from right to left: the rotation of each link, exp(v) of three states v, and a fixed one on
-    its left. The base stands on the left of the fixed rotation of one of the links.
+    The product is formed from right to left: the rotation of each link, exp(v) of three states v, then a fixed rotation
+    on its left. The base is on the left of the fixed rotation of one of the links.
 
     Args:
         mean: all states, shape (n,).
         links: first state of each link, shape (k,).
         after: the fixed rotations, shape (k, 3, 3).
-        hull: the link that hangs on the base itself.
-        white: a link whose states count ``white_scale`` times.
-        white_scale: as said.
-        clocks: states by whose sum the moment of the base moves, s, shape (c,).
-        signs: of each in that sum, shape (c,).
-        base: its attitude, shape (3, 3).
-        rate: of the base about its own axes, rad/s, shape (3,).
+        base_link: the link to the left of which the base is.
+        white: a link whose states are multiplied by ``white_scale``.
+        white_scale: this factor.
+        clocks: states whose sum shifts the time of the base, s, shape (c,).
+        signs: sign of each in that sum, shape (c,).
+        base: attitude of the base, shape (3, 3).
+        rate: angular velocity of the base about its own axes, rad/s, shape (3,).
         base_error: covariance of an error of the base about its own axes, rad², shape (3, 3).
 
     Returns:
@@ -327,7 +326,7 @@ def hung(
 
 
 def turn_between(first: cython.const[cython.double][:, :], second: cython.const[cython.double][:, :]):
-    """Rotation vector from one attitude to another about the axes of the first one, rad, shape (3,)."""
+    """Return the rotation vector from one attitude to another about the axes of the first one, rad, shape (3,)."""
     check("attitudes", first.shape[0] == first.shape[1] == second.shape[0] == second.shape[1] == 3)
     before = cython.declare(cython.double[9])
     after = cython.declare(cython.double[9])
@@ -344,7 +343,7 @@ def turn_between(first: cython.const[cython.double][:, :], second: cython.const[
 @cython.cfunc
 @cython.exceptval(check=False)
 def _inverse_times(matrix: cython.p_double, vector: cython.p_double, out: cython.p_double) -> cython.void:
-    """The inverse of a transposed 3 × 3 matrix times a vector, by Cramer's rule."""
+    """Write the inverse of a transposed 3 × 3 matrix times a vector, by Cramer's rule."""
     minors = cython.declare(cython.double[9])
     determinant: cython.double
     i: cython.int
@@ -376,7 +375,7 @@ def _cubic(
     rotation: cython.p_double,
     rate: cython.p_double,
 ) -> cython.void:
-    """The cubic of :func:`cubic`; ``start`` is its slope at the beginning, and the four after it are written."""
+    """Evaluate the cubic of :func:`cubic`; ``start`` is its slope at the start, the arguments after it are output."""
     matrix = cython.declare(cython.double[9])
     slope = cython.declare(cython.double[3])
     i: cython.int
@@ -409,7 +408,7 @@ def cubic(
     interval_s: cython.double,
     at: cython.double,
 ):
-    """Between two attitudes, by a cubic of the rotation vector from the first one, with given rates at both ends.
+    """Interpolate between two attitudes, by a cubic of the rotation vector with given rates at both ends.
 
     Args:
         first: shape (3, 3).
@@ -456,29 +455,29 @@ def between(
     any_direction: cython.double,
     largest: cython.double,
 ):
-    """Between two attitudes with measured rates, by the cubic of :func:`cubic`, and how far it may be off.
+    """Interpolate between two attitudes with measured rates by :func:`cubic`, with the error of the cubic.
 
-    The error of a cubic with the right values and slopes is the fourth derivative / 24 times t² (1 - t)²: how far it
-    misses another sample tells it everywhere. Beside that, and alone where there is no other sample, stands a bound by
-    the cubic's own third derivative: as if that could grow from zero within the interval.
+    The error of a cubic with the right values and slopes is the fourth derivative / 24 times t² (1 - t)². The
+    difference at another sample gives this factor. A second estimate, the only one without another sample, uses the
+    cubic's third derivative, as if it grew from zero within the interval.
 
     Args:
         first: shape (3, 3).
         second: the next one.
-        other: the one before the first.
+        other: the sample before the first.
         first_rate: about the axes of the first one, rad/s, shape (3,).
         second_rate: about those of the second one.
         interval_s: time between the two.
         at: fraction of it.
-        other_at: where the other one is, in units of the interval; 0 where there is none.
-        beside: share of the bound by the third derivative that counts beside the miss.
+        other_at: time of the other sample, in units of the interval; 0 if there is none.
+        bound_share: share of the bound by the third derivative that is used with another sample.
         any_direction: share of an error that may have any direction.
         largest: bound of the sum of the errors' squares, rad².
 
     Returns:
-        Rotation and rate there; the variance of the attitude per variance of the samples' noise; the estimates of the
-        error, rotation vectors about the axes of the deck, rad, shape (k, 3): two, or without another sample one; and
-        the covariance that they make, rad², shape (3, 3).
+        Rotation and rate; the variance of the attitude per variance of the samples' noise; the estimates of the error,
+        rotation vectors about the axes of the deck, rad, shape (k, 3): two, or one without another sample; and their
+        covariance, rad², shape (3, 3).
     """
     check("attitudes", first.shape[0] == first.shape[1] == second.shape[0] == second.shape[1] == 3)
     check("other", other.shape[0] == other.shape[1] == first_rate.shape[0] == second_rate.shape[0] == 3)
@@ -540,7 +539,7 @@ def between(
             covariance[i, j] = any_direction * any_direction * squares * scale if i == j else 0.0
             for k in range(estimates):
                 covariance[i, j] += errors[k, i] * errors[k, j] * scale
-    # Of the two attitudes the second has this weight; measured rates count as free of noise.
+    # Weight of the second attitude; measured rates count as noise-free.
     share = at * at * (3.0 - 2.0 * at)
     return of_rotation, of_rate, (1.0 - share) * (1.0 - share) + share * share, of_errors, of_covariance
 
@@ -553,18 +552,18 @@ def moved(
     any_direction: cython.double,
     largest: cython.double,
 ):
-    """N samples, each moved by its rate and by the change of the rates before it.
+    """Propagate N samples, each by its rate and by the change of the rates before it.
 
     Args:
         rotations: shape (N, 3, 3).
         rates: of each sample and of those before it, rad/s, newest first, at least two, shape (N, k, 3).
-        steps_s: between them, shape (N, k - 1).
-        ahead_s: by so much each sample is moved, shape (N,).
+        steps_s: intervals between them, s, shape (N, k - 1).
+        ahead_s: time by which each sample is propagated, s, shape (N,).
         any_direction: share of an error that may have any direction.
         largest: bound of the squares of the error, rad².
 
     Returns:
-        The rotations, the rates, and the covariance of what the motion may have beside.
+        The rotations, the rates, and the covariance of the propagation error, rad².
     """
     samples: cython.Py_ssize_t = rotations.shape[0]
     count: cython.Py_ssize_t = rates.shape[1]
@@ -607,7 +606,7 @@ def moved(
                     jerk[i] -= (rates[n, back + 1, i] - rates[n, back + 2, i]) / steps_s[n, back + 1]
                     jerk[i] *= 2.0 / (steps_s[n, back] + steps_s[n, back + 1])
                 else:
-                    # With two rates alone the jerk is as large as it can be: all of the change came within the step.
+                    # With two rates only, the largest jerk: the whole change within the step.
                     jerk[i] /= steps_s[n, 0]
                 jerk[i] *= lacking
                 squares += jerk[i] * jerk[i]
@@ -640,27 +639,27 @@ def corrected(
     white: cython.Py_ssize_t,
     own: cython.Py_ssize_t,
 ):
-    """Attitudes of N samples, each corrected by one of e estimates of their slow error and of their clock.
+    """Return N attitudes, each corrected by one of e estimates of its correlated error and clock offset.
 
     Args:
-        by: which of the estimates corrects each sample, shape (N,).
-        since_s: time since the estimate, shape (N,).
-        rotations: of the samples, shape (N, 3, 3).
+        by: index of the estimate for each sample, shape (N,).
+        since_s: time since the estimate, s, shape (N,).
+        rotations: attitudes of the samples, shape (N, 3, 3).
         rates: angular velocity about their own axes, rad/s, shape (N, 3).
-        noise_gains: of the samples' white noise, shape (N,).
+        noise_gains: gain of the samples' white noise, shape (N,).
         own_errors: covariance of a further error of each about its own axes, rad², shape (N, 3, 3).
-        errors: estimated slow error, rad, shape (e, 3).
-        lasting: which of it does not die out, shape (e, 3).
-        time_s: its correlation time, shape (3,).
-        steady_variance: of it, rad², shape (3,).
-        white_variance: of the samples, rad², shape (3,).
-        parts: covariance of the error and of the clock (rad, s) by source, shape (e, n_sources, 4, 4).
-        drift: index of the source of the slow error.
-        white: of the white noise.
-        own: of the further error.
+        errors: estimated correlated error, rad, shape (e, 3).
+        exceeds_model: true for each element that does not decay, shape (e, 3).
+        time_s: correlation time of the error, s, shape (3,).
+        steady_variance: steady variance of the error, rad², shape (3,).
+        white_variance: variance of the samples' white noise, rad², shape (3,).
+        parts: covariance of error and clock offset (rad, s) by error source, shape (e, n_sources, 4, 4).
+        drift_source: index of the error source of the correlated error.
+        white_source: index of the error source of the white noise.
+        own_source: index of the error source of the further error.
 
     Returns:
-        Attitudes, shape (N, 3, 3), and the covariance of each by source, rad², shape (N, n_sources, 3, 3).
+        Attitudes, shape (N, 3, 3), and their covariance by error source, rad², shape (N, n_sources, 3, 3).
     """
     count: cython.Py_ssize_t = since_s.shape[0]
     estimates: cython.Py_ssize_t = errors.shape[0]

@@ -1,5 +1,5 @@
 # cython: language_level=3
-"""Whether arrays fit together, asked by compiled loops, which look at no bounds; compiled as they are."""
+"""Check of array shapes for the compiled modules, whose loops do not check bounds."""
 
 import cython
 
@@ -8,14 +8,14 @@ if not cython.compiled:
 
 
 def check(what: str, fits: bool) -> None:
-    """Refuse arrays whose shapes do not fit together.
+    """Raise an error if the shapes of arrays do not match.
 
     Args:
-        what: which arrays these are.
-        fits: whether they do.
+        what: name of the arrays.
+        fits: True if their shapes match.
 
     Raises:
-        ValueError: they do not.
+        ValueError: the shapes do not match.
 
     Example:
         >>> check("rates", (4, 3)[1] == 3)

@@ -1,7 +1,7 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""The numbers in the columns of a text table, read by one compiled loop.
+"""Compiled reading of the numbers in the columns of a text table; see :mod:`ship_geometry.text_tables`.
 
-What is read is told in :mod:`ship_geometry.text_tables`. It is Python with C types, compiled when the package is built.
+It is Python with C types, compiled by Cython when the package is built.
 """
 
 import cython
@@ -19,19 +19,18 @@ _MINUS = cython.declare(cython.uchar, 45)
 _POINT = cython.declare(cython.uchar, 46)
 _ZERO = cython.declare(cython.uchar, 48)
 _MOST_DIGITS = cython.declare(cython.int, 15)
-"""Whole numbers of so many digits are exact as floating-point numbers, and so are the powers of ten."""
+"""Maximum number of digits of an integer that is exact as a double, as are these powers of ten."""
 
 
 def plain_numbers(records: cython.const[cython.uchar][:, :], columns: cython.const[cython.Py_ssize_t][:, :]):
-    """The numbers in columns of n lines, shape (c, n), NaN where they are blank; and whether each is plain.
+    """Return the numbers in columns of n lines, shape (c, n), NaN if blank; and True for each plain number.
 
-    A plain number has blanks, perhaps a minus, then digits with one point among them or none, and perhaps blanks. Its
-    digits are a whole number that is divided once by a power of ten: that is rounded as ``float`` rounds. What is not
-    plain is zero.
+    A plain number has optional blanks and minus, digits with at most one point, and optional blanks. Its digits are an
+    integer that is divided once by a power of ten, which rounds as ``float`` does. Other numbers are zero.
 
     Args:
         records: the lines, shape (n, length).
-        columns: the first and the last character of each, counted from 1, shape (c, 2).
+        columns: first and last character of each column, counted from 1, shape (c, 2).
     """
     of_numbers = np.zeros((columns.shape[0], records.shape[0]))
     of_plain = np.zeros((columns.shape[0], records.shape[0]), dtype=bool)
@@ -57,7 +56,7 @@ def _read(
     end: cython.Py_ssize_t,
     number: cython.p_double,
 ) -> cython.bint:
-    """Read the number between two characters of a line; False where it is not plain."""
+    """Read the number between two characters of a line; return False if it is not plain."""
     whole: cython.double = 0.0
     power: cython.double = 1.0
     digits: cython.int = 0

@@ -1,4 +1,4 @@
-"""What stands on deck in the way of the sky: polygons over azimuth and elevation, as one sensor sees them.
+"""Deck masks: obstructions of the sky on deck, as polygons over azimuth and elevation for one sensor.
 
 Azimuth is counted from the bow, clockwise seen from above; elevation over the deck. The edges of a polygon are
 straight in azimuth and elevation. A polygon across the bow has corners below 0 or over a whole turn: (350°, 370°), not
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ship_geometry.rotations import FloatArray
 
 EDGE_STEP = np.deg2rad(0.25)
-"""Points on the edge of a mask are so near to each other, rad; a field that it enters by less may count as clear."""
+"""Spacing of points on the edge of a mask, rad; a field that a mask enters by less may count as clear."""
 
 BoolArray = NDArray[np.bool_]
 
@@ -27,11 +27,11 @@ class DeckMasks:
     """Masks of the deck.
 
     Attributes:
-        names: of the masks.
-        corners: azimuth and elevation of the corners of each, shape (k, 2), rad, three corners at least.
+        names: names of the masks.
+        corners: azimuth and elevation of the corners of each mask, shape (k, 2), rad, at least three corners.
 
     Example:
-        A funnel astern, 50° high, hides the star 30° up astern, and not the one 60° up:
+        A funnel astern, 50° high, hides a star astern at 30° elevation, but not at 60°:
 
         >>> corners = np.deg2rad([[150.0, 0.0], [210.0, 0.0], [210.0, 50.0], [150.0, 50.0]])
         >>> masks = DeckMasks(("funnel",), (corners,))
@@ -44,9 +44,9 @@ class DeckMasks:
     corners: tuple[FloatArray, ...]
 
     def hiding(self, directions_d: FloatArray) -> BoolArray:
-        """Which masks hide directions (bow, up, starboard), shape (..., 3); shape (masks, ...).
+        """Return True for each mask that hides a direction (bow, up, starboard), shape (..., 3); shape (masks, ...).
 
-        A direction that is not finite is hidden by every mask: nothing is known to be clear there.
+        A direction that is not finite counts as hidden by every mask.
         """
         azimuth = np.arctan2(directions_d[..., 2], directions_d[..., 0]) % (2.0 * np.pi)
         elevation = np.arctan2(directions_d[..., 1], np.hypot(directions_d[..., 0], directions_d[..., 2]))
@@ -55,26 +55,26 @@ class DeckMasks:
         return np.array(inside, dtype=bool).reshape(len(self.corners), *azimuth.shape)
 
     def hide(self, directions_d: FloatArray, margin: float = 0.0) -> BoolArray:
-        """Whether a mask hides directions (bow, up, starboard), shape (n, 3); shape (n,).
+        """Return True for each direction (bow, up, starboard), shape (n, 3), that a mask hides, shape (n,).
 
         Args:
             directions_d: unit vectors.
-            margin: so much deeper than the edge of its mask a direction must lie to count as hidden, rad.
+            margin: minimum distance from the edge of its mask for a direction to count as hidden, rad.
         """
         hidden = self.hiding(directions_d)
         if margin > 0.0:
             for number in np.flatnonzero(hidden.any(axis=1)):
                 within = hidden[number]
                 nearest = np.max(directions_d[within] @ self._edges[number].T, axis=-1)
-                # Between two points of the edge is half a step.
+                # The edge is up to half a step from its nearest point.
                 within[within] = ~(nearest >= np.cos(min(margin + EDGE_STEP / 2.0, np.pi)))
         anywhere: BoolArray = np.any(hidden, axis=0)
         return anywhere
 
     def reaching(self, rotations_ds: FloatArray, half_field: FloatArray) -> BoolArray:
-        """Which masks reach into a rectangular field of view, shape (masks, n).
+        """Return True for each mask that reaches into a rectangular field of view, shape (masks, n).
 
-        A mask meets a field if its edge enters the field, or if the whole field lies inside.
+        A mask reaches into a field if its edge enters the field, or if the whole field is inside.
 
         Args:
             rotations_ds: deck from sensor (forward, up, right), for each of n mountings, shape (n, 3, 3).
@@ -90,7 +90,7 @@ class DeckMasks:
         return reaches
 
     def covering(self, directions_d: FloatArray) -> list[str]:
-        """Names of the masks that together hide all of some directions, shape (n, 3); none where one is clear."""
+        """Return the masks that together hide all directions, shape (n, 3); an empty list if one is clear."""
         hiding = self.hiding(directions_d)
         if not hiding.any(axis=0).all():
             return []
@@ -104,11 +104,11 @@ class DeckMasks:
 
 @dataclass(frozen=True)
 class SensorMasks:
-    """The masks of the deck as a star sensor sees them.
+    """The masks of the deck in the frame of a star sensor.
 
     Attributes:
         masks: of the deck.
-        rotation_ds: deck from sensor, as it is bolted, shape (3, 3).
+        rotation_ds: deck from sensor, as mounted, shape (3, 3).
 
     Example:
         A sensor that looks over the port side, and a crane there:
@@ -123,21 +123,21 @@ class SensorMasks:
     rotation_ds: FloatArray
 
     def hide(self, directions_s: FloatArray, margin: float = 0.0) -> BoolArray:
-        """Whether a mask hides directions in the sensor frame, shape (n, 3); shape (n,). See :meth:`DeckMasks.hide`."""
+        """Return :meth:`DeckMasks.is_hidden` for directions in the sensor frame, shape (n, 3); shape (n,)."""
         return self.masks.hide(directions_s @ self.rotation_ds.T, margin)
 
     def names(self, direction_s: FloatArray) -> str:
-        """The masks that hide a direction in the sensor frame, shape (3,), for people; empty where none does."""
+        """Return the names of the masks that hide a direction in the sensor frame, shape (3,); empty if none does."""
         hiding = self.masks.hiding(direction_s @ self.rotation_ds.T)
         return ", ".join(name for name, hides in zip(self.masks.names, hiding, strict=True) if hides)
 
     def covering(self, directions_s: FloatArray) -> list[str]:
-        """Names of the masks that together hide all of some directions, shape (n, 3); none where one is clear."""
+        """Return the masks that together hide all directions, shape (n, 3); an empty list if one is clear."""
         return self.masks.covering(directions_s @ self.rotation_ds.T)
 
 
 def field_directions(half_field: FloatArray) -> FloatArray:
-    """Directions all over a rectangular field of view, its edge among them: (forward, up, right), shape (n, 3).
+    """Return a grid of directions over a rectangular field of view, its edge included: (forward, up, right), (n, 3).
 
     Args:
         half_field: tangents of half the field to the right and up, shape (2,).
@@ -153,7 +153,7 @@ def field_directions(half_field: FloatArray) -> FloatArray:
 
 
 def _inside(corners: FloatArray, azimuth: FloatArray, elevation: FloatArray) -> BoolArray:
-    """Whether directions lie in a polygon, whole turns aside: a ray upward meets an odd number of edges.
+    """Return True for directions inside a polygon, modulo whole turns: a ray upward crosses an odd number of edges.
 
     Args:
         corners: shape (k, 2), rad.

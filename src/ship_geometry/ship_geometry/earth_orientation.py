@@ -1,7 +1,7 @@
 """Earth orientation: UT1 − UTC and the pole from the IERS's finals2000A, measured and predicted, with their errors.
 
-One second of UT1 is 15″ of azimuth and elevation. The table comes with `astropy-iers-data`. It holds measured values up
-to its issue and predictions for a year from there. Beyond, a reason is given in place of a value.
+One second of UT1 is 15″ of azimuth and elevation. The table comes with `astropy-iers-data`. It has measured values up
+to its issue and predictions for the year after it. Later times have no value, but a reason.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ _POLE_FLOOR = 0.5e-3 * ARCSEC
 
 
 class OutsideEarthOrientation(ValueError):
-    """A moment for which the table has no value; the text says which moment, which table and what to do."""
+    """Error for a time without a value in the table; the text contains the time, the table and what to do."""
 
 
 @dataclass(frozen=True)
 class EarthOrientation:
-    """Orientation of the Earth at one moment, or at several with arrays of one shape.
+    """Orientation of the Earth at one time, or at several, with arrays of one shape.
 
     Attributes:
         ut1_minus_utc_s: UT1 − UTC.
@@ -65,9 +65,9 @@ class EarthOrientation:
 
 
 def prediction_sigma_s(days_ahead: FloatArray | float) -> FloatArray:
-    """Standard deviation of a predicted UT1 − UTC, s: 5 ms · (days ahead / 30)^1.2.
+    """Return the standard deviation of a predicted UT1 − UTC, s: 5 ms · (days ahead / 30)^1.2.
 
-    It was measured over six past issues of the table, and is two to four times what the table itself states.
+    It was measured over six past issues of the table, and is two to four times the value in the table.
 
     Example:
         A month ahead the Earth's rotation is known to 5 ms, which is 0.075″:
@@ -90,7 +90,7 @@ class EarthOrientationTable:
         pole_x: rad.
         pole_y: rad.
         pole_sigma: the file's own error, rad.
-        measured_until_mjd: last day that is not a prediction.
+        measured_until_mjd: last day with a measured value.
         leap_seconds: TAI − UTC.
 
     Example:
@@ -116,33 +116,33 @@ class EarthOrientationTable:
 
     @property
     def last_ns(self) -> int:
-        """End of the predictions, or of what is known about leap seconds where that is earlier."""
+        """End of the predictions, or of the validity of the leap seconds if that is earlier."""
         return min(_ns_from_mjd(self.mjd[-1]), self.leap_seconds.known_until_ns)
 
     def reason_against(self, time_ns: TimeNs) -> str | None:
-        """Why there is no value for a moment, or for one of several; None where there is a value for each."""
+        """Return the reason why a time, or one of several, has no value; None if each has one."""
         times = np.asarray(time_ns, dtype=np.int64)
         outside = times[(times < self.first_ns) | (times > self.last_ns)]
         if not outside.size:
             return None
         moment = utc_text(int(outside.flat[0]))
         return (
-            f"no Earth orientation for {moment}: {self.source} reaches from {utc_text(self.first_ns)} to "
+            f"no Earth orientation for {moment}: {self.source} covers {utc_text(self.first_ns)} to "
             f"{utc_text(self.last_ns)}; install a newer astropy-iers-data, or correct the clock"
         )
 
     def at(self, time_ns: TimeNs) -> EarthOrientation:
-        """Values at a moment or moments.
+        """Return the orientation at a time, or at several.
 
         Raises:
-            OutsideEarthOrientation: a moment lies outside the table.
+            OutsideEarthOrientation: a time is outside the table.
         """
         reason = self.reason_against(time_ns)
         if reason is not None:
             raise OutsideEarthOrientation(reason)
         mjd = UNIX_EPOCH_MJD + np.asarray(time_ns, dtype=np.int64) / DAY_NS
         days_predicted = np.maximum(mjd - self.measured_until_mjd, 0.0)
-        # A measured value has the file's own error, a prediction that of the last measurement and its own.
+        # A measured value has the file's error; a prediction has that of the last measurement and its own.
         own_sigma_s = np.interp(np.minimum(mjd, self.measured_until_mjd), self.mjd, self.ut1_sigma_s)
         variance_s2 = own_sigma_s**2 + _UT1_FLOOR_S**2 + prediction_sigma_s(days_predicted) ** 2
         return EarthOrientation(
@@ -156,7 +156,7 @@ class EarthOrientationTable:
 
 @lru_cache(maxsize=1)
 def earth_orientation_table() -> EarthOrientationTable:
-    """The table of the installed `astropy-iers-data`, read once.
+    """Return the table of the installed `astropy-iers-data`, which is read once.
 
     Example:
         >>> orientation = earth_orientation_table().at(1_404_906_607_800_000_000)  # 2014-07-09 11:50:07.8 UTC
@@ -167,10 +167,10 @@ def earth_orientation_table() -> EarthOrientationTable:
 
 
 def read_finals2000a(path: Path, leaps: LeapSeconds) -> EarthOrientationTable:
-    """Read a file in the IERS's form finals2000A.all: Bulletin B where it is given, else A.
+    """Read a file in the IERS format finals2000A.all: Bulletin B if given, otherwise A.
 
     Raises:
-        ValueError: names the file and what does not fit.
+        ValueError: the format is wrong, or values are missing; the text names the file.
 
     Example:
         >>> table = read_finals2000a(Path(astropy_iers_data.IERS_A_FILE), leap_seconds())
@@ -197,15 +197,15 @@ def read_finals2000a(path: Path, leaps: LeapSeconds) -> EarthOrientationTable:
             leap_seconds=leaps,
         )
     except (ValueError, IndexError) as error:
-        raise ValueError(f"{path}: not in the form of finals2000A.all: {error}") from error
+        raise ValueError(f"{path}: not in the format finals2000A.all: {error}") from error
     values = table.ut1_minus_tai_s, table.ut1_sigma_s, table.pole_x, table.pole_y, table.pole_sigma
     if not np.all(np.isfinite(values)) or not np.all(np.diff(table.mjd) == 1.0):
-        raise ValueError(f"{path}: days or values are missing: get the file anew")
+        raise ValueError(f"{path}: days or values are missing: download the file again")
     return table
 
 
 def _better(final: FloatArray, rapid: FloatArray) -> FloatArray:
-    """The final values of Bulletin B, and where they are not there yet the rapid ones of Bulletin A."""
+    """Return the final values of Bulletin B, or the rapid ones of Bulletin A if there are no final ones yet."""
     return np.where(np.isnan(final), rapid, final)
 
 

@@ -1,13 +1,13 @@
-"""The mean of what a turning camera sees over an exposure, from attitudes of the body that carries it.
+"""Mean over an exposure of a rotating camera, from attitudes of the body that carries it.
 
-A star's image moves over the detector while the camera exposes. Its centroid is the mean of its positions p(t) over the
-exposure T. It differs from the position at the middle, and the light is spread along the way:
+The image of a star moves over the detector during the exposure. Its centroid is the mean of its positions p(t) over the
+exposure T. It differs from the position at the middle, and the light is spread along the path:
 
     mean of p - p(0) = p̈ T²/24 + p⁗ T⁴/1920 + ...          spread of p about its mean = ṗ ṗᵀ T²/12 + ...
 
-Both follow from p at a few moments, the nodes: two beside the middle for a short exposure, Simpson's rule for a long
-one. The nodes beside the middle stay a tenth of a second away from it even where the exposure is shorter, because
-closer ones would give a p̈ that is mostly noise of the samples.
+Both follow from p at a few times, the nodes: the middle and two outer nodes for a short exposure, Simpson's rule for a
+long one. The outer nodes are a tenth of a second from the middle even if the exposure is shorter, because the noise of
+the samples would dominate p̈ with closer ones.
 """
 
 import math
@@ -27,7 +27,7 @@ _STEP_S = 0.1
 
 @dataclass(frozen=True)
 class Nodes:
-    """Moments whose weighted mean is the mean over an exposure.
+    """Times whose weighted mean is the mean over an exposure.
 
     Attributes:
         offset_ns: time of each from the middle of the exposure, increasing; the middle is one of them; shape (m,).
@@ -43,30 +43,30 @@ class Nodes:
         return self.offset_ns[-1]
 
     def moments(self, middle_ns: int) -> list[tuple[int, float]]:
-        """Time (ns) and weight of each node of an exposure whose middle is at ``middle_ns``."""
+        """Return time (ns) and weight of each node of an exposure whose middle is at ``middle_ns``."""
         offsets = zip(self.offset_ns, self.weight.tolist(), strict=True)
         return [(middle_ns + offset_ns, weight) for offset_ns, weight in offsets]
 
     def mean(self, values: FloatArray) -> FloatArray:
-        """Mean of values at the nodes, shape (m, ...)."""
+        """Return the mean of values at the nodes, shape (m, ...)."""
         mean: FloatArray = np.tensordot(self.weight, values, axes=1)
         return mean
 
     def spread(self, values: FloatArray) -> FloatArray:
-        """Covariance of values at the nodes about their mean, shape (m, ..., n) → (..., n, n)."""
+        """Return the covariance of values at the nodes about their mean, shape (m, ..., n) → (..., n, n)."""
         off = values - self.mean(values)
         spread: FloatArray = np.einsum("m,m...i,m...j->...ij", self.weight, off, off)
         return spread
 
 
 def exposure_nodes(exposure_s: float) -> Nodes:
-    """The nodes of an exposure.
+    """Return the nodes of an exposure.
 
     Args:
-        exposure_s: length, above 0 and up to :data:`LONGEST_EXPOSURE_S`.
+        exposure_s: length, s, above 0 and up to :data:`LONGEST_EXPOSURE_S`.
 
     Example:
-        A tenth of a second is told by the attitudes a tenth of a second before and after its middle:
+        An exposure of 0.1 s uses the attitudes at its middle and 0.1 s before and after it:
 
         >>> nodes = exposure_nodes(0.1)
         >>> print(nodes.offset_ns, nodes.weight.round(4))
@@ -88,7 +88,7 @@ def exposure_nodes(exposure_s: float) -> Nodes:
 
 @dataclass(frozen=True)
 class Turning:
-    """How a body turned over an exposure.
+    """Rotation of a body over an exposure.
 
     Attributes:
         nodes: nodes of the exposure.
@@ -111,7 +111,7 @@ class Turning:
     correction_error: float
 
     def mounted(self, rotation_ds: FloatArray) -> "Turning":
-        """How a device on the body turned, in the device's axes.
+        """Return the rotation of a device on the body, in the device's axes.
 
         Args:
             rotation_ds: rotation "body from device", shape (3, 3).
@@ -125,7 +125,7 @@ class Turning:
 
 
 def turning_over(track: AttitudeTrack, time_ns: int, nodes: Nodes) -> Turning | None:
-    """How the body of a track turned over an exposure; None where the track has a gap, or ends, within it.
+    """Return the rotation of a body over an exposure; None if its track has a gap, or ends, within it.
 
     Args:
         track: attitudes of the body.
@@ -145,8 +145,8 @@ def turning_over(track: AttitudeTrack, time_ns: int, nodes: Nodes) -> Turning | 
     around = [found for found in (track.at(moment_ns) for moment_ns, _ in moments) if found is not None]
     if middle is None or len(around) < len(moments):
         return None
-    # The errors at the nodes are not independent. The mean of their covariances bounds the covariance of their mean. In
-    # the difference from the middle, the errors there and beside it are taken as opposite: the largest it can be.
+    # The errors at the nodes are not independent. The mean of their covariances bounds the covariance of their mean.
+    # For the difference from the middle, errors there and at the outer nodes are taken as opposite: an upper bound.
     errors = np.array([found.error_covariance_d for found in around])
     beside = np.where(np.array(nodes.offset_ns) == 0, 0.0, nodes.weight)
     share, variances = float(beside.sum()), np.trace(errors, axis1=-2, axis2=-1)

@@ -1,7 +1,7 @@
 """A device frame (forward, up, right) in its parent frame: three angles, one matrix, one covariance.
 
 [Z14] (1)-(3), [P15] (17)-(19), docs/explanation/frames.md. Angles are azimuth (clockwise seen from above, from the
-parent's forward axis), elevation (up positive) and roll (right side down positive). All functions take
+parent's forward axis), elevation (up positive) and roll (right side down positive). All functions accept
 leading dimensions.
 """
 
@@ -11,13 +11,13 @@ from ship_geometry import compiled_angles
 from ship_geometry.rotations import FloatArray, wrap_two_pi
 
 SINGULAR_ELEVATION = np.deg2rad(89.9)
-"""Beyond this elevation (rad) azimuth and roll can no longer be told apart, and their covariance is NaN."""
+"""Elevation beyond which azimuth and roll cannot be separated and their covariance is NaN, rad."""
 
 
 def rotation_from_angles(
     azimuth: float | FloatArray, elevation: float | FloatArray, roll: float | FloatArray
 ) -> FloatArray:
-    """Rotation "parent from device", shape (..., 3, 3): Ry(A) Rz(-E) Rx(-roll), multiplied out.
+    """Return the rotation "parent from device", shape (..., 3, 3): Ry(A) Rz(-E) Rx(-roll), multiplied out.
 
     Example:
         A ship heading East with her bow 5° up: the bow's direction (North, Up, East) is the first column.
@@ -46,10 +46,10 @@ def rotation_from_angles(
 
 
 def angles_from_rotation(rotation: FloatArray) -> FloatArray:
-    """Azimuth in [0, 2 pi), elevation in [-pi/2, pi/2], roll in [-pi, pi] (rad), shape (..., 3).
+    """Return azimuth in [0, 2 pi), elevation in [-pi/2, pi/2] and roll in [-pi, pi] (rad), shape (..., 3).
 
-    At the zenith and the nadir only the sum, or the difference, of azimuth and roll is defined. The angles returned
-    there are one choice of them, and :func:`rotation_from_angles` makes the same rotation of them.
+    At the zenith and the nadir only the sum, or the difference, of azimuth and roll is defined. The returned angles are
+    one choice, from which :func:`rotation_from_angles` gives the same rotation.
 
     Example:
         >>> rotation_nd = rotation_from_angles(*np.deg2rad([359.0, 5.0, -3.0]))
@@ -71,10 +71,10 @@ def angles_from_rotation(rotation: FloatArray) -> FloatArray:
 
 
 def rotation_vector_from_angle_errors(azimuth: float | FloatArray, elevation: float | FloatArray) -> FloatArray:
-    """Matrix B, shape (..., 3, 3): ``delta = B @ [dA, dE, droll]`` in the parent frame.
+    """Return the matrix B, shape (..., 3, 3): ``delta = B @ [dA, dE, droll]`` in the parent frame.
 
     Example:
-        One degree more of azimuth is a turn by -1° about Up, whatever the elevation:
+        An azimuth error of one degree is a rotation by -1° about Up, at any elevation:
 
         >>> matrix = rotation_vector_from_angle_errors(np.deg2rad(30.0), np.deg2rad(60.0))
         >>> print(matrix @ [1.0, 0.0, 0.0])
@@ -93,10 +93,10 @@ def rotation_vector_from_angle_errors(azimuth: float | FloatArray, elevation: fl
 
 
 def angle_errors_from_rotation_vector(azimuth: FloatArray | float, elevation: FloatArray | float) -> FloatArray:
-    """Inverse of B, shape (..., 3, 3); NaN beyond :data:`SINGULAR_ELEVATION`.
+    """Return the inverse of B, shape (..., 3, 3); NaN beyond :data:`SINGULAR_ELEVATION`.
 
     Example:
-        A tilt by 20″ about North, seen by a sensor that looks North and 60° up, is 35″ of azimuth (20″ tan 60°):
+        A tilt by 20″ about North is 35″ of azimuth (20″ tan 60°) for a sensor that looks North at 60° elevation:
 
         >>> matrix = angle_errors_from_rotation_vector(0.0, np.deg2rad(60.0))
         >>> print((matrix @ [20.0, 0.0, 0.0]).round(1))  # azimuth, elevation, roll, in arcseconds
@@ -122,12 +122,12 @@ def angle_errors_from_rotation_vector(azimuth: FloatArray | float, elevation: Fl
 
 
 def angle_covariance(covariance_parent: FloatArray, azimuth: FloatArray, elevation: FloatArray) -> FloatArray:
-    """Covariance of (azimuth, elevation, roll), rad², from that of the rotation vector in the parent frame.
+    """Return the covariance of (azimuth, elevation, roll), rad², from that of the rotation vector in the parent frame.
 
-    NaN beyond :data:`SINGULAR_ELEVATION`.
+    It is NaN beyond :data:`SINGULAR_ELEVATION`.
 
     Example:
-        An attitude good to 3″ about each axis, as a sensor 45° up sees it; its azimuth and roll are worse by √2:
+        For an attitude with 3″ about each axis, at 45° elevation, azimuth and roll are worse by √2:
 
         >>> covariance = angle_covariance(9.0 * np.eye(3), 0.0, np.deg2rad(45.0))  # arcsec²
         >>> print(np.sqrt(np.diagonal(covariance)).round(2))
@@ -140,10 +140,10 @@ def angle_covariance(covariance_parent: FloatArray, azimuth: FloatArray, elevati
 def rotation_vector_covariance(
     covariance_angles: FloatArray, azimuth: float | FloatArray, elevation: float | FloatArray
 ) -> FloatArray:
-    """Covariance of the rotation vector in the parent frame, rad², from that of (azimuth, elevation, roll).
+    """Return the covariance of the rotation vector in the parent frame, rad², from that of (azimuth, elevation, roll).
 
     Example:
-        A level ship heading North, heading good to 72″, pitch and roll to 10″, as (North, Up, East):
+        A level ship heading North, with sigmas of 72″ in heading, 10″ in pitch and roll, as (North, Up, East):
 
         >>> covariance_n = rotation_vector_covariance(np.diag([72.0, 10.0, 10.0]) ** 2, 0.0, 0.0)  # arcsec²
         >>> print(np.sqrt(np.diagonal(covariance_n)).round(1))

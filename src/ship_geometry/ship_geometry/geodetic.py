@@ -1,8 +1,8 @@
-"""Positions on the WGS 84 ellipsoid, the horizon there, and how it turns with the way.
+"""Positions on the WGS 84 ellipsoid, the horizon there, and its rotation with the distance travelled.
 
 ECEF is the Earth-fixed frame of WGS 84 (x to Greenwich on the equator, z to the north pole). The horizon's Up is the
 ellipsoid normal, so a level instrument differs from it by the deflection of the vertical.
-All functions take arrays of positions.
+All functions accept arrays of positions.
 """
 
 import math
@@ -17,7 +17,7 @@ _WGS84_A_M, _WGS84_E2 = 6_378_137.0, 6.694379990141e-3
 """Semi-major axis and squared first eccentricity of WGS 84 (NIMA TR8350.2)."""
 
 EARTH_RATE_RAD_PER_S = 7.292115e-5
-"""Turn of the Earth against the stars (WGS 84)."""
+"""Earth rotation rate relative to the stars, rad/s (WGS 84)."""
 
 _GRAVITY_AT_EQUATOR, _SOMIGLIANA = 9.7803253359, 1.931852652458e-3
 """Normal gravity at the equator, m/s², and the constant of Somigliana's formula (WGS 84)."""
@@ -39,7 +39,7 @@ class GeodeticPosition:
 
 
 def ecef_from_geodetic(position: GeodeticPosition) -> FloatArray:
-    """Earth-fixed coordinates in metres, shape (..., 3).
+    """Return Earth-fixed coordinates, m, shape (..., 3).
 
     Example:
         >>> position = GeodeticPosition(latitude=0.0, longitude=np.deg2rad(90.0), height_m=100.0)
@@ -51,7 +51,7 @@ def ecef_from_geodetic(position: GeodeticPosition) -> FloatArray:
 
 
 def geodetic_from_ecef(ecef_m: FloatArray) -> GeodeticPosition:
-    """The position with given Earth-fixed coordinates (m), shape (..., 3); longitude in [-pi, pi].
+    """Return the position of Earth-fixed coordinates (m), shape (..., 3); longitude in [-pi, pi].
 
     Example:
         >>> position = geodetic_from_ecef(np.array([6_378_137.0, 0.0, 0.0]))
@@ -63,7 +63,7 @@ def geodetic_from_ecef(ecef_m: FloatArray) -> GeodeticPosition:
 
 
 def rotation_horizon_from_ecef(latitude: FloatArray | float, longitude: FloatArray | float) -> FloatArray:
-    """Rotation "horizon (North, Up, East) from ECEF" at a place (rad), shape (..., 3, 3).
+    """Return the rotation "horizon (North, Up, East) from ECEF" at a place (rad), shape (..., 3, 3).
 
     Example:
         At 45° north on the meridian of Greenwich the Earth's pole (z) stands 45° over the North point:
@@ -73,7 +73,7 @@ def rotation_horizon_from_ecef(latitude: FloatArray | float, longitude: FloatArr
         [0.7071 0.7071 0.    ]
     """
     single = isinstance(latitude, float) and isinstance(longitude, float)
-    # A live node has single places: these take several times longer through arrays.
+    # A live node has single places: arrays would take several times as long.
     sine, cosine = (math.sin, math.cos) if single else (np.sin, np.cos)
     sin_lat, cos_lat, sin_lon, cos_lon = sine(latitude), cosine(latitude), sine(longitude), cosine(longitude)
     north = -sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat
@@ -86,7 +86,7 @@ def rotation_horizon_from_ecef(latitude: FloatArray | float, longitude: FloatArr
 
 
 def normal_gravity(latitude: float) -> float:
-    """Gravity on the ellipsoid, m/s² (Somigliana's formula, WGS 84: NGA.STND.0036, 4.1).
+    """Return gravity on the ellipsoid, m/s² (Somigliana's formula, WGS 84: NGA.STND.0036, 4.1).
 
     Example:
         >>> print(f"{normal_gravity(0.0):.4f} {normal_gravity(0.5 * math.pi):.4f}")
@@ -97,7 +97,7 @@ def normal_gravity(latitude: float) -> float:
 
 
 def horizon_radii_m(position: GeodeticPosition) -> tuple[FloatArray, FloatArray]:
-    """Metres on the way north, and on the way east, for each radian by which the horizon turns.
+    """Return the distances north and east for one radian of rotation of the horizon, m.
 
     They are the radii of curvature in the meridian and in the prime vertical, each plus the height.
 

@@ -1,29 +1,28 @@
-"""The base of every error about what somebody gave: a file, a parameter, an argument.
+"""Base class of all errors in user input: a file, a parameter, an argument.
 
-It lies in the lowest package because the packages above raise errors of their own that a command must be able to tell,
-as one kind, from faults in the code.
+It is in the lowest package because all packages derive errors from it, which commands distinguish from defects of the
+code.
 """
 
 from typing import Any
 
 
 class InputError(ValueError):
-    """What somebody gave cannot be used.
+    """Error in user input.
 
-    The text is for people and is never parsed: what a program needs to know stands in the attributes.
+    The text is for users and is never parsed: programs use the attributes.
 
     Attributes:
         reason: what is wrong, without the file and the line.
-        file: name of the file at fault; empty where it is not a file, or not known here.
-        line: line of the file, from 1; None where it is not known.
-        parameters: dotted names of the parameters at fault, the first one being where to look; empty where it is not a
-            parameter.
-        value: the value that was refused; None where there is none.
+        file: name of the file; empty if the input is not a file, or the file is not known here.
+        line: line of the file, from 1; None if it is not known.
+        parameters: dotted names of the parameters, the most relevant one first; empty if the input is not a parameter.
+        value: the refused value; None if there is none.
 
     Args:
         reason: as above; one line.
-        file: as above; stands before the reason in the text.
-        line: as above; stands behind the file.
+        file: as above; precedes the reason in the text.
+        line: as above; follows the file.
         parameters: as above.
         value: as above.
     """

@@ -1,12 +1,12 @@
-"""How far interpolation may be off, estimated from the samples around, as a covariance.
+"""Interpolation error as a covariance, estimated from the neighbouring samples.
 
-A cubic joins two samples. It misses the other samples around by some amount, and that amount tells what the cubic lacks
-between the two. With measured rates the miss at one other sample is scaled to the moment asked for
-(:func:`ship_geometry.compiled_rotations.between`). Without them the polynomial through all samples around is compared
-with the cubic (:func:`by_polynomial`).
+A cubic connects two samples. Its differences from the other neighbouring samples show its error between the two. With
+measured rates the difference at one other sample is scaled to the requested time
+(:func:`ship_geometry.compiled_rotations.interpolate_attitude`). Without them the polynomial through all neighbouring
+samples is compared with the cubic (:func:`polynomial_errors`).
 
-The noise of the samples is in these estimates, but it is never divided by a step. So at high rates the estimate is a
-small part of the noise that the samples have anyway. docs/explanation/interpolation.md has derivation and numbers.
+The estimates contain the noise of the samples, which is never divided by a step. At high sample rates the estimate is
+therefore a small part of that noise. docs/explanation/interpolation.md has the derivation and numbers.
 """
 
 import math
@@ -19,28 +19,28 @@ from ship_geometry import compiled_polynomials
 from ship_geometry.rotations import FloatArray
 
 MOST_SAMPLES = 5
-"""Most samples that a polynomial is drawn through: with more of them the samples' noise hides what is gained."""
+"""Maximum number of samples for a polynomial: with more of them the samples' noise dominates."""
 
 BESIDE = 0.5
 """Share of the next term of the error that is added to an estimate.
 
-In a wave the terms of successive orders are out of phase: where one happens to be zero, the next one is largest."""
+In a wave the terms of successive orders are out of phase: if one is zero, the next one is largest."""
 
 ANY_DIRECTION = 0.3
-"""Share of an estimated error by which the estimate itself may be off, in any direction."""
+"""Relative error of an estimated error, in any direction."""
 
 
 def as_covariance(errors: Sequence[FloatArray] | FloatArray, largest: float = math.inf) -> FloatArray:
-    """Covariance of an error from estimates of it, shape (k, k).
+    """Return the covariance of an error from estimates of it, shape (k, k).
 
-    The estimates count as independent of one another, and each may itself be off, by a third, in any direction.
+    The estimates count as independent, and each has a relative error of 0.3 in any direction.
 
     Args:
-        errors: one estimate a row, shape (k,) each.
+        errors: one estimate in each row, shape (k,) each.
         largest: bound of the sum of their squares; larger ones are scaled down to it.
 
     Example:
-        An estimated error of 2, which may be off by 0.3 of it in any direction:
+        An estimated error of 2, with a relative error of 0.3 in any direction:
 
         >>> print(as_covariance([np.array([2.0, 0.0])]).round(2))
         [[4.36 0.  ]
@@ -55,21 +55,20 @@ def as_covariance(errors: Sequence[FloatArray] | FloatArray, largest: float = ma
 
 
 def joint_covariance(errors: FloatArray, interval: NDArray[np.int64]) -> FloatArray:
-    """Covariance of the errors of several interpolated values together, from estimates of them.
+    """Return the joint covariance of the errors of several interpolated values, from estimates of them.
 
-    Within one interval the error is one curve: its values go together, and at two moments close to one another they are
-    nearly the same. In different intervals they count as independent.
+    Within one interval the error is one curve: its values are correlated, and nearly equal at two close times. In
+    different intervals they count as independent.
 
     Args:
-        errors: signed estimates as :func:`as_covariance` takes them, shape (n, n_estimates, k); zero where there is no
-            error.
-        interval: number of the interval in which each value lies, shape (n,).
+        errors: signed estimates as for :func:`as_covariance`, shape (n, n_estimates, k); zero without an error.
+        interval: number of the interval of each value, shape (n,).
 
     Returns:
         Shape (n, k, n, k).
 
     Example:
-        The difference of two values of one interval whose errors are 2 and 1.5; then of different intervals:
+        The difference of two values with errors of 2 and 1.5, in one interval and in different intervals:
 
         >>> errors = np.array([[[2.0]], [[1.5]]])
         >>> for interval in ([0, 0], [0, 1]):
@@ -86,20 +85,20 @@ def joint_covariance(errors: FloatArray, interval: NDArray[np.int64]) -> FloatAr
 
 
 def by_polynomial(nodes: FloatArray, values: FloatArray, at: float, found: FloatArray) -> tuple[FloatArray, ...]:
-    """Errors of a value that was interpolated between two samples, told by the polynomial through all samples around.
+    """Return the errors of an interpolated value by the polynomial through all neighbouring samples.
 
     Args:
-        nodes: where the samples are, in units of the interval, its two ends first: 0 and 1; shape (n,).
+        nodes: times of the samples in units of the interval, its two ends first: 0 and 1; shape (n,).
         values: the samples, shape (n, k).
-        at: where the value is, in units of the interval.
+        at: time of the value, in units of the interval.
         found: the interpolated value, shape (k,).
 
     Returns:
-        Estimates for :func:`as_covariance`, shape (k,) each: the difference from the polynomial, and what may stand
-        for the terms that the polynomial lacks. Of two samples alone, half of the change between them at most.
+        Estimates for :func:`as_covariance`, shape (k,) each: the difference from the polynomial, and an estimate of its
+        missing terms. For two samples alone, a single estimate, at most an eighth of the change between them.
 
     Example:
-        Half way between the values 0 and 1 of t² at 0 and 1, a straight line gives 0.5; -0.25 of that is wrong:
+        Half way between the values 0 and 1 of t² at 0 and 1, a straight line gives 0.5, with an error of -0.25:
 
         >>> nodes = np.array([0.0, 1.0, -1.0])
         >>> error, _ = by_polynomial(nodes, (nodes**2)[:, None], 0.5, np.array([0.5]))
@@ -107,9 +106,9 @@ def by_polynomial(nodes: FloatArray, values: FloatArray, at: float, found: Float
         [-0.25]
     """
     if len(nodes) == 2:
-        # No other sample is there: as if the whole change could begin, or end, within the interval.
+        # Without other samples: as if the whole change began, or ended, within the interval.
         return (0.5 * at * (1.0 - at) * (values[1] - values[0]),)
-    # The last term stands for those left out: for a share of the next one, and with fewer samples for one like itself.
+    # The last term estimates the missing ones: a share of the next one, and with fewer samples one of equal size.
     beside = BESIDE if len(nodes) == MOST_SAMPLES else 1.0
     error, left_out = compiled_polynomials.errors_by_polynomial(nodes, values, at, found, beside)
     return error, left_out

@@ -1,8 +1,8 @@
 """LAPACK as scipy wraps it, without the rest of scipy: ``lapack.dposv``.
 
-``import scipy.linalg.lapack`` reads five hundred modules, which take longer than all else that a node reads, and
-``import scipy`` forty; the wrapped functions stand in one library beside them. They are the same objects that
-``scipy.linalg.lapack`` gives.
+``import scipy.linalg.lapack`` imports five hundred modules, which takes longer than all other imports of a node, and
+``import scipy`` forty. The wrapped functions are in one library of scipy. They are the same objects as in
+``scipy.linalg.lapack``.
 """
 
 import sys
@@ -14,7 +14,7 @@ _FUNCTIONS = ("dgesdd", "dposv", "dpotrf", "dpotri")
 
 
 def _wrapped() -> ModuleType:
-    """The library under its own name, where scipy finds it when something else needs more of scipy."""
+    """Import the library under its own name, so that a later import of scipy finds it."""
     if _LIBRARY in sys.modules:
         return sys.modules[_LIBRARY]
     import importlib.util
@@ -24,7 +24,7 @@ def _wrapped() -> ModuleType:
     folders = scipy.submodule_search_locations if scipy is not None else None
     spec = PathFinder.find_spec(_LIBRARY, [f"{folder}/linalg" for folder in folders or ()])
     if spec is None or spec.loader is None:
-        from scipy.linalg import lapack  # a scipy that keeps it elsewhere
+        from scipy.linalg import lapack  # another location in this version of scipy
 
         elsewhere: ModuleType = lapack
         return elsewhere
@@ -34,7 +34,7 @@ def _wrapped() -> ModuleType:
 
 
 def __getattr__(name: str) -> Any:
-    """A function of the library, which is read when the first one is asked for: a node without stars never asks."""
+    """Return a function of the library, which is imported on first use: a node without stars never needs it."""
     if name not in _FUNCTIONS:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     library = _wrapped()

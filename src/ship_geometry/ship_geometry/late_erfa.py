@@ -1,6 +1,6 @@
-"""The functions of ERFA, read when the first one is asked for: ``from ship_geometry import late_erfa as erfa``.
+"""The functions of ERFA, imported on first use: ``from ship_geometry import late_erfa as erfa``.
 
-Reading it takes a tenth of the start of a node that looks at no star and knows no place.
+Its import would take a tenth of the start of a node that needs neither stars nor positions.
 """
 
 from typing import Any

@@ -1,21 +1,21 @@
-"""Refraction by tracing rays through a model of the air, which holds lower than a formula of two terms.
+"""Refraction by tracing rays through a model of the air, valid at lower elevations than a formula of two terms.
 
-The air is that of Hohenkerk and Sinclair (NAO Technical Note 63, 1985), which the Explanatory Supplement to the
-Astronomical Almanac (1992, §3.281) has taken up:
+The model is that of Hohenkerk and Sinclair (NAO Technical Note 63, 1985), also in the Explanatory Supplement to the
+Astronomical Almanac (1992, §3.281):
 
 - Surfaces of equal density are spheres about the Earth's centre, of radius 6 378 120 m at sea level.
-- Up to the tropopause at 11 km the temperature falls by 6.5 K/km from what the thermometer says; above it stays.
-- Air and vapour are ideal gases at rest under gravity, which is that of a latitude and the same at all heights.
-- The vapour's pressure goes as the 18.36th power of the temperature up to the tropopause, and is left out above. At
-  the ground it is the relative humidity times that of saturation (Gill, Atmosphere-Ocean Dynamics, 1982).
-- Dry air refracts as the International Association of Geodesy resolved in 1999 (Birmingham, Resolution 3), vapour less
-  than the dry air in whose place it stands: 11.2684e-6 K/hPa.
+- Up to the tropopause at 11 km the temperature falls by 6.5 K/km from the measured one; above it is constant.
+- Air and vapour are ideal gases at rest under gravity, which depends on latitude and is the same at all heights.
+- The vapour pressure is proportional to the 18.36th power of the temperature up to the tropopause, and zero above. At
+  the ground it is the relative humidity times the saturation pressure (Gill, Atmosphere-Ocean Dynamics, 1982).
+- The refractivity of dry air is that of the International Association of Geodesy (1999, Birmingham, Resolution 3);
+  vapour refracts less than the dry air that it replaces, by 11.2684e-6 K/hPa.
 
-Along a ray n r sin z is the same everywhere, with n the index of refraction, r the distance from the Earth's centre and
-z the zenith distance. The refraction is therefore ∫ tan z (-dn)/n from the observer upwards. Down to 5° the
-integrand is smooth enough for Gauss's rules with ten points in the troposphere (Legendre) and ten above it (Laguerre):
-they are good to 1e-6″. The upper ones reach to the end of the air; the Technical Note stops at 80 km, which is 0.003″
-less at 80°.
+Along a ray n r sin z is constant, with n the index of refraction, r the distance from the Earth's centre and z the
+zenith distance. The refraction is therefore ∫ tan z (-dn)/n from the observer upwards. Down to 5° the integrand is
+smooth enough for Gaussian quadrature with ten points in the troposphere (Legendre) and ten above it (Laguerre), with
+errors of 1e-6″. The upper points extend to the end of the air; the Technical Note stops at 80 km, which is 0.003″ less
+at 80°.
 """
 
 from dataclasses import dataclass
@@ -37,13 +37,13 @@ _UPPER_NODES, _UPPER_WEIGHTS = np.polynomial.laguerre.laggauss(10)
 
 @dataclass(frozen=True)
 class Atmosphere:
-    """What a barometer and a thermometer do not tell of the air. The defaults are those of the Technical Note.
+    """Parameters of the air that barometer and thermometer do not measure; defaults of the Technical Note.
 
     Attributes:
-        lapse_k_per_m: by which the temperature falls with the height up to the tropopause, above 0.
-        tropopause_m: height of the tropopause over the sea.
-        latitude: of the observer, rad; it tells gravity.
-        height_m: of the observer over the sea, below the tropopause.
+        lapse_k_per_m: decrease of the temperature with height up to the tropopause, above 0.
+        tropopause_m: height of the tropopause above sea level.
+        latitude: of the observer, rad, for gravity.
+        height_m: of the observer above sea level, below the tropopause.
     """
 
     lapse_k_per_m: float = 0.0065
@@ -53,7 +53,7 @@ class Atmosphere:
 
     @property
     def gravity(self) -> float:
-        """Of the middle of the air above, m/s²."""
+        """Gravity at the centre of mass of the air above, m/s²."""
         return float(9.784 * (1.0 - 0.0026 * np.cos(2.0 * self.latitude) - 2.8e-7 * self.height_m))
 
 
@@ -68,10 +68,10 @@ def traced_refraction(
     wavelength_um: float,
     atmosphere: Atmosphere = STANDARD,
 ) -> FloatArray:
-    """Refraction of stars at zenith distances as they are seen, in several kinds of weather, rad.
+    """Return refraction at observed zenith distances, in several kinds of weather, rad.
 
     Args:
-        observed_zenith_distance: with air, rad, shape (k,); up to 86°, lower the rays need more points.
+        observed_zenith_distance: with air, rad, shape (k,); up to 86°, beyond more points would be necessary.
         pressure_hpa: at the observer, shape (w,).
         temperature_c: at the observer, shape (w,).
         relative_humidity: 0 to 1.
@@ -82,7 +82,7 @@ def traced_refraction(
         Shape (w, k).
 
     Example:
-        A star that is seen 5° high is lifted by 9.65′ at 15 °C, and by 9.8′ at 10 °C:
+        Refraction at an observed elevation of 5° is 9.65′ at 15 °C, and 9.8′ at 10 °C:
 
         >>> pressures_hpa, temperatures_c = np.full(2, 1013.25), np.array([15.0, 10.0])
         >>> traced = traced_refraction(np.deg2rad([85.0]), pressures_hpa, temperatures_c, 0.5, 0.55)
@@ -93,7 +93,7 @@ def traced_refraction(
     per_scale_k_per_m = atmosphere.gravity * _DRY_MASS / _GAS_CONSTANT
     power = per_scale_k_per_m / atmosphere.lapse_k_per_m
     vapour_hpa = _vapour_pressure(pressure_hpa, temperature_c, relative_humidity)
-    # Vapour is lighter than air. What it weighs less goes as the vapour's power, and the air's part makes up for it.
+    # Vapour is lighter than air: the difference follows the power law of vapour, and the partial pressure of air grows.
     lighter_hpa = vapour_hpa * (1.0 - _VAPOUR_MASS / _DRY_MASS) * power / (_VAPOUR_POWER - power)
     dry = _dry_refractivity(wavelength_um)
     of_air = (dry * (pressure_hpa + lighter_hpa) / kelvin)[:, None]
@@ -109,19 +109,19 @@ def traced_refraction(
 def _points(
     atmosphere: Atmosphere, kelvin: FloatArray, of_air: FloatArray, of_vapour: FloatArray, per_scale_k_per_m: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Height over the observer in m, n - 1, and the weighted fall of n: at the points of both rules, shape (w, i) each.
+    """Return height above the observer, m, n - 1 and the weighted decrease of n at all quadrature points, (w, i) each.
 
     Args:
         atmosphere: the air above.
-        kelvin: at the observer, shape (w, 1).
+        kelvin: temperature at the observer, K, shape (w, 1).
         of_air: n - 1 of the air at the observer, shape (w, 1).
-        of_vapour: what vapour takes off from it, shape (w, 1).
-        per_scale_k_per_m: temperature over the height in which an isothermal air thins by e.
+        of_vapour: its reduction by vapour, shape (w, 1).
+        per_scale_k_per_m: temperature over the scale height of isothermal air, K/m.
     """
     thickness_m = atmosphere.tropopause_m - atmosphere.height_m
     power, cooling_per_m = per_scale_k_per_m / atmosphere.lapse_k_per_m, atmosphere.lapse_k_per_m / kelvin
     lower_m = 0.5 * thickness_m * (1.0 + _LOWER_NODES)
-    # Temperature over that at the observer; the tropopause is the last point.
+    # Temperature relative to that at the observer; the tropopause is the last point.
     warmth = 1.0 - cooling_per_m * np.append(lower_m, thickness_m)
     air, vapour = of_air * warmth ** (power - 1.0), of_vapour * warmth ** (_VAPOUR_POWER - 1.0)
     lower, top = (air - vapour)[:, :-1], (air - vapour)[:, -1:]
@@ -135,7 +135,7 @@ def _points(
 
 
 def _vapour_pressure(pressure_hpa: FloatArray, temperature_c: FloatArray, relative_humidity: float) -> FloatArray:
-    """Pressure of the water vapour at the observer, hPa."""
+    """Return the pressure of the water vapour at the observer, hPa."""
     over_water = 10.0 ** ((0.7859 + 0.03477 * temperature_c) / (1.0 + 0.00412 * temperature_c))
     saturated = over_water * (1.0 + pressure_hpa * (4.5e-6 + 6e-10 * temperature_c**2))
     vapour_share = saturated / pressure_hpa
@@ -144,6 +144,6 @@ def _vapour_pressure(pressure_hpa: FloatArray, temperature_c: FloatArray, relati
 
 
 def _dry_refractivity(wavelength_um: float) -> float:
-    """Refractivity n - 1 of dry air times its temperature over its pressure, K/hPa."""
+    """Return the refractivity n - 1 of dry air times its temperature over its pressure, K/hPa."""
     per_square = 1.0 / wavelength_um**2
     return (287.6155 + 1.62887 * per_square + 0.01360 * per_square**2) * 1e-6 * _ZERO_C_K / 1013.25

@@ -1,10 +1,10 @@
-"""Refraction of starlight by the air: how much higher a star is seen than it stands, and what the weather does to it.
+"""Refraction of starlight by the air, and its dependence on the weather.
 
-There are three models. All take the elevation without air, which the catalogue gives, so no prior attitude is needed
-([P15] §3). ``erfa`` is A tan z + B tan³ z of the observed zenith distance, with A and B of ERFA's ``refco``.
-``almanac`` is [P15] (8)-(12) of the true zenith distance. ``ray_trace`` is what :mod:`ship_geometry.ray_trace` finds,
-expanded in the true zenith distance once for each weather, with tan⁵ z and beyond. Below its lowest elevation a model
-gives NaN.
+There are three models. All use the elevation without air, which follows from the catalogue, so no prior attitude is
+needed ([P15] §3). ``erfa`` is A tan z + B tan³ z of the observed zenith distance, with A and B of ERFA's ``refco``.
+``almanac`` is [P15] (8)-(12) of the true zenith distance. ``ray_trace`` is the result of
+:mod:`ship_geometry.ray_trace`, expanded in the true zenith distance once for each weather, with tan⁵ z and higher
+terms. Below its lowest elevation a model gives NaN.
 """
 
 from dataclasses import dataclass
@@ -28,19 +28,19 @@ LOWEST_ELEVATION: dict[ModelName, float] = {
     "almanac": np.deg2rad(14.0),
     "ray_trace": np.deg2rad(5.0),
 }
-"""Lowest elevation (rad, without air) at which each model holds; stars below it cannot be used."""
+"""Lowest elevation (rad, without air) at which each model is valid; stars below it cannot be used."""
 
-# Steps of the numerical derivatives by pressure and temperature; over them refraction is as good as linear.
+# Steps of the numerical derivatives by pressure and temperature; refraction is linear over them.
 _STEP_HPA, _STEP_K = 1.0, 1.0
 _TINY = 1e-300
 
 # Error of the models in standard air. The description of refco has a table: 0.03″ up to 70° of zenith distance, 0.57″
-# at 80°; it grows like the first term left out, tan⁵ z. The almanac's model knows neither humidity nor colour of
+# at 80°; it grows like the first neglected term, tan⁵ z. The almanac's model does not contain humidity or the colour of
 # the light, and differs from erfa by 0.7 %.
-# A traced ray errs by what no instrument aboard tells of the air above her. At 5°, 10° and 45° these are, by tracing
-# again: lapse rate ±1.5 K/km 0.54″, 0.03″, 0; tropopause at 8 or 16 km 0.27″, 0.02″, 0; gravity at the pole or the
-# equator 0.17″, 0.03″, 0. A pressure that changes by 1 hPa in 100 km, as in a wind of 10 m/s, bends by ∫ ∂n/∂x dh over
-# sin² E: 0.62″, 0.16″, 0.01″. The refractivity is agreed upon to 0.02 %. Together it is less than the numbers here say.
+# The error of a traced ray comes from properties of the air that are not measured aboard. At 5°, 10° and 45° these are,
+# by further traces: lapse rate ±1.5 K/km 0.54″, 0.03″, 0; tropopause at 8 or 16 km 0.27″, 0.02″, 0; gravity at the pole
+# or the equator 0.17″, 0.03″, 0. A pressure gradient of 1 hPa in 100 km, as in a wind of 10 m/s, bends by ∫ ∂n/∂x dh
+# over sin² E: 0.62″, 0.16″, 0.01″. The refractivity is known to 0.02 %. The sum is less than the values here.
 _MODEL_SIGMAS: dict[ModelName, FloatArray] = {
     "erfa": np.array([0.03 * ARCSEC, 1e-4 * ARCSEC, 0.0]),
     "almanac": np.array([0.0, 0.0, 0.007]),
@@ -49,8 +49,8 @@ _MODEL_SIGMAS: dict[ModelName, FloatArray] = {
 """Each model's own standard deviation: everywhere, per tan⁵ z, and as a share of the angle."""
 
 # Rays are expanded as tan z Σ cᵢ xⁱ with x = tan² z/(1 + c tan² z), z without air. With c = 0 it is the series in
-# tan z, tan³ z, tan⁵ z …, which converges slowly where sight goes far through curved air. The c of curved air is 2 H/R,
-# H the height in which it thins by e; with about that, seven terms are rays to 2e-4″ down to 5° in any weather.
+# tan z, tan³ z, tan⁵ z …, which converges slowly for long paths through curved air. The c of curved air is 2 H/R with
+# the scale height H; with about this value, seven terms equal the rays to 2e-4″ down to 5° in any weather.
 _TERMS, _CURVATURE = 7, 0.003
 _LOWEST_RAY = np.deg2rad(85.0)
 _SAMPLE_ANGLES = np.pi * (np.arange(_TERMS) + 0.5) / _TERMS
@@ -69,7 +69,7 @@ class Weather:
         relative_humidity: 0 to 1.
 
     Raises:
-        ValueError: a value that no ship meets, most often because of its unit: Pa for hPa, K for °C, % for a fraction.
+        ValueError: an impossible value, often because of its unit: Pa for hPa, K for °C, % for a fraction.
     """
 
     pressure_hpa: float
@@ -90,7 +90,7 @@ class Weather:
 class Refraction:
     """Refraction at some elevations. Each array has their shape, and is NaN below the model's lowest elevation.
 
-    An error of the pressure, of the temperature or of the model moves all stars together.
+    An error of the pressure, of the temperature or of the model is common to all stars.
 
     Attributes:
         angle: the angle by which refraction raises the elevation, rad.
@@ -105,7 +105,7 @@ class Refraction:
     model_sigma: FloatArray
 
     def sigma(self, pressure_sigma_hpa: float, temperature_sigma_k: float) -> FloatArray:
-        """Standard deviation of the angle with weather known that well, rad."""
+        """Return the standard deviation of the angle for given sigmas of the weather, rad."""
         of_weather = np.hypot(self.per_hpa * pressure_sigma_hpa, self.per_kelvin * temperature_sigma_k)
         return np.hypot(of_weather, self.model_sigma)
 
@@ -113,13 +113,13 @@ class Refraction:
 def refraction(
     model: ModelName, elevation: FloatArray | float, weather: Weather, wavelength_um: float = 0.55
 ) -> Refraction:
-    """Refraction of stars at elevations without air.
+    """Return refraction of stars at elevations without air.
 
     Args:
         model: one of MODELS.
         elevation: rad, shape (...).
         weather: the air at the ship.
-        wavelength_um: of the light the sensor sees; the almanac's model does not know it.
+        wavelength_um: effective wavelength of the sensor, µm; the almanac's model does not use it.
 
     Example:
         >>> weather = Weather(pressure_hpa=1008.3, temperature_c=28.2)
@@ -138,11 +138,11 @@ def refraction(
 
 
 class StarsThroughAir(NamedTuple):
-    """Stars as they are seen through the air.
+    """Apparent directions of stars through the air.
 
     Attributes:
         direction_n: unit vectors (North, Up, East), shape (k, 3); NaN below the model's lowest elevation.
-        shared_n: their displacement by one sigma of refraction, and by each of m turns of the sky, rad, shape
+        shared_n: their displacement by one sigma of refraction, and by each of m rotations of the sky, rad, shape
             (k, 3, 1 + m).
         elevation: without air, rad, shape (k,).
     """
@@ -160,18 +160,18 @@ def seen_through_air(
     weather_sigma: tuple[float, float],
     turns_n: FloatArray,
 ) -> StarsThroughAir:
-    """A handful of stars through the air, with what the errors that they share do to them: all in one go.
+    """Return the apparent directions of a few stars through the air, with their displacement by common errors.
 
     Args:
         model: one of MODELS.
         without_air_n: unit vectors (North, Up, East), shape (k, 3).
         weather: the air at the ship.
-        wavelength_um: of the light the sensor sees; the almanac's model does not know it.
+        wavelength_um: effective wavelength of the sensor, µm; the almanac's model does not use it.
         weather_sigma: standard deviation of the pressure, hPa, and of the temperature, K.
-        turns_n: turns of the whole sky, rotation vectors, rad, shape (m, 3).
+        turns_n: rotations of the whole sky, rotation vectors, rad, shape (m, 3).
 
     Example:
-        A star at 45° in the north is lifted by 58″, give or take 1.0″ where the temperature is known to 5 K:
+        A star at 45° in the north is raised by 58″, with a sigma of 1.0″ for a temperature known to 5 K:
 
         >>> north_up_n = np.array([[1.0, 1.0, 0.0]]) / np.sqrt(2.0)
         >>> seen = seen_through_air("erfa", north_up_n, Weather(1013.25, 10.0), 0.55, (0.0, 5.0), np.empty((0, 3)))
@@ -186,19 +186,19 @@ def seen_through_air(
 def refraction_slopes(
     model: ModelName, elevation: float, weather: Weather, wavelength_um: float = 0.55
 ) -> tuple[float, float]:
-    """First and second derivative of refraction by elevation, rad/rad and rad/rad²; NaN below the lowest elevation.
+    """Return the first and second derivative of refraction by elevation, rad/rad and rad/rad².
 
-    Those of ``erfa`` are good to 0.1 % over sin² E, because the small difference between its observed zenith distance
-    and the true one is left out; the others are exact.
+    They are NaN below the lowest elevation. Those of ``erfa`` have an error of 0.1 % over sin² E, because the small
+    difference between observed and true zenith distance is neglected; the others are exact.
 
     Args:
         model: one of MODELS.
         elevation: rad, without air.
         weather: the air at the ship.
-        wavelength_um: of the light the sensor sees; the almanac's model does not know it.
+        wavelength_um: effective wavelength of the sensor, µm; the almanac's model does not use it.
 
     Example:
-        At 45° a star one degree higher is lifted by 2.0″ less:
+        At 45° refraction decreases by 2.0″ for one degree of elevation:
 
         >>> slope, _ = refraction_slopes("erfa", np.deg2rad(45.0), Weather(1013.25, 10.0))
         >>> print(f"{slope * 3600.0:.1f} arcsec per degree")
@@ -223,13 +223,13 @@ def refraction_slopes(
 def _of_air(
     model: ModelName, weather: Weather, wavelength_um: float
 ) -> tuple[FloatArray, float, float, bool, FloatArray]:
-    """What :func:`ship_geometry.compiled_refraction.bent` is told of a model in the air of a moment.
+    """Return the arguments of :func:`ship_geometry.compiled_refraction.refraction_angles` for a model and weather.
 
-    The last ones are kept, because the weather changes far less often than the sky.
+    The last results are cached, because the weather changes far less often than the sky.
 
     Returns:
         Coefficients of the powers of x, shape (t, 3): value (rad), derivative by hPa, derivative by K; the curvature c
-        in x; lowest elevation; whether they belong to the observed zenith distance; standard deviations of the model.
+        in x; lowest elevation; True if they belong to the observed zenith distance; standard deviations of the model.
     """
     # Five kinds of weather: as given, more and less pressure, higher and lower temperature.
     given, more_pressure, less_pressure, warmer, colder = range(5)
@@ -254,9 +254,9 @@ def _of_air(
 def _expanded_rays(
     pressures_hpa: FloatArray, temperatures_c: FloatArray, relative_humidity: float, wavelength_um: float
 ) -> FloatArray:
-    """Coefficients of traced refraction in w kinds of weather, shape (_TERMS, w).
+    """Return the coefficients of traced refraction in w kinds of weather, shape (_TERMS, w).
 
-    As many rays are traced as there are terms, at the zeros of a Chebyshev polynomial, and the terms go through them.
+    One ray is traced for each term, at the zeros of a Chebyshev polynomial; the expansion interpolates them.
     """
     lowest = np.tan(_LOWEST_RAY) ** 2
     sampled = 0.5 * (1.0 + np.cos(_SAMPLE_ANGLES)) * lowest / (1.0 + _CURVATURE * lowest)
@@ -269,14 +269,14 @@ def _expanded_rays(
 
 
 def lifted(direction_n: FloatArray, angle: FloatArray) -> FloatArray:
-    """Directions turned upwards by refraction.
+    """Return directions raised by refraction.
 
     Args:
         direction_n: unit vectors (North, Up, East) without air, shape (..., 3).
         angle: refraction, rad, shape (...).
 
     Returns:
-        Unit vectors (North, Up, East) as seen, shape (..., 3).
+        Apparent unit vectors (North, Up, East), shape (..., 3).
 
     Example:
         >>> direction_n = np.array([np.cos(np.pi / 6.0), 0.5, 0.0])  # in the north, 30° up
@@ -292,13 +292,13 @@ def lifted(direction_n: FloatArray, angle: FloatArray) -> FloatArray:
 
 
 def lifting_axis(direction_n: FloatArray) -> FloatArray:
-    """The level unit vector about which a direction turns upwards, direction × Up; zero at the zenith itself.
+    """Return the level unit vector about which refraction raises a direction, direction × Up; zero at the zenith.
 
     Args:
         direction_n: (North, Up, East), shape (3,).
 
     Example:
-        >>> print(lifting_axis(np.array([0.0, 0.6, 0.8])))  # a star in the east turns upwards about South
+        >>> print(lifting_axis(np.array([0.0, 0.6, 0.8])))  # a star in the east is raised about South
         [-1.  0.  0.]
     """
     level = np.array([-direction_n[2], 0.0, direction_n[0]])
@@ -306,7 +306,7 @@ def lifting_axis(direction_n: FloatArray) -> FloatArray:
 
 
 def elevation_of(direction_n: FloatArray) -> FloatArray:
-    """Elevation (rad, shape (...)) of directions (North, Up, East), shape (..., 3).
+    """Return the elevation (rad, shape (...)) of directions (North, Up, East), shape (..., 3).
 
     Example:
         >>> print(np.rad2deg(elevation_of(np.array([1.0, 1.0, 0.0]))))

@@ -1,8 +1,8 @@
-"""The one place where the axes of ROS meet the suite's: quaternions ENU <- FLU, and matrices horizon <- device.
+"""Conversion between the axes of ROS and of the suite: quaternions ENU <- FLU, and matrices horizon <- device.
 
-ROS (REP-103) speaks East, North, Up and forward, left, up; the suite speaks North, Up, East and forward, up,
-right. Both pairs are fixed permutations with signs. ROS yaw = 90° - heading, ROS pitch = -pitch, ROS roll = roll.
-Quaternions are ordered x, y, z, w.
+ROS (REP-103) uses East, North, Up and forward, left, up; the suite uses North, Up, East and forward, up, right. Both
+pairs differ by fixed permutations with signs. ROS yaw = 90° - heading, ROS pitch = -pitch, ROS roll = roll.
+Quaternions are ordered x, y, z, w. No other module converts axes.
 """
 
 import numpy as np
@@ -24,14 +24,14 @@ FRD_FROM_DEVICE = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
 
 def rotation_from_quaternion(quaternion: FloatArray, convention: str = "enu_flu") -> FloatArray:
-    """Rotation "horizon from device", shape (..., 3, 3), of quaternions x, y, z, w, which need not be normalised.
+    """Return the rotation "horizon from device", shape (..., 3, 3), of quaternions x, y, z, w of any norm above zero.
 
     Args:
-        quaternion: shape (..., 4), ENU <- FLU, or NED <- FRD where ``convention`` is ``"ned_frd"``.
+        quaternion: shape (..., 4), ENU <- FLU, or NED <- FRD if ``convention`` is ``"ned_frd"``.
         convention: ``"enu_flu"`` (REP-103) or ``"ned_frd"``.
 
     Example:
-        The unit quaternion of ROS points the bow East: yaw 0 is heading 90°.
+        With the unit quaternion of ROS the bow points East: yaw 0 is heading 90°.
 
         >>> rotation_nd = rotation_from_quaternion([0.0, 0.0, 0.0, 1.0])
         >>> print(rotation_nd[:, 0])  # North, Up, East
@@ -45,7 +45,7 @@ def rotation_from_quaternion(quaternion: FloatArray, convention: str = "enu_flu"
 
 
 def celestial_rotation_from_quaternion(quaternion: FloatArray) -> FloatArray:
-    """Rotation "ICRS from device (forward, up, right)", shape (3, 3), of a quaternion x, y, z, w, ICRS <- FLU.
+    """Return the rotation "ICRS from device (forward, up, right)", shape (3, 3), of a quaternion ICRS <- FLU.
 
     Example:
         >>> rotation_cs = celestial_rotation_from_quaternion([0.0, 0.0, 0.0, 1.0])
@@ -57,7 +57,7 @@ def celestial_rotation_from_quaternion(quaternion: FloatArray) -> FloatArray:
 
 
 def quaternion_from_rotation(rotation: FloatArray) -> FloatArray:
-    """Quaternion x, y, z, w (w >= 0), ENU <- FLU, shape (..., 4), of rotations "horizon from device".
+    """Return quaternions x, y, z, w (w >= 0), ENU <- FLU, shape (..., 4), of rotations "horizon from device".
 
     Example:
         A level ship heading North has ROS yaw 90°: half of that is in z and in w.
@@ -73,7 +73,7 @@ def quaternion_from_rotation(rotation: FloatArray) -> FloatArray:
 
 
 def mounting_quaternion(rotation_dv: FloatArray) -> FloatArray:
-    """Quaternion x, y, z, w (w >= 0), FLU <- FLU, shape (4,), of one rotation "deck from device", shape (3, 3).
+    """Return the quaternion x, y, z, w (w >= 0), FLU <- FLU, shape (4,), of a rotation "deck from device", (3, 3).
 
     Example:
         A sensor whose boresight points to starboard, 90° to the right of the bow, has ROS yaw -90° in the deck:
@@ -86,7 +86,7 @@ def mounting_quaternion(rotation_dv: FloatArray) -> FloatArray:
 
 
 def device_vector_from_ros(vector: FloatArray, convention: str = "enu_flu") -> FloatArray:
-    """(forward, up, right) from (forward, left, up), or from (forward, right, down): shape (..., 3).
+    """Return (forward, up, right) from (forward, left, up), or from (forward, right, down): shape (..., 3).
 
     Example:
         >>> print(device_vector_from_ros([1.0, 2.0, 3.0]))  # 2 to the left and 3 up
@@ -96,7 +96,7 @@ def device_vector_from_ros(vector: FloatArray, convention: str = "enu_flu") -> F
 
 
 def flu_from_device_vector(vector: FloatArray) -> FloatArray:
-    """(forward, left, up) from (forward, up, right): shape (..., 3).
+    """Return (forward, left, up) from (forward, up, right): shape (..., 3).
 
     Example:
         >>> print(flu_from_device_vector([1.0, 3.0, -2.0]))  # 3 up and 2 to the left
@@ -107,7 +107,7 @@ def flu_from_device_vector(vector: FloatArray) -> FloatArray:
 
 
 def enu_covariance(covariance_n: FloatArray) -> FloatArray:
-    """Covariance in (East, North, Up) of one in (North, Up, East), shape (..., 3, 3).
+    """Return a covariance in (East, North, Up) from one in (North, Up, East), shape (..., 3, 3).
 
     Example:
         >>> print(np.diagonal(enu_covariance(np.diag([1.0, 2.0, 3.0]))))  # from North, Up, East
@@ -118,7 +118,7 @@ def enu_covariance(covariance_n: FloatArray) -> FloatArray:
 
 
 def horizon_covariance(covariance_enu: FloatArray) -> FloatArray:
-    """Covariance in (North, Up, East) of one in (East, North, Up), shape (..., 3, 3).
+    """Return a covariance in (North, Up, East) from one in (East, North, Up), shape (..., 3, 3).
 
     Example:
         >>> print(np.diagonal(horizon_covariance(np.diag([3.0, 1.0, 2.0]))))  # from East, North, Up
@@ -142,7 +142,7 @@ def _quaternion_of_one(matrix: FloatArray) -> FloatArray:
 
 
 def _quaternion_from_matrix(matrix: FloatArray) -> FloatArray:
-    """Quaternions x, y, z, w (w >= 0) of matrices, each by the largest of its components."""
+    """Return quaternions x, y, z, w (w >= 0) of matrices, each from its largest component."""
     diagonal = np.einsum("...ii->...i", matrix)
     trace = diagonal.sum(axis=-1, keepdims=True)
     # Four times the products of each component of the quaternion with each.

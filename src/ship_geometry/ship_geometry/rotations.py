@@ -1,8 +1,8 @@
 """Rotation vectors and rotation matrices: exponential, logarithm and their Jacobians.
 
-All functions take any number of leading dimensions: a rotation vector has shape (..., 3), a matrix (..., 3, 3). Single
-ones are compiled (:mod:`ship_geometry.compiled_rotations`). Formulas: Sola, Deray, Atchuthan, "A micro Lie theory"
-(2018), section on SO(3).
+All functions accept any number of leading dimensions: a rotation vector has shape (..., 3), a matrix (..., 3, 3).
+Single ones are computed by :mod:`ship_geometry.compiled_rotations`. Formulas: Sola, Deray, Atchuthan, "A micro Lie
+theory" (2018), section on SO(3).
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ FloatArray = NDArray[np.float64]
 ARCSEC = np.pi / (180.0 * 3600.0)
 """One arcsecond in radians."""
 
-# [v x] is linear in v: its nine elements row by row, of each component of v.
+# [v x] is linear in v: its nine elements, row by row, for each component of v.
 _SKEW = np.array(
     [
         [0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0],
@@ -24,12 +24,12 @@ _SKEW = np.array(
     ]
 )
 
-# Below this angle (rad) the series used are exact to the last bit of a double.
+# Angle (rad) below which the series are exact to the last bit of a double.
 _SMALL_ANGLE = 1e-4
 
 
 def wrap_pi(angle: FloatArray | float) -> FloatArray:
-    """Angle (rad) brought into [-pi, pi).
+    """Return an angle (rad) wrapped to [-pi, pi).
 
     Example:
         >>> print(np.rad2deg(wrap_pi(np.deg2rad([190.0, -190.0, 180.0]))).round(6))
@@ -41,7 +41,7 @@ def wrap_pi(angle: FloatArray | float) -> FloatArray:
 
 
 def wrap_two_pi(angle: FloatArray | float) -> FloatArray:
-    """Angle (rad) brought into [0, 2 pi).
+    """Return an angle (rad) wrapped to [0, 2 pi).
 
     Example:
         >>> print(np.rad2deg(wrap_two_pi(np.deg2rad([-10.0, 370.0]))).round(6))
@@ -53,7 +53,7 @@ def wrap_two_pi(angle: FloatArray | float) -> FloatArray:
 
 
 def skew(vector: FloatArray) -> FloatArray:
-    """Matrix [v x] with ``skew(v) @ w == cross(v, w)``, shape (..., 3, 3).
+    """Return the matrix [v x] with ``skew(v) @ w == cross(v, w)``, shape (..., 3, 3).
 
     Example:
         >>> north, up = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
@@ -66,7 +66,7 @@ def skew(vector: FloatArray) -> FloatArray:
 
 
 def _sinc_coefficients(angle_squared: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Three ratios, sin t / t, (1 - cos t) / t² and (t - sin t) / t³, for t² given."""
+    """Return sin t / t, (1 - cos t) / t² and (t - sin t) / t³, for given t²."""
     small = angle_squared < _SMALL_ANGLE**2
     t2 = np.where(small, 1.0, angle_squared)
     t = np.sqrt(t2)
@@ -79,16 +79,16 @@ def _sinc_coefficients(angle_squared: FloatArray) -> tuple[FloatArray, FloatArra
 
 
 def _polynomial(vector: FloatArray, linear: FloatArray, quadratic: FloatArray) -> FloatArray:
-    """Identity + linear [v x] + quadratic [v x]²."""
+    """Return identity + linear [v x] + quadratic [v x]²."""
     matrix = skew(vector)
     return np.eye(3) + linear[..., None, None] * matrix + quadratic[..., None, None] * (matrix @ matrix)
 
 
 def exp_rotation(vector: FloatArray) -> FloatArray:
-    """Rotation matrix of a rotation vector (rad), shape (..., 3, 3).
+    """Return the rotation matrix of a rotation vector (rad), shape (..., 3, 3).
 
     Example:
-        A turn by 30° about Up takes North towards West, for positive turns are counter-clockwise seen from above:
+        A rotation by 30° about Up takes North towards West: positive rotations are counter-clockwise from above:
 
         >>> up, north = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])
         >>> print((exp_rotation(np.deg2rad(30.0) * up) @ north).round(3))
@@ -103,7 +103,7 @@ def exp_rotation(vector: FloatArray) -> FloatArray:
 
 
 def left_jacobian(vector: FloatArray) -> FloatArray:
-    """J with ``exp(v + dv) = exp(J dv) exp(v)`` to first order in dv, shape (..., 3, 3).
+    """Return J with ``exp(v + dv) = exp(J dv) exp(v)`` to first order in dv, shape (..., 3, 3).
 
     The right Jacobian, ``exp(v + dv) = exp(v) exp(J_r dv)``, is its transpose.
 
@@ -122,10 +122,10 @@ def left_jacobian(vector: FloatArray) -> FloatArray:
 
 
 def log_rotation(rotation: FloatArray) -> FloatArray:
-    """Rotation vector (rad, norm at most pi) of a rotation matrix, shape (..., 3).
+    """Return the rotation vector (rad, norm at most pi) of a rotation matrix, shape (..., 3).
 
-    It is accurate over the whole range. For small and medium angles it comes from the antisymmetric part, near half a
-    turn from the largest diagonal element of the symmetric part.
+    It is accurate over the whole range: for small and medium angles from the antisymmetric part, near half a turn from
+    the largest diagonal element of the symmetric part.
 
     Example:
         >>> vector = np.deg2rad([10.0, -20.0, 30.0])
@@ -153,7 +153,7 @@ def log_rotation(rotation: FloatArray) -> FloatArray:
 
 
 def _log_near_half_turn(rotation: FloatArray, twice_sine: FloatArray, angle: FloatArray) -> FloatArray:
-    """Logarithm where the sine is small and the axis must come from R + R^T = 2 cos t I + 2 (1 - cos t) n n^T."""
+    """Return the logarithm near half a turn, with the axis from R + R^T = 2 cos t I + 2 (1 - cos t) n n^T."""
     symmetric = 0.5 * (rotation + np.swapaxes(rotation, -1, -2))
     outer = symmetric - np.cos(angle)[..., None, None] * np.eye(3)
     largest = np.argmax(np.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
@@ -165,9 +165,9 @@ def _log_near_half_turn(rotation: FloatArray, twice_sine: FloatArray, angle: Flo
 
 
 def angle_between(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Angle (rad) between vectors of shape (..., 3), accurate for small angles.
+    """Return the angle (rad) between vectors of shape (..., 3), accurate for small angles.
 
-    Kahan's form ``2 atan2(|a/|a| - b/|b||, |a/|a| + b/|b||)``: an arccosine would lose arcseconds.
+    It is Kahan's form ``2 atan2(|a/|a| - b/|b||, |a/|a| + b/|b||)``; an arccosine would lose arcseconds.
 
     Example:
         >>> star, neighbour = np.array([1.0, 0.0, 0.0]), np.array([1.0, 3.0 * ARCSEC, 0.0])

@@ -1,11 +1,12 @@
-"""Where a catalogue star stands in the horizon of a moving ship: ICRS → (North, Up, East), without refraction.
+"""Directions of catalogue stars in the horizon of a moving ship: ICRS → (North, Up, East), without refraction.
 
-The chain is that of docs/explanation/stars.md, all of it ERFA's: proper motion and parallax, light deflection by the
+The steps are those of docs/explanation/stars.md, computed by ERFA: proper motion and parallax, light deflection by the
 Sun, annual aberration, bias-precession-nutation (IAU 2006/2000A), Earth rotation with UT1, polar motion, diurnal
-aberration. The ship's own velocity comes last (10 mas at 15 m/s). :mod:`ship_geometry.refraction` adds the air.
+aberration. The aberration by the ship's own velocity is last (10 mas at 15 m/s). Refraction is added by
+:mod:`ship_geometry.refraction`.
 
-There are two ways. :func:`directions` does all steps at each moment. :class:`RefreshedSky` does the slow steps once for
-ten seconds; it is several times faster, and within 0.1 mas as long as the Sun is more than 5° away.
+:func:`directions` computes all steps at each time. :class:`RefreshedSky` computes the slow steps once in ten seconds;
+it is several times faster, and equal within 0.1 mas if the Sun is more than 5° away.
 """
 
 from __future__ import annotations
@@ -31,12 +32,12 @@ _JULIAN_YEAR_D = 365.25
 _EPOCHS_KEPT = 4
 
 _NO_REFRACTION = 0.0
-"""ERFA's refraction constants: the air is allowed for in :mod:`ship_geometry.refraction`."""
+"""ERFA's refraction constants for no air; refraction is computed in :mod:`ship_geometry.refraction`."""
 
 
 @dataclass(frozen=True)
 class StarPositions:
-    """Stars in the ICRS at epoch J2000.0, as ERFA wants them; arrays of one shape.
+    """Stars in the ICRS at epoch J2000.0, in the form of ERFA; arrays of one shape.
 
     Attributes:
         right_ascension: rad.
@@ -53,12 +54,12 @@ class StarPositions:
     parallax_arcsec: FloatArray
 
     def __getitem__(self, index: Any) -> StarPositions:
-        """The stars at an index or slice, or where a mask is true."""
+        """Return the stars at an index or slice, or of a mask."""
         return StarPositions(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
 
 
 def fixed_stars(right_ascension: FloatArray, declination: FloatArray) -> StarPositions:
-    """Stars without motion and parallax.
+    """Return stars without proper motion and parallax.
 
     Args:
         right_ascension: ICRS, J2000.0, rad.
@@ -77,9 +78,9 @@ def fixed_stars(right_ascension: FloatArray, declination: FloatArray) -> StarPos
 
 
 def stars_from_epoch(stars: StarPositions, epoch_year: float) -> StarPositions:
-    """Stars at J2000.0 from their places at another Julian epoch (Hipparcos: 1991.25).
+    """Return stars at J2000.0 from their places at another Julian epoch (Hipparcos: 1991.25).
 
-    Radial velocities are taken as zero.
+    Radial velocities are assumed to be zero.
 
     Args:
         stars: places and motions at ``epoch_year``; parallaxes may be negative, as measured ones are.
@@ -97,7 +98,7 @@ def stars_from_epoch(stars: StarPositions, epoch_year: float) -> StarPositions:
     parallax_arcsec = np.maximum(stars.parallax_arcsec, 0.0)
     epoch_d = (epoch_year - 2000.0) * _JULIAN_YEAR_D
     with warnings.catch_warnings():
-        # "distance overridden": a star without parallax is put far away, which is what is meant.
+        # "distance overridden": a star without parallax is placed at a large distance, as intended.
         warnings.simplefilter("ignore", erfa.ErfaWarning)
         alpha, delta, pm_alpha, pm_delta, _, _ = erfa.pmsafe(
             stars.right_ascension,
@@ -116,10 +117,10 @@ def stars_from_epoch(stars: StarPositions, epoch_year: float) -> StarPositions:
 
 @dataclass(frozen=True)
 class Observer:
-    """Where the sensor is and how it moves over the Earth.
+    """Position and velocity of the sensor.
 
     Attributes:
-        position: on WGS 84; the horizon is the ellipsoid's.
+        position: on WGS 84; the horizon is that of the ellipsoid.
         velocity_n_m_per_s: over ground in (North, Up, East), shape (..., 3).
     """
 
@@ -128,13 +129,13 @@ class Observer:
 
 
 def directions(stars: StarPositions, time_ns: TimeNs, observer: Observer, orientation: EarthOrientation) -> FloatArray:
-    """Unit vectors (North, Up, East) to stars, without refraction, by all steps at each moment.
+    """Return unit vectors (North, Up, East) to stars, without refraction, by all steps at each time.
 
     Args:
         stars: arrays of shape (...).
-        time_ns: one moment or several. Moments, places and orientations broadcast against the stars.
-        observer: where the sensor is at these moments.
-        orientation: orientation of the Earth at these moments.
+        time_ns: one time or several. Times, places and orientations broadcast against the stars.
+        observer: position and velocity of the sensor at these times.
+        orientation: orientation of the Earth at these times.
 
     Returns:
         Shape (..., 3).
@@ -171,7 +172,7 @@ def directions(stars: StarPositions, time_ns: TimeNs, observer: Observer, orient
 
 @dataclass(frozen=True)
 class _Epoch:
-    """What changes slowly: the sky seen from the Earth's centre, and the orientation of the Earth."""
+    """The slowly changing quantities: the geocentric sky, and the orientation of the Earth."""
 
     to_cirs: Any
     orientation: EarthOrientation
@@ -179,13 +180,13 @@ class _Epoch:
 
 
 class RefreshedSky:
-    """Directions moment by moment: the slow steps once per 10 s, Earth rotation and the ship's place each time.
+    """Directions of stars with the slow steps once in 10 s, and Earth rotation and the ship's place at each time.
 
-    The slow steps are done for the middle of fixed intervals of time, so the result does not depend on what was asked
-    before. Leap seconds fall between intervals.
+    The slow steps are computed for the middle of fixed intervals, so the result does not depend on earlier calls. Leap
+    seconds fall between intervals.
 
-    ERFA has a short cut, ``apco13`` refreshed by ``aper13``. It is not used, because it keeps the place of the first
-    moment: a ship that has moved by 150 m is 6″ off.
+    ERFA's short cut, ``apco13`` refreshed by ``aper13``, is not used: it keeps the place of the first time, which gives
+    an error of 6″ after the ship has moved by 150 m.
 
     Args:
         table: orientation of the Earth.
@@ -207,10 +208,10 @@ class RefreshedSky:
         self._epochs: dict[int, _Epoch] = {}
 
     def directions(self, stars: StarPositions, time_ns: int, observer: Observer) -> FloatArray:
-        """Unit vectors (N, U, E) without refraction, shape (..., 3).
+        """Return unit vectors (North, Up, East) without refraction, shape (..., 3).
 
         Raises:
-            OutsideEarthOrientation: the table has no value for this moment.
+            OutsideEarthOrientation: the table has no value for this time.
         """
         epoch = self._epoch(time_ns)
         to_horizon = erfa.apio(
@@ -219,12 +220,12 @@ class RefreshedSky:
         return _horizon_directions(stars, epoch.to_cirs, to_horizon, observer)
 
     def rotation_horizon_from_icrs(self, time_ns: int, position: GeodeticPosition) -> FloatArray:
-        """Rotation "horizon (North, Up, East) from ICRS", shape (3, 3).
+        """Return the rotation "horizon (North, Up, East) from ICRS", shape (3, 3).
 
-        It turns axes, as those of a body; aberration, which bends directions, is not in it.
+        It rotates axes, as those of a body; aberration, which changes directions, is not included.
 
         Raises:
-            OutsideEarthOrientation: the table has no value for this moment.
+            OutsideEarthOrientation: the table has no value for this time.
         """
         epoch = self._epoch(time_ns)
         polar_motion = erfa.pom00(epoch.orientation.pole_x, epoch.orientation.pole_y, epoch.tio_locator)
@@ -234,7 +235,7 @@ class RefreshedSky:
         return rotation_nc
 
     def orientation(self, time_ns: int) -> EarthOrientation:
-        """Earth orientation used at a moment, with its error."""
+        """Return the Earth orientation used at a time, with its error."""
         return self._epoch(time_ns).orientation
 
     def _epoch(self, time_ns: int) -> _Epoch:
@@ -255,15 +256,15 @@ def _ut1(time_ns: TimeNs, orientation: EarthOrientation) -> JulianDate:
 
 
 def _site(time_ns: TimeNs, observer: Observer, orientation: EarthOrientation) -> tuple[Any, ...]:
-    """How the ship lies in space, in the order of ERFA's arguments: Earth rotation angle, place and pole, rad and m."""
+    """Return Earth rotation angle, place and pole in the order of ERFA's arguments, rad and m."""
     place = observer.position
     angle = erfa.era00(*_ut1(time_ns, orientation))
     return angle, place.longitude, place.latitude, place.height_m, orientation.pole_x, orientation.pole_y
 
 
 def _horizon_directions(stars: StarPositions, to_cirs: Any, to_horizon: Any, observer: Observer) -> FloatArray:
-    """Unit vectors: ICRS → intermediate frame CIRS → (North, Up, East) → aberration by the ship's own velocity."""
-    # atciq, not atciqz: only the former knows proper motion and parallax.
+    """Return unit vectors: ICRS → intermediate frame CIRS → (North, Up, East) → aberration by the ship's velocity."""
+    # atciq, not atciqz: only the former includes proper motion and parallax.
     cirs_alpha, cirs_delta = erfa.atciq(
         stars.right_ascension,
         stars.declination,

@@ -1,4 +1,4 @@
-"""Tables as text whose lines are equally long, with columns at fixed places: a star catalogue, Earth orientation."""
+"""Text tables with lines of equal length and fixed columns: a star catalogue, Earth orientation."""
 
 from pathlib import Path
 
@@ -13,10 +13,10 @@ Columns = tuple[int, int]
 
 
 def read_lines(path: Path, length: int) -> NDArray[np.uint8]:
-    r"""The characters of a file, shape (lines, length); each line ends with its newline.
+    r"""Return the characters of a file, shape (lines, length); each line ends with its newline.
 
     Raises:
-        ValueError: the lines are not so long, or there are none.
+        ValueError: the lines do not have this length, or there are none.
 
     Example:
         >>> import tempfile
@@ -33,10 +33,10 @@ def read_lines(path: Path, length: int) -> NDArray[np.uint8]:
 
 
 def numbers(lines: NDArray[np.uint8], *columns: Columns) -> FloatArray:
-    r"""The numbers in some columns, shape (columns, lines), each to the last bit what ``float`` makes; NaN where blank.
+    r"""Return the numbers in some columns, shape (columns, lines), to the last bit as by ``float``; NaN if blank.
 
     Raises:
-        ValueError: a text is no number.
+        ValueError: a text is not a number.
 
     Example:
         >>> lines = np.frombuffer(b"  1.50 -7\n -0.25   \n", dtype=np.uint8).reshape(-1, 10)

@@ -1,7 +1,7 @@
 """Time scales: POSIX UTC in integer nanoseconds to TAI, TT and two-part Julian dates for ERFA.
 
 Leap seconds come from the table in `astropy-iers-data`. POSIX time has no number for a leap second: 23:59:60 has the
-number of the 00:00:00 after it, and is taken for that.
+number of the following 00:00:00.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ship_geometry.rotations import FloatArray
 
 TimeNs = int | NDArray[np.int64]
-"""Nanoseconds of POSIX UTC: one moment or an array of them."""
+"""Nanoseconds of POSIX UTC: one time or an array."""
 
 JulianDate = tuple[Any, Any]
 """A Julian date in two parts, whole (at midnight) and fraction, whose sum is the date: floats or float arrays."""
@@ -39,9 +39,9 @@ class LeapSeconds:
     """TAI − UTC since 1972.
 
     Attributes:
-        starts_ns: the moments at which a value begins to hold, increasing, shape (n,).
+        starts_ns: times from which each value is valid, increasing, shape (n,).
         tai_minus_utc_s: the values, shape (n,).
-        known_until_ns: up to here no other leap second is possible: the expiry of the table.
+        known_until_ns: expiry of the table; no other leap second is possible before.
     """
 
     starts_ns: NDArray[np.int64]
@@ -49,14 +49,14 @@ class LeapSeconds:
     known_until_ns: int
 
     def at(self, time_ns: TimeNs) -> FloatArray:
-        """TAI − UTC in seconds; before 1972 the first value, after the expiry of the table the last one."""
+        """Return TAI − UTC, s; before 1972 the first value, after the expiry of the table the last one."""
         index = np.searchsorted(self.starts_ns, time_ns, side="right") - 1
         return self.tai_minus_utc_s[np.maximum(index, 0)]
 
 
 @lru_cache(maxsize=1)
 def leap_seconds() -> LeapSeconds:
-    """The table of the installed `astropy-iers-data`, read once.
+    """Return the table of the installed `astropy-iers-data`, which is read once.
 
     Example:
         >>> print(leap_seconds().at(1_404_906_607_800_000_000))  # in 2014, seconds
@@ -66,10 +66,10 @@ def leap_seconds() -> LeapSeconds:
 
 
 def read_leap_seconds(path: Path) -> LeapSeconds:
-    """Read a file in the form of the IERS's Leap_Second.dat.
+    """Read a file in the format of the IERS's Leap_Second.dat.
 
     Raises:
-        ValueError: names the file and what is missing in it.
+        ValueError: the format is wrong; the text names the file.
 
     Example:
         >>> table = read_leap_seconds(Path(astropy_iers_data.IERS_LEAP_SECOND_FILE))
@@ -91,14 +91,14 @@ def read_leap_seconds(path: Path) -> LeapSeconds:
 
 
 def julian_date(time_ns: TimeNs, offset_s: FloatArray | float = 0.0) -> JulianDate:
-    """Two-part Julian date of a moment plus an offset.
+    """Return the two-part Julian date of a time plus an offset.
 
-    With the offset (scale − UTC) it is the date in that time scale. Day and rest are split while the nanoseconds are
-    integers, because a Julian date in one double is good to 40 µs only, which is 0.6 mas of Earth rotation.
+    With the offset (scale − UTC) it is the date in that time scale. Day and fraction are split in integer nanoseconds,
+    because a Julian date in one double has a resolution of 40 µs, which is 0.6 mas of Earth rotation.
 
     Args:
-        time_ns: moment, or moments.
-        offset_s: added to it, s.
+        time_ns: time, or times.
+        offset_s: added offset, s.
 
     Example:
         >>> whole, fraction = julian_date(1_404_906_607_800_000_000)  # 2014-07-09 11:50:07.8 UTC
@@ -110,7 +110,7 @@ def julian_date(time_ns: TimeNs, offset_s: FloatArray | float = 0.0) -> JulianDa
 
 
 def tt_julian_date(time_ns: TimeNs) -> JulianDate:
-    """Terrestrial Time of a moment as a two-part Julian date.
+    """Return Terrestrial Time as a two-part Julian date.
 
     Example:
         >>> utc, tt = julian_date(1_404_906_607_800_000_000), tt_julian_date(1_404_906_607_800_000_000)
@@ -121,7 +121,7 @@ def tt_julian_date(time_ns: TimeNs) -> JulianDate:
 
 
 def utc_text(time_ns: int) -> str:
-    """A moment for messages to people: ``2014-07-09 11:50:07 UTC``.
+    """Return a time as text for users: ``2014-07-09 11:50:07 UTC``.
 
     Example:
         >>> utc_text(1_404_906_607_800_000_000)

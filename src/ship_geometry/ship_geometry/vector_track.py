@@ -1,4 +1,4 @@
-"""Vectors between samples, such as baselines and encoder angles: cubics whose slopes are differences of neighbours."""
+"""Vectors between samples, such as baselines and encoder angles, by cubics with slopes from the neighbours."""
 
 from dataclasses import dataclass
 from typing import TypeVar
@@ -24,18 +24,18 @@ class VectorSample:
     vector: FloatArray
 
     def content(self) -> bytes:
-        """All values as bytes: equal for a repeated sample, and an order for conflicting ones."""
+        """Return all values as bytes: equal for a repeated sample, and an order for conflicting ones."""
         return self.vector.tobytes()
 
 
 @dataclass(frozen=True)
 class InterpolatedVector:
-    """The vector at a moment of the track.
+    """The vector at a time of the track.
 
     Attributes:
         vector: shape (k,). A periodic component may differ from its principal value by whole periods.
         noise_gain: variance of the result per variance of the samples' independent noise.
-        error_covariance: of the interpolation's own error, estimated from the samples around, shape (k, k).
+        error_covariance: of the interpolation error, estimated from the neighbouring samples, shape (k, k).
     """
 
     vector: FloatArray
@@ -50,8 +50,8 @@ class VectorTrack(SampleTrack[Sample]):
     """Vectors of one source.
 
     Args:
-        max_gap_ns: neighbours further apart than this are not joined.
-        period: after which all components repeat: 2 pi for angles, infinite for lengths.
+        max_gap_ns: maximum interval between two samples for interpolation.
+        period: period of all components: 2 pi for angles, infinite for lengths.
 
     Example:
         An azimuth that passes north, between 359° and 1°:
@@ -68,7 +68,7 @@ class VectorTrack(SampleTrack[Sample]):
         self._period = period
 
     def at(self, time_ns: int) -> InterpolatedVector | None:
-        """The vector at a moment; None outside the track or in a gap."""
+        """Return the vector at a time; None outside the track or in a gap."""
         interval = self._interval(time_ns)
         if interval is None:
             return None
@@ -94,7 +94,7 @@ class VectorTrack(SampleTrack[Sample]):
         return InterpolatedVector(*found)
 
     def _change(self, first: int, second: int) -> FloatArray:
-        """Change from one sample to another, summed over the steps between them, each step the short way round."""
+        """Return the change from one sample to another, the sum of the steps, each taken the short way round."""
         if second < first:
             return -self._change(second, first)
         change = np.zeros_like(self._samples[first].vector)

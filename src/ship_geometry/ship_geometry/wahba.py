@@ -1,10 +1,10 @@
 """Wahba's problem: the rotation between two frames from directions known in both, with its covariance.
 
-Minimises  ½ Σ σᵢ⁻² |vᵢ − R uᵢ|²  over rotations R, where vᵢ are reference directions (n) and uᵢ measured ones (d), by
-the singular value decomposition of B = Σ σᵢ⁻² vᵢ uᵢᵀ (Markley 1988). For directions of equal error across the line of
-sight the minimum is the maximum-likelihood attitude, and its covariance is (Σ σᵢ⁻² (I − vᵢ vᵢᵀ))⁻¹.
+The rotation R minimises  ½ Σ σᵢ⁻² |vᵢ − R uᵢ|²,  where vᵢ are reference directions (n) and uᵢ measured ones (d), by the
+singular value decomposition of B = Σ σᵢ⁻² vᵢ uᵢᵀ (Markley 1988). For directions of equal error across the line of sight
+the minimum is the maximum-likelihood attitude, and its covariance is (Σ σᵢ⁻² (I − vᵢ vᵢᵀ))⁻¹.
 
-All functions take leading dimensions: many attitudes at once, with the same number of directions each.
+All functions accept leading dimensions: many attitudes at once, with the same number of directions each.
 """
 
 import math
@@ -17,14 +17,14 @@ from ship_geometry import lapack
 from ship_geometry.rotations import FloatArray
 
 WORST_SIGMA = np.deg2rad(1.0)
-"""Largest standard deviation of the worst axis, rad, of an attitude that counts as solved.
+"""Largest standard deviation of the worst axis of an attitude that counts as solved, rad.
 
-The covariance holds for small errors only."""
+The covariance is valid for small errors only."""
 
 _IDENTITY = np.eye(3)
 
 _DIAGONAL_OF_3_BY_3 = slice(None, None, 4)
-"""The diagonal of a matrix (3, 3) that is laid out flat."""
+"""Diagonal of a flattened matrix (3, 3)."""
 
 
 @dataclass(frozen=True)
@@ -32,12 +32,12 @@ class WahbaSolution:
     """Rotations with their covariance; shapes with the leading dimensions of the input.
 
     Attributes:
-        rotation_nd: "n from d", shape (..., 3, 3); NaN where not solved.
+        rotation_nd: "n from d", shape (..., 3, 3); NaN if not solved.
         covariance_n: covariance of the rotation vector δ in n, ``R_true = exp(δ) R``, rad², shape (..., 3, 3); NaN
-            where not solved.
-        information_n: Σ σ⁻² (I − v vᵀ), rad⁻², shape (..., 3, 3): what the directions tell, be it enough or not.
-        solved: whether the directions determine all three axes, shape (...). One direction, or nearly parallel ones,
-            leave the turn about their line open.
+            if not solved.
+        information_n: information matrix Σ σ⁻² (I − v vᵀ), rad⁻², shape (..., 3, 3), also if not solved.
+        solved: True if the directions determine all three axes, shape (...). One direction, or nearly parallel ones,
+            do not determine the rotation about their line.
     """
 
     rotation_nd: FloatArray
@@ -47,19 +47,19 @@ class WahbaSolution:
 
 
 def solve(reference_n: FloatArray, measured_d: FloatArray, sigma: FloatArray | float) -> WahbaSolution:
-    """The rotation that turns the measured directions best into the reference ones.
+    """Return the rotation that best transforms the measured directions into the reference ones.
 
     Args:
         reference_n: unit vectors, shape (..., k, 3).
         measured_d: unit vectors, shape (..., k, 3).
-        sigma: error across the line of sight, rad per axis, shape (..., k) or one for all. An infinite one leaves its
-            direction out.
+        sigma: error across the line of sight, rad per axis, shape (..., k) or one for all. A direction with infinite
+            sigma is not used.
 
     Raises:
         numpy.linalg.LinAlgError: directions or sigmas that are not finite.
 
     Example:
-        Two stars, each good to 3″, that stand at right angles; the deck is turned by 90° against the horizon:
+        Two stars at right angles, each with 3″; the deck is rotated by 90° against the horizon:
 
         >>> reference_n = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
         >>> rotation_nd = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
@@ -80,13 +80,13 @@ def solve(reference_n: FloatArray, measured_d: FloatArray, sigma: FloatArray | f
 
     left, singular, right = np.linalg.svd(weighted @ measured_d)
     rotation_nd = left @ right
-    # Where the best fit is a reflection (-1), which is no attitude, the best rotation has its weakest axis reversed.
+    # If the best fit is a reflection (-1), which is no attitude, the best rotation has its weakest axis reversed.
     handedness = np.copysign(1.0, np.linalg.det(rotation_nd))
     if np.any(handedness < 0.0):
         left[..., :, 2] *= handedness[..., None]
         rotation_nd = left @ right
-    # The information about the worst axis, from the singular values of the data. It vanishes where directions are
-    # parallel, and also where they are so inconsistent that two rotations fit alike, which information_n does not see.
+    # The information about the worst axis, from the singular values of the data. It vanishes for parallel directions,
+    # and for directions so inconsistent that two rotations fit equally, which information_n does not show.
     worst_information = singular[..., 1] + handedness * singular[..., 2]
     solved = worst_information > WORST_SIGMA**-2.0
     if np.all(solved):
@@ -102,7 +102,7 @@ def solve(reference_n: FloatArray, measured_d: FloatArray, sigma: FloatArray | f
 
 
 def _solve_one(reference_n: FloatArray, measured_d: FloatArray, weight: FloatArray) -> WahbaSolution:
-    """:func:`solve` for one attitude, several times faster: a live node solves one at a time."""
+    """Return :func:`solve` for one attitude, several times faster: a live node solves one at a time."""
     weighted = (weight[:, None] * reference_n).T
     information_n = weighted @ -reference_n
     # The trace of Σ w v vᵀ is Σ w.
@@ -123,7 +123,7 @@ def _solve_one(reference_n: FloatArray, measured_d: FloatArray, weight: FloatArr
 
 
 def _inverse(information: FloatArray) -> FloatArray:
-    """Inverse of one symmetric positive definite matrix, shape (3, 3)."""
+    """Return the inverse of one symmetric positive definite matrix, shape (3, 3)."""
     lower, failed = lapack.dpotrf(information, lower=1)
     if failed:
         raise np.linalg.LinAlgError("information is not positive definite")

@@ -1,4 +1,4 @@
-"""The track of attitudes: order of arrival, what later samples may change, gaps, noise, moving a sample."""
+"""The track of attitudes: order of arrival, changes by later samples, gaps, noise, propagation of a sample."""
 
 from dataclasses import replace
 
@@ -107,13 +107,13 @@ def test_interpolation_agrees_with_scipys_rotation_spline() -> None:
 
 
 @pytest.mark.parametrize("with_rate", [True, False])
-def test_steady_turn_is_met_exactly_even_half_a_turn_between_samples(with_rate: bool) -> None:
+def test_constant_rotation_is_interpolated_exactly_up_to_half_a_turn(with_rate: bool) -> None:
     """Interpolation is exact for constant rate, whatever the rate: 170° from sample to sample here."""
     rate = np.deg2rad(1700.0) * np.array([0.6, 0.0, 0.8])
     track = AttitudeTrack(MAX_GAP_NS)
     for k in range(6):
         rotation = Rotation.from_rotvec(rate * k * 0.1).as_matrix()
-        # Differences over two samples would be over half a turn: the ends of the track use one.
+        # Differences over two samples would exceed half a turn: the ends of the track use one step.
         track.insert(AttitudeSample(k * STEP_NS, rotation, rate if with_rate or 0 < k < 5 else None))
     for time_ns in range(0, 5 * STEP_NS, 3_333_333):
         found = track.at(time_ns)
@@ -132,12 +132,12 @@ def test_the_chord_is_scipys_slerp_whatever_the_rates(fraction: float) -> None:
     expected = slerp(moment_ns - samples[1].time_ns).as_matrix()
     assert found is not None
     assert found.chord_nd(moment_ns) == pytest.approx(expected, abs=1e-15)
-    # Of a ship in a seaway it is another attitude than the cubic's, but at the samples.
+    # For a ship in a seaway it differs from the cubic, except at the samples.
     assert (error_arcsec(found.rotation_nd, expected) > 1.0) == (fraction > 0.0)
 
 
 @pytest.mark.parametrize("with_rate", [True, False])
-def test_samples_themselves_come_back_untouched(with_rate: bool) -> None:
+def test_samples_are_returned_unchanged(with_rate: bool) -> None:
     samples = regular(5, with_rate)
     track = track_of(samples)
     for sample in samples:
@@ -177,7 +177,7 @@ def test_gap_is_not_bridged_neither_by_attitude_nor_by_differences() -> None:
     before, after = regular(4, with_rate=False), regular(4, with_rate=False, first_ns=3 * STEP_NS + MAX_GAP_NS + 1)
     track = track_of(before + after)
     assert track.at(3 * STEP_NS + MAX_GAP_NS // 2) is None
-    # On either side it is as if the other side were not there.
+    # Each side is independent of the other.
     assert identical(track.at(2 * STEP_NS + 1), track_of(before).at(2 * STEP_NS + 1))
     last_ns = after[1].time_ns - 1
     assert identical(track.at(last_ns), track_of(after).at(last_ns))
@@ -209,8 +209,8 @@ def test_any_order_of_arrival_gives_the_same_track_to_the_bit(seed: int) -> None
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_insert_tells_from_where_attitudes_change(seed: int) -> None:
-    """At or before the stamp returned, nothing has changed; None promises it of all that was covered."""
+def test_insert_returns_the_stamp_after_which_attitudes_change(seed: int) -> None:
+    """At or before the returned stamp nothing has changed; None means this for all final values."""
     samples = irregular(seed)
     rng = np.random.default_rng(seed)
     times = moments(samples, seed, 50)
@@ -223,7 +223,7 @@ def test_insert_tells_from_where_attitudes_change(seed: int) -> None:
         assert all(identical(before[t], track.at(t)) for t in kept)
 
 
-def test_late_sample_at_the_very_front_changes_its_own_moment() -> None:
+def test_late_sample_at_the_very_front_changes_its_own_time() -> None:
     samples = regular(4, with_rate=True)
     track = track_of(samples[1:])
     assert track.at(0) is None
@@ -253,7 +253,7 @@ def test_replaced_sample_counts_as_if_it_had_come_first(index: int, with_rate: b
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(20))
-def test_covered_moments_stay_as_they_are_when_samples_arrive_in_order(seed: int) -> None:
+def test_final_values_do_not_change_when_samples_arrive_in_order(seed: int) -> None:
     samples = irregular(seed)
     complete, growing = track_of(samples), AttitudeTrack(MAX_GAP_NS)
     times = moments(samples, seed, 50)
@@ -263,13 +263,13 @@ def test_covered_moments_stay_as_they_are_when_samples_arrive_in_order(seed: int
             assert identical(growing.at(t), complete.at(t))
 
 
-def test_measured_rates_cover_up_to_the_newest_sample_and_differenced_ones_up_to_the_one_before() -> None:
+def test_values_are_final_up_to_the_newest_sample_with_rates_and_the_one_before_without() -> None:
     with_rates, without = track_of(regular(4, with_rate=True)), track_of(regular(4, with_rate=False))
     assert with_rates.covers(3 * STEP_NS)
     assert not with_rates.covers(3 * STEP_NS + 1)
     assert without.covers(2 * STEP_NS)
     assert not without.covers(2 * STEP_NS + 1)
-    # Not covered for a reason: the next sample does change it.
+    # It is not final: the next sample changes it.
     early = without.at(2 * STEP_NS + STEP_NS // 2)
     without.insert(sample_at(4 * STEP_NS, False))
     assert not identical(early, without.at(2 * STEP_NS + STEP_NS // 2))
@@ -288,7 +288,7 @@ def test_drop_before_keeps_all_that_is_needed_and_no_more(seed: int) -> None:
         assert identical(full.newest_moved(0.01), trimmed.newest_moved(0.01))
         recent = max(8, sum(s.time_ns >= newest_ns - SECOND_NS for s in samples))
         assert len(trimmed) <= max(3 + sum(s.time_ns > oldest_ns for s in samples), recent)
-        # Growing goes on as before.
+        # The track grows as before.
         for track in (full, trimmed):
             track.insert(sample_at(newest_ns + STEP_NS, False))
         assert identical(full.at(newest_ns + STEP_NS // 2), trimmed.at(newest_ns + STEP_NS // 2))
@@ -298,9 +298,9 @@ def test_drop_before_keeps_all_that_is_needed_and_no_more(seed: int) -> None:
 
 
 def gain_by_response(samples: list[AttitudeSample], time_ns: int) -> float:
-    """Sum of the squared responses of the interpolated attitude to a small turn of each sample, one at a time.
+    """Return the sum of the squared responses of the interpolated attitude to a small rotation of each sample.
 
-    Samples of one and the same attitude, so that the responses are plain weights.
+    All samples have the same attitude, so that the responses are plain weights.
     """
     step = 1e-6
     nominal = track_of(samples).at(time_ns)
@@ -347,12 +347,12 @@ def test_noise_gain_is_the_variance_of_noisy_tracks(with_rate: bool, fraction: f
     assert np.mean(errors**2) / sigma**2 == pytest.approx(nominal.noise_gain, rel=4 * (2 / (3 * draws)) ** 0.5)
 
 
-# -- the newest sample, moved by a clock offset
+# -- the newest sample, propagated by a clock offset
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("ahead_s", [-0.02, -0.005, 0.0, 0.005, 0.02])
-def test_newest_sample_moved_by_measured_rates(ahead_s: float) -> None:
+def test_newest_sample_propagated_by_measured_rates(ahead_s: float) -> None:
     """Second order: the error is the third derivative's, 0.1 rad/s³ in this seaway, and the rate's change."""
     for count in range(20, 60):
         track = track_of(regular(count, with_rate=True))
@@ -365,14 +365,14 @@ def test_newest_sample_moved_by_measured_rates(ahead_s: float) -> None:
         assert moved.noise_gain == 1.0
 
 
-def test_newest_sample_moved_forth_and_back_is_not_the_same_attitude() -> None:
+def test_newest_sample_propagated_forth_and_back_is_not_the_same_attitude() -> None:
     track = track_of(regular(20, with_rate=True))
     turn = log_rotation(track.newest_moved(-0.005).rotation_nd.T @ track.newest_moved(0.005).rotation_nd)
     np.testing.assert_allclose(turn, 0.01 * ship_rate(1.9), rtol=0, atol=1e-7)
 
 
 @pytest.mark.parametrize("ahead_s", [-0.04, -0.005, 0.0, 0.005, 0.04])
-def test_newest_sample_moved_by_differences(ahead_s: float) -> None:
+def test_newest_sample_propagated_by_differences(ahead_s: float) -> None:
     samples = regular(20, with_rate=False)
     moved = track_of(samples).newest_moved(ahead_s)
     # Second order, by three samples; the third derivative is below 0.15 rad/s³.
@@ -387,7 +387,7 @@ def test_newest_sample_moved_by_differences(ahead_s: float) -> None:
     assert moved.noise_gain == pytest.approx(np.sum(np.square(responses)), rel=1e-6)
 
 
-def test_lone_newest_sample_moves_by_its_rate_or_not_at_all() -> None:
+def test_single_sample_is_propagated_by_its_rate_or_not_at_all() -> None:
     with_rate = track_of([sample_at(0, True)]).newest_moved(0.01)
     np.testing.assert_allclose(
         log_rotation(ship_rotation(0.0).T @ with_rate.rotation_nd), 0.01 * ship_rate(0.0), atol=1e-15

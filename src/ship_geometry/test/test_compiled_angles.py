@@ -1,4 +1,4 @@
-"""The compiled numbers of published attitudes against the same functions for arrays, which are plain numpy.
+"""Compiled conversions of attitudes against the same functions for arrays in plain numpy.
 
 "Equal" is 1e-13, in radians and parts of one; covariances are of unit size.
 """
@@ -27,7 +27,7 @@ RNG_SEED = 8
 
 
 def rotations(count: int = 200) -> FloatArray:
-    """Turns of all sizes about all axes, the unit matrix and half turns, at which a quaternion's parts vanish."""
+    """Rotations of all sizes about all axes, the unit matrix and half turns, where quaternion components vanish."""
     rng = np.random.default_rng(RNG_SEED)
     half_turns = np.pi * np.eye(3)
     return exp_rotation(np.concatenate([np.zeros((1, 3)), half_turns, rng.uniform(-3.0, 3.0, (count, 3))]))
@@ -83,7 +83,7 @@ def test_quaternions_are_those_of_arrays_and_lead_back() -> None:
     equal(rotation_from_quaternion(found), ENU_FROM_HORIZON.T @ by_scipy @ FLU_FROM_DEVICE)
 
 
-def test_one_attitude_gives_to_the_bit_what_it_gives_among_others() -> None:
+def test_attitude_does_not_depend_on_the_block() -> None:
     covariances = rotations() @ rotations().swapaxes(1, 2)
     angles = compiled_angles.angles(rotations())
     calls = [
@@ -101,7 +101,7 @@ def test_one_attitude_gives_to_the_bit_what_it_gives_among_others() -> None:
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
-    """The loops look at no bounds."""
+    """The loops do not check bounds."""
     calls = [
         lambda: compiled_angles.angles(np.zeros((2, 2, 3))),
         lambda: compiled_angles.rotations(np.zeros((2, 4))),

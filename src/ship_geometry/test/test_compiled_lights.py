@@ -1,4 +1,4 @@
-"""The compiled lines of sight and image points against plain numpy; their derivatives are held where they are called.
+"""The compiled lines of sight and image points against plain numpy; their derivatives are tested where they are called.
 
 "Equal" is 1e-13 of the numbers' size.
 """
@@ -15,7 +15,7 @@ EARTH_RADIUS_M = 6_371_000.0
 
 
 def seen() -> list[FloatArray]:
-    """The arrays of each exposure: baselines, drones, levers of the lights, ships, mounts, refraction."""
+    """Return the arrays of each exposure: baselines, drones, levers of the lights, ships, mounts, refraction."""
     rng = np.random.default_rng(RNG_SEED)
     turns = [rng.uniform(-2.0, 2.0, shape) for shape in ((EPOCHS, LIGHTS, 3), (EPOCHS, 3), (EPOCHS, 3))]
     baselines = 1000.0 * rng.standard_normal((EPOCHS, LIGHTS, 3))
@@ -38,7 +38,7 @@ def close(found: FloatArray, expected: FloatArray) -> None:
     np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-13 * np.max(np.abs(expected)))
 
 
-def test_lines_of_sight_are_those_of_numpy() -> None:
+def test_lines_of_sight_equal_numpy() -> None:
     baselines, drones, levers, ships, mounts, refraction = seen()
     directions, distances, changes = lines(seen())
     for epoch, light in np.ndindex(EPOCHS, LIGHTS):
@@ -59,7 +59,7 @@ def test_lines_of_sight_are_those_of_numpy() -> None:
             close(changes[epoch, light][:, columns], per_metre @ frame)
 
 
-def test_points_are_those_of_numpy_and_nothing_is_seen_behind() -> None:
+def test_image_points_equal_numpy_and_are_nan_behind_the_telescope() -> None:
     rng = np.random.default_rng(RNG_SEED)
     directions, telescopes = seen()[0], seen()[3]
     focal_lengths, principal_points = rng.uniform(0.1, 0.2, EPOCHS), rng.standard_normal((EPOCHS, 2))
@@ -86,7 +86,7 @@ def test_points_are_those_of_numpy_and_nothing_is_seen_behind() -> None:
         assert np.isnan(values).any(axis=tuple(range(2, values.ndim))).tolist() == behind.tolist()
 
 
-def test_one_exposure_gives_to_the_bit_what_it_gives_among_others() -> None:
+def test_exposure_does_not_depend_on_the_block() -> None:
     together = lines(seen())
     for number in range(EPOCHS):
         alone = lines([values[number : number + 1] for values in seen()])
@@ -95,7 +95,7 @@ def test_one_exposure_gives_to_the_bit_what_it_gives_among_others() -> None:
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
-    """The loops look at no bounds."""
+    """The loops do not check bounds."""
     fewer = [[v[:3] if n == number else v for n, v in enumerate(seen())] for number in range(6)]
     calls = [
         *(lambda arrays=arrays: lines(arrays) for arrays in fewer),

@@ -1,4 +1,4 @@
-"""The compiled pointing of a mount on a ship against plain numpy and finite differences.
+"""The compiled axis geometry of a mount on a ship against plain numpy and finite differences.
 
 "Equal" is 1e-13, in radians and parts of one; covariances are of unit size.
 """
@@ -30,7 +30,7 @@ def moments(count: int = COUNT) -> tuple[FloatArray, FloatArray, FloatArray, Flo
 
 
 def main_frame(errors: FloatArray, rotation: FloatArray, rate: FloatArray, angles: FloatArray) -> FloatArray:
-    """The main frame in the horizon, as the head of the module has it."""
+    """Return the main frame in the horizon by the formula of the module's docstring."""
     g, h, c, tilt, beta_x, beta_y, flexure, time_s = errors[6:]
     azimuth, elevation = angles
     axes = exp_rotation(np.array([beta_y, 0.0, -beta_x])) @ exp_rotation(-(azimuth - g) * Y) @ exp_rotation(-tilt * X)
@@ -41,7 +41,7 @@ def main_frame(errors: FloatArray, rotation: FloatArray, rate: FloatArray, angle
     return frame
 
 
-def test_the_chain_is_the_product_of_its_rotations() -> None:
+def test_axis_geometry_is_the_product_of_its_rotations() -> None:
     rotation_nd, rotation_dm, rotation_nm, _, _ = compiled_mounts.chains(*moments())
     for number, (errors, rotation, rate, angles) in enumerate(zip(*moments(), strict=True)):
         equal(rotation_nm[number], main_frame(errors, rotation, rate, angles))
@@ -49,7 +49,7 @@ def test_the_chain_is_the_product_of_its_rotations() -> None:
         equal(rotation_nd[number] @ rotation_dm[number], rotation_nm[number])
 
 
-def test_its_derivatives_are_those_of_small_steps() -> None:
+def test_derivatives_equal_finite_differences() -> None:
     *_, by_error, by_encoder = compiled_mounts.chains(*moments())
     step = 1e-6
     for number, (errors, rotation, rate, angles) in enumerate(zip(*moments(), strict=True)):
@@ -66,7 +66,7 @@ def test_its_derivatives_are_those_of_small_steps() -> None:
 
 
 def readings(size: int) -> tuple[list[FloatArray], tuple[Any, ...]]:
-    """What pointings are made of: arrays of N, and the estimate."""
+    """Return the arguments of pointings: arrays of N, and the estimate."""
     rng = np.random.default_rng(RNG_SEED)
     errors, rotations, rates, angles = moments()
     roots = rng.standard_normal((COUNT, 3, 3))
@@ -105,14 +105,14 @@ def test_pointings_are_corrected_as_by_numpy(size: int) -> None:
         np.testing.assert_allclose(found[number], expected, rtol=1e-13, atol=1e-12)
 
 
-def test_where_nothing_happens_at_the_moment_all_is_left_and_nothing_is_new() -> None:
+def test_full_remaining_share_without_added_covariance_changes_nothing() -> None:
     (of_each, estimate), nothing = readings(13), (np.empty((0, 3)), np.empty((0, 3, 3)))
     all_left = compiled_mounts.pointings(*of_each[:6], np.ones((COUNT, 3)), np.zeros((COUNT, 3, 3)), *estimate)
     for found, expected in zip(compiled_mounts.pointings(*of_each[:6], *nothing, *estimate), all_left, strict=True):
         np.testing.assert_array_equal(found, expected)
 
 
-def test_sums_are_those_of_numpy_with_what_is_added_to_one_source() -> None:
+def test_totals_equal_numpy_with_a_covariance_added_to_one_source() -> None:
     of_each, estimate = readings(14)
     _, by_error, parts = compiled_mounts.pointings(*of_each, *estimate)
     root, added = np.random.default_rng(RNG_SEED).standard_normal((14, 14)), np.arange(COUNT, dtype=np.uint8) % 2
@@ -125,7 +125,7 @@ def test_sums_are_those_of_numpy_with_what_is_added_to_one_source() -> None:
     np.testing.assert_array_equal(before[::2], after[::2])
 
 
-def test_one_moment_gives_to_the_bit_what_it_gives_among_others() -> None:
+def test_result_does_not_depend_on_the_block() -> None:
     of_each, estimate = readings(13)
     together = compiled_mounts.pointings(*of_each, *estimate)
     chains = compiled_mounts.chains(*moments())
@@ -138,7 +138,7 @@ def test_one_moment_gives_to_the_bit_what_it_gives_among_others() -> None:
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
-    """The loops look at no bounds."""
+    """The loops do not check bounds."""
     of_each, estimate = readings(13)
     parts = np.zeros((2, 3, 3, 3))
     calls = [

@@ -1,4 +1,4 @@
-"""Values between samples, compiled, against the same by numpy: Newton's polynomial, a cubic by differenced slopes."""
+"""Compiled interpolation against the same by numpy: Newton's polynomial, a cubic with differenced slopes."""
 
 import itertools
 
@@ -19,7 +19,7 @@ def equal(found: FloatArray | float, expected: FloatArray | float) -> None:
 
 
 def divided_differences(nodes: FloatArray, values: FloatArray) -> FloatArray:
-    """Coefficients of Newton's polynomial through ``values``, shape (n, k), at ``nodes``, shape (n,); shape (n, k)."""
+    """Return coefficients of Newton's polynomial through ``values``, shape (n, k), at ``nodes``, shape (n,)."""
     coefficients = np.array(values)
     for order in range(1, len(nodes)):
         steps = nodes[order:] - nodes[:-order]
@@ -83,7 +83,7 @@ def test_a_vector_between_samples_is_that_by_numpy(before: int, behind: int, per
 
 @pytest.mark.parametrize("left", [-1, 3])
 def test_an_interval_that_is_not_there_is_refused(left: int) -> None:
-    """The loops look at no bounds."""
+    """The loops do not check bounds."""
     with pytest.raises(ValueError, match="do not fit together"):
         compiled_polynomials.between(
             np.arange(4), np.zeros((4, 2)), left, 0, np.inf, *hermite_weights(0.5), BESIDE, ANY_DIRECTION

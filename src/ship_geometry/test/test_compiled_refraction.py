@@ -1,4 +1,4 @@
-"""Refraction, compiled, against the same by numpy: angles, directions, and what shared errors do to these."""
+"""Compiled refraction against the same by numpy: angles, directions, and displacement by common errors."""
 
 import numpy as np
 import pytest
@@ -56,7 +56,7 @@ def test_angles_are_those_by_numpy(model: ModelName) -> None:
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_seen_stars_are_lifted_and_displaced_as_by_numpy(model: ModelName) -> None:
+def test_apparent_directions_and_displacements_equal_numpy(model: ModelName) -> None:
     stars, turns_n = some_stars(), np.random.default_rng(RNG_SEED).standard_normal((3, 3))
     weather, (by_hpa, by_kelvin) = Weather(1002.0, 17.0), (3.0, 2.0)
     seen = seen_through_air(model, stars, weather, 0.55, (by_hpa, by_kelvin), turns_n)
@@ -77,7 +77,7 @@ def test_seen_stars_are_lifted_and_displaced_as_by_numpy(model: ModelName) -> No
     assert np.isfinite(seen.direction_n[~low]).all()
 
 
-def test_one_direction_may_be_lifted_by_several_angles_and_several_by_one() -> None:
+def test_directions_and_angles_broadcast() -> None:
     stars, angles = some_stars(), np.linspace(0.0, 1e-3, 7)
     equal(lifted(stars, angles), np.stack([lifted(star, angle) for star, angle in zip(stars, angles, strict=True)]))
     equal(lifted(stars[3], angles), lifted(np.broadcast_to(stars[3], (7, 3)), angles))
@@ -85,7 +85,7 @@ def test_one_direction_may_be_lifted_by_several_angles_and_several_by_one() -> N
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
-    """The loops look at no bounds."""
+    """The loops do not check bounds."""
     stars, coefficients, sigmas, turns = some_stars(), TWO_TERMS, SIGMAS["erfa"], np.zeros((3, 3))
     for arguments in (
         (stars[:, :2].copy(), coefficients, sigmas, turns),

@@ -1,4 +1,4 @@
-"""The compiled rotations of single moments against those of arrays, finite differences and plain numpy.
+"""The compiled single rotations against those of arrays, finite differences and plain numpy.
 
 "Equal" is 1e-13, in radians and parts of one: the rounding of a product of a few rotations is a hundredth of that.
 """
@@ -46,8 +46,8 @@ def test_views_that_are_not_contiguous_are_read_as_they_are() -> None:
     equal(exp_rotation(np.array([0.3, 9.0, -0.2, 9.0, 0.5, 9.0])[::2]), rotation)
 
 
-def test_what_hangs_on_a_base_has_the_product_of_the_chain_and_derivatives_of_small_steps() -> None:
-    """Four links, of which the third hangs on a turning base and the last counts 0.7 times; two clocks."""
+def test_composed_attitude_is_the_product_with_derivatives_of_small_steps() -> None:
+    """Four links, the third on a rotating base and the last with a factor of 0.7; two clocks."""
     rng = np.random.default_rng(RNG_SEED)
     links, fixed, base = np.array([9, 3, 0, 6]), exp_rotation(vectors(9)[5:]), exp_rotation(np.array([0.3, -1.0, 0.2]))
     mean, rate, signs, root = np.zeros(14), rng.standard_normal(3), np.array([1.0, -1.0]), rng.standard_normal((3, 3))
@@ -80,7 +80,7 @@ def test_the_turn_between_two_attitudes_is_the_logarithm_of_their_quotient() -> 
     np.testing.assert_allclose([compiled_rotations.turn_between(first, one) for one in second], expected, atol=1e-12)
 
 
-def test_a_rotation_is_turned_on_by_one_vector_after_another() -> None:
+def test_cumulative_rotations_apply_one_vector_after_another() -> None:
     start, turns = exp_rotation(np.array([0.3, -0.2, 0.5])), vectors(40)
     reached = compiled_rotations.turned_on(start, turns)
     expected = start
@@ -125,8 +125,8 @@ def test_between_two_attitudes_lies_the_cubic_with_their_rates(at: float) -> Non
 @pytest.mark.parametrize("at", [1e-3, 0.3, 0.9])
 @pytest.mark.parametrize("other_at", [0.0, -0.7])
 @pytest.mark.parametrize("largest", [1e-6, 10.0])
-def test_the_cubic_tells_how_far_it_may_be_off(at: float, other_at: float, largest: float) -> None:
-    """By numpy: the miss at another sample, scaled by t² (1 - t)², and the third derivative of the cubic."""
+def test_error_of_the_cubic_is_estimated(at: float, other_at: float, largest: float) -> None:
+    """The error by numpy: the difference at another sample, scaled by t² (1 - t)², and the cubic's third derivative."""
     first, second, other = exp_rotation(np.array([[0.4, -1.0, 0.3], [0.45, -0.9, 0.5], [0.2, -1.1, 0.3]]))
     first_rate, second_rate, interval_s = np.array([0.3, -0.1, 0.2]), np.array([0.0, -0.2, 0.4]), 0.2
     turn, to_other = log_rotation(first.T @ second), log_rotation(first.T @ other)
@@ -149,7 +149,7 @@ def test_the_cubic_tells_how_far_it_may_be_off(at: float, other_at: float, large
 
 
 @pytest.mark.parametrize("count", [2, 3, 4])
-def test_a_sample_is_moved_by_its_rates_as_by_numpy(count: int) -> None:
+def test_propagation_by_rates_equals_numpy(count: int) -> None:
     """Two to four rates, at uneven steps; docs/explanation/interpolation.md has the formulas."""
     rng = np.random.default_rng(RNG_SEED)
     rotation, rates = exp_rotation(np.array([0.1, 0.7, -0.2])), rng.standard_normal((count, 3))
@@ -170,7 +170,7 @@ def test_a_sample_is_moved_by_its_rates_as_by_numpy(count: int) -> None:
     equal(compiled_rotations.moved(*sample, any_direction, 1.0)[2][0], covariance)
 
 
-def test_one_sample_is_moved_to_the_bit_as_among_others() -> None:
+def test_propagation_does_not_depend_on_the_block() -> None:
     rng = np.random.default_rng(RNG_SEED)
     rates, steps_s, ahead_s = rng.standard_normal((9, 4, 3)), rng.uniform(0.01, 0.1, (9, 3)), rng.normal(size=9)
     samples = exp_rotation(vectors(9)), rates, steps_s, ahead_s
@@ -181,8 +181,8 @@ def test_one_sample_is_moved_to_the_bit_as_among_others() -> None:
             np.testing.assert_array_equal(one[0], among_others[number])
 
 
-def test_samples_are_corrected_as_by_numpy() -> None:
-    """Fifty samples by five estimates; some components of their errors last. Units of one, so that 1e-13 means all."""
+def test_corrected_attitudes_equal_numpy() -> None:
+    """Fifty samples by five estimates; some components of their errors do not decay. All values are near one."""
     rng = np.random.default_rng(RNG_SEED)
     count, sources, estimates = 50, 4, 5
     by = rng.integers(estimates, size=count)
@@ -213,13 +213,13 @@ def test_samples_are_corrected_as_by_numpy() -> None:
 
 
 def hung_by(links: FloatArray, fixed: FloatArray, clocks: FloatArray) -> None:
-    """A chain of seven states on a base."""
+    """Seven states on a base."""
     base, rate = np.eye(3), np.zeros(3)
     compiled_rotations.hung(np.zeros(7), links, fixed, 0, 0, 1.0, clocks, np.ones(1), base, rate, base)
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
-    """The loops look at no bounds."""
+    """The loops do not check bounds."""
     calls = [
         lambda: exp_rotation(np.zeros(2)),
         lambda: left_jacobian(np.zeros(4)),

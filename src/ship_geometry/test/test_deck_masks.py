@@ -25,7 +25,7 @@ def directions(places_deg: FloatArray) -> FloatArray:
 
 
 def drawn_polygon(rng: np.random.Generator) -> FloatArray:
-    """A polygon with corners at sorted bearings from its middle, which may lie anywhere round the ship."""
+    """Return a polygon with corners at sorted bearings from its middle, anywhere around the ship."""
     count = int(rng.integers(3, 9))
     bearing = np.sort(rng.uniform(0.0, 2.0 * np.pi, count))
     sizes = rng.uniform(5.0, 70.0, count)
@@ -33,7 +33,7 @@ def drawn_polygon(rng: np.random.Generator) -> FloatArray:
     return middle + sizes[:, None] * np.stack([np.cos(bearing), 0.4 * np.sin(bearing)], axis=-1)
 
 
-def test_hidden_is_what_matplotlib_finds_in_the_polygon_or_a_turn_away() -> None:
+def test_hidden_directions_equal_those_of_matplotlib() -> None:
     rng = np.random.default_rng(11)
     hidden_share = []
     for _ in range(40):
@@ -62,7 +62,7 @@ def test_a_mask_all_round_hides_all_azimuths_below_its_edge() -> None:
     assert not masks_of(round_ship).hide(directions(np.stack([azimuths, np.full(48, 12.1)], axis=-1))).any()
 
 
-def test_what_is_no_direction_is_hidden() -> None:
+def test_nan_direction_is_hidden() -> None:
     nowhere = np.array([[np.nan, 0.0, 1.0], [0.0, np.nan, 0.0]])
     assert masks_of(FUNNEL).hide(nowhere).all()
     assert masks_of(FUNNEL).hide(nowhere, margin=0.1).all()
@@ -104,7 +104,7 @@ def test_a_mask_reaches_a_field_if_a_point_of_the_field_lies_in_it(roll_deg: flo
     azimuths = np.rad2deg(np.arctan2(seen[..., 2], seen[..., 0])) % 360.0
     elevations = np.rad2deg(np.arctan2(seen[..., 1], np.hypot(seen[..., 0], seen[..., 2])))
     inside = (azimuths >= 150.0) & (azimuths <= 210.0) & (elevations >= 0.0) & (elevations <= 50.0)
-    # The grids of both differ at a grazing corner alone.
+    # The two grids differ only at a grazing corner.
     assert np.count_nonzero(ours != inside.any(axis=1)) <= 3
     assert 50 < np.count_nonzero(ours) < 250
 

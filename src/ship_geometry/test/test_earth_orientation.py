@@ -27,14 +27,14 @@ def ns_of(*date):
     return int(datetime(*date, tzinfo=timezone.utc).timestamp()) * SECOND_NS
 
 
-def test_the_other_series_of_the_iers_says_the_same(table):
+def test_other_series_of_the_iers_agrees(table):
     # EOP 20 C04, made in Paris from other combinations than finals2000A in Washington; columns: ... MJD, x, y, UT1-UTC.
     c04 = np.loadtxt(astropy_iers_data.IERS_B_FILE, usecols=(4, 5, 6, 7))
     c04 = c04[c04[:, 0] >= 51_544.0]
     ours = table.at((c04[:, 0].astype(np.int64) - UNIX_EPOCH_MJD) * DAY_NS)
     ut1_difference_s = ours.ut1_minus_utc_s - c04[:, 3]
     assert np.max(np.abs(ut1_difference_s)) < 1e-3
-    # The error claimed is 50 µs at least: the two series differ by less than that in the mean.
+    # The stated error is at least 50 µs: the two series differ by less on average.
     assert np.std(ut1_difference_s) < 50e-6
     assert np.std(ut1_difference_s) < np.median(ours.ut1_sigma_s)
     assert np.max(np.abs(ours.pole_x / ARCSEC - c04[:, 1])) < 1e-3
@@ -57,8 +57,8 @@ def test_interpolation_runs_smoothly_over_a_leap_second(table):
     assert at_midnight.ut1_minus_utc_s - just_before.ut1_minus_utc_s == pytest.approx(1.0, abs=1e-6)
 
 
-def test_error_between_the_daily_values_is_within_what_is_claimed(table):
-    # Each second day left out and interpolated: with twice the step the error is four times as large.
+def test_error_between_the_daily_values_is_within_its_sigma(table):
+    # Every second day is omitted and interpolated: with twice the step the error is four times as large.
     recent = table.mjd > 51_544.0
     ut1_s, sigma_s = table.ut1_minus_tai_s[recent], 50e-6
     error_s = 0.5 * (ut1_s[:-2] + ut1_s[2:]) - ut1_s[1:-1]
@@ -81,13 +81,13 @@ def test_error_of_a_prediction_grows_from_the_last_measurement(table):
 @pytest.mark.parametrize("date", [(1972, 12, 31), (2060, 1, 1)])
 def test_outside_the_table_there_is_a_reason(table, date):
     time_ns = ns_of(*date)
-    assert "finals2000A.all reaches from 1973-01-02" in table.reason_against(time_ns)
+    assert "finals2000A.all covers 1973-01-02" in table.reason_against(time_ns)
     with pytest.raises(OutsideEarthOrientation, match=f"no Earth orientation for {date[0]}-.* newer astropy-iers-data"):
         table.at(np.array([ns_of(2020, 1, 1), time_ns]))
     assert table.reason_against(ns_of(2020, 1, 1)) is None
 
 
-def test_the_table_ends_where_leap_seconds_are_no_longer_known(table):
+def test_table_ends_with_the_leap_seconds(table):
     early = replace(leap_seconds(), known_until_ns=ns_of(2026, 6, 28))
     shorter = replace(table, leap_seconds=early)
     assert shorter.last_ns == early.known_until_ns
@@ -95,7 +95,7 @@ def test_the_table_ends_where_leap_seconds_are_no_longer_known(table):
     assert shorter.reason_against(early.known_until_ns) is None
 
 
-def test_an_old_file_predicts_and_then_falls_silent(tmp_path):
+def test_old_file_predicts_and_then_has_no_values(tmp_path):
     # The file as it was when 2020-01-01 (MJD 58849) was the last measured day, with a hundred days predicted.
     raw = Path(astropy_iers_data.IERS_A_FILE).read_bytes()
     days = 58_849 - 41_684 + 1
@@ -110,7 +110,7 @@ def test_an_old_file_predicts_and_then_falls_silent(tmp_path):
     assert table.reason_against(ns_of(2020, 5, 1)) is not None
 
 
-def test_files_that_do_not_fit_are_named(tmp_path):
+def test_error_names_a_file_of_another_format(tmp_path):
     raw = Path(astropy_iers_data.IERS_A_FILE).read_bytes()[: 100 * RECORD]
     path = tmp_path / "finals.txt"
     gap = raw[: 50 * RECORD] + raw[51 * RECORD :]

@@ -1,4 +1,4 @@
-"""The mean over an exposure: against brute-force averages of true motions, and the noise that samples bring in."""
+"""The mean over an exposure against averages of true motions, and the noise by the samples."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
 
 SECOND_NS = 1_000_000_000
-# Where the roll is greatest, and with it the angular acceleration.
+# At the largest roll, with the largest angular acceleration.
 CREST_S = 2.75
 
 
@@ -25,12 +25,12 @@ def attitude(time_s: float) -> np.ndarray:
 
 
 def moments(exposure_s: float, count: int = 4000) -> np.ndarray:
-    """Many moments of an exposure, evenly, each the middle of its share."""
+    """Return many evenly spaced times of an exposure, each the middle of its part."""
     return exposure_s * ((np.arange(count) + 0.5) / count - 0.5)
 
 
 @pytest.mark.parametrize(("exposure_s", "issue_arcsec"), [(0.05, 0.5), (0.1, 2.0), (0.2, 7.8)])
-def test_mend_09_the_mean_of_a_roll_is_off_as_the_issue_says(exposure_s, issue_arcsec):
+def test_mean_of_a_roll_differs_from_the_middle(exposure_s, issue_arcsec):
     true = np.mean(roll(CREST_S + moments(exposure_s))) - roll(CREST_S)
     assert abs(true) / ARCSEC == pytest.approx(issue_arcsec, abs=0.06)
     nodes = exposure_nodes(exposure_s)
@@ -39,7 +39,7 @@ def test_mend_09_the_mean_of_a_roll_is_off_as_the_issue_says(exposure_s, issue_a
 
 
 @pytest.mark.parametrize("exposure_s", [1e-3, 0.1, 0.2, 0.21, 0.5, 1.3, LONGEST_EXPOSURE_S])
-def test_mean_and_spread_are_those_of_many_moments(exposure_s):
+def test_mean_and_spread_equal_those_of_many_times(exposure_s):
     nodes, many = exposure_nodes(exposure_s), 1.7 + moments(exposure_s)
     assert nodes.weight.sum() == pytest.approx(1.0, abs=1e-15)
     assert np.all(nodes.weight >= 0.0)
@@ -51,7 +51,7 @@ def test_mean_and_spread_are_those_of_many_moments(exposure_s):
 
 
 def track(rate_hz: float, measured_rates: bool, noise: np.ndarray | None = None) -> AttitudeTrack:
-    """Samples of the ship from -1 s to 1 s, each turned by its noise (rotation vector) where there is some."""
+    """Return samples of the ship from -1 s to 1 s, each rotated by its noise (rotation vector) if there is any."""
     found = AttitudeTrack(round(2.5 * SECOND_NS / rate_hz))
     for row, number in enumerate(range(round(-rate_hz), round(rate_hz) + 1)):
         time_s = number / rate_hz
@@ -65,8 +65,8 @@ def track(rate_hz: float, measured_rates: bool, noise: np.ndarray | None = None)
 
 @pytest.mark.parametrize(("rate_hz", "measured_rates"), [(100.0, True), (100.0, False), (20.0, True), (5.0, True)])
 @pytest.mark.parametrize("exposure_s", [0.05, 0.2, 0.5])
-def test_mend_09_the_mean_direction_is_that_of_the_true_motion(rate_hz, measured_rates, exposure_s):
-    """Angular acceleration and the centripetal part together: directions, each seen by the turning body."""
+def test_mean_direction_is_that_of_the_true_motion(rate_hz, measured_rates, exposure_s):
+    """Angular acceleration and the centripetal part together, for directions in the rotating body."""
     middle_ns = 33_000_000
     turning = turning_over(track(rate_hz, measured_rates), middle_ns, exposure_nodes(exposure_s))
     seen = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
@@ -77,7 +77,7 @@ def test_mend_09_the_mean_direction_is_that_of_the_true_motion(rate_hz, measured
 
 
 def test_the_rate_is_that_of_the_mean_and_holds_little_of_the_noise():
-    """Over a quarter of a second two samples good to 1" give a rate good to 6" a second, about each axis."""
+    """Over a quarter of a second two samples with 1" give a rate with 6" per second, about each axis."""
     middle_ns, nodes, rng = 33_000_000, exposure_nodes(0.25), np.random.default_rng(5)
     true = log_rotation(attitude(0.033).T @ np.array([attitude(0.033 + t) for t in (-0.125, 0.125)]))
     noisy = []
@@ -116,7 +116,7 @@ def test_the_noise_gains_are_what_each_sample_does(rate_hz, measured_rates):
     assert turning.correction_gain == pytest.approx(np.sum(np.square(of_difference)), rel=0.02)
 
 
-def test_where_the_track_does_not_tell_there_is_no_turning():
+def test_no_exposure_motion_with_a_gap_in_the_track():
     whole, nodes = track(100.0, measured_rates=True), exposure_nodes(0.1)
     assert turning_over(whole, 0, nodes) is not None
     for outside_ns in (-950_000_000, 950_000_000, 3 * SECOND_NS):
@@ -124,7 +124,7 @@ def test_where_the_track_does_not_tell_there_is_no_turning():
 
 
 @pytest.mark.parametrize(("rate_hz", "measured_rates"), [(100.0, False), (5.0, True), (5.0, False), (2.5, False)])
-def test_mend_09_what_interpolation_does_to_the_correction_is_within_what_is_claimed(rate_hz, measured_rates):
+def test_interpolation_error_of_the_correction_is_within_its_sigma(rate_hz, measured_rates):
     samples = track(rate_hz, measured_rates)
     distances, claimed_arcsec = [], []
     for exposure_s in (0.05, 0.1, 0.2):

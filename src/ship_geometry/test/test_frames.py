@@ -17,7 +17,7 @@ from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation, wrap_pi
 
 
 def attitudes(count: int, seed: int, elevation_to_deg: float = 89.0) -> np.ndarray:
-    """Azimuth, elevation, roll (rad) all over the sphere, shape (count, 3)."""
+    """Return azimuth, elevation and roll (rad) over the whole sphere, shape (count, 3)."""
     rng = np.random.default_rng(seed)
     limit = np.sin(np.deg2rad(elevation_to_deg))
     azimuth, roll = rng.uniform(0, 2 * np.pi, count), rng.uniform(-np.pi, np.pi, count)
@@ -25,7 +25,7 @@ def attitudes(count: int, seed: int, elevation_to_deg: float = 89.0) -> np.ndarr
 
 
 def by_the_matrices_of_models(azimuth: float, elevation: float, roll: float) -> np.ndarray:
-    """Ry(A) Rz(-E) Rx(-roll) with the three matrices as models.md §1 prints them."""
+    """Return Ry(A) Rz(-E) Rx(-roll) with the three matrices of models.md §1."""
 
     def rx(q: float) -> np.ndarray:
         return np.array([[1, 0, 0], [0, np.cos(q), np.sin(q)], [0, -np.sin(q), np.cos(q)]])
@@ -78,7 +78,7 @@ def test_zenith_and_nadir_give_the_rotation_back(side: float, short_of_zenith: f
 
 
 def test_rotations_at_the_zenith_exactly_have_angles() -> None:
-    """Matrices with exact zeros, where both arctangents would be 0/0 if taken alone."""
+    """Matrices with exact zeros, where each arctangent alone would be 0/0."""
     for quarter in range(4):
         c, s = [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)][quarter]
         rotation = np.array([[0.0, -c, -s], [1.0, 0.0, 0.0], [0.0, -s, c]])

@@ -72,7 +72,7 @@ def test_vector_of_the_epsg_example_is_in_north_up_east() -> None:
 
 
 def test_horizon_axes_are_the_directions_of_growing_latitude_height_longitude() -> None:
-    """Finite differences of the position, not the formula of the matrix again."""
+    """Finite differences of the position instead of the formula of the matrix."""
     for latitude, longitude in np.random.default_rng(2).uniform([-1.5, -3.1], [1.5, 3.1], (100, 2)):
         rotation = rotation_horizon_from_ecef(latitude, longitude)
         assert np.linalg.det(rotation) == pytest.approx(1.0, abs=1e-14)
@@ -106,7 +106,7 @@ def test_radii_of_the_horizon_are_metres_per_radian_on_the_ellipsoid(latitude_de
     position = GeodeticPosition(np.deg2rad(latitude_deg), 0.3, 500.0)
     step = 1e-5
     north_m = vector_between(position, GeodeticPosition(position.latitude + step, 0.3, 500.0))[0] / step
-    # A turn by the step about the axis of the meridian is a longitude of step / cos φ.
+    # A rotation by the step about the axis of the meridian is a longitude of step / cos φ.
     east = GeodeticPosition(position.latitude, 0.3 + step / np.cos(position.latitude), 500.0)
     east_m = vector_between(position, east)[2] / step
     np.testing.assert_allclose(horizon_radii_m(position), [north_m, east_m], rtol=1e-7)

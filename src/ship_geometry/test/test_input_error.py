@@ -1,4 +1,4 @@
-"""The text of an input error is made from what it carries."""
+"""The text of an input error is composed of its attributes."""
 
 import pytest
 

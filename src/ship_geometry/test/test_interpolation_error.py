@@ -46,12 +46,12 @@ def greatest_error_arcsec(found: np.ndarray, motion: Motion, times_s: np.ndarray
 def error_of_track_arcsec(motion: Motion, rate_hz: int, measured_rates: bool, rate_error: float = 0.0) -> float:
     step_ns = SECOND_NS // rate_hz
     track = AttitudeTrack(2 * step_ns)
-    # Some samples beyond the period on both sides: the track's ends are no part of the question.
+    # Some samples beyond the period on both sides exclude the ends of the track.
     for k in range(-3, PERIOD_S * rate_hz + 4):
         time_s = k / rate_hz
         rate_d = rate_of(motion, time_s) + rate_error * np.eye(3)[0] if measured_rates else None
         track.insert(AttitudeSample(k * step_ns, motion(time_s), rate_d))
-    # One interval in some at the higher rates: neighbouring ones hardly differ.
+    # At the higher rates some intervals are skipped: neighbouring ones hardly differ.
     starts = range(0, PERIOD_S * rate_hz, max(rate_hz // 10, 1))
     times_ns = [k * step_ns + tenth * step_ns // 10 for k in starts for tenth in FRACTIONS]
     attitudes = [track.at(t) for t in times_ns]
@@ -67,7 +67,7 @@ def error_of_slerp_arcsec(motion: Motion, rate_hz: int) -> float:
 
 
 def documented_tables() -> list[dict[int, list[float]]]:
-    """Of each table: samples per second → the row's numbers."""
+    """Return for each table: samples per second → the numbers of the row."""
     tables: list[dict[int, list[float]]] = []
     for line in DOCUMENT.read_text(encoding="utf-8").splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
@@ -113,11 +113,11 @@ def test_constant_error_of_the_rate_enters_by_a_tenth_of_a_step() -> None:
     assert 0.0090 < error_arcsec < 0.0097 + alone_arcsec
 
 
-# -- the error as the track itself tells it
+# -- the error estimated by the track
 
 
 def claims(rate_hz: float, measured_rates: bool, noise_arcsec: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Errors between samples (rotation vector in the deck), shape (n, 3), and the covariances claimed, (n, 3, 3)."""
+    """Return errors between samples (rotation vectors in d), (n, 3), and their estimated covariances, (n, 3, 3)."""
     rng = np.random.default_rng(27)
     step_ns = round(SECOND_NS / rate_hz)
     track = AttitudeTrack(2 * step_ns)
@@ -139,28 +139,28 @@ def claims(rate_hz: float, measured_rates: bool, noise_arcsec: float = 0.0) -> t
     ("rate_hz", "measured_rates"),
     [(1.0, True), *((hz, rates) for hz in (1.5, 2.5, 5.0, 10.0) for rates in (True, False))],
 )
-def test_mend_27_the_error_claimed_between_samples_is_the_error_made(rate_hz: float, measured_rates: bool) -> None:
+def test_estimated_interpolation_error_equals_the_actual_one(rate_hz: float, measured_rates: bool) -> None:
     errors, covariances = claims(rate_hz, measured_rates)
     made, claimed = np.mean(errors**2), np.mean(np.trace(covariances, axis1=-2, axis2=-1)) / 3.0
     assert made < claimed < 1.8 * made + (0.04 * ARCSEC) ** 2
-    covariances += (1e-6 * ARCSEC) ** 2 * np.eye(3)  # what numbers resolve
+    covariances += (1e-6 * ARCSEC) ** 2 * np.eye(3)  # the resolution of doubles
     distance = np.einsum("ki,ki->k", errors, np.linalg.solve(covariances, errors[..., None])[..., 0])
-    # Beside each other: three degrees of freedom at most, and nowhere beyond what noise of that size gives.
+    # Compared: at most three degrees of freedom, and no value beyond that of noise of this size.
     assert np.mean(distance) < 3.0
     assert np.max(distance) < 20.0
 
 
 @pytest.mark.parametrize(("measured_rates", "share"), [(True, 0.02), (False, 0.08)])
-def test_mend_27_noise_of_good_samples_is_not_taken_for_an_error(measured_rates: bool, share: float) -> None:
+def test_sample_noise_is_not_estimated_as_interpolation_error(measured_rates: bool, share: float) -> None:
     _, covariances = claims(100.0, measured_rates, noise_arcsec=1.0)
     claimed = np.mean(np.trace(covariances, axis1=-2, axis2=-1)) / 3.0
-    # Of the 0.5 or 0.64 that is left of the variance of the samples themselves.
+    # Relative to the remaining 0.5 or 0.64 of the variance of the samples themselves.
     assert claimed < share * ARCSEC**2
 
 
 @pytest.mark.parametrize("measured_rates", [True, False])
 @pytest.mark.parametrize(("rate_hz", "ahead_s"), [(2.5, 0.005), (5.0, -0.003), (5.0, 0.1), (100.0, 0.1)])
-def test_mend_27_the_newest_sample_says_how_far_off_it_was_moved(
+def test_newest_sample_has_the_error_of_its_propagation(
     rate_hz: float, ahead_s: float, measured_rates: bool
 ) -> None:
     distances, made, claimed = [], [], []
@@ -179,11 +179,11 @@ def test_mend_27_the_newest_sample_says_how_far_off_it_was_moved(
         claimed.append(np.trace(moved.error_covariance_d))
     assert np.mean(distances) < 3.0
     assert np.max(distances) < 20.0
-    # Without rates the claim holds what an estimated clock offset has of the interpolation, too.
+    # Without rates the estimate contains the effect of interpolation on an estimated clock offset, too.
     assert np.mean(claimed) < (4.0 if measured_rates else 60.0) * np.mean(made) + (0.02 * ARCSEC) ** 2
 
 
-def test_mend_27_nothing_is_worse_than_half_a_turn() -> None:
+def test_error_is_bounded_by_half_a_turn() -> None:
     track = AttitudeTrack(SECOND_NS)
     for k in range(5):
         track.insert(AttitudeSample(k * SECOND_NS, np.eye(3), np.full(3, 1e9 * (-1) ** k)))

@@ -1,4 +1,4 @@
-"""The wrapped functions are scipy's own, whichever of the two is read first."""
+"""The wrapped functions are scipy's own, for either order of import."""
 
 import subprocess
 import sys
@@ -20,12 +20,12 @@ def test_functions_are_those_of_scipy(imports: str, tmp_path: Path) -> None:
     subprocess.run([sys.executable, "-c", f"{imports}; {SAME}"], cwd=tmp_path, check=True, timeout=60)
 
 
-def test_nothing_else_of_scipy_is_read(tmp_path: Path) -> None:
+def test_no_other_module_of_scipy_is_imported(tmp_path: Path) -> None:
     check = "import sys; from ship_geometry import lapack; assert 'scipy' not in sys.modules"
     subprocess.run([sys.executable, "-c", check], cwd=tmp_path, check=True, timeout=60)
 
 
-def test_lapack_and_erfa_are_read_by_the_first_who_asks(tmp_path: Path) -> None:
+def test_lapack_and_erfa_are_imported_on_first_use(tmp_path: Path) -> None:
     check = """
 import sys
 from ship_geometry import lapack, late_erfa, geodetic, star_directions, wahba

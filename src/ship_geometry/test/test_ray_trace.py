@@ -1,4 +1,4 @@
-"""Traced rays against published values, ERFA, and rays drawn step by step by scipy; and what their sigma must cover."""
+"""Traced rays against published values, ERFA, and rays integrated by scipy; and the coverage of their sigma."""
 
 from collections.abc import Callable
 
@@ -31,7 +31,7 @@ def traced(zenith_deg: FloatArray | float, weather: Weather, atmosphere: Atmosph
 
 
 def seen_at(elevation_deg: FloatArray, weather: Weather) -> FloatArray:
-    """Zenith distance with air, degrees."""
+    """Return the zenith distance with air, degrees."""
     angle = refraction("ray_trace", np.deg2rad(elevation_deg), weather).angle
     return 90.0 - elevation_deg - np.rad2deg(angle)
 
@@ -41,7 +41,7 @@ def test_slalibs_own_value():
     of_observer = np.array([678.9]), np.array([280.0 - 273.15]), 0.9, 0.55
     above = Atmosphere(lapse_k_per_m=0.006, latitude=-0.3, height_m=3456.7)
     ours = traced_refraction(np.array([1.4]), *of_observer, above)[0, 0]
-    # SLALIB leaves out the air above 80 km. There n - 1 is 3.6e-9, by the barometric formula from 3457 m on, and
+    # SLALIB neglects the air above 80 km. There n - 1 is 3.6e-9, by the barometric formula from 3457 m on, and
     # tan z 4.6, by n r sin z.
     assert ours - 0.00106715763018568 == pytest.approx(3.6e-9 * 4.6, abs=1e-9)
 
@@ -68,7 +68,7 @@ def test_high_up_it_is_erfas_refraction():
 
 
 def drawn_ray(zenith: float, temperature: Callable[[float], tuple[float, float]]) -> float:
-    """Refraction of dry air by the equation of a light ray in a plane: direction, place and pressure step by step.
+    """Return the refraction of dry air by the equation of a light ray in a plane, integrated step by step.
 
     Args:
         zenith: distance with air, rad.
@@ -117,7 +117,7 @@ def standard_1976(height_m: float) -> tuple[float, float]:
 
 
 def over_the_sea(warmer_k: float, within_m: float) -> Callable[[float], tuple[float, float]]:
-    """Air that is some kelvin warmer above than the thermometer on deck tells, growing within some height."""
+    """Air that is some kelvin warmer above than on deck, with the difference growing up to some height."""
 
     def temperature(height_m: float) -> tuple[float, float]:
         kelvin, slope = model_air(height_m)
@@ -149,7 +149,7 @@ def test_sigma_covers_air_that_is_built_otherwise(name, air):
 
 @pytest.mark.parametrize("temperature_c", [-30.0, 15.0, 40.0])
 def test_sigma_is_what_varying_the_air_gives(temperature_c):
-    """The numbers of the comment above _MODEL_SIGMAS; humidity is told, its error is left out as for other models."""
+    """The numbers of the comment above _MODEL_SIGMAS; the error of the humidity is neglected for all models."""
     weather = Weather(1013.25, temperature_c, 0.5)
     zenith_deg = seen_at(LOW_DEG, weather)
     given = traced(zenith_deg, weather)
@@ -178,7 +178,7 @@ def test_sigma_is_what_varying_the_air_gives(temperature_c):
 def test_the_other_models_err_by_their_sigma(pressure_hpa, temperature_c):
     """erfa errs by 1.3 of its sigmas at most (it is 17.8″ off at 5.3°), the almanac's by 2.0.
 
-    The latter knows no humidity, and adds what pressure and temperature do where they multiply: it is worst in hot thin
+    The latter has no humidity, and adds what pressure and temperature do where they multiply: it is worst in hot thin
     air.
     """
     weather = Weather(pressure_hpa, temperature_c, 0.7)

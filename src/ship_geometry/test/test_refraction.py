@@ -62,7 +62,7 @@ def test_claimed_model_error_covers_ray_tracing(zenith_distance_deg, traced_arcs
 
 
 @pytest.mark.parametrize(("model", "lowest_deg"), [("erfa", 5.0), ("almanac", 14.0), ("ray_trace", 5.0)])
-def test_refused_below_the_lowest_elevation(model, lowest_deg):
+def test_nan_below_the_lowest_elevation(model, lowest_deg):
     found = refraction(model, np.deg2rad([lowest_deg + 0.01, lowest_deg - 0.01, -10.0, np.nan]), PAPER)
     for values in (found.angle, found.per_hpa, found.per_kelvin, found.model_sigma, found.sigma(1.0, 1.0)):
         assert np.array_equal(np.isnan(values), [False, True, True, True])
@@ -84,7 +84,7 @@ def test_derivatives_equal_finite_differences(model):
         less = replace(PAPER, **{name: getattr(PAPER, name) - 0.1})
         difference = (refraction(model, elevation, more).angle - refraction(model, elevation, less).angle) / 0.2
         usable = ~np.isnan(difference)
-        # Below 10° the derivatives leave a change of some percent out.
+        # Below 10° the derivatives neglect a change of some percent.
         assert derivative[usable] == pytest.approx(difference[usable], rel=0.03 if model == "erfa" else 1e-4)
         assert derivative[2:] == pytest.approx(difference[2:], rel=2e-3)
 
@@ -106,14 +106,14 @@ def test_slopes_equal_finite_differences(model):
         less, here, more = refraction(model, elevation + step * np.array([-1.0, 0.0, 1.0]), PAPER).angle
         if np.isnan(less):
             continue
-        # Of erfa the slopes leave out that its zenith distance is the observed one.
+        # For erfa the slopes neglect that its zenith distance is the observed one.
         exact = 1e-3 / np.sin(elevation) ** 2 if model == "erfa" else 1e-6
         slope, curvature = refraction_slopes(model, float(elevation), PAPER)
         assert slope == pytest.approx((more - less) / (2.0 * step), rel=exact)
         assert curvature == pytest.approx((more - 2.0 * here + less) / step**2, rel=max(2.0 * exact, 1e-4))
 
 
-def test_lifting_turns_towards_the_zenith_only():
+def test_refraction_raises_towards_the_zenith_only():
     rng = np.random.default_rng(5)
     directions = rng.normal(size=(200, 3))
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
@@ -135,7 +135,7 @@ def test_weather_in_other_units_is_refused(field, value):
 
 
 @pytest.mark.filterwarnings("error")
-def test_mend_08_lifting_is_regular_at_the_zenith():
+def test_raised_directions_are_regular_at_the_zenith():
     assert lifting_axis(np.array([0.0, 1.0, 0.0])).tolist() == [0.0, 0.0, 0.0]
     near = np.array([1e-200, 1.0, 0.0])
     assert lifting_axis(near) == pytest.approx([0.0, 0.0, 1.0])

@@ -1,4 +1,4 @@
-"""The ROS edge: quaternions built by scipy from yaw, pitch, roll; eight headings, bow up, starboard down."""
+"""ROS axes: quaternions built by scipy from yaw, pitch, roll; eight headings, bow up, starboard down."""
 
 import numpy as np
 import pytest
@@ -50,7 +50,7 @@ def test_ned_frd(heading_deg: float, pitch_deg: float, roll_deg: float) -> None:
 
 @each_attitude
 def test_directions_seen_from_ashore(heading_deg: float, pitch_deg: float, roll_deg: float) -> None:
-    """Without angles between: where ROS says that bow and mast point is where the deck matrix says it."""
+    """Without angles: the directions of bow and mast in ROS axes equal those by the deck matrix."""
     bow_enu, left_enu, up_enu = Rotation.from_quat(ros_quaternion(heading_deg, pitch_deg, roll_deg)).as_matrix().T
     bow, up, starboard = rotation_from_quaternion(ros_quaternion(heading_deg, pitch_deg, roll_deg)).T
     for neu, enu in ((bow, bow_enu), (up, up_enu), (starboard, -left_enu)):
@@ -73,7 +73,7 @@ def test_quaternions_of_all_attitudes_there_and_back() -> None:
     of_scipy = Rotation.from_matrix(turned).as_quat(canonical=True).reshape(50, 10, 4)
     np.testing.assert_allclose(quaternions, of_scipy, rtol=0, atol=1e-15)
     np.testing.assert_allclose(rotation_from_quaternion(quaternions), rotations, rtol=0, atol=2e-15)
-    # One at a time, as a live node has them. All four ways to divide occur: each component is the largest somewhere.
+    # One at a time, as in a live node. All four divisions occur: each component is the largest for some attitude.
     assert set(np.argmax(np.abs(quaternions), axis=-1).ravel()) == {0, 1, 2, 3}
     for index in np.ndindex(50, 10):
         one = quaternion_from_rotation(rotations[index])
@@ -89,7 +89,7 @@ def test_sign_and_length_of_a_quaternion_do_not_matter() -> None:
 
 
 def test_vectors_keep_their_direction() -> None:
-    """A turn to starboard is clockwise from above: negative about ROS up, negative about our up as well."""
+    """A turn to starboard is clockwise from above: negative about up in ROS and in the suite."""
     np.testing.assert_array_equal(device_vector_from_ros([1.0, 2.0, 3.0]), [1.0, 3.0, -2.0])
     np.testing.assert_array_equal(device_vector_from_ros([1.0, 2.0, 3.0], "ned_frd"), [1.0, -3.0, 2.0])
     vectors = np.random.default_rng(2).standard_normal((4, 5, 3))
@@ -97,7 +97,7 @@ def test_vectors_keep_their_direction() -> None:
 
 
 def test_rate_and_quaternion_belong_together() -> None:
-    """Turning on by a FLU rate in ROS axes is turning on by the converted rate in ours."""
+    """A rotation by a FLU rate in ROS axes equals one by the converted rate in the suite's axes."""
     rate_flu = np.array([0.02, -0.01, 0.03])
     quaternion = Rotation.from_quat(ros_quaternion(135.0, 8.0, -12.0))
     later = (quaternion * Rotation.from_rotvec(rate_flu)).as_quat()

@@ -133,7 +133,7 @@ def test_angle_between_by_construction(angle: float) -> None:
     axes = directions(30, 10)
     first = np.cross(axes, axes[::-1] + np.array([0.1, 0.2, 0.3]))
     second = Rotation.from_rotvec(angle * axes).apply(first)
-    # Lengths play no part. Rounding of the vectors themselves is 1e-16 of an angle.
+    # Lengths have no effect. Rounding of the vectors themselves is 1e-16 of an angle.
     np.testing.assert_allclose(angle_between(3.0 * first, 1e-3 * second), angle, rtol=0, atol=1e-15)
 
 

@@ -1,4 +1,4 @@
-"""Star directions against ERFA's own whole chain, and each trap of models.md §2 shown to matter."""
+"""Star directions against ERFA's complete function, and the effect of each pitfall of models.md §2."""
 
 from dataclasses import replace
 from datetime import datetime, timezone
@@ -27,7 +27,7 @@ NIGHT_NS = int(datetime(2024, 3, 10, 21, 4, 5, tzinfo=timezone.utc).timestamp())
 
 
 def random_sky(seed, count):
-    """Stars with motions and parallaxes, moments of 1992 to 2026, sites: one of each per row."""
+    """Return stars with motions and parallaxes, times from 1992 to 2026, and sites: one of each per row."""
     rng = np.random.default_rng(seed)
     declination = np.arcsin(rng.uniform(-1.0, 1.0, count))
     stars = StarPositions(
@@ -48,10 +48,10 @@ def random_sky(seed, count):
 
 
 def by_atco13(stars, times_ns, observer, orientation):
-    """The same by ERFA's one function for everything, from UTC; without air (pressure zero)."""
+    """Return the directions by ERFA's complete function, from UTC; without air (pressure zero)."""
     days, rest_ns = np.divmod(times_ns, DAY_NS)
     minutes, within_ns = np.divmod(rest_ns, 60 * SECOND_NS)
-    # By the calendar, because ERFA stretches the day of a leap second.
+    # From calendar dates, because ERFA stretches the day of a leap second.
     utc = erfa.dtf2d("UTC", *erfa.jd2cal(2_440_587.5 + days, 0.0)[:3], *np.divmod(minutes, 60), within_ns / SECOND_NS)
     azimuth, zenith_distance, *_ = erfa.atco13(
         stars.right_ascension,
@@ -113,7 +113,7 @@ def test_refreshed_directions_keep_up_with_time_and_ship():
         assert np.max(angle_between(sky.directions(stars, time_ns, ship), exact)) < 0.1 * MAS
 
 
-def test_what_was_asked_before_does_not_matter():
+def test_result_does_not_depend_on_earlier_calls():
     stars, _, _ = random_sky(7, 5)
     ship = Observer(GeodeticPosition(0.5, 1.0, 0.0))
     times_ns = [NIGHT_NS + k * REFRESH_PERIOD_NS // 3 for k in range(40)]
@@ -124,7 +124,7 @@ def test_what_was_asked_before_does_not_matter():
 
 
 def test_a_ship_that_moves_150_m_moves_the_sky():
-    # models.md §2: an apco13 only refreshed by aper13 forgets it. North of here the horizon is turned about East.
+    # models.md §2: an apco13 only refreshed by aper13 omits it. Further north the horizon is rotated about East.
     star, north_m = fixed_stars(1.0, 0.5), 150.0
     sky = RefreshedSky(TABLE)
     turn = north_m / 6.37e6
@@ -158,7 +158,7 @@ def test_own_velocity_is_10_mas_at_15_metres_per_second():
     assert np.max(angle_between(refreshed, after)) < 0.1 * MAS
 
 
-def test_many_moments_against_many_stars():
+def test_many_times_against_many_stars():
     stars, times_ns, _ = random_sky(9, 6)
     ship = Observer(GeodeticPosition(0.6, 2.0, 0.0))
     grid = directions(stars, times_ns[:4, None], ship, TABLE.at(times_ns[:4, None]))
@@ -178,14 +178,14 @@ def test_position_is_brought_from_1991_to_2000_along_a_great_circle():
     east = np.array([-np.sin(alpha), np.cos(alpha), 0.0])
     straight = start + 8.75 * (motion[0] * east + motion[1] * north)
     assert angle_between(end, straight) < 1e-4 * MAS
-    # Forgetting the epoch costs a minute of arc; taking the tabulated motion for dα/dt, seven seconds.
+    # Without the epoch the error is a minute of arc; with the tabulated motion as dα/dt, seven seconds.
     assert angle_between(end, start) / ARCSEC == pytest.approx(61.77, abs=0.05)
     wrong = stars_from_epoch(replace(at_epoch, pm_right_ascension=motion[0]), 1991.25)
     assert angle_between(erfa.s2c(wrong.right_ascension, wrong.declination), end) / ARCSEC > 5.0
 
 
 def test_proper_motion_and_parallax_reach_the_direction():
-    # What atciqz would forget.
+    # The part that atciqz omits.
     orientation, ship = TABLE.at(NIGHT_NS), Observer(GeodeticPosition(0.6, 2.0, 0.0))
     still = fixed_stars(1.0, 0.5)
     moving = replace(still, pm_declination=np.array(0.1 * ARCSEC))
@@ -204,7 +204,7 @@ def test_negative_parallax_is_none():
     assert found.right_ascension[0] == found.right_ascension[1]
 
 
-def test_beyond_the_table_the_refreshed_sky_says_so():
+def test_refreshed_sky_raises_beyond_the_table():
     star, ship = fixed_stars(1.0, 0.5), Observer(GeodeticPosition(0.6, 2.0, 0.0))
     with pytest.raises(OutsideEarthOrientation, match="newer astropy-iers-data"):
         RefreshedSky(TABLE).directions(star, TABLE.last_ns + DAY_NS, ship)

@@ -31,7 +31,7 @@ def earth(loader):
 
 
 def by_skyfield(loader, earth, stars, time_ns, site, orientation):
-    """Directions (N, U, E), given our UT1 and our polar motion."""
+    """Return directions (North, Up, East), for the suite's UT1 and polar motion."""
     tt = tt_julian_date(time_ns)
     delta_t_s = TT_MINUS_TAI_S + TABLE.leap_seconds.at(time_ns) - orientation.ut1_minus_utc_s
     timescale = loader.timescale(delta_t=float(delta_t_s))
@@ -68,6 +68,6 @@ def test_skyfield_sees_the_same_stars(loader, earth, seed):
     theirs = by_skyfield(loader, earth, stars, time_ns, site, orientation)
     heliocentric, _ = erfa.epv00(*tt_julian_date(time_ns))
     away = angle_between(erfa.s2c(stars.right_ascension, stars.declination), -heliocentric["p"]) > np.deg2rad(5.0)
-    # 0.4 mas of what remains is the deflection by the Earth's own mass, which only Skyfield takes in.
+    # 0.4 mas of the difference is the deflection by the Earth's mass, which only Skyfield includes.
     assert np.max(angle_between(ours, theirs)[away]) < 1e-3 * ARCSEC
     assert np.count_nonzero(away & (ours[:, 1] > 0.0)) > 50

@@ -1,4 +1,4 @@
-"""Numbers of text tables are those of Python's float, to the last bit; what is no number is refused."""
+"""Numbers of text tables are those of Python's float, to the last bit; other texts are refused."""
 
 from pathlib import Path
 
@@ -46,12 +46,12 @@ def test_random_numbers_are_those_of_float_to_the_last_bit() -> None:
     assert numbers(lines, (1, lines.shape[1]))[0].tolist() == [float(text) for text in texts]
 
 
-def test_what_is_blank_is_no_number() -> None:
+def test_blank_is_nan() -> None:
     assert np.isnan(numbers(lines_of(["    ", "1.25"]), (1, 4))[0]).tolist() == [True, False]
 
 
 @pytest.mark.parametrize("text", ["1 25", "1.2.3", "-", ".", "1-2", "--1", "- 1"])
-def test_what_float_refuses_is_refused(text: str) -> None:
+def test_text_that_float_refuses_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="could not convert"):
         numbers(lines_of(["1.5", text]), (1, max(3, len(text))))
 

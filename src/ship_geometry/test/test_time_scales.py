@@ -13,7 +13,7 @@ def ns_of(*date):
 
 
 def test_leap_seconds_are_those_compiled_into_erfa():
-    # erfa.leap_seconds is a table of its own: year, month, TAI - UTC from the first of that month.
+    # erfa.leap_seconds is a separate table: year, month, TAI - UTC from the first of that month.
     for year, month, tai_minus_utc_s in erfa.leap_seconds.get():
         if year < 1972:
             continue
@@ -39,7 +39,7 @@ def test_nanoseconds_survive_in_the_two_parts():
     assert np.isclose(julian_date(time_ns + 1)[1] - fraction, 1.157e-14, rtol=0.01)
 
 
-def test_arrays_and_single_moments_agree():
+def test_arrays_and_single_times_agree():
     times = np.array([ns_of(1999, 12, 31, 23, 59, 59), ns_of(2017, 1, 1), ns_of(2024, 2, 29)])
     whole, fraction = tt_julian_date(times)
     for i, time_ns in enumerate(times):
@@ -52,12 +52,12 @@ def test_a_leap_second_is_two_seconds_of_terrestrial_time():
 
 
 @pytest.mark.parametrize("text", ["", "41317.0 1 1 1972 10\n", "# File expires on 28 June 2027\n1 2\n"])
-def test_a_file_that_is_no_table_is_named(tmp_path, text):
+def test_error_names_a_file_without_a_table(tmp_path, text):
     path = tmp_path / "Leap_Second.dat"
     path.write_text(text)
     with pytest.raises(ValueError, match=r"Leap_Second\.dat: not a table of leap seconds"):
         read_leap_seconds(path)
 
 
-def test_moments_in_words():
+def test_time_as_text():
     assert utc_text(1_404_906_607_800_000_000) == "2014-07-09 11:50:07 UTC"

@@ -1,4 +1,4 @@
-"""Interpolation of vectors: exact for what a cubic with differenced slopes holds, the short way round, any order."""
+"""Interpolation of vectors: exact for a cubic with differenced slopes, the short way round, any order."""
 
 import itertools
 
@@ -28,7 +28,7 @@ def accelerated(time_s: float) -> np.ndarray:
     return np.array([3.0, -2.0, 1.0]) + np.array([10.0, 0.0, -4.0]) * time_s + np.array([1.5, -0.5, 2.0]) * time_s**2
 
 
-def test_a_steady_acceleration_is_met_between_inner_samples() -> None:
+def test_constant_acceleration_is_interpolated_exactly() -> None:
     track = track_of(np.arange(0.0, 1.05, 0.2), accelerated)
     for time_s in (0.2, 0.27, 0.5, 0.7999):
         found = track.at(at_s(time_s))
@@ -65,7 +65,7 @@ def test_outside_and_across_a_gap_there_is_nothing() -> None:
     assert track.at(at_s(1.4)) is not None
 
 
-def test_covered_once_the_neighbour_after_the_interval_is_there() -> None:
+def test_value_is_final_with_the_neighbour_after_the_interval() -> None:
     track = track_of([0.0, 0.2], accelerated)
     assert not track.covers(at_s(0.1))
     before = track.at(at_s(0.1))

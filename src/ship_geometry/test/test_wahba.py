@@ -11,7 +11,7 @@ def unit(vectors):
 
 
 def noisy(rng, directions, sigma):
-    """Directions with white errors of sigma (rad, shape (..., k)) per axis across the line of sight."""
+    """Return directions with white errors of sigma (rad, shape (..., k)) per axis across the line of sight."""
     errors = rng.normal(size=directions.shape) * np.asarray(sigma)[..., None]
     return unit(directions + errors)
 
@@ -89,7 +89,7 @@ def test_batches_give_what_single_ones_give():
         assert together.covariance_n[index] == pytest.approx(alone.covariance_n, rel=1e-9, abs=1e-20)
 
 
-def test_an_infinite_sigma_leaves_a_star_out():
+def test_star_with_infinite_sigma_is_not_used():
     rng = np.random.default_rng(9)
     _, reference_n, measured_d = scene(rng, 4)
     measured_d = noisy(rng, measured_d, 1e-5)
@@ -115,7 +115,7 @@ def test_residuals_are_across_the_line_of_sight_and_put_the_star_right():
     assert np.sum(residuals, axis=0) == pytest.approx(np.zeros(3), abs=1e-14)
 
 
-def test_one_star_is_refused_but_tells_two_components():
+def test_one_star_is_not_solved_but_has_information_on_two_components():
     star = np.array([[0.6, 0.8, 0.0]])
     solution = solve(star, star, 1e-5)
     assert not solution.solved
@@ -125,8 +125,8 @@ def test_one_star_is_refused_but_tells_two_components():
 
 
 @pytest.mark.parametrize("second", [1.0, -1.0], ids=["parallel", "antiparallel"])
-def test_two_stars_nearly_in_line_are_refused(second):
-    # Two stars of 3" at 10" from each other know the turn about their line to 3" sqrt(2) / 10", 24°; at 10' to 0.4°.
+def test_two_stars_nearly_in_line_are_not_solved(second):
+    # Two stars of 3" that are 10" apart determine the rotation about their line to 3" sqrt(2) / 10", 24°; 10': 0.4°.
     for apart_arcsec, solved in ((10.0, False), (600.0, True)):
         turn = exp_rotation(np.array([0.0, apart_arcsec * ARCSEC, 0.0]))
         stars = np.array([[1.0, 0.0, 0.0], second * (turn @ [1.0, 0.0, 0.0])])
@@ -135,7 +135,7 @@ def test_two_stars_nearly_in_line_are_refused(second):
         assert np.all(np.isfinite(solution.rotation_nd)) == solved
 
 
-def test_a_refused_one_does_not_disturb_its_batch():
+def test_unsolved_attitude_does_not_disturb_its_batch():
     rng = np.random.default_rng(11)
     _, reference_n, measured_d = scene(rng, 2)
     references = np.stack([reference_n, reference_n[[0, 0]]])

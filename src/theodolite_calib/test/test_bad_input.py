@@ -188,7 +188,7 @@ def test_a_source_that_contradicts_itself_is_not_valid_until_it_has_agreed_with_
     run = drive(new_adapter(), added(arrivals, index, change, arrivals[index].receive_ns + 1))
     source, until_s = NAMED[topic], MOMENT_S + 10.0
     told = run.diagnostics("pointing", arrivals[index].receive_ns + SECOND_NS, run.now_ns)[0]
-    assert told == (1, f"DEGRADED: {source} says different things of one moment")
+    assert told == (1, f"DEGRADED: {source} sent conflicting data with one stamp")
     in_doubt = [m.status for m in run.pointings if MOMENT_S + 0.2 < seconds(m) < until_s]
     assert set(in_doubt) == {Status.DEGRADED}
     assert {m.status for m in run.pointings if seconds(m) > until_s + 0.2} == {Status.VALID}

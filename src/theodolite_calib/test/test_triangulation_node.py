@@ -184,7 +184,7 @@ def test_a_theodolite_that_contradicts_itself_is_in_doubt() -> None:
     assert ("station.t0", Reason.CONFLICT) in reasons(published)
     assert [place.status for place in places(published)][-1] == Status.DEGRADED
     statuses = {status.name: status for status in adapter.own_statuses(START_NS + 4 * PERIOD_NS)}
-    assert "station.t0 says different things of one moment" in statuses["position"].message
+    assert "station.t0 sent conflicting data with one stamp" in statuses["position"].message
 
 
 def test_a_place_by_directions_of_two_publishers_is_degraded_while_both_send() -> None:

@@ -77,7 +77,7 @@ def test_mend_10_one_wrong_sample_is_refused_and_changes_nothing(wrong: Change, 
     index = index_at(arrivals, INS, 3.017)
     run = drive(adapter(), replaced(arrivals, index, wrong))
     assert run.reasons(INS) == {"gate": 1}
-    assert "from where the samples before lead" in run.innovations(Reason.GATE)[0].reason_text
+    assert "from its prediction by earlier samples" in run.innovations(Reason.GATE)[0].reason_text
     assert run.results() == drive(adapter(), without(arrivals, index)).results()
 
 

@@ -1,4 +1,4 @@
-"""The parameters of recovery."""
+"""Parameters of the recovery."""
 
 from dataclasses import dataclass
 
@@ -7,19 +7,19 @@ from ship_estimation.parameter_fields import parameter
 
 @dataclass(frozen=True, kw_only=True)
 class RecoveryConfig:
-    """When a second estimator starts beside the first one, and when it replaces it."""
+    """Parameters of the start and the adoption of a second estimator."""
 
     after_s: float = parameter(
         5.0,
-        doc="a second estimator starts where the status has been worse than the inputs allow, or a source excluded, "
-        "for so long",
+        doc="time with a status worse than the inputs allow, or with an excluded source, after which a second "
+        "estimator starts",
         unit="s",
         minimum=1.0,
         maximum=1e6,
     )
     confirm_s: float = parameter(
         60.0,
-        doc="the second estimator is adopted where it has been VALID, with all sources, for so long",
+        doc="time for which the second estimator must be VALID with all sources before it is adopted",
         unit="s",
         minimum=10.0,
         maximum=1e6,

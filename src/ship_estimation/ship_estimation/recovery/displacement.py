@@ -1,8 +1,8 @@
-"""Displacement of a source, or of several together: has what contradicted the others moved back?
+"""Displacement of a source, or of several together: has an inconsistent source moved back?
 
-Each measurement is compared with a remembered state, carried on by the INS. Their residual is a rotation vector. It
-changes slowly, by the drift of the INS, and at once where a source or the INS moves. Only what changes at once is
-displacement: an INS that drifts by as much as the contradiction does not end it.
+Each measurement is compared with a stored state, propagated by the INS. The residual is a rotation vector. It changes
+slowly by the drift of the INS, and in a step if a source or the INS moves. Only steps are displacement: a drift of the
+INS that compensates the inconsistency does not end it.
 """
 
 from collections.abc import Sequence
@@ -15,29 +15,29 @@ from ship_estimation.kalman import LinearMeasurement, innovation, update
 from ship_geometry.rotations import FloatArray
 
 _FALSE_STEP = 5.733e-7
-"""Probability that a second of a source at rest is taken for a step: that of 5 sigma of one normal variable."""
+"""Probability of a false step in one second of a source at rest: that of 5 sigma of one normal variable."""
 _BY_NOISE = 0.001
-"""Probability that a source that is back is found to be displaced by its noise alone."""
+"""Probability that a source that has moved back still counts as displaced, by its noise."""
 _LEFT_SHARE, _MOST_LEFT_SHARE = 0.2, 0.5
-"""A source has moved back where no more than the first share of its largest displacement is left; or no more than the
-second, where its measurements do not show the displacement more precisely."""
+"""Maximum share of the largest displacement that remains when a source has moved back; and the maximum share if its
+measurements do not determine the displacement more precisely."""
 _DECISIVE_SIGMAS = 5.0
-"""The remembered state shows by itself that a source is back if a displacement is so many standard deviations of it."""
+"""Size of a displacement, in standard deviations of the stored state, from which that state alone can show a return."""
 _STEP_LASTS = 4
-"""Seconds of a step: it may begin and end within one, and what changes by more in this time belongs to it."""
+"""Duration of a step, s: further significant changes in this time belong to it."""
 _AT_REST, _DISPLACED = 0, 1
-"""Places of the two vectors of a residual in their covariance."""
+"""Indices of the two vectors of a residual in their covariance."""
 _UNKNOWN_RAD2 = 1.0
-"""Variance of each component of a displacement that has just begun, rad²."""
+"""Variance of each component of a new displacement, rad²."""
 
 
 class MemoryResidual(NamedTuple):
-    """A measurement of a source against a remembered state.
+    """A measurement of a source against a stored state.
 
     Attributes:
-        turn: measured minus predicted, rotation vector or those of its components that are observed, rad, shape (k,).
-        noise: covariance of the measurement's own noise, rad², shape (k, k).
-        expected: covariance of ``turn`` by the remembered state propagated to the time of the measurement, without that
+        turn: measured minus predicted: the observed components of a rotation vector, rad, shape (k,).
+        noise: covariance of the measurement noise, rad², shape (k, k).
+        expected: covariance of ``turn`` by the stored state propagated to the time of the measurement, without that
             noise, rad², shape (k, k).
         drift: growth of ``expected`` in one second, rad²/s, shape (k, k).
     """
@@ -49,7 +49,7 @@ class MemoryResidual(NamedTuple):
 
 
 class Displacement:
-    """The displacement of a source, or of several together: how far their residual has changed by steps.
+    """The displacement of a source, or of several together: the change of their residual by steps.
 
     Example:
         A source moves by 60″ about Up and back while the INS drifts by 30″ in between:
@@ -69,7 +69,7 @@ class Displacement:
 
     def __init__(self) -> None:
         self._pending: list[MemoryResidual] = []
-        # The state of a Kalman filter: what is no displacement, and the displacement; a residual is the sum of the two.
+        # The state of a Kalman filter: drift, and displacement; a residual is the sum of the two.
         self._mean = np.zeros(0)
         self._covariance = self._start_covariance = np.zeros((0, 0))
         self._since_step, self._is_clear = 0, False
@@ -84,15 +84,15 @@ class Displacement:
         return 0.0 if self._newest is None else float(np.linalg.norm(self._largest_until_now(self._newest)))
 
     def add(self, residual: MemoryResidual) -> None:
-        """Take a measurement; one that is no number shows nothing."""
+        """Add a measurement; one with NaN is ignored."""
         if all(np.all(np.isfinite(part)) for part in residual):
             self._pending.append(residual)
 
     def inflate(self, covariance: FloatArray) -> None:
-        """Allow for a jump of the INS that its own rates showed in this second, rad², shape (k, k).
+        """Add the covariance of a jump of the INS that its own rates showed in this second, rad², shape (k, k).
 
-        The measurements of this second are from before and after it: they are left out. A displacement that is no
-        larger may have been that of the INS: it is forgotten.
+        The measurements of this second, before and after the jump, are dropped. A displacement that is not larger than
+        the jump may be that of the INS: it is reset.
         """
         self._pending.clear()
         if self._newest is None:
@@ -102,7 +102,7 @@ class Displacement:
         if self.largest_rad and _square(self._displaced, self._displaced_covariance + covariance) <= self._within_noise:
             self._start(self._by_both @ self._mean, self._residual_covariance)
             self._start_covariance = self._start_covariance + covariance
-            # What the jump changes from now on is none either.
+            # Further changes by the jump are no displacement either.
             self._is_clear, self._since_step = False, _STEP_LASTS
 
     def end_second(self) -> None:
@@ -114,13 +114,13 @@ class Displacement:
         newest = _mean(self._pending)
         self._pending.clear()
         if self._newest is None:
-            # What is there at the beginning may be displaced already.
+            # The source may be displaced at the start already.
             self._start(np.zeros_like(newest.turn), np.zeros_like(newest.expected))
             self._add_error(_DISPLACED, newest.expected)
             self._start_covariance = newest.expected
         self._newest = newest
         nis = innovation(self._covariance[None], self._measurement(newest)).nis
-        # Written so that NaN is a step, and clear.
+        # Written so that NaN counts as a clear step.
         if not nis <= value_above(_FALSE_STEP, self._size):
             self._largest = self._largest_until_now(newest)
             if self._since_step >= _STEP_LASTS:
@@ -136,7 +136,7 @@ class Displacement:
         self._is_clear = self._is_clear or not within
 
     def _start(self, at_rest: FloatArray, covariance: FloatArray) -> None:
-        """Start with a residual that is no displacement."""
+        """Start the filter with a residual without displacement."""
         size = len(at_rest)
         self._mean = np.append(at_rest, np.zeros(size))
         self._covariance = np.zeros((2 * size, 2 * size))
@@ -181,7 +181,7 @@ class Displacement:
         return LinearMeasurement(residual.turn - by_both @ self._mean, by_both, {0: residual.noise})
 
     def _absorb_held(self) -> None:
-        """Update with the second before this one: it must not contain one in which a step begins."""
+        """Update with the delayed second: the update must not contain a second in which a step begins."""
         if self._held is not None:
             self._update(self._held)
             self._held = None
@@ -220,12 +220,12 @@ class Displacement:
 
     @property
     def _within_noise(self) -> float:
-        """Squared length, in standard deviations, up to which a displacement is that of noise."""
+        """Squared length, in standard deviations, up to which a displacement is explained by noise."""
         return value_above(_BY_NOISE, self._size)
 
     @property
     def is_beyond_memory(self) -> bool:
-        """True if the remembered state, carried on until now, is too vague to show a displacement of this size."""
+        """True if the stored state, propagated until now, is too uncertain to show a displacement of this size."""
         newest = self._newest
         if newest is None or not self.largest_rad:
             return False
@@ -237,7 +237,7 @@ class Displacement:
 
 
 def _mean(residuals: Sequence[MemoryResidual]) -> MemoryResidual:
-    """Return the mean of residuals, weighted by their noise; what is remembered is common to them."""
+    """Return the mean of residuals, weighted by their noise; the error of the stored state is common to them."""
     weights = [np.linalg.inv(one.noise) for one in residuals]
     noise = np.linalg.inv(sum(weights))
     turn = noise @ sum(weight @ one.turn for weight, one in zip(weights, residuals, strict=True))
@@ -246,5 +246,5 @@ def _mean(residuals: Sequence[MemoryResidual]) -> MemoryResidual:
 
 
 def _square(turn: FloatArray, covariance: FloatArray) -> float:
-    """Return a turn's squared length in its standard deviations."""
+    """Return the squared length of a rotation vector in its standard deviations."""
     return float(turn @ np.linalg.solve(covariance, turn))

@@ -1,7 +1,7 @@
-"""Displacements of all sources of an estimator: did one of them move, or all of them together?
+"""Displacements of all sources of an estimator: has one of them moved, or all of them together?
 
-A turn that all sources have in common is measured by their weighted mean: one star sensor shows a turn about its line
-of sight poorly. A source that moves by itself moves that mean, too.
+A rotation that all sources have in common is measured by their weighted mean, because one star sensor measures a
+rotation about its line of sight poorly. A source that moves by itself changes that mean, too.
 """
 
 from ship_estimation.recovery.displacement import Displacement, MemoryResidual
@@ -19,12 +19,12 @@ class Displacements:
         self._together = Displacement()
 
     def add(self, source: str, residual: MemoryResidual) -> None:
-        """Take a measurement of a source."""
+        """Add a measurement of a source."""
         for displacement in (self._by_source.setdefault(source, Displacement()), self._together):
             displacement.add(residual)
 
     def inflate(self, covariance: FloatArray) -> None:
-        """Allow for a jump of the INS that its own rates showed, rad², shape (k, k)."""
+        """Add the covariance of a jump of the INS that its own rates showed, rad², shape (k, k)."""
         for displacement in (*self._by_source.values(), self._together):
             displacement.inflate(covariance)
 
@@ -35,7 +35,7 @@ class Displacements:
 
     @property
     def displaced(self) -> dict[str, float]:
-        """Sources that have moved and not moved back, and by how much, rad; :data:`TOGETHER` for all of them.
+        """Sources that have moved and not moved back, with their displacement, rad; :data:`TOGETHER` for all of them.
 
         A source has moved by itself only if another one shows that it did not move with it.
         """
@@ -48,5 +48,5 @@ class Displacements:
 
     @property
     def is_undecided_by_memory(self) -> bool:
-        """True if all have moved together, by no more than the remembered state can show."""
+        """True if all have moved together by an amount that the stored state cannot show."""
         return TOGETHER in self.displaced and self._together.is_beyond_memory

@@ -1,4 +1,4 @@
-"""The last state of an estimator at which nothing was disputed."""
+"""Memory of the last consistent state of an estimator."""
 
 from collections import deque
 from collections.abc import Callable
@@ -10,17 +10,17 @@ from ship_geometry.time_scales import SECOND_NS
 State = TypeVar("State")
 
 LEAST_AGE_NS = 10 * SECOND_NS
-"""Time from the remembered state to the first sign of trouble, at least: a fault may act before it shows, ns."""
+"""Minimum time from the stored state to the first sign of trouble, ns: a fault may act before it is detected."""
 
 BEFORE_STEP_NS = 2 * SECOND_NS
-"""The same for the state that a step is measured from: a step shows at once, and the INS drifts little in this time."""
+"""The same for the state from which a step is measured, ns: a step shows at once, and the INS drifts little."""
 
 LEAST_UNDISPUTED_NS = ENDS_AFTER_NS
-"""Time without a dispute after which a state is remembered, as after trouble: a fault may be all it knew before, ns."""
+"""Minimum time of consistency before a state is stored, ns: an earlier state may contain a fault."""
 
 
 class Memory(Generic[State]):
-    """The newest undisputed state that is old enough, kept until a newer one is.
+    """The newest consistent state that is old enough.
 
     Example:
         >>> memory: Memory[int] = Memory()
@@ -35,11 +35,11 @@ class Memory(Generic[State]):
         self._undisputed_since_ns = 0
 
     def keep(self, time_ns: int, state: State) -> None:
-        """Keep an undisputed state.
+        """Store a consistent state.
 
         Args:
             time_ns: the time now, later than all before.
-            state: not changed in place later.
+            state: immutable.
         """
         if not self._kept:
             self._undisputed_since_ns = time_ns
@@ -48,9 +48,9 @@ class Memory(Generic[State]):
             self._kept.popleft()
 
     def recall(self, first_sign_ns: int, least_age_ns: int = LEAST_AGE_NS) -> State | None:
-        """Return the newest state that is old enough at the first sign of trouble; None where there is none.
+        """Return the newest state that is old enough at the first sign of trouble; None if there is none.
 
-        There is none where the estimator has not been undisputed for :data:`LEAST_UNDISPUTED_NS`.
+        There is none if the estimator has not been consistent for :data:`MIN_CONSISTENT_NS`.
         """
         if first_sign_ns - self._undisputed_since_ns < LEAST_UNDISPUTED_NS:
             return None
@@ -58,9 +58,9 @@ class Memory(Generic[State]):
         return old[-1] if old else None
 
     def replace_all(self, by: Callable[[State], State]) -> None:
-        """Replace every state that is kept, for a time that has moved or an INS that has jumped since."""
+        """Replace every stored state, after a step of the time base or a jump of the INS."""
         self._kept = deque((time_ns, by(state)) for time_ns, state in self._kept)
 
     def forget_newer(self, state: State | None) -> None:
-        """Keep no other state than one that was recalled: those after it may already contain the fault."""
+        """Drop all states but a recalled one: later ones may already contain the fault."""
         self._kept = deque(kept for kept in self._kept if kept[1] is state)

@@ -1,19 +1,19 @@
-"""A second estimator in trouble: when it starts, from what, and when it replaces the first one.
+"""Start of a second estimator in trouble, and its adoption.
 
 In trouble (:mod:`ship_estimation.recovery.trouble`) a second estimator of the same class receives the same inputs. It
-starts from the remembered state, or from the prior, and again whenever a contradiction among the inputs begins or ends.
-It is adopted where three things hold:
+starts from the stored state, or from the prior, and restarts whenever an inconsistency of the inputs begins or ends. It
+is adopted on three conditions:
 
-1. For ``confirm_s`` it has been VALID with every source that is there, but for those that it excludes itself while two
-   others agree.
-2. It agrees with the remembered state within :data:`MEMORY_SIGMAS`. A fault that turned all sources alike would not.
-3. Where the INS may have drifted so far that the memory does not show by how much all sources together had moved, they
-   have moved back (:mod:`ship_estimation.recovery.displacement`). What a source did by itself, the memory shows.
+1. For ``confirm_s`` it has been VALID with every available source. It may exclude a source if two others are
+   consistent.
+2. It is consistent with the stored state within :data:`MEMORY_SIGMAS`, which excludes a common rotation of all sources.
+3. If the INS may have drifted so far that the stored state cannot show a common displacement of all sources, they have
+   moved back (:mod:`ship_estimation.recovery.displacement`).
 
-An estimator that was not undisputed for half a minute has no memory: then 1 alone decides, as after a restart of the
-node.
+An estimator that was not consistent for half a minute has no stored state: then only condition 1 holds, as after a
+restart of the node.
 
-Everything here follows from the inputs and their order, once a second of the time of waiting.
+All decisions follow from the inputs and their order, once a second of the waiting time.
 """
 
 from collections.abc import Callable, Mapping, Sequence, Set
@@ -31,18 +31,18 @@ from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
 MEMORY_SIGMAS = 3.0
-"""The second estimator may differ from the remembered state by so many standard deviations of both, each component."""
+"""Maximum difference of the second estimator from the stored state, standard deviations of both, each component."""
 
 _LEAST_IN_AGREEMENT = 2
-"""Sources, the INS among them, that must agree where the second estimator excludes another one."""
+"""Minimum number of consistent sources, the INS included, if the second estimator excludes another one."""
 
 
 class Jump(Protocol):
-    """A jump that a source showed by itself."""
+    """A jump that a source itself reported or showed."""
 
     @property
     def covariance_n(self) -> FloatArray:
-        """Covariance of what has changed by it, as :class:`MemoryResidual` has turns, rad², shape (k, k)."""
+        """Covariance of the change, in the components of :attr:`MemoryResidual.turn`, rad², shape (k, k)."""
         ...
 
 
@@ -61,12 +61,12 @@ class RecoverableCore(Protocol):
 
     @property
     def is_undisputed(self) -> bool:
-        """True if its state rests on measurements, no source is excluded and none contradicts another."""
+        """True if its state results from measurements, no source is excluded, and all sources are consistent."""
         ...
 
     @property
     def is_contradicted(self) -> bool:
-        """True if its sources contradict one another and no source is found to be faulty."""
+        """True if its sources are inconsistent and no faulty source is isolated."""
         ...
 
     def make_second(self, memory: Any | None) -> Any:
@@ -74,21 +74,21 @@ class RecoverableCore(Protocol):
         ...
 
     def take_jumps(self) -> Sequence[Jump]:
-        """Return the jumps that sources showed by themselves since the last call."""
+        """Return the jumps that sources themselves reported or showed since the last call."""
         ...
 
     def propagate_memory(self, memory: Any, jumps: Sequence[Any]) -> Any:
-        """Return a remembered state propagated to the oldest time that measurements may still have."""
+        """Return a stored state propagated to the oldest time that measurements may still have."""
         ...
 
     def memory_residuals(self, decision: Any, memory: Any) -> Mapping[str, MemoryResidual]:
-        """Return by source how far what was just judged is from a remembered state; nothing where nothing shows it."""
+        """Return the residual of a measurement from a stored state, by source; empty if there is none."""
         ...
 
     def departure_sigmas(self, state: Any, memory: Any, is_later: bool = False) -> float:
-        """Return the largest difference between a state and a remembered one, in standard deviations of both.
+        """Return the largest difference between a state and a stored one, in standard deviations of both.
 
-        A later state of the same estimator knows all that the remembered one did: then in those of the latter.
+        A later state of the same estimator contains the stored one: then in standard deviations of the latter.
         """
         ...
 
@@ -97,7 +97,7 @@ class RecoverableCore(Protocol):
         ...
 
     def take_over_outputs(self, live: Any) -> None:
-        """Go on with the outputs where another estimator ends."""
+        """Continue the sequence of outputs of another estimator."""
         ...
 
 
@@ -105,13 +105,13 @@ class SecondEstimator:
     """A second estimator.
 
     Args:
-        core: it.
+        core: the estimator itself.
         is_from_memory: False if it started from the prior.
 
     Attributes:
-        valid_since_ns: time of waiting since which it has been VALID each second; None where it is not. One measurement
-            that is rejected may make it DEGRADED for a moment.
-        failure: why the software failed in it; None where it did not. Another one starts then.
+        valid_since_ns: waiting time since which it has been VALID each second; None if it is not. A single rejected
+            measurement may make it DEGRADED for less than a second.
+        failure: rejection with the exception of the software; None without one. Another one starts then.
     """
 
     def __init__(self, core: Any, is_from_memory: bool) -> None:
@@ -121,7 +121,7 @@ class SecondEstimator:
         self._status = Status.INVALID
 
     def take(self, give: Callable[[], Outcome[Any, Any]]) -> None:
-        """Give it an input, and take note of what it would have published; the outputs must not suffer by it."""
+        """Give an input to the estimator and record the status of its estimates; exceptions are stored."""
         try:
             outcome = give()
         except Exception as error:
@@ -131,7 +131,7 @@ class SecondEstimator:
             self._status = estimate.status
 
     def look(self, waiting_ns: int) -> None:
-        """Take note of its status, once a second."""
+        """Record its status, once a second."""
         if self._status is not Status.VALID:
             self.valid_since_ns = None
         elif self.valid_since_ns is None:
@@ -145,10 +145,10 @@ class EstimatorRecovery:
         config: parameters.
 
     Attributes:
-        candidate: the second estimator; None where none runs.
-        started: how often trouble began.
-        adopted: how often a second estimator was adopted.
-        took_s: time from the beginning of the last trouble that was ended so to its end, s.
+        candidate: the second estimator; None if none runs.
+        started: number of troubles.
+        adopted: number of adoptions of a second estimator.
+        recovery_time_s: time from the start of trouble to the last adoption, s.
     """
 
     def __init__(self, config: RecoveryConfig) -> None:
@@ -161,7 +161,7 @@ class EstimatorRecovery:
         self.reset()
 
     def reset(self) -> None:
-        """Forget trouble and memory: the estimator starts again, or is another one."""
+        """Reset trouble and memory, because the estimator restarts or is replaced."""
         self._trouble = TroubleDetector(self._config.after_s)
         self._memory: Memory[Any] = Memory()
         self._forget_fault()
@@ -177,20 +177,20 @@ class EstimatorRecovery:
         return self._displacements.displaced
 
     def note_decision(self, live: RecoverableCore, decision: Decision[Any]) -> None:
-        """Measure, after a sign of trouble, how far a measurement is from what was known before it."""
+        """Add the residual of a measurement from the state before the first sign of trouble."""
         if self._before_step is None or decision.revised:
             return
         for source, residual in live.memory_residuals(decision, self._before_step).items():
             self._displacements.add(source, residual)
 
     def look(self, waiting_ns: int, live: RecoverableCore, is_as_expected: bool, there: Set[str]) -> bool:
-        """Take stock, once a second.
+        """Update trouble, memory and candidate, once a second.
 
         Args:
-            waiting_ns: the time of waiting.
+            waiting_ns: the waiting time, ns.
             live: the estimator whose outputs are published.
             is_as_expected: True if its status is no worse than its inputs allow.
-            there: the sources whose messages can be used and arrived recently.
+            available_sources: sources with usable messages that arrived recently.
 
         Returns:
             True if :attr:`candidate` is to replace it now.
@@ -225,7 +225,7 @@ class EstimatorRecovery:
         return is_sign and self._is_to_be_adopted(waiting_ns, live, there)
 
     def note_adoption(self, waiting_ns: int) -> None:
-        """Take note that the candidate has replaced the first estimator."""
+        """Record that the candidate has replaced the first estimator."""
         assert self._trouble.began_ns is not None
         self.adopted += 1
         self.took_s = (waiting_ns - self._trouble.began_ns) / SECOND_NS
@@ -233,19 +233,19 @@ class EstimatorRecovery:
         self._forget_fault()
 
     def step_time_base(self, step_ns: int) -> None:
-        """Carry what is remembered over a step of all clocks; the second estimator starts again."""
+        """Shift the stored states by a step of all clocks; the second estimator restarts."""
         self._memory.replace_all(lambda state: with_shifted_stamps(state, step_ns))
         self._reference = with_shifted_stamps(self._reference, step_ns)
         self._before_step = with_shifted_stamps(self._before_step, step_ns)
         self.candidate = None
 
     def _recall(self, waiting_ns: int, live: RecoverableCore) -> None:
-        """Recall what was known before the first sign of trouble."""
+        """Recall the states from before the first sign of trouble."""
         self._reference, newest = self._memory.recall(waiting_ns), self._memory.recall(waiting_ns, BEFORE_STEP_NS)
         self._memory.forget_newer(self._reference)
         if self._reference is None:
             return
-        # A fault that crept in undisputed has moved the newer state. Written so that NaN has.
+        # A slow fault may have affected the newer state. Written so that NaN counts as affected.
         later = live.propagate_memory(newest, ())
         has_crept = not live.departure_sigmas(later, self._reference, is_later=True) <= MEMORY_SIGMAS
         self._before_step = self._reference if has_crept else newest
@@ -257,7 +257,7 @@ class EstimatorRecovery:
         self.candidate = None
 
     def _choose_candidate(self, live: RecoverableCore) -> None:
-        """Start the second estimator where none runs, or where what it rests on has changed."""
+        """Start the second estimator if none runs, or restart it if its conditions have changed."""
         displaced = frozenset(self.displaced)
         candidate = self.candidate
         if candidate is None or displaced != self._displaced_before:
@@ -271,7 +271,7 @@ class EstimatorRecovery:
         self.candidate = SecondEstimator(live.make_second(memory), is_from_memory=memory is not None)
 
     def _is_to_be_adopted(self, waiting_ns: int, live: RecoverableCore, there: Set[str]) -> bool:
-        """True if the second estimator has proved itself; see the module."""
+        """True if the second estimator meets all conditions of the module's docstring."""
         candidate = self.candidate
         if candidate is None or candidate.valid_since_ns is None:
             return False
@@ -282,7 +282,7 @@ class EstimatorRecovery:
             return False
         if self._displacements.is_undecided_by_memory:
             return False
-        # Written so that NaN does not agree.
+        # Written so that NaN is inconsistent.
         core = candidate.core
         if self._reference is None or core.departure_sigmas(core.state, self._reference) <= MEMORY_SIGMAS:
             return True

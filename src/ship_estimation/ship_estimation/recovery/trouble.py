@@ -1,20 +1,20 @@
-"""Detection of trouble: the status of an estimator is worse than its inputs allow, or a source of it is excluded."""
+"""Detection of trouble: the status of an estimator is worse than its inputs allow, or a source is excluded."""
 
 from ship_geometry.time_scales import SECOND_NS
 
 ENDS_AFTER_NS = 30 * SECOND_NS
-"""Trouble ends after so long without a sign of it, ns."""
+"""Time without a sign of trouble after which it ends, ns."""
 
 
 class TroubleDetector:
-    """When trouble begins and ends, by signs that are looked for once a second.
+    """Start and end of trouble, from signs that are checked once a second.
 
     Args:
-        after_s: signs must last for so long.
+        after_s: duration of signs after which trouble begins, s.
 
     Attributes:
-        first_sign_ns: time of the first sign; None where there was none in the last 30 s.
-        began_ns: time at which the signs had lasted long enough; None where there is no trouble.
+        first_sign_ns: time of the first sign; None if there was none in the last 30 s.
+        began_ns: time at which trouble began; None without trouble.
 
     Example:
         >>> detector = TroubleDetector(after_s=2.0)
@@ -32,7 +32,7 @@ class TroubleDetector:
         self._last_sign_ns = 0
 
     def update(self, time_ns: int, is_sign: bool) -> None:
-        """Take note of a sign of trouble, or of its absence, at a time."""
+        """Update with a sign of trouble, or its absence, at a time."""
         if is_sign:
             if self.first_sign_ns is None:
                 self.first_sign_ns = time_ns
