@@ -73,9 +73,9 @@ FIXES = [
     ("altitude nonsense", {"altitude": 1e300}, "units", "altitude"),
     ("negative variance", {"position_covariance": -np.eye(3).ravel() * 4.0}, "bad_covariance", "negative"),
     ("covariance NaN", {"position_covariance": np.full(9, np.nan)}, "non_finite", "position_covariance"),
-    ("east exact", {"position_covariance": np.diag([0.0, 9.0, 25.0]).ravel()}, "bad_covariance", "is exact"),
-    ("north exact", {"position_covariance": np.diag([4.0, 0.0, 25.0]).ravel()}, "bad_covariance", "of zero"),
-    ("sigma of half the Earth", {"position_covariance": np.eye(3).ravel() * 1e13}, "bad_covariance", "is no fix"),
+    ("east exact", {"position_covariance": np.diag([0.0, 9.0, 25.0]).ravel()}, "bad_covariance", "is zero"),
+    ("north exact", {"position_covariance": np.diag([4.0, 0.0, 25.0]).ravel()}, "bad_covariance", "is zero"),
+    ("sigma of half the Earth", {"position_covariance": np.eye(3).ravel() * 1e13}, "bad_covariance", "too large for a fix"),
     ("stamp zero", {"header": make_header(FACTORY, 0)}, "bad_stamp", "0 ns"),
 ]
 

@@ -286,7 +286,7 @@ def test_mend_12_without_any_sensor_the_ins_passes_through_and_the_diagnostics_s
     for message in outputs(run)[::20]:
         assert_honest(message)
     lacking = "no star_sensors, no references and no ship_baseline are configured"
-    lacking += ": the attitude will be the INS's alone, DEGRADED, horizon GRAVITY"
+    lacking += ": the attitude is that of the INS alone, DEGRADED, horizon GRAVITY"
     assert run.adapter.start_warnings == (lacking,)
     level, text = run.diagnostics("attitude", START_NS, START_NS + 5 * SECOND_NS)[-1]
     assert (level, text) == (1, f"DEGRADED: {lacking}")
@@ -340,7 +340,7 @@ def test_heading_given_as_yaw_is_a_conflict_with_a_hint(heading_deg: float) -> N
     run = drive(new_adapter(), arrivals)
     conflicts = run.innovations(Reason.ATTITUDE_CONFLICT)
     assert {m.source for m in conflicts} == {"star.fore", "star.starboard"}
-    assert all("yaw (90° - heading): look at ins.convention" in m.reason_text for m in conflicts)
+    assert all("yaw (90° - heading): check ins.convention" in m.reason_text for m in conflicts)
     assert run.health(FORE).accepted == 0
     # Ten refusals of a sensor at 5 Hz take two seconds.
     raised_ns = stamp_of(conflicts[0]) + 120_000_000
@@ -378,7 +378,7 @@ def test_mend_05_a_sensor_against_the_ins_and_another_sensor_is_named_in_the_dia
     run = drive(new_adapter(star_sensors__fore__azimuth_deg=0.5), voyage())
     last_ns = run.now_ns
     ((_, text),) = run.diagnostics("conflict star.fore", last_ns - SECOND_NS, last_ns)[-1:]
-    assert text.endswith("; star.fore is the odd one out, star.starboard agrees with the INS")
+    assert text.endswith("; only star.fore differs, star.starboard agrees with the INS")
     assert "yaw" not in text
 
 
@@ -386,7 +386,7 @@ def test_mend_05_an_ins_against_all_sensors_is_named_in_the_diagnostics() -> Non
     run = drive(new_adapter(), changed_where(voyage(), lambda a: a.topic == INS, heading_off))
     for source in ("star.fore", "star.starboard"):
         _, text = run.diagnostics(f"conflict {source}", run.now_ns - SECOND_NS, run.now_ns)[-1]
-        assert "the INS is the odd one out, star.fore, star.starboard disagree with it alike" in text
+        assert "only the INS differs, star.fore, star.starboard disagree with it equally" in text
 
 
 @pytest.mark.parametrize("heading_deg", [45.0, 225.0, 44.0])
@@ -413,7 +413,7 @@ def test_a_conflict_holds_the_estimate_unless_configured() -> None:
 def test_a_gate_that_may_reopen_lets_the_stars_in_again() -> None:
     arrivals = changed_where(voyage(8.0), lambda a: a.topic == INS, heading_off)
     run = drive(new_adapter(gate__reopen_after=10), arrivals)
-    reopened = [m for m in run.messages("ship/innovation") if "re-opened" in m.reason_text]
+    reopened = [m for m in run.messages("ship/innovation") if "covariance inflated" in m.reason_text]
     assert 1 <= len(reopened) <= 4
     assert outputs(run)[-1].status == Status.VALID
     assert_honest(outputs(run)[-1])

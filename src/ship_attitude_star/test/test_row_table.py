@@ -61,7 +61,7 @@ def test_more_rows_than_allowed_are_refused_by_name_with_what_to_do(sensors: int
         table(sensors, pairs=True, max_hypotheses=rows - 1)
     assert caught.value.parameters == ("integrity.max_hypotheses",)
     text = str(caught.value)
-    assert f"'integrity.max_hypotheses' = {rows - 1} is less than the {rows} of these sources: star.s0, " in text
+    assert f"'integrity.max_hypotheses' = {rows - 1} is less than the {rows} for these sources: star.s0, " in text
     assert "star.s0+star.s1" in text
     assert text.endswith(f"set it to {rows}, or 'integrity.pairs' to false")
     assert table(sensors, pairs=True, max_hypotheses=rows).rows == rows

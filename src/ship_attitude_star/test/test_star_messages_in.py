@@ -139,7 +139,7 @@ def test_no_star_is_an_exposure_too() -> None:
 STARS = [
     ("pixel NaN", star(u=np.nan), Reason.NON_FINITE, "pixel (nan, 511.5)"),
     ("pixel infinite", star(v=-np.inf), Reason.NON_FINITE, "-inf"),
-    ("pixel far outside", star(u=1e5), Reason.UNITS, "pixel (100000, 511.5) is nowhere in this camera's field"),
+    ("pixel far outside", star(u=1e5), Reason.UNITS, "pixel (100000, 511.5) is outside this camera's field of view"),
     ("pixel nonsense", star(v=-1e300), Reason.UNITS, "-1e+300"),
     ("sigma negative", star(sigma_px=-0.1), Reason.BAD_COVARIANCE, "sigma_px -0.1"),
     ("sigma infinite", star(sigma_px=np.inf), Reason.BAD_COVARIANCE, "sigma_px inf"),
@@ -183,7 +183,7 @@ def test_mend_18_a_flood_of_stars_is_cut_and_said_once() -> None:
     assert len(exposure) == MOST_STARS
     ((name, refusal),) = refused
     assert (name, refusal.reason) == (f"star {MOST_STARS + 1} of the message", Reason.OVERFLOW)
-    assert refusal.text == f"100000 stars in one exposure: only the first {MOST_STARS} are looked at"
+    assert refusal.text == f"100000 stars in one exposure: only the first {MOST_STARS} are used"
 
 
 WHOLE = [

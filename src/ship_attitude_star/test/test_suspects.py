@@ -443,7 +443,7 @@ def test_an_ins_that_told_a_fault_is_excluded_and_not_the_stars(lie: Lie) -> Non
 def test_one_sensor_against_an_ins_that_told_a_fault_names_both() -> None:
     sailed = sailed_with(clock_of_the_ins(-0.4), sensors=("bow",), seconds=50.0, ins={"time_offset_sigma_s": 0.005})
     assert {one.status for one in sailed.between(31.0, 50.0)} == {Status.DEGRADED}
-    assert "star.bow is refused: the INS and all stars contradict one another" in sailed.estimates[-1].text
+    assert "star.bow is rejected: the INS and all stars contradict each other" in sailed.estimates[-1].text
     assert_honest(sailed)
 
 

@@ -95,13 +95,13 @@ def heading_hint(ins_nd: FloatArray, measured_nd: FloatArray, source: str, ins_c
     if _near(by_ins + measured, _QUARTER_TURN) and not (ins_confirmed and _is_star(source)):
         look = f"references.{_id(source)}.convention" if ins_confirmed else "ins.convention"
         driver = source if ins_confirmed else "the INS"
-        return f", as if heading were given as yaw (90° - heading): look at {look} and at the driver of {driver}"
+        return f", as if heading were given as yaw (90° - heading): check {look} and the driver of {driver}"
     if _near(difference, _QUARTER_TURN):
         ins = "" if ins_confirmed else "ins.convention, ins.installation_heading_deg and "
-        return f" by about 90° in heading: look at {ins}{mounted}"
+        return f" by about 90° in heading: check {ins}{mounted}"
     if _near(difference, np.pi):
         ins = "" if ins_confirmed else " and ins.installation_heading_deg"
-        return f" by about 180° in heading: look at {mounted}{ins}"
+        return f" by about 180° in heading: check {mounted}{ins}"
     return ""
 
 
@@ -115,15 +115,15 @@ def odd_one_out(source: str, agreeing: Sequence[str], disagreeing: Mapping[str, 
     """
     others = [other for other in disagreeing if other != source]
     if agreeing and not others:
-        return f"{source} is the odd one out, {_listed(agreeing)} with the INS"
+        return f"only {source} differs, {_listed(agreeing)} with the INS"
     if agreeing:
         against = f"{', '.join(sorted(disagreeing))} disagree with the INS"
         return f"{against}, {_listed(agreeing)} with it"
     if not others:
-        return "which of the two is wrong, no other source tells"
+        return "no other source shows which of the two is faulty"
     if _all_alike(list(disagreeing.values())):
-        return f"the INS is the odd one out, {', '.join(sorted(disagreeing))} disagree with it alike"
-    return f"{', '.join(sorted(disagreeing))} disagree with the INS, and with one another"
+        return f"only the INS differs, {', '.join(sorted(disagreeing))} disagree with it equally"
+    return f"{', '.join(sorted(disagreeing))} disagree with the INS and with each other"
 
 
 def _listed(agreeing: Sequence[str]) -> str:

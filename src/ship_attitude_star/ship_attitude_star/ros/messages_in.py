@@ -64,7 +64,7 @@ def star_measurement(
     time_ns = stamp_ns(message.header, receive_ns)
     frame(message.header.frame_id, config.frame_id)
     if message.status == STAR_INVALID:
-        raise Refused(Reason.TOO_FEW_STARS, "the sensor itself says INVALID")
+        raise Refused(Reason.TOO_FEW_STARS, "the sensor reports status INVALID")
     finite_numbers("azimuth, elevation, roll", message.azimuth, message.elevation, message.roll)
     azimuth, elevation, roll = message.azimuth, message.elevation, message.roll
     # Angles in degrees give themselves away where they exceed what radians can be.
@@ -188,7 +188,7 @@ def deflection(message: Any, receive_ns: int) -> ReadMessage[DeflectionReading]:
     # Written so that NaN fails.
     is_symmetric = bool(np.all(np.abs(covariance - covariance.T) <= 1e-6 * np.abs(np.trace(covariance))))
     if not (is_symmetric and np.linalg.eigvalsh(covariance)[0] > 0.0):
-        raise Refused(Reason.BAD_COVARIANCE, "covariance of (xi, eta): not symmetric and positive, or no number")
+        raise Refused(Reason.BAD_COVARIANCE, "covariance of (xi, eta): not symmetric, positive and finite")
     return ReadMessage(DeflectionReading(time_ns, np.array([message.xi, message.eta]), covariance), True)
 
 

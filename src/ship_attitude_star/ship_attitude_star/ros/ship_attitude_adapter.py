@@ -82,16 +82,16 @@ _STAR_TYPES = {
 }
 _WORDS = {
     Status.VALID: (Level.OK, "VALID: INS and stars"),
-    Status.COASTING: (Level.WARN, "COASTING: no star is used, the INS carries on with growing uncertainty"),
+    Status.COASTING: (Level.WARN, "COASTING: no star measurements, INS alone with growing uncertainty"),
     Status.DEGRADED: (Level.WARN, "DEGRADED"),
     Status.INVALID: (Level.ERROR, "INVALID: neither the INS nor stars give an attitude"),
 }
 _RATES = {
-    Rates.UNPROVEN: (Level.OK, "not judged yet: too little motion, or none are given"),
-    Rates.MEASURED: (Level.OK, "angular_velocity turns as the orientation does"),
+    Rates.UNPROVEN: (Level.OK, "not checked yet: too little motion, or no rates in the messages"),
+    Rates.MEASURED: (Level.OK, "angular_velocity is consistent with the orientation"),
     Rates.NOT_MEASURED: (
         Level.WARN,
-        "angular_velocity does not turn as the orientation does: not used (zero, noise, other axes, another unit?)",
+        "angular_velocity is not consistent with the orientation: not used (zero, noise, other axes, another unit?)",
     ),
     Rates.WRONG_UNITS: (Level.ERROR, "angular_velocity is in another unit than rad/s: the INS is not used"),
 }
@@ -157,7 +157,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
             files,
             start_from=self.start_from,
             to_save=self._alignment_to_save,
-            nothing="no star attitude was used yet: there is no alignment to save",
+            nothing="no alignment to save: no star attitude was used yet",
         )
         self.start_warnings = self._lacking = start_warnings(config)
         self._observed: tuple[int, DiagnosticStatus] | None = None
@@ -328,8 +328,8 @@ class ShipAttitudeAdapter(RecoveringAdapter):
             told = self.core.learnt()
             turn = hint_text(self.core.worthwhile_turn(latest.rotation_nd)) if sees else ""
             values = {f"{name} (sigma / before)": f"{left:.2f}" for name, left in told.left.items()}
-            values |= {"not told apart": "; ".join(told.open) or "nothing", "turn": turn or "none is worth it"}
-            text = turn or "no turn of the ship would tell much more"
+            values |= {"not told apart": "; ".join(told.open) or "nothing", "turn": turn or "none recommended"}
+            text = turn or "no turn of the ship would improve the attitude much"
             self._observed = state.time_ns, DiagnosticStatus("observability", Level.OK, text, values)
         return [self._observed[1]]
 
@@ -341,9 +341,9 @@ class ShipAttitudeAdapter(RecoveringAdapter):
                 return DiagnosticStatus("ins noise", Level.WARN, f"{contradicted}: raise it, or check the INS")
         excess = self.core.excess_noise
         if not excess:
-            text = "no more than ins.white_sigma_arcsec, as far as motion shows it"
+            text = "not larger than ins.white_sigma_arcsec, as far as the ship's motion shows it"
             return DiagnosticStatus("ins noise", Level.OK, text)
-        return DiagnosticStatus("ins noise", Level.WARN, f"ins/imu: {excess}; covariances count with it")
+        return DiagnosticStatus("ins noise", Level.WARN, f"ins/imu: {excess}; included in the covariances")
 
     def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
         """The attitude, the alignment at the start, the rates of the INS, conflicts with it, verdicts, clocks."""
@@ -397,13 +397,13 @@ def vertical_statuses(core: ShipAttitudeCore, latest: AttitudeEstimate | None) -
         return []
     known, lacking = core.deflection(latest.time_ns), core.vertical.told(latest.time_ns)
     if known is None:
-        text = lacking or "the latitude is known, by which the INS's error oscillates"
+        text = lacking or "the latitude for the error model of the INS is known"
         return [DiagnosticStatus("vertical", Level.WARN if lacking else Level.OK, text)]
     assert known.covariance is not None
     values_arcsec = [*known.deflection / ARCSEC, *np.sqrt(known.covariance.diagonal()) / ARCSEC]
     names = ("xi (arcsec)", "eta (arcsec)", "sigma of xi (arcsec)", "sigma of eta (arcsec)")
     values = {name: f"{value:.1f}" for name, value in zip(names, values_arcsec, strict=True)}
-    text = lacking or "the deflection of the vertical is known, or estimated"
+    text = lacking or "the deflection of the vertical is known or estimated"
     return [DiagnosticStatus("vertical", Level.WARN if lacking else Level.OK, text, values)]
 
 
@@ -469,7 +469,7 @@ def start_warnings(config: ShipAttitudeConfig) -> tuple[str, ...]:
     if config.star_sensors or config.references or config.ship_baseline.is_aboard:
         return ()
     lacking = "no star_sensors, no references and no ship_baseline are configured"
-    return (f"{lacking}: the attitude will be the INS's alone, DEGRADED, horizon GRAVITY",)
+    return (f"{lacking}: the attitude is that of the INS alone, DEGRADED, horizon GRAVITY",)
 
 
 def attitude_status(

@@ -45,8 +45,8 @@ _NOT_LOOKED_AT = (Reason.NO_FIX, Reason.NO_EARTH_ORIENTATION, Reason.FAILED, Rea
 
 _WORDS = {
     SolutionStatus.VALID: (Level.OK, "VALID"),
-    SolutionStatus.UNVERIFIED: (Level.WARN, "UNVERIFIED: too few stars to tell a misidentified one"),
-    SolutionStatus.ANGLES_SINGULAR: (Level.OK, "ANGLES_SINGULAR: near the zenith azimuth and roll mean nothing"),
+    SolutionStatus.UNVERIFIED: (Level.WARN, "UNVERIFIED: too few stars to detect a misidentified one"),
+    SolutionStatus.ANGLES_SINGULAR: (Level.OK, "ANGLES_SINGULAR: azimuth and roll are undefined near the zenith"),
     SolutionStatus.INVALID: (Level.WARN, "INVALID"),
 }
 
@@ -84,7 +84,7 @@ class StarAttitudeAdapter(BlockAdapter):
     services: ClassVar[tuple[str, ...]] = ("reset",)
     main_topic: ClassVar[str] = f"star/{JOINT}/solution"
     innovation_topic: ClassVar[str] = "star/innovation"
-    reset_text: ClassVar[str] = "all inputs are forgotten"
+    reset_text: ClassVar[str] = "all inputs are discarded"
     quiet_ticks: ClassVar[bool] = False
 
     def __init__(self, config: StarAttitudeConfig, factory: MessageFactory, files: Files = DISK) -> None:
@@ -99,7 +99,7 @@ class StarAttitudeAdapter(BlockAdapter):
             *OWN_OUTPUTS,
         )
         if not config.star_sensors:
-            self.start_warnings = ("no star_sensors are configured: there is nothing to solve",)
+            self.start_warnings = ("no star_sensors are configured: no attitude will be published",)
         self._solved: dict[str, tuple[Solved, int]] = {}
         super().__init__(config, StarCore(config, self._watch), factory)
 
@@ -143,7 +143,7 @@ class StarAttitudeAdapter(BlockAdapter):
             self._solved[solved.sensor_id] = solved, waiting_ns
             published += self._joint(solved) if solved.sensor_id == JOINT else self._single(solved, now_ns)
         for source, time_ns in outcome.not_joined:
-            text = "too late for the joint solution of its time; that of its sensor is published"
+            text = "too late for the joint solution of its time; its single-sensor solution is published"
             self.health.noted(_topic(source), Reason.LATE)
             published.append(self.refused(source, time_ns, Refusal(Reason.LATE, text)))
         return published
@@ -287,9 +287,9 @@ def sky_status(not_measured: Sequence[str], clock_jumps: int) -> DiagnosticStatu
         not_measured: quantities of the air that come from parameters.
         clock_jumps: how often the clock went back.
     """
-    text = "weather as measured"
+    text = "refraction with measured weather"
     if not_measured:
-        text = f"no weather: {', '.join(not_measured)} by parameters, with their larger sigma"
+        text = f"no weather: {', '.join(not_measured)} from parameters, with larger sigma"
     return DiagnosticStatus("sky", Level.OK, text, {"clock jumps back": str(clock_jumps)})
 
 

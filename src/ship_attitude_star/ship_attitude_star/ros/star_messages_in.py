@@ -166,7 +166,7 @@ def _left_out(
     """Stars that are not used, by name. Those beyond ``MOST_STARS`` are told once, by the first of them."""
     rows = [(row, refusal) for row, refusal in enumerate(refusals) if refusal is not None]
     if len(stars) > MOST_STARS:
-        text = f"{len(stars)} stars in one exposure: only the first {MOST_STARS} are looked at"
+        text = f"{len(stars)} stars in one exposure: only the first {MOST_STARS} are used"
         rows.append((MOST_STARS, Refusal(Reason.OVERFLOW, text)))
     numbers = {row: stars[row].catalogue_id for row, _ in rows if named_by_number}
     return tuple(
@@ -182,7 +182,7 @@ def _pixel_refusal(pixel: list[float], forward: float) -> Refusal | None:
     where = f"pixel ({pixel[0]:.6g}, {pixel[1]:.6g})"
     if not finite:
         return Refusal(Reason.NON_FINITE, where)
-    return Refusal(Reason.UNITS, f"{where} is nowhere in this camera's field: expected pixels from its corner")
+    return Refusal(Reason.UNITS, f"{where} is outside this camera's field of view: expected pixels from its corner")
 
 
 def _sigma_refusal(sigma_px: float) -> Refusal | None:

@@ -34,7 +34,7 @@ def position_fix(message: Any, config: SkyConfig, receive_ns: int) -> ReadMessag
     """
     time_ns = stamp_ns(message.header, receive_ns)
     if message.status.status <= _NO_FIX:
-        raise Refused(Reason.NO_FIX, "the receiver itself says that it has no fix (STATUS_NO_FIX)")
+        raise Refused(Reason.NO_FIX, "the receiver reports no fix (STATUS_NO_FIX)")
     finite_numbers("latitude, longitude", message.latitude, message.longitude)
     if abs(message.latitude) > 90.0 or abs(message.longitude) > 360.0:
         text = f"latitude {message.latitude:.9g}, longitude {message.longitude:.9g}: expected degrees, ±90 and ±180"
@@ -48,9 +48,9 @@ def position_fix(message: Any, config: SkyConfig, receive_ns: int) -> ReadMessag
         covariance_enu = covariance_3x3(message.position_covariance, "position_covariance")
     if covariance_enu is not None and covariance_enu.diagonal().max() > _LARGEST_POSITION_SIGMA_M**2:
         largest_m = np.sqrt(covariance_enu.diagonal().max())
-        raise Refused(Reason.BAD_COVARIANCE, f"position_covariance: a sigma of {largest_m:.3g} m is no fix")
+        raise Refused(Reason.BAD_COVARIANCE, f"position_covariance: sigma {largest_m:.3g} m is too large for a fix")
     if covariance_enu is not None and not covariance_enu.diagonal()[:2].all():
-        text = "position_covariance: a variance of zero beside others, but no receiver is exact in one direction"
+        text = "position_covariance: a horizontal variance is zero, although others are not"
         raise Refused(Reason.BAD_COVARIANCE, text)
     covariance_m2 = np.eye(3) * config.fix_sigma_m**2 if covariance_enu is None else horizon_covariance(covariance_enu)
     position = GeodeticPosition(np.deg2rad(message.latitude), np.deg2rad(message.longitude), height_m)
@@ -108,7 +108,7 @@ def _reading(
     if message.variance < 0.0:
         raise Refused(Reason.BAD_COVARIANCE, f"variance of {quantity} is negative: {message.variance:.6g}")
     if message.variance > (allowed[1] - allowed[0]) ** 2:
-        raise Refused(Reason.BAD_COVARIANCE, f"variance of {quantity} {message.variance:.6g}: that is no measurement")
+        raise Refused(Reason.BAD_COVARIANCE, f"variance of {quantity} {message.variance:.6g}: too large")
     sigma = None if message.variance == 0.0 else scale * float(np.sqrt(message.variance))
     # The error of the humidity is not used anywhere: nothing stands in for it.
     known = sigma is not None or quantity == "humidity"

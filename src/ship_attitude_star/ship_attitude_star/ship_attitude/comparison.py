@@ -194,12 +194,12 @@ def _baseline_compared(
     sigma_m = math.sqrt(float(along @ noise_n @ along) + device.length_sigma_m**2)
     # Written so that NaN is refused.
     if not abs(told_m - length_m) <= _LENGTH_SIGMAS * sigma_m:
-        text = f"the baseline came out {told_m:.3f} m long, and is {length_m:.3f} m (sigma {sigma_m:.3f} m)"
-        return Refusal(Reason.GATE, f"{text}: a wrong solution, or ship_baseline")
+        text = f"baseline length {told_m:.3f} m, expected {length_m:.3f} m (sigma {sigma_m:.3f} m)"
+        return Refusal(Reason.GATE, f"{text}: wrong RTK solution, or wrong parameters of ship_baseline")
     to_device = predicted.rotation_nv.T
     seen_v = to_device @ along
     if not seen_v[0] > 0.0:
-        return Refusal(Reason.GATE, "the baseline points the other way: are base and rover exchanged?")
+        return Refusal(Reason.GATE, "the baseline points in the opposite direction: are base and rover exchanged?")
     noise_v = to_device @ noise_n @ to_device.T / length_m**2
     turn_v = np.array([0.0, -seen_v[2], seen_v[1]]) / seen_v[0]
     return Compared(

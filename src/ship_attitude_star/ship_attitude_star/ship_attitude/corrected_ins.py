@@ -154,7 +154,7 @@ class CorrectedIns:
         if star_age_s <= coasting_after_s:
             return Status.VALID, ""
         if INS in self.state.excluded:
-            return Status.DEGRADED, "no star is used, and the INS contradicted the stars"
+            return Status.DEGRADED, "no star measurement is used, and the INS contradicted the stars"
         return Status.COASTING, ""
 
 

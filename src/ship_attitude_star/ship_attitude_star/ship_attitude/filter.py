@@ -239,7 +239,7 @@ class ShipFilter:
         if isinstance(found, NotCompared):
             return self._refused(state, measurement, found)
         if state.jumped_ns is not None and found.paired_ns <= state.jumped_ns:
-            before = Refusal(Reason.GAP, "the INS's attitude of before its jump tells nothing of that after it")
+            before = Refusal(Reason.GAP, "the matching attitude of the INS is from before its last jump")
             return self._refused(state, measurement, NotCompared(before, found.ins_time_ns))
         if isinstance(found.measured, AttitudeMeasurement):
             predicted = self._with_common(predicted, found.measured)
@@ -358,7 +358,7 @@ class ShipFilter:
             return state, ""
         state = changed(state, stack=state.stack * self._gate.reopen_factor, stays=NO_STAYS)
         state = self.suspects.begun_anew(changed(state, excluded=without(state.excluded, source)))
-        return state, f"; gate re-opened: covariance times {self._gate.reopen_factor:g}"
+        return state, f"; covariance inflated by a factor of {self._gate.reopen_factor:g}"
 
     def _used(self, state: FilterState, measurement: Measurement) -> FilterState:
         """The state, with a measurement that passed the gate, told of it."""
@@ -404,7 +404,7 @@ class ShipFilter:
         if run >= self._gate.conflict_after:
             reason = Reason.ATTITUDE_CONFLICT
             who = who_is_wrong(source, state.refusals, state.used_ns, state.departures, ins.rotation_nd, measured_nd)
-            text = f"{run} refusals in a row: {source} and the INS disagree{who}"
+            text = f"{run} rejections in a row: {source} and the INS disagree{who}"
         state, opened = self._reopened(state, source)
         return state, replace(decision, reason=reason, accepted=False, text=text + opened)
 
@@ -415,4 +415,4 @@ def _first(source: str, time_ns: int) -> Unconfirmed:
 
 
 def _jumped(since_ns: int) -> Unconfirmed:
-    return Unconfirmed(since_ns, "the INS has jumped, or may have", "stars")
+    return Unconfirmed(since_ns, "the INS has jumped, or may have jumped", "stars")

@@ -245,7 +245,7 @@ class Linearisation:
             return None
         ins = track.at(ins_time_ns)
         if ins is None:
-            text = "no INS samples on both sides of it: it cannot be compared"
+            text = "no INS samples on both sides of the measurement"
             return NotCompared(Refusal(Reason.GAP, text), ins_time_ns)
         alike = task.count_between(ins)
         if isinstance(measurement, _AGAINST_SKY):
@@ -279,7 +279,7 @@ class Linearisation:
         if around_ns:
             bent_d = _bent_by_offset(track, ins_time_ns, around_ns, ins)
             if bent_d is None:
-                text = "no INS samples around it, and the offset of its clock is not known"
+                text = "no INS samples around the measurement, and its clock offset is not known"
                 return NotCompared(Refusal(Reason.GAP, text), ins_time_ns + around_ns)
             ins = replace(ins, error_covariance_d=ins.error_covariance_d + task.count_within(_SAME_MOTION_S) * bent_d)
         return _Paired(measurement, ins, ins_time_ns, ins_time_ns + around_ns)
@@ -311,7 +311,7 @@ class Linearisation:
                 compared = there._replace(linear=linear, predicted_nv=expected.rotation_nv)
                 return Linearised(found.measurement, compared, paired.ins, found.paired_ns, until_ns)
             correction = reached
-        text = f"no estimate settles between what is expected and what it says, after {_MOST_STEPS} steps"
+        text = f"the linearisation did not converge in {_MOST_STEPS} iterations"
         return NotCompared(Refusal(Reason.GATE, text), until_ns)
 
     def _start(self, task: _Task, paired: _Paired, expected: PredictedAttitude) -> FloatArray:

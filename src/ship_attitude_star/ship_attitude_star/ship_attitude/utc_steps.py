@@ -76,11 +76,11 @@ def with_utc_compared(
         return changed(state, utc=None, doubt=None), decision
     state = changed(state, utc=UtcStep(utc.step_s, total))
     if total < _DECIDES:
-        text = f"the clocks stepped by {utc.step_s:+.3f} s: not used before UTC is compared with the INS"
+        text = f"the clocks stepped by {utc.step_s:+.3f} s: not used until UTC is verified with the INS"
         return state, replace(decision, accepted=False, reason=Reason.CLOCK, text=text)
     text = (
-        f"UTC differs by {utc.step_s:+.1f} s: since the clocks stepped the stars are turned about the pole by "
-        "15.04″ a second; set the clocks right, or call ~/reset if they were wrong before"
+        f"UTC differs by {utc.step_s:+.1f} s: since the clock step the stars are rotated about the pole by "
+        "15.04″ per second of the step; set the clocks right, or call ~/reset if they were wrong before"
     )
     state = changed(state, doubt=Doubt(text, np.outer(turn_n, turn_n)))
     return state, replace(decision, accepted=False, reason=Reason.ATTITUDE_CONFLICT, text=text)

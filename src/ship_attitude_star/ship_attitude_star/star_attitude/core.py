@@ -283,7 +283,7 @@ class StarCore:
             return False, told
         # Neither of the two is solved: a solution that is out already is taken back by one that claims nothing.
         self._contradictions.note(exposure.source, exposure.time_ns, told)
-        return True, replace(told, text="the same stamp with other content; do two sensors publish on one topic?")
+        return True, replace(told, text="the same stamp with different content: do two sensors publish on one topic?")
 
     def _wait(self, new: _Waiting) -> None:
         """Put an exposure among those that wait, in the place of one of the same sensor and stamp."""
@@ -344,7 +344,7 @@ class StarCore:
             exposure, waiting.refused, prior, self._watch, middle.noise_variance, middle.error_variance
         )
         if exposure.length is not None and exposure.smear_s is None and solved.valid:
-            text = f"ins/imu does not tell how the ship turned in {exposure.length.exposure_s:g} s of exposure"
+            text = f"no rotation of the ship from ins/imu during the exposure of {exposure.length.exposure_s:g} s"
             solved = replace(solved, text="; ".join(filter(None, [solved.text, text])))
         if solved.sources:
             rotation_ns, covariance_n = solved.solution.rotation_nb, solved.solution.covariance_n
@@ -376,7 +376,7 @@ class StarCore:
             return Refusal(Reason.CONFLICT, self._contradictions.text(contested))
         if source not in self._contradictions.at(time_ns):
             return None
-        text = f"its stars are used again when it has agreed with itself for {AGREES_AGAIN_AFTER_S:g} s"
+        text = f"its stars are used again after {AGREES_AGAIN_AFTER_S:g} s without a contradiction"
         return Refusal(Reason.CONFLICT, f"{self._contradictions.text([source])}: {text}")
 
     def _sensor(self, source: str) -> ObservingSensorConfig:

@@ -19,7 +19,7 @@ from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.rotations import FloatArray
 
 _SAME_FRAME: FloatArray = np.eye(3)
-_AGAINST_INS = "the stars agree with one another, but not with ins/imu"
+_AGAINST_INS = "the stars are consistent with each other, but not with ins/imu"
 
 
 @dataclass(frozen=True)

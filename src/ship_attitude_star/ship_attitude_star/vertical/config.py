@@ -30,8 +30,8 @@ class GravityConfig:
 
     deflection: str = parameter(
         NONE,
-        doc="where the deflection is known from; unknown: estimated alone; none: part of the INS's own slow error; "
-        "with ins.model schuler, as unknown, but not published",
+        doc="source of the deflection; unknown: only estimated; none: part of the correlated INS error, or with "
+        "ins.model schuler as unknown, but not published",
         choices=(NONE, UNKNOWN, CONSTANT, TABLE, TOPIC),
     )
     xi_arcsec: float = _component_arcsec("the constant deflection, northward")
@@ -42,24 +42,24 @@ class GravityConfig:
     table_eta_arcsec: tuple[float, ...] = _column("deflections of the table's rows, eastward", "arcsec", 300.0)
     table_reach_m: float = parameter(
         10_000.0,
-        doc="beyond this from the table's track, and between rows further apart, the table tells nothing",
+        doc="largest distance from the table's track, and between its rows, at which the table is used",
         unit="m",
         minimum=1.0,
         maximum=1e6,
     )
-    sigma_arcsec: float = arcsec(2.0, doc="error of the deflection that is given, each component")
+    sigma_arcsec: float = arcsec(2.0, doc="error of a known deflection (constant, table, topic), each component")
     unknown_sigma_arcsec: float = arcsec(
-        20.0, doc="the deflection where none is given, each component, by the sea (vertical.md); 0: there is none"
+        20.0, doc="deflection where it is not known, each component, for the sea area (vertical.md); 0: none"
     )
     correlation_length_m: float = parameter(
         30_000.0,
-        doc="way over ground on which either of the two changes",
+        doc="correlation length over ground of sigma_arcsec and unknown_sigma_arcsec",
         unit="m",
         minimum=100.0,
         maximum=1e6,
     )
     max_age_s: float = parameter(
-        600.0, doc="a message on gravity/deflection tells nothing after this", unit="s", minimum=1.0, maximum=1e6
+        600.0, doc="maximum age of a message on gravity/deflection", unit="s", minimum=1.0, maximum=1e6
     )
 
     @property
@@ -80,10 +80,10 @@ class GravityConfig:
                 text = f"parameter 'gravity.{name}' has {len(column)} values, table_latitude_deg has {rows}"
                 raise ParameterError(f"{text}: give one of each for every row", f"gravity.{name}")
             if not all(math.isfinite(value) for value in column):
-                raise ParameterError(f"parameter 'gravity.{name}' holds a value that is no number", f"gravity.{name}")
+                raise ParameterError(f"parameter 'gravity.{name}' has a value that is not finite", f"gravity.{name}")
         if self.deflection == TABLE and rows < 2:
             text = f"parameter 'gravity.table_latitude_deg' has {rows} rows, and gravity.deflection is 'table'"
             raise ParameterError(f"{text}: give two rows or more", "gravity.table_latitude_deg")
         if self.is_modelled and not self.unknown_sigma_arcsec > 0.0:
             name = "gravity.unknown_sigma_arcsec"
-            raise ParameterError(f"parameter '{name}' must be more than 0: no deflection is known to be none", name)
+            raise ParameterError(f"parameter '{name}' must be more than 0 if the deflection is a state", name)

@@ -130,7 +130,7 @@ class VerticalTrack:
         if index < len(self._stamps) and self._stamps[index] == given.time_ns:
             return same_stamp(self._messages[index], given)[1]
         if index == 0 and len(self._stamps) >= _MOST_MESSAGES:
-            return Refusal(Reason.LATE, "its stamp lies before what is remembered of its own source")
+            return Refusal(Reason.LATE, "its stamp is older than the stored messages of its source")
         return None
 
     def insert(self, given: "PositionFix | DeflectionReading") -> int | None:
@@ -169,16 +169,16 @@ class VerticalTrack:
         """What is lacking at a moment, for people; empty where all is known, or no deflection is ever given."""
         knot = self._knot(time_ns // STEP_NS)
         if self._config.deflection == NONE:
-            lacking = "no position fix: the INS's error oscillates as at another latitude"
+            lacking = "no position fix: the error model of the INS uses a wrong latitude"
             return "" if knot.place is not None else lacking
         if knot.here.given is not None or self._config.deflection in (CONSTANT, "unknown"):
             return ""
         if self._table is None:
             return f"no message on gravity/deflection within max_age_s = {self._config.max_age_s:g}"
         if knot.place is None:
-            return "no position fix: what the table says here is not known"
+            return "no position fix: the deflection table cannot be used"
         away_km = 1e-3 * self._table.away_m(knot.place.observer.position)
-        return f"the table has no row for the ship's place: the nearest is {away_km:.0f} km away (gravity.table_…)"
+        return f"no row of the deflection table near the ship: the nearest is {away_km:.0f} km away (gravity.table_…)"
 
     def _knot(self, step: int) -> _Knot:
         found = self._knots.get(step)
