@@ -135,7 +135,7 @@ def test_weather_is_taken_in_its_units(
         (humidity, np.inf, 0.0, "non_finite", "humidity"),
         (temperature, 20.0, -1.0, "bad_covariance", "negative"),
         (temperature, 20.0, np.nan, "non_finite", "variance"),
-        (temperature, 20.0, 1e300, "bad_covariance", "no measurement"),
+        (temperature, 20.0, 1e300, "bad_covariance", "too large"),
     ],
 )
 def test_bad_weather_is_refused(

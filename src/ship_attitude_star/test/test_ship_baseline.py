@@ -130,9 +130,9 @@ def test_errors_of_many_draws_are_as_large_as_said() -> None:
 @pytest.mark.parametrize(
     ("spoilt", "text"),
     [
-        (lambda vector_n: 1.02 * vector_n, "a wrong solution"),
+        (lambda vector_n: 1.02 * vector_n, "wrong RTK solution"),
         (lambda vector_n: -vector_n, "are base and rover exchanged?"),
-        (lambda vector_n: np.full(3, np.nan), "a wrong solution"),
+        (lambda vector_n: np.full(3, np.nan), "wrong RTK solution"),
     ],
 )
 def test_a_wrong_solution_is_refused_and_moves_nothing(spoilt: Any, text: str) -> None:

@@ -330,7 +330,7 @@ def test_a_sky_that_turns_moves_no_attitude_and_its_stars_return_when_it_is_back
     sailed = sailed_with(sky, seconds=150.0)
     assert {one.status for one in sailed.between(31.5, 60.0)} == {Status.DEGRADED}
     assert sailed.estimates[-1].status is Status.VALID
-    assert "refused" in sailed.between(40.0, 41.0)[0].text
+    assert "rejected" in sailed.between(40.0, 41.0)[0].text
     assert_honest(sailed)
 
 
