@@ -1,4 +1,4 @@
-"""Parameters of the ``ship_attitude`` node. Each states its unit, range and meaning; names are dotted."""
+"""Parameters of the ``ship_attitude`` node, with unit, range and meaning; parameter names are dotted."""
 
 import math
 from dataclasses import dataclass
@@ -34,21 +34,21 @@ from ship_geometry.rotations import FloatArray
 GEODETIC, GRAVITY = "geodetic", "gravity"
 
 FIXES = ("float", "fixed")
-"""Solutions of satellite positioning that tell a direction."""
+"""RTK solution types from which a direction is computed."""
 
 BY_INPUT = "by_input"
-"""What the messages of a star sensor share follows from their kind."""
+"""Shared error of a star sensor by its message type."""
 
 _SHORTEST_BASELINE_M = 0.3
-"""Below this a centimetre is two degrees: that tells no attitude."""
+"""Minimum baseline length, m; at this length an error of 1 cm is 2°."""
 
 _SOLVED_BEFORE = ("solution", "horizon_attitude")
-"""Inputs that are attitudes in the horizon already."""
+"""Inputs that are attitudes relative to the horizon."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class InsConfig(StarInsConfig, InsErrorConfig):
-    """The inertial navigation system."""
+    """Parameters of the inertial navigation system."""
 
     model: str = parameter(
         GAUSS_MARKOV,
@@ -68,7 +68,7 @@ class InsConfig(StarInsConfig, InsErrorConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class StarSensorConfig(MountingConfig):
-    """One star sensor: where it is bolted, how well that is known, how good it is."""
+    """Parameters of a star sensor: mounting, uncertainty of the mounting, noise and clock."""
 
     input: str = parameter(
         "horizon_attitude",
@@ -124,20 +124,20 @@ class StarSensorConfig(MountingConfig):
 
     @cached_property
     def sharing(self) -> str:
-        """What its messages share with others: SHARED_BY_SKY, SHARED_BY_MESSAGES or "none"."""
+        """Error shared with other sensors: SHARED_BY_SKY, SHARED_BY_MESSAGES or "none"."""
         if self.shared != BY_INPUT:
             return self.shared
         return "none" if self.input == "horizon_attitude" else SHARED_BY_SKY
 
     @property
     def looks_at_sky(self) -> bool:
-        """Whether the sky over the ship must be known here to use its messages."""
+        """True if its messages are used with the sky model."""
         return self.sharing == SHARED_BY_SKY
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReferenceConfig:
-    """Another attitude system: its turn against the INS, its noise, its clock against the INS's."""
+    """Parameters of another attitude system: mounting, noise and clock offset relative to the INS."""
 
     convention: str = parameter(
         "enu_flu", doc="axes of its messages: ENU <- FLU (REP-103) or NED <- FRD", choices=("enu_flu", "ned_frd")
@@ -187,7 +187,7 @@ def _metres(default: float, doc: str, least: float = -1000.0) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class ShipBaselineConfig:
-    """Two antennas aboard, from the one to the other; none where the three lengths are 0."""
+    """Parameters of the baseline between two antennas aboard; there is none if the three components are 0."""
 
     forward_m: float = _metres(0.0, "vector from the base antenna to the rover antenna, component toward the bow")
     up_m: float = _metres(0.0, "the same, upward component")
@@ -208,31 +208,31 @@ class ShipBaselineConfig:
 
     @property
     def vector_d(self) -> FloatArray:
-        """From the base antenna to the rover antenna, deck frame (bow, up, starboard), m, shape (3,)."""
+        """Vector from the base antenna to the rover antenna, deck frame (bow, up, starboard), m, shape (3,)."""
         return np.array([self.forward_m, self.up_m, self.right_m])
 
     @property
     def length_m(self) -> float:
-        """How long it is; 0 where there is none."""
+        """Length of the baseline, m; 0 for none."""
         return float(np.linalg.norm(self.vector_d))
 
     @property
     def is_aboard(self) -> bool:
-        """Whether the ship has one."""
+        """True if the ship has a baseline."""
         return self.length_m > 0.0
 
     @property
     def rotation_dv(self) -> FloatArray:
-        """Deck from baseline: forward along it, its other axes as those of a device without roll, shape (3, 3)."""
+        """Rotation deck from baseline, with forward along it and no roll, shape (3, 3)."""
         azimuth = math.atan2(self.right_m, self.forward_m)
         elevation = math.atan2(self.up_m, math.hypot(self.right_m, self.forward_m))
         return rotation_from_angles(azimuth, elevation, 0.0)
 
     def __post_init__(self) -> None:
-        """Check what belongs together.
+        """Check parameters that depend on each other.
 
         Raises:
-            ParameterError: names the parameter.
+            ParameterError: two parameters contradict each other.
         """
         if self.is_aboard and not self.length_m >= _SHORTEST_BASELINE_M:
             name = "ship_baseline.forward_m"
@@ -242,7 +242,7 @@ class ShipBaselineConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class ShipIntegrityConfig(IntegrityConfig):
-    """Protection levels of a ship, and who is excluded."""
+    """Parameters of protection levels and fault exclusion of a ship."""
 
     pairs: bool = parameter(
         False,
@@ -298,20 +298,20 @@ class ShipAttitudeConfig(StarSensorsById):
 
     @property
     def models_deflection(self) -> bool:
-        """True if the deflection of the vertical is a state; without a source of it only where it drives the INS."""
+        """True if the deflection of the vertical is a state; without a source of it only with ins.model schuler."""
         drives_ins = self.ins.model == SCHULER and self.gravity.unknown_sigma_arcsec > 0.0
         return self.gravity.is_modelled or drives_ins
 
     @property
     def follows_vertical(self) -> bool:
-        """Whether the INS's error goes on with the ship's place."""
+        """True if the INS error model depends on the ship's position."""
         return self.models_deflection or self.ins.model == SCHULER
 
     def __post_init__(self) -> None:
-        """Check what belongs together.
+        """Check parameters that depend on each other.
 
         Raises:
-            ParameterError: names the parameter.
+            ParameterError: two parameters contradict each other.
         """
         super().__post_init__()
         if self.horizon == GRAVITY and not self.gravity.is_modelled:
