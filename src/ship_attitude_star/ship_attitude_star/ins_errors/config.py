@@ -1,4 +1,4 @@
-"""Parameters of an INS whose error oscillates as that of free gyroscopes and accelerometers does."""
+"""Parameters of an INS with the Schuler error model."""
 
 import math
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ _RADIUS_M = 6_371_000.0
 
 @dataclass(frozen=True, kw_only=True)
 class SchulerConfig:
-    """The sensors of an INS, by which its tilt and its velocity go wrong; used where ins.model is schuler."""
+    """Errors of the INS sensors; used if ins.model is schuler."""
 
     velocity_sigma_m_per_s: float = parameter(
         0.3, doc="error of the INS velocity at the start, each axis", unit="m/s", minimum=0.0, maximum=100.0
@@ -53,17 +53,17 @@ class SchulerConfig:
 
     @property
     def is_free(self) -> bool:
-        """Whether the INS finds its velocity and its latitude by itself."""
+        """True if velocity and latitude of the INS are not damped by position aiding."""
         return self.damping_time_s == 0.0
 
     @property
     def latitude_sigma(self) -> float:
-        """Sigma of its latitude at the start, rad."""
+        """Standard deviation of its latitude at the start, rad."""
         return self.position_sigma_m / _RADIUS_M if self.is_free else 0.0
 
     @property
     def gyro_drift(self) -> float:
-        """Sigma of the gyroscopes' drift, rad/s."""
+        """Standard deviation of the gyroscope drift, rad/s."""
         return math.radians(self.gyro_drift_sigma_deg_per_h) / _HOUR_S
 
     @property

@@ -1,4 +1,4 @@
-"""Parameters of the ``star_attitude`` node. Each states its unit, range and meaning; names are dotted."""
+"""Parameters of the ``star_attitude`` node, with unit, range and meaning; parameter names are dotted."""
 
 from dataclasses import dataclass
 
@@ -11,14 +11,14 @@ from ship_estimation.parameter_fields import mapping_of, parameter, section, sou
 
 @dataclass(frozen=True, kw_only=True)
 class ObservingSensorConfig(MountingConfig):
-    """One star sensor whose ``star/<id>/observations`` are solved."""
+    """Parameters of a star sensor whose ``star/<id>/observations`` are solved."""
 
     camera: GivenCameraConfig = section(GivenCameraConfig)
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointConfig:
-    """Which exposures of different sensors make one attitude of the deck."""
+    """Parameters for joining exposures of different sensors to one attitude of the deck."""
 
     window_s: float = parameter(
         0.1,

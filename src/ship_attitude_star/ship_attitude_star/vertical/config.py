@@ -1,4 +1,4 @@
-"""Parameters of the deflection of the vertical: where it is known from, how well, and how fast it changes."""
+"""Parameters of the deflection of the vertical: source, uncertainty and correlation length."""
 
 import math
 from dataclasses import dataclass
@@ -23,9 +23,9 @@ def _column(doc: str, unit: str, most: float) -> tuple[float, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class GravityConfig:
-    """The deflection of the vertical, which an INS that levels itself on gravity has in its tilt.
+    """Parameters of the deflection of the vertical, which is part of the tilt of an INS levelled by gravity.
 
-    The components are those of gravity's zenith: xi northward, eta eastward.
+    The components are those of the gravity zenith: xi northward, eta eastward.
     """
 
     deflection: str = parameter(
@@ -64,14 +64,14 @@ class GravityConfig:
 
     @property
     def is_modelled(self) -> bool:
-        """Whether the deflection is told apart from the INS's own error."""
+        """True if the deflection is a state separate from the INS error."""
         return self.deflection != NONE
 
     def __post_init__(self) -> None:
-        """Check what belongs together.
+        """Check parameters that depend on each other.
 
         Raises:
-            ParameterError: names the parameter.
+            ParameterError: the table is incomplete, or a value is missing or not finite.
         """
         rows = len(self.table_latitude_deg)
         for name in _TABLE_COLUMNS:
