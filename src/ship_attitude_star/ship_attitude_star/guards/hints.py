@@ -58,9 +58,9 @@ def who_is_wrong(
 
     Args:
         source: source that disagrees with the INS.
-        refusals: number of consecutive rejections by source.
-        used_ns: stamp of the last accepted measurement by source, ns.
-        departures: residual of the last rejected measurement by source.
+        consecutive_rejections: number of consecutive rejections by source.
+        last_used_ns: stamp of the last accepted measurement by source, ns.
+        rejected_residuals: residual of the last rejected measurement by source.
         ins_nd: attitude of the deck by the INS, shape (3, 3).
         measured_nd: attitude of the deck by the source, shape (3, 3).
     """
@@ -110,8 +110,8 @@ def odd_one_out(source: str, agreeing: Sequence[str], disagreeing: Mapping[str, 
 
     Args:
         source: source that disagrees with the INS.
-        agreeing: other sources, consistent with the INS.
-        disagreeing: residuals of the sources that disagree with the INS, ``source`` included.
+        consistent: other sources, consistent with the INS.
+        inconsistent: residuals of the sources that disagree with the INS, ``source`` included.
     """
     others = [other for other in disagreeing if other != source]
     if agreeing and not others:

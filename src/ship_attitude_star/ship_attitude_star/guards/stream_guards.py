@@ -24,7 +24,7 @@ class StreamGuards:
 
     Attributes:
         ins: check of the INS samples.
-        witnesses: last used attitude by source, as motion references for the checks of other sources.
+        motion_references: last used attitude by source, as motion references for the checks of other sources.
     """
 
     def __init__(self, config: GuardedInsConfig) -> None:

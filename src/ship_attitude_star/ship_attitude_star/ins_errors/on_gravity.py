@@ -22,7 +22,7 @@ class InsErrors(NamedTuple):
 
     Attributes:
         error_n: attitude error (north, up, east), rad, shape (N, 3).
-        parts: covariance of attitude error and time offset by error source, shape (N, n_sources, 4, 4).
+        covariance_by_source: covariance of attitude error and time offset by error source, shape (N, n_sources, 4, 4).
         deflection: (xi, eta), rad, shape (N, 2); (N, 0) if it is not modelled.
         deflection_covariance: covariance of the deflection, rad², shape (N, 2, 2), or (N, 0, 0).
         vertical_known: True if the deflection is known, or estimated better than half its prior, shape (N,).
@@ -73,7 +73,7 @@ class OnGravity:
             since_ns: time of the state; None before the first measurement.
             before: vertical at that time; None before the first measurement.
             mean: mean of the n states that correct the INS, shape (n,).
-            parts: their covariance by error source, shape (n_sources, n, n).
+            covariance_by_source: their covariance by error source, shape (n_sources, n, n).
             times_ns: N times, none before that of the state, in ascending order.
         """
         verticals = [self._vertical.at(time_ns) for time_ns in times_ns]

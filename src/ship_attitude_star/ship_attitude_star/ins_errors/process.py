@@ -78,9 +78,9 @@ class DeflectionChange(NamedTuple):
     """Change of the deflection d over a distance: remaining_ratio * d + shift, with added noise.
 
     Attributes:
-        left: remaining ratio of the earlier deflection.
-        moved: shift, rad, shape (2,).
-        fresh: covariance of the added error, rad², shape (2, 2).
+        remaining_ratio: remaining ratio of the earlier deflection.
+        shift: shift, rad, shape (2,).
+        noise: covariance of the added error, rad², shape (2, 2).
     """
 
     left: float

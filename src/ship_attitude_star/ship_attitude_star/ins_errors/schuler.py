@@ -51,7 +51,7 @@ class _Knot(NamedTuple):
     Attributes:
         step: index of the step.
         here: vertical from this step on.
-        carried: propagation up to this step, for one time, without the time axis.
+        propagation: propagation up to this step, for one time, without the time axis.
     """
 
     step: int
@@ -65,7 +65,7 @@ class _Way(NamedTuple):
     Attributes:
         since_ns: start time.
         before: vertical at the start time.
-        knots: the last steps.
+        checkpoints: the last steps.
     """
 
     since_ns: int

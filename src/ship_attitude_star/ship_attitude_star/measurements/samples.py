@@ -79,7 +79,7 @@ class SolvedAttitude(AttitudeMeasurement):
     noise covariance.
 
     Attributes:
-        noise_told: False if the message contains only one covariance for all errors.
+        has_noise_covariance: False if the message contains only one covariance for all errors.
     """
 
     noise_told: bool = True
@@ -109,10 +109,11 @@ class AttitudeEstimate:
     Attributes:
         time_ns: time of validity.
         rotation_nd: horizon from deck, shape (3, 3); NaN if INVALID.
-        covariance_parts_n: error covariance by error source, rotation vector in the horizon frame, rad²,
+        covariance_by_source_n: error covariance by error source, rotation vector in the horizon frame, rad²,
             shape (n_sources, 3, 3).
         covariance_n: total error covariance, shape (3, 3).
-        undisputed_n: covariance without the inflation for solution separations; used for the protection levels.
+        covariance_without_separation_n: covariance without the inflation for solution separations; used for the
+            protection levels.
         rate_d: angular velocity in the deck frame, rad/s, shape (3,).
         status: status of the attitude.
         horizon: horizon of the attitude.
@@ -143,9 +144,9 @@ class AttitudeRun:
     Attributes:
         time_ns: times in ascending order, shape (N,).
         rotation_nd: shape (N, 3, 3).
-        covariance_parts_n: shape (N, n_sources, 3, 3).
+        covariance_by_source_n: shape (N, n_sources, 3, 3).
         covariance_n: shape (N, 3, 3).
-        undisputed_n: shape (N, 3, 3).
+        covariance_without_separation_n: shape (N, 3, 3).
         rate_d: shape (N, 3).
         status: N statuses.
         horizon: shape (N,).

@@ -1,7 +1,7 @@
 """Readers of attitude, baseline and deflection messages: checks, and conversion to the structs of the cores.
 
 They read attributes only, so any message class can be used. A message that cannot be used raises
-:class:`ship_node.edge.messages_in.Refused`.
+:class:`ship_node.edge.messages_in.MessageRejected`.
 """
 
 from dataclasses import replace
@@ -59,7 +59,7 @@ def star_measurement(
     """Read ``star/<sensor>/horizon_attitude`` or ``.../solution``: attitude of the sensor relative to the horizon.
 
     Raises:
-        Refused: the message cannot be used; contains the reason.
+        MessageRejected: the message cannot be used; contains the reason.
     """
     time_ns = stamp_ns(message.header, receive_ns)
     frame(message.header.frame_id, config.frame_id)
@@ -107,10 +107,10 @@ def attitude_read(
         total_n: covariance of the total error, rotation vector in the horizon frame, rad², shape (3, 3).
         noise_n: covariance of the error that is independent between epochs, in the same frame.
         sharing: configured shared error of the sensor.
-        noise_told: True if the message contains a separate noise covariance.
+        has_noise_covariance: True if the message contains a separate noise covariance.
 
     Raises:
-        Refused: the noise covariance is larger than the total covariance.
+        MessageRejected: the noise covariance is larger than the total covariance.
     """
     noise_s = rotation_ns.T @ noise_n @ rotation_ns
     told = AttitudeMeasurement(source, time_ns, rotation_ns, noise_s, _common_covariance(total_n, noise_n))
@@ -135,7 +135,7 @@ def inertial_attitude(
     """Read ``star/<sensor>/inertial_attitude``: attitude of the sensor relative to the ICRS.
 
     Raises:
-        Refused: the message cannot be used; contains the reason.
+        MessageRejected: the message cannot be used; contains the reason.
     """
     time_ns = stamp_ns(message.header, receive_ns)
     device_id("sensor_id", message.sensor_id, sensor_id)
@@ -155,7 +155,7 @@ def reference_measurement(
     """Read ``reference/<name>/imu``: attitude of another system; its covariance is that of white noise.
 
     Raises:
-        Refused: the message cannot be used; contains the reason.
+        MessageRejected: the message cannot be used; contains the reason.
     """
     time_ns = stamp_ns(message.header, receive_ns)
     frame(message.header.frame_id, config.frame_id)
@@ -174,7 +174,7 @@ def deflection(message: Any, receive_ns: int) -> ReadMessage[DeflectionReading]:
     """Read ``gravity/deflection``: deflection of the vertical at the ship.
 
     Raises:
-        Refused: the message cannot be used; contains the reason.
+        MessageRejected: the message cannot be used; contains the reason.
     """
     time_ns = stamp_ns(message.header, receive_ns)
     finite_numbers("xi, eta", message.xi, message.eta)
@@ -196,7 +196,7 @@ def baseline(message: Any, receive_ns: int, config: ShipBaselineConfig) -> ReadM
     """Read ``ship/baseline``: vector between two antennas aboard.
 
     Raises:
-        Refused: the message cannot be used; contains the reason.
+        MessageRejected: the message cannot be used; contains the reason.
     """
     time_ns = baseline_stamp_ns(message, config, receive_ns)
     refusal = not_fixed(message, config.least_fix)
@@ -227,7 +227,7 @@ def _common_covariance(total_n: FloatArray, noise_n: FloatArray) -> FloatArray:
     """Return the covariance of the error common to successive solutions: total minus noise, not negative.
 
     Raises:
-        Refused: the noise covariance is larger than the total covariance.
+        MessageRejected: the noise covariance is larger than the total covariance.
     """
     difference_n = total_n - noise_n
     if not difference_n.any():

@@ -188,11 +188,11 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         return ShipAttitudeCore(config, watch)
 
     def takes_blocks(self, topic: str) -> bool:
-        """See :meth:`BlockAdapter.takes_blocks`; smoothing needs single samples."""
+        """See :meth:`BatchAdapter.accepts_batches`; smoothing needs single samples."""
         return super().takes_blocks(topic) and not isinstance(self.core, SmoothingCore)
 
     def published(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[Published]:
-        """See :meth:`ReportingAdapter.published`; smoothed attitudes follow."""
+        """See :meth:`ReportingAdapter.report_outcome`; smoothed attitudes follow."""
         published = super().published(outcome, now_ns, waiting_ns)
         if isinstance(self.core, SmoothingCore):
             try:
@@ -267,7 +267,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         return read, functools.partial(rows_in.star_attitudes, sensor_id=id_, config=star)
 
     def block_messages(self, runs: Sequence[AttitudeRun]) -> Iterator[PublishedRows]:
-        """See :meth:`BlockAdapter.block_messages`."""
+        """See :meth:`BatchAdapter.batch_messages`."""
         rows = attitude_rows(self.factory, AttitudeNumbers.of(runs), self._rate_sigma, self.config.frames)
         return (each for each in rows if each.topic != TF_TOPIC or self.config.publish_tf)
 
@@ -487,7 +487,7 @@ def attitude_status(
     Args:
         estimate: last attitude.
         clock_jumps: number of backward jumps of the clock.
-        lacking: missing parts of the configuration (:func:`start_warnings`).
+        missing_configuration: missing parts of the configuration (:func:`start_warnings`).
     """
     values = {"clock jumps back": str(clock_jumps)}
     if estimate is None:

@@ -62,7 +62,7 @@ class SeenStars:
     Attributes:
         time_ns: stamp of the exposure.
         exposure: the usable stars.
-        refused: the rejected stars of the message.
+        rejected_stars: the rejected stars of the message.
     """
 
     time_ns: int
@@ -207,7 +207,7 @@ def seen_stars(message: Any, **sensor: Any) -> ReadMessage[SeenStars]:
         sensor: arguments of :func:`star_exposure`.
 
     Raises:
-        Refused: the whole message cannot be used.
+        MessageRejected: the whole message cannot be used.
     """
     read = star_exposure(message, **sensor, named_by_number=True)
     source, time_ns, refused = read.value.source, read.value.time_ns, []

@@ -1,8 +1,8 @@
 """Reader of star observation messages: checks, directions and identities; shared by all adapters of cameras.
 
 Only attributes of messages are read, so any message class can be used. A message that cannot be used raises
-:class:`ship_node.edge.messages_in.Refused`. A star that cannot be used is rejected with its reason, and the other stars
-of the message are used.
+:class:`ship_node.edge.messages_in.MessageRejected`. A star that cannot be used is rejected with its reason, and the
+other stars of the message are used.
 """
 
 import math
@@ -93,7 +93,7 @@ def star_exposure(
         The exposure with the usable stars; the other stars of the message are rejected.
 
     Raises:
-        Refused: the whole message cannot be used.
+        MessageRejected: the whole message cannot be used.
     """
     time_ns = stamp_ns(message.header, receive_ns)
     device_id("sensor_id", message.sensor_id, sensor_id)

@@ -35,7 +35,7 @@ class _Stretch(NamedTuple):
         state: the filter state.
         start: index of the first sample.
         stop: index after the last sample.
-        doubts: for each sample a text if a source contradicted itself, else empty; None if no source did.
+        contradiction_texts: for each sample a text if a source contradicted itself, else empty; None if no source did.
     """
 
     state: FilterState
@@ -52,11 +52,11 @@ class InsAhead:
         samples: samples of the batch, from the first of the block.
         block: samples as arrays.
         arrivals_ns: arrival times, in the time of waiting.
-        followed: results of the INS check, including a last sample that needs separate handling.
-        before: rates of the samples before the batch.
-        extra: noise of the samples in excess of the stated noise; None for none.
-        taken: number of committed samples.
-        told: index of a sample and its outcome besides an attitude, not yet retrieved.
+        checked: results of the INS check, including a last sample that needs separate handling.
+        previous_rates: rates of the samples before the batch.
+        extra_noise: noise of the samples in excess of the stated noise; None for none.
+        committed_count: number of committed samples.
+        pending_outcomes: index of a sample and its outcome besides an attitude, not yet retrieved.
     """
 
     samples: list[AttitudeSample]
@@ -87,7 +87,7 @@ class InsAhead:
 
         Args:
             corrected_by: returns the corrections by a filter state.
-            moved_s: returns the time by which a sample is propagated with these corrections, s.
+            propagation_s: returns the time by which a sample is propagated with these corrections, s.
             config: configuration of the node.
 
         Returns:

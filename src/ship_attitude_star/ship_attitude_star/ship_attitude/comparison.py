@@ -64,14 +64,14 @@ class Compared(NamedTuple):
 
     Attributes:
         linear: residual, rad, shape (m,), its Jacobian by the state and its noise by source.
-        by_turn: derivative of the residual by a rotation vector of the device in its frame, shape (m, 3).
+        rotation_jacobian: derivative of the residual by a rotation vector of the device in its frame, shape (m, 3).
         components: names of the residual components.
         rotation_nv: measured attitude, horizon from device, shape (3, 3); the predicted one if the single stars are
             consistent with it.
         predicted_nv: predicted attitude, horizon from device, shape (3, 3).
         attitude_noise_v: noise of a measured attitude, rotation vector in the device frame, rad², shape (3, 3); zero
             for single stars.
-        left_out: rejected stars by name.
+        rejected_stars: rejected stars by name.
     """
 
     linear: LinearMeasurement
@@ -133,7 +133,7 @@ def compare(
         model: state vector.
         mean: mean of the state, shape (n,).
         covariance: covariance of the state, shape (n, n).
-        watch: sky model; None if no sensor needs it.
+        sky_model: sky model; None if no sensor needs it.
         expected: attitude of the device at the predicted mean, if ``mean`` is another linearisation point; stars are
             selected with it.
 

@@ -77,8 +77,8 @@ class ShipAttitudeCore:
 
     Args:
         config: parameters of the node.
-        watch: sky model; None if no sensor needs it.
-        closed: called with states that can no longer change, in order; None if they are not needed.
+        sky_model: sky model; None if no sensor needs it.
+        on_commit: called with states that can no longer change, in order; None if they are not needed.
     """
 
     filter_class: ClassVar[type[ShipFilter]] = ShipFilter

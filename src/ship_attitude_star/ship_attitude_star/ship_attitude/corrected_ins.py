@@ -48,13 +48,14 @@ class CorrectedIns:
             measurement.
         newest_star_ns: stamp of the last accepted star measurement; None for none.
         error_n: estimated correlated error, rad, shape (3,).
-        lasting: nonzero for the components that do not decay, because they exceed the error model, shape (3,), uint8.
-        parts: covariance of correlated error and time offset by error source, shape (n_sources, 4, 4), or
-            (n_sources, 6, 6) with the deflection of the vertical.
-        of_filter: model constants: correlation time, steady-state variance and white variance, shape (3,) each, and the
-            indices of the error sources INS drift, INS noise and interpolation.
+        exceeds_model: nonzero for the components that do not decay, because they exceed the error model, shape (3,),
+            uint8.
+        covariance_by_source: covariance of correlated error and time offset by error source, shape (n_sources, 4, 4),
+            or (n_sources, 6, 6) with the deflection of the vertical.
+        model_constants: model constants: correlation time, steady-state variance and white variance, shape (3,) each,
+            and the indices of the error sources INS drift, INS noise and interpolation.
         drift_index: index of the error source INS drift.
-        on_gravity: propagation of the INS error if the filter needs the vertical; else None.
+        error_propagation: propagation of the INS error if the filter needs the vertical; else None.
     """
 
     def __init__(self, filter_: ShipFilter, state: FilterState, horizon: str = GEODETIC) -> None:
@@ -167,9 +168,9 @@ def corrected_attitudes(
 
     Args:
         corrected: corrections by states of one filter.
-        by: index of the corrections of each attitude, shape (N,).
+        state_index: index of the corrections of each attitude, shape (N,).
         since_s: time from the state to each attitude, at least 0, s, shape (N,).
-        moved: INS samples propagated by the time offset.
+        propagated: INS samples propagated by the time offset.
 
     Returns:
         Shapes (N, 3, 3) and (N, n_sources, 3, 3).
@@ -223,7 +224,7 @@ def estimates_by(
         corrected: corrections by states of one filter.
         counts: number of successive samples of each of these states, at least one.
         time_ns: stamps, in ascending order, shape (N,).
-        moved: samples propagated by the time offset.
+        propagated: samples propagated by the time offset.
         config: configuration of the node.
     """
     by = np.repeat(np.arange(len(counts), dtype=np.intp), counts)

@@ -192,7 +192,7 @@ class ShipFilter:
             state: state after the previous measurement.
             measurement: measurement of any kind.
             track: attitudes of the INS.
-            watch: sky model; None if no sensor needs it.
+            sky_model: sky model; None if no sensor needs it.
             may_wait: True if INS samples may still arrive.
 
         Returns:
@@ -271,7 +271,7 @@ class ShipFilter:
             state: state before the measurement.
             predicted: ``state`` propagated to the time of the measurement.
             measurement: the measurement.
-            found: the linearised measurement.
+            linearised: the linearised measurement.
 
         Returns:
             The next state and the decision.

@@ -55,7 +55,7 @@ class InsAtFault:
     Args:
         config: configuration of the node.
         model: state vector.
-        table: the filters.
+        subfilters: the filters.
     """
 
     def __init__(self, config: ShipAttitudeConfig, model: ShipStateModel, table: RowTable) -> None:
@@ -71,7 +71,7 @@ class InsAtFault:
 
         Args:
             mean: estimated errors, shape (n,).
-            parts: covariance by error source, shape (n_sources, n, n).
+            covariance_by_source: covariance by error source, shape (n_sources, n, n).
 
         Returns:
             Shapes (h, n) and (n_sources + h - 1, n, n).
@@ -103,7 +103,7 @@ class InsAtFault:
         Args:
             state: state propagated to the time of the measurement.
             source: source of the measurement.
-            compared: innovations of all filters.
+            innovations: innovations of all filters.
             predicted_nv: attitude of the device predicted by the main filter, shape (3, 3).
             gate: threshold of the NIS.
 
@@ -170,8 +170,8 @@ class InsAtFault:
 
         Args:
             state: state after the measurement.
-            compared: innovations of all filters.
-            agrees: True if the source's recent innovations are consistent with the main filter.
+            innovations: innovations of all filters.
+            is_consistent: True if the source's recent innovations are consistent with the main filter.
             time_ns: stamp of the measurement.
         """
         turn = compared.turn[0]

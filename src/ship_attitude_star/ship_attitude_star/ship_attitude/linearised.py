@@ -57,14 +57,14 @@ class Linearised(NamedTuple):
     """A linearised measurement.
 
     Attributes:
-        measured: the measurement as compared; an attitude relative to the ICRS is converted to the horizon.
+        measurement: the measurement as compared; an attitude relative to the ICRS is converted to the horizon.
         compared: the comparison at the linearisation point x. Its ``linear.residual`` is relative to the predicted
             mean: measured - predicted(x) + jacobian @ (x - mean). One Kalman step with it from the predicted state
                 leads
             to the estimate. Its NIS is the least sum of squares of prediction and measurement over all states: chi²
             distributed with as many degrees of freedom as residuals.
         ins: matched attitude of the INS.
-        paired_ns: stamp of the matched INS attitude.
+        matched_ins_ns: stamp of the matched INS attitude.
         ins_time_ns: latest INS stamp that the comparison depends on.
     """
 
@@ -80,7 +80,7 @@ class NotCompared:
     """A measurement that cannot be evaluated.
 
     Attributes:
-        refusal: the reason.
+        rejection: the reason.
         ins_time_ns: latest INS stamp that this depends on.
     """
 
@@ -101,9 +101,9 @@ class _Task(NamedTuple):
         device: device that measured.
         mean: mean of the predicted state, shape (n,).
         covariance: covariance of the predicted state, shape (n, n).
-        used_ns: stamp of the last accepted measurement by source, ns.
+        last_used_ns: stamp of the last accepted measurement by source, ns.
         track: attitudes of the INS.
-        watch: sky model.
+        sky_model: sky model.
         may_wait: True if INS samples may still arrive.
         offset_sigma_s: standard deviation of the clock offset, s.
     """
@@ -205,9 +205,9 @@ class Linearisation:
             measurement: measurement of any kind.
             mean: mean of the predicted state, shape (n,).
             covariance: covariance of the predicted state, shape (n, n).
-            used_ns: stamp of the last accepted measurement by source, ns.
+            last_used_ns: stamp of the last accepted measurement by source, ns.
             track: attitudes of the INS.
-            watch: sky model; None if no sensor needs it.
+            sky_model: sky model; None if no sensor needs it.
             may_wait: True if INS samples may still arrive.
 
         Returns:

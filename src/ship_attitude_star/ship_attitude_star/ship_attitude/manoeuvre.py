@@ -62,9 +62,9 @@ class TurnHint(NamedTuple):
     Attributes:
         turn_deg: change of heading, °.
         quantity: "heading" or "tilt".
-        now: present standard deviation of the quantity, rad.
-        on_course: predicted standard deviation after 15 min on this course, rad.
-        after: predicted standard deviation after the turn and 15 min on the new heading, rad.
+        sigma_now: present standard deviation of the quantity, rad.
+        sigma_on_course: predicted standard deviation after 15 min on this course, rad.
+        sigma_after_turn: predicted standard deviation after the turn and 15 min on the new heading, rad.
     """
 
     turn_deg: float
@@ -83,7 +83,7 @@ def worthwhile_turn(
         filter_: filter and model.
         state: filter state after a measurement.
         rotation_nd: attitude of the ship, shape (3, 3).
-        lately: recent measurements by source.
+        recent_sources: recent measurements by source.
     """
     if state.time_ns is None:
         return None
@@ -129,9 +129,9 @@ class _Stretch(NamedTuple):
     Särkkä and Á. F. García-Fernández, Temporal parallelization of Bayesian smoothers, 2021, lemma 8).
 
     Attributes:
-        left: transition of the states, shape (n, n).
-        added: covariance added to the states, shape (n, n).
-        known: information about the states before, shape (n, n).
+        transition: transition of the states, shape (n, n).
+        noise: covariance added to the states, shape (n, n).
+        information: information about the states before, shape (n, n).
     """
 
     left: FloatArray

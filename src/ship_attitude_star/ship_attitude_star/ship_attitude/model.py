@@ -128,10 +128,10 @@ class DeviceChain:
     Attributes:
         links: index of the first state of each rotation, from the device outwards, shape (k,).
         fixed: constant rotation to the left of each link, shape (k, 3, 3).
-        hull: index of the last link of the hull; the INS attitude is to its left.
-        white: index of the link of the white INS noise.
-        clocks: indices of the states that shift the INS time, shape (c,).
-        signs: signs of these states, shape (c,).
+        hull_link: index of the last link of the hull; the INS attitude is to its left.
+        noise_link: index of the link of the white INS noise.
+        clock_states: indices of the states that shift the INS time, shape (c,).
+        clock_signs: signs of these states, shape (c,).
     """
 
     links: NDArray[np.intp]
@@ -146,13 +146,13 @@ class ShipStateModel(StateModel):
     """The state vector of a configuration.
 
     Attributes:
-        chains: chain of rotations of each device, by name.
-        sky_rows: slice of the states of errors that all stars share, in the order of SHARED_TERMS; empty if no sensor
+        rotation_chains: chain of rotations of each device, by name.
+        sky_slice: slice of the states of errors that all stars share, in the order of SHARED_TERMS; empty if no sensor
             depends on the sky model.
-        shared_rows: slices of the states that attitudes share, by :attr:`AttitudeMeasurement.shared_by`.
-        slow: standard deviation and correlation time of the INS attitude error.
+        shared_slices: slices of the states that attitudes share, by :attr:`AttitudeMeasurement.shared_by`.
+        ins_attitude_block: standard deviation and correlation time of the INS attitude error.
         ins_process: error process of the INS; None if each axis is a first-order Gauss-Markov process.
-        process_rows: indices of the states of that process; those of ``ins.attitude`` without one.
+        process_indices: indices of the states of that process; those of ``ins.attitude`` without one.
     """
 
     def __init__(self, config: ShipAttitudeConfig) -> None:

@@ -27,8 +27,9 @@ class ToldStates(NamedTuple):
     """Observability of the states.
 
     Attributes:
-        left: ratio of the current standard deviation to the prior one, by state name; 1 if nothing was observed.
-        open: unobservable combinations of states, as texts of their names.
+        sigma_ratios: ratio of the current standard deviation to the prior one, by state name; 1 if nothing was
+            observed.
+        unobservable_combinations: unobservable combinations of states, as texts of their names.
     """
 
     left: dict[str, float]

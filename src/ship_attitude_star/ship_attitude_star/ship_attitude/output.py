@@ -32,8 +32,9 @@ def attitude_alone(
 
     Args:
         measurement: measurement of the sensor.
-        watch: sky model; None if no sensor needs it.
-        untold_acceleration: standard deviation of the unmeasured angular acceleration of the deck, each axis, rad/s².
+        sky_model: sky model; None if no sensor needs it.
+        unmeasured_acceleration: standard deviation of the unmeasured angular acceleration of the deck, each axis,
+            rad/s².
     """
     attitude: Measurement | Refusal = measurement
     if isinstance(measurement, InertialAttitude | SolvedAttitude):

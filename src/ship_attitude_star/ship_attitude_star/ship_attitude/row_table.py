@@ -41,9 +41,9 @@ class Asked(NamedTuple):
     """Fault hypotheses of an attitude that is computed from some of the sources.
 
     Attributes:
-        hypotheses: indices of the hypotheses, shape (h,); index 0 is the first subfilter.
+        indices: indices of the hypotheses, shape (h,); index 0 is the first subfilter.
         names: names of the hypotheses.
-        check_one_another: True if its sources besides the INS check one another.
+        is_cross_checked: True if its sources besides the INS check one another.
     """
 
     hypotheses: NDArray[np.intp]
@@ -62,21 +62,22 @@ class RowTable:
     Attributes:
         sources: names of the sources, in the order of their index.
         stars: names of the star sensors.
-        left_out: names of the sources that each subfilter excludes, the INS as ``ins``.
+        excluded_sources: names of the sources that each subfilter excludes, the INS as ``ins``.
         names: name of the hypothesis of each subfilter: "star.bow", "star.bow+star.port".
-        rows: number of filters, h.
-        singles: indices of the subfilters that exclude one source.
-        pairs: indices of the subfilters that exclude two sources.
-        ins_rows: indices of the subfilters that exclude the INS.
+        count: number of filters, h.
+        single_subfilters: indices of the subfilters that exclude one source.
+        pair_subfilters: indices of the subfilters that exclude two sources.
+        ins_subfilters: indices of the subfilters that exclude the INS.
         uses: True where a filter uses a source, if no source is excluded, shape (h, s).
-        users: by source, True for each filter that uses it, if no source is excluded, shape (h,).
-        own: by source, True for the states that belong to it alone, shape (n,).
-        learns: by source, True for the states that each filter updates with it, if no source is excluded, shape (h, n).
+        used_by: by source, True for each filter that uses it, if no source is excluded, shape (h,).
+        own_states: by source, True for the states that belong to it alone, shape (n,).
+        updatable_states: by source, True for the states that each filter updates with it, if no source is excluded,
+            shape (h, n).
         k: multipliers (K factors) of the protection levels.
-        common_missed: K_md of the hypothesis that all stars share an error.
+        common_k_md: K_md of the hypothesis that all stars share an error.
         common_threshold: threshold of the sum of the star corrections, in standard deviations; above it all stars
             contradict the INS.
-        limit: chi² threshold of a windowed mean of whitened innovations.
+        innovation_mean_limit: chi² threshold of a windowed mean of whitened innovations.
 
     Raises:
         ParameterError: there are more filters than ``integrity.max_hypotheses``.

@@ -107,8 +107,8 @@ class UtcStep(NamedTuple):
 
     Attributes:
         step_s: sum of the steps since UTC was last compared with the attitude of the INS, s.
-        log_ratio: natural logarithm of the likelihood ratio of two hypotheses by the star measurements since: the sky
-            is rotated by the step, to the sky is not rotated.
+        log_likelihood_ratio: natural logarithm of the likelihood ratio of two hypotheses by the star measurements
+            since: the sky is rotated by the step, to the sky is not rotated.
     """
 
     step_s: float
@@ -119,8 +119,9 @@ class Lately(NamedTuple):
     """Windowed innovation means of a source's accepted measurements against the main filter.
 
     Attributes:
-        running: the windowed means (:attr:`ship_estimation.running_means.Means.running`), shape (w, 5).
-        sigmas: largest deviation of a mean from zero, in its own standard deviations.
+        windowed_means: the windowed means (:attr:`ship_estimation.innovation_means.InnovationMeans.running`), shape (w,
+            5).
+        largest_sigmas: largest deviation of a mean from zero, in its own standard deviations.
     """
 
     running: FloatArray
@@ -139,28 +140,29 @@ class FilterState:
         time_ns: time of the state; None before the first measurement.
         means: estimated errors, shape (h, n).
         stack: covariance of the main filter by error source, then those of the subfilters, as in
-            :mod:`ship_estimation.hypotheses`, shape (n_sources + h - 1, n, n).
-        seen: windowed innovation means of each source in each filter.
+            :mod:`ship_estimation.subfilters`, shape (n_sources + h - 1, n, n).
+        innovation_means: windowed innovation means of each source in each filter.
         excluded: excluded sources by name.
-        record: number of exclusions by source.
-        doubt: fault that is detected and not isolated; None for none.
-        disputed_n: covariance that an output adds for large solution separations, rad², horizon frame, shape (3, 3);
-            not part of ``stack``; None for none.
-        apart: innovation of the last measurement by source, against the main filter.
-        lately: windowed innovation means of the accepted measurements by source, since the last restart of the filters.
-        heard_since_ns: start of uninterrupted reception by source, stamp, ns.
+        exclusion_counts: number of exclusions by source.
+        unresolved_fault: fault that is detected and not isolated; None for none.
+        separation_covariance_n: covariance that an output adds for large solution separations, rad², horizon frame,
+            shape (3, 3); not part of ``stack``; None for none.
+        last_innovations: innovation of the last measurement by source, against the main filter.
+        recent_innovations: windowed innovation means of the accepted measurements by source, since the last restart of
+            the filters.
+        received_since_ns: start of uninterrupted reception by source, stamp, ns.
         common_n: steady-state covariance of the common error by star sensor, rad², horizon frame, shape (3, 3).
-        refusals: number of consecutive rejections by source.
-        used_ns: stamp of the last accepted measurement by source, ns.
-        stays: pixel dwell of the stars by source; empty after the covariance was inflated.
-        unconfirmed: INS jump, possible INS jump or first star measurement that other stars have not confirmed; None
-            for none.
-        departures: residual of the last rejected measurement by source.
-        jumped_ns: stamp of the INS just before the last jump for which the covariance was inflated; None for none.
-        ins_suspected_ns: time of the last jump or contradiction of an INS that reported a jump; None for none.
+        consecutive_rejections: number of consecutive rejections by source.
+        last_used_ns: stamp of the last accepted measurement by source, ns.
+        pixel_dwells: pixel dwell of the stars by source; empty after the covariance was inflated.
+        unconfirmed_step: INS jump, possible INS jump or first star measurement that other stars have not confirmed;
+            None for none.
+        rejected_residuals: residual of the last rejected measurement by source.
+        ins_jump_ns: stamp of the INS just before the last jump for which the covariance was inflated; None for none.
+        ins_fault_ns: time of the last jump or contradiction of an INS that reported a jump; None for none.
         vertical: vertical at the time of the state; None if the deflection is not modelled.
-        utc: step of the time base after which UTC is not verified yet; None for none.
-        absorbed: sums of the recent corrections by all stars, and the error that all stars may share.
+        utc_step: step of the time base after which UTC is not verified yet; None for none.
+        correction_sums: sums of the recent corrections by all stars, and the error that all stars may share.
     """
 
     time_ns: int | None
@@ -203,7 +205,7 @@ class FilterState:
         return source in self.used_ns or source in self.record
 
     def in_use(self, sources: Sequence[str], time_ns: int) -> list[str]:
-        """Return the sources that are not excluded and measured within the last ``HEARD_NS``, in the given order."""
+        """Return the sources, in the given order, that are not excluded and have measured recently."""
         heard, since_ns = zip(sources, self.seen.heard_ns.tolist(), strict=True), time_ns - HEARD_NS
         return [name for name, heard_ns in heard if heard_ns >= since_ns and name not in self.excluded]
 

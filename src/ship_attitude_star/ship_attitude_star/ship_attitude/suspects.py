@@ -70,8 +70,8 @@ class Suspects:
         devices: sources by name.
 
     Attributes:
-        table: the filters.
-        ins: handling of INS faults.
+        subfilters: the filters.
+        ins_fault: handling of INS faults.
 
     Raises:
         ParameterError: there are more filters than ``integrity.max_hypotheses``.
@@ -92,7 +92,7 @@ class Suspects:
 
         Args:
             mean: estimated errors, shape (n,).
-            parts: covariance by error source, shape (n_sources, n, n).
+            covariance_by_source: covariance by error source, shape (n_sources, n, n).
         """
         return FilterState(None, *self.ins.all_rows_at(mean, parts), no_means(self.table.rows, len(self._sources)))
 
@@ -121,8 +121,8 @@ class Suspects:
             state: state before the measurement.
             predicted: ``state`` propagated to the time of the measurement.
             measurement: the measurement.
-            measured: the measurement compared with the main filter.
-            compared: innovations of all filters.
+            comparison: the measurement compared with the main filter.
+            innovations: innovations of all filters.
             accepted: True for each filter whose gate the measurement passed, shape (h,).
         """
         source, index = measurement.source, self._indices[measurement.source]
@@ -191,8 +191,8 @@ class Suspects:
         Args:
             state: state after the measurement.
             source: source of the measurement.
-            compared: innovations of all filters.
-            ins_vouched: True if the rates of the INS would have shown a step.
+            innovations: innovations of all filters.
+            is_ins_confirmed: True if the rates of the INS would have shown a step.
             time_ns: stamp of the measurement.
 
         Returns:
@@ -347,7 +347,7 @@ class Suspects:
 
         Args:
             state: state after the measurement.
-            wrong: the sources to exclude.
+            faulty: the sources to exclude.
             time_ns: stamp of the measurement.
 
         Returns:
@@ -528,8 +528,8 @@ class Suspects:
 
         Args:
             state: state after the measurement.
-            apart_n: solution separations about North, Up and East, rad, shape (h, 3).
-            statistic: largest solution separation of each filter in standard deviations, shape (h,).
+            separations_n: solution separations about North, Up and East, rad, shape (h, 3).
+            separation_sigmas: largest solution separation of each filter in standard deviations, shape (h,).
             contradicting: the star sensors, if all of them contradict the INS; else empty.
         """
         vectors = [apart.turn_n for name, apart in state.apart.items() if state.refusals.get(name, 0)]
@@ -551,7 +551,7 @@ class Suspects:
 
         Args:
             state: state after the measurement.
-            wrong: the isolated sources.
+            faulty: the isolated sources.
             in_use: sources in use.
             shared: True if the sum of the star corrections exceeds its threshold.
         """

@@ -40,8 +40,8 @@ class _ToldAtOnce(NamedTuple):
 
     Attributes:
         estimate: the attitude without filter state and covariance by error source, to save memory.
-        disputed_n: covariance added for solution separations, rad², shape (3, 3); None for none.
-        is_doubtful: True for an unresolved fault or an excluded INS; such an attitude is not smoothed.
+        separation_covariance_n: covariance added for solution separations, rad², shape (3, 3); None for none.
+        has_fault: True for an unresolved fault or an excluded INS; such an attitude is not smoothed.
     """
 
     estimate: AttitudeEstimate
@@ -54,7 +54,7 @@ class SmoothingCore(ShipAttitudeCore):
 
     Args:
         config: parameters of the node.
-        watch: sky model; None if no sensor needs it.
+        sky_model: sky model; None if no sensor needs it.
         lag_s: delay of a smoothed attitude after its stamp, s, at least until all measurements up to it are final;
             None to smooth only at the end (:meth:`smoothed_estimates`).
     """

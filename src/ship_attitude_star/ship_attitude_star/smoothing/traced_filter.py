@@ -25,7 +25,7 @@ class TracedState(FilterState):
     """A filter state with its last update.
 
     Attributes:
-        came: update by the last accepted measurement or the last jump; None before the first.
+        last_update: update by the last accepted measurement or the last jump; None before the first.
     """
 
     came: Came | None = None

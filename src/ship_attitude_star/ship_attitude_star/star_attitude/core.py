@@ -54,7 +54,7 @@ class _Waiting:
 
     Attributes:
         exposure: stars of the exposure.
-        refused: stars of the message that were already rejected.
+        rejected_stars: stars of the message that were already rejected.
         arrival_ns: arrival time, in the time of waiting.
         reach_ns: time before and after its middle for which the motion of the deck is needed.
     """
@@ -104,7 +104,7 @@ class JointWindow:
         """Yield the groups that are complete or have waited long enough, in time order.
 
         Args:
-            movable: returns True if the rotation of the deck between two times (ns) is known.
+            is_turn_known: returns True if the rotation of the deck between two times (ns) is known.
             waiting_ns: current time of waiting; None if not known.
         """
         while self._items:
@@ -140,7 +140,7 @@ class StarCore:
 
     Args:
         config: parameters of the node.
-        watch: sky model.
+        sky_model: sky model.
 
     Attributes:
         joined_by_ins: True if the INS attitude was known at the time of the last joint solution.
@@ -233,7 +233,7 @@ class StarCore:
 
         Args:
             exposure: stars of the exposure.
-            refused: stars of the message that cannot be used.
+            rejected_stars: stars of the message that cannot be used.
             arrival_ns: arrival time, in the time of waiting; None if it equals the stamp.
         """
         used, refusal = self._judged(exposure)

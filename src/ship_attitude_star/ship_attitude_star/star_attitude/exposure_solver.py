@@ -30,7 +30,7 @@ class RefusedStar:
         source: ``star.<id>``, the sensor that measured it.
         time_ns: stamp of the exposure.
         name: name of the star for texts.
-        refusal: reason of the rejection.
+        rejection: reason of the rejection.
         residual: measured minus predicted direction, up and right in the sensor, rad; empty if it was not compared.
         sigma: standard deviation of each residual component, rad; NaN if it was not compared.
     """
@@ -51,7 +51,7 @@ class Solved:
         sensor_id: id of the sensor, or JOINT.
         time_ns: time of validity: stamp of the exposure, for a joint solution of its first exposure.
         solution: the attitude.
-        refused: rejected stars.
+        rejected_stars: rejected stars.
         sources: sensors whose stars are used, ``star.<id>``.
         text: remark for the user; mostly empty.
     """
@@ -74,7 +74,7 @@ class StarOutcome:
     """Outcome of one input of the core.
 
     Attributes:
-        refusal: rejection of this input; None if it was used or is pending.
+        rejection: rejection of this input; None if it was used or is pending.
         solved: solutions to publish, in order.
         not_joined: exposures (source, stamp) that arrived too late for the joint solution of their time.
     """
@@ -93,7 +93,7 @@ class PlacedExposure:
         time_ns: stamp of the exposure.
         exposure: the usable stars.
         stars: the same stars with measured and apparent directions; None if no apparent direction is known.
-        refused: stars rejected in the solution of the sensor.
+        rejected_stars: stars rejected in the solution of the sensor.
         turn_variance: variance of an error that rotates all directions equally, each axis, rad²: the remaining error of
             the correction for the exposure time, without the INS noise.
     """
@@ -111,7 +111,7 @@ class Mounted:
     """An exposure in the deck frame at another time.
 
     Attributes:
-        placed: the exposure.
+        exposure: the exposure.
         rotation_ds: deck at that time from sensor at its exposure, shape (3, 3).
     """
 
@@ -140,9 +140,9 @@ def solve_exposure(
 
     Args:
         exposure: stars of the exposure.
-        refused: stars that were already rejected.
+        rejected_stars: stars that were already rejected.
         prior: attitude of the sensor for the selection of stars; None if not known.
-        watch: sky model.
+        sky_model: sky model.
         noise_variance: variance of a rotation of all directions by INS noise, each axis, rad².
         turn_variance: variance of a rotation of all directions by another error, independent between exposures, each
             axis, rad².

@@ -69,9 +69,9 @@ class InsTurns:
     Attributes:
         samples: samples of the batch, from the first of the block.
         values: attitudes of all checked samples, shape (N, 3, 3).
-        followed: results of the INS check, including a last sample that needs separate handling.
-        taken: number of committed samples.
-        told: index of a sample and its outcome, not yet retrieved.
+        checked: results of the INS check, including a last sample that needs separate handling.
+        committed_count: number of committed samples.
+        pending_outcomes: index of a sample and its outcome, not yet retrieved.
     """
 
     samples: list[AttitudeSample]
@@ -86,8 +86,8 @@ class InsMotion:
 
     Args:
         config: parameters of the INS.
-        guards: plausibility checks.
-        contradictions: conflicts of INS samples with one stamp; None for a new record.
+        plausibility: plausibility checks.
+        stamp_conflicts: conflicts of INS samples with one stamp; None for a new record.
 
     Attributes:
         track: INS samples in time order.

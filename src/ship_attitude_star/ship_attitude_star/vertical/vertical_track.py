@@ -38,10 +38,10 @@ class VerticalHere(NamedTuple):
     """The vertical at one time.
 
     Attributes:
-        along_m: distance over ground from an arbitrary start, m.
+        distance_run_m: distance over ground from an arbitrary start, m.
         latitude: latitude of the ship, rad; NaN before the first fix.
         velocity_m_per_s: velocity of the ship over ground, northward and eastward; 0 before the first fix.
-        given: known deflection (xi, eta), rad, shape (2,); None for none.
+        given_deflection: known deflection (xi, eta), rad, shape (2,); None for none.
         covariance: covariance of the error of the known deflection, or of the unknown deflection, rad², shape (2, 2).
     """
 
@@ -69,7 +69,7 @@ class _Knot(NamedTuple):
     """The vertical at the start of an interval.
 
     Attributes:
-        here: the vertical.
+        vertical: the vertical.
         anchor: position at the last counted motion of the ship; None before the first position.
         place: position at this time; None if no fix is near enough in time.
     """
@@ -146,7 +146,7 @@ class VerticalTrack:
 
         Args:
             time_ns: inputs before this time are final.
-            asked_since_ns: earliest time for which the vertical is still needed.
+            needed_since_ns: earliest time for which the vertical is still needed.
         """
         settled, oldest = time_ns // STEP_NS, asked_since_ns // STEP_NS
         if self._newest_step is not None:
