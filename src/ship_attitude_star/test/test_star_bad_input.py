@@ -306,7 +306,7 @@ def test_without_weather_refraction_is_less_well_known_and_it_says_so() -> None:
     assert more == pytest.approx(2.2, abs=0.3)
     report = [m for _, topic, m in run.published if topic == "/diagnostics"][-1]
     (status,) = [entry for entry in report.status if entry.name == "star_attitude: sky"]
-    assert status.message.startswith("no weather: pressure, temperature, humidity by parameters")
+    assert status.message.startswith("no weather: pressure, temperature, humidity from parameters")
 
 
 def test_a_night_of_clouds_is_no_fault() -> None:

@@ -330,7 +330,7 @@ class Suspects:
             disputed_n=None,
         )
 
-    # -- verdicts -------------------------------------------------------------------------------------------
+    # -- exclusion and reinstatement ------------------------------------------------------------------------
 
     def _named(self, state: FilterState, finding: Finding) -> tuple[str, ...]:
         """Return the isolated sources, empty for none.

@@ -281,7 +281,7 @@ class StarCore:
         told = same_stamp(known, exposure)[1]
         if told.reason is Reason.DUPLICATE:
             return False, told
-        # Neither of the two is solved: a solution that is out already is taken back by one that claims nothing.
+        # Neither of the two is solved; a solution that was published already is replaced by an INVALID one.
         self._contradictions.note(exposure.source, exposure.time_ns, told)
         return True, replace(told, text="the same stamp with different content: do two sensors publish on one topic?")
 
