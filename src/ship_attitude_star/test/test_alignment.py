@@ -56,7 +56,7 @@ def alignment_text(adapter: ShipAttitudeAdapter, now_ns: int) -> tuple[int, str]
     return status.level, status.message
 
 
-def test_what_was_saved_is_the_prior_of_the_next_voyage(saved: Path) -> None:
+def test_saved_alignment_is_the_prior_of_the_next_voyage(saved: Path) -> None:
     before, configured, now = clean_run().adapter, started(saved.with_name("none")), started(saved)
     assert alignment_text(now, START_NS) == (0, "as configured or saved")
     for name in ("ins.time_offset", *(f"star.{s}.{a}" for s in ("fore", "starboard") for a in ("elevation", "roll"))):
@@ -103,7 +103,7 @@ def test_another_serial_number_keeps_the_configured_prior(saved: Path) -> None:
     assert all(word in text for word in ("'fore'", "'F1'", "'F2'", "configured prior"))
 
 
-def test_an_old_file_is_a_wider_prior(saved: Path) -> None:
+def test_to_an_old_file_the_configured_uncertainty_is_added(saved: Path) -> None:
     now_ns = START_NS + 31 * DAY_NS
     configured = started(saved.with_name("none"))
     old, young = started(saved, now_ns), started(saved, now_ns - 2 * DAY_NS)
@@ -125,7 +125,7 @@ def test_the_random_walk_of_the_time_between_is_added(saved: Path) -> None:
     assert added == pytest.approx(5.0 * ARCSEC * math.sqrt(2.0), rel=1e-3)
 
 
-def test_a_sensor_that_the_file_does_not_know_and_one_that_is_gone(saved: Path) -> None:
+def test_sensors_missing_in_the_file_or_in_the_configuration(saved: Path) -> None:
     aft = {"azimuth_deg": 180.0, "elevation_deg": 45.0}
     now = started(saved, star_sensors={"fore": {"azimuth_deg": 0.0, "elevation_deg": 45.0, "serial": "F1"}, "aft": aft})
     assert sigma_of(now)["star.aft.elevation"] == pytest.approx(ARCSEC)
@@ -192,7 +192,7 @@ def test_a_broken_file_is_set_aside_and_named_at_the_start(saved: Path, change: 
 @pytest.mark.parametrize(
     "content", [b"", b"- 1\n- 2\n", b"a: [1\nb", b"\xff\xfe\x00", b"x: !!python/object:os.system {}\n"]
 )
-def test_what_is_no_alignment_at_all_is_named(tmp_path: Path, content: bytes) -> None:
+def test_a_file_without_alignment_is_named(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "alignment.yaml"
     path.write_bytes(content)
     adapter = new_adapter(alignment_file=str(path))
@@ -240,7 +240,7 @@ def test_the_services_save_and_load(tmp_path: Path) -> None:
     assert sigma_of(run.adapter)["ins.up"] == pytest.approx(72.0 * ARCSEC)
 
 
-def test_a_place_that_cannot_be_written_is_named_and_the_node_lives(tmp_path: Path) -> None:
+def test_a_path_that_cannot_be_written_is_named_and_the_node_continues(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("", encoding="utf-8")
     path = tmp_path / "file" / "alignment.yaml"
     adapter = drive(new_adapter(alignment_file=str(path)), voyage()).adapter
@@ -270,7 +270,7 @@ def test_a_voyage_without_stars_does_not_make_the_alignment_younger_or_older(sav
     assert after["covariance"] == before["covariance"]
 
 
-def test_where_nothing_was_measured_there_is_nothing_to_save(tmp_path: Path) -> None:
+def test_without_measurements_nothing_is_saved(tmp_path: Path) -> None:
     adapter = started(tmp_path / "none.yaml")
     told = adapter.service("save_alignment", START_NS)
     assert (told.success, "no star" in told.message) == (False, True)
@@ -329,7 +329,7 @@ def test_an_attitude_that_no_star_has_aligned_is_not_saved(tmp_path: Path) -> No
     assert not path.exists()
 
 
-def test_what_is_known_better_stays_and_people_are_told_why(tmp_path: Path) -> None:
+def test_a_more_accurate_file_is_kept_and_the_reason_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "alignment.yaml"
     adapter = self_saving(path)  # the better file comes while the node runs
     better = known_better(path)
@@ -344,7 +344,7 @@ def test_what_is_known_better_stays_and_people_are_told_why(tmp_path: Path) -> N
     assert path.read_bytes() != better
 
 
-def test_what_the_node_has_started_from_it_may_replace(tmp_path: Path) -> None:
+def test_the_file_of_the_start_may_be_replaced(tmp_path: Path) -> None:
     path = tmp_path / "alignment.yaml"
     known_better(path)
     before_ns = ALIGNMENT_FILE.load(path).time_ns
@@ -378,7 +378,7 @@ def test_a_state_that_is_not_finite_is_not_saved(tmp_path: Path) -> None:
     assert worse_in(prior, dataclasses.replace(prior, covariance=prior.covariance / 1.3)).endswith("better")
 
 
-def test_a_disk_that_takes_nothing_is_told_once_and_told_again_when_it_does(tmp_path: Path) -> None:
+def test_a_full_disk_is_reported_once_and_again_when_it_recovers(tmp_path: Path) -> None:
     path = tmp_path / "folder" / "alignment.yaml"
     (tmp_path / "folder").write_text("", encoding="utf-8")
     adapter = self_saving(path)

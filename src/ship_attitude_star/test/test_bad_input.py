@@ -130,7 +130,7 @@ def run_without(topic: str, moment_s: float = MOMENT_S) -> Run:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("topic", "change", "reason", "text"), [c[1:] for c in DROPPED], ids=[c[0] for c in DROPPED])
-def test_a_bad_message_is_told_and_changes_nothing(topic: str, change: Change, reason: str, text: str) -> None:
+def test_a_bad_message_is_reported_and_changes_nothing(topic: str, change: Change, reason: str, text: str) -> None:
     index = index_at(voyage(), topic, MOMENT_S)
     run = drive(new_adapter(), replaced(voyage(), index, change))
 
@@ -198,7 +198,7 @@ def test_a_star_without_covariance_gets_the_configured_sigma(unknown: Change) ->
     assert np.allclose(state.covariance, stated.covariance, rtol=1e-6, atol=1e-20)
 
 
-def test_a_perfect_axis_where_nothing_else_is_uncertain_is_refused_and_not_in_the_way() -> None:
+def test_an_exact_axis_without_other_uncertainty_is_rejected_and_does_not_block() -> None:
     """With every sigma of the configuration at zero, only the star's own covariance is left, as good as singular."""
     exact = {"ins__time_offset_sigma_s": 0.0}
     exact |= {f"ins__{name}_sigma_arcsec": 0.0 for name in ("tilt", "heading", "white")}
@@ -213,7 +213,7 @@ def test_a_perfect_axis_where_nothing_else_is_uncertain_is_refused_and_not_in_th
     assert len([m for m in run.messages("ship/innovation") if m.source == "star.starboard"]) > 20
 
 
-def test_another_configured_sigma_rules_where_the_message_gives_none() -> None:
+def test_a_configured_sigma_is_used_if_the_message_gives_none() -> None:
     """With 30 times the sigma, the fore sensor says next to nothing about the heading: never taken as perfect."""
     arrivals = changed_where(voyage(), lambda a: a.topic.startswith("star"), put("rotation_covariance", 0.0))
     coarse = {
@@ -317,7 +317,7 @@ def attitudes(run: Run) -> list[Any]:
 
 
 @pytest.mark.parametrize("topic", [INS, FORE])
-def test_a_source_that_contradicts_itself_is_not_valid_until_it_has_agreed_with_itself_for_ten_seconds(
+def test_a_source_that_contradicts_itself_is_not_valid_for_ten_seconds(
     topic: str,
 ) -> None:
     """By 20″, once: whichever of the two is kept, what rests on it is not VALID."""
@@ -402,7 +402,7 @@ def test_a_star_far_off_once_is_gated_and_changes_nothing() -> None:
     assert np.all(np.array(innovation.sigma) > 0.0)
 
 
-def test_rates_in_degrees_are_found_and_refused_until_they_are_right() -> None:
+def test_rates_in_degrees_are_detected_and_rejected_until_corrected() -> None:
     def degrees(message: Any) -> None:
         for axis in "xyz":
             setattr(message.angular_velocity, axis, np.rad2deg(getattr(message.angular_velocity, axis)))
@@ -425,7 +425,7 @@ def test_rates_in_degrees_are_found_and_refused_until_they_are_right() -> None:
     assert stamp_of(refused[-1]) < wrong_until_ns + 6 * SECOND_NS
 
 
-def test_mend_03_a_frozen_ins_is_told_at_once_and_its_first_sample_that_moves_is_taken() -> None:
+def test_a_frozen_ins_is_reported_at_once_and_its_first_new_value_is_used() -> None:
     arrivals = voyage(8.0)
     frozen = arrivals[index_at(arrivals, INS, 3.0)].message.orientation
     from_ns, until_ns = arrivals[0].stamp_ns + 3 * SECOND_NS, arrivals[0].stamp_ns + 6 * SECOND_NS
@@ -449,7 +449,7 @@ def test_mend_03_a_frozen_ins_is_told_at_once_and_its_first_sample_that_moves_is
 
 
 @pytest.mark.parametrize("witness", [INS, "other star sensor"])
-def test_mend_03_a_frozen_star_sensor_is_told_within_a_second_and_comes_back_at_once(witness: str) -> None:
+def test_a_frozen_star_sensor_is_reported_within_a_second_and_recovers_at_once(witness: str) -> None:
     """While the INS says that the ship moves, or, the INS being gone, the other star sensor does."""
     arrivals = voyage(16.0)
     frozen = arrivals[index_at(arrivals, FORE, 3.0)].message

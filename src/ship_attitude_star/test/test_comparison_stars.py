@@ -67,7 +67,7 @@ def with_field(exposure):
     return replace(exposure, spatial=spatial), ShipFilter(config)
 
 
-def test_the_pixels_errors_of_a_second_exposure_count_more_by_how_far_the_stars_have_gone(watch):
+def test_pixel_errors_of_a_second_exposure_decorrelate_with_star_motion(watch):
     """Expected: coth d - 1 more, of stars that stand still to the bit the most that is allowed."""
     exposure = exposure_of(watch, "fore", 4)
     exposure = replace(exposure, spatial=SpatialErrors(StarCamera(0.05, 5.5e-6, 1023.5, 1023.5), 0.0, 0.2))
@@ -79,7 +79,7 @@ def test_the_pixels_errors_of_a_second_exposure_count_more_by_how_far_the_stars_
     np.testing.assert_allclose(second, 1000.0 * first)
 
 
-def test_a_filter_remembers_where_the_stars_of_a_sensor_were(watch):
+def test_the_filter_stores_the_pixel_dwell_of_a_sensor(watch):
     camera = {"focal_length_m": 0.05, "pixel_pitch_m": 5.5e-6, "pixel_spatial_sigma_px": 0.2}
     config = build(
         ShipAttitudeConfig,
@@ -150,7 +150,7 @@ def test_one_star_improves_two_components_as_the_bound_says_and_leaves_the_third
 
 
 @pytest.mark.parametrize("count", [1, 2, 8])
-def test_the_estimate_moves_to_the_truth(ship_filter, watch, count):
+def test_the_estimate_converges_to_the_truth(ship_filter, watch, count):
     error_n = np.array([12.0, -60.0, 8.0]) * ARCSEC
     state = ship_filter.initial_state()
     for id_ in ("fore", "starboard"):
@@ -187,7 +187,7 @@ def test_stars_that_agree_against_the_ins_are_a_conflict_with_a_hint(watch):
 
 
 @pytest.mark.parametrize("field", ["rotation_nv", "noise_v"])
-def test_mend_08_what_is_no_number_passes_no_gate(field):
+def test_nan_passes_no_gate(field):
     config = configuration()
     ship_filter = ShipFilter(config)
     rotation_ns = ROTATION_ND @ ship_filter.devices["star.fore"].rotation_dv0
@@ -305,7 +305,7 @@ def test_the_alignment_states_the_errors_of_the_optics_in_their_own_units() -> N
         assert (found.values[row], sigmas[row]) == pytest.approx((value, sigma))
 
 
-def test_the_optics_may_drift_with_the_temperature_of_a_night() -> None:
+def test_the_optics_may_drift_with_temperature() -> None:
     """After an hour the variance has grown by the square of a tenth of each sigma, whatever was learned before."""
     ship_filter = ShipFilter(configuration())
     rows = ship_filter.model.slices["star.fore.optics"]

@@ -122,7 +122,7 @@ def thinned(arrivals: Arrivals, keep: int) -> Arrivals:
 
 
 @pytest.mark.parametrize("zero_rates", [False, True])
-def test_mend_10_one_wrong_sample_is_refused_and_changes_nothing(zero_rates: bool) -> None:
+def test_one_wrong_sample_is_refused_and_changes_nothing(zero_rates: bool) -> None:
     """``orientation.w`` negated once: a unit quaternion, more than a right angle away from the ship."""
     arrivals = changed_where(voyage(), of_ins(), scaled(0.0)) if zero_rates else voyage()
     index = index_at(arrivals, INS, 3.0)
@@ -134,7 +134,7 @@ def test_mend_10_one_wrong_sample_is_refused_and_changes_nothing(zero_rates: boo
     assert run.state() == without.state()
 
 
-def test_mend_10_a_wrong_sample_that_comes_late_is_refused_too() -> None:
+def test_a_wrong_sample_that_comes_late_is_refused_too() -> None:
     index = index_at(voyage(), INS, 3.0)
     run = drive(new_adapter(), replaced(voyage(), index, negated_w, voyage()[index].receive_ns + SECOND_NS // 2))
     assert run.reasons(INS) == {"gate": 1}
@@ -142,7 +142,7 @@ def test_mend_10_a_wrong_sample_that_comes_late_is_refused_too() -> None:
 
 
 @pytest.mark.parametrize("size_arcsec", [100.0, 3600.0, 90.0 * 3600.0])
-def test_mend_10_a_jump_for_good_opens_the_covariance_until_stars_agree(size_arcsec: float) -> None:
+def test_a_permanent_jump_inflates_the_covariance_until_stars_are_consistent(size_arcsec: float) -> None:
     """Five are refused; the sixth is believed, DEGRADED, with an error as large as the jump, until a star was used."""
     jumped = changed_where(voyage(8.0), of_ins(3.0), turned(0.0, size_arcsec, 0.0))
     run = drive(new_adapter(), jumped)
@@ -160,7 +160,7 @@ def test_mend_10_a_jump_for_good_opens_the_covariance_until_stars_agree(size_arc
     assert only_gaps(run) <= 1
 
 
-def test_mend_10_without_stars_a_jump_stays_degraded() -> None:
+def test_without_stars_a_jump_stays_degraded() -> None:
     arrivals = [a for a in voyage(8.0) if a.topic == INS or a.stamp_ns < START_NS + 3 * SECOND_NS]
     run = drive(new_adapter(coasting_after_s=100.0), changed_where(arrivals, of_ins(4.0), turned(0.0, 3600.0, 0.0)))
     after = [m for m in run.messages("ship/attitude") if seconds(m) >= 4.0]
@@ -169,7 +169,7 @@ def test_mend_10_without_stars_a_jump_stays_degraded() -> None:
     assert told.endswith("stars of two moments have not confirmed it since")
 
 
-def test_mend_10_how_many_are_refused_is_a_parameter_also_live() -> None:
+def test_the_number_of_rejected_samples_is_a_live_parameter() -> None:
     jumped = changed_where(voyage(), of_ins(3.0), turned(0.0, 3600.0, 0.0))
     assert drive(new_adapter(ins__jump_samples=2), jumped).reasons(INS) == {"gate": 2}
     adapter = drive(new_adapter(), [a for a in jumped if a.stamp_ns < START_NS + 2 * SECOND_NS]).adapter
@@ -178,7 +178,7 @@ def test_mend_10_how_many_are_refused_is_a_parameter_also_live() -> None:
     assert run.reasons(INS) == {"gate": 3}
 
 
-def test_mend_10_a_late_star_of_before_a_jump_is_compared_with_the_attitude_of_before() -> None:
+def test_a_late_star_from_before_a_jump_is_compared_with_the_attitude_before_it() -> None:
     jumped = changed_where(voyage(), of_ins(3.0), turned(0.0, 3600.0, 0.0))
     late = replaced(jumped, index_at(jumped, FORE, 2.8), lambda message: None, START_NS + 4 * SECOND_NS)
     assert drive(new_adapter(), late).state() == drive(new_adapter(), jumped).state()
@@ -188,7 +188,7 @@ def test_mend_10_a_late_star_of_before_a_jump_is_compared_with_the_attitude_of_b
 
 
 @pytest.mark.parametrize("keep", [1, 2])
-def test_mend_06_rates_left_at_zero_are_not_used_and_the_attitude_is_honest(keep: int) -> None:
+def test_zero_rates_are_not_used_and_the_attitude_is_consistent(keep: int) -> None:
     run = drive(new_adapter(), changed_where(thinned(voyage(20.0), keep), of_ins(), scaled(0.0)))
     assert run.reasons(INS).keys() <= {"rate_not_measured"}
     assert_honest(run)
@@ -229,7 +229,7 @@ def assert_same_attitudes(one: Run, other: Run) -> None:
     assert attitudes[0] == attitudes[1]
 
 
-def test_mend_06_rates_that_fail_on_the_way_cost_half_a_second_and_no_star() -> None:
+def test_failing_rates_cost_half_a_second_and_no_star() -> None:
     run = drive(new_adapter(), changed_where(voyage(12.0), of_ins(4.0, 9.0), scaled(0.0)))
     refused = run.reasons(INS)["gate"]
     assert 1 <= refused <= 16
@@ -240,7 +240,7 @@ def test_mend_06_rates_that_fail_on_the_way_cost_half_a_second_and_no_star() -> 
     assert max(sigma) < 20.0 * ARCSEC
 
 
-def test_mend_06_at_rest_the_verdict_on_the_rates_stands() -> None:
+def test_at_rest_the_result_of_the_rate_check_is_kept() -> None:
     """Rates in degrees; the ship lies still for ten seconds, and nothing of them comes back in."""
     arrivals = changed_where(voyage(22.0), of_ins(0.0, 22.0), scaled(np.rad2deg(1.0)))
     first = arrivals[index_at(arrivals, INS, 8.0)].message
@@ -256,7 +256,7 @@ def test_mend_06_at_rest_the_verdict_on_the_rates_stands() -> None:
     assert set(run.reasons(INS)) <= {"units", "gate", "stuck", "rate_not_measured"}
 
 
-def test_mend_11_five_seconds_of_rates_in_degrees_poison_nothing() -> None:
+def test_five_seconds_of_rates_in_degrees_have_no_lasting_effect() -> None:
     run = drive(new_adapter(), changed_where(voyage(30.0), of_ins(6.0, 11.5), scaled(np.rad2deg(1.0))))
     assert run.reasons(INS).keys() >= {"gate", "units"}
     assert_honest(run)
@@ -268,7 +268,7 @@ def test_mend_11_five_seconds_of_rates_in_degrees_poison_nothing() -> None:
     assert sigma_s < 0.001
 
 
-def test_mend_11_the_same_from_the_start() -> None:
+def test_rates_in_degrees_from_the_start_have_no_lasting_effect() -> None:
     run = drive(new_adapter(), changed_where(voyage(20.0), of_ins(0.0, 5.0), scaled(np.rad2deg(1.0))))
     assert_honest(run)
     assert run.messages("ship/attitude")[-1].status == Status.VALID
@@ -277,7 +277,7 @@ def test_mend_11_the_same_from_the_start() -> None:
 # -- together -------------------------------------------------------------------------------------------------------
 
 
-def test_mend_03_a_frozen_ins_and_a_frozen_star_are_told_by_the_other_star_and_the_rates() -> None:
+def test_a_frozen_ins_and_a_frozen_star_are_detected_by_the_other_star_and_the_rates() -> None:
     arrivals = voyage(16.0)
     star = arrivals[index_at(arrivals, FORE, 4.0)].message
 
@@ -297,14 +297,14 @@ def test_mend_03_a_frozen_ins_and_a_frozen_star_are_told_by_the_other_star_and_t
     assert run.messages("ship/attitude")[-1].status == Status.VALID
 
 
-def test_mend_10_a_jump_with_rates_in_degrees_and_back() -> None:
+def test_a_jump_with_rates_in_degrees_and_back() -> None:
     faulty = changed_where(voyage(25.0), of_ins(5.0, 12.0), scaled(np.rad2deg(1.0)))
     run = drive(new_adapter(), changed_where(faulty, of_ins(5.0), turned(600.0, 3600.0, 0.0)))
     assert_honest(run)
     assert run.messages("ship/attitude")[-1].status == Status.VALID
 
 
-def test_mend_10_a_wrong_sample_while_frozen_is_refused() -> None:
+def test_a_wrong_sample_while_frozen_is_refused() -> None:
     frozen = changed_where(voyage(10.0), of_ins(3.0, 6.0), held(voyage(10.0), 3.0))
     run = drive(new_adapter(), replaced(frozen, index_at(frozen, INS, 5.0), turned(0.0, 3600.0, 0.0)))
     refused = run.reasons(INS)
@@ -313,7 +313,7 @@ def test_mend_10_a_wrong_sample_while_frozen_is_refused() -> None:
     assert run.messages("ship/attitude")[-1].status == Status.VALID
 
 
-def test_mend_10_without_order_a_jump_is_never_valid_and_wrong() -> None:
+def test_without_order_a_jump_is_never_valid_and_wrong() -> None:
     """Samples and stars come up to a second late, in any order, around a jump."""
     rng = np.random.default_rng(3)
     jumped = changed_where(voyage(8.0), of_ins(3.0), turned(0.0, 3600.0, 0.0))

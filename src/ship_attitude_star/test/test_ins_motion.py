@@ -57,7 +57,7 @@ def turn_of(some: InsMotion, to_ms: int, from_ms: int) -> tuple[np.ndarray, np.n
     return turns.rotations[0], turns.covariance_d[0, :, 0]
 
 
-def test_the_deck_is_where_the_ins_has_it_and_as_uncertain_as_configured() -> None:
+def test_deck_attitude_and_covariance_are_those_of_the_ins() -> None:
     config = StarInsConfig(tilt_sigma_arcsec=10.0, heading_sigma_arcsec=72.0, time_offset_sigma_s=0.0)
     prior = motion(config, *(sample(t) for t in range(0, 200, 40))).deck(START_NS + 80 * MS)
     np.testing.assert_allclose(prior.rotation_nb, attitude(0.08, HEADING_DEG), atol=1e-12)
@@ -66,7 +66,7 @@ def test_the_deck_is_where_the_ins_has_it_and_as_uncertain_as_configured() -> No
     assert sigma == pytest.approx([10.05, 72.007, 10.05], rel=1e-4)
 
 
-def test_a_time_offset_is_as_large_as_the_ship_turns_fast() -> None:
+def test_the_effect_of_a_time_offset_is_proportional_to_the_rate() -> None:
     config = StarInsConfig(tilt_sigma_arcsec=0.0, heading_sigma_arcsec=0.0, white_sigma_arcsec=0.0)
     prior = motion(config, *(sample(t) for t in range(0, 200, 40))).deck(START_NS + 80 * MS)
     rate_n = attitude(0.08, HEADING_DEG) @ rate_d(0.08)
@@ -83,7 +83,7 @@ def test_samples_are_taken_at_their_stamp_plus_the_offset() -> None:
     assert np.linalg.norm(log_rotation(prior.rotation_nb @ attitude(0.08, HEADING_DEG).T)) < 0.1 * ARCSEC
 
 
-def test_the_turn_is_that_of_the_deck_and_its_slow_error_cancels() -> None:
+def test_the_rotation_is_that_of_the_deck_and_its_correlated_error_cancels() -> None:
     slow = exp_rotation(np.array([10.0, 200.0, -30.0]) * ARCSEC)
     samples = (AttitudeSample(s.time_ns, slow @ s.rotation_nd, s.rate_d) for s in map(sample, range(0, 400, 20)))
     turn, _ = turn_of(motion(StarInsConfig(), *samples), 100, 230)
@@ -92,7 +92,7 @@ def test_the_turn_is_that_of_the_deck_and_its_slow_error_cancels() -> None:
     assert np.linalg.norm(log_rotation(turn @ expected.T)) < 0.01 * ARCSEC
 
 
-def test_the_error_of_the_turn_is_what_noise_and_time_offset_make_of_it() -> None:
+def test_the_rotation_error_is_that_of_noise_and_time_offset() -> None:
     config = StarInsConfig(white_sigma_arcsec=1.0, time_offset_sigma_s=0.02)
     expected = attitude(0.1, HEADING_DEG).T @ attitude(0.23, HEADING_DEG)
     rng = np.random.default_rng(5)
@@ -108,7 +108,7 @@ def test_the_error_of_the_turn_is_what_noise_and_time_offset_make_of_it() -> Non
     assert 3 - 3.3 * np.sqrt(6 / draws) < total / draws < 3 + 3.3 * np.sqrt(6 / draws)
 
 
-def test_noise_beyond_what_is_stated_counts_in_a_turn() -> None:
+def test_excess_noise_counts_in_a_rotation() -> None:
     """Samples 50 ms apart with noise of 20″, of which one is stated; found by the guard itself."""
     config = StarInsConfig(white_sigma_arcsec=1.0, time_offset_sigma_s=0.0)
     expected = attitude(5.0, HEADING_DEG).T @ attitude(5.15, HEADING_DEG)
@@ -133,7 +133,7 @@ def test_noise_beyond_what_is_stated_counts_in_a_turn() -> None:
     # the little variance that a turn over a third of a period has: sigma is then 10 % too large.
     [*itertools.product([0.0, 0.3, 1.0, 2.5, 10.0], [True]), *itertools.product([0.0, 1.0, 2.5, 10.0], [False])],
 )
-def test_turns_between_moments_close_together_have_the_noise_that_these_do_not_share(
+def test_rotations_over_short_times_have_only_the_noise_not_shared(
     periods: float, rates: bool
 ) -> None:
     """Turns to one moment from ``periods`` and from twice as many INS periods later, and the mean of the two."""
@@ -166,7 +166,7 @@ def test_turns_between_moments_close_together_have_the_noise_that_these_do_not_s
         assert np.all((low < ratio) & (ratio < high)), ratio
 
 
-def test_streaks_of_two_sensors_at_one_moment_share_the_noise_of_their_correction() -> None:
+def test_streaks_of_two_sensors_at_one_time_share_the_noise_of_their_correction() -> None:
     """The streaks are brought to the moment by the same samples: all of the noise of the correction is common."""
     some = motion(StarInsConfig(time_offset_sigma_s=0.0), *(sample(t) for t in range(0, 2000, 40)))
     camera = StarCamera(0.06, 24e-6, 511.5, 511.5)
@@ -178,14 +178,14 @@ def test_streaks_of_two_sensors_at_one_moment_share_the_noise_of_their_correctio
         np.testing.assert_allclose(covariance_d[one, :, other], middle.noise_variance * np.eye(3), rtol=1e-12)
 
 
-def test_no_way_needs_no_ins() -> None:
+def test_no_rotation_needs_no_ins() -> None:
     assert motion(StarInsConfig()).tells_turn(START_NS, START_NS)
     turn, covariance_d = turn_of(motion(StarInsConfig()), 0, 0)
     np.testing.assert_array_equal(turn, np.eye(3))
     np.testing.assert_array_equal(covariance_d, 0.0)
 
 
-def test_where_the_ins_does_not_reach_it_says_nothing() -> None:
+def test_without_ins_samples_nothing_is_known() -> None:
     some = motion(StarInsConfig(), *(sample(t) for t in range(0, 200, 40)))
     assert some.deck(START_NS + 200 * MS) is None
     assert not some.tells_turn(START_NS, START_NS + 200 * MS)
@@ -199,7 +199,7 @@ def test_a_sample_is_awaited_only_while_it_may_still_help() -> None:
     assert not motion(StarInsConfig()).awaited(START_NS)
 
 
-def test_the_same_stamp_again_is_told_and_the_order_does_not_matter() -> None:
+def test_a_repeated_stamp_is_reported_and_the_order_does_not_matter() -> None:
     one, other = sample(40), sample(40, white_n=np.full(3, ARCSEC))
     """While the INS contradicts itself it tells nothing."""
     decks, later_ms = [], [10_030, 10_070, 10_110]
@@ -222,7 +222,7 @@ def test_a_late_sample_takes_its_place() -> None:
     np.testing.assert_array_equal(some.deck(START_NS + 40 * MS).rotation_nb, sample(40).rotation_nd)
 
 
-def test_what_is_dropped_is_needed_no_more() -> None:
+def test_dropped_data_are_not_needed() -> None:
     some = motion(StarInsConfig(), *(sample(t) for t in range(0, 2000, 40)))
     before = some.deck(START_NS + 500 * MS)
     some.drop_before(START_NS + 500 * MS)
@@ -241,7 +241,7 @@ def jumped_motion(size_rad: float) -> InsMotion:
     return some
 
 
-def test_mend_10_after_a_jump_the_ins_may_be_as_far_off_and_no_way_leads_across() -> None:
+def test_after_a_jump_the_covariance_holds_it_and_no_rotation_spans_it() -> None:
     some = jumped_motion(0.01)
     before, after = (some.deck(START_NS + time_ms * MS) for time_ms in (700, 1500))
     sigma_up = [np.sqrt(prior.covariance_n[1, 1]) for prior in (before, after)]
@@ -252,7 +252,7 @@ def test_mend_10_after_a_jump_the_ins_may_be_as_far_off_and_no_way_leads_across(
     assert some.tells_turn(START_NS + 1400 * MS, START_NS + 1500 * MS)
 
 
-def test_mend_06_rates_that_are_none_leave_the_track() -> None:
+def test_faulty_rates_are_removed_from_the_track() -> None:
     some = InsMotion(StarInsConfig(), StreamGuards(StarInsConfig()))
     for one in map(sample, range(0, 1000, 40)):
         assert some.add(replace(one, rate_d=np.zeros(3))) is None

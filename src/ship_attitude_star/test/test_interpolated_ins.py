@@ -92,7 +92,7 @@ def last_estimate(rate_hz: float, rates: bool, seed: int) -> tuple[FloatArray, A
     ("rate_hz", "rates", "conservative"),
     [(5.0, True, False), (5.0, False, True), (2.5, False, True), (1.0, True, False), (1.0, False, True)],
 )
-def test_mend_27_errors_are_as_large_as_the_covariance_says_at_low_rates(
+def test_errors_are_consistent_with_the_covariance_at_low_rates(
     rate_hz: float, rates: bool, conservative: bool
 ) -> None:
     """Without the error of interpolation: 6 at 5 Hz and 15 at 2.5 Hz without rates, 6 and 850 at 1 Hz."""
@@ -131,7 +131,7 @@ def test_measurements_between_the_same_two_samples_share_their_error_of_interpol
     np.testing.assert_allclose(np.array(noise) / noise[0], [1.0, 5.0, 10.0, 1.0, 1.0])
 
 
-def test_mend_27_the_budget_names_interpolation() -> None:
+def test_the_budget_names_interpolation() -> None:
     core = ShipAttitudeCore(configuration(2.5))
     _, slow = last_estimate(2.5, False, 1)
     _, fast = last_estimate(10.0, True, 1)

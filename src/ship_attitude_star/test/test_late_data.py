@@ -56,7 +56,7 @@ def test_any_order_within_the_lag_ends_in_the_same_state(seed: int, topics: tupl
     assert one.covariance.tobytes() == other.covariance.tobytes()
 
 
-def test_the_shuffles_do_shuffle() -> None:
+def test_the_shuffled_order_differs() -> None:
     stamps = np.array([a.stamp_ns for a in shuffled(4, (INS, FORE, STARBOARD))])
     assert np.mean(np.diff(stamps) < 0) > 0.4
     assert np.max(np.maximum.accumulate(stamps) - stamps) > 1.8 * SECOND_NS
@@ -88,7 +88,7 @@ def test_a_late_star_changes_the_attitude_only_from_its_arrival_on() -> None:
     assert attitudes(late, arrives_ns, late.now_ns) == attitudes(clean_run(), arrives_ns, late.now_ns)
 
 
-def test_a_late_star_that_changes_an_earlier_decision_says_so() -> None:
+def test_a_late_star_that_changes_an_earlier_decision_marks_it_revised() -> None:
     """Three stars far off come first: with no star before them they pass the gate; the good ones of before refuse them.
 
     The INS's heading is known to 72"; 150" is within the gate then, and far outside once two sensors were used.
@@ -120,7 +120,7 @@ def test_without_a_lag_only_what_comes_in_order_is_used() -> None:
     assert run.health(INS).rejected == 0
 
 
-def test_a_flood_with_random_stamps_costs_few_steps_and_what_is_refused_leaves_no_trace(
+def test_a_flood_with_random_stamps_costs_few_steps_and_rejections_change_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Attitudes at 5 Hz; unbounded, each of the flood would make some three hundred steps."""

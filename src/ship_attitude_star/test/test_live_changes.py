@@ -53,7 +53,7 @@ REFUSED_LIVE = [
 
 
 @pytest.mark.parametrize(("changes", "text"), REFUSED_LIVE, ids=[text for _, text in REFUSED_LIVE])
-def test_a_bad_live_change_is_refused_and_the_node_goes_on(changes: dict[str, Any], text: str) -> None:
+def test_a_bad_live_change_is_refused_and_the_node_continues(changes: dict[str, Any], text: str) -> None:
     run = drive(new_adapter(), voyage()[:HALF])
     before = run.adapter.core.config
     with pytest.raises(ParameterError) as caught:
@@ -98,7 +98,7 @@ def test_more_noise_of_the_ins_shows_at_once() -> None:
     assert np.all(last_sigma(rest) > np.deg2rad(20.0 / 3600.0))
 
 
-def test_another_sigma_of_a_star_without_covariance_rules_from_then_on() -> None:
+def test_a_changed_sigma_applies_to_stars_without_covariance_from_then_on() -> None:
     def unknown(message: Any) -> None:
         message.rotation_covariance[:] = 0.0
 
@@ -127,7 +127,7 @@ def test_a_reset_keeps_the_live_changes() -> None:
     assert np.sqrt(alignment.covariance[up, up]) == pytest.approx(np.deg2rad(500.0 / 3600.0))
 
 
-def test_mend_07_another_noise_of_the_ins_reaches_its_guard() -> None:
+def test_changed_ins_noise_reaches_the_ins_check() -> None:
     """One sample off by 60": seven sigmas of the one noise, and far within the other."""
 
     def off(message: Any) -> None:

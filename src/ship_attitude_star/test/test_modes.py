@@ -183,7 +183,7 @@ def run_without_ins_for_four_seconds() -> Run:
     return drive(new_adapter(), cut(voyage(10.0), 3.0, 7.0, INS))
 
 
-def test_a_silent_ins_is_told_after_three_periods() -> None:
+def test_an_ins_timeout_is_reported_after_three_periods() -> None:
     run = run_without_ins_for_four_seconds()
     last_ns = START_NS + 2_960_000_000
     reports = run.diagnostics(f"input {INS}", last_ns + 3 * 40_000_000, last_ns + 1_100_000_000)
@@ -194,7 +194,7 @@ def test_a_silent_ins_is_told_after_three_periods() -> None:
     )
 
 
-def test_with_the_ins_gone_for_a_second_the_stars_carry_the_attitude_at_their_rate() -> None:
+def test_after_an_ins_timeout_attitudes_come_from_stars_at_their_rate() -> None:
     run = run_without_ins_for_four_seconds()
     gone_ns, back_ns = (START_NS + round(s * SECOND_NS) for s in (2.965 + 1.0, 7.005))
     published = [(ns, m) for ns, topic, m in run.published if topic == "ship/attitude"]
@@ -227,7 +227,7 @@ def test_when_the_ins_comes_back_all_is_as_before() -> None:
     assert run.reasons(FORE) == {"gap": 20}
 
 
-def test_with_all_gone_no_attitude_is_claimed_until_they_are_back() -> None:
+def test_without_ins_and_stars_the_attitude_is_invalid_until_they_return() -> None:
     run = drive(new_adapter(), cut(voyage(10.0), 3.0, 8.0, INS, FORE, STARBOARD))
     silent = outputs(run, 2.961, 8.0)
     assert {m.status for m in silent} == {Status.INVALID}
@@ -252,7 +252,7 @@ def assert_claims_nothing(message: Any) -> None:
     assert list(message.sources) == []
 
 
-def test_when_the_last_star_goes_too_it_is_told_within_a_second() -> None:
+def test_without_ins_a_star_timeout_is_reported_within_a_second() -> None:
     arrivals = cut(cut(voyage(8.0), 3.0, 8.0, INS), 5.0, 8.0, FORE, STARBOARD)
     run = drive(new_adapter(), arrivals, until_ns=START_NS + 8 * SECOND_NS)
     carried = [m for m in outputs(run) if m.status == Status.DEGRADED]
@@ -262,7 +262,7 @@ def test_when_the_last_star_goes_too_it_is_told_within_a_second() -> None:
     assert_strictly_increasing(run)
 
 
-def test_stars_alone_from_the_start_carry_the_attitude() -> None:
+def test_stars_alone_from_the_start_give_the_attitude() -> None:
     run = drive(new_adapter(), cut(voyage(), 0.0, 5.0, INS))
     carried = [m for m in outputs(run) if m.status != Status.INVALID]
     assert {m.status for m in carried} == {Status.DEGRADED}
@@ -271,7 +271,7 @@ def test_stars_alone_from_the_start_carry_the_attitude() -> None:
         assert_honest(message)
 
 
-def test_nothing_at_all_is_invalid_not_silent() -> None:
+def test_without_any_input_invalid_is_published() -> None:
     run = Run(new_adapter())
     for now_ns in range(START_NS, START_NS + 6 * SECOND_NS, SECOND_NS // 10):
         run.published += [(now_ns, *item) for item in run.adapter.tick(now_ns)]
@@ -279,7 +279,7 @@ def test_nothing_at_all_is_invalid_not_silent() -> None:
     assert run.diagnostics(f"input {INS}", START_NS, START_NS + 6 * SECOND_NS)[-1][0] == 2
 
 
-def test_mend_12_without_any_sensor_the_ins_passes_through_and_the_diagnostics_say_so() -> None:
+def test_without_any_sensor_the_ins_passes_through_and_the_diagnostics_report_it() -> None:
     run = drive(ShipAttitudeAdapter(ShipAttitudeConfig(), RosidlFactory()), [a for a in voyage() if a.topic == INS])
     assert len(outputs(run)) > 100
     assert {(m.status, m.horizon) for m in outputs(run)} == {(Status.DEGRADED, Horizon.GRAVITY)}
@@ -311,7 +311,7 @@ def test_a_clock_that_jumps_back_resets_once_and_cleanly() -> None:
     assert values == (("clock jumps back", "1"),)
 
 
-def test_a_reset_starts_anew_without_going_back_in_time() -> None:
+def test_a_reset_restarts_the_filter_without_earlier_stamps() -> None:
     adapter = drive(new_adapter(), voyage()).adapter
     assert adapter.service("reset", START_NS + 5 * SECOND_NS).success
     assert adapter.core.state.time_ns is None
@@ -374,7 +374,7 @@ def test_a_sensor_at_another_azimuth_is_the_only_one_in_conflict(changes: dict[s
     assert_honest(outputs(run)[-1])
 
 
-def test_mend_05_a_sensor_against_the_ins_and_another_sensor_is_named_in_the_diagnostics() -> None:
+def test_a_sensor_against_the_ins_and_another_sensor_is_named_in_the_diagnostics() -> None:
     run = drive(new_adapter(star_sensors__fore__azimuth_deg=0.5), voyage())
     last_ns = run.now_ns
     ((_, text),) = run.diagnostics("conflict star.fore", last_ns - SECOND_NS, last_ns)[-1:]
@@ -382,7 +382,7 @@ def test_mend_05_a_sensor_against_the_ins_and_another_sensor_is_named_in_the_dia
     assert "yaw" not in text
 
 
-def test_mend_05_an_ins_against_all_sensors_is_named_in_the_diagnostics() -> None:
+def test_an_ins_against_all_sensors_is_named_in_the_diagnostics() -> None:
     run = drive(new_adapter(), changed_where(voyage(), lambda a: a.topic == INS, heading_off))
     for source in ("star.fore", "star.starboard"):
         _, text = run.diagnostics(f"conflict {source}", run.now_ns - SECOND_NS, run.now_ns)[-1]
@@ -390,7 +390,7 @@ def test_mend_05_an_ins_against_all_sensors_is_named_in_the_diagnostics() -> Non
 
 
 @pytest.mark.parametrize("heading_deg", [45.0, 225.0, 44.0])
-def test_mend_05_half_a_degree_near_45_is_not_called_yaw(heading_deg: float) -> None:
+def test_half_a_degree_near_45_is_not_called_yaw(heading_deg: float) -> None:
     run = drive(new_adapter(), changed_where(voyage(4.0, heading_deg), lambda a: a.topic == INS, heading_off))
     conflicts = run.innovations(Reason.ATTITUDE_CONFLICT)
     assert conflicts
@@ -402,7 +402,7 @@ def heading_off(message: Any) -> None:
     message.orientation = quaternion_message(exp_rotation(np.array([0.0, np.deg2rad(0.5), 0.0])) @ rotation_of(message))
 
 
-def test_a_conflict_holds_the_estimate_unless_configured() -> None:
+def test_a_conflict_does_not_change_the_estimate_unless_configured() -> None:
     arrivals = changed_where(voyage(), lambda a: a.topic == INS, heading_off)
     run = drive(new_adapter(), arrivals)
     assert run.health(FORE).accepted == 0
@@ -410,7 +410,7 @@ def test_a_conflict_holds_the_estimate_unless_configured() -> None:
     assert run.diagnostics("conflict star.fore", run.now_ns - SECOND_NS, run.now_ns)[-1][0] == 2
 
 
-def test_a_gate_that_may_reopen_lets_the_stars_in_again() -> None:
+def test_with_reopen_after_the_covariance_is_inflated_and_stars_are_accepted() -> None:
     arrivals = changed_where(voyage(8.0), lambda a: a.topic == INS, heading_off)
     run = drive(new_adapter(gate__reopen_after=10), arrivals)
     reopened = [m for m in run.messages("ship/innovation") if "covariance inflated" in m.reason_text]
@@ -420,7 +420,7 @@ def test_a_gate_that_may_reopen_lets_the_stars_in_again() -> None:
     assert run.diagnostics("conflict star.fore", run.now_ns - SECOND_NS, run.now_ns) == []  # and it is over
 
 
-def test_a_star_in_conflict_does_not_carry_the_attitude_when_the_ins_goes() -> None:
+def test_a_star_in_conflict_gives_no_attitude_after_an_ins_timeout() -> None:
     """Sensor fore is bolted at another azimuth than configured; with the INS gone only starboard may speak."""
     run = drive(new_adapter(star_sensors__fore__azimuth_deg=30.0), cut(voyage(6.0), 3.0, 6.0, INS))
     alone = outputs(run, from_s=3.96)

@@ -42,7 +42,7 @@ def sigmas_arcsec(core: ShipAttitudeCore) -> tuple[float, float]:
     return np.sqrt(up) / ARCSEC, np.sqrt(0.5 * (north + east)) / ARCSEC
 
 
-def test_at_constant_heading_sums_are_told_and_combinations_left_open() -> None:
+def test_at_constant_heading_sums_are_observable_and_combinations_are_not() -> None:
     core = sailed(voyage(0.0, 290.0))
     told = core.learnt()
     # Installation of 1 arcsecond against 10 and 72 of the INS: the INS is told, the sensors hardly.
@@ -53,7 +53,7 @@ def test_at_constant_heading_sums_are_told_and_combinations_left_open() -> None:
     assert told.left["star.fore.forward"] < 0.5
 
 
-def test_before_any_star_nothing_is_told() -> None:
+def test_before_any_star_nothing_is_observed() -> None:
     core = core_for(voyage(0.0, 10.0))
     told = core.learnt()
     assert set(told.left.values()) == {1.0}
@@ -67,7 +67,7 @@ def bolted_within_5_arcseconds(scenario: Scenario) -> Scenario:
 
 
 @pytest.mark.slow
-def test_a_turn_brings_what_the_hint_says() -> None:
+def test_a_turn_improves_the_attitude_as_predicted() -> None:
     # 34.4° of heading, 0.5° of pitch, 2° of roll, as she sails.
     lies_nd = rotation_from_angles(*np.deg2rad([34.4, 0.5, 2.0]))
     hint = sailed(bolted_within_5_arcseconds(voyage(0.0, 290.0))).worthwhile_turn(lies_nd)
@@ -80,22 +80,22 @@ def test_a_turn_brings_what_the_hint_says() -> None:
     assert hint.after < 0.7 * hint.on_course
 
 
-def test_where_the_mounting_is_surveyed_well_no_turn_is_worth_it() -> None:
+def test_with_a_well_surveyed_mounting_no_turn_is_recommended() -> None:
     assert sailed(voyage(0.0, 290.0)).worthwhile_turn(np.eye(3)) is None
 
 
-def test_without_stars_there_is_no_hint() -> None:
+def test_without_stars_no_turn_is_recommended() -> None:
     assert core_for(voyage(0.0, 10.0)).worthwhile_turn(np.eye(3)) is None
 
 
-def test_after_one_measurement_nobody_knows_how_often_they_come() -> None:
+def test_after_one_measurement_no_turn_is_recommended() -> None:
     # The diagnostics ask at any time, and so between the first exposure and the second.
     core = sailed(bolted_within_5_arcseconds(voyage(0.0, 1.0)))
     assert core.state.used_ns
     assert core.worthwhile_turn(np.eye(3)) is None
 
 
-def test_a_source_that_has_gone_brings_nothing() -> None:
+def test_a_timed_out_source_does_not_count() -> None:
     whole = bolted_within_5_arcseconds(voyage(0.0, 290.0))
     fore = replace(whole.star_sensors["fore"], outages={"clouds": Outage(start_s=100.0, end_s=1000.0)})
     gone = sailed(replace(whole, star_sensors=whole.star_sensors | {"fore": fore}))

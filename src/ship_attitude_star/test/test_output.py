@@ -87,7 +87,7 @@ def test_attitudes_of_several_states_are_those_of_each_alone() -> None:
     assert statuses == {Status.VALID, Status.DEGRADED, Status.COASTING}
 
 
-def test_each_row_of_a_state_is_predicted_and_opened_as_if_it_were_alone() -> None:
+def test_each_filter_is_propagated_and_inflated_independently() -> None:
     rng = np.random.default_rng(11)
     rows, initial = 5, FILTER.initial_state()
     means = rng.normal(scale=1e-4, size=(rows, FILTER.model.size))

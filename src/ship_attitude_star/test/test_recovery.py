@@ -84,7 +84,7 @@ def statuses(run: Run, from_s: float, until_s: float = np.inf) -> set[int]:
     return {m.status for m in run.messages(ATTITUDE) if from_s <= since_start_s(m) < until_s}
 
 
-def test_a_filter_that_is_certain_of_what_is_wrong_comes_back() -> None:
+def test_a_filter_with_a_wrong_small_covariance_recovers() -> None:
     run = recovered()
     assert statuses(run, SPOILT_S + 2.0, SPOILT_S + 60.0) == {Status.DEGRADED}
     assert statuses(run, SPOILT_S + CONFIRMED_S) == {Status.VALID}
@@ -94,7 +94,7 @@ def test_a_filter_that_is_certain_of_what_is_wrong_comes_back() -> None:
             assert_honest(message)
 
 
-def test_without_a_second_estimator_it_does_not() -> None:
+def test_without_a_second_estimator_it_does_not_recover() -> None:
     run = sailed(calm(), recovery__after_s=NEVER_S)
     assert Status.VALID not in statuses(run, SPOILT_S + 2.0)
     assert run.adapter.recovery.started == 0
@@ -110,14 +110,14 @@ def test_stamps_go_on_increasing_and_levels_come_before_the_first_new_attitude()
     assert both[first - 1][0] == "ship/integrity"
 
 
-def test_what_was_known_of_mountings_is_kept() -> None:
+def test_estimated_mountings_are_kept() -> None:
     found, expected = (run.adapter.core.alignment() for run in (recovered(), drive(new_adapter(), calm())))
     stars = [number for number, name in enumerate(expected.names) if name.startswith("star.")]
     sigmas = np.sqrt(expected.covariance.diagonal())[stars]
     assert np.all(np.abs(found.values - expected.values)[stars] <= 3.0 * sigmas)
 
 
-def test_it_is_reported_and_counted() -> None:
+def test_recovery_is_reported_and_counted() -> None:
     run = recovered()
     reports = run.diagnostics("recovery", START_NS, run.now_ns)
     texts = [text for _, text in reports]
@@ -181,7 +181,7 @@ def clock_back(arrivals: Iterable[Arrival], from_s: float, *topics: str) -> list
     ],
     ids=["all turned by 60″", "both remounted", "INS's clock", "clock of both sensors"],
 )
-def test_what_moves_all_stars_against_the_ins_and_lasts_is_not_adopted(change: Callable[..., Any], moved: str) -> None:
+def test_a_constant_rotation_of_all_stars_against_the_ins_is_not_adopted(change: Callable[..., Any], moved: str) -> None:
     """60″; 224″ and 269″; 0.1 s at 5° a second at most, 1800″; the text begins with the first digit of it."""
     run = sailed(change(calm()), spoilt_s=np.inf)
     assert statuses(run, SPOILT_S + 2.0) == {Status.DEGRADED}
@@ -192,7 +192,7 @@ def test_what_moves_all_stars_against_the_ins_and_lasts_is_not_adopted(change: C
     assert "time_offset_s" in text
 
 
-def test_a_sensor_whose_clock_is_off_for_good_is_named_and_the_others_go_on() -> None:
+def test_a_sensor_with_a_constant_clock_error_is_named() -> None:
     run = sailed(clock_back(calm(), SPOILT_S, FORE), spoilt_s=np.inf)
     assert statuses(run, SPOILT_S) == {Status.VALID}
     assert set(run.adapter.core.state.excluded) == {"star.fore"}
@@ -200,7 +200,7 @@ def test_a_sensor_whose_clock_is_off_for_good_is_named_and_the_others_go_on() ->
     assert "time_offset_s of star_sensors.fore" in text
 
 
-def test_a_lasting_turn_is_not_adopted_where_the_memory_is_too_vague_to_show_it() -> None:
+def test_a_constant_rotation_is_not_adopted_if_the_stored_state_is_too_uncertain() -> None:
     """An INS whose heading may drift by 72″ in ten minutes: after a minute the memory allows for 60″ and more."""
     run = sailed(turned(voyage(190.0), UP, SPOILT_S), spoilt_s=np.inf, ins__heading_time_s=600.0)
     recovery = run.adapter.recovery
@@ -211,7 +211,7 @@ def test_a_lasting_turn_is_not_adopted_where_the_memory_is_too_vague_to_show_it(
     assert statuses(run, SPOILT_S + 2.0) == {Status.DEGRADED}
 
 
-def test_a_covariance_that_is_no_number_agrees_with_no_memory() -> None:
+def test_a_nan_covariance_is_consistent_with_no_stored_state() -> None:
     core = drive(new_adapter(), voyage(20.0)).adapter.core
     assert core.departure_sigmas(core.state, core.state) == 0.0
     parts = core.state.stack.copy()
@@ -219,14 +219,14 @@ def test_a_covariance_that_is_no_number_agrees_with_no_memory() -> None:
     assert not core.departure_sigmas(core.state, changed(core.state, stack=parts)) <= MEMORY_SIGMAS
 
 
-def test_what_was_there_from_the_start_is_no_memory() -> None:
+def test_a_fault_from_the_start_leaves_no_stored_state() -> None:
     """A node that started while all stars were turned knows nothing else; that they moved back must not bind it."""
     run = sailed(turned(calm(), UP, -1.0, 15.0), spoilt_s=np.inf)
     assert run.adapter.recovery.adopted == 1
     assert statuses(run, 15.0 + CONFIRMED_S) == {Status.VALID}
 
 
-def test_reset_after_a_remounting_ends_it_at_once() -> None:
+def test_reset_after_remounting_ends_recovery_at_once() -> None:
     resets = []
 
     def reset(run: Run, since_s: float) -> None:
@@ -238,7 +238,7 @@ def test_reset_after_a_remounting_ends_it_at_once() -> None:
     assert not run.adapter.recovery.is_in_trouble
 
 
-def test_a_turn_of_all_stars_that_ends_is_over_although_their_own_rule_does_not_return_them() -> None:
+def test_a_temporary_rotation_of_all_stars_ends_although_they_are_not_reinstated() -> None:
     """``integrity.return_after_s`` of an hour: the stars that were excluded do not return by themselves."""
     arrivals = turned(voyage(145.0), UP, SPOILT_S, 70.0)
     run = sailed(arrivals, spoilt_s=np.inf, integrity__return_after_s=3600.0)
@@ -248,7 +248,7 @@ def test_a_turn_of_all_stars_that_ends_is_over_although_their_own_rule_does_not_
     assert not run.adapter.core.state.excluded
 
 
-def test_a_sensor_that_was_knocked_for_good_stays_excluded_and_does_not_hinder_the_adoption() -> None:
+def test_a_sensor_with_a_mounting_shift_stays_excluded_and_does_not_prevent_the_adoption() -> None:
     def knocked(arrival: Arrival) -> Arrival:
         is_hit = arrival.topic == FORE and arrival.stamp_ns >= START_NS + 35 * SECOND_NS
         return turned([arrival], 60.0 * UP, 0.0)[0] if is_hit else arrival
@@ -305,7 +305,7 @@ def test_a_step_of_all_clocks_in_trouble() -> None:
     assert {m.status for m in last} == {Status.VALID}
 
 
-def test_separation_is_the_turn_of_the_stars_with_its_own_noise() -> None:
+def test_memory_residual_is_the_rotation_of_the_stars_with_its_noise() -> None:
     """Against the turn that was put in, and the noise of the messages: 3″ across, 100″ about the line of sight."""
     turn_n, memory = np.array([10.0, 60.0, -20.0]) * ARCSEC, None
     arrivals = turned(voyage(20.0), turn_n, 19.0)
@@ -348,7 +348,7 @@ def test_an_exception_in_the_second_estimator_costs_no_output(monkeypatch: pytes
     assert "ZeroDivisionError" in report.reason_text
 
 
-def test_smoothed_attitudes_go_on_after_an_adoption() -> None:
+def test_smoothed_attitudes_continue_after_an_adoption() -> None:
     run = sailed(calm(), smoothing_lag_s=5.0)
     assert run.adapter.recovery.adopted == 1
     told = [since_start_s(m) for m in run.messages("ship/attitude_smoothed")]

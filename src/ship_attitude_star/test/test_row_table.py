@@ -18,7 +18,7 @@ def table(sensors: int, references: int = 0, **integrity: Any) -> RowTable:
     return ShipFilter(build(ShipAttitudeConfig, values)).suspects.table
 
 
-def test_each_source_and_each_pair_of_three_and_the_ins_is_left_out_once() -> None:
+def test_each_source_and_each_pair_of_three_and_the_ins_is_excluded_in_one_subfilter() -> None:
     found = table(2, 1, pairs=True, max_hypotheses=11)
     assert found.names[:4] == ("star.s0", "star.s1", "reference.r0", "ins")
     assert found.names[4:] == (
@@ -41,7 +41,7 @@ def test_fewer_than_three_sources_have_no_pairs(sensors: int) -> None:
     assert table(3).pairs == range(5, 5)
 
 
-def test_star_sensors_that_agree_do_not_show_that_the_ins_is_wrong() -> None:
+def test_consistent_star_sensors_cannot_show_an_ins_fault() -> None:
     found = table(3, 1)
     assert not found.contradict_ins(["star.s0", "star.s1", "star.s2"])
     assert not found.contradict_ins(["reference.r0"])
@@ -56,7 +56,7 @@ def test_a_pair_is_as_probable_as_both_of_its_faults_together() -> None:
 
 
 @pytest.mark.parametrize(("sensors", "rows"), [(3, 11), (4, 16)])
-def test_more_rows_than_allowed_are_refused_by_name_with_what_to_do(sensors: int, rows: int) -> None:
+def test_more_filters_than_allowed_are_refused_with_a_remedy(sensors: int, rows: int) -> None:
     with pytest.raises(ParameterError) as caught:
         table(sensors, pairs=True, max_hypotheses=rows - 1)
     assert caught.value.parameters == ("integrity.max_hypotheses",)
@@ -67,7 +67,7 @@ def test_more_rows_than_allowed_are_refused_by_name_with_what_to_do(sensors: int
     assert table(sensors, pairs=True, max_hypotheses=rows).rows == rows
 
 
-def test_a_pair_is_asked_while_two_others_are_in_use() -> None:
+def test_a_pair_is_relevant_while_two_others_are_in_use() -> None:
     found, sensors = table(4, pairs=True, max_hypotheses=16), [f"star.s{number}" for number in range(4)]
 
     def asked(in_use: list[str], *excluded: str) -> set[str]:

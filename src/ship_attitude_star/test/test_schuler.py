@@ -95,7 +95,7 @@ def test_undamped_period_is_that_of_schuler() -> None:
 
 
 @pytest.mark.parametrize("sailing", [(0.0, 0.0), (8.0, -6.0)])
-def test_an_ins_that_is_computed_goes_wrong_as_the_process_says(sailing: tuple[float, float]) -> None:
+def test_errors_of_a_simulated_ins_follow_the_process(sailing: tuple[float, float]) -> None:
     ins, hours = process(), 1.5
     state = np.zeros(13)
     state[:3] = np.array([8.0, 40.0, -12.0]) * ARCSEC
@@ -160,7 +160,7 @@ def skew(vector: np.ndarray) -> np.ndarray:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
-def test_how_it_is_asked_does_not_matter() -> None:
+def test_the_order_of_requests_does_not_matter() -> None:
     gravity = {"deflection": "constant", "xi_arcsec": 20.0, "sigma_arcsec": 2.0}
     vertical = at_anchor(400, **gravity)
     before, end_s = vertical.at(ns(1.3)), 301.7
@@ -173,7 +173,7 @@ def test_how_it_is_asked_does_not_matter() -> None:
         np.testing.assert_array_equal(one, other)
 
 
-def test_a_deflection_under_way_drives_the_oscillation() -> None:
+def test_a_changing_deflection_drives_the_oscillation() -> None:
     # The way from 0 to 60 arcseconds, then still: the tilt swings about the new plumb line, twice as far at most.
     ins = process()
     vertical = at_anchor(5, deflection="constant", sigma_arcsec=0.0)

@@ -60,7 +60,7 @@ def ran(
     return estimates, decisions
 
 
-def test_the_heading_of_an_ins_is_told_by_it() -> None:
+def test_it_makes_the_heading_of_an_ins_observable() -> None:
     rng = np.random.default_rng(1)
     error_n = np.array([5.0, 60.0, -4.0]) * ARCSEC
     estimates, decisions = ran(
@@ -106,7 +106,7 @@ def test_jacobian_is_the_difference_quotient() -> None:
 
 
 @pytest.mark.statistics
-def test_errors_of_many_draws_are_as_large_as_said() -> None:
+def test_errors_of_many_draws_are_consistent_with_the_covariance() -> None:
     squares, draws = [], 60
     for seed in range(draws):
         rng = np.random.default_rng(100 + seed)
@@ -135,7 +135,7 @@ def test_errors_of_many_draws_are_as_large_as_said() -> None:
         (lambda vector_n: np.full(3, np.nan), "wrong RTK solution"),
     ],
 )
-def test_a_wrong_solution_is_refused_and_moves_nothing(spoilt: Any, text: str) -> None:
+def test_a_wrong_solution_is_rejected_and_changes_nothing(spoilt: Any, text: str) -> None:
     cores = ShipAttitudeCore(configured()), ShipAttitudeCore(configured())
     error_n = np.array([0.0, 20.0, 0.0]) * ARCSEC
 
@@ -152,7 +152,7 @@ def test_a_wrong_solution_is_refused_and_moves_nothing(spoilt: Any, text: str) -
     np.testing.assert_array_equal(with_it[-1].covariance_n, without[-1].covariance_n)
 
 
-def test_an_ambiguity_fixed_wrongly_across_is_no_accepted_heading() -> None:
+def test_a_wrong_transverse_ambiguity_is_rejected() -> None:
     # 0.3 m across at 8 m are 2 degrees; the length grows by 6 mm, which the gate of the length does not see.
     def solutions(second: int, true_nd: np.ndarray) -> np.ndarray:
         wrong_d = np.array([0.0, 0.0, 0.3]) if second >= 10 else np.zeros(3)
@@ -164,7 +164,7 @@ def test_an_ambiguity_fixed_wrongly_across_is_no_accepted_heading() -> None:
     assert abs(wrap_pi(angles_from_rotation(estimates[-1].rotation_nd)[0] - heading)) < 60.0 * ARCSEC
 
 
-def test_a_baseline_too_short_to_tell_a_direction_is_refused_by_name() -> None:
+def test_a_too_short_baseline_is_refused_by_name() -> None:
     with pytest.raises(ParameterError, match=r"ship_baseline\.forward_m"):
         configured(forward_m=0.1, up_m=0.0, right_m=0.0)
 
@@ -173,7 +173,7 @@ def test_without_the_section_there_is_no_such_device() -> None:
     assert BASELINE not in ShipFilter(build(ShipAttitudeConfig, {})).devices
 
 
-def test_alignment_tells_where_it_points() -> None:
+def test_alignment_contains_its_direction() -> None:
     core = ShipAttitudeCore(configured())
     ran(core, np.zeros(3), lambda _, true_nd: true_nd @ BASELINE_D, seconds=3)
     told = core.alignment()
@@ -215,7 +215,7 @@ def solution_message(**changes: Any) -> RtkBaseline:
         ({"fix": 200}, Reason.NOT_FIXED),
     ],
 )
-def test_a_message_that_cannot_be_used_is_refused_with_the_reason(changes: dict[str, Any], reason: Reason) -> None:
+def test_an_unusable_message_is_rejected_with_the_reason(changes: dict[str, Any], reason: Reason) -> None:
     config = configured().ship_baseline
     assert baseline(solution_message(), START_NS, config).covariance_known
     with pytest.raises(Refused) as refused:

@@ -194,7 +194,7 @@ def test_smoothing_is_batch_least_squares(both: tuple) -> None:
     assert worst_sigma < 0.01
 
 
-def test_the_filters_covariance_is_the_inverse_of_the_information_matrix(both: tuple) -> None:
+def test_the_filter_covariance_is_the_inverse_of_the_information_matrix(both: tuple) -> None:
     # After the last measurement the filter has used all that the batch has.
     core, _, _, batch, unknowns, factors = both
     last_ms = star_epochs()[-1][0]

@@ -42,7 +42,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("values", CASES.values(), ids=CASES)
-def test_it_is_the_filters_prediction(values: dict) -> None:
+def test_it_equals_the_prediction_of_the_filter(values: dict) -> None:
     filter_, rng = filter_of(**values), np.random.default_rng(4)
     start = filter_.predicted(filter_.initial_state(), START_NS)
     # Correlated as after measurements, and away from zero.

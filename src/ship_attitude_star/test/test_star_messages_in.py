@@ -51,7 +51,7 @@ def converted(message: Any) -> Any:
     return reading.value, reading.left_out
 
 
-def test_pixels_become_directions_and_numbers_become_places() -> None:
+def test_pixels_become_directions_and_numbers_become_positions() -> None:
     # One degree to the right and half a degree up of the boresight.
     right_px, up_px = np.tan(np.deg2rad([1.0, 0.5])) * 0.05 / 10e-6
     exposure, refused = converted(observations(star(), star(DENEB, 511.5 + right_px, 511.5 - up_px, magnitude=1.3)))
@@ -74,7 +74,7 @@ def test_pixels_become_directions_and_numbers_become_places() -> None:
 
 
 @pytest.mark.parametrize("not_given", [np.nan, 0.0])
-def test_mend_09_without_a_length_an_exposure_is_used_as_it_is(not_given: float) -> None:
+def test_without_a_length_an_exposure_is_used_as_it_is(not_given: float) -> None:
     message = observations(star())
     message.exposure_s = not_given
     exposure, refused = converted(message)
@@ -92,7 +92,7 @@ def test_mend_09_without_a_length_an_exposure_is_used_as_it_is(not_given: float)
     ("exposure_s", "reason"),
     [(-0.1, "units"), (10.5, "units"), (50.0, "units"), (np.inf, "non_finite"), (-np.inf, "non_finite")],
 )
-def test_mend_09_a_length_that_cannot_be_is_refused(exposure_s: float, reason: str) -> None:
+def test_a_length_that_cannot_be_is_refused(exposure_s: float, reason: str) -> None:
     message = observations(star())
     message.exposure_s = exposure_s
     with pytest.raises(Refused) as caught:
@@ -101,7 +101,7 @@ def test_mend_09_a_length_that_cannot_be_is_refused(exposure_s: float, reason: s
     assert "exposure_s" in caught.value.refusal.text
 
 
-def test_a_star_without_number_has_the_place_given_or_none_yet() -> None:
+def test_a_star_without_number_has_the_given_position_or_none() -> None:
     exposure, refused = converted(
         observations(star(0, right_ascension=1.0, declination=-0.5), star(0, 600.0, 600.0), star(ALTAIR, 100.0))
     )
@@ -112,7 +112,7 @@ def test_a_star_without_number_has_the_place_given_or_none_yet() -> None:
     assert exposure.position_sigma[0] == pytest.approx(0.05 * ARCSEC)
 
 
-def test_a_catalogue_star_is_placed_by_the_catalogue_whatever_else_is_given() -> None:
+def test_a_catalogue_star_has_the_catalogue_position_whatever_else_is_given() -> None:
     by_number, _ = converted(observations(star()))
     with_place, refused = converted(observations(star(right_ascension=4.9, declination=0.7)))
     assert refused == ()
@@ -156,7 +156,7 @@ STARS = [
 
 
 @pytest.mark.parametrize(("bad", "reason", "text"), [s[1:] for s in STARS], ids=[s[0] for s in STARS])
-def test_a_bad_star_is_left_out_and_the_others_are_as_without_it(bad: Any, reason: Reason, text: str) -> None:
+def test_a_bad_star_is_rejected_and_the_others_are_as_without_it(bad: Any, reason: Reason, text: str) -> None:
     good = star(DENEB, 300.0, 300.0), star(ALTAIR, 700.0, 200.0)
     exposure, refused = converted(observations(*good, bad))
     assert exposure.content() == converted(observations(*good))[0].content()
@@ -165,20 +165,20 @@ def test_a_bad_star_is_left_out_and_the_others_are_as_without_it(bad: Any, reaso
     assert text in refusal.text
 
 
-def test_the_same_given_place_twice_counts_once() -> None:
+def test_the_same_given_position_twice_counts_once() -> None:
     place = {"right_ascension": 1.0, "declination": 0.5}
     exposure, refused = converted(observations(star(0, **place), star(0, 520.0, **place), star(0), star(0, 530.0)))
     assert (len(exposure), [name for name, _ in refused]) == (3, ["star 2 of the message"])
 
 
-def test_a_star_left_out_is_named_by_its_number_where_that_is_asked_for() -> None:
+def test_a_rejected_star_is_named_by_its_number_on_request() -> None:
     message = observations(star(DENEB, u=np.nan), star(0, u=np.nan))
     names = [name for name, _ in read(message, named_by_number=True).left_out]
     assert names == [f"HIP {DENEB}", "star 2 of the message"]
 
 
 @pytest.mark.slow
-def test_mend_18_a_flood_of_stars_is_cut_and_said_once() -> None:
+def test_a_flood_of_stars_is_cut_and_reported_once() -> None:
     exposure, refused = converted(observations(*(star(0, float(u % 1000), 10.0) for u in range(100_000))))
     assert len(exposure) == MOST_STARS
     ((name, refusal),) = refused

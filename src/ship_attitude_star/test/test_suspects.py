@@ -227,7 +227,7 @@ def assert_within_levels(sailed: Sailed) -> None:
 @pytest.mark.statistics
 @pytest.mark.parametrize("sensors", [("aft", "bow", "port"), ("bow", "port")], ids=["three", "two"])
 @pytest.mark.parametrize("seed", range(2))
-def test_nobody_is_excluded_where_all_are_right(sensors: tuple[str, ...], seed: int) -> None:
+def test_no_source_is_excluded_without_a_fault(sensors: tuple[str, ...], seed: int) -> None:
     sailed = sailed_with(sensors=sensors, seconds=120.0, seed=seed)
     assert sailed.excluded == [(0.0, ())]
     assert {one.status for one in sailed.between(1.0, 120.0)} == {Status.VALID}
@@ -238,7 +238,7 @@ def test_nobody_is_excluded_where_all_are_right(sensors: tuple[str, ...], seed: 
 @pytest.mark.slow
 @pytest.mark.parametrize("knock_arcsec", [10.0, 20.0, 50.0, 300.0])
 @pytest.mark.parametrize("name", ["aft", "bow", "port"])
-def test_a_knocked_sensor_is_told_named_and_excluded(name: str, knock_arcsec: float) -> None:
+def test_a_sensor_with_a_mounting_shift_is_reported_and_excluded(name: str, knock_arcsec: float) -> None:
     knock = Lie(f"star.{name}", np.array([0.0, 1.0, 0.0]) * knock_arcsec * ARCSEC, start_s=30.0)
     sailed = sailed_with(knock, seconds=60.0)
     since_s, excluded = sailed.excluded_first()
@@ -249,7 +249,7 @@ def test_a_knocked_sensor_is_told_named_and_excluded(name: str, knock_arcsec: fl
 
 
 @pytest.mark.slow
-def test_a_knocked_sensor_returns_with_its_mounting_learnt_anew_and_a_glitch_with_the_old_one() -> None:
+def test_after_a_mounting_shift_the_mounting_is_estimated_again_and_after_a_glitch_it_is_kept() -> None:
     turn = np.array([0.0, 0.0, 40.0]) * ARCSEC
     for lie in (Lie("star.bow", turn, 20.0), Lie("star.bow", turn, 20.0, end_s=22.0)):
         sailed = sailed_with(lie, seconds=120.0)
@@ -264,7 +264,7 @@ def test_a_knocked_sensor_returns_with_its_mounting_learnt_anew_and_a_glitch_wit
 
 
 @pytest.mark.slow
-def test_a_creeping_sensor_of_three_is_named_and_must_agree_for_twice_as_long_the_second_time() -> None:
+def test_a_drifting_sensor_of_three_is_isolated_with_twice_the_reinstatement_time_the_second_time() -> None:
     """Of 24 other voyages two have one VALID attitude of 4800 beyond five sigmas, by 5.05 at most."""
     drift = Lie("star.port", UP * 10.0 / 60.0 * ARCSEC, 20.0, per_s=True)
     sailed = sailed_with(drift, seconds=145.0, seed=5, integrity={"return_after_s": 20.0})
@@ -279,7 +279,7 @@ def test_a_creeping_sensor_of_three_is_named_and_must_agree_for_twice_as_long_th
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [4, 9])
-def test_a_creeping_sensor_of_two_is_a_doubt_and_where_one_is_named_it_is_the_right_one(seed: int) -> None:
+def test_a_drifting_sensor_of_two_is_an_unresolved_fault_or_isolated_correctly(seed: int) -> None:
     """The other sensor and an INS that wanders by as much nearly explain it: it may take minutes until one is named.
 
     In these two voyages four tenths of the limit (``_CLEARER``) named the other one.
@@ -294,7 +294,7 @@ def test_a_creeping_sensor_of_two_is_a_doubt_and_where_one_is_named_it_is_the_ri
     assert_honest(sailed)
 
 
-def test_all_stars_against_an_ins_without_rates_are_a_doubt_that_covers_the_disagreement() -> None:
+def test_all_stars_against_an_ins_without_rates_are_an_unresolved_fault_with_covariance() -> None:
     step = Lie("ins", np.array([0.0, 100.0, 0.0]) * ARCSEC, 30.0)
     sailed = sailed_with(step, seconds=60.0, rates=False, ins={"jump_samples": 1000, "time_offset_sigma_s": 0.0})
     # From the first star measurement after the step on.
@@ -305,7 +305,7 @@ def test_all_stars_against_an_ins_without_rates_are_a_doubt_that_covers_the_disa
 
 @pytest.mark.parametrize("after", [2, 6])
 @pytest.mark.parametrize(("source", "rates"), [("ins", False), ("sky", True)])
-def test_so_many_refusals_of_each_source_as_configured_are_a_doubt_and_set_all_stars_aside(
+def test_the_configured_number_of_rejections_of_all_stars_excludes_them(
     source: str, rates: bool, after: int
 ) -> None:
     """Stars are 61 ms apart; what they say is judged when the INS's samples of up to 0.1 s later are there."""
@@ -324,7 +324,7 @@ def test_so_many_refusals_of_each_source_as_configured_are_a_doubt_and_set_all_s
 
 @pytest.mark.slow
 @pytest.mark.parametrize("turn_arcsec", [32.0, 100.0])
-def test_a_sky_that_turns_moves_no_attitude_and_its_stars_return_when_it_is_back(turn_arcsec: float) -> None:
+def test_a_rotated_sky_changes_no_attitude_and_its_stars_are_reinstated_afterwards(turn_arcsec: float) -> None:
     """A position a kilometre off turns all stars by 32″."""
     sky = Lie("sky", np.array([turn_arcsec, 0.0, 0.0]) * ARCSEC, 30.0, end_s=60.0)
     sailed = sailed_with(sky, seconds=150.0)
@@ -337,14 +337,14 @@ def test_a_sky_that_turns_moves_no_attitude_and_its_stars_return_when_it_is_back
 @pytest.mark.slow
 @pytest.mark.parametrize("axis", [0, 2])
 @pytest.mark.parametrize(("tilt_time_s", "seed"), [(1800.0, 1), (1800.0, 2), (1800.0, 3), (100.0, 1)])
-def test_stars_that_share_a_lasting_error_stay_excluded(tilt_time_s: float, seed: int, axis: int) -> None:
+def test_stars_with_a_constant_shared_error_stay_excluded(tilt_time_s: float, seed: int, axis: int) -> None:
     """The INS's covariance grows while the stars are refused: that they fit into it is no agreement."""
     ins = {"ins": {"tilt_time_s": tilt_time_s, "time_offset_sigma_s": 0.0}}
     sailed = sailed_with(Lie("sky", np.eye(3)[axis] * 25.0 * ARCSEC, 30.0), seconds=240.0, seed=seed, **ins)
     assert {one.status for one in sailed.between(32.0, 240.0)} == {Status.DEGRADED}
 
 
-def test_of_two_sensors_excluded_together_the_one_that_is_right_again_returns() -> None:
+def test_of_two_sensors_excluded_together_the_consistent_one_is_reinstated() -> None:
     """Their errors, of 12° and 20°, are no knocks and not one error: each has its own share left."""
     ends = Lie("star.bow", UP * np.deg2rad(12.0), 20.0, end_s=40.0)
     lasts = Lie("star.port", UP * np.deg2rad(20.0), 20.0)
@@ -354,7 +354,7 @@ def test_of_two_sensors_excluded_together_the_one_that_is_right_again_returns() 
     assert_honest(sailed)
 
 
-def test_one_sensor_against_the_ins_is_a_doubt_and_there_is_no_level() -> None:
+def test_one_sensor_against_the_ins_is_an_unresolved_fault_without_level() -> None:
     knock = Lie("star.bow", np.array([0.0, 0.0, 50.0]) * ARCSEC, 30.0)
     sailed = sailed_with(knock, sensors=("bow",), seconds=60.0)
     assert {report.state for report, _ in sailed.reports} == {IntegrityState.UNAVAILABLE}
@@ -363,7 +363,7 @@ def test_one_sensor_against_the_ins_is_a_doubt_and_there_is_no_level() -> None:
     assert_honest(sailed)
 
 
-def test_the_decision_that_excludes_and_those_after_it_say_so() -> None:
+def test_the_excluding_decision_and_later_ones_have_the_reason_excluded() -> None:
     sailed = sailed_with(Lie("star.bow", UP * 60.0 * ARCSEC, 20.0), seconds=30.0)
     assert ("star.bow", Reason.EXCLUDED) in sailed.reasons
     assert {source for source, reason in sailed.reasons if reason is Reason.EXCLUDED} == {"star.bow"}
@@ -416,7 +416,7 @@ def clock_of_the_ins(step_s: float) -> Lie:
 
 
 @pytest.mark.parametrize("step_s", [0.0295, 0.012, -0.02, -0.035])
-def test_a_small_step_of_the_ins_clock_is_told_at_once_and_found_as_an_offset(step_s: float) -> None:
+def test_a_small_step_of_the_ins_clock_is_reported_at_once_and_estimated_as_an_offset(step_s: float) -> None:
     sailed = sailed_with(clock_of_the_ins(step_s), seconds=65.0, **TWO)
     assert {names for _, names in sailed.excluded} == {()}
     first = sailed.between(30.0 + step_s, 32.0)[0]
@@ -428,7 +428,7 @@ def test_a_small_step_of_the_ins_clock_is_told_at_once_and_found_as_an_offset(st
 
 @pytest.mark.slow
 @pytest.mark.parametrize("lie", [clock_of_the_ins(-0.4), clock_of_the_ins(0.3), Lie("ins.axes", UP, 30.0, 50.0)])
-def test_an_ins_that_told_a_fault_is_excluded_and_not_the_stars(lie: Lie) -> None:
+def test_an_ins_that_reported_a_jump_is_excluded_and_not_the_stars(lie: Lie) -> None:
     sailed = sailed_with(lie, seconds=125.0, **TWO)
     assert [names for _, names in sailed.excluded] == [(), ("ins",), ()]
     assert 30.0 < sailed.excluded[1][0] < 32.0
@@ -440,7 +440,7 @@ def test_an_ins_that_told_a_fault_is_excluded_and_not_the_stars(lie: Lie) -> Non
     assert_nothing_left(sailed, 125.0)
 
 
-def test_one_sensor_against_an_ins_that_told_a_fault_names_both() -> None:
+def test_one_sensor_against_an_ins_that_reported_a_jump_is_an_unresolved_fault_of_both() -> None:
     sailed = sailed_with(clock_of_the_ins(-0.4), sensors=("bow",), seconds=50.0, ins={"time_offset_sigma_s": 0.005})
     assert {one.status for one in sailed.between(31.0, 50.0)} == {Status.DEGRADED}
     assert "star.bow is rejected: the INS and all stars contradict each other" in sailed.estimates[-1].text
@@ -448,7 +448,7 @@ def test_one_sensor_against_an_ins_that_told_a_fault_names_both() -> None:
 
 
 @pytest.mark.parametrize(("sensors", "excluded"), [(("bow", "port"), {"ins": 1}), (("bow",), {})])
-def test_an_ins_that_tells_that_it_creeps_is_excluded_where_others_check_each_other(
+def test_a_drifting_ins_is_excluded_if_others_check_each_other(
     sensors: tuple[str, ...], excluded: dict[str, int]
 ) -> None:
     core = sailed_with(sensors=sensors, seconds=20.0).core
@@ -470,7 +470,7 @@ def test_with_one_star_sensor_left_the_ins_is_not_excluded() -> None:
     assert "ins" not in {name for _, names in sailed.excluded for name in names}
 
 
-def test_with_the_ins_excluded_neither_of_two_star_sensors_is_named() -> None:
+def test_with_the_ins_excluded_neither_of_two_star_sensors_is_isolated() -> None:
     """Either of them explains what the other contradicts."""
     drift = Lie("ins", np.array([0.0, 0.0, 3.3]) * ARCSEC, 30.0, per_s=True)
     knock = Lie("star.bow", np.array([0.0, 0.0, 60.0]) * ARCSEC, 65.0)
@@ -483,7 +483,7 @@ def test_with_the_ins_excluded_neither_of_two_star_sensors_is_named() -> None:
 
 
 @pytest.mark.slow
-def test_what_rows_dispute_is_in_the_covariance_and_not_in_the_levels() -> None:
+def test_solution_separations_are_in_the_covariance_and_not_in_the_levels() -> None:
     sailed = sailed_with(Lie("star.port", UP * 10.0 / 60.0 * ARCSEC, 20.0, per_s=True), seconds=240.0)
     told = [one for one in sailed.estimates if one.status is Status.VALID and one.state.disputed_n is not None]
     assert told
@@ -493,7 +493,7 @@ def test_what_rows_dispute_is_in_the_covariance_and_not_in_the_levels() -> None:
         assert sailed.core.integrity(one).level.tolist() == sailed.core.integrity(alone).level.tolist()
 
 
-def test_a_knock_of_four_sigmas_is_in_the_covariance_before_anybody_is_excluded() -> None:
+def test_a_mounting_shift_of_four_sigmas_is_in_the_covariance_before_an_exclusion() -> None:
     """Half of it goes into the attitude within a second; which of two sensors was knocked is known after two."""
     knock = Lie("star.port", -13.0 * UP * ARCSEC, 120.0)
     sailed = sailed_with(knock, sensors=("bow", "port"), seconds=128.0, seed=2)
@@ -515,7 +515,7 @@ def without_stars(lie: Lie, start_s: float, end_s: float, seconds: float, seed: 
     return sail(ShipAttitudeCore(configuration(("bow", "port"))), arrivals)
 
 
-def test_silence_is_no_agreement() -> None:
+def test_the_reinstatement_timer_restarts_after_a_timeout() -> None:
     """Knocked and excluded at 10 s; it would be used again after 60 s, most of which it was not heard."""
     sailed = without_stars(Lie("star.port", UP * 60.0 * ARCSEC, 10.0), 20.0, 65.0, 135.0, 1, "star.port")
     (excluded_s, excluded), (returned_s, returned) = sailed.excluded[1:]
@@ -524,7 +524,7 @@ def test_silence_is_no_agreement() -> None:
     assert (excluded, returned) == (("star.port",), ())
 
 
-def test_nor_of_an_ins_that_nothing_was_compared_with() -> None:
+def test_the_reinstatement_timer_of_the_ins_restarts_without_measurements() -> None:
     """Its clock is 0.1 s off from 10 to 16 s; it would be believed a minute later, most of which no star was seen."""
     lie = Lie("ins.clock", np.array([0.1, 0.0, 0.0]), 10.0, end_s=16.0)
     sailed = without_stars(lie, 25.0, 80.0, 145.0, 1)
@@ -535,7 +535,7 @@ def test_nor_of_an_ins_that_nothing_was_compared_with() -> None:
 
 
 @pytest.mark.parametrize(("seed", "size_arcsec"), [(1, -20.0), (2, -20.0), (5, -15.0)])
-def test_what_was_knocked_while_no_star_was_seen_is_not_laid_to_the_ins(seed: int, size_arcsec: float) -> None:
+def test_a_mounting_shift_without_stars_does_not_exclude_the_ins(seed: int, size_arcsec: float) -> None:
     sailed = without_stars(Lie("star.port", size_arcsec * UP * ARCSEC, 50.0), 42.0, 60.0, 75.0, seed)
     assert "ins" not in {name for _, names in sailed.excluded for name in names}
     assert_honest(sailed)
@@ -551,7 +551,7 @@ def test_what_was_knocked_while_no_star_was_seen_is_not_laid_to_the_ins(seed: in
         (Lie("star.aft", np.full(3, 60.0 * ARCSEC), 14.0), Lie("star.port", 90.0 * ARCSEC * UP, 18.0, 25.0)),
     ],
 )
-def test_a_day_without_dispute_is_what_looking_at_every_row_says(
+def test_the_fast_consistency_test_equals_the_full_one(
     lies: tuple[Lie, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     told = sailed_with(*lies, seconds=40.0)
@@ -568,7 +568,7 @@ def test_a_day_without_dispute_is_what_looking_at_every_row_says(
     BEFORE_LIES.clear()
 
 
-def test_while_all_is_right_sources_seldom_dispute() -> None:
+def test_without_faults_large_separations_are_rare() -> None:
     """A component is beyond 3 sigmas once in 370; of two sources in three lengths, and of three rows: 27 components.
 
     One sample a seed, because what separates rows (installations) is one draw a voyage.
@@ -597,7 +597,7 @@ def test_any_order_within_the_lag_ends_in_the_same_state_exclusions_included(
         assert getattr(states[0].seen, name).tobytes() == getattr(states[1].seen, name).tobytes()
 
 
-def test_a_row_without_a_sensor_is_the_estimate_of_a_ship_that_never_had_it() -> None:
+def test_a_subfilter_without_a_sensor_equals_a_filter_without_it() -> None:
     """But for the point of linearisation, which is that of the first row."""
     arrivals = voyage(("bow", "port"), (), 20.0, 5, True)
     core = sail(ShipAttitudeCore(configuration(("bow", "port"))), arrivals).core
@@ -613,7 +613,7 @@ def test_a_row_without_a_sensor_is_the_estimate_of_a_ship_that_never_had_it() ->
 @pytest.mark.slow
 @pytest.mark.parametrize("sensors", [THREE, FOUR], ids=["three", "four"])
 @pytest.mark.parametrize("knocks_arcsec", [(30.0, 30.0), (15.0, -15.0)], ids=["alike", "differently"])
-def test_two_sensors_knocked_at_once_are_both_excluded_where_pairs_are_left_out(
+def test_two_simultaneous_mounting_shifts_are_excluded_with_pairs(
     sensors: tuple[str, ...], knocks_arcsec: tuple[float, float]
 ) -> None:
     knocks_rad = dict(zip(("bow", "port"), ARCSEC * np.array(knocks_arcsec), strict=True))
@@ -637,7 +637,7 @@ def test_two_sensors_knocked_at_once_are_both_excluded_where_pairs_are_left_out(
 
 
 @pytest.mark.parametrize("sensors", [THREE, FOUR], ids=["three", "four"])
-def test_two_sensors_knocked_by_any_sizes_are_named_and_no_error_is_above_its_level(sensors: tuple[str, ...]) -> None:
+def test_two_mounting_shifts_of_any_size_are_isolated_and_no_error_exceeds_its_level(sensors: tuple[str, ...]) -> None:
     named = 0
     for seed in PAIR_SEEDS:
         rng = np.random.default_rng([9, seed])
@@ -651,7 +651,7 @@ def test_two_sensors_knocked_by_any_sizes_are_named_and_no_error_is_above_its_le
     assert named >= 0.9 * len(PAIR_SEEDS)
 
 
-def test_both_of_two_excluded_sensors_return_by_themselves() -> None:
+def test_two_excluded_sensors_are_reinstated_independently() -> None:
     knock, glitch = Lie("star.bow", UP * 40.0 * ARCSEC, 10.0), Lie("star.port", -UP * 60.0 * ARCSEC, 10.0, end_s=30.0)
     sailed = sailed_with(knock, glitch, seconds=100.0, **WITH_PAIRS)
     both = ("star.bow", "star.port")
@@ -664,14 +664,14 @@ def test_both_of_two_excluded_sensors_return_by_themselves() -> None:
     assert_honest(sailed)
 
 
-def test_a_single_fault_is_that_of_one_source_where_pairs_are_left_out() -> None:
+def test_with_pairs_a_single_fault_excludes_one_source() -> None:
     for name, knock_arcsec in (("aft", 12.0), ("port", 300.0)):
         sailed = sailed_with(Lie(f"star.{name}", UP * knock_arcsec * ARCSEC, 15.0), seconds=20.0, **WITH_PAIRS)
         assert [names for _, names in sailed.excluded] == [(), (f"star.{name}",)]
         assert_honest(sailed)
 
 
-def test_two_of_three_are_not_named_against_an_ins_that_may_have_stepped() -> None:
+def test_two_of_three_are_not_isolated_against_an_ins_that_may_have_stepped() -> None:
     """One sensor and an INS without rates agree by chance as well as two sensors do: 2 against 2."""
     lies = Lie("ins", UP * 50.0 * ARCSEC, 15.0), Lie("star.bow", UP * 40.0 * ARCSEC, 15.0)
     sailed = sailed_with(*lies, seconds=25.0, rates=False, **WITH_PAIRS)
@@ -679,7 +679,7 @@ def test_two_of_three_are_not_named_against_an_ins_that_may_have_stepped() -> No
     assert {one.status for one in sailed.between(15.7, 25.0)} == {Status.DEGRADED}
 
 
-def test_the_attitude_does_not_depend_on_rows_without_pairs_and_the_levels_grow() -> None:
+def test_the_attitude_does_not_depend_on_pair_subfilters_and_the_levels_grow() -> None:
     plain, with_pairs = (sailed_with(seconds=60.0, **changes) for changes in ({}, WITH_PAIRS))
     assert with_pairs.excluded == [(0.0, ())]
     for one, other in zip(plain.estimates, with_pairs.estimates, strict=True):
@@ -696,7 +696,7 @@ def test_the_attitude_does_not_depend_on_rows_without_pairs_and_the_levels_grow(
     assert higher.dominant in higher.hypotheses[4:]
 
 
-def test_a_row_without_two_sensors_is_the_estimate_of_a_ship_that_never_had_them() -> None:
+def test_a_subfilter_without_two_sensors_equals_a_filter_without_them() -> None:
     """But for the point of linearisation, which is that of the first row."""
     arrivals = voyage(THREE, (), 20.0, 5, True)
     core = sail(ShipAttitudeCore(configuration(THREE, **WITH_PAIRS)), arrivals).core
@@ -715,7 +715,7 @@ def test_more_hypotheses_than_allowed_are_refused_by_name() -> None:
         ShipFilter(configuration(("aft", "bow", "port"), integrity={"max_hypotheses": 3}))
 
 
-def test_an_estimate_of_a_state_in_doubt_has_the_dispute_in_its_budget() -> None:
+def test_an_unresolved_fault_is_in_the_error_budget() -> None:
     sailed = sailed_with(Lie("star.bow", np.array([0.0, 0.0, 50.0]) * ARCSEC, 10.0), sensors=("bow",), seconds=20.0)
     last = sailed.estimates[-1]
     assert last.status is Status.DEGRADED

@@ -170,7 +170,7 @@ def test_the_computers_clock_is_set_five_seconds_before_or_after_the_devices(
 
 
 @pytest.mark.slow
-def test_what_is_known_of_the_ins_is_kept() -> None:
+def test_estimated_ins_errors_are_kept() -> None:
     """Heading is off by 60″ without stars; the covariance is that of before, and a second of drift."""
     run = sailed(new_adapter(), long_voyage(), clock((20.0, -300.0)), live=True)
 
@@ -197,7 +197,7 @@ def test_a_step_while_a_star_sensor_is_out(step_s: float) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("step_s", [-300.0, 900.0])
-def test_a_step_while_the_ins_is_silent(step_s: float) -> None:
+def test_a_step_during_an_ins_timeout(step_s: float) -> None:
     off_ns = clock((20.0, step_s))
     run = sailed(new_adapter(), cut(long_voyage(), 18.0, 25.0, INS), off_ns)
     assert not_valid_s(run, 25.0) < 2.0
@@ -253,7 +253,7 @@ def wrong_from_the_start(time_ns: int) -> int:
 
 
 @pytest.mark.slow
-def test_utc_that_is_right_after_a_step_is_not_held_against_the_stars() -> None:
+def test_correct_utc_after_a_step_does_not_exclude_the_stars() -> None:
     """The stars contradicted the INS from the start on, by more than it may be wrong, and were not used."""
     run = sailed(ShipAttitudeAdapter(observing(), FACTORY), observed(), wrong_from_the_start)
     assert {m.status for ns, m in attitudes(run) if 3.0 < ns < 10.0} == {Status.DEGRADED}
@@ -262,7 +262,7 @@ def test_utc_that_is_right_after_a_step_is_not_held_against_the_stars() -> None:
 
 
 @pytest.mark.slow
-def test_utc_that_was_learnt_wrong_before_the_step_needs_a_reset() -> None:
+def test_wrong_utc_before_the_step_needs_a_reset() -> None:
     """An INS that may be wrong by degrees was set by the stars of another time."""
     wide = {"frame_id": "ins", "tilt_sigma_arcsec": 20_000.0, "heading_sigma_arcsec": 20_000.0}
     adapter = ShipAttitudeAdapter(observing(ins=wide), FACTORY)
@@ -283,7 +283,7 @@ def test_utc_that_was_learnt_wrong_before_the_step_needs_a_reset() -> None:
 
 
 @pytest.mark.slow
-def test_an_ins_that_drifts_until_stars_come_back_no_longer_tells_utc() -> None:
+def test_an_ins_that_drifted_until_stars_return_cannot_verify_utc() -> None:
     """Stars are gone from the step on for 25 s, in which the INS may have turned by more than the sky has."""
     drifting = {"frame_id": "ins", "tilt_time_s": 60.0, "heading_time_s": 60.0}
     off_ns = clock((10.0, -1.0))
@@ -321,7 +321,7 @@ def test_a_message_ahead_of_the_others_is_counted_once(monkeypatch: pytest.Monke
 
 @pytest.mark.slow
 @pytest.mark.parametrize("step_s", [-300.0, 900.0])
-def test_star_attitude_goes_on_after_a_step(step_s: float) -> None:
+def test_star_attitude_continues_after_a_step(step_s: float) -> None:
     off_ns = clock((10.0, step_s))
     run = AdapterRun(new_star_attitude())
     hand_over(run, stamped(observed(), off_ns), node_ns=lambda ns: ns + off_ns(ns))

@@ -107,7 +107,7 @@ def nees(core: ShipAttitudeCore, truth: FloatArray) -> float:
 
 @pytest.mark.statistics
 @pytest.mark.parametrize("waves", [0.2, 1.0, 3.0])
-def test_mend_11_a_reference_at_its_default_priors_is_honest(waves: float) -> None:
+def test_a_reference_at_its_default_priors_is_consistent(waves: float) -> None:
     """Mean NEES was 20.7 where 4 is expected, the worst 377."""
     runs = [voyage(seed, waves=waves) for seed in range(SEEDS)]
     ends = [sailed(run) for run in runs]
@@ -119,7 +119,7 @@ def test_mend_11_a_reference_at_its_default_priors_is_honest(waves: float) -> No
 
 @pytest.mark.slow
 @pytest.mark.parametrize("offset_s", [-0.6, -0.38, 0.36, 0.40, 0.6])
-def test_mend_11_a_clock_two_or_three_sigma_off_is_found(offset_s: float) -> None:
+def test_a_clock_offset_of_two_or_three_sigma_is_estimated(offset_s: float) -> None:
     """Offsets of 0.36 to 0.40 s ended 10 to 15 sigma off, with 95 % of the measurements refused for ever."""
     for seed in range(4):
         run = voyage(seed, offset_s)
@@ -128,7 +128,7 @@ def test_mend_11_a_clock_two_or_three_sigma_off_is_found(offset_s: float) -> Non
         assert refused <= 0.05 * len(run.measurements)
 
 
-def test_mend_11_any_order_within_the_lag_ends_in_the_same_state() -> None:
+def test_any_order_within_the_lag_ends_in_the_same_state() -> None:
     """What is compared at a moment that the estimate leads to is compared anew where samples around it come late."""
     run, rng = voyage(3, -0.4, duration_s=12.0), np.random.default_rng(5)
     late_ns = {item.time_ns: int(rng.integers(0, SECOND_NS)) for item in [*run.samples, *run.measurements]}
@@ -139,7 +139,7 @@ def test_mend_11_any_order_within_the_lag_ends_in_the_same_state() -> None:
     assert in_order.state.parts.tobytes() == shuffled.state.parts.tobytes()
 
 
-def test_mend_11_the_first_measurements_of_an_ins_are_used_too() -> None:
+def test_the_first_measurements_of_an_ins_are_used_too() -> None:
     """There the INS has not told yet how the ship moves three sigma of the clock before: nearer attitudes tell it."""
     run = voyage(1, 0.3, duration_s=4.0)
     core = ShipAttitudeCore(CONFIG)
