@@ -1,4 +1,4 @@
-"""The alignment saved at the end of a voyage is the prior of the next one; a bad file is named, never half used."""
+"""Saved alignment: it is the prior of the next voyage; a bad file is named and not used."""
 
 import dataclasses
 import math
@@ -25,14 +25,14 @@ END_NS = START_NS + 60 * 10**9
 
 @pytest.fixture
 def saved(tmp_path: Path) -> Path:
-    """The alignment after the voyage."""
+    """Alignment file of the voyage."""
     path = tmp_path / "alignment.yaml"
     ALIGNMENT_FILE.save(path, clean_run().adapter.core.alignment_to_save())
     return path
 
 
 def started(path: Path, now_ns: int = START_NS, **changes: Any) -> ShipAttitudeAdapter:
-    """An adapter that has started with a file and seen nothing but the time."""
+    """Return an adapter started with an alignment file and without inputs."""
     adapter = new_adapter(alignment_file=str(path), **changes)
     adapter.tick(now_ns)
     return adapter
@@ -49,7 +49,7 @@ def value_of(adapter: ShipAttitudeAdapter) -> dict[str, float]:
 
 
 def alignment_text(adapter: ShipAttitudeAdapter, now_ns: int) -> tuple[int, str]:
-    """What the diagnostics say of the alignment."""
+    """Return level and text of the alignment diagnostic."""
     published = adapter.tick(now_ns + 2 * 10**9)
     (report,) = [message for topic, message in published if topic == "/diagnostics"]
     (status,) = [status for status in report.status if status.name == "ship_attitude: alignment"]
@@ -63,9 +63,9 @@ def test_saved_alignment_is_the_prior_of_the_next_voyage(saved: Path) -> None:
         assert value_of(now)[name] == pytest.approx(value_of(before)[name], abs=1e-12)
         assert sigma_of(now)[name] == pytest.approx(sigma_of(before)[name], rel=1e-6)
         assert sigma_of(now)[name] < sigma_of(configured)[name]
-    # 5 ms configured; a swell of 2 to 4° tells it to a few tenths of a millisecond.
+    # 5 ms configured; a swell of 2 to 4° makes it observable to a few tenths of a millisecond.
     assert sigma_of(now)["ins.time_offset"] < 0.2 * sigma_of(configured)["ins.time_offset"]
-    # The INS's own errors are another voyage's.
+    # The INS errors are those of another voyage.
     assert value_of(now)["ins.up"] == 0.0
     assert sigma_of(now)["ins.up"] == pytest.approx(72.0 * ARCSEC)
 
@@ -262,7 +262,7 @@ def run_state(saved: Path) -> Any:
 
 
 def test_a_voyage_without_stars_does_not_make_the_alignment_younger_or_older(saved: Path) -> None:
-    """Saved anew before the first star of a voyage, it still is what was loaded."""
+    """Saved again before the first star of a voyage, the alignment equals the loaded one."""
     adapter, before = started(saved, START_NS + DAY_NS), document(saved)
     assert adapter.service("save_alignment", START_NS + DAY_NS).success
     after = document(saved)
@@ -282,7 +282,7 @@ def self_saving(path: Path, period_s: float = 1.0, **changes: Any) -> ShipAttitu
 
 
 def known_better(path: Path) -> bytes:
-    """A saved alignment in which every sigma is a hundredth of what the voyage leaves."""
+    """Save an alignment whose sigmas are a hundredth of those after the voyage."""
     prior = clean_run().adapter.core.alignment_to_save()
     return ALIGNMENT_FILE.save(path, dataclasses.replace(prior, covariance=prior.covariance * 1e-4))
 
@@ -299,12 +299,12 @@ def test_a_node_saves_by_itself_once_a_period_what_the_service_would_save(tmp_pa
     assert ALIGNMENT_FILE.load(path).time_ns < run.adapter.core.state.time_ns
     ALIGNMENT_FILE.save(asked, drive(new_adapter(), until).adapter.core.alignment_to_save())
     assert asked.read_bytes() == path.read_bytes()
-    # And nothing else is another because of it.
+    # Nothing else changes.
     assert run.results() == clean_run().results()
 
 
 class CountedFiles(NotedFiles):
-    """Notes the uses, and when the last one was: at the tick of that time."""
+    """Count the uses, and store the time of the last one."""
 
     last_written_ns = 0
 
@@ -331,7 +331,7 @@ def test_an_attitude_that_no_star_has_aligned_is_not_saved(tmp_path: Path) -> No
 
 def test_a_more_accurate_file_is_kept_and_the_reason_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "alignment.yaml"
-    adapter = self_saving(path)  # the better file comes while the node runs
+    adapter = self_saving(path)  # the more accurate file is written while the node runs
     better = known_better(path)
     run = drive(adapter, voyage())
     assert path.read_bytes() == better

@@ -1,4 +1,4 @@
-"""The software itself fails on one message: that is told, and all else comes out as without it."""
+"""The software fails on one message: this is reported, and all other results are as without the message."""
 
 from collections.abc import Callable
 from typing import Any
@@ -21,7 +21,7 @@ DEFECT = "ArithmeticError: a defect ("
 
 
 def failing_where(bad: Callable[..., bool], function: Callable[..., Any]) -> Callable[..., Any]:
-    """The function, which raises for some arguments."""
+    """Return the function, which raises for some arguments."""
 
     def call(*arguments: Any) -> Any:
         if bad(*arguments):
@@ -32,7 +32,7 @@ def failing_where(bad: Callable[..., bool], function: Callable[..., Any]) -> Cal
 
 
 def assert_told(run: AdapterRun, source: str, time_ns: int) -> None:
-    """In an innovation, and once for the log."""
+    """In an innovation message, and once in the log."""
     (innovation,) = run.innovations(Reason.FAILED)
     assert (innovation.source, stamp_of(innovation), innovation.accepted) == (source, time_ns, False)
     assert innovation.reason_text.startswith(DEFECT)
@@ -57,7 +57,7 @@ def test_a_measurement_on_which_the_filter_raises_is_rejected(monkeypatch: pytes
 
 
 def test_a_measurement_that_raised_is_used_where_it_no_longer_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Raised at first, then an INS sample that came late has all of its time applied again."""
+    """It raises at first; then a late INS sample makes the measurements of its time be applied again."""
     clean, index = clean_run(), index_at(voyage(), FORE, MOMENT_S)
     bad_ns, failures = voyage()[index].stamp_ns, [True]
     bad = failing_where(

@@ -1,4 +1,4 @@
-"""Hints about wrong headings, at all headings, and who is named as the odd one out."""
+"""Diagnosis hints about wrong headings, at all headings, and the name of the inconsistent source."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def test_a_small_disagreement_gets_no_hint_at_any_heading(heading_deg: float, of
 @pytest.mark.parametrize("heading_deg", [heading for heading in AROUND if heading % 180 != 45])
 def test_heading_given_as_yaw_is_named_where_it_makes_a_difference(heading_deg: float) -> None:
     told = hint(90.0 - heading_deg, heading_deg)
-    # Within 5° of 45° and 225° the two differ by less than 10°, as anything may.
+    # Within 5° of 45° and 225° the two differ by less than 10°, which gives no hint.
     assert ("yaw (90° - heading): check ins.convention" in told) == (abs(heading_deg % 180 - 45.0) > 5.0)
 
 
@@ -37,7 +37,7 @@ def test_heading_given_as_yaw_is_named_where_it_makes_a_difference(heading_deg: 
 @pytest.mark.parametrize("turn_deg", [90.0, -90.0, 180.0])
 def test_90_and_180_degrees_are_named_at_all_headings(heading_deg: float, turn_deg: float) -> None:
     told = hint(heading_deg + turn_deg, heading_deg)
-    # Where heading given as yaw makes the same turn, that is named: it is by far the commonest.
+    # If heading given as yaw explains the same difference, it is named: it is by far the most common mistake.
     assert f"about {abs(turn_deg):.0f}° in heading" in told or "yaw (90° - heading)" in told
     by_yaw = abs((2.0 * heading_deg + turn_deg - 90.0 + 180.0) % 360.0 - 180.0) < 5.0
     assert ("yaw" in told) == by_yaw

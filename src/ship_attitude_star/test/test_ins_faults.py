@@ -1,4 +1,4 @@
-"""An INS whose samples are well formed and wrong: jumped, frozen, with rates that are none; alone and together."""
+"""Faults of an INS with well-formed samples: jumps, frozen values, wrong rates; single and combined."""
 
 from collections.abc import Callable
 from typing import Any
@@ -54,14 +54,14 @@ def error_and_covariance(message: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def nees(run: Run, from_s: float = 0.0) -> np.ndarray:
-    """Of all attitudes that are VALID."""
+    """NEES of all VALID attitudes."""
     valid = [m for m in run.messages("ship/attitude") if m.status == Status.VALID and seconds(m) >= from_s]
     assert valid
     return np.array([e @ np.linalg.solve(p, e) for e, p in map(error_and_covariance, valid)])
 
 
 def assert_honest(run: Run) -> None:
-    """No attitude that is VALID is off by more than five of its sigmas about any axis."""
+    """No VALID attitude is off by more than five standard deviations about any axis."""
     for message in run.messages("ship/attitude"):
         if message.status == Status.VALID:
             error_n, covariance_n = error_and_covariance(message)
@@ -74,7 +74,7 @@ def of_ins(from_s: float = -1.0, until_s: float = 1e9) -> Callable[[Arrival], bo
 
 
 def scaled(factor: float) -> Change:
-    """Rates in another unit, or none at all."""
+    """Scale the rates, as for another unit or none at all."""
 
     def change(message: Any) -> None:
         for axis in AXES:
@@ -84,7 +84,7 @@ def scaled(factor: float) -> Change:
 
 
 def turned(*arcsec_n: float) -> Change:
-    """The attitude turned about North, Up, East."""
+    """Rotate the attitude about North, Up, East."""
 
     def change(message: Any) -> None:
         message.orientation = quaternion_message(exp_rotation(np.array(arcsec_n) * ARCSEC) @ rotation_of(message))
@@ -106,7 +106,7 @@ def negated_w(message: Any) -> None:
 
 
 def only_gaps(run: Run) -> int:
-    """How many messages of a star sensor at most were not used, all of them because the INS was not there."""
+    """Return the largest number of unused measurements of a star sensor, all of them for lack of the INS."""
     reasons = [run.reasons(topic) for topic in (FORE, STARBOARD)]
     assert all(counts.keys() <= {"gap"} for counts in reasons)
     return max(counts.get("gap", 0) for counts in reasons)
@@ -143,7 +143,7 @@ def test_a_wrong_sample_that_comes_late_is_refused_too() -> None:
 
 @pytest.mark.parametrize("size_arcsec", [100.0, 3600.0, 90.0 * 3600.0])
 def test_a_permanent_jump_inflates_the_covariance_until_stars_are_consistent(size_arcsec: float) -> None:
-    """Five are refused; the sixth is believed, DEGRADED, with an error as large as the jump, until a star was used."""
+    """Five are rejected; the sixth is accepted, DEGRADED, with an error as large as the jump, until a star was used."""
     jumped = changed_where(voyage(8.0), of_ins(3.0), turned(0.0, size_arcsec, 0.0))
     run = drive(new_adapter(), jumped)
     assert run.reasons(INS) == {"gate": 5}
@@ -156,7 +156,7 @@ def test_a_permanent_jump_inflates_the_covariance_until_stars_are_consistent(siz
     error_n, covariance_n = error_and_covariance(after[0])
     assert np.abs(error_n[1]) < 1.5 * np.sqrt(covariance_n[1, 1])
     assert_honest(run)
-    # But for one in the gap all stars are used: the jump is in the error of the INS, where it belongs.
+    # Except for one in the gap all stars are used: the jump is in the INS error, as it should be.
     assert only_gaps(run) <= 1
 
 
@@ -184,7 +184,7 @@ def test_a_late_star_from_before_a_jump_is_compared_with_the_attitude_before_it(
     assert drive(new_adapter(), late).state() == drive(new_adapter(), jumped).state()
 
 
-# -- rates that are none ------------------------------------------------------------------------------------------
+# -- wrong rates --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("keep", [1, 2])
@@ -192,7 +192,7 @@ def test_zero_rates_are_not_used_and_the_attitude_is_consistent(keep: int) -> No
     run = drive(new_adapter(), changed_where(thinned(voyage(20.0), keep), of_ins(), scaled(0.0)))
     assert run.reasons(INS).keys() <= {"rate_not_measured"}
     assert_honest(run)
-    # The errors of one voyage hardly change in a second: 99.9 % of chi square for what is one draw or a few.
+    # The errors of one voyage hardly change in a second: 99.9 % of chi square for one draw or a few.
     assert np.mean(nees(run, 2.0)) < 12.0
     reports = run.diagnostics("ins rates", START_NS + SECOND_NS, run.now_ns)
     assert {level for level, _ in reports} == {1}
@@ -201,7 +201,7 @@ def test_zero_rates_are_not_used_and_the_attitude_is_consistent(keep: int) -> No
 
 
 def test_a_sigma_of_the_ins_that_contradicts_the_configured_one_is_reported() -> None:
-    """Its own sigma of the heading is 0.1°, 72″ are configured; it changes no attitude."""
+    """The message states a heading sigma of 0.1°, 72″ are configured; this changes no attitude."""
 
     def states(message: Any) -> None:
         message.orientation_covariance = np.diag(np.deg2rad([0.002, 0.002, 0.1]) ** 2).ravel()
@@ -216,7 +216,7 @@ def test_a_sigma_of_the_ins_that_contradicts_the_configured_one_is_reported() ->
 
 
 def no_rate(message: Any) -> None:
-    """What an Imu says that measures none."""
+    """An Imu message without measured rates."""
     message.angular_velocity_covariance[0] = -1.0
 
 
@@ -235,13 +235,13 @@ def test_failing_rates_cost_half_a_second_and_no_star() -> None:
     assert 1 <= refused <= 16
     assert_honest(run)
     assert only_gaps(run) <= 3
-    # No star is forgotten: what was learnt of the INS stands.
+    # No star is rejected: the estimated INS errors are kept.
     sigma = [np.sqrt(m.covariance[0]) for m in run.messages("ship/attitude") if seconds(m) > 5.0]
     assert max(sigma) < 20.0 * ARCSEC
 
 
 def test_at_rest_the_result_of_the_rate_check_is_kept() -> None:
-    """Rates in degrees; the ship lies still for ten seconds, and nothing of them comes back in."""
+    """Rates in degrees; the ship is at rest for ten seconds, and the wrong rates have no effect afterwards."""
     arrivals = changed_where(voyage(22.0), of_ins(0.0, 22.0), scaled(np.rad2deg(1.0)))
     first = arrivals[index_at(arrivals, INS, 8.0)].message
 
@@ -274,7 +274,7 @@ def test_rates_in_degrees_from_the_start_have_no_lasting_effect() -> None:
     assert run.messages("ship/attitude")[-1].status == Status.VALID
 
 
-# -- together -------------------------------------------------------------------------------------------------------
+# -- combined -------------------------------------------------------------------------------------------------------
 
 
 def test_a_frozen_ins_and_a_frozen_star_are_detected_by_the_other_star_and_the_rates() -> None:
@@ -314,7 +314,7 @@ def test_a_wrong_sample_while_frozen_is_refused() -> None:
 
 
 def test_without_order_a_jump_is_never_valid_and_wrong() -> None:
-    """Samples and stars come up to a second late, in any order, around a jump."""
+    """Samples and stars arrive up to a second late, in any order, around a jump."""
     rng = np.random.default_rng(3)
     jumped = changed_where(voyage(8.0), of_ins(3.0), turned(0.0, 3600.0, 0.0))
     late = in_order(

@@ -1,4 +1,4 @@
-"""What the INS says of the ship's motion: about where the deck is, how it turned, and how well that is known."""
+"""Ship motion from the INS: attitude of the deck, rotations, and their covariance."""
 
 import itertools
 from dataclasses import replace
@@ -43,7 +43,7 @@ def motion(config: StarInsConfig, *samples: AttitudeSample) -> InsMotion:
 
 
 def exposure_at(time_ns: int) -> StarExposure:
-    """An exposure of no length without stars: its moment alone tells the turn."""
+    """An exposure of zero length without stars: only its time matters."""
     nothing = np.zeros(0)
     positions = fixed_stars(nothing, nothing)
     return StarExposure(
@@ -52,7 +52,7 @@ def exposure_at(time_ns: int) -> StarExposure:
 
 
 def turn_of(some: InsMotion, to_ms: int, from_ms: int) -> tuple[np.ndarray, np.ndarray]:
-    """The turn from one moment to another, and its covariance."""
+    """Return the rotation from one time to another, and its covariance."""
     turns = some.turns(START_NS + to_ms * MS, [exposure_at(START_NS + from_ms * MS)])
     return turns.rotations[0], turns.covariance_d[0, :, 0]
 
@@ -98,7 +98,7 @@ def test_the_rotation_error_is_that_of_noise_and_time_offset() -> None:
     rng = np.random.default_rng(5)
     total, draws = 0.0, 300
     for _ in range(draws):
-        # Valid at the stamp plus an offset that nobody knows.
+        # Valid at the stamp plus an unknown offset.
         offset_s = 0.02 * rng.standard_normal()
         samples = (sample(t, offset_s, ARCSEC * rng.standard_normal(3)) for t in range(80, 260, 10))
         turn, covariance_d = turn_of(motion(config, *samples), 100, 230)
@@ -109,7 +109,7 @@ def test_the_rotation_error_is_that_of_noise_and_time_offset() -> None:
 
 
 def test_excess_noise_counts_in_a_rotation() -> None:
-    """Samples 50 ms apart with noise of 20″, of which one is stated; found by the guard itself."""
+    """Samples 50 ms apart with noise of 20″, of which one is stated; the INS check detects the excess."""
     config = StarInsConfig(white_sigma_arcsec=1.0, time_offset_sigma_s=0.0)
     expected = attitude(5.0, HEADING_DEG).T @ attitude(5.15, HEADING_DEG)
     true, draws = [sample(t) for t in range(0, 6000, 50)], 100
@@ -122,21 +122,21 @@ def test_excess_noise_counts_in_a_rotation() -> None:
         turn, covariance_d = turn_of(some, 5000, 5150)
         squares += float(np.sum(log_rotation(expected @ turn.T) ** 2))
         variances += float(np.trace(covariance_d))
-    # The measured noise counts with how well it is known: sigma is a few per cent too large.
+    # The measured noise has its own uncertainty: sigma is a few per cent too large.
     low, high = sigma_ratio_band(3 * draws)
     assert 0.9 * low < np.sqrt(squares / variances) < high
 
 
 @pytest.mark.parametrize(
     ("periods", "rates"),
-    # Without measured rates the estimate of the interpolation's error is made of the samples' noise, and is a fifth of
-    # the little variance that a turn over a third of a period has: sigma is then 10 % too large.
+    # Without measured rates the interpolation error is estimated from the noise of the samples, and is a fifth of
+    # the small variance of a rotation over a third of a period: sigma is then 10 % too large.
     [*itertools.product([0.0, 0.3, 1.0, 2.5, 10.0], [True]), *itertools.product([0.0, 1.0, 2.5, 10.0], [False])],
 )
 def test_rotations_over_short_times_have_only_the_noise_not_shared(
     periods: float, rates: bool
 ) -> None:
-    """Turns to one moment from ``periods`` and from twice as many INS periods later, and the mean of the two."""
+    """Rotations to one time from ``periods`` and from twice as many INS periods later, and the mean of the two."""
     period_ms, draws = 20, 400
     config = StarInsConfig(white_sigma_arcsec=1.0, time_offset_sigma_s=0.0)
     rng = np.random.default_rng(round(10.0 * periods) + 1000 * rates)
@@ -167,7 +167,7 @@ def test_rotations_over_short_times_have_only_the_noise_not_shared(
 
 
 def test_streaks_of_two_sensors_at_one_time_share_the_noise_of_their_correction() -> None:
-    """The streaks are brought to the moment by the same samples: all of the noise of the correction is common."""
+    """The streaks are reduced with the same samples: all of the noise of the correction is common."""
     some = motion(StarInsConfig(time_offset_sigma_s=0.0), *(sample(t) for t in range(0, 2000, 40)))
     camera = StarCamera(0.06, 24e-6, 511.5, 511.5)
     streak = replace(exposure_at(START_NS + 1013 * MS), length=ExposureLength(0.2, camera, 0.8))
@@ -201,7 +201,7 @@ def test_a_sample_is_awaited_only_while_it_may_still_help() -> None:
 
 def test_a_repeated_stamp_is_reported_and_the_order_does_not_matter() -> None:
     one, other = sample(40), sample(40, white_n=np.full(3, ARCSEC))
-    """While the INS contradicts itself it tells nothing."""
+    """While the INS contradicts itself it is not used."""
     decks, later_ms = [], [10_030, 10_070, 10_110]
     for pair in ((one, other), (other, one)):
         some = InsMotion(StarInsConfig(), StreamGuards(StarInsConfig()))
@@ -231,7 +231,7 @@ def test_dropped_data_are_not_needed() -> None:
 
 
 def jumped_motion(size_rad: float) -> InsMotion:
-    """Its attitude jumps about Up at 0.8 s; five samples are refused."""
+    """Its attitude jumps about Up at 0.8 s; five samples are rejected."""
     some, step = InsMotion(StarInsConfig(), StreamGuards(StarInsConfig())), np.array([0.0, size_rad, 0.0])
     refusals = []
     for one in map(sample, range(0, 2000, 40)):

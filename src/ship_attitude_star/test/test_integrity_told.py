@@ -1,4 +1,4 @@
-"""Protection levels go by the state that the attitude rests on, also at the moment at which a source is excluded."""
+"""Protection levels belong to the filter state of their attitude, also when a source is excluded."""
 
 import functools
 import re
@@ -24,7 +24,7 @@ def knock(message: Any) -> None:
 
 @functools.cache
 def knocked_run() -> Run:
-    """Two star sensors, of which one is knocked by 60″ after five seconds."""
+    """Two star sensors, one of them with a mounting shift of 60″ after five seconds."""
 
     def chosen(arrival: Arrival) -> bool:
         return arrival.topic == FORE and arrival.stamp_ns >= KNOCKED_NS
@@ -35,7 +35,7 @@ def knocked_run() -> Run:
 def test_a_mounting_shift_is_excluded_within_three_measurements() -> None:
     told = [m for m in knocked_run().messages("ship/integrity") if m.excluded]
     assert told[0].excluded == ["star.fore"]
-    assert stamp_of(told[0]) - KNOCKED_NS < 0.7 * SECOND_NS  # three periods of 0.2 s, and 0.12 s on the way
+    assert stamp_of(told[0]) - KNOCKED_NS < 0.7 * SECOND_NS  # three periods of 0.2 s, and 0.12 s of latency
 
 
 def test_the_diagnostics_name_the_excluded_source_and_the_time() -> None:
@@ -45,12 +45,12 @@ def test_the_diagnostics_name_the_excluded_source_and_the_time() -> None:
     assert level == Level.WARN
     seconds = re.fullmatch(r"excluded: star\.fore for (\d+) s", text)
     assert seconds is not None
-    # By the levels told last, which go out once a second.
+    # By the levels published last, once a second.
     assert int(seconds[1]) == pytest.approx((report_ns - stamp_of(told)) / SECOND_NS, abs=1.5)
 
 
 def test_no_level_is_published_for_an_attitude_before_the_exclusion() -> None:
-    """Of two sensors one is left, which nothing checks: there is no level from then on, not for a moment."""
+    """Of two sensors one is left, which is not checked: there is no level from then on."""
     told = [m for m in knocked_run().messages("ship/integrity") if m.excluded]
     assert {m.state for m in told} == {UNAVAILABLE}
     assert np.isnan([m.protection_level for m in told]).all()
@@ -66,7 +66,7 @@ def test_levels_are_published_before_the_attitude_and_once_a_second() -> None:
 
 
 def test_published_levels_cover_each_output() -> None:
-    """Sensors start, one is knocked and excluded, all fall silent and come back: at no output is a level too small."""
+    """Sensors start, one has a mounting shift and is excluded, all time out and return: no level is too small."""
     knocked = changed_where(voyage(20.0), lambda a: a.topic == FORE and a.stamp_ns >= KNOCKED_NS, knock)
     silent = cut(voyage(20.0), 5.0, 9.0, FORE, STARBOARD)
     without_ins = cut(voyage(20.0), 5.0, 6.5, INS)

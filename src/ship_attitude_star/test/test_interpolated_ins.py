@@ -1,4 +1,4 @@
-"""An INS with few samples: its attitude between them is off, and all that is published says by how much."""
+"""An INS with few samples: the interpolation error is in the published covariance."""
 
 import os
 
@@ -26,7 +26,7 @@ RUNS = int(os.environ.get("SEEDS", "16"))
 
 
 class Swell:
-    """Roll of 5° in 10 s, pitch of 2° in 7 s, yaw of 0.7° in 20 s, and another ship each time."""
+    """Roll of 5° in 10 s, pitch of 2° in 7 s, yaw of 0.7° in 20 s, with other phases each time."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._period_s = np.array([20.0, 7.0, 10.0]) * rng.uniform(0.85, 1.2, 3)
@@ -115,7 +115,7 @@ def test_measurements_between_the_same_two_samples_share_their_error_of_interpol
     time_ns, mounted = START_NS + 3_500_000_000, core.filter.devices["star.fore"].rotation_dv0
     measured = AttitudeMeasurement("star.fore", time_ns, swell.attitude(3.5) @ mounted, np.diag(STAR_SIGMA_S**2))
     tenth_ns, noise = SECOND_NS // 10, []
-    # Alone; at 5 Hz five of them; beside another sensor twice as many; once in 5 s; the other sensor 2 s ago.
+    # Alone; at 5 Hz five of them; with another sensor twice as many; once in 5 s; the other sensor 2 s ago.
     for used in (
         {},
         {"star.fore": 2 * tenth_ns},
@@ -139,5 +139,5 @@ def test_the_budget_names_interpolation() -> None:
     parts = slow.covariance_parts_n
     np.testing.assert_allclose(parts.sum(axis=0), slow.covariance_n, rtol=1e-9)
     assert np.trace(parts[row]) > (1.0 * ARCSEC) ** 2
-    # With rates it is the noise of the comparisons only, as good as nothing.
+    # With rates only the noise of the measurements counts.
     assert np.trace(fast.covariance_parts_n[row]) < 0.01 * np.trace(fast.covariance_n)

@@ -1,4 +1,4 @@
-"""Parameters: refused with a reason, at the start and live; what is taken live acts at once and breaks nothing."""
+"""Parameters: refused with a reason, at the start and live; accepted live changes act at once."""
 
 import math
 from typing import Any
@@ -128,7 +128,7 @@ def test_a_reset_keeps_the_live_changes() -> None:
 
 
 def test_changed_ins_noise_reaches_the_ins_check() -> None:
-    """One sample off by 60": seven sigmas of the one noise, and far within the other."""
+    """One sample off by 60": seven sigmas of the first noise, and far within the second."""
 
     def off(message: Any) -> None:
         rotation_nd = rotation_from_quaternion(np.array([getattr(message.orientation, axis) for axis in "xyzw"]))

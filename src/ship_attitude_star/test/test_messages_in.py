@@ -1,4 +1,4 @@
-"""The ship's place and the air, from messages: axes, units, and what cannot be."""
+"""Readers of position and air messages: axes, units and impossible values."""
 
 from collections.abc import Callable
 from typing import Any

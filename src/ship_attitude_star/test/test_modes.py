@@ -1,4 +1,4 @@
-"""What the node claims, and how far it can be relied on, while inputs come and go and clocks jump."""
+"""Status of the attitude while inputs stop and return and clocks jump."""
 
 import functools
 from itertools import pairwise
@@ -44,7 +44,7 @@ def outputs(run: Run, from_s: float = -1.0, until_s: float = 1e6) -> list[Any]:
 
 
 def assert_strictly_increasing(run: Run) -> None:
-    """All attitudes that claim something, and all that claim nothing, which stand outside the order of the others."""
+    """All attitudes increase, and all INVALID ones, which are outside the order of the others."""
     for claimed in (True, False):
         stamps = [stamp_of(m) for m in run.messages("ship/attitude") if (m.status != Status.INVALID) == claimed]
         assert all(earlier < later for earlier, later in pairwise(stamps))
@@ -105,7 +105,7 @@ def test_angles_quaternion_and_imu_are_one_attitude() -> None:
 
 @pytest.mark.parametrize("sigma_arcsec_per_s", [0.0, 20.0])
 def test_the_imu_states_the_configured_noise_of_the_rates(sigma_arcsec_per_s: float) -> None:
-    """Zeros, where it is not configured: by Imu.msg the covariance is not known then."""
+    """Zeros, if it is not configured: by Imu.msg the covariance is not known then."""
     run = drive(new_adapter(ins__rate_sigma_arcsec_per_s=sigma_arcsec_per_s), voyage())
     stated = np.array([m.angular_velocity_covariance for m in run.messages("ship/imu")])
     assert len(stated) == len(outputs(run))
@@ -220,7 +220,7 @@ def test_when_the_ins_comes_back_all_is_as_before() -> None:
     for message in outputs(run, from_s=7.0):
         assert_honest(message)
     assert_strictly_increasing(run)
-    # Stars of the silence could not be compared: refused with a reason, none is left waiting.
+    # Stars during the timeout could not be evaluated: rejected with a reason, none is pending.
     in_gap = [m for m in run.messages("ship/innovation") if 3.0 <= since_start_s(m) < 6.9]
     assert {m.reason for m in in_gap} == {Reason.GAP}
     assert run.health(FORE).received == run.health(FORE).accepted + run.health(FORE).rejected
@@ -258,7 +258,7 @@ def test_without_ins_a_star_timeout_is_reported_within_a_second() -> None:
     carried = [m for m in outputs(run) if m.status == Status.DEGRADED]
     first_invalid = next(m for m in outputs(run) if m.status == Status.INVALID)
     assert since_start_s(carried[-1]) == pytest.approx(4.877)
-    assert 1.0 < since_start_s(first_invalid) - 4.997 <= 1.1  # that is when it came
+    assert 1.0 < since_start_s(first_invalid) - 4.997 <= 1.1  # its arrival time
     assert_strictly_increasing(run)
 
 
@@ -325,7 +325,7 @@ def test_a_reset_restarts_the_filter_without_earlier_stamps() -> None:
 
 
 def as_ned_frd(message: Any) -> None:
-    """What a driver gives that was told to speak NED <- FRD: its yaw is the heading itself."""
+    """Messages of a driver configured for NED <- FRD: its yaw is the heading itself."""
     rotation_nd = rotation_of(message)
     x, y, z, w = Rotation.from_matrix(NED_FROM_HORIZON @ rotation_nd @ FRD_FROM_DEVICE.T).as_quat().tolist()
     message.orientation = Quaternion(x=x, y=y, z=z, w=w)
@@ -335,14 +335,14 @@ def as_ned_frd(message: Any) -> None:
 
 @pytest.mark.parametrize("heading_deg", [1.0, 80.0, 91.0, 136.0, 181.0, 200.0, 314.0])
 def test_heading_given_as_yaw_is_a_conflict_with_a_hint(heading_deg: float) -> None:
-    """ENU yaw = 90° - heading; a driver that gives the heading itself is found at any heading."""
+    """ENU yaw = 90° - heading; a driver that sends the heading itself is detected at any heading."""
     arrivals = changed_where(voyage(4.0, heading_deg), lambda a: a.topic == INS, as_ned_frd)
     run = drive(new_adapter(), arrivals)
     conflicts = run.innovations(Reason.ATTITUDE_CONFLICT)
     assert {m.source for m in conflicts} == {"star.fore", "star.starboard"}
     assert all("yaw (90° - heading): check ins.convention" in m.reason_text for m in conflicts)
     assert run.health(FORE).accepted == 0
-    # Ten refusals of a sensor at 5 Hz take two seconds.
+    # Ten rejections of a sensor at 5 Hz take two seconds.
     raised_ns = stamp_of(conflicts[0]) + 120_000_000
     assert since_start_s(conflicts[0]) == pytest.approx(1.813)
     reports = run.diagnostics("conflict star.fore", raised_ns, raised_ns + 1_100_000_000)
@@ -369,7 +369,7 @@ def test_a_sensor_at_another_azimuth_is_the_only_one_in_conflict(changes: dict[s
     assert {m.source for m in conflicts} == {"star.fore"}
     assert all(text in m.reason_text for m in conflicts)
     assert ("in heading" in conflicts[0].reason_text) == ("heading" in text)
-    # The other sensor rules, as if this one were not there.
+    # The other sensor determines the attitude, as if this one did not exist.
     assert outputs(run)[-1].sources == ["ins", "star.starboard"]
     assert_honest(outputs(run)[-1])
 
@@ -398,7 +398,7 @@ def test_half_a_degree_near_45_is_not_called_yaw(heading_deg: float) -> None:
 
 
 def heading_off(message: Any) -> None:
-    """0.5° in heading: 25 times the sigma that the INS is given."""
+    """0.5° in heading: 25 times the configured INS sigma."""
     message.orientation = quaternion_message(exp_rotation(np.array([0.0, np.deg2rad(0.5), 0.0])) @ rotation_of(message))
 
 
@@ -417,11 +417,11 @@ def test_with_reopen_after_the_covariance_is_inflated_and_stars_are_accepted() -
     assert 1 <= len(reopened) <= 4
     assert outputs(run)[-1].status == Status.VALID
     assert_honest(outputs(run)[-1])
-    assert run.diagnostics("conflict star.fore", run.now_ns - SECOND_NS, run.now_ns) == []  # and it is over
+    assert run.diagnostics("conflict star.fore", run.now_ns - SECOND_NS, run.now_ns) == []  # and the conflict ends
 
 
 def test_a_star_in_conflict_gives_no_attitude_after_an_ins_timeout() -> None:
-    """Sensor fore is bolted at another azimuth than configured; with the INS gone only starboard may speak."""
+    """Sensor fore is mounted at another azimuth than configured; after an INS timeout only starboard is used."""
     run = drive(new_adapter(star_sensors__fore__azimuth_deg=30.0), cut(voyage(6.0), 3.0, 6.0, INS))
     alone = outputs(run, from_s=3.96)
     assert {tuple(m.sources) for m in alone} == {("star.starboard",)}

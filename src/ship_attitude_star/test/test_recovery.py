@@ -1,7 +1,7 @@
-"""``ship_attitude`` in trouble: a second estimator takes the same inputs, and replaces the first one where it is right.
+"""Recovery of ``ship_attitude``: a second estimator gets the same inputs and replaces the first one if it is right.
 
-A state from which the filter does not come back by itself is made by force: its errors are replaced by wrong ones that
-it takes for certain. Which inputs it comes back from, the return matrix shows (``make returns``).
+The state from which the filter does not recover is made by replacing its errors by wrong ones with a small covariance.
+The table of returns lists the inputs after which it recovers (``make returns``).
 """
 
 import functools
@@ -41,7 +41,7 @@ ATTITUDE = "ship/attitude"
 SPOILT_S, LENGTH_S = 40.0, 130.0
 NEVER_S = 1e6
 CONFIRMED_S = 70.0
-"""After so long the second estimator has been VALID for a minute (``recovery.confirm_s``)."""
+"""After this time the second estimator has been VALID for a minute (``recovery.confirm_s``)."""
 
 
 @functools.cache
@@ -53,7 +53,7 @@ def sailed(
     arrivals: Iterable[Arrival], spoilt_s: float = SPOILT_S, then: Callable[[Run, float], None] | None = None,
     **changes: Any,
 ) -> Run:
-    """A voyage whose filter is spoilt; ``then`` is called after each arrival with the seconds since the start."""
+    """Run a voyage whose filter state is replaced; call ``then`` after each arrival with the time since the start."""
     run, is_spoilt = Run(new_adapter(**changes)), False
     grid_ns = 100_000_000
     tick_ns = START_NS // grid_ns * grid_ns
@@ -153,7 +153,7 @@ UP = np.array([0.0, 60.0 * ARCSEC, 0.0])
 
 
 def remounted(arrivals: Iterable[Arrival], from_s: float) -> list[Arrival]:
-    """Both sensors remounted at once, each in another way."""
+    """Both sensors remounted at once, each by another rotation."""
     fore_n, starboard_n = np.array([200.0, 0.0, 100.0]) * ARCSEC, np.array([-100.0, 0.0, 250.0]) * ARCSEC
     return [turned([one], fore_n if one.topic == FORE else starboard_n, from_s)[0] for one in arrivals]
 
@@ -182,7 +182,7 @@ def clock_back(arrivals: Iterable[Arrival], from_s: float, *topics: str) -> list
     ids=["all turned by 60″", "both remounted", "INS's clock", "clock of both sensors"],
 )
 def test_a_constant_rotation_of_all_stars_is_not_adopted(change: Callable[..., Any], moved: str) -> None:
-    """60″; 224″ and 269″; 0.1 s at 5° a second at most, 1800″; the text begins with the first digit of it."""
+    """60″; 224″ and 269″; 0.1 s at up to 5°/s, 1800″; the text begins with the first digit of it."""
     run = sailed(change(calm()), spoilt_s=np.inf)
     assert statuses(run, SPOILT_S + 2.0) == {Status.DEGRADED}
     assert (run.adapter.recovery.started, run.adapter.recovery.adopted) == (1, 0)
@@ -201,7 +201,7 @@ def test_a_sensor_with_a_constant_clock_error_is_named() -> None:
 
 
 def test_a_constant_rotation_is_not_adopted_if_the_stored_state_is_too_uncertain() -> None:
-    """An INS whose heading may drift by 72″ in ten minutes: after a minute the memory allows for 60″ and more."""
+    """An INS whose heading may drift by 72″ in ten minutes: after a minute the stored state allows for 60″ and more."""
     run = sailed(turned(voyage(190.0), UP, SPOILT_S), spoilt_s=np.inf, ins__heading_time_s=600.0)
     recovery = run.adapter.recovery
     core = recovery.candidate.core
@@ -220,7 +220,7 @@ def test_a_nan_covariance_is_consistent_with_no_stored_state() -> None:
 
 
 def test_a_fault_from_the_start_leaves_no_stored_state() -> None:
-    """A node that started while all stars were turned knows nothing else; that they moved back must not bind it."""
+    """A node started while all stars were rotated has no other stored state; it must adopt the end of the rotation."""
     run = sailed(turned(calm(), UP, -1.0, 15.0), spoilt_s=np.inf)
     assert run.adapter.recovery.adopted == 1
     assert statuses(run, 15.0 + CONFIRMED_S) == {Status.VALID}
@@ -239,7 +239,7 @@ def test_reset_after_remounting_ends_recovery_at_once() -> None:
 
 
 def test_a_temporary_rotation_of_all_stars_ends_although_they_are_not_reinstated() -> None:
-    """``integrity.return_after_s`` of an hour: the stars that were excluded do not return by themselves."""
+    """``integrity.return_after_s`` of an hour: the excluded stars are not reinstated."""
     arrivals = turned(voyage(145.0), UP, SPOILT_S, 70.0)
     run = sailed(arrivals, spoilt_s=np.inf, integrity__return_after_s=3600.0)
     assert statuses(run, SPOILT_S + 2.0, 130.0) == {Status.DEGRADED}
@@ -278,7 +278,7 @@ def test_parameters_set_in_trouble_are_those_of_the_estimator_that_is_adopted() 
 
 
 def test_a_step_of_all_clocks_in_trouble() -> None:
-    """The second estimator goes on by the new stamps; what it remembers is carried over."""
+    """The second estimator continues with the new stamps; its stored state is propagated."""
     step_s, from_s = 600, 60.0
 
     def by_clock(arrival: Arrival) -> Arrival:
@@ -306,7 +306,7 @@ def test_a_step_of_all_clocks_in_trouble() -> None:
 
 
 def test_memory_residual_is_the_rotation_of_the_stars_with_its_noise() -> None:
-    """Against the turn that was put in, and the noise of the messages: 3″ across, 100″ about the line of sight."""
+    """Compared with the injected rotation, and the noise of the messages: 3″ across, 100″ about the line of sight."""
     turn_n, memory = np.array([10.0, 60.0, -20.0]) * ARCSEC, None
     arrivals = turned(voyage(20.0), turn_n, 19.0)
 
@@ -330,7 +330,7 @@ def test_memory_residual_is_the_rotation_of_the_stars_with_its_noise() -> None:
 
 
 def test_an_exception_in_the_second_estimator_costs_no_output(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Another one starts, and is adopted."""
+    """Another one starts and is adopted."""
     start, failing = ShipAttitudeCore.make_second, []
 
     def make_second(core: ShipAttitudeCore, memory: Any) -> ShipAttitudeCore:

@@ -1,4 +1,4 @@
-"""The rows of a ship: what each leaves out, how many they may be, and when a row without two sources is asked."""
+"""The filters of a ship: excluded sources, maximum number, and use of subfilters without two sources."""
 
 from typing import Any
 
@@ -50,7 +50,7 @@ def test_consistent_star_sensors_cannot_show_an_ins_fault() -> None:
 
 def test_a_pair_is_as_probable_as_both_of_its_faults_together() -> None:
     found = table(2, 1, pairs=True, max_hypotheses=11, prior_per_h={"star_sensor": 1e-2, "reference": 0.1, "ins": 1e-3})
-    share = 1e-5 / 12  # ten rows, all stars alike, and all sources right
+    share = 1e-5 / 12  # ten subfilters, all stars together, and the fault-free case
     for name, prior in (("reference.r0", 0.1), ("star.s0+star.s1", 1e-4), ("reference.r0+ins", 1e-4)):
         assert found.k.missed[found.names.index(name)] == pytest.approx(norm.isf(share / prior))
 
@@ -74,7 +74,7 @@ def test_a_pair_is_relevant_while_two_others_are_in_use() -> None:
         return {found.names[row - 1] for row in found.pairs_in_question(in_use, excluded)}
 
     assert asked(sensors) == set(found.names[5:])
-    # A pair of an excluded source and another is what the row without the other one is now.
+    # A pair of an excluded source and another equals the subfilter without the other one.
     of_three = {"star.s1+star.s2", "star.s1+star.s3", "star.s2+star.s3", "star.s1+ins", "star.s2+ins", "star.s3+ins"}
     assert asked(sensors[1:], "star.s0") == of_three
     assert asked(sensors[2:], "star.s0", "star.s1") == set()

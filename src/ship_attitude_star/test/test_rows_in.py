@@ -1,4 +1,4 @@
-"""Star attitudes of a block read together are those read one by one, to the last bit; the others are left to that."""
+"""Star attitudes of a block read together equal those read singly, to the last bit; the others are read singly."""
 
 import functools
 from typing import Any

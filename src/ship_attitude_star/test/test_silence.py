@@ -1,4 +1,4 @@
-"""What is said of the attitude while inputs fail together, come late or lie: it rests on what was put out."""
+"""Status of the attitude while inputs fail together, are late or wrong: it follows from the published attitudes."""
 
 import functools
 from collections.abc import Callable, Iterable
@@ -39,12 +39,12 @@ def claimed(run: Run) -> list[Any]:
 
 
 def at_times(run: Run) -> list[tuple[int, Any]]:
-    """(when, attitude) of what is claimed."""
+    """Return (time, attitude) of the published attitudes that are not INVALID."""
     return [(ns, m) for ns, topic, m in run.published if topic == ATTITUDE and m.status != Status.INVALID]
 
 
 def said_invalid(run: Run) -> list[int]:
-    """When INVALID was said, the start aside."""
+    """Return the times of INVALID, except at the start."""
     return [ns for ns, topic, m in run.published if topic == ATTITUDE and m.status == Status.INVALID and ns > at(0.5)]
 
 
@@ -53,7 +53,7 @@ def assert_in_order(run: Run) -> None:
 
 
 def assert_invalid_once_a_second(run: Run, from_s: float, until_s: float) -> None:
-    """From within a second and a tick on, nothing is claimed, budgeted, or said to be well."""
+    """From within a second and a tick on, only INVALID is published, no budget, and no OK status."""
     said = [ns for ns in said_invalid(run) if at(from_s) <= ns < at(until_s)]
     assert said[0] <= at(from_s + 1.1)
     assert all(SECOND_NS <= later - earlier <= 1.1 * SECOND_NS for earlier, later in pairwise(said))
@@ -85,7 +85,7 @@ def test_exposures_without_a_fix_do_not_hide_an_ins_timeout() -> None:
 
 
 def test_rejected_ins_samples_give_no_attitude() -> None:
-    """It arrives at its full rate, in order, and nothing of it can be used; no star sensor works."""
+    """It arrives at its full rate, in order, and is not usable; no star sensor works."""
     arrivals = cut(voyage(8.0), 3.0, 8.0, FORE, STARBOARD)
     run = drive(new_adapter(), changed_where(arrivals, lambda a: a.topic == INS and at(3.0) < a.stamp_ns, wrong_frame))
     assert_invalid_once_a_second(run, 3.0, 8.0)
@@ -102,7 +102,7 @@ def test_attitudes_come_from_stars_while_the_ins_is_rejected() -> None:
 
 
 def test_attitudes_come_from_stars_while_no_ins_sample_has_a_rate() -> None:
-    """From 3 s on the INS comes once in 0.9 s, too far apart to be joined, and measures no rates."""
+    """From 3 s on the INS samples are 0.9 s apart, too far to interpolate, and have no rates."""
 
     def without_rates(message: Any) -> None:
         message.angular_velocity_covariance = [-1.0] + 8 * [0.0]
@@ -144,7 +144,7 @@ def test_no_error_budget_is_published_twice() -> None:
         assert all(ns <= at(3.2) or ns > at(6.0) for ns, name, _ in run.published if name == topic)
 
 
-# -- late, and clocks that are put right ----------------------------------------------------------------------
+# -- late data, and corrected clocks --------------------------------------------------------------------------
 
 
 def later(arrivals: Iterable[Arrival], latency_s: Callable[[str], float]) -> tuple[Arrival, ...]:
@@ -158,7 +158,7 @@ def test_old_stamps_are_no_timeout(latency_s: Callable[[str], float]) -> None:
     """The INS within the lag behind the stars, or all that late."""
     run = drive(new_adapter(), later(voyage(), latency_s))
     by_ins, expected = ([stamp_of(m) for m in claimed(r) if "ins" in m.sources] for r in (run, clean_run()))
-    # Stars that came before the first INS sample had the word.
+    # Stars that arrived before the first INS sample gave attitudes first.
     assert by_ins == [ns for ns in expected if latency_s(FORE) or ns > at(0.877)]
     assert [ns for ns in said_invalid(run) if ns > at(latency_s(INS) + 0.1)] == []
     assert_in_order(run)
@@ -169,7 +169,7 @@ def test_old_stamps_are_no_timeout(latency_s: Callable[[str], float]) -> None:
 
 @pytest.mark.parametrize("step_s", [-0.04, 1.0, 5.0, 3600.0])
 def test_a_corrected_clock_is_no_timeout(step_s: float) -> None:
-    """The node's clock leaps while data and waiting go on: the same attitudes at the same moments."""
+    """The clock of the node jumps while data and waiting continue: the same attitudes at the same times."""
     run = Run(new_adapter())
     hand_over(run, voyage(), node_ns=lambda ns: ns + (round(step_s * SECOND_NS) if ns > at(2.5) else 0))
     by_the_clock = "ship/alignment", "/tf_static"  # these have the node's time
@@ -178,7 +178,7 @@ def test_a_corrected_clock_is_no_timeout(step_s: float) -> None:
 
 
 def test_a_leap_second_costs_attitudes_only_until_it_is_detected() -> None:
-    """The stamps tell one second twice; the clocks of the node go on. All inputs show the step within 0.4 s."""
+    """One second of stamps is repeated; the clocks of the node continue. All inputs show the step within 0.4 s."""
 
     def back(message: Any) -> None:
         message.header.stamp.sec -= 1
@@ -197,7 +197,7 @@ def test_a_leap_second_costs_attitudes_only_until_it_is_detected() -> None:
 
 @functools.cache
 def stopped(from_s: float, until_s: float) -> Run:
-    """What came while the node stood still it takes when it goes on, after the ticks of that time."""
+    """Messages received while the node was stopped are processed when it continues, after the ticks of that time."""
     arrivals = [replace(a, receive_ns=at(until_s)) if at(from_s) < a.receive_ns < at(until_s) else a for a in voyage()]
     return drive(new_adapter(), arrivals)
 

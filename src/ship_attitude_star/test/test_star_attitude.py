@@ -1,4 +1,4 @@
-"""The node star_attitude on a voyage under the real sky: its attitudes against the truth, with and without an INS."""
+"""The node star_attitude on a voyage under the real sky: attitudes compared with the truth, with and without an INS."""
 
 import copy
 import itertools
@@ -50,7 +50,7 @@ from ship_testing.star_voyage import (
 SOLUTION = {FORE: "star/fore/solution", STARBOARD: "star/starboard/solution"}
 JOINT = "star/joint/solution"
 EXACT_MAS = 0.2
-"""Twice what the refreshed sky may differ from the exact one."""
+"""Twice the difference of the refreshed sky from the exact one."""
 
 
 def error_n(message: Any, truth_n: FloatArray) -> FloatArray:
@@ -66,7 +66,7 @@ def without_ins() -> tuple[Arrival, ...]:
 
 
 def simultaneous(*counts: int) -> tuple[Arrival, ...]:
-    """Both sensors expose at once, with so many stars each; nothing else but place and weather."""
+    """Both sensors expose at once, with the given numbers of stars; besides only position and weather."""
     arrivals = list(only(voyage(), FIX, PRESSURE, TEMPERATURE, HUMIDITY))
     for topic, count in zip((FORE, STARBOARD), counts, strict=True):
         for since_ns in range(PHASE_NS[FORE], SECOND_NS, PERIOD_NS):
@@ -97,7 +97,7 @@ def test_covariances_belong_together() -> None:
         noise_n = horizon_covariance(message.noise_covariance.reshape(3, 3))
         expected = angle_covariance(total_n, message.azimuth, message.elevation)
         np.testing.assert_allclose(message.covariance.reshape(3, 3), expected, rtol=1e-9)
-        # What stars share comes on top of the noise.
+        # Shared errors of the stars are added to the noise.
         assert np.linalg.eigvalsh(total_n - noise_n)[0] > -1e-6 * np.trace(total_n)
         assert np.trace(noise_n) < np.trace(total_n)
 
@@ -123,7 +123,7 @@ def test_the_prior_selects_stars_and_does_not_change_the_attitude() -> None:
 
 
 def spanned(messages: list[Any]) -> list[Any]:
-    """Solutions of exposures that the INS saw the whole of."""
+    """Solutions of exposures fully covered by INS samples."""
     return [message for message in messages if 0.1 * SECOND_NS < since(message) < 2.85 * SECOND_NS]
 
 
@@ -182,7 +182,7 @@ def test_exposures_at_different_times_are_propagated_to_one_by_the_ins() -> None
     joint = clean_run().messages(JOINT)
     # Each pair once, at the time of its first.
     assert [since(message) for message in joint] == list(range(PHASE_NS[FORE], 3 * SECOND_NS, PERIOD_NS))
-    # Left to itself, 64 ms of rolling would be up to 2.3°/s x 64 ms = 0.15° = 530″.
+    # Without correction, 64 ms of rolling would be up to 2.3°/s x 64 ms = 0.15° = 530″.
     moved = [
         log_rotation(true_deck(since(m)).T @ true_deck(since(m) + PHASE_NS[STARBOARD] - PHASE_NS[FORE])) for m in joint
     ]
@@ -313,7 +313,7 @@ def test_a_star_given_by_its_direction_counts_like_one_of_the_catalogue() -> Non
     def change(message: Any) -> None:
         for star in message.stars:
             (row,) = catalogue.rows([star.catalogue_id])
-            # As its sensor would give it: with the motion up to now, 23.87 years.
+            # As sent by the sensor: with proper motion until now, 23.87 years.
             listed = catalogue.at_j2000[row]
             star.right_ascension = listed.right_ascension + 23.87 * listed.pm_right_ascension
             star.declination = listed.declination + 23.87 * listed.pm_declination
@@ -419,7 +419,7 @@ def test_sigma_of_the_centroid_changes_while_it_runs() -> None:
 def test_a_sensor_must_not_be_called_joint() -> None:
     with pytest.raises(ParameterError, match=r"'star_sensors\.joint': 'joint' means all sensors"):
         new_adapter(star_sensors__joint={"azimuth_deg": 1.0, "elevation_deg": 2.0, "camera": camera()})
-    # Fed with star/joint/solution beside the sensors' own, ship_attitude would count every star twice.
+    # With star/joint/solution in addition to those of the sensors, ship_attitude would count every star twice.
     with pytest.raises(ParameterError, match=r"'star_sensors\.joint': 'joint' means all sensors"):
         small_voyage.config(star_sensors__joint={"azimuth_deg": 1.0, "elevation_deg": 2.0, "input": "solution"})
 

@@ -1,4 +1,4 @@
-"""Which exposures make one joint solution, and when it is made."""
+"""Grouping of exposures for joint solutions."""
 
 from dataclasses import dataclass
 
@@ -23,7 +23,7 @@ class Item:
 def joined(
     *items: tuple[str, int], movable: bool = True, now_ms: int | None = None, sources: str = "abc"
 ) -> list[str]:
-    """Groups as ``"a0 b50"`` of items given one by one, the window asked after each."""
+    """Groups as ``"a0 b50"`` of items added one by one, the window evaluated after each."""
     window = JointWindow(sources, JointConfig(window_s=0.1, simultaneous_s=0.001, wait_s=0.5))
     groups = []
     for source, time_ms in items:

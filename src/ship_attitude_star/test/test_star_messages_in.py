@@ -1,4 +1,4 @@
-"""Messages about stars, place and air: what is used, what is left out, and what is said of it."""
+"""Reader of star observations: usable stars, rejected stars, and reported reasons."""
 
 from typing import Any
 
@@ -46,7 +46,7 @@ def read(message: Any, **options: bool) -> Any:
 
 
 def converted(message: Any) -> Any:
-    """The exposure, and the stars left out of it."""
+    """Return the exposure, and the rejected stars."""
     reading = read(message)
     return reading.value, reading.left_out
 
@@ -66,7 +66,7 @@ def test_pixels_become_directions_and_numbers_become_positions() -> None:
     assert np.rad2deg(exposure.positions.right_ascension[0]) / 15 == pytest.approx(18.6156489, abs=1e-6)
     assert np.rad2deg(exposure.positions.declination[0]) == pytest.approx(38.783689, abs=1e-5)
     assert exposure.positions.pm_declination[0] / ARCSEC == pytest.approx(0.286, abs=0.001)
-    # Position good to a milliarcsecond at 1991.25, motion to 0.6 mas a year at most, 23 years later.
+    # Position accurate to a milliarcsecond at 1991.25, motion to 0.6 mas a year at most, 23 years later.
     assert 0 < exposure.position_sigma[0] < 0.02 * ARCSEC
     assert exposure.identified.all()
     assert np.isnan(exposure.magnitude[0])

@@ -1,7 +1,7 @@
-"""Sources that lie: found, named, excluded, used again; and no VALID attitude beyond five sigmas meanwhile.
+"""Faulty sources: detected, isolated, excluded, reinstated; and no VALID attitude beyond five sigmas meanwhile.
 
-A ship rolls, pitches and turns; her INS tells its rates or does not; two or three star sensors tell attitudes. The
-truth is made of formulas, the errors of seeds, by the sigmas that the filter is given.
+A ship rolls, pitches and turns, with an INS with or without rates and two or three star sensors. The truth is computed
+from formulas, the errors from seeds, with the sigmas of the filter.
 """
 
 import bisect
@@ -38,7 +38,7 @@ INS_NS, STAR_NS = SECOND_NS // 20, SECOND_NS // 5
 AZIMUTH_DEG = {"aft": 240.0, "bow": 0.0, "port": 120.0, "stern": 180.0}
 THREE, FOUR = ("aft", "bow", "port"), ("aft", "bow", "port", "stern")
 TWO: dict[str, Any] = {"sensors": ("bow", "port"), "ins": {"time_offset_sigma_s": 0.005}}
-"""Star sensors, and an INS whose clock is to be learnt."""
+"""Star sensors, and an INS whose clock offset is estimated."""
 WITH_PAIRS = {"integrity": {"pairs": True, "max_hypotheses": 16}}
 PAIR_SEEDS = range(int(os.environ.get("FAULT_SEEDS", "1")))
 """``make campaign`` takes more."""
@@ -50,15 +50,15 @@ MIRROR = np.diag([1.0, 1.0, -1.0])
 
 @dataclass(frozen=True)
 class Lie:
-    """What is wrong, and when.
+    """An injected error.
 
     Attributes:
-        source: ``ins``, a star sensor, or ``sky`` where all stars are wrong alike; ``ins.clock`` and ``ins.axes`` too.
-        turn: rotation vector, rad: of a star sensor in its frame, otherwise in the horizon frame. Of a clock its first
-            number is the step, s; of axes it says nothing: heading and roll have the other sign.
-        start_s: since when.
-        end_s: until when.
-        per_s: whether ``turn`` is what comes in a second.
+        source: ``ins``, ``ins.clock``, ``ins.axes``, a star sensor, or ``sky`` for all stars.
+        turn: rotation vector, rad: of a star sensor in its frame, otherwise in the horizon frame. For ``ins.clock`` the
+            first number is the step, s. Not used for ``ins.axes``: heading and roll change sign.
+        start_s: start of the error, s.
+        end_s: end of the error, s.
+        per_s: True if ``turn`` is the change per second.
     """
 
     source: str
@@ -92,7 +92,7 @@ def rate_d(seconds: float) -> FloatArray:
 def voyage(
     sensors: tuple[str, ...], lies: tuple[int, ...], seconds: float, seed: int, rates: bool
 ) -> list[tuple[int, Any]]:
-    """What arrives, in the order of stamps."""
+    """Return the arriving data, in the order of stamps."""
     rng, config = np.random.default_rng(seed), configuration(sensors)
     told = [LIES[number] for number in lies]
     mounting = {name: exp_rotation(np.array([20.0, 1.0, 1.0]) * ARCSEC * rng.standard_normal(3)) for name in sensors}
@@ -128,7 +128,7 @@ def voyage(
 
 @dataclass
 class Sailed:
-    """A core after a voyage, what it put out, who was excluded when, and the levels at each second."""
+    """A core after a voyage, with its outputs, exclusions by time, and the levels of each second."""
 
     core: ShipAttitudeCore
     estimates: list[AttitudeEstimate]
@@ -137,7 +137,7 @@ class Sailed:
     reasons: list[tuple[str, Reason]]
 
     def copied(self) -> "Sailed":
-        """One that goes on from here."""
+        """Return an independent copy."""
         told = self.estimates[:], self.excluded[:], self.reports[:], self.reasons[:]
         return Sailed(copy.deepcopy(self.core), *told)
 
@@ -169,7 +169,7 @@ def sail_on(sailed: Sailed, arrivals: list[tuple[int, Any]]) -> Sailed:
 
 LIES: list[Lie] = []
 BEFORE_LIES: dict[str, Sailed] = {}
-"""Voyages until the first lie, which are the same whatever the lie; the newest few, for they are large."""
+"""Runs until the first injected error, which do not depend on it; the newest few, for they are large."""
 copyreg.pickle(MappingProxyType, lambda mapping: (MappingProxyType, (dict(mapping),)))  # of states, to copy a core
 
 
@@ -243,7 +243,7 @@ def test_a_sensor_with_a_mounting_shift_is_reported_and_excluded(name: str, knoc
     sailed = sailed_with(knock, seconds=60.0)
     since_s, excluded = sailed.excluded_first()
     assert excluded == (f"star.{name}",)
-    # Ten arcseconds are three sigmas of one measurement: their mean tells them.
+    # Ten arcseconds are three sigmas of one measurement: their mean shows them.
     assert 30.0 < since_s < (35.0 if knock_arcsec < 15.0 else 31.5)
     assert_honest(sailed)
 
@@ -258,7 +258,7 @@ def test_after_a_mounting_shift_the_mounting_is_estimated_again_and_after_a_glit
         assert came_back_s - (22.0 if lie.end_s < 1e9 else 20.0) >= 60.0
         assert "star.bow" in sailed.estimates[-1].sources
         learnt, sigma = learnt_mounting(sailed, "star.bow")
-        # Four of its sigmas, 0.9 arcsec: what is left of the 1 arcsec by which it was mounted otherwise than stated.
+        # Four of its sigmas, 0.9 arcsec, remain of the true mounting error of 1 arcsec.
         assert abs(learnt[2] - (turn[2] if lie.end_s == 1e9 else 0.0)) < 4.0 * sigma[2] < 4.0 * ARCSEC
         assert_honest(sailed)
 
@@ -270,7 +270,7 @@ def test_a_drifting_sensor_of_three_is_isolated_with_twice_the_reinstatement_tim
     sailed = sailed_with(drift, seconds=145.0, seed=5, integrity={"return_after_s": 20.0})
     assert [names for _, names in sailed.excluded] == [(), ("star.port",), (), ("star.port",), ()]
     excluded_s, returned_s, again_s, back_s = (seconds for seconds, _ in sailed.excluded[1:])
-    # With the mounting learnt anew it agrees at once; its measurements are 0.2 s apart.
+    # With the mounting estimated again it is consistent at once; its measurements are 0.2 s apart.
     assert 20.0 <= returned_s - excluded_s < 20.4
     assert 40.0 <= back_s - again_s < 40.4
     assert sailed.core.state.record == {"star.port": 2}
@@ -280,15 +280,15 @@ def test_a_drifting_sensor_of_three_is_isolated_with_twice_the_reinstatement_tim
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [4, 9])
 def test_a_drifting_sensor_of_two_is_an_unresolved_fault_or_isolated_correctly(seed: int) -> None:
-    """The other sensor and an INS that wanders by as much nearly explain it: it may take minutes until one is named.
+    """The other sensor and an INS that drifts by as much nearly explain it: isolation may take minutes.
 
-    In these two voyages four tenths of the limit (``_CLEARER``) named the other one.
+    In these two voyages four tenths of the limit (``_CHI2_MARGIN``) isolated the other one.
     """
     drift = Lie("star.port", UP * 5.0 / 60.0 * ARCSEC, 20.0, per_s=True)
     sailed = sailed_with(drift, sensors=("bow", "port"), seconds=170.0, seed=seed)
     assert {names for _, names in sailed.excluded} <= {(), ("star.port",)}
     in_doubt = [one for one in sailed.between(20.0, 170.0) if one.status is Status.DEGRADED]
-    # Half a minute at least, and it covers what is in dispute.
+    # Half a minute at least, and the covariance holds the unresolved fault.
     assert len(in_doubt) * INS_NS > 30 * SECOND_NS
     assert max(error_sigmas(one) for one in in_doubt) < 5.0
     assert_honest(sailed)
@@ -308,13 +308,13 @@ def test_all_stars_against_an_ins_without_rates_are_an_unresolved_fault_with_cov
 def test_the_configured_number_of_rejections_of_all_stars_excludes_them(
     source: str, rates: bool, after: int
 ) -> None:
-    """Stars are 61 ms apart; what they say is judged when the INS's samples of up to 0.1 s later are there."""
+    """Stars are 61 ms apart; they are evaluated when the INS samples of up to 0.1 s later are there."""
     changes = {"gate": {"degraded_after": after}, "ins": {"jump_samples": 1000, "time_offset_sigma_s": 0.0}}
     lie = Lie(source, UP * 100.0 * ARCSEC, 10.0)
     sailed = sailed_with(lie, sensors=("bow", "port"), seconds=15.0, rates=rates, **changes)
     refused_s = 10.068 + (after - 1) * STAR_NS / SECOND_NS
     doubted_s = next(one.time_ns / SECOND_NS for one in sailed.between(10.0, 15.0) if one.status is Status.DEGRADED)
-    # Without rates the first refusal is one: the INS may have jumped. With them the third at the latest, by its mean.
+    # Without rates the first rejection is a fault, as the INS may have jumped; with them the third at the latest.
     assert doubted_s <= refused_s + INS_NS / SECOND_NS
     assert {one.status for one in sailed.between(doubted_s, 15.0)} == {Status.DEGRADED}
     aside_s, names = sailed.excluded_first()
@@ -325,7 +325,7 @@ def test_the_configured_number_of_rejections_of_all_stars_excludes_them(
 @pytest.mark.slow
 @pytest.mark.parametrize("turn_arcsec", [32.0, 100.0])
 def test_a_rotated_sky_changes_no_attitude_and_its_stars_are_reinstated_afterwards(turn_arcsec: float) -> None:
-    """A position a kilometre off turns all stars by 32″."""
+    """A position error of a kilometre rotates all stars by 32″."""
     sky = Lie("sky", np.array([turn_arcsec, 0.0, 0.0]) * ARCSEC, 30.0, end_s=60.0)
     sailed = sailed_with(sky, seconds=150.0)
     assert {one.status for one in sailed.between(31.5, 60.0)} == {Status.DEGRADED}
@@ -338,14 +338,14 @@ def test_a_rotated_sky_changes_no_attitude_and_its_stars_are_reinstated_afterwar
 @pytest.mark.parametrize("axis", [0, 2])
 @pytest.mark.parametrize(("tilt_time_s", "seed"), [(1800.0, 1), (1800.0, 2), (1800.0, 3), (100.0, 1)])
 def test_stars_with_a_constant_shared_error_stay_excluded(tilt_time_s: float, seed: int, axis: int) -> None:
-    """The INS's covariance grows while the stars are refused: that they fit into it is no agreement."""
+    """The INS covariance grows while the stars are excluded: being within it is not consistency."""
     ins = {"ins": {"tilt_time_s": tilt_time_s, "time_offset_sigma_s": 0.0}}
     sailed = sailed_with(Lie("sky", np.eye(3)[axis] * 25.0 * ARCSEC, 30.0), seconds=240.0, seed=seed, **ins)
     assert {one.status for one in sailed.between(32.0, 240.0)} == {Status.DEGRADED}
 
 
 def test_of_two_sensors_excluded_together_the_consistent_one_is_reinstated() -> None:
-    """Their errors, of 12° and 20°, are no knocks and not one error: each has its own share left."""
+    """Their errors of 12° and 20° are no mounting shifts and not one error: each has its own remaining ratio."""
     ends = Lie("star.bow", UP * np.deg2rad(12.0), 20.0, end_s=40.0)
     lasts = Lie("star.port", UP * np.deg2rad(20.0), 20.0)
     sailed = sailed_with(ends, lasts, sensors=FOUR, seconds=130.0, **WITH_PAIRS)
@@ -384,13 +384,13 @@ def test_levels_above_their_limit_make_the_attitude_degraded_and_a_single_source
 
 
 def learnt_mounting(sailed: Sailed, source: str) -> tuple[FloatArray, FloatArray]:
-    """How a star sensor is mounted otherwise than stated, rotation vector of the device, rad; and its sigmas."""
+    """Return the estimated mounting error of a star sensor, rotation vector of the device, rad; and its sigmas."""
     mounting, state = sailed.core.filter.model.slices[f"{source}.installation"], sailed.core.state
     return state.mean[mounting], np.sqrt(np.diagonal(state.covariance)[mounting])
 
 
 def mountings(sailed: Sailed) -> FloatArray:
-    """How the stars are mounted, across the line of sight, and the offset of the INS's clock: all in their sigmas."""
+    """Return the mountings of the stars, across the line of sight, and the offset of the INS clock, in their sigmas."""
     model, state = sailed.core.filter.model, sailed.core.state
     rows = [row for name in model.slices if "installation" in name for row in model.rows(name)[1:]]
     rows += list(model.rows("ins.time_offset"))
@@ -401,12 +401,12 @@ def mountings(sailed: Sailed) -> FloatArray:
 
 @functools.cache
 def clean_mountings(seconds: float) -> FloatArray:
-    """Those of TWO after a voyage without a lie."""
+    """Those of TWO after a voyage without injected errors."""
     return mountings(sailed_with(seconds=seconds, **TWO))
 
 
 def assert_nothing_left(sailed: Sailed, seconds: float) -> None:
-    """After a lie that is over the ship knows what she would know without it, to a few sigmas."""
+    """After the end of an injected error the estimates equal those without it, to a few sigmas."""
     np.testing.assert_allclose(mountings(sailed), clean_mountings(seconds), atol=3.0)
     assert sailed.estimates[-1].status is Status.VALID
 
@@ -432,7 +432,7 @@ def test_an_ins_that_reported_a_jump_is_excluded_and_not_the_stars(lie: Lie) -> 
     sailed = sailed_with(lie, seconds=125.0, **TWO)
     assert [names for _, names in sailed.excluded] == [(), ("ins",), ()]
     assert 30.0 < sailed.excluded[1][0] < 32.0
-    # Until it has agreed for integrity.return_after_s.
+    # Until it was consistent for integrity.return_after_s.
     assert 110.0 <= sailed.excluded[2][0] < 112.0
     assert {one.status for one in sailed.between(31.0, 110.0)} == {Status.DEGRADED}
     assert max(error_sigmas(one) for one in sailed.between(55.0, 110.0)) < 5.0
@@ -457,13 +457,13 @@ def test_a_drifting_ins_is_excluded_if_others_check_each_other(
     jump = InsJump(state.time_ns + SECOND_NS, 7.0 * UP * ARCSEC, 0.3 * ARCSEC, creeps=True)
     after = core.filter.opened(state, jump)
     assert dict(after.record) == excluded
-    # With one sensor nothing but its measurements can confirm the attitude.
+    # With one sensor only its own measurements can confirm the attitude.
     assert (after.unconfirmed is not None) == (not excluded)
     assert dict(core.filter.opened(after, jump).record) == excluded
 
 
 def test_with_one_star_sensor_left_the_ins_is_not_excluded() -> None:
-    """What it and one sensor contradict of one another nobody tells."""
+    """A contradiction of it and one sensor cannot be isolated."""
     knock = Lie("star.bow", np.array([0.0, 0.0, 3600.0]) * ARCSEC, 10.0)
     drift = Lie("ins", UP * 1.0 * ARCSEC, 30.0, per_s=True)
     sailed = sailed_with(knock, drift, sensors=("bow", "port"), seconds=90.0)
@@ -471,7 +471,7 @@ def test_with_one_star_sensor_left_the_ins_is_not_excluded() -> None:
 
 
 def test_with_the_ins_excluded_neither_of_two_star_sensors_is_isolated() -> None:
-    """Either of them explains what the other contradicts."""
+    """Each of them explains the contradiction with the other."""
     drift = Lie("ins", np.array([0.0, 0.0, 3.3]) * ARCSEC, 30.0, per_s=True)
     knock = Lie("star.bow", np.array([0.0, 0.0, 60.0]) * ARCSEC, 65.0)
     sailed = sailed_with(drift, knock, sensors=("bow", "port"), seconds=85.0)
@@ -494,7 +494,7 @@ def test_solution_separations_are_in_the_covariance_and_not_in_the_levels() -> N
 
 
 def test_a_mounting_shift_of_four_sigmas_is_in_the_covariance_before_an_exclusion() -> None:
-    """Half of it goes into the attitude within a second; which of two sensors was knocked is known after two."""
+    """Half of it is in the attitude within a second; the faulty one of two sensors is isolated after two."""
     knock = Lie("star.port", -13.0 * UP * ARCSEC, 120.0)
     sailed = sailed_with(knock, sensors=("bow", "port"), seconds=128.0, seed=2)
     valid = [one for one in sailed.between(120.0, 128.0) if one.status is Status.VALID]
@@ -504,7 +504,7 @@ def test_a_mounting_shift_of_four_sigmas_is_in_the_covariance_before_an_exclusio
 
 
 def without_stars(lie: Lie, start_s: float, end_s: float, seconds: float, seed: int, names: str = "star.") -> Sailed:
-    """A voyage with two sensors, some of which see nothing for a while."""
+    """Run a voyage with two sensors, some of which see no stars for a while."""
     LIES.append(lie)
     arrivals = [
         (time_ns, input_)
@@ -516,7 +516,7 @@ def without_stars(lie: Lie, start_s: float, end_s: float, seconds: float, seed: 
 
 
 def test_the_reinstatement_timer_restarts_after_a_timeout() -> None:
-    """Knocked and excluded at 10 s; it would be used again after 60 s, most of which it was not heard."""
+    """A mounting shift, excluded at 10 s; it would be reinstated after 60 s, in most of which it sent no data."""
     sailed = without_stars(Lie("star.port", UP * 60.0 * ARCSEC, 10.0), 20.0, 65.0, 135.0, 1, "star.port")
     (excluded_s, excluded), (returned_s, returned) = sailed.excluded[1:]
     assert 10.0 < excluded_s < 11.0
@@ -525,7 +525,7 @@ def test_the_reinstatement_timer_restarts_after_a_timeout() -> None:
 
 
 def test_the_reinstatement_timer_of_the_ins_restarts_without_measurements() -> None:
-    """Its clock is 0.1 s off from 10 to 16 s; it would be believed a minute later, most of which no star was seen."""
+    """Its clock is 0.1 s off from 10 to 16 s; it would be reinstated a minute later, most of it without stars."""
     lie = Lie("ins.clock", np.array([0.1, 0.0, 0.0]), 10.0, end_s=16.0)
     sailed = without_stars(lie, 25.0, 80.0, 145.0, 1)
     (excluded_s, excluded), (returned_s, returned) = sailed.excluded[1:]
@@ -569,9 +569,9 @@ def test_the_fast_consistency_test_equals_the_full_one(
 
 
 def test_without_faults_large_separations_are_rare() -> None:
-    """A component is beyond 3 sigmas once in 370; of two sources in three lengths, and of three rows: 27 components.
+    """A component is beyond 3 sigmas once in 370; two sources, three windows and three filters are 27 components.
 
-    One sample a seed, because what separates rows (installations) is one draw a voyage.
+    One sample a seed, because the separations (installations) are one draw per voyage.
     """
     seeds = range(1, 17)
     ends = [sailed_with(sensors=("bow", "port"), seconds=20.0, seed=seed).estimates[-1].state for seed in seeds]
@@ -598,7 +598,7 @@ def test_any_order_within_the_lag_ends_in_the_same_state_exclusions_included(
 
 
 def test_a_subfilter_without_a_sensor_equals_a_filter_without_it() -> None:
-    """But for the point of linearisation, which is that of the first row."""
+    """Except for the linearisation point, which is that of the main filter."""
     arrivals = voyage(("bow", "port"), (), 20.0, 5, True)
     core = sail(ShipAttitudeCore(configuration(("bow", "port"))), arrivals).core
     without = configuration(("port",))
@@ -624,12 +624,12 @@ def test_two_simultaneous_mounting_shifts_are_excluded_with_pairs(
     assert since_s < 16.0  # within three measurements of each
     assert sailed.estimates[-1].status is Status.VALID
     assert_honest(sailed)
-    # Two that remain check one another; one does not.
+    # Two that remain check one another; a single one is not checked.
     told = sailed.reports[-1][0]
     assert (told.state is IntegrityState.UNAVAILABLE) == (sensors == THREE)
     assert not any("+" in name for name in told.hypotheses)
-    # Subfilters without one source show the contradiction, and not which source is at fault. All stars may be set
-    # aside together, where what the filter has followed adds up to more than the INS wanders.
+    # Subfilters without one source show the fault, but do not isolate it. All stars may be excluded
+    # together, if the corrections add up to more than the drift of the INS.
     without_pairs = sailed_with(*lies, sensors=sensors, seconds=20.0)
     every_star = tuple(f"star.{name}" for name in sorted(sensors))
     assert {names for _, names in without_pairs.excluded} <= {(), every_star}
@@ -656,7 +656,7 @@ def test_two_excluded_sensors_are_reinstated_independently() -> None:
     sailed = sailed_with(knock, glitch, seconds=100.0, **WITH_PAIRS)
     both = ("star.bow", "star.port")
     assert [names for _, names in sailed.excluded] == [(), both, ("star.port",), ()]
-    # Each agrees for a minute: that whose mounting is learnt anew, and that which came back.
+    # Each is consistent for a minute: the one with the mounting estimated again, and the one that came back.
     came_back_s = [seconds for seconds, _ in sailed.excluded[2:]]
     assert 70.0 < came_back_s[0] < 75.0
     assert 90.0 < came_back_s[1] < 95.0
@@ -672,7 +672,7 @@ def test_with_pairs_a_single_fault_excludes_one_source() -> None:
 
 
 def test_two_of_three_are_not_isolated_against_an_ins_that_may_have_stepped() -> None:
-    """One sensor and an INS without rates agree by chance as well as two sensors do: 2 against 2."""
+    """One sensor and an INS without rates are consistent by chance as well as two sensors are: 2 against 2."""
     lies = Lie("ins", UP * 50.0 * ARCSEC, 15.0), Lie("star.bow", UP * 40.0 * ARCSEC, 15.0)
     sailed = sailed_with(*lies, seconds=25.0, rates=False, **WITH_PAIRS)
     assert ("star.aft", "star.port") not in [names for _, names in sailed.excluded]
@@ -697,7 +697,7 @@ def test_the_attitude_does_not_depend_on_pair_subfilters_and_the_levels_grow() -
 
 
 def test_a_subfilter_without_two_sensors_equals_a_filter_without_them() -> None:
-    """But for the point of linearisation, which is that of the first row."""
+    """Except for the linearisation point, which is that of the main filter."""
     arrivals = voyage(THREE, (), 20.0, 5, True)
     core = sail(ShipAttitudeCore(configuration(THREE, **WITH_PAIRS)), arrivals).core
     left_out = {"star.aft", "star.bow"}

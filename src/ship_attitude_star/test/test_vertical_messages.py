@@ -1,4 +1,4 @@
-"""The deflection of the vertical through the node's adapter: what is read, refused, published and said."""
+"""Deflection of the vertical through the adapter of the node: reading, rejection, publication and diagnostics."""
 
 import math
 from typing import Any
@@ -38,7 +38,7 @@ def test_a_received_deflection_is_published_with_the_correction_by_stars() -> No
     published = run.messages("ship/deflection")
     assert len(published) >= 4
     last = published[-1]
-    # The INS of this voyage is 10 and 8 arcseconds off by itself: that is no reason to doubt the deflection.
+    # The INS errors of this voyage are 10 and 8 arcseconds: no reason to reject the deflection.
     assert (last.xi / ARCSEC, last.eta / ARCSEC) == (pytest.approx(4.0, abs=1.0), pytest.approx(-3.0, abs=1.0))
     sigma_arcsec = np.sqrt(np.asarray(last.covariance)[[0, 3]]) / ARCSEC
     assert np.all((sigma_arcsec > 0.5) & (sigma_arcsec <= 1.0))

@@ -1,4 +1,4 @@
-"""What is known of the vertical under way: tables, messages, the way over ground; in any order of arrival."""
+"""Vertical along the track: tables, messages, distance over ground; in any order of arrival."""
 
 import itertools
 
@@ -59,7 +59,7 @@ def test_table_is_linear_between_rows_across_the_date_line() -> None:
     table = DeflectionTable(GravityConfig(**TABLE))
     np.testing.assert_allclose(table.at(at(0.05, 180.0)) / ARCSEC, [5.0, -4.0], atol=0.01)
     np.testing.assert_allclose(table.at(at(0.15, -179.95)) / ARCSEC, [20.0, -2.0], atol=0.01)
-    # Beside the track the nearest point of it counts, beyond its end the last row.
+    # Off the track the nearest point of it counts, beyond its end the last row.
     np.testing.assert_allclose(table.at(at(0.15, -179.85)) / ARCSEC, [20.0, -2.0], atol=0.05)
     np.testing.assert_allclose(table.at(at(0.3, -179.95)) / ARCSEC, [30.0, 0.0], atol=1e-9)
 
@@ -114,10 +114,10 @@ def test_without_fixes_the_distance_is_extrapolated_and_the_table_is_not_used() 
     before_m = track.at(ns(300)).along_m
     later = track.at(ns(600))
     assert later.given is None
-    # A fix holds for fix_max_age_s; after that her last speed counts.
+    # A fix is used for fix_max_age_s; after that the last speed counts.
     assert later.along_m - before_m == pytest.approx(3000.0, abs=200.0)
     assert "no position fix" in track.told(ns(600))
-    # So far away at once a fix is believed after a minute.
+    # A fix so far away is accepted after a minute.
     for second in range(600, 670):
         track.insert(fix(second, 60_000.0))
     assert "nearest is 38 km away" in track.told(ns(669))
