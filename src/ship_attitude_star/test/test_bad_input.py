@@ -59,7 +59,7 @@ def scale_quaternion(factor: float) -> Change:
 
 
 def stamp_ahead(seconds: float) -> Change:
-    """Stamps beyond the moment of arrival, which is 5 ms (INS) or 120 ms (star) after the true stamp."""
+    """Stamps later than the arrival, which is 5 ms (INS) or 120 ms (star) after the true stamp."""
 
     def change(message: Any) -> None:
         later_ns = stamp_of(message) + round(seconds * SECOND_NS)
@@ -207,7 +207,7 @@ def test_an_exact_axis_without_other_uncertainty_is_rejected_and_does_not_block(
     perfect_axis = covariance("rotation_covariance", (900.0, 0.0, 0.0), (0.0, 900.0, 0.0), (0.0, 0.0, 0.0))
     arrivals = changed_where(voyage(), lambda a: a.topic == FORE, perfect_axis)
     run = drive(new_adapter(**exact), arrivals)
-    # What little interpolation adds, or rounding, makes it invertible: then the gate refuses it.
+    # A small interpolation error, or rounding, may make it invertible: then the gate rejects it.
     assert run.reasons(FORE).keys() <= {"bad_covariance", "gate", "attitude_conflict"}
     assert run.health(FORE).accepted == 0
     assert len([m for m in run.messages("ship/innovation") if m.source == "star.starboard"]) > 20
@@ -257,7 +257,7 @@ def test_a_reference_without_an_orientation_is_refused_unless_accepted(accepted:
 
 
 def test_an_ins_without_rates_is_used_without_them() -> None:
-    """The first element of the rate's covariance at −1: not measured (sensor_msgs/Imu), whatever the rate says."""
+    """The first element of the rate's covariance at −1: not measured (sensor_msgs/Imu), whatever the value of the rate."""
 
     def no_rate(message: Any) -> None:
         message.angular_velocity_covariance[0] = -1.0

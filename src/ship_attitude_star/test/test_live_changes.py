@@ -47,7 +47,7 @@ REFUSED_LIVE = [
     ({"star_sensors.fore.azimuth_deg": 3.0}, "cannot be changed while the node runs"),
     ({"lag_s": 3.0}, "cannot be changed while the node runs"),
     ({"gate.conflict_after": 2.5}, "must be of type int"),
-    # One bad one refuses all.
+    # One bad value makes all refused.
     ({"ins.white_sigma_arcsec": 5.0, "gate.conflict_after": 0}, "'gate.conflict_after'"),
 ]
 

@@ -79,15 +79,15 @@ def star_exposure(
 
     Args:
         message: StarObservationArray.
-        sensor_id: sensor on whose topic it came.
-        frame_id: that it must carry; empty for any.
-        camera: of the sensor.
-        camera_config: parameters of the camera: the errors of a centroid, the spread of a star's image.
-        catalogue: in which the numbers are looked up.
-        receive_ns: when it came.
-        named_by_number: whether a star that is left out has its catalogue number as name, where it has one; otherwise
-            its place in the message is its name.
-        masks: what stands on deck in the sensor's way; None where nothing does.
+        sensor_id: sensor of the topic.
+        frame_id: required frame_id of the message; empty for any.
+        camera: camera of the sensor.
+        camera_config: parameters of the camera, with centroid errors and the width of a star image.
+        catalogue: star catalogue for the numbers.
+        receive_ns: arrival time.
+        named_by_number: True if rejected stars are named by their catalogue number, if they have one; else they are
+            named by their index in the message.
+        masks: obstructions of the field of view on deck; None for none.
 
     Returns:
         The exposure with the usable stars; the other stars of the message are rejected.

@@ -286,7 +286,7 @@ class StarCore:
         return True, replace(told, text="the same stamp with different content: do two sensors publish on one topic?")
 
     def _wait(self, new: _Waiting) -> None:
-        """Put an exposure among those that wait, in the place of one of the same sensor and stamp."""
+        """Add an exposure to the pending ones, replacing one of the same sensor and stamp."""
         key = new.exposure.source, new.exposure.time_ns
         for index, old in enumerate(self._waiting):
             if (old.exposure.source, old.exposure.time_ns) == key:
