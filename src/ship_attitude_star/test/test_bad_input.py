@@ -257,7 +257,7 @@ def test_a_reference_without_an_orientation_is_refused_unless_accepted(accepted:
 
 
 def test_an_ins_without_rates_is_used_without_them() -> None:
-    """The first element of the rate's covariance at −1: not measured (sensor_msgs/Imu), whatever the value of the rate."""
+    """The first element of the rate's covariance at −1: not measured (sensor_msgs/Imu), whatever the rate."""
 
     def no_rate(message: Any) -> None:
         message.angular_velocity_covariance[0] = -1.0
