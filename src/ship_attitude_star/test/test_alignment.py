@@ -1,4 +1,4 @@
-"""The alignment saved at the end of a voyage is the prior of the next one; a bad file is named, never half used."""
+"""Saved alignment: it is the prior of the next voyage; a bad file is named and not used."""
 
 import dataclasses
 import math
@@ -25,14 +25,14 @@ END_NS = START_NS + 60 * 10**9
 
 @pytest.fixture
 def saved(tmp_path: Path) -> Path:
-    """The alignment after the voyage."""
+    """Alignment file of the voyage."""
     path = tmp_path / "alignment.yaml"
     ALIGNMENT_FILE.save(path, clean_run().adapter.core.alignment_to_save())
     return path
 
 
 def started(path: Path, now_ns: int = START_NS, **changes: Any) -> ShipAttitudeAdapter:
-    """An adapter that has started with a file and seen nothing but the time."""
+    """Return an adapter started with an alignment file and without inputs."""
     adapter = new_adapter(alignment_file=str(path), **changes)
     adapter.tick(now_ns)
     return adapter
@@ -49,23 +49,23 @@ def value_of(adapter: ShipAttitudeAdapter) -> dict[str, float]:
 
 
 def alignment_text(adapter: ShipAttitudeAdapter, now_ns: int) -> tuple[int, str]:
-    """What the diagnostics say of the alignment."""
+    """Return level and text of the alignment diagnostic."""
     published = adapter.tick(now_ns + 2 * 10**9)
     (report,) = [message for topic, message in published if topic == "/diagnostics"]
     (status,) = [status for status in report.status if status.name == "ship_attitude: alignment"]
     return status.level, status.message
 
 
-def test_what_was_saved_is_the_prior_of_the_next_voyage(saved: Path) -> None:
+def test_saved_alignment_is_the_prior_of_the_next_voyage(saved: Path) -> None:
     before, configured, now = clean_run().adapter, started(saved.with_name("none")), started(saved)
     assert alignment_text(now, START_NS) == (0, "as configured or saved")
     for name in ("ins.time_offset", *(f"star.{s}.{a}" for s in ("fore", "starboard") for a in ("elevation", "roll"))):
         assert value_of(now)[name] == pytest.approx(value_of(before)[name], abs=1e-12)
         assert sigma_of(now)[name] == pytest.approx(sigma_of(before)[name], rel=1e-6)
         assert sigma_of(now)[name] < sigma_of(configured)[name]
-    # 5 ms configured; a swell of 2 to 4° tells it to a few tenths of a millisecond.
+    # 5 ms configured; a swell of 2 to 4° makes it observable to a few tenths of a millisecond.
     assert sigma_of(now)["ins.time_offset"] < 0.2 * sigma_of(configured)["ins.time_offset"]
-    # The INS's own errors are another voyage's.
+    # The INS errors are those of another voyage.
     assert value_of(now)["ins.up"] == 0.0
     assert sigma_of(now)["ins.up"] == pytest.approx(72.0 * ARCSEC)
 
@@ -103,7 +103,7 @@ def test_another_serial_number_keeps_the_configured_prior(saved: Path) -> None:
     assert all(word in text for word in ("'fore'", "'F1'", "'F2'", "configured prior"))
 
 
-def test_an_old_file_is_a_wider_prior(saved: Path) -> None:
+def test_to_an_old_file_the_configured_uncertainty_is_added(saved: Path) -> None:
     now_ns = START_NS + 31 * DAY_NS
     configured = started(saved.with_name("none"))
     old, young = started(saved, now_ns), started(saved, now_ns - 2 * DAY_NS)
@@ -125,7 +125,7 @@ def test_the_random_walk_of_the_time_between_is_added(saved: Path) -> None:
     assert added == pytest.approx(5.0 * ARCSEC * math.sqrt(2.0), rel=1e-3)
 
 
-def test_a_sensor_that_the_file_does_not_know_and_one_that_is_gone(saved: Path) -> None:
+def test_sensors_missing_in_the_file_or_in_the_configuration(saved: Path) -> None:
     aft = {"azimuth_deg": 180.0, "elevation_deg": 45.0}
     now = started(saved, star_sensors={"fore": {"azimuth_deg": 0.0, "elevation_deg": 45.0, "serial": "F1"}, "aft": aft})
     assert sigma_of(now)["star.aft.elevation"] == pytest.approx(ARCSEC)
@@ -192,7 +192,7 @@ def test_a_broken_file_is_set_aside_and_named_at_the_start(saved: Path, change: 
 @pytest.mark.parametrize(
     "content", [b"", b"- 1\n- 2\n", b"a: [1\nb", b"\xff\xfe\x00", b"x: !!python/object:os.system {}\n"]
 )
-def test_what_is_no_alignment_at_all_is_named(tmp_path: Path, content: bytes) -> None:
+def test_a_file_without_alignment_is_named(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "alignment.yaml"
     path.write_bytes(content)
     adapter = new_adapter(alignment_file=str(path))
@@ -240,7 +240,7 @@ def test_the_services_save_and_load(tmp_path: Path) -> None:
     assert sigma_of(run.adapter)["ins.up"] == pytest.approx(72.0 * ARCSEC)
 
 
-def test_a_place_that_cannot_be_written_is_named_and_the_node_lives(tmp_path: Path) -> None:
+def test_a_path_that_cannot_be_written_is_named_and_the_node_continues(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("", encoding="utf-8")
     path = tmp_path / "file" / "alignment.yaml"
     adapter = drive(new_adapter(alignment_file=str(path)), voyage()).adapter
@@ -262,7 +262,7 @@ def run_state(saved: Path) -> Any:
 
 
 def test_a_voyage_without_stars_does_not_make_the_alignment_younger_or_older(saved: Path) -> None:
-    """Saved anew before the first star of a voyage, it still is what was loaded."""
+    """Saved again before the first star of a voyage, the alignment equals the loaded one."""
     adapter, before = started(saved, START_NS + DAY_NS), document(saved)
     assert adapter.service("save_alignment", START_NS + DAY_NS).success
     after = document(saved)
@@ -270,7 +270,7 @@ def test_a_voyage_without_stars_does_not_make_the_alignment_younger_or_older(sav
     assert after["covariance"] == before["covariance"]
 
 
-def test_where_nothing_was_measured_there_is_nothing_to_save(tmp_path: Path) -> None:
+def test_without_measurements_nothing_is_saved(tmp_path: Path) -> None:
     adapter = started(tmp_path / "none.yaml")
     told = adapter.service("save_alignment", START_NS)
     assert (told.success, "no star" in told.message) == (False, True)
@@ -282,7 +282,7 @@ def self_saving(path: Path, period_s: float = 1.0, **changes: Any) -> ShipAttitu
 
 
 def known_better(path: Path) -> bytes:
-    """A saved alignment in which every sigma is a hundredth of what the voyage leaves."""
+    """Save an alignment whose sigmas are a hundredth of those after the voyage."""
     prior = clean_run().adapter.core.alignment_to_save()
     return ALIGNMENT_FILE.save(path, dataclasses.replace(prior, covariance=prior.covariance * 1e-4))
 
@@ -299,12 +299,12 @@ def test_a_node_saves_by_itself_once_a_period_what_the_service_would_save(tmp_pa
     assert ALIGNMENT_FILE.load(path).time_ns < run.adapter.core.state.time_ns
     ALIGNMENT_FILE.save(asked, drive(new_adapter(), until).adapter.core.alignment_to_save())
     assert asked.read_bytes() == path.read_bytes()
-    # And nothing else is another because of it.
+    # Nothing else changes.
     assert run.results() == clean_run().results()
 
 
 class CountedFiles(NotedFiles):
-    """Notes the uses, and when the last one was: at the tick of that time."""
+    """Count the uses, and store the time of the last one."""
 
     last_written_ns = 0
 
@@ -329,9 +329,9 @@ def test_an_attitude_that_no_star_has_aligned_is_not_saved(tmp_path: Path) -> No
     assert not path.exists()
 
 
-def test_what_is_known_better_stays_and_people_are_told_why(tmp_path: Path) -> None:
+def test_a_more_accurate_file_is_kept_and_the_reason_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "alignment.yaml"
-    adapter = self_saving(path)  # the better file comes while the node runs
+    adapter = self_saving(path)  # the more accurate file is written while the node runs
     better = known_better(path)
     run = drive(adapter, voyage())
     assert path.read_bytes() == better
@@ -344,7 +344,7 @@ def test_what_is_known_better_stays_and_people_are_told_why(tmp_path: Path) -> N
     assert path.read_bytes() != better
 
 
-def test_what_the_node_has_started_from_it_may_replace(tmp_path: Path) -> None:
+def test_the_file_of_the_start_may_be_replaced(tmp_path: Path) -> None:
     path = tmp_path / "alignment.yaml"
     known_better(path)
     before_ns = ALIGNMENT_FILE.load(path).time_ns
@@ -378,7 +378,7 @@ def test_a_state_that_is_not_finite_is_not_saved(tmp_path: Path) -> None:
     assert worse_in(prior, dataclasses.replace(prior, covariance=prior.covariance / 1.3)).endswith("better")
 
 
-def test_a_disk_that_takes_nothing_is_told_once_and_told_again_when_it_does(tmp_path: Path) -> None:
+def test_a_full_disk_is_reported_once_and_again_when_it_recovers(tmp_path: Path) -> None:
     path = tmp_path / "folder" / "alignment.yaml"
     (tmp_path / "folder").write_text("", encoding="utf-8")
     adapter = self_saving(path)

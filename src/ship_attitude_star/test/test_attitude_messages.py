@@ -1,4 +1,4 @@
-"""The messages of many attitudes made together are those of each made alone, byte for byte."""
+"""Messages of many attitudes made together equal those made singly, byte for byte."""
 
 import numpy as np
 
@@ -20,7 +20,7 @@ KINDS = [
 
 
 def attitudes(count: int = 40) -> list[AttitudeEstimate]:
-    """Attitudes of all kinds, each with other numbers."""
+    """Attitudes of all statuses with different numbers."""
     rng = np.random.default_rng(3)
     found = []
     for number in range(count):

@@ -1,4 +1,4 @@
-"""Messages that cannot be used: the reason, where it is told, and that the ship's attitude is as without them."""
+"""Unusable messages: reason, report, and no effect on the ship attitude."""
 
 import functools
 from collections.abc import Callable
@@ -35,7 +35,7 @@ Change = Callable[[Any], None]
 
 
 def put(path: str, value: float) -> Change:
-    """Sets a field (``orientation.x``) or one element of an array (``covariance.4``) or all of it."""
+    """Set a field (``orientation.x``), one element of an array (``covariance.4``) or all of it."""
     *parents, leaf = path.split(".")
 
     def change(message: Any) -> None:
@@ -59,7 +59,7 @@ def scale_quaternion(factor: float) -> Change:
 
 
 def stamp_ahead(seconds: float) -> Change:
-    """Stamps beyond the moment of arrival, which is 5 ms (INS) or 120 ms (star) after the true stamp."""
+    """Stamps later than the arrival, which is 5 ms (INS) or 120 ms (star) after the true stamp."""
 
     def change(message: Any) -> None:
         later_ns = stamp_of(message) + round(seconds * SECOND_NS)
@@ -130,7 +130,7 @@ def run_without(topic: str, moment_s: float = MOMENT_S) -> Run:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("topic", "change", "reason", "text"), [c[1:] for c in DROPPED], ids=[c[0] for c in DROPPED])
-def test_a_bad_message_is_told_and_changes_nothing(topic: str, change: Change, reason: str, text: str) -> None:
+def test_a_bad_message_is_reported_and_changes_nothing(topic: str, change: Change, reason: str, text: str) -> None:
     index = index_at(voyage(), topic, MOMENT_S)
     run = drive(new_adapter(), replaced(voyage(), index, change))
 
@@ -140,7 +140,7 @@ def test_a_bad_message_is_told_and_changes_nothing(topic: str, change: Change, r
 
 
 def assert_told_once(run: Run, topic: str, reason: str, text: str, receive_ns: int) -> None:
-    """Counted, in an innovation, and in the diagnostics within 1.1 s."""
+    """Counted, in one innovation message, and in the diagnostics within 1.1 s."""
     health = run.health(topic)
     assert run.reasons(topic) == {reason: 1}
     assert (health.rejected, health.received) == (1, health.accepted + 1)
@@ -198,7 +198,7 @@ def test_a_star_without_covariance_gets_the_configured_sigma(unknown: Change) ->
     assert np.allclose(state.covariance, stated.covariance, rtol=1e-6, atol=1e-20)
 
 
-def test_a_perfect_axis_where_nothing_else_is_uncertain_is_refused_and_not_in_the_way() -> None:
+def test_an_exact_axis_without_other_uncertainty_is_rejected_and_does_not_block() -> None:
     """With every sigma of the configuration at zero, only the star's own covariance is left, as good as singular."""
     exact = {"ins__time_offset_sigma_s": 0.0}
     exact |= {f"ins__{name}_sigma_arcsec": 0.0 for name in ("tilt", "heading", "white")}
@@ -207,14 +207,14 @@ def test_a_perfect_axis_where_nothing_else_is_uncertain_is_refused_and_not_in_th
     perfect_axis = covariance("rotation_covariance", (900.0, 0.0, 0.0), (0.0, 900.0, 0.0), (0.0, 0.0, 0.0))
     arrivals = changed_where(voyage(), lambda a: a.topic == FORE, perfect_axis)
     run = drive(new_adapter(**exact), arrivals)
-    # What little interpolation adds, or rounding, makes it invertible: then the gate refuses it.
+    # A small interpolation error, or rounding, may make it invertible: then the gate rejects it.
     assert run.reasons(FORE).keys() <= {"bad_covariance", "gate", "attitude_conflict"}
     assert run.health(FORE).accepted == 0
     assert len([m for m in run.messages("ship/innovation") if m.source == "star.starboard"]) > 20
 
 
-def test_another_configured_sigma_rules_where_the_message_gives_none() -> None:
-    """With 30 times the sigma, the fore sensor says next to nothing about the heading: never taken as perfect."""
+def test_a_configured_sigma_is_used_if_the_message_gives_none() -> None:
+    """With 30 times the sigma, the fore sensor has almost no weight for the heading."""
     arrivals = changed_where(voyage(), lambda a: a.topic.startswith("star"), put("rotation_covariance", 0.0))
     coarse = {
         f"star_sensors__{sensor}__sigma_{axis}_arcsec": 3000.0
@@ -257,7 +257,7 @@ def test_a_reference_without_an_orientation_is_refused_unless_accepted(accepted:
 
 
 def test_an_ins_without_rates_is_used_without_them() -> None:
-    """The first element of the rate's covariance at −1: not measured (sensor_msgs/Imu), whatever the rate says."""
+    """The first element of the rate's covariance at −1: not measured (sensor_msgs/Imu), whatever the rate."""
 
     def no_rate(message: Any) -> None:
         message.angular_velocity_covariance[0] = -1.0
@@ -301,7 +301,7 @@ def test_of_two_messages_with_one_stamp_the_same_one_is_kept_in_either_order(top
     assert one_first.state() in (alone[0].state(), alone[1].state())
     for run in (one_first, another_first):
         assert_told_once(run, topic, "conflict", "sort first", second_ns)
-    # Where the first one is kept, the second one has changed nothing but the status.
+    # If the first one is kept, the second one has changed only the status.
     kept = [attitudes(run) == attitudes(only) for run, only in zip((one_first, another_first), alone, strict=True)]
     assert sorted(kept) == [False, True]
     for run in (one_first, another_first):
@@ -311,20 +311,20 @@ def test_of_two_messages_with_one_stamp_the_same_one_is_kept_in_either_order(top
 
 
 def attitudes(run: Run) -> list[Any]:
-    """All attitudes to the last bit, without what they are worth."""
+    """All attitudes to the last bit, without their status."""
     published = run.messages("ship/attitude")
     return [exactly([m.header.stamp.sec, m.header.stamp.nanosec, m.heading, m.pitch, *m.covariance]) for m in published]
 
 
 @pytest.mark.parametrize("topic", [INS, FORE])
-def test_a_source_that_contradicts_itself_is_not_valid_until_it_has_agreed_with_itself_for_ten_seconds(
+def test_a_source_that_contradicts_itself_is_not_valid_for_ten_seconds(
     topic: str,
 ) -> None:
-    """By 20″, once: whichever of the two is kept, what rests on it is not VALID."""
+    """By 20″, once: whichever of the two is kept, outputs based on it are not VALID."""
     arrivals = voyage(16.0)
     index = index_at(arrivals, topic, 3.0)
     run = drive(new_adapter(), added(arrivals, index, turned_by(20.0), arrivals[index].receive_ns + 1))
-    # The INS's own rates refuse the second one, which contradicts the first one all the same.
+    # The rates of the INS show a step in the second one, which conflicts with the first one too.
     assert run.reasons(topic) == {"gate" if topic == INS else "conflict": 1}
     until_ns = arrivals[index].stamp_ns + 10 * SECOND_NS
     status = {stamp_of(m): m.status for m in run.messages("ship/attitude") if stamp_of(m) > START_NS + 3.3 * SECOND_NS}
@@ -333,7 +333,7 @@ def test_a_source_that_contradicts_itself_is_not_valid_until_it_has_agreed_with_
 
 
 def turned_by(arcsec: float) -> Change:
-    """Another heading."""
+    """Change the heading."""
 
     def change(message: Any) -> None:
         if hasattr(message, "azimuth"):
@@ -346,7 +346,7 @@ def turned_by(arcsec: float) -> Change:
 
 
 def test_a_star_sensor_that_contradicts_itself_and_is_refused_does_no_harm_to_the_others() -> None:
-    """Two publishers on one topic, 400″ apart from all else: nothing of them is used, and the others are VALID."""
+    """Two publishers on one topic, 400″ apart from all others: neither is used, and the other sources are VALID."""
     arrivals = voyage(8.0)
     since_ns = START_NS + 3 * SECOND_NS
     wrong = changed_where(arrivals, lambda a: a.topic == FORE and a.stamp_ns > since_ns, turned_by(400.0))
@@ -385,7 +385,7 @@ def test_ten_messages_in_a_row_from_the_future_are_a_clock_offset() -> None:
     after = run.diagnostics(f"input {INS}", tenth_ns, tenth_ns + 1_100_000_000)
     assert all(level < 2 for level, _ in before)
     assert any(level == 2 and "clock offset" in text for level, text in after)
-    # Nothing was re-timed: the INS carries no output any more.
+    # No stamps were changed: no output is based on the INS any more.
     assert max(stamp_of(m) for m in run.messages("ship/attitude") if "ins" in m.sources) < from_ns
 
 
@@ -402,7 +402,7 @@ def test_a_star_far_off_once_is_gated_and_changes_nothing() -> None:
     assert np.all(np.array(innovation.sigma) > 0.0)
 
 
-def test_rates_in_degrees_are_found_and_refused_until_they_are_right() -> None:
+def test_rates_in_degrees_are_detected_and_rejected_until_corrected() -> None:
     def degrees(message: Any) -> None:
         for axis in "xyz":
             setattr(message.angular_velocity, axis, np.rad2deg(getattr(message.angular_velocity, axis)))
@@ -420,12 +420,12 @@ def test_rates_in_degrees_are_found_and_refused_until_they_are_right() -> None:
     told_ns = round(first_s * SECOND_NS) + arrivals[0].receive_ns
     reports = run.diagnostics(f"input {INS}", told_ns, told_ns + 1_100_000_000)
     assert any(level >= 1 and "units" in text for level, text in reports)
-    # Within six seconds of right rates all is well again, the damage of the first ones forgotten.
+    # Within six seconds of correct rates the effect of the wrong ones is gone.
     assert run.messages("ship/attitude")[-1].status == 0
     assert stamp_of(refused[-1]) < wrong_until_ns + 6 * SECOND_NS
 
 
-def test_mend_03_a_frozen_ins_is_told_at_once_and_its_first_sample_that_moves_is_taken() -> None:
+def test_a_frozen_ins_is_reported_at_once_and_its_first_new_value_is_used() -> None:
     arrivals = voyage(8.0)
     frozen = arrivals[index_at(arrivals, INS, 3.0)].message.orientation
     from_ns, until_ns = arrivals[0].stamp_ns + 3 * SECOND_NS, arrivals[0].stamp_ns + 6 * SECOND_NS
@@ -436,8 +436,8 @@ def test_mend_03_a_frozen_ins_is_told_at_once_and_its_first_sample_that_moves_is
     run = drive(
         new_adapter(), changed_where(arrivals, lambda a: a.topic == INS and from_ns <= a.stamp_ns < until_ns, freeze)
     )
-    # 75 samples in three seconds, the first of them true: its own rate contradicts the second at once, and after half a
-    # second it is clear why.
+    # 75 samples in three seconds, the first of them true: its own rate contradicts the second at once, and after half
+    # a second the fault is isolated.
     assert run.reasons(INS) == {"gate": 12, "stuck": 62}
     stamps = [stamp_of(m) for m in run.innovations(Reason.STUCK)]
     assert stamps[0] == from_ns + 13 * 40_000_000
@@ -449,8 +449,8 @@ def test_mend_03_a_frozen_ins_is_told_at_once_and_its_first_sample_that_moves_is
 
 
 @pytest.mark.parametrize("witness", [INS, "other star sensor"])
-def test_mend_03_a_frozen_star_sensor_is_told_within_a_second_and_comes_back_at_once(witness: str) -> None:
-    """While the INS says that the ship moves, or, the INS being gone, the other star sensor does."""
+def test_a_frozen_star_sensor_is_reported_within_a_second_and_recovers_at_once(witness: str) -> None:
+    """While the INS moves, or, during an INS timeout, the other star sensor."""
     arrivals = voyage(16.0)
     frozen = arrivals[index_at(arrivals, FORE, 3.0)].message
     from_ns, until_ns = arrivals[0].stamp_ns + 3 * SECOND_NS, arrivals[0].stamp_ns + 10 * SECOND_NS
@@ -465,7 +465,7 @@ def test_mend_03_a_frozen_star_sensor_is_told_within_a_second_and_comes_back_at_
 
     run = drive(new_adapter(), changed_where(arrivals, chosen, freeze))
     stuck = [stamp_of(m) for m in run.innovations(Reason.STUCK)]
-    # 35 frozen at 5 Hz in seven seconds: the first true, the next two not sure.
+    # 35 frozen at 5 Hz in seven seconds: the first is true, the next two are not certain.
     assert len(stuck) == run.reasons(FORE)["stuck"] == 35 - 3
     assert min(stuck) == stamp_of(frozen) + 3 * 200_000_000
     assert max(stuck) == stamp_of(frozen) + 34 * 200_000_000
@@ -474,7 +474,7 @@ def test_mend_03_a_frozen_star_sensor_is_told_within_a_second_and_comes_back_at_
 
 
 def test_a_ship_at_rest_is_not_stuck() -> None:
-    """In dock the INS repeats one value, and what the stars show is their noise: 100" about the boresight."""
+    """In dock the INS repeats one value, and the stars vary by their noise: 100" about the boresight."""
     first = {topic: voyage()[index_at(voyage(), topic, 0.0)].message for topic in (INS, FORE)}
     rng = np.random.default_rng(7)
 

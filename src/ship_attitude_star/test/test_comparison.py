@@ -1,4 +1,4 @@
-"""Jacobians against central differences, and the chain of rotations against its definition."""
+"""Jacobians against central differences, and the rotation chain against its definition."""
 
 from dataclasses import replace
 
@@ -57,8 +57,8 @@ def moved(mean: np.ndarray, index: int, by: float) -> np.ndarray:
 def at_changed_time(
     name: str, mean: np.ndarray, changed: np.ndarray, ins: InterpolatedAttitude
 ) -> InterpolatedAttitude:
-    """The INS's attitude at the moment that the changed clock offsets lead to, for a ship turning steadily."""
-    # Whole nanoseconds would swallow the small step: the difference of the two shifts is taken in seconds.
+    """Return the INS attitude at the time given by the changed clock offsets, for a constant rate of the ship."""
+    # Whole nanoseconds would hide the small step: the difference of the two shifts is in seconds.
     shift_s = sum(
         sign * (changed[MODEL.slices[state]][0] - mean[MODEL.slices[state]][0])
         for state, sign in DEVICES[name].ins_time_states
@@ -116,7 +116,7 @@ def test_clock_offsets_have_the_signs_of_the_contract() -> None:
 
 
 def corrected_at_once(state: FilterState, ins: InterpolatedAttitude) -> tuple[FloatArray, FloatArray]:
-    """The attitude at the moment of the state, and its covariance by source."""
+    """Return the attitude at the time of the state, and its covariance by source."""
     of_one = ins.rotation_nd[None], ins.rate_d[None], np.array([ins.noise_gain]), ins.error_covariance_d[None]
     by = [CorrectedIns(FILTER, state)], np.zeros(1, dtype=np.intp)
     (rotation,), (parts,) = corrected_attitudes(*by, np.zeros(1), MovedBlock(*of_one))

@@ -1,4 +1,4 @@
-"""Single stars in the filter: Jacobians, what one star tells, who is refused, who is identified by the prediction."""
+"""Single stars in the filter: Jacobians, information of one star, rejections, identification by the prediction."""
 
 from dataclasses import replace
 
@@ -46,7 +46,7 @@ def ship_filter():
 
 
 def residuals(ship_filter, watch, exposure, mean):
-    """Of an exposure at a state."""
+    """Residuals of an exposure at a state."""
     state = ship_filter.initial_state()
     ins = ins_track().at(TIME_NS)
     predicted = predict_attitude(ship_filter.devices[exposure.source], ship_filter.model, mean, ins)
@@ -59,7 +59,7 @@ def residuals(ship_filter, watch, exposure, mean):
 
 
 def with_field(exposure):
-    """The stars in a camera with a field-spatial error, and the filter that knows of it."""
+    """Return the stars of a camera with a field-spatial error, and a filter that models it."""
     camera = {"focal_length_m": 0.05, "pixel_pitch_m": 5.5e-6, "principal_u_px": 1023.5, "principal_v_px": 1023.5}
     sensors = {"fore": {"input": "observations", **SENSORS["fore"], "camera": {**camera, **FIELD}}}
     config = build(ShipAttitudeConfig, {"star_sensors": sensors})
@@ -67,8 +67,8 @@ def with_field(exposure):
     return replace(exposure, spatial=spatial), ShipFilter(config)
 
 
-def test_the_pixels_errors_of_a_second_exposure_count_more_by_how_far_the_stars_have_gone(watch):
-    """Expected: coth d - 1 more, of stars that stand still to the bit the most that is allowed."""
+def test_pixel_errors_of_a_second_exposure_decorrelate_with_star_motion(watch):
+    """Expected: coth d - 1 more; for stars that do not move at all the maximum allowed."""
     exposure = exposure_of(watch, "fore", 4)
     exposure = replace(exposure, spatial=SpatialErrors(StarCamera(0.05, 5.5e-6, 1023.5, 1023.5), 0.0, 0.2))
     ship_filter = ShipFilter(CONFIG)
@@ -79,7 +79,7 @@ def test_the_pixels_errors_of_a_second_exposure_count_more_by_how_far_the_stars_
     np.testing.assert_allclose(second, 1000.0 * first)
 
 
-def test_a_filter_remembers_where_the_stars_of_a_sensor_were(watch):
+def test_the_filter_stores_the_pixel_dwell_of_a_sensor(watch):
     camera = {"focal_length_m": 0.05, "pixel_pitch_m": 5.5e-6, "pixel_spatial_sigma_px": 0.2}
     config = build(
         ShipAttitudeConfig,
@@ -132,7 +132,7 @@ def test_one_star_improves_two_components_as_the_bound_says_and_leaves_the_third
     after, decision = ship_filter.step(before, exposure, ins_track(), watch)
     assert decision.accepted
     star_n = watch.at(TIME_NS).apparent(exposure.positions).direction_n[0]
-    # Bound: information of the star beside the prior, mounting and shared errors as further noise across the star.
+    # Bound: information of the star and the prior, with mounting and shared errors as further noise across the star.
     rows = ship_filter.model.rows("ins.attitude")
     prior = before.covariance[np.ix_(rows, rows)]
     posterior = after.covariance[np.ix_(rows, rows)]
@@ -144,13 +144,13 @@ def test_one_star_improves_two_components_as_the_bound_says_and_leaves_the_third
     h = jacobian[:, rows]
     bound = np.linalg.inv(np.linalg.inv(prior) + h.T @ np.linalg.inv(noise) @ h)
     np.testing.assert_allclose(posterior, bound, rtol=1e-6, atol=1e-18)
-    # The turn about the star is as unknown as before; across it nearly all that the star cannot tell is gone.
+    # The rotation about the star is as uncertain as before; across it nearly all unobservable errors are gone.
     information_gain = np.linalg.inv(posterior) - np.linalg.inv(prior)
     assert star_n @ information_gain @ star_n < 1e-9 * np.trace(information_gain)
 
 
 @pytest.mark.parametrize("count", [1, 2, 8])
-def test_the_estimate_moves_to_the_truth(ship_filter, watch, count):
+def test_the_estimate_converges_to_the_truth(ship_filter, watch, count):
     error_n = np.array([12.0, -60.0, 8.0]) * ARCSEC
     state = ship_filter.initial_state()
     for id_ in ("fore", "starboard"):
@@ -159,7 +159,7 @@ def test_the_estimate_moves_to_the_truth(ship_filter, watch, count):
     rows = ship_filter.model.rows("ins.attitude")
     left = error_n - state.mean[rows]
     covariance = state.covariance[np.ix_(rows, rows)]
-    # Noise-free stars: what is left is the pull of the prior.
+    # Noise-free stars: the remaining error is that of the prior.
     assert left @ np.linalg.solve(covariance, left) < 3.0
     assert np.linalg.norm(left) < 0.1 * np.linalg.norm(error_n)
 
@@ -187,7 +187,7 @@ def test_stars_that_agree_against_the_ins_are_a_conflict_with_a_hint(watch):
 
 
 @pytest.mark.parametrize("field", ["rotation_nv", "noise_v"])
-def test_mend_08_what_is_no_number_passes_no_gate(field):
+def test_nan_passes_no_gate(field):
     config = configuration()
     ship_filter = ShipFilter(config)
     rotation_ns = ROTATION_ND @ ship_filter.devices["star.fore"].rotation_dv0
@@ -218,7 +218,7 @@ def test_no_fix_and_no_earth_orientation_are_named(ship_filter, watch):
 
 
 def test_fixes_in_any_order_end_in_the_same_state():
-    """A fix that comes after the exposures is used for them all the same, as if it had come before."""
+    """A fix that arrives after the exposures is used for them as if it had arrived before."""
     config = configuration()
     sky = told_sky(config)
     exposures = [exposure_of(sky, "fore", 5, time_ns=TIME_NS + step * 200_000_000) for step in range(5)]
@@ -260,7 +260,7 @@ def test_stars_without_identity_are_identified_by_the_prediction(ship_filter, wa
 
 
 def test_an_attitude_against_the_icrs_gives_the_horizon_attitude(watch):
-    """Beside the exposure that shows the same: both bring the estimate to the same place."""
+    """Compared with the exposure with the same information: both give the same estimate."""
     config = configuration()
     config = replace(
         config, star_sensors={id_: replace(s, input="inertial_attitude") for id_, s in config.star_sensors.items()}
@@ -276,7 +276,7 @@ def test_an_attitude_against_the_icrs_gives_the_horizon_attitude(watch):
     inertial = InertialAttitude("star.fore", TIME_NS, seen, np.diag((np.array([20.0, 3.0, 3.0]) * ARCSEC) ** 2))
     _, decision = ship_filter.step(ship_filter.initial_state(), inertial, ins_track(), watch)
     assert decision.accepted
-    # Refraction at the seen instead of the true elevation: 1″ of 60″ in the second order at most.
+    # Refraction at the apparent instead of the true elevation: 1″ of 60″ in second order at most.
     assert np.linalg.norm(decision.residual) < 0.1 * ARCSEC
     assert np.linalg.norm(log_rotation(seen)) > 0.1
 
@@ -292,7 +292,7 @@ def test_the_alignment_states_the_errors_of_the_optics_in_their_own_units() -> N
     means[:, ship_filter.model.slices["star.fore.optics"]] = [2.0, -1.0, 3.0, 0.5]
     found = alignment_of(ship_filter, config, replace(state, means=means))
     sigmas = np.sqrt(np.diagonal(found.covariance))
-    # Relative focal length, pixels, k1: so many sigmas of 4e-4, 0.5 px and 0.01.
+    # Relative focal length, pixels, k1: in sigmas of 4e-4, 0.5 px and 0.01.
     expected = {
         "focal_length": ("1", 8e-4, 4e-4),
         "principal_u": ("px", -0.5, 0.5),
@@ -305,8 +305,8 @@ def test_the_alignment_states_the_errors_of_the_optics_in_their_own_units() -> N
         assert (found.values[row], sigmas[row]) == pytest.approx((value, sigma))
 
 
-def test_the_optics_may_drift_with_the_temperature_of_a_night() -> None:
-    """After an hour the variance has grown by the square of a tenth of each sigma, whatever was learned before."""
+def test_the_optics_may_drift_with_temperature() -> None:
+    """After an hour the variance has grown by the square of a tenth of each sigma, whatever was estimated before."""
     ship_filter = ShipFilter(configuration())
     rows = ship_filter.model.slices["star.fore.optics"]
     state = ship_filter.predicted(ship_filter.initial_state(), TIME_NS)

@@ -1,4 +1,4 @@
-"""The software itself fails on one message: that is told, and all else comes out as without it."""
+"""The software fails on one message: this is reported, and all other results are as without the message."""
 
 from collections.abc import Callable
 from typing import Any
@@ -21,7 +21,7 @@ DEFECT = "ArithmeticError: a defect ("
 
 
 def failing_where(bad: Callable[..., bool], function: Callable[..., Any]) -> Callable[..., Any]:
-    """The function, which raises for some arguments."""
+    """Return the function, which raises for some arguments."""
 
     def call(*arguments: Any) -> Any:
         if bad(*arguments):
@@ -32,7 +32,7 @@ def failing_where(bad: Callable[..., bool], function: Callable[..., Any]) -> Cal
 
 
 def assert_told(run: AdapterRun, source: str, time_ns: int) -> None:
-    """In an innovation, and once for the log."""
+    """In an innovation message, and once in the log."""
     (innovation,) = run.innovations(Reason.FAILED)
     assert (innovation.source, stamp_of(innovation), innovation.accepted) == (source, time_ns, False)
     assert innovation.reason_text.startswith(DEFECT)
@@ -42,7 +42,7 @@ def assert_told(run: AdapterRun, source: str, time_ns: int) -> None:
     assert run.adapter.health.take_failures() == []
 
 
-def test_mend_02_a_measurement_on_which_the_filter_raises_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_measurement_on_which_the_filter_raises_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
     index = index_at(voyage(), FORE, MOMENT_S)
     bad_ns = voyage()[index].stamp_ns
     bad = failing_where(lambda _, state, m, *rest: (m.source, m.time_ns) == ("star.fore", bad_ns), ShipFilter.step)
@@ -56,8 +56,8 @@ def test_mend_02_a_measurement_on_which_the_filter_raises_is_left_out(monkeypatc
     assert_told(run, "star.fore", bad_ns)
 
 
-def test_mend_02_a_measurement_that_raised_is_used_where_it_no_longer_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Raised at first, then an INS sample that came late has all of its time applied again."""
+def test_a_measurement_that_raised_is_used_where_it_no_longer_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It raises at first; then a late INS sample makes the measurements of its time be applied again."""
     clean, index = clean_run(), index_at(voyage(), FORE, MOMENT_S)
     bad_ns, failures = voyage()[index].stamp_ns, [True]
     bad = failing_where(
@@ -73,7 +73,7 @@ def test_mend_02_a_measurement_that_raised_is_used_where_it_no_longer_does(monke
     assert run.reasons(FORE) == {"failed": 1, "revised": 1}
 
 
-def test_mend_02_an_attitude_that_cannot_be_computed_is_the_only_one_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_attitude_that_cannot_be_computed_is_the_only_one_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     clean, bad_ns = clean_run(), voyage()[index_at(voyage(), "ins/imu", MOMENT_S)].stamp_ns
     bad = failing_where(lambda _, time_ns, *rest: time_ns == bad_ns, CorrectedIns.estimate)
     monkeypatch.setattr(CorrectedIns, "estimate", bad)
@@ -87,7 +87,7 @@ def test_mend_02_an_attitude_that_cannot_be_computed_is_the_only_one_missing(mon
     assert_told(run, "ship/attitude", bad_ns)
 
 
-def test_mend_02_a_budget_that_cannot_be_computed_hides_no_invalid(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_budget_does_not_suppress_invalid(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ship_attitude_adapter, "alignment_state", failing_where(lambda *arguments: True, None))
     run = drive(new_adapter(), cut(voyage(), 2.0, 5.0, "ins/imu", FORE, STARBOARD), until_ns=START_NS + 5 * SECOND_NS)
     invalid = [m for m in run.messages("ship/attitude") if m.status == Status.INVALID]
@@ -95,7 +95,7 @@ def test_mend_02_a_budget_that_cannot_be_computed_hides_no_invalid(monkeypatch: 
     assert {m.source for m in run.innovations(Reason.FAILED)} == {"slow topics"}
 
 
-def test_mend_02_exposures_go_on_after_one_that_cannot_be_solved(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_exposures_go_on_after_one_that_cannot_be_solved(monkeypatch: pytest.MonkeyPatch) -> None:
     index = index_at(star_voyage.voyage(), star_voyage.FORE, 1.5)
     clean, bad_ns = star_voyage.clean_run(), star_voyage.voyage()[index].stamp_ns
     bad = failing_where(
@@ -109,7 +109,7 @@ def test_mend_02_exposures_go_on_after_one_that_cannot_be_solved(monkeypatch: py
     assert_told(run, "star.fore", bad_ns)
 
 
-def test_mend_02_joint_solutions_go_on_after_one_that_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_joint_solutions_go_on_after_one_that_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     joint = "star/joint/solution"
     clean = star_voyage.clean_run()
     bad_ns = stamp_of(clean.messages(joint)[3])

@@ -1,4 +1,4 @@
-"""Garbage in any field, tens of thousands of times: nothing is raised, and afterwards the node is as good as new."""
+"""Garbage in any field, tens of thousands of times: nothing is raised, and afterwards the node works as before."""
 
 import copy
 import pickle
@@ -18,7 +18,7 @@ REFERENCE = "reference/gyro/imu"
 
 
 def templates() -> list[Arrival]:
-    """The clean messages of the stream; a reference says what the INS says."""
+    """The correct messages of the stream; a reference sends the attitude of the INS."""
     arrivals = list(voyage())
     return arrivals + [Arrival(REFERENCE, a.message, a.receive_ns + 1) for a in arrivals if a.topic == INS]
 
@@ -31,7 +31,7 @@ def test_no_message_whatsoever_raises_or_does_damage() -> None:
     fields = {a.topic: paths(a.message) for a in clean}
     run, now_ns, tried, mixed_in = Run(adapter), START_NS, Counter(), 12
     while tried["all"] < MESSAGES:
-        # Good messages go on between, so that each round of garbage meets a filter at work.
+        # Correct messages are mixed in, so that each round of garbage meets a working filter.
         start_ns = now_ns
         for arrival in clean:
             now_ns = start_ns + arrival.receive_ns - START_NS
@@ -69,7 +69,7 @@ def later(arrival: Arrival, ns: int) -> Arrival:
 
 
 def take(run: Run, arrival: Arrival, now_ns: int) -> None:
-    """Hand over a message; all that comes of it must be fit to be sent."""
+    """Hand over a message; all resulting messages must be serialisable."""
     run.now_ns = now_ns
     for topic, message in run.adapter.handle(arrival.topic, arrival.message, now_ns):
         message_bytes(message)

@@ -1,4 +1,4 @@
-"""Hints about wrong headings, at all headings, and who is named as the odd one out."""
+"""Diagnosis hints about wrong headings, at all headings, and the name of the inconsistent source."""
 
 import numpy as np
 import pytest
@@ -21,36 +21,36 @@ def hint(ins_deg: float, measured_deg: float, source: str = "star.fore", ins_con
 
 @pytest.mark.parametrize("heading_deg", AROUND)
 @pytest.mark.parametrize("off_deg", [0.02, -0.5, 3.0, -8.0])
-def test_mend_05_a_plain_small_disagreement_gets_no_hint_at_any_heading(heading_deg: float, off_deg: float) -> None:
+def test_a_small_disagreement_gets_no_hint_at_any_heading(heading_deg: float, off_deg: float) -> None:
     for source in ("star.fore", "reference.s330"):
         assert hint(heading_deg + off_deg, heading_deg, source) == ""
 
 
 @pytest.mark.parametrize("heading_deg", [heading for heading in AROUND if heading % 180 != 45])
-def test_mend_05_heading_given_as_yaw_is_told_where_it_makes_a_difference(heading_deg: float) -> None:
+def test_heading_given_as_yaw_is_named_where_it_makes_a_difference(heading_deg: float) -> None:
     told = hint(90.0 - heading_deg, heading_deg)
-    # Within 5° of 45° and 225° the two differ by less than 10°, as anything may.
-    assert ("yaw (90° - heading): look at ins.convention" in told) == (abs(heading_deg % 180 - 45.0) > 5.0)
+    # Within 5° of 45° and 225° the two differ by less than 10°, which gives no hint.
+    assert ("yaw (90° - heading): check ins.convention" in told) == (abs(heading_deg % 180 - 45.0) > 5.0)
 
 
 @pytest.mark.parametrize("heading_deg", EIGHT)
 @pytest.mark.parametrize("turn_deg", [90.0, -90.0, 180.0])
-def test_mend_05_quarter_and_half_turns_are_told_at_all_headings(heading_deg: float, turn_deg: float) -> None:
+def test_90_and_180_degrees_are_named_at_all_headings(heading_deg: float, turn_deg: float) -> None:
     told = hint(heading_deg + turn_deg, heading_deg)
-    # Where heading given as yaw makes the same turn, that is named: it is by far the commonest.
+    # If heading given as yaw explains the same difference, it is named: it is by far the most common mistake.
     assert f"about {abs(turn_deg):.0f}° in heading" in told or "yaw (90° - heading)" in told
     by_yaw = abs((2.0 * heading_deg + turn_deg - 90.0 + 180.0) % 360.0 - 180.0) < 5.0
     assert ("yaw" in told) == by_yaw
 
 
-def test_mend_05_where_others_confirm_the_ins_the_hint_looks_at_the_other_side() -> None:
+def test_with_a_confirmed_ins_the_hint_names_the_other_source() -> None:
     assert "ins." not in hint(120.0, 30.0, ins_confirmed=True)
     assert "star_sensors.fore.azimuth_deg" in hint(120.0, 30.0, ins_confirmed=True)
     assert "references.s330.convention" in hint(60.0, 30.0, "reference.s330", ins_confirmed=True)
     assert hint(60.0, 30.0, ins_confirmed=True) == ""
 
 
-def test_mend_05_another_tilt_is_no_mistake_in_heading() -> None:
+def test_a_tilt_difference_is_no_heading_mistake() -> None:
     fallen = rotation_from_angles(*np.deg2rad([120.0, 40.0, -2.0]))
     assert heading_hint(fallen, deck(30.0), "star.fore", False) == ""
     assert heading_hint(np.full((3, 3), np.nan), deck(30.0), "star.fore", False) == ""
@@ -66,20 +66,20 @@ MAST, FORE, OTHER = off((300.0, 20.0, 0.0)), off((290.0, 10.0, 5.0)), off((-200.
 @pytest.mark.parametrize(
     ("agreeing", "disagreeing", "told"),
     [
-        (["star.fore", "star.aft"], {"star.mast": MAST}, "star.mast is the odd one out, star.aft, star.fore agree"),
-        (["reference.s330"], {"star.mast": MAST}, "star.mast is the odd one out, reference.s330 agrees with the INS"),
-        ([], {"star.mast": MAST}, "which of the two is wrong, no other source tells"),
-        ([], {"star.mast": MAST, "star.fore": FORE}, "the INS is the odd one out, star.fore, star.mast disagree"),
-        ([], {"star.mast": MAST, "star.fore": OTHER}, "star.fore, star.mast disagree with the INS, and with one"),
+        (["star.fore", "star.aft"], {"star.mast": MAST}, "only star.mast differs, star.aft, star.fore agree"),
+        (["reference.s330"], {"star.mast": MAST}, "only star.mast differs, reference.s330 agrees with the INS"),
+        ([], {"star.mast": MAST}, "no other source shows which of the two is faulty"),
+        ([], {"star.mast": MAST, "star.fore": FORE}, "only the INS differs, star.fore, star.mast disagree"),
+        ([], {"star.mast": MAST, "star.fore": OTHER}, "star.fore, star.mast disagree with the INS and with each"),
         (["star.aft"], {"star.mast": MAST, "star.fore": FORE}, "star.fore, star.mast disagree with the INS, star.aft"),
     ],
 )
-def test_mend_05_the_odd_one_out_is_named(
+def test_the_inconsistent_source_is_named(
     agreeing: list[str], disagreeing: dict[str, Departure], told: str
 ) -> None:
     assert odd_one_out("star.mast", agreeing, disagreeing).startswith(told)
 
 
-def test_mend_05_noise_about_the_boresight_is_no_disagreement_among_sensors() -> None:
+def test_noise_about_the_boresight_is_no_disagreement_among_sensors() -> None:
     noisy = Departure(0, np.array([150.0, 20.0, 110.0]) * ARCSEC, np.diag([100.0, 3.0, 100.0]) ** 2 * ARCSEC**2)
-    assert odd_one_out("star.a", [], {"star.a": off((150.0, 20.0, 0.0)), "star.b": noisy}).startswith("the INS")
+    assert odd_one_out("star.a", [], {"star.a": off((150.0, 20.0, 0.0)), "star.b": noisy}).startswith("only the INS")

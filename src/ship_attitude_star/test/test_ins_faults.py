@@ -1,4 +1,4 @@
-"""An INS whose samples are well formed and wrong: jumped, frozen, with rates that are none; alone and together."""
+"""Faults of an INS with well-formed samples: jumps, frozen values, wrong rates; single and combined."""
 
 from collections.abc import Callable
 from typing import Any
@@ -54,14 +54,14 @@ def error_and_covariance(message: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def nees(run: Run, from_s: float = 0.0) -> np.ndarray:
-    """Of all attitudes that are VALID."""
+    """NEES of all VALID attitudes."""
     valid = [m for m in run.messages("ship/attitude") if m.status == Status.VALID and seconds(m) >= from_s]
     assert valid
     return np.array([e @ np.linalg.solve(p, e) for e, p in map(error_and_covariance, valid)])
 
 
 def assert_honest(run: Run) -> None:
-    """No attitude that is VALID is off by more than five of its sigmas about any axis."""
+    """No VALID attitude is off by more than five standard deviations about any axis."""
     for message in run.messages("ship/attitude"):
         if message.status == Status.VALID:
             error_n, covariance_n = error_and_covariance(message)
@@ -74,7 +74,7 @@ def of_ins(from_s: float = -1.0, until_s: float = 1e9) -> Callable[[Arrival], bo
 
 
 def scaled(factor: float) -> Change:
-    """Rates in another unit, or none at all."""
+    """Scale the rates, as for another unit or none at all."""
 
     def change(message: Any) -> None:
         for axis in AXES:
@@ -84,7 +84,7 @@ def scaled(factor: float) -> Change:
 
 
 def turned(*arcsec_n: float) -> Change:
-    """The attitude turned about North, Up, East."""
+    """Rotate the attitude about North, Up, East."""
 
     def change(message: Any) -> None:
         message.orientation = quaternion_message(exp_rotation(np.array(arcsec_n) * ARCSEC) @ rotation_of(message))
@@ -106,7 +106,7 @@ def negated_w(message: Any) -> None:
 
 
 def only_gaps(run: Run) -> int:
-    """How many messages of a star sensor at most were not used, all of them because the INS was not there."""
+    """Return the largest number of unused measurements of a star sensor, all of them for lack of the INS."""
     reasons = [run.reasons(topic) for topic in (FORE, STARBOARD)]
     assert all(counts.keys() <= {"gap"} for counts in reasons)
     return max(counts.get("gap", 0) for counts in reasons)
@@ -122,7 +122,7 @@ def thinned(arrivals: Arrivals, keep: int) -> Arrivals:
 
 
 @pytest.mark.parametrize("zero_rates", [False, True])
-def test_mend_10_one_wrong_sample_is_refused_and_changes_nothing(zero_rates: bool) -> None:
+def test_one_wrong_sample_is_refused_and_changes_nothing(zero_rates: bool) -> None:
     """``orientation.w`` negated once: a unit quaternion, more than a right angle away from the ship."""
     arrivals = changed_where(voyage(), of_ins(), scaled(0.0)) if zero_rates else voyage()
     index = index_at(arrivals, INS, 3.0)
@@ -134,7 +134,7 @@ def test_mend_10_one_wrong_sample_is_refused_and_changes_nothing(zero_rates: boo
     assert run.state() == without.state()
 
 
-def test_mend_10_a_wrong_sample_that_comes_late_is_refused_too() -> None:
+def test_a_wrong_sample_that_comes_late_is_refused_too() -> None:
     index = index_at(voyage(), INS, 3.0)
     run = drive(new_adapter(), replaced(voyage(), index, negated_w, voyage()[index].receive_ns + SECOND_NS // 2))
     assert run.reasons(INS) == {"gate": 1}
@@ -142,8 +142,8 @@ def test_mend_10_a_wrong_sample_that_comes_late_is_refused_too() -> None:
 
 
 @pytest.mark.parametrize("size_arcsec", [100.0, 3600.0, 90.0 * 3600.0])
-def test_mend_10_a_jump_for_good_opens_the_covariance_until_stars_agree(size_arcsec: float) -> None:
-    """Five are refused; the sixth is believed, DEGRADED, with an error as large as the jump, until a star was used."""
+def test_a_permanent_jump_inflates_the_covariance_until_stars_are_consistent(size_arcsec: float) -> None:
+    """Five are rejected; the sixth is accepted, DEGRADED, with an error as large as the jump, until a star was used."""
     jumped = changed_where(voyage(8.0), of_ins(3.0), turned(0.0, size_arcsec, 0.0))
     run = drive(new_adapter(), jumped)
     assert run.reasons(INS) == {"gate": 5}
@@ -156,11 +156,11 @@ def test_mend_10_a_jump_for_good_opens_the_covariance_until_stars_agree(size_arc
     error_n, covariance_n = error_and_covariance(after[0])
     assert np.abs(error_n[1]) < 1.5 * np.sqrt(covariance_n[1, 1])
     assert_honest(run)
-    # But for one in the gap all stars are used: the jump is in the error of the INS, where it belongs.
+    # Except for one in the gap all stars are used: the jump is in the INS error, as it should be.
     assert only_gaps(run) <= 1
 
 
-def test_mend_10_without_stars_a_jump_stays_degraded() -> None:
+def test_without_stars_a_jump_stays_degraded() -> None:
     arrivals = [a for a in voyage(8.0) if a.topic == INS or a.stamp_ns < START_NS + 3 * SECOND_NS]
     run = drive(new_adapter(coasting_after_s=100.0), changed_where(arrivals, of_ins(4.0), turned(0.0, 3600.0, 0.0)))
     after = [m for m in run.messages("ship/attitude") if seconds(m) >= 4.0]
@@ -169,7 +169,7 @@ def test_mend_10_without_stars_a_jump_stays_degraded() -> None:
     assert told.endswith("confirmation by stars of two different times is pending")
 
 
-def test_mend_10_how_many_are_refused_is_a_parameter_also_live() -> None:
+def test_the_number_of_rejected_samples_is_a_live_parameter() -> None:
     jumped = changed_where(voyage(), of_ins(3.0), turned(0.0, 3600.0, 0.0))
     assert drive(new_adapter(ins__jump_samples=2), jumped).reasons(INS) == {"gate": 2}
     adapter = drive(new_adapter(), [a for a in jumped if a.stamp_ns < START_NS + 2 * SECOND_NS]).adapter
@@ -178,21 +178,21 @@ def test_mend_10_how_many_are_refused_is_a_parameter_also_live() -> None:
     assert run.reasons(INS) == {"gate": 3}
 
 
-def test_mend_10_a_late_star_of_before_a_jump_is_compared_with_the_attitude_of_before() -> None:
+def test_a_late_star_from_before_a_jump_is_compared_with_the_attitude_before_it() -> None:
     jumped = changed_where(voyage(), of_ins(3.0), turned(0.0, 3600.0, 0.0))
     late = replaced(jumped, index_at(jumped, FORE, 2.8), lambda message: None, START_NS + 4 * SECOND_NS)
     assert drive(new_adapter(), late).state() == drive(new_adapter(), jumped).state()
 
 
-# -- rates that are none ------------------------------------------------------------------------------------------
+# -- wrong rates --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("keep", [1, 2])
-def test_mend_06_rates_left_at_zero_are_not_used_and_the_attitude_is_honest(keep: int) -> None:
+def test_zero_rates_are_not_used_and_the_attitude_is_consistent(keep: int) -> None:
     run = drive(new_adapter(), changed_where(thinned(voyage(20.0), keep), of_ins(), scaled(0.0)))
     assert run.reasons(INS).keys() <= {"rate_not_measured"}
     assert_honest(run)
-    # The errors of one voyage hardly change in a second: 99.9 % of chi square for what is one draw or a few.
+    # The errors of one voyage hardly change in a second: 99.9 % of chi square for one draw or a few.
     assert np.mean(nees(run, 2.0)) < 12.0
     reports = run.diagnostics("ins rates", START_NS + SECOND_NS, run.now_ns)
     assert {level for level, _ in reports} == {1}
@@ -201,7 +201,7 @@ def test_mend_06_rates_left_at_zero_are_not_used_and_the_attitude_is_honest(keep
 
 
 def test_a_sigma_of_the_ins_that_contradicts_the_configured_one_is_reported() -> None:
-    """Its own sigma of the heading is 0.1°, 72″ are configured; it changes no attitude."""
+    """The message states a heading sigma of 0.1°, 72″ are configured; this changes no attitude."""
 
     def states(message: Any) -> None:
         message.orientation_covariance = np.diag(np.deg2rad([0.002, 0.002, 0.1]) ** 2).ravel()
@@ -216,7 +216,7 @@ def test_a_sigma_of_the_ins_that_contradicts_the_configured_one_is_reported() ->
 
 
 def no_rate(message: Any) -> None:
-    """What an Imu says that measures none."""
+    """An Imu message without measured rates."""
     message.angular_velocity_covariance[0] = -1.0
 
 
@@ -229,19 +229,19 @@ def assert_same_attitudes(one: Run, other: Run) -> None:
     assert attitudes[0] == attitudes[1]
 
 
-def test_mend_06_rates_that_fail_on_the_way_cost_half_a_second_and_no_star() -> None:
+def test_failing_rates_cost_half_a_second_and_no_star() -> None:
     run = drive(new_adapter(), changed_where(voyage(12.0), of_ins(4.0, 9.0), scaled(0.0)))
     refused = run.reasons(INS)["gate"]
     assert 1 <= refused <= 16
     assert_honest(run)
     assert only_gaps(run) <= 3
-    # No star is forgotten: what was learnt of the INS stands.
+    # No star is rejected: the estimated INS errors are kept.
     sigma = [np.sqrt(m.covariance[0]) for m in run.messages("ship/attitude") if seconds(m) > 5.0]
     assert max(sigma) < 20.0 * ARCSEC
 
 
-def test_mend_06_at_rest_the_verdict_on_the_rates_stands() -> None:
-    """Rates in degrees; the ship lies still for ten seconds, and nothing of them comes back in."""
+def test_at_rest_the_result_of_the_rate_check_is_kept() -> None:
+    """Rates in degrees; the ship is at rest for ten seconds, and the wrong rates have no effect afterwards."""
     arrivals = changed_where(voyage(22.0), of_ins(0.0, 22.0), scaled(np.rad2deg(1.0)))
     first = arrivals[index_at(arrivals, INS, 8.0)].message
 
@@ -256,7 +256,7 @@ def test_mend_06_at_rest_the_verdict_on_the_rates_stands() -> None:
     assert set(run.reasons(INS)) <= {"units", "gate", "stuck", "rate_not_measured"}
 
 
-def test_mend_11_five_seconds_of_rates_in_degrees_poison_nothing() -> None:
+def test_five_seconds_of_rates_in_degrees_have_no_lasting_effect() -> None:
     run = drive(new_adapter(), changed_where(voyage(30.0), of_ins(6.0, 11.5), scaled(np.rad2deg(1.0))))
     assert run.reasons(INS).keys() >= {"gate", "units"}
     assert_honest(run)
@@ -268,16 +268,16 @@ def test_mend_11_five_seconds_of_rates_in_degrees_poison_nothing() -> None:
     assert sigma_s < 0.001
 
 
-def test_mend_11_the_same_from_the_start() -> None:
+def test_rates_in_degrees_from_the_start_have_no_lasting_effect() -> None:
     run = drive(new_adapter(), changed_where(voyage(20.0), of_ins(0.0, 5.0), scaled(np.rad2deg(1.0))))
     assert_honest(run)
     assert run.messages("ship/attitude")[-1].status == Status.VALID
 
 
-# -- together -------------------------------------------------------------------------------------------------------
+# -- combined -------------------------------------------------------------------------------------------------------
 
 
-def test_mend_03_a_frozen_ins_and_a_frozen_star_are_told_by_the_other_star_and_the_rates() -> None:
+def test_a_frozen_ins_and_a_frozen_star_are_detected_by_the_other_star_and_the_rates() -> None:
     arrivals = voyage(16.0)
     star = arrivals[index_at(arrivals, FORE, 4.0)].message
 
@@ -297,14 +297,14 @@ def test_mend_03_a_frozen_ins_and_a_frozen_star_are_told_by_the_other_star_and_t
     assert run.messages("ship/attitude")[-1].status == Status.VALID
 
 
-def test_mend_10_a_jump_with_rates_in_degrees_and_back() -> None:
+def test_a_jump_with_rates_in_degrees_and_back() -> None:
     faulty = changed_where(voyage(25.0), of_ins(5.0, 12.0), scaled(np.rad2deg(1.0)))
     run = drive(new_adapter(), changed_where(faulty, of_ins(5.0), turned(600.0, 3600.0, 0.0)))
     assert_honest(run)
     assert run.messages("ship/attitude")[-1].status == Status.VALID
 
 
-def test_mend_10_a_wrong_sample_while_frozen_is_refused() -> None:
+def test_a_wrong_sample_while_frozen_is_refused() -> None:
     frozen = changed_where(voyage(10.0), of_ins(3.0, 6.0), held(voyage(10.0), 3.0))
     run = drive(new_adapter(), replaced(frozen, index_at(frozen, INS, 5.0), turned(0.0, 3600.0, 0.0)))
     refused = run.reasons(INS)
@@ -313,8 +313,8 @@ def test_mend_10_a_wrong_sample_while_frozen_is_refused() -> None:
     assert run.messages("ship/attitude")[-1].status == Status.VALID
 
 
-def test_mend_10_without_order_a_jump_is_never_valid_and_wrong() -> None:
-    """Samples and stars come up to a second late, in any order, around a jump."""
+def test_without_order_a_jump_is_never_valid_and_wrong() -> None:
+    """Samples and stars arrive up to a second late, in any order, around a jump."""
     rng = np.random.default_rng(3)
     jumped = changed_where(voyage(8.0), of_ins(3.0), turned(0.0, 3600.0, 0.0))
     late = in_order(

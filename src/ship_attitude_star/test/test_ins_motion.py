@@ -1,4 +1,4 @@
-"""What the INS says of the ship's motion: about where the deck is, how it turned, and how well that is known."""
+"""Ship motion from the INS: attitude of the deck, rotations, and their covariance."""
 
 import itertools
 from dataclasses import replace
@@ -43,7 +43,7 @@ def motion(config: StarInsConfig, *samples: AttitudeSample) -> InsMotion:
 
 
 def exposure_at(time_ns: int) -> StarExposure:
-    """An exposure of no length without stars: its moment alone tells the turn."""
+    """An exposure of zero length without stars: only its time matters."""
     nothing = np.zeros(0)
     positions = fixed_stars(nothing, nothing)
     return StarExposure(
@@ -52,12 +52,12 @@ def exposure_at(time_ns: int) -> StarExposure:
 
 
 def turn_of(some: InsMotion, to_ms: int, from_ms: int) -> tuple[np.ndarray, np.ndarray]:
-    """The turn from one moment to another, and its covariance."""
+    """Return the rotation from one time to another, and its covariance."""
     turns = some.turns(START_NS + to_ms * MS, [exposure_at(START_NS + from_ms * MS)])
     return turns.rotations[0], turns.covariance_d[0, :, 0]
 
 
-def test_the_deck_is_where_the_ins_has_it_and_as_uncertain_as_configured() -> None:
+def test_deck_attitude_and_covariance_are_those_of_the_ins() -> None:
     config = StarInsConfig(tilt_sigma_arcsec=10.0, heading_sigma_arcsec=72.0, time_offset_sigma_s=0.0)
     prior = motion(config, *(sample(t) for t in range(0, 200, 40))).deck(START_NS + 80 * MS)
     np.testing.assert_allclose(prior.rotation_nb, attitude(0.08, HEADING_DEG), atol=1e-12)
@@ -66,7 +66,7 @@ def test_the_deck_is_where_the_ins_has_it_and_as_uncertain_as_configured() -> No
     assert sigma == pytest.approx([10.05, 72.007, 10.05], rel=1e-4)
 
 
-def test_a_time_offset_is_as_large_as_the_ship_turns_fast() -> None:
+def test_the_effect_of_a_time_offset_is_proportional_to_the_rate() -> None:
     config = StarInsConfig(tilt_sigma_arcsec=0.0, heading_sigma_arcsec=0.0, white_sigma_arcsec=0.0)
     prior = motion(config, *(sample(t) for t in range(0, 200, 40))).deck(START_NS + 80 * MS)
     rate_n = attitude(0.08, HEADING_DEG) @ rate_d(0.08)
@@ -83,7 +83,7 @@ def test_samples_are_taken_at_their_stamp_plus_the_offset() -> None:
     assert np.linalg.norm(log_rotation(prior.rotation_nb @ attitude(0.08, HEADING_DEG).T)) < 0.1 * ARCSEC
 
 
-def test_the_turn_is_that_of_the_deck_and_its_slow_error_cancels() -> None:
+def test_the_rotation_is_that_of_the_deck_and_its_correlated_error_cancels() -> None:
     slow = exp_rotation(np.array([10.0, 200.0, -30.0]) * ARCSEC)
     samples = (AttitudeSample(s.time_ns, slow @ s.rotation_nd, s.rate_d) for s in map(sample, range(0, 400, 20)))
     turn, _ = turn_of(motion(StarInsConfig(), *samples), 100, 230)
@@ -92,13 +92,13 @@ def test_the_turn_is_that_of_the_deck_and_its_slow_error_cancels() -> None:
     assert np.linalg.norm(log_rotation(turn @ expected.T)) < 0.01 * ARCSEC
 
 
-def test_the_error_of_the_turn_is_what_noise_and_time_offset_make_of_it() -> None:
+def test_the_rotation_error_is_that_of_noise_and_time_offset() -> None:
     config = StarInsConfig(white_sigma_arcsec=1.0, time_offset_sigma_s=0.02)
     expected = attitude(0.1, HEADING_DEG).T @ attitude(0.23, HEADING_DEG)
     rng = np.random.default_rng(5)
     total, draws = 0.0, 300
     for _ in range(draws):
-        # Valid at the stamp plus an offset that nobody knows.
+        # Valid at the stamp plus an unknown offset.
         offset_s = 0.02 * rng.standard_normal()
         samples = (sample(t, offset_s, ARCSEC * rng.standard_normal(3)) for t in range(80, 260, 10))
         turn, covariance_d = turn_of(motion(config, *samples), 100, 230)
@@ -108,8 +108,8 @@ def test_the_error_of_the_turn_is_what_noise_and_time_offset_make_of_it() -> Non
     assert 3 - 3.3 * np.sqrt(6 / draws) < total / draws < 3 + 3.3 * np.sqrt(6 / draws)
 
 
-def test_noise_beyond_what_is_stated_counts_in_a_turn() -> None:
-    """Samples 50 ms apart with noise of 20″, of which one is stated; found by the guard itself."""
+def test_excess_noise_counts_in_a_rotation() -> None:
+    """Samples 50 ms apart with noise of 20″, of which one is stated; the INS check detects the excess."""
     config = StarInsConfig(white_sigma_arcsec=1.0, time_offset_sigma_s=0.0)
     expected = attitude(5.0, HEADING_DEG).T @ attitude(5.15, HEADING_DEG)
     true, draws = [sample(t) for t in range(0, 6000, 50)], 100
@@ -122,21 +122,21 @@ def test_noise_beyond_what_is_stated_counts_in_a_turn() -> None:
         turn, covariance_d = turn_of(some, 5000, 5150)
         squares += float(np.sum(log_rotation(expected @ turn.T) ** 2))
         variances += float(np.trace(covariance_d))
-    # The measured noise counts with how well it is known: sigma is a few per cent too large.
+    # The measured noise has its own uncertainty: sigma is a few per cent too large.
     low, high = sigma_ratio_band(3 * draws)
     assert 0.9 * low < np.sqrt(squares / variances) < high
 
 
 @pytest.mark.parametrize(
     ("periods", "rates"),
-    # Without measured rates the estimate of the interpolation's error is made of the samples' noise, and is a fifth of
-    # the little variance that a turn over a third of a period has: sigma is then 10 % too large.
+    # Without measured rates the interpolation error is estimated from the noise of the samples, and is a fifth of
+    # the small variance of a rotation over a third of a period: sigma is then 10 % too large.
     [*itertools.product([0.0, 0.3, 1.0, 2.5, 10.0], [True]), *itertools.product([0.0, 1.0, 2.5, 10.0], [False])],
 )
-def test_turns_between_moments_close_together_have_the_noise_that_these_do_not_share(
+def test_rotations_over_short_times_have_only_the_noise_not_shared(
     periods: float, rates: bool
 ) -> None:
-    """Turns to one moment from ``periods`` and from twice as many INS periods later, and the mean of the two."""
+    """Rotations to one time from ``periods`` and from twice as many INS periods later, and the mean of the two."""
     period_ms, draws = 20, 400
     config = StarInsConfig(white_sigma_arcsec=1.0, time_offset_sigma_s=0.0)
     rng = np.random.default_rng(round(10.0 * periods) + 1000 * rates)
@@ -166,8 +166,8 @@ def test_turns_between_moments_close_together_have_the_noise_that_these_do_not_s
         assert np.all((low < ratio) & (ratio < high)), ratio
 
 
-def test_streaks_of_two_sensors_at_one_moment_share_the_noise_of_their_correction() -> None:
-    """The streaks are brought to the moment by the same samples: all of the noise of the correction is common."""
+def test_streaks_of_two_sensors_at_one_time_share_the_noise_of_their_correction() -> None:
+    """The streaks are reduced with the same samples: all of the noise of the correction is common."""
     some = motion(StarInsConfig(time_offset_sigma_s=0.0), *(sample(t) for t in range(0, 2000, 40)))
     camera = StarCamera(0.06, 24e-6, 511.5, 511.5)
     streak = replace(exposure_at(START_NS + 1013 * MS), length=ExposureLength(0.2, camera, 0.8))
@@ -178,14 +178,14 @@ def test_streaks_of_two_sensors_at_one_moment_share_the_noise_of_their_correctio
         np.testing.assert_allclose(covariance_d[one, :, other], middle.noise_variance * np.eye(3), rtol=1e-12)
 
 
-def test_no_way_needs_no_ins() -> None:
+def test_no_rotation_needs_no_ins() -> None:
     assert motion(StarInsConfig()).tells_turn(START_NS, START_NS)
     turn, covariance_d = turn_of(motion(StarInsConfig()), 0, 0)
     np.testing.assert_array_equal(turn, np.eye(3))
     np.testing.assert_array_equal(covariance_d, 0.0)
 
 
-def test_where_the_ins_does_not_reach_it_says_nothing() -> None:
+def test_without_ins_samples_nothing_is_known() -> None:
     some = motion(StarInsConfig(), *(sample(t) for t in range(0, 200, 40)))
     assert some.deck(START_NS + 200 * MS) is None
     assert not some.tells_turn(START_NS, START_NS + 200 * MS)
@@ -199,9 +199,9 @@ def test_a_sample_is_awaited_only_while_it_may_still_help() -> None:
     assert not motion(StarInsConfig()).awaited(START_NS)
 
 
-def test_the_same_stamp_again_is_told_and_the_order_does_not_matter() -> None:
+def test_a_repeated_stamp_is_reported_and_the_order_does_not_matter() -> None:
     one, other = sample(40), sample(40, white_n=np.full(3, ARCSEC))
-    """While the INS contradicts itself it tells nothing."""
+    """While the INS contradicts itself it is not used."""
     decks, later_ms = [], [10_030, 10_070, 10_110]
     for pair in ((one, other), (other, one)):
         some = InsMotion(StarInsConfig(), StreamGuards(StarInsConfig()))
@@ -222,7 +222,7 @@ def test_a_late_sample_takes_its_place() -> None:
     np.testing.assert_array_equal(some.deck(START_NS + 40 * MS).rotation_nb, sample(40).rotation_nd)
 
 
-def test_what_is_dropped_is_needed_no_more() -> None:
+def test_dropped_data_are_not_needed() -> None:
     some = motion(StarInsConfig(), *(sample(t) for t in range(0, 2000, 40)))
     before = some.deck(START_NS + 500 * MS)
     some.drop_before(START_NS + 500 * MS)
@@ -231,7 +231,7 @@ def test_what_is_dropped_is_needed_no_more() -> None:
 
 
 def jumped_motion(size_rad: float) -> InsMotion:
-    """Its attitude jumps about Up at 0.8 s; five samples are refused."""
+    """Its attitude jumps about Up at 0.8 s; five samples are rejected."""
     some, step = InsMotion(StarInsConfig(), StreamGuards(StarInsConfig())), np.array([0.0, size_rad, 0.0])
     refusals = []
     for one in map(sample, range(0, 2000, 40)):
@@ -241,7 +241,7 @@ def jumped_motion(size_rad: float) -> InsMotion:
     return some
 
 
-def test_mend_10_after_a_jump_the_ins_may_be_as_far_off_and_no_way_leads_across() -> None:
+def test_after_a_jump_the_covariance_holds_it_and_no_rotation_spans_it() -> None:
     some = jumped_motion(0.01)
     before, after = (some.deck(START_NS + time_ms * MS) for time_ms in (700, 1500))
     sigma_up = [np.sqrt(prior.covariance_n[1, 1]) for prior in (before, after)]
@@ -252,7 +252,7 @@ def test_mend_10_after_a_jump_the_ins_may_be_as_far_off_and_no_way_leads_across(
     assert some.tells_turn(START_NS + 1400 * MS, START_NS + 1500 * MS)
 
 
-def test_mend_06_rates_that_are_none_leave_the_track() -> None:
+def test_faulty_rates_are_removed_from_the_track() -> None:
     some = InsMotion(StarInsConfig(), StreamGuards(StarInsConfig()))
     for one in map(sample, range(0, 1000, 40)):
         assert some.add(replace(one, rate_d=np.zeros(3))) is None

@@ -1,4 +1,4 @@
-"""Protection levels go by the state that the attitude rests on, also at the moment at which a source is excluded."""
+"""Protection levels belong to the filter state of their attitude, also when a source is excluded."""
 
 import functools
 import re
@@ -24,7 +24,7 @@ def knock(message: Any) -> None:
 
 @functools.cache
 def knocked_run() -> Run:
-    """Two star sensors, of which one is knocked by 60″ after five seconds."""
+    """Two star sensors, one of them with a mounting shift of 60″ after five seconds."""
 
     def chosen(arrival: Arrival) -> bool:
         return arrival.topic == FORE and arrival.stamp_ns >= KNOCKED_NS
@@ -32,25 +32,25 @@ def knocked_run() -> Run:
     return drive(new_adapter(), changed_where(voyage(10.0), chosen, knock))
 
 
-def test_the_knocked_sensor_is_excluded_within_three_of_its_measurements() -> None:
+def test_a_mounting_shift_is_excluded_within_three_measurements() -> None:
     told = [m for m in knocked_run().messages("ship/integrity") if m.excluded]
     assert told[0].excluded == ["star.fore"]
-    assert stamp_of(told[0]) - KNOCKED_NS < 0.7 * SECOND_NS  # three periods of 0.2 s, and 0.12 s on the way
+    assert stamp_of(told[0]) - KNOCKED_NS < 0.7 * SECOND_NS  # three periods of 0.2 s, and 0.12 s of latency
 
 
-def test_the_diagnostics_name_it_and_for_how_long_it_is_excluded() -> None:
+def test_the_diagnostics_name_the_excluded_source_and_the_time() -> None:
     told = next(m for m in knocked_run().messages("ship/integrity") if m.excluded)
     report_ns = START_NS + 9 * SECOND_NS
     ((level, text),) = knocked_run().diagnostics("integrity", report_ns, report_ns + SECOND_NS)
     assert level == Level.WARN
     seconds = re.fullmatch(r"excluded: star\.fore for (\d+) s", text)
     assert seconds is not None
-    # By the levels told last, which go out once a second.
+    # By the levels published last, once a second.
     assert int(seconds[1]) == pytest.approx((report_ns - stamp_of(told)) / SECOND_NS, abs=1.5)
 
 
-def test_no_level_is_told_for_an_attitude_of_before_the_exclusion() -> None:
-    """Of two sensors one is left, which nothing checks: there is no level from then on, not for a moment."""
+def test_no_level_is_published_for_an_attitude_before_the_exclusion() -> None:
+    """Of two sensors one is left, which is not checked: there is no level from then on."""
     told = [m for m in knocked_run().messages("ship/integrity") if m.excluded]
     assert {m.state for m in told} == {UNAVAILABLE}
     assert np.isnan([m.protection_level for m in told]).all()
@@ -58,15 +58,15 @@ def test_no_level_is_told_for_an_attitude_of_before_the_exclusion() -> None:
     assert "star.fore" not in attitudes[stamp_of(told[0])].sources
 
 
-def test_levels_are_told_before_it_and_once_a_second() -> None:
+def test_levels_are_published_before_the_attitude_and_once_a_second() -> None:
     told = knocked_run().messages("ship/integrity")
     before = [m for m in told if not m.excluded and stamp_of(m) > START_NS + SECOND_NS]
     assert 3 <= len(before) <= 6
     assert all(np.all(np.asarray(m.protection_level) < 200.0 * ARCSEC) for m in before)
 
 
-def test_what_is_told_covers_each_output() -> None:
-    """Sensors start, one is knocked and excluded, all fall silent and come back: at no output is a level too small."""
+def test_published_levels_cover_each_output() -> None:
+    """Sensors start, one has a mounting shift and is excluded, all time out and return: no level is too small."""
     knocked = changed_where(voyage(20.0), lambda a: a.topic == FORE and a.stamp_ns >= KNOCKED_NS, knock)
     silent = cut(voyage(20.0), 5.0, 9.0, FORE, STARBOARD)
     without_ins = cut(voyage(20.0), 5.0, 6.5, INS)
@@ -76,7 +76,7 @@ def test_what_is_told_covers_each_output() -> None:
         assert run.uncovered() == []
 
 
-def test_levels_that_stay_are_told_once_a_second() -> None:
+def test_constant_levels_are_published_once_a_second() -> None:
     run = LevelledRun(new_adapter(), voyage(30.0))
     told = [m for m in run.messages("ship/integrity") if stamp_of(m) >= START_NS + 15 * SECOND_NS]
     assert 14 <= len(told) <= 16

@@ -1,4 +1,4 @@
-"""An INS with few samples: its attitude between them is off, and all that is published says by how much."""
+"""An INS with few samples: the interpolation error is in the published covariance."""
 
 import os
 
@@ -26,7 +26,7 @@ RUNS = int(os.environ.get("SEEDS", "16"))
 
 
 class Swell:
-    """Roll of 5° in 10 s, pitch of 2° in 7 s, yaw of 0.7° in 20 s, and another ship each time."""
+    """Roll of 5° in 10 s, pitch of 2° in 7 s, yaw of 0.7° in 20 s, with other phases each time."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._period_s = np.array([20.0, 7.0, 10.0]) * rng.uniform(0.85, 1.2, 3)
@@ -92,7 +92,7 @@ def last_estimate(rate_hz: float, rates: bool, seed: int) -> tuple[FloatArray, A
     ("rate_hz", "rates", "conservative"),
     [(5.0, True, False), (5.0, False, True), (2.5, False, True), (1.0, True, False), (1.0, False, True)],
 )
-def test_mend_27_errors_are_as_large_as_the_covariance_says_at_low_rates(
+def test_errors_are_consistent_with_the_covariance_at_low_rates(
     rate_hz: float, rates: bool, conservative: bool
 ) -> None:
     """Without the error of interpolation: 6 at 5 Hz and 15 at 2.5 Hz without rates, 6 and 850 at 1 Hz."""
@@ -115,7 +115,7 @@ def test_measurements_between_the_same_two_samples_share_their_error_of_interpol
     time_ns, mounted = START_NS + 3_500_000_000, core.filter.devices["star.fore"].rotation_dv0
     measured = AttitudeMeasurement("star.fore", time_ns, swell.attitude(3.5) @ mounted, np.diag(STAR_SIGMA_S**2))
     tenth_ns, noise = SECOND_NS // 10, []
-    # Alone; at 5 Hz five of them; beside another sensor twice as many; once in 5 s; the other sensor 2 s ago.
+    # Alone; at 5 Hz five of them; with another sensor twice as many; once in 5 s; the other sensor 2 s ago.
     for used in (
         {},
         {"star.fore": 2 * tenth_ns},
@@ -131,7 +131,7 @@ def test_measurements_between_the_same_two_samples_share_their_error_of_interpol
     np.testing.assert_allclose(np.array(noise) / noise[0], [1.0, 5.0, 10.0, 1.0, 1.0])
 
 
-def test_mend_27_the_budget_names_interpolation() -> None:
+def test_the_budget_names_interpolation() -> None:
     core = ShipAttitudeCore(configuration(2.5))
     _, slow = last_estimate(2.5, False, 1)
     _, fast = last_estimate(10.0, True, 1)
@@ -139,5 +139,5 @@ def test_mend_27_the_budget_names_interpolation() -> None:
     parts = slow.covariance_parts_n
     np.testing.assert_allclose(parts.sum(axis=0), slow.covariance_n, rtol=1e-9)
     assert np.trace(parts[row]) > (1.0 * ARCSEC) ** 2
-    # With rates it is the noise of the comparisons only, as good as nothing.
+    # With rates only the noise of the measurements counts.
     assert np.trace(fast.covariance_parts_n[row]) < 0.01 * np.trace(fast.covariance_n)

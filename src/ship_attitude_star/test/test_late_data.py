@@ -1,4 +1,4 @@
-"""Messages late and out of order: within the lag the end is the same to the last bit, and outputs never go back."""
+"""Late messages in any order: within the lag the final state is bit-identical, and outputs never go back."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -46,7 +46,7 @@ def test_any_order_within_the_lag_ends_in_the_same_state(seed: int, topics: tupl
     assert run.state() == clean.state()
     assert run.health(INS).rejected == 0
     for topic in (FORE, STARBOARD):
-        # Where the INS samples around it came late, it is refused first and used in the end.
+        # If the INS samples around it were late, it is rejected first and used in the end.
         assert set(run.reasons(topic)) <= {"gap", "revised"}
     assert INS in topics or run.reasons(FORE) == run.reasons(STARBOARD) == {}
     stamps = [stamp_of(m) for m in run.messages("ship/attitude")]
@@ -56,7 +56,7 @@ def test_any_order_within_the_lag_ends_in_the_same_state(seed: int, topics: tupl
     assert one.covariance.tobytes() == other.covariance.tobytes()
 
 
-def test_the_shuffles_do_shuffle() -> None:
+def test_the_shuffled_order_differs() -> None:
     stamps = np.array([a.stamp_ns for a in shuffled(4, (INS, FORE, STARBOARD))])
     assert np.mean(np.diff(stamps) < 0) > 0.4
     assert np.max(np.maximum.accumulate(stamps) - stamps) > 1.8 * SECOND_NS
@@ -65,7 +65,7 @@ def test_the_shuffles_do_shuffle() -> None:
 @pytest.mark.parametrize(("topic", "since_s"), [(INS, 2.60), (INS, 2.64), (FORE, 2.6)])
 @pytest.mark.parametrize("late_s", [0.5, 1.0, LAG_S])
 def test_one_late_message_is_applied_at_its_own_time(topic: str, since_s: float, late_s: float) -> None:
-    """As late as it can be behind the newest stamp that came; the INS samples are those around a star's stamp."""
+    """As late as possible behind the newest received stamp; the INS samples are those around the stamp of a star."""
     index = index_at(voyage(), topic, since_s)
     limit_ns = voyage()[index].stamp_ns + round(late_s * SECOND_NS)
     too_new = next(a for a in voyage() if a.stamp_ns > limit_ns)
@@ -88,10 +88,10 @@ def test_a_late_star_changes_the_attitude_only_from_its_arrival_on() -> None:
     assert attitudes(late, arrives_ns, late.now_ns) == attitudes(clean_run(), arrives_ns, late.now_ns)
 
 
-def test_a_late_star_that_changes_an_earlier_decision_says_so() -> None:
-    """Three stars far off come first: with no star before them they pass the gate; the good ones of before refuse them.
+def test_a_late_star_that_changes_an_earlier_decision_marks_it_revised() -> None:
+    """Three stars far off arrive first and pass the gate; with the correct ones before them they are rejected.
 
-    The INS's heading is known to 72"; 150" is within the gate then, and far outside once two sensors were used.
+    The INS heading is known to 72"; 150" is within the gate then, and far outside once two sensors were used.
     """
 
     def off(message: Any) -> None:
@@ -115,15 +115,15 @@ def test_a_late_star_that_changes_an_earlier_decision_says_so() -> None:
 
 def test_without_a_lag_only_what_comes_in_order_is_used() -> None:
     run = drive(new_adapter(lag_s=0.0), voyage())
-    assert set(run.reasons(FORE)) == {"late"}  # stars come 120 ms after the INS samples of their moment
+    assert set(run.reasons(FORE)) == {"late"}  # stars arrive 120 ms after the INS samples of their time
     assert run.health(FORE).accepted == 0
     assert run.health(INS).rejected == 0
 
 
-def test_a_flood_with_random_stamps_costs_few_steps_and_what_is_refused_leaves_no_trace(
+def test_a_flood_with_random_stamps_costs_few_steps_and_rejections_change_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Attitudes at 5 Hz; unbounded, each of the flood would make some three hundred steps."""
+    """Attitudes at 5 Hz; without limits, each message of the flood would make some three hundred steps."""
     others = sum(a.topic == STARBOARD for a in voyage())
     assert_a_flood_costs_little(
         monkeypatch, ShipAttitudeCore, lambda a: drive(new_adapter(), a), voyage(), FORE, "star.fore", others

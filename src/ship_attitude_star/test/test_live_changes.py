@@ -1,4 +1,4 @@
-"""Parameters: refused with a reason, at the start and live; what is taken live acts at once and breaks nothing."""
+"""Parameters: refused with a reason, at the start and live; accepted live changes act at once."""
 
 import math
 from typing import Any
@@ -47,13 +47,13 @@ REFUSED_LIVE = [
     ({"star_sensors.fore.azimuth_deg": 3.0}, "cannot be changed while the node runs"),
     ({"lag_s": 3.0}, "cannot be changed while the node runs"),
     ({"gate.conflict_after": 2.5}, "must be of type int"),
-    # One bad one refuses all.
+    # One bad value makes all refused.
     ({"ins.white_sigma_arcsec": 5.0, "gate.conflict_after": 0}, "'gate.conflict_after'"),
 ]
 
 
 @pytest.mark.parametrize(("changes", "text"), REFUSED_LIVE, ids=[text for _, text in REFUSED_LIVE])
-def test_a_bad_live_change_is_refused_and_the_node_goes_on(changes: dict[str, Any], text: str) -> None:
+def test_a_bad_live_change_is_refused_and_the_node_continues(changes: dict[str, Any], text: str) -> None:
     run = drive(new_adapter(), voyage()[:HALF])
     before = run.adapter.core.config
     with pytest.raises(ParameterError) as caught:
@@ -98,7 +98,7 @@ def test_more_noise_of_the_ins_shows_at_once() -> None:
     assert np.all(last_sigma(rest) > np.deg2rad(20.0 / 3600.0))
 
 
-def test_another_sigma_of_a_star_without_covariance_rules_from_then_on() -> None:
+def test_a_changed_sigma_applies_to_stars_without_covariance_from_then_on() -> None:
     def unknown(message: Any) -> None:
         message.rotation_covariance[:] = 0.0
 
@@ -127,8 +127,8 @@ def test_a_reset_keeps_the_live_changes() -> None:
     assert np.sqrt(alignment.covariance[up, up]) == pytest.approx(np.deg2rad(500.0 / 3600.0))
 
 
-def test_mend_07_another_noise_of_the_ins_reaches_its_guard() -> None:
-    """One sample off by 60": seven sigmas of the one noise, and far within the other."""
+def test_changed_ins_noise_reaches_the_ins_check() -> None:
+    """One sample off by 60": seven sigmas of the first noise, and far within the second."""
 
     def off(message: Any) -> None:
         rotation_nd = rotation_from_quaternion(np.array([getattr(message.orientation, axis) for axis in "xyzw"]))

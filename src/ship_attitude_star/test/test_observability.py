@@ -1,4 +1,4 @@
-"""What the filter knows of its states, and what a turn would bring: against the filter itself, which makes the turn."""
+"""Observability of states, and predicted effect of a turn, compared with a filter of a ship that turns."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +19,7 @@ SCENARIOS = Path(__file__).parents[3] / "bags" / "scenarios"
 
 
 def voyage(turn_deg: float, duration_s: float) -> Scenario:
-    """The paper's ship without waves, thinned out; she turns after five minutes where she does."""
+    """The ship of the paper without waves, at a reduced rate; she turns after five minutes if ``turn_deg`` is not 0."""
     whole = load_scenario(SCENARIOS / "turn.yaml")
     still = AngleMotion(mean_deg=34.4), AngleMotion(mean_deg=0.5), AngleMotion(mean_deg=2.0)
     turn = Turn(start_s=300.0, angle_deg=turn_deg, rate_deg_per_s=1.0, ramp_s=5.0) if turn_deg else Turn()
@@ -42,18 +42,18 @@ def sigmas_arcsec(core: ShipAttitudeCore) -> tuple[float, float]:
     return np.sqrt(up) / ARCSEC, np.sqrt(0.5 * (north + east)) / ARCSEC
 
 
-def test_at_constant_heading_sums_are_told_and_combinations_left_open() -> None:
+def test_at_constant_heading_sums_are_observable_and_combinations_are_not() -> None:
     core = sailed(voyage(0.0, 290.0))
     told = core.learnt()
-    # Installation of 1 arcsecond against 10 and 72 of the INS: the INS is told, the sensors hardly.
+    # Installation of 1 arcsecond against 10 and 72 of the INS: the INS is observable, the sensors hardly.
     assert told.left["ins.up"] < 0.05
     assert told.left["star.fore.up"] > 0.5
     assert any("star.fore" in words for words in told.open)
-    # The other sensor tells the roll about its boresight: 20 arcseconds, 100 of noise in each of 145 exposures.
+    # The other sensor makes the roll about its boresight observable: 20″, noise 100″ in each of 145 exposures.
     assert told.left["star.fore.forward"] < 0.5
 
 
-def test_before_any_star_nothing_is_told() -> None:
+def test_before_any_star_nothing_is_observed() -> None:
     core = core_for(voyage(0.0, 10.0))
     told = core.learnt()
     assert set(told.left.values()) == {1.0}
@@ -67,8 +67,8 @@ def bolted_within_5_arcseconds(scenario: Scenario) -> Scenario:
 
 
 @pytest.mark.slow
-def test_a_turn_brings_what_the_hint_says() -> None:
-    # 34.4° of heading, 0.5° of pitch, 2° of roll, as she sails.
+def test_a_turn_improves_the_attitude_as_predicted() -> None:
+    # 34.4° of heading, 0.5° of pitch, 2° of roll.
     lies_nd = rotation_from_angles(*np.deg2rad([34.4, 0.5, 2.0]))
     hint = sailed(bolted_within_5_arcseconds(voyage(0.0, 290.0))).worthwhile_turn(lies_nd)
     assert hint is not None
@@ -80,27 +80,27 @@ def test_a_turn_brings_what_the_hint_says() -> None:
     assert hint.after < 0.7 * hint.on_course
 
 
-def test_where_the_mounting_is_surveyed_well_no_turn_is_worth_it() -> None:
+def test_with_a_well_surveyed_mounting_no_turn_is_recommended() -> None:
     assert sailed(voyage(0.0, 290.0)).worthwhile_turn(np.eye(3)) is None
 
 
-def test_without_stars_there_is_no_hint() -> None:
+def test_without_stars_no_turn_is_recommended() -> None:
     assert core_for(voyage(0.0, 10.0)).worthwhile_turn(np.eye(3)) is None
 
 
-def test_after_one_measurement_nobody_knows_how_often_they_come() -> None:
-    # The diagnostics ask at any time, and so between the first exposure and the second.
+def test_after_one_measurement_no_turn_is_recommended() -> None:
+    # Diagnostics are published at any time, also between the first exposure and the second.
     core = sailed(bolted_within_5_arcseconds(voyage(0.0, 1.0)))
     assert core.state.used_ns
     assert core.worthwhile_turn(np.eye(3)) is None
 
 
-def test_a_source_that_has_gone_brings_nothing() -> None:
+def test_a_timed_out_source_does_not_count() -> None:
     whole = bolted_within_5_arcseconds(voyage(0.0, 290.0))
     fore = replace(whole.star_sensors["fore"], outages={"clouds": Outage(start_s=100.0, end_s=1000.0)})
     gone = sailed(replace(whole, star_sensors=whole.star_sensors | {"fore": fore}))
     both = sailed(whole).worthwhile_turn(np.eye(3))
     hint = gone.worthwhile_turn(np.eye(3))
-    # One sensor's noise about its boresight is 100 arcseconds: the tilt by it alone is worse after any turn.
+    # The noise of a sensor about its boresight is 100 arcseconds: the tilt by it alone is worse after any turn.
     assert both is not None
     assert hint is None or hint.after > 1.3 * both.after

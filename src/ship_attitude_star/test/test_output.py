@@ -1,4 +1,4 @@
-"""The attitude that is put out: a function of state and samples that takes one sample or a stack of them."""
+"""The published attitude: a function of state and samples, for one sample or a block of them."""
 
 from dataclasses import replace
 from types import MappingProxyType
@@ -57,7 +57,7 @@ def test_a_stack_of_samples_gives_what_the_single_calls_give(sigma_rad: float) -
 
 
 def test_attitudes_of_several_states_are_those_of_each_alone() -> None:
-    """One as usual, in doubt, without the INS, in dispute, before any star, and one whose last star is long ago."""
+    """One regular, others with a fault, without INS, with separations, before any star, and with an old star."""
     initial, count, time_ns = FILTER.initial_state(), 4, 60_000_000_000
     usual = replace(initial, time_ns=time_ns, used_ns=MappingProxyType({"star.fore": time_ns}))
     states = [
@@ -87,7 +87,7 @@ def test_attitudes_of_several_states_are_those_of_each_alone() -> None:
     assert statuses == {Status.VALID, Status.DEGRADED, Status.COASTING}
 
 
-def test_each_row_of_a_state_is_predicted_and_opened_as_if_it_were_alone() -> None:
+def test_each_filter_is_propagated_and_inflated_independently() -> None:
     rng = np.random.default_rng(11)
     rows, initial = 5, FILTER.initial_state()
     means = rng.normal(scale=1e-4, size=(rows, FILTER.model.size))
@@ -98,7 +98,7 @@ def test_each_row_of_a_state_is_predicted_and_opened_as_if_it_were_alone() -> No
     stays = MappingProxyType({"star.fore": PixelStay(np.eye(3)[:1], 3, 0.5)})
     together = replace(initial, time_ns=1_000_000_000, means=means, stack=stack, common_n=common_n, stays=stays)
     after = FILTER.opened(FILTER.predicted(together, 31_000_000_000), jump)
-    assert not after.stays  # what stars have told of before is gone
+    assert not after.stays  # the effect of earlier stars is gone
     for row in range(rows):
         parts = np.zeros_like(initial.parts)
         parts[0] = covariances(stack, rows)[row]

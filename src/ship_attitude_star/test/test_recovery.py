@@ -1,7 +1,7 @@
-"""``ship_attitude`` in trouble: a second estimator takes the same inputs, and replaces the first one where it is right.
+"""Recovery of ``ship_attitude``: a second estimator gets the same inputs and replaces the first one if it is right.
 
-A state from which the filter does not come back by itself is made by force: its errors are replaced by wrong ones that
-it takes for certain. Which inputs it comes back from, the return matrix shows (``make returns``).
+The state from which the filter does not recover is made by replacing its errors by wrong ones with a small covariance.
+The table of returns lists the inputs after which it recovers (``make returns``).
 """
 
 import functools
@@ -41,7 +41,7 @@ ATTITUDE = "ship/attitude"
 SPOILT_S, LENGTH_S = 40.0, 130.0
 NEVER_S = 1e6
 CONFIRMED_S = 70.0
-"""After so long the second estimator has been VALID for a minute (``recovery.confirm_s``)."""
+"""After this time the second estimator has been VALID for a minute (``recovery.confirm_s``)."""
 
 
 @functools.cache
@@ -53,7 +53,7 @@ def sailed(
     arrivals: Iterable[Arrival], spoilt_s: float = SPOILT_S, then: Callable[[Run, float], None] | None = None,
     **changes: Any,
 ) -> Run:
-    """A voyage whose filter is spoilt; ``then`` is called after each arrival with the seconds since the start."""
+    """Run a voyage whose filter state is replaced; call ``then`` after each arrival with the time since the start."""
     run, is_spoilt = Run(new_adapter(**changes)), False
     grid_ns = 100_000_000
     tick_ns = START_NS // grid_ns * grid_ns
@@ -84,7 +84,7 @@ def statuses(run: Run, from_s: float, until_s: float = np.inf) -> set[int]:
     return {m.status for m in run.messages(ATTITUDE) if from_s <= since_start_s(m) < until_s}
 
 
-def test_a_filter_that_is_certain_of_what_is_wrong_comes_back() -> None:
+def test_a_filter_with_a_wrong_small_covariance_recovers() -> None:
     run = recovered()
     assert statuses(run, SPOILT_S + 2.0, SPOILT_S + 60.0) == {Status.DEGRADED}
     assert statuses(run, SPOILT_S + CONFIRMED_S) == {Status.VALID}
@@ -94,7 +94,7 @@ def test_a_filter_that_is_certain_of_what_is_wrong_comes_back() -> None:
             assert_honest(message)
 
 
-def test_without_a_second_estimator_it_does_not() -> None:
+def test_without_a_second_estimator_it_does_not_recover() -> None:
     run = sailed(calm(), recovery__after_s=NEVER_S)
     assert Status.VALID not in statuses(run, SPOILT_S + 2.0)
     assert run.adapter.recovery.started == 0
@@ -110,14 +110,14 @@ def test_stamps_go_on_increasing_and_levels_come_before_the_first_new_attitude()
     assert both[first - 1][0] == "ship/integrity"
 
 
-def test_what_was_known_of_mountings_is_kept() -> None:
+def test_estimated_mountings_are_kept() -> None:
     found, expected = (run.adapter.core.alignment() for run in (recovered(), drive(new_adapter(), calm())))
     stars = [number for number, name in enumerate(expected.names) if name.startswith("star.")]
     sigmas = np.sqrt(expected.covariance.diagonal())[stars]
     assert np.all(np.abs(found.values - expected.values)[stars] <= 3.0 * sigmas)
 
 
-def test_it_is_reported_and_counted() -> None:
+def test_recovery_is_reported_and_counted() -> None:
     run = recovered()
     reports = run.diagnostics("recovery", START_NS, run.now_ns)
     texts = [text for _, text in reports]
@@ -153,7 +153,7 @@ UP = np.array([0.0, 60.0 * ARCSEC, 0.0])
 
 
 def remounted(arrivals: Iterable[Arrival], from_s: float) -> list[Arrival]:
-    """Both sensors remounted at once, each in another way."""
+    """Both sensors remounted at once, each by another rotation."""
     fore_n, starboard_n = np.array([200.0, 0.0, 100.0]) * ARCSEC, np.array([-100.0, 0.0, 250.0]) * ARCSEC
     return [turned([one], fore_n if one.topic == FORE else starboard_n, from_s)[0] for one in arrivals]
 
@@ -181,8 +181,8 @@ def clock_back(arrivals: Iterable[Arrival], from_s: float, *topics: str) -> list
     ],
     ids=["all turned by 60″", "both remounted", "INS's clock", "clock of both sensors"],
 )
-def test_what_moves_all_stars_against_the_ins_and_lasts_is_not_adopted(change: Callable[..., Any], moved: str) -> None:
-    """60″; 224″ and 269″; 0.1 s at 5° a second at most, 1800″; the text begins with the first digit of it."""
+def test_a_constant_rotation_of_all_stars_is_not_adopted(change: Callable[..., Any], moved: str) -> None:
+    """60″; 224″ and 269″; 0.1 s at up to 5°/s, 1800″; the text begins with the first digit of it."""
     run = sailed(change(calm()), spoilt_s=np.inf)
     assert statuses(run, SPOILT_S + 2.0) == {Status.DEGRADED}
     assert (run.adapter.recovery.started, run.adapter.recovery.adopted) == (1, 0)
@@ -192,7 +192,7 @@ def test_what_moves_all_stars_against_the_ins_and_lasts_is_not_adopted(change: C
     assert "time_offset_s" in text
 
 
-def test_a_sensor_whose_clock_is_off_for_good_is_named_and_the_others_go_on() -> None:
+def test_a_sensor_with_a_constant_clock_error_is_named() -> None:
     run = sailed(clock_back(calm(), SPOILT_S, FORE), spoilt_s=np.inf)
     assert statuses(run, SPOILT_S) == {Status.VALID}
     assert set(run.adapter.core.state.excluded) == {"star.fore"}
@@ -200,8 +200,8 @@ def test_a_sensor_whose_clock_is_off_for_good_is_named_and_the_others_go_on() ->
     assert "time_offset_s of star_sensors.fore" in text
 
 
-def test_a_lasting_turn_is_not_adopted_where_the_memory_is_too_vague_to_show_it() -> None:
-    """An INS whose heading may drift by 72″ in ten minutes: after a minute the memory allows for 60″ and more."""
+def test_a_constant_rotation_is_not_adopted_if_the_stored_state_is_too_uncertain() -> None:
+    """An INS whose heading may drift by 72″ in ten minutes: after a minute the stored state allows for 60″ and more."""
     run = sailed(turned(voyage(190.0), UP, SPOILT_S), spoilt_s=np.inf, ins__heading_time_s=600.0)
     recovery = run.adapter.recovery
     core = recovery.candidate.core
@@ -211,7 +211,7 @@ def test_a_lasting_turn_is_not_adopted_where_the_memory_is_too_vague_to_show_it(
     assert statuses(run, SPOILT_S + 2.0) == {Status.DEGRADED}
 
 
-def test_a_covariance_that_is_no_number_agrees_with_no_memory() -> None:
+def test_a_nan_covariance_is_consistent_with_no_stored_state() -> None:
     core = drive(new_adapter(), voyage(20.0)).adapter.core
     assert core.departure_sigmas(core.state, core.state) == 0.0
     parts = core.state.stack.copy()
@@ -219,14 +219,14 @@ def test_a_covariance_that_is_no_number_agrees_with_no_memory() -> None:
     assert not core.departure_sigmas(core.state, changed(core.state, stack=parts)) <= MEMORY_SIGMAS
 
 
-def test_what_was_there_from_the_start_is_no_memory() -> None:
-    """A node that started while all stars were turned knows nothing else; that they moved back must not bind it."""
+def test_a_fault_from_the_start_leaves_no_stored_state() -> None:
+    """A node started while all stars were rotated has no other stored state; it must adopt the end of the rotation."""
     run = sailed(turned(calm(), UP, -1.0, 15.0), spoilt_s=np.inf)
     assert run.adapter.recovery.adopted == 1
     assert statuses(run, 15.0 + CONFIRMED_S) == {Status.VALID}
 
 
-def test_reset_after_a_remounting_ends_it_at_once() -> None:
+def test_reset_after_remounting_ends_recovery_at_once() -> None:
     resets = []
 
     def reset(run: Run, since_s: float) -> None:
@@ -238,8 +238,8 @@ def test_reset_after_a_remounting_ends_it_at_once() -> None:
     assert not run.adapter.recovery.is_in_trouble
 
 
-def test_a_turn_of_all_stars_that_ends_is_over_although_their_own_rule_does_not_return_them() -> None:
-    """``integrity.return_after_s`` of an hour: the stars that were excluded do not return by themselves."""
+def test_a_temporary_rotation_of_all_stars_ends_although_they_are_not_reinstated() -> None:
+    """``integrity.return_after_s`` of an hour: the excluded stars are not reinstated."""
     arrivals = turned(voyage(145.0), UP, SPOILT_S, 70.0)
     run = sailed(arrivals, spoilt_s=np.inf, integrity__return_after_s=3600.0)
     assert statuses(run, SPOILT_S + 2.0, 130.0) == {Status.DEGRADED}
@@ -248,7 +248,7 @@ def test_a_turn_of_all_stars_that_ends_is_over_although_their_own_rule_does_not_
     assert not run.adapter.core.state.excluded
 
 
-def test_a_sensor_that_was_knocked_for_good_stays_excluded_and_does_not_hinder_the_adoption() -> None:
+def test_a_sensor_with_a_mounting_shift_stays_excluded_and_does_not_prevent_the_adoption() -> None:
     def knocked(arrival: Arrival) -> Arrival:
         is_hit = arrival.topic == FORE and arrival.stamp_ns >= START_NS + 35 * SECOND_NS
         return turned([arrival], 60.0 * UP, 0.0)[0] if is_hit else arrival
@@ -278,7 +278,7 @@ def test_parameters_set_in_trouble_are_those_of_the_estimator_that_is_adopted() 
 
 
 def test_a_step_of_all_clocks_in_trouble() -> None:
-    """The second estimator goes on by the new stamps; what it remembers is carried over."""
+    """The second estimator continues with the new stamps; its stored state is propagated."""
     step_s, from_s = 600, 60.0
 
     def by_clock(arrival: Arrival) -> Arrival:
@@ -305,8 +305,8 @@ def test_a_step_of_all_clocks_in_trouble() -> None:
     assert {m.status for m in last} == {Status.VALID}
 
 
-def test_separation_is_the_turn_of_the_stars_with_its_own_noise() -> None:
-    """Against the turn that was put in, and the noise of the messages: 3″ across, 100″ about the line of sight."""
+def test_memory_residual_is_the_rotation_of_the_stars_with_its_noise() -> None:
+    """Compared with the injected rotation, and the noise of the messages: 3″ across, 100″ about the line of sight."""
     turn_n, memory = np.array([10.0, 60.0, -20.0]) * ARCSEC, None
     arrivals = turned(voyage(20.0), turn_n, 19.0)
 
@@ -330,7 +330,7 @@ def test_separation_is_the_turn_of_the_stars_with_its_own_noise() -> None:
 
 
 def test_an_exception_in_the_second_estimator_costs_no_output(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Another one starts, and is adopted."""
+    """Another one starts and is adopted."""
     start, failing = ShipAttitudeCore.make_second, []
 
     def make_second(core: ShipAttitudeCore, memory: Any) -> ShipAttitudeCore:
@@ -348,7 +348,7 @@ def test_an_exception_in_the_second_estimator_costs_no_output(monkeypatch: pytes
     assert "ZeroDivisionError" in report.reason_text
 
 
-def test_smoothed_attitudes_go_on_after_an_adoption() -> None:
+def test_smoothed_attitudes_continue_after_an_adoption() -> None:
     run = sailed(calm(), smoothing_lag_s=5.0)
     assert run.adapter.recovery.adopted == 1
     told = [since_start_s(m) for m in run.messages("ship/attitude_smoothed")]

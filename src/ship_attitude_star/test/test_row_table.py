@@ -1,4 +1,4 @@
-"""The rows of a ship: what each leaves out, how many they may be, and when a row without two sources is asked."""
+"""The filters of a ship: excluded sources, maximum number, and use of subfilters without two sources."""
 
 from typing import Any
 
@@ -18,7 +18,7 @@ def table(sensors: int, references: int = 0, **integrity: Any) -> RowTable:
     return ShipFilter(build(ShipAttitudeConfig, values)).suspects.table
 
 
-def test_each_source_and_each_pair_of_three_and_the_ins_is_left_out_once() -> None:
+def test_each_source_and_each_pair_of_three_and_the_ins_is_excluded_in_one_subfilter() -> None:
     found = table(2, 1, pairs=True, max_hypotheses=11)
     assert found.names[:4] == ("star.s0", "star.s1", "reference.r0", "ins")
     assert found.names[4:] == (
@@ -41,7 +41,7 @@ def test_fewer_than_three_sources_have_no_pairs(sensors: int) -> None:
     assert table(3).pairs == range(5, 5)
 
 
-def test_star_sensors_that_agree_do_not_show_that_the_ins_is_wrong() -> None:
+def test_consistent_star_sensors_cannot_show_an_ins_fault() -> None:
     found = table(3, 1)
     assert not found.contradict_ins(["star.s0", "star.s1", "star.s2"])
     assert not found.contradict_ins(["reference.r0"])
@@ -50,31 +50,31 @@ def test_star_sensors_that_agree_do_not_show_that_the_ins_is_wrong() -> None:
 
 def test_a_pair_is_as_probable_as_both_of_its_faults_together() -> None:
     found = table(2, 1, pairs=True, max_hypotheses=11, prior_per_h={"star_sensor": 1e-2, "reference": 0.1, "ins": 1e-3})
-    share = 1e-5 / 12  # ten rows, all stars alike, and all sources right
+    share = 1e-5 / 12  # ten subfilters, all stars together, and the fault-free case
     for name, prior in (("reference.r0", 0.1), ("star.s0+star.s1", 1e-4), ("reference.r0+ins", 1e-4)):
         assert found.k.missed[found.names.index(name)] == pytest.approx(norm.isf(share / prior))
 
 
 @pytest.mark.parametrize(("sensors", "rows"), [(3, 11), (4, 16)])
-def test_more_rows_than_allowed_are_refused_by_name_with_what_to_do(sensors: int, rows: int) -> None:
+def test_more_filters_than_allowed_are_refused_with_a_remedy(sensors: int, rows: int) -> None:
     with pytest.raises(ParameterError) as caught:
         table(sensors, pairs=True, max_hypotheses=rows - 1)
     assert caught.value.parameters == ("integrity.max_hypotheses",)
     text = str(caught.value)
-    assert f"'integrity.max_hypotheses' = {rows - 1} is less than the {rows} of these sources: star.s0, " in text
+    assert f"'integrity.max_hypotheses' = {rows - 1} is less than the {rows} for these sources: star.s0, " in text
     assert "star.s0+star.s1" in text
     assert text.endswith(f"set it to {rows}, or 'integrity.pairs' to false")
     assert table(sensors, pairs=True, max_hypotheses=rows).rows == rows
 
 
-def test_a_pair_is_asked_while_two_others_are_in_use() -> None:
+def test_a_pair_is_relevant_while_two_others_are_in_use() -> None:
     found, sensors = table(4, pairs=True, max_hypotheses=16), [f"star.s{number}" for number in range(4)]
 
     def asked(in_use: list[str], *excluded: str) -> set[str]:
         return {found.names[row - 1] for row in found.pairs_in_question(in_use, excluded)}
 
     assert asked(sensors) == set(found.names[5:])
-    # A pair of an excluded source and another is what the row without the other one is now.
+    # A pair of an excluded source and another equals the subfilter without the other one.
     of_three = {"star.s1+star.s2", "star.s1+star.s3", "star.s2+star.s3", "star.s1+ins", "star.s2+ins", "star.s3+ins"}
     assert asked(sensors[1:], "star.s0") == of_three
     assert asked(sensors[2:], "star.s0", "star.s1") == set()

@@ -1,4 +1,4 @@
-"""Star attitudes of a block read together are those read one by one, to the last bit; the others are left to that."""
+"""Star attitudes of a block read together equal those read singly, to the last bit; the others are read singly."""
 
 import functools
 from typing import Any
@@ -83,7 +83,7 @@ def content(reading: ReadMessage[AttitudeMeasurement]) -> tuple[Any, ...]:
 
 
 @pytest.mark.parametrize("sharing", [SHARED_BY_SKY, SHARED_BY_MESSAGES, "none"])
-def test_messages_read_together_are_those_read_alone(sharing: str) -> None:
+def test_messages_read_as_a_block_equal_those_read_singly(sharing: str) -> None:
     read = functools.partial(messages_in.star_measurement, sensor_id="bow", config=star(sharing))
     changes = SAME_LAYOUT + [{}] * (COUNT - len(SAME_LAYOUT))
     block = rows(TYPE, [message(number, **changed) for number, changed in enumerate(changes)])
@@ -96,7 +96,7 @@ def test_messages_read_together_are_those_read_alone(sharing: str) -> None:
     assert [reading is None for reading in found[len(SAME_LAYOUT) :]] == [False] * (COUNT - len(SAME_LAYOUT))
 
 
-def test_what_is_refused_alone_is_not_read_together() -> None:
+def test_messages_rejected_singly_are_not_read_as_a_block() -> None:
     config, receive_ns, refused = star(SHARED_BY_MESSAGES), START_NS + 10_000_000, 0
     for changed in ODD:
         one = message(1, **changed)

@@ -1,7 +1,7 @@
-"""The Schuler oscillation of the INS's error: against scipy's matrix exponential, and against an INS that is computed.
+"""Schuler error process of the INS compared with scipy's matrix exponential and with a simulated INS.
 
-The INS of the second kind is not linearised and shares no line with the process: its attitude and velocity are
-integrated from what gyroscopes and accelerometers measure, by scipy.
+The simulated INS is not linearised and shares no code with the process: its attitude and velocity are integrated by
+scipy from the measurements of gyroscopes and accelerometers.
 """
 
 import math
@@ -41,7 +41,7 @@ def ns(second: float) -> int:
 
 
 def at_anchor(seconds: int, **gravity: object) -> VerticalTrack:
-    """A ship that lies at one place, with a fix each second."""
+    """A ship at rest, with a fix each second."""
     track = VerticalTrack(GravityConfig(**gravity), SkyConfig())
     for second in range(-10, seconds + 1):
         place = GeodeticPosition(LATITUDE, math.radians(-66.0), 20.0)
@@ -84,7 +84,7 @@ def test_two_hours_are_the_matrix_exponential(damping_time_s: float) -> None:
 
 
 def test_undamped_period_is_that_of_schuler() -> None:
-    # Foucault's turn of its plane, W sin L, makes two frequencies of it, as far below as above; and there is the day.
+    # Foucault's rotation of the plane, W sin L, splits the frequency symmetrically in two; and there is the day.
     here = at_anchor(5).at(ns(1.0))
     rates = process(length_m=None).rates(here)
     found = np.linalg.eigvals(rates).imag
@@ -95,7 +95,7 @@ def test_undamped_period_is_that_of_schuler() -> None:
 
 
 @pytest.mark.parametrize("sailing", [(0.0, 0.0), (8.0, -6.0)])
-def test_an_ins_that_is_computed_goes_wrong_as_the_process_says(sailing: tuple[float, float]) -> None:
+def test_errors_of_a_simulated_ins_follow_the_process(sailing: tuple[float, float]) -> None:
     ins, hours = process(), 1.5
     state = np.zeros(13)
     state[:3] = np.array([8.0, 40.0, -12.0]) * ARCSEC
@@ -109,16 +109,16 @@ def test_an_ins_that_is_computed_goes_wrong_as_the_process_says(sailing: tuple[f
     rates[8:, 8:] = 0.0
     said = expm(3600.0 * hours * rates) @ state
     turn, velocity = computed_ins(state, sailing, 3600.0 * hours)
-    # What is left is of second order: 40 arcseconds times 60, and what cos L makes of a heading's error.
+    # The rest is of second order: 40 arcseconds times 60, and the effect of a heading error through cos L.
     np.testing.assert_allclose(turn / ARCSEC, said[:3] / ARCSEC, atol=0.1)
     np.testing.assert_allclose(velocity, said[5:7], atol=0.002)
 
 
 def computed_ins(state: np.ndarray, sailing: tuple[float, float], duration_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Errors of an INS (turn from its horizon to the true one, velocity) that integrates what its sensors measure.
+    """Errors of a simulated INS (rotation from its horizon to the true one, velocity).
 
-    The ship holds her latitude and her velocity, as far as the Earth's figure is concerned, and her deck is the true
-    horizon, so that the INS's attitude is what its error is.
+    The ship keeps her latitude and velocity, apart from the figure of the Earth, and her deck is the true horizon, so
+    the attitude of the INS equals its error.
     """
     meridian_m, across_m = (float(one) for one in horizon_radii_m(GeodeticPosition(LATITUDE, 0.0, 0.0)))
     gravity, (xi, eta) = normal_gravity(LATITUDE), state[3:5]
@@ -135,7 +135,7 @@ def computed_ins(state: np.ndarray, sailing: tuple[float, float], duration_s: fl
     true_turn = earth(LATITUDE) + over_ground(true_velocity, LATITUDE)
     true_gravity = gravity * np.array([-xi, -1.0, -eta])
     felt = np.cross(earth(LATITUDE) + true_turn, true_velocity) - true_gravity
-    # Sensors stand in the axes of the INS's own horizon.
+    # Sensors have the axes of the INS horizon.
     drift, bias = state[8:11], np.array([state[11], 0.0, state[12]])
 
     def change(_time_s: float, x: np.ndarray) -> np.ndarray:
@@ -147,7 +147,7 @@ def computed_ins(state: np.ndarray, sailing: tuple[float, float], duration_s: fl
         force = rotation @ measured_force + np.array([0.0, -gravity, 0.0])
         force -= np.cross(earth(own_latitude) + turn, velocity)
         new = rotation @ skew(measured_turn) - skew(turn) @ rotation
-        # The ship holds her latitude; what the INS adds to that is its error.
+        # The ship keeps her latitude; the difference to that is the error of the INS.
         return np.r_[new.ravel(), force[0], force[2], (velocity[0] - true_velocity[0]) / meridian_m]
 
     begin = np.r_[exp_rotation(-state[:3]).ravel(), true_velocity[[0, 2]] + state[5:7], state[7]]
@@ -160,7 +160,7 @@ def skew(vector: np.ndarray) -> np.ndarray:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
-def test_how_it_is_asked_does_not_matter() -> None:
+def test_the_order_of_requests_does_not_matter() -> None:
     gravity = {"deflection": "constant", "xi_arcsec": 20.0, "sigma_arcsec": 2.0}
     vertical = at_anchor(400, **gravity)
     before, end_s = vertical.at(ns(1.3)), 301.7
@@ -173,8 +173,8 @@ def test_how_it_is_asked_does_not_matter() -> None:
         np.testing.assert_array_equal(one, other)
 
 
-def test_a_deflection_under_way_drives_the_oscillation() -> None:
-    # The way from 0 to 60 arcseconds, then still: the tilt swings about the new plumb line, twice as far at most.
+def test_a_changing_deflection_drives_the_oscillation() -> None:
+    # Deflection from 0 to 60 arcseconds, then constant: the tilt swings about the new plumb line, by up to twice.
     ins = process()
     vertical = at_anchor(5, deflection="constant", sigma_arcsec=0.0)
     here = vertical.at(ns(1.0))

@@ -1,6 +1,6 @@
-"""Two antennas aboard: the direction between them beside the INS and the stars, its length, its errors, bad input.
+"""Two antennas aboard: direction between them in addition to INS and stars, length, errors, bad input.
 
-Bands are of 99.9 %, from chi-square. Expected accuracies are computed beside each test, not by the filter.
+Limits are 99.9 % of chi-square. Expected accuracies are computed in each test, not by the filter.
 """
 
 from typing import Any
@@ -34,7 +34,7 @@ def configured(**changes: Any) -> ShipAttitudeConfig:
 
 
 def sailing(time_s: float) -> np.ndarray:
-    """The ship's attitude at a moment: a sea way about heading 40°."""
+    """Return the true attitude of the ship at a time: motion in waves about heading 40°."""
     roll, pitch = 0.05 * np.sin(0.6 * time_s), 0.02 * np.sin(0.9 * time_s)
     return rotation_from_angles(0.7 + 0.01 * np.sin(0.3 * time_s), pitch, roll)
 
@@ -42,7 +42,7 @@ def sailing(time_s: float) -> np.ndarray:
 def ran(
     core: ShipAttitudeCore, ins_error_n: np.ndarray, solutions: Any, seconds: int = 60
 ) -> tuple[list[Any], list[Any]]:
-    """Estimates and decisions of a core that hears an INS at 20 Hz, and ``solutions(second)`` each second."""
+    """Return estimates and decisions of a core with an INS at 20 Hz, and ``solutions(second)`` each second."""
     estimates, decisions = [], []
     for number in range(20 * seconds + 1):
         time_s = number / 20.0
@@ -60,21 +60,21 @@ def ran(
     return estimates, decisions
 
 
-def test_the_heading_of_an_ins_is_told_by_it() -> None:
+def test_it_makes_the_heading_of_an_ins_observable() -> None:
     rng = np.random.default_rng(1)
     error_n = np.array([5.0, 60.0, -4.0]) * ARCSEC
     estimates, decisions = ran(
         ShipAttitudeCore(configured()), error_n, lambda _, true_nd: true_nd @ BASELINE_D + rng.normal(0.0, 0.004, 3)
     )
     last, heading = estimates[-1], angles_from_rotation(sailing(60.0))[0]
-    # 2 mm of survey and 4 mm of noise over 60 solutions, across 8.1 m: 52 arcseconds; the INS said 60, sigma 72.
+    # 2 mm of survey and 4 mm of noise over 60 solutions, across 8.1 m: 52 arcseconds; the INS error is 60, sigma 72.
     expected = np.hypot(0.002, 0.004 / np.sqrt(60.0)) / np.hypot(8.0, 1.5)
     alone = 72.0 * ARCSEC
     together = 1.0 / np.sqrt(expected**-2 + alone**-2)
     assert np.sqrt(last.covariance_n[1, 1]) == pytest.approx(together, rel=0.03)
     assert abs(wrap_pi(angles_from_rotation(last.rotation_nd)[0] - heading)) < 3.3 * together
     assert all(decision.accepted for decision in decisions)
-    # No star: the attitude is not VALID, and the horizon is gravity's.
+    # No star: the attitude is not VALID, and the horizon is that of gravity.
     assert (last.status, last.horizon.name) == (Status.DEGRADED, "GRAVITY")
     assert last.sources == ("ins", BASELINE)
     np.testing.assert_allclose(last.covariance_parts_n.sum(axis=0), last.covariance_n, rtol=1e-9)
@@ -98,7 +98,7 @@ def test_jacobian_is_the_difference_quotient() -> None:
     analytic, step = compared(mean).linear.jacobian, 1e-6
     for state in range(model.size):
         if state in clock:
-            continue  # The moment of the INS's attitude is not moved here.
+            continue  # The time of the INS attitude is not changed here.
         off = np.zeros(model.size)
         off[state] = step
         quotient = (compared(mean - off).linear.residual - compared(mean + off).linear.residual) / (2.0 * step)
@@ -106,7 +106,7 @@ def test_jacobian_is_the_difference_quotient() -> None:
 
 
 @pytest.mark.statistics
-def test_errors_of_many_draws_are_as_large_as_said() -> None:
+def test_errors_of_many_draws_are_consistent_with_the_covariance() -> None:
     squares, draws = [], 60
     for seed in range(draws):
         rng = np.random.default_rng(100 + seed)
@@ -130,12 +130,12 @@ def test_errors_of_many_draws_are_as_large_as_said() -> None:
 @pytest.mark.parametrize(
     ("spoilt", "text"),
     [
-        (lambda vector_n: 1.02 * vector_n, "a wrong solution"),
+        (lambda vector_n: 1.02 * vector_n, "wrong RTK solution"),
         (lambda vector_n: -vector_n, "are base and rover exchanged?"),
-        (lambda vector_n: np.full(3, np.nan), "a wrong solution"),
+        (lambda vector_n: np.full(3, np.nan), "wrong RTK solution"),
     ],
 )
-def test_a_wrong_solution_is_refused_and_moves_nothing(spoilt: Any, text: str) -> None:
+def test_a_wrong_solution_is_rejected_and_changes_nothing(spoilt: Any, text: str) -> None:
     cores = ShipAttitudeCore(configured()), ShipAttitudeCore(configured())
     error_n = np.array([0.0, 20.0, 0.0]) * ARCSEC
 
@@ -152,8 +152,8 @@ def test_a_wrong_solution_is_refused_and_moves_nothing(spoilt: Any, text: str) -
     np.testing.assert_array_equal(with_it[-1].covariance_n, without[-1].covariance_n)
 
 
-def test_an_ambiguity_fixed_wrongly_across_is_no_accepted_heading() -> None:
-    # 0.3 m across at 8 m are 2 degrees; the length grows by 6 mm, which the gate of the length does not see.
+def test_a_wrong_transverse_ambiguity_is_rejected() -> None:
+    # 0.3 m across at 8 m are 2 degrees; the length grows by 6 mm, which the length check does not detect.
     def solutions(second: int, true_nd: np.ndarray) -> np.ndarray:
         wrong_d = np.array([0.0, 0.0, 0.3]) if second >= 10 else np.zeros(3)
         return true_nd @ (BASELINE_D + wrong_d)
@@ -164,7 +164,7 @@ def test_an_ambiguity_fixed_wrongly_across_is_no_accepted_heading() -> None:
     assert abs(wrap_pi(angles_from_rotation(estimates[-1].rotation_nd)[0] - heading)) < 60.0 * ARCSEC
 
 
-def test_a_baseline_too_short_to_tell_a_direction_is_refused_by_name() -> None:
+def test_a_too_short_baseline_is_refused_by_name() -> None:
     with pytest.raises(ParameterError, match=r"ship_baseline\.forward_m"):
         configured(forward_m=0.1, up_m=0.0, right_m=0.0)
 
@@ -173,7 +173,7 @@ def test_without_the_section_there_is_no_such_device() -> None:
     assert BASELINE not in ShipFilter(build(ShipAttitudeConfig, {})).devices
 
 
-def test_alignment_tells_where_it_points() -> None:
+def test_alignment_contains_its_direction() -> None:
     core = ShipAttitudeCore(configured())
     ran(core, np.zeros(3), lambda _, true_nd: true_nd @ BASELINE_D, seconds=3)
     told = core.alignment()
@@ -215,7 +215,7 @@ def solution_message(**changes: Any) -> RtkBaseline:
         ({"fix": 200}, Reason.NOT_FIXED),
     ],
 )
-def test_a_message_that_cannot_be_used_is_refused_with_the_reason(changes: dict[str, Any], reason: Reason) -> None:
+def test_an_unusable_message_is_rejected_with_the_reason(changes: dict[str, Any], reason: Reason) -> None:
     config = configured().ship_baseline
     assert baseline(solution_message(), START_NS, config).covariance_known
     with pytest.raises(Refused) as refused:

@@ -1,4 +1,4 @@
-"""``ship_attitude`` fed with single stars: its attitude against the truth, and each bad input of star_attitude."""
+"""``ship_attitude`` with single stars: its attitude compared with the truth, and all bad inputs of star_attitude."""
 
 import functools
 from collections.abc import Callable
@@ -68,7 +68,7 @@ def last_valid(run: Run) -> Any:
 
 
 def claimed(run: Run) -> set[int]:
-    """The statuses of all attitudes, those before the first INS sample aside."""
+    """The statuses of all attitudes, except before the first INS sample."""
     return {message.status for message in run.messages("ship/attitude")} - {Status.INVALID}
 
 
@@ -84,11 +84,11 @@ def test_the_attitude_is_the_true_one_within_its_sigma() -> None:
     assert message.horizon == Horizon.GEODETIC
     assert list(message.sources) == ["ins", "star.fore", "star.starboard"]
     sigma = np.sqrt(np.diagonal(np.array(message.rotation_covariance).reshape(3, 3)))
-    # Stars without noise: what is left is the noise of the INS, and of its mounting nothing.
+    # Stars without noise: the noise of the INS remains, and no mounting error.
     assert np.linalg.norm(error_of(message)) < 3.0 * np.max(sigma) < 15.0 * ARCSEC
 
 
-def test_the_budget_names_what_stars_share() -> None:
+def test_the_budget_names_the_errors_shared_by_stars() -> None:
     budget = clean_run().messages("ship/error_budget")[-1]
     parts = dict(zip(budget.sources, np.array(budget.covariances).reshape(-1, 3, 3), strict=True))
     for name in ("refraction", "earth_rotation", "ship_position", "star_noise"):
@@ -96,17 +96,17 @@ def test_the_budget_names_what_stars_share() -> None:
     np.testing.assert_allclose(sum(parts.values()), np.array(budget.total).reshape(3, 3), rtol=1e-9)
 
 
-def test_where_the_clocks_are_not_trusted_their_error_is_a_state_with_a_part_of_its_own() -> None:
+def test_with_a_utc_sigma_its_error_is_a_state_with_its_own_budget_entry() -> None:
     budget = sail(voyage(), sky={"utc_sigma_s": 0.1}).messages("ship/error_budget")[-1]
     assert "utc" not in clean_run().messages("ship/error_budget")[-1].sources
     parts = dict(zip(budget.sources, np.array(budget.covariances).reshape(-1, 3, 3), strict=True))
     np.testing.assert_allclose(sum(parts.values()), np.array(budget.total).reshape(3, 3), rtol=1e-9)
-    # 1.504″ about the Earth's axis. The INS, which knows no clock, takes off a little of it.
+    # 1.504″ about the Earth's axis. The INS, which does not depend on the clock, reduces it a little.
     assert 1.2 < np.sqrt(np.trace(parts["utc"])) / ARCSEC < 1.505
 
 
 @pytest.mark.parametrize(("topic", "change", "reason", "text"), [c[1:] for c in DROPPED], ids=[c[0] for c in DROPPED])
-def test_a_bad_message_is_told_and_changes_nothing(topic: str, change: Change, reason: str, text: str) -> None:
+def test_a_bad_message_is_reported_and_changes_nothing(topic: str, change: Change, reason: str, text: str) -> None:
     run = sail(replaced(voyage(), index_at(voyage(), topic, MOMENT_S), change))
     assert outputs(run) == outputs(run_without(topic))
     assert run.reasons(topic) == {reason: 1}
@@ -134,7 +134,7 @@ def test_a_false_star_is_named_with_its_angle() -> None:
     assert run.health(FORE).rejected == 0
 
 
-def test_without_a_fix_no_star_is_used_and_the_ins_goes_on() -> None:
+def test_without_a_fix_no_star_is_used_and_the_ins_continues() -> None:
     run = sail(except_(voyage(), FIX))
     assert run.reasons(FORE) == {"no_fix": run.health(FORE).received}
     assert claimed(run) == {Status.DEGRADED}
@@ -160,7 +160,7 @@ def test_without_weather_refraction_is_less_well_known() -> None:
 
     run = sail(except_(voyage(), PRESSURE, TEMPERATURE))
     assert last_valid(run).status == Status.VALID
-    # A field of 23° shows much of it by itself: stars low in it are lifted more than those high in it.
+    # A field of 23° makes much of it observable: low stars are raised more than high ones.
     assert refraction(run) > 2.0 * refraction(clean_run())
 
 
@@ -170,14 +170,14 @@ def test_a_camera_is_needed() -> None:
 
 
 def test_solutions_of_a_sensor_that_gives_its_stars_are_no_input() -> None:
-    """Two inputs for one sensor: the configuration names one, and only that is subscribed."""
+    """Two inputs for one sensor: the configuration names one, and only that is subscribed to."""
     topics = {entry.topic for entry in ShipAttitudeAdapter(config(), FACTORY).inputs}
     assert FORE in topics
     assert not {"star/fore/solution", "star/fore/horizon_attitude", "star/fore/inertial_attitude"} & topics
 
 
 @pytest.mark.parametrize("arrivals", [voyage, streaked_voyage])
-def test_with_the_ins_gone_the_stars_carry_the_attitude_alone(arrivals: Callable[[], tuple[Arrival, ...]]) -> None:
+def test_after_an_ins_timeout_the_attitude_comes_from_stars_alone(arrivals: Callable[[], tuple[Arrival, ...]]) -> None:
     cut_ns = START_NS + SECOND_NS
     run = sail([a for a in arrivals() if a.topic != INS or a.receive_ns < cut_ns])
     alone = [m for m in run.messages("ship/attitude") if list(m.sources) in (["star.fore"], ["star.starboard"])]
@@ -191,7 +191,7 @@ def test_with_the_ins_gone_the_stars_carry_the_attitude_alone(arrivals: Callable
 
 
 def test_clouds_are_no_fault() -> None:
-    """A sensor that works and sees no star says so; nothing is refused."""
+    """A working sensor without stars sends empty messages; nothing is rejected."""
 
     def clouds(message: Any) -> None:
         message.stars = []
@@ -217,8 +217,8 @@ EXACT_INS = {
 EXACT_SENSOR = {f"installation_sigma_{axis}_arcsec": 0.0 for axis in ("forward", "up", "right")}
 
 
-def test_mend_02_what_is_taken_for_exact_may_be_compared_with_stars(monkeypatch: pytest.MonkeyPatch) -> None:
-    """All sigmas of INS and mounting are 0: the predicted attitude has no covariance, and stars are chosen by it."""
+def test_an_exact_prior_can_be_compared_with_stars(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All sigmas of INS and mounting are 0: the predicted attitude has no covariance, and stars are selected by it."""
     monkeypatch.setattr("ship_testing.small_voyage._INS_ERROR_N", np.zeros(3))
     monkeypatch.setattr("ship_testing.small_voyage._TAU_S", 0.0)
     exact = [
@@ -230,19 +230,19 @@ def test_mend_02_what_is_taken_for_exact_may_be_compared_with_stars(monkeypatch:
     assert run.reasons(FORE) == run.reasons(STARBOARD) == {}
     assert run.health(FORE).accepted == run.health(FORE).received
     assert last_valid(run) is run.messages("ship/attitude")[-1]
-    # The same stars are found out by it as by any other prediction.
+    # The same stars are selected as by any other prediction.
     wrong = replaced(exact, index_at(exact, FORE, MOMENT_S), star(3, u=100.0))
     (innovation,) = sail(wrong, ins=EXACT_INS, star_sensors=sensors).innovations(Reason.MISIDENTIFIED)
     assert "from its place, sigma" in innovation.reason_text
 
 
-def test_mend_02_an_ins_that_errs_and_is_taken_for_exact_is_contradicted() -> None:
+def test_an_ins_with_errors_and_zero_sigma_is_in_conflict() -> None:
     sensors = {id_: {**sensor, **EXACT_SENSOR} for id_, sensor in SENSORS.items()}
     run = sail(voyage(), ins=EXACT_INS, star_sensors=sensors)
     assert set(run.reasons(FORE)) == {"gate", "attitude_conflict"}
 
 
-def test_mend_09_streaks_wait_for_the_ins_and_any_order_of_arrival_gives_the_same_state() -> None:
+def test_streaks_wait_for_the_ins_and_any_order_of_arrival_gives_the_same_state() -> None:
     """Stars at once, or a second late; INS samples at once, or late in the middle of an exposure."""
     states = []
     for star_delay_s, ins_delay_s in ((0.001, 0.001), (1.0, 0.001), (0.001, 0.3)):
@@ -260,7 +260,7 @@ def test_mend_09_streaks_wait_for_the_ins_and_any_order_of_arrival_gives_the_sam
     assert states[2] == states[0]
 
 
-def test_mend_09_the_ship_s_attitude_by_streaks_errs_as_it_says() -> None:
+def test_the_ship_attitude_by_streaks_is_consistent_with_its_covariance() -> None:
     assert worst_sigmas(sail(streaked_voyage())) < 2.5
 
     def not_told(message: Any) -> None:

@@ -1,4 +1,4 @@
-"""What is said of the attitude while inputs fail together, come late or lie: it rests on what was put out."""
+"""Status of the attitude while inputs fail together, are late or wrong: it follows from the published attitudes."""
 
 import functools
 from collections.abc import Callable, Iterable
@@ -39,12 +39,12 @@ def claimed(run: Run) -> list[Any]:
 
 
 def at_times(run: Run) -> list[tuple[int, Any]]:
-    """(when, attitude) of what is claimed."""
+    """Return (time, attitude) of the published attitudes that are not INVALID."""
     return [(ns, m) for ns, topic, m in run.published if topic == ATTITUDE and m.status != Status.INVALID]
 
 
 def said_invalid(run: Run) -> list[int]:
-    """When INVALID was said, the start aside."""
+    """Return the times of INVALID, except at the start."""
     return [ns for ns, topic, m in run.published if topic == ATTITUDE and m.status == Status.INVALID and ns > at(0.5)]
 
 
@@ -53,7 +53,7 @@ def assert_in_order(run: Run) -> None:
 
 
 def assert_invalid_once_a_second(run: Run, from_s: float, until_s: float) -> None:
-    """From within a second and a tick on, nothing is claimed, budgeted, or said to be well."""
+    """From within a second and a tick on, only INVALID is published, no budget, and no OK status."""
     said = [ns for ns in said_invalid(run) if at(from_s) <= ns < at(until_s)]
     assert said[0] <= at(from_s + 1.1)
     assert all(SECOND_NS <= later - earlier <= 1.1 * SECOND_NS for earlier, later in pairwise(said))
@@ -71,27 +71,27 @@ def wrong_frame(message: Any) -> None:
     message.header.frame_id = "radar"
 
 
-def test_mend_01_exposures_with_one_star_do_not_hide_that_the_ins_is_gone() -> None:
+def test_exposures_with_one_star_do_not_hide_an_ins_timeout() -> None:
     stars = [a for a in voyage_of_stars(6.0) if a.topic != INS or a.stamp_ns < at(3.0)]
     stars = changed_where(stars, lambda a: a.topic.endswith("observations") and a.stamp_ns > at(2.5), one_star)
     assert_invalid_once_a_second(sail(stars), 3.0, 6.0)
 
 
-def test_mend_01_exposures_without_a_fix_do_not_hide_that_the_ins_is_gone() -> None:
+def test_exposures_without_a_fix_do_not_hide_an_ins_timeout() -> None:
     stars = [a for a in voyage_of_stars(6.0) if a.topic != INS or a.stamp_ns < at(3.0)]
     run = sail(except_(stars, FIX))
     assert {m.status for m in claimed(run)} == {Status.DEGRADED}
     assert_invalid_once_a_second(run, 3.0, 6.0)
 
 
-def test_mend_01_an_ins_that_is_refused_is_no_attitude() -> None:
-    """It arrives at its full rate, in order, and nothing of it can be used; no star sensor works."""
+def test_rejected_ins_samples_give_no_attitude() -> None:
+    """It arrives at its full rate, in order, and is not usable; no star sensor works."""
     arrivals = cut(voyage(8.0), 3.0, 8.0, FORE, STARBOARD)
     run = drive(new_adapter(), changed_where(arrivals, lambda a: a.topic == INS and at(3.0) < a.stamp_ns, wrong_frame))
     assert_invalid_once_a_second(run, 3.0, 8.0)
 
 
-def test_mend_01_stars_carry_the_attitude_while_the_ins_is_refused() -> None:
+def test_attitudes_come_from_stars_while_the_ins_is_rejected() -> None:
     arrivals = changed_where(voyage(8.0), lambda a: a.topic == INS and at(3.0) < a.stamp_ns < at(6.0), wrong_frame)
     run = drive(new_adapter(), arrivals)
     carried = [m for m in claimed(run) if at(4.0) < stamp_of(m) < at(6.0)]
@@ -101,8 +101,8 @@ def test_mend_01_stars_carry_the_attitude_while_the_ins_is_refused() -> None:
     assert_in_order(run)
 
 
-def test_mend_01_stars_carry_the_attitude_while_no_ins_sample_has_a_rate() -> None:
-    """From 3 s on the INS comes once in 0.9 s, too far apart to be joined, and measures no rates."""
+def test_attitudes_come_from_stars_while_no_ins_sample_has_a_rate() -> None:
+    """From 3 s on the INS samples are 0.9 s apart, too far to interpolate, and have no rates."""
 
     def without_rates(message: Any) -> None:
         message.angular_velocity_covariance = [-1.0] + 8 * [0.0]
@@ -120,7 +120,7 @@ def test_mend_01_stars_carry_the_attitude_while_no_ins_sample_has_a_rate() -> No
     assert_in_order(run)
 
 
-def test_mend_01_ins_and_stars_stop_and_come_back() -> None:
+def test_ins_and_stars_stop_and_come_back() -> None:
     """First one of them, then both, then the stars, then both."""
     arrivals = cut(cut(voyage(14.0), 3.0, 9.0, INS), 5.0, 7.0, FORE, STARBOARD)
     run = drive(new_adapter(), arrivals)
@@ -136,7 +136,7 @@ def test_mend_01_ins_and_stars_stop_and_come_back() -> None:
         assert_honest(message)
 
 
-def test_mend_01_no_attitude_has_its_budget_told_twice() -> None:
+def test_no_error_budget_is_published_twice() -> None:
     run = drive(new_adapter(slow_topics_period_s=0.1), cut(voyage(8.0), 3.0, 6.0, INS, FORE, STARBOARD))
     for topic in BUDGETS:
         stamps = [stamp_of(m) for m in run.messages(topic)]
@@ -144,7 +144,7 @@ def test_mend_01_no_attitude_has_its_budget_told_twice() -> None:
         assert all(ns <= at(3.2) or ns > at(6.0) for ns, name, _ in run.published if name == topic)
 
 
-# -- late, and clocks that are put right ----------------------------------------------------------------------
+# -- late data, and corrected clocks --------------------------------------------------------------------------
 
 
 def later(arrivals: Iterable[Arrival], latency_s: Callable[[str], float]) -> tuple[Arrival, ...]:
@@ -154,11 +154,11 @@ def later(arrivals: Iterable[Arrival], latency_s: Callable[[str], float]) -> tup
 @pytest.mark.parametrize(
     "latency_s", [lambda topic: 1.05 if topic == INS else 0.0, lambda topic: 1.5, lambda topic: 9.0]
 )
-def test_mend_04_old_stamps_are_no_silence(latency_s: Callable[[str], float]) -> None:
+def test_old_stamps_are_no_timeout(latency_s: Callable[[str], float]) -> None:
     """The INS within the lag behind the stars, or all that late."""
     run = drive(new_adapter(), later(voyage(), latency_s))
     by_ins, expected = ([stamp_of(m) for m in claimed(r) if "ins" in m.sources] for r in (run, clean_run()))
-    # Stars that came before the first INS sample had the word.
+    # Stars that arrived before the first INS sample gave attitudes first.
     assert by_ins == [ns for ns in expected if latency_s(FORE) or ns > at(0.877)]
     assert [ns for ns in said_invalid(run) if ns > at(latency_s(INS) + 0.1)] == []
     assert_in_order(run)
@@ -168,8 +168,8 @@ def test_mend_04_old_stamps_are_no_silence(latency_s: Callable[[str], float]) ->
 
 
 @pytest.mark.parametrize("step_s", [-0.04, 1.0, 5.0, 3600.0])
-def test_mend_04_a_clock_that_is_put_right_is_no_silence(step_s: float) -> None:
-    """The node's clock leaps while data and waiting go on: the same attitudes at the same moments."""
+def test_a_corrected_clock_is_no_timeout(step_s: float) -> None:
+    """The clock of the node jumps while data and waiting continue: the same attitudes at the same times."""
     run = Run(new_adapter())
     hand_over(run, voyage(), node_ns=lambda ns: ns + (round(step_s * SECOND_NS) if ns > at(2.5) else 0))
     by_the_clock = "ship/alignment", "/tf_static"  # these have the node's time
@@ -177,8 +177,8 @@ def test_mend_04_a_clock_that_is_put_right_is_no_silence(step_s: float) -> None:
     assert [result for result in run.results() if result[1] not in by_the_clock] == expected
 
 
-def test_mend_04_a_leap_second_costs_no_attitude_but_of_the_time_until_it_is_found() -> None:
-    """The stamps tell one second twice; the clocks of the node go on. All inputs show the step within 0.4 s."""
+def test_a_leap_second_costs_attitudes_only_until_it_is_detected() -> None:
+    """One second of stamps is repeated; the clocks of the node continue. All inputs show the step within 0.4 s."""
 
     def back(message: Any) -> None:
         message.header.stamp.sec -= 1
@@ -197,19 +197,19 @@ def test_mend_04_a_leap_second_costs_no_attitude_but_of_the_time_until_it_is_fou
 
 @functools.cache
 def stopped(from_s: float, until_s: float) -> Run:
-    """What came while the node stood still it takes when it goes on, after the ticks of that time."""
+    """Messages received while the node was stopped are processed when it continues, after the ticks of that time."""
     arrivals = [replace(a, receive_ns=at(until_s)) if at(from_s) < a.receive_ns < at(until_s) else a for a in voyage()]
     return drive(new_adapter(), arrivals)
 
 
-def test_mend_04_what_came_during_a_stop_is_put_out_after_it() -> None:
+def test_data_received_during_a_stop_are_published_after_it() -> None:
     run = stopped(2.5, 3.7)
     assert len(said_invalid(run)) == 1
     assert [stamp_of(m) for m in claimed(run)] == [stamp_of(m) for m in claimed(clean_run())]
     assert run.state() == clean_run().state()
 
 
-def test_mend_04_invalid_has_the_time_of_the_tick_and_holds_nothing_back() -> None:
+def test_invalid_has_the_time_of_the_tick_and_delays_nothing() -> None:
     run = stopped(2.5, 3.7)
     (invalid,) = [m for ns, topic, m in run.published if topic == ATTITUDE and ns in said_invalid(run)]
     assert stamp_of(invalid) == said_invalid(run)[0]
@@ -217,7 +217,7 @@ def test_mend_04_invalid_has_the_time_of_the_tick_and_holds_nothing_back() -> No
     assert stamp_of(run.messages(ATTITUDE)[index + 1]) < stamp_of(invalid)
 
 
-def test_mend_17_where_the_clock_stands_invalid_is_told_at_its_time() -> None:
+def test_with_a_frozen_clock_invalid_is_published_at_its_time() -> None:
     run = Run(new_adapter())
     arrivals = [a for a in voyage() if a.receive_ns <= at(3.0)]
     hand_over(run, arrivals, until_ns=at(6.0), node_ns=lambda ns: min(ns, at(3.0)))
@@ -226,7 +226,7 @@ def test_mend_17_where_the_clock_stands_invalid_is_told_at_its_time() -> None:
     assert {stamp_of(m) for m in invalid[-2:]} == {at(3.0)}
 
 
-def test_mend_04_stars_carry_the_attitude_while_the_ins_comes_too_late() -> None:
+def test_attitudes_come_from_stars_while_the_ins_is_too_late() -> None:
     """It arrives at its full rate, each sample 3 s old: more than the lag behind the stars."""
     run = drive(new_adapter(), later(voyage(8.0), lambda topic: 3.0 if topic == INS else 0.0))
     assert run.reasons(INS)["late"] > 100

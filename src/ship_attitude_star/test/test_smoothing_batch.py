@@ -1,7 +1,7 @@
-"""The smoother against one least-squares solution over all states of all epochs at once, by scipy's sparse solver.
+"""The smoother compared with one least-squares solution over all states of all epochs, by scipy's sparse solver.
 
-The batch knows the measurement equation and the autocorrelation of each error as docs/explanation/filter.md tells them.
-It shares no line with the filter or the smoother: rotations are scipy's, derivatives are differences.
+The batch uses the measurement equation and the autocorrelation of each error as in docs/explanation/filter.md. It
+shares no code with the filter or the smoother: rotations are scipy's, derivatives are differences.
 """
 
 from dataclasses import dataclass, field
@@ -77,7 +77,7 @@ def star_epochs() -> list[tuple[int, str]]:
 
 
 def measured() -> list[AttitudeMeasurement]:
-    """Attitudes with errors of the sizes that are told, drawn without correlation: estimators must agree on any."""
+    """Attitudes with errors of the stated sizes, drawn without correlation: both estimators must agree."""
     rng, found = np.random.default_rng(5), []
     mounted = {id_: MOUNTED * rng.standard_normal(3) for id_ in SENSORS}
     for ms, id_ in star_epochs():
@@ -174,7 +174,7 @@ def both() -> tuple:
 
 @pytest.mark.slow
 def test_smoothing_is_batch_least_squares(both: tuple) -> None:
-    # Issue: within 1 % of sigma.
+    # Requirement: within 1 % of sigma.
     _, smoothed, asked_ms, batch, unknowns, factors = both
     assert len(smoothed) == 48
     worst_mean = worst_sigma = 0.0
@@ -194,8 +194,8 @@ def test_smoothing_is_batch_least_squares(both: tuple) -> None:
     assert worst_sigma < 0.01
 
 
-def test_the_filters_covariance_is_the_inverse_of_the_information_matrix(both: tuple) -> None:
-    # After the last measurement the filter has used all that the batch has.
+def test_the_filter_covariance_is_the_inverse_of_the_information_matrix(both: tuple) -> None:
+    # After the last measurement the filter has used all data of the batch.
     core, _, _, batch, unknowns, factors = both
     last_ms = star_epochs()[-1][0]
     model, state = core.filter.model, core.state

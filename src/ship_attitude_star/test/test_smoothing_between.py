@@ -1,4 +1,4 @@
-"""What corrects the INS between two estimates: the filter's own prediction, and a way that goes on from its middle."""
+"""Prediction of the INS corrections between two estimates: equal to the filter, also from an intermediate time."""
 
 import math
 
@@ -23,7 +23,7 @@ STARS = {"star_sensors": {"fore": {"azimuth_deg": 0.0, "elevation_deg": 45.0, "f
 
 
 def filter_of(**values: object) -> TracedFilter:
-    """The filter of a ship that sails North at 10 m/s, a fix each second."""
+    """Return the filter of a ship that sails North at 10 m/s, with a fix each second."""
     config = build(ShipAttitudeConfig, {**STARS, **values})
     vertical = VerticalTrack(config.gravity, config.sky) if config.follows_vertical else None
     for second in range(-10, 80 if vertical is not None else -10):
@@ -42,7 +42,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("values", CASES.values(), ids=CASES)
-def test_it_is_the_filters_prediction(values: dict) -> None:
+def test_it_equals_the_prediction_of_the_filter(values: dict) -> None:
     filter_, rng = filter_of(**values), np.random.default_rng(4)
     start = filter_.predicted(filter_.initial_state(), START_NS)
     # Correlated as after measurements, and away from zero.
@@ -69,7 +69,7 @@ def test_it_is_the_filters_prediction(values: dict) -> None:
         np.testing.assert_allclose(found.mean[place] / scale, told @ there.mean / scale, atol=1e-9)
         expected = told @ there.covariance @ told.T / np.outer(scale, scale)
         np.testing.assert_allclose(found.covariance[place] / np.outer(scale, scale), expected, atol=1e-9)
-        # At the later estimate itself, and at the earlier one, the covariance with the later one is known otherwise.
+        # At the later estimate itself, and at the earlier one, the covariance with the later one is known analytically.
         if place == len(times_ns) - 1:
             scales = scale[:, None] * sigma_of(there)
             np.testing.assert_allclose(cross[place] / scales, told @ there.covariance / scales, atol=1e-9)

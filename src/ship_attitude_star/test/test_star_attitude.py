@@ -1,4 +1,4 @@
-"""The node star_attitude on a voyage under the real sky: its attitudes against the truth, with and without an INS."""
+"""The node star_attitude on a voyage under the real sky: attitudes compared with the truth, with and without an INS."""
 
 import copy
 import itertools
@@ -50,7 +50,7 @@ from ship_testing.star_voyage import (
 SOLUTION = {FORE: "star/fore/solution", STARBOARD: "star/starboard/solution"}
 JOINT = "star/joint/solution"
 EXACT_MAS = 0.2
-"""Twice what the refreshed sky may differ from the exact one."""
+"""Twice the difference of the refreshed sky from the exact one."""
 
 
 def error_n(message: Any, truth_n: FloatArray) -> FloatArray:
@@ -66,7 +66,7 @@ def without_ins() -> tuple[Arrival, ...]:
 
 
 def simultaneous(*counts: int) -> tuple[Arrival, ...]:
-    """Both sensors expose at once, with so many stars each; nothing else but place and weather."""
+    """Both sensors expose at once, with the given numbers of stars; besides only position and weather."""
     arrivals = list(only(voyage(), FIX, PRESSURE, TEMPERATURE, HUMIDITY))
     for topic, count in zip((FORE, STARBOARD), counts, strict=True):
         for since_ns in range(PHASE_NS[FORE], SECOND_NS, PERIOD_NS):
@@ -97,12 +97,12 @@ def test_covariances_belong_together() -> None:
         noise_n = horizon_covariance(message.noise_covariance.reshape(3, 3))
         expected = angle_covariance(total_n, message.azimuth, message.elevation)
         np.testing.assert_allclose(message.covariance.reshape(3, 3), expected, rtol=1e-9)
-        # What stars share comes on top of the noise.
+        # Shared errors of the stars are added to the noise.
         assert np.linalg.eigvalsh(total_n - noise_n)[0] > -1e-6 * np.trace(total_n)
         assert np.trace(noise_n) < np.trace(total_n)
 
 
-def test_errors_are_as_large_as_the_noise_covariance_says() -> None:
+def test_errors_are_consistent_with_the_noise_covariance() -> None:
     run = sail(voyage(noise=True))
     nees = [
         normalized_error_squared(
@@ -116,19 +116,19 @@ def test_errors_are_as_large_as_the_noise_covariance_says() -> None:
     assert low < np.mean(nees) < high
 
 
-def test_the_prior_chooses_and_has_no_part_in_the_attitude() -> None:
+def test_the_prior_selects_stars_and_does_not_change_the_attitude() -> None:
     without = sail(without_ins())
     for name in SOLUTION.values():
         assert [exactly(m) for m in without.messages(name)] == [exactly(m) for m in clean_run().messages(name)]
 
 
 def spanned(messages: list[Any]) -> list[Any]:
-    """Solutions of exposures that the INS saw the whole of."""
+    """Solutions of exposures fully covered by INS samples."""
     return [message for message in messages if 0.1 * SECOND_NS < since(message) < 2.85 * SECOND_NS]
 
 
 @pytest.mark.parametrize("topic", [FORE, STARBOARD])
-def test_mend_09_streaks_give_the_attitude_at_the_middle_of_their_exposure(topic: str) -> None:
+def test_streaks_give_the_attitude_at_the_middle_of_their_exposure(topic: str) -> None:
     told = spanned(sail(streaked_voyage()).messages(SOLUTION[topic]))
     as_seen = spanned(sail(except_(streaked_voyage(), INS)).messages(SOLUTION[topic]))
     points = spanned(clean_run().messages(SOLUTION[topic]))
@@ -144,14 +144,14 @@ def test_mend_09_streaks_give_the_attitude_at_the_middle_of_their_exposure(topic
     assert np.mean(np.divide(*noise)) > 2.0
 
 
-def test_mend_09_without_the_ins_streaks_are_taken_as_seen_and_it_says_so() -> None:
+def test_without_the_ins_streaks_are_used_as_measured_and_this_is_reported() -> None:
     level, text, _ = status(sail(except_(streaked_voyage(), INS)), "solution fore")
     assert level == 1
-    assert "ins/imu does not tell how the ship turned in 0.2 s of exposure" in text
+    assert "no rotation of the ship from ins/imu during the exposure of 0.2 s" in text
     assert "exposure" not in status(sail(without_ins()), "solution fore")[1]
 
 
-def test_mend_14_an_exposure_that_the_ins_covers_in_part_is_not_solved() -> None:
+def test_an_exposure_that_the_ins_covers_in_part_is_not_solved() -> None:
     """It lasts from 87 ms before the first sample of the INS to 113 ms after it. Before, it was VALID."""
     run = sail(streaked_voyage())
     first, *others = run.messages(SOLUTION[FORE])
@@ -160,7 +160,7 @@ def test_mend_14_an_exposure_that_the_ins_covers_in_part_is_not_solved() -> None
 
 
 @pytest.mark.parametrize("topic", [FORE, STARBOARD])
-def test_mend_09_without_the_ins_the_covariance_holds_the_untold_turn(topic: str) -> None:
+def test_without_the_ins_the_covariance_holds_the_unmeasured_rotation(topic: str) -> None:
     messages = sail(except_(streaked_voyage(), INS)).messages(SOLUTION[topic])
     assert len(messages) >= 13
     for message in messages:
@@ -178,11 +178,11 @@ def test_simultaneous_exposures_make_an_exact_deck_without_any_ins() -> None:
         assert (message.sensor_id, message.header.frame_id) == ("joint", "deck")
 
 
-def test_exposures_at_different_times_are_moved_to_one_by_the_ins() -> None:
+def test_exposures_at_different_times_are_propagated_to_one_by_the_ins() -> None:
     joint = clean_run().messages(JOINT)
     # Each pair once, at the time of its first.
     assert [since(message) for message in joint] == list(range(PHASE_NS[FORE], 3 * SECOND_NS, PERIOD_NS))
-    # Left to itself, 64 ms of rolling would be up to 2.3°/s x 64 ms = 0.15° = 530″.
+    # Without correction, 64 ms of rolling would be up to 2.3°/s x 64 ms = 0.15° = 530″.
     moved = [
         log_rotation(true_deck(since(m)).T @ true_deck(since(m) + PHASE_NS[STARBOARD] - PHASE_NS[FORE])) for m in joint
     ]
@@ -194,7 +194,7 @@ def test_exposures_at_different_times_are_moved_to_one_by_the_ins() -> None:
         assert message.star_count == 2 * STARS
 
 
-def test_without_ins_exposures_at_different_times_are_not_joined_and_it_says_so() -> None:
+def test_without_ins_exposures_at_different_times_are_not_joined_and_this_is_reported() -> None:
     run = sail(without_ins())
     stamps = [stamp_of(message) for message in run.messages(JOINT)]
     assert len(stamps) == len(only(voyage(), FORE, STARBOARD))
@@ -259,7 +259,7 @@ def turned_ins(heading_deg: float) -> tuple[Arrival, ...]:
     return changed_where(voyage(), lambda arrival: arrival.topic == INS, change)
 
 
-def test_an_ins_that_contradicts_all_stars_does_not_put_them_out() -> None:
+def test_an_ins_that_contradicts_all_stars_does_not_reject_them() -> None:
     run = sail(turned_ins(90.0))
     for topic, name in SOLUTION.items():
         for message in run.messages(name):
@@ -313,7 +313,7 @@ def test_a_star_given_by_its_direction_counts_like_one_of_the_catalogue() -> Non
     def change(message: Any) -> None:
         for star in message.stars:
             (row,) = catalogue.rows([star.catalogue_id])
-            # As its sensor would give it: with the motion up to now, 23.87 years.
+            # As sent by the sensor: with proper motion until now, 23.87 years.
             listed = catalogue.at_j2000[row]
             star.right_ascension = listed.right_ascension + 23.87 * listed.pm_right_ascension
             star.declination = listed.declination + 23.87 * listed.pm_declination
@@ -339,7 +339,7 @@ def test_the_budget_is_the_covariance_of_the_joint_solution_by_source() -> None:
         np.testing.assert_array_equal(budget.total, joint[stamp_of(budget)].rotation_covariance)
 
 
-def test_where_the_clocks_are_not_trusted_the_budget_has_their_part_and_all_else_is_the_same() -> None:
+def test_with_a_utc_sigma_the_budget_has_its_entry_and_all_else_is_the_same() -> None:
     found = sail(voyage(), sky__utc_sigma_s=0.1).messages("star/joint/error_budget")
     for budget, without in zip(found, clean_run().messages("star/joint/error_budget"), strict=True):
         assert budget.sources == [*without.sources, "utc"]
@@ -377,7 +377,7 @@ def test_no_exposure_is_in_two_joint_solutions() -> None:
         assert used == STARS * len(only(voyage(), FORE, STARBOARD))
 
 
-def test_after_the_clock_went_back_it_starts_anew_and_does_the_same_again() -> None:
+def test_after_the_clock_went_back_it_restarts_with_the_same_results() -> None:
     adapter = new_adapter()
     first = drive(adapter, voyage())
     adapter.clock_jumped_back(voyage()[0].receive_ns)
@@ -386,7 +386,7 @@ def test_after_the_clock_went_back_it_starts_anew_and_does_the_same_again() -> N
     assert status(second, "sky")[2]["clock jumps back"] == "1"
 
 
-def test_reset_forgets_the_place() -> None:
+def test_reset_discards_the_position() -> None:
     adapter = new_adapter()
     drive(adapter, voyage())
     assert adapter.service("reset", START_NS + 4 * SECOND_NS).success
@@ -419,7 +419,7 @@ def test_sigma_of_the_centroid_changes_while_it_runs() -> None:
 def test_a_sensor_must_not_be_called_joint() -> None:
     with pytest.raises(ParameterError, match=r"'star_sensors\.joint': 'joint' means all sensors"):
         new_adapter(star_sensors__joint={"azimuth_deg": 1.0, "elevation_deg": 2.0, "camera": camera()})
-    # Fed with star/joint/solution beside the sensors' own, ship_attitude would count every star twice.
+    # With star/joint/solution in addition to those of the sensors, ship_attitude would count every star twice.
     with pytest.raises(ParameterError, match=r"'star_sensors\.joint': 'joint' means all sensors"):
         small_voyage.config(star_sensors__joint={"azimuth_deg": 1.0, "elevation_deg": 2.0, "input": "solution"})
 
@@ -442,7 +442,7 @@ def status(run: Run, name: str) -> tuple[int, str, dict[str, str]]:
     return found.level, found.message, {value.key: value.value for value in found.values}
 
 
-def test_mend_01_a_solution_of_long_ago_says_nothing_of_now() -> None:
+def test_an_old_solution_is_reported_as_timed_out() -> None:
     """Exposures end; the last solutions were VALID."""
     run = drive(new_adapter(), voyage(), until_ns=voyage()[-1].receive_ns + 15 * SECOND_NS)
     for name in ("solution fore", "solution joint"):

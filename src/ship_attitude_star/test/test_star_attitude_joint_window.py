@@ -1,4 +1,4 @@
-"""Which exposures make one joint solution, and when it is made."""
+"""Grouping of exposures for joint solutions."""
 
 from dataclasses import dataclass
 
@@ -23,7 +23,7 @@ class Item:
 def joined(
     *items: tuple[str, int], movable: bool = True, now_ms: int | None = None, sources: str = "abc"
 ) -> list[str]:
-    """Groups as ``"a0 b50"`` of items given one by one, the window asked after each."""
+    """Groups as ``"a0 b50"`` of items added one by one, the window evaluated after each."""
     window = JointWindow(sources, JointConfig(window_s=0.1, simultaneous_s=0.001, wait_s=0.5))
     groups = []
     for source, time_ms in items:
@@ -42,7 +42,7 @@ def test_what_is_beyond_the_window_begins_a_new_one() -> None:
     assert joined(("a", 0), ("b", 50), ("c", 101), ("a", 150), ("b", 201)) == ["a0 b50", "c101 a150 b201"]
 
 
-def test_it_waits_for_a_sensor_that_has_given_nothing_later() -> None:
+def test_it_waits_for_a_sensor_without_a_later_exposure() -> None:
     items = [("a", 0), ("b", 50)]
     assert joined(*items) == []
     assert joined(*items, now_ms=499) == []
@@ -51,7 +51,7 @@ def test_it_waits_for_a_sensor_that_has_given_nothing_later() -> None:
     assert joined(*items, ("a", 200), ("b", 250), now_ms=700) == ["a0 b50", "a200 b250"]
 
 
-def test_an_exposure_that_comes_late_still_finds_its_group_while_that_is_open() -> None:
+def test_a_late_exposure_joins_its_group_while_that_is_incomplete() -> None:
     assert joined(("b", 50), ("c", 60), ("a", 0)) == ["a0 b50 c60"]
 
 
@@ -61,12 +61,12 @@ def test_each_exposure_has_a_part_in_one_group_only() -> None:
     assert groups == ["a0 b30", "a50 b130", "a100", "a150"]
 
 
-def test_without_a_way_to_move_them_only_simultaneous_exposures_are_joined() -> None:
+def test_without_known_rotations_only_simultaneous_exposures_are_joined() -> None:
     assert joined(("a", 0), ("b", 1), ("c", 2), movable=False, now_ms=900) == ["a0 b1", "c2"]
 
 
 @pytest.mark.parametrize("time_ms", [0, -50])
-def test_what_comes_after_its_group_was_closed_is_not_taken(time_ms: int) -> None:
+def test_an_exposure_after_its_group_was_completed_is_not_joined(time_ms: int) -> None:
     window = JointWindow("ab", JointConfig(window_s=0.1))
     assert window.add(Item("a", 0))
     assert len(list(window.closed(lambda to_ns, from_ns: True, 500 * MS))) == 1

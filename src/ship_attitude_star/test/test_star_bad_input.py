@@ -193,12 +193,12 @@ def test_mend_08_of_two_exposures_of_one_stamp_neither_holds_nor_do_those_after_
         runs.append(sail(in_order((*without(voyage(), index), first, second))))
     for run in runs:
         told, *after = innovations(run, Reason.CONFLICT)
-        assert told.reason_text == "the same stamp with other content; do two sensors publish on one topic?"
+        assert told.reason_text == "the same stamp with different content: do two sensors publish on one topic?"
         known_ns = mine.receive_ns + apart_ns
         of_sensor = [a for a in voyage() if a.topic == FORE]
         exposures = [a for a in of_sensor if a.stamp_ns == mine.stamp_ns or a.receive_ns > known_ns]
         assert [stamp_of(message) for message in after] == [a.stamp_ns for a in exposures]
-        assert "used again when it has agreed with itself for 10 s" in after[-1].reason_text
+        assert "used again after 10 s without a contradiction" in after[-1].reason_text
         # The last solution of a stamp holds.
         held = {stamp_of(message): message.status for message in run.messages(FORE_SOLUTION)}
         assert held == {a.stamp_ns: 3 * (a in exposures) for a in of_sensor}
@@ -306,7 +306,7 @@ def test_without_weather_refraction_is_less_well_known_and_it_says_so() -> None:
     assert more == pytest.approx(2.2, abs=0.3)
     report = [m for _, topic, m in run.published if topic == "/diagnostics"][-1]
     (status,) = [entry for entry in report.status if entry.name == "star_attitude: sky"]
-    assert status.message.startswith("no weather: pressure, temperature, humidity by parameters")
+    assert status.message.startswith("no weather: pressure, temperature, humidity from parameters")
 
 
 def test_a_night_of_clouds_is_no_fault() -> None:

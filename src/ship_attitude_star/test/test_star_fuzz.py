@@ -1,4 +1,4 @@
-"""Garbage in any field of any input of star_attitude: nothing is raised, and afterwards the node is as good as new."""
+"""Garbage in any field of any input of star_attitude: nothing is raised, and afterwards the node works as before."""
 
 import pickle
 
@@ -22,7 +22,7 @@ def test_no_message_whatsoever_raises_or_does_damage() -> None:
     tried = 0
     for round_ in range(ROUNDS):
         adapter.clock_jumped_back(START_NS)
-        # Good messages go on between, so that the garbage meets a node at work.
+        # Correct messages are mixed in, so that the garbage meets a working node.
         for arrival in voyage():
             published = adapter.handle(arrival.topic, arrival.message, arrival.receive_ns)
             pickled = pickle.dumps(arrival.message)

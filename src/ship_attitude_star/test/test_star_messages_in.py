@@ -1,4 +1,4 @@
-"""Messages about stars, place and air: what is used, what is left out, and what is said of it."""
+"""Reader of star observations: usable stars, rejected stars, and reported reasons."""
 
 from typing import Any
 
@@ -46,12 +46,12 @@ def read(message: Any, **options: bool) -> Any:
 
 
 def converted(message: Any) -> Any:
-    """The exposure, and the stars left out of it."""
+    """Return the exposure, and the rejected stars."""
     reading = read(message)
     return reading.value, reading.left_out
 
 
-def test_pixels_become_directions_and_numbers_become_places() -> None:
+def test_pixels_become_directions_and_numbers_become_positions() -> None:
     # One degree to the right and half a degree up of the boresight.
     right_px, up_px = np.tan(np.deg2rad([1.0, 0.5])) * 0.05 / 10e-6
     exposure, refused = converted(observations(star(), star(DENEB, 511.5 + right_px, 511.5 - up_px, magnitude=1.3)))
@@ -66,7 +66,7 @@ def test_pixels_become_directions_and_numbers_become_places() -> None:
     assert np.rad2deg(exposure.positions.right_ascension[0]) / 15 == pytest.approx(18.6156489, abs=1e-6)
     assert np.rad2deg(exposure.positions.declination[0]) == pytest.approx(38.783689, abs=1e-5)
     assert exposure.positions.pm_declination[0] / ARCSEC == pytest.approx(0.286, abs=0.001)
-    # Position good to a milliarcsecond at 1991.25, motion to 0.6 mas a year at most, 23 years later.
+    # Position accurate to a milliarcsecond at 1991.25, motion to 0.6 mas a year at most, 23 years later.
     assert 0 < exposure.position_sigma[0] < 0.02 * ARCSEC
     assert exposure.identified.all()
     assert np.isnan(exposure.magnitude[0])
@@ -74,7 +74,7 @@ def test_pixels_become_directions_and_numbers_become_places() -> None:
 
 
 @pytest.mark.parametrize("not_given", [np.nan, 0.0])
-def test_mend_09_without_a_length_an_exposure_is_used_as_it_is(not_given: float) -> None:
+def test_without_a_length_an_exposure_is_used_as_it_is(not_given: float) -> None:
     message = observations(star())
     message.exposure_s = not_given
     exposure, refused = converted(message)
@@ -92,7 +92,7 @@ def test_mend_09_without_a_length_an_exposure_is_used_as_it_is(not_given: float)
     ("exposure_s", "reason"),
     [(-0.1, "units"), (10.5, "units"), (50.0, "units"), (np.inf, "non_finite"), (-np.inf, "non_finite")],
 )
-def test_mend_09_a_length_that_cannot_be_is_refused(exposure_s: float, reason: str) -> None:
+def test_a_length_that_cannot_be_is_refused(exposure_s: float, reason: str) -> None:
     message = observations(star())
     message.exposure_s = exposure_s
     with pytest.raises(Refused) as caught:
@@ -101,7 +101,7 @@ def test_mend_09_a_length_that_cannot_be_is_refused(exposure_s: float, reason: s
     assert "exposure_s" in caught.value.refusal.text
 
 
-def test_a_star_without_number_has_the_place_given_or_none_yet() -> None:
+def test_a_star_without_number_has_the_given_position_or_none() -> None:
     exposure, refused = converted(
         observations(star(0, right_ascension=1.0, declination=-0.5), star(0, 600.0, 600.0), star(ALTAIR, 100.0))
     )
@@ -112,7 +112,7 @@ def test_a_star_without_number_has_the_place_given_or_none_yet() -> None:
     assert exposure.position_sigma[0] == pytest.approx(0.05 * ARCSEC)
 
 
-def test_a_catalogue_star_is_placed_by_the_catalogue_whatever_else_is_given() -> None:
+def test_a_catalogue_star_has_the_catalogue_position_whatever_else_is_given() -> None:
     by_number, _ = converted(observations(star()))
     with_place, refused = converted(observations(star(right_ascension=4.9, declination=0.7)))
     assert refused == ()
@@ -139,7 +139,7 @@ def test_no_star_is_an_exposure_too() -> None:
 STARS = [
     ("pixel NaN", star(u=np.nan), Reason.NON_FINITE, "pixel (nan, 511.5)"),
     ("pixel infinite", star(v=-np.inf), Reason.NON_FINITE, "-inf"),
-    ("pixel far outside", star(u=1e5), Reason.UNITS, "pixel (100000, 511.5) is nowhere in this camera's field"),
+    ("pixel far outside", star(u=1e5), Reason.UNITS, "pixel (100000, 511.5) is outside this camera's field of view"),
     ("pixel nonsense", star(v=-1e300), Reason.UNITS, "-1e+300"),
     ("sigma negative", star(sigma_px=-0.1), Reason.BAD_COVARIANCE, "sigma_px -0.1"),
     ("sigma infinite", star(sigma_px=np.inf), Reason.BAD_COVARIANCE, "sigma_px inf"),
@@ -156,7 +156,7 @@ STARS = [
 
 
 @pytest.mark.parametrize(("bad", "reason", "text"), [s[1:] for s in STARS], ids=[s[0] for s in STARS])
-def test_a_bad_star_is_left_out_and_the_others_are_as_without_it(bad: Any, reason: Reason, text: str) -> None:
+def test_a_bad_star_is_rejected_and_the_others_are_as_without_it(bad: Any, reason: Reason, text: str) -> None:
     good = star(DENEB, 300.0, 300.0), star(ALTAIR, 700.0, 200.0)
     exposure, refused = converted(observations(*good, bad))
     assert exposure.content() == converted(observations(*good))[0].content()
@@ -165,25 +165,25 @@ def test_a_bad_star_is_left_out_and_the_others_are_as_without_it(bad: Any, reaso
     assert text in refusal.text
 
 
-def test_the_same_given_place_twice_counts_once() -> None:
+def test_the_same_given_position_twice_counts_once() -> None:
     place = {"right_ascension": 1.0, "declination": 0.5}
     exposure, refused = converted(observations(star(0, **place), star(0, 520.0, **place), star(0), star(0, 530.0)))
     assert (len(exposure), [name for name, _ in refused]) == (3, ["star 2 of the message"])
 
 
-def test_a_star_left_out_is_named_by_its_number_where_that_is_asked_for() -> None:
+def test_a_rejected_star_is_named_by_its_number_on_request() -> None:
     message = observations(star(DENEB, u=np.nan), star(0, u=np.nan))
     names = [name for name, _ in read(message, named_by_number=True).left_out]
     assert names == [f"HIP {DENEB}", "star 2 of the message"]
 
 
 @pytest.mark.slow
-def test_mend_18_a_flood_of_stars_is_cut_and_said_once() -> None:
+def test_a_flood_of_stars_is_cut_and_reported_once() -> None:
     exposure, refused = converted(observations(*(star(0, float(u % 1000), 10.0) for u in range(100_000))))
     assert len(exposure) == MOST_STARS
     ((name, refusal),) = refused
     assert (name, refusal.reason) == (f"star {MOST_STARS + 1} of the message", Reason.OVERFLOW)
-    assert refusal.text == f"100000 stars in one exposure: only the first {MOST_STARS} are looked at"
+    assert refusal.text == f"100000 stars in one exposure: only the first {MOST_STARS} are used"
 
 
 WHOLE = [

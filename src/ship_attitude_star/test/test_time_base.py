@@ -1,6 +1,6 @@
-"""``ship_attitude`` and ``star_attitude`` while all clocks aboard step together: VALID within two seconds, and right.
+"""``ship_attitude`` and ``star_attitude`` during a step of all clocks aboard: VALID within two seconds, and correct.
 
-What the stars say of UTC then: where it is wrong by the step, before or after, the sky is turned by that.
+Stars then verify UTC: if it is wrong by the step, before or after it, the sky is rotated by that.
 """
 
 import functools
@@ -39,7 +39,7 @@ SIGMAS = 5.0
 
 
 def clock(*steps: tuple[float, float]) -> Clock:
-    """How far all clocks are off, ns, at a time, ns; ``steps`` are (from when, how far), s."""
+    """Return the offset of all clocks, ns, at a time, ns; ``steps`` are (start, offset), s."""
 
     def off_ns(time_ns: int) -> int:
         off_s = [far_s for since_s, far_s in steps if time_ns >= START_NS + round(since_s * SECOND_NS)]
@@ -49,7 +49,7 @@ def clock(*steps: tuple[float, float]) -> Clock:
 
 
 def stamped(arrivals: Iterable[Arrival], off_ns: Clock) -> tuple[Arrival, ...]:
-    """The messages as stamped by clocks that are off."""
+    """Return the messages with stamps of clocks with an offset."""
 
     def by_clock(arrival: Arrival) -> Arrival:
         ns = arrival.stamp_ns + off_ns(arrival.stamp_ns)
@@ -65,7 +65,7 @@ def stamped(arrivals: Iterable[Arrival], off_ns: Clock) -> tuple[Arrival, ...]:
 def sailed(
     adapter: Any, arrivals: Iterable[Arrival], off_ns: Clock, live: bool = False, node_off_ns: Clock | None = None
 ) -> Run:
-    """A run with all clocks off, the node's too or in its own way; a live node reports where its own was set."""
+    """Run with an offset of all clocks, and that or another one of the node; a live node reports steps of its clock."""
     run, last_ns, node_off_ns = Run(adapter), 0, node_off_ns or off_ns
     for arrival in stamped(arrivals, off_ns):
         now_off_ns = node_off_ns(arrival.receive_ns)
@@ -91,14 +91,14 @@ def _hand_over_one(run: Run, arrival: Arrival, off_ns: Clock) -> None:
 
 
 def not_valid_s(run: AdapterRun, since_s: float, topic: str = ATTITUDE) -> float:
-    """How long after a moment the last status other than VALID was put out, s; 0 for none."""
+    """Return the time after a start until the last status other than VALID, s; 0 for none."""
     since_ns = START_NS + round(since_s * SECOND_NS)
     bad = [ns for ns, name, m in run.published if name == topic and ns >= since_ns and m.status != Status.VALID]
     return (bad[-1] - since_ns) / SECOND_NS if bad else 0.0
 
 
 def sigmas(message: Any, true_ns: int) -> float:
-    """The largest error of an attitude in its own sigmas, where its true moment is known."""
+    """Return the largest error of an attitude in its own sigmas, if its true time is known."""
     true_nd = attitude((true_ns - START_NS) / SECOND_NS, 34.4)
     error_n = log_rotation(true_nd @ rotation_of(message).T)
     sigma_n = np.sqrt(np.diagonal(np.reshape(message.rotation_covariance, (3, 3)))[[1, 2, 0]])
@@ -106,7 +106,7 @@ def sigmas(message: Any, true_ns: int) -> float:
 
 
 def assert_right(run: Run, off_ns: Clock) -> None:
-    """Whatever is claimed is right by its own covariance; each clock's time has its attitudes in order, each once."""
+    """All attitudes are consistent with their covariance; for each clock they are in order, each once."""
     claimed = [(ns, m) for ns, topic, m in run.published if topic == ATTITUDE and m.status != Status.INVALID]
     true_ns = [stamp_of(m) - off_ns(ns - 5_000_000) for ns, m in claimed]
     assert all(earlier < later for earlier, later in pairwise(true_ns))
@@ -115,7 +115,7 @@ def assert_right(run: Run, off_ns: Clock) -> None:
 
 
 def attitudes(run: AdapterRun) -> list[tuple[float, Any]]:
-    """(s since the start, message) of what is claimed."""
+    """(s since the start, message) of the published attitudes that are not INVALID."""
     claimed = [(ns, m) for ns, topic, m in run.published if topic == ATTITUDE and m.status != Status.INVALID]
     return [((ns - START_NS) / SECOND_NS, message) for ns, message in claimed]
 
@@ -170,7 +170,7 @@ def test_the_computers_clock_is_set_five_seconds_before_or_after_the_devices(
 
 
 @pytest.mark.slow
-def test_what_is_known_of_the_ins_is_kept() -> None:
+def test_estimated_ins_errors_are_kept() -> None:
     """Heading is off by 60″ without stars; the covariance is that of before, and a second of drift."""
     run = sailed(new_adapter(), long_voyage(), clock((20.0, -300.0)), live=True)
 
@@ -197,7 +197,7 @@ def test_a_step_while_a_star_sensor_is_out(step_s: float) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("step_s", [-300.0, 900.0])
-def test_a_step_while_the_ins_is_silent(step_s: float) -> None:
+def test_a_step_during_an_ins_timeout(step_s: float) -> None:
     off_ns = clock((20.0, step_s))
     run = sailed(new_adapter(), cut(long_voyage(), 18.0, 25.0, INS), off_ns)
     assert not_valid_s(run, 25.0) < 2.0
@@ -222,7 +222,7 @@ def test_one_clock_alone_comes_back_by_itself(alone: str, until_s: float) -> Non
 
 @functools.cache
 def observed(duration_s: float = 40.0) -> tuple[Arrival, ...]:
-    """Single stars, fixes and weather with the INS."""
+    """Single stars, position fixes and weather with the INS."""
     ins = [arrival for arrival in voyage(duration_s) if arrival.topic == INS]
     return in_order([*except_(voyage_of_stars(duration_s), INS), *ins])
 
@@ -230,7 +230,7 @@ def observed(duration_s: float = 40.0) -> tuple[Arrival, ...]:
 @pytest.mark.slow
 @pytest.mark.parametrize("step_s", [-300.0, 900.0, -1.0])
 def test_utc_that_is_wrong_after_a_step_is_named_until_it_is_right(step_s: float) -> None:
-    """The sky goes on as it did: the clocks are wrong from 10 to 25 s."""
+    """The sky continues as before: the clocks are wrong from 10 to 25 s."""
     off_ns = clock((10.0, step_s), (25.0, 0.0))
     run = sailed(ShipAttitudeAdapter(observing(), FACTORY), observed(), off_ns, live=True)
     wrong = [
@@ -240,7 +240,7 @@ def test_utc_that_is_wrong_after_a_step_is_named_until_it_is_right(step_s: float
     (text,) = {text for _, text in run.diagnostics("attitude", START_NS + 12 * SECOND_NS, START_NS + 25 * SECOND_NS)}
     assert text.startswith(f"DEGRADED: UTC differs by {step_s:+.1f} s: ")
     assert_right(run, off_ns)
-    # The covariance covers that UTC was wrong before.
+    # The covariance holds the error of UTC before.
     sigma_up = np.sqrt(np.reshape(wrong[-1][1].rotation_covariance, (3, 3))[2, 2])
     assert sigma_up == pytest.approx(np.deg2rad(abs(step_s) * 15.041 / 3600.0) * np.sin(np.deg2rad(31.9)), rel=0.3)
     assert not_valid_s(run, 25.0) < 2.0
@@ -253,8 +253,8 @@ def wrong_from_the_start(time_ns: int) -> int:
 
 
 @pytest.mark.slow
-def test_utc_that_is_right_after_a_step_is_not_held_against_the_stars() -> None:
-    """The stars contradicted the INS from the start on, by more than it may be wrong, and were not used."""
+def test_correct_utc_after_a_step_does_not_exclude_the_stars() -> None:
+    """The stars contradicted the INS from the start on, by more than its error may be, and were not used."""
     run = sailed(ShipAttitudeAdapter(observing(), FACTORY), observed(), wrong_from_the_start)
     assert {m.status for ns, m in attitudes(run) if 3.0 < ns < 10.0} == {Status.DEGRADED}
     assert not_valid_s(run, 10.0) < 2.0
@@ -262,8 +262,8 @@ def test_utc_that_is_right_after_a_step_is_not_held_against_the_stars() -> None:
 
 
 @pytest.mark.slow
-def test_utc_that_was_learnt_wrong_before_the_step_needs_a_reset() -> None:
-    """An INS that may be wrong by degrees was set by the stars of another time."""
+def test_wrong_utc_before_the_step_needs_a_reset() -> None:
+    """An INS with errors of degrees was aligned by the stars of another time."""
     wide = {"frame_id": "ins", "tilt_sigma_arcsec": 20_000.0, "heading_sigma_arcsec": 20_000.0}
     adapter = ShipAttitudeAdapter(observing(ins=wide), FACTORY)
     before = [arrival for arrival in observed() if arrival.receive_ns < START_NS + 25 * SECOND_NS]
@@ -272,7 +272,7 @@ def test_utc_that_was_learnt_wrong_before_the_step_needs_a_reset() -> None:
     assert {m.status for since_s, m in attitudes(run) if since_s > 12.0} == {Status.DEGRADED}
     assert all("UTC differs by -300.0 s" in text for _, text in run.diagnostics("attitude", since_ns, run.now_ns))
     assert "call ~/reset" in run.diagnostics("attitude", since_ns, run.now_ns)[-1][1]
-    # The covariance covers the error.
+    # The covariance holds the error.
     _, last = attitudes(run)[-1]
     assert sigmas(last, stamp_of(last)) < SIGMAS
     adapter.service("reset", run.now_ns)
@@ -283,8 +283,8 @@ def test_utc_that_was_learnt_wrong_before_the_step_needs_a_reset() -> None:
 
 
 @pytest.mark.slow
-def test_an_ins_that_drifts_until_stars_come_back_no_longer_tells_utc() -> None:
-    """Stars are gone from the step on for 25 s, in which the INS may have turned by more than the sky has."""
+def test_an_ins_that_drifted_until_stars_return_cannot_verify_utc() -> None:
+    """Stars are missing from the step on for 25 s, in which the INS may have drifted by more than the sky rotation."""
     drifting = {"frame_id": "ins", "tilt_time_s": 60.0, "heading_time_s": 60.0}
     off_ns = clock((10.0, -1.0))
     dark = cut(observed(), 9.5, 35.0, "star/fore/observations", "star/starboard/observations")
@@ -321,7 +321,7 @@ def test_a_message_ahead_of_the_others_is_counted_once(monkeypatch: pytest.Monke
 
 @pytest.mark.slow
 @pytest.mark.parametrize("step_s", [-300.0, 900.0])
-def test_star_attitude_goes_on_after_a_step(step_s: float) -> None:
+def test_star_attitude_continues_after_a_step(step_s: float) -> None:
     off_ns = clock((10.0, step_s))
     run = AdapterRun(new_star_attitude())
     hand_over(run, stamped(observed(), off_ns), node_ns=lambda ns: ns + off_ns(ns))

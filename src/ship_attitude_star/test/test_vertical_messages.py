@@ -1,4 +1,4 @@
-"""The deflection of the vertical through the node's adapter: what is read, refused, published and said."""
+"""Deflection of the vertical through the adapter of the node: reading, rejection, publication and diagnostics."""
 
 import math
 from typing import Any
@@ -33,12 +33,12 @@ def run_with(*messages: Arrival, **parameters: Any) -> Run:
     return drive(adapter, in_order([*voyage(), *messages]), END_NS)
 
 
-def test_what_is_told_is_published_with_what_stars_add() -> None:
+def test_a_received_deflection_is_published_with_the_correction_by_stars() -> None:
     run = run_with(told(-1.0, 4.0, -3.0))
     published = run.messages("ship/deflection")
     assert len(published) >= 4
     last = published[-1]
-    # The INS of this voyage is 10 and 8 arcseconds off by itself: that is no reason to doubt the deflection.
+    # The INS errors of this voyage are 10 and 8 arcseconds: no reason to reject the deflection.
     assert (last.xi / ARCSEC, last.eta / ARCSEC) == (pytest.approx(4.0, abs=1.0), pytest.approx(-3.0, abs=1.0))
     sigma_arcsec = np.sqrt(np.asarray(last.covariance)[[0, 3]]) / ARCSEC
     assert np.all((sigma_arcsec > 0.5) & (sigma_arcsec <= 1.0))
@@ -54,7 +54,7 @@ def test_budget_holds_the_deflection_and_adds_up() -> None:
     np.testing.assert_allclose(parts.sum(axis=0).ravel(), budget.total, rtol=1e-9, atol=1e-9 * np.max(budget.total))
 
 
-def test_without_the_parameter_the_topic_is_not_heard_and_nothing_is_published() -> None:
+def test_without_the_parameter_the_topic_is_not_read_and_nothing_is_published() -> None:
     run = drive(new_adapter(), voyage(), END_NS)
     assert not run.messages("ship/deflection")
     assert not run.diagnostics("vertical", START_NS, END_NS)
@@ -80,14 +80,14 @@ def test_bad_messages_are_refused_and_leave_no_trace(changes: dict[str, Any], re
     assert run.results() == run_with(good).results()
 
 
-def test_a_topic_that_falls_silent_is_named_and_the_horizon_is_gravitys_once_stars_are_gone() -> None:
+def test_a_topic_timeout_is_named_and_the_horizon_is_gravity_without_stars() -> None:
     messages = [told(-1.0, 4.0, -3.0)]
     run = run_with(*messages, gravity__max_age_s=2.0)
     texts = [text for _, text in run.diagnostics("vertical", START_NS, END_NS)]
     assert texts[-1] == "no message on gravity/deflection within max_age_s = 2"
 
 
-def test_two_messages_of_one_stamp_are_told() -> None:
+def test_two_messages_of_one_stamp_are_reported() -> None:
     assert run_with(told(0.5, 4.0, -3.0), told(0.5, 4.0, -3.0)).reasons(TOPIC) == {"duplicate": 1}
     one, other = told(0.5, 4.0, -3.0), told(0.5, 5.0, -3.0)
     runs = [run_with(one, other), run_with(other, one)]

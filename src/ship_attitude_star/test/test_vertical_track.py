@@ -1,4 +1,4 @@
-"""What is known of the vertical under way: tables, messages, the way over ground; in any order of arrival."""
+"""Vertical along the track: tables, messages, distance over ground; in any order of arrival."""
 
 import itertools
 
@@ -59,12 +59,12 @@ def test_table_is_linear_between_rows_across_the_date_line() -> None:
     table = DeflectionTable(GravityConfig(**TABLE))
     np.testing.assert_allclose(table.at(at(0.05, 180.0)) / ARCSEC, [5.0, -4.0], atol=0.01)
     np.testing.assert_allclose(table.at(at(0.15, -179.95)) / ARCSEC, [20.0, -2.0], atol=0.01)
-    # Beside the track the nearest point of it counts, beyond its end the last row.
+    # Off the track the nearest point of it counts, beyond its end the last row.
     np.testing.assert_allclose(table.at(at(0.15, -179.85)) / ARCSEC, [20.0, -2.0], atol=0.05)
     np.testing.assert_allclose(table.at(at(0.3, -179.95)) / ARCSEC, [30.0, 0.0], atol=1e-9)
 
 
-def test_table_tells_nothing_beyond_its_reach_and_in_its_gaps() -> None:
+def test_table_is_not_used_beyond_its_reach_and_in_its_gaps() -> None:
     table = DeflectionTable(GravityConfig(**TABLE))
     assert table.at(at(0.2, -179.75)) is None
     gap = GravityConfig(**{**TABLE, "table_reach_m": 5000.0})
@@ -85,7 +85,7 @@ def test_configuration_that_cannot_be_used_is_named(change: dict, named: str) ->
         GravityConfig(**{**TABLE, **change})
 
 
-def test_turn_lifts_gravitys_zenith_to_the_north_and_to_the_east() -> None:
+def test_rotation_raises_the_gravity_zenith_to_the_north_and_to_the_east() -> None:
     # models.md, section 8: gravity's zenith is Up + xi North + eta East.
     track = sailed(10, 5.0, deflection="constant", xi_arcsec=6.0, eta_arcsec=-8.0)
     here = track.at(ns(10))
@@ -93,7 +93,7 @@ def test_turn_lifts_gravitys_zenith_to_the_north_and_to_the_east() -> None:
     np.testing.assert_allclose(zenith_n / ARCSEC, [6.0, 1.0 / ARCSEC, -8.0], atol=1e-3)
 
 
-def test_way_over_ground_is_sailed_and_not_the_noise_of_fixes() -> None:
+def test_distance_run_excludes_the_noise_of_fixes() -> None:
     track = sailed(600, 10.0, deflection="unknown")
     way_m = track.at(ns(600)).along_m - track.at(ns(0)).along_m
     assert way_m == pytest.approx(6000.0, abs=120.0)
@@ -106,7 +106,7 @@ def test_way_over_ground_is_sailed_and_not_the_noise_of_fixes() -> None:
     assert moored.at(ns(600)).along_m == moored.at(ns(0)).along_m
 
 
-def test_without_fixes_the_way_goes_on_and_the_table_tells_nothing() -> None:
+def test_without_fixes_the_distance_is_extrapolated_and_the_table_is_not_used() -> None:
     table = {**TABLE, "table_longitude_deg": (0.0, 0.0, 0.0)}
     track = sailed(300, 10.0, **table)
     assert track.at(ns(300)).given is not None
@@ -114,16 +114,16 @@ def test_without_fixes_the_way_goes_on_and_the_table_tells_nothing() -> None:
     before_m = track.at(ns(300)).along_m
     later = track.at(ns(600))
     assert later.given is None
-    # A fix holds for fix_max_age_s; after that her last speed counts.
+    # A fix is used for fix_max_age_s; after that the last speed counts.
     assert later.along_m - before_m == pytest.approx(3000.0, abs=200.0)
     assert "no position fix" in track.told(ns(600))
-    # So far away at once a fix is believed after a minute.
+    # A fix so far away is accepted after a minute.
     for second in range(600, 670):
         track.insert(fix(second, 60_000.0))
     assert "nearest is 38 km away" in track.told(ns(669))
 
 
-def test_a_message_holds_until_it_is_too_old() -> None:
+def test_a_message_is_used_until_its_maximum_age() -> None:
     track = VerticalTrack(GravityConfig(deflection="topic", max_age_s=60.0), SkyConfig())
     assert track.at(ns(0)).given is None
     track.insert(told(10.0, 3.0))
@@ -150,7 +150,7 @@ def test_order_of_arrival_does_not_matter() -> None:
     assert len(ends) == 1
 
 
-def test_what_is_forgotten_changes_no_later_answer() -> None:
+def test_discarded_data_change_no_later_result() -> None:
     kept, dropping = (VerticalTrack(GravityConfig(deflection="unknown"), SkyConfig()) for _ in range(2))
     for second in range(1000):
         for track in (kept, dropping):

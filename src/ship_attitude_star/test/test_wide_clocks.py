@@ -1,6 +1,6 @@
-"""Another attitude system whose clock is told to 0.2 s and whose angles to 2°, the defaults, on a ship in waves.
+"""Another attitude system whose clock is configured to 0.2 s and whose angles to 2°, the defaults, on a ship in waves.
 
-Truth is drawn with these sigmas. In 0.4 s a ship that rolls by 7° turns by as much as 2°, and not evenly.
+The truth is drawn with these sigmas. In 0.4 s a ship that rolls by 7° rotates by as much as 2°, not linearly.
 """
 
 import os
@@ -58,7 +58,7 @@ class Waves:
 
 @dataclass(frozen=True)
 class Voyage:
-    """What both systems say, and the truth about the reference: its installation (3) and the offset of its clock."""
+    """Data of both systems, and the truth about the reference: its installation (3) and the offset of its clock."""
 
     samples: list[AttitudeSample]
     measurements: list[AttitudeMeasurement]
@@ -87,7 +87,7 @@ def voyage(seed: int, offset_s: float | None = None, waves: float = 1.0, duratio
 
 
 def sailed(run: Voyage, late_ns: dict[int, int] | None = None) -> tuple[ShipAttitudeCore, int]:
-    """The core at the end, and how many measurements were refused; some arrive late by so much, by their stamps."""
+    """Return the core at the end, and the number of rejected measurements; some arrive late, by their stamps."""
     late_ns = late_ns or {}
     core, refused = ShipAttitudeCore(CONFIG), 0
     everything = [*run.samples, *run.measurements]
@@ -99,7 +99,7 @@ def sailed(run: Voyage, late_ns: dict[int, int] | None = None) -> tuple[ShipAtti
 
 
 def nees(core: ShipAttitudeCore, truth: FloatArray) -> float:
-    """Of the installation and the offset."""
+    """NEES of the installation and the offset."""
     model = core.filter.model
     rows = np.r_[model.rows("reference.other.installation"), model.rows("reference.other.time_offset")]
     return float(normalized_error_squared(truth - core.state.mean[rows], core.state.covariance[np.ix_(rows, rows)]))
@@ -107,20 +107,20 @@ def nees(core: ShipAttitudeCore, truth: FloatArray) -> float:
 
 @pytest.mark.statistics
 @pytest.mark.parametrize("waves", [0.2, 1.0, 3.0])
-def test_mend_11_a_reference_at_its_default_priors_is_honest(waves: float) -> None:
+def test_a_reference_at_its_default_priors_is_consistent(waves: float) -> None:
     """Mean NEES was 20.7 where 4 is expected, the worst 377."""
     runs = [voyage(seed, waves=waves) for seed in range(SEEDS)]
     ends = [sailed(run) for run in runs]
     low, high = mean_nees_band(SEEDS, 4)
     assert low <= np.mean([nees(core, run.truth) for (core, _), run in zip(ends, runs, strict=True)]) <= high
-    # In waves of 20° some first ones are refused: an offset far off leads nowhere.
+    # In waves of 20° some first ones are rejected: a far offset does not converge.
     assert sum(refused for _, refused in ends) <= 0.02 * sum(len(run.measurements) for run in runs)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("offset_s", [-0.6, -0.38, 0.36, 0.40, 0.6])
-def test_mend_11_a_clock_two_or_three_sigma_off_is_found(offset_s: float) -> None:
-    """Offsets of 0.36 to 0.40 s ended 10 to 15 sigma off, with 95 % of the measurements refused for ever."""
+def test_a_clock_offset_of_two_or_three_sigma_is_estimated(offset_s: float) -> None:
+    """Offsets of 0.36 to 0.40 s ended 10 to 15 sigma off, with 95 % of the measurements rejected for ever."""
     for seed in range(4):
         run = voyage(seed, offset_s)
         core, refused = sailed(run)
@@ -128,8 +128,8 @@ def test_mend_11_a_clock_two_or_three_sigma_off_is_found(offset_s: float) -> Non
         assert refused <= 0.05 * len(run.measurements)
 
 
-def test_mend_11_any_order_within_the_lag_ends_in_the_same_state() -> None:
-    """What is compared at a moment that the estimate leads to is compared anew where samples around it come late."""
+def test_any_order_within_the_lag_ends_in_the_same_state() -> None:
+    """A measurement whose estimate needs another INS time is evaluated again when samples around it arrive late."""
     run, rng = voyage(3, -0.4, duration_s=12.0), np.random.default_rng(5)
     late_ns = {item.time_ns: int(rng.integers(0, SECOND_NS)) for item in [*run.samples, *run.measurements]}
     in_order, _ = sailed(run)
@@ -139,8 +139,8 @@ def test_mend_11_any_order_within_the_lag_ends_in_the_same_state() -> None:
     assert in_order.state.parts.tobytes() == shuffled.state.parts.tobytes()
 
 
-def test_mend_11_the_first_measurements_of_an_ins_are_used_too() -> None:
-    """There the INS has not told yet how the ship moves three sigma of the clock before: nearer attitudes tell it."""
+def test_the_first_measurements_of_an_ins_are_used_too() -> None:
+    """The INS data do not yet cover the motion three sigma of the clock before: nearer attitudes are used."""
     run = voyage(1, 0.3, duration_s=4.0)
     core = ShipAttitudeCore(CONFIG)
     decisions = []

@@ -1,4 +1,4 @@
-"""Words for the operator where a source keeps disagreeing with the INS: which of the two is wrong, where to look."""
+"""Diagnosis hints for a lasting disagreement of a source with the INS: probable cause and parameters to check."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,33 +12,33 @@ from ship_geometry.frames import angles_from_rotation
 from ship_geometry.rotations import FloatArray, angle_between, wrap_pi
 
 _EXPLAINED_RAD: float = np.deg2rad(5.0)
-"""A mistake explains a disagreement where no more than this is left once the mistake is taken out."""
+"""Maximum remaining difference for a heading mistake to explain a disagreement, rad."""
 
 _PLAIN_RAD = np.deg2rad(10.0)
-"""Up to this a disagreement in heading needs no mistake to explain it; near 45° and 225° any mistake would."""
+"""Minimum heading difference for a hint, rad; near 45° and 225° any mistake would explain a smaller one."""
 
 _SAME_TILT_RAD = np.deg2rad(15.0)
-"""A heading mistake does not change the tilt; a pitch sign error does. Tilts closer than this agree."""
+"""Maximum tilt difference for a heading mistake, rad: a heading mistake does not change the tilt."""
 
 _QUARTER_TURN = 0.5 * np.pi
 _STAR = "star."
 _ALIKE = 0.5
-"""Two disagreements with the INS that differ by less than this share of the smaller one count as the same."""
+"""Maximum difference of two equal residuals, as a ratio to the smaller one."""
 
 _RECENT_NS = 10_000_000_000
-"""What a source said longer ago than this does not tell who is wrong now."""
+"""Maximum age of a measurement for a hint, ns."""
 
 _ALIKE_CHI2 = chi_square_gate(0.999, 3)
 
 
 @dataclass(frozen=True)
 class Departure:
-    """How far a refused measurement is from the attitude that the INS made expect.
+    """Residual of a rejected attitude.
 
     Attributes:
         time_ns: stamp of the measurement.
-        turn_n: from the expected attitude to the measured one, rotation vector in the horizon frame, rad, shape (3,).
-        noise_n: covariance of that turn by the measurement's own noise, rad², shape (3, 3).
+        turn_n: rotation from predicted to measured attitude, rotation vector in the horizon frame, rad, shape (3,).
+        noise_n: its covariance by the measurement noise, rad², shape (3, 3).
     """
 
     time_ns: int
@@ -54,13 +54,13 @@ def who_is_wrong(
     ins_nd: FloatArray,
     measured_nd: FloatArray,
 ) -> str:
-    """What the usual mistakes and the other sources say about a source that keeps disagreeing with the INS.
+    """Return a diagnosis hint for a lasting disagreement of a source with the INS.
 
     Args:
-        source: the source that disagrees.
-        refusals: by source, the number of its refusals in a row.
-        used_ns: by source, the stamp of its last measurement that was used.
-        departures: by source, how far its last refused measurement was off.
+        source: source that disagrees with the INS.
+        consecutive_rejections: number of consecutive rejections by source.
+        last_used_ns: stamp of the last accepted measurement by source, ns.
+        rejected_residuals: residual of the last rejected measurement by source.
         ins_nd: attitude of the deck by the INS, shape (3, 3).
         measured_nd: attitude of the deck by the source, shape (3, 3).
     """
@@ -76,17 +76,17 @@ def who_is_wrong(
 
 
 def heading_hint(ins_nd: FloatArray, measured_nd: FloatArray, source: str, ins_confirmed: bool) -> str:
-    """What to look at where the headings differ by one of the common mistakes of marine drivers; otherwise empty.
+    """Return a hint if the headings differ by a common mistake of marine drivers, else an empty text.
 
     Args:
         ins_nd: attitude of the deck by the INS, shape (3, 3).
         measured_nd: attitude of the deck by the other source, shape (3, 3).
         source: the other source, ``star.<id>`` or ``reference.<name>``.
-        ins_confirmed: whether other sources agree with the INS: then the mistake is not on its side.
+        ins_confirmed: True if other sources are consistent with the INS, which is then not the cause.
     """
     by_ins, measured = angles_from_rotation(ins_nd)[0], angles_from_rotation(measured_nd)[0]
     difference = abs(float(wrap_pi(measured - by_ins)))
-    # Row 1 is the direction Up as seen from the deck.
+    # Row 1 is the direction Up in the deck frame.
     tilt = float(angle_between(ins_nd[1], measured_nd[1]))
     # Written so that NaN gives no hint.
     if not (difference > _PLAIN_RAD and tilt < _SAME_TILT_RAD):
@@ -95,35 +95,35 @@ def heading_hint(ins_nd: FloatArray, measured_nd: FloatArray, source: str, ins_c
     if _near(by_ins + measured, _QUARTER_TURN) and not (ins_confirmed and _is_star(source)):
         look = f"references.{_id(source)}.convention" if ins_confirmed else "ins.convention"
         driver = source if ins_confirmed else "the INS"
-        return f", as if heading were given as yaw (90° - heading): look at {look} and at the driver of {driver}"
+        return f", as if heading were given as yaw (90° - heading): check {look} and the driver of {driver}"
     if _near(difference, _QUARTER_TURN):
         ins = "" if ins_confirmed else "ins.convention, ins.installation_heading_deg and "
-        return f" by about 90° in heading: look at {ins}{mounted}"
+        return f" by about 90° in heading: check {ins}{mounted}"
     if _near(difference, np.pi):
         ins = "" if ins_confirmed else " and ins.installation_heading_deg"
-        return f" by about 180° in heading: look at {mounted}{ins}"
+        return f" by about 180° in heading: check {mounted}{ins}"
     return ""
 
 
 def odd_one_out(source: str, agreeing: Sequence[str], disagreeing: Mapping[str, Departure]) -> str:
-    """Who is wrong where a source and the INS disagree, by what the other sources say.
+    """Return a text about which sources are consistent with the INS and which are not.
 
     Args:
-        source: the source that disagrees.
-        agreeing: the other sources that agree with the INS.
-        disagreeing: the sources that do not, ``source`` among them, and how far each is off.
+        source: source that disagrees with the INS.
+        consistent: other sources, consistent with the INS.
+        inconsistent: residuals of the sources that disagree with the INS, ``source`` included.
     """
     others = [other for other in disagreeing if other != source]
     if agreeing and not others:
-        return f"{source} is the odd one out, {_listed(agreeing)} with the INS"
+        return f"only {source} differs, {_listed(agreeing)} with the INS"
     if agreeing:
         against = f"{', '.join(sorted(disagreeing))} disagree with the INS"
         return f"{against}, {_listed(agreeing)} with it"
     if not others:
-        return "which of the two is wrong, no other source tells"
+        return "no other source shows which of the two is faulty"
     if _all_alike(list(disagreeing.values())):
-        return f"the INS is the odd one out, {', '.join(sorted(disagreeing))} disagree with it alike"
-    return f"{', '.join(sorted(disagreeing))} disagree with the INS, and with one another"
+        return f"only the INS differs, {', '.join(sorted(disagreeing))} disagree with it equally"
+    return f"{', '.join(sorted(disagreeing))} disagree with the INS and with each other"
 
 
 def _listed(agreeing: Sequence[str]) -> str:
@@ -135,7 +135,7 @@ def _all_alike(departures: Sequence[Departure]) -> bool:
 
 
 def _alike(first: Departure, second: Departure) -> bool:
-    """Whether two disagreements are the same one, as far as their size or their noise tells."""
+    """True if two residuals are equal within half the smaller one or within their noise."""
     apart = first.turn_n - second.turn_n
     size = min(float(np.linalg.norm(first.turn_n)), float(np.linalg.norm(second.turn_n)))
     if float(np.linalg.norm(apart)) <= _ALIKE * size:
@@ -145,7 +145,7 @@ def _alike(first: Departure, second: Departure) -> bool:
 
 
 def _mounted(source: str) -> str:
-    """The parameter that says how a source is mounted in heading."""
+    """Return the name of the parameter with the mounting heading of a source."""
     if source == BASELINE:
         return "ship_baseline.forward_m and right_m"
     return f"star_sensors.{_id(source)}.azimuth_deg" if _is_star(source) else f"references.{_id(source)}.heading_deg"

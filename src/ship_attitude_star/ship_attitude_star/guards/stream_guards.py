@@ -1,4 +1,4 @@
-"""The guards that watch the streams of all inputs of one run, in the order of their stamps."""
+"""Plausibility checks of all input streams of a run, in the order of their stamps."""
 
 import math
 
@@ -17,14 +17,14 @@ from ship_geometry.rotations import FloatArray
 
 
 class StreamGuards:
-    """Refuses inputs that are well formed but cannot be true, each source judged by what the others say.
+    """Plausibility checks of inputs by comparison with other sources.
 
     Args:
-        config: the INS.
+        config: parameters of the INS.
 
     Attributes:
-        ins: the guard of the INS's samples.
-        witnesses: by source, its last attitude that was used: how the ship moves, for the guards of the others.
+        ins: check of the INS samples.
+        motion_references: last used attitude by source, as motion references for the checks of other sources.
     """
 
     def __init__(self, config: GuardedInsConfig) -> None:
@@ -34,13 +34,13 @@ class StreamGuards:
         self._latest_ns: dict[str, int] = {}
 
     def check(self, measurement: Measurement, track: AttitudeTrack) -> Refusal | None:
-        """The refusal of a measurement that stands still while other sources move; None where nothing is wrong with it.
+        """Return the rejection of a measurement that is constant while other sources move; None if it is plausible.
 
-        A measurement that comes after a later one of its source is not watched: guards follow a stream in its order.
+        A measurement older than the last one of its source is not checked, because streams are checked in order.
 
         Args:
-            measurement: of any kind.
-            track: the INS's samples used so far.
+            measurement: measurement of any kind.
+            track: INS samples used so far.
         """
         source, time_ns = measurement.source, measurement.time_ns
         if time_ns <= self._latest_ns.get(source, time_ns - 1):
@@ -49,7 +49,7 @@ class StreamGuards:
         if watched is None:
             return None
         value, sigma_rad, stands_still = watched
-        # An exposure that shows no star may be followed by another one, also on a moving ship.
+        # Exposures without stars may repeat, also on a moving ship.
         if len(value) > 0:
             witnesses = {name: witness for name, witness in self.witnesses.items() if name != source}
             ins, by_rates = track.last_before(time_ns), self.ins.by_rates
@@ -67,21 +67,21 @@ class StreamGuards:
         return None
 
     def used(self, attitude: AttitudeMeasurement) -> None:
-        """Take an attitude that was not refused: from now on it tells the other guards how the ship moves."""
+        """Add an accepted attitude as motion reference for the other checks."""
         sigma_rad = _sigma_rad(attitude.noise_v)
         self.witnesses[attitude.source] = Witness(attitude.time_ns, attitude.rotation_nv, sigma_rad)
 
 
 def _watched(measurement: Measurement) -> tuple[FloatArray, float, str] | None:
-    """What must not stand still on a moving ship, the noise of its worst part in rad, and what is said where it does.
+    """Return the value to check for being constant, its largest standard deviation, rad, and a text for a rejection.
 
-    None where a measurement is of a kind that may stand still.
+    None for a kind of measurement that is not checked.
     """
     if isinstance(measurement, StarExposure):
         sigma_rad = float(measurement.sigma.max(initial=0.0))
         return measurement.directions_s, sigma_rad, "stars stand still on the detector"
     if isinstance(measurement, InertialAttitude):
-        # Against the stars even a ship at rest turns.
+        # Relative to the stars even a ship at rest rotates.
         return measurement.rotation_cs, _sigma_rad(measurement.noise_s), "attitude against the stars stands still"
     if isinstance(measurement, BaselineMeasurement):
         sigma_rad = _sigma_rad(measurement.noise_n) / measurement.length_m
@@ -92,5 +92,5 @@ def _watched(measurement: Measurement) -> tuple[FloatArray, float, str] | None:
 
 
 def _sigma_rad(covariance: FloatArray) -> float:
-    """Standard deviation about the worst axis."""
+    """Return the largest standard deviation of the axes."""
     return math.sqrt(max(covariance.diagonal().tolist()))

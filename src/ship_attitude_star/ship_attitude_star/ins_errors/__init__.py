@@ -1,4 +1,4 @@
-"""How the error of an INS goes on with time and way, where more is known of it than how fast it dies out.
+"""Error processes of an INS beyond independent first-order Gauss-Markov processes.
 
-Knows the vertical (room ``vertical``), no star and no filter.
+The folder imports ``vertical``, but neither stars nor the filter.
 """

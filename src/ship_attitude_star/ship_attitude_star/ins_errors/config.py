@@ -1,4 +1,4 @@
-"""Parameters of an INS whose error oscillates as that of free gyroscopes and accelerometers does."""
+"""Parameters of an INS with the Schuler error model."""
 
 import math
 from dataclasses import dataclass
@@ -14,38 +14,38 @@ _RADIUS_M = 6_371_000.0
 
 @dataclass(frozen=True, kw_only=True)
 class SchulerConfig:
-    """The sensors of an INS, by which its tilt and its velocity go wrong; used where ins.model is schuler."""
+    """Errors of the INS sensors; used if ins.model is schuler."""
 
     velocity_sigma_m_per_s: float = parameter(
-        0.3, doc="error of the INS's own velocity at the start, each axis", unit="m/s", minimum=0.0, maximum=100.0
+        0.3, doc="error of the INS velocity at the start, each axis", unit="m/s", minimum=0.0, maximum=100.0
     )
     position_sigma_m: float = parameter(
-        100.0, doc="error of the INS's own latitude at the start, where nothing damps it", unit="m",
+        100.0, doc="error of the INS latitude at the start, if position aiding does not damp it", unit="m",
         minimum=0.0, maximum=1e6,
     )  # fmt: skip
     gyro_drift_sigma_deg_per_h: float = parameter(
         0.002, doc="drift of the gyroscopes, each axis", unit="deg/h", minimum=0.0, maximum=100.0
     )
     gyro_drift_time_s: float = parameter(
-        36_000.0, doc="correlation time of that drift", unit="s", minimum=1.0, maximum=1e7
+        36_000.0, doc="correlation time of the gyroscope drift", unit="s", minimum=1.0, maximum=1e7
     )
     angle_walk_deg_per_sqrt_h: float = parameter(
-        0.0003, doc="random walk of the attitude by noise of the gyroscopes", unit="deg/sqrt(h)",
+        0.0003, doc="random walk of the attitude by gyroscope noise", unit="deg/sqrt(h)",
         minimum=0.0, maximum=10.0,
     )  # fmt: skip
     accelerometer_bias_sigma_m_per_s2: float = parameter(
         1e-4, doc="bias of the accelerometers, each axis; 1e-4 tilts by 2 arcsec", unit="m/s2", minimum=0.0, maximum=1.0
     )
     accelerometer_bias_time_s: float = parameter(
-        36_000.0, doc="correlation time of that bias", unit="s", minimum=1.0, maximum=1e7
+        36_000.0, doc="correlation time of the accelerometer bias", unit="s", minimum=1.0, maximum=1e7
     )
     velocity_walk_m_per_s_per_sqrt_h: float = parameter(
-        0.003, doc="random walk of the velocity by noise of the accelerometers", unit="m/s/sqrt(h)",
+        0.003, doc="random walk of the velocity by accelerometer noise", unit="m/s/sqrt(h)",
         minimum=0.0, maximum=100.0,
     )  # fmt: skip
     damping_time_s: float = parameter(
         0.0,
-        doc="time in which position aiding takes out an error of the velocity; 0: none, its latitude is its own",
+        doc="time constant with which position aiding damps the velocity error; 0: no position aiding",
         unit="s",
         minimum=0.0,
         maximum=1e7,
@@ -53,17 +53,17 @@ class SchulerConfig:
 
     @property
     def is_free(self) -> bool:
-        """Whether the INS finds its velocity and its latitude by itself."""
+        """True if velocity and latitude of the INS are not damped by position aiding."""
         return self.damping_time_s == 0.0
 
     @property
     def latitude_sigma(self) -> float:
-        """Sigma of its latitude at the start, rad."""
+        """Standard deviation of its latitude at the start, rad."""
         return self.position_sigma_m / _RADIUS_M if self.is_free else 0.0
 
     @property
     def gyro_drift(self) -> float:
-        """Sigma of the gyroscopes' drift, rad/s."""
+        """Standard deviation of the gyroscope drift, rad/s."""
         return math.radians(self.gyro_drift_sigma_deg_per_h) / _HOUR_S
 
     @property

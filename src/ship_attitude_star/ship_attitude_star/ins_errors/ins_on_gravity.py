@@ -1,16 +1,15 @@
-"""How the INS's attitude error goes on where the deflection of the vertical is a state of its own.
+"""Gauss-Markov error process of the INS attitude with the deflection of the vertical as a state.
 
-The INS levels itself on gravity, stars know the ellipsoid. The whole error of its attitude against the geodetic horizon
-is u = a + G d, with a its own slow error, which dies out with time, d = (xi, eta) the deflection, which changes with
-the way over ground, and G the turn by it (:attr:`VerticalHere.turn`). The state ``ins.attitude`` holds u, so that
-everything that asks how wrong the INS is finds the answer there, and ``gravity.deflection`` holds d.
+The INS is levelled by gravity, stars refer to the ellipsoid. The attitude error relative to the geodetic horizon is
+u = a + G d. Here a is the correlated error of the INS, which decays with time, d = (xi, eta) the deflection, which
+changes with the distance over ground, and G the rotation by it (:attr:`LocalVertical.deflection_jacobian`). The state
+``ins.attitude`` holds u, the state ``gravity.deflection`` holds d.
 
-Over the time t and the way s, with what is given of the deflection before (g) and after (g'):
+Over the time t and the distance s, with the known deflection before (g) and after (g'):
 
     a' = exp(-t / T) a + noise        d' = g' + exp(-s / L) (d - g) + noise        u' = a' + G d'
 
-The noise of d is such that its error keeps the covariance that :attr:`VerticalHere.covariance` tells (docs/explanation/
-vertical.md).
+The noise of d keeps the covariance of its error at :attr:`LocalVertical.covariance` (docs/explanation/vertical.md).
 """
 
 from collections.abc import Sequence
@@ -27,11 +26,11 @@ _SIZE = 5
 
 
 class InsOnGravity:
-    """The process of the states ``ins.attitude`` and ``gravity.deflection``.
+    """Process of the states ``ins.attitude`` and ``gravity.deflection``.
 
     Args:
-        slow: the INS's own slow error: its sigma and correlation time about (North, Up, East).
-        length_m: correlation length of the deflection over ground.
+        slow: correlated error of the INS: standard deviation and correlation time about (North, Up, East).
+        length_m: correlation length of the deflection over ground, m.
     """
 
     blocks: tuple[str, ...] = ("ins.attitude", "gravity.deflection")
@@ -51,7 +50,7 @@ class InsOnGravity:
         self, since_ns: int, before: VerticalHere, times_ns: Sequence[int], vertical: Vertical
     ) -> Carried:
         """See :class:`InsProcess`."""
-        # Moments within an even second share one vertical.
+        # Times within one interval of the vertical share its object.
         kinds, of = _kinds([vertical.at(time_ns) for time_ns in times_ns])
         along = [self._along(before, here) for here in kinds]
         turn, left, shift, fresh = (np.array(column)[of] for column in zip(*along, strict=True))
@@ -74,18 +73,18 @@ class InsOnGravity:
         return after
 
     def _along(self, before: VerticalHere, here: VerticalHere) -> tuple[FloatArray, float, FloatArray, FloatArray]:
-        """Turn, what is left of the deflection, what is added to the states, and the covariance of what comes new."""
+        """Return the deflection Jacobian, remaining ratio, shift of the states, and covariance added to them."""
         change, moved_by = deflection_change(before, here, self._length_m), _moved_by_deflection(here)
         return here.turn, change.left, moved_by @ change.moved, moved_by @ change.fresh @ moved_by.T
 
 
 def _moved_by_deflection(here: VerticalHere) -> FloatArray:
-    """How the states follow a change of the deflection, shape (5, 2)."""
+    """Return the derivative of the states by the deflection, shape (5, 2)."""
     return np.vstack([here.turn, np.eye(2)])
 
 
 def _kinds(verticals: list[VerticalHere]) -> tuple[list[VerticalHere], list[int]]:
-    """The different ones of successive verticals, and which of these each one is."""
+    """Return the distinct objects among successive verticals, and the index of each into them."""
     kinds, of = [verticals[0]], []
     for here in verticals:
         if here is not kinds[-1]:

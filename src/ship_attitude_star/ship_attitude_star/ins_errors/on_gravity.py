@@ -1,4 +1,4 @@
-"""The error of the INS at moments after a state of the filter, where a process of its own carries it."""
+"""INS errors at times after a filter state, propagated by an error process."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -11,22 +11,21 @@ from ship_attitude_star.vertical.vertical_track import VerticalHere, VerticalTra
 from ship_geometry.rotations import FloatArray
 
 _CLOCK = 3
-"""Where the INS's time offset stands among the states that correct it; before and after it are those of its process."""
+"""Index of the INS time offset among the states that correct the INS; the states of its process are around it."""
 
 _DEFLECTION = slice(4, 6)
-"""The deflection of the vertical among them, where it is modelled."""
+"""Slice of the deflection of the vertical among these states, if it is modelled."""
 
 
 class InsErrors(NamedTuple):
-    """The INS's error at N moments, against the horizon that was asked for.
+    """INS errors at N times, relative to the published horizon.
 
     Attributes:
-        error_n: of the attitude (north, up, east), rad, shape (N, 3).
-        parts: covariance of it and of the time offset by source, shape (N, n_sources, 4, 4).
-        deflection: (xi, eta), rad, shape (N, 2); no columns where it is not modelled.
-        deflection_covariance: of it, rad², shape (N, 2, 2), or (N, 0, 0).
-        vertical_known: whether the deflection is given, or known better than half of what it may be where none is,
-            shape (N,).
+        error_n: attitude error (north, up, east), rad, shape (N, 3).
+        covariance_by_source: covariance of attitude error and time offset by error source, shape (N, n_sources, 4, 4).
+        deflection: (xi, eta), rad, shape (N, 2); (N, 0) if it is not modelled.
+        deflection_covariance: covariance of the deflection, rad², shape (N, 2, 2), or (N, 0, 0).
+        vertical_known: True if the deflection is known, or estimated better than half its prior, shape (N,).
     """
 
     error_n: FloatArray
@@ -37,15 +36,14 @@ class InsErrors(NamedTuple):
 
 
 class OnGravity:
-    """What carries the states that correct the INS: its attitude error, its time offset, the rest of its process.
+    """Propagation of the states that correct the INS: attitude error, time offset and the rest of its process.
 
     Args:
-        process: of the INS's error.
-        vertical: the vertical under way.
-        sources: indices of the error sources of the INS and of the deflection; the same twice where that is not
-            modelled.
-        models_deflection: whether the process carries the deflection.
-        to_gravity: whether the attitude is told against gravity's horizon, which needs the deflection.
+        process: error process of the INS.
+        vertical: vertical along the track.
+        sources: indices of the error sources of the INS and of the deflection, equal if that is not modelled.
+        models_deflection: True if the process contains the deflection.
+        to_gravity: True if the attitude is published relative to the gravity horizon.
     """
 
     def __init__(
@@ -69,14 +67,14 @@ class OnGravity:
         parts: FloatArray,
         times_ns: Sequence[int],
     ) -> InsErrors:
-        """The INS's error at some moments.
+        """Return the INS errors at N times.
 
         Args:
-            since_ns: the moment of the state; None before the first measurement.
-            before: the vertical at that moment; None likewise.
-            mean: of the n states that correct the INS, shape (n,).
-            parts: their covariance by source, shape (n_sources, n, n).
-            times_ns: the moments, none before that of the state, in ascending order, N of them.
+            since_ns: time of the state; None before the first measurement.
+            before: vertical at that time; None before the first measurement.
+            mean: mean of the n states that correct the INS, shape (n,).
+            covariance_by_source: their covariance by error source, shape (n_sources, n, n).
+            times_ns: N times, none before that of the state, in ascending order.
         """
         verticals = [self._vertical.at(time_ns) for time_ns in times_ns]
         count, size = len(times_ns), len(mean)
@@ -84,7 +82,7 @@ class OnGravity:
         transition, noise = np.tile(np.eye(size), (count, 1, 1)), np.zeros((count, len(parts), size, size))
         rows, columns = np.ix_(self._of_process, self._of_process)
         if since_ns is None or before is None:
-            # Nothing was measured: at each moment the state would begin anew.
+            # Before the first measurement the state is the initial one at each time.
             begun = [self._process.begun(here) for here in verticals]
             of_process += [shift for shift, _ in begun]
             noise[:, self._deflection, rows, columns] = [covariance for _, covariance in begun]
@@ -107,7 +105,7 @@ class OnGravity:
         )
 
     def _known(self, covariance: FloatArray, verticals: Sequence[VerticalHere]) -> NDArray[np.bool_]:
-        """Whether the deflection is given, or known better than half of what it may be where none is, shape (N,)."""
+        """Return True if the deflection is known, or estimated better than half its prior, shape (N,)."""
         if not self._models_deflection:
             return np.zeros(len(verticals), dtype=bool)
         # Written so that NaN is not known.
@@ -116,7 +114,7 @@ class OnGravity:
         return known
 
     def _told(self, verticals: Sequence[VerticalHere]) -> FloatArray:
-        """What is told of the states of the process: the error against the horizon asked for, shape (N, 3, n)."""
+        """Return the matrix from process states to the error relative to the published horizon, shape (N, 3, n)."""
         size = self._process.size
         if not self._to_gravity:
             return np.tile(np.eye(3, size), (len(verticals), 1, 1))

@@ -1,4 +1,4 @@
-"""What a process of the INS's error is: the states that it carries, and what a time and a way make of them."""
+"""Interface of an error process of the INS: its states and their propagation over time and distance."""
 
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
@@ -9,21 +9,20 @@ from ship_attitude_star.vertical.vertical_track import VerticalHere
 from ship_geometry.rotations import FloatArray
 
 WHOLE = slice(0, 3)
-"""The first states of each process: the whole error of the INS's attitude (north, up, east) against the geodetic
-horizon."""
+"""Slice of the INS attitude error (north, up, east) relative to the geodetic horizon: the first states of a process."""
 
 DEFLECTION = slice(3, 5)
-"""The deflection of the vertical (xi, eta), in processes that carry it."""
+"""Slice of the deflection of the vertical (xi, eta), in processes that contain it."""
 
 
 class Carried(NamedTuple):
-    """What a time and a way make of the n states of a process, at N moments; all shapes with (N,) in front.
+    """Propagation of the n states of a process to N times; all shapes with (N,) in front.
 
     Attributes:
-        transition: of the states, shape (n, n).
-        shift: added to them, shape (n,).
-        ins_noise: covariance of the INS's own new error, shape (n, n).
-        deflection_noise: covariance of what comes new by the deflection, shape (n, n).
+        transition: transition matrix of the states, shape (n, n).
+        shift: shift added to the states, shape (n,).
+        ins_noise: covariance added by INS errors, shape (n, n).
+        deflection_noise: covariance added by the deflection, shape (n, n).
     """
 
     transition: FloatArray
@@ -33,19 +32,19 @@ class Carried(NamedTuple):
 
 
 class Vertical(Protocol):
-    """What tells the vertical at any moment."""
+    """Source of the vertical at any time."""
 
     def at(self, time_ns: int) -> VerticalHere:
-        """The vertical; within one even second the same object."""
+        """Return the vertical at a time; the same object within an interval of two seconds."""
 
 
 class InsProcess(Protocol):
-    """The process of the INS's error.
+    """An error process of the INS.
 
     Attributes:
-        blocks: names of the blocks of states that it carries, in its own order; ``ins.attitude`` is the first.
-        size: how many states these are.
-        needs_latitude: whether it says nothing that is true before the first position fix.
+        blocks: names of its state blocks, in order; ``ins.attitude`` is the first.
+        size: number of its states.
+        needs_latitude: True if it is not valid before the first position fix.
     """
 
     blocks: tuple[str, ...]
@@ -53,35 +52,35 @@ class InsProcess(Protocol):
     needs_latitude: bool
 
     def begun(self, here: VerticalHere) -> tuple[FloatArray, FloatArray]:
-        """The states where nothing was measured yet, shape (n,), and their covariance by the deflection, (n, n)."""
+        """Return the initial states, shape (n,), and their covariance by the deflection, shape (n, n)."""
 
     def carried(
         self, since_ns: int, before: VerticalHere, times_ns: Sequence[int], vertical: Vertical
     ) -> Carried:
-        """What time and way make of the states.
+        """Return the propagation of the states.
 
         Args:
-            since_ns: the moment from which on.
-            before: the vertical at that moment.
-            times_ns: N moments, none before it, in ascending order.
-            vertical: the vertical under way.
+            since_ns: start time.
+            before: vertical at the start time.
+            times_ns: N times, none before the start, in ascending order.
+            vertical: source of the vertical along the track.
         """
 
     def means(self, means: FloatArray, before: VerticalHere, carried: Carried) -> FloatArray:
-        """The states of h rows, shape (h, n), at N moments, shape (N, h, n).
+        """Return the propagated states of h filters, shape (h, n), at N times, shape (N, h, n).
 
-        An error of the attitude far beyond its sigma, as after a jump, does not die out
-        (:func:`ship_estimation.kalman.lasting`).
+        An attitude error far beyond its standard deviation, as after a jump, does not decay
+        (:func:`ship_estimation.kalman.exceeds_model`).
         """
 
 
 class DeflectionChange(NamedTuple):
-    """What a way makes of the deflection d: left * d + moved, and its error's own new part.
+    """Change of the deflection d over a distance: remaining_ratio * d + shift, with added noise.
 
     Attributes:
-        left: how much of the deflection before is left.
-        moved: what is added, shape (2,).
-        fresh: covariance of what is added, shape (2, 2).
+        remaining_ratio: remaining ratio of the earlier deflection.
+        shift: shift, rad, shape (2,).
+        noise: covariance of the added error, rad², shape (2, 2).
     """
 
     left: float
@@ -90,15 +89,15 @@ class DeflectionChange(NamedTuple):
 
 
 def deflection_change(before: VerticalHere, here: VerticalHere, length_m: float) -> DeflectionChange:
-    """How the deflection changes from one place to a later one, its errors being correlated over ``length_m``."""
+    """Return the change of the deflection between two positions, with the correlation length of its error, m."""
     left = float(np.exp(-max(here.along_m - before.along_m, 0.0) / length_m))
     moved = np.zeros(2)
     if here.given is not None:
-        # What is given for the first time changes nothing at once: the estimate goes there with the way.
+        # A deflection known for the first time has no immediate effect: the estimate approaches it over distance.
         moved = here.given - left * (here.given if before.given is None else before.given)
     return DeflectionChange(left, moved, (1.0 - left * left) * here.covariance)
 
 
 def own_from_whole(here: VerticalHere) -> FloatArray:
-    """Matrix that takes the whole error and the deflection to the INS's own error against gravity's horizon, (3, 5)."""
+    """Return the matrix from attitude error and deflection to the INS error relative to the gravity horizon, (3, 5)."""
     return np.hstack([np.eye(3), -here.turn])

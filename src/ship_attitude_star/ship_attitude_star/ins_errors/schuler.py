@@ -1,20 +1,20 @@
-"""How the error of an INS goes on that is left to its own gyroscopes and accelerometers: the Schuler oscillation.
+"""Schuler error process of an INS: errors driven by its gyroscopes and accelerometers.
 
-A wrong tilt lets gravity look like an acceleration, which makes a wrong velocity, which turns the horizon that the INS
-computes: a pendulum of 84.4 min. With u the whole error of the attitude (R_true = exp(u) R_ins), v that of the
-velocity, l that of the latitude, e the drift of the gyroscopes, b the bias of the accelerometers and (xi, eta) the
-deflection of the vertical, about (North, Up, East):
+A tilt error couples gravity into the measured acceleration, which causes a velocity error, which rotates the computed
+horizon: an oscillation with a period of 84.4 min. With u the attitude error (R_true = exp(u) R_ins), v the velocity
+error, l the latitude error, e the gyroscope drift, b the accelerometer bias and (xi, eta) the deflection of the
+vertical, about (North, Up, East):
 
     du/dt = u x w + (v_E / R_E, v_E tan L / R_E, -v_N / R_N) + (-W sin L, W cos L + V_E / (R_E cos² L), 0) l - e
     dv_N/dt =  g u_E + g xi  + b_N - (2 W sin L + V_E tan L / R_E) v_E - c V_E l - v_N / T
     dv_E/dt = -g u_N + g eta + b_E + (2 W sin L + V_E tan L / R_E) v_N + c V_N l - v_E / T
     dl/dt = v_N / R_N                                                 with c = 2 W cos L + V_E / (R_E cos² L)
 
-W is the Earth's rate, w the turn of the horizon by it and by the ship's own velocity V, L the latitude, R_N and R_E the
-radii of curvature. The term in 2 W sin L turns the plane of the pendulum (Foucault); l, the INS's own latitude, makes a
-period of 24 h with the three tilts. T is the time in which position aiding damps the velocity; such an INS knows its
-latitude, l is zero. e and b are Gauss-Markov; white noise comes to u and v besides. They stand in the horizon's axes,
-as those of an INS whose sensors are turned by gimbals or by a motor: they do not turn with the hull.
+W is the Earth's rate, w the rotation rate of the horizon by the Earth and the ship velocity V, L the latitude, R_N and
+R_E the radii of curvature. The term in 2 W sin L rotates the plane of the oscillation (Foucault); l adds a period of
+24 h. T is the time constant with which position aiding damps the velocity; such an INS has no latitude error, l = 0.
+e and b are Gauss-Markov processes; white noise is added to u and v. The axes of e and b are those of the horizon, as
+for an INS with gimbals or sensor rotation: they do not rotate with the hull.
 
 The equations are those of the phi-angle error model (Titterton and Weston, Strapdown Inertial Navigation Technology,
 ch. 12; models.md §8).
@@ -39,19 +39,19 @@ _VELOCITY, _LATITUDE, _DRIFT, _BIAS = slice(5, 7), 7, slice(8, 11), slice(11, 13
 _ALL = 13
 
 _TERMS = 4
-"""Of the power series over a step of 2 s; the next one is 1e-14 of the first."""
+"""Number of terms of the power series over a step of 2 s; the next term is 1e-14 of the first."""
 
 _REMEMBERED = 64
-"""Steps before the newest one that are remembered: a late fix changes the last few."""
+"""Number of stored steps before the newest one: a late position fix changes the last few."""
 
 
 class _Knot(NamedTuple):
-    """The way up to an even second.
+    """Stored propagation up to a step of the vertical.
 
     Attributes:
-        step: number of it.
-        here: the vertical from there on.
-        carried: what the way up to there made of the states, of one moment, without its axis.
+        step: index of the step.
+        here: vertical from this step on.
+        propagation: propagation up to this step, for one time, without the time axis.
     """
 
     step: int
@@ -60,12 +60,12 @@ class _Knot(NamedTuple):
 
 
 class _Way(NamedTuple):
-    """The way from a moment on.
+    """Stored propagations from a start time.
 
     Attributes:
-        since_ns: that moment.
-        before: the vertical there.
-        knots: the last even seconds of it.
+        since_ns: start time.
+        before: vertical at the start time.
+        checkpoints: the last steps.
     """
 
     since_ns: int
@@ -74,11 +74,11 @@ class _Way(NamedTuple):
 
 
 class _Step(NamedTuple):
-    """The motion of the states while the vertical stays as it is, as the terms of a power series in the time.
+    """Power series in time of the propagation with a constant vertical.
 
     Attributes:
-        transition: shape (5, n, n).
-        noise: of the covariance of what comes new, shape (5, n, n), the first of them zero.
+        transition: terms of the transition matrix, shape (5, n, n).
+        noise: terms of the added covariance, shape (5, n, n); the first is zero.
     """
 
     transition: FloatArray
@@ -86,12 +86,12 @@ class _Step(NamedTuple):
 
 
 class SchulerIns:
-    """The process of the INS's attitude, velocity, latitude and sensors, and of the deflection where it is modelled.
+    """Process of INS attitude, velocity, latitude and sensor errors, and of the deflection if it is modelled.
 
     Args:
-        config: of the INS's sensors.
-        sigma: of its attitude where nothing was measured yet, about (North, Up, East), rad, shape (3,).
-        length_m: correlation length of the deflection over ground; None where that is not modelled.
+        config: parameters of the INS sensors.
+        sigma: prior standard deviation of the attitude about (North, Up, East), rad, shape (3,).
+        length_m: correlation length of the deflection over ground, m; None if the deflection is not modelled.
     """
 
     needs_latitude = True
@@ -108,7 +108,7 @@ class SchulerIns:
         self._way: _Way | None = None
 
     def begun(self, here: VerticalHere) -> tuple[FloatArray, FloatArray]:
-        """See :class:`InsProcess`; the INS has levelled itself on gravity by then."""
+        """See :class:`InsProcess`; the INS is levelled by gravity at that time."""
         mean, covariance = np.zeros(self.size), np.zeros((self.size, self.size))
         if self._length_m is not None:
             moved_by = np.vstack([here.turn, np.eye(2)])
@@ -137,13 +137,13 @@ class SchulerIns:
         after: FloatArray = (means - stays) @ np.swapaxes(carried.transition, -1, -2) + carried.shift[:, None] + stays
         return after
 
-    # -- the way ------------------------------------------------------------------------------------------------
+    # -- stored propagations ------------------------------------------------------------------------------------
 
     def _knot_before(self, since_ns: int, before: VerticalHere, time_ns: int, vertical: Vertical) -> _Knot:
-        """The last even second before a moment, or the beginning where that is later, with the way up to it.
+        """Return the propagation up to the last step before a time, or up to the start time if that is later.
 
-        The way up to the moment asked for last is remembered. What it was is known by the vertical at its end: whatever
-        changes the vertical at one step makes all later ones anew.
+        Propagations are stored. A stored one is valid while the vertical at its step is the same object, because a
+        change of the vertical at one step creates new objects for all later steps.
         """
         last = time_ns // STEP_NS
         if self._way is None or self._way.since_ns != since_ns or self._way.before is not before:
@@ -154,7 +154,7 @@ class SchulerIns:
         if not knots:
             nothing = np.zeros((self.size, self.size))
             still = Carried(np.eye(self.size), np.zeros(self.size), nothing, nothing)
-            # Within the first step the vertical stays what it was at the state's own moment.
+            # Within the first step the vertical is that at the start time.
             first = _Knot(since_ns // STEP_NS, before, still)
             if first.step >= last:
                 return first
@@ -164,7 +164,7 @@ class SchulerIns:
         return knots[-1]
 
     def _next(self, knot: _Knot, since_ns: int, vertical: Vertical) -> _Knot:
-        """The way up to the next even second, the change of the deflection there included."""
+        """Return the propagation up to the next step, including the change of the deflection there."""
         step = knot.step + 1
         end_ns = step * STEP_NS
         there = self._while_still(knot.carried, knot.here, end_ns - max(since_ns, knot.step * STEP_NS))
@@ -172,7 +172,7 @@ class SchulerIns:
         return _Knot(step, here, self._with_change(there, knot.here, here))
 
     def _while_still(self, way: Carried, here: VerticalHere, time_ns: int) -> Carried:
-        """The way and a time after it, of one step at most, in which the vertical stays as it is."""
+        """Extend a propagation by a time of at most one step with a constant vertical."""
         motion, powers = self._motion(here), (time_ns / SECOND_NS) ** np.arange(_TERMS + 1.0)
         transition, noise = np.tensordot(powers, motion.transition, 1), np.tensordot(powers, motion.noise, 1)
         return Carried(
@@ -183,7 +183,7 @@ class SchulerIns:
         )
 
     def _with_change(self, way: Carried, before: VerticalHere, here: VerticalHere) -> Carried:
-        """The way and a change of the deflection at its end, which by itself does not move the INS."""
+        """Extend a propagation by a change of the deflection at its end, without direct effect on the INS states."""
         if self._length_m is None:
             return way
         change = deflection_change(before, here, self._length_m)
@@ -194,10 +194,10 @@ class SchulerIns:
         fresh[DEFLECTION, DEFLECTION] += change.fresh
         return Carried(left[:, None] * way.transition, shift, left[:, None] * way.ins_noise * left, fresh)
 
-    # -- the motion -----------------------------------------------------------------------------------------------
+    # -- differential equations -----------------------------------------------------------------------------------
 
     def _motion(self, here: VerticalHere) -> _Step:
-        """The motion at a place; that of the place asked for last is remembered."""
+        """Return the power series for a vertical; the last one is stored."""
         if self._of_here is None or self._of_here[0] is not here:
             rates = self.rates(here)
             transition, noise = [np.eye(self.size)], [np.zeros((self.size, self.size)), np.diag(self._density)]
@@ -209,7 +209,7 @@ class SchulerIns:
         return self._of_here[1]
 
     def rates(self, here: VerticalHere) -> FloatArray:
-        """By what each state changes the others in a second at a place, shape (n, n)."""
+        """Return the system matrix of the differential equations for a vertical, 1/s, shape (n, n)."""
         config, (north_m_per_s, east_m_per_s) = self._config, here.velocity_m_per_s
         latitude = 0.0 if math.isnan(here.latitude) else here.latitude
         radius_north_m, radius_east_m = map(float, horizon_radii_m(GeodeticPosition(latitude, 0.0, 0.0)))
@@ -251,7 +251,7 @@ class SchulerIns:
 
 
 def _noise_density(config: SchulerConfig) -> FloatArray:
-    """Variance of what comes new to each state in a second, shape (13,)."""
+    """Return the spectral density of the noise of each state: variance added per second, shape (13,)."""
     density = np.zeros(_ALL)
     density[WHOLE] = config.angle_walk**2
     density[_VELOCITY] = config.velocity_walk**2

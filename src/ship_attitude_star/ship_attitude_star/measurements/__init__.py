@@ -1,4 +1,4 @@
-"""What sensors say, as plain structs in radians, metres and nanoseconds.
+"""Measurements as plain structs in radians, metres and nanoseconds.
 
-The room imports no other room of the package. What else a new kind of sensor needs is told in ``ros/__init__``.
+The folder imports no other folder of the package. The steps for a new kind of sensor are listed in ``ros/__init__``.
 """

@@ -1,4 +1,4 @@
-"""A baseline between two antennas aboard: a direction on the ship that satellite positioning sees in the horizon."""
+"""A baseline between two antennas aboard: a direction on the ship, measured relative to the horizon by RTK."""
 
 from dataclasses import dataclass
 
@@ -7,21 +7,21 @@ import numpy as np
 from ship_geometry.rotations import FloatArray
 
 BASELINE = "baseline"
-"""Name of the source."""
+"""Source name of the baseline."""
 
 BASELINE_COMPONENTS = ("baseline up", "baseline right")
-"""Of its residual: where the rover antenna is seen, across the baseline, rad."""
+"""Components of its residual: direction of the rover antenna, across the baseline, rad."""
 
 
 @dataclass(frozen=True)
 class BaselineMeasurement:
-    """One solution for the way from the base antenna to the rover antenna, both aboard.
+    """One RTK solution for the vector from the base antenna to the rover antenna, both aboard.
 
     Attributes:
         time_ns: stamp.
-        vector_n: (North, Up, East), m, shape (3,).
-        noise_n: covariance of what is new in each solution, m², shape (3, 3).
-        covariance_known: False where the message gave none and the configured sigma stands in.
+        vector_n: vector (North, Up, East), m, shape (3,).
+        noise_n: covariance of the noise, independent between solutions, m², shape (3, 3).
+        covariance_known: False if the message contained none and the configured sigma is used.
     """
 
     time_ns: int
@@ -29,10 +29,10 @@ class BaselineMeasurement:
     noise_n: FloatArray
     covariance_known: bool = True
     source = BASELINE
-    reach_ns = 0  # a baseline is that of its moment
+    reach_ns = 0  # a baseline is valid at its stamp
 
     def content(self) -> bytes:
-        """All values as bytes: equal for a repeated message, and an order for conflicting ones."""
+        """Return all values as bytes: equal for a repeated message, and an order for conflicting ones."""
         return self.vector_n.tobytes() + self.noise_n.tobytes()
 
     @property
@@ -43,5 +43,5 @@ class BaselineMeasurement:
 
     @property
     def length_m(self) -> float:
-        """How long it came out."""
+        """Measured length, m."""
         return float(np.linalg.norm(self.vector_n))

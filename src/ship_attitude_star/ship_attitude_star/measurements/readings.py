@@ -1,6 +1,6 @@
-"""What star trackers, GNSS receivers and weather stations say, as plain structs.
+"""Readings of star trackers, GNSS receivers, weather stations and gravity models, as plain structs.
 
-The stars of an exposure have a struct of their own, :class:`ship_attitude_star.stars.exposure.StarExposure`.
+The stars of an exposure are in :class:`ship_attitude_star.stars.exposure.StarExposure`.
 """
 
 from dataclasses import dataclass
@@ -12,11 +12,11 @@ from ship_geometry.rotations import FloatArray
 
 @dataclass(frozen=True)
 class FieldOfView:
-    """How a star tracker sees the sky.
+    """Field of view of a star tracker.
 
     Attributes:
-        radius: of the field, rad; 0 for a tracker whose stars are all taken to stand at the boresight.
-        aberration_removed: True where the tracker's attitude is already free of aberration.
+        radius: radius of the field, rad; 0 if all stars are assumed at the boresight.
+        aberration_removed: True if the tracker attitude is already corrected for aberration.
     """
 
     radius: float = 0.0
@@ -24,20 +24,20 @@ class FieldOfView:
 
 
 AT_BORESIGHT = FieldOfView()
-"""All stars stand at the boresight, and aberration is taken out."""
+"""Field of view with all stars at the boresight, aberration corrected."""
 
 
 @dataclass(frozen=True)
 class InertialAttitude:
-    """The attitude that a star tracker has found against the ICRS.
+    """Attitude of a star tracker relative to the ICRS.
 
     Attributes:
         source: ``star.<id>``.
-        time_ns: middle of the exposure, stamp of the sensor.
+        time_ns: stamp of the sensor, middle of the exposure.
         rotation_cs: celestial (ICRS) axes from sensor (forward, up, right), shape (3, 3).
         noise_s: covariance of the error, rotation vector in the sensor frame, rad², shape (3, 3).
-        covariance_known: False where the message gave no covariance and the configured sigma stands in.
-        field: field in which the tracker saw its stars.
+        covariance_known: False if the message contained no covariance and the configured sigma is used.
+        field: field of view of the tracker.
     """
 
     source: str
@@ -45,22 +45,22 @@ class InertialAttitude:
     rotation_cs: FloatArray
     noise_s: FloatArray
     covariance_known: bool = True
-    reach_ns = 0  # an attitude is that of its moment
+    reach_ns = 0  # an attitude is valid at its stamp
     field: FieldOfView = AT_BORESIGHT
 
     def content(self) -> bytes:
-        """All values as bytes: equal for a repeated message, and an order for conflicting ones."""
+        """Return all values as bytes: equal for a repeated message, and an order for conflicting ones."""
         return self.rotation_cs.tobytes() + self.noise_s.tobytes()
 
 
 @dataclass(frozen=True)
 class PositionFix:
-    """Where the ship is, by a GNSS receiver.
+    """Ship position from a GNSS receiver.
 
     Attributes:
         time_ns: stamp.
-        position: of the antenna.
-        covariance_m2: of the position in (North, Up, East), m², shape (3, 3).
+        position: position of the antenna.
+        covariance_m2: covariance of the position in (North, Up, East), m², shape (3, 3).
     """
 
     source: ClassVar[str] = "gnss/fix"
@@ -72,14 +72,14 @@ class PositionFix:
 
 @dataclass(frozen=True)
 class AirReading:
-    """One quantity of the air, by a weather station.
+    """Reading of one air quantity from a weather station.
 
     Attributes:
         quantity: ``pressure`` (hPa, at the ship, not reduced to sea level), ``temperature`` (°C, of the outside air)
             or ``humidity`` (relative, 0 to 1).
         time_ns: stamp.
-        value: in the unit of the quantity.
-        sigma: its standard deviation; None where the message gives none.
+        value: value in the unit of the quantity.
+        sigma: standard deviation of the value; None if the message contains none.
     """
 
     quantity: str
@@ -89,22 +89,22 @@ class AirReading:
 
     @property
     def source(self) -> str:
-        """What is measured."""
+        """Name of the measured quantity."""
         return self.quantity
 
 
 SkyInput = PositionFix | AirReading
-"""An input on which the sky over the ship depends."""
+"""An input of the sky model."""
 
 
 @dataclass(frozen=True)
 class DeflectionReading:
-    """The deflection of the vertical at the ship, by somebody who knows the gravity field.
+    """Deflection of the vertical at the ship, from a gravity model.
 
     Attributes:
         time_ns: stamp.
-        deflection: (xi, eta), northward and eastward components of gravity's zenith, rad, shape (2,).
-        covariance: of its error, rad², shape (2, 2); None where the message gives none.
+        deflection: (xi, eta), northward and eastward components of the gravity zenith, rad, shape (2,).
+        covariance: covariance of its error, rad², shape (2, 2); None if the message contains none.
     """
 
     source: ClassVar[str] = "gravity/deflection"
@@ -114,5 +114,5 @@ class DeflectionReading:
     covariance: FloatArray | None = None
 
     def content(self) -> bytes:
-        """All values as bytes: equal for a repeated message, and an order for conflicting ones."""
+        """Return all values as bytes: equal for a repeated message, and an order for conflicting ones."""
         return self.deflection.tobytes() + (b"" if self.covariance is None else self.covariance.tobytes())

@@ -1,4 +1,4 @@
-"""What goes into the ship-attitude core and what comes out: plain structs in radians, metres and nanoseconds."""
+"""Inputs and outputs of the ship-attitude core: plain structs in radians, metres and nanoseconds."""
 
 import enum
 from dataclasses import dataclass, field
@@ -15,20 +15,20 @@ StampArray = NDArray[np.int64]
 
 
 class Horizon(enum.IntEnum):
-    """What "up" means: the ellipsoid normal by the stars, or the local gravity by the INS alone."""
+    """Horizon of an attitude: normal to the ellipsoid (from stars), or normal to local gravity (from the INS alone)."""
 
     GEODETIC = 0
     GRAVITY = 1
 
 
 SHARED_BY_SKY = "sky"
-"""Names errors that all sensors share which look at the same sky: those of refraction, UT1 and position."""
+"""Name of the errors that all sensors share through the sky model: refraction, UT1 and position."""
 
 SHARED_BY_MESSAGES = "message"
-"""Names the error that several messages have in common, of which nothing is known but its size."""
+"""Name of an error common to several messages, of which only the covariance is known."""
 
 SHARED_BY_GRAVITY = "gravity"
-"""Names the deflection of the vertical, by which all systems that level themselves differ from the geodetic horizon."""
+"""Name of the deflection of the vertical, which all systems levelled by gravity share."""
 
 
 @dataclass(frozen=True)
@@ -39,14 +39,15 @@ class AttitudeMeasurement:
         source: ``star.<id>`` or ``reference.<name>``.
         time_ns: stamp of the device.
         rotation_nv: horizon from device (forward, up, right), shape (3, 3).
-        noise_v: covariance, independent from epoch to epoch, in the device frame, rad², shape (3, 3).
-        common_n: covariance of what epochs share, rotation vector in the horizon frame, rad², shape (3, 3).
-        covariance_known: False where the message gave none and the configured sigma stands in.
-        shared_n: turn of the sky, as the horizon has it, by one sigma of each error that star sensors share, rad, shape
-            (3, n); None where the message knows of none.
-        shared_by: which errors these are: SHARED_BY_SKY, n = 4
-            (:data:`ship_attitude_star.sky.sky_watch.SHARED_TERMS`), SHARED_BY_MESSAGES, n = 3, or SHARED_BY_GRAVITY,
-            n = 2, of which the unit is the radian.
+        noise_v: covariance of the error that is independent between epochs, device frame, rad², shape (3, 3).
+        common_n: covariance of the error common to successive epochs, rotation vector in the horizon frame, rad²,
+            shape (3, 3).
+        covariance_known: False if the message contained none and the configured sigma is used.
+        shared_n: rotation in the horizon frame by one standard deviation of each of n errors shared with other sensors,
+            rad, shape (3, n); None for none.
+        shared_by: kind of the shared errors: SHARED_BY_SKY, n = 4
+            (:data:`ship_attitude_star.sky.sky_model.SHARED_TERMS`), SHARED_BY_MESSAGES, n = 3, or SHARED_BY_GRAVITY,
+            n = 2, in rad instead of standard deviations.
     """
 
     source: str
@@ -57,44 +58,45 @@ class AttitudeMeasurement:
     covariance_known: bool = True
     shared_n: FloatArray | None = None
     shared_by: str = SHARED_BY_SKY
-    reach_ns = 0  # an attitude is that of its moment
+    reach_ns = 0  # an attitude is valid at its stamp
 
     def content(self) -> bytes:
-        """All values as bytes: equal for a repeated message, and an order for conflicting ones."""
+        """Return all values as bytes: equal for a repeated message, and an order for conflicting ones."""
         shared = b"" if self.shared_n is None else self.shared_n.tobytes()
         return self.rotation_nv.tobytes() + self.noise_v.tobytes() + self.common_n.tobytes() + shared
 
     @property
     def lasting_n(self) -> FloatArray:
-        """Covariance of all that is not independent from epoch to epoch, shared or not, horizon frame, rad², (3, 3)."""
+        """Covariance of all errors that are correlated between epochs, horizon frame, rad², shape (3, 3)."""
         return self.common_n if self.shared_n is None else self.common_n + self.shared_n @ self.shared_n.T
 
 
 @dataclass(frozen=True)
 class SolvedAttitude(AttitudeMeasurement):
-    """The attitude of a sensor that placed its stars by the ship's own fix, UT1 and air, before these are told apart.
+    """The attitude of a sensor that used position, UT1 and air data of the ship, before their errors are separated.
 
-    What it shares with others is part of ``common_n``, or of ``noise_v`` where the message does not tell the two apart.
+    The errors shared with other sensors are part of ``common_n``, or of ``noise_v`` if the message has no separate
+    noise covariance.
 
     Attributes:
-        noise_told: False where the message has one covariance for all.
+        has_noise_covariance: False if the message contains only one covariance for all errors.
     """
 
     noise_told: bool = True
 
 
 ATTITUDE_COMPONENTS = ("forward", "up", "right")
-"""Of the residual of an attitude: rotation vector in the device frame."""
+"""Components of the residual of an attitude: rotation vector in the device frame."""
 
 
 @dataclass(frozen=True)
 class AttitudeDecision(Decision[Measurement]):
-    """What became of a measurement that was to be compared with the INS.
+    """Decision about a measurement of the ship filter.
 
     ``components`` are ATTITUDE_COMPONENTS, or "HIP 92420 up" and "HIP 92420 right" for each star used.
 
     Attributes:
-        ins_time_ns: the stamp of the INS to which it was compared.
+        ins_time_ns: latest INS stamp that the decision depends on.
     """
 
     ins_time_ns: int = 0
@@ -102,22 +104,23 @@ class AttitudeDecision(Decision[Measurement]):
 
 @dataclass(frozen=True)
 class AttitudeEstimate:
-    """The ship's attitude at one moment.
+    """The ship attitude at one time.
 
     Attributes:
-        time_ns: moment of validity.
-        rotation_nd: horizon from deck, shape (3, 3); NaN where no attitude is claimed.
-        covariance_parts_n: error covariance by source, rotation vector in the horizon frame, rad²,
+        time_ns: time of validity.
+        rotation_nd: horizon from deck, shape (3, 3); NaN if INVALID.
+        covariance_by_source_n: error covariance by error source, rotation vector in the horizon frame, rad²,
             shape (n_sources, 3, 3).
-        covariance_n: error covariance: the sum of the parts, shape (3, 3).
-        undisputed_n: the same without what the sources dispute: the protection levels rest on it.
+        covariance_n: total error covariance, shape (3, 3).
+        covariance_without_separation_n: covariance without the inflation for solution separations; used for the
+            protection levels.
         rate_d: angular velocity in the deck frame, rad/s, shape (3,).
-        status: how far it can be relied on.
-        horizon: what "up" means.
-        sources: what it rests on, for example ``("ins", "star.fore")``.
-        star_age_s: time since the last star measurement used; NaN where there was none.
-        state: of the filter, that it rests on.
-        text: why it is DEGRADED, for people; otherwise empty.
+        status: status of the attitude.
+        horizon: horizon of the attitude.
+        sources: sources of the attitude, for example ``("ins", "star.fore")``.
+        star_age_s: time since the last accepted star measurement, s; NaN for none.
+        state: filter state that it was computed from.
+        text: reason for DEGRADED or INVALID; else empty.
     """
 
     time_ns: int
@@ -136,21 +139,21 @@ class AttitudeEstimate:
 
 @dataclass(frozen=True)
 class AttitudeRun:
-    """The ship's attitudes at N moments that rest on one state; each field is that of :class:`AttitudeEstimate`.
+    """Ship attitudes at N times with one filter state; fields as in :class:`AttitudeEstimate`.
 
     Attributes:
-        time_ns: in ascending order, shape (N,).
+        time_ns: times in ascending order, shape (N,).
         rotation_nd: shape (N, 3, 3).
-        covariance_parts_n: shape (N, n_sources, 3, 3).
+        covariance_by_source_n: shape (N, n_sources, 3, 3).
         covariance_n: shape (N, 3, 3).
-        undisputed_n: shape (N, 3, 3).
+        covariance_without_separation_n: shape (N, 3, 3).
         rate_d: shape (N, 3).
-        status: N of them.
+        status: N statuses.
         horizon: shape (N,).
-        sources: N of them.
+        sources: N tuples.
         star_age_s: shape (N,).
-        state: of the filter.
-        text: N of them.
+        state: the filter state.
+        text: N texts.
     """
 
     time_ns: StampArray
@@ -168,7 +171,7 @@ class AttitudeRun:
 
     @classmethod
     def of_one(cls, estimate: AttitudeEstimate) -> "AttitudeRun":
-        """The run of one attitude."""
+        """Return a series of one attitude."""
         return cls(
             time_ns=np.array([estimate.time_ns]),
             rotation_nd=estimate.rotation_nd[None],
@@ -185,7 +188,7 @@ class AttitudeRun:
         )
 
     def some(self, which: slice) -> "AttitudeRun":
-        """Some of them."""
+        """Return a slice of the series."""
         return AttitudeRun(
             time_ns=self.time_ns[which],
             rotation_nd=self.rotation_nd[which],
@@ -202,7 +205,7 @@ class AttitudeRun:
         )
 
     def one(self, number: int) -> AttitudeEstimate:
-        """One of them."""
+        """Return one attitude of the series."""
         return AttitudeEstimate(
             time_ns=int(self.time_ns[number]),
             rotation_nd=self.rotation_nd[number],
@@ -220,5 +223,5 @@ class AttitudeRun:
 
 
 AttitudeOutcome = Outcome[AttitudeDecision, AttitudeEstimate]
-"""What one input led to."""
+"""Outcome of one input of the core."""
 

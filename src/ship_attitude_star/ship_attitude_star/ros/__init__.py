@@ -1,12 +1,17 @@
-"""Adapters with the messages that they give, messages in, the saved alignment, nodes: where the cores meet ROS.
+"""Adapters between the cores and ROS messages, readers of messages, the alignment file, and the nodes.
 
-The room may import all others; only ``ship_replay`` and the executables import it. The method ``table`` of an adapter
-says which topic feeds which method of the core.
+The folder may import all others; only ``ship_replay`` and the executables import it. The method ``table`` of an adapter
+connects topics with methods of the core.
 
-A new kind of sensor is touched in this order: its struct in ``measurements/``; here a reader that makes the struct of
-a message or refuses the message, and a row in the table of ``ship_attitude_adapter`` that binds topic, reader and
-``ShipAttitudeCore.add_measurement``; its parameters in ``ship_attitude/config``; its errors as states and its device in
-``ship_attitude/model``; what the filter compares it with in ``ship_attitude/comparison``; in ``guards/stream_guards``
-what of it must not stand still; in ``ship_attitude/alignment`` what of it is saved. Lateness, doubles, waiting, revised
-decisions, health and the messages that tell of them are the same for all sensors.
+Steps to add a new kind of sensor:
+
+1. its struct in ``measurements/``;
+2. a reader here that converts a message to the struct or rejects it, and a row in the table of
+   ``ship_attitude_adapter`` that connects topic, reader and ``ShipAttitudeCore.add_measurement``;
+3. its parameters in ``ship_attitude/config``, its error states and its device in ``ship_attitude/model``;
+4. its prediction and residual in ``ship_attitude/comparison``;
+5. in ``guards/stream_checks`` the value that must not be constant;
+6. in ``ship_attitude/alignment`` the states to save.
+
+Late and repeated messages, waiting, revised decisions, input health and diagnostics are the same for all sensors.
 """

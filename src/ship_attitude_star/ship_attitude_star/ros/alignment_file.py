@@ -1,4 +1,4 @@
-"""The saved alignment as a file: YAML that people can read, written atomically, with a version."""
+"""Alignment file: readable YAML with a version, written atomically."""
 
 from typing import Any
 
@@ -34,7 +34,7 @@ def _document(prior: AlignmentPrior) -> dict[str, Any]:
 
 
 def _human_sigma(prior: AlignmentPrior, sigma: np.ndarray) -> dict[str, list[float]]:
-    """Standard deviations for the reader of the file; not read back."""
+    """Return standard deviations for the reader of the file; they are not read back."""
     human, start = {}, 0
     for name in prior.names:
         width, unit = (3, ARCSEC) if name.endswith(".installation") else (1, 1.0)
@@ -44,7 +44,11 @@ def _human_sigma(prior: AlignmentPrior, sigma: np.ndarray) -> dict[str, list[flo
 
 
 def _prior(document: dict[str, Any]) -> AlignmentPrior:
-    """What the document says; a ValueError names the section that cannot be used."""
+    """Return the alignment of a document.
+
+    Raises:
+        ValueError: names the section that cannot be used.
+    """
     rotations_dv = section(document, "installation", _rotations)
     time_offsets_s = section(document, "time_offset_s", finite_numbers)
     names = section(document, "covariance_of", _names)
@@ -79,4 +83,4 @@ def _rotations(installation: dict[str, Any]) -> dict[str, FloatArray]:
 
 
 ALIGNMENT_FILE = SavedFormat("ship_attitude alignment", 1, "alignment", _document, _prior)
-"""How an alignment is saved."""
+"""Format of the alignment file."""

@@ -1,7 +1,7 @@
-"""What attitudes become: ship_msgs/ShipAttitude, and the same in degrees, as sensor_msgs/Imu and on /tf.
+"""Messages of attitudes: ship_msgs/ShipAttitude, the same in degrees, sensor_msgs/Imu and /tf.
 
-One function says what stands in which field. Its values are numbers for the one attitude that a live node has at a
-time, and columns of numbers for the many of a block, which become rows of bytes together.
+One function defines all fields. Its values are numbers for the single attitude of a live node, and columns of numbers
+for the attitudes of a block, which are serialised together.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -39,11 +39,11 @@ SMOOTHED_TOPIC = "ship/attitude_smoothed"
 DEGREES_TOPIC, DEGREES_TYPE = "ship/attitude_deg", "ship_msgs/msg/AttitudeDeg"
 
 _NOT_GIVEN = (NOT_GIVEN, *(0.0,) * 8)
-"""Covariance in sensor_msgs/Imu of a quantity that is not measured."""
+"""Covariance in sensor_msgs/Imu for a quantity that is not measured."""
 
 
 class AttitudeNumbers(NamedTuple):
-    """What is published of N attitudes, whatever states they rest on; see :class:`AttitudeRun`."""
+    """Published quantities of N attitudes; see :class:`AttitudeSeries`."""
 
     time_ns: StampArray
     rotation_nd: FloatArray
@@ -56,33 +56,33 @@ class AttitudeNumbers(NamedTuple):
 
     @classmethod
     def of(cls, runs: Sequence[AttitudeRun]) -> "AttitudeNumbers":
-        """The numbers of several runs, one after another."""
+        """Return the quantities of several series, one after another."""
         return cls(*joined(runs, cls._fields))
 
     def some(self, places: NDArray[np.int64]) -> "AttitudeNumbers":
-        """Some of them."""
+        """Return the attitudes with the given indices."""
         return self if len(places) == len(self.time_ns) else AttitudeNumbers(*(chosen(each, places) for each in self))
 
 
 def attitude_messages(
     factory: MessageFactory, estimate: AttitudeEstimate, rate_sigma: float, frames: FrameNames = FRAME_NAMES
 ) -> list[Published]:
-    """Return the messages of one attitude, as they are published.
+    """Return the messages of one attitude.
 
-    Where no attitude is claimed the first two are all NaN, and the others, which are for standard tools, are not made.
+    For an INVALID attitude the two ship_msgs messages contain NaN, and the messages for standard tools are omitted.
 
     Args:
-        factory: makes the messages.
+        factory: creates messages.
         estimate: the attitude.
-        rate_sigma: noise of the INS's angular rate, each axis, rad/s; 0 where it is not known.
-        frames: their names.
+        rate_sigma: noise of the angular rate of the INS, each axis, rad/s; 0 if not known.
+        frames: frame names.
     """
     messages = _messages(AttitudeNumbers.of([AttitudeRun.of_one(estimate)]), as_numbers, rate_sigma, frames)
     return [(topic, factory.encoded(type_name, **fields)) for topic, type_name, fields in messages]
 
 
 def smoothed_message(factory: MessageFactory, estimate: AttitudeEstimate, frames: FrameNames) -> Published:
-    """Return the message of an attitude that is published again after smoothing: the first of those messages alone."""
+    """Return the ship_msgs/ShipAttitude message of a smoothed attitude."""
     attitude = AttitudeNumbers.of([AttitudeRun.of_one(estimate)])
     _, type_name, fields = next(_messages(attitude, as_numbers, 0.0, frames))
     return SMOOTHED_TOPIC, factory.encoded(type_name, **fields)
@@ -91,7 +91,7 @@ def smoothed_message(factory: MessageFactory, estimate: AttitudeEstimate, frames
 def attitude_rows(
     factory: MessageFactory, attitudes: AttitudeNumbers, rate_sigma: float, frames: FrameNames = FRAME_NAMES
 ) -> Iterator[PublishedRows]:
-    """Return the messages of N attitudes; those of one are in the same order as by :func:`attitude_messages`."""
+    """Yield the messages of N attitudes; those of one attitude are ordered as by :func:`attitude_messages`."""
     known: list[bool] = np.all(np.isfinite(attitudes.rate_d), axis=1).tolist()
     claimed = [status is not Status.INVALID for status in attitudes.status]
     kinds = zip(claimed, known, attitudes.sources, strict=True)
@@ -103,7 +103,7 @@ def attitude_rows(
 def _messages(
     attitudes: AttitudeNumbers, values_of: Callable[..., list[Any]], rate_sigma: float, frames: FrameNames
 ) -> MessageFields:
-    """Topic, type and fields of each message of attitudes that are alike."""
+    """Yield topic, type and fields of each message, for attitudes with the same validity, rate and sources."""
     of_angles = angles(attitudes.rotation_nd)
     covariances = angle_covariances(attitudes.covariance_n, of_angles, SINGULAR_ELEVATION)
     rotations = quaternions(ENU_FROM_HORIZON @ attitudes.rotation_nd @ FLU_FROM_DEVICE.T)
@@ -166,9 +166,9 @@ def _messages(
 def _as_imu(
     header: Fields, orientation: Fields, rotation_covariance: Any, rate: Fields | None, rate_sigma: float
 ) -> Fields:
-    """sensor_msgs/Imu without acceleration, with the rate where it is known.
+    """Return sensor_msgs/Imu without acceleration, with the rate if it is known.
 
-    The covariance of the rate is the same in all axes; zeros, for a ``rate_sigma`` of 0, mean that it is not known.
+    The covariance of the rate is equal for all axes; zeros, for a ``rate_sigma`` of 0, mean unknown.
     """
     variance = rate_sigma**2
     rate_covariance = (variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, variance)

@@ -1,7 +1,7 @@
-"""Attitudes of sensors, the ship's place and the air: from messages to the structs of the cores, with all checks.
+"""Readers of attitude, baseline and deflection messages: checks, and conversion to the structs of the cores.
 
-Reads attributes only, so any message class will do. What cannot be used raises
-:class:`ship_node.edge.messages_in.Refused`.
+They read attributes only, so any message class can be used. A message that cannot be used raises
+:class:`ship_node.edge.messages_in.MessageRejected`.
 """
 
 from dataclasses import replace
@@ -47,7 +47,7 @@ Measured = TypeVar("Measured", bound=Measurement)
 
 STAR_INVALID = 3
 LARGEST_ELEVATION, LARGEST_ANGLE = 0.5 * np.pi + 1e-9, 6.0 * np.pi
-"""Of a star sensor, and of its azimuth and its roll, rad: these are taken modulo a turn, counted two turns too far."""
+"""Maximum elevation of a star sensor, and maximum of its azimuth and roll, rad; these are used modulo 2π."""
 _COVARIANCE_TOLERANCE = 1e-6
 
 _LARGEST_DEFLECTION = 300.0 * ARCSEC
@@ -56,18 +56,18 @@ _LARGEST_DEFLECTION = 300.0 * ARCSEC
 def star_measurement(
     message: Any, sensor_id: str, config: StarSensorConfig, receive_ns: int
 ) -> ReadMessage[AttitudeMeasurement]:
-    """``star/<sensor>/horizon_attitude`` or ``.../solution`` → the sensor's attitude in the horizon.
+    """Read ``star/<sensor>/horizon_attitude`` or ``.../solution``: attitude of the sensor relative to the horizon.
 
     Raises:
-        Refused: with the reason.
+        MessageRejected: the message cannot be used; contains the reason.
     """
     time_ns = stamp_ns(message.header, receive_ns)
     frame(message.header.frame_id, config.frame_id)
     if message.status == STAR_INVALID:
-        raise Refused(Reason.TOO_FEW_STARS, "the sensor itself says INVALID")
+        raise Refused(Reason.TOO_FEW_STARS, "the sensor reports status INVALID")
     finite_numbers("azimuth, elevation, roll", message.azimuth, message.elevation, message.roll)
     azimuth, elevation, roll = message.azimuth, message.elevation, message.roll
-    # Angles in degrees give themselves away where they exceed what radians can be.
+    # Angles in degrees are detected if they exceed the range in radians.
     if abs(elevation) > LARGEST_ELEVATION or max(abs(azimuth), abs(roll)) > LARGEST_ANGLE:
         angles = f"azimuth {azimuth:.6g}, elevation {elevation:.6g}, roll {roll:.6g}"
         raise Refused(Reason.UNITS, f"{angles} cannot be radians: degrees?")
@@ -98,19 +98,19 @@ def attitude_read(
     sharing: str,
     noise_told: bool = True,
 ) -> ReadMessage[AttitudeMeasurement]:
-    """The attitude of a star sensor by the numbers of its message.
+    """Return the attitude of a star sensor from the numbers of its message.
 
     Args:
-        source: who measured.
-        time_ns: when.
+        source: name of the source.
+        time_ns: stamp.
         rotation_ns: horizon from sensor, shape (3, 3).
-        total_n: covariance of its error, rotation vector in the horizon frame, rad², shape (3, 3).
-        noise_n: what of it is independent from epoch to epoch.
-        sharing: as configured for the sensor.
-        noise_told: whether the message tells the two apart.
+        total_n: covariance of the total error, rotation vector in the horizon frame, rad², shape (3, 3).
+        noise_n: covariance of the error that is independent between epochs, in the same frame.
+        sharing: configured shared error of the sensor.
+        has_noise_covariance: True if the message contains a separate noise covariance.
 
     Raises:
-        Refused: the noise is larger than the total.
+        MessageRejected: the noise covariance is larger than the total covariance.
     """
     noise_s = rotation_ns.T @ noise_n @ rotation_ns
     told = AttitudeMeasurement(source, time_ns, rotation_ns, noise_s, _common_covariance(total_n, noise_n))
@@ -118,11 +118,11 @@ def attitude_read(
 
 
 def _sharing(told: AttitudeMeasurement, sharing: str, noise_told: bool) -> AttitudeMeasurement:
-    """The attitude of a sensor with what it shares with others, as configured."""
+    """Return an attitude with the configured shared error."""
     if sharing == SHARED_BY_SKY:
         return SolvedAttitude(**vars(told) | {"noise_told": noise_told})
     if sharing == SHARED_BY_MESSAGES and told.common_n.any():
-        # As much alike as two errors of different covariances can be: the same turn through each one's symmetric root.
+        # Maximum correlation of errors with different covariances: the same vector through each symmetric root.
         values, vectors = np.linalg.eigh(told.common_n)
         root_n = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
         return replace(told, common_n=np.zeros((3, 3)), shared_n=root_n, shared_by=SHARED_BY_MESSAGES)
@@ -132,10 +132,10 @@ def _sharing(told: AttitudeMeasurement, sharing: str, noise_told: bool) -> Attit
 def inertial_attitude(
     message: Any, sensor_id: str, config: StarSensorConfig, receive_ns: int
 ) -> ReadMessage[InertialAttitude]:
-    """``star/<sensor>/inertial_attitude`` → the sensor's attitude against the ICRS.
+    """Read ``star/<sensor>/inertial_attitude``: attitude of the sensor relative to the ICRS.
 
     Raises:
-        Refused: with the reason.
+        MessageRejected: the message cannot be used; contains the reason.
     """
     time_ns = stamp_ns(message.header, receive_ns)
     device_id("sensor_id", message.sensor_id, sensor_id)
@@ -152,10 +152,10 @@ def inertial_attitude(
 def reference_measurement(
     message: Any, name: str, config: ReferenceConfig, receive_ns: int
 ) -> ReadMessage[AttitudeMeasurement]:
-    """``reference/<name>/imu`` → the attitude of another system; its covariance is white.
+    """Read ``reference/<name>/imu``: attitude of another system; its covariance is that of white noise.
 
     Raises:
-        Refused: with the reason.
+        MessageRejected: the message cannot be used; contains the reason.
     """
     time_ns = stamp_ns(message.header, receive_ns)
     frame(message.header.frame_id, config.frame_id)
@@ -171,10 +171,10 @@ def reference_measurement(
 
 
 def deflection(message: Any, receive_ns: int) -> ReadMessage[DeflectionReading]:
-    """``gravity/deflection`` → the deflection of the vertical at the ship.
+    """Read ``gravity/deflection``: deflection of the vertical at the ship.
 
     Raises:
-        Refused: with the reason.
+        MessageRejected: the message cannot be used; contains the reason.
     """
     time_ns = stamp_ns(message.header, receive_ns)
     finite_numbers("xi, eta", message.xi, message.eta)
@@ -188,15 +188,15 @@ def deflection(message: Any, receive_ns: int) -> ReadMessage[DeflectionReading]:
     # Written so that NaN fails.
     is_symmetric = bool(np.all(np.abs(covariance - covariance.T) <= 1e-6 * np.abs(np.trace(covariance))))
     if not (is_symmetric and np.linalg.eigvalsh(covariance)[0] > 0.0):
-        raise Refused(Reason.BAD_COVARIANCE, "covariance of (xi, eta): not symmetric and positive, or no number")
+        raise Refused(Reason.BAD_COVARIANCE, "covariance of (xi, eta): not symmetric, positive and finite")
     return ReadMessage(DeflectionReading(time_ns, np.array([message.xi, message.eta]), covariance), True)
 
 
 def baseline(message: Any, receive_ns: int, config: ShipBaselineConfig) -> ReadMessage[BaselineMeasurement]:
-    """``ship/baseline`` → the way from one antenna aboard to the other.
+    """Read ``ship/baseline``: vector between two antennas aboard.
 
     Raises:
-        Refused: with the reason.
+        MessageRejected: the message cannot be used; contains the reason.
     """
     time_ns = baseline_stamp_ns(message, config, receive_ns)
     refusal = not_fixed(message, config.least_fix)
@@ -212,19 +212,23 @@ def baseline(message: Any, receive_ns: int, config: ShipBaselineConfig) -> ReadM
 
 
 def _read(measurement: Measured) -> ReadMessage[Measured]:
-    """A measurement that knows itself whether its message gave a covariance."""
+    """Return the read message of a measurement."""
     return ReadMessage(measurement, measurement.covariance_known)
 
 
 def _configured_noise(config: StarSensorConfig) -> FloatArray:
-    """Covariance of an attitude whose message gives none, in the sensor frame."""
+    """Return the configured noise covariance in the sensor frame, rad², shape (3, 3), for messages without one."""
     sigma = [config.sigma_forward_arcsec, config.sigma_up_arcsec, config.sigma_right_arcsec]
     noise_s: FloatArray = np.diag((np.array(sigma) * ARCSEC) ** 2)
     return noise_s
 
 
 def _common_covariance(total_n: FloatArray, noise_n: FloatArray) -> FloatArray:
-    """What successive solutions share: total minus noise, which must not be negative."""
+    """Return the covariance of the error common to successive solutions: total minus noise, not negative.
+
+    Raises:
+        MessageRejected: the noise covariance is larger than the total covariance.
+    """
     difference_n = total_n - noise_n
     if not difference_n.any():
         return np.zeros((3, 3))

@@ -1,4 +1,4 @@
-"""The executables ``ship_attitude`` and ``star_attitude``: each runs its node until it is told to stop."""
+"""Executables ``ship_attitude`` and ``star_attitude``: each runs its node until it is stopped."""
 
 from ship_node.live.start import start_node
 

@@ -1,7 +1,7 @@
-"""From the messages of a block to the core's structs: those that are read in the usual way, all of them at once.
+"""Readers of blocks of messages: conversion of all regular messages of a block at once.
 
-Each becomes, to the last bit, what :mod:`ship_attitude_star.ros.messages_in` makes of it. None stands for one that is
-to be read there by itself.
+The results are bit-identical to those of :mod:`ship_attitude_star.ros.messages_in`. None stands for a message that must
+be read there separately.
 """
 
 from collections.abc import Iterator
@@ -21,7 +21,7 @@ from ship_node.edge.messages_in import ReadMessage, Refused
 
 
 def star_attitudes(messages: CdrRows, receive_ns: StampArray, sensor_id: str, config: StarSensorConfig) -> ReadRows:
-    """``star/<sensor>/horizon_attitude`` or ``.../solution`` with both covariances of the rotation vector.
+    """Read ``star/<sensor>/horizon_attitude`` or ``.../solution`` with both covariances of the rotation vector.
 
     See :func:`ship_attitude_star.ros.messages_in.star_measurement`.
     """

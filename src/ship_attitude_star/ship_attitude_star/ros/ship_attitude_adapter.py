@@ -1,4 +1,4 @@
-"""The node ``ship_attitude``: which topic feeds which method of its core, what an attitude becomes, its diagnostics."""
+"""Adapter of the node ``ship_attitude``: input topics, output messages and diagnostics."""
 
 import functools
 from collections import Counter
@@ -82,33 +82,33 @@ _STAR_TYPES = {
 }
 _WORDS = {
     Status.VALID: (Level.OK, "VALID: INS and stars"),
-    Status.COASTING: (Level.WARN, "COASTING: no star is used, the INS carries on with growing uncertainty"),
+    Status.COASTING: (Level.WARN, "COASTING: no star measurements, INS alone with growing uncertainty"),
     Status.DEGRADED: (Level.WARN, "DEGRADED"),
     Status.INVALID: (Level.ERROR, "INVALID: neither the INS nor stars give an attitude"),
 }
 _RATES = {
-    Rates.UNPROVEN: (Level.OK, "not judged yet: too little motion, or none are given"),
-    Rates.MEASURED: (Level.OK, "angular_velocity turns as the orientation does"),
+    Rates.UNPROVEN: (Level.OK, "not checked yet: too little motion, or no rates in the messages"),
+    Rates.MEASURED: (Level.OK, "angular_velocity is consistent with the orientation"),
     Rates.NOT_MEASURED: (
         Level.WARN,
-        "angular_velocity does not turn as the orientation does: not used (zero, noise, other axes, another unit?)",
+        "angular_velocity is not consistent with the orientation: not used (zero, noise, other axes, another unit?)",
     ),
     Rates.WRONG_UNITS: (Level.ERROR, "angular_velocity is in another unit than rad/s: the INS is not used"),
 }
 _OBSERVED_EACH_NS = 60 * SECOND_NS
-"""Time of the data between two looks at what is observable."""
+"""Period of the observability diagnostics, in the time of the data, ns."""
 
 _GROUPS = {"star": "star_sensors", "reference": "references", BASELINE: "ship_baseline"}
-"""First word of a source's name → where its parameters stand."""
+"""Parameter section by the first part of a source name."""
 
 
 class ShipAttitudeAdapter(RecoveringAdapter):
-    """The ship's attitude from the INS and star sensors, with its covariance and error budget.
+    """Adapter of the ship attitude estimator.
 
     Args:
-        config: the node's parameters.
-        factory: makes the messages.
-        files: where the saved alignment is read and written.
+        config: parameters of the node.
+        factory: creates messages.
+        files: access to the alignment file.
 
     Raises:
         BadInput: the alignment file cannot be read.
@@ -157,7 +157,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
             files,
             start_from=self.start_from,
             to_save=self._alignment_to_save,
-            nothing="no star attitude was used yet: there is no alignment to save",
+            nothing="no alignment to save: no star attitude was used yet",
         )
         self.start_warnings = self._lacking = start_warnings(config)
         self._observed: tuple[int, DiagnosticStatus] | None = None
@@ -167,7 +167,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         self.outputs = tuple(output for output in self.outputs if output.type_name != TF_TYPE or config.publish_tf)
 
     def _alignment_to_save(self) -> AlignmentPrior | None:
-        """Return what the estimator of now has learnt."""
+        """Return the alignment of the present estimator."""
         core: ShipAttitudeCore = self.core
         return core.alignment_to_save()
 
@@ -178,21 +178,21 @@ class ShipAttitudeAdapter(RecoveringAdapter):
 
     @property
     def _rate_sigma(self) -> float:
-        """Noise of the INS's angular rate as configured now, each axis, rad/s."""
+        """Configured noise of the angular rate of the INS, each axis, rad/s."""
         return float(self.config.ins.rate_sigma_arcsec_per_s * ARCSEC)
 
     def make_core(self, config: ShipAttitudeConfig, watch: SkyWatch | None) -> ShipAttitudeCore:
-        """The estimator; one that tells attitudes again is made only where that is asked for."""
+        """Return the estimator, with smoothing if configured."""
         if config.smoothing_lag_s:
             return SmoothingCore(config, watch, config.smoothing_lag_s)
         return ShipAttitudeCore(config, watch)
 
     def takes_blocks(self, topic: str) -> bool:
-        """See :meth:`BlockAdapter.takes_blocks`; what is told again is told sample by sample."""
+        """See :meth:`BatchAdapter.accepts_batches`; smoothing needs single samples."""
         return super().takes_blocks(topic) and not isinstance(self.core, SmoothingCore)
 
     def published(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[Published]:
-        """See :meth:`ReportingAdapter.published`; then what is told again."""
+        """See :meth:`ReportingAdapter.report_outcome`; smoothed attitudes follow."""
         published = super().published(outcome, now_ns, waiting_ns)
         if isinstance(self.core, SmoothingCore):
             try:
@@ -200,7 +200,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
                     smoothed_message(self.factory, estimate, self.config.frames) for estimate in self.core.smoothed()
                 ]
             except Exception as error:
-                # What is told at once goes out all the same, and the next attitudes are smoothed again.
+                # Real-time attitudes are published in any case; smoothing restarts.
                 self.core.forget_told()
                 smoothed = [self.failed(SMOOTHED_TOPIC, now_ns, failure(error))]
             published += smoothed
@@ -234,13 +234,13 @@ class ShipAttitudeAdapter(RecoveringAdapter):
             yield Feed(given, "gravity/deflection", messages_in.deflection, untimed(core.add_deflection))
 
     def _read_ins(self, message: Any, receive_ns: int, config: InsConfig) -> ReadMessage[AttitudeSample]:
-        """Return a sample of the INS; what its message states of its accuracy is kept for the diagnostics."""
+        """Return an INS sample; the covariance of its message is stored for the diagnostics."""
         reading = ins_sample(message, config, receive_ns)
         self._stated_covariance = message.orientation_covariance if reading.covariance_known else None
         return reading
 
     def _read_ins_block(self, messages: CdrRows, receive_ns: StampArray, config: InsConfig) -> ReadBlock:
-        """Return the samples of a block, as :meth:`_read_ins` does of a message."""
+        """Return the INS samples of a block, as :meth:`_read_ins` for one message."""
         reading = ins_block(messages, receive_ns, config)
         self._stated_covariance = messages.message(0).orientation_covariance if reading.covariance_known else None
         return reading
@@ -248,7 +248,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
     def _star_readers(
         self, id_: str, star: StarSensorConfig
     ) -> tuple[Callable[..., ReadMessage[Any]], Callable[..., ReadRows] | None]:
-        """What reads the messages of a star sensor, and many at once; they are single stars, or an attitude."""
+        """Return the reader of a star sensor's messages, and that of blocks of them, None for single stars."""
         if star.input == "observations":
             assert self._watch is not None
             exposure = functools.partial(
@@ -267,12 +267,12 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         return read, functools.partial(rows_in.star_attitudes, sensor_id=id_, config=star)
 
     def block_messages(self, runs: Sequence[AttitudeRun]) -> Iterator[PublishedRows]:
-        """See :meth:`BlockAdapter.block_messages`."""
+        """See :meth:`BatchAdapter.batch_messages`."""
         rows = attitude_rows(self.factory, AttitudeNumbers.of(runs), self._rate_sigma, self.config.frames)
         return (each for each in rows if each.topic != TF_TOPIC or self.config.publish_tf)
 
     def own_slow_topics(self, now_ns: int) -> list[Published]:
-        """Budget and predicted errors of the latest attitude, once each; alignment and installation as now known."""
+        """Return error budget and predicted errors of the latest attitude, once each, alignment and installation."""
         factory, estimate, published = self.factory, self.budget_due, []
         deck, horizon = self.config.frames.deck, self.config.frames.horizon
         if estimate is not None:
@@ -296,7 +296,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         return core.no_output(now_ns, text)
 
     def may_be_valid(self, there: Set[str]) -> bool:
-        """See :class:`RecoveringAdapter`: with the INS and a star sensor."""
+        """See :class:`RecoveringAdapter`; True with the INS and a star sensor."""
         return "ins" in there and any(source.startswith("star.") for source in there)
 
     def remedy(self, displaced: Mapping[str, float]) -> str:
@@ -310,7 +310,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         return f"if it was remounted, ~/reset; otherwise check its clock (time_offset_s of {where}) and its cable"
 
     def before_adoption(self) -> list[Published]:
-        """See :class:`RecoveringAdapter`: smoothing ends its segment."""
+        """See :class:`RecoveringAdapter`; returns the remaining smoothed attitudes."""
         if not isinstance(self.core, SmoothingCore):
             return []
         return [
@@ -318,35 +318,35 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         ]
 
     def _observability_statuses(self) -> list[DiagnosticStatus]:
-        """What the stars have told of the states, and what a turn would tell; looked at again once a minute."""
+        """Return the observability diagnostics, with a recommended turn; computed once a minute."""
         state, latest = self.core.state, self.latest
         if state.time_ns is None or latest is None or latest.status is Status.INVALID:
             return []
         if self._observed is None or abs(state.time_ns - self._observed[0]) >= _OBSERVED_EACH_NS:
-            # Under clouds no turn tells anything.
+            # Without stars a turn has no effect.
             sees = latest.status is Status.VALID
             told = self.core.learnt()
             turn = hint_text(self.core.worthwhile_turn(latest.rotation_nd)) if sees else ""
             values = {f"{name} (sigma / before)": f"{left:.2f}" for name, left in told.left.items()}
-            values |= {"not told apart": "; ".join(told.open) or "nothing", "turn": turn or "none is worth it"}
-            text = turn or "no turn of the ship would tell much more"
+            values |= {"not told apart": "; ".join(told.open) or "nothing", "turn": turn or "none recommended"}
+            text = turn or "no turn of the ship would improve the attitude much"
             self._observed = state.time_ns, DiagnosticStatus("observability", Level.OK, text, values)
         return [self._observed[1]]
 
     def _noise_status(self) -> DiagnosticStatus:
-        """Return whether the INS's attitudes have more noise than configured, or larger errors by its own account."""
+        """Return a diagnostic of INS noise in excess of the configured noise, and of errors stated in its messages."""
         if self._stated_covariance is not None:
             covariance = np.reshape(self._stated_covariance, (3, 3))
             if contradicted := contradicted_sigmas(covariance, self.config.ins):
                 return DiagnosticStatus("ins noise", Level.WARN, f"{contradicted}: raise it, or check the INS")
         excess = self.core.excess_noise
         if not excess:
-            text = "no more than ins.white_sigma_arcsec, as far as motion shows it"
+            text = "not larger than ins.white_sigma_arcsec, as far as the ship's motion shows it"
             return DiagnosticStatus("ins noise", Level.OK, text)
-        return DiagnosticStatus("ins noise", Level.WARN, f"ins/imu: {excess}; covariances count with it")
+        return DiagnosticStatus("ins noise", Level.WARN, f"ins/imu: {excess}; included in the covariances")
 
     def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
-        """The attitude, the alignment at the start, the rates of the INS, conflicts with it, verdicts, clocks."""
+        """Return diagnostics of attitude, alignment, INS, integrity, conflicts, innovations and clocks."""
         told = self.saved_remarks()
         text = "; ".join(told) or "as configured or saved"
         return [
@@ -365,7 +365,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
 
 
 def hint_text(hint: TurnHint | None) -> str:
-    """What a turn would bring, for people; empty where none is worth it."""
+    """Return a text about a recommended turn; empty for none."""
     if hint is None:
         return ""
     now, on_course, after = (f'{sigma / ARCSEC:.1f}"' for sigma in (hint.now, hint.on_course, hint.after))
@@ -374,13 +374,13 @@ def hint_text(hint: TurnHint | None) -> str:
 
 
 def attitude_budget(factory: MessageFactory, estimate: AttitudeEstimate, sources: Sequence[str], deck: str) -> Any:
-    """ship_msgs/ErrorBudget of a published attitude; ``sources`` name the parts of its covariance."""
+    """Return ship_msgs/ErrorBudget of a published attitude; ``sources`` are the names of its error sources."""
     parts_n, covariance_n = estimate.covariance_parts_n, estimate.covariance_n
     return error_budget(factory, "ship_attitude", estimate.time_ns, deck, sources, parts_n, covariance_n)
 
 
 def deflection_message(factory: MessageFactory, known: DeflectionReading, horizon: str) -> Any:
-    """ship_msgs/Deflection of what is known of the deflection."""
+    """Return ship_msgs/Deflection of the estimated deflection."""
     assert known.covariance is not None
     return factory.make(
         DEFLECTION_TYPE,
@@ -392,23 +392,23 @@ def deflection_message(factory: MessageFactory, known: DeflectionReading, horizo
 
 
 def vertical_statuses(core: ShipAttitudeCore, latest: AttitudeEstimate | None) -> list[DiagnosticStatus]:
-    """What is known of the vertical at the last attitude; nothing where nobody asks for it."""
+    """Return a diagnostic of the vertical at the last attitude; none if the filter does not need the vertical."""
     if core.vertical is None or latest is None or latest.status is Status.INVALID:
         return []
     known, lacking = core.deflection(latest.time_ns), core.vertical.told(latest.time_ns)
     if known is None:
-        text = lacking or "the latitude is known, by which the INS's error oscillates"
+        text = lacking or "the latitude for the error model of the INS is known"
         return [DiagnosticStatus("vertical", Level.WARN if lacking else Level.OK, text)]
     assert known.covariance is not None
     values_arcsec = [*known.deflection / ARCSEC, *np.sqrt(known.covariance.diagonal()) / ARCSEC]
     names = ("xi (arcsec)", "eta (arcsec)", "sigma of xi (arcsec)", "sigma of eta (arcsec)")
     values = {name: f"{value:.1f}" for name, value in zip(names, values_arcsec, strict=True)}
-    text = lacking or "the deflection of the vertical is known, or estimated"
+    text = lacking or "the deflection of the vertical is known or estimated"
     return [DiagnosticStatus("vertical", Level.WARN if lacking else Level.OK, text, values)]
 
 
 def error_arcsec(factory: MessageFactory, estimate: AttitudeEstimate, deck: str) -> Any:
-    """ship_msgs/AttitudeErrorArcsec: predicted sigmas; an estimator never sees the truth, so errors are NaN."""
+    """Return ship_msgs/AttitudeErrorArcsec with predicted sigmas; errors are NaN, because the truth is not known."""
     heading, pitch, _ = angles_from_rotation(estimate.rotation_nd)
     sigma = np.sqrt(np.diagonal(angle_covariance(estimate.covariance_n, heading, pitch))) / ARCSEC
     unknown = float("nan")
@@ -425,7 +425,7 @@ def error_arcsec(factory: MessageFactory, estimate: AttitudeEstimate, deck: str)
 
 
 def alignment_state(factory: MessageFactory, alignment: Alignment, now_ns: int, deck: str) -> Any:
-    """ship_msgs/AlignmentState."""
+    """Return ship_msgs/AlignmentState of an alignment."""
     return factory.encoded(
         "ship_msgs/msg/AlignmentState",
         header={"stamp": now_ns, "frame_id": deck},
@@ -437,7 +437,7 @@ def alignment_state(factory: MessageFactory, alignment: Alignment, now_ns: int, 
 
 
 def star_frames(star_sensors: Mapping[str, StarSensorConfig], taken: Set[str]) -> dict[str, str]:
-    """Star sensor id → its frame: the configured frame_id, or star_<id> where it has none or that means another too."""
+    """Return the frame of each star sensor by id: the configured frame_id if it is unique, else star_<id>."""
     count = Counter(star.frame_id for star in star_sensors.values())
     frames = {}
     for id_, star in star_sensors.items():
@@ -450,7 +450,14 @@ def star_frames(star_sensors: Mapping[str, StarSensorConfig], taken: Set[str]) -
 def installed_frames(
     factory: MessageFactory, rotations_dv: Mapping[str, np.ndarray], now_ns: int, deck: str
 ) -> Any:
-    """tf2_msgs/TFMessage of what is bolted to the deck at places unknown: frame → deck from device, shape (3, 3)."""
+    """Return tf2_msgs/TFMessage of devices on the deck, without translation.
+
+    Args:
+        factory: creates messages.
+        rotations_dv: rotation deck from device by frame, shape (3, 3).
+        now_ns: stamp.
+        deck: name of the deck frame.
+    """
     transforms = []
     for frame, rotation_dv in rotations_dv.items():
         rotation = dict(zip("xyzw", mounting_quaternion(rotation_dv).tolist(), strict=True))
@@ -465,22 +472,22 @@ def installed_frames(
 
 
 def start_warnings(config: ShipAttitudeConfig) -> tuple[str, ...]:
-    """What a configuration lacks, for the log at the start and for the diagnostics ever after."""
+    """Return texts about missing parts of a configuration, for the log at the start and the diagnostics."""
     if config.star_sensors or config.references or config.ship_baseline.is_aboard:
         return ()
     lacking = "no star_sensors, no references and no ship_baseline are configured"
-    return (f"{lacking}: the attitude will be the INS's alone, DEGRADED, horizon GRAVITY",)
+    return (f"{lacking}: the attitude is that of the INS alone, DEGRADED, horizon GRAVITY",)
 
 
 def attitude_status(
     estimate: AttitudeEstimate | None, clock_jumps: int, lacking: Sequence[str] = ()
 ) -> DiagnosticStatus:
-    """State of the published attitude.
+    """Return the diagnostic of the published attitude.
 
     Args:
-        estimate: the last one.
-        clock_jumps: how often the clock went back.
-        lacking: what the configuration lacks (:func:`start_warnings`).
+        estimate: last attitude.
+        clock_jumps: number of backward jumps of the clock.
+        missing_configuration: missing parts of the configuration (:func:`start_warnings`).
     """
     values = {"clock jumps back": str(clock_jumps)}
     if estimate is None:

@@ -1,4 +1,4 @@
-"""The node ``star_attitude``: which topic feeds which method of its core, what a solution becomes, its diagnostics."""
+"""Adapter of the node ``star_attitude``: input topics, output messages and diagnostics."""
 
 import functools
 from collections.abc import Iterator, Mapping, Sequence
@@ -41,28 +41,28 @@ from ship_node.edge.topics import InputTopic, OutputTopic, Published
 _STARS_TYPE = "ship_msgs/msg/StarObservationArray"
 _SOLUTION_TYPE = "ship_msgs/msg/StarHorizonAttitude"
 _NOT_LOOKED_AT = (Reason.NO_FIX, Reason.NO_EARTH_ORIENTATION, Reason.FAILED, Reason.CONFLICT)
-"""Why an exposure is refused as a whole."""
+"""Reasons for which an exposure is rejected as a whole."""
 
 _WORDS = {
     SolutionStatus.VALID: (Level.OK, "VALID"),
-    SolutionStatus.UNVERIFIED: (Level.WARN, "UNVERIFIED: too few stars to tell a misidentified one"),
-    SolutionStatus.ANGLES_SINGULAR: (Level.OK, "ANGLES_SINGULAR: near the zenith azimuth and roll mean nothing"),
+    SolutionStatus.UNVERIFIED: (Level.WARN, "UNVERIFIED: too few stars to detect a misidentified one"),
+    SolutionStatus.ANGLES_SINGULAR: (Level.OK, "ANGLES_SINGULAR: azimuth and roll are undefined near the zenith"),
     SolutionStatus.INVALID: (Level.WARN, "INVALID"),
 }
 
 
 SILENT_NS = 10_000_000_000
-"""A solution put out longer ago than this says nothing of now, ns."""
+"""Timeout of a solution in the diagnostics, ns."""
 
 
 @dataclass(frozen=True)
 class SeenStars:
-    """An exposure as ``star_attitude`` takes it.
+    """A read observation message.
 
     Attributes:
-        time_ns: its stamp.
-        exposure: the stars that can be used.
-        refused: the other stars of the message.
+        time_ns: stamp of the exposure.
+        exposure: the usable stars.
+        rejected_stars: the rejected stars of the message.
     """
 
     time_ns: int
@@ -71,12 +71,12 @@ class SeenStars:
 
 
 class StarAttitudeAdapter(BlockAdapter):
-    """Attitudes from the stars that star sensors see: of each sensor, and of the deck by all of them.
+    """Adapter of the estimator of attitudes from stars alone.
 
     Args:
-        config: the node's parameters.
-        factory: makes the messages.
-        files: none is used.
+        config: parameters of the node.
+        factory: creates messages.
+        files: not used.
     """
 
     node_name: ClassVar[str] = "star_attitude"
@@ -84,7 +84,7 @@ class StarAttitudeAdapter(BlockAdapter):
     services: ClassVar[tuple[str, ...]] = ("reset",)
     main_topic: ClassVar[str] = f"star/{JOINT}/solution"
     innovation_topic: ClassVar[str] = "star/innovation"
-    reset_text: ClassVar[str] = "all inputs are forgotten"
+    reset_text: ClassVar[str] = "all inputs are discarded"
     quiet_ticks: ClassVar[bool] = False
 
     def __init__(self, config: StarAttitudeConfig, factory: MessageFactory, files: Files = DISK) -> None:
@@ -99,7 +99,7 @@ class StarAttitudeAdapter(BlockAdapter):
             *OWN_OUTPUTS,
         )
         if not config.star_sensors:
-            self.start_warnings = ("no star_sensors are configured: there is nothing to solve",)
+            self.start_warnings = ("no star_sensors are configured: no attitude will be published",)
         self._solved: dict[str, tuple[Solved, int]] = {}
         super().__init__(config, StarCore(config, self._watch), factory)
 
@@ -131,25 +131,25 @@ class StarAttitudeAdapter(BlockAdapter):
         return core.add_exposure(seen.exposure, seen.refused, waiting_ns)
 
     def block_messages(self, _runs: Sequence[Any]) -> Iterator[PublishedRows]:
-        """A sample of the INS leads to nothing that is published by itself."""
+        """Return no messages: INS samples are not published."""
         return iter(())
 
     # -- results of the core --------------------------------------------------------------------------------
 
     def published(self, outcome: StarOutcome, now_ns: int, waiting_ns: int) -> list[Published]:
-        """Solutions, their refused stars, and exposures that came too late for the joint solution of their time."""
+        """Return solutions, their rejected stars, and exposures too late for the joint solution of their time."""
         published: list[Published] = []
         for solved in outcome.solved:
             self._solved[solved.sensor_id] = solved, waiting_ns
             published += self._joint(solved) if solved.sensor_id == JOINT else self._single(solved, now_ns)
         for source, time_ns in outcome.not_joined:
-            text = "too late for the joint solution of its time; that of its sensor is published"
+            text = "too late for the joint solution of its time; its single-sensor solution is published"
             self.health.noted(_topic(source), Reason.LATE)
             published.append(self.refused(source, time_ns, Refusal(Reason.LATE, text)))
         return published
 
     def _single(self, solved: Solved, now_ns: int) -> list[Published]:
-        """The solution of one sensor; its exposure counts as used unless it was refused as a whole."""
+        """Return the messages of a sensor's solution; the exposure counts as used unless it is rejected as a whole."""
         id_, refusal = solved.sensor_id, solved.solution.refusal
         source, topic = f"star.{id_}", _topic(f"star.{id_}")
         if refusal is not None and refusal.reason in _NOT_LOOKED_AT:
@@ -182,13 +182,13 @@ class StarAttitudeAdapter(BlockAdapter):
         return [(f"star/{solved.sensor_id}/solution", message), *((self.innovation_topic, star) for star in refused)]
 
     def own_slow_topics(self, now_ns: int) -> list[Published]:
-        """The budget of the latest joint solution, once."""
+        """Return the error budget of the latest joint solution, once."""
         if self.budget_due is None:
             return []
         return [(f"star/{JOINT}/error_budget", solution_budget(self.factory, self.budget_due, self.config.frames.deck))]
 
     def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
-        """The solutions, and what the places of stars rest on."""
+        """Return diagnostics of the solutions and of the sky model."""
         return [
             *solution_statuses(self.config, self._solved, self.core.joined_by_ins, waiting_ns),
             sky_status(self.core.not_measured(), self.clock_jumps),
@@ -200,14 +200,14 @@ class StarAttitudeAdapter(BlockAdapter):
 
 
 def seen_stars(message: Any, **sensor: Any) -> ReadMessage[SeenStars]:
-    """A message with the stars left out as the core tells them, with the solution.
+    """Read an observation message; its rejected stars are published with the solution.
 
     Args:
         message: StarObservationArray.
         sensor: arguments of :func:`star_exposure`.
 
     Raises:
-        Refused: the whole message cannot be used.
+        MessageRejected: the whole message cannot be used.
     """
     read = star_exposure(message, **sensor, named_by_number=True)
     source, time_ns, refused = read.value.source, read.value.time_ns, []
@@ -221,7 +221,7 @@ def _topic(source: str) -> str:
 
 
 def star_horizon_attitude(factory: MessageFactory, solved: Solved, frame_id: str) -> Any:
-    """ship_msgs/StarHorizonAttitude; all NaN where there is no attitude."""
+    """Return ship_msgs/StarHorizonAttitude of a solution; all NaN without an attitude."""
     solution = solved.solution
     covariance_n, noise_n, residual_rms = solution.covariance_n, solution.noise_n, solution.residual_rms
     star_count = solution.star_count
@@ -245,14 +245,14 @@ def star_horizon_attitude(factory: MessageFactory, solved: Solved, frame_id: str
 
 
 def solution_budget(factory: MessageFactory, solved: Solved, deck: str) -> Any:
-    """ship_msgs/ErrorBudget of a joint solution."""
+    """Return ship_msgs/ErrorBudget of a joint solution."""
     parts_n, covariance_n = solved.solution.parts_n, solved.solution.covariance_n
     terms = SOLUTION_TERMS[: len(parts_n)]
     return error_budget(factory, f"star_{JOINT}", solved.time_ns, deck, terms, parts_n, covariance_n)
 
 
 def refused_star(factory: MessageFactory, star: RefusedStar) -> Any:
-    """ship_msgs/Innovation of a star that was refused, compared with its place or not."""
+    """Return ship_msgs/Innovation of a rejected star, with its residual if it was compared."""
     told = Refusal(star.refusal.reason, f"{star.name}: {star.refusal.text}")
     if not star.residual:
         return refused_input(factory, star.source, star.time_ns, told)
@@ -265,13 +265,13 @@ def refused_star(factory: MessageFactory, star: RefusedStar) -> Any:
 def solution_statuses(
     config: StarAttitudeConfig, latest: Mapping[str, tuple[Solved, int]], joined_by_ins: bool, waiting_ns: int
 ) -> list[DiagnosticStatus]:
-    """State of each sensor's last solution, and of the joint one.
+    """Return diagnostics of the last solution of each sensor, and of the joint one.
 
     Args:
-        config: the sensors.
-        latest: last solutions by id, each with the time of waiting when it was put out.
-        joined_by_ins: whether ``ins/imu`` moved the last exposures to one moment.
-        waiting_ns: the time of waiting now.
+        config: parameters of the node.
+        latest: last solution by id, each with its publication time in the time of waiting.
+        joined_by_ins: True if ``ins/imu`` was available for the last joint solution.
+        waiting_ns: current time of waiting.
     """
     how = ""
     if len(config.star_sensors) > 1 and not joined_by_ins:
@@ -281,15 +281,15 @@ def solution_statuses(
 
 
 def sky_status(not_measured: Sequence[str], clock_jumps: int) -> DiagnosticStatus:
-    """What the places of stars rest on.
+    """Return the diagnostic of the sky model.
 
     Args:
-        not_measured: quantities of the air that come from parameters.
-        clock_jumps: how often the clock went back.
+        not_measured: air quantities taken from parameters.
+        clock_jumps: number of backward jumps of the clock.
     """
-    text = "weather as measured"
+    text = "refraction with measured weather"
     if not_measured:
-        text = f"no weather: {', '.join(not_measured)} by parameters, with their larger sigma"
+        text = f"no weather: {', '.join(not_measured)} from parameters, with larger sigma"
     return DiagnosticStatus("sky", Level.OK, text, {"clock jumps back": str(clock_jumps)})
 
 

@@ -1,8 +1,8 @@
-"""From a message to the stars of one exposure: checks, directions, identities. All adapters of cameras share it.
+"""Reader of star observation messages: checks, directions and identities; shared by all adapters of cameras.
 
-Only attributes of messages are read, so any message class will do. A message that cannot be used raises
-:class:`ship_node.edge.messages_in.Refused`. A star that cannot be used is left out, with its reason, and the other
-stars of the message are used.
+Only attributes of messages are read, so any message class can be used. A message that cannot be used raises
+:class:`ship_node.edge.messages_in.MessageRejected`. A star that cannot be used is rejected with its reason, and the
+other stars of the message are used.
 """
 
 import math
@@ -25,13 +25,13 @@ from ship_geometry.star_directions import StarPositions, fixed_stars
 from ship_node.edge.messages_in import ReadMessage, device_id, exposure_length_s, frame, stamp_ns
 
 MOST_STARS = 100
-"""Of one exposure; what comes after them is not looked at, so that no message can hold up the node."""
+"""Maximum number of stars of an exposure; further stars are ignored, so that no message can block the node."""
 
 _GIVEN_DIRECTION_SIGMA = 0.05 * ARCSEC
-"""Error of a direction that a message gives, rad per axis: as of a catalogue star whose motion is known."""
+"""Standard deviation of a direction given in a message, rad per axis: as for a catalogue star with known motion."""
 
 _LEAST_FORWARD = math.cos(math.radians(60.0))
-"""Cosine of the angle to the boresight, of the farthest that a camera can see."""
+"""Cosine of the largest angle between a star and the boresight."""
 
 _LARGEST_PIXEL = 1e6
 _LEAST_SIGMA_PX, _LARGEST_SIGMA_PX = 1e-4, 100.0
@@ -40,16 +40,16 @@ _ANGLE_TOLERANCE = 1e-9
 
 @dataclass(frozen=True)
 class _Told:
-    """What a message tells of k stars.
+    """Fields of k stars of a message.
 
     Attributes:
-        pixels: centroids (u, v), shape (k, 2).
-        sigma_px: their standard deviation, each axis, shape (k,); as configured where the message gives none.
-        sigma_known: whether the message gives that of every star.
-        right_ascension: ICRS, rad, shape (k,); NaN where not given.
-        declination: ICRS, rad, shape (k,); NaN where not given.
-        hip: catalogue numbers, shape (k,); 0 where not given.
-        magnitude: shape (k,); NaN where not given.
+        pixels: centroids (u, v), px, shape (k, 2).
+        sigma_px: standard deviation of the centroids, each axis, px, shape (k,); as configured if the message has none.
+        sigma_known: True if the message has that of every star.
+        right_ascension: ICRS, rad, shape (k,); NaN if not given.
+        declination: ICRS, rad, shape (k,); NaN if not given.
+        hip: catalogue numbers, shape (k,); 0 if not given.
+        magnitude: magnitudes, shape (k,); NaN if not given.
     """
 
     pixels: FloatArray
@@ -72,28 +72,28 @@ def star_exposure(
     named_by_number: bool = False,
     masks: SensorMasks | None = None,
 ) -> ReadMessage[StarExposure]:
-    """``star/<sensor>/observations`` → directions in the sensor frame, and which stars they are.
+    """Read ``star/<sensor>/observations``: directions in the sensor frame, and identities of the stars.
 
-    A star with a catalogue number has its place from the catalogue, a star without a number from the message. A star
-    that has neither number nor place is still to be identified.
+    The position of a star with a catalogue number is from the catalogue, that of a star without a number from the
+    message. A star with neither is identified later.
 
     Args:
         message: StarObservationArray.
-        sensor_id: sensor on whose topic it came.
-        frame_id: that it must carry; empty for any.
-        camera: of the sensor.
-        camera_config: parameters of the camera: the errors of a centroid, the spread of a star's image.
-        catalogue: in which the numbers are looked up.
-        receive_ns: when it came.
-        named_by_number: whether a star that is left out has its catalogue number as name, where it has one; otherwise
-            its place in the message is its name.
-        masks: what stands on deck in the sensor's way; None where nothing does.
+        sensor_id: sensor of the topic.
+        frame_id: required frame_id of the message; empty for any.
+        camera: camera of the sensor.
+        camera_config: parameters of the camera, with centroid errors and the width of a star image.
+        catalogue: star catalogue for the numbers.
+        receive_ns: arrival time.
+        named_by_number: True if rejected stars are named by their catalogue number, if they have one; else they are
+            named by their index in the message.
+        masks: obstructions of the field of view on deck; None for none.
 
     Returns:
-        The exposure with the stars that can be used; the other stars of the message are left out.
+        The exposure with the usable stars; the other stars of the message are rejected.
 
     Raises:
-        Refused: the whole message cannot be used.
+        MessageRejected: the whole message cannot be used.
     """
     time_ns = stamp_ns(message.header, receive_ns)
     device_id("sensor_id", message.sensor_id, sensor_id)
@@ -128,7 +128,7 @@ def star_exposure(
 
 
 def _told(stars: Sequence[Any], centroid_sigma_px: float) -> _Told:
-    """The columns of a message; ``centroid_sigma_px`` stands in where a star gives no sigma."""
+    """Return the fields of the stars of a message; ``centroid_sigma_px`` is used for stars without sigma."""
     rows = [[star.u, star.v, star.sigma_px, star.right_ascension, star.declination, star.magnitude] for star in stars]
     u, v, sigma_px, right_ascension, declination, magnitude = np.array(rows, dtype=float).reshape(-1, 6).T
     not_given = ~(sigma_px > 0.0) & ~(sigma_px < 0.0)
@@ -146,7 +146,7 @@ def _told(stars: Sequence[Any], centroid_sigma_px: float) -> _Told:
 def _refusals(
     told: _Told, directions_s: FloatArray, entries: CatalogueEntries, catalogue: StarCatalogue
 ) -> list[Refusal | None]:
-    """Why each star is not used, in the order of the rows; None where it is used."""
+    """Return the rejection of each star, None for a usable one."""
     seen: dict[Hashable, list[float]] = {}
     columns = told.pixels, directions_s[:, 0], told.sigma_px, told.hip, entries.rows, told.right_ascension
     stars = zip(*(column.tolist() for column in (*columns, told.declination)), strict=True)
@@ -163,10 +163,10 @@ def _refusals(
 def _left_out(
     stars: Sequence[Any], refusals: Sequence[Refusal | None], named_by_number: bool
 ) -> tuple[tuple[str, Refusal], ...]:
-    """Stars that are not used, by name. Those beyond ``MOST_STARS`` are told once, by the first of them."""
+    """Return the rejected stars by name. Stars beyond ``MOST_STARS`` are reported once, by the first of them."""
     rows = [(row, refusal) for row, refusal in enumerate(refusals) if refusal is not None]
     if len(stars) > MOST_STARS:
-        text = f"{len(stars)} stars in one exposure: only the first {MOST_STARS} are looked at"
+        text = f"{len(stars)} stars in one exposure: only the first {MOST_STARS} are used"
         rows.append((MOST_STARS, Refusal(Reason.OVERFLOW, text)))
     numbers = {row: stars[row].catalogue_id for row, _ in rows if named_by_number}
     return tuple(
@@ -182,7 +182,7 @@ def _pixel_refusal(pixel: list[float], forward: float) -> Refusal | None:
     where = f"pixel ({pixel[0]:.6g}, {pixel[1]:.6g})"
     if not finite:
         return Refusal(Reason.NON_FINITE, where)
-    return Refusal(Reason.UNITS, f"{where} is nowhere in this camera's field: expected pixels from its corner")
+    return Refusal(Reason.UNITS, f"{where} is outside this camera's field of view: expected pixels from its corner")
 
 
 def _sigma_refusal(sigma_px: float) -> Refusal | None:
@@ -199,7 +199,7 @@ def _number_refusal(hip: int, row: int, catalogue: StarCatalogue) -> Refusal | N
 
 
 def _place_refusal(hip: int, right_ascension: float, declination: float) -> Refusal | None:
-    """Why the place of a star without number cannot be used."""
+    """Return the rejection of a star without number for its right ascension and declination, or None."""
     if hip != 0 or (math.isnan(right_ascension) and math.isnan(declination)):
         return None
     where = f"right ascension {right_ascension:.6g}, declination {declination:.6g}"
@@ -211,14 +211,14 @@ def _place_refusal(hip: int, right_ascension: float, declination: float) -> Refu
 
 
 def _identity(hip: int, right_ascension: float, declination: float) -> Hashable:
-    """What makes two stars of a message the same; None where it is not known yet."""
+    """Return the identity of a star, equal for the same star; None if it is not identified yet."""
     if hip != 0:
         return hip
     return None if math.isnan(right_ascension) else (right_ascension, declination)
 
 
 def _repeated(identity: Hashable, pixel: list[float], seen: dict[Hashable, list[float]]) -> Refusal | None:
-    """No star counts twice: of two that are said to be the same one, the first is used."""
+    """Return the rejection of a star with the identity of an earlier one of the message, or None."""
     first = pixel if identity is None else seen.setdefault(identity, pixel)
     if first is pixel:
         return None
@@ -229,7 +229,7 @@ def _repeated(identity: Hashable, pixel: list[float], seen: dict[Hashable, list[
 def _either(
     listed: NDArray[np.bool_], of_catalogue: StarPositions, given: StarPositions, kept: NDArray[np.intp]
 ) -> StarPositions:
-    """Positions of the stars of some rows: of the catalogue where they are listed, as mostly all are, else as given."""
+    """Return the positions of the usable stars, from the catalogue if listed, else as given in the message."""
     if listed.all():
         return of_catalogue[kept]
     columns = [

@@ -1,7 +1,7 @@
-"""The ship's place and the air around her: from messages to the structs of the sky, with all checks, for all nodes.
+"""Readers of position and air messages for the sky model of all nodes: checks and conversion.
 
-Reads attributes only, so any message class will do. What cannot be used raises
-:class:`ship_node.edge.messages_in.Refused`.
+They read attributes only, so any message class can be used. A message that cannot be used raises
+:class:`ship_node.edge.messages_in.MessageRejected`.
 """
 
 import functools
@@ -27,19 +27,19 @@ _LARGEST_HEIGHT_M = 20_000.0
 
 
 def position_fix(message: Any, config: SkyConfig, receive_ns: int) -> ReadMessage[SkyInput]:
-    """``gnss/fix`` → the ship's place.
+    """Read ``gnss/fix``: position of the ship.
 
     Raises:
-        Refused: with the reason.
+        MessageRejected: the message cannot be used; contains the reason.
     """
     time_ns = stamp_ns(message.header, receive_ns)
     if message.status.status <= _NO_FIX:
-        raise Refused(Reason.NO_FIX, "the receiver itself says that it has no fix (STATUS_NO_FIX)")
+        raise Refused(Reason.NO_FIX, "the receiver reports no fix (STATUS_NO_FIX)")
     finite_numbers("latitude, longitude", message.latitude, message.longitude)
     if abs(message.latitude) > 90.0 or abs(message.longitude) > 360.0:
         text = f"latitude {message.latitude:.9g}, longitude {message.longitude:.9g}: expected degrees, ±90 and ±180"
         raise Refused(Reason.UNITS, text)
-    # A receiver without height says NaN; at sea it is near zero, and stars hardly know it.
+    # A receiver without height sends NaN; at sea it is near zero, with little effect on stars.
     height_m = 0.0 if np.isnan(message.altitude) else message.altitude
     if not abs(height_m) < _LARGEST_HEIGHT_M:
         raise Refused(Reason.UNITS, f"altitude {height_m:.6g}: expected metres above the ellipsoid")
@@ -48,9 +48,9 @@ def position_fix(message: Any, config: SkyConfig, receive_ns: int) -> ReadMessag
         covariance_enu = covariance_3x3(message.position_covariance, "position_covariance")
     if covariance_enu is not None and covariance_enu.diagonal().max() > _LARGEST_POSITION_SIGMA_M**2:
         largest_m = np.sqrt(covariance_enu.diagonal().max())
-        raise Refused(Reason.BAD_COVARIANCE, f"position_covariance: a sigma of {largest_m:.3g} m is no fix")
+        raise Refused(Reason.BAD_COVARIANCE, f"position_covariance: sigma {largest_m:.3g} m is too large for a fix")
     if covariance_enu is not None and not covariance_enu.diagonal()[:2].all():
-        text = "position_covariance: a variance of zero beside others, but no receiver is exact in one direction"
+        text = "position_covariance: a horizontal variance is zero, although others are not"
         raise Refused(Reason.BAD_COVARIANCE, text)
     covariance_m2 = np.eye(3) * config.fix_sigma_m**2 if covariance_enu is None else horizon_covariance(covariance_enu)
     position = GeodeticPosition(np.deg2rad(message.latitude), np.deg2rad(message.longitude), height_m)
@@ -58,10 +58,10 @@ def position_fix(message: Any, config: SkyConfig, receive_ns: int) -> ReadMessag
 
 
 def pressure(message: Any, receive_ns: int) -> ReadMessage[SkyInput]:
-    """``met/pressure``, in Pa → hPa.
+    """Read ``met/pressure``: air pressure, converted from Pa to hPa.
 
     Raises:
-        Refused: with the reason.
+        MessageRejected: the message cannot be used; contains the reason.
     """
     pascal = float(message.fluid_pressure)
     hint = ": hPa, not Pa?" if 800.0 <= pascal <= 1100.0 else ""
@@ -70,10 +70,10 @@ def pressure(message: Any, receive_ns: int) -> ReadMessage[SkyInput]:
 
 
 def temperature(message: Any, receive_ns: int) -> ReadMessage[SkyInput]:
-    """``met/temperature``, in degrees Celsius.
+    """Read ``met/temperature``: air temperature, °C.
 
     Raises:
-        Refused: with the reason.
+        MessageRejected: the message cannot be used; contains the reason.
     """
     celsius = float(message.temperature)
     hint = ": kelvin, not °C?" if 213.0 <= celsius <= 333.0 else ""
@@ -81,10 +81,10 @@ def temperature(message: Any, receive_ns: int) -> ReadMessage[SkyInput]:
 
 
 def humidity(message: Any, receive_ns: int) -> ReadMessage[SkyInput]:
-    """``met/humidity``, 0 to 1.
+    """Read ``met/humidity``: relative humidity, 0 to 1.
 
     Raises:
-        Refused: with the reason.
+        MessageRejected: the message cannot be used; contains the reason.
     """
     fraction = float(message.relative_humidity)
     hint = ": percent?" if 1.0 < fraction <= 100.0 else ""
@@ -108,9 +108,9 @@ def _reading(
     if message.variance < 0.0:
         raise Refused(Reason.BAD_COVARIANCE, f"variance of {quantity} is negative: {message.variance:.6g}")
     if message.variance > (allowed[1] - allowed[0]) ** 2:
-        raise Refused(Reason.BAD_COVARIANCE, f"variance of {quantity} {message.variance:.6g}: that is no measurement")
+        raise Refused(Reason.BAD_COVARIANCE, f"variance of {quantity} {message.variance:.6g}: too large")
     sigma = None if message.variance == 0.0 else scale * float(np.sqrt(message.variance))
-    # The error of the humidity is not used anywhere: nothing stands in for it.
+    # The humidity error is not used anywhere, so no configured value replaces it.
     known = sigma is not None or quantity == "humidity"
     return ReadMessage(AirReading(quantity, time_ns, scale * value, sigma), known)
 
@@ -121,11 +121,11 @@ SURROUNDINGS = {
     "met/temperature": "sensor_msgs/msg/Temperature",
     "met/humidity": "sensor_msgs/msg/RelativeHumidity",
 }
-"""Topics of the place and the air, and their types; without a place no star is of use."""
+"""Topics of position and air data, and their types; stars cannot be used without a position."""
 
 
 def surroundings_reader(topic: str, config: SkyConfig) -> Callable[..., ReadMessage[SkyInput]]:
-    """What reads the messages of one of :data:`SURROUNDINGS`; it is given the message and ``receive_ns=``."""
+    """Return the reader of a topic of :data:`SURROUNDINGS`; its arguments are the message and ``receive_ns=``."""
     if topic == "gnss/fix":
         return functools.partial(position_fix, config=config)
     return {"met/pressure": pressure, "met/temperature": temperature, "met/humidity": humidity}[topic]
@@ -134,19 +134,19 @@ def surroundings_reader(topic: str, config: SkyConfig) -> Callable[..., ReadMess
 def surroundings_feeds(
     config: SkyConfig, take: Callable[[Any, int], Any], place_required: bool = True
 ) -> Iterator[Feed]:
-    """The rows of an adapter's table by which the place and the air reach the core.
+    """Yield the rows of an adapter's table for position and air data.
 
     Args:
-        config: how the sky is told.
-        take: the core's method.
-        place_required: whether the node is of no use without a place.
+        config: parameters of the sky model.
+        take: method of the core that takes them.
+        position_required: True if the node needs a position.
     """
     for topic in SURROUNDINGS:
         yield _surroundings_feed(topic, config, take, place_required)
 
 
 def place_feed(config: SkyConfig, take: Callable[[Any, int], Any]) -> Feed:
-    """The row by which the place alone reaches the core, where no sensor needs the air."""
+    """Return the row of an adapter's table for the position alone, if no sensor needs air data."""
     return _surroundings_feed("gnss/fix", config, take, required=True)
 
 

@@ -1,7 +1,10 @@
-"""The core of the node ``ship_attitude``: INS and stars in, the ship's attitude with its error budget out.
+"""Core of the node ``ship_attitude``: ship attitude with error budget from INS and star measurements.
 
-``core`` feeds ``filter`` in the shell of every estimator. ``model`` names the devices and the states, ``comparison``
-predicts what a device measures and compares it with what it measured, ``linearised`` does so where the estimate will
-be, ``output`` makes the attitude of a state, ``alignment`` is what outlasts the voyage. The room may import
-measurements, sky, stars and guards, not the core of ``star_attitude``.
+- ``core`` runs ``filter`` in a time-ordered estimator.
+- ``model`` defines devices and states, ``comparison`` predicts measurements and computes residuals, and
+  ``linearisation`` does so at the estimate.
+- ``fault_detection`` excludes faulty sources.
+- ``corrected_ins`` and ``output`` compute the published attitude; ``alignment`` is saved for the next voyage.
+
+The folder may import measurements, sky, stars and guards, but not the core of ``star_attitude``.
 """

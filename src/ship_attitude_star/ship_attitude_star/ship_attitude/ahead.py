@@ -1,8 +1,8 @@
-"""Samples of an INS that are judged before their turn, and the attitudes that they become when all of them have come.
+"""Batches of INS samples for offline processing, and the attitudes at their stamps.
 
-Offline the samples of some time are there together. They are judged in one go. Then each has its turn among the other
-inputs, so that the filter's state at each sample is what it is live. At the end the attitudes of all are computed,
-those that rest on one state together.
+Offline, the samples of a period are available together and are checked in one call. Then they are committed in order
+with the other inputs, so that the filter state at each sample equals that of a live node. Finally the attitudes of all
+samples are computed, those with the same filter state together.
 """
 
 from collections.abc import Callable
@@ -29,13 +29,13 @@ from ship_geometry.attitude_track import (
 
 
 class _Stretch(NamedTuple):
-    """Samples that follow one another and whose attitudes rest on one state.
+    """Successive samples with the same filter state.
 
     Attributes:
-        state: of the filter.
-        start: number of the first one.
-        stop: number behind the last one.
-        doubts: of each, why its attitude is DEGRADED whatever it rests on, or an empty text; None for no doubt at all.
+        state: the filter state.
+        start: index of the first sample.
+        stop: index after the last sample.
+        contradiction_texts: for each sample a text if a source contradicted itself, else empty; None if no source did.
     """
 
     state: FilterState
@@ -46,17 +46,17 @@ class _Stretch(NamedTuple):
 
 @dataclass
 class InsAhead:
-    """The samples of a block that were judged ahead.
+    """A batch of checked INS samples.
 
     Attributes:
-        samples: those that go the usual way, from the first one on.
-        block: the same as arrays.
-        arrivals_ns: when each comes, in the time of waiting.
-        followed: what the guard said of them, and of one more where that does not go the usual way.
-        before: the samples before them.
-        extra: noise of the samples beyond what is stated; None where there is none.
-        taken: how many had their turn.
-        told: number of a sample, and what its turn led to besides an attitude, as far as nobody has asked for it.
+        samples: samples of the batch, from the first of the block.
+        block: samples as arrays.
+        arrivals_ns: arrival times, in the time of waiting.
+        checked: results of the INS check, including a last sample that needs separate handling.
+        previous_rates: rates of the samples before the batch.
+        extra_noise: noise of the samples in excess of the stated noise; None for none.
+        committed_count: number of committed samples.
+        pending_outcomes: index of a sample and its outcome besides an attitude, not yet retrieved.
     """
 
     samples: list[AttitudeSample]
@@ -70,7 +70,7 @@ class InsAhead:
     _stretches: list[_Stretch] = field(default_factory=list)
 
     def had_turn(self, state: FilterState, stop: int, doubts: list[str] | None) -> None:
-        """Samples up to one, not included, had their turn; arguments as in the attributes of a stretch."""
+        """Commit the samples before index ``stop``; arguments as the attributes of a segment."""
         start, self.taken = self.taken, stop
         last = self._stretches[-1] if self._stretches else None
         if last is not None and last.state is state and last.doubts is None and doubts is None:
@@ -83,15 +83,15 @@ class InsAhead:
         moved_s: Callable[[CorrectedIns], float],
         config: ShipAttitudeConfig,
     ) -> list[tuple[slice, AttitudeRun | Refusal]]:
-        """The attitudes of all samples that had their turn, in order, those of one state together.
+        """Return the attitudes of all committed samples in order, one series per filter state.
 
         Args:
-            corrected_by: INS attitudes corrected by a state.
-            moved_s: by so much a sample is moved then, s.
-            config: of the node.
+            corrected_by: returns the corrections by a filter state.
+            propagation_s: returns the time by which a sample is propagated with these corrections, s.
+            config: configuration of the node.
 
         Returns:
-            Numbers of the samples, and their attitudes, or why these could not be computed.
+            Slices of sample indices, with their attitudes or the failure to compute them.
         """
         corrected = [corrected_by(stretch.state) for stretch in self._stretches]
         counts = [stretch.stop - stretch.start for stretch in self._stretches]
@@ -100,7 +100,7 @@ class InsAhead:
         try:
             found: list[AttitudeRun | Refusal] = [*estimates_by(corrected, counts, self._times_ns, moved, config)]
         except Exception:
-            # Which of them cannot be computed is found out one by one.
+            # Compute one by one to find the one that fails.
             pairs = zip(corrected, self._stretches, strict=True)
             found = [self._attitudes_of(one, stretch, moved, config) for one, stretch in pairs]
         for stretch, run in zip(self._stretches, found, strict=True):
@@ -116,7 +116,7 @@ class InsAhead:
     def _attitudes_of(
         self, corrected: CorrectedIns, stretch: _Stretch, moved: MovedBlock, config: ShipAttitudeConfig
     ) -> AttitudeRun | Refusal:
-        """The attitudes of one stretch, or why these cannot be computed."""
+        """Return the attitudes of one segment, or the failure to compute them."""
         some, count = slice(stretch.start, stretch.stop), stretch.stop - stretch.start
         try:
             (run,) = estimates_by([corrected], [count], self._times_ns[some], moved.some(some), config)

@@ -1,7 +1,7 @@
-"""The alignment: installation angles and clock offsets as the filter now has them.
+"""Alignment: estimated installation angles and clock offsets.
 
-Two views of the same state: :class:`Alignment`, named values for people and for the alignment topic, and
-:class:`AlignmentPrior`, what the next voyage starts from.
+:class:`Alignment` holds named values for the alignment topic, :class:`AlignmentPrior` the start values of the next
+voyage.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, log_rotation, wrap_pi
 
 _OPTICS = ("focal_length", "1"), ("principal_u", "px"), ("principal_v", "px"), ("distortion_k1", "1")
-"""Names and units of the errors of a camera's optics: true minus configured; of the focal length the relative one."""
+"""Names and units of the errors of a camera's optics, true minus configured; the focal length error is relative."""
 
 
 @dataclass(frozen=True)
@@ -25,10 +25,10 @@ class Alignment:
     """Named quantities with their joint covariance.
 
     Attributes:
-        names: as in ship_msgs/AlignmentState.
-        values: shape (n,).
-        covariance: of the values, shape (n, n).
-        units: of each: "rad", "s", "px", or "1" for a ratio.
+        names: names as in ship_msgs/AlignmentState.
+        values: values, shape (n,).
+        covariance: covariance of the values, shape (n, n).
+        units: unit of each value: "rad", "s", "px", or "1" for a ratio.
     """
 
     names: tuple[str, ...]
@@ -39,15 +39,15 @@ class Alignment:
 
 @dataclass(frozen=True)
 class AlignmentPrior:
-    """What a saved alignment holds.
+    """Content of a saved alignment.
 
     Attributes:
-        time_ns: moment of the data it rests on.
-        serials: star sensor id → serial number.
-        rotations_dv: device name → deck from device, shape (3, 3).
-        time_offsets_s: state name → whole clock offset, s.
+        time_ns: time of the last data.
+        serials: serial number by star sensor id.
+        rotations_dv: rotation deck from device by device name, shape (3, 3).
+        time_offsets_s: total clock offset by state name, s.
         names: state blocks of ``covariance``, in order.
-        covariance: joint, of rotation vectors in the device frames (rad) and clock offsets (s).
+        covariance: joint covariance of rotation vectors in the device frames (rad) and clock offsets (s).
     """
 
     time_ns: int
@@ -58,7 +58,7 @@ class AlignmentPrior:
     covariance: FloatArray
 
     def sigmas(self) -> dict[str, FloatArray]:
-        """Standard deviations by name, and of a star sensor by its serial number too: rad or s, shape (3,) or (1,)."""
+        """Return standard deviations by name, with the serial number of a star sensor: rad or s, shape (3,) or (1,)."""
         known, first = {}, 0
         for name in self.names:
             serial = next((s for id_, s in self.serials.items() if name == f"star.{id_}.installation" and s), "")
@@ -68,7 +68,7 @@ class AlignmentPrior:
 
 
 def alignment_of(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState) -> Alignment:
-    """The named values of a state."""
+    """Return the alignment of a state."""
     model = filter_.model
     names: list[str] = []
     values: list[float] = []
@@ -118,7 +118,7 @@ def alignment_of(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterS
 
 
 def prior_of(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState) -> AlignmentPrior:
-    """What to save of a state that rests on measurements."""
+    """Return the alignment to save from a state after measurements."""
     assert state.time_ns is not None
     model = filter_.model
     names = [name for name in model.slices if name.endswith((".installation", ".time_offset"))]
@@ -142,11 +142,10 @@ def prior_of(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState
 def state_from_prior(
     filter_: ShipFilter, config: ShipAttitudeConfig, prior: AlignmentPrior, now_ns: int
 ) -> tuple[FilterState, list[str]]:
-    """The start of a voyage with a saved alignment, and remarks for the operator.
+    """Return the start state of a voyage with a saved alignment, and remarks for the operator.
 
-    A sensor with another serial number keeps its configured prior. An alignment older than
-    ``alignment_max_age_d`` keeps its values, with the configured uncertainty added; a random walk is added for
-    the time that has passed in any case.
+    A sensor with another serial number keeps its configured prior. An alignment older than ``alignment_max_age_d``
+    keeps its values, with the configured uncertainty added. The random walk since the alignment is always added.
     """
     model, initial = filter_.model, filter_.initial_state()
     warnings = _changed_serials(config, prior)
@@ -187,14 +186,14 @@ def state_from_prior(
 
 
 def installed(filter_: ShipFilter, state: FilterState, name: str) -> FloatArray:
-    """Rotation "deck from device" as the filter now has it, shape (3, 3)."""
+    """Return the estimated rotation deck from device, shape (3, 3)."""
     vector = state.mean[filter_.model.slices[f"{name}.installation"]]
     rotation_dv: FloatArray = filter_.devices[name].rotation_dv0 @ exp_rotation(vector)
     return rotation_dv
 
 
 def _installation(filter_: ShipFilter, state: FilterState, name: str) -> tuple[FloatArray, FloatArray]:
-    """Installation angles (azimuth, elevation, roll) of a device and their Jacobian by the state, (3, n)."""
+    """Return the installation angles (azimuth, elevation, roll) of a device, rad, and their Jacobian, shape (3, n)."""
     block = filter_.model.slices[f"{name}.installation"]
     vector = state.mean[block]
     rotation_dv = installed(filter_, state, name)

@@ -1,4 +1,4 @@
-"""The predicted attitude of a device, and a measurement of any kind against it: residual, Jacobian, noise.
+"""Predicted attitude of a device, and comparison of a measurement with it: residual, Jacobian and noise.
 
 Single stars are compared one by one (:mod:`ship_attitude_star.stars.residuals`).
 """
@@ -24,29 +24,29 @@ from ship_geometry.attitude_track import InterpolatedAttitude
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian
 
 _ACROSS = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-"""What a turn of the device makes of a point straight ahead: (up, right) by (forward, up, right)."""
+"""Derivative of the direction (up, right) of a point ahead by a rotation of the device (forward, up, right)."""
 _ACROSS.flags.writeable = False
 
 _LENGTH_SIGMAS = 5.0
-"""A baseline whose length is off by more is a wrong solution."""
+"""Maximum error of a baseline length, in standard deviations."""
 
 _HALF_TURN_RAD = math.radians(177.0)
-"""A turn of more may come out in the one sense or the other by the noise of an attitude, up to a degree in each."""
+"""Rotation angle above which noise of up to 1° per attitude may decide the sense of the rotation vector, rad."""
 _TIE_RAD = 0.01
-"""Added to each component of an error, so that of two senses as far apart the negative one is the shorter."""
+"""Value added to each component of an error, rad, so that of two equal angles the negative one is chosen."""
 
 _TURNED_AS_DEVICE = np.eye(3)
 _TURNED_AS_DEVICE.flags.writeable = False
 
 
 class PredictedAttitude(NamedTuple):
-    """A device's attitude as the state predicts it.
+    """Attitude of a device predicted from the state.
 
     Attributes:
         rotation_nv: horizon from device, shape (3, 3).
-        jacobian_v: rotation vector in the device frame per state error, shape (3, n).
-        interpolation_v: covariance of the error of the INS's attitude between its samples, rotation vector in the
-            device frame, rad², shape (3, 3).
+        jacobian_v: derivative of the rotation vector in the device frame by the state, shape (3, n).
+        interpolation_v: covariance of the interpolation error of the INS attitude, rotation vector in the device
+            frame, rad², shape (3, 3).
     """
 
     rotation_nv: FloatArray
@@ -54,23 +54,24 @@ class PredictedAttitude(NamedTuple):
     interpolation_v: FloatArray
 
     def prior(self, covariance: FloatArray) -> StarPrior:
-        """The same as the choice of a sensor's stars takes it, by the covariance of the state, shape (n, n)."""
+        """Return the prior for the selection of stars, from the covariance of the state, shape (n, n)."""
         prior_v = self.jacobian_v @ covariance @ self.jacobian_v.T + self.interpolation_v
         return StarPrior(self.rotation_nv, self.rotation_nv @ prior_v @ self.rotation_nv.T)
 
 
 class Compared(NamedTuple):
-    """A measurement against its prediction.
+    """A measurement compared with its prediction.
 
     Attributes:
-        linear: residual, rad, shape (m,), its Jacobian per state and its noise by source.
-        by_turn: derivative of the residual by a turn of the device, rotation vector in its own frame, shape (m, 3).
-        components: names of the residuals.
-        rotation_nv: horizon from device as measured, shape (3, 3); as predicted where single stars agree with that.
-        predicted_nv: the same as predicted, shape (3, 3).
+        linear: residual, rad, shape (m,), its Jacobian by the state and its noise by source.
+        rotation_jacobian: derivative of the residual by a rotation vector of the device in its frame, shape (m, 3).
+        components: names of the residual components.
+        rotation_nv: measured attitude, horizon from device, shape (3, 3); the predicted one if the single stars are
+            consistent with it.
+        predicted_nv: predicted attitude, horizon from device, shape (3, 3).
         attitude_noise_v: noise of a measured attitude, rotation vector in the device frame, rad², shape (3, 3); zero
             for single stars.
-        left_out: stars that had no part in it, by name.
+        rejected_stars: rejected stars by name.
     """
 
     linear: LinearMeasurement
@@ -83,7 +84,7 @@ class Compared(NamedTuple):
 
     @property
     def attitude_noise_n(self) -> FloatArray:
-        """The noise of a measured attitude about the horizon's axes, rad², shape (3, 3)."""
+        """Noise of a measured attitude in the horizon frame, rad², shape (3, 3)."""
         noise_n: FloatArray = self.rotation_nv @ self.attitude_noise_v @ self.rotation_nv.T
         return noise_n
 
@@ -91,10 +92,10 @@ class Compared(NamedTuple):
 def predict_attitude(
     device: Device, model: ShipStateModel, mean: FloatArray, ins: InterpolatedAttitude
 ) -> PredictedAttitude:
-    """The attitude of a device at the moment of an (interpolated) INS attitude.
+    """Predict the attitude of a device from an (interpolated) INS attitude.
 
-    The chain is multiplied from the device outwards; an error of a factor exp(v) is a small rotation
-    J_left(v) dv in the frame on its left, which everything multiplied so far brings into the device frame.
+    The rotations are multiplied from the device outwards. An error dv of a factor exp(v) is a small rotation
+    J_left(v) dv in the frame to its left, which the product so far rotates into the device frame.
     """
     chain = model.chains[device.name]
     found = compiled_rotations.hung(
@@ -126,18 +127,18 @@ def compare(
     """Compare a measurement with the attitude predicted for its device.
 
     Args:
-        measurement: an attitude in the horizon, a baseline, or single stars.
-        device: that measured.
-        predicted: attitude of the device at the moment of the measurement.
-        model: what the states are.
-        mean: of the state, shape (n,).
-        covariance: of the state, shape (n, n).
-        watch: the sky; None where no sensor needs it.
-        expected: attitude of the device by the mean that the covariance belongs to, where ``mean`` is another one; it
-            is what tells which stars are believed.
+        measurement: an attitude relative to the horizon, a baseline, or single stars.
+        device: device that measured.
+        predicted: attitude of the device at the time of the measurement.
+        model: state vector.
+        mean: mean of the state, shape (n,).
+        covariance: covariance of the state, shape (n, n).
+        sky_model: sky model; None if no sensor needs it.
+        expected: attitude of the device at the predicted mean, if ``mean`` is another linearisation point; stars are
+            selected with it.
 
     Returns:
-        The refusal where it cannot be compared.
+        The comparison, or the rejection of a measurement that cannot be compared.
     """
     index, between = model.source_indices, model.source_indices[SOURCE_INTERPOLATION]
     if isinstance(measurement, AttitudeMeasurement):
@@ -185,21 +186,21 @@ def compare(
 def _baseline_compared(
     measurement: BaselineMeasurement, device: Device, predicted: PredictedAttitude, model: ShipStateModel
 ) -> Compared | Refusal:
-    """A baseline against the direction predicted for it; its length against that which it has on the ship.
+    """Compare a baseline with its predicted direction and its length aboard.
 
-    The residual is where its end is seen, up and right in its own frame, rad: two components, as of a single star.
+    The residual is the direction of its end, up and right in its own frame, rad: two components, as for a single star.
     """
     length_m, told_m, noise_n = device.length_m, measurement.length_m, measurement.noise_n
     along = measurement.direction_n
     sigma_m = math.sqrt(float(along @ noise_n @ along) + device.length_sigma_m**2)
-    # Written so that NaN is refused.
+    # Written so that NaN is rejected.
     if not abs(told_m - length_m) <= _LENGTH_SIGMAS * sigma_m:
-        text = f"the baseline came out {told_m:.3f} m long, and is {length_m:.3f} m (sigma {sigma_m:.3f} m)"
-        return Refusal(Reason.GATE, f"{text}: a wrong solution, or ship_baseline")
+        text = f"baseline length {told_m:.3f} m, expected {length_m:.3f} m (sigma {sigma_m:.3f} m)"
+        return Refusal(Reason.GATE, f"{text}: wrong RTK solution, or wrong parameters of ship_baseline")
     to_device = predicted.rotation_nv.T
     seen_v = to_device @ along
     if not seen_v[0] > 0.0:
-        return Refusal(Reason.GATE, "the baseline points the other way: are base and rover exchanged?")
+        return Refusal(Reason.GATE, "the baseline points in the opposite direction: are base and rover exchanged?")
     noise_v = to_device @ noise_n @ to_device.T / length_m**2
     turn_v = np.array([0.0, -seen_v[2], seen_v[1]]) / seen_v[0]
     return Compared(
@@ -222,10 +223,11 @@ def _baseline_compared(
 def _attitude_residual(
     measurement: AttitudeMeasurement, predicted: PredictedAttitude, model: ShipStateModel, mean: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Measured minus predicted attitude and its Jacobian per state.
+    """Return measured minus predicted attitude and its Jacobian by the state.
 
-    The residual is log(R_predicted^T R_measured), a rotation vector in the device frame, rad, shape (3,); the Jacobian
-    has the shape (3, n).
+    Returns:
+        The residual log(R_predicted^T R_measured), rotation vector in the device frame, rad, shape (3,), and the
+        Jacobian, shape (3, n).
     """
     rotation_nv, jacobian_v = predicted.rotation_nv, predicted.jacobian_v
     if measurement.shared_n is not None:
@@ -242,15 +244,15 @@ def _attitude_residual(
 
 
 def _shorter_error(residual: FloatArray, error_n: FloatArray, by_error_v: FloatArray) -> FloatArray:
-    """Return a residual of about half a turn in the sense that leads to the smaller error of the INS.
+    """Return a residual of about 180° in the sense that leads to the smaller INS error.
 
-    Noise decides in which sense the logarithm takes it. An INS whose heading turned by half a turn, and turned back,
-    would end a full turn off, where a rotation vector has no derivative. From an error of about zero both senses lead
-    equally far; then the negative one is taken.
+    Noise decides the sense of the logarithm there. An INS whose heading jumped by 180° and back would end with an error
+    of 360°, where a rotation vector has no derivative. For an error of about zero both senses are equal, and the
+    negative one is chosen.
 
     Args:
         residual: rotation vector of the device, rad, shape (3,).
-        error_n: attitude error of the INS as predicted, rotation vector in the horizon frame, rad, shape (3,).
+        error_n: predicted attitude error of the INS, rotation vector in the horizon frame, rad, shape (3,).
         by_error_v: derivative of the residual by that error, shape (3, 3).
     """
     size = math.hypot(*residual.tolist())

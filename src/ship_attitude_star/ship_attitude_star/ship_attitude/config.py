@@ -1,4 +1,4 @@
-"""Parameters of the ``ship_attitude`` node. Each states its unit, range and meaning; names are dotted."""
+"""Parameters of the ``ship_attitude`` node, with unit, range and meaning; parameter names are dotted."""
 
 import math
 from dataclasses import dataclass
@@ -34,32 +34,32 @@ from ship_geometry.rotations import FloatArray
 GEODETIC, GRAVITY = "geodetic", "gravity"
 
 FIXES = ("float", "fixed")
-"""Solutions of satellite positioning that tell a direction."""
+"""RTK solution types from which a direction is computed."""
 
 BY_INPUT = "by_input"
-"""What the messages of a star sensor share follows from their kind."""
+"""Shared error of a star sensor by its message type."""
 
 _SHORTEST_BASELINE_M = 0.3
-"""Below this a centimetre is two degrees: that tells no attitude."""
+"""Minimum baseline length, m; at this length an error of 1 cm is 2°."""
 
 _SOLVED_BEFORE = ("solution", "horizon_attitude")
-"""Inputs that are attitudes in the horizon already."""
+"""Inputs that are attitudes relative to the horizon."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class InsConfig(StarInsConfig, InsErrorConfig):
-    """The inertial navigation system."""
+    """Parameters of the inertial navigation system."""
 
     model: str = parameter(
         GAUSS_MARKOV,
-        doc="how its error goes on: it dies out (tilt_time_s, heading_time_s), or oscillates as free sensors do, which"
-        " needs gnss/fix for the latitude (schuler)",
+        doc="model of its error: exponentially correlated (tilt_time_s, heading_time_s), or the Schuler oscillation,"
+        " which needs gnss/fix for the latitude (schuler)",
         choices=(GAUSS_MARKOV, SCHULER),
     )
     schuler: SchulerConfig = section(SchulerConfig)
     silence_s: float = parameter(
         1.0,
-        doc="without samples that can be used for this long the INS counts as gone",
+        doc="timeout: without usable samples for this long there is no INS attitude",
         unit="s",
         minimum=0.05,
         maximum=60.0,
@@ -68,22 +68,22 @@ class InsConfig(StarInsConfig, InsErrorConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class StarSensorConfig(MountingConfig):
-    """One star sensor: where it is bolted, how well that is known, how good it is."""
+    """Parameters of a star sensor: mounting, uncertainty of the mounting, noise and clock."""
 
     input: str = parameter(
         "horizon_attitude",
-        doc="topic under star/<id>/ that feeds the filter",
+        doc="topic under star/<id>/ that the filter uses",
         choices=("horizon_attitude", "solution", "observations", "inertial_attitude"),
     )
     shared: str = parameter(
         BY_INPUT,
-        doc="what of a message's lasting error other sensors have too: what refraction, UT1 and gnss/fix make of it"
-        " (sky), all of it (message), nothing (none); by_input: sky for input solution, none for horizon_attitude",
+        doc="part of a message's correlated error that other sensors share: that of refraction, UT1 and gnss/fix (sky),"
+        " all of it (message), nothing (none); by_input: sky for input solution, none for horizon_attitude",
         choices=(BY_INPUT, "none", SHARED_BY_MESSAGES, SHARED_BY_SKY),
     )
     camera: CameraConfig = section(CameraConfig)
     inertial: InertialConfig = section(InertialConfig)
-    serial: str = parameter("", doc="serial number; a saved alignment of another one becomes a wider prior")
+    serial: str = parameter("", doc="serial number; a saved alignment of another serial number is not used")
     installation_walk_forward_arcsec_per_sqrt_h: float = parameter(
         0.0, doc="random walk of the installation about the boresight", unit="arcsec/sqrt(h)", minimum=0.0
     )
@@ -94,17 +94,17 @@ class StarSensorConfig(MountingConfig):
         0.0, doc="random walk of the installation about the right axis", unit="arcsec/sqrt(h)", minimum=0.0
     )
     sigma_forward_arcsec: float = arcsec(
-        100.0, doc="noise about the boresight where the message gives none", live=True
+        100.0, doc="noise about the boresight if the message contains none", live=True
     )
     sigma_up_arcsec: float = arcsec(
-        3.0, doc="noise about the up axis where the message gives none", live=True
+        3.0, doc="noise about the up axis if the message contains none", live=True
     )
     sigma_right_arcsec: float = arcsec(
-        3.0, doc="noise about the right axis where the message gives none", live=True
+        3.0, doc="noise about the right axis if the message contains none", live=True
     )
     common_time_s: float = parameter(
         3600.0,
-        doc="correlation time of what a message's stars share (covariance minus noise_covariance)",
+        doc="correlation time of the error common to the stars of a message (covariance minus noise_covariance)",
         unit="s",
         minimum=1.0,
         maximum=1e7,
@@ -113,10 +113,10 @@ class StarSensorConfig(MountingConfig):
         0.0, doc="a message is valid at its stamp plus this", unit="s", minimum=-1.0, maximum=1.0
     )
     time_offset_sigma_s: float = parameter(
-        0.0, doc="uncertainty of time_offset_s; 0 holds it fixed", unit="s", minimum=0.0, maximum=1.0
+        0.0, doc="uncertainty of time_offset_s; 0: known exactly", unit="s", minimum=0.0, maximum=1.0
     )
     flexure_sigma_arcsec: float = arcsec(
-        0.0, doc="hull flexure between INS and sensor, each axis; 0 leaves it out"
+        0.0, doc="hull flexure between INS and sensor, each axis; 0: not modelled"
     )
     flexure_time_s: float = parameter(
         10.0, doc="correlation time of the flexure", unit="s", minimum=0.1, maximum=1e7
@@ -124,20 +124,20 @@ class StarSensorConfig(MountingConfig):
 
     @cached_property
     def sharing(self) -> str:
-        """What its messages share with others: SHARED_BY_SKY, SHARED_BY_MESSAGES or "none"."""
+        """Error shared with other sensors: SHARED_BY_SKY, SHARED_BY_MESSAGES or "none"."""
         if self.shared != BY_INPUT:
             return self.shared
         return "none" if self.input == "horizon_attitude" else SHARED_BY_SKY
 
     @property
     def looks_at_sky(self) -> bool:
-        """Whether the sky over the ship must be known here to use its messages."""
+        """True if its messages are used with the sky model."""
         return self.sharing == SHARED_BY_SKY
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReferenceConfig:
-    """Another attitude system: its turn against the INS, its noise, its clock against the INS's."""
+    """Parameters of another attitude system: mounting, noise and clock offset relative to the INS."""
 
     convention: str = parameter(
         "enu_flu", doc="axes of its messages: ENU <- FLU (REP-103) or NED <- FRD", choices=("enu_flu", "ned_frd")
@@ -152,21 +152,21 @@ class ReferenceConfig:
         0.0, doc="random walk of the three angles", unit="arcsec/sqrt(h)", minimum=0.0
     )
     sigma_roll_arcsec: float = arcsec(
-        60.0, doc="noise in roll where the message gives none", live=True
+        60.0, doc="noise in roll if the message contains none", live=True
     )
     sigma_pitch_arcsec: float = arcsec(
-        60.0, doc="noise in pitch where the message gives none", live=True
+        60.0, doc="noise in pitch if the message contains none", live=True
     )
     sigma_heading_arcsec: float = arcsec(
-        60.0, doc="noise in heading where the message gives none", live=True
+        60.0, doc="noise in heading if the message contains none", live=True
     )
-    slow_sigma_roll_arcsec: float = arcsec(0.0, doc="slow error of its own in roll")
-    slow_sigma_pitch_arcsec: float = arcsec(0.0, doc="slow error of its own in pitch")
+    slow_sigma_roll_arcsec: float = arcsec(0.0, doc="correlated error in roll")
+    slow_sigma_pitch_arcsec: float = arcsec(0.0, doc="correlated error in pitch")
     slow_sigma_heading_arcsec: float = arcsec(
-        0.0, doc="slow error of its own in heading; 0 for all three leaves it out"
+        0.0, doc="correlated error in heading; 0 for all three: not modelled"
     )
     slow_time_s: float = parameter(
-        300.0, doc="correlation time of its slow error", unit="s", minimum=0.1, maximum=1e7
+        300.0, doc="correlation time of the correlated error", unit="s", minimum=0.1, maximum=1e7
     )
     time_offset_s: float = parameter(
         0.0,
@@ -176,7 +176,7 @@ class ReferenceConfig:
         maximum=10.0,
     )
     time_offset_sigma_s: float = parameter(
-        0.2, doc="uncertainty of time_offset_s; 0 holds it fixed", unit="s", minimum=0.0, maximum=10.0
+        0.2, doc="uncertainty of time_offset_s; 0: known exactly", unit="s", minimum=0.0, maximum=10.0
     )
 
 
@@ -187,66 +187,66 @@ def _metres(default: float, doc: str, least: float = -1000.0) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class ShipBaselineConfig:
-    """Two antennas aboard, from the one to the other; none where the three lengths are 0."""
+    """Parameters of the baseline between two antennas aboard; there is none if the three components are 0."""
 
-    forward_m: float = _metres(0.0, "way from the base antenna to the rover antenna, toward the bow")
-    up_m: float = _metres(0.0, "the same, upward")
-    right_m: float = _metres(0.0, "the same, to starboard")
-    sigma_m: float = _metres(0.005, "uncertainty of the three, each", 0.0)
+    forward_m: float = _metres(0.0, "vector from the base antenna to the rover antenna, component toward the bow")
+    up_m: float = _metres(0.0, "the same, upward component")
+    right_m: float = _metres(0.0, "the same, component to starboard")
+    sigma_m: float = _metres(0.005, "uncertainty of each of the three components", 0.0)
     frame_id: str = parameter("", doc="frame_id that ship/baseline must carry; empty accepts any")
     base_id: str = parameter("", doc="base_id that it must carry; empty accepts any")
     rover_id: str = parameter("", doc="rover_id that it must carry; empty accepts any")
     least_fix: str = parameter(
-        "fixed", doc="least fix that is used: with float, sigmas must come with the messages", choices=FIXES
+        "fixed", doc="lowest fix type that is used; with float the messages must contain sigmas", choices=FIXES
     )
     noise_sigma_m: float = parameter(
-        0.01, doc="noise of each solution, each axis, where the message gives none", unit="m",
+        0.01, doc="noise of each solution, each axis, if the message contains none", unit="m",
         minimum=1e-4, maximum=100.0, live=True,
     )  # fmt: skip
-    bias_sigma_m: float = _metres(0.005, "slow error of its own, each axis, as by multipath", 0.0)
-    bias_time_s: float = parameter(300.0, doc="its correlation time", unit="s", minimum=0.1, maximum=1e7)
+    bias_sigma_m: float = _metres(0.005, "correlated error, each axis, for example by multipath", 0.0)
+    bias_time_s: float = parameter(300.0, doc="correlation time of bias_sigma_m", unit="s", minimum=0.1, maximum=1e7)
 
     @property
     def vector_d(self) -> FloatArray:
-        """From the base antenna to the rover antenna, deck frame (bow, up, starboard), m, shape (3,)."""
+        """Vector from the base antenna to the rover antenna, deck frame (bow, up, starboard), m, shape (3,)."""
         return np.array([self.forward_m, self.up_m, self.right_m])
 
     @property
     def length_m(self) -> float:
-        """How long it is; 0 where there is none."""
+        """Length of the baseline, m; 0 for none."""
         return float(np.linalg.norm(self.vector_d))
 
     @property
     def is_aboard(self) -> bool:
-        """Whether the ship has one."""
+        """True if the ship has a baseline."""
         return self.length_m > 0.0
 
     @property
     def rotation_dv(self) -> FloatArray:
-        """Deck from baseline: forward along it, its other axes as those of a device without roll, shape (3, 3)."""
+        """Rotation deck from baseline, with forward along it and no roll, shape (3, 3)."""
         azimuth = math.atan2(self.right_m, self.forward_m)
         elevation = math.atan2(self.up_m, math.hypot(self.right_m, self.forward_m))
         return rotation_from_angles(azimuth, elevation, 0.0)
 
     def __post_init__(self) -> None:
-        """Check what belongs together.
+        """Check parameters that depend on each other.
 
         Raises:
-            ParameterError: names the parameter.
+            ParameterError: two parameters contradict each other.
         """
         if self.is_aboard and not self.length_m >= _SHORTEST_BASELINE_M:
             name = "ship_baseline.forward_m"
-            text = f"the baseline is {self.length_m:.3g} m long: expected {_SHORTEST_BASELINE_M:g} m at least"
+            text = f"the baseline is {self.length_m:.3g} m long: expected at least {_SHORTEST_BASELINE_M:g} m"
             raise ParameterError(f"parameter '{name}': {text}", name, value=self.forward_m)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ShipIntegrityConfig(IntegrityConfig):
-    """Protection levels of a ship, and who is excluded."""
+    """Parameters of protection levels and fault exclusion of a ship."""
 
     pairs: bool = parameter(
         False,
-        doc="of three sources and more, and the INS, two at a time may be wrong: estimates without each pair too",
+        doc="detect two faulty sources at a time: subfilters without each pair of three or more sources and the INS",
     )
 
 
@@ -258,7 +258,7 @@ class ShipAttitudeConfig(StarSensorsById):
     gravity: GravityConfig = section(GravityConfig)
     horizon: str = parameter(
         GEODETIC,
-        doc="what the published attitude is against: the ellipsoid's horizon, or gravity's (needs gravity.deflection)",
+        doc="horizon of the published attitude: that of the ellipsoid, or of gravity (needs gravity.deflection)",
         choices=(GEODETIC, GRAVITY),
     )
     star_sensors: dict[str, StarSensorConfig] = mapping_of("star sensors by id")
@@ -273,8 +273,8 @@ class ShipAttitudeConfig(StarSensorsById):
     )
     smoothing_lag_s: float = parameter(
         0.0,
-        doc="ship/attitude_smoothed tells each attitude so long after its stamp, by what was measured meanwhile, not"
-        " before lag_s and ins.max_gap_s are over; 0 leaves it out",
+        doc="ship/attitude_smoothed is published this long after the stamp of each attitude, smoothed with all"
+        " measurements until then, not before lag_s and ins.max_gap_s; 0: not published",
         unit="s",
         minimum=0.0,
         maximum=600.0,
@@ -289,35 +289,36 @@ class ShipAttitudeConfig(StarSensorsById):
     slow_topics_period_s: float = parameter(
         1.0, doc="period of budget, alignment, error and health topics", unit="s", minimum=0.1, maximum=60.0
     )
-    alignment_file: str = parameter("", doc="file of the saved alignment, read at the start where it exists")
+    alignment_file: str = parameter("", doc="file of the saved alignment, read at the start if it exists")
     alignment_autosave_s: float = autosave_period()
     alignment_max_age_d: float = parameter(
-        30.0, doc="an alignment older than this is a wider prior", unit="d", minimum=0.0, maximum=36500.0
+        30.0, doc="to an alignment older than this the configured uncertainty is added",
+        unit="d", minimum=0.0, maximum=36500.0,
     )
 
     @property
     def models_deflection(self) -> bool:
-        """True if the deflection of the vertical is a state; without a source of it only where it drives the INS."""
+        """True if the deflection of the vertical is a state; without a source of it only with ins.model schuler."""
         drives_ins = self.ins.model == SCHULER and self.gravity.unknown_sigma_arcsec > 0.0
         return self.gravity.is_modelled or drives_ins
 
     @property
     def follows_vertical(self) -> bool:
-        """Whether the INS's error goes on with the ship's place."""
+        """True if the INS error model depends on the ship's position."""
         return self.models_deflection or self.ins.model == SCHULER
 
     def __post_init__(self) -> None:
-        """Check what belongs together.
+        """Check parameters that depend on each other.
 
         Raises:
-            ParameterError: names the parameter.
+            ParameterError: two parameters contradict each other.
         """
         super().__post_init__()
         if self.horizon == GRAVITY and not self.gravity.is_modelled:
-            text = "parameter 'horizon' is gravity, and gravity.deflection none: nothing tells the two horizons apart"
+            text = "parameter 'horizon' is gravity: set gravity.deflection too, without it the horizons are the same"
             raise ParameterError(text, "horizon")
         for id_, star in self.star_sensors.items():
             if star.shared != BY_INPUT and star.input not in _SOLVED_BEFORE:
                 name = f"star_sensors.{id_}.shared"
-                text = f"'{star.shared}' is for input: solution or horizon_attitude; '{star.input}' shares the sky"
+                text = f"'{star.shared}' needs input: solution or horizon_attitude; '{star.input}' shares the sky"
                 raise ParameterError(f"parameter '{name}': {text}", name)

@@ -1,9 +1,9 @@
-"""INS and star attitudes in, the ship's attitude out: the core that the node and the replay share.
+"""Estimator of the ship attitude from an INS and star sensors, shared by the node and the replay.
 
-Knows no ROS, no files, no clock. The core is a model, the filter with the INS's samples and the sky that measurements
-are compared with, in the shell of every estimator (:mod:`ship_estimation.estimator_shell`): the shell decides when a
-measurement is applied and which output may follow. What belongs to the ship's attitude alone stands here: the guards
-of the INS and of the star sensors, and who carries the attitude when the INS is gone.
+The core uses no ROS, no files and no clock. It consists of the filter, the INS samples and the sky model, in a
+time-ordered estimator (:mod:`ship_estimation.time_ordered_estimator`), which decides when a measurement is applied and
+which output may follow. This module adds what is specific to the ship attitude: the plausibility checks of the inputs,
+and the attitude from star sensors alone when the INS is not available.
 """
 
 from collections import deque
@@ -69,16 +69,16 @@ from ship_geometry.time_scales import SECOND_NS
 INS = "ins"
 
 _MOST_JUMPS = 100
-"""Jumps of the INS that are kept until they are asked for, once a second."""
+"""Maximum number of INS jumps stored until :meth:`ShipAttitudeCore.take_jumps`, which is called once a second."""
 
 
 class ShipAttitudeCore:
-    """The estimator of the ship's attitude.
+    """Estimator of the ship attitude.
 
     Args:
-        config: the node's parameters.
-        watch: the sky; None where no sensor looks at it itself.
-        closed: takes states that can no longer change, in order; None where nobody asks for them.
+        config: parameters of the node.
+        sky_model: sky model; None if no sensor needs it.
+        on_commit: called with states that can no longer change, in order; None if they are not needed.
     """
 
     filter_class: ClassVar[type[ShipFilter]] = ShipFilter
@@ -100,7 +100,7 @@ class ShipAttitudeCore:
         self._max_gap_ns = round(config.ins.max_gap_s * SECOND_NS)
         exposes = any(star.input == "observations" for star in config.star_sensors.values())
         exposure_reach_ns = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns if exposes else 0
-        # The INS's stamps differ from a device's, and an INS sample changes what is compared within a gap of it.
+        # The stamps of INS and device differ, and an INS sample affects measurements within max_gap_s of it.
         self._stamp_reach_ns = round(self.filter.linearisation.longest_reach_s * SECOND_NS) + exposure_reach_ns
         model: Model[FilterState, Measurement, AttitudeDecision, InsChange] = Model(
             step=self._step,
@@ -118,19 +118,19 @@ class ShipAttitudeCore:
         self.reset()
 
     def start_from(self, prior: AlignmentPrior, now_ns: int) -> list[str]:
-        """Reset to a saved alignment; returns remarks for the operator."""
+        """Reset to a saved alignment; return remarks for the operator."""
         self._start = (prior, now_ns)
         self.reset()
         return self._initial()[1]
 
     def _initial(self) -> tuple[FilterState, list[str]]:
-        """The state before any measurement, as configured or by the saved alignment, and remarks for the operator."""
+        """Return the state before any measurement, by configuration or alignment file, and remarks for the operator."""
         if self._start is None:
             return self.filter.initial_state(), []
         return state_from_prior(self.filter, self.config, *self._start)
 
     def reset(self, clock_jumped: bool = False) -> None:
-        """Forget all measurements. After a jump of the clock, outputs may start again at earlier times."""
+        """Discard all measurements. After a jump of the clock, outputs may start again at earlier times."""
         initial, _ = self._initial()
         self._shell.reset(initial, clock_jumped)
         if self._watch is not None:
@@ -140,15 +140,15 @@ class ShipAttitudeCore:
         self._begin(initial)
 
     def step_time_base(self, step_ns: int, state: FilterState) -> None:
-        """Go on by clocks that have stepped: no time has passed for the INS, the mountings and the ship's place.
+        """Continue after a step of the time base; INS error, mountings and ship position stay as they are.
 
         Args:
             step_ns: the step.
-            state: before it.
+            state: state before the step.
         """
         stars = [source for source, device in self.filter.devices.items() if device.is_star]
         if stars and all(source in state.excluded for source in stars):
-            # What they contradicted may have been UTC.
+            # They may have been excluded for an error of UTC.
             state = self.filter.suspects.begun_anew(state)
         state = with_utc_step(with_shifted_stamps(state, step_ns), self.filter.model, step_ns)
         self._shell.step_time_base(state, step_ns)
@@ -159,7 +159,7 @@ class ShipAttitudeCore:
         self._begin(state)
 
     def _begin(self, state: FilterState) -> None:
-        """Start from a state, without samples of the INS."""
+        """Start from a state, without INS samples."""
         self._corrected = CorrectedIns(self.filter, state, self.config.horizon)
         self._track = AttitudeTrack(self._max_gap_ns)
         self._guards = StreamGuards(self.config.ins)
@@ -169,19 +169,19 @@ class ShipAttitudeCore:
         self._ins_jumps: deque[InsJump] = deque(maxlen=_MOST_JUMPS)
 
     def reconfigure(self, config: ShipAttitudeConfig) -> None:
-        """Go on with other noise and gates; geometry and the set of devices stay."""
+        """Continue with changed noise and gate parameters; geometry and the set of devices stay."""
         self.config = config
         self.filter = self.filter_class(config, self.vertical)
         self._corrected = CorrectedIns(self.filter, self.state, config.horizon)
         self._guards.ins.reconfigure(config.ins)
 
     def add_ins(self, sample: AttitudeSample, arrival_ns: int | None = None, estimate: bool = True) -> AttitudeOutcome:
-        """An INS sample: stamp and attitude of the deck as the INS has it.
+        """Add an INS sample.
 
         Args:
-            sample: attitude, and rate where the INS measures it.
-            arrival_ns: when it came, in the time of waiting; None where each comes at its stamp.
-            estimate: False where only the filter's state matters, as in a Monte Carlo run.
+            sample: attitude of the deck, and its rate if the INS measures it.
+            arrival_ns: arrival time, in the time of waiting; None if it equals the stamp.
+            estimate: False if no attitude is needed, as in a Monte Carlo run.
         """
         if sample.time_ns < self._shell.window.oldest_ns:
             return AttitudeOutcome(self._shell.window.late(sample.time_ns))
@@ -190,19 +190,19 @@ class ShipAttitudeCore:
         return self._use_ins(judged, sample.time_ns if arrival_ns is None else arrival_ns, outcome, estimate)
 
     def look_ahead(self, block: SampleBlock, arrivals_ns: StampArray) -> InsAhead | None:
-        """Judge samples of the INS before their turn, from the first one on, as long as they go the usual way.
+        """Check the INS samples of a block as one batch, up to the first sample that needs separate handling.
 
-        Until all of them had their turn (:meth:`take_ahead`) no other sample of the INS is taken.
+        No other INS sample may be added until the batch is committed (:meth:`commit_batch`, :meth:`finish_batch`).
 
         Args:
             block: samples with rates, in the order of their stamps.
-            arrivals_ns: when each comes, in the time of waiting, shape (N,).
+            arrivals_ns: arrival times, in the time of waiting, shape (N,).
 
         Returns:
-            None where the first one is to be taken by itself.
+            The batch; None if the first sample needs separate handling.
         """
         first_ns = int(block.times_ns[0])
-        # What is known of the vertical at a sample may change with the fixes that come before the block ends.
+        # The vertical at a sample may change with position fixes that arrive before the block ends.
         if self.vertical is not None or not self._guards.ins.looks_ahead(first_ns):
             return None
         newest, before = self._track.newest, self._track.recent_rates()
@@ -210,7 +210,7 @@ class ShipAttitudeCore:
             return None
         if not (newest.time_ns < first_ns and self._shell.follows(first_ns)):
             return None
-        # No sample after a gap, none before which a tick says that the INS is silent, and none that may come too late.
+        # No sample after a gap, after an INS timeout, or one that may arrive too late.
         steps_ns = np.diff(block.times_ns, prepend=newest.time_ns)
         waits_ns = np.diff(arrivals_ns, prepend=self._ins_arrival_ns)
         near = (steps_ns <= self._max_gap_ns) & (waits_ns >= 0) & (waits_ns <= min(self._silence_ns, SECOND_NS))
@@ -226,14 +226,14 @@ class ShipAttitudeCore:
         return InsAhead(samples[: followed.usual], block, arrivals_ns, followed, before, extra)
 
     def take_ahead(self, ahead: InsAhead, stop: int) -> None:
-        """Samples that were judged ahead have their turn, up to one that is not included."""
+        """Commit the samples of a batch before index ``stop``."""
         while ahead.taken < stop:
             if self._shell.is_idle:
                 end = stop
                 self._track.extend(ahead.samples[ahead.taken : end])
                 self._shell.move_to(ahead.samples[end - 1].time_ns)
             else:
-                # A measurement waits: it may be for this very sample.
+                # A pending measurement may need this sample.
                 end, outcome = ahead.taken + 1, AttitudeOutcome()
                 self._shell.add_sample(INS, self._track, ahead.samples[ahead.taken], outcome)
                 if outcome.decisions or outcome.failures:
@@ -247,7 +247,7 @@ class ShipAttitudeCore:
             self._guards.ins.by_rates = ahead.followed.by_rates(end - 1)
 
     def end_ahead(self, ahead: InsAhead) -> AttitudeOutcome | None:
-        """All samples that were judged ahead had their turn; what the one led to that did not go the usual way."""
+        """Finish a batch; return the outcome of the sample that needs separate handling, None without one."""
         values, last = ahead.block.rotations_nd[: ahead.followed.count], ahead.followed.last
         self._guards.ins.arrive(values, ahead.followed, self._guards.witnesses)
         if last is None:
@@ -255,22 +255,22 @@ class ShipAttitudeCore:
         return self._use_ins(last, int(ahead.arrivals_ns[len(ahead.samples)]), AttitudeOutcome(), True)
 
     def estimates_ahead(self, ahead: InsAhead) -> list[tuple[slice, AttitudeRun | Refusal]]:
-        """The attitudes at the stamps of samples that were judged ahead; see :meth:`InsAhead.attitudes`."""
+        """Return the attitudes at the stamps of a batch; see :meth:`InsBatch.attitudes`."""
         return ahead.attitudes(self._corrected_by, self._moved_s, self.config)
 
     def _use_ins(
         self, judged: JudgedIns, arrival_ns: int, outcome: AttitudeOutcome, estimate: bool
     ) -> AttitudeOutcome:
-        """Use a sample that was judged, and put out the attitude at its stamp."""
+        """Use a checked INS sample and publish the attitude at its stamp."""
         time_ns = judged.sample.time_ns
         if judged.rates_wrong_after_ns is not None:
-            # The rates proved wrong. Measurements compared with their help are compared again without rates.
+            # The rates are faulty. Measurements evaluated with them are evaluated again without rates.
             changed_after_ns = self._track.forget_rates(judged.rates_wrong_after_ns)
             if changed_after_ns is not None:
                 self._shell.data_changed(changed_after_ns)
                 self._shell.apply(outcome)
         if judged.noise is not None:
-            # What was compared with the samples since then is compared again with their measured noise.
+            # Measurements since then are evaluated again with the measured noise of the samples.
             since_ns = self._track.add_noise(judged.noise)
             self._shell.add_jump(self.filter.opens_ns(judged.noise), INS, judged.noise, since_ns)
             self._shell.apply(outcome)
@@ -283,8 +283,7 @@ class ShipAttitudeCore:
             return outcome
         if not self._shell.add_sample(INS, self._track, judged.sample, outcome):
             return outcome
-        # An attitude that is moved by a clock offset needs its rate. Without a rate no attitude is put out for the
-        # sample.
+        # Propagation by a clock offset needs the rate. Without a rate no attitude is published for the sample.
         if self._track.newest is judged.sample and (self._track.newest_rate_known or self.state.time_ns is None):
             self._ins_arrival_ns = arrival_ns
             if estimate:
@@ -296,13 +295,13 @@ class ShipAttitudeCore:
         return outcome
 
     def add_sky_input(self, sky_input: SkyInput) -> AttitudeOutcome:
-        """Where the ship is, or the air around it; what was compared with another sky is compared anew."""
+        """Add a position fix or an air reading; affected measurements are evaluated again."""
         outcome = AttitudeOutcome()
         if self._watch is not None:
             outcome.refusal = self._watch.surroundings.refusal(sky_input)
             self._shell.contradictions.note(sky_input.source, sky_input.time_ns, outcome.refusal)
             changed_after_ns = self._watch.surroundings.insert(sky_input)
-            # An attitude that is nothing but itself is compared without the sky; a SolvedAttitude is not.
+            # A plain AttitudeMeasurement does not depend on the sky model; its subclass SolvedAttitude does.
             self._compare_anew(changed_after_ns, lambda used: type(used) is not AttitudeMeasurement)
         if self.vertical is not None and isinstance(sky_input, PositionFix):
             if self._watch is None:
@@ -313,7 +312,7 @@ class ShipAttitudeCore:
         return outcome
 
     def add_deflection(self, reading: DeflectionReading) -> AttitudeOutcome:
-        """The deflection of the vertical at the ship; what came after its stamp is carried there anew."""
+        """Add a deflection of the vertical; measurements after its stamp are evaluated again."""
         assert self.vertical is not None
         outcome = AttitudeOutcome(self.vertical.refusal(reading))
         self._shell.contradictions.note(reading.source, reading.time_ns, outcome.refusal)
@@ -322,15 +321,15 @@ class ShipAttitudeCore:
         return outcome
 
     def contest(self, source: str, text: str) -> None:
-        """Set that two publishers send as a source; an empty text ends it."""
+        """Record that two publishers send as a source; an empty text ends it."""
         self._shell.contradictions.contest(source, self._shell.window.newest_ns, text)
 
     def add_measurement(self, measurement: Measurement, arrival_ns: int | None = None) -> AttitudeOutcome:
-        """What a star sensor or another attitude system has measured.
+        """Add a measurement of a star sensor, another attitude system or a baseline.
 
         Args:
-            measurement: an attitude or single stars.
-            arrival_ns: when it came, in the time of waiting; None where each comes at its stamp.
+            measurement: an attitude, single stars or a baseline.
+            arrival_ns: arrival time, in the time of waiting; None if it equals the stamp.
         """
         if measurement.time_ns < self._shell.window.oldest_ns:
             return AttitudeOutcome(self._shell.window.late(measurement.time_ns))
@@ -344,11 +343,11 @@ class ShipAttitudeCore:
         return outcome
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> AttitudeOutcome:
-        """Says INVALID, once a second, when no attitude was put out any more, whatever came in.
+        """Publish INVALID once a second while no attitude is published.
 
         Args:
-            now_ns: the time now.
-            waiting_ns: the same in the time of waiting; None where the two are one.
+            now_ns: current time.
+            waiting_ns: current time in the time of waiting; None if it equals ``now_ns``.
         """
         waiting_ns = now_ns if waiting_ns is None else waiting_ns
         outcome = AttitudeOutcome()
@@ -358,78 +357,78 @@ class ShipAttitudeCore:
         return outcome
 
     def no_output(self, now_ns: int, text: str) -> AttitudeEstimate:
-        """Return the output that claims no attitude, for the reason that the text gives."""
+        """Return an INVALID estimate with a reason."""
         return no_estimate(self.filter, self.state, now_ns, text)
 
     def linearised(self, measurement: Measurement) -> Linearised | None:
-        """A measurement against the INS, linearised at the estimate of now; None where it cannot be compared.
+        """Linearise a measurement at the current estimate; return None if it cannot be evaluated.
 
-        The samples of the INS around its stamp must still be remembered: to be asked when it has just been judged.
+        The INS samples around its stamp must still be stored, so call this directly after the measurement decision.
         """
         state = self.state
-        # Its own use is in the state already: what it shares with others is left out.
+        # The state contains the measurement already, so no correlation with other measurements is considered.
         found = self.filter.linearisation.of(measurement, state.mean, state.covariance, {}, self._track, self._watch)
         return found if isinstance(found, Linearised) else None
 
     def alignment(self) -> Alignment:
-        """What the filter now knows of the INS's errors, installation angles and clocks."""
+        """Return the current estimates of INS errors, installation angles and clock offsets."""
         return alignment_of(self.filter, self.config, self.state)
 
     def star_installation(self, id_: str) -> FloatArray:
-        """Rotation "deck from star sensor" as the filter now has it, shape (3, 3)."""
+        """Return the estimated rotation deck from star sensor, shape (3, 3)."""
         return installed(self.filter, self.state, f"star.{id_}")
 
     def deflection(self, time_ns: int) -> DeflectionReading | None:
-        """The deflection of the vertical at a moment, as given and estimated; None where it is no state."""
+        """Return the estimated deflection of the vertical at a time; None if it is not a state."""
         if self.vertical is None or not self.config.gravity.is_modelled:
             return None
         errors = self._corrected_by(self.state).errors([time_ns])
         return DeflectionReading(time_ns, errors.deflection[0], errors.deflection_covariance[0])
 
     def learnt(self) -> ToldStates:
-        """What the data have told of the states, and what they left open."""
+        """Return which states and combinations of states the data have determined."""
         return learnt(self.filter, self.config, self.state)
 
     def worthwhile_turn(self, rotation_nd: FloatArray) -> TurnHint | None:
-        """The turn that would bring most to a ship that lies as she does now; None where none is worth it."""
+        """Return the turn of the ship that would improve the attitude most; None if none is worthwhile."""
         return worthwhile_turn(self.filter, self.state, rotation_nd, self._lately)
 
     def integrity(self, estimate: AttitudeEstimate) -> IntegrityReport:
-        """How far an attitude may be wrong although nothing says so, and who is excluded."""
+        """Return the protection levels of an attitude and the excluded sources."""
         return integrity_of(self.filter, self.config, estimate)
 
     def alignment_to_save(self) -> AlignmentPrior | None:
-        """The part of it that the next voyage can start from; None where nothing was ever measured."""
+        """Return the alignment to save for the next voyage; None if there is no measurement and no saved alignment."""
         if self.state.time_ns is None:
             return self._start[0] if self._start is not None else None
         return prior_of(self.filter, self.config, self.state)
 
     @property
     def state(self) -> FilterState:
-        """The filter's state after the last measurement applied."""
+        """State of the filter after the last applied measurement."""
         return self._shell.state
 
     # -- recovery: see ship_estimation.recovery.recovery.RecoverableCore -----------------------------------------
 
     @property
     def excluded(self) -> Set[str]:
-        """The sources that are excluded."""
+        """Excluded sources."""
         return self.state.excluded.keys()
 
     @property
     def is_undisputed(self) -> bool:
-        """True if its state rests on stars, no source is excluded and none contradicts another."""
+        """True if the state is based on stars, no source is excluded and all are consistent."""
         return is_undisputed(self.filter, self.state, self.config.gate.degraded_after)
 
     @property
     def is_contradicted(self) -> bool:
-        """True if its sources contradict one another and no source is found to be faulty."""
+        """True if a fault is detected and not isolated, or UTC is not verified."""
         return self.state.doubt is not None or self.state.utc is not None
 
     def make_second(self, memory: FilterState | None) -> "ShipAttitudeCore":
-        """Return another estimator that starts from a remembered state; from the saved alignment or the prior without.
+        """Return another estimator that starts from a stored state, else from the saved alignment or the prior.
 
-        With a memory it also starts with the position and the air as they are known here.
+        With a stored state it also starts with the current position and air data.
         """
         second = self._another(None if self._watch is None else self._watch.twin(memory is not None))
         second._start = self._start
@@ -449,17 +448,17 @@ class ShipAttitudeCore:
         return type(self)(self.config, watch)
 
     def take_jumps(self) -> list[InsJump]:
-        """Return the jumps of the INS that its own rates showed since the last call."""
+        """Return the INS jumps that were detected from its rates since the last call."""
         jumps = list(self._ins_jumps)
         self._ins_jumps.clear()
         return jumps
 
     def propagate_memory(self, memory: FilterState, jumps: Sequence[InsJump]) -> FilterState:
-        """Return a remembered state propagated to the oldest time that measurements may still have."""
+        """Return a stored state propagated to the oldest time that measurements may still have."""
         return propagate_memory(self.filter, memory, jumps, self._shell.window.oldest_ns)
 
     def memory_residuals(self, decision: AttitudeDecision, memory: FilterState) -> Mapping[str, MemoryResidual]:
-        """Return how far stars that were just judged are from a remembered state; nothing for other measurements."""
+        """Return the residual of a star measurement against a stored state; empty for other measurements."""
         measurement = decision.measurement
         if not self.filter.devices[measurement.source].is_star:
             return {}
@@ -467,29 +466,29 @@ class ShipAttitudeCore:
         return {} if residual is None else {measurement.source: residual}
 
     def departure_sigmas(self, state: FilterState, memory: FilterState, is_later: bool = False) -> float:
-        """Return the largest difference of a lasting state from the remembered one, in standard deviations of both."""
+        """Return the largest difference of a constant state from the stored one, in standard deviations of both."""
         return departure_sigmas(self.filter, state, memory, is_later)
 
     def unused_sources(self, sources: Set[str]) -> set[str]:
-        """Return those of the sources of which no measurement was used recently."""
+        """Return the sources of which no measurement was accepted recently."""
         since_ns, used_ns = self._shell.window.newest_ns - HEARD_NS, self.state.used_ns
         return {name for name in sources if name in self.filter.devices and used_ns.get(name, since_ns - 1) < since_ns}
 
     def take_over_outputs(self, live: "ShipAttitudeCore") -> None:
-        """Go on with the outputs where another estimator ends."""
+        """Continue the outputs of another estimator."""
         self._shell.continue_outputs(live._shell)
 
     @property
     def rates(self) -> Rates:
-        """What the INS's rates are worth: only where they are measured, or not judged yet, they are used."""
+        """Result of the rate check of the INS: faulty rates are not used."""
         return self._guards.ins.rates
 
     @property
     def excess_noise(self) -> str:
-        """Measured against stated noise of the INS's attitudes, in words; empty where it is no larger."""
+        """Text about INS attitude noise in excess of the stated noise; empty for none."""
         return self._guards.ins.excess_text
 
-    # -- the model in the shell -----------------------------------------------------------------------------
+    # -- functions of the estimator model --------------------------------------------------------------------
 
     def _step(
         self, state: FilterState, measurement: Measurement, may_wait: bool
@@ -500,7 +499,7 @@ class ShipAttitudeCore:
         predicted = self.filter.predicted(state, measurement.time_ns)
         compared = with_utc_compared(state, predicted, self.filter.model, *found)
         if compared[0].utc is None:
-            # UTC is right, or that cannot be told any more: the measurement is used.
+            # UTC is verified, or cannot be verified any more: the measurement is used.
             return self.filter.step(compared[0], measurement, self._track, self._watch, may_wait)
         return compared
 
@@ -508,7 +507,7 @@ class ShipAttitudeCore:
         return self.filter.opened(state, change)
 
     def _note_used(self, decision: AttitudeDecision) -> None:
-        """Keep what each source measures, and how often."""
+        """Store the last accepted measurement of each source and its period."""
         measurement = decision.measurement
         if decision.accepted:
             before = self._lately.get(measurement.source)
@@ -517,7 +516,7 @@ class ShipAttitudeCore:
                 self._lately[measurement.source] = RecentSource(measurement, since_s)
 
     def _forget_before(self, time_ns: int) -> None:
-        """Forget what no measurement at or after a stamp is compared with."""
+        """Discard data that no measurement at or after a stamp needs."""
         asked_since_ns = self._asked_since_ns(time_ns)
         self._track.drop_before(asked_since_ns - self._stamp_reach_ns)
         if self._watch is not None:
@@ -527,11 +526,11 @@ class ShipAttitudeCore:
             self.vertical.drop_before(time_ns, asked_since_ns if state_ns is None else min(asked_since_ns, state_ns))
 
     def _asked_since_ns(self, closed_ns: int) -> int:
-        """The earliest moment that is still asked for; no measurement before ``closed_ns`` can change any more."""
+        """Return the earliest time that is still needed; measurements before ``closed_ns`` are final."""
         return closed_ns
 
     def _compare_anew(self, changed_after_ns: int | None, affects: Callable[[Measurement], bool]) -> None:
-        """Have the measurements after a moment that something affects compared anew; None for no moment."""
+        """Evaluate the affected measurements after a time again; None: no change."""
         if changed_after_ns is not None:
             self._shell.rewind_where(
                 lambda decision: decision.measurement.time_ns > changed_after_ns and affects(decision.measurement)
@@ -540,30 +539,30 @@ class ShipAttitudeCore:
     # -- outputs --------------------------------------------------------------------------------------------
 
     def _estimate_by_newest_ins(self, state: FilterState, time_ns: int) -> AttitudeEstimate:
-        """The attitude at the stamp of the newest INS sample, by a state of the filter."""
+        """Return the attitude at the stamp of the newest INS sample, corrected by a filter state."""
         corrected = self._corrected_by(state)
         ins = self._track.newest_moved(self._moved_s(corrected))
         return self._doubted(corrected.estimate(time_ns, ins, self.config))
 
     def _corrected_by(self, state: FilterState) -> CorrectedIns:
-        """INS attitudes corrected by a state, made once for all that rest on it."""
+        """Return the corrections by a filter state, cached per state."""
         if state is not self._corrected.state:
             self._corrected = self._corrected.by(state)
         return self._corrected
 
     def _moved_s(self, corrected: CorrectedIns) -> float:
-        """By so much an INS sample is moved so that it is the attitude at its stamp, s."""
+        """Return the time by which an INS sample is propagated to be the attitude at its stamp, s."""
         return -(self.config.ins.time_offset_s + corrected.time_offset_s)
 
     def _doubted(self, estimate: AttitudeEstimate) -> AttitudeEstimate:
-        """An estimate is DEGRADED where a source that it rests on contradicted itself not long ago."""
+        """Return the estimate, DEGRADED if one of its sources recently contradicted itself."""
         doubt = self._doubt(estimate.time_ns)
         if not doubt:
             return estimate
         return replace(estimate, status=max(estimate.status, Status.DEGRADED), text=doubt)
 
     def _doubt(self, time_ns: int) -> str:
-        """Which sources that an attitude now rests on contradicted themselves not long ago; empty for none."""
+        """Return a text about the sources in use that recently contradicted themselves; empty for none."""
         if not self._shell.contradictions:
             return ""
         used_ns, devices = self.state.used_ns, self.filter.devices
@@ -575,7 +574,7 @@ class ShipAttitudeCore:
         return self._shell.contradictions.text(contradictory)
 
     def _carry(self, outcome: AttitudeOutcome, waiting_ns: int) -> None:
-        """With the INS gone, put out the attitude by the newest star measurement, once, while it is young."""
+        """Without INS samples, publish the attitude by the newest star measurement once, within 1 s of its arrival."""
         if self._newest_star is None or not self._ins_silent(waiting_ns):
             return
         (measurement, arrival_ns), self._newest_star = self._newest_star, None
@@ -592,11 +591,11 @@ class ShipAttitudeCore:
         self._shell.put_out(outcome, measurement.time_ns, waiting_ns, by_star)
 
     def _ins_silent(self, waiting_ns: int) -> bool:
-        """Whether the last INS sample that led on came too long ago; those refused or late lead nowhere."""
+        """True if the last accepted INS sample is older than ``ins.silence_s``."""
         return self._ins_arrival_ns is None or waiting_ns - self._ins_arrival_ns > self._silence_ns
 
     def _may_carry(self, source: str) -> bool:
-        """Star sensors may carry the attitude alone, unless they were in conflict with the INS to the last."""
+        """True for a star sensor that was not in conflict with the INS."""
         in_conflict = self.state.refusals.get(source, 0) >= self.config.gate.conflict_after
         return self.filter.devices[source].is_star and not in_conflict
 

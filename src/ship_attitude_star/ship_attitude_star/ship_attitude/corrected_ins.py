@@ -1,4 +1,4 @@
-"""INS attitudes corrected by states of the filter: the published attitude, its covariance by source, its status."""
+"""INS attitudes corrected by filter states: the published attitude, its covariance by error source and its status."""
 
 import copy
 import math
@@ -25,36 +25,37 @@ from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
 _ATTITUDE, _TIME_OFFSET = slice(0, 3), 3
-"""Columns of the states that correct an INS attitude: its slow error (north, up, east) and its time offset."""
+"""Indices of the states that correct an INS attitude: its correlated error (north, up, east) and its time offset."""
 
 _NEVER_NS = np.iinfo(np.int64).max
-"""Later than every sample."""
+"""Stamp later than every sample."""
 
 
 class CorrectedIns:
-    """What corrects INS attitudes by one filter state; made once per state, used at the INS's rate.
+    """Corrections of INS attitudes by one filter state; computed once per state, used at the INS rate.
 
-    Only the INS's slow error and its time offset enter, so only those rows of the covariance are carried.
+    Only the correlated error and the time offset of the INS are needed, so only their covariance is propagated.
 
     Args:
-        filter_: the filter and its model.
-        state: its state after the last measurement.
-        horizon: that the attitude is told against, as configured.
+        filter_: filter and model.
+        state: filter state after the last measurement.
+        horizon: configured horizon of the published attitude.
 
     Attributes:
-        state: the same.
-        time_offset_s: estimated tau, on top of the configured constant, s.
-        since_ns: from when on the error grows and dies out: the moment of the state; later than all samples where it
-            has none.
-        newest_star_ns: stamp of the last star measurement used; None where there was none.
-        error_n: estimated slow error, rad, shape (3,).
-        lasting: which of it does not die out, shape (3,), uint8.
-        parts: covariance of the slow error and of the time offset by source, shape (n_sources, 4, 4); with the
-            deflection of the vertical behind them, where that is a state, (n_sources, 6, 6).
-        of_filter: what is the same for all states: correlation time, steady variance and white variance, shape (3,)
-            each, and the indices of the sources of drift, white noise and interpolation.
-        drift_index: the first of these.
-        on_gravity: what carries the error where the deflection of the vertical is a state; None where it is none.
+        state: the filter state.
+        time_offset_s: estimated time offset tau of the INS, in addition to the configured one, s.
+        since_ns: time of the state, from which the error is propagated; later than all samples before the first
+            measurement.
+        newest_star_ns: stamp of the last accepted star measurement; None for none.
+        error_n: estimated correlated error, rad, shape (3,).
+        exceeds_model: nonzero for the components that do not decay, because they exceed the error model, shape (3,),
+            uint8.
+        covariance_by_source: covariance of correlated error and time offset by error source, shape (n_sources, 4, 4),
+            or (n_sources, 6, 6) with the deflection of the vertical.
+        model_constants: model constants: correlation time, steady-state variance and white variance, shape (3,) each,
+            and the indices of the error sources INS drift, INS noise and interpolation.
+        drift_index: index of the error source INS drift.
+        error_propagation: propagation of the INS error if the filter needs the vertical; else None.
     """
 
     def __init__(self, filter_: ShipFilter, state: FilterState, horizon: str = GEODETIC) -> None:
@@ -82,7 +83,7 @@ class CorrectedIns:
         self._rest_on(state)
 
     def by(self, state: FilterState) -> "CorrectedIns":
-        """The same by another state of the filter."""
+        """Return the corrections by another filter state."""
         other = copy.copy(self)
         other._rest_on(state)
         return other
@@ -97,25 +98,25 @@ class CorrectedIns:
         self.newest_star_ns = newest_star_ns(self._filter, state)
 
     def errors(self, times_ns: Sequence[int]) -> InsErrors:
-        """The INS's error at some moments, where the deflection of the vertical is a state."""
+        """Return the INS errors at some times, if the filter needs the vertical."""
         assert self.on_gravity is not None
         since_ns = self.state.time_ns
-        # A sample that comes after its measurements counts as of the moment of the state.
+        # A sample older than the state counts as of the time of the state.
         moments_ns = times_ns if since_ns is None else [max(time_ns, since_ns) for time_ns in times_ns]
         return self.on_gravity.errors(since_ns, self.state.vertical, self._mean, self.parts, moments_ns)
 
     def estimate(self, time_ns: int, ins: InterpolatedAttitude, config: ShipAttitudeConfig) -> AttitudeEstimate:
-        """The attitude at the stamp of an INS sample, with its status."""
+        """Return the attitude at the stamp of an INS sample, with its status."""
         moved = ins.rotation_nd[None], ins.rate_d[None], np.array([ins.noise_gain]), ins.error_covariance_d[None]
         (run,) = estimates_by([self], [1], np.array([time_ns]), MovedBlock(*moved), config)
         return run.one(0)
 
     def statuses(self, star_age_s: FloatArray, coasting_after_s: float) -> tuple[list[Status], list[str]]:
-        """Statuses of attitudes, and why they are DEGRADED.
+        """Return the statuses of N attitudes, and the reasons why they are DEGRADED.
 
         Args:
-            star_age_s: time since the last star measurement used, in ascending order, shape (N,).
-            coasting_after_s: attitudes without a star for so long are no longer VALID.
+            star_age_s: time since the last accepted star measurement, in ascending order, s, shape (N,).
+            coasting_after_s: maximum star age of a VALID attitude, s.
         """
         count = len(star_age_s)
         first, last = (self._worth(float(star_age_s[number]), coasting_after_s) for number in (0, -1))
@@ -125,18 +126,18 @@ class CorrectedIns:
         return [status for status, _ in worth], [text for _, text in worth]
 
     def sources(self, time_ns: StampArray, recent_ns: int) -> list[tuple[str, ...]]:
-        """At each moment the INS, and the sources of which a measurement was used not long before."""
+        """Return the sources of each attitude: the INS, and those with an accepted measurement within recent_ns."""
 
         def at(moment_ns: int) -> tuple[str, ...]:
             used = [source for source, used_ns in self.state.used_ns.items() if used_ns >= moment_ns - recent_ns]
             return INS, *sorted(used)
 
         first, last = at(int(time_ns[0])), at(int(time_ns[-1]))
-        # As time goes on sources can only be left out.
+        # Without new measurements sources can only time out.
         return [first] * len(time_ns) if first == last else [at(moment_ns) for moment_ns in time_ns.tolist()]
 
     def degrade_above_limit(self, run: AttitudeRun, config: ShipAttitudeConfig) -> None:
-        """Attitudes that may be wrong by more than the alert limit are DEGRADED."""
+        """Set attitudes DEGRADED whose protection level exceeds the alert limit."""
         for number, status in enumerate(run.status):
             if status is not Status.DEGRADED:
                 text = above_limit(integrity_of(self._filter, config, run.one(number)), QUANTITIES)
@@ -144,7 +145,7 @@ class CorrectedIns:
                     run.status[number], run.text[number] = Status.DEGRADED, text
 
     def _worth(self, star_age_s: float, coasting_after_s: float) -> tuple[Status, str]:
-        """Status of an attitude, and why it is DEGRADED."""
+        """Return the status of an attitude, and the reason why it is DEGRADED."""
         if self.state.doubt is not None:
             return Status.DEGRADED, self.state.doubt.text
         if math.isnan(star_age_s):
@@ -154,22 +155,22 @@ class CorrectedIns:
         if star_age_s <= coasting_after_s:
             return Status.VALID, ""
         if INS in self.state.excluded:
-            return Status.DEGRADED, "no star is used, and the INS contradicted the stars"
+            return Status.DEGRADED, "no star measurement is used, and the INS contradicted the stars"
         return Status.COASTING, ""
 
 
 def corrected_attitudes(
     corrected: Sequence[CorrectedIns], by: NDArray[np.intp], since_s: FloatArray, moved: MovedBlock
 ) -> tuple[FloatArray, FloatArray]:
-    """Attitudes of N moments and their covariance by source, horizon frame, rad².
+    """Return the corrected attitudes at N times and their covariance by error source, horizon frame, rad².
 
-    The result depends on the arguments alone; one moment gives, to the last bit, what it gives among others.
+    Each attitude is bit-identical to that computed alone.
 
     Args:
-        corrected: by states of one filter.
-        by: which of these corrects the INS's attitude of each moment, shape (N,).
-        since_s: time from the state to each moment, at least 0, s, shape (N,).
-        moved: the INS's attitudes of these moments: its samples moved by tau.
+        corrected: corrections by states of one filter.
+        state_index: index of the corrections of each attitude, shape (N,).
+        since_s: time from the state to each attitude, at least 0, s, shape (N,).
+        propagated: INS samples propagated by the time offset.
 
     Returns:
         Shapes (N, 3, 3) and (N, n_sources, 3, 3).
@@ -190,10 +191,11 @@ def corrected_attitudes(
 def _attitudes_on_gravity(
     corrected: Sequence[CorrectedIns], stretches: Sequence[slice], time_ns: StampArray, moved: MovedBlock
 ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-    """As :func:`corrected_attitudes`, where the deflection of the vertical is a state; each moment has its own error.
+    """Return the corrected attitudes as :func:`corrected_attitudes`, if the filter needs the vertical.
 
     Returns:
-        Also whether the vertical is known at each moment without a star, shape (N,).
+        Shapes (N, 3, 3) and (N, n_sources, 3, 3), and True for each time at which the vertical is known without stars,
+        shape (N,).
     """
     errors = [one.errors(time_ns[some].tolist()) for one, some in zip(corrected, stretches, strict=True)]
     rotation_nd, parts = compiled_rotations.corrected(
@@ -216,14 +218,14 @@ def estimates_by(
     moved: MovedBlock,
     config: ShipAttitudeConfig,
 ) -> list[AttitudeRun]:
-    """The attitudes at the stamps of N INS samples, with their statuses, those that rest on one state in a run.
+    """Return the attitudes at the stamps of N INS samples, one series per filter state.
 
     Args:
-        corrected: by states of one filter.
-        counts: to how many samples, one after another, each of these belongs; at least one.
+        corrected: corrections by states of one filter.
+        counts: number of successive samples of each of these states, at least one.
         time_ns: stamps, in ascending order, shape (N,).
-        moved: the samples, moved by tau.
-        config: of the node.
+        propagated: samples propagated by the time offset.
+        config: configuration of the node.
     """
     by = np.repeat(np.arange(len(counts), dtype=np.intp), counts)
     since_ns = np.maximum(time_ns - np.array([one.since_ns for one in corrected])[by], 0)
@@ -273,8 +275,8 @@ def estimates_by(
 def _horizons(
     star_age_s: FloatArray, vertical_known: NDArray[np.bool_] | None, config: ShipAttitudeConfig
 ) -> NDArray[np.int64]:
-    """What "up" means in each of N attitudes, shape (N,)."""
-    # NaN compares false: before the first star the horizon is the INS's own, unless it is known how that differs.
+    """Return the horizon of each of N attitudes, shape (N,)."""
+    # NaN compares false: before the first star the horizon is that of the INS, unless the vertical is known.
     is_geodetic = star_age_s <= config.ins.tilt_time_s
     if vertical_known is not None:
         is_geodetic = (is_geodetic | vertical_known) & (config.horizon == GEODETIC)
@@ -282,7 +284,7 @@ def _horizons(
 
 
 def _star_ages_s(corrected: Sequence[CorrectedIns], by: NDArray[np.intp], time_ns: StampArray) -> FloatArray:
-    """Time since the last star measurement used, of each moment; NaN where there was none."""
+    """Return the time since the last accepted star measurement for each time, s; NaN for none."""
     newest_ns = np.array([one.newest_star_ns or 0 for one in corrected])
     none_yet = np.array([one.newest_star_ns is None for one in corrected])
     ages_s: FloatArray = np.where(none_yet[by], np.nan, (time_ns - newest_ns[by]) / SECOND_NS)
@@ -290,6 +292,6 @@ def _star_ages_s(corrected: Sequence[CorrectedIns], by: NDArray[np.intp], time_n
 
 
 def newest_star_ns(filter_: ShipFilter, state: FilterState) -> int | None:
-    """Stamp of the last star measurement used; None where there was none."""
+    """Return the stamp of the last accepted star measurement; None for none."""
     stars = (used_ns for source, used_ns in state.used_ns.items() if filter_.devices[source].is_star)
     return max(stars, default=None)

@@ -1,4 +1,4 @@
-"""The error-state filter: one measurement in, one decision and the next state out. No time, no memory of its own."""
+"""Error-state Kalman filter of the ship attitude: state and measurement in, next state and measurement decision out."""
 
 import math
 from dataclasses import replace
@@ -37,18 +37,18 @@ from ship_geometry.rotations import FloatArray, log_rotation
 from ship_geometry.time_scales import SECOND_NS
 
 _CLOCK_SIGMAS = 8.0
-"""A clock that has stepped by up to so many sigmas of its configured offset is estimated anew."""
+"""Maximum clock step that is estimated again, in standard deviations of the configured clock offset."""
 
 _AGAINST_PREDICTION = (Reason.GATE, Reason.ATTITUDE_CONFLICT, Reason.MISIDENTIFIED, Reason.UNIDENTIFIED)
-"""Reasons of a rejection that rests on the prediction."""
+"""Reasons of a rejection that depends on the prediction."""
 
 
 class ShipFilter:
-    """The model of a configuration and the step from state to state.
+    """The filter of a configuration; it stores no state.
 
     Args:
-        config: the node's configuration.
-        vertical: the vertical under way; None where the configuration has no process that asks for it.
+        config: configuration of the node.
+        vertical: vertical along the track; None if the configuration does not need it.
     """
 
     def __init__(self, config: ShipAttitudeConfig, vertical: VerticalTrack | None = None) -> None:
@@ -63,11 +63,11 @@ class ShipFilter:
         self._common_index = self.model.sources.index(SOURCE_STAR_COMMON) if config.star_sensors else -1
 
     def initial_state(self) -> FilterState:
-        """The state before any measurement: no error known, all of them possible."""
+        """Return the state before any measurement, with the configured covariance."""
         return self.suspects.start(np.zeros(self.model.size), self.model.initial_parts())
 
     def predicted(self, state: FilterState, time_ns: int) -> FilterState:
-        """The state carried to a later moment."""
+        """Propagate a state to a later time."""
         if state.time_ns is None:
             return self._begun(state, time_ns)
         if time_ns <= state.time_ns:
@@ -85,7 +85,7 @@ class ShipFilter:
         return changed(state, time_ns=time_ns, means=means, stack=stack, vertical=here)
 
     def _begun(self, state: FilterState, time_ns: int) -> FilterState:
-        """The state at its first moment."""
+        """Return the state at its first time, initialised with the vertical there."""
         if self.vertical is None:
             return changed(state, time_ns=time_ns)
         assert self.model.ins_process is not None
@@ -97,7 +97,7 @@ class ShipFilter:
         return changed(state, time_ns=time_ns, means=means, stack=stack, vertical=here)
 
     def _carry_ins(self, state: FilterState, means: FloatArray, stack: FloatArray, time_ns: int) -> None:
-        """Carry the states of the INS's process from the moment of a state to a later one, in place."""
+        """Propagate the states of the INS error process from the time of a state to a later one, in place."""
         process, rows, before = self.model.ins_process, self.model.process_rows, state.vertical
         assert process is not None
         assert before is not None
@@ -112,16 +112,17 @@ class ShipFilter:
         self._add_to_process(stack, len(means), self._deflection_index, carried.deflection_noise[0])
 
     def _add_to_process(self, stack: FloatArray, count: int, part: int, covariance: FloatArray) -> None:
-        """Add an error of the states of the INS's process to all rows, in place."""
+        """Add an error of the states of the INS error process to all filters, in place."""
         rows, everywhere = self.model.process_rows, np.zeros((self.model.size, self.model.size))
         everywhere[rows[:, None], rows] = covariance
         add_error(stack, count, part, slice(None), everywhere)
 
     def opened(self, state: FilterState, jump: InsChange) -> FilterState:
-        """The state after a jump of the INS, by which its slow error may have changed, or after a change of its noise.
+        """Inflate the covariance for a jump of the INS or a change of its noise.
 
-        The stamps of the INS and of a device may differ for the same moment. The state is opened so much earlier that
-        no measurement with the attitude of after the jump comes before; one with the attitude of before is refused.
+        The stamps of the INS and of a device may differ for the same time. The inflation takes effect early enough that
+        every measurement matched to an attitude after the jump comes later. A measurement matched to an attitude before
+        the jump is rejected.
         """
         if isinstance(jump, ExtraNoise):
             return self._with_uncertain_clock(state, jump)
@@ -134,7 +135,7 @@ class ShipFilter:
         state = self.suspects.acquitted(state, opens_ns)
         stack, means, rows = state.stack.copy(), state.means, len(state.means)
         slow, clock = self.model.slices["ins.attitude"], self.model.blocks["ins.time_offset"]
-        # A larger step of the clock is no offset that can be estimated: with it the INS turns as the ship does not.
+        # A larger clock step cannot be estimated as an offset: the rotation of the INS differs from that of the ship.
         if abs(jump.clock_s) <= _CLOCK_SIGMAS * clock.sigma[0]:
             both = np.r_[self.model.rows("ins.attitude"), self.model.rows(clock.name)]
             moved, shared = jump.shared
@@ -157,7 +158,7 @@ class ShipFilter:
         )
 
     def opens_ns(self, change: InsChange) -> int:
-        """The time of measurements from which on the state is open for a change of the INS."""
+        """Return the time of measurements from which the covariance is inflated for a change of the INS, ns."""
         return change.time_ns - round(self.linearisation.longest_shift_s * SECOND_NS)
 
     def _with_uncertain_clock(self, state: FilterState, noise: ExtraNoise) -> FilterState:
@@ -178,24 +179,24 @@ class ShipFilter:
         watch: SkyWatch | None,
         may_wait: bool = False,
     ) -> tuple[FilterState, AttitudeDecision] | None:
-        """Predict to the measurement, judge it, and use it where the gate lets it pass.
+        """Propagate the state to the measurement, evaluate the measurement, and update the state if it is accepted.
 
-        The track must span the moment of the measurement; in a gap of it the measurement is refused. Of a measurement
-        that no row uses not even the prediction is kept: the estimate stays, to the last bit, as without it.
+        The track must span the time of the measurement; in a gap of the track the measurement is rejected. If no filter
+        uses the measurement, the state is returned without propagation, bit-identical.
 
-        The optics of a camera may have changed, by heat or a knock: where its stars are rejected, they are compared
-        again with an inflated covariance of its optics. An exposure by which its focal length were far from the
-        configured one is rejected.
+        The optics of a camera may have changed by temperature or shock. If its stars are rejected, they are compared
+        again with an inflated covariance of its optics. An exposure that implies a focal length far from the configured
+        one is rejected.
 
         Args:
-            state: after the measurement before.
-            measurement: to be used.
+            state: state after the previous measurement.
+            measurement: measurement of any kind.
             track: attitudes of the INS.
-            watch: the sky; None where no sensor needs it.
-            may_wait: whether samples of the INS may still come.
+            sky_model: sky model; None if no sensor needs it.
+            may_wait: True if INS samples may still arrive.
 
         Returns:
-            The next state and the decision; None where samples that may still come belong to the measurement.
+            The next state and the decision; None if the measurement needs INS samples that may still arrive.
         """
         result = self._step(state, measurement, track, watch, may_wait)
         optics = self.model.slices.get(f"{measurement.source}.optics")
@@ -206,7 +207,7 @@ class ShipFilter:
             if again is not None and again[1].reason not in _AGAINST_PREDICTION:
                 result = again
             elif again is not None and not again[1].components:
-                # Its stars contradict one another with these optics too: its attitude is no evidence.
+                # The stars contradict each other with these optics too, so the attitude is not evaluated.
                 refusal = Refusal(again[1].reason, again[1].text)
                 return self._refused(state, measurement, NotCompared(refusal, again[1].ins_time_ns))
         contradiction = self._optics_contradiction(result[0], measurement, optics)
@@ -222,9 +223,9 @@ class ShipFilter:
         watch: SkyWatch | None,
         may_wait: bool = False,
     ) -> tuple[FilterState, AttitudeDecision] | None:
-        """The step with the optics as they have been learned; see :meth:`step`."""
+        """Evaluate a measurement with the optics as estimated so far; see :meth:`step`."""
         if self._lacks_latitude(measurement.time_ns):
-            # Whatever were learnt at another latitude would be wrong, and stay.
+            # Estimates made with a wrong latitude would be wrong and persist.
             lacking = Refusal(Reason.NO_FIX, "no position fix yet: ins.model 'schuler' needs the latitude (gnss/fix)")
             return self._refused(state, measurement, NotCompared(lacking, measurement.time_ns))
         predicted = self.predicted(state, measurement.time_ns)
@@ -239,7 +240,7 @@ class ShipFilter:
         if isinstance(found, NotCompared):
             return self._refused(state, measurement, found)
         if state.jumped_ns is not None and found.paired_ns <= state.jumped_ns:
-            before = Refusal(Reason.GAP, "the INS's attitude of before its jump tells nothing of that after it")
+            before = Refusal(Reason.GAP, "the matching attitude of the INS is from before its last jump")
             return self._refused(state, measurement, NotCompared(before, found.ins_time_ns))
         if isinstance(found.measured, AttitudeMeasurement):
             predicted = self._with_common(predicted, found.measured)
@@ -248,14 +249,14 @@ class ShipFilter:
     def _optics_contradiction(
         self, state: FilterState, exposure: StarExposure, optics: slice
     ) -> Refusal | None:
-        """The rejection of an exposure whose camera has another focal length than configured, by the state after it."""
+        """Return the rejection of an exposure whose estimated focal length differs from the configured one, or None."""
         if exposure.optics is None:
             return None
         variance = float(state.parts[:, optics.start, optics.start].sum())
         return learned_contradiction(exposure.optics, state.mean.item(optics.start), variance)
 
     def _with_inflated_optics(self, state: FilterState, optics: slice) -> FilterState:
-        """The state with an inflated covariance of a camera's optics: as configured and as learned are both likely."""
+        """Return the state with an optics covariance that covers the configured and the estimated optics."""
         stack, learned = state.stack.copy(), state.mean[optics]
         part = self.model.source_indices[SOURCE_OPTICS]
         add_error(stack, len(state.means), part, optics, np.diag(1.0 + learned**2))
@@ -264,7 +265,17 @@ class ShipFilter:
     def _judged(
         self, state: FilterState, predicted: FilterState, measurement: Measurement, found: Linearised
     ) -> tuple[FilterState, AttitudeDecision]:
-        """The next state and the decision: by the gate of each row, and by the verdict of all of them together."""
+        """Evaluate a linearised measurement by the gate of each filter, update the filters and detect faults.
+
+        Args:
+            state: state before the measurement.
+            predicted: ``state`` propagated to the time of the measurement.
+            measurement: the measurement.
+            linearised: the linearised measurement.
+
+        Returns:
+            The next state and the decision.
+        """
         linear, source = found.compared.linear, measurement.source
         gate = chi_square_gate(self._gate.probability, len(linear.residual))
         try:
@@ -296,20 +307,20 @@ class ShipFilter:
             after, decision = self._held(after, decision, found)
         vouched = self._ins_vouched(state, found)
         if self.devices[source].is_star and not (accepted[0] or vouched):
-            # Nothing else tells that the INS has jumped.
+            # No other data show whether the INS has jumped.
             after = changed(after, unconfirmed=_jumped(measurement.time_ns))
         after, text = self.suspects.judged(after, source, compared, vouched, measurement.time_ns)
         return after, self._told(decision, after, text)
 
     def _lacks_latitude(self, time_ns: int) -> bool:
-        """Whether the INS's error goes on by a latitude that nobody knows yet."""
+        """True if the propagation of the INS error needs a latitude that is not known yet."""
         process = self.model.ins_process
         if process is None or self.vertical is None or not process.needs_latitude:
             return False
         return math.isnan(self.vertical.at(time_ns).latitude)
 
     def _ins_vouched(self, state: FilterState, found: Linearised) -> bool:
-        """Whether the INS's rates would have told a step of it: they are known, and it has not jumped not long ago."""
+        """True if the rates of the INS exclude a step: they are available, and the INS reported no recent jump."""
         if found.ins.sample is None or found.ins.sample.rate_d is None:
             return False
         return not self.suspects.ins.told(state, found.ins_time_ns)
@@ -317,20 +328,30 @@ class ShipFilter:
     def _beside(
         self, predicted: FilterState, source: str, compared: Compared, gate: float
     ) -> tuple[FilterState, RowsCompared]:
-        """A measurement beside all rows; those where the INS is wrong are opened where they differ from it."""
+        """Return the innovations of all filters; filters without the INS are inflated where they are inconsistent.
+
+        Args:
+            predicted: state propagated to the time of the measurement.
+            source: source of the measurement.
+            compared: the measurement compared with the main filter.
+            gate: threshold of the NIS.
+
+        Returns:
+            The state, with inflated covariances where needed, and the innovations.
+        """
         linear, by_turn, at_mean = compared.linear, compared.by_turn, predicted.mean
         rows = compare_rows(predicted.means, predicted.stack, linear, at_mean, by_turn)
         opened, wrong = self.suspects.ins.opened_against(predicted, source, rows, compared.predicted_nv, gate)
         if not wrong:
             return predicted, rows
         wider = compare_rows(predicted.means, opened, linear, at_mean, by_turn)
-        # What a row has seen is judged as it was before it was opened.
+        # Fault detection uses the innovations from before the inflation.
         turn, turn_root = wider.turn.copy(), wider.turn_root.copy()
         turn[wrong], turn_root[wrong] = rows.turn[wrong], rows.turn_root[wrong]
         return changed(predicted, stack=opened), wider._replace(turn=turn, turn_root=turn_root)
 
     def _told(self, decision: AttitudeDecision, state: FilterState, text: str) -> AttitudeDecision:
-        """The decision with what the verdict says; a source excluded by its own measurement is told at once."""
+        """Return the decision with the text of fault detection, rejected if the measurement excluded its source."""
         if not text:
             return decision
         if decision.measurement.source in state.excluded and decision.reason in (Reason.NONE, Reason.EXCLUDED):
@@ -340,7 +361,7 @@ class ShipFilter:
     def _refused(
         self, state: FilterState, measurement: Measurement, why: NotCompared
     ) -> tuple[FilterState, AttitudeDecision]:
-        """Of a measurement that cannot be compared nothing is kept; where it contradicts the state, that is counted."""
+        """Reject a measurement that cannot be evaluated; count it if it contradicts the state."""
         refusal, text = why.refusal, why.refusal.text
         if why.contradicts:
             state, opened = self._reopened(self._counted(state, measurement.source), measurement.source)
@@ -349,19 +370,23 @@ class ShipFilter:
         return state, AttitudeDecision(measurement, refusal.reason, text=text, ins_time_ns=why.ins_time_ns)
 
     def _counted(self, state: FilterState, source: str) -> FilterState:
-        """The state with one more refusal in a row of a source."""
+        """Return the state with the consecutive rejections of a source increased by one."""
         return changed(state, refusals=with_entry(state.refusals, source, state.refusals.get(source, 0) + 1))
 
     def _reopened(self, state: FilterState, source: str) -> tuple[FilterState, str]:
-        """The state opened where a source's run of refusals is as long as configured for that, and what is said."""
+        """Inflate the covariance after ``gate.reopen_after`` consecutive rejections of a source.
+
+        Returns:
+            The state, and a text about the inflation, empty for none.
+        """
         if not self._gate.reopen_after or state.refusals[source] % self._gate.reopen_after:
             return state, ""
         state = changed(state, stack=state.stack * self._gate.reopen_factor, stays=NO_STAYS)
         state = self.suspects.begun_anew(changed(state, excluded=without(state.excluded, source)))
-        return state, f"; gate re-opened: covariance times {self._gate.reopen_factor:g}"
+        return state, f"; covariance inflated by a factor of {self._gate.reopen_factor:g}"
 
     def _used(self, state: FilterState, measurement: Measurement) -> FilterState:
-        """The state, with a measurement that passed the gate, told of it."""
+        """Record an accepted measurement: reset its rejection counter and store its stamp."""
         source, unconfirmed = measurement.source, state.unconfirmed
         if self.devices[source].is_star:
             if unconfirmed is not None:
@@ -376,7 +401,7 @@ class ShipFilter:
         return changed(state, refusals=refusals, used_ns=used_ns, stays=stays, unconfirmed=unconfirmed)
 
     def _with_common(self, state: FilterState, measurement: AttitudeMeasurement) -> FilterState:
-        """The common error of this sensor's messages, as large as the message says."""
+        """Return the state with the covariance of a sensor's common error as stated in its message."""
         stack, source, common_n = state.stack, measurement.source, measurement.common_n
         is_none = not any(common_n.ravel().tolist())
         if source not in state.common_n:
@@ -392,9 +417,13 @@ class ShipFilter:
     def _held(
         self, state: FilterState, decision: AttitudeDecision, found: Linearised
     ) -> tuple[FilterState, AttitudeDecision]:
-        """Hold the estimate; after a run of refusals say so and, where configured, re-open the gate."""
+        """Reject a measurement that failed the gate.
+
+        After ``gate.conflict_after`` consecutive rejections the text names the conflict; after ``gate.reopen_after``
+        the covariance is inflated.
+        """
         source, ins, compared = decision.measurement.source, found.ins, found.compared
-        # The deck as the measurement has it: the predicted deck turned as the predicted device must be.
+        # Deck attitude by the measurement: the INS deck attitude with the rotation from predicted to measured device.
         measured_nd = compared.rotation_nv @ compared.predicted_nv.T @ ins.rotation_nd
         turn_n = log_rotation(measured_nd @ ins.rotation_nd.T)
         departure = Departure(decision.measurement.time_ns, turn_n, compared.attitude_noise_n)
@@ -404,15 +433,15 @@ class ShipFilter:
         if run >= self._gate.conflict_after:
             reason = Reason.ATTITUDE_CONFLICT
             who = who_is_wrong(source, state.refusals, state.used_ns, state.departures, ins.rotation_nd, measured_nd)
-            text = f"{run} refusals in a row: {source} and the INS disagree{who}"
+            text = f"{run} rejections in a row: {source} and the INS disagree{who}"
         state, opened = self._reopened(state, source)
         return state, replace(decision, reason=reason, accepted=False, text=text + opened)
 
 
 def _first(source: str, time_ns: int) -> Unconfirmed:
-    """Return what is in doubt after the first star measurement that was used."""
+    """Return the unconfirmed state after the first accepted star measurement."""
     return Unconfirmed(time_ns - 1, "the attitude rests on one star measurement", "stars", time_ns, source)
 
 
 def _jumped(since_ns: int) -> Unconfirmed:
-    return Unconfirmed(since_ns, "the INS has jumped, or may have", "stars")
+    return Unconfirmed(since_ns, "the INS has jumped, or may have jumped", "stars")

@@ -1,10 +1,12 @@
-"""The INS as the one that is wrong: in the rows that do without it, and in all of them once it is distrusted.
+"""Handling of INS faults: in the subfilters without the INS, and in all filters once the stars have excluded it.
 
-Where the INS is wrong its slow error is unknown, but its turn from one measurement to the next is used. An INS that
-creeps away from all others is excluded in this way. One that told a fault of its own, by a jump, and that all stars
-contradict after that has lost its word: it is distrusted. Its turn may be wrong too, as when its clock or its axes are;
-so each measurement that contradicts it finds all rows open for that, the attitude is in doubt, and nothing is learnt
-but the error of the INS itself: a lie that is over has left nothing. It is believed again once it has agreed for
+If the INS is excluded, its correlated error is unknown, and its change of attitude between measurements is still used.
+An INS that drifts away from all other sources is excluded in this way.
+
+An INS that reported a jump, and that all stars contradict afterwards, is excluded by the stars. Its change of attitude
+may be wrong as well, for example after an error of its clock or axes. Therefore each inconsistent measurement inflates
+the covariance in all filters, the fault counts as unresolved, and only the error of the INS itself is estimated. Other
+states are not affected when the fault ends. The INS is reinstated after it was consistent for
 ``integrity.return_after_s``.
 """
 
@@ -27,30 +29,33 @@ from ship_geometry.time_scales import SECOND_NS
 
 _UNKNOWN_RAD = 600.0 * ARCSEC
 UNKNOWN_INS_RAD_PER_SQRT_S = 2.0 * ARCSEC
-"""Where the INS is the one that is wrong, its slow error starts with the first sigma and walks by the second.
+"""Initial standard deviation, and random walk, of the correlated error of an excluded INS.
 
-With two or three sensors at 5 Hz such a row remembers for half a second, in heading by two sensors for a little more
-than one: an INS that creeps by 200″ a minute is one to two sigmas of the row ahead of it. A larger walk would follow
-faster, and raise every protection level.
+With two or three sensors at 5 Hz the time constant of such a subfilter is 0.5 s, in heading by two sensors about 1 s.
+An INS that drifts by 200″ per minute is then one to two standard deviations ahead of the subfilter. A larger random
+walk would follow faster and raise every protection level.
 """
 
 _ABOUT_EACH_AXIS = np.eye(3)
 
 _LEAST_AGAINST = 2
-"""Sources that check each other: with fewer nobody tells whether the INS is wrong or the one that there is."""
+"""Minimum number of sources besides the INS to exclude it: a single source cannot be checked without the INS."""
 
 _UNCONTRADICTED_S = 10.0
-"""An INS whose clock has stepped, and that nobody has contradicted for so long, is believed again: the ship has rolled
-one way and the other, and the clocks of all devices stepped alike, as with a leap second."""
+"""Time without contradiction after which an INS with a clock step is reinstated, s.
+
+In this time the ship has rolled to both sides. The clocks of all devices may have stepped equally, as with a leap
+second.
+"""
 
 
 class InsAtFault:
-    """What is done with the rows where the INS is wrong.
+    """Covariances, exclusion and reinstatement for INS faults.
 
     Args:
-        config: the node's configuration.
-        model: what the states are.
-        table: the rows.
+        config: configuration of the node.
+        model: state vector.
+        subfilters: the filters.
     """
 
     def __init__(self, config: ShipAttitudeConfig, model: ShipStateModel, table: RowTable) -> None:
@@ -62,7 +67,15 @@ class InsAtFault:
         self._all_but_slow[self._slow] = False
 
     def all_rows_at(self, mean: FloatArray, parts: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Means and covariances of all rows that begin at one state, of shapes (n,) and (n_sources, n, n)."""
+        """Return means and covariances of all filters started from one state.
+
+        Args:
+            mean: estimated errors, shape (n,).
+            covariance_by_source: covariance by error source, shape (n_sources, n, n).
+
+        Returns:
+            Shapes (h, n) and (n_sources + h - 1, n, n).
+        """
         rows = self._table.rows
         stack = np.concatenate([parts, np.tile(parts.sum(axis=0), (rows - 1, 1, 1))])
         for row in self._table.ins_rows:
@@ -70,11 +83,11 @@ class InsAtFault:
         return np.tile(mean, (rows, 1)), stack
 
     def open_slow_error(self, parts: FloatArray, covariance_n: FloatArray) -> None:
-        """Inflate the covariance of the INS's slow error, in place, in an estimate that has no other rows."""
+        """Inflate the covariance of the correlated INS error, in place, in a main filter without subfilters."""
         self._open(parts, 1, covariance_n, None)
 
     def carried(self, state: FilterState, stack: FloatArray, dt_s: float) -> None:
-        """Let the INS wander, in place, where it is the one that is wrong."""
+        """Add the random walk of an excluded INS to the covariances, in place."""
         walked = UNKNOWN_INS_RAD_PER_SQRT_S**2 * dt_s * _ABOUT_EACH_AXIS
         for row in (None,) if INS in state.excluded else self._table.ins_rows:
             self._open(stack, len(state.means), walked, row)
@@ -82,20 +95,23 @@ class InsAtFault:
     def opened_against(
         self, state: FilterState, source: str, compared: RowsCompared, predicted_nv: FloatArray, gate: float
     ) -> tuple[FloatArray, list[int]]:
-        """Covariances where the INS has turned by what a measurement contradicts, and the rows that were opened.
+        """Inflate the covariance of the INS error by an inconsistent innovation.
 
-        A row in which the INS is the one that is wrong is opened once the source has contradicted it for so long that
-        one refusal more makes it a fault; all rows are opened at once where the INS is distrusted.
+        A subfilter without the INS is inflated when one more rejection of the source would make a fault. If the stars
+        have excluded the INS, all filters are inflated at once.
 
         Args:
-            state: predicted.
-            source: who measured.
-            compared: the measurement with every row.
-            predicted_nv: the device as the first row has it, shape (3, 3).
-            gate: of the NIS.
+            state: state propagated to the time of the measurement.
+            source: source of the measurement.
+            innovations: innovations of all filters.
+            predicted_nv: attitude of the device predicted by the main filter, shape (3, 3).
+            gate: threshold of the NIS.
+
+        Returns:
+            The covariances, and the indices of the inflated filters.
         """
         everywhere = distrusted(state) and source not in state.excluded
-        # Written so that NaN opens nothing.
+        # Written so that NaN inflates nothing.
         far = [row for row in ((0,) if everywhere else self._table.ins_rows) if compared.nis[row] > gate]
         wrong = far if everywhere else [row for row in far if self._contradicted(state, source, row)]
         if not wrong:
@@ -108,10 +124,10 @@ class InsAtFault:
         return stack, list(range(len(state.means))) if everywhere else wrong
 
     def learns(self, state: FilterState, learns: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Which states each row may learn, shape (h, n): clocks and mountings stay as they were under distrust."""
+        """Return the mask of states to update, shape (h, n): only the INS attitude if the stars excluded the INS."""
         return learns & ~self._all_but_slow if distrusted(state) else learns
 
-    # -- distrust -------------------------------------------------------------------------------------------
+    # -- exclusion by the stars -----------------------------------------------------------------------------
 
     def told(self, state: FilterState, time_ns: int) -> bool:
         """True if the INS reported a jump of its own and has not gone uncontradicted for ``return_after_s`` since."""
@@ -119,30 +135,30 @@ class InsAtFault:
         return since_ns is not None and time_ns - since_ns <= self._return_after_s * SECOND_NS
 
     def may_be_excluded(self, in_use: Sequence[str]) -> bool:
-        """Whether enough sources are in use that check each other without the INS."""
+        """True if enough sources are in use to check each other without the INS."""
         return len(in_use) >= _LEAST_AGAINST
 
     def clock_has_stepped(self, state: FilterState, time_ns: int) -> FilterState:
-        """The state after the INS's clock has stepped by more than can be estimated: it is distrusted at once."""
+        """Exclude the INS after a clock step that is too large to estimate."""
         if distrusted(state) or not self.may_be_excluded(state.in_use(self._table.sources, time_ns)):
             return state
         times = state.record.get(INS, 0) + 1
         excluded = with_entry(state.excluded, INS, Exclusion(time_ns, times, on_suspicion=True))
         state = changed(state, excluded=excluded, record=with_entry(state.record, INS, times))
-        return self._doubted(state, time_ns, "the INS is excluded: its clock has stepped")
+        return self._doubted(state, time_ns, "the INS is excluded: step of its clock")
 
     def contradicted_now(self, state: FilterState, time_ns: int) -> FilterState:
-        """The state in which an INS that is excluded is distrusted, and was contradicted just now.
+        """Return the state after a contradiction of an excluded INS: its reinstatement timer restarts.
 
-        Its turn from one measurement to the next may be as wrong as it was of late: the attitude is in doubt by that.
+        Its change of attitude may be wrong by as much as recently, so the fault is unresolved with that covariance.
         """
         names = state.in_use(self._table.sources, time_ns)
         excluded = with_entry(state.excluded, INS, changed(state.excluded[INS], on_suspicion=False))
-        text = f"the INS is excluded: it told a fault of its own, and {', '.join(names) or 'all'} contradicted it"
+        text = f"the INS is excluded: it reported a jump, and {', '.join(names) or 'all sources'} contradicted it"
         return self._doubted(changed(state, excluded=excluded), time_ns, text)
 
     def not_compared(self, state: FilterState, time_ns: int) -> FilterState:
-        """The state after a measurement that contradicts it so much that the two cannot be compared."""
+        """Return the state after a measurement that contradicts it too much to be evaluated."""
         if not distrusted(state):
             return state
         stack = state.stack.copy()
@@ -150,23 +166,23 @@ class InsAtFault:
         return self.contradicted_now(changed(state, stack=stack), time_ns)
 
     def watched(self, state: FilterState, compared: RowsCompared, agrees: bool, time_ns: int) -> FilterState:
-        """The state in which the INS is distrusted, after a measurement.
+        """Monitor an INS that the stars have excluded, after a measurement.
 
         Args:
-            state: with the measurement.
-            compared: the measurement with every row.
-            agrees: whether what its source measured of late agrees with the first row.
-            time_ns: its stamp.
+            state: state after the measurement.
+            innovations: innovations of all filters.
+            is_consistent: True if the source's recent innovations are consistent with the main filter.
+            time_ns: stamp of the measurement.
         """
         turn = compared.turn[0]
-        # NaN does not agree.
+        # Written so that NaN is inconsistent.
         return state if agrees and turn @ turn <= self._agreed else self.contradicted_now(state, time_ns)
 
     def believed_again(self, state: FilterState, time_ns: int) -> FilterState:
-        """The state in which an excluded INS is used again.
+        """Reinstate an excluded INS when its time has come.
 
-        One that is distrusted must have agreed for so long. One that crept is tried after a while: there no single
-        measurement tells.
+        An INS excluded by the stars must have been consistent for the reinstatement time. An INS that drifted is
+        reinstated on trial after that time, because no single measurement shows the end of a drift.
         """
         exclusion = state.excluded.get(INS)
         if exclusion is None:
@@ -179,19 +195,19 @@ class InsAtFault:
         if (time_ns - since_ns) / SECOND_NS < after_s:
             return state
         if distrust:
-            # The rows learnt nothing that tells them apart.
+            # The filters were updated equally and do not differ.
             means, stack = self.all_rows_at(state.mean, state.parts)
             state = changed(state, means=means, stack=stack)
         if not exclusion.on_suspicion:
-            # What its open error has hidden, the stars show once it is closed, within half of a slow roll.
+            # Faults hidden by the inflated covariance show within half a slow roll period after the reinstatement.
             confirmed_ns = time_ns + round(_UNCONTRADICTED_S * SECOND_NS)
-            state = changed(state, unconfirmed=Unconfirmed(confirmed_ns, "the INS is used again", "stars"))
+            state = changed(state, unconfirmed=Unconfirmed(confirmed_ns, "the INS was reinstated", "stars"))
         return changed(state, excluded=without(state.excluded, INS), doubt=None, ins_suspected_ns=time_ns)
 
     # ---------------------------------------------------------------------------------------------------------
 
     def _doubted(self, state: FilterState, time_ns: int, text: str) -> FilterState:
-        """The state in which an INS that is excluded is distrusted from now on: the attitude is in doubt."""
+        """Return the state with an unresolved fault of the excluded INS, whose consistency starts from this time."""
         names = state.in_use(self._table.sources, time_ns)
         disputed = [state.apart[name].turn_n for name in names if name in state.apart]
         covariance_n = sum((np.outer(turn_n, turn_n) for turn_n in disputed), start=np.zeros((3, 3)))
@@ -200,7 +216,7 @@ class InsAtFault:
         return changed(state, excluded=excluded, seen=seen, doubt=Doubt(text, covariance_n))
 
     def _contradicted(self, state: FilterState, source: str, row: int) -> bool:
-        """Whether a source that a row uses has contradicted it for so long that one refusal more makes it a fault."""
+        """True if one more rejection of the source would make a fault of this subfilter."""
         index = self._table.sources.index(source)
         if source in state.excluded or not self._table.uses[row, index]:
             return False
@@ -211,6 +227,6 @@ class InsAtFault:
 
 
 def distrusted(state: FilterState) -> bool:
-    """Whether the INS is excluded because all stars contradicted it after it had told a fault of its own."""
+    """True if the INS is excluded because all stars contradicted it after it had reported a jump."""
     exclusion = state.excluded.get(INS)
     return exclusion is not None and exclusion.agrees_since_ns is not None

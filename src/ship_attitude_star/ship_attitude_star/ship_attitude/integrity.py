@@ -1,7 +1,7 @@
-"""How far the ship's attitude may be wrong although nothing says so: protection levels of heading, pitch and roll.
+"""Protection levels of heading, pitch and roll of the ship.
 
-The rows of the filter's state (:mod:`ship_attitude_star.ship_attitude.suspects`) tell how far the attitude would be
-another one without each of its sources; :mod:`ship_estimation.protection` makes levels of that.
+They bound the error in the presence of an undetected fault. They are computed from the solution separations of the
+subfilters (:mod:`ship_attitude_star.ship_attitude.fault_detection`) by :mod:`ship_estimation.protection_levels`.
 """
 
 import numpy as np
@@ -19,24 +19,24 @@ from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_
 from ship_geometry.rotations import FloatArray
 
 QUANTITIES = ("heading", "pitch", "roll")
-"""What the levels bound."""
+"""Quantities with a protection level."""
 
 
 def integrity_of(filter_: ShipFilter, config: ShipAttitudeConfig, estimate: AttitudeEstimate) -> IntegrityReport:
-    """The integrity of an attitude.
+    """Return protection levels, solution separations and exclusions of an attitude.
 
     Args:
-        filter_: the filter and its model.
-        config: its configuration.
-        estimate: the attitude, which rests on a state of the filter.
+        filter_: filter and model.
+        config: configuration of the node.
+        estimate: the attitude, with its filter state.
     """
     state, suspects = estimate.state, filter_.suspects
     asked = suspects.table.asked(estimate.sources, state.excluded)
     heading, pitch, _ = angles_from_rotation(estimate.rotation_nd).tolist()
     to_angles, parts = angle_errors_from_rotation_vector(heading, pitch), len(state.stack) - len(state.means) + 1
     means, stack = against_horizon(filter_, config, state, estimate.time_ns)
-    # What the rows dispute is covered by the levels already. What an attitude adds to the error of the state, as the
-    # noise of the INS, is the same in every row.
+    # The levels contain the solution separations already. Errors that an attitude adds to those of the state, such as
+    # the INS noise, are the same in every filter.
     found = separation(
         suspects.table.k,
         asked.hypotheses,
@@ -63,10 +63,10 @@ def integrity_of(filter_: ShipFilter, config: ShipAttitudeConfig, estimate: Atti
 def against_horizon(
     filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState, time_ns: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Means and covariances of all rows, the INS's error in them being against the horizon that is published."""
+    """Return means and covariances of all filters, with the INS error relative to the published horizon."""
     if config.horizon == GEODETIC or filter_.vertical is None:
         return state.means, state.stack
-    # Gravity's horizon needs the deflection, which stands next to the INS's attitude.
+    # The gravity horizon needs the deflection, whose states follow the INS attitude.
     rows, to_own = filter_.model.process_rows[:5], np.eye(filter_.model.size)
     to_own[rows[:3, None], rows] = own_from_whole(filter_.vertical.at(time_ns))
     return state.means @ to_own.T, to_own @ state.stack @ to_own.T

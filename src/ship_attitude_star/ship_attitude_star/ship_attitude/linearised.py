@@ -1,9 +1,9 @@
-"""A measurement, linearised where the estimate will be: what the filter's one Kalman step needs.
+"""Linearisation of a measurement at the estimate, for one Kalman step (iterated extended Kalman filter).
 
-The INS's attitude that belongs to a measurement is taken at the offset of the clocks, and the device's attitude is
-predicted from it; both depend on the state, and not in a straight line. One linearisation at the predicted state is
-enough where that is known well beside the measurement's own noise. Otherwise the measurement is linearised anew at the
-estimate that it leads to, until that stays (Gauss-Newton; the iterated Kalman filter).
+The INS attitude is matched to a measurement by the clock offsets, and the attitude of the device is predicted from it;
+both depend on the state nonlinearly. One linearisation at the predicted state is enough if the state is known well
+compared with the measurement noise. Otherwise the measurement is linearised again at the resulting estimate until that
+converges (Gauss-Newton).
 """
 
 import math
@@ -34,19 +34,19 @@ from ship_geometry.rotations import FloatArray, exp_rotation, log_rotation
 from ship_geometry.time_scales import SECOND_NS
 
 _SMALL_TURN = 2e-4
-"""A linearisation that lies closer than this (rad) to the estimate is at the estimate: the square is 0.004
-arcseconds."""
+"""Convergence limit of the distance between linearisation point and estimate, rad; its square is 0.004″."""
 
 _KNOWN_CLOCK_S = 0.01
-"""An offset of the clocks that is known to better than this (sigma) needs one linearisation: a ship that rolls by 10
-degrees in 10 s accelerates by 14 000 arcseconds per s², which makes 0.7 arcseconds in that time."""
+"""Maximum standard deviation of a clock offset for one linearisation, s.
+
+A ship that rolls by 10° in 10 s accelerates by 14 000″/s², which makes 0.7″ in this time.
+"""
 
 _SAME_MOTION_S = 3.0
-"""For so long a ship goes on accelerating the same way: what an unknown offset of the clocks does to one measurement it
-does to the next one too."""
+"""Correlation time of the ship's angular acceleration, s. An unknown clock offset has the same effect during it."""
 
 _FAR = 3.0
-"""Sigmas from the estimate at which an offset of the clocks is called far off."""
+"""Distance of a far clock offset from the estimate, in standard deviations."""
 
 _MOST_STEPS = 20
 
@@ -54,17 +54,18 @@ _AGAINST_SKY = (InertialAttitude, SolvedAttitude)
 
 
 class Linearised(NamedTuple):
-    """A measurement as the filter uses it.
+    """A linearised measurement.
 
     Attributes:
-        measured: the measurement as it is compared: an attitude against the ICRS is one in the horizon here.
-        compared: the comparison at the point of linearisation; its ``linear.residual`` is told relative to the
-            predicted mean: measured - predicted(x) + jacobian @ (x - mean), where x is that point. One Kalman step with
-            it, from the predicted state, leads to the estimate, and its NIS is the least sum of squares that any state
-            can reach against prediction and measurement together: chi² with as many degrees of freedom as residuals.
-        ins: attitude of the INS that belongs to the measurement.
-        paired_ns: stamp of the INS at which it was compared.
-        ins_time_ns: the latest stamp of the INS that the comparison rests on.
+        measurement: the measurement as compared; an attitude relative to the ICRS is converted to the horizon.
+        compared: the comparison at the linearisation point x. Its ``linear.residual`` is relative to the predicted
+            mean: measured - predicted(x) + jacobian @ (x - mean). One Kalman step with it from the predicted state
+                leads
+            to the estimate. Its NIS is the least sum of squares of prediction and measurement over all states: chi²
+            distributed with as many degrees of freedom as residuals.
+        ins: matched attitude of the INS.
+        matched_ins_ns: stamp of the matched INS attitude.
+        ins_time_ns: latest INS stamp that the comparison depends on.
     """
 
     measured: Measurement
@@ -76,11 +77,11 @@ class Linearised(NamedTuple):
 
 @dataclass(frozen=True)
 class NotCompared:
-    """A measurement that cannot be compared.
+    """A measurement that cannot be evaluated.
 
     Attributes:
-        refusal: why not.
-        ins_time_ns: the latest stamp of the INS that this rests on.
+        rejection: the reason.
+        ins_time_ns: latest INS stamp that this depends on.
     """
 
     refusal: Refusal
@@ -88,23 +89,23 @@ class NotCompared:
 
     @property
     def contradicts(self) -> bool:
-        """Whether it speaks against what is predicted: where that is right, most measurements fit it somehow."""
+        """True if the measurement contradicts the prediction."""
         return self.refusal.reason in (Reason.UNIDENTIFIED, Reason.MISIDENTIFIED, Reason.GATE)
 
 
 class _Task(NamedTuple):
-    """What a measurement is to be linearised with.
+    """Inputs of a linearisation.
 
     Attributes:
-        measurement: as it came.
-        device: that measured.
-        mean: of the predicted state, shape (n,).
-        covariance: of the predicted state, shape (n, n).
-        used_ns: by source, the stamp of its last measurement that was used.
+        measurement: measurement as received.
+        device: device that measured.
+        mean: mean of the predicted state, shape (n,).
+        covariance: covariance of the predicted state, shape (n, n).
+        last_used_ns: stamp of the last accepted measurement by source, ns.
         track: attitudes of the INS.
-        watch: the sky.
-        may_wait: whether samples of the INS may still come.
-        offset_sigma_s: sigma of the offset of the clocks.
+        sky_model: sky model.
+        may_wait: True if INS samples may still arrive.
+        offset_sigma_s: standard deviation of the clock offset, s.
     """
 
     measurement: Measurement
@@ -118,14 +119,14 @@ class _Task(NamedTuple):
     offset_sigma_s: float
 
     def count_within(self, period_s: float) -> float:
-        """Number of measurements of the source in a period, by the time since its last one; at least 1."""
+        """Return the number of measurements of the source in a period, from the time since its last one; at least 1."""
         last_ns = self.used_ns.get(self.measurement.source)
         if last_ns is None:
             return 1.0
         return max(period_s * SECOND_NS / max(self.measurement.time_ns - last_ns, 1), 1.0)
 
     def count_between(self, ins: InterpolatedAttitude) -> float:
-        """Number of measurements that are compared between the two samples of an attitude of the INS; at least 1."""
+        """Return the number of measurements between the two samples of an interpolated INS attitude; at least 1."""
         if ins.sample is None or ins.next_sample is None:
             return 1.0
         interval_ns = ins.next_sample.time_ns - ins.sample.time_ns
@@ -135,7 +136,7 @@ class _Task(NamedTuple):
 
 
 class _Paired(NamedTuple):
-    """A measurement as it is compared, the INS's attitude that belongs to it, its stamp and the latest one needed."""
+    """A measurement, the matched INS attitude, the stamp of that, and the latest INS stamp needed."""
 
     measurement: Measurement
     ins: InterpolatedAttitude
@@ -144,12 +145,12 @@ class _Paired(NamedTuple):
 
 
 class Linearisation:
-    """How measurements follow from the state.
+    """Measurement model of the filter.
 
     Args:
-        model: what the states are.
-        devices: by name.
-        vertical: the vertical under way; None where no deflection of it is modelled.
+        model: state vector.
+        devices: devices by name.
+        vertical: vertical along the track; None if the deflection is not modelled.
     """
 
     def __init__(
@@ -169,12 +170,12 @@ class Linearisation:
 
     @property
     def longest_shift_s(self) -> float:
-        """Bound on how far the INS's stamp of an attitude may lie from a device's: configured offsets and 5 sigma."""
+        """Bound of the difference between the INS stamp and a device stamp of an attitude, s: offset and 5 sigma."""
         return self._longest_s(5.0)
 
     @property
     def longest_reach_s(self) -> float:
-        """Bound on how far samples of the INS matter: beside that shift, as far around it as tells how a ship moves."""
+        """Bound of the time around a measurement in which INS samples are needed, s: the shift and 3 sigma more."""
         return self._longest_s(5.0 + _FAR)
 
     def _longest_s(self, sigmas: float) -> float:
@@ -182,7 +183,7 @@ class Linearisation:
         return max(shifts_s, default=0.0)
 
     def ins_time_ns(self, mean: FloatArray, measurement: Measurement) -> int:
-        """Stamp (ns) of the INS for the attitude that was measured, by a mean of the state, shape (n,)."""
+        """Return the INS stamp of the measured attitude, ns, by a mean of the state, shape (n,)."""
         source = measurement.source
         estimated_s: float = sum(sign * mean.item(state) for state, sign in self._clocks[source])
         shift_s = self._devices[source].ins_time_s + estimated_s
@@ -198,23 +199,24 @@ class Linearisation:
         watch: SkyWatch | None,
         may_wait: bool = False,
     ) -> Linearised | NotCompared | None:
-        """The measurement linearised where it leads the predicted state.
+        """Linearise a measurement at the estimate that it leads to.
 
         Args:
-            measurement: of any kind.
-            mean: of the predicted state, shape (n,).
-            covariance: of the predicted state, shape (n, n).
-            used_ns: by source, the stamp of its last measurement that was used.
+            measurement: measurement of any kind.
+            mean: mean of the predicted state, shape (n,).
+            covariance: covariance of the predicted state, shape (n, n).
+            last_used_ns: stamp of the last accepted measurement by source, ns.
             track: attitudes of the INS.
-            watch: the sky; None where no sensor needs it.
-            may_wait: whether samples of the INS may still come.
+            sky_model: sky model; None if no sensor needs it.
+            may_wait: True if INS samples may still arrive.
 
         Returns:
-            None where samples of the INS that may still come belong to the measurement.
+            The linearised measurement, or why it cannot be evaluated; None if it needs INS samples that may still
+            arrive.
         """
         source = measurement.source
         device, by_offset = self._devices[source], self._offsets[source]
-        # A state that was opened for another reason does not make a clock less known than it was told.
+        # An inflated covariance does not make a clock less known than configured.
         offset_variance = compiled_steps.variance_along(by_offset, covariance)
         offset_sigma_s = min(math.sqrt(max(offset_variance, 0.0)), self._told_sigma_s[source])
         task = _Task(measurement, device, mean, covariance, used_ns, track, watch, may_wait, offset_sigma_s)
@@ -231,10 +233,10 @@ class Linearisation:
         return Linearised(paired.measurement, compared, paired.ins, paired.paired_ns, paired.ins_time_ns)
 
     def _paired(self, task: _Task, mean: FloatArray) -> _Paired | NotCompared | None:
-        """What of a measurement is compared, with the attitude of the INS that belongs to it by a mean of the state.
+        """Match the INS attitude to a measurement, by a mean of the state.
 
         Returns:
-            Why it cannot be compared; None where it waits for samples of the INS.
+            The matched measurement, or why it cannot be evaluated; None if INS samples are pending.
         """
         measurement, track = task.measurement, task.track
         ins_time_ns = self.ins_time_ns(mean, measurement)
@@ -245,7 +247,7 @@ class Linearisation:
             return None
         ins = track.at(ins_time_ns)
         if ins is None:
-            text = "no INS samples on both sides of it: it cannot be compared"
+            text = "no INS samples on both sides of the measurement"
             return NotCompared(Refusal(Reason.GAP, text), ins_time_ns)
         alike = task.count_between(ins)
         if isinstance(measurement, _AGAINST_SKY):
@@ -255,16 +257,16 @@ class Linearisation:
                 return NotCompared(turned, ins_time_ns)
             measurement = turned
         elif self._vertical is not None and isinstance(measurement, AttitudeMeasurement) and not task.device.is_star:
-            # Another attitude system levels itself on gravity, as the INS does.
+            # Another attitude system is levelled by gravity, as the INS is.
             turn = self._vertical.at(measurement.time_ns).turn
             measurement = replace(measurement, shared_n=turn, shared_by=SHARED_BY_GRAVITY)
         elif isinstance(measurement, StarExposure) and measurement.length is not None:
             turning = turning_over(track, ins_time_ns, measurement.length.nodes)
             if turning is None:
                 return NotCompared(measurement.length.not_covered, ins_time_ns)
-            # What is predicted is the mean over the exposure: its errors and its rate are those of the mean. A rate
-            # between two samples holds their noise divided by their step. Across a streak, where a star is known best,
-            # this noise would count as knowledge of the clock.
+            # The prediction is the mean over the exposure, so errors and rate are those of the mean. The rate between
+            # two samples contains their noise divided by their interval. Across a streak, where a star is most
+            # accurate, this noise would count as information about the clock.
             ins = replace(
                 ins,
                 rate_d=turning.rate,
@@ -273,25 +275,25 @@ class Linearisation:
             )
             measurement = at_middle(measurement, turning.mounted(task.device.rotation_dv0).turns)
         if alike > 1.0:
-            # Between two samples the error is one curve, which all measurements there have in common. The filter takes
-            # it for noise: with so many times the variance in each, their mean has the variance of the common error.
+            # The interpolation error between two samples is common to all measurements there. The filter treats it as
+            # noise; with the variance multiplied by their number, their mean has the variance of the common error.
             ins = replace(ins, error_covariance_d=alike * ins.error_covariance_d)
         if around_ns:
             bent_d = _bent_by_offset(track, ins_time_ns, around_ns, ins)
             if bent_d is None:
-                text = "no INS samples around it, and the offset of its clock is not known"
+                text = "no INS samples around the measurement, and its clock offset is not known"
                 return NotCompared(Refusal(Reason.GAP, text), ins_time_ns + around_ns)
             ins = replace(ins, error_covariance_d=ins.error_covariance_d + task.count_within(_SAME_MOTION_S) * bent_d)
         return _Paired(measurement, ins, ins_time_ns, ins_time_ns + around_ns)
 
     def _settled(self, task: _Task, paired: _Paired, expected: PredictedAttitude) -> Linearised | NotCompared | None:
-        """The measurement linearised at the point that it leads to, its residual relative to the predicted mean."""
+        """Linearise a measurement iteratively; its residual is relative to the predicted mean."""
         model, until_ns = self._model, paired.ins_time_ns
         correction = self._start(task, paired, expected)
         for _ in range(_MOST_STEPS):
             mean = task.mean + correction
-            # Prediction and Jacobian belong to the same state, its clock included: otherwise the turn by the estimated
-            # offset counts twice.
+            # Prediction and Jacobian belong to the same state, clock included; otherwise the rotation by the estimated
+            # offset would count twice.
             found = self._paired(task, mean) if correction.any() else paired
             if not isinstance(found, _Paired):
                 return found if found is None else replace(found, ins_time_ns=max(until_ns, found.ins_time_ns))
@@ -311,11 +313,11 @@ class Linearisation:
                 compared = there._replace(linear=linear, predicted_nv=expected.rotation_nv)
                 return Linearised(found.measurement, compared, paired.ins, found.paired_ns, until_ns)
             correction = reached
-        text = f"no estimate settles between what is expected and what it says, after {_MOST_STEPS} steps"
+        text = f"the linearisation did not converge in {_MOST_STEPS} iterations"
         return NotCompared(Refusal(Reason.GATE, text), until_ns)
 
     def _start(self, task: _Task, paired: _Paired, expected: PredictedAttitude) -> FloatArray:
-        """Where the search begins, relative to the predicted mean: for stars, where they themselves say, shape (n,)."""
+        """Return the first linearisation point relative to the predicted mean, shape (n,); for stars their attitude."""
         correction, exposure = np.zeros_like(task.mean), paired.measurement
         if not isinstance(exposure, StarExposure):
             return correction
@@ -331,19 +333,20 @@ class Linearisation:
 
 
 def _told_sigma_s(model: ShipStateModel, device: Device) -> float:
-    """Sigma of the offset of a device's clock as it is configured."""
+    """Return the configured standard deviation of the clock offset of a device, s."""
     return float(np.linalg.norm([model.blocks[name].sigma[0] for name, _ in device.ins_time_states]))
 
 
 def _bent_by_offset(
     track: AttitudeTrack, ins_time_ns: int, around_ns: int, here: InterpolatedAttitude
 ) -> FloatArray | None:
-    """Covariance of what an unknown offset does beside the turn that grows with it evenly; deck frame, rad², (3, 3).
+    """Return the covariance of the nonlinear effect of an unknown clock offset, deck frame, rad², shape (3, 3).
 
-    The attitudes that belong to offsets far off, :data:`_FAR` sigma before and after, tell it: half their sum is the
-    part that grows with the square of the offset, and what half their difference has more than the rate says grows with
-    its cube. They count as that many sigma of a normal error. For most offsets this is too much; the offset is known
-    the sooner for it. Where the track does not reach so far, nearer attitudes tell it; None where not an eighth as far.
+    It is computed from the attitudes at offsets of :data:`_FAR_SIGMAS` standard deviations before and after. Half their
+    sum is the quadratic part; half their difference minus the rate is the cubic part. Both count as that many standard
+    deviations of a normal error. For most offsets this is conservative, and the offset converges sooner.
+
+    If the track does not extend so far, nearer attitudes are used, down to an eighth of the offset; else None.
     """
     for nearer in (1, 2, 4, 8):
         off_ns = around_ns // nearer
@@ -359,7 +362,7 @@ def _bent_by_offset(
 
 
 def _correction(linear: LinearMeasurement, covariance: FloatArray) -> FloatArray | None:
-    """Where a linearised measurement moves the mean, shape (n,); None where that is no number."""
+    """Return the correction of the mean by a linearised measurement, shape (n,); None if it is not finite."""
     cross = linear.jacobian @ covariance
     _, solution, failed = lapack.dposv(cross @ linear.jacobian.T + linear.noise, linear.residual)
     moved: FloatArray = cross.T @ solution

@@ -1,9 +1,9 @@
-"""What a turn of the ship would bring: the accuracy of the attitude after it, beside that on this course.
+"""Recommended turn of the ship: accuracy of the attitude after a turn, compared with that on the present course.
 
-The covariance is carried on as the filter would carry it: a quarter of an hour of measurements as good and as frequent
-as the last ones, with the ship as she lies now, or turned. A turn moves the installation errors of sensors against the
-INS's error, and so tells them apart. Errors that all stars share, of refraction, UT1 and position, no turn tells: they
-are left out on both sides. Nothing is measured for the hint, and nothing is learnt from it.
+The covariance is predicted for 15 min of measurements as accurate and as frequent as the last ones, with and without a
+turn. A turn rotates the installation errors of the sensors relative to the INS error, and so makes both observable.
+Errors of refraction, UT1 and position, which all stars share, are not observable by a turn; they are omitted in both
+cases. The prediction does not change the filter state.
 """
 
 import math
@@ -27,44 +27,44 @@ from ship_geometry.time_scales import SECOND_NS
 
 _TURNS_DEG = (45.0, 90.0, 180.0)
 _LENGTH_S = 900.0
-"""So long the ship lies turned, or as she does."""
+"""Predicted time on one heading, s."""
 
 _MISSED = 3.0
-"""Periods after which a source that has said nothing counts as gone."""
+"""Timeout of a source, in its measurement periods."""
 
 _RATE_DEG_PER_S, _PIECE_DEG = 1.0, 15.0
-"""How fast she turns, in pieces: the INS's error moves meanwhile, and blurs what the turn tells."""
+"""Rate of turn, °/s, and size of the steps in which a turn is predicted, °: the INS error varies during the turn."""
 
 _WORTH_TELLING = 0.9
-"""A turn that leaves more than this share of the sigma is not told."""
+"""Maximum ratio of the standard deviations after a turn and on course for a recommendation."""
 
 
 class RecentSource(NamedTuple):
-    """What a source measures lately.
+    """Recent measurements of a source.
 
     Attributes:
-        measurement: the last one that was used.
-        period_s: time between two that were used; infinite after the first.
+        measurement: last accepted measurement.
+        period_s: time between the last two accepted measurements; infinite after the first.
     """
 
     measurement: Measurement
     period_s: float
 
     def goes_on_at(self, time_ns: int) -> bool:
-        """Whether the source still measures; how often it does is known from its second measurement on."""
+        """True if the source still measures; False before its second measurement."""
         since_s = (time_ns - self.measurement.time_ns) / SECOND_NS
         return self.period_s < math.inf and since_s <= _MISSED * self.period_s
 
 
 class TurnHint(NamedTuple):
-    """A turn that is worth it.
+    """A recommended turn.
 
     Attributes:
-        turn_deg: by how much.
+        turn_deg: change of heading, °.
         quantity: "heading" or "tilt".
-        now: sigma, rad.
-        on_course: the same after a quarter of an hour on this course.
-        after: the same after a quarter of an hour in which the ship lies turned.
+        sigma_now: present standard deviation of the quantity, rad.
+        sigma_on_course: predicted standard deviation after 15 min on this course, rad.
+        sigma_after_turn: predicted standard deviation after the turn and 15 min on the new heading, rad.
     """
 
     turn_deg: float
@@ -77,13 +77,13 @@ class TurnHint(NamedTuple):
 def worthwhile_turn(
     filter_: ShipFilter, state: FilterState, rotation_nd: FloatArray, lately: Mapping[str, RecentSource]
 ) -> TurnHint | None:
-    """The turn that brings most; None where none is worth telling, or nothing is measured.
+    """Return the turn that improves the attitude most; None if none is worthwhile or no source measures.
 
     Args:
-        filter_: the filter.
-        state: of it, after a measurement.
+        filter_: filter and model.
+        state: filter state after a measurement.
         rotation_nd: attitude of the ship, shape (3, 3).
-        lately: by source, what it measures.
+        recent_sources: recent measurements by source.
     """
     if state.time_ns is None:
         return None
@@ -101,19 +101,19 @@ def worthwhile_turn(
         after = voyage.after_turn(turn_deg)
         hints += [TurnHint(turn_deg, name, now[name], on_course[name], after[name]) for name in after]
     best = min(hints, key=lambda hint: hint.after / hint.on_course)
-    # Written so that NaN is not told.
+    # Written so that NaN is not recommended.
     return best if best.after <= _WORTH_TELLING * best.on_course else None
 
 
 def _sigmas(filter_: ShipFilter, covariance: FloatArray) -> dict[str, float]:
-    """Sigma of heading and tilt, rad."""
+    """Return the standard deviations of heading and tilt, rad."""
     rows = filter_.model.rows("ins.attitude")
     north, up, east = covariance[rows, rows].tolist()
     return {"heading": float(np.sqrt(up)), "tilt": float(np.sqrt(0.5 * (north + east)))}
 
 
 class _Still:
-    """The vertical as it is now, for as long as it is asked."""
+    """A vertical that is constant in time."""
 
     def __init__(self, here: VerticalHere) -> None:
         self._here = here
@@ -123,15 +123,15 @@ class _Still:
 
 
 class _Stretch(NamedTuple):
-    """What a stretch of time with measurements makes of a covariance P: left P (1 + known P)^-1 leftᵀ + added.
+    """Transition of a covariance P over a time with measurements.
 
-    Such stretches put together are one again (S. Särkkä and Á. F. García-Fernández, Temporal parallelization of
-    Bayesian smoothers, 2021, lemma 8).
+    It maps P to transition P (1 + information P)^-1 transitionᵀ + noise. Successive transitions combine to one (S.
+    Särkkä and Á. F. García-Fernández, Temporal parallelization of Bayesian smoothers, 2021, lemma 8).
 
     Attributes:
-        left: what it leaves of the states, shape (n, n).
-        added: what it adds to their covariance, shape (n, n).
-        known: what it tells of the states before it, shape (n, n).
+        transition: transition of the states, shape (n, n).
+        noise: covariance added to the states, shape (n, n).
+        information: information about the states before, shape (n, n).
     """
 
     left: FloatArray
@@ -139,7 +139,7 @@ class _Stretch(NamedTuple):
     known: FloatArray
 
     def then(self, later: "_Stretch") -> "_Stretch":
-        """This stretch and one after it."""
+        """Return the transition over this time and a later one."""
         one = np.eye(len(self.left))
         through = np.linalg.solve((one + self.added @ later.known).T, later.left.T).T
         return _Stretch(
@@ -149,14 +149,14 @@ class _Stretch(NamedTuple):
         )
 
     def after(self, covariance: FloatArray) -> FloatArray:
-        """The covariance after it, shape (n, n)."""
+        """Return a covariance propagated over the time, shape (n, n)."""
         one = np.eye(len(self.left))
         after: FloatArray = self.left @ covariance @ np.linalg.solve(one + self.known @ covariance, self.left.T)
         return after + self.added
 
 
 class _Voyage:
-    """The ship as she is, and how her covariance goes on."""
+    """Prediction of the filter covariance with and without a turn."""
 
     def __init__(
         self, filter_: ShipFilter, state: FilterState, rotation_nd: FloatArray, lately: Mapping[str, RecentSource]
@@ -164,7 +164,7 @@ class _Voyage:
         self._filter, self._state, self._rotation_nd, self._lately = filter_, state, rotation_nd, lately
 
     def after_turn(self, turn_deg: float) -> dict[str, float]:
-        """Sigmas a quarter of an hour after the end of a turn, which may be none."""
+        """Return the standard deviations 15 min after a turn of ``turn_deg``, which may be 0."""
         way = None
         pieces = round(turn_deg / _PIECE_DEG)
         for number in range(pieces):
@@ -175,7 +175,7 @@ class _Voyage:
         return _sigmas(self._filter, way.after(self._state.covariance))
 
     def _lying(self, turned_deg: float, length_s: float) -> _Stretch:
-        """A time in which the ship lies turned by so much: the shortest between two measurements, doubled again."""
+        """Return the transition over a time on a heading, from a step of the shortest period by repeated doubling."""
         model, lately = self._filter.model, self._lately
         shortest_s = min(source.period_s for source in lately.values())
         doublings = max(math.ceil(math.log2(length_s / shortest_s)), 0)
@@ -201,11 +201,11 @@ class _Voyage:
 
 
 def _step(filter_: ShipFilter, state: FilterState, step_s: float) -> tuple[FloatArray, FloatArray]:
-    """What a time makes of the states, shape (n, n), and the covariance of what comes new, shape (n, n)."""
+    """Return the transition matrix of the states over a time, and the covariance added, shape (n, n) each."""
     model = filter_.model
     decay, fresh = model.transition(step_s)
     transition, noise = np.diag(decay), np.diag(fresh)
-    # The INS's own noise is counted with each measurement.
+    # The white INS noise is part of each measurement.
     white = model.rows("ins.noise")
     noise[white, white] = 0.0
     for source, steady in state.common_n.items():
@@ -221,10 +221,10 @@ def _step(filter_: ShipFilter, state: FilterState, step_s: float) -> tuple[Float
 
 
 def _information(measurement: Measurement) -> FloatArray:
-    """What a measurement tells of a turn of its device about (forward, up, right), 1/rad², shape (3, 3)."""
+    """Return the information of a measurement about a rotation of its device (forward, up, right), 1/rad², (3, 3)."""
     if isinstance(measurement, (AttitudeMeasurement, InertialAttitude)):
         noise_v = measurement.noise_v if isinstance(measurement, AttitudeMeasurement) else measurement.noise_s
-        # A variance of zero tells nothing here: a hint must not fail.
+        # A variance of zero counts as no information, so that the prediction does not fail.
         inverse: FloatArray = np.asarray(np.linalg.pinv(noise_v, hermitian=True), dtype=np.float64)
         return _symmetric(inverse)
     if isinstance(measurement, BaselineMeasurement):
@@ -242,7 +242,7 @@ def _symmetric(matrix: FloatArray) -> FloatArray:
 
 
 def _root(information: FloatArray, ins_white: float, count: float) -> FloatArray:
-    """A root of what so many measurements tell, each beside the INS's own noise (rad): rootᵀ root, shape (3, 3)."""
+    """Return a root of the information of ``count`` measurements with INS noise (rad): rootᵀ root, shape (3, 3)."""
     if ins_white > 0.0:
         information = information - information @ np.linalg.solve(
             information + np.eye(3) / ins_white**2, information

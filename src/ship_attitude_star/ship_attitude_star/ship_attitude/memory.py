@@ -1,6 +1,6 @@
-"""The remembered state of the ship's attitude: a start from it, and how far measurements and other states are from it.
+"""Stored states of the ship filter: restart from one, and residuals of measurements and states against one.
 
-The rules for which these are asked are those of :mod:`ship_estimation.recovery`.
+They are used by the recovery rules in :mod:`ship_estimation.recovery`.
 """
 
 from collections.abc import Sequence
@@ -19,19 +19,19 @@ from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.time_scales import SECOND_NS
 
 _LASTING = (".installation", ".time_offset", ".optics", "ins.attitude")
-"""Ends of the names of the states that are compared with the remembered ones: all others vary within minutes."""
+"""Endings of the names of the states that are compared with a stored state; all others vary within minutes."""
 
 _SEEN_RAD = 0.02
-"""A turn of the device that a measurement shows no better than this is not seen by it, rad."""
+"""Maximum standard deviation of a device rotation that a measurement observes, rad."""
 
 
 def start_from_memory(filter_: ShipFilter, memory: FilterState, live: FilterState) -> FilterState:
-    """Return a start with what is remembered of the errors, and with no measurement and no fault of since then.
+    """Return a start state with the stored errors and without later measurements and faults.
 
     Args:
-        filter_: of the estimator.
-        memory: the remembered state.
-        live: the state of the estimator in use; its record of exclusions and of the INS's jumps is kept.
+        filter_: filter of the estimator.
+        memory: the stored state.
+        live: state of the estimator in use; its exclusion counts and INS fault time are kept.
     """
     return changed(
         filter_.suspects.start(memory.mean, memory.parts),
@@ -44,7 +44,7 @@ def start_from_memory(filter_: ShipFilter, memory: FilterState, live: FilterStat
 
 
 def propagate_memory(filter_: ShipFilter, memory: FilterState, jumps: Sequence[InsJump], time_ns: int) -> FilterState:
-    """Return the remembered state propagated to a time, with a covariance inflated by the jumps of the INS."""
+    """Return the stored state propagated to a time, with a covariance inflated by the jumps of the INS."""
     for jump in jumps:
         memory = filter_.opened(memory, jump)
     return filter_.predicted(memory, time_ns)
@@ -53,9 +53,9 @@ def propagate_memory(filter_: ShipFilter, memory: FilterState, jumps: Sequence[I
 def memory_residual(
     filter_: ShipFilter, memory: FilterState, measurement: Measurement, track: AttitudeTrack, watch: SkyWatch | None
 ) -> MemoryResidual | None:
-    """Return how far a measurement is from a remembered state, as a turn about North, Up and East.
+    """Return the residual of a measurement against a stored state, as a rotation about North, Up and East.
 
-    None where it cannot be compared, or does not show the whole turn of its device.
+    None if the measurement cannot be evaluated or does not observe the full rotation of its device.
     """
     state = filter_.predicted(memory, measurement.time_ns)
     found = filter_.linearisation.of(measurement, state.mean, state.covariance, {}, track, watch)
@@ -75,9 +75,10 @@ def memory_residual(
 
 
 def departure_sigmas(filter_: ShipFilter, state: FilterState, memory: FilterState, is_later: bool) -> float:
-    """Return the largest difference of a lasting state from the remembered one, in standard deviations of both.
+    """Return the largest difference of a constant state from the stored one, in standard deviations.
 
-    A later state of the same estimator knows all that the remembered one did: then in those of the latter.
+    The standard deviation is that of both states. For a later state of the same estimator, which contains the
+    information of the stored one, it is that of the stored one.
     """
     if state.time_ns is None:
         return np.inf
@@ -85,13 +86,13 @@ def departure_sigmas(filter_: ShipFilter, state: FilterState, memory: FilterStat
     rows = np.concatenate([filter_.model.rows(name) for name in filter_.model.slices if name.endswith(_LASTING)])
     variance = memory.covariance.diagonal()[rows] + (0.0 if is_later else state.covariance.diagonal()[rows])
     difference = np.abs(state.mean - memory.mean)[rows]
-    # What is known exactly does not differ. Written so that NaN is compared.
+    # States known exactly do not differ. Written so that NaN is compared.
     varies = variance != 0.0
     return float(np.max(difference[varies] / np.sqrt(variance[varies]), initial=0.0))
 
 
 def is_undisputed(filter_: ShipFilter, state: FilterState, degraded_after: int) -> bool:
-    """True if a state rests on stars, no source is excluded or contradicts another, and no jump is unconfirmed."""
+    """True if a state is based on stars, all sources are consistent, none is excluded and no jump is unconfirmed."""
     is_open = state.doubt is not None or state.disputed_n is not None or state.utc is not None
     if is_open or state.excluded or state.unconfirmed is not None:
         return False
@@ -100,7 +101,7 @@ def is_undisputed(filter_: ShipFilter, state: FilterState, degraded_after: int) 
 
 
 def _drift(filter_: ShipFilter, state: FilterState) -> np.ndarray:
-    """Return the covariance that comes to a state within a second, shape (n, n)."""
+    """Return the growth of a state's covariance in one second, shape (n, n)."""
     assert state.time_ns is not None
     before_ns = state.time_ns - SECOND_NS
     here = None if filter_.vertical is None else filter_.vertical.at(before_ns)

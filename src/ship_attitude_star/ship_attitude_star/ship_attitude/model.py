@@ -1,49 +1,50 @@
-"""Which devices and which states the ship-attitude filter has.
+"""Devices and state vector of the ship-attitude filter.
 
-docs/explanation/filter.md tells the model.
+The model is described in docs/explanation/filter.md.
 
 ==============================  =======  ====================================================================
 state                           frame    meaning
 ==============================  =======  ====================================================================
-ins.attitude (3)                horizon  slow error a: R_true = exp(a) exp(w) R_ins
-gravity.deflection (2)                   deflection of the vertical, which is part of a then; only where
-                                         gravity.deflection is not none (ins_on_gravity), or ins.model is
+ins.attitude (3)                horizon  correlated error a: R_true = exp(a) exp(w) R_ins
+gravity.deflection (2)                   deflection of the vertical, which is then part of a; only if
+                                         gravity.deflection is not none (gauss_markov), or if ins.model is
                                          schuler
-ins.velocity (2)                horizon  error of the INS's velocity (North, East), m/s; this and the next three only
-                                         where ins.model is schuler (schuler)
-ins.latitude (1)                         error of its own latitude, rad
+ins.velocity (2)                horizon  velocity error of the INS (North, East), m/s; this and the next three only
+                                         if ins.model is schuler (schuler)
+ins.latitude (1)                         latitude error of the INS, rad
 ins.gyro_drift (3)              horizon  drift of its gyroscopes, rad/s
 ins.accelerometer_bias (2)      horizon  bias of its accelerometers (North, East), m/s²
-ins.noise (3)                   horizon  white error w of the INS at the moment of the measurement
+ins.noise (3)                   horizon  white error w of the INS at the time of the measurement
 ins.time_offset (1)                      tau: an INS sample is valid at its stamp + tau
 star.<id>.installation (3)      sensor   m: R(sensor -> deck) = R(A0, E0, roll0) exp(m)
-star.<id>.common (3)            horizon  error shared by successive solutions: R_measured = exp(c) R_true ...
-star.<id>.time_offset (1)                a message is valid at its stamp + this; only where it has a sigma
-star.<id>.flexure (3)           deck     hull between INS and sensor; only where it has a sigma
+star.<id>.common (3)            horizon  error common to successive solutions: R_measured = exp(c) R_true ...
+star.<id>.time_offset (1)                a message is valid at its stamp + this; only if it has a sigma
+star.<id>.flexure (3)           deck     hull flexure between INS and sensor; only if it has a sigma
 star.<id>.optics (4)                     errors of focal length, principal point (u, v) and k1, in their sigmas;
-                                         only of a sensor that gives single stars
-star.<id>.field (18)                     the sensor's field-spatial error, coefficients in their own sigmas; only where
-                                         it gives single stars and has such an error
-sky.refraction (1)                       error of refraction, in its own sigmas; this and the next two only where the
-                                         messages of a sensor rest on the sky over the ship
+                                         only of a sensor with single-star messages
+star.<id>.field (18)                     field-spatial error of the sensor, coefficients in their own sigmas; only
+                                         of a sensor with single-star messages and such an error
+sky.refraction (1)                       error of refraction, in its own sigmas; this and the next two only if the
+                                         messages of a sensor depend on the sky model
 sky.earth_rotation (1)                   error of UT1, in its own sigmas
 sky.position (2)                         error of the ship's position, in its own sigmas
-sky.utc (1)                              error of UTC, in its own sigmas; only where it has a sigma
-sky.common (3)                           what messages have in common, in sigmas; only where a sensor is
-                                         configured so
+sky.utc (1)                              error of UTC, in its own sigmas; only if it has a sigma
+sky.common (3)                           error common to messages of several sensors, in sigmas; only if a sensor
+                                         is configured so
 reference.<name>.installation   device   as for a star sensor, from the INS's deck axes
-reference.<name>.slow           device   its own slow error; only where it has a sigma
-baseline.installation           baseline as for a star sensor, about its two axes across; only with a ship_baseline
-baseline.common                 horizon  error shared by successive solutions; only where it has a sigma
+reference.<name>.slow           device   correlated error; only if it has a sigma
+baseline.installation           baseline as for a star sensor, about its two transverse axes; only with a
+                                         ship_baseline
+baseline.common                 horizon  error common to successive solutions; only if it has a sigma
 reference.<name>.time_offset             stamp of the reference - stamp of the INS for the same attitude
 ==============================  =======  ====================================================================
 
-With R_i the attitude of the INS at the moment of a device, the device measures
+With R_i the attitude of the INS at the time of a measurement, a device measures
 
     R_measured = exp(-z) exp(c) exp(a) exp(w) R_i exp(f) R0 exp(m) exp(s) exp(noise)        horizon from device
 
-with c the common error of a star sensor, f its flexure, m the installation error, s the slow error of a reference; z is
-the turn of the sky that all star sensors share, a sum over its causes.
+where c is the common error of a star sensor, f its flexure, m the installation error, s the correlated error of a
+reference, and z the rotation of the sky that all star sensors share, a sum over its causes.
 """
 
 import math
@@ -97,17 +98,17 @@ _NO_TURN = np.eye(3)
 
 @dataclass(frozen=True)
 class Device:
-    """A device whose attitude is measured: how it hangs on the deck and which states describe it.
+    """A device that measures an attitude: its mounting, clock and error sources.
 
     Attributes:
-        name: ``star.<id>`` or ``reference.<name>``; also the prefix of its states.
-        rotation_dv0: deck from device as configured, shape (3, 3).
-        ins_time_s: constant part of (stamp of the INS - stamp of the device) for the same attitude.
-        ins_time_states: states that add to it, with their signs.
-        noise_source: budget source of its white noise.
-        is_star: True for star sensors, which alone know the whole attitude against the geodetic horizon.
-        length_m: of a baseline.
-        length_sigma_m: what a solution's length may be off by that lasts.
+        name: ``star.<id>``, ``reference.<name>`` or ``baseline``; also the prefix of its states.
+        rotation_dv0: configured mounting, deck from device, shape (3, 3).
+        ins_time_s: configured part of (stamp of the INS - stamp of the device) for the same attitude, s.
+        ins_time_states: states that add to ``ins_time_s``, with their signs.
+        noise_source: error source of its white noise.
+        is_star: True for star sensors, which alone measure the full attitude relative to the geodetic horizon.
+        length_m: length of a baseline, m; NaN for other devices.
+        length_sigma_m: standard deviation of the correlated error of a baseline length, m.
     """
 
     name: str
@@ -122,15 +123,15 @@ class Device:
 
 @dataclass(frozen=True)
 class DeviceChain:
-    """The rotations by which a device hangs on the INS, as :func:`ship_geometry.compiled_rotations.hung` takes them.
+    """Chain of rotations from a device to the horizon, for :func:`ship_geometry.compiled_rotations.hung`.
 
     Attributes:
-        links: first state of each rotation, from the device outwards, shape (k,).
-        fixed: constant rotation on the left of each, shape (k, 3, 3).
-        hull: the last link of the hull: the INS's attitude is on its left.
-        white: the link of the INS's white noise.
-        clocks: states that move the moment of the INS, shape (c,).
-        signs: of each, shape (c,).
+        links: index of the first state of each rotation, from the device outwards, shape (k,).
+        fixed: constant rotation to the left of each link, shape (k, 3, 3).
+        hull_link: index of the last link of the hull; the INS attitude is to its left.
+        noise_link: index of the link of the white INS noise.
+        clock_states: indices of the states that shift the INS time, shape (c,).
+        clock_signs: signs of these states, shape (c,).
     """
 
     links: NDArray[np.intp]
@@ -145,20 +146,20 @@ class ShipStateModel(StateModel):
     """The state vector of a configuration.
 
     Attributes:
-        chains: how each device hangs on the INS.
-        sky_rows: where the states are that all stars share, in the order of SHARED_TERMS; empty where no sensor's
-            messages rest on the sky over the ship.
-        shared_rows: where the states are that attitudes share, by :attr:`AttitudeMeasurement.shared_by`.
-        slow: sigma and correlation time of the INS's own slow error.
-        ins_process: how the INS's error goes on; None where it just dies out, each axis by itself.
-        process_rows: where the states of that process are; those of ``ins.attitude`` without one.
+        rotation_chains: chain of rotations of each device, by name.
+        sky_slice: slice of the states of errors that all stars share, in the order of SHARED_TERMS; empty if no sensor
+            depends on the sky model.
+        shared_slices: slices of the states that attitudes share, by :attr:`AttitudeMeasurement.shared_by`.
+        ins_attitude_block: standard deviation and correlation time of the INS attitude error.
+        ins_process: error process of the INS; None if each axis is a first-order Gauss-Markov process.
+        process_indices: indices of the states of that process; those of ``ins.attitude`` without one.
     """
 
     def __init__(self, config: ShipAttitudeConfig) -> None:
         blocks = _ins_blocks(config.ins)
         self.slow, self.ins_process = blocks[0], _ins_process(config, blocks[0])
         if self.ins_process is not None:
-            # The process carries them; by themselves they stay as they are.
+            # The process propagates these states; as a block they are constant.
             blocks[0] = block("ins.attitude", self.slow.sigma, SOURCE_INS)
         if config.models_deflection:
             blocks.append(block("gravity.deflection", [0.0, 0.0], SOURCE_DEFLECTION))
@@ -202,7 +203,7 @@ class ShipStateModel(StateModel):
         }
 
     def _chain(self, device: Device) -> DeviceChain:
-        """How a device hangs on the INS, from the device outwards."""
+        """Return the chain of rotations of a device, from the device outwards."""
         on_its_left = {
             f"{device.name}.slow": _NO_TURN,
             f"{device.name}.installation": device.rotation_dv0,
@@ -224,7 +225,7 @@ class ShipStateModel(StateModel):
 
 
 def devices(config: ShipAttitudeConfig) -> dict[str, Device]:
-    """All devices of a configuration by name."""
+    """Return all devices of a configuration by name."""
     stars = [_star_device(id_, star, config.ins) for id_, star in config.star_sensors.items()]
     references = [_reference_device(name, reference) for name, reference in config.references.items()]
     baselines = [_baseline_device(config)] if config.ship_baseline.is_aboard else []
@@ -259,7 +260,7 @@ def _reference_device(name: str, reference: ReferenceConfig) -> Device:
 
 
 def _baseline_device(config: ShipAttitudeConfig) -> Device:
-    """The baseline hangs on the deck like a star sensor that looks along it. Its stamps are those of satellites."""
+    """Return the baseline as a device whose forward axis is along it; its stamps are satellite time."""
     baseline = config.ship_baseline
     return Device(
         name=BASELINE,
@@ -274,7 +275,7 @@ def _baseline_device(config: ShipAttitudeConfig) -> Device:
 
 
 def _ins_process(config: ShipAttitudeConfig, slow: StateBlock) -> InsProcess | None:
-    """How the INS's error goes on; None where it just dies out, each axis by itself."""
+    """Return the error process of the INS; None if each axis is a first-order Gauss-Markov process."""
     length_m = config.gravity.correlation_length_m if config.models_deflection else None
     if config.ins.model == SCHULER:
         return SchulerIns(config.ins.schuler, slow.sigma, length_m)
@@ -311,7 +312,7 @@ def _star_blocks(name: str, star: StarSensorConfig) -> list[StateBlock]:
     walk_per_sqrt_s = np.array(walk) * ARCSEC / _SQRT_HOUR
     blocks = [
         block(f"{name}.installation", star.installation_sigma_s, SOURCE_INSTALLATION, walk=walk_per_sqrt_s),
-        # Its size comes with the messages (ShipFilter), so it starts without any.
+        # Its covariance is taken from the messages (ShipFilter), so it starts at zero.
         block(f"{name}.common", [0.0] * 3, SOURCE_STAR_COMMON, time_s=star.common_time_s),
     ]
     if star.time_offset_sigma_s > 0.0:
@@ -325,7 +326,7 @@ def _star_blocks(name: str, star: StarSensorConfig) -> list[StateBlock]:
 
 
 def _baseline_blocks(baseline: ShipBaselineConfig) -> list[StateBlock]:
-    # A turn about the baseline itself changes nothing.
+    # A rotation about the baseline itself is not observable.
     across = baseline.sigma_m / baseline.length_m
     blocks = [block(f"{BASELINE}.installation", [0.0, across, across], SOURCE_BASELINE)]
     if baseline.bias_sigma_m > 0.0:

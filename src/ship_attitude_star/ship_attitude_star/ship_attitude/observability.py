@@ -1,8 +1,8 @@
-"""What the data have told of each state of the filter against what was known before, and what they left open.
+"""Observability of the filter states: standard deviations compared with the prior, and unobservable combinations.
 
-At constant heading only sums of the INS's error and of installation errors show. A state that the data have not told
-keeps its sigma from before; a combination that they have not told keeps it although each of its sums with others may be
-known well. Both are read from the covariance that the filter has anyway.
+At constant heading only sums of INS error and installation errors are observable. An unobserved state keeps its prior
+standard deviation. An unobserved combination keeps it even if sums of its states are known well. Both are computed from
+the filter covariance.
 """
 
 from typing import NamedTuple
@@ -24,11 +24,12 @@ _AXES = {
 
 
 class ToldStates(NamedTuple):
-    """What the data have told.
+    """Observability of the states.
 
     Attributes:
-        left: by the name of a state, its sigma now over that from before: 1 where nothing was told.
-        open: combinations of names that are as open as before.
+        sigma_ratios: ratio of the current standard deviation to the prior one, by state name; 1 if nothing was
+            observed.
+        unobservable_combinations: unobservable combinations of states, as texts of their names.
     """
 
     left: dict[str, float]
@@ -36,10 +37,9 @@ class ToldStates(NamedTuple):
 
 
 def learnt(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState) -> ToldStates:
-    """What the data have told of the INS's attitude, the deflection, installations and clocks by a state.
+    """Return the observability of INS attitude, deflection, installations and clocks for a filter state.
 
-    States that are held, with a sigma of 0, are left out. Installations and clocks lead the combinations, so that the
-    INS's error pairs with what is left.
+    States with a prior standard deviation of 0 are omitted. Installations and clocks come first in the combinations.
     """
     names, rows, sigmas = [], [], []
     for block, sigma in _known_before(filter_, config).items():
@@ -56,7 +56,7 @@ def learnt(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState) 
 
 
 def _known_before(filter_: ShipFilter, config: ShipAttitudeConfig) -> dict[str, FloatArray]:
-    """Sigma of each block before any data, by its name; those of the devices first."""
+    """Return the prior standard deviations by block name, the devices first."""
     blocks = filter_.model.blocks
     own = [name for name in blocks if name.endswith((".installation", ".time_offset")) and not name.startswith("ins.")]
     found = {name: blocks[name].sigma for name in (*own, "ins.time_offset")}

@@ -1,4 +1,4 @@
-"""The published attitude where no INS gives one: by the newest star measurement alone, or none."""
+"""Published attitude without INS samples: from the newest star measurement alone, or INVALID."""
 
 from dataclasses import replace
 
@@ -28,12 +28,13 @@ from ship_geometry.time_scales import SECOND_NS
 def attitude_alone(
     measurement: Measurement, watch: SkyWatch | None, untold_acceleration: float
 ) -> AttitudeMeasurement | None:
-    """The attitude of a star sensor by one measurement and nothing else; None where it does not give one.
+    """Return the attitude of a star sensor from one measurement alone; None if it does not determine one.
 
     Args:
-        measurement: of the sensor.
-        watch: the sky; None where no sensor needs it.
-        untold_acceleration: angular acceleration of the deck that nothing tells, sigma of each axis, rad/s².
+        measurement: measurement of the sensor.
+        sky_model: sky model; None if no sensor needs it.
+        unmeasured_acceleration: standard deviation of the unmeasured angular acceleration of the deck, each axis,
+            rad/s².
     """
     attitude: Measurement | Refusal = measurement
     if isinstance(measurement, InertialAttitude | SolvedAttitude):
@@ -49,7 +50,7 @@ def attitude_alone(
 
 
 def _by_stars(exposure: StarExposure, watch: SkyWatch, untold_acceleration: float) -> AttitudeMeasurement | None:
-    """The sensor's attitude by one exposure; None where its stars do not give one that others of them verify."""
+    """Return the sensor attitude from one exposure; None if its stars do not determine a verified one."""
     visible = visible_stars(exposure, watch, None)
     if isinstance(visible, Refusal):
         return None
@@ -69,7 +70,7 @@ def _by_stars(exposure: StarExposure, watch: SkyWatch, untold_acceleration: floa
 def estimate_from_star(
     filter_: ShipFilter, state: FilterState, measurement: AttitudeMeasurement, horizon: str = GEODETIC
 ) -> AttitudeEstimate:
-    """With the INS gone, the attitude of one star sensor alone: its measurement and its installation."""
+    """Return the ship attitude from one star sensor alone, from its measurement and its estimated installation."""
     model, device = filter_.model, filter_.devices[measurement.source]
     state = filter_.predicted(state, measurement.time_ns)
     installation = state.mean[model.slices[f"{device.name}.installation"]]
@@ -77,7 +78,7 @@ def estimate_from_star(
     rotation_nd = to_horizon @ (device.rotation_dv0 @ exp_rotation(installation)).T
     rows, jacobian = model.rows(f"{device.name}.installation"), to_horizon @ left_jacobian(installation).T
     if f"{device.name}.flexure" in model.slices:
-        # Unknown now, and soon independent of what it was: only its covariance matters.
+        # The flexure is unknown now and soon independent of its estimate: only its covariance is used.
         rows = np.r_[rows, model.rows(f"{device.name}.flexure")]
         jacobian = np.hstack([jacobian, rotation_nd])
     to_gravity = horizon == GRAVITY and filter_.vertical is not None
@@ -108,7 +109,7 @@ def estimate_from_star(
 
 
 def no_estimate(filter_: ShipFilter, state: FilterState, now_ns: int, text: str = "") -> AttitudeEstimate:
-    """No attitude is claimed: there is neither INS nor star, or for the reason in the text."""
+    """Return an INVALID estimate, for lack of INS and star data or for the reason in the text."""
     return AttitudeEstimate(
         time_ns=now_ns,
         rotation_nd=np.full((3, 3), np.nan),
@@ -126,5 +127,5 @@ def no_estimate(filter_: ShipFilter, state: FilterState, now_ns: int, text: str 
 
 
 def _age_s(since_ns: int | None, time_ns: int) -> float:
-    """Time since a moment; NaN where there was none."""
+    """Return the time since a stamp, s; NaN for None."""
     return float("nan") if since_ns is None else (time_ns - since_ns) / SECOND_NS

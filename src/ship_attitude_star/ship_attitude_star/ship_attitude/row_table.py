@@ -1,9 +1,9 @@
-"""The rows of hypotheses of a ship: what each of them leaves out, how probable that is, and what it owns.
+"""The filters of a ship: the main filter, and subfilters that each exclude one source or two.
 
-The first row is by all sources that are not excluded; each other row does without one source more, and where that is
-configured some do without two. Where the INS is left out it is the one that is wrong: its slow error is unknown there,
-but its turn from one measurement to the next is used. A ship with a single source has no such row: it would be nothing
-but that source.
+The main filter uses all sources that are not excluded. Each subfilter excludes one more source; with
+``integrity.pairs`` some subfilters exclude two. A subfilter without the INS takes its correlated error as unknown and
+still uses its change of attitude from one measurement to the next. A ship with a single source has no subfilter without
+the INS.
 """
 
 import itertools
@@ -24,23 +24,26 @@ from ship_estimation.running_means import excess_limit
 INS = "ins"
 
 ALL_STARS = "all_stars"
-"""The hypothesis of an error that all star sensors share."""
+"""Name of the hypothesis of an error that all star sensors share."""
 
 LEAST_FOR_PAIRS = 3
-"""Sources beside the INS: without two of them one is left that the INS checks; without one and the INS, two."""
+"""Minimum number of sources besides the INS for subfilters without two sources.
+
+Without two of three sources one is left, which the INS checks; without one source and the INS two are left.
+"""
 
 
 _LEAST_CHECKED = 2
-"""Beside the INS: with fewer nothing checks the one that there is."""
+"""Minimum number of sources besides the INS that check one another."""
 
 
 class Asked(NamedTuple):
-    """What an attitude that rests on some sources is held against.
+    """Fault hypotheses of an attitude that is computed from some of the sources.
 
     Attributes:
-        hypotheses: numbers of those in question, shape (h,); the first one is that of the second row.
-        names: theirs.
-        check_one_another: whether its sources beside the INS do.
+        indices: indices of the hypotheses, shape (h,); index 0 is the first subfilter.
+        names: names of the hypotheses.
+        is_cross_checked: True if its sources besides the INS check one another.
     """
 
     hypotheses: NDArray[np.intp]
@@ -49,33 +52,35 @@ class Asked(NamedTuple):
 
 
 class RowTable:
-    """The rows of a configuration.
+    """The filters of a configuration: h filters (the main filter first) and s sources.
 
     Args:
-        config: the node's configuration.
-        model: what the states are.
-        devices: the sources by name.
+        config: configuration of the node.
+        model: state vector.
+        devices: sources by name.
 
     Attributes:
-        sources: names, in the order of their index.
-        stars: those that are star sensors.
-        left_out: by each row after the first, names; ``ins`` where the INS is the one that is wrong.
-        names: of the hypotheses, one for each row after the first: "star.bow", "star.bow+star.port".
-        rows: how many there are, with the first.
-        singles: the rows that leave out one source.
-        pairs: those that leave out two.
-        ins_rows: those where the INS is the one that is wrong.
-        uses: which source each row uses where none is excluded, shape (h, s).
-        users: by source, which row uses it where none is excluded, shape (h,).
-        own: by source, the states that belong to it alone, shape (n,).
-        learns: by source, which states each row may learn of it where none is excluded, shape (h, n).
-        k: numbers of sigmas of the protection levels.
-        common_missed: that of the estimate without the stars of late, for an error that all of them share.
-        common_threshold: sigmas of their corrections beyond which all stars contradict the INS.
-        limit: chi² of a mean of whitened turns that no source exceeds which is right.
+        sources: names of the sources, in the order of their index.
+        stars: names of the star sensors.
+        excluded_sources: names of the sources that each subfilter excludes, the INS as ``ins``.
+        names: name of the hypothesis of each subfilter: "star.bow", "star.bow+star.port".
+        count: number of filters, h.
+        single_subfilters: indices of the subfilters that exclude one source.
+        pair_subfilters: indices of the subfilters that exclude two sources.
+        ins_subfilters: indices of the subfilters that exclude the INS.
+        uses: True where a filter uses a source, if no source is excluded, shape (h, s).
+        used_by: by source, True for each filter that uses it, if no source is excluded, shape (h,).
+        own_states: by source, True for the states that belong to it alone, shape (n,).
+        updatable_states: by source, True for the states that each filter updates with it, if no source is excluded,
+            shape (h, n).
+        k: multipliers (K factors) of the protection levels.
+        common_k_md: K_md of the hypothesis that all stars share an error.
+        common_threshold: threshold of the sum of the star corrections, in standard deviations; above it all stars
+            contradict the INS.
+        innovation_mean_limit: chi² threshold of a windowed mean of whitened innovations.
 
     Raises:
-        ParameterError: there are more rows than ``integrity.max_hypotheses``.
+        ParameterError: there are more filters than ``integrity.max_hypotheses``.
     """
 
     def __init__(self, config: ShipAttitudeConfig, model: ShipStateModel, devices: Mapping[str, Device]) -> None:
@@ -107,13 +112,14 @@ class RowTable:
         self.limit = excess_limit(config.integrity, len(self.sources)) if self.sources else np.inf
 
     def pairs_in_question(self, in_use: Collection[str], excluded: Collection[str]) -> list[int]:
-        """The rows without two of those in use, where two or more others in use are left to check each other.
+        """Return the subfilters without two sources in use that leave two or more others to check each other.
 
-        There are none while the INS is excluded: two pairs of sensors that contradict one another are alike then.
+        There are none while the INS is excluded: of two pairs of sensors that contradict each other, neither can be
+        isolated then.
 
         Args:
-            in_use: sources beside the INS.
-            excluded: sources, or the INS, that no row uses.
+            in_use: sources in use, without the INS.
+            excluded: names of the excluded sources, the INS included.
         """
         if INS in excluded or len(in_use) < LEAST_FOR_PAIRS:
             return []
@@ -121,18 +127,18 @@ class RowTable:
         return [row for row in self.pairs if everyone.issuperset(self.left_out[row - 1])]
 
     def contradict_ins(self, in_use: Collection[str]) -> bool:
-        """True if sources that agree with one another show that the INS is wrong.
+        """True if sources that are consistent with one another can show a fault of the INS.
 
-        Star sensors alone do not: a wrong position or UTC, or wrong refraction, moves all of them alike.
+        Star sensors alone cannot: an error of position, UTC or refraction rotates all of them equally.
         """
         return len(in_use) >= _LEAST_CHECKED and not self.stars.issuperset(in_use)
 
     def asked(self, sources: tuple[str, ...], excluded: Collection[str]) -> Asked:
-        """What an attitude is held against; remembered, as most attitudes rest on the same sources.
+        """Return the fault hypotheses of an attitude; results are cached.
 
         Args:
-            sources: that it rests on, with the INS.
-            excluded: sources, or the INS, that no row uses.
+            sources: sources of the attitude, the INS included.
+            excluded: names of the excluded sources, the INS included.
         """
         key = sources, tuple(excluded)
         if key not in self._asked:
@@ -149,7 +155,7 @@ class RowTable:
 
     def _check_number(self, most: int) -> None:
         if self.rows > most:
-            reason = f"parameter 'integrity.max_hypotheses' = {most} is less than the {self.rows} of these sources: "
+            reason = f"parameter 'integrity.max_hypotheses' = {most} is less than the {self.rows} for these sources: "
             reason += ", ".join(self.names)
             if len(self.left_out[-1]) > 1:
                 reason += f"; set it to {self.rows}, or 'integrity.pairs' to false"
@@ -157,7 +163,7 @@ class RowTable:
 
 
 def _own_states(model: ShipStateModel, source: str) -> NDArray[np.bool_]:
-    """The states that belong to one source alone, shape (n,)."""
+    """Return a mask of the states that belong to one source alone, shape (n,)."""
     own = np.zeros(model.size, dtype=bool)
     for name, rows in model.slices.items():
         own[rows] = name.startswith(f"{source}.")

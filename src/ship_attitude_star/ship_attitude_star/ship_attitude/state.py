@@ -1,6 +1,6 @@
-"""Everything the filter knows after its last measurement.
+"""State of the ship-attitude filter after a measurement.
 
-A :class:`FilterState` is never changed in place, so that the time-ordered log can keep and return to any of them.
+A :class:`FilterState` is immutable, so the time-ordered log can store states and go back to any of them.
 """
 
 from collections.abc import Sequence
@@ -40,10 +40,10 @@ if TYPE_CHECKING:
 else:
 
     def changed(of, **fields):
-        """A frozen dataclass with other values of some fields, as by ``dataclasses.replace``, in a fifth of the time.
+        """Return a copy of a frozen dataclass with some fields replaced.
 
-        A step changes the state several times. The fields are copied together; none of them is checked or computed when
-        such an object is made, and none is kept beside them.
+        It is ``dataclasses.replace`` in a fifth of the time: ``__init__`` and ``__post_init__`` are not called. A
+        filter step replaces fields several times.
         """
         after = object.__new__(type(of))
         after.__dict__.update(of.__dict__, **fields)
@@ -52,12 +52,12 @@ else:
 
 @dataclass(frozen=True)
 class Doubt:
-    """What the sources contradict of one another, where nothing tells which of them is wrong.
+    """A fault that is detected and not isolated.
 
     Attributes:
-        text: for people.
-        covariance_n: of an attitude that may be wrong by all that is in dispute, rotation vector in the horizon frame,
-            rad², shape (3, 3).
+        text: description for the user.
+        covariance_n: covariance added to the attitude, from all inconsistent innovations and solution separations;
+            rotation vector in the horizon frame, rad², shape (3, 3).
     """
 
     text: str
@@ -65,12 +65,12 @@ class Doubt:
 
 
 class Apart(NamedTuple):
-    """How far a measurement was from what the others made expect.
+    """Innovation of a source's measurement against the main filter, as a rotation of the device.
 
     Attributes:
-        whitened: the turn of the device, of unit covariance, shape (3,).
-        root: of its covariance, rad, shape (3, 3).
-        predicted_nv: the device as it was expected, horizon from device, shape (3, 3).
+        whitened: whitened rotation vector (unit covariance), shape (3,).
+        root: root of the covariance of the rotation vector, rad, shape (3, 3).
+        predicted_nv: predicted attitude of the device, horizon from device, shape (3, 3).
     """
 
     whitened: FloatArray
@@ -79,19 +79,23 @@ class Apart(NamedTuple):
 
     @property
     def turn_v(self) -> FloatArray:
-        """Rotation vector of the device in its own frame, rad, shape (3,)."""
+        """Rotation vector in the device frame, rad, shape (3,)."""
         turn_v: FloatArray = self.root @ self.whitened
         return turn_v
 
     @property
     def turn_n(self) -> FloatArray:
-        """The same in the horizon frame."""
+        """Rotation vector in the horizon frame, rad, shape (3,)."""
         turn_n: FloatArray = self.predicted_nv @ self.turn_v
         return turn_n
 
 
 def shared_turn(measured: Sequence[Apart]) -> FloatArray:
-    """Return the turn that measurements share, rotation vector in the horizon frame, rad, shape (3,): least squares."""
+    """Return the rotation common to several innovations by least squares.
+
+    Returns:
+        Rotation vector in the horizon frame, rad, shape (3,).
+    """
     whitening = np.vstack([np.linalg.pinv(one.root) @ one.predicted_nv.T for one in measured])
     whitened = np.concatenate([one.whitened for one in measured])
     turn_n: FloatArray = np.linalg.lstsq(whitening, whitened, rcond=None)[0]
@@ -99,12 +103,12 @@ def shared_turn(measured: Sequence[Apart]) -> FloatArray:
 
 
 class UtcStep(NamedTuple):
-    """A step of the time base that may have made UTC wrong, or right.
+    """A step of the time base after which UTC must be verified.
 
     Attributes:
-        step_s: sum of the steps since UTC was last compared with the INS's attitude.
-        log_ratio: natural logarithm of the likelihood ratio, by the stars since, of the sky being turned by the step to
-            its not being turned.
+        step_s: sum of the steps since UTC was last compared with the attitude of the INS, s.
+        log_likelihood_ratio: natural logarithm of the likelihood ratio of two hypotheses by the star measurements
+            since: the sky is rotated by the step, to the sky is not rotated.
     """
 
     step_s: float
@@ -112,11 +116,12 @@ class UtcStep(NamedTuple):
 
 
 class Lately(NamedTuple):
-    """How far the measurements of a source have been from the first row.
+    """Windowed innovation means of a source's accepted measurements against the main filter.
 
     Attributes:
-        running: means of them (:attr:`ship_estimation.running_means.Means.running`), shape (w, 5).
-        sigmas: how far the mean that is farthest from zero is off, in its own sigmas.
+        windowed_means: the windowed means (:attr:`ship_estimation.innovation_means.InnovationMeans.running`), shape (w,
+            5).
+        largest_sigmas: largest deviation of a mean from zero, in its own standard deviations.
     """
 
     running: FloatArray
@@ -124,41 +129,40 @@ class Lately(NamedTuple):
 
 
 NO_STAYS: MappingProxyType[str, PixelStay] = MappingProxyType({})
-"""No stars have kept their pixels."""
+"""Pixel dwells before any exposure."""
 
 
 @dataclass(frozen=True)
 class FilterState:
-    """The estimate by all sources, in the first of h rows, and beside it those without each of them.
+    """State of h filters: the main filter first, then the subfilters.
 
     Attributes:
-        time_ns: moment of the state; None before the first measurement.
+        time_ns: time of the state; None before the first measurement.
         means: estimated errors, shape (h, n).
-        stack: covariance of the first row by error source, then those of the others, as in
-            :mod:`ship_estimation.hypotheses`, shape (n_sources + h - 1, n, n).
-        seen: what each row has seen of each source.
-        excluded: by source, its exclusion.
-        record: by source, how often it was excluded.
-        doubt: why the attitude is not to be believed, and by how much; None where it is.
-        disputed_n: what an output adds to its covariance while rows stand apart, rad², horizon frame, shape (3, 3); the
-            filter's own covariance does not hold it; None for nothing.
-        apart: by source, how far its last measurement was from the first row.
-        lately: by source, what its measurements that were used have said since the first row was last begun anew.
-        heard_since_ns: by source, the stamp since which it has been heard without a long break.
-        common_n: by star sensor, the steady covariance of its common error, rad², horizon frame.
-        refusals: by source, its refusals in a row.
-        used_ns: by source, the stamp of its last measurement used.
-        stays: by source, how long its stars have kept their pixels, where that matters; none of before the state was
-            opened.
-        unconfirmed: a jump of the INS, or what may be one, or a first star measurement, that other stars have not
-            confirmed yet; None for none.
-        departures: by source, its last measurement refused.
-        jumped_ns: the INS's stamp just before its last jump that the state is open for; None where there was none.
-        ins_suspected_ns: the last time at which an INS that reported a jump jumped or was contradicted since; None
-            where there was none.
-        vertical: at the moment of the state; None where no deflection of it is modelled.
-        utc: whether UTC is right since the time base stepped; None where that is not in question.
-        absorbed: the corrections by all stars of late, and what they may share.
+        stack: covariance of the main filter by error source, then those of the subfilters, as in
+            :mod:`ship_estimation.subfilters`, shape (n_sources + h - 1, n, n).
+        innovation_means: windowed innovation means of each source in each filter.
+        excluded: excluded sources by name.
+        exclusion_counts: number of exclusions by source.
+        unresolved_fault: fault that is detected and not isolated; None for none.
+        separation_covariance_n: covariance that an output adds for large solution separations, rad², horizon frame,
+            shape (3, 3); not part of ``stack``; None for none.
+        last_innovations: innovation of the last measurement by source, against the main filter.
+        recent_innovations: windowed innovation means of the accepted measurements by source, since the last restart of
+            the filters.
+        received_since_ns: start of uninterrupted reception by source, stamp, ns.
+        common_n: steady-state covariance of the common error by star sensor, rad², horizon frame, shape (3, 3).
+        consecutive_rejections: number of consecutive rejections by source.
+        last_used_ns: stamp of the last accepted measurement by source, ns.
+        pixel_dwells: pixel dwell of the stars by source; empty after the covariance was inflated.
+        unconfirmed_step: INS jump, possible INS jump or first star measurement that other stars have not confirmed;
+            None for none.
+        rejected_residuals: residual of the last rejected measurement by source.
+        ins_jump_ns: stamp of the INS just before the last jump for which the covariance was inflated; None for none.
+        ins_fault_ns: time of the last jump or contradiction of an INS that reported a jump; None for none.
+        vertical: vertical at the time of the state; None if the deflection is not modelled.
+        utc_step: step of the time base after which UTC is not verified yet; None for none.
+        correction_sums: sums of the recent corrections by all stars, and the error that all stars may share.
     """
 
     time_ns: int | None
@@ -186,37 +190,37 @@ class FilterState:
 
     @property
     def mean(self) -> FloatArray:
-        """Estimated errors by all sources that are not excluded, shape (n,)."""
+        """Estimated errors of the main filter, shape (n,)."""
         mean: FloatArray = self.means[0]
         return mean
 
     @property
     def parts(self) -> FloatArray:
-        """Their covariance by error source, shape (n_sources, n, n)."""
+        """Covariance of the main filter by error source, shape (n_sources, n, n)."""
         parts: FloatArray = self.stack[: len(self.stack) - len(self.means) + 1]
         return parts
 
     def has_used(self, source: str) -> bool:
-        """True if a measurement of the source was used, although the source may have been excluded since."""
+        """True if a measurement of the source was accepted, even if the source was excluded since."""
         return source in self.used_ns or source in self.record
 
     def in_use(self, sources: Sequence[str], time_ns: int) -> list[str]:
-        """Those of the sources, in the order of their index, heard of not long ago that are not excluded."""
+        """Return the sources, in the given order, that are not excluded and have measured recently."""
         heard, since_ns = zip(sources, self.seen.heard_ns.tolist(), strict=True), time_ns - HEARD_NS
         return [name for name, heard_ns in heard if heard_ns >= since_ns and name not in self.excluded]
 
     @property
     def covariance(self) -> FloatArray:
-        """Their covariance, shape (n, n)."""
+        """Covariance of the main filter, shape (n, n)."""
         total: FloatArray = compiled_steps.total(self.stack, len(self.stack) - len(self.means) + 1)
         return total
 
 
 def with_entry(mapping: MappingProxyType[str, Value], key: str, value: Value) -> MappingProxyType[str, Value]:
-    """The mapping with another value for a key."""
+    """Return a copy of a mapping with one entry set."""
     return MappingProxyType({**mapping, key: value})
 
 
 def without(mapping: MappingProxyType[str, Value], key: str) -> MappingProxyType[str, Value]:
-    """The mapping without a key."""
+    """Return a copy of a mapping without one key."""
     return MappingProxyType({name: value for name, value in mapping.items() if name != key})

@@ -1,11 +1,13 @@
-"""Who is suspected: what the rows of hypotheses say of a ship's sources after each measurement.
+"""Fault detection and exclusion (FDE) of the ship filter, from innovations and solution separations of the subfilters.
 
-What each row leaves out is told by the table of rows (:mod:`ship_attitude_star.ship_attitude.row_table`). A source is
-excluded where the row without it explains what the others cannot; so is an INS that creeps away from all others. A step
-is another matter: a wrong position moves all stars alike, just as a step of the INS would. Where all stars suddenly
-contradict the INS this is told as a doubt, and they are not used until they agree with it again. Whether it was the INS
-that jumped, its own rates tell (:mod:`ship_estimation.ins_guard`); where they told so not long ago, it is the INS that
-is excluded (:mod:`ship_attitude_star.ship_attitude.ins_at_fault`).
+The filters are those of :mod:`ship_attitude_star.ship_attitude.subfilter_set`. A source is excluded if only the
+subfilter without it is consistent with its data. An INS that drifts away from all other sources is excluded in the same
+way.
+
+A step is treated differently, because a position error rotates all stars just as a step of the INS would. If all stars
+suddenly contradict the INS, the fault is unresolved, and the stars are excluded until they are consistent with the INS
+again. A jump of the INS is detected from its own rates (:mod:`ship_estimation.ins_check`). If one was reported
+recently, the INS is excluded instead (:mod:`ship_attitude_star.ship_attitude.ins_fault_handling`).
 """
 
 import math
@@ -47,33 +49,32 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
 _KNOCKED_SIGMA = 2.0
-"""After a knock the mounting may be off by so many times what is seen of the knock."""
+"""Standard deviation of the mounting after a mounting shift, as a ratio to the observed shift."""
 
 _LEAST_KNOCK_RAD, _LARGEST_KNOCK_RAD = 10.0 * ARCSEC, 3600.0 * ARCSEC
-"""As its sigma."""
+"""Minimum and maximum standard deviation of the mounting after a mounting shift, rad."""
 
 _WATCHED_NS = 3 * SECOND_NS
-"""So long all sources in use must have been heard before the INS is said to creep away from them."""
-
+"""Minimum uninterrupted reception of all sources in use before a drift of the INS is detected, ns."""
 
 _CREEPS_FOR_NS = 10 * SECOND_NS
-"""An INS that all stars contradict creeps if they find it farther off for so long: half of a slow roll, ns."""
+"""Time for which the offset of the INS from all stars must grow to count as a drift: half a slow roll period, ns."""
 
 
 class Suspects:
-    """The verdicts by the rows of a configuration.
+    """Fault detection and exclusion with the filters of a configuration.
 
     Args:
-        config: the node's configuration.
-        model: what the states are.
-        devices: the sources by name.
+        config: configuration of the node.
+        model: state vector.
+        devices: sources by name.
 
     Attributes:
-        table: the rows.
-        ins: what is done where the INS is the one that is wrong.
+        subfilters: the filters.
+        ins_fault: handling of INS faults.
 
     Raises:
-        ParameterError: there are more rows than ``integrity.max_hypotheses``.
+        ParameterError: there are more filters than ``integrity.max_hypotheses``.
     """
 
     def __init__(self, config: ShipAttitudeConfig, model: ShipStateModel, devices: Mapping[str, Device]) -> None:
@@ -87,11 +88,16 @@ class Suspects:
         self._undisputed = min(UNDISPUTED_SIGMAS, self.table.k.false_exclusion)
 
     def start(self, mean: FloatArray, parts: FloatArray) -> FilterState:
-        """All rows at one state, before any measurement; shapes (n,) and (n_sources, n, n)."""
+        """Return the state before any measurement, with all filters at one mean and covariance.
+
+        Args:
+            mean: estimated errors, shape (n,).
+            covariance_by_source: covariance by error source, shape (n_sources, n, n).
+        """
         return FilterState(None, *self.ins.all_rows_at(mean, parts), no_means(self.table.rows, len(self._sources)))
 
     def uses(self, state: FilterState) -> NDArray[np.bool_]:
-        """Which source each row uses, shape (h, s)."""
+        """Return a mask of the sources that each filter uses, shape (h, s)."""
         if not state.excluded:
             return self.table.uses
         excluded = np.array([name in state.excluded for name in self._sources], dtype=bool)
@@ -107,15 +113,17 @@ class Suspects:
         compared: RowsCompared,
         accepted: NDArray[np.bool_],
     ) -> FilterState:
-        """All rows with what each learns of a measurement; where none learns, not even the prediction is kept.
+        """Return the state with all filters updated by a measurement.
+
+        If no filter uses the measurement, the unpredicted state is returned, with updated innovation means.
 
         Args:
-            state: before the measurement.
-            predicted: the same, carried to its moment.
-            measurement: itself.
-            measured: against the first row.
-            compared: with all rows.
-            accepted: whether it passed the gate of each row, shape (h,).
+            state: state before the measurement.
+            predicted: ``state`` propagated to the time of the measurement.
+            measurement: the measurement.
+            comparison: the measurement compared with the main filter.
+            innovations: innovations of all filters.
+            accepted: True for each filter whose gate the measurement passed, shape (h,).
         """
         source, index = measurement.source, self._indices[measurement.source]
         used = self.table.users[source] if not state.excluded else self.uses(state)[:, index]
@@ -128,8 +136,8 @@ class Suspects:
         last = Apart(compared.turn[0], compared.turn_root[0], measured.predicted_nv)
         apart = with_entry(state.apart, source, last)
         exclusion = state.excluded.get(source)
-        # A measurement that no row uses leaves all of them, to the last bit, as they are without it. Of an excluded
-        # source nothing is used, but how it is mounted may be learnt anew.
+        # A measurement that no filter uses leaves all of them bit-identical. An excluded source may still update its
+        # own mounting states.
         learnt = any((used & accepted).tolist()) if exclusion is None else exclusion.apart is None
         if not learnt:
             return changed(state, seen=seen, apart=apart)
@@ -147,11 +155,17 @@ class Suspects:
         )
 
     def _learns(self, state: FilterState, source: str, used: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Which states each row may learn of a source, shape (h, n), by whether it uses the source, shape (h,)."""
+        """Return a mask of the states that each filter may update with a source, shape (h, n).
+
+        Args:
+            state: state of the filters.
+            source: name of the source.
+            used: True for each filter that uses the source, shape (h,).
+        """
         return self.table.learns[source] if not state.excluded else used[:, None] | self.table.own[source]
 
     def _heard_again(self, state: FilterState, source: str, time_ns: int) -> FilterState:
-        """The state before the first measurement after a silence: in that time nobody has agreed with anything."""
+        """Return the state before the first measurement of a source after a timeout; reinstatement timers restart."""
         excluded = dict(state.excluded)
         if source in excluded:
             excluded[source] = replace(excluded[source], agrees_since_ns=None)
@@ -161,23 +175,28 @@ class Suspects:
         return changed(state, excluded=MappingProxyType(excluded), heard_since_ns=heard_since_ns)
 
     def separations(self, state: FilterState) -> tuple[FloatArray, FloatArray]:
-        """Distances of the rows from the first one, about North, Up and East, and these in sigmas at most.
+        """Return the solution separations of the filters from the main filter.
 
-        Shapes (h, 3), rad, and (h,).
+        Returns:
+            Separations about North, Up and East, rad, shape (h, 3), and their largest values in standard deviations,
+            shape (h,).
         """
         return separations(state.means, state.stack, self._slow)
 
     def judged(
         self, state: FilterState, source: str, compared: RowsCompared, ins_vouched: bool, time_ns: int
     ) -> tuple[FilterState, str]:
-        """The state after the verdict that a measurement leads to, and what is to be said of its source.
+        """Detect and isolate faults after a measurement.
 
         Args:
-            state: with that measurement.
-            source: who measured.
-            compared: the measurement with every row.
-            ins_vouched: whether the INS's rates would have told a step of it.
+            state: state after the measurement.
+            source: source of the measurement.
+            innovations: innovations of all filters.
+            is_ins_confirmed: True if the rates of the INS would have shown a step.
             time_ns: stamp of the measurement.
+
+        Returns:
+            The state after exclusions and reinstatements, and a text about the source, empty for none.
         """
         if self._nothing_disputed(state):
             return state, ""
@@ -195,12 +214,12 @@ class Suspects:
         if state.excluded:
             candidates = [row for row in candidates if table.names[row - 1] not in state.excluded]
         pairs = table.pairs_in_question(in_use, state.excluded) if table.pairs else []
-        # A step of the INS its rates would have told; that it creeps they do not tell.
+        # The rates show a step of the INS, but not a drift.
         stepped = any(state.seen.refused[0].tolist())
         if ins_vouched and stepped:
             candidates, pairs = ([row for row in rows if row not in table.ins_rows] for rows in (candidates, pairs))
         elif stepped and len(in_use) <= LEAST_FOR_PAIRS:
-            pairs = []  # One source and an INS that may have stepped are no better than two other sources.
+            pairs = []  # One source with an INS that may have stepped explains as much as two other sources.
         threshold, after = table.k.false_exclusion, self._degraded_after
         finding = find_fault(state.seen, uses, statistic, threshold, candidates, time_ns, after, pairs)
         # Written so that NaN is shared.
@@ -209,32 +228,32 @@ class Suspects:
             return self._agreed(state, in_use, apart_n, statistic, time_ns), ""
         wrong = self._named(state, finding)
         if state.absorbed.sigmas > SUSPECTED_SIGMAS and not table.stars.isdisjoint(wrong):
-            wrong = ()  # All stars together contradict the INS: one that explains a part of it is not at fault.
+            wrong = ()  # All stars contradict the INS: a single star sensor that explains a part is not faulty.
         if self.ins.told(state, time_ns):
             state = changed(state, ins_suspected_ns=time_ns)
             if INS not in wrong and not set(table.ins_rows).isdisjoint(finding.explaining):
-                wrong = ()  # An INS that jumped explains it as well: it may have turned in its own frame.
+                wrong = ()  # A jump of the INS explains it as well: the INS may have rotated in its own frame.
         contradicting = self._stars_contradicting(state, wrong, in_use, shared)
         against_ins = len(contradicting) > 1 or (INS in wrong and stepped)
         if against_ins and self.ins.told(state, time_ns) and self.ins.may_be_excluded(in_use):
             state, text = self._without(state, (INS,), time_ns)
             return self.ins.contradicted_now(state, time_ns), text
         if INS in wrong and (stepped or not table.contradict_ins([name for name in in_use if name not in wrong])):
-            wrong = ()  # A wrong position moves all stars alike, as a step of the INS without rates does.
+            wrong = ()  # A position error rotates all stars equally, as a step of an INS without rates does.
         if INS in wrong and any(time_ns - state.heard_since_ns[name] < _WATCHED_NS for name in in_use):
-            wrong = ()  # What has moved while nobody was heard, the INS or a sensor, a few measurements do not tell.
+            wrong = ()  # After a timeout a few measurements do not isolate whether the INS or a sensor has moved.
         if INS in state.excluded and len(in_use) < LEAST_FOR_PAIRS:
-            wrong = ()  # Either of two sources explains what the other contradicts.
+            wrong = ()  # Of two sources each explains the contradiction with the other.
         if wrong and not set(in_use).issubset(wrong):
             return self._without(state, wrong, time_ns)
         doubted = self._in_doubt(state, apart_n, statistic, contradicting)
         return self._without_stars(doubted, contradicting, shared, time_ns) if contradicting else doubted, ""
 
     def _nothing_disputed(self, state: FilterState) -> bool:
-        """Whether all is as on most days: nobody is excluded, nothing contradicts anything, and nothing did before."""
+        """True if all sources are consistent, none is excluded, and no earlier inconsistency is still covered."""
         if state.excluded or state.doubt is not None or state.disputed_n is not None:
             return False
-        # NaN is not within.
+        # Written so that NaN is inconsistent.
         return (
             state.absorbed.sigmas <= SUSPECTED_SIGMAS
             and agrees_with_all(state.seen, self._degraded_after)
@@ -245,18 +264,18 @@ class Suspects:
     def _agreed(
         self, state: FilterState, in_use: list[str], apart_n: FloatArray, statistic: FloatArray, time_ns: int
     ) -> FilterState:
-        """The state in which nobody is wrong as far as anything tells.
+        """Return the state where no fault is detected, with a covariance that covers large solution separations.
 
-        A source that creeps pulls the attitude away from the row without it long before it may be excluded. One that
-        was knocked by a few sigmas pulls it within a second: what it said lately contradicts the first row before the
-        two rows stand apart.
+        A drifting source separates the main filter from the subfilter without it long before it is excluded. A source
+        with a mounting shift of a few standard deviations does so within a second. Its recent innovations are
+        inconsistent before the two filters separate, so they count as well.
         """
         if INS not in state.excluded and self.ins.may_be_excluded(in_use):
             statistic = statistic.copy()
             for row, source in enumerate(self._sources, start=1):
                 if source in in_use and source in state.lately:
                     statistic[row] = np.maximum(statistic[row], state.lately[source].sigmas)
-        # Written so that a distance that is no number is looked at.
+        # Written so that NaN is not within.
         within = all(sigmas <= UNDISPUTED_SIGMAS for sigmas in statistic.tolist())
         absorbed = state.absorbed.with_suspicion(time_ns, round(self._integrity.return_after_s * SECOND_NS))
         suspicion = absorbed.suspicion
@@ -269,9 +288,9 @@ class Suspects:
         return changed(state, doubt=None, disputed_n=disputed_n, absorbed=absorbed)
 
     def acquitted(self, state: FilterState, time_ns: int) -> FilterState:
-        """The state after the INS has told itself that it jumped: those that contradicted it were right.
+        """Return the state after the INS reported its own jump: the sources that contradicted it are reset.
 
-        What the rows differ by was the contradiction: with it all of them begin anew from the first one.
+        After an unresolved fault all filters restart from the main filter, because they differ by that fault.
         """
         if state.doubt is not None:
             means, stack = self.ins.all_rows_at(state.mean, state.parts)
@@ -281,9 +300,10 @@ class Suspects:
         return self._forgiven(state)
 
     def without_ins(self, state: FilterState, time_ns: int) -> FilterState:
-        """The state after the INS has told that it creeps: it is excluded where enough others check each other.
+        """Return the state after the INS reported a drift: it is excluded if enough other sources check each other.
 
-        The row in which it is wrong has followed all the time. Stars that contradicted it were right.
+        The subfilter without the INS is consistent with the stars all the time. Stars that contradicted the INS are
+        reset.
         """
         told = state if state.doubt is None else self.acquitted(state, time_ns)
         if INS in state.excluded or not self.ins.may_be_excluded(told.in_use(self._sources, time_ns)):
@@ -291,12 +311,12 @@ class Suspects:
         return self._without(told, (INS,), time_ns)[0]
 
     def begun_anew(self, state: FilterState) -> FilterState:
-        """The state after a gate was re-opened: what the sources contradicted of one another is forgotten."""
+        """Return the state with all filters restarted from the main filter and faults reset."""
         means, stack = self.ins.all_rows_at(state.mean, state.parts)
         return self._forgiven(changed(state, means=means, stack=stack))
 
     def _forgiven(self, state: FilterState) -> FilterState:
-        """The state in which only those stay excluded that were knocked, and the INS."""
+        """Return the state without detected faults; only the INS and sources with a mounting shift stay excluded."""
         knocked = {name: exclusion for name, exclusion in state.excluded.items() if exclusion.apart is None}
         seen = forgotten(state.seen, slice(None), slice(None))
         doubt = state.doubt if distrusted(state) else None
@@ -310,23 +330,35 @@ class Suspects:
             disputed_n=None,
         )
 
-    # -- verdicts -------------------------------------------------------------------------------------------
+    # -- exclusion and reinstatement ------------------------------------------------------------------------
 
     def _named(self, state: FilterState, finding: Finding) -> tuple[str, ...]:
-        """Those that are wrong; among those that may be it the only ones that were wrong before. Empty: nobody is."""
+        """Return the isolated sources, empty for none.
+
+        If several subfilters explain the fault, the only one whose sources were all excluded before is preferred.
+        """
         left_out = self.table.left_out
         known = [row for row in finding.explaining if state.record.keys() >= set(left_out[row - 1])]
         row = known[0] if len(known) == 1 else finding.row
         return () if row is None else left_out[row - 1]
 
     def _without(self, state: FilterState, wrong: tuple[str, ...], time_ns: int) -> tuple[FilterState, str]:
-        """The state once sources are excluded: the row without them is now the first, and the start of all others."""
+        """Exclude sources: all filters restart from the subfilter without them.
+
+        Args:
+            state: state after the measurement.
+            faulty: the sources to exclude.
+            time_ns: stamp of the measurement.
+
+        Returns:
+            The state, and a text that names the excluded and the remaining sources.
+        """
         row, rows = self.table.left_out.index(wrong) + 1, len(state.means)
         means = np.tile(state.means[row], (rows, 1))
         stack = promoted(state.stack, rows, row)
         excluded, record, used_ns = dict(state.excluded), dict(state.record), dict(state.used_ns)
         for name in wrong:
-            # What is farther off than a knock can make it has another mistake: that must be mended, not learnt.
+            # An offset larger than any mounting shift has another cause; the mounting is not estimated again.
             relearns = name != INS and self._knock(state, name) is not None
             if relearns:
                 self._open_mounting(stack, state, name)
@@ -349,16 +381,15 @@ class Suspects:
         )
         are, them = ("is", "it") if len(wrong) == 1 else ("are", "them")
         remaining = ", ".join(name for name in (INS, *self._sources) if name not in excluded)
-        return state, f"{' and '.join(wrong)} {are} excluded: without {them} {remaining} agree"
+        return state, f"{' and '.join(wrong)} {are} excluded: without {them} {remaining} are consistent"
 
     def _without_stars(
         self, state: FilterState, stars: tuple[str, ...], shared: bool, time_ns: int
     ) -> FilterState:
-        """Return the state without any star: all of them contradict the INS, and nothing tells which side is wrong.
+        """Exclude all star sensors, which contradict the INS: the fault is not isolated.
 
-        Nothing tells either that the sensors were knocked, so their mountings are kept. All subfilters restart from the
-        main filter, which has rejected the stars. What it has learnt of an error that they share is taken back: the INS
-        carries on from before.
+        Their mountings stay as estimated, because a mounting shift is not known either. All filters restart from the
+        main filter, which has rejected the stars. The corrections by an error that the stars share are taken back.
         """
         turn_n = shared_turn([state.apart[name] for name in stars])
         mean, parts = state.mean, state.parts
@@ -383,10 +414,14 @@ class Suspects:
     def _judge_return(
         self, state: FilterState, source: str, compared: RowsCompared, time_ns: int
     ) -> tuple[FilterState, str]:
-        """Return the state after a measurement of an excluded source, which may return with it, and a text."""
+        """Evaluate the reinstatement of an excluded source after one of its measurements.
+
+        Returns:
+            The state, in which the source may be reinstated, and a text about the source.
+        """
         state = self._with_distance(state, source, time_ns)
         if self._ins_creeps_on(state, source, time_ns):
-            return self.without_ins(state, time_ns), "ins is excluded: it goes on creeping away from all stars"
+            return self.without_ins(state, time_ns), "ins is excluded: it drifts away from all stars"
         index, exclusion = self._sources.index(source), state.excluded[source]
         after_s = self._integrity.return_after_s
         share = self._share_left(state, source, time_ns)
@@ -396,31 +431,31 @@ class Suspects:
         if not back:
             state = changed(state, excluded=with_entry(state.excluded, source, exclusion))
             if exclusion.apart is None and self._contradicts(state, index):
-                # Knocked once more, or back: what was learnt of its mounting since is void.
+                # Another mounting shift: the mounting estimated since the last one is void.
                 stack = state.stack.copy()
                 self._open_mounting(stack, state, source)
                 state = changed(state, stack=stack, seen=forgotten(state.seen, slice(None), [index]))
             since_s = (time_ns - exclusion.since_ns) / SECOND_NS
-            agrees = "it does not agree with the others"
+            agrees = "not consistent with the others"
             if exclusion.agrees_since_ns is not None:
                 agreed_s = (time_ns - exclusion.agrees_since_ns) / SECOND_NS
-                agrees = f"it has agreed with the others for {agreed_s:.0f} s of {after_s:g} s"
-            return state, f"{source} is excluded for {since_s:.0f} s: {agrees}"
+                agrees = f"consistent with the others for {agreed_s:.0f} s of {after_s:g} s"
+            return state, f"{source} is excluded since {since_s:.0f} s: {agrees}"
         together = self._excluded_with(state, source)
         seen = forgotten(state.seen, slice(None), [self._indices[name] for name in together])
         remaining = {name: one for name, one in state.excluded.items() if name not in together}
         are = "is" if len(together) == 1 else "are"
-        text = f"{' and '.join(together)} {are} used again"
+        text = f"{' and '.join(together)} {are} reinstated"
         return changed(state, seen=seen, excluded=MappingProxyType(remaining), doubt=None), text
 
     def _with_distance(self, state: FilterState, source: str, time_ns: int) -> FilterState:
-        """Return the state with the time since which an excluded source is much farther off in the same direction."""
+        """Return the state with the time since which an excluded source's offset has grown in the same direction."""
         exclusion, last = state.excluded[source], state.apart[source]
         if exclusion.apart is None:
             return state
         before = np.linalg.pinv(last.root) @ exclusion.apart
         moved = last.whitened - before
-        # Both have the noise of a measurement.
+        # Both offsets contain the noise of a measurement.
         is_farther = moved @ moved > 2.0 * self.table.limit and moved @ before > 0.0
         since_ns = exclusion.farther_since_ns
         since_ns = None if not is_farther else time_ns if since_ns is None else since_ns
@@ -430,10 +465,10 @@ class Suspects:
         return changed(state, excluded=with_entry(state.excluded, source, exclusion))
 
     def _ins_creeps_on(self, state: FilterState, source: str, time_ns: int) -> bool:
-        """True if all stars that were set aside together have found the INS much farther off for half of a roll.
+        """True if the offset of the INS from all stars excluded together has grown for ``_DRIFT_DURATION_NS``.
 
-        Where they share an error that stays, only the INS's wander changes the distance, and its covariance holds that.
-        Where their clocks are wrong, the distance oscillates with the ship.
+        A constant error of all stars changes the offset only by the random walk of the INS, which the covariance
+        contains. With an error of their clocks, the offset oscillates with the ship's motion.
         """
         since_ns = state.excluded[source].since_ns
         together = {name: one for name, one in state.excluded.items() if one.since_ns == since_ns and name != INS}
@@ -446,10 +481,10 @@ class Suspects:
 
     @staticmethod
     def _excluded_with(state: FilterState, source: str) -> list[str]:
-        """Return the sources that return with one: itself, and those excluded with it that agree with the others now.
+        """Return the sources to reinstate with one: itself, and those excluded with it that are consistent now.
 
-        Stars that were excluded because all of them contradicted the INS check each other; one of them alone could not
-        be told from an INS that has moved meanwhile.
+        Stars excluded together because they contradicted the INS check each other. A single one of them cannot be
+        distinguished from an INS that has drifted meanwhile.
         """
         own = state.excluded[source]
         if own.apart is None:
@@ -462,10 +497,10 @@ class Suspects:
         ]
 
     def _share_left(self, state: FilterState, source: str, time_ns: int) -> float:
-        """Return the share of an excluded source's distance that is left by its measurement; 0 where it has none.
+        """Return the ratio of an excluded source's current offset to that at its exclusion; 0 if it has none.
 
-        Of an error that stars may share it is the share by all of them. One of them sees a turn about its line of sight
-        poorly, and would take the INS's wander about the other axes for a part of it.
+        For an error that all stars may share, the ratio is that of all of them together. A single sensor measures a
+        rotation about its line of sight poorly, so drift of the INS about the other axes would change its ratio.
         """
         own, heard_ns = state.excluded[source], time_ns - HEARD_NS
         names = [source]
@@ -482,30 +517,44 @@ class Suspects:
         return along / square if square > 0.0 else 0.0
 
     def _contradicts(self, state: FilterState, index: int) -> bool:
-        """Whether what the first row has seen of a source contradicts it."""
+        """True if the main filter's innovations of a source are inconsistent."""
         seen = state.seen
         return not (seen.excess[0, index] <= 1.0 and seen.refused[0, index] < self._degraded_after)
 
     def _in_doubt(
         self, state: FilterState, apart_n: FloatArray, statistic: FloatArray, contradicting: tuple[str, ...]
     ) -> FilterState:
-        """The state in which nothing tells who is wrong: the attitude may be off by all that is in dispute."""
+        """Return the state with an unresolved fault; its covariance holds the inconsistent innovations and separations.
+
+        Args:
+            state: state after the measurement.
+            separations_n: solution separations about North, Up and East, rad, shape (h, 3).
+            separation_sigmas: largest solution separation of each filter in standard deviations, shape (h,).
+            contradicting: the star sensors, if all of them contradict the INS; else empty.
+        """
         vectors = [apart.turn_n for name, apart in state.apart.items() if state.refusals.get(name, 0)]
         vectors += [vector for vector, size in zip(apart_n, statistic, strict=True) if size > 1.0]
         if state.absorbed.sigmas > SUSPECTED_SIGMAS:
             vectors.append(state.absorbed.error_n)
         covariance_n = sum((np.outer(vector, vector) for vector in vectors), start=np.zeros((3, 3)))
         if contradicting:
-            text = f"{', '.join(contradicting)} {'are' if len(contradicting) > 1 else 'is'} refused: the INS and all "
-            text += "stars contradict one another"
+            text = f"{', '.join(contradicting)} {'are' if len(contradicting) > 1 else 'is'} rejected: the INS and all "
+            text += "stars contradict each other"
         else:
-            text = "the sources contradict one another, and which of them is wrong nothing tells"
+            text = "the sources contradict each other; the faulty source is not isolated"
         return changed(state, doubt=Doubt(text, covariance_n), disputed_n=None)
 
     def _stars_contradicting(
         self, state: FilterState, wrong: tuple[str, ...], in_use: list[str], shared: bool
     ) -> tuple[str, ...]:
-        """All stars in use, where each of them contradicts the rest, or all the INS; none where some do not."""
+        """Return all star sensors in use if each of them contradicts the main filter, else none.
+
+        Args:
+            state: state after the measurement.
+            faulty: the isolated sources.
+            in_use: sources in use.
+            shared: True if the sum of the star corrections exceeds its threshold.
+        """
         heard = [name for name in in_use if name in self.table.stars]
         if shared:
             return tuple(heard)
@@ -514,15 +563,16 @@ class Suspects:
         return tuple(heard) if heard and len(against) == len(heard) else ()
 
     def _knock(self, state: FilterState, source: str) -> FloatArray | None:
-        """Sigma, as a rotation vector of the device, of a knock that explains a source's last measurement.
+        """Return the standard deviation of a mounting shift that explains a source's last innovation.
 
-        None where no knock is so large.
+        Returns:
+            Rotation vector in the device frame, rad, shape (3,); None if it is larger than any mounting shift.
         """
         knock_v = _KNOCKED_SIGMA * state.apart[source].turn_v
         return knock_v if np.linalg.norm(knock_v) <= _LARGEST_KNOCK_RAD else None
 
     def _open_mounting(self, stack: FloatArray, state: FilterState, source: str) -> None:
-        """Let it be learnt anew, in place, how a source is mounted: it may have been knocked."""
+        """Inflate the covariance of a source's mounting, in place, for a mounting shift."""
         knock_v = self._knock(state, source)
         if knock_v is not None:
             block = self._model.blocks[f"{source}.installation"]
@@ -532,7 +582,7 @@ class Suspects:
 
 
 def _share_sigma(state: FilterState, source: str, compared: RowsCompared) -> float:
-    """Return the standard deviation, by the state alone, of the share of an excluded source's distance that is left."""
+    """Return the standard deviation of the remaining offset ratio from the errors of the state alone."""
     apart = state.excluded[source].apart
     if apart is None:
         return 0.0

@@ -1,4 +1,4 @@
-"""Smoothing: what later measurements tell of the attitude at earlier moments (Rauch, Tung and Striebel).
+"""Rauch-Tung-Striebel smoothing of the ship attitude with later measurements.
 
-No ROS, no files.
+The folder uses no ROS and no files.
 """

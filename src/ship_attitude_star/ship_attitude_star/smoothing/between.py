@@ -1,4 +1,4 @@
-"""The errors of the INS at moments after an estimate, and how they go together with the state at the next one."""
+"""Prediction of the INS errors at times after an estimate, with their covariance to the next estimate."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -14,20 +14,20 @@ from ship_estimation.kalman import slow_error_later
 from ship_geometry.rotations import FloatArray
 
 _CLOCK = 3
-"""Where the INS's time offset stands among the quantities that are told; the error of its attitude is before it."""
+"""Index of the INS time offset among the output quantities; the attitude error is before it."""
 
 
 ShipAnchor = Anchor[VerticalHere | None]
-"""An estimate with the vertical at its moment; None where the configuration has no process that asks for it."""
+"""An estimate with the vertical at its time; None if the filter does not need the vertical."""
 
 
 class _Passage(NamedTuple):
-    """What some times make of the n states, N of them.
+    """Propagation of the n states to N times.
 
     Attributes:
-        transition: shape (N, n, n).
-        means: of the states then, shape (N, n).
-        noise: covariance of what comes new, shape (N, n, n).
+        transition: transition matrices, shape (N, n, n).
+        means: propagated means, shape (N, n).
+        noise: added covariance, shape (N, n, n).
     """
 
     transition: FloatArray
@@ -36,11 +36,11 @@ class _Passage(NamedTuple):
 
 
 class Between:
-    """Predicts what corrects the INS: the error of its attitude (north, up, east) and its time offset.
+    """Prediction of the quantities that correct the INS: attitude error (north, up, east) and time offset.
 
     Args:
-        filter_: the filter and its model.
-        to_gravity: whether the attitude is told against gravity's horizon.
+        filter_: filter and model.
+        to_gravity: True if the attitude is published relative to the gravity horizon.
     """
 
     def __init__(self, filter_: ShipFilter, to_gravity: bool) -> None:
@@ -50,11 +50,11 @@ class Between:
 
     @property
     def knows_before_the_first(self) -> bool:
-        """Whether the errors are known at moments before the first measurement: those that only die out are."""
+        """True if the errors can be predicted before the first measurement, as Gauss-Markov processes can."""
         return self._model.ins_process is None
 
     def cross_to(self, anchor: ShipAnchor, later: ShipAnchor) -> FloatArray:
-        """See :meth:`ship_estimation.backward_chain.Between.cross_to`."""
+        """See :meth:`ship_estimation.rts_smoother.StatePredictor.cross_to`."""
         assert later.time_ns is not None
         (transition,) = self._passage(anchor, [later.time_ns]).transition
         cross: FloatArray = anchor.known.covariance @ transition.T
@@ -63,16 +63,17 @@ class Between:
     def at(
         self, anchor: ShipAnchor, times_ns: Sequence[int], later: ShipAnchor | None
     ) -> tuple[Known, FloatArray | None]:
-        """What corrects the INS, four quantities; see :meth:`ship_estimation.backward_chain.Between.at`.
+        """Return the four quantities that correct the INS; see :meth:`ship_estimation.rts_smoother.StatePredictor`.
 
-        A jump opens the state as much earlier as clocks may differ: the moments between are told as at that.
+        A jump inflates the covariance earlier by the bound of the clock offsets. Times in between are treated as the
+        time of the inflation.
         """
         if later is not None:
             assert later.time_ns is not None
             times_ns = [min(time_ns, later.time_ns) for time_ns in times_ns]
         mean, covariance = anchor.known
         if anchor.time_ns is None:
-            # Errors that only die out are, before the first measurement, what they may be at any moment.
+            # Before the first measurement Gauss-Markov errors are stationary.
             means, everywhere = np.tile(mean, (len(times_ns), 1)), np.tile(covariance, (len(times_ns), 1, 1))
         else:
             passage = self._passage(anchor, times_ns)
@@ -89,7 +90,7 @@ class Between:
         return known, of_told @ np.swapaxes(onward, -1, -2)
 
     def _passage(self, anchor: ShipAnchor, times_ns: Sequence[int]) -> _Passage:
-        """From an anchor to N moments."""
+        """Return the propagation from an anchor to N times."""
         assert anchor.time_ns is not None
         model, mean = self._model, anchor.known.mean
         dt_s = 1e-9 * (np.array(times_ns) - anchor.time_ns).astype(float)
@@ -110,20 +111,20 @@ class Between:
         return _Passage(transition, means, noise)
 
     def _onward(self, anchor: ShipAnchor, times_ns: Sequence[int], later_ns: int) -> FloatArray:
-        """Transition from N moments after an anchor to a later one, shape (N, n, n)."""
+        """Return the transition matrices from N times after an anchor to a later time, shape (N, n, n)."""
         model = self._model
         left_s = 1e-9 * (later_ns - np.array(times_ns)).astype(float)
         onward = _diagonal(model.transition(left_s)[0])
         carried = self._carried(anchor, [*times_ns, later_ns])
         if carried is not None:
-            # The way from the anchor to the later moment is the way to each moment and that which is left.
+            # The transition to the later time is the product of that to each time and the remaining one.
             to_each, to_later = carried.transition[:-1], carried.transition[-1]
             left = np.linalg.solve(np.swapaxes(to_each, -1, -2), np.broadcast_to(to_later.T, to_each.shape))
             onward[:, model.process_rows[:, None], model.process_rows] = np.swapaxes(left, -1, -2)
         return onward
 
     def _carried(self, anchor: ShipAnchor, times_ns: Sequence[int]) -> Carried | None:
-        """What the way makes of the process of the INS's error; None where it has none."""
+        """Return the propagation of the INS error process; None without one."""
         process = self._model.ins_process
         if process is None:
             return None
@@ -133,7 +134,7 @@ class Between:
         return process.carried(anchor.time_ns, anchor.given, times_ns, self._vertical)
 
     def _told(self, times_ns: Sequence[int]) -> FloatArray:
-        """Matrices that take the states to what is told, shape (N, 4, n)."""
+        """Return the matrices from the states to the output quantities, shape (N, 4, n)."""
         told = np.zeros((len(times_ns), _CLOCK + 1, self._model.size))
         told[:, np.arange(_CLOCK + 1), self._rows[: _CLOCK + 1]] = 1.0
         if self._to_gravity:
@@ -144,6 +145,6 @@ class Between:
 
 
 def _diagonal(values: FloatArray) -> FloatArray:
-    """Diagonal matrices, shape (N, n, n), of their diagonals, shape (N, n)."""
+    """Return diagonal matrices, shape (N, n, n), with given diagonals, shape (N, n)."""
     matrices: FloatArray = values[..., None] * np.eye(values.shape[-1])
     return matrices

@@ -1,6 +1,6 @@
-"""The core of ``ship_attitude`` that tells each attitude a second time, later, by what was measured meanwhile.
+"""Core of ``ship_attitude`` with smoothing: each attitude is computed again later, with the measurements until then.
 
-What it tells at once is, to the last bit, what :class:`ShipAttitudeCore` tells.
+The real-time attitudes are bit-identical to those of :class:`ShipAttitudeCore`.
 """
 
 from collections import deque
@@ -27,22 +27,21 @@ from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
 _ATTITUDE, _CLOCK = slice(0, 3), 3
-"""What corrects the INS (:class:`Between`)."""
+"""Indices of attitude error and time offset of the INS (:class:`InsErrorPredictor`)."""
 
 _AT_ONCE = 1000
-"""Attitudes that are told again together at the end."""
+"""Number of attitudes that are smoothed together at the end."""
 
 _NO_PARTS = np.empty((0, 3, 3))
 
 
 class _ToldAtOnce(NamedTuple):
-    """An attitude as it was told at once.
+    """A real-time attitude.
 
     Attributes:
-        estimate: without the state that it rests on and without the parts of its covariance: many are kept.
-        disputed_n: what it adds to its covariance because sources are apart, rad², shape (3, 3); None for nothing.
-        is_doubtful: whether the sources contradicted one another, or the INS was excluded: what the filter then knew
-            is not smoothed.
+        estimate: the attitude without filter state and covariance by error source, to save memory.
+        separation_covariance_n: covariance added for solution separations, rad², shape (3, 3); None for none.
+        has_fault: True for an unresolved fault or an excluded INS; such an attitude is not smoothed.
     """
 
     estimate: AttitudeEstimate
@@ -51,13 +50,13 @@ class _ToldAtOnce(NamedTuple):
 
 
 class SmoothingCore(ShipAttitudeCore):
-    """The estimator of the ship's attitude, now and once more with hindsight.
+    """Estimator of the ship attitude, in real time and smoothed.
 
     Args:
-        config: the node's parameters.
-        watch: the sky; None where no sensor looks at it itself.
-        lag_s: an attitude is told again so long after its stamp, and not before all measurements up to it are final;
-            None where that is asked for at the end of all (:meth:`smoothed_to_the_end`).
+        config: parameters of the node.
+        sky_model: sky model; None if no sensor needs it.
+        lag_s: delay of a smoothed attitude after its stamp, s, at least until all measurements up to it are final;
+            None to smooth only at the end (:meth:`smoothed_estimates`).
     """
 
     filter_class: ClassVar[type[ShipFilter]] = TracedFilter
@@ -71,24 +70,24 @@ class SmoothingCore(ShipAttitudeCore):
         super().__init__(config, watch, self._closed.extend)
 
     def _another(self, watch: SkyWatch | None) -> ShipAttitudeCore:
-        """See :meth:`ShipAttitudeCore._another`; it smooths nothing before it is adopted."""
+        """See :meth:`ShipAttitudeCore._new_estimator`; the new one does not smooth before it is adopted."""
         another = SmoothingCore(self.config, watch, None if self._lag_ns is None else self._lag_ns / SECOND_NS)
         another._smooths = False
         return another
 
     def take_over_outputs(self, live: ShipAttitudeCore) -> None:
-        """See :meth:`ShipAttitudeCore.take_over_outputs`; the smoothed attitudes begin a new segment."""
+        """See :meth:`ShipAttitudeCore.take_over_outputs`; smoothing starts a new segment."""
         super().take_over_outputs(live)
         self._smooths = True
         self.forget_told()
 
     def _begin(self, state: FilterState) -> None:
-        """See :meth:`ShipAttitudeCore._begin`; what was not told again is not told again any more."""
+        """See :meth:`ShipAttitudeCore._start_without_samples`; pending smoothed attitudes are discarded."""
         super()._begin(state)
         self.forget_told()
 
     def forget_told(self) -> None:
-        """Begin anew with what is told from now on; what was not told again is not told again any more."""
+        """Restart smoothing from now; pending smoothed attitudes are discarded."""
         self._closed.clear()
         self._told.clear()
         oldest = self._shell.oldest_state
@@ -101,7 +100,7 @@ class SmoothingCore(ShipAttitudeCore):
         self._chain.between = self._between()
 
     def look_ahead(self, block: SampleBlock, arrivals_ns: object) -> None:
-        """No sample is judged before its turn: each one's attitude is kept."""
+        """Return None: samples are processed one by one, because each attitude is stored."""
 
     def add_ins(self, sample: AttitudeSample, arrival_ns: int | None = None, estimate: bool = True) -> AttitudeOutcome:
         """See :meth:`ShipAttitudeCore.add_ins`."""
@@ -116,7 +115,7 @@ class SmoothingCore(ShipAttitudeCore):
         return outcome
 
     def smoothed(self) -> list[AttitudeEstimate]:
-        """The attitudes that are due to be told again, in the order of their stamps."""
+        """Return the smoothed attitudes that are ready, in the order of their stamps."""
         self._take(self._closed)
         self._closed.clear()
         if self._lag_ns is None:
@@ -124,14 +123,14 @@ class SmoothingCore(ShipAttitudeCore):
         return self._smoothed_until(min(self._shell.window.newest_ns - self._lag_ns, self._closed_ns))
 
     def smoothed_to_the_end(self) -> Iterator[AttitudeEstimate]:
-        """All attitudes that were not told again yet, by all that was measured; nothing may come after it."""
+        """Yield all remaining attitudes smoothed with all measurements; no input may follow."""
         self._take([*self._closed, *self._shell.states_in_window()])
         self._closed.clear()
         while self._told:
             last = self._told[min(len(self._told), _AT_ONCE) - 1]
             yield from self._smoothed_until(last.estimate.time_ns)
 
-    # -- what is kept ---------------------------------------------------------------------------------------
+    # -- stored data ----------------------------------------------------------------------------------------
 
     def _forget_before(self, time_ns: int) -> None:
         self._closed_ns = time_ns
@@ -150,10 +149,10 @@ class SmoothingCore(ShipAttitudeCore):
             assert isinstance(state, TracedState)
             self._chain.add(state)
 
-    # -- what is told again ---------------------------------------------------------------------------------
+    # -- smoothed attitudes ---------------------------------------------------------------------------------
 
     def _smoothed_until(self, time_ns: int) -> list[AttitudeEstimate]:
-        """The attitudes up to a moment, those that are not smoothed as they were told at once."""
+        """Return the attitudes up to a time, smoothed where possible, else as published in real time."""
         found = self._chain.take_until(time_ns)
         known = {
             moment_ns: Known(mean, covariance)
@@ -176,26 +175,26 @@ class SmoothingCore(ShipAttitudeCore):
         return estimates
 
     def _as_it_was(self, estimate: AttitudeEstimate) -> AttitudeEstimate:
-        """An attitude that was told at once; the INS's drift bears all of its covariance."""
+        """Return a real-time attitude; its covariance is assigned to the error source INS drift."""
         parts = np.zeros((len(self.filter.model.sources), 3, 3))
         parts[self._corrected.drift_index] = estimate.covariance_n
         return replace(estimate, covariance_parts_n=parts)
 
     def _ins_at(self, time_ns: int, corrects: Known) -> InterpolatedAttitude | None:
-        """The INS's attitude of a moment; None where its samples do not tell it from both sides."""
+        """Return the interpolated INS attitude for a time; None without samples on both sides."""
         moved_s = -(self.config.ins.time_offset_s + corrects.mean.item(_CLOCK))
         return self._track.at(time_ns + round(moved_s * SECOND_NS))
 
     def _corrected_again(
         self, again: Sequence[tuple[_ToldAtOnce, Known, InterpolatedAttitude]]
     ) -> list[AttitudeEstimate]:
-        """Attitudes of the INS corrected by what is known of its errors with hindsight."""
+        """Return INS attitudes corrected by the smoothed INS errors."""
         corrected, estimates = self._corrected, []
         if not again:
             return []
         errors = np.array([corrects.mean[_ATTITUDE] for _, corrects, _ in again])
         parts = np.zeros((len(again), len(self.filter.model.sources), _CLOCK + 1, _CLOCK + 1))
-        # What each source has in it is not carried back: the INS's drift bears all of it.
+        # The covariance by error source is not smoothed; all of it is assigned to the INS drift.
         parts[:, corrected.drift_index] = [corrects.covariance for _, corrects, _ in again]
         rotations_nd, parts_n = compiled_rotations.corrected(
             np.arange(len(again), dtype=np.intp),
@@ -228,7 +227,7 @@ class SmoothingCore(ShipAttitudeCore):
 
 
 def _alone(estimate: AttitudeEstimate) -> AttitudeEstimate:
-    """An attitude that holds no array of others."""
+    """Return a copy of an attitude that shares no array with others and holds no filter state."""
     covariance_n = estimate.covariance_n.copy()
     return replace(
         estimate,

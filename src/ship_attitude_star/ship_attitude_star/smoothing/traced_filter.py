@@ -1,4 +1,4 @@
-"""The ship's filter, whose states tell how the estimate by all sources came about: what a smoother must know."""
+"""Ship filter whose states record the last update of the main filter, for smoothing."""
 
 from dataclasses import dataclass
 
@@ -22,29 +22,29 @@ from ship_geometry.rotations import FloatArray
 
 @dataclass(frozen=True)
 class TracedState(FilterState):
-    """A state with its last step.
+    """A filter state with its last update.
 
     Attributes:
-        came: by the last measurement used, or the last jump; None before the first.
+        last_update: update by the last accepted measurement or the last jump; None before the first.
     """
 
     came: Came | None = None
 
     @property
     def given(self) -> VerticalHere | None:
-        """The vertical at its moment, which prediction asks for."""
+        """Vertical at the time of the state, needed for prediction."""
         return self.vertical
 
 
 class TracedFilter(ShipFilter):
-    """The step from state to state as :class:`ShipFilter` makes it, to the last bit; its states are traced."""
+    """Filter with results bit-identical to those of :class:`ShipFilter`, whose states record their last update."""
 
     def __init__(self, config: ShipAttitudeConfig, vertical: VerticalTrack | None = None) -> None:
         super().__init__(config, vertical)
         self.suspects = _TracedSuspects(config, self.model, self.devices)
 
     def opened(self, state: FilterState, jump: InsChange) -> FilterState:
-        """See :meth:`ShipFilter.opened`: by the jump an error comes to the predicted state."""
+        """See :meth:`ShipFilter.apply_ins_change`; the inflation is recorded as an update."""
         after = super().opened(state, jump)
         assert isinstance(after, TracedState)
         both = Known(after.mean, after.covariance)
@@ -53,10 +53,10 @@ class TracedFilter(ShipFilter):
 
 
 class _TracedSuspects(Suspects):
-    """The verdicts on traced states."""
+    """Fault detection on states that record their last update."""
 
     def start(self, mean: FloatArray, parts: FloatArray) -> FilterState:
-        """See :meth:`Suspects.start`."""
+        """See :meth:`FaultDetector.initial_state`."""
         return TracedState(**vars(super().start(mean, parts)))
 
     def learned(
@@ -68,7 +68,7 @@ class _TracedSuspects(Suspects):
         compared: RowsCompared,
         accepted: NDArray[np.bool_],
     ) -> FilterState:
-        """See :meth:`Suspects.learned`."""
+        """See :meth:`FaultDetector.update`."""
         after = super().learned(state, predicted, measurement, measured, compared, accepted)
         if after.means is state.means:
             return after

@@ -1,4 +1,4 @@
-"""The core of the node ``star_attitude``: exposures of star sensors in, attitudes of sensors and deck out.
+"""Core of the node ``star_attitude``: attitudes of sensors and deck from exposures of star sensors.
 
-The room may import measurements, sky, stars and guards. It does not import the core of ``ship_attitude``.
+The folder may import measurements, sky, stars and guards. It does not import the core of ``ship_attitude``.
 """

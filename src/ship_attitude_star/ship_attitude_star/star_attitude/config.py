@@ -1,4 +1,4 @@
-"""Parameters of the ``star_attitude`` node. Each states its unit, range and meaning; names are dotted."""
+"""Parameters of the ``star_attitude`` node, with unit, range and meaning; parameter names are dotted."""
 
 from dataclasses import dataclass
 
@@ -11,32 +11,32 @@ from ship_estimation.parameter_fields import mapping_of, parameter, section, sou
 
 @dataclass(frozen=True, kw_only=True)
 class ObservingSensorConfig(MountingConfig):
-    """One star sensor whose ``star/<id>/observations`` are solved."""
+    """Parameters of a star sensor whose ``star/<id>/observations`` are solved."""
 
     camera: GivenCameraConfig = section(GivenCameraConfig)
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointConfig:
-    """Which exposures of different sensors make one attitude of the deck."""
+    """Parameters for joining exposures of different sensors to one attitude of the deck."""
 
     window_s: float = parameter(
         0.1,
-        doc="exposures no further apart are joined, moved to one moment by ins/imu",
+        doc="largest time between joined exposures; ins/imu propagates them to one time",
         unit="s",
         minimum=0.0,
         maximum=10.0,
     )
     simultaneous_s: float = parameter(
         1e-4,
-        doc="the same without ins/imu: no further apart than the ship is at rest",
+        doc="the same without ins/imu, so short that the ship does not rotate",
         unit="s",
         minimum=0.0,
         maximum=0.1,
     )
     wait_s: float = parameter(
         0.5,
-        doc="an exposure waits this long for those of other sensors, and for ins/imu",
+        doc="maximum time an exposure waits for those of other sensors and for ins/imu",
         unit="s",
         minimum=0.0,
         maximum=60.0,
@@ -50,12 +50,12 @@ class StarAttitudeConfig(StarSensorsById):
     star_sensors: dict[str, ObservingSensorConfig] = mapping_of("star sensors by id")
     sky: SkyConfig = section(SkyConfig)
     use_ins: bool = parameter(
-        True, doc="ins/imu, where it is there, helps to choose among stars and moves exposures to one moment"
+        True, doc="use ins/imu, if received, to select stars and to propagate exposures to one time"
     )
     ins: StarInsConfig = section(StarInsConfig)
     joint: JointConfig = section(JointConfig)
     lag_s: float = parameter(
-        2.0, doc="exposures later than this behind the newest data are not used", unit="s", minimum=0.0, maximum=600.0
+        2.0, doc="exposures older than this behind the newest data are not used", unit="s", minimum=0.0, maximum=600.0
     )
     frames: DeckFrame = section(DeckFrame)
     sources_off: tuple[str, ...] = sources_off()

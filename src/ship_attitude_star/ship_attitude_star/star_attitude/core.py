@@ -1,9 +1,9 @@
-"""Exposures of star sensors in, attitudes out: the core that the node ``star_attitude`` and the replay share.
+"""Core of the node ``star_attitude``, shared with the replay: attitudes from exposures of star sensors.
 
-The core knows no ROS, no files and no clock. Each exposure gives the attitude of its sensor, at its own time; exposures
-may come in any order within ``lag_s``. Exposures of different sensors that are near in time give the attitude of the
-deck, in order of time. No attitude depends on the one before, so this core needs only the shell's window of arrivals
-(:mod:`ship_estimation.estimator_shell`). How long something waits is measured in the time of waiting, as there.
+The core uses no ROS, no files and no clock. Each exposure yields the attitude of its sensor at the time of the
+exposure; exposures may arrive in any order within ``lag_s``. Exposures of different sensors that are near in time yield
+the attitude of the deck, in time order. No attitude depends on the one before, so the core uses only the window of
+arrivals of :mod:`ship_estimation.time_ordered_estimator`. Waiting is measured in the time of waiting, as there.
 """
 
 from collections.abc import Callable, Collection, Iterator
@@ -50,13 +50,13 @@ _EXACT: FloatArray = np.zeros((3, 3))
 
 @dataclass(frozen=True)
 class _Waiting:
-    """An exposure that waits to be solved.
+    """An exposure that is not solved yet.
 
     Attributes:
-        exposure: its stars.
-        refused: further stars of its message, which were refused already.
-        arrival_ns: when it came, in the time of waiting.
-        reach_ns: how far from its middle the motion of the deck must be known.
+        exposure: stars of the exposure.
+        rejected_stars: stars of the message that were already rejected.
+        arrival_ns: arrival time, in the time of waiting.
+        reach_ns: time before and after its middle for which the motion of the deck is needed.
     """
 
     exposure: StarExposure
@@ -66,13 +66,13 @@ class _Waiting:
 
 
 class JointWindow:
-    """Decides which exposures of different sensors make one joint solution, and when it is time to make it.
+    """Grouping of exposures of different sensors for joint solutions.
 
-    It makes groups. An exposure belongs to one group at most, and a group holds one exposure of a sensor at most.
+    An exposure belongs to at most one group, and a group has at most one exposure of each sensor.
 
     Args:
-        sources: all sensors.
-        config: how far apart in time the exposures of a group may be, and how long a group waits for more of them.
+        sources: names of all sensors.
+        config: maximum time between the exposures of a group, and waiting time for more exposures.
     """
 
     def __init__(self, sources: Collection[str], config: JointConfig) -> None:
@@ -85,11 +85,11 @@ class JointWindow:
         self._last_ns: int | None = None
 
     def add(self, item: PlacedExposure, arrival_ns: int | None = None) -> bool:
-        """Take an exposure, in the place of one of the same sensor and stamp. False where its group is closed.
+        """Add an exposure, replacing one of the same sensor and stamp; return False if its group is complete already.
 
         Args:
             item: the exposure.
-            arrival_ns: when it came, in the time of waiting; None where each comes at its moment.
+            arrival_ns: arrival time, in the time of waiting; None if it equals the stamp.
         """
         if self._last_ns is not None and item.time_ns <= self._last_ns:
             return False
@@ -101,16 +101,16 @@ class JointWindow:
         return True
 
     def closed(self, movable: Callable[[int, int], bool], waiting_ns: int | None) -> Iterator[list[PlacedExposure]]:
-        """The groups that are complete, or have waited long enough, in order of time.
+        """Yield the groups that are complete or have waited long enough, in time order.
 
         Args:
-            movable: whether the INS tells how the deck turned between two moments (both ns).
-            waiting_ns: the time of waiting now; None where it is not known.
+            is_turn_known: returns True if the rotation of the deck between two times (ns) is known.
+            waiting_ns: current time of waiting; None if not known.
         """
         while self._items:
             group = self._group(movable)
             first_ns = group[0].time_ns
-            # A sensor whose exposure is there, even if it is too late for this group, gives nothing more for it.
+            # A sensor with a later exposure provides no more exposures for this group.
             awaited = self._sources - {item.source for item in self._items}
             since_ns = self._arrivals_ns[first_ns, group[0].source]
             if awaited and (waiting_ns is None or waiting_ns - since_ns < self._wait_ns):
@@ -123,7 +123,7 @@ class JointWindow:
             yield group
 
     def _group(self, movable: Callable[[int, int], bool]) -> list[PlacedExposure]:
-        """The earliest exposure, and of each other sensor the next one that is near enough in time."""
+        """Return the earliest exposure, and of each other sensor the next one that is near enough in time."""
         first_ns = self._items[0].time_ns
         group: dict[str, PlacedExposure] = {}
         for item in self._items:
@@ -136,14 +136,14 @@ class JointWindow:
 
 
 class StarCore:
-    """Attitudes from stars.
+    """Estimator of attitudes from stars alone.
 
     Args:
-        config: the node's parameters.
-        watch: the sky.
+        config: parameters of the node.
+        sky_model: sky model.
 
     Attributes:
-        joined_by_ins: whether the INS could move the exposures of the last joint solution to one moment.
+        joined_by_ins: True if the INS attitude was known at the time of the last joint solution.
     """
 
     def __init__(self, config: StarAttitudeConfig, watch: SkyWatch) -> None:
@@ -155,12 +155,12 @@ class StarCore:
         self.reset()
 
     def reset(self, clock_jumped: bool = False) -> None:
-        """Forget all inputs; outputs may start again at earlier times, whether the clock jumped or not."""
+        """Discard all inputs; outputs may start again at earlier times, also without a jump of the clock."""
         self._watch.reset()
         self._begin()
 
     def step_time_base(self, step_ns: int, _state: None = None) -> None:
-        """Go on by clocks that have stepped: place and air are carried over the step, all exposures are forgotten."""
+        """Continue after a step of the time base: position and air data are shifted, exposures are discarded."""
         self._watch.step_time_base(step_ns)
         self._begin()
 
@@ -177,12 +177,12 @@ class StarCore:
         self.joined_by_ins = False
 
     def reconfigure(self, config: StarAttitudeConfig) -> None:
-        """Go on with other sigmas; geometry and the set of sensors stay."""
+        """Continue with changed noise parameters; geometry and the set of sensors stay."""
         self._config = config
         self._ins.reconfigure(config.ins)
 
     def add_ins(self, sample: AttitudeSample) -> StarOutcome:
-        """Take the deck's attitude by the INS. It helps to choose among stars, and moves exposures to one moment."""
+        """Add an INS sample, used to select stars and to propagate exposures to one time."""
         late = self._arrivals.late(sample.time_ns)
         if late is not None:
             return StarOutcome(late)
@@ -192,13 +192,13 @@ class StarCore:
         return outcome
 
     def look_ahead(self, block: SampleBlock, arrivals_ns: StampArray) -> InsTurns | None:
-        """Judge samples of the INS before their turn; see :meth:`InsMotion.look_ahead`."""
+        """Check the INS samples of a block as one batch; see :meth:`InsMotion.evaluate_batch`."""
         return self._ins.look_ahead(block, arrivals_ns, self._config.lag_s)
 
     def take_ahead(self, turns: InsTurns, stop: int) -> None:
-        """Samples that were judged ahead have their turn, up to one that is not included."""
+        """Commit the samples of a batch before index ``stop``."""
         while turns.taken < stop:
-            # Where an exposure waits, it may be for this very sample. Groups that wait, wait for exposures.
+            # A pending exposure may need this sample. Pending groups wait for exposures only.
             end, outcome = turns.taken + 1 if self._waiting else stop, StarOutcome()
             self._ins.take(turns, end)
             self._arrivals.move_to(turns.samples[end - 1].time_ns)
@@ -207,7 +207,7 @@ class StarCore:
                 turns.told.append((end - 1, outcome))
 
     def end_ahead(self, turns: InsTurns) -> StarOutcome | None:
-        """All had their turn: the outcome of the last one where that does not go the usual way."""
+        """Finish a batch; return the outcome of the sample that needs separate handling, None without one."""
         refusal = self._ins.end(turns)
         if turns.followed.last is None:
             return None
@@ -217,11 +217,11 @@ class StarCore:
         return outcome
 
     def estimates_ahead(self, _turns: InsTurns) -> list[tuple[slice, StarOutcome]]:
-        """Nothing is put out with a sample of the INS but what its turn led to."""
+        """Return no estimates: INS samples produce only the outcomes of :meth:`commit_batch`."""
         return []
 
     def add_surroundings(self, given: SkyInput) -> Refusal | None:
-        """Take a position fix or a reading of the air; returns why it is not used."""
+        """Add a position fix or an air reading; return why it is not used, else None."""
         refusal = self._watch.surroundings.refusal(given)
         self._watch.surroundings.insert(given)
         return refusal
@@ -229,12 +229,12 @@ class StarCore:
     def add_exposure(
         self, exposure: StarExposure, refused: tuple[RefusedStar, ...] = (), arrival_ns: int | None = None
     ) -> StarOutcome:
-        """The stars of a sensor. Of two exposures with one stamp neither is solved, where they differ.
+        """Add an exposure. Of two different exposures with one stamp neither is solved.
 
         Args:
-            exposure: the stars.
-            refused: further stars of the message that cannot be used.
-            arrival_ns: when it came, in the time of waiting; None where each comes at its stamp.
+            exposure: stars of the exposure.
+            rejected_stars: stars of the message that cannot be used.
+            arrival_ns: arrival time, in the time of waiting; None if it equals the stamp.
         """
         used, refusal = self._judged(exposure)
         if not used:
@@ -248,29 +248,29 @@ class StarCore:
         return outcome
 
     def contest(self, source: str, text: str) -> None:
-        """Set that two publishers send as a source; an empty text ends it."""
+        """Record that two publishers send as a source; an empty text ends it."""
         contradictions = self._of_ins if source == INS else self._contradictions
         contradictions.contest(source, self._arrivals.newest_ns, text)
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> StarOutcome:
-        """Solve what has waited long enough.
+        """Solve exposures and groups that have waited long enough.
 
         Args:
-            now_ns: the time now.
-            waiting_ns: the same in the time of waiting; None where the two are one.
+            now_ns: current time.
+            waiting_ns: current time in the time of waiting; None if it equals ``now_ns``.
         """
         outcome = StarOutcome()
         self._solve(outcome, now_ns if waiting_ns is None else waiting_ns)
         return outcome
 
     def not_measured(self) -> list[str]:
-        """Names of the quantities of the air that are taken from parameters at the newest time of the data."""
+        """Return the names of the air quantities that are taken from parameters at the newest time of the data."""
         return self._watch.surroundings.not_measured(self._arrivals.newest_ns)
 
-    # -- what is used ---------------------------------------------------------------------------------------
+    # -- checks ---------------------------------------------------------------------------------------------
 
     def _judged(self, exposure: StarExposure) -> tuple[bool, Refusal | None]:
-        """Whether an exposure is used, and what is to be said of it; a conflict is told even of one that is used."""
+        """Return True if an exposure is used, and a rejection or remark; a conflict is reported in either case."""
         refusal = self._arrivals.late(exposure.time_ns)
         if refusal is not None:
             return False, refusal
@@ -281,12 +281,12 @@ class StarCore:
         told = same_stamp(known, exposure)[1]
         if told.reason is Reason.DUPLICATE:
             return False, told
-        # Neither of the two is solved: a solution that is out already is taken back by one that claims nothing.
+        # Neither of the two is solved; a solution that was published already is replaced by an INVALID one.
         self._contradictions.note(exposure.source, exposure.time_ns, told)
-        return True, replace(told, text="the same stamp with other content; do two sensors publish on one topic?")
+        return True, replace(told, text="the same stamp with different content: do two sensors publish on one topic?")
 
     def _wait(self, new: _Waiting) -> None:
-        """Put an exposure among those that wait, in the place of one of the same sensor and stamp."""
+        """Add an exposure to the pending ones, replacing one of the same sensor and stamp."""
         key = new.exposure.source, new.exposure.time_ns
         for index, old in enumerate(self._waiting):
             if (old.exposure.source, old.exposure.time_ns) == key:
@@ -294,10 +294,10 @@ class StarCore:
                 return
         self._waiting.append(new)
 
-    # -- in order of time -----------------------------------------------------------------------------------
+    # -- solutions in time order ----------------------------------------------------------------------------
 
     def _advance(self, outcome: StarOutcome) -> None:
-        """Solve what can be solved now, and forget what no exposure to come needs."""
+        """Solve pending exposures where possible, and discard data that no later exposure needs."""
         self._solve(outcome, None)
         oldest_ns = self._arrivals.oldest_ns - self._wait_ns
         self._watch.surroundings.drop_before(oldest_ns)
@@ -330,7 +330,7 @@ class StarCore:
             outcome.solved.append(joint)
 
     def _solve_one(self, waiting: _Waiting) -> tuple[PlacedExposure, Solved]:
-        """The attitude of one sensor by one exposure; the guards see by it whether another sensor stands still."""
+        """Solve the attitude of a sensor from one exposure, and add it as motion reference for the checks."""
         contradiction = self._contradiction(waiting.exposure.source, waiting.exposure.time_ns)
         if contradiction is not None:
             return not_solved(waiting.exposure, waiting.refused, contradiction)
@@ -338,13 +338,13 @@ class StarCore:
         middle = self._ins.at_middle(waiting.exposure, sensor)
         exposure, prior = middle.exposure, self._ins.sensor(waiting.exposure.time_ns, sensor)
         if prior is not None and exposure.length is not None and exposure.smear_s is None:
-            # Its solution would be compared with the INS, and the errors along its streaks are not known.
+            # The solution would be compared with the INS, but its errors along the streaks are not known.
             return not_solved(exposure, waiting.refused, exposure.length.not_covered)
         placed, solved = solve_exposure(
             exposure, waiting.refused, prior, self._watch, middle.noise_variance, middle.error_variance
         )
         if exposure.length is not None and exposure.smear_s is None and solved.valid:
-            text = f"ins/imu does not tell how the ship turned in {exposure.length.exposure_s:g} s of exposure"
+            text = f"no rotation of the ship from ins/imu during the exposure of {exposure.length.exposure_s:g} s"
             solved = replace(solved, text="; ".join(filter(None, [solved.text, text])))
         if solved.sources:
             rotation_ns, covariance_n = solved.solution.rotation_nb, solved.solution.covariance_n
@@ -354,12 +354,12 @@ class StarCore:
 
     def _joint(self, group: list[PlacedExposure]) -> Solved:
         time_ns = group[0].time_ns
-        # A sensor may have contradicted itself after its exposure was solved.
+        # A conflict of a sensor may have been detected after its exposure was solved.
         group = [
             placed if self._contradiction(placed.source, placed.time_ns) is None else replace(placed, stars=None)
             for placed in group
         ]
-        # Where the INS does not tell the turn, the exposures are so close in time that the ship is at rest.
+        # Without a known rotation the exposures are so close in time that the ship does not rotate.
         turns = self._ins.turns(time_ns, [placed.exposure for placed in group])
         mounted = [
             Mounted(placed, turn @ self._sensor(placed.source).rotation_ds)
@@ -370,13 +370,13 @@ class StarCore:
         return solve_deck(time_ns, mounted, turns.covariance_d, self._config.star_sensors, prior)
 
     def _contradiction(self, source: str, time_ns: int) -> Refusal | None:
-        """Why an exposure is not solved: its sensor, place or air is contested, or its sensor contradicted itself."""
+        """Return the rejection of an exposure for conflicting data of its sensor, position or air, or None."""
         contested = [name for name in self._contradictions.contested if name == source or name not in self._sources]
         if contested:
             return Refusal(Reason.CONFLICT, self._contradictions.text(contested))
         if source not in self._contradictions.at(time_ns):
             return None
-        text = f"its stars are used again when it has agreed with itself for {AGREES_AGAIN_AFTER_S:g} s"
+        text = f"its stars are used again after {AGREES_AGAIN_AFTER_S:g} s without a contradiction"
         return Refusal(Reason.CONFLICT, f"{self._contradictions.text([source])}: {text}")
 
     def _sensor(self, source: str) -> ObservingSensorConfig:

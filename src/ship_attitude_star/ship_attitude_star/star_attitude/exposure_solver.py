@@ -1,4 +1,4 @@
-"""Exposures against the sky: the attitude of one sensor, the attitude of the deck by several, and the stars refused."""
+"""Attitude of a sensor from one exposure, attitude of the deck from several, and the rejected stars."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -19,20 +19,20 @@ from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.rotations import FloatArray
 
 _SAME_FRAME: FloatArray = np.eye(3)
-_AGAINST_INS = "the stars agree with one another, but not with ins/imu"
+_AGAINST_INS = "the stars are consistent with each other, but not with ins/imu"
 
 
 @dataclass(frozen=True)
 class RefusedStar:
-    """A star that had no part in a solution.
+    """A star that is not part of a solution.
 
     Attributes:
-        source: ``star.<id>``, the sensor that saw it.
+        source: ``star.<id>``, the sensor that measured it.
         time_ns: stamp of the exposure.
-        name: which star, for people.
-        refusal: why.
-        residual: measured minus predicted direction, up and right in the sensor, rad; empty where it was not compared.
-        sigma: standard deviation of each of the two, rad; NaN where it was not compared.
+        name: name of the star for texts.
+        rejection: reason of the rejection.
+        residual: measured minus predicted direction, up and right in the sensor, rad; empty if it was not compared.
+        sigma: standard deviation of each residual component, rad; NaN if it was not compared.
     """
 
     source: str
@@ -45,15 +45,15 @@ class RefusedStar:
 
 @dataclass(frozen=True)
 class Solved:
-    """An attitude from stars: of a sensor, or of the deck by several.
+    """An attitude from stars: of a sensor, or of the deck from several sensors.
 
     Attributes:
-        sensor_id: which sensor, or JOINT.
-        time_ns: moment of validity: the stamp of the exposure, of a joint solution that of its first exposure.
+        sensor_id: id of the sensor, or JOINT.
+        time_ns: time of validity: stamp of the exposure, for a joint solution of its first exposure.
         solution: the attitude.
-        refused: stars that had no part in it.
-        sources: the sensors whose stars have a part in it, ``star.<id>``.
-        text: what else is to be said, for people; mostly empty.
+        rejected_stars: rejected stars.
+        sources: sensors whose stars are used, ``star.<id>``.
+        text: remark for the user; mostly empty.
     """
 
     sensor_id: str
@@ -65,18 +65,18 @@ class Solved:
 
     @property
     def valid(self) -> bool:
-        """Whether there is an attitude."""
+        """True if there is an attitude."""
         return self.solution.status is not SolutionStatus.INVALID
 
 
 @dataclass
 class StarOutcome:
-    """What one input of the core led to.
+    """Outcome of one input of the core.
 
     Attributes:
-        refusal: why this very input was not used; None where it was used, or still waits.
+        rejection: rejection of this input; None if it was used or is pending.
         solved: solutions to publish, in order.
-        not_joined: exposures (source, stamp) that came too late for the joint solution of their time.
+        not_joined: exposures (source, stamp) that arrived too late for the joint solution of their time.
     """
 
     refusal: Refusal | None = None
@@ -86,16 +86,16 @@ class StarOutcome:
 
 @dataclass(frozen=True)
 class PlacedExposure:
-    """An exposure whose stars have their places in the sky.
+    """An exposure with the apparent directions of its stars.
 
     Attributes:
         source: ``star.<id>``.
         time_ns: stamp of the exposure.
-        exposure: the stars that can be used.
-        stars: the same stars with their places, in the sensor frame; None where no star can be placed in the sky.
-        refused: stars that had no part in the solution of the sensor.
-        turn_variance: variance of an error that turns all directions alike, each axis, rad². The correction for the
-            length of the exposure leaves it, beside the noise of the INS.
+        exposure: the usable stars.
+        stars: the same stars with measured and apparent directions; None if no apparent direction is known.
+        rejected_stars: stars rejected in the solution of the sensor.
+        turn_variance: variance of an error that rotates all directions equally, each axis, rad²: the remaining error of
+            the correction for the exposure time, without the INS noise.
     """
 
     source: str
@@ -108,11 +108,11 @@ class PlacedExposure:
 
 @dataclass(frozen=True)
 class Mounted:
-    """An exposure in the deck frame of another moment.
+    """An exposure in the deck frame at another time.
 
     Attributes:
-        placed: the exposure.
-        rotation_ds: deck at that moment from sensor at its exposure, shape (3, 3).
+        exposure: the exposure.
+        rotation_ds: deck at that time from sensor at its exposure, shape (3, 3).
     """
 
     placed: PlacedExposure
@@ -122,7 +122,7 @@ class Mounted:
 def not_solved(
     exposure: StarExposure, refused: tuple[RefusedStar, ...], refusal: Refusal
 ) -> tuple[PlacedExposure, Solved]:
-    """What becomes of an exposure that is refused as a whole: no attitude, and nothing to join."""
+    """Return an exposure that is rejected as a whole, without stars and without attitude."""
     solution = no_attitude(np.zeros(len(exposure), dtype=bool), refusal)
     placed = PlacedExposure(exposure.source, exposure.time_ns, exposure, None, refused)
     return placed, Solved(exposure.source.partition(".")[2], exposure.time_ns, solution, refused, ())
@@ -136,15 +136,16 @@ def solve_exposure(
     noise_variance: float = 0.0,
     turn_variance: float = 0.0,
 ) -> tuple[PlacedExposure, Solved]:
-    """The attitude of a sensor by one exposure.
+    """Solve the attitude of a sensor from one exposure.
 
     Args:
-        exposure: its stars.
-        refused: stars that were refused before.
-        prior: attitude of the sensor that helps to choose among the stars; None where it is not known.
-        watch: the sky.
-        noise_variance: variance that the noise of the INS gives to a turn of all directions alike, each axis, rad².
-        turn_variance: the same of another such error, new at each exposure.
+        exposure: stars of the exposure.
+        rejected_stars: stars that were already rejected.
+        prior: attitude of the sensor for the selection of stars; None if not known.
+        sky_model: sky model.
+        noise_variance: variance of a rotation of all directions by INS noise, each axis, rad².
+        turn_variance: variance of a rotation of all directions by another error, independent between exposures, each
+            axis, rad².
     """
     source, time_ns = exposure.source, exposure.time_ns
     sensor_id = source.partition(".")[2]
@@ -176,15 +177,15 @@ def solve_deck(
     sensors: dict[str, ObservingSensorConfig],
     prior: StarPrior | None,
 ) -> Solved:
-    """The attitude of the deck by exposures of different sensors.
+    """Solve the attitude of the deck from exposures of different sensors.
 
     Args:
-        time_ns: moment of the attitude.
+        time_ns: time of the attitude.
         group: the m exposures.
-        turn_covariance_d: of the errors of the turns to this moment, rotation vectors in the deck, rad², shape
-            (m, 3, m, 3).
-        sensors: parameters of the sensors by id; they tell how well the mounting is known.
-        prior: attitude of the deck that helps to choose among the stars; None where it is not known.
+        turn_covariance_d: covariance of the errors of the rotations to this time, rotation vectors in the deck frame,
+            rad², shape (m, 3, m, 3).
+        sensors: parameters of the sensors by id, with the uncertainty of their mountings.
+        prior: attitude of the deck for the selection of stars; None if not known.
     """
     with_stars = [index for index, mounted in enumerate(group) if mounted.placed.stars is not None]
     seeing = group
@@ -208,7 +209,7 @@ def solve_deck(
 def _in_deck(
     group: Sequence[Mounted], turn_covariance_d: FloatArray, sensors: dict[str, ObservingSensorConfig]
 ) -> SightedStars:
-    """All stars in the deck frame, with the errors of their sensors' mounting and of the turns to this moment."""
+    """Return all stars in the deck frame, with the errors of mountings and of rotations to the common time."""
     stars = [mounted.placed.stars for mounted in group if mounted.placed.stars is not None]
     mounting_b = np.empty((len(group), 3, 3))
     for index, mounted in enumerate(group):
@@ -231,7 +232,10 @@ def _in_deck(
 
 
 def _turned_in_deck(group: Sequence[Mounted], turn_covariance_d: FloatArray) -> FloatArray | None:
-    """Turn of each of m exposures by one sigma of each error of the turns, rad, (m, 3, 3 m); None where none errs."""
+    """Return the rotation of each of m exposures by one standard deviation of each rotation error, rad, (m, 3, 3 m).
+
+    None if there is no such error.
+    """
     own = [mounted.placed.turn_variance for mounted in group]
     if not (any(own) or turn_covariance_d.any()):
         return None
@@ -241,7 +245,7 @@ def _turned_in_deck(group: Sequence[Mounted], turn_covariance_d: FloatArray) -> 
 
 
 def _smear_in_deck(stars: Sequence[SightedStars], group: Sequence[Mounted]) -> FloatArray | None:
-    """What streaks add to the errors of all stars, in the deck frame, rad², shape (k, 3, 3); None where none does."""
+    """Return the covariance added by streaks to all stars, deck frame, rad², shape (k, 3, 3); None for none."""
     if all(s.smear_b is None for s in stars):
         return None
     return np.concatenate(
@@ -253,21 +257,21 @@ def _smear_in_deck(stars: Sequence[SightedStars], group: Sequence[Mounted]) -> F
 
 
 def _rivals(stars: Sequence[SightedStars]) -> FloatArray | None:
-    """What may be taken for these stars, per steradian, shape (k,); None where the names of all are sure."""
+    """Return the density of false matches for all stars, 1/sr, shape (k,); None if all identities are certain."""
     if all(s.rivals is None for s in stars):
         return None
     return np.concatenate([np.zeros(len(s)) if s.rivals is None else s.rivals for s in stars])
 
 
 def _pixel_sigma(stars: Sequence[SightedStars]) -> FloatArray | None:
-    """Pixel-spatial errors of all stars, rad per axis, shape (k,); None where no sensor has one."""
+    """Return the pixel-spatial errors of all stars, rad per axis, shape (k,); None if no sensor has one."""
     if all(s.pixel_sigma is None for s in stars):
         return None
     return np.concatenate([np.zeros(len(s)) if s.pixel_sigma is None else s.pixel_sigma for s in stars])
 
 
 def _field_in_deck(stars: Sequence[SightedStars], group: Sequence[Mounted]) -> FloatArray | None:
-    """Displacement of each sensor's stars by the lasting errors of its camera, in the deck frame, rad, (k, 3, f)."""
+    """Return the displacement of the stars by correlated camera errors, deck frame, rad, (k, 3, f); None for none."""
     count = sum(len(s.field_sources) for s in stars)
     if not count:
         return None
@@ -281,13 +285,13 @@ def _field_in_deck(stars: Sequence[SightedStars], group: Sequence[Mounted]) -> F
 
 
 def _rows(group: Sequence[Mounted]) -> list[slice]:
-    """The rows of each sensor's stars among the stars of all sensors."""
+    """Return the slice of each sensor's stars among the stars of all sensors."""
     ends = list(accumulate(len(mounted.placed.exposure) for mounted in group))
     return [slice(start, end) for start, end in zip([0, *ends], ends, strict=False)]
 
 
 def _rejected(solution: StarSolution, group: Sequence[Mounted]) -> list[RefusedStar]:
-    """The stars that a solution rejects, each with its residual in the frame of its sensor."""
+    """Return the stars that a solution rejects, each with its residual in the frame of its sensor."""
     rejected: list[RefusedStar] = []
     if not solution.rejected:
         return rejected

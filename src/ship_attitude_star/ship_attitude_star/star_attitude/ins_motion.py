@@ -1,12 +1,12 @@
-"""The ship's motion by its INS: the attitude of the deck and of its sensors, and turns from one moment to another.
+"""Ship motion from the INS: attitudes of the deck and of sensors, and rotations between two times.
 
-The attitude helps to choose among stars. Turns move the stars of an exposure to its middle, and exposures of several
-sensors to one moment.
+The attitude is used to select stars. Rotations propagate the stars of an exposure to its middle, and exposures of
+several sensors to one time.
 
-A turn is the difference of two attitudes by the INS, and has the noise of both. Between two samples an attitude is a
-weighted mean of the samples around, so attitudes that lie close together share the noise of the same samples. The noise
-of a turn with the weights w1 at one end and w2 at the other is therefore (w1 - w2)² of each sample: nothing where the
-ends meet, and the sum of both where they are samples apart. Several turns to one moment share its noise likewise.
+A rotation is the difference of two INS attitudes and has the noise of both. An interpolated attitude is a weighted mean
+of the samples around it, so attitudes close together share the noise of the same samples. With the weights w1 at one
+end and w2 at the other, the noise variance of a rotation is (w1 - w2)² of each sample: zero if the ends coincide, the
+sum of both if they have no sample in common. Several rotations to one time share the noise at that time.
 """
 
 from collections.abc import Sequence
@@ -35,14 +35,13 @@ INS = "ins"
 
 @dataclass(frozen=True)
 class MiddleOfExposure:
-    """The stars of an exposure where they stood at its middle, as far as the INS tells it.
+    """An exposure reduced to its middle by the INS.
 
     Attributes:
         exposure: the stars.
-        noise_variance: variance that the noise of the INS's samples gives to a turn of all directions alike, each
-            axis, rad².
-        error_variance: the same of what else is wrong with the correction: of the interpolation, or of the whole turn
-            during an exposure over which the INS has no samples.
+        noise_variance: variance of a rotation of all directions by INS noise, each axis, rad².
+        error_variance: variance of a rotation of all directions by other errors of the reduction, each axis, rad²:
+            interpolation, or the unmeasured rotation during an exposure without INS samples.
     """
 
     exposure: StarExposure
@@ -52,11 +51,11 @@ class MiddleOfExposure:
 
 @dataclass(frozen=True)
 class DeckTurns:
-    """How the deck turned from each of m exposures to one moment.
+    """Rotations of the deck from m exposures to one time.
 
     Attributes:
-        rotations: "deck at that moment from deck at the exposure", shape (m, 3, 3).
-        covariance_d: of the errors of all of them, rotation vectors in the deck, rad², shape (m, 3, m, 3).
+        rotations: deck at that time from deck at the exposure, shape (m, 3, 3).
+        covariance_d: covariance of their errors, rotation vectors in the deck frame, rad², shape (m, 3, m, 3).
     """
 
     rotations: FloatArray
@@ -65,14 +64,14 @@ class DeckTurns:
 
 @dataclass
 class InsTurns:
-    """Samples of a block that were judged ahead, and have their turn among the other inputs.
+    """A batch of checked INS samples.
 
     Attributes:
-        samples: those that go the usual way, from the first one on.
-        values: attitudes of all that were judged, shape (N, 3, 3).
-        followed: what the guard said of them, and of one more where that does not go the usual way.
-        taken: how many had their turn.
-        told: number of a sample, and what its turn led to, as far as nobody has asked for it.
+        samples: samples of the batch, from the first of the block.
+        values: attitudes of all checked samples, shape (N, 3, 3).
+        checked: results of the INS check, including a last sample that needs separate handling.
+        committed_count: number of committed samples.
+        pending_outcomes: index of a sample and its outcome, not yet retrieved.
     """
 
     samples: list[AttitudeSample]
@@ -83,15 +82,15 @@ class InsTurns:
 
 
 class InsMotion:
-    """Attitudes of the deck by their stamps, with the INS's errors as configured.
+    """Attitudes of the deck from the INS, with the configured INS errors.
 
     Args:
-        config: the INS.
-        guards: watch its samples.
-        contradictions: of the INS; None for new ones.
+        config: parameters of the INS.
+        plausibility: plausibility checks.
+        stamp_conflicts: conflicts of INS samples with one stamp; None for a new record.
 
     Attributes:
-        track: the samples by their stamps.
+        track: INS samples in time order.
     """
 
     def __init__(
@@ -106,31 +105,31 @@ class InsMotion:
         self._jumps: list[InsJump] = []
 
     def reconfigure(self, config: StarInsConfig) -> None:
-        """Go on with other sigmas."""
+        """Continue with changed noise parameters."""
         self._config = config
         self._guards.ins.reconfigure(config)
 
     def add(self, sample: AttitudeSample) -> Refusal | None:
-        """Take a sample; the refusal where it is not used."""
+        """Add a sample; return the rejection if it is not used."""
         return self._use(self._guards.ins.judge(sample, self.track, self._guards.witnesses))
 
     def look_ahead(self, block: SampleBlock, arrivals_ns: StampArray, lag_s: float) -> InsTurns | None:
-        """Judge samples before their turn, from the first one on, as long as they go the usual way.
+        """Check the samples of a block as one batch, up to the first sample that needs separate handling.
 
-        Until all of them had their turn (:meth:`take`, :meth:`end`) no other sample is taken.
+        No other sample may be added until the batch is committed (:meth:`commit_batch`, :meth:`finish_batch`).
 
         Args:
             block: samples with rates, in the order of their stamps.
-            arrivals_ns: when each comes, by the clock that judges stamps, shape (N,).
-            lag_s: samples so late are not used.
+            arrivals_ns: arrival times by the clock that checks stamps, shape (N,).
+            lag_s: maximum lateness of samples, s.
 
         Returns:
-            None where the first one is to be taken by itself.
+            The batch; None if the first sample needs separate handling.
         """
         newest, guard = self.track.newest, self._guards.ins
         if newest is None or not guard.looks_ahead(int(block.times_ns[0])):
             return None
-        # No sample after a gap, and none that may be late, whatever else has come before its turn.
+        # No sample after a gap, and none that may be too late.
         steps_ns = np.diff(block.times_ns, prepend=newest.time_ns)
         near = (steps_ns > 0) & (steps_ns <= self._max_gap_ns) & surely_in_time(block.times_ns, arrivals_ns, lag_s)
         block = block.some(slice(len(near) if near.all() else int(np.argmin(near))))
@@ -143,17 +142,17 @@ class InsMotion:
         return InsTurns(samples[: followed.usual], block.rotations_nd[: followed.count], followed)
 
     def take(self, turns: InsTurns, stop: int) -> None:
-        """Samples that were judged ahead have their turn, up to one that is not included."""
+        """Commit the samples of a batch before index ``stop``."""
         self.track.extend(turns.samples[turns.taken : stop])
         turns.taken, self._guards.ins.by_rates = stop, turns.followed.by_rates(stop - 1)
 
     def end(self, turns: InsTurns) -> Refusal | None:
-        """All samples that were judged ahead had their turn, but for one that does not go the usual way."""
+        """Finish a batch; use a last sample that needs separate handling and return its rejection, if any."""
         self._guards.ins.arrive(turns.values, turns.followed, self._guards.witnesses)
         return None if turns.followed.last is None else self._use(turns.followed.last)
 
     def _use(self, judged: JudgedIns) -> Refusal | None:
-        """Use a sample that was judged; the refusal where it is not used."""
+        """Use a checked sample; return the rejection if it is not used."""
         if judged.rates_wrong_after_ns is not None:
             self.track.forget_rates(judged.rates_wrong_after_ns)
         for jump in judged.jumps:
@@ -172,14 +171,14 @@ class InsMotion:
         return refusal
 
     def awaited(self, time_ns: int, reach_ns: int = 0) -> bool:
-        """Whether samples still to come may tell the attitude from a moment until ``reach_ns`` later."""
+        """True if pending samples may provide the attitude from a time until ``reach_ns`` later."""
         newest, stamp_ns = self.track.newest, time_ns - self._offset_ns
         if newest is None or stamp_ns - newest.time_ns >= self._max_gap_ns or self._contradicts_itself(stamp_ns):
             return False
         return not self.track.covers(stamp_ns + reach_ns)
 
     def deck(self, time_ns: int) -> StarPrior | None:
-        """The attitude of the deck at a moment, with all errors that the INS may have; None where it is not known."""
+        """Return the attitude of the deck at a time, with all INS errors; None if it is not known."""
         found = self._at(time_ns)
         if found is None:
             return None
@@ -194,18 +193,18 @@ class InsMotion:
         return StarPrior(found.rotation_nd, covariance_n + found.error_covariance_n)
 
     def tells_turn(self, to_ns: int, from_ns: int) -> bool:
-        """Whether it is known how the deck turned between two moments; at one and the same moment it did not turn."""
+        """True if the rotation of the deck between two times is known; always for equal times."""
         if to_ns == from_ns:
             return True
         told = self._at(to_ns) is not None and self._at(from_ns) is not None
         return told and bool(np.all(self._jumped_n(to_ns) == self._jumped_n(from_ns)))
 
     def turns(self, to_ns: int, exposures: Sequence[StarExposure]) -> DeckTurns:
-        """The turns of the deck from the middles of exposures to one moment.
+        """Return the rotations of the deck from the middles of exposures to one time.
 
-        The slow error of the INS is the same at all moments and cancels. What is left is its noise, and its time offset
-        where the rate changes. The noise of :meth:`at_middle` is included, because the turn to the middle and that from
-        there on have it in common. Where the INS does not tell a turn, the deck is taken to have been at rest.
+        The correlated error of the INS is constant over these times and cancels. Noise remains, and the effect of the
+        time offset if the rate changes. The noise of :meth:`at_middle` is included, because the rotation to the middle
+        and that from there on share it. If a rotation is not known, the deck is assumed not to rotate.
         """
         moved = [
             row
@@ -228,14 +227,14 @@ class InsMotion:
     def _turns_between(
         self, end: InterpolatedAttitude, starts: Sequence[InterpolatedAttitude]
     ) -> tuple[FloatArray, FloatArray]:
-        """Turns from m attitudes by the INS to one, and the covariance of what is wrong with them beside noise.
+        """Return the rotations from m INS attitudes to one, and the covariance of their errors without noise.
 
         Returns:
-            Rotations, shape (m, 3, 3), and the covariance of their rotation vectors, rad², shape (m, 3, m, 3).
+            Rotations, shape (m, 3, 3), and covariance of their rotation vectors, rad², shape (m, 3, m, 3).
         """
         to_end = np.array([end.rotation_nd.T @ start.rotation_nd for start in (end, *starts)])
         rates_d = np.array([found.rate_d for found in (end, *starts)])
-        # At a sample there is no error of interpolation, between samples there are one or two estimates of it.
+        # There is no interpolation error at a sample; between samples there are one or two estimates of it.
         errors_d = np.zeros((len(to_end), 2, 3))
         for row, found in enumerate((end, *starts)):
             if found.errors_d:
@@ -248,7 +247,7 @@ class InsMotion:
         return to_end[1:], of_turns
 
     def sensor(self, time_ns: int, mounting: MountingConfig) -> StarPrior | None:
-        """The attitude of a sensor (horizon from sensor) at a moment, with the errors of INS and mounting."""
+        """Return the attitude of a sensor (horizon from sensor) at a time, with the errors of INS and mounting."""
         deck = self.deck(time_ns)
         if deck is None:
             return None
@@ -257,10 +256,9 @@ class InsMotion:
         return StarPrior(rotation_ns, deck.covariance_n + mounting_n @ mounting_n.T)
 
     def at_middle(self, exposure: StarExposure, mounting: MountingConfig) -> MiddleOfExposure:
-        """The stars where they stood at the middle of the exposure, by the turning of the deck meanwhile.
+        """Return an exposure reduced to its middle by the rotation of the deck during it.
 
-        Constant errors of the INS have no part in the turning. Where the INS does not tell it, the stars stay where
-        they were seen.
+        Constant INS errors do not affect the rotation. Without a known rotation the stars stay as measured.
         """
         length = exposure.length
         if length is None:
@@ -275,11 +273,11 @@ class InsMotion:
         return MiddleOfExposure(corrected, white_variance, turning.correction_error)
 
     def drop_before(self, time_ns: int) -> None:
-        """Forget what is not needed for moments at or after ``time_ns``."""
+        """Discard data that are not needed for times at or after ``time_ns``."""
         self.track.drop_before(time_ns - self._offset_ns)
 
     def _noise_of_turn(self, to_ns: int, exposure: StarExposure) -> list[tuple[int, float]]:
-        """Moments (ns, stamps of the INS) whose attitudes make the turn from an exposure, each with its weight."""
+        """Return the INS stamps (ns) whose attitudes make up the rotation from an exposure, each with its weight."""
         middle_ns, length = exposure.time_ns - self._offset_ns, exposure.length
         if length is not None and exposure.smear_s is not None:
             return [*length.nodes.moments(middle_ns), (to_ns - self._offset_ns, -1.0)]
@@ -288,7 +286,7 @@ class InsMotion:
         return [(middle_ns, 1.0), (to_ns - self._offset_ns, -1.0)]
 
     def _noise_variance(self, time_ns: int) -> float:
-        """Variance of an attitude's noise about its worst axis at a moment, rad²."""
+        """Return the largest noise variance of an INS attitude about an axis at a time, rad²."""
         stated = (self._config.white_sigma_arcsec * ARCSEC) ** 2
         extra, found = self.track.extra_noise(time_ns - self._offset_ns), self._at(time_ns)
         if extra is None or found is None:
@@ -296,7 +294,7 @@ class InsMotion:
         return stated + extra.white_rad2 + extra.jitter_s2 * float(found.rate_d @ found.rate_d)
 
     def _jumped_n(self, time_ns: int) -> FloatArray:
-        """Sum of all jumps of the INS until a moment, rotation vector, rad: its attitude may be wrong by as much."""
+        """Return the sum of all INS jumps until a time, rotation vector, rad; its attitude may be wrong by it."""
         before = [jump.jump_n for jump in self._jumps if jump.time_ns < time_ns - self._offset_ns]
         return np.sum(before, axis=0) if before else np.zeros(3)
 
@@ -305,5 +303,5 @@ class InsMotion:
         return None if self._contradicts_itself(stamp_ns) else self.track.at(stamp_ns)
 
     def _contradicts_itself(self, stamp_ns: int) -> bool:
-        """Whether the INS said different things of one moment not long ago: then it tells nothing."""
+        """True if the INS recently sent different samples with one stamp; then it is not used."""
         return INS in self._contradictions.at(stamp_ns)

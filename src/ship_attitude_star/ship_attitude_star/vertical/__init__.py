@@ -1,4 +1,4 @@
-"""The vertical under way: how gravity differs from the ellipsoid's normal at the ship's place, and how far she sailed.
+"""Vertical along the track: deflection of the vertical at the ship's position, and distance run.
 
-Knows the ship's place (room ``sky``) and what messages say (room ``measurements``), no star and no filter.
+The folder imports the ship position (``sky``) and ``measurements``, but neither stars nor the filter.
 """

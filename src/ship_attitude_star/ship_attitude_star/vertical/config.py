@@ -1,4 +1,4 @@
-"""Parameters of the deflection of the vertical: where it is known from, how well, and how fast it changes."""
+"""Parameters of the deflection of the vertical: source, uncertainty and correlation length."""
 
 import math
 from dataclasses import dataclass
@@ -23,15 +23,15 @@ def _column(doc: str, unit: str, most: float) -> tuple[float, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class GravityConfig:
-    """The deflection of the vertical, which an INS that levels itself on gravity has in its tilt.
+    """Parameters of the deflection of the vertical, which is part of the tilt of an INS levelled by gravity.
 
-    The components are those of gravity's zenith: xi northward, eta eastward.
+    The components are those of the gravity zenith: xi northward, eta eastward.
     """
 
     deflection: str = parameter(
         NONE,
-        doc="where the deflection is known from; unknown: estimated alone; none: part of the INS's own slow error; "
-        "with ins.model schuler, as unknown, but not published",
+        doc="source of the deflection; unknown: only estimated; none: part of the correlated INS error, or with "
+        "ins.model schuler as unknown, but not published",
         choices=(NONE, UNKNOWN, CONSTANT, TABLE, TOPIC),
     )
     xi_arcsec: float = _component_arcsec("the constant deflection, northward")
@@ -42,36 +42,36 @@ class GravityConfig:
     table_eta_arcsec: tuple[float, ...] = _column("deflections of the table's rows, eastward", "arcsec", 300.0)
     table_reach_m: float = parameter(
         10_000.0,
-        doc="beyond this from the table's track, and between rows further apart, the table tells nothing",
+        doc="largest distance from the table's track, and between its rows, at which the table is used",
         unit="m",
         minimum=1.0,
         maximum=1e6,
     )
-    sigma_arcsec: float = arcsec(2.0, doc="error of the deflection that is given, each component")
+    sigma_arcsec: float = arcsec(2.0, doc="error of a known deflection (constant, table, topic), each component")
     unknown_sigma_arcsec: float = arcsec(
-        20.0, doc="the deflection where none is given, each component, by the sea (vertical.md); 0: there is none"
+        20.0, doc="deflection where it is not known, each component, for the sea area (vertical.md); 0: none"
     )
     correlation_length_m: float = parameter(
         30_000.0,
-        doc="way over ground on which either of the two changes",
+        doc="correlation length over ground of sigma_arcsec and unknown_sigma_arcsec",
         unit="m",
         minimum=100.0,
         maximum=1e6,
     )
     max_age_s: float = parameter(
-        600.0, doc="a message on gravity/deflection tells nothing after this", unit="s", minimum=1.0, maximum=1e6
+        600.0, doc="maximum age of a message on gravity/deflection", unit="s", minimum=1.0, maximum=1e6
     )
 
     @property
     def is_modelled(self) -> bool:
-        """Whether the deflection is told apart from the INS's own error."""
+        """True if the deflection is a state separate from the INS error."""
         return self.deflection != NONE
 
     def __post_init__(self) -> None:
-        """Check what belongs together.
+        """Check parameters that depend on each other.
 
         Raises:
-            ParameterError: names the parameter.
+            ParameterError: the table is incomplete, or a value is missing or not finite.
         """
         rows = len(self.table_latitude_deg)
         for name in _TABLE_COLUMNS:
@@ -80,10 +80,10 @@ class GravityConfig:
                 text = f"parameter 'gravity.{name}' has {len(column)} values, table_latitude_deg has {rows}"
                 raise ParameterError(f"{text}: give one of each for every row", f"gravity.{name}")
             if not all(math.isfinite(value) for value in column):
-                raise ParameterError(f"parameter 'gravity.{name}' holds a value that is no number", f"gravity.{name}")
+                raise ParameterError(f"parameter 'gravity.{name}' has a value that is not finite", f"gravity.{name}")
         if self.deflection == TABLE and rows < 2:
             text = f"parameter 'gravity.table_latitude_deg' has {rows} rows, and gravity.deflection is 'table'"
             raise ParameterError(f"{text}: give two rows or more", "gravity.table_latitude_deg")
         if self.is_modelled and not self.unknown_sigma_arcsec > 0.0:
             name = "gravity.unknown_sigma_arcsec"
-            raise ParameterError(f"parameter '{name}' must be more than 0: no deflection is known to be none", name)
+            raise ParameterError(f"parameter '{name}' must be more than 0 if the deflection is a state", name)

@@ -1,4 +1,4 @@
-"""A table of the deflection of the vertical along a track: what it says of a place."""
+"""Table of the deflection of the vertical along a track."""
 
 import math
 
@@ -10,10 +10,10 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 
 
 class DeflectionTable:
-    """Deflections at the rows of a track, and on the straight lines between successive rows.
+    """Deflections at the rows of a table, and on the straight segments between successive rows.
 
     Args:
-        config: the rows, and how far the table reaches.
+        config: rows and reach of the table.
     """
 
     def __init__(self, config: GravityConfig) -> None:
@@ -23,14 +23,14 @@ class DeflectionTable:
         self._reach_m = config.table_reach_m
 
     def at(self, place: GeodeticPosition) -> FloatArray | None:
-        """The deflection (xi, eta) at a place, rad, shape (2,); None where the table does not reach.
+        """Return the deflection (xi, eta) at a position, rad, shape (2,); None beyond the reach of the table.
 
-        The ship is put on the nearest point of the track. Between two rows the deflection changes evenly.
+        It is that of the nearest point of the track, interpolated linearly between two rows.
         """
         starts_m, ways_m = self._lines_from(place)
         lengths_m = np.hypot(*ways_m.T)
         bridged = lengths_m <= self._reach_m
-        # Where on each line the foot of the perpendicular lies, or the end next to it.
+        # Fraction along each segment of the foot of the perpendicular, or of the end next to it.
         along = -np.sum(starts_m * ways_m, axis=1) / np.maximum(lengths_m, 1e-3) ** 2
         share = np.clip(along, 0.0, 1.0)
         away_m = np.hypot(*(starts_m + share[:, None] * ways_m).T)
@@ -43,14 +43,14 @@ class DeflectionTable:
         return deflection
 
     def away_m(self, place: GeodeticPosition) -> float:
-        """How far the nearest row of the table is from a place, m."""
+        """Return the distance of the nearest row of the table from a position, m."""
         starts_m, ways_m = self._lines_from(place)
         return float(np.hypot(*np.vstack([starts_m, starts_m[-1:] + ways_m[-1:]]).T).min())
 
     def _lines_from(self, place: GeodeticPosition) -> tuple[FloatArray, FloatArray]:
-        """Start of each line as seen from a place, and the way to its end, (North, East), m, shapes (k - 1, 2).
+        """Return start and extent of each segment relative to a position, (North, East), m, shapes (k - 1, 2).
 
-        They are those of the plane that touches the ellipsoid at the place: at 100 km it is 0.1 % off.
+        They are in the tangent plane of the ellipsoid at the position; the error at 100 km is 0.1 %.
         """
         radius_north_m, radius_east_m = horizon_radii_m(place)
         east = np.remainder(self._longitude - place.longitude + math.pi, 2.0 * math.pi) - math.pi

@@ -1,7 +1,7 @@
-"""What is known of the vertical at any moment of a voyage: the deflection that is given, and the way over ground.
+"""Vertical at any time of a voyage: known deflection, and distance over ground.
 
-A moment is answered as the last even second before it. So the answers change in small steps, 0.02″ of a deflection that
-changes by 60″ in 50 km at 20 kn; and whatever the order of arrival, they are the same.
+The vertical is constant within intervals of two seconds. The steps are small, 0.02″ for a deflection that changes by
+60″ in 50 km at 20 kn, and the results do not depend on the order of arrival.
 """
 
 import bisect
@@ -22,27 +22,27 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
 STEP_NS = 2 * SECOND_NS
-"""Time between two moments at which place and deflection are asked for."""
+"""Interval at which position and deflection are evaluated, ns."""
 
 _MOVED_M = 100.0
-"""The ship has moved once she is so far away: what is less may be the noise of fixes, which would add up at anchor."""
+"""Minimum distance that counts as motion, m: at anchor the noise of fixes would add up."""
 
 _MOST_STEPS = 50_000
-"""Steps that are made up for after a gap, a day; after a longer one the way is taken to begin anew."""
+"""Maximum number of steps evaluated after a gap, a day; after a longer one the distance restarts at zero."""
 
 _MOST_MESSAGES = 10_000
-"""Messages that are kept."""
+"""Maximum number of stored messages."""
 
 
 class VerticalHere(NamedTuple):
-    """The vertical at one moment.
+    """The vertical at one time.
 
     Attributes:
-        along_m: way over ground since any begin.
-        latitude: of the ship's place, rad; NaN before the first fix.
-        velocity_m_per_s: of the ship over ground, northward and eastward; 0 before the first fix.
-        given: the deflection (xi, eta) that is known, rad, shape (2,); None where none is.
-        covariance: of the error of what is given, or of the deflection itself, rad², shape (2, 2).
+        distance_run_m: distance over ground from an arbitrary start, m.
+        latitude: latitude of the ship, rad; NaN before the first fix.
+        velocity_m_per_s: velocity of the ship over ground, northward and eastward; 0 before the first fix.
+        given_deflection: known deflection (xi, eta), rad, shape (2,); None for none.
+        covariance: covariance of the error of the known deflection, or of the unknown deflection, rad², shape (2, 2).
     """
 
     along_m: float
@@ -53,24 +53,25 @@ class VerticalHere(NamedTuple):
 
     @property
     def turn(self) -> FloatArray:
-        """The rotation vector of the geodetic horizon against that of gravity by (xi, eta), shape (3, 2).
+        """Derivative of the rotation vector of the geodetic horizon relative to the gravity horizon, shape (3, 2).
 
-        R_geodetic = exp(turn @ (xi, eta)) R_gravity, about (North, Up, East); a gyrocompass errs by eta tan L.
+        R_geodetic = exp(deflection_jacobian @ (xi, eta)) R_gravity, about (North, Up, East); a gyrocompass has the
+        error eta tan L.
         """
         return np.array([[0.0, 1.0], [0.0, 0.0 if math.isnan(self.latitude) else math.tan(self.latitude)], [-1.0, 0.0]])
 
 
 _NOWHERE = VerticalHere(0.0, math.nan, (0.0, 0.0), None, np.zeros((2, 2)))
-"""What is known before the first position fix."""
+"""The vertical before the first position fix."""
 
 
 class _Knot(NamedTuple):
-    """The vertical at an even second.
+    """The vertical at the start of an interval.
 
     Attributes:
-        here: what is known.
-        anchor: where the ship was when she had moved last; None where no place was known yet.
-        place: at that moment; None where no fix is near enough in time.
+        vertical: the vertical.
+        anchor: position at the last counted motion of the ship; None before the first position.
+        place: position at this time; None if no fix is near enough in time.
     """
 
     here: VerticalHere
@@ -79,14 +80,14 @@ class _Knot(NamedTuple):
 
 
 class VerticalTrack:
-    """Position fixes and deflections in, the vertical at any moment out.
+    """Vertical at any time, from position fixes and deflections.
 
     Args:
-        config: where the deflection is known from.
-        sky: how long a fix holds.
+        config: parameters of the deflection.
+        sky: parameters of position fixes.
 
     Attributes:
-        unknown_variance: of a component of the deflection where none is given, rad².
+        unknown_variance: variance of a component of an unknown deflection, rad².
     """
 
     def __init__(self, config: GravityConfig, sky: SkyConfig) -> None:
@@ -98,7 +99,7 @@ class VerticalTrack:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything."""
+        """Discard all inputs and results."""
         self._place = PlaceByFixes(self._sky)
         self._messages: list[DeflectionReading] = []
         self._stamps: list[int] = []
@@ -106,14 +107,14 @@ class VerticalTrack:
         self._newest_step: int | None = None
 
     def twin(self) -> "VerticalTrack":
-        """Return a track for another estimator, with copies of the inputs."""
+        """Return an independent copy for another estimator."""
         twin = copy.copy(self)
         twin._place = copy.deepcopy(self._place)
         twin._messages, twin._stamps, twin._knots = list(self._messages), list(self._stamps), dict(self._knots)
         return twin
 
     def step_time_base(self, step_ns: int) -> None:
-        """Carry fixes and deflections over a step of their clocks; the way begins where the ship is."""
+        """Shift the stamps of fixes and deflections by a step of the time base; the distance restarts."""
         self._place.step_time_base(step_ns)
         self._messages = [replace(message, time_ns=message.time_ns + step_ns) for message in self._messages]
         self._stamps = [stamp_ns + step_ns for stamp_ns in self._stamps]
@@ -123,62 +124,62 @@ class VerticalTrack:
     # -- inputs ---------------------------------------------------------------------------------------------
 
     def refusal(self, given: "PositionFix | DeflectionReading") -> Refusal | None:
-        """Why an input is not used, or not as it came; to be asked before :meth:`insert`."""
+        """Return the rejection or remark for an input, or None; call it before :meth:`insert`."""
         if isinstance(given, PositionFix):
             return self._place.refusal(given)
         index = bisect.bisect_left(self._stamps, given.time_ns)
         if index < len(self._stamps) and self._stamps[index] == given.time_ns:
             return same_stamp(self._messages[index], given)[1]
         if index == 0 and len(self._stamps) >= _MOST_MESSAGES:
-            return Refusal(Reason.LATE, "its stamp lies before what is remembered of its own source")
+            return Refusal(Reason.LATE, "its stamp is older than the stored messages of its source")
         return None
 
     def insert(self, given: "PositionFix | DeflectionReading") -> int | None:
-        """Take an input; returns the moment (ns) after which answers may have changed, None for nothing."""
+        """Add an input; return the time after which results may have changed, ns, None for no change."""
         changed_after_ns = self._place.insert(given) if isinstance(given, PositionFix) else self._put(given)
         if changed_after_ns is None:
             return None
         return self._forget_knots_after(changed_after_ns)
 
     def drop_before(self, time_ns: int, asked_since_ns: int) -> None:
-        """Forget what no answer needs any more.
+        """Discard data that are no longer needed.
 
         Args:
-            time_ns: no input before this changes anything.
-            asked_since_ns: no earlier moment is asked for.
+            time_ns: inputs before this time are final.
+            needed_since_ns: earliest time for which the vertical is still needed.
         """
         settled, oldest = time_ns // STEP_NS, asked_since_ns // STEP_NS
         if self._newest_step is not None:
-            # Later knots rest on it, and not on what is forgotten.
+            # Later points are computed from this one.
             self._knot(max(settled, self._newest_step))
         self._place.drop_before(settled * STEP_NS)
-        # They are in the order of time: a knot is made after the one before it.
+        # Points are in time order, because each is computed after the one before it.
         while self._knots and ((first := next(iter(self._knots))) < oldest or len(self._knots) > _MOST_STEPS):
             del self._knots[first]
         passed = bisect.bisect_right(self._stamps, settled * STEP_NS) - 1
         if passed > 0:
             del self._stamps[:passed], self._messages[:passed]
 
-    # -- answers --------------------------------------------------------------------------------------------
+    # -- results --------------------------------------------------------------------------------------------
 
     def at(self, time_ns: int) -> VerticalHere:
-        """The vertical at a moment; within an even second the same object, as long as no input has changed it."""
+        """Return the vertical at a time; within an interval the same object, until an input changes it."""
         return self._knot(time_ns // STEP_NS).here
 
     def told(self, time_ns: int) -> str:
-        """What is lacking at a moment, for people; empty where all is known, or no deflection is ever given."""
+        """Return a text about missing data at a time; empty if nothing is missing."""
         knot = self._knot(time_ns // STEP_NS)
         if self._config.deflection == NONE:
-            lacking = "no position fix: the INS's error oscillates as at another latitude"
+            lacking = "no position fix: the error model of the INS uses a wrong latitude"
             return "" if knot.place is not None else lacking
         if knot.here.given is not None or self._config.deflection in (CONSTANT, "unknown"):
             return ""
         if self._table is None:
             return f"no message on gravity/deflection within max_age_s = {self._config.max_age_s:g}"
         if knot.place is None:
-            return "no position fix: what the table says here is not known"
+            return "no position fix: the deflection table cannot be used"
         away_km = 1e-3 * self._table.away_m(knot.place.observer.position)
-        return f"the table has no row for the ship's place: the nearest is {away_km:.0f} km away (gravity.table_…)"
+        return f"no row of the deflection table near the ship: the nearest is {away_km:.0f} km away (gravity.table_…)"
 
     def _knot(self, step: int) -> _Knot:
         found = self._knots.get(step)
@@ -188,7 +189,7 @@ class VerticalTrack:
         if newest is None or step - newest > _MOST_STEPS:
             return self._keep(step, self._first(step))
         if step < newest:
-            # Before the first that was ever asked for, or forgotten.
+            # Before the first computed point, or discarded.
             return self._first(step)
         knot = self._knots[newest]
         for later in range(newest + 1, step + 1):
@@ -200,15 +201,15 @@ class VerticalTrack:
         return knot
 
     def _first(self, step: int) -> _Knot:
-        """The vertical where the way begins."""
+        """Return the first point of the track."""
         place = self._place_at(step)
         return _Knot(self._here(step, 0.0, place, _NOWHERE), place, place)
 
     def _next(self, before: _Knot, step: int) -> _Knot:
-        """The vertical one step later."""
+        """Return the point one step later."""
         place, along_m = self._place_at(step), before.here.along_m
         if place is None:
-            # Nobody tells where she sails: as far as she was fast.
+            # Without a position the distance is extrapolated with the last velocity.
             along_m += math.hypot(*before.here.velocity_m_per_s) * STEP_NS / SECOND_NS
             return _Knot(self._here(step, along_m, None, before.here), before.anchor, None)
         if before.anchor is None:
@@ -221,7 +222,7 @@ class VerticalTrack:
         return _Knot(self._here(step, along_m, place, before.here), anchor, place)
 
     def _here(self, step: int, along_m: float, place: Place | None, before: VerticalHere) -> VerticalHere:
-        """What is known at an even second; where no place is known latitude and velocity are those of before."""
+        """Return the vertical at a step; without a position, latitude and velocity are those of the step before."""
         latitude, velocity = before.latitude, before.velocity_m_per_s
         if place is not None:
             latitude = float(place.observer.position.latitude)
@@ -231,7 +232,7 @@ class VerticalTrack:
         return VerticalHere(along_m, latitude, velocity, given, covariance)
 
     def _given(self, step: int, place: Place | None) -> tuple[FloatArray, FloatArray] | None:
-        """The deflection that is given, and the covariance of its error; None for nothing."""
+        """Return the known deflection and the covariance of its error; None if it is unknown."""
         config = self._config
         if config.deflection == CONSTANT:
             return ARCSEC * np.array([config.xi_arcsec, config.eta_arcsec]), self._given_covariance
@@ -252,7 +253,7 @@ class VerticalTrack:
     # ---------------------------------------------------------------------------------------------------------
 
     def _put(self, message: DeflectionReading) -> int | None:
-        """Put a message in its place; of two with the same stamp the one whose bytes sort first is kept."""
+        """Insert a message by its stamp; of two with the same stamp the one whose bytes sort first is kept."""
         index = bisect.bisect_left(self._stamps, message.time_ns)
         if index < len(self._stamps) and self._stamps[index] == message.time_ns:
             if self._messages[index].content() <= message.content():
@@ -268,7 +269,7 @@ class VerticalTrack:
         return message.time_ns - 1
 
     def _forget_knots_after(self, time_ns: int) -> int | None:
-        """Forget the answers after a moment; returns the moment after which they are gone, None where none is."""
+        """Discard the points after a time; return the time after which points were discarded, None for none."""
         gone = [step for step in self._knots if step * STEP_NS > time_ns]
         for step in gone:
             del self._knots[step]
@@ -279,7 +280,7 @@ class VerticalTrack:
 
 
 def _away_m(earlier: Place, later: Place) -> float:
-    """Way over ground between two places that are near to one another, m."""
+    """Return the distance over ground between two nearby positions, m."""
     radius_north_m, radius_east_m = earlier.horizon_radii_m
     here, there = earlier.observer.position, later.observer.position
     east = math.remainder(float(there.longitude - here.longitude), 2.0 * math.pi)
