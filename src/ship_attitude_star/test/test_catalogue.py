@@ -104,7 +104,7 @@ def test_files_that_do_not_fit_are_named(tmp_path):
     assert len(read_hipparcos2(path).hip) == 20
     for content in (b"", raw[:-1], raw[:20] + b"?" + raw[21:], raw[:43] + 7 * b" " + raw[50:]):
         path.write_bytes(content)
-        with pytest.raises(ValueError, match=r"hip2\.dat: not in the form of hip2\.dat"):
+        with pytest.raises(ValueError, match=r"hip2\.dat: not in the format of hip2\.dat"):
             read_hipparcos2(path)
     path.write_bytes(raw[277:554] + raw[:277])
     with pytest.raises(ValueError, match="do not increase"):

@@ -23,7 +23,7 @@ ACROSS_BOW = {"azimuths_deg": [350.0, 370.0, 360.0], "elevations_deg": [0.0, 0.0
         ({"flag": {"azimuths_deg": [0.0, 1.0], "elevations_deg": [0.0, 1.0]}}, "masks.flag': 2 azimuths and 2 elev"),
         (
             {"rail": {"azimuths_deg": [-10.0, 360.0, 0.0], "elevations_deg": [0.0, 0.0, 5.0]}},
-            "masks.rail.azimuths_deg': from -10 to 360 deg is more than once round the ship",
+            "masks.rail.azimuths_deg': from -10 to 360 deg spans more than a full circle",
         ),
     ],
 )

@@ -417,10 +417,10 @@ def test_sigma_of_the_centroid_changes_while_it_runs() -> None:
 
 
 def test_a_sensor_must_not_be_called_joint() -> None:
-    with pytest.raises(ParameterError, match=r"'star_sensors\.joint': 'joint' means all sensors"):
+    with pytest.raises(ParameterError, match=r"'star_sensors\.joint': 'joint' is reserved for all sensors"):
         new_adapter(star_sensors__joint={"azimuth_deg": 1.0, "elevation_deg": 2.0, "camera": camera()})
     # Fed with star/joint/solution beside the sensors' own, ship_attitude would count every star twice.
-    with pytest.raises(ParameterError, match=r"'star_sensors\.joint': 'joint' means all sensors"):
+    with pytest.raises(ParameterError, match=r"'star_sensors\.joint': 'joint' is reserved for all sensors"):
         small_voyage.config(star_sensors__joint={"azimuth_deg": 1.0, "elevation_deg": 2.0, "input": "solution"})
 
 

@@ -63,7 +63,7 @@ def test_detections_in_a_mask_are_no_stars_and_the_others_keep_their_names(watch
     named, reasons = identified(masked, prior_of(30.0), watch.at(TIME_NS))
     assert named.hip.tolist() == np.where(hidden, 0, exposure.hip).tolist()
     assert sorted(reasons) == np.flatnonzero(hidden).tolist()
-    assert {reason.text for reason in reasons.values()} == {"no star: it lies in the mask mast"}
+    assert {reason.text for reason in reasons.values()} == {"not a star: inside the mask mast"}
     without, none = identified(without_identity(exposure), prior_of(30.0), watch.at(TIME_NS))
     assert without.hip.tolist() == exposure.hip.tolist()
     assert not none
@@ -134,9 +134,9 @@ def sensor_with(masks: dict[str, Any], **camera: float) -> dict[str, Any]:
     ("masks", "reason"),
     [
         ({"wall": WALL}, "parameter 'star_sensors.fore.masks': wall cover the whole field of view"),
-        ({"left": LEFT, "right": RIGHT}, "left, right cover the whole field of view: no star is ever seen"),
+        ({"left": LEFT, "right": RIGHT}, "left, right cover the whole field of view, so that no star is visible"),
         ({"a": {**WALL, "elevations_deg": [1.0, 2.0]}}, "'star_sensors.fore.masks.a': 4 azimuths and 2 elevations"),
-        ({"a": {**WALL, "azimuths_deg": [0.0, 400.0, 9.0, 9.0]}}, "masks.a.azimuths_deg': from 0 to 400 deg is more"),
+        ({"a": {**WALL, "azimuths_deg": [0.0, 400.0, 9.0, 9.0]}}, "masks.a.azimuths_deg': from 0 to 400 deg spans"),
         ({"a": {**WALL, "azimuths_deg": [0.0, float("nan"), 9.0, 9.0]}}, r"masks.a.azimuths_deg\[1\]' must be finite"),
     ],
 )

@@ -199,7 +199,7 @@ def test_a_misidentified_star_is_named_with_its_angle():
     refusal = solution.rejected[8]
     angle = angle_between(scene.stars.measured_b[8] @ solution.rotation_nb.T, scene.stars.reference_n[8]) / ARCSEC
     assert refusal.reason is Reason.MISIDENTIFIED
-    assert f'{angle:.1f}" from its place, sigma 3.0"' in refusal.text
+    assert f'{angle:.1f}" from its expected direction, sigma 3.0"' in refusal.text
 
 
 def test_a_prior_verifies_two_stars_and_does_not_enter_the_attitude():
@@ -245,7 +245,7 @@ def test_stars_in_one_direction_are_refused_with_the_reason():
     )
     solution = solve_stars(stars)
     assert solution.status is SolutionStatus.INVALID
-    assert "the turn about it stays open" in solution.refusal.text
+    assert "the rotation about it is undetermined" in solution.refusal.text
 
 
 def with_optics(scene: Scene, rng: np.random.Generator) -> tuple[SightedStars, np.ndarray]:

@@ -56,7 +56,7 @@ def test_what_jumps_is_named_and_leaves_no_trace(node: str, fault: str) -> None:
     assert run.reasons(topic) == {"jump": 2}
     told = run.innovations(Reason.JUMP)
     assert [message.source for message in told] == [topic] * 2
-    assert all("from the last one believed" in message.reason_text for message in told)
+    assert all("from the last accepted value" in message.reason_text for message in told)
 
 
 def test_the_attitude_stays_valid() -> None:
@@ -103,7 +103,7 @@ def test_a_first_position_that_others_contradict_is_replaced_by_ten_of_them(node
     fixes = changed_where(fixes, lambda arrival: arrival.stamp_ns < good_ns, to_zero)
     run = NODES[node](in_order([*except_(short_voyage(5.0), FIX), *fixes]))
     assert run.reasons(FIX) == {"jump": 9}
-    assert "10 in a row agree" in run.innovations(Reason.JUMP)[0].reason_text
+    assert "10 in a row are consistent" in run.innovations(Reason.JUMP)[0].reason_text
     output, valid = ("ship/attitude", Status.VALID) if node == "ship_attitude" else ("star/fore/solution", 0)
     told = [(ns, message.status) for ns, topic, message in run.published if topic == output]
     assert valid not in {status for ns, status in told if START_NS < ns < settled_ns}

@@ -193,7 +193,7 @@ def test_without_a_young_fix_there_is_no_place_and_it_says_why() -> None:
         Reason.NO_FIX,
         "the nearest position fix is 60.1 s older: more than fix_max_age_s = 60",
     )
-    assert "younger" in fixes.place(ns(-61)).text
+    assert "newer" in fixes.place(ns(-61)).text
 
 
 def test_any_order_of_arrival_gives_the_same_places_to_the_last_bit() -> None:
@@ -278,7 +278,7 @@ def test_a_fix_that_jumps_is_refused_and_the_ship_sails_on(off_m: float) -> None
         wrong = PositionFix(ns(t), sailing(t, off_m)[1], SIGMA_M)
         refusal = fixes.refusal(wrong)
         assert refusal is not None
-        assert (refusal.reason, "from the last one believed" in refusal.text) == (Reason.JUMP, True)
+        assert (refusal.reason, "from the last accepted value" in refusal.text) == (Reason.JUMP, True)
         assert fixes.insert(wrong) is None
         place = fixes.place(ns(t))
         assert away_m(place, sailing(t)[1]) < 0.1

@@ -43,7 +43,7 @@ BROKEN = {
     "mask of two corners": (
         "    magnitude_limit: 6.0",
         "    masks:\n      flag: {azimuths_deg: [1.0, 2.0], elevations_deg: [1.0, 2.0]}",
-        "parameter 'star_sensors.fore.masks.flag': 2 azimuths and 2 elevations are no polygon",
+        "parameter 'star_sensors.fore.masks.flag': 2 azimuths and 2 elevations do not define a polygon",
     ),
     "no Earth orientation": (
         "2014-07-09T11:50:07.8Z",
