@@ -112,7 +112,7 @@ SENSOR = "sensors:\n  a: {azimuth_deg: 0.0, elevation_deg: 35.0}\n"
         (SENSOR + "common:\n  heading: 1.0\n", ":4: parameter 'common.heading' is unknown: expected one of"),
         ("sensors:\n  a/b: {azimuth_deg: 0.0, elevation_deg: 35.0}\n", ":2: .*letters, digits"),
         ("sensors: 3\n", "must be a group"),
-        (SENSOR + "ship_pitch_deg: -40.0\n", "-5.0 deg over the horizon, expected at least 5 deg"),
+        (SENSOR + "ship_pitch_deg: -40.0\n", "-5.0 deg above the horizon, expected at least 5 deg"),
         (SENSOR + "figures: {error_roll_arcsec: fast}\n", ":3: .*must be of type float, got 'fast'"),
         ("sensors: [\n", "bad.yaml"),
         ("", "bad.yaml:1: expected 'name: value'"),

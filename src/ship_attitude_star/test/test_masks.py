@@ -15,10 +15,10 @@ ACROSS_BOW = {"azimuths_deg": [350.0, 370.0, 360.0], "elevations_deg": [0.0, 0.0
 @pytest.mark.parametrize(
     ("masks", "reason"),
     [
-        ({"mast": ACROSS_BOW}, "sensors.a.azimuth_deg': mast stands in the field of view: the nearest clear azimuth"),
+        ({"mast": ACROSS_BOW}, "sensors.a.azimuth_deg': mast is in the field of view: the nearest clear azimuth"),
         (
             {"tarpaulin": {"azimuths_deg": [0.0, 360.0, 360.0, 0.0], "elevations_deg": [-90.0, -90.0, 90.0, 90.0]}},
-            "the masks tarpaulin leave no azimuth at this elevation clear",
+            "the masks tarpaulin leave no clear azimuth at this elevation",
         ),
         ({"flag": {"azimuths_deg": [0.0, 1.0], "elevations_deg": [0.0, 1.0]}}, "masks.flag': 2 azimuths and 2 elev"),
         (

@@ -224,7 +224,7 @@ def test_a_requirement_out_of_reach_ends_with_1_and_the_nearest_miss(
     out = tmp_path / "out"
     assert main([str(layout), "--out", str(out)]) == 1
     said = capsys.readouterr().out
-    assert "no layout meets the requirement; the nearest miss: 'all sensors moved'" in said
+    assert "no layout meets the requirement; nearest miss: 'all sensors moved'" in said
     assert "of 2 arcsec" in said
     page = (out / "layout_study.html").read_text(encoding="utf-8")
     assert "No layout meets it." in page
@@ -244,7 +244,7 @@ def test_a_horizon_that_leaves_no_place_is_in_the_nearest_miss() -> None:
 @pytest.mark.parametrize(
     ("values", "reason"),
     [
-        ({"alternatives": {"b": {"sensors": {}}}}, "alternatives.b': there is no requirement to judge it by"),
+        ({"alternatives": {"b": {"sensors": {}}}}, "alternatives.b': there is no requirement to evaluate it by"),
         (
             {
                 "requirement": {"roll_arcsec": 3.0},
@@ -269,5 +269,5 @@ def test_the_example_has_an_admissible_layout(tmp_path: Path, capsys: pytest.Cap
     assert f"  5 {AS_GIVEN:24}does not: pitch uses 101.1 %" in said
     assert {path.name for path in tmp_path.iterdir()} == set(written(study_config(read_plain(EXAMPLE).values)))
     page = (tmp_path / "layout_study.html").read_text(encoding="utf-8")
-    for words in ("What is required", "What elevation costs", "How large each error may be", "bridge_wings"):
+    for words in ("Requirement", "Effect of elevation", "Maximum size of each error", "bridge_wings"):
         assert words in page

@@ -297,7 +297,7 @@ def test_a_detection_without_a_name_is_not_given_that_of_another() -> None:
     for message in run.messages(SOLUTION[FORE]):
         assert (message.star_count, message.rejected_count) == (STARS, 1)
     assert run.reasons(FORE) == {"unidentified": len(only(voyage(), FORE))}
-    assert "claimed twice" in run.messages("star/innovation")[0].reason_text
+    assert "matched by two detections" in run.messages("star/innovation")[0].reason_text
 
 
 def test_without_a_name_and_without_an_ins_there_is_no_solution() -> None:

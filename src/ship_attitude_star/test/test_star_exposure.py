@@ -273,6 +273,6 @@ def test_identification_leaves_out_what_is_ambiguous_or_nowhere(watch):
     result, reasons = identified(unknown, prior, watch.at(TIME_NS))
     assert result.hip.tolist() == [0, 0, exposure.hip[2], 0]
     assert set(reasons) == {0, 1, 3}
-    assert "claimed twice" in reasons[0].text
+    assert "matched by two detections" in reasons[0].text
     assert "no catalogue star within the gate" in reasons[3].text
     assert CONFIG.sky.magnitude_limit > MAGNITUDE_LIMIT
