@@ -427,7 +427,7 @@ BROKEN = {
     "no such topic": ("topic: ins/imo, kind: drop, start_s: 1", ":2: 'faults.f.topic' = ins/imo is not in the bag"),
     "truth": ("topic: truth/attitude, kind: drop, start_s: 1", "'faults.f.topic' = truth/attitude is not in the bag"),
     "no such kind": ("topic: ins/imu, kind: explode, start_s: 1", "'faults.f.kind' = 'explode' must be one of drop"),
-    "cannot happen": ("topic: ins/imu, kind: slip, start_s: 1, azimuth_arcsec: 9", "= slip cannot happen to"),
+    "not applicable": ("topic: ins/imu, kind: slip, start_s: 1, azimuth_arcsec: 9", "= slip does not apply to"),
     "no size": ("topic: ins/imu, kind: knock, start_s: 1", "of kind knock needs forward_arcsec or up_arcsec or right"),
     "other size": ("topic: ins/imu, kind: drop, start_s: 1, east_m: 3", "'faults.f.east_m' is not used by kind drop"),
     "times": ("topic: ins/imu, kind: drop, start_s: 2, end_s: 1", "'faults.f.end_s' = 1.0 s must be after start_s"),
@@ -440,15 +440,15 @@ BROKEN = {
         "topic: ins/imu, kind: corrupt, start_s: 1, field: orientation_covariance", "has several elements: expected"
     ),
     "beyond": (
-        "topic: ins/imu, kind: corrupt, start_s: 1, field: 'orientation_covariance[9]'", "has 9 elements, counted from"
+        "topic: ins/imu, kind: corrupt, start_s: 1, field: 'orientation_covariance[9]'", "has 9 elements, starting at"
     ),
     "whole": ("topic: beacon/a/baseline, kind: corrupt, start_s: 1, field: fix, value: 300", "from 0 to 255"),
     "32 bits": (
-        "topic: theodolite/beacons, kind: corrupt, start_s: 1, field: beacons.sigma, value: 1e39", "ends at 3.4"
+        "topic: theodolite/beacons, kind: corrupt, start_s: 1, field: beacons.sigma, value: 1e39", "is 3.4"
     ),
-    "whole offset": ("topic: beacon/a/baseline, kind: offset, start_s: 1, field: fix, value: 1", "no offset: corrupt"),
-    "whole nan": ("topic: beacon/a/baseline, kind: nan, start_s: 1, field: fix", "which has no NaN"),
-    "no path": ("topic: ins/imu, kind: nan, start_s: 1, field: 'a..b'", "no path of a field"),
+    "whole offset": ("topic: beacon/a/baseline, kind: offset, start_s: 1, field: fix, value: 1", "use corrupt"),
+    "whole nan": ("topic: beacon/a/baseline, kind: nan, start_s: 1, field: fix", "allows no NaN"),
+    "no path": ("topic: ins/imu, kind: nan, start_s: 1, field: 'a..b'", "not a field path"),
     "unknown key": ("topic: ins/imu, kind: drop, start_s: 1, size: 3", "parameter 'faults.f.size' is unknown"),
 }  # fmt: skip
 

@@ -86,7 +86,7 @@ def test_a_record_is_met_at_its_own_moments_and_not_left():
     knots_s = np.arange(-2.0, 58.0)
     expected = CARRIERS["steep"].attitude(knots_s + 2.0)
     np.testing.assert_allclose(motion.attitude(knots_s), expected, rtol=0.0, atol=1e-12)
-    with pytest.raises(BadInput, match=r"recorded motion holds 60\.0 s.*shorten duration_s"):
+    with pytest.raises(BadInput, match=r"recorded motion lasts 60\.0 s.*reduce duration_s"):
         motion.attitude(np.array([0.0, 58.1]))
 
 

@@ -77,7 +77,7 @@ def test_a_slow_error_forgets_nothing_that_is_still_asked_for():
         part = slice(first, first + 77)
         forgetful.forget(moments_s[first] - 1.0)
         np.testing.assert_array_equal(forgetful.at(moments_s[part]), expected[part])
-    with pytest.raises(ValueError, match="forgotten"):
+    with pytest.raises(ValueError, match="dropped"):
         forgetful.at(np.array([3.0]))
 
 

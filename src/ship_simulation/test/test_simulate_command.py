@@ -109,8 +109,8 @@ def test_a_record_that_is_too_short_is_refused(scenario, tmp_path, capsys):
     assert main([str(scenario), "--out", str(recording)]) == 0
     capsys.readouterr()
     line = refused(main, capsys, SCENARIOS / "recorded.yaml", "--out", tmp_path / "x.mcap", "--carrier", recording)
-    assert "the recorded motion holds 4.0 s" in line
-    assert "shorten duration_s" in line
+    assert "the recorded motion lasts 4.0 s" in line
+    assert "reduce duration_s" in line
     assert not (tmp_path / "x.mcap").exists()
 
 
@@ -127,7 +127,7 @@ BROKEN = {
     "missing": ("elevation_deg: 45.0, ", "", ":8: parameter 'star_sensors.fore.elevation_deg'"),
     "unknown group": ("references:", "refs:", ":10: parameter 'refs' is unknown"),
     "kind": ("kind: sinusoids", "kind: magic", ":4: parameter 'carrier.kind' = 'magic' must be one of sinusoids"),
-    "not a moment": ("11:50:07.8Z", "11:50:07.8", ":1: 'start_utc' = 2014-07-09T11:50:07.8 is not a moment"),
+    "not a time": ("11:50:07.8Z", "11:50:07.8", ":1: 'start_utc' = 2014-07-09T11:50:07.8 is not a time"),
     "unused group": ("kind: sinusoids", "kind: recorded", ":5: 'carrier.roll' is not used by a carrier of kind"),
     "no recording": (
         "  kind: sinusoids\n  roll: {waves: {swell: {amplitude_deg: 4.0, period_s: 11.0}}}",
@@ -149,7 +149,7 @@ BROKEN = {
     "fault kind": (
         "references:",
         "faults: {f: {topic: gnss/fix, kind: rate_in_degrees, start_s: 1.0, end_s: 2.0}}\nreferences:",
-        ":9: 'faults.f.kind' = rate_in_degrees cannot happen to sensor_msgs/msg/NavSatFix",
+        ":9: 'faults.f.kind' = rate_in_degrees does not apply to sensor_msgs/msg/NavSatFix",
     ),
     "fault delay": (
         "references:",

@@ -246,7 +246,7 @@ NIGHT_BROKEN = {
     "the telescope of the lights": (
         "\n  night: ",
         "\n  calibration: ",
-        "'telescopes.calibration' is the telescope that sees lights: give a camera for stars another id",
+        "'telescopes.calibration' is reserved for the telescope for lights: choose another id for a star camera",
     ),
     "no field": ("      width_px: 2200\n", "", "'telescopes.night.camera.width_px' and"),
     "no mounting": ("    roll_deg: 3.0\n", "", "roll_deg"),
@@ -273,7 +273,7 @@ BROKEN = {
     "no legs": (
         "flight: {kind: escort, escort: {right_deg: 3.0, up_deg: 2.0, distance_m: 2000.0}",
         "flight: {kind: legs",
-        "'beacons.a.flight.waypoints' must be two or more with different time_s, got []",
+        "'beacons.a.flight.waypoints' must contain two or more with different time_s, got []",
     ),
     "window": (
         "hidden: {cloud: {start_s: 40.0, end_s: 50.0}}",
@@ -289,7 +289,7 @@ BROKEN = {
     "fault of another topic": (
         "position:",
         "faults: {f: {topic: theodolite/encoder, kind: swap, start_s: 1.0, end_s: 2.0}}\nposition:",
-        "'faults.f.kind' = swap cannot happen to ship_msgs/msg/TheodoliteEncoder",
+        "'faults.f.kind' = swap does not apply to ship_msgs/msg/TheodoliteEncoder",
     ),
     "delay of another kind": (
         "position:",

@@ -211,5 +211,5 @@ def test_a_line_along_the_vertical_axis_is_refused():
         angle: replaced(getattr(scenario.carrier, angle), mean_deg=mean_deg, waves={})
         for angle, mean_deg in (("heading", 0.0), ("pitch", 5.0), ("roll", 0.0))
     }
-    with pytest.raises(BadInput, match=r"at 0.00 s the theodolite would have to look along its vertical axis"):
+    with pytest.raises(BadInput, match=r"at 0.00 s the theodolite would point along its vertical axis"):
         simulate(dataclasses.replace(scenario, carrier=replaced(scenario.carrier, **still)), seed=1)
