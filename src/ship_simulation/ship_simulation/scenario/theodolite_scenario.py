@@ -290,7 +290,7 @@ class Rtk:
     )
     bias_sigma_m: float = parameter(0.0, doc="correlated error of its own, each axis", **_SIGMA_M)
     bias_time_s: float = parameter(300.0, doc="its correlation time", **CORRELATION)
-    float_sigma_m: float = parameter(0.3, doc="further correlated error of FLOAT, in the sigma of the message", **_SIGMA_M)
+    float_sigma_m: float = parameter(0.3, doc="further correlated error of FLOAT, in the message sigma", **_SIGMA_M)
     float_time_s: float = parameter(60.0, doc="its correlation time", **CORRELATION)
     float_times: dict[str, Outage] = mapping_of("times with the fix FLOAT, by name")
     no_solution_times: dict[str, Outage] = mapping_of("times with the fix NONE, by name")
