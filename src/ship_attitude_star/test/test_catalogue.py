@@ -23,7 +23,7 @@ def test_all_of_hipparcos_2():
     assert hipparcos() is catalogue
 
 
-def test_a_star_as_it_stands_in_the_file():
+def test_a_star_equals_its_record_in_the_file():
     # hip2.dat: HIP 57939 (Groombridge 1830), the third fastest star.
     catalogue = hipparcos()
     row = catalogue.rows(57_939)
@@ -84,7 +84,7 @@ def test_error_grows_with_the_years_since_the_epoch():
     assert catalogue.sigma(row, 2026.25) == pytest.approx(expected)
 
 
-def test_all_that_is_known_of_an_exposures_stars_in_one_answer():
+def test_entries_of_an_exposures_stars():
     catalogue = hipparcos()
     time_ns = 1_404_906_607_800_000_000
     assert julian_year(time_ns) == pytest.approx(2014.52, abs=0.005)

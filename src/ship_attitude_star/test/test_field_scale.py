@@ -1,4 +1,4 @@
-"""Focal length and principal point from angles between stars: against drawn cameras, scipy and chi-square bands."""
+"""Focal length and principal point from angles between stars: drawn cameras, scipy and chi-square bands."""
 
 from dataclasses import replace
 from functools import reduce
@@ -34,7 +34,7 @@ def true_camera(camera, scale=0.0, u_px=0.0, v_px=0.0):
 
 
 def draw_field(rng, camera, true, stars=10, sigma_px=SIGMA_PX, shift_px=None):
-    """One exposure of the true camera, read with the configured one; ``shift_px`` maps pixels to further errors."""
+    """Return an exposure of the true camera, read with the configured one; ``shift_px`` maps pixels to more errors."""
     rotation_ns = Rotation.random(random_state=rng.integers(2**31)).as_matrix()
     pixels = rng.uniform(0.0, 2047.0, (stars, 2))
     seen = pixels + sigma_px * rng.standard_normal(pixels.shape)
@@ -57,7 +57,7 @@ def estimated(camera, fields, **options):
 
 
 @CAMERAS
-def test_stars_without_noise_give_the_optics_that_made_them(camera):
+def test_stars_without_noise_give_the_true_optics(camera):
     rng, true = np.random.default_rng(1), true_camera(camera, 5e-4, 0.7, -0.4)
     found = estimated(camera, [draw_field(rng, camera, true, sigma_px=0.0) for _ in range(20)])
     # The correction is linear: what is left is of the order of its square.
@@ -134,7 +134,7 @@ def test_a_wrong_identity_is_left_out_by_the_members():
 
 
 def test_a_smooth_error_of_the_detector_widens_the_sigma():
-    """The map's linear part is a focal length: its prior bounds what fields can state, however many they are."""
+    """The map's linear part equals a focal length error: its prior limits the accuracy for any number of fields."""
     rng = np.random.default_rng(6)
     fields = [draw_field(rng, PLAIN, PLAIN) for _ in range(40)]
     errors = SpatialErrors(PLAIN, 0.3, 0.0)

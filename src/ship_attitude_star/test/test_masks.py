@@ -1,4 +1,4 @@
-"""Masks and horizon of a layout study: what it says of a sensor that looks into them, and where it turns it."""
+"""Masks and horizon of a layout study: errors for sensors with obstructed fields, and recommended azimuths."""
 
 import numpy as np
 import pytest
@@ -49,7 +49,7 @@ def test_recommended_azimuths_are_clear_of_masks() -> None:
 
 
 def test_a_field_stays_over_the_horizon_as_the_ship_moves() -> None:
-    """Against a field of 31 x 31 directions, turned by roll and pitch on a fine grid."""
+    """Compared with a field of 31 x 31 directions, rotated by roll and pitch on a fine grid."""
     sensors = {"a": {"azimuth_deg": 50.0, "elevation_deg": 40.0, "roll_deg": 20.0}}
     moving = {"roll_deg": 12.0, "pitch_deg": 4.0, "clearance_deg": 3.0}
     config = study_config({"sensors": sensors, "horizon": moving, "ship_roll_deg": 2.0, "field_of_view_deg": 16.0})

@@ -1,4 +1,4 @@
-"""Errors of a camera's optics against the camera with other parameters, by finite differences."""
+"""Errors of a camera's optics compared with a camera with other parameters, by finite differences."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ def field_pixels() -> FloatArray:
 
 
 def other_camera(camera: StarCamera, mode: int, size: float) -> StarCamera:
-    """The camera whose true parameters differ from the configured ones by one error."""
+    """Return the camera whose true parameters differ from the configured ones by one error."""
     if mode == 0:
         return replace(camera, focal_length_m=camera.focal_length_m * (1.0 + size))
     if mode == 1:

@@ -28,7 +28,7 @@ def test_axes_of_the_models_page():
 
 
 @CAMERAS
-def test_there_and_back(camera):
+def test_pixels_and_directions_are_inverse(camera):
     pixels = pixels_all_over()
     directions = camera.directions(pixels)
     assert np.linalg.norm(directions, axis=-1) == pytest.approx(np.ones(len(pixels)), abs=1e-14)
@@ -109,7 +109,7 @@ def test_tangent_basis_is_up_and_right_across_the_direction():
     assert np.all(basis[:, 1, 2] > 0.7)
 
 
-def test_what_has_no_direction_or_pixel_is_nan():
+def test_points_without_direction_or_pixel_are_nan():
     pixels = np.array([[np.nan, 10.0], [100.0, 100.0], [10.0, np.inf]])
     for camera in (PLAIN, BENT):
         assert np.isnan(camera.directions(pixels)).any(axis=-1).tolist() == [True, False, True]
@@ -121,7 +121,7 @@ def test_what_has_no_direction_or_pixel_is_nan():
 
 
 @CAMERAS
-def test_a_sighted_centroid_has_its_direction_and_its_sigma(camera):
+def test_a_measured_centroid_has_its_direction_and_its_sigma(camera):
     pixels, sigma_px = np.array([[1023.5, 1011.25], [200.0, 1800.0], [np.nan, 3.0], [500.0, 500.0]]), np.full(4, 0.1)
     sigma_px[3] = np.nan
     directions_s, sigma = camera.sighted(pixels, sigma_px)

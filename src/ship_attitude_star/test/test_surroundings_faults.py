@@ -1,4 +1,4 @@
-"""A fix or a barometer that jumps, in both nodes that look at the sky: it is named, and no star sees it."""
+"""A fix or a barometer that jumps, in both nodes that use the sky: it is reported, and affects no star."""
 
 from collections.abc import Callable
 from typing import Any
@@ -36,7 +36,7 @@ FAULTS = {
 
 
 def voyage() -> tuple[Arrival, ...]:
-    """The voyage of a ship whose position is established before."""
+    """Return the voyage of a ship whose position has been established before."""
     before = [since_s * SECOND_NS for since_s in range(-12, -2)]
     return (*(Arrival(FIX, fix(since_ns), START_NS + since_ns + 50_000_000) for since_ns in before), *short_voyage())
 
@@ -48,7 +48,7 @@ def is_hit(arrival: Arrival, topic: str) -> bool:
 @pytest.mark.slow
 @pytest.mark.parametrize("node", NODES)
 @pytest.mark.parametrize("fault", FAULTS)
-def test_what_jumps_is_named_and_leaves_no_trace(node: str, fault: str) -> None:
+def test_jumps_are_reported_and_change_nothing(node: str, fault: str) -> None:
     topic, change = FAULTS[fault]
     run = NODES[node](changed_where(voyage(), lambda arrival: is_hit(arrival, topic), change))
     without = NODES[node]([arrival for arrival in voyage() if not is_hit(arrival, topic)])
@@ -71,7 +71,7 @@ def test_the_attitude_stays_valid() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
-def test_any_order_within_the_lag_ends_in_the_same_state(seed: int) -> None:
+def test_any_order_within_the_lag_gives_the_same_state(seed: int) -> None:
     wrong = changed_where(
         voyage(),
         # A glitch of one fix, and the last one of the voyage: what comes between is judged against the right ones.
@@ -93,7 +93,7 @@ def to_zero(message: Any) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("node", NODES)
 def test_a_first_position_that_others_contradict_is_replaced_by_ten_of_them(node: str) -> None:
-    """Five fixes at 0° N 0° E, then good ones, at 5 Hz: no star is used before ten of these have come."""
+    """Five fixes at 0° N 0° E, then good ones, at 5 Hz: no star is used before ten of these have arrived."""
     period_ns, first_ns = SECOND_NS // 5, -2 * SECOND_NS // 5
     fixes = [
         Arrival(FIX, fix(since_ns), START_NS + since_ns + 50_000_000)

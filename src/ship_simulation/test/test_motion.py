@@ -1,4 +1,4 @@
-"""Carriers: rates are the derivatives of attitudes; a spectrum's variance is its integral."""
+"""Carriers: rates are the derivatives of attitudes; the variance of a spectrum is its integral."""
 
 import numpy as np
 import pytest
@@ -50,7 +50,7 @@ def test_body_rate_is_the_derivative_of_the_attitude(name):
     np.testing.assert_allclose(carrier.body_rate(t_s), differenced, rtol=0.0, atol=2e-6)
 
 
-def test_a_carrier_takes_moments_of_any_shape():
+def test_a_carrier_takes_times_of_any_shape():
     for carrier in CARRIERS.values():
         t_s = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
         assert carrier.attitude(t_s).shape == (2, 3, 3, 3)
@@ -81,7 +81,7 @@ def test_a_turn_to_starboard_raises_the_heading_by_its_angle():
     np.testing.assert_allclose(motion.body_rate(np.array(130.0)), [0.0, -np.deg2rad(2.0), 0.0], atol=1e-12)
 
 
-def test_a_record_is_met_at_its_own_moments_and_not_left():
+def test_a_record_is_reproduced_at_its_times_and_not_extrapolated():
     motion = recorded()
     knots_s = np.arange(-2.0, 58.0)
     expected = CARRIERS["steep"].attitude(knots_s + 2.0)
@@ -102,20 +102,20 @@ def test_a_spline_through_one_sample_a_second_follows_a_rolling_ship():
 
 
 def elevation_spectrum(angular_frequency, significant_height_m, modal_period_s):
-    """Bretschneider's spectrum of the wave elevation, m² s/rad, one-sided."""
+    """Return Bretschneider's spectrum of the wave elevation, m² s/rad, one-sided."""
     modal = 2.0 * np.pi / modal_period_s
     ratio4 = (modal / angular_frequency) ** 4
     return 5.0 / 16.0 * significant_height_m**2 * ratio4 / angular_frequency * np.exp(-1.25 * ratio4)
 
 
-def test_the_spectrum_holds_a_sixteenth_of_the_squared_height():
+def test_the_variance_of_the_spectrum_is_a_sixteenth_of_the_squared_height():
     variance, _ = quad(lambda w: elevation_spectrum(np.array(w), 3.25, 9.7), 0.05, 60.0, limit=500)
     assert variance == pytest.approx(3.25**2 / 16.0, rel=1e-5)
     w = np.linspace(0.2, 3.0, 100_001)
     assert w[np.argmax(elevation_spectrum(w, 3.25, 9.7))] == pytest.approx(2.0 * np.pi / 9.7, rel=1e-3)
 
 
-def test_the_ships_answer_has_the_variance_of_the_integral_over_the_spectrum():
+def test_the_ships_response_has_the_variance_of_the_integral_over_the_spectrum():
     sea = Sea()
     modal = 2.0 * np.pi / sea.modal_period_s
     w = np.linspace(0.5 * modal, 4.0 * modal, 20_001)

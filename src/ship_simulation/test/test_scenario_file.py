@@ -1,4 +1,4 @@
-"""Scenario files with real stars: what is refused."""
+"""Scenario files with real stars: refused values."""
 
 import pytest
 
@@ -76,7 +76,7 @@ def test_a_broken_scenario_is_refused_with_file_line_and_key(case, tmp_path):
     assert line.isdecimal()
 
 
-def test_a_voyage_without_real_stars_may_lie_anywhere_in_time(tmp_path):
+def test_a_voyage_without_real_stars_may_have_any_date(tmp_path):
     path = tmp_path / "far.yaml"
     text = (PAPER_STARS.parent / "paper.yaml").read_text(encoding="utf-8")
     path.write_text(text.replace("2014-07-09", "2090-07-09", 1), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The command: bags that repeat to the byte, attachments that fit, one line for what is wrong."""
+"""The command ``simulate``: bags reproducible to the byte, matching attachments, one line for each error."""
 
 import hashlib
 import subprocess
@@ -46,7 +46,7 @@ def test_another_process_gives_the_same_bytes(scenario, tmp_path):
     assert (tmp_path / "here.mcap").read_bytes() == (tmp_path / "there.mcap").read_bytes()
 
 
-def test_the_bag_holds_the_scenario_and_a_suite_configuration_with_its_sigmas(scenario, tmp_path):
+def test_the_bag_contains_the_scenario_and_a_suite_configuration_with_its_sigmas(scenario, tmp_path):
     out = tmp_path / "short.mcap"
     assert main([str(scenario), "--out", str(out), "--seed", "1"]) == 0
     with read_bag(out) as bag:
@@ -170,7 +170,7 @@ def test_a_broken_scenario_is_one_line_with_file_line_and_key(case, scenario, tm
     assert list(tmp_path.iterdir()) == [scenario]
 
 
-def test_files_that_are_not_there_are_named(scenario, tmp_path, capsys):
+def test_missing_files_are_named(scenario, tmp_path, capsys):
     line = refused(main, capsys, tmp_path / "none.yaml", "--out", tmp_path / "x.mcap")
     assert "none.yaml" in line
     assert "No such file" in line
@@ -190,6 +190,6 @@ def test_a_seed_is_a_whole_number(seed, scenario, tmp_path, capsys):
     assert "whole number" in capsys.readouterr().err
 
 
-def test_a_carrier_for_a_scenario_that_follows_none_is_refused(scenario, tmp_path, capsys):
+def test_a_carrier_for_a_scenario_without_recording_is_refused(scenario, tmp_path, capsys):
     line = refused(main, capsys, scenario, "--out", tmp_path / "x.mcap", "--carrier", tmp_path / "carrier.mcap")
     assert "short.yaml:4: 'carrier.kind' must be recorded" in line

@@ -1,4 +1,4 @@
-"""The sky over the simulated ship: against chains that share no code with it, and the errors drawn for it."""
+"""The sky over the simulated ship: comparison with independent algorithms, and the drawn errors."""
 
 import dataclasses
 from pathlib import Path
@@ -37,13 +37,13 @@ def observer_of(sky):
 
 
 def assert_sigma(values, sigma):
-    """The RMS of independent values is that of a sigma, within the chi² band of 99.9 %."""
+    """Check that the RMS of independent values matches a sigma, within the chi² band of 99.9 %."""
     low, high = sigma_ratio_band(np.size(values))
     assert low < np.sqrt(np.mean(np.square(values))) / sigma < high
 
 
 def by_atco13(sky, rows, time_ns):
-    """Observed directions (N, U, E) by ERFA's one function for everything, its refraction included."""
+    """Return observed directions (N, U, E) by ERFA's single function for all effects, its refraction included."""
     stars, orientation, place = sky.positions[rows], sky.orientation(time_ns), sky.track.at(time_ns)
     azimuth, zenith_distance, *_ = erfa.atco13(
         stars.right_ascension,
@@ -84,7 +84,7 @@ def test_directions_with_air_are_those_of_atco13():
         assert np.max(difference) < 0.1 * MAS
 
 
-def test_a_moving_ship_sees_the_stars_where_it_is_and_ahead_of_where_they_stand():
+def test_a_moving_ship_has_its_position_and_aberration():
     scenario = with_position(paper_stars(), speed_m_per_s=15.0, course_deg=60.0)
     sky = draw_sky(scenario, ShipTrack(scenario.position, START_NS), seed=1)
     rows = sky.catalogue.brighter_than(4.0)
@@ -115,7 +115,7 @@ def test_the_almanacs_refraction_is_another():
     assert np.isnan(theirs[:, 0]).sum() > np.isnan(ours[:, 0]).sum() > 0
 
 
-def test_the_horizon_turns_among_the_stars_as_erfas_other_chain_says():
+def test_the_horizon_rotation_equals_that_of_erfas_cirs_chain():
     """Without aberration and deflection, ICRS → CIRS → observed by angles must be the one rotation."""
     sky = drawn(2)
     time_ns = np.array(START_NS + 1234 * SECOND_NS)
@@ -146,7 +146,7 @@ def test_the_horizon_turns_among_the_stars_as_erfas_other_chain_says():
     assert np.max(angle_between(ours, expected)) < 0.01 * MAS
 
 
-def test_the_lift_is_the_refraction_of_what_is_seen_and_turns_about_the_horizontal():
+def test_the_refraction_rotation_is_about_the_horizontal():
     sky = drawn(1)
     rows = sky.catalogue.brighter_than(3.0)
     stars = sky.positions[rows]
@@ -192,7 +192,7 @@ def test_errors_common_to_all_stars_have_their_sigmas():
     assert all(sky.weather.relative_humidity == 0.5 for sky in skies)
 
 
-def test_without_a_sigma_ut1_errs_as_its_table_says():
+def test_without_a_sigma_ut1_has_the_error_of_its_table():
     told = earth_orientation_table().at(START_NS)
     skies = [drawn(seed) for seed in range(100)]
     assert_sigma([sky.ut1_error_s for sky in skies], float(told.ut1_sigma_s))
@@ -200,7 +200,7 @@ def test_without_a_sigma_ut1_errs_as_its_table_says():
     assert true.ut1_minus_utc_s - told.ut1_minus_utc_s == pytest.approx(skies[0].ut1_error_s, abs=1e-15)
 
 
-def test_stars_stand_beside_their_catalogue_places_by_the_catalogues_sigma():
+def test_star_positions_have_the_errors_of_the_catalogue():
     sky = drawn(3)
     known, true = sky.catalogue.at_j2000, sky.positions
     # By the end of the test, independent of how it is drawn: 2014.52 is 23.27 years after 1991.25.
@@ -211,7 +211,7 @@ def test_stars_stand_beside_their_catalogue_places_by_the_catalogues_sigma():
     assert abs(np.mean(east / sigma * (true.declination - known.declination) / sigma)) < 3.3 / np.sqrt(len(sigma))
 
 
-def test_a_place_of_date_needs_no_proper_motion():
+def test_a_position_of_date_needs_no_proper_motion():
     sky = drawn(1)
     # Arcturus has moved by 33″ since 2000; Polaris stands where right ascensions crowd.
     rows = sky.catalogue.rows([69673, 11767])
@@ -225,7 +225,7 @@ def test_a_place_of_date_needs_no_proper_motion():
     assert moved[0] / ARCSEC == pytest.approx(14.52 * 2.279, abs=0.2)
 
 
-def test_fixes_have_a_white_and_a_slow_error_and_say_so():
+def test_fixes_have_a_white_and_a_correlated_error_and_state_them():
     scenario = with_position(
         paper_stars(duration_s=3600.0), sigma_m=2.0, slow_sigma_m=10.0, slow_time_s=1.0, speed_m_per_s=10.0
     )

@@ -1,4 +1,4 @@
-"""Sightings against theodolite_calib's equations, and where drones and mount go."""
+"""Sightings against the equations of theodolite_calib, and the paths of drones and mount."""
 
 import dataclasses
 
@@ -50,7 +50,7 @@ def rows_at(samples, time_ns):
     return rows
 
 
-def test_a_sighting_without_errors_is_what_the_equations_say():
+def test_a_sighting_without_errors_obeys_the_equations():
     scenario = without_errors(bag_scenario(duration_s=39.0))
     run = simulate(scenario, seed=3)
     theodolite, time_ns = run.theodolite, run.theodolite.images.time_ns
@@ -82,7 +82,7 @@ def test_a_sighting_without_errors_is_what_the_equations_say():
     assert angle_between(scene.directions_n(t_s, scene.mount(t_s)), lines.direction_n).max() < 1e-9
 
 
-def test_the_image_is_inverted_and_the_lights_stand_where_the_scenario_says():
+def test_the_image_is_inverted_and_the_lights_are_at_the_scenario_positions():
     scenario = without_errors(bag_scenario(duration_s=20.0))
     scenario = with_theodolite(
         scenario,
@@ -102,7 +102,7 @@ def test_the_image_is_inverted_and_the_lights_stand_where_the_scenario_says():
     np.testing.assert_allclose(first["b"], -0.1 * np.tan(np.deg2rad([-2.0, -3.0])), atol=1e-4)
 
 
-def test_the_true_pointing_is_the_chain_of_the_true_values():
+def test_the_true_pointing_follows_from_the_true_values():
     run = simulate(bag_scenario(duration_s=30.0), seed=2)
     truth = run.theodolite.truth
     mount, constants = truth.mount, truth.scene.theodolite
@@ -123,7 +123,7 @@ def test_the_true_pointing_is_the_chain_of_the_true_values():
 
 
 @pytest.mark.parametrize("exposure_s", [0.05, 0.5])
-def test_mend_09_a_simulated_point_is_the_mean_of_the_light_s_true_way(exposure_s):
+def test_a_simulated_point_is_the_mean_of_the_light_s_true_path(exposure_s):
     scenario = sweeping_over(exposure_s)
     telescope, run = scenario.theodolite.telescope, simulate(scenario, seed=3)
     images, scene = run.theodolite.images, run.theodolite.truth.scene

@@ -1,4 +1,4 @@
-"""The true optics of simulated cameras: as large as stated, and the boresight stays on its pixel."""
+"""True optics of simulated cameras: stated errors, and a boresight that stays on its pixel."""
 
 from dataclasses import replace
 
