@@ -30,7 +30,7 @@ def test_a_star_equals_its_record_in_the_file():
     star = catalogue.at_epoch[row]
     assert (star.right_ascension, star.declination) == (3.1107451467, 0.6585617448)
     assert star.parallax_arcsec == pytest.approx(0.10999, abs=1e-12)
-    # The file's proper motion holds cos δ, ours does not.
+    # The file's proper motion includes the factor cos δ, the array's does not.
     assert star.pm_right_ascension * np.cos(star.declination) / MAS == pytest.approx(4003.98, abs=1e-6)
     assert star.pm_declination / MAS == pytest.approx(-5813.62, abs=1e-6)
     assert catalogue.position_sigma[row] / MAS == pytest.approx(0.33)
@@ -53,7 +53,7 @@ def test_the_papers_star_from_number_to_direction():
 
 def test_unknown_stars_have_a_reason():
     catalogue = hipparcos()
-    # HIP 421 is the first number of Hipparcos that hip2.dat leaves out.
+    # HIP 421 is the first number missing in hip2.dat.
     found = catalogue.rows(np.array([[92_420, 0], [421, 120_405]], dtype=np.uint32))
     assert (found == UNKNOWN).tolist() == [[False, True], [True, True]]
     assert catalogue.reason_against(4_294_967_295) == (

@@ -63,7 +63,7 @@ def test_normal_equations_are_those_of_the_members() -> None:
 def test_stars_are_solved_as_by_numpy(open_: int) -> None:
     fit, members = linearized(seen(SENSORS, TURNS), np.eye(3)), np.arange(STARS) % 3 != 1
     rows, flat = fit.jacobian[members].reshape(-1, fit.jacobian.shape[-1]), fit.displacement[members].ravel()
-    # Unknowns counted in sigmas are of about one.
+    # Unknowns in units of sigma are of order one.
     unit = np.where(np.arange(rows.shape[1]) < 3, 1e5, 1.0)
     rows, fit = rows / unit, StarFit(fit.jacobian / unit, fit.displacement, fit.residual_n, open_)
     judgement = fit.judge(members)
@@ -94,7 +94,7 @@ def test_with_a_prediction_the_attitude_is_in_units_of_its_sigmas() -> None:
         of_attitude = fit.jacobian[:, :, :3]
         equal(found.jacobian[:, :, 3:], fit.jacobian[:, :, 3:])
         counted = found.jacobian[:, :, :3]
-        # Any root will do: what is told of the attitude is the same.
+        # Any root is valid: the information about the attitude is the same.
         equal(counted @ counted.swapaxes(1, 2), of_attitude @ covariance_n @ of_attitude.swapaxes(1, 2))
         equal(found.displacement, fit.displacement - (0.0 if expected_n is None else of_attitude @ expected_n))
         assert found.open == 0

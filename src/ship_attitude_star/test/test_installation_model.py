@@ -47,7 +47,7 @@ def test_paper_convention_has_the_papers_peaks() -> None:
     azimuth_deg = np.arange(0.0, 360.0, 0.1)
     errors = np.abs(100.0 * at_operating_point(azimuth_deg, InstallationReading.PAPER).star[:, :, 2])
     np.testing.assert_allclose(errors.max(axis=0), [112.07, 70.71, 61.64], atol=0.005)
-    # The peak returns half a turn later.
+    # The peak repeats after half a revolution.
     assert azimuth_deg[np.argmax(errors[:1800, 0])] == pytest.approx(105.0, abs=0.5)
 
 
@@ -135,7 +135,7 @@ def test_a_sweep_is_its_single_layouts(reading: InstallationReading) -> None:
 
 
 def test_a_vertical_ship_has_no_defined_heading_error() -> None:
-    # Boresight to the zenith, bolted along the keel: the bow points to the zenith.
+    # Boresight to the zenith, mounted along the keel: the bow points to the zenith.
     model = linearise(np.array([0.3, np.pi / 2, 0.0]), np.zeros(3))
     assert np.isnan(model.star).all()
     assert np.isnan(model.installation).all()

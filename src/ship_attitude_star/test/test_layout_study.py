@@ -52,7 +52,7 @@ def test_one_sensor_agrees_with_the_angles_of_the_error_model() -> None:
     rotation_ns = rotation_from_angles(*layout.ship_angles) @ rotation_from_angles(*layout.angles[0])
     star = angles_from_rotation(rotation_ns)
     step = 1e-6
-    # Columns: how the sensor's horizon angles answer to turns about its axes, by difference.
+    # Columns: derivatives of the sensor's horizon angles by rotations about its axes, by differences.
     turned = [
         angles_from_rotation(rotation_ns @ (np.eye(3) + step * np.cross(axis, np.eye(3)).T)) for axis in np.eye(3)
     ]
@@ -66,7 +66,7 @@ def test_two_sensors_at_right_angles_complement_each_other() -> None:
     alone = layout_of(sensor(0.0)).sigmas_arcsec()
     together = layout_of(sensor(0.0), sensor(90.0)).sigmas_arcsec()
     assert alone.max() > 80.0
-    # Of the size of what each sees well: 3" of noise and 1" of installation.
+    # Of the size of the well measured components: 3" of noise and 1" of installation.
     assert together.max() < 4.0
 
 
@@ -123,7 +123,7 @@ def test_map_contains_the_layout_itself() -> None:
     moved = error_map(layout, 1)
     row, column = np.searchsorted(moved.elevations_deg, 40.0), np.searchsorted(moved.azimuths_deg, 90.0)
     np.testing.assert_allclose(moved.sigmas_arcsec[row, column], layout.sigmas_arcsec(), rtol=1e-12)
-    # Worst where both look the same way.
+    # Largest where both boresights are parallel.
     totals = moved.total_arcsec()
     row, column = np.unravel_index(np.argmax(totals), totals.shape)
     assert moved.elevations_deg[row] == 35.0

@@ -11,7 +11,7 @@ from ship_attitude_star.layout.config import LayoutStudyConfig, study_config
 from ship_attitude_star.layout.layout_study_command import main
 from ship_estimation.parameters import describe
 
-pytestmark = pytest.mark.slow  # what its tests share takes long
+pytestmark = pytest.mark.slow  # the shared fixture is slow
 
 THREE_SENSORS = """\
 ship_roll_deg: 5.0

@@ -31,7 +31,7 @@ def test_with_many_stars_liebe_equals_the_covariance_except_for_the_mean_distanc
     rng = np.random.default_rng(1)
     ours = np.mean([attitude_sigmas(drawn_stars(optics, 400, rng), optics.star_sigma()) for _ in range(50)], axis=0)
     ratio = ours / liebe_sigmas(optics, 400)
-    # The field is 12.85 deg: its edge is tan against angle 0.4 % off, and stars off the axis count by cos².
+    # Field of 12.85 deg: tangent and angle differ by 0.4 % at its edge, and stars off the axis have weight cos².
     np.testing.assert_allclose(ratio[1:], 1.0, atol=0.01)
     assert ratio[0] == pytest.approx(0.3825 * np.sqrt(6.0), rel=0.01)
 
@@ -74,10 +74,10 @@ def test_the_mean_number_of_stars_is_that_of_the_whole_sky() -> None:
     assert count == pytest.approx(6.57 * np.exp(1.08 * 6.0), rel=0.1)
     half = np.arctan(optics.half_field())
     share = np.arcsin(np.sin(half[0]) * np.sin(half[1])) / np.pi
-    # Counts scatter more than Poisson, for stars gather along the Milky Way.
+    # Counts scatter more than Poisson, because stars are concentrated along the Milky Way.
     scatter = found.stars.std() / np.sqrt(found.stars.size)
     assert abs(found.stars.mean() - count * share) < 3.3 * scatter
-    # Held in 95 % of the sky, and nothing less is.
+    # Not exceeded in 95 % of the sky; no smaller value is.
     assert np.all(np.mean(found.sigmas_arcsec <= found.held_arcsec, axis=0) >= 0.95)
     assert np.all(np.mean(found.sigmas_arcsec < found.held_arcsec, axis=0) <= 0.95)
     assert found.star_sigma_arcsec == pytest.approx(0.1 * 5.5e-6 / 0.05 / ARCSEC)

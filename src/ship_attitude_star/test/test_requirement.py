@@ -47,7 +47,7 @@ def drawn_sigmas(layout: Layout, draws: int) -> FloatArray:
     for angles, noise, mounting in zip(layout.angles, layout.noise_sigmas, layout.installation_sigmas, strict=True):
         installed = rotation_from_angles(*angles)
         true = ship @ installed
-        # Refraction lifts what the sensor sees: about the level axis across its boresight, by its size times cot E.
+        # Refraction rotates the attitude about the horizontal axis across the boresight, by its size times cot E.
         level = np.cross(true[:, 0], [0.0, 1.0, 0.0])
         lift = level / np.linalg.norm(level) / np.tan(np.arcsin(true[1, 0]))
         horizon = Rotation.from_rotvec(common[:, :3] + common[:, 3:] * lift)
@@ -186,7 +186,7 @@ def test_an_unreachable_requirement_has_no_error_size() -> None:
 def test_over_elevation_refraction_falls_with_the_cotangent() -> None:
     """One sensor ahead: refraction is pitch, its size at 45 degrees times cot E; heading grows with sin E."""
     one = {"sensors": {"a": {"azimuth_deg": 0.0, "elevation_deg": 45.0}}, "common": {"refraction_sigma_arcsec": 0.6}}
-    # Ahead alone is free; all other azimuths are behind a wall.
+    # Only the direction ahead is clear; all other azimuths are masked.
     wall = {"azimuths_deg": [12.0, 348.0, 348.0, 12.0], "elevations_deg": [-90.0, -90.0, 90.0, 90.0]}
     values = {**one, "masks": {"wall": wall}, "field_of_view_deg": 1.0, "horizon": {"roll_deg": 10.0, "pitch_deg": 8.0}}
     required = study(study_config({**values, "requirement": {"heading_arcsec": 200.0, "pitch_arcsec": 20.0}})).required
@@ -195,7 +195,7 @@ def test_over_elevation_refraction_falls_with_the_cotangent() -> None:
         if np.rad2deg(traded.judged.layout.angles[0, 0]) == 0.0:
             expected = 0.6 / np.tan(np.deg2rad(traded.elevation_deg))
             assert traded.refraction_arcsec[1] == pytest.approx(expected, rel=1e-6)
-    # The lower edge of the field is half a degree down, and the bow goes down by 8 degrees.
+    # The lower edge of the field is half a degree down, and the bow pitches down by 8 degrees.
     ahead = [t for t in required.trade if np.rad2deg(t.judged.layout.angles[0, 0]) == 0.0]
     assert len(ahead) > 10
     assert all(bool(t.judged.obstacles) == (t.elevation_deg < 8.5) for t in ahead if t.elevation_deg < 60.0)

@@ -58,7 +58,7 @@ def test_a_sigma_of_refraction_equals_other_air(stars) -> None:
     here = moment().apparent(stars)
     thicker = moment(pressure_hpa=1000.0 + PRESSURE_SIGMA_HPA).apparent(stars)
     lifted = here.shared_n[..., SHARED_TERMS.index("refraction")]
-    # The model's own error comes on top.
+    # The model's own error is added.
     np.testing.assert_allclose(lifted, thicker.direction_n - here.direction_n, atol=0.05 * ARCSEC)
     assert np.max(np.linalg.norm(lifted, axis=-1)) > 0.5 * ARCSEC
 
@@ -89,7 +89,7 @@ def test_results_are_cached_until_an_input_changes_them() -> None:
     assert first.apparent(stars) is first.apparent(stars)
     with pytest.raises(ValueError, match="read-only"):
         first.apparent(stars).direction_n[0, 0] = 0.0
-    # Later air changes nothing now, the air of before does.
+    # Air with a later stamp changes nothing now, air with an earlier stamp does.
     watch.surroundings.insert(AirReading("temperature", TIME_NS + 1, 20.0))
     assert watch.at(TIME_NS) is first
     watch.surroundings.insert(AirReading("temperature", TIME_NS - 1, 20.0))

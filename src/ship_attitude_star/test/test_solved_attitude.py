@@ -256,7 +256,7 @@ def test_separated_errors_add_up_to_the_stated_covariance(known: Knowledge, nois
     np.testing.assert_allclose(noise_n + found.lasting_n, total_n, atol=1e-9 * np.trace(total_n))
     for part in (found.noise_v, found.common_n):
         assert np.linalg.eigvalsh(part)[0] > -1e-9 * np.trace(total_n)
-    # Of our own solutions the catalogue's error alone is left, 0.02" and less of each star.
+    # Of the suite's own solutions only the catalogue's error remains, at most 0.02" per star.
     if noise_told:
         assert np.sqrt(np.trace(found.common_n)) < 0.1 * ARCSEC
 
@@ -276,7 +276,7 @@ def test_the_shared_rotations_equal_finite_differences_of_the_sky() -> None:
         turn_n = log_rotation(moved.solution.rotation_nb @ as_told.solution.rotation_nb.T)
         expected_n = found.shared_n[:, column]
         if column == 0:
-            # One sigma is that of pressure and temperature together.
+            # One sigma of pressure and temperature together.
             turn_n *= np.linalg.norm(expected_n) / np.linalg.norm(turn_n)
         np.testing.assert_allclose(turn_n, expected_n, atol=0.03 * np.linalg.norm(expected_n))
 

@@ -56,9 +56,9 @@ def test_the_field_error_is_the_best_polynomial_of_the_stated_process():
     assert modes_px.shape == (10, FIELD_MODES, 2)
     for axis in range(2):
         covariance = modes_px[..., axis] @ modes_px[..., axis].T
-        # The sums over the grid are good to some thousandths.
+        # The sums over the grid are accurate to some thousandths.
         np.testing.assert_allclose(covariance / FIELD_PX**2, of_fitted_polynomials(places), atol=0.01)
-    # What moves u leaves v.
+    # Modes of u do not change v.
     np.testing.assert_allclose(modes_px[..., 0] @ modes_px[..., 1].T, 0.0, atol=1e-9)
 
 

@@ -50,7 +50,7 @@ STEADY = [(0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (3.0, 1e-9), (4.0, 0.0)]
 
 
 def test_a_value_within_its_limit_is_accepted() -> None:
-    # A second later 10 + 2 and five sigmas of both together: 10 + 2 + 5·sqrt(2) = 19.07.
+    # One second later: 10 + 2 + five sigmas of the difference, 10 + 2 + 5·sqrt(2) = 19.07.
     assert told(*STEADY, (5.0, 19.0), sigma=1.0)[1] == []
     assert told(*STEADY, (5.0, 19.1), sigma=1.0)[1] == [5.0]
 
@@ -69,18 +69,18 @@ def test_a_jump_is_rejected_with_a_reason_and_the_last_value_is_kept() -> None:
 
 def test_a_return_is_accepted_within_the_limit_since_the_last_accepted_value() -> None:
     jumped = [(float(t), 500.0) for t in range(5, 25)]
-    # 21 s after the last good one: 10 + 2·21.
+    # 21 s after the last accepted value: 10 + 2·21.
     assert told(*STEADY, *jumped, (25.0, 52.0))[1] == [t for t, _ in jumped]
     assert told(*STEADY, *jumped, (25.0, 52.1))[1] == [*(t for t, _ in jumped), 25.0]
 
 
 def test_values_consistent_with_a_jump_have_no_time_dependent_limit() -> None:
-    # 30 is within 10 + 2·t of zero from 10 s on; yet it has come there by a jump.
+    # 30 is within 10 + 2·t of zero from 10 s on, but it was reached by a jump.
     values, refused = told(*STEADY, *((float(t), 30.0) for t in range(5, 60)))
     assert refused == [float(t) for t in range(5, 60)]
     refusal = values.refusal(ns(60), Reading(30.0))
     assert "consistent with other values that had jumped" in refusal.text
-    # One that has walked back to where one step could lead is taken: 12 within a second.
+    # A value that has returned to within one step is accepted: 12 within a second.
     assert told(*STEADY, (5.0, 22.0), (6.0, 12.1), (7.0, 12.0))[1] == [5.0, 6.0]
 
 
@@ -99,22 +99,22 @@ def test_two_values_that_contradict_a_first_one_are_accepted() -> None:
     values, refused = told((0.0, 500.0), (1.0, 0.0), (2.0, 1.0), (3.0, 2.0))
     assert refused == [1.0]
     assert believed(values) == [(0, 500.0, False), (ns(2), 1.0, True), (ns(3), 2.0, False)]
-    # A first one that another confirms is as good as any.
+    # A first value that another one confirms is established.
     assert told((0.0, 500.0), (1.0, 500.0), (2.0, 0.0), (3.0, 1.0))[1] == [2.0, 3.0]
 
 
 def test_a_frozen_value_widens_the_limit_by_the_frozen_time() -> None:
-    # Frozen from 4 s to 24 s while it went on at 2 a second: 40 further when it moves again.
+    # Frozen from 4 s to 24 s while the truth moves at 2 per second: 40 further when it moves again.
     moving = [(float(t), 2.0 * t) for t in range(5)]
     frozen = [(float(t), 8.0) for t in range(5, 25)]
     assert told(*moving, *frozen, (25.0, 50.0), (26.0, 52.0))[1] == []
-    # 10 + 2·21 from 8; and no more for having stood longer than a minute.
+    # 10 + 2·21 from 8; the frozen time is limited to one minute.
     assert told(*moving, *frozen, (25.0, 60.0))[1] == []
     assert told(*moving, *frozen, (25.0, 60.1))[1] == [25.0]
     long = [(float(t), 8.0) for t in range(5, 505)]
     assert told(*moving, *long, (505.0, 8.0 + 10.0 + 2.0 * 61.0))[1] == []
     assert told(*moving, *long, (505.0, 8.0 + 10.0 + 2.0 * 61.0 + 0.1))[1] == [505.0]
-    # What jumps and stands there does not profit by it.
+    # A jump that is then constant does not widen the limit.
     assert told(*moving, *((float(t), 40.0) for t in range(5, 60)))[1] == [float(t) for t in range(5, 60)]
 
 
@@ -167,7 +167,7 @@ def test_any_order_of_arrival_gives_the_same_values(seed: int) -> None:
     stamped = sorted(drawn(rng), key=lambda one: one[0])
     expected = believed(put(stamped, range(len(stamped))))
     assert believed(put(stamped, rng.permutation(len(stamped)))) == expected
-    # Late by up to ten seconds, and what is older than that is forgotten.
+    # Up to 10 s late; older values are dropped.
     late, newest_ns, forgotten = StampedValues[Reading](BRIEF), 0, []
     for index in np.argsort([time_ns + rng.uniform(0.0, ns(10)) for time_ns, _ in stamped]):
         late.insert(*stamped[index])

@@ -105,7 +105,7 @@ def test_the_noise_grows_only_along_the_streak(watch, exposure_s):
     aside = np.cross(found.directions_s, along)
     expected = sigma_px**2 * length_px**2 / (12.0 * PSF_PX**2)
     added = np.einsum("ki,kij,kj->k", along, found.smear_s, along) / scale**2
-    # The camera's scale differs by its place and direction in the field, which one sigma for both axes leaves aside.
+    # The camera's scale depends on position and direction in the field, which one sigma for both axes neglects.
     np.testing.assert_allclose(added, expected, rtol=0.03)
     assert np.all(np.einsum("ki,kij,kj->k", aside, found.smear_s, aside) < 1e-3 * expected * scale**2)
     outward = np.einsum("kij,kj->ki", found.smear_s, found.directions_s)

@@ -151,6 +151,6 @@ def test_masks_that_leave_a_part_free_are_accepted(kind: type) -> None:
     masks = config.star_sensors["fore"].sensor_masks
     assert masks.hide(np.array([[1.0, 0.0, -0.05], [1.0, 0.0, 0.05]])).tolist() == [True, False]
     assert flatten(config)["star_sensors.fore.masks.left.azimuths_deg"] == LEFT["azimuths_deg"]
-    # Pixels counted from the boresight do not tell how large the field is.
+    # Pixels relative to the boresight do not define the size of the field.
     build(kind, sensor_with({"wall": WALL}, principal_u_px=0.0))
     assert build(kind, sensor_with({})).star_sensors["fore"].sensor_masks is None

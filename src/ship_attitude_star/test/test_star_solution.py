@@ -53,7 +53,7 @@ def test_the_error_matches_the_covariance(counts):
         solution = solve_stars(scene.stars)
         if solution.status is not SolutionStatus.INVALID:
             values.append(nees(scene, solution))
-    # One in a thousand honest sets is refused as inconsistent; so few with 99.9 %.
+    # One in a thousand correct sets is rejected as inconsistent; limit of their number at 99.9 %.
     assert len(values) >= EPOCHS - poisson.ppf(0.999, 1e-3 * EPOCHS) - 1
     low, high = mean_nees_band(len(values), 3)
     print(f"{counts}: mean NEES {np.mean(values):.3f} in [{low:.2f}, {high:.2f}], {EPOCHS - len(values)} refused")
@@ -169,7 +169,7 @@ def error_with_prior(scene: Scene, error_n: np.ndarray) -> float | None:
         return None
     fit = linearized(scene.stars, prior.rotation_nb).with_prior(prior.covariance_n)
     judgement = fit.judge(members)
-    # Its unknowns are numbers of standard deviation 1.
+    # Its unknowns are in units of their standard deviations.
     roots = square_root(prior.covariance_n)
     covariance_n = roots @ np.linalg.inv(judgement.constrained)[:3, :3] @ roots.T
     return float(normalized_error_squared(error_n - roots @ judgement.solution[:3], covariance_n))
@@ -282,10 +282,10 @@ def test_scipy_finds_the_same_attitude_with_errors_of_the_optics() -> None:
         parts = dict(zip(SOLUTION_TERMS, ours.parts_n, strict=False))
         covariance_n = np.linalg.inv(found.jac.T @ found.jac)[:3, :3]
         np.testing.assert_allclose(parts["star_noise"] + parts["optics"], covariance_n, rtol=1e-3, atol=1e-15)
-        # A catalogue as poor as the centroids has half of the noise.
+        # A catalogue as poor as the centroids causes half of the noise.
         poor = dict(zip(SOLUTION_TERMS, solve_stars(replace(stars, position_sigma=stars.sigma)).parts_n, strict=False))
         np.testing.assert_allclose(poor["catalogue"], poor["star_noise"], rtol=1e-6, atol=1e-16)
-        # An error of one sigma of each camera turns the attitude by the part that is booked to it.
+        # One sigma of each camera's error rotates the attitude by its part of the covariance by source.
         turns = []
         for mode in range(8):
             shifted = stars.measured_b + 0.1 * stars.field_b[..., mode]

@@ -71,7 +71,7 @@ def test_the_variance_grows_to_that_of_the_parameter_which_is_then_used() -> Non
     track.insert(AirReading("temperature", ns(0), 20.0))
     fresh, half, last, gone = (track.air(ns(t)) for t in (0, 1800, 3600, 3601))
     assert (fresh.pressure_sigma_hpa, fresh.temperature_sigma_k) == (0.3, 1.0)
-    # Half way between 0.3² and 15², and between 1² and 10².
+    # Halfway between 0.3² and 15², and between 1² and 10².
     assert (half.pressure_sigma_hpa**2, half.temperature_sigma_k**2) == pytest.approx((112.545, 50.5))
     assert (last.pressure_sigma_hpa, last.temperature_sigma_k) == pytest.approx((15.0, 10.0))
     assert last.weather.pressure_hpa == 1010.0
@@ -154,14 +154,14 @@ def test_a_pressure_jump_is_rejected_and_the_last_reading_kept_with_a_larger_err
 
 
 def test_a_temperature_jump_is_rejected() -> None:
-    # Kelvin for Celsius is told by its size; Fahrenheit is not: 20 °C become 68, 5 °C become 41.
+    # Kelvin is detected by its size; Fahrenheit is not: 20 °C become 68, 5 °C become 41.
     refused, track = told("temperature", [(0.0, 5.0), (60.0, 5.1), (120.0, 41.0), (180.0, 41.1), (240.0, 5.2)])
     assert refused == [120.0, 180.0]
     assert track.air(ns(200)).weather.temperature_c == 5.1
 
 
 def test_weather_changes_are_not_rejected() -> None:
-    # The eye of a typhoon: 30 hPa within an hour, read once a minute and once in ten minutes.
+    # The eye of a typhoon: 30 hPa within an hour, with a reading every minute and every ten minutes.
     for period_s in (60.0, 600.0):
         times = [period_s * n for n in range(round(3600.0 / period_s) + 1)]
         assert told("pressure", [(t, 980.0 - 30.0 * t / 3600.0) for t in times])[0] == []

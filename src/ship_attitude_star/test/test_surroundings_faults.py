@@ -62,7 +62,7 @@ def test_jumps_are_reported_and_change_nothing(node: str, fault: str) -> None:
 def test_the_attitude_stays_valid() -> None:
     topic, change = FAULTS["1 km south"]
     run = ship_observations.sail(changed_where(voyage(), lambda arrival: is_hit(arrival, topic), change))
-    # The first half second, before both sensors were used, and what is INVALID before the INS comes aside.
+    # Later than half a second: before, both sensors are not in use yet, and there is no INS sample.
     later = [m.status for ns, t, m in run.published if t == "ship/attitude" and ns > START_NS + SECOND_NS // 2]
     assert set(later) == {Status.VALID}
     told = run.diagnostics(f"input {FIX}", START_NS, START_NS + 4 * SECOND_NS)
@@ -74,7 +74,7 @@ def test_the_attitude_stays_valid() -> None:
 def test_any_order_within_the_lag_gives_the_same_state(seed: int) -> None:
     wrong = changed_where(
         voyage(),
-        # A glitch of one fix, and the last one of the voyage: what comes between is judged against the right ones.
+        # A glitch of one fix and of the last one; the fixes between are compared with the right ones.
         lambda arrival: arrival.topic == FIX and arrival.stamp_ns in (START_NS, START_NS + 2 * SECOND_NS),
         FAULTS["1 km south"][1],
     )

@@ -131,7 +131,7 @@ def test_across_the_date_line_the_path_is_the_short_one() -> None:
 
 
 def test_over_the_pole_the_path_is_straight() -> None:
-    # 11 m on either side of the pole: north first, then south on the meridian opposite.
+    # 11 m on either side of the pole: north first, then south on the opposite meridian.
     fixes = (0, at(89.9999, 30.0)), (2, at(89.9999, -150.0))
     speed_m_per_s = 2e-4 * 111_694.0 / 2  # per degree of latitude at the pole
     before, after = (track(*fixes).place(ns(t)) for t in (0.5, 1.5))
@@ -147,7 +147,7 @@ def test_near_the_pole_the_error_keeps_its_direction_on_earth() -> None:
     assert place.covariance_m2[0, 0] == pytest.approx(100.0)
     turned = track((0, at(89.9999, 0.0)), covariance_m2=np.diag([100.0, 0.0, 1.0]))
     turned.insert(PositionFix(ns(1), at(89.9999, 90.0), np.diag([1.0, 0.0, 100.0])))
-    # On the way, at longitude 45°, half way in time: both fixes say the same ellipse, seen from 45° off.
+    # At longitude 45°, halfway in time: both fixes have the same ellipse, rotated by 45°.
     north, _, east = np.diagonal(turned.place(ns(0.5)).covariance_m2)
     drift_m2 = (0.5 * ACCELERATION_SIGMA_M_PER_S2 * 0.25) ** 2
     assert (north, east) == pytest.approx((50.5 + drift_m2, 50.5 + drift_m2))
@@ -180,7 +180,7 @@ def test_fixes_with_a_long_gap_give_no_velocity() -> None:
     apart = track((0, at(0.0, 10.0)), (121, at(0.0, 10.1)), **fast)
     assert away_m(apart.place(ns(3)), at(0.0, 10.0)) < 1e-6
     joined = track((0, at(0.0, 10.0)), (120, at(0.0, 10.1)), **fast)
-    # The chord of 11 km passes below the sea by s (L - s) / 2R: 2.3 m in its middle.
+    # The chord of 11 km is below the sea surface by s (L - s) / 2R: 2.3 m in its middle.
     assert away_m(joined.place(ns(60)), at(0.0, 10.05)) == pytest.approx(5566.0**2 / 2 / 6_378_137.0, rel=1e-3)
 
 
@@ -220,7 +220,7 @@ def test_nothing_changes_at_or_before_the_returned_time() -> None:
         before = [bits(others.place(ns(m))) for m in moments]
         changed_after_ns = others.insert(PositionFix(ns(late), places[late], SIGMA_M))
         for moment, old in zip(moments, before, strict=True):
-            # An answer that has not changed is kept: it must be the one that is found anew.
+            # A cached result must equal the recomputed one.
             assert bits(others.place(ns(moment))) == bits(whole.place(ns(moment)))
             assert bits(whole.place(ns(moment))) == old or ns(moment) > changed_after_ns
     assert others.insert(PositionFix(ns(9), places[9], SIGMA_M)) is None
@@ -234,7 +234,7 @@ def test_cached_results_equal_recomputed_ones_for_late_inputs(seed: int) -> None
     stamps_s = np.cumsum(period_s * rng.choice([0.0, 0.9, 1.0, 1.1, 15.0], 25, p=[0.05, 0.3, 0.3, 0.3, 0.05]))
     north_m = 2.0 * stamps_s + rng.normal(0.0, 1.0, 25) + np.where(rng.random(25) < 0.1, 500.0, 0.0)
     arrivals_s = stamps_s + rng.choice([0.0, 1.0], 25) * rng.uniform(0.0, 3.0, 25)
-    # Answers change at the stamps, at the ends of delays, and anywhere between.
+    # Results change at the stamps, at the ends of delays, and in between.
     moments_s = np.sort(np.concatenate([stamps_s, stamps_s + 0.5, rng.uniform(-2.0, stamps_s[-1] + 3.0, 50)]))
     kept, taken, oldest_s = track(fix_max_age_s=max_age_s), [], -np.inf
     for index in np.argsort(arrivals_s, kind="stable"):
@@ -283,7 +283,7 @@ def test_a_fix_that_jumps_is_rejected_and_the_line_is_extrapolated(off_m: float)
         place = fixes.place(ns(t))
         assert away_m(place, sailing(t)[1]) < 0.1
         assert place.age_s == t - 9
-    # The error that the straight line leaves out, by 0.1 m/s²: as in any time without fixes.
+    # The error of the straight line by 0.1 m/s², as in any time without fixes.
     north_m2 = 4.0 + (0.5 * ACCELERATION_SIGMA_M_PER_S2 * 20.0 * 25.0) ** 2
     assert fixes.place(ns(29)).covariance_m2[0, 0] == pytest.approx(north_m2, rel=1e-3)
     back = PositionFix(ns(30), sailing(30)[1], SIGMA_M)
@@ -294,7 +294,7 @@ def test_a_fix_that_jumps_is_rejected_and_the_line_is_extrapolated(off_m: float)
 def test_a_lasting_jump_is_accepted_and_no_line_connects_it() -> None:
     """After 25 s (``JUMP_CONFIRMATION_S``)."""
     fixes = track(*(sailing(t) for t in range(10)), *(sailing(t, 1000.0) for t in range(10, 36)))
-    # A fix holds from gnss_delay_s after its stamp on. No line leads from the place before to it.
+    # A fix is used from gnss_delay_s after its stamp on. No line connects it to the position before.
     assert away_m(fixes.place(ns(35.4)), sailing(35.4)[1]) < 0.1
     assert away_m(fixes.place(ns(35.5)), sailing(35, 1000.0)[1]) < 1e-3
     later = track(*(sailing(t) for t in range(10)), *(sailing(t, 1000.0) for t in range(10, 38))).place(ns(39))
@@ -311,14 +311,14 @@ def test_changes_within_the_limits_are_accepted() -> None:
             sky.insert(fix)
         return [refusal for refusal in told if refusal is not None]
 
-    # Another antenna 45 m along the ship; minutes without fixes; a receiver that says that it knows little.
+    # Another antenna 45 m along the ship; minutes without fixes; a receiver that states a large error.
     assert refused(*(sailing(t) for t in range(5)), *(sailing(t, 45.0) for t in range(5, 10))) == []
     assert refused(sailing(0), sailing(1), sailing(400), sailing(401)) == []
     assert refused(*((*sailing(t, 300.0 * (t % 2)), 100.0) for t in range(20))) == []
     # The date line, and over the pole by 11 m on either side.
     assert refused((0, at(0.0, 179.9999)), (1, at(0.0, -179.9999)), (2, at(0.0, -179.9997))) == []
     assert refused((0, at(89.9999, 30.0)), (1, at(89.9999, -150.0)), (2, at(89.9997, -150.0))) == []
-    # On the other side of the Earth the straight way has no part along the horizon: it is a jump all the same.
+    # On the opposite side of the Earth the chord has no horizontal part: it is a jump nevertheless.
     assert len(refused((0, at(0.0, 10.0)), (1, at(0.0, 10.0)), (2, at(0.0, -170.0)))) == 1
     # Height is not compared.
     assert refused((0, at(50.0, 10.0, 20.0)), (1, at(50.0, 10.0, 900.0))) == []

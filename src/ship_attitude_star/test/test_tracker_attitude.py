@@ -83,7 +83,7 @@ def nees(watch, sky, elevations_deg, field: FieldOfView, most: int = 5, aberrati
     field = replace(field, aberration_removed=aberration_removed)
     found = []
     for rotation_ns, rng in scenes(elevations_deg):
-        # Any of the stars, not always the brightest.
+        # Random stars, not always the brightest.
         order = rng.permutation(len(seen_n))
         catalogue_c = proper_c if aberration_removed else natural_c
         rotation_cs = solved(seen_n[order], catalogue_c[order], rotation_ns, most)
@@ -168,6 +168,6 @@ def test_the_field_covariance_is_regular_at_the_zenith(watch, elevation_deg: flo
     rotation_cs = watch.at(TIME_NS).rotation_horizon_from_icrs().T @ rotation_ns
     attitude = in_horizon(InertialAttitude("star.fore", TIME_NS, rotation_cs, NOISE_S, field=FIELD), watch)
     common_s = rotation_ns.T @ attitude.common_n @ rotation_ns
-    # A squeeze alike on all sides, that turns nothing: 57″ per radian and 10°/(2 √5).
+    # An isotropic compression without rotation: 57″ per radian and 10°/(2 √5).
     assert np.sqrt(np.diagonal(common_s)[1:]) / ARCSEC == pytest.approx([2.2, 2.2], abs=0.15)
     assert np.sqrt(max(common_s[0, 0], 0.0)) < 0.1 * ARCSEC

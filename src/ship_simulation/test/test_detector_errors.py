@@ -42,7 +42,7 @@ def test_the_field_errors_covariance_is_the_stated_one():
         whitened = np.linalg.solve(root, errors[..., axis].T)
         spread = np.mean(whitened**2, axis=1)
         assert np.all((low <= spread) & (spread <= high))
-        # Pairs: 3.29 standard errors of a correlation.
+        # Pairs: 3.29 standard errors of a correlation coefficient.
         pairs = (whitened @ whitened.T / SEEDS)[np.triu_indices(3, 1)]
         assert np.all(np.abs(pairs) <= 3.29 / np.sqrt(SEEDS))
     across = np.mean(errors[..., 0] * errors[..., 1]) / FIELD_PX**2

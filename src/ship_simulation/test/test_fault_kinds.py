@@ -119,7 +119,7 @@ def check_a_kind(bag, start_ns, kind, topic):
     changed_ns = Injection(bag, {"f": fault}, 1).effect("f").times_ns
     since_s = [(time_ns - start_ns) / NS_PER_S for time_ns in changed_ns]
     assert bool(since_s) == ((kind, topic) not in UNCHANGED)
-    # By stamps; arrivals are at most half a second behind them.
+    # By stamps; messages arrive at most 0.5 s after them.
     assert all(START_S <= seconds < END_S + 0.5 for seconds in since_s)
 
 

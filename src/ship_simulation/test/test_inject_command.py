@@ -71,7 +71,7 @@ def pairs(bag, out, topic, start_s=2.0, end_s=3.0):
             continue
         since_s = (ns_from_stamp(message.header.stamp) - start_ns) / SECOND_NS
         if one.topic == topic and start_s <= since_s < end_s:
-            # A drift begins with nothing.
+            # A drift starts at zero.
             assert one.data != other.data or not found
             found.append((message, other.decode()))
         else:
@@ -134,7 +134,7 @@ def test_a_mounting_shift_of_the_telescope_moves_all_lights_equally(bag, tmp_pat
     for before, after in only(bag, tmp_path, LIGHTS, "knock", "up_arcsec: -20"):
         for one, other in zip(before.beacons, after.beacons, strict=True):
             x_m, z_m = one.x - 2.0e-4, one.z + 3.0e-4
-            # Turning to the right by a: tan(angle - a), and the height in the image goes with the cosine.
+            # Rotation to the right by a: tan(angle - a); the height in the image is proportional to the cosine.
             angle = math.atan2(x_m, 0.1) + 20.0 * ARCSEC
             np.testing.assert_allclose(other.x - 2.0e-4, 0.1 * math.tan(angle), atol=1e-12)
             assert other.z + 3.0e-4 == pytest.approx(z_m, rel=2e-5)
@@ -143,11 +143,11 @@ def test_a_mounting_shift_of_the_telescope_moves_all_lights_equally(bag, tmp_pat
 def test_drifts_of_devices_and_encoders_start_at_zero(bag, tmp_path):
     found = only(bag, tmp_path, INS, "drift", "up_arcsec_per_min: 60")
     turns = [log_rotation(rotation(before).T @ rotation(after))[1] / ARCSEC for before, after in found[1:]]
-    # 1″ a second, at 50 Hz.
+    # 1″ per second, at 50 Hz.
     np.testing.assert_allclose(turns, np.arange(1, 50) / 50.0, atol=1e-6)
     found = only(bag, tmp_path, ENCODER, "drift", "elevation_arcsec_per_min: -120")
     turns = [(after.elevation - before.elevation) / ARCSEC for before, after in found]
-    # 2″ a second, at 20 Hz.
+    # 2″ per second, at 20 Hz.
     np.testing.assert_allclose(turns, -0.1 * np.arange(len(turns)), atol=1e-6)
     assert all(after.azimuth == before.azimuth for before, after in found)
 
@@ -270,7 +270,7 @@ def test_a_clock_step_beyond_what_a_stamp_can_hold_ends_there(bag, tmp_path, ste
 
 def test_false_stars_have_numbers_where_stars_have_them(bag, tmp_path):
     for before, after in only(bag, tmp_path, STARS, "false_stars", "count: 3"):
-        # As texts: their directions are NaN.
+        # Compared as texts, because their directions are NaN.
         assert repr(after.stars[: len(before.stars)]) == repr(before.stars)
         false = after.stars[len(before.stars) :]
         assert len(false) == 3

@@ -42,7 +42,7 @@ CARRIERS = {
 @pytest.mark.parametrize("name", CARRIERS)
 def test_body_rate_is_the_derivative_of_the_attitude(name):
     carrier, half_step_s = CARRIERS[name], 1e-3
-    # Off the corners of the turn and the knots of the record, where the second derivative jumps.
+    # Away from the corners of the turn and the knots of the record, where the second derivative is discontinuous.
     t_s = np.arange(0.1317, 57.0, 0.37)
     turned = np.swapaxes(carrier.attitude(t_s - half_step_s), -1, -2) @ carrier.attitude(t_s + half_step_s)
     differenced = log_rotation(turned) / (2.0 * half_step_s)
@@ -75,9 +75,9 @@ def test_a_turn_to_starboard_raises_the_heading_by_its_angle():
     motion = HarmonicMotion(np.zeros(3), np.zeros(0), np.zeros((0, 3)), [turn])
     t_s = np.array([100.0, 110.0, 127.5, 154.9, 155.0, 1000.0])
     heading_deg = np.rad2deg(angles_from_rotation(motion.attitude(t_s))[:, 0])
-    # By hand: the ramp makes 10°, at 2°/s; then 35 s at 2°/s; half way at half of 55 s; the end after 55 s.
+    # By hand: the ramp gives 10°, up to 2°/s; then 35 s at 2°/s; half of the angle at 27.5 s; the end after 55 s.
     np.testing.assert_allclose(heading_deg, [0.0, 10.0, 45.0, 90.0 - 0.5 * 0.2 * 0.1**2, 90.0, 90.0], atol=1e-9)
-    # Heading grows clockwise seen from above: a negative turn about Up, the second axis.
+    # Heading increases clockwise seen from above: a negative rotation about Up, the second axis.
     np.testing.assert_allclose(motion.body_rate(np.array(130.0)), [0.0, -np.deg2rad(2.0), 0.0], atol=1e-12)
 
 
@@ -97,7 +97,7 @@ def test_a_spline_through_one_sample_a_second_follows_a_rolling_ship():
     error = Rotation.from_matrix(motion.attitude(between_s)).inv() * Rotation.from_matrix(
         CARRIERS["paper"].attitude(between_s)
     )
-    # A cubic spline errs by h⁴/384 of the fourth derivative, 4° (2 pi / 11)⁴ + 1.8° (2 pi / 8)⁴: 0.0029°.
+    # Error of a cubic spline: h⁴/384 of the fourth derivative, 4° (2 pi / 11)⁴ + 1.8° (2 pi / 8)⁴: 0.0029°.
     assert np.rad2deg(error.magnitude().max()) < 0.004
 
 
@@ -121,11 +121,11 @@ def test_the_ships_response_has_the_variance_of_the_integral_over_the_spectrum()
     w = np.linspace(0.5 * modal, 4.0 * modal, 20_001)
     spectrum = elevation_spectrum(w, sea.significant_height_m, sea.modal_period_s)
     expected = [trapezoid(spectrum * np.abs(r.transfer(w)) ** 2, w) for r in sea_responses(sea)]
-    # Components lie at random in their bands, so a realisation scatters; the mean of 50 does by a seventh of that.
+    # Random frequencies in their bands make realisations scatter; the mean of 50 scatters by a seventh of that.
     motions = [carrier_of(CarrierMotion(kind="sea_state", sea=sea), seed) for seed in range(50)]
     variance = np.mean([0.5 * np.sum(np.abs(m.phasor) ** 2, axis=0) for m in motions], axis=0)
     np.testing.assert_allclose(variance, expected, rtol=0.02)
-    # And in time: an hour of one realisation, which holds some 350 waves.
+    # Variance in time: an hour of one realisation, with about 350 waves.
     angles = motions[0].angles(np.arange(0.0, 3600.0, 0.5))
     np.testing.assert_allclose(angles.std(axis=0), np.sqrt(expected), rtol=0.15)
 

@@ -122,5 +122,5 @@ def test_detector_errors_are_drawn_for_this_camera_too():
         for sigma_px in (0.0, 0.5)
     )
     off_px = spatial.theodolite.stars["night"].pixel - plain.theodolite.stars["night"].pixel
-    # Few places of the detector are independent of one another: between half and twice its sigma.
+    # Few positions of the detector are independent: the sigma is within a factor of two.
     assert 0.25 < np.sqrt(np.mean(off_px**2)) < 1.0

@@ -133,7 +133,7 @@ def test_truth_messages_contain_the_attitude_and_every_state():
     stamp_ns = ns_from_stamp(attitude.header.stamp)
     assert log == stamp_ns == run.ins.time_ns[run.truth.ins_index[5]]
     expected = angles_from_rotation(run.truth.rotation_nd[5])
-    # One attitude and arrays of them are computed by different routines: their last bits may differ.
+    # Single attitudes and arrays use different routines, whose last bits may differ.
     np.testing.assert_allclose([attitude.heading, attitude.pitch, attitude.roll], expected, rtol=0.0, atol=1e-15)
     np.testing.assert_allclose(
         rotation_from_quaternion(quaternion(attitude)), run.truth.rotation_nd[5], rtol=0.0, atol=1e-14

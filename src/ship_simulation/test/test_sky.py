@@ -69,7 +69,7 @@ def by_atco13(sky, rows, time_ns):
 
 
 def test_directions_with_air_are_those_of_atco13():
-    # UT1 a second off and air far from what is told: what is drawn is what is used.
+    # UT1 1 s off and air far from the known one: the drawn values are used.
     weather = dataclasses.replace(paper_stars().weather, pressure_sigma_hpa=30.0, temperature_sigma_k=10.0)
     sky = drawn(1, earth_rotation_sigma_s=1.0, weather=weather)
     assert abs(sky.ut1_error_s) > 0.1
@@ -80,7 +80,7 @@ def test_directions_with_air_are_those_of_atco13():
         high = elevation_of(direction_n) > np.deg2rad(15.0)
         assert np.count_nonzero(high) > 100
         difference = angle_between(direction_n[high], by_atco13(sky, rows[high], moment))
-        # ERFA does the refraction of its two constants in another way: 0.03 mas at 15°.
+        # ERFA evaluates the refraction of its two constants differently: 0.03 mas at 15°.
         assert np.max(difference) < 0.1 * MAS
 
 
@@ -96,7 +96,7 @@ def test_a_moving_ship_has_its_position_and_aberration():
     velocity = 15.0 / 299_792_458.0 * np.array([0.5, 0.0, np.sqrt(0.75)])
     towards = velocity - at_rest * (at_rest @ velocity)[:, None]
     np.testing.assert_allclose(ours - at_rest, towards, rtol=0.0, atol=0.2 * MAS)
-    # The place moves with the velocity: 9 km in ten minutes, by the chord on the ellipsoid.
+    # The position moves with the velocity: 9 km in ten minutes, by the chord on the ellipsoid.
     start, end = (sky.track.at(np.array(time_ns)) for time_ns in (START_NS, later_ns))
     way_m = vector_between(start, end)
     assert way_m[[0, 2]] == pytest.approx([4500.0, 4500.0 * np.sqrt(3.0)], rel=1e-3)
@@ -155,7 +155,7 @@ def test_the_refraction_rotation_is_about_the_horizontal():
     visible = np.isfinite(seen[:, 0])
     lifted = (sky.lift(seen[visible]) @ without_air[visible][..., None])[..., 0]
     assert np.max(angle_between(lifted, seen[visible])) < 0.01 * MAS
-    # Its axis is the sensor's right, level with the horizon: no roll about what is seen, none about Up.
+    # Its axis is horizontal, to the sensor's right: no rotation about the boresight or about Up.
     turns_n = log_rotation(sky.lift(seen[visible]))
     np.testing.assert_allclose(turns_n[:, 1], 0.0, atol=1e-12)
     np.testing.assert_allclose(np.sum(turns_n * seen[visible], axis=1), 0.0, atol=1e-12)
@@ -171,7 +171,7 @@ def test_the_sun_is_where_skyfield_sees_it():
     time_ns = START_NS + np.rint(hours * 3600 * SECOND_NS).astype(np.int64)
     moments = timescale.tt_jd(*tt_julian_date(time_ns))
     elevation, _, _ = (ephemeris["earth"] + place).at(moments).observe(ephemeris["sun"]).apparent().altaz()
-    # Aberration (20″) and parallax (9″) of the Sun are left out, and the way between minutes is straight.
+    # Aberration (20″) and parallax (9″) of the Sun are neglected, and the interpolation between minutes is linear.
     np.testing.assert_allclose(np.rad2deg(sky.sun_elevation(time_ns)), elevation.degrees, rtol=0.0, atol=0.02)
     ephemeris.close()
 
@@ -203,7 +203,7 @@ def test_without_a_sigma_ut1_has_the_error_of_its_table():
 def test_star_positions_have_the_errors_of_the_catalogue():
     sky = drawn(3)
     known, true = sky.catalogue.at_j2000, sky.positions
-    # By the end of the test, independent of how it is drawn: 2014.52 is 23.27 years after 1991.25.
+    # Independent of the implementation: 2014.52 is 23.27 years after 1991.25.
     sigma = np.hypot(sky.catalogue.position_sigma, 23.27 * sky.catalogue.pm_sigma)
     east = (true.right_ascension - known.right_ascension) * np.cos(known.declination)
     assert_sigma(east / sigma, 1.0)
@@ -213,7 +213,7 @@ def test_star_positions_have_the_errors_of_the_catalogue():
 
 def test_a_position_of_date_needs_no_proper_motion():
     sky = drawn(1)
-    # Arcturus has moved by 33″ since 2000; Polaris stands where right ascensions crowd.
+    # Arcturus has moved by 33″ since 2000; Polaris is near the pole.
     rows = sky.catalogue.rows([69673, 11767])
     known = sky.catalogue.at_j2000[rows]
     of_date = place_of_date(known, START_NS)
@@ -236,9 +236,9 @@ def test_fixes_have_a_white_and_a_correlated_error_and_state_them():
     sigma_m = np.sqrt(2.0**2 + 10.0**2)
     np.testing.assert_allclose(fixes.covariance_m2, sigma_m**2 * np.eye(3))
     for axis in range(3):
-        # Every fifth: what remains of the slow error after five correlation times is 0.7 %.
+        # Every fifth: after five correlation times 0.7 % of the correlated error remains.
         assert_sigma(error_m[::5, axis], sigma_m)
-        # From fix to fix, exp(-1) of the slow part remains.
+        # From fix to fix, exp(-1) of the correlated part remains.
         neighbours = np.mean(error_m[1:, axis] * error_m[:-1, axis]) / 10.0**2
         assert neighbours == pytest.approx(np.exp(-1.0), abs=0.1)
     without_slow = with_position(dataclasses.replace(scenario, star_sensors={}), slow_sigma_m=0.0)

@@ -49,7 +49,7 @@ def test_an_inertial_attitude_uses_forward_left_up():
     assert (message.sensor_id, message.header.frame_id) == ("fore", "star_fore")
     q = message.orientation
     rotation_if = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
-    # By hand: columns forward, left, up of forward, up, right.
+    # By hand: columns forward, left, up from forward, up, right.
     forward, up, right = samples.rotation_cv[3].T
     np.testing.assert_allclose(rotation_if, np.stack([forward, -right, up], axis=1), rtol=0.0, atol=1e-14)
     # About forward, left, up: 60″, that about right, that about up.

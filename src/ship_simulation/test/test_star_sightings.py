@@ -141,7 +141,7 @@ def test_centroids_scatter_by_their_sigma_and_magnitudes_too():
     error_px = said.pixel - camera.pixels(truth.direction_s)
     assert_sigma(error_px[:, 0], 0.13222)
     assert_sigma(error_px[:, 1], 0.13222)
-    # 3″ on the sky, as the estimator is told; the same from the directions themselves, two degrees each.
+    # 3″ on the sky, as stated to the estimator; the same from the directions, two degrees of freedom each.
     assert said.stars.sigma == pytest.approx(np.full(len(said.stars), 3.0 * ARCSEC), rel=0.05)
     angle = angle_between(said.stars.directions_s, truth.direction_s)
     low, high = mean_nees_band(angle.size, 2)
@@ -169,7 +169,7 @@ def test_a_simulated_centroid_is_the_mean_of_the_star_s_true_path(exposure_s):
     way = ways_of(scenario, said, truth)
     off = np.abs(way.mean(axis=0) - way[100]).max()
     np.testing.assert_allclose(said.pixel, way.mean(axis=0), atol=max(2e-3, 1e-4 * off))
-    # Points are what they were without an exposure.
+    # Points without an exposure are unchanged.
     still, _, _ = sightings_of(paper_stars_one(camera={**QUIET, **DISTORTED}))
     assert np.max(np.abs(said.pixel - still.pixel)) > 0.05
 
@@ -208,7 +208,7 @@ def test_stars_may_be_identified_by_their_directions_or_not_at_all():
     known = sky.catalogue.at_j2000[sky.catalogue.rows(truth.hip)]
     told = by_direction.stars.positions
     apart = erfa.seps(known.right_ascension, known.declination, told.right_ascension, told.declination)
-    # Proper motion of fourteen years is in what is told.
+    # The reported direction contains the proper motion of fourteen years.
     assert np.all(apart < 40.0 * ARCSEC)
     assert np.max(apart) > 0.1 * ARCSEC
     assert not np.any(told.pm_declination)
@@ -224,7 +224,7 @@ def test_false_stars_are_poisson_uniform_in_the_field_with_any_identity():
     false = truth.hip == 0
     exposure = np.repeat(np.arange(said.time_ns.size), np.diff(said.first))
     counts = np.bincount(exposure[false], minlength=said.time_ns.size)
-    # Of a Poisson count the variance is the mean: both in their bands, 2001 exposures.
+    # Variance and mean of a Poisson count are equal: both in their bands, 2001 exposures.
     assert abs(counts.mean() - 2.0) < 3.3 * np.sqrt(2.0 / counts.size)
     low, high = chi2.ppf([0.0005, 0.9995], counts.size - 1)
     assert low < np.sum((counts - counts.mean()) ** 2) / 2.0 < high
@@ -232,7 +232,7 @@ def test_false_stars_are_poisson_uniform_in_the_field_with_any_identity():
     expected = false.sum() / 64.0
     assert np.sum((cells - expected) ** 2) / expected < chi2.ppf(0.9995, 63)
     assert cells.sum() == false.sum()
-    # The identity says nothing of the place: over the sky as the catalogue's stars are, seldom from the field itself.
+    # The identity is independent of the position: distributed as the catalogue's stars, rarely in the field itself.
     rows = sky.catalogue.rows(said.stars.hip[false])
     bright = sky.catalogue.brighter_than(6.0)
     north = np.mean(sky.catalogue.at_j2000.declination[bright] > 0.0)
@@ -339,7 +339,7 @@ def test_the_boresight_of_an_inertial_attitude_is_without_aberration_and_with_re
     elevation = np.arcsin(bare_nv[:, 1, 0])
     lifted = np.arcsin(true_nv[:, 1, 0]) - elevation
     np.testing.assert_allclose(lifted, refraction("erfa", elevation, sky.weather).angle, rtol=0.0, atol=0.1 * MAS)
-    # And nothing but a lift: a turn about the horizontal across the boresight.
+    # Only a rotation about the horizontal axis across the boresight.
     turn_n = log_rotation(true_nv @ np.swapaxes(bare_nv, -1, -2))
     np.testing.assert_allclose(turn_n[:, 1], 0.0, atol=0.1 * MAS)
     np.testing.assert_allclose(np.sum(turn_n * true_nv[:, :, 0], axis=1), 0.0, atol=0.1 * MAS)
@@ -363,7 +363,7 @@ def test_clouds_daylight_and_the_horizon_leave_no_inertial_attitude():
     assert kept.sum() == kept.size - 10
     np.testing.assert_array_equal(cloudy.rotation_cv, whole.rotation_cv[kept])
     assert simulate(inertial(sun_limit_deg=-20.0), seed=1).stars[FORE].time_ns.size == 0
-    # The roll of the ship takes a boresight at 5° under the limit and back.
+    # The roll of the ship moves a boresight at 5° below the limit and back.
     low = simulate(with_sensor(inertial(20.0), elevation_deg=5.0), seed=1).stars[FORE]
     assert 10 < low.time_ns.size < 95
 

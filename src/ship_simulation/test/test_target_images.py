@@ -123,7 +123,7 @@ def test_a_target_off_the_detector_has_no_image():
 
 
 def test_an_exposure_shows_the_mean_of_the_path():
-    # A detector that turns by 60° while the mount sweeps: 2001 moments by the trapezoidal rule.
+    # A detector that rotates by 60° while the mount sweeps: 2001 times by the trapezoidal rule.
     turning = {"exposure_s": 1.0, "rotation_rate_deg_per_s": 0.0, "rate_hz": 1.0, "phase_s": 2.0, "sigma_m": 1e-9}
     turning |= {"focal_length_sigma_m": 0.0, "rotation_sigma_arcsec": 0.0, "width_m": 0.2, "height_m": 0.2}
     hanging = {"course__kind": "hover", "course__hover__azimuth_deg": 61.0, "course__hover__elevation_deg": 36.0}

@@ -71,7 +71,7 @@ def test_baselines_are_east_north_up_and_drones_have_their_attitude(run):
     message, _ = entries_of(run, DRONE)[5]
     q = message.orientation
     yaw_deg = np.rad2deg(np.arctan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y**2 + q.z**2)))
-    # The nose at 20° from North, sway of 2°, errors of 1°: ROS yaw counts from East the other way.
+    # The nose at 20° from North, sway of 2°, errors of 1°: ROS yaw is from East, counterclockwise.
     assert yaw_deg == pytest.approx(70.0, abs=4.0)
     east_var, north_var, up_var = np.diag(message.orientation_covariance.reshape(3, 3))
     assert east_var == north_var == pytest.approx(np.deg2rad(0.3) ** 2 + np.deg2rad(0.05) ** 2)
@@ -152,7 +152,7 @@ def test_a_stuck_encoder_has_new_stamps_and_the_old_angles():
     clean, stuck = faulty(ENCODER, "freeze")
     pairs = [(before, after) for (before, _), (after, _) in zip(clean, stuck, strict=True)]
     window = [after for before, after in pairs if serialize(before) != serialize(after)]
-    # Fifty in a second, of which the first keeps its own.
+    # Fifty in a second, of which the first is unchanged.
     assert len(window) == 49
     assert len({ns_from_stamp(message.header.stamp) for message in window}) == 49
     angles = {(message.azimuth, message.elevation) for message in window}
