@@ -59,7 +59,7 @@ def test_ins_samples_obey_the_equation_of_the_model():
     true_nd = carrier_of(run.scenario.carrier, run.seed).attitude(
         (run.ins.time_ns - run.start_ns) / SECOND_NS + truth.time_offset_s
     )
-    # R_true(s + tau) = exp(a) exp(w) R_ins(s), so w is what remains.
+    # R_true(s + tau) = exp(a) exp(w) R_ins(s), so w is the remainder.
     white_n = log_rotation(exp_rotation(-truth.attitude_error_n) @ true_nd @ np.swapaxes(run.ins.rotation_nd, -1, -2))
     for axis in range(3):
         assert_sigma(white_n[:, axis], 1.0 * ARCSEC)

@@ -71,7 +71,7 @@ def linearise(
     Args:
         star_angles: azimuth, elevation, roll of the sensor in the horizon, shape (..., 3), rad.
         installation_angles: azimuth, elevation, roll of the sensor in the deck, shape (..., 3), rad.
-        reading: convention of the installation angles.
+        convention: convention of the installation angles.
     """
     star, installation = np.broadcast_arrays(
         np.asarray(star_angles, dtype=float), np.asarray(installation_angles, dtype=float)
@@ -200,7 +200,7 @@ class Curve:
 
     Attributes:
         sweep: the figure to which the curve belongs.
-        reading: convention of the installation angles.
+        convention: convention of the installation angles.
         azimuth_deg: installation azimuth A0; None where A0 itself is swept.
         swept_deg: the swept angle, shape (n,).
         errors_arcsec: signed errors of heading, pitch, roll, shape (n, 3); NaN at a pitch of ±90°.

@@ -46,7 +46,7 @@ class OpticsOverSky:
         star_sigma_arcsec: noise of the direction of one star, per axis.
         stars: number of stars in the field for each of many uniformly drawn directions and rolls, shape (n,).
         sigmas_arcsec: sigma about (forward, up, right) for each of them, shape (n, 3); infinite with too few stars.
-        held_arcsec: sigma about (forward, up, right) not exceeded in the required share of the sky, shape (3,).
+        quantile_arcsec: sigma about (forward, up, right) not exceeded in the required share of the sky, shape (3,).
         liebe_arcsec: sigma about (forward, up, right) by Liebe's formulas with the mean number of stars, shape (3,).
     """
 

@@ -40,7 +40,7 @@ class Candidate:
         name: as in :data:`AS_GIVEN`.
         layout: the layout.
         sigmas_arcsec: of heading, pitch, roll, shape (3,); NaN if a boresight is too low for refraction.
-        use: sigma over requirement of the worst angle; NaN with the sigmas.
+        requirement_use: sigma over requirement of the worst angle; NaN with the sigmas.
         obstacles: descriptions of the obstructions in the fields of view; empty if there are none.
     """
 
@@ -62,9 +62,9 @@ class AdmissibleMap:
 
     Attributes:
         sensor: the sensor that is moved.
-        use: requirement use, shape (e, a); NaN where the boresight is too low.
-        clear: True where its field is clear of masks, shape (e, a).
-        over_horizon: True where its field stays above the horizon, shape (e, a).
+        requirement_use: requirement use, shape (e, a); NaN where the boresight is too low.
+        is_clear: True where its field is clear of masks, shape (e, a).
+        is_above_horizon: True where its field stays above the horizon, shape (e, a).
     """
 
     sensor: str
@@ -83,7 +83,7 @@ class TradedElevation:
 
     Attributes:
         elevation_deg: of all of them.
-        judged: the layout.
+        candidate: the layout.
         refraction_arcsec: errors of heading, pitch, roll by refraction, shape (3,).
     """
 

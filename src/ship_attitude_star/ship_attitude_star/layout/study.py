@@ -63,7 +63,7 @@ class LayoutStudy:
         curves: the curves of the six figures of [Z14].
         optics: results of the sensors' optics over the sky, by sensor name.
         obstructions: masks and horizon.
-        required: results of the requirement; None without a requirement.
+        requirement_result: results of the requirement; None without a requirement.
     """
 
     config: LayoutStudyConfig

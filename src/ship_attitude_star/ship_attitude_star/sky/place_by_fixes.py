@@ -85,7 +85,8 @@ class _Fix:
     Attributes:
         ecef_m: position of the antenna, shape (3,).
         covariance_ecef_m2: its covariance, shape (3, 3).
-        below_m: point of the ellipsoid below the antenna; heights are not compared because they do not affect stars.
+        ellipsoid_point_m: point of the ellipsoid below the antenna; heights are not compared because they do not affect
+            stars.
         sigma: horizontal standard deviation, both axes together, m.
     """
 

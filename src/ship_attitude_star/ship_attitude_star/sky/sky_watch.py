@@ -93,9 +93,9 @@ class SkyMoment:
 
     Attributes:
         time_ns: the time.
-        place: the ship's position at that time.
+        position: the ship's position at that time.
         air: the air at the ship at that time.
-        refreshed: computes directions without refraction.
+        airless_sky: computes directions without refraction.
         model: refraction model.
         wavelength_um: effective wavelength of the sensors' light.
         utc_sigma_s: standard deviation of the clocks that provide all stamps.

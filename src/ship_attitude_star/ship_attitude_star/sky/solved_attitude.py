@@ -38,7 +38,7 @@ def shared_told_apart(solved: SolvedAttitude, moment: SkyMoment) -> AttitudeMeas
 
     Args:
         solved: the attitude.
-        moment: the sky at its time.
+        local_sky: the sky at its time.
     """
     rotation_ns, turns_n = solved.rotation_nv, moment.turns().T
     noise_n = rotation_ns @ solved.noise_v @ rotation_ns.T

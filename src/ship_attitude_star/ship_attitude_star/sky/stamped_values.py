@@ -60,12 +60,12 @@ class JumpLimits:
     """Limits of the distance between a value and an earlier one.
 
     Attributes:
-        at_once: allowed distance without any time between the two, in addition to their noise.
-        per_s: allowed distance per second between the two.
-        lasts_s: time after which consistent values beyond the limits are accepted, s.
+        max_step: allowed distance without any time between the two, in addition to their noise.
+        max_rate: allowed distance per second between the two.
+        confirmation_s: time after which consistent values beyond the limits are accepted, s.
         unit: unit of these limits, for texts.
-        settled_by: number of different consistent values after which they are no longer provisional; also the number of
-            rejected values that replace provisional ones. 1: no value is provisional.
+        min_consistent: number of different consistent values after which they are no longer provisional; also the
+            number of rejected values that replace provisional ones. 1: no value is provisional.
     """
 
     at_once: float
@@ -92,15 +92,15 @@ class _Belief(Generic[Value]):
     """State of acceptance after a value.
 
     Attributes:
-        good: the last accepted value.
-        stood_ns: stamp since which the value has been constant.
-        alone: True if it was accepted without a predecessor.
-        refused: the last one of the consistent rejected values; None if the last value was accepted.
-        since_ns: stamp of the first of them.
-        anew: True if the last value was accepted although it had jumped.
-        agreed: number of different values consistent with the last accepted one, itself included, at most
+        last_accepted: the last accepted value.
+        constant_since_ns: stamp since which the value has been constant.
+        is_first: True if it was accepted without a predecessor.
+        last_rejected: the last one of the consistent rejected values; None if the last value was accepted.
+        rejected_since_ns: stamp of the first of them.
+        follows_jump: True if the last value was accepted although it had jumped.
+        consistent_count: number of different values consistent with the last accepted one, itself included, at most
             ``min_consistent``.
-        opposed: number of consistent rejected values.
+        rejected_count: number of consistent rejected values.
     """
 
     good: _Stamped[Value] | None = None
@@ -122,8 +122,8 @@ class StampedValues(Generic[Value]):
     Attributes:
         times: stamps of the accepted values, increasing.
         values: the accepted values, of the same length.
-        anew: True if the value had jumped, so that it is not connected to the one before; of the same length.
-        disputed_since_ns: stamp from which on the last :meth:`insert` changed :meth:`has_conflict_at`; None for none.
+        follows_jump: True if the value had jumped, so that it is not connected to the one before; of the same length.
+        conflict_changed_ns: stamp from which on the last :meth:`insert` changed :meth:`has_conflict_at`; None for none.
     """
 
     def __init__(self, limits: JumpLimits) -> None:

@@ -31,7 +31,7 @@ def in_horizon(attitude: InertialAttitude | SolvedAttitude, watch: SkyWatch) -> 
 
     Args:
         attitude: against the ICRS, or already in the horizon as computed by a sensor.
-        watch: the sky model.
+        sky_model: the sky model.
 
     Returns:
         The rejection if no star can be placed at that time, or if the boresight is below the elevation range of the

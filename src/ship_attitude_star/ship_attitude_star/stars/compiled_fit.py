@@ -46,7 +46,7 @@ def linearized(
         shared_n: shape (k, 3, n_shared).
         sensor: shape (k,).
         mounting_b: shape (n_sensors, 3, 3), or (0, 3, 3).
-        turned_b: shape (n_sensors, 3, c), or (0, 3, 0).
+        time_transfer_b: shape (n_sensors, 3, c), or (0, 3, 0).
         rotation_nb: point of linearisation, shape (3, 3).
     """
     count: cython.Py_ssize_t = measured_b.shape[0]
@@ -174,7 +174,7 @@ def judged(
         jacobian: as in :func:`normal_equations`.
         displacement: as in :func:`normal_equations`.
         members: as in :func:`normal_equations`.
-        open_: number of unknowns without a prior, the first ones; the prior of the others is the identity.
+        free_count: number of unknowns without a prior, the first ones; the prior of the others is the identity.
 
     Returns:
         Information by the stars alone and with the priors, shape (q, q) each; the unknowns, shape (q,); the remaining

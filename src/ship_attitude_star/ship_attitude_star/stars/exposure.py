@@ -92,11 +92,11 @@ class StarExposure:
         length: length of the exposure, with its camera; None if the message does not state it.
         smear_s: covariance that the motion during the exposure adds to a direction, in the sensor frame, rad², shape
             (k, 3, 3); None before :func:`reduce_to_mid_exposure`.
-        streak: length of each star's streak, rad, shape (k,); None before :func:`reduce_to_mid_exposure`.
+        streak_length: length of each star's streak, rad, shape (k,); None before :func:`reduce_to_mid_exposure`.
         masks: obstructions on deck in the sensor's view; None if there are none.
         optics: errors of its camera's optics parameters; None where they are exact.
         spatial: errors that depend on the position on the detector; None if there are none.
-        stay: pixel dwell of the stars; None before :meth:`with_pixel_dwell`, and where no error depends on it.
+        pixel_dwell: pixel dwell of the stars; None before :meth:`with_pixel_dwell`, and where no error depends on it.
     """
 
     source: str
@@ -253,7 +253,7 @@ def visible_stars(
 
     Args:
         exposure: the stars as the sensor measured them.
-        watch: the sky model.
+        sky_model: the sky model.
         prior: attitude of the sensor, used to identify stars without an identity; None leaves these out.
 
     Returns:
@@ -311,7 +311,7 @@ def identified(
     Args:
         exposure: the stars as the sensor measured them.
         prior: attitude of the sensor.
-        moment: the sky at the exposure; it also defines which catalogue stars are bright enough.
+        local_sky: the sky at the exposure; it also defines which catalogue stars are bright enough.
 
     Returns:
         The exposure, and for each row still without an identity the reason.
@@ -352,7 +352,7 @@ def _why_not(nearest: float, fitting: int, behind: str) -> Refusal:
     Args:
         nearest: angle to the nearest catalogue star, rad; infinite if there is none.
         fitting: number of catalogue stars within the gate.
-        behind: names of the masks that cover the detection; empty for none.
+        masks: names of the masks that cover the detection; empty for none.
     """
     if behind:
         return Refusal(Reason.UNIDENTIFIED, f"not a star: inside the mask {behind}")

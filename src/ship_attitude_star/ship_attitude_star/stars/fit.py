@@ -48,11 +48,11 @@ class SightedStars:
             in b as columns, rad, shape (n_sensors, 3, 3); (0, 3, 3) where b is the frame of the one sensor.
         smear_b: covariance that the motion during the exposure adds to a measured direction, in b, rad², shape (k, 3,
             3); None where it adds nothing.
-        turned_b: rotation of each sensor by one sigma of each of c independent errors of the rotations that transfer
-            the exposures to one time, rotation vectors in b as columns, rad, shape (n_sensors, 3, c); None if there are
-            none.
-        rivals: number of possible false matches of each star per steradian, shape (k,); None where identities are
-            certain.
+        time_transfer_b: rotation of each sensor by one sigma of each of c independent errors of the rotations that
+            transfer the exposures to one time, rotation vectors in b as columns, rad, shape (n_sensors, 3, c); None if
+            there are none.
+        false_match_density: number of possible false matches of each star per steradian, shape (k,); None where
+            identities are certain.
         pixel_sigma: pixel-spatial error of a measured direction, rad per axis, shape (k,); None if there is none.
         field_b: displacement of the measured direction by one sigma of each of f correlated camera errors over the
             field, optics and field-spatial, rad, shape (k, 3, f); None if there is no such error.
@@ -107,7 +107,7 @@ class StarFit:
         jacobian: derivative of the displacements by the q unknowns, divided by the star's sigma, shape (k, 3, q).
         displacement: v - R u, divided by the star's sigma, shape (k, 3); along a streak that sigma is larger.
         residual_n: v - R u, rad, shape (k, 3).
-        open: number of unknowns without a prior: 3 (δ), or 0 after :meth:`with_prior`.
+        free_count: number of unknowns without a prior: 3 (δ), or 0 after :meth:`with_prior`.
     """
 
     jacobian: FloatArray
@@ -174,8 +174,8 @@ class StarJudgement:
 
     Attributes:
         information: of all unknowns by the stars alone, shape (q, q).
-        constrained: the same with the priors, shape (q, q).
-        solution: most likely values of the unknowns, shape (q,).
+        information_with_prior: the same with the priors, shape (q, q).
+        unknowns: most likely values of the unknowns, shape (q,).
         chi_square: squares of the remaining displacements, and of the unknowns against their priors.
         degrees: degrees of freedom of ``chi_square``.
     """
@@ -227,7 +227,7 @@ class Agreement:
             cameras have field errors.
         white_covariance_n: covariance of its error by independent errors and by field errors, rad², shape (3, 3).
         fit: all stars, linearised at that attitude.
-        judgement: solution by the stars that gave the attitude.
+        solution: solution by the stars that gave the attitude.
         field_weight: weight that eliminates the cameras' field errors (:func:`_field_weight`), shape (q, f); None where
             stars are points and cameras have none.
     """

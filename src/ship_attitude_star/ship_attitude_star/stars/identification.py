@@ -44,7 +44,7 @@ class Candidates:
 
     Attributes:
         rows: catalogue rows of the stars in the field, shape (c,).
-        fitting: True if a detection may be that star, shape (k, c).
+        is_match: True if a detection may be that star, shape (k, c).
         nearest: angle from the predicted direction of each unmatched detection to the nearest star in the field, rad,
             shape (k,); infinite if there is none; meaningless for a matched detection.
     """
@@ -71,7 +71,7 @@ def candidates(
         magnitude: as measured, shape (k,); NaN where unknown.
         smear_s: covariance of the error by motion during the exposure, rad², shape (k, 3, 3); None for none.
         prior: attitude of the sensor.
-        moment: the sky at the exposure; it also defines which catalogue stars are bright enough.
+        local_sky: the sky at the exposure; it also defines which catalogue stars are bright enough.
         masks: obstructions on deck in the sensor's view; a star behind one is no candidate, and a detection inside one
             is no star; None if there are none.
     """

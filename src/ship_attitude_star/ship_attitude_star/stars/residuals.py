@@ -38,10 +38,11 @@ class StarResiduals:
     Attributes:
         residual: measured minus predicted direction, up and right of each of k stars, rad, shape (2 k,).
         jacobian: derivative of the residual by the n states, shape (2 k, n).
-        by_turn: its derivative by a rotation of the predicted sensor, rotation vector in its own frame, shape (2 k, 3).
+        rotation_jacobian: its derivative by a rotation of the predicted sensor, rotation vector in its own frame, shape
+            (2 k, 3).
         noise: covariance by error source, rad², shape (2 k, 2 k) each.
         components: name of each residual.
-        refused: the other stars by name, each with its rejection.
+        rejected: the other stars by name, each with its rejection.
         rotation_ns: the sensor's attitude (horizon from sensor) by these stars alone if they contradict the prediction,
             shape (3, 3); None if they are consistent with it.
     """
@@ -73,11 +74,11 @@ def star_residuals(
         rotation_ns: predicted attitude of the sensor (horizon from sensor) at ``mean``, shape (3, 3).
         to_sensor: derivative of its rotation vector in the sensor frame by the states, shape (3, n).
         prior: attitude of the sensor with the covariance of its error, used to select the stars.
-        watch: the sky model.
-        sky_rows: slice of the states of the shared errors.
+        sky_model: the sky model.
+        sky_slice: slice of the states of the shared errors.
         mean: of the state, shape (n,).
-        near_ns: an attitude near the truth, where that of the prior may be far from it, shape (3, 3).
-        field_rows: state indices of the correlated errors of the sensor's camera; None if it has none.
+        initial_ns: an attitude near the truth, where that of the prior may be far from it, shape (3, 3).
+        camera_indices: state indices of the correlated errors of the sensor's camera; None if it has none.
 
     Returns:
         The rejection of the whole exposure if no star can be placed in the sky at its time, if none can be used, or if
@@ -148,7 +149,7 @@ def _believed(
         stars: with their directions by the sky model.
         at_estimate: the same, corrected by the estimate of the shared errors.
         prior: the prediction.
-        near_ns: an attitude near the truth, where that of the prediction may be far from it, shape (3, 3).
+        initial_ns: an attitude near the truth, where that of the prediction may be far from it, shape (3, 3).
 
     Returns:
         True for each selected star, shape (k,), none if the stars contradict the prediction and one another; and the

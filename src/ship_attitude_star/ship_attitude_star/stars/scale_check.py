@@ -33,7 +33,7 @@ def contradicted_scale(
 
     Args:
         exposure: all detections.
-        watch: the sky model.
+        sky_model: the sky model.
         prior: attitude of the sensor known without these stars; None if there is none.
         used_count: number of detections that fit one attitude with the configured optics. If these are all, or enough
             to determine the focal length, the field is not solved again.
@@ -78,7 +78,7 @@ def wrong_focal_length(optics: OpticsErrors, scale: float, by_what: str) -> Refu
     Args:
         optics: as configured.
         scale: relative error of the focal length, fitted minus configured.
-        by_what: data to which the focal length is fitted, for the text.
+        evidence: data to which the focal length is fitted, for the text.
     """
     told_mm = 1e3 * optics.camera.focal_length_m
     text = (

@@ -89,8 +89,8 @@ class Choice:
 
     Attributes:
         members: True for each selected star, shape (k,); all False if no set is larger than its rivals.
-        agreement: the attitude that they give; None if the selection did not need it.
-        by_chance: expected number of false sets if that is too large for the consistent stars; else None.
+        attitude_fit: the attitude that they give; None if the selection did not need it.
+        false_matches: expected number of false sets if that is too large for the consistent stars; else None.
     """
 
     members: BoolArray
@@ -105,7 +105,7 @@ def select(stars: SightedStars, prior: StarPrior | None = None, near_nb: FloatAr
         stars: all measured stars that have a sky direction.
         prior: used to select among sets, and to accept a single star. It does not enter the attitude of the selected
             stars.
-        near_nb: an attitude within a degree of the truth, where that of the prior may be further away, shape (3, 3).
+        initial_nb: an attitude within a degree of the truth, where that of the prior may be further away, shape (3, 3).
     """
     if prior is None:
         return _select_alone(stars)

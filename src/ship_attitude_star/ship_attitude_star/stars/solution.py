@@ -77,9 +77,10 @@ class StarSolution:
 
     Attributes:
         status: INVALID if there is no attitude.
-        refusal: why it is INVALID; else None.
+        rejection: why it is INVALID; else None.
         rotation_nb: horizon from b, shape (3, 3); NaN if INVALID.
-        parts_n: covariance by SOLUTION_TERMS, rotation vector in the horizon frame, rad², shape (n_terms, 3, 3).
+        covariance_by_source_n: covariance by SOLUTION_TERMS, rotation vector in the horizon frame, rad², shape
+            (n_terms, 3, 3).
         members: True for each star used, shape (k,).
         residual_n: reference minus measured direction of each star, used or not, rad, shape (k, 3); NaN if INVALID.
         rejected: by row, stars that were not used because their identity is wrong.
@@ -267,7 +268,7 @@ def no_attitude(members: NDArray[np.bool_], refusal: Refusal) -> StarSolution:
 
     Args:
         members: True for each star that is consistent with the others, shape (k,).
-        refusal: why there is no attitude.
+        rejection: why there is no attitude.
     """
     unknown = np.full((3, 3), np.nan)
     return StarSolution(

@@ -53,8 +53,9 @@ class PixelStay:
 
     Attributes:
         directions_s: directions of the stars at its start, shape (k, 3).
-        exposures: number of exposures since.
-        excess: relative increase of the pixel-spatial variance in the last exposure over that of a single exposure.
+        exposure_count: number of exposures since.
+        excess_ratio: relative increase of the pixel-spatial variance in the last exposure over that of a single
+            exposure.
     """
 
     directions_s: FloatArray

@@ -144,7 +144,7 @@ class ExposureTimes:
 
     Attributes:
         since_middle_s: times after the middle, shape (m,).
-        share: weights, shape (m,); their sum is 1.
+        weight: weights, shape (m,); their sum is 1.
     """
 
     since_middle_s: FloatArray
@@ -165,7 +165,7 @@ def centroids(times: ExposureTimes, way: FloatArray, psf_sigma: float, sigma: fl
 
     Args:
         times: of the exposure.
-        way: positions of the points at these times, shape (m, ..., 2).
+        path: positions of the points at these times, shape (m, ..., 2).
         psf_sigma: standard deviation of the image of a point at rest, each axis.
         sigma: error of the centroid of an image at rest, each axis.
         noise: standard normal numbers, shape (..., 2).

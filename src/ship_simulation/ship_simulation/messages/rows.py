@@ -17,7 +17,7 @@ class Rows(Generic[Row]):
     """One row per sample, with a cache of the last blocks.
 
     Args:
-        of: returns the rows of a slice of samples; each row depends on its own sample only.
+        compute: returns the rows of a slice of samples; each row depends on its own sample only.
     """
 
     def __init__(self, of: Callable[[slice], Sequence[Row]]) -> None:

@@ -156,7 +156,7 @@ class _Topic:
         topic: its name.
 
     Attributes:
-        passed_ns: time after which all messages arrive that are not delivered yet.
+        watermark_ns: time after which all messages arrive that are not delivered yet.
     """
 
     def __init__(self, run: SimulatedRun, topic: str) -> None:

@@ -30,8 +30,8 @@ class Kind(NamedTuple):
 
     Attributes:
         doc: its effect on a message.
-        needs: required sizes; of each group one or more.
-        may: optional sizes.
+        required: required sizes; of each group one or more.
+        optional: optional sizes.
     """
 
     doc: str

@@ -34,7 +34,7 @@ def load_faults(source: Path | str, topics: Mapping[str, str], place: str) -> di
     Args:
         source: YAML file with a group ``faults`` as in a scenario; a ``str`` is the text itself.
         topics: topic → type of the topics that faults may affect.
-        place: location of these topics, for the message: ``in the bag``.
+        location: location of these topics, for the message: ``in the bag``.
 
     Raises:
         BadInput: names file, line, key, value and the expected value.

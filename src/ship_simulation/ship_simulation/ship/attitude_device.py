@@ -170,7 +170,7 @@ class ExposedMotion:
         valid_ns: times of validity: the stamps plus the sensor's time offset, shape (n,).
         rotation_nv: horizon from sensor, shape (n, 3, 3).
         times: quadrature nodes of each exposure.
-        passing_nv: horizon from sensor at these nodes, shape (m, n, 3, 3).
+        exposure_nv: horizon from sensor at these nodes, shape (m, n, 3, 3).
     """
 
     time_ns: np.ndarray

@@ -93,7 +93,7 @@ class SightingsTruth:
         rotation_nv: horizon from sensor at each exposure, shape (n, 3, 3).
         hip: HIP number; 0 if there is no star, shape (k,).
         direction_s: true direction in the sensor frame, shape (k, 3); NaN if there is no star.
-        swapped: True if a star has the identity of another star of its exposure, shape (k,).
+        is_swapped: True if a star has the identity of another star of its exposure, shape (k,).
     """
 
     rotation_nv: FloatArray

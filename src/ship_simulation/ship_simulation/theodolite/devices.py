@@ -66,7 +66,7 @@ class ImageSamples:
         log_time_ns: arrival times, shape (n,).
         first: shape (n + 1,).
         beacon_ids: of all lights of the scenario.
-        light: index of each found light in ``beacon_ids``, shape (k,).
+        beacon_index: index of each found light in ``beacon_ids``, shape (k,).
         point_m: on the detector, along right and up, shape (k, 2).
         sigma_m: of each coordinate, of a light at rest.
     """

@@ -102,7 +102,7 @@ class Aim:
     Attributes:
         programme: the sweep, and whether the lights are followed.
         paths: of the drones.
-        gone_s: time when the last of them leaves.
+        last_departure_s: time when the last of them leaves.
     """
 
     programme: Programme

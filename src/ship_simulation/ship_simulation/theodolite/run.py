@@ -38,7 +38,7 @@ class PointingTruth:
             the last, shape (m,).
         mount: the mount there.
         rotation_nt: horizon from telescope there, shape (m, 3, 3).
-        light_count: number of lights in the telescope's view there, shape (m,).
+        beacon_count: number of lights in the telescope's view there, shape (m,).
         scene: all true quantities, at any time.
         star_parallelism: of the main axis in each camera that observes stars, rad, shape (3,).
     """

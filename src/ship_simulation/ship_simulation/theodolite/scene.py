@@ -163,7 +163,7 @@ class Scene:
         theodolite: its constants.
         deformation: rotation vector of its base against the deck, rad.
         aim: its line of sight.
-        lights: by id, in the order of ids.
+        beacons: by id, in the order of ids.
         refraction: the error of k that is common to all lights, one process.
         coefficient: k as known.
     """
