@@ -91,7 +91,7 @@ class SkyConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class InertialConfig:
-    """How a star tracker computes its attitude against the ICRS; used only with ``input: inertial_attitude``."""
+    """Corrections and field of a star tracker that measures against the ICRS (``input: inertial_attitude``)."""
 
     aberration_removed: bool = parameter(
         True, doc="the tracker corrects annual aberration; false: its attitude includes it"

@@ -214,7 +214,7 @@ class StampedValues(Generic[Value]):
         return bisect.bisect_right(self.times, time_ns) - 1
 
     def is_disputed(self, time_ns: int) -> bool:
-        """True if, before a time, provisional values were last contradicted by more than one outlier among several."""
+        """True if provisional values are contradicted at a time: a single one by one value, several by two values."""
         return self._disputes(self._belief_before(bisect.bisect_right(self._stamps, time_ns)))
 
     # -- decisions ------------------------------------------------------------------------------------------

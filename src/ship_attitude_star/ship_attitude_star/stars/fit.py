@@ -44,18 +44,17 @@ class SightedStars:
         position_sigma: error of the catalogue's position, rad per axis, shape (k,).
         shared_n: displacement of the reference by one sigma of each shared error, rad, shape (k, 3, n_shared).
         sensor: index of the sensor that measured the star, shape (k,).
-        mounting_b: rotation of each sensor by one sigma of each of three independent mounting errors, rotation vectors
-            in b as columns, rad, shape (n_sensors, 3, 3); (0, 3, 3) where b is the frame of the one sensor.
+        mounting_b: rotation of each sensor by one sigma of three independent mounting errors; rotation vectors in b as
+            columns, rad, shape (n_sensors, 3, 3). Shape (0, 3, 3) where b is the frame of the one sensor.
         smear_b: covariance that the motion during the exposure adds to a measured direction, in b, rad², shape (k, 3,
             3); None where it adds nothing.
-        time_transfer_b: rotation of each sensor by one sigma of each of c independent errors of the rotations that
-            transfer the exposures to one time, rotation vectors in b as columns, rad, shape (n_sensors, 3, c); None if
-            there are none.
+        time_transfer_b: rotation of each sensor by one sigma of c independent errors of the transfer of exposures to
+            one time; rotation vectors in b as columns, rad, shape (n_sensors, 3, c). None if there are none.
         false_match_density: number of possible false matches of each star per steradian, shape (k,); None where
             identities are certain.
         pixel_sigma: pixel-spatial error of a measured direction, rad per axis, shape (k,); None if there is none.
-        field_b: displacement of the measured direction by one sigma of each of f correlated camera errors over the
-            field, optics and field-spatial, rad, shape (k, 3, f); None if there is no such error.
+        field_b: displacement of the measured direction by one sigma of f correlated camera errors (optics,
+            field-spatial), rad, shape (k, 3, f); None if there is no such error.
         field_sources: error source of each of these errors.
     """
 

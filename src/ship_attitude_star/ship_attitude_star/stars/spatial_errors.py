@@ -108,11 +108,14 @@ class SpatialErrors:
     def stay(self, directions_s: FloatArray, sigma: FloatArray, before: PixelStay | None) -> PixelStay:
         """Return the pixel dwell of an exposure after the previous one.
 
-        Of successive exposures whose pixel errors have the correlation ρ, each has (1 - ρ)/(1 + ρ) of the information
-        of the first one: its variance is multiplied by (1 + ρ)/(1 - ρ), which is coth d with ρ = exp(-2 d). All stars
-        move together, by a shift and a rotation about their mean. The distance d of one exposure is the root mean
-        square of their movements since the start of the dwell, divided by the number of exposures since. The movement
-        between two successive exposures would be mostly noise of the centroids, or sway of the ship on the same pixels.
+        Let ρ be the correlation of the pixel errors of successive exposures. Each exposure then has (1 - ρ)/(1 + ρ) of
+        the information of the first one. Its variance is multiplied by (1 + ρ)/(1 - ρ), which is coth d with ρ = exp(-2
+        d).
+
+        All stars move together, by a shift and a rotation about their mean. The distance d of one exposure is the root
+        mean square of their movements since the start of the dwell, divided by the number of exposures since. The
+        movement between two successive exposures would be mostly noise of the centroids, or sway of the ship on the
+        same pixels.
 
         Args:
             directions_s: of the stars, shape (k, 3).

@@ -1,9 +1,9 @@
 """Errors of star centroids that depend on the position on the detector, constant over time.
 
-The field-spatial error is a smooth random function of the position: a sum of many waves whose wave numbers are drawn
-from the normal distribution of a Gaussian correlation, three quarters of a side of the detector long, minus its mean
-over the detector. The pixel-spatial error is an independent number for each pixel and axis. Nothing here is shared with
-the estimators, which represent the map as a polynomial.
+The field-spatial error is a smooth random function of the position: a sum of many waves, minus its mean over the
+detector. The wave numbers are drawn from the normal distribution of a Gaussian correlation, whose length is three
+quarters of a side of the detector. The pixel-spatial error is an independent number for each pixel and axis. Nothing
+here is shared with the estimators, which represent the map as a polynomial.
 """
 
 import numpy as np
