@@ -37,7 +37,7 @@ from ship_geometry.star_directions import StarPositions
 _PRIOR_TOO_WIDE = f"the attitude is not known to {np.rad2deg(WIDEST):.0f}°: too many catalogue stars match"
 
 _ONE_SENSOR: FloatArray = np.empty((0, 3, 3))
-"""Mounting errors of stars that are compared in their sensor's own frame: none."""
+"""Mounting errors for stars that are compared in their sensor's own frame: none."""
 
 _OUT_OF_SIGHT = 1.0
 """Variance of a star that leaves the field of view during the exposure, rad²; it removes the star's weight."""

@@ -17,7 +17,7 @@ from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.draws.noise import GaussMarkov, SlowError, random_stream
 
 STRETCH_S = 20
-"""Length of the stretches of a voyage that is written: some thousand samples, which is as fast as all at once."""
+"""Length of a stretch when a bag is written, s: some thousand samples, which is as fast as all at once."""
 
 _ASKED_BACK_S = 10.0
 """Longest time before a stretch for which a correlated error is requested; exposures and offsets are shorter."""

@@ -160,7 +160,7 @@ def _untouched(bag: Bag, hit: set[str]) -> Iterator[tuple[int, int, BagRecord]]:
 
 
 def _deliveries(bag: Bag, name: str) -> Iterator[Delivery]:
-    """The messages of a topic of a bag; one that cannot be read stays as it is."""
+    """Yield the messages of a topic of a bag; one that cannot be decoded passes unchanged."""
     for order, record in enumerate(bag.records()):
         if record.topic == name:
             try:
