@@ -51,7 +51,7 @@ def in_the_mast(stars: list[Any]) -> int:
 
 def test_every_spot_before_the_mast_is_refused_by_its_name(night: Path) -> None:
     spots = sum(in_the_mast(message.stars) for message in messages(night / "in.mcap", "star/fore/observations"))
-    told = [m for m in messages(night / "out.mcap", "star/innovation") if "lies in the mask mast" in m.reason_text]
+    told = [m for m in messages(night / "out.mcap", "star/innovation") if "inside the mask mast" in m.reason_text]
     assert 10 < spots == len(told)
     assert {message.source for message in told} == {"star.fore"}
     assert {message.reason for message in told} == {Reason.UNIDENTIFIED.value}

@@ -23,14 +23,14 @@ def test_all_of_hipparcos_2():
     assert hipparcos() is catalogue
 
 
-def test_a_star_as_it_stands_in_the_file():
+def test_a_star_equals_its_record_in_the_file():
     # hip2.dat: HIP 57939 (Groombridge 1830), the third fastest star.
     catalogue = hipparcos()
     row = catalogue.rows(57_939)
     star = catalogue.at_epoch[row]
     assert (star.right_ascension, star.declination) == (3.1107451467, 0.6585617448)
     assert star.parallax_arcsec == pytest.approx(0.10999, abs=1e-12)
-    # The file's proper motion holds cos δ, ours does not.
+    # The file's proper motion includes the factor cos δ, the array's does not.
     assert star.pm_right_ascension * np.cos(star.declination) / MAS == pytest.approx(4003.98, abs=1e-6)
     assert star.pm_declination / MAS == pytest.approx(-5813.62, abs=1e-6)
     assert catalogue.position_sigma[row] / MAS == pytest.approx(0.33)
@@ -53,7 +53,7 @@ def test_the_papers_star_from_number_to_direction():
 
 def test_unknown_stars_have_a_reason():
     catalogue = hipparcos()
-    # HIP 421 is the first number of Hipparcos that hip2.dat leaves out.
+    # HIP 421 is the first number missing in hip2.dat.
     found = catalogue.rows(np.array([[92_420, 0], [421, 120_405]], dtype=np.uint32))
     assert (found == UNKNOWN).tolist() == [[False, True], [True, True]]
     assert catalogue.reason_against(4_294_967_295) == (
@@ -84,7 +84,7 @@ def test_error_grows_with_the_years_since_the_epoch():
     assert catalogue.sigma(row, 2026.25) == pytest.approx(expected)
 
 
-def test_all_that_is_known_of_an_exposures_stars_in_one_answer():
+def test_entries_of_an_exposures_stars():
     catalogue = hipparcos()
     time_ns = 1_404_906_607_800_000_000
     assert julian_year(time_ns) == pytest.approx(2014.52, abs=0.005)
@@ -104,7 +104,7 @@ def test_files_that_do_not_fit_are_named(tmp_path):
     assert len(read_hipparcos2(path).hip) == 20
     for content in (b"", raw[:-1], raw[:20] + b"?" + raw[21:], raw[:43] + 7 * b" " + raw[50:]):
         path.write_bytes(content)
-        with pytest.raises(ValueError, match=r"hip2\.dat: not in the form of hip2\.dat"):
+        with pytest.raises(ValueError, match=r"hip2\.dat: not in the format of hip2\.dat"):
             read_hipparcos2(path)
     path.write_bytes(raw[277:554] + raw[:277])
     with pytest.raises(ValueError, match="do not increase"):

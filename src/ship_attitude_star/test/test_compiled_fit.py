@@ -1,4 +1,4 @@
-"""The compiled arithmetic of single stars against the same formulas in plain numpy."""
+"""The compiled arithmetic of single stars compared with the same formulas in plain numpy."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def equal(found: np.ndarray, expected: np.ndarray) -> None:
 
 
 def seen(sensors: int, turns: int) -> SightedStars:
-    """Stars of some sensors, about where they are expected."""
+    """Return random stars of several sensors near their expected directions."""
     rng = np.random.default_rng(1)
     reference_n = rng.normal(size=(STARS, 3))
     reference_n /= np.linalg.norm(reference_n, axis=-1, keepdims=True)
@@ -60,10 +60,10 @@ def test_normal_equations_are_those_of_the_members() -> None:
 
 
 @pytest.mark.parametrize("open_", [0, 3])
-def test_stars_are_judged_as_by_numpy(open_: int) -> None:
+def test_stars_are_solved_as_by_numpy(open_: int) -> None:
     fit, members = linearized(seen(SENSORS, TURNS), np.eye(3)), np.arange(STARS) % 3 != 1
     rows, flat = fit.jacobian[members].reshape(-1, fit.jacobian.shape[-1]), fit.displacement[members].ravel()
-    # Unknowns counted in sigmas are of about one.
+    # Unknowns in units of sigma are of order one.
     unit = np.where(np.arange(rows.shape[1]) < 3, 1e5, 1.0)
     rows, fit = rows / unit, StarFit(fit.jacobian / unit, fit.displacement, fit.residual_n, open_)
     judgement = fit.judge(members)
@@ -77,7 +77,7 @@ def test_stars_are_judged_as_by_numpy(open_: int) -> None:
     assert judgement.degrees == 2 * np.count_nonzero(members) - open_
 
 
-def test_stars_that_leave_the_attitude_open_are_not_judged() -> None:
+def test_stars_that_do_not_determine_the_attitude_are_refused() -> None:
     fit = linearized(seen(0, 0), np.eye(3))
     with pytest.raises(np.linalg.LinAlgError):
         fit.judge(np.zeros(STARS, dtype=bool))
@@ -85,7 +85,7 @@ def test_stars_that_leave_the_attitude_open_are_not_judged() -> None:
         StarFit(np.full_like(fit.jacobian, np.nan), fit.displacement, fit.residual_n).judge()
 
 
-def test_with_a_prediction_the_attitude_is_counted_in_its_sigmas() -> None:
+def test_with_a_prediction_the_attitude_is_in_units_of_its_sigmas() -> None:
     fit, rng = linearized(seen(SENSORS, 0), np.eye(3)), np.random.default_rng(3)
     root, turn_n = rng.normal(size=(3, 3)), 1e-4 * rng.normal(size=3)
     covariance_n = root @ root.T
@@ -94,7 +94,7 @@ def test_with_a_prediction_the_attitude_is_counted_in_its_sigmas() -> None:
         of_attitude = fit.jacobian[:, :, :3]
         equal(found.jacobian[:, :, 3:], fit.jacobian[:, :, 3:])
         counted = found.jacobian[:, :, :3]
-        # Any root will do: what is told of the attitude is the same.
+        # Any root is valid: the information about the attitude is the same.
         equal(counted @ counted.swapaxes(1, 2), of_attitude @ covariance_n @ of_attitude.swapaxes(1, 2))
         equal(found.displacement, fit.displacement - (0.0 if expected_n is None else of_attitude @ expected_n))
         assert found.open == 0
@@ -137,7 +137,7 @@ def test_residuals_of_stars_are_as_by_numpy() -> None:
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
-    """The loops look at no bounds."""
+    """The loops check no bounds."""
     stars, none = seen(0, 0), np.empty((0, 3, 0))
     arguments = (
         stars.measured_b,

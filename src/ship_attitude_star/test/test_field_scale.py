@@ -1,4 +1,4 @@
-"""Focal length and principal point from angles between stars: against drawn cameras, scipy and chi-square bands."""
+"""Focal length and principal point from angles between stars: drawn cameras, scipy and chi-square bands."""
 
 from dataclasses import replace
 from functools import reduce
@@ -34,7 +34,7 @@ def true_camera(camera, scale=0.0, u_px=0.0, v_px=0.0):
 
 
 def draw_field(rng, camera, true, stars=10, sigma_px=SIGMA_PX, shift_px=None):
-    """One exposure of the true camera, read with the configured one; ``shift_px`` maps pixels to further errors."""
+    """Return an exposure of the true camera, read with the configured one; ``shift_px`` maps pixels to more errors."""
     rotation_ns = Rotation.random(random_state=rng.integers(2**31)).as_matrix()
     pixels = rng.uniform(0.0, 2047.0, (stars, 2))
     seen = pixels + sigma_px * rng.standard_normal(pixels.shape)
@@ -57,10 +57,10 @@ def estimated(camera, fields, **options):
 
 
 @CAMERAS
-def test_stars_without_noise_give_the_optics_that_made_them(camera):
+def test_stars_without_noise_give_the_true_optics(camera):
     rng, true = np.random.default_rng(1), true_camera(camera, 5e-4, 0.7, -0.4)
     found = estimated(camera, [draw_field(rng, camera, true, sigma_px=0.0) for _ in range(20)])
-    # The correction is linear: what is left is of the order of its square.
+    # The correction is linear: the remainder is of second order.
     assert found.scale == pytest.approx(5e-4, abs=1e-6)
     assert found.principal_px == pytest.approx([0.7, -0.4], abs=0.02)
 
@@ -87,7 +87,7 @@ def test_the_estimate_equals_scipys_least_squares_over_attitudes_and_optics(came
     np.testing.assert_allclose(off / sigma, 0.0, atol=0.02)
     assert found.chi_square == pytest.approx(2.0 * by_scipy.cost, rel=1e-3)
     covariance = np.linalg.inv(by_scipy.jac.T @ by_scipy.jac)[:3, :3] * np.outer([1e-4, 1, 1], [1e-4, 1, 1])
-    # scipy's slopes are those at its solution, some pixels from where ours are taken: a percent of the point's own.
+    # scipy's derivatives are taken at its solution, some pixels away: 1 % of those of the principal point.
     unit = np.outer(sigma, sigma)
     np.testing.assert_allclose(found.covariance / unit, covariance / unit, atol=0.03)
     assert found.degrees == 3 * (2 * 8 - 3) - 3
@@ -119,7 +119,7 @@ def test_five_fields_of_ten_stars_show_a_twentieth_of_a_percent_beyond_five_sigm
     # 0.13 px over the RMS distance from the middle, 836 px, and the root of five times nine stars: 2.3e-5.
     assert found.scale_sigma < 3e-5
     assert abs(found.scale - 5e-4) < 3.3 * found.scale_sigma
-    # A shift of the principal point is nearly a turn: not known to a pixel by 50 stars.
+    # A shift of the principal point is nearly a rotation: 50 stars do not determine it to a pixel.
     assert found.principal_sigma_px.min() > 1.0
 
 
@@ -134,7 +134,7 @@ def test_a_wrong_identity_is_left_out_by_the_members():
 
 
 def test_a_smooth_error_of_the_detector_widens_the_sigma():
-    """The map's linear part is a focal length: its prior bounds what fields can state, however many they are."""
+    """The map's linear part equals a focal length error: its prior limits the accuracy for any number of fields."""
     rng = np.random.default_rng(6)
     fields = [draw_field(rng, PLAIN, PLAIN) for _ in range(40)]
     errors = SpatialErrors(PLAIN, 0.3, 0.0)

@@ -1,4 +1,4 @@
-"""What a name found by the prediction is worth: false detections, wide gates, lone stars, and refusals that count."""
+"""False matches of identities found by prediction: false detections, wide gates, single stars, and rejections."""
 
 from dataclasses import replace
 
@@ -51,7 +51,7 @@ def wide(heading_arcsec: float, tilt_arcsec: float = 10.0, **changes) -> ShipAtt
 
 
 def false_exposure(watch: SkyWatch, count: int, rng: np.random.Generator) -> StarExposure:
-    """Detections anywhere in the field, of any magnitude, that are no stars."""
+    """Return false detections anywhere in the field, of any magnitude."""
     directions_s = np.column_stack([np.ones(count), np.tan(np.deg2rad(rng.uniform(-5.0, 5.0, (count, 2))))])
     directions_s /= np.linalg.norm(directions_s, axis=-1, keepdims=True)
     exposure = without_identity(exposure_of(watch, "fore", count))
@@ -59,11 +59,11 @@ def false_exposure(watch: SkyWatch, count: int, rng: np.random.Generator) -> Sta
 
 
 @pytest.mark.parametrize("prior", [(72.0, 10.0), (DEGREE, 10.0), (3.0 * DEGREE, 10.0)], ids=str)
-def test_mend_11_so_many_false_detections_fit_by_chance_as_is_told(watch: SkyWatch, prior: tuple[float, float]) -> None:
-    """Of stars anywhere in the sky, drawn and counted; the bound is that of a Poisson number of the mean told."""
+def test_the_number_of_false_matches_is_the_expected_one(watch: SkyWatch, prior: tuple[float, float]) -> None:
+    """Stars anywhere in the sky, drawn and counted; the bound is that of a Poisson number with the expected mean."""
     known, rng, fitting, told = prior_of(*prior), np.random.default_rng(1), 0, 0.0
     for _ in range(60):
-        # The place of the field in the sky is drawn too: stars are not spread evenly.
+        # The position of the field in the sky is drawn too, because stars are not uniformly distributed.
         turn = exp_rotation(np.array([0.0, rng.uniform(0.0, 2.0 * np.pi), 0.0]))
         moved = StarPrior(turn @ known.rotation_nb, turn @ known.covariance_n @ turn.T)
         exposure, moment = false_exposure(watch, 4, rng), watch.at(TIME_NS)
@@ -75,17 +75,17 @@ def test_mend_11_so_many_false_detections_fit_by_chance_as_is_told(watch: SkyWat
             turned = basis[row] @ np.cross(np.eye(3), moved.rotation_nb @ exposure.directions_s[row])
             gate = turned @ moved.covariance_n @ turned.T + SIGMA**2 * np.eye(2)
             told += density[row] * np.pi * chi_square_gate(0.9999, 2) * np.sqrt(np.linalg.det(gate))
-    # Near the Milky Way there are up to three times as many stars as on the average.
+    # Near the Milky Way there are up to three times as many stars as on average.
     assert poisson.ppf(5e-4, told / 3.0) <= fitting <= poisson.ppf(1.0 - 5e-4, 3.0 * told)
 
 
 @pytest.mark.statistics
 @pytest.mark.parametrize("count", [1, 4])
 @pytest.mark.parametrize("prior", [(DEGREE, 10.0), (3.0 * DEGREE, 10.0), (3.0 * DEGREE, 3.0 * DEGREE)], ids=str)
-def test_mend_11_false_detections_alone_never_make_an_attitude(
+def test_false_detections_alone_never_give_an_attitude(
     watch: SkyWatch, prior: tuple[float, float], count: int
 ) -> None:
-    """Of 240 such exposures 13 were used before, each a star of its own, and the attitude was VALID and degrees off."""
+    """Without the limit, 13 of 240 such exposures gave a VALID attitude with an error of degrees."""
     ship_filter = ShipFilter(wide(*prior))
     for seed in range(60):
         exposure = false_exposure(watch, count, np.random.default_rng([3, seed]))
@@ -95,8 +95,8 @@ def test_mend_11_false_detections_alone_never_make_an_attitude(
 
 
 @pytest.mark.parametrize("off_deg", [-9.0, -3.0, 0.5, 3.0, 6.0])
-def test_mend_11_stars_without_names_find_their_own_in_a_wide_heading(watch: SkyWatch, off_deg: float) -> None:
-    """The gate is curved as the sky is: a star turned by 3° about the vertical is 283″ off its tangent."""
+def test_stars_without_identity_are_identified_with_a_wide_heading(watch: SkyWatch, off_deg: float) -> None:
+    """The gate is curved: a star rotated by 3° about the vertical is 283″ off its tangent."""
     ship_filter = ShipFilter(wide(3.0 * DEGREE))
     exposure = exposure_of(watch, "fore", 8, np.random.default_rng(3))
     error_n = np.deg2rad([0.0, off_deg, 0.0])
@@ -122,7 +122,7 @@ def test_mend_11_stars_without_names_find_their_own_in_a_wide_heading(watch: Sky
         (3.0 * DEGREE, 3.0 * DEGREE, False, False),
     ],
 )
-def test_mend_11_a_lone_star_is_believed_where_the_prior_leaves_no_rival(
+def test_a_single_star_is_accepted_if_the_prior_leaves_no_rival(
     watch: SkyWatch, heading: float, tilt: float, named: bool, used: bool
 ) -> None:
     ship_filter = ShipFilter(wide(heading, tilt))
@@ -135,7 +135,7 @@ def test_mend_11_a_lone_star_is_believed_where_the_prior_leaves_no_rival(
         assert not state.used_ns
 
 
-def test_mend_11_each_star_more_makes_chance_less(watch: SkyWatch) -> None:
+def test_each_further_star_reduces_false_matches(watch: SkyWatch) -> None:
     prior = prior_of(3.0 * DEGREE, 3.0 * DEGREE)
     _, stars, _ = visible_stars(exposure_of(watch, "fore", 6), watch, prior)
     basis, numbers = across(stars.reference_n), []
@@ -147,8 +147,8 @@ def test_mend_11_each_star_more_makes_chance_less(watch: SkyWatch) -> None:
     assert select(stars, prior).members.all()
 
 
-def test_mend_11_the_solver_of_solutions_holds_to_it_too(watch: SkyWatch) -> None:
-    """Two stars with names are verified by a prior of 3° in all axes, not by one of 30°."""
+def test_the_solver_of_solutions_has_the_same_limit(watch: SkyWatch) -> None:
+    """Two stars with identities are verified by a prior of 3° in all axes, not by one of 30°."""
     for sigma, status in ((3.0 * DEGREE, SolutionStatus.VALID), (30.0 * DEGREE, SolutionStatus.INVALID)):
         prior = prior_of(sigma, sigma)
         _, stars, _ = visible_stars(exposure_of(watch, "fore", 2), watch, prior)
@@ -157,8 +157,8 @@ def test_mend_11_the_solver_of_solutions_holds_to_it_too(watch: SkyWatch) -> Non
     assert solution.refusal.reason is Reason.UNIDENTIFIED
 
 
-def test_mend_11_exposures_of_which_no_star_fits_open_the_gate_again(watch: SkyWatch) -> None:
-    """An INS that is off by 6′ and says 10″: nothing can be identified until the run of refusals opens it."""
+def test_successive_unidentified_exposures_inflate_the_covariance(watch: SkyWatch) -> None:
+    """INS error 6′, stated sigma 10″: no star is identified until rejections inflate the covariance."""
     ship_filter = ShipFilter(wide(10.0, gate={"reopen_after": 3, "reopen_factor": 400.0}))
     state, error_n, reasons = ship_filter.initial_state(), np.deg2rad([0.0, 0.1, 0.0]), []
     runs: list[int] = []

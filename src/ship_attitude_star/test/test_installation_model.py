@@ -29,7 +29,7 @@ def random_angles(rng: np.random.Generator, count: int) -> FloatArray:
 
 
 def random_layouts(reading: InstallationReading, count: int) -> tuple[FloatArray, FloatArray]:
-    """Layouts whose ship is not on end: beyond 85° of pitch differences of angles say nothing."""
+    """Return layouts with a pitch below 85°: beyond it differences of angles are meaningless."""
     rng = np.random.default_rng(14)
     star, installation = random_angles(rng, 2 * count), random_angles(rng, 2 * count)
     upright = np.abs(linearise(star, installation, reading).ship_angles[:, 1]) < np.deg2rad(85.0)
@@ -43,27 +43,27 @@ def ship_angles(star: FloatArray, installation: FloatArray, reading: Installatio
 # Expected numbers of the next three tests: models.md §3, [Z14] figures.
 
 
-def test_paper_reading_has_the_papers_peaks() -> None:
+def test_paper_convention_has_the_papers_peaks() -> None:
     azimuth_deg = np.arange(0.0, 360.0, 0.1)
     errors = np.abs(100.0 * at_operating_point(azimuth_deg, InstallationReading.PAPER).star[:, :, 2])
     np.testing.assert_allclose(errors.max(axis=0), [112.07, 70.71, 61.64], atol=0.005)
-    # The peak returns half a turn later.
+    # The peak repeats after half a revolution.
     assert azimuth_deg[np.argmax(errors[:1800, 0])] == pytest.approx(105.0, abs=0.5)
 
 
-def test_physical_reading_ahead_and_abeam() -> None:
+def test_physical_convention_ahead_and_abeam() -> None:
     errors = np.abs(100.0 * at_operating_point(np.array([0.0, 90.0]), InstallationReading.PHYSICAL).star[:, :, 2])
     np.testing.assert_allclose(errors[0], [35.01, 49.75, 61.64], atol=0.005)
     np.testing.assert_allclose(errors[1], [141.42, 0.0, 100.0], atol=0.005)
 
 
-def test_readings_differ_where_the_paper_says_they_should_not() -> None:
+def test_conventions_differ_where_the_paper_claims_equality() -> None:
     physical, paper = (at_operating_point(np.array([90.0]), reading).star[0, 0, 2] for reading in InstallationReading)
     assert abs(physical) == pytest.approx(1.4142, abs=1e-4)
     assert abs(paper) == pytest.approx(1.0641, abs=1e-4)
 
 
-def test_installation_roll_moves_only_roll_in_the_papers_reading() -> None:
+def test_installation_roll_moves_only_roll_in_the_papers_convention() -> None:
     model = linearise(*random_layouts(InstallationReading.PAPER, 200), InstallationReading.PAPER)
     np.testing.assert_allclose(model.installation[:, :, 2], np.tile([0.0, 0.0, 1.0], (200, 1)), atol=1e-12)
 
@@ -134,8 +134,8 @@ def test_a_sweep_is_its_single_layouts(reading: InstallationReading) -> None:
         np.testing.assert_allclose(model.installation.reshape(20, 3, 3)[number], one.installation, atol=1e-12)
 
 
-def test_a_ship_on_end_has_no_heading_error_to_speak_of() -> None:
-    # Boresight to the zenith, bolted along the keel: the bow points to the zenith.
+def test_a_vertical_ship_has_no_defined_heading_error() -> None:
+    # Boresight to the zenith, mounted along the keel: the bow points to the zenith.
     model = linearise(np.array([0.3, np.pi / 2, 0.0]), np.zeros(3))
     assert np.isnan(model.star).all()
     assert np.isnan(model.installation).all()
@@ -150,7 +150,7 @@ def test_independent_sensors_add_their_information() -> None:
     np.testing.assert_allclose(combination.gains.sum(axis=0), np.eye(3), atol=1e-9)
 
 
-def test_what_all_share_alike_passes_through() -> None:
+def test_an_equal_common_error_is_not_reduced() -> None:
     rng = np.random.default_rng(4)
     covariances = np.array([_random_covariance(rng, [3.0, 3.0, 100.0]) for _ in range(3)])
     shared = _random_covariance(rng, [0.2, 2.0, 0.2])
@@ -159,7 +159,7 @@ def test_what_all_share_alike_passes_through() -> None:
 
 
 def test_common_terms_agree_with_estimating_them() -> None:
-    """An independent way: the common errors as unknowns with a prior, one large information matrix."""
+    """An independent algorithm: the common errors as unknowns with a prior, in one large information matrix."""
     rng = np.random.default_rng(5)
     covariances = np.array([_random_covariance(rng, [3.0, 3.0, 100.0]) for _ in range(3)])
     effects, common = rng.normal(size=(3, 3, 2)), np.diag([2.0, 5.0]) ** 2 * ARCSEC**2
@@ -197,6 +197,6 @@ def test_many_combinations_at_once_are_the_single_ones() -> None:
 
 
 def _random_covariance(rng: np.random.Generator, sigmas_arcsec: list[float]) -> FloatArray:
-    """Full, with the given sizes along axes turned at random."""
+    """Return a full covariance with the given sizes along axes rotated at random."""
     axes, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     return (axes * (ARCSEC * np.array(sigmas_arcsec)) ** 2) @ axes.T

@@ -46,13 +46,13 @@ def test_rule_for_a_level_ship(azimuth_deg: float, pitch_share: int, roll_share:
 
 
 def test_one_sensor_agrees_with_the_angles_of_the_error_model() -> None:
-    """Errors about the sensor's own axes, carried by J_s of [Z14]'s angles, on a ship that is not level."""
+    """Errors about the sensor's own axes, propagated by J_s of [Z14]'s angles, on a ship that is not level."""
     own = sensor(37.0, 50.0, roll_deg=20.0, sigma_forward_arcsec=100.0, sigma_up_arcsec=3.0, sigma_right_arcsec=5.0)
     layout = layout_of({**own, **{k: 0.0 for k in ONLY_BORESIGHT if "installation" in k}}, ship_pitch_deg=8.0)
     rotation_ns = rotation_from_angles(*layout.ship_angles) @ rotation_from_angles(*layout.angles[0])
     star = angles_from_rotation(rotation_ns)
     step = 1e-6
-    # Columns: how the sensor's horizon angles answer to turns about its axes, by difference.
+    # Columns: derivatives of the sensor's horizon angles by rotations about its axes, by differences.
     turned = [
         angles_from_rotation(rotation_ns @ (np.eye(3) + step * np.cross(axis, np.eye(3)).T)) for axis in np.eye(3)
     ]
@@ -62,15 +62,15 @@ def test_one_sensor_agrees_with_the_angles_of_the_error_model() -> None:
     np.testing.assert_allclose(layout.sigmas_arcsec(), np.sqrt(np.diag(covariance)), rtol=1e-4)
 
 
-def test_two_sensors_at_right_angles_cover_each_other() -> None:
+def test_two_sensors_at_right_angles_complement_each_other() -> None:
     alone = layout_of(sensor(0.0)).sigmas_arcsec()
     together = layout_of(sensor(0.0), sensor(90.0)).sigmas_arcsec()
     assert alone.max() > 80.0
-    # Of the size of what each sees well: 3" of noise and 1" of installation.
+    # Of the size of the well measured components: 3" of noise and 1" of installation.
     assert together.max() < 4.0
 
 
-def test_parallel_sensors_do_not() -> None:
+def test_parallel_sensors_do_not_complement_each_other() -> None:
     together = layout_of(sensor(20.0), sensor(20.0)).sigmas_arcsec()
     np.testing.assert_allclose(together, layout_of(sensor(20.0)).sigmas_arcsec() / np.sqrt(2.0), rtol=1e-9)
 
@@ -91,7 +91,7 @@ def test_common_errors_do_not_average_away() -> None:
     np.testing.assert_allclose(with_common**2 - without**2, [4.0, 0.0, 0.0], atol=1e-9)
 
 
-def test_refraction_lifts_every_star() -> None:
+def test_refraction_raises_every_star() -> None:
     """models.md §2: refraction raises the sensor at 45° by its own size; ahead that is pitch, abeam roll."""
     sharp = {**ONLY_BORESIGHT, "sigma_forward_arcsec": 0.001}
     for azimuth_deg, expected in ((0.0, [0.0, 0.6, 0.0]), (90.0, [0.0, 0.0, 0.6])):
@@ -110,7 +110,7 @@ def test_recommended_azimuth_is_a_right_angle_in_space() -> None:
     assert high == pytest.approx(360.0 - low, abs=1.0)
 
 
-def test_nothing_found_at_random_is_clearly_better_than_recommended() -> None:
+def test_no_random_layout_is_clearly_better_than_the_recommended_one() -> None:
     given = layout_of(sensor(0.0, 30.0), sensor(90.0, 50.0), sensor(180.0, 20.0, sigma_forward_arcsec=40.0))
     angles = np.tile(given.angles, (3000, 1, 1))
     angles[:, 1:, 0] = np.random.default_rng(8).uniform(0.0, 2.0 * np.pi, (3000, 2))
@@ -118,19 +118,19 @@ def test_nothing_found_at_random_is_clearly_better_than_recommended() -> None:
     assert total_arcsec(recommended(given).sigmas_arcsec()) < 1.03 * at_random
 
 
-def test_map_holds_the_layout_itself() -> None:
+def test_map_contains_the_layout_itself() -> None:
     layout = layout_of(sensor(0.0), sensor(90.0, 40.0))
     moved = error_map(layout, 1)
     row, column = np.searchsorted(moved.elevations_deg, 40.0), np.searchsorted(moved.azimuths_deg, 90.0)
     np.testing.assert_allclose(moved.sigmas_arcsec[row, column], layout.sigmas_arcsec(), rtol=1e-12)
-    # Worst where both look the same way.
+    # Largest where both boresights are parallel.
     totals = moved.total_arcsec()
     row, column = np.unravel_index(np.argmax(totals), totals.shape)
     assert moved.elevations_deg[row] == 35.0
     assert moved.azimuths_deg[column] % 360.0 == 0.0
 
 
-def test_map_of_a_heeled_ship_leaves_out_what_looks_into_the_sea() -> None:
+def test_map_of_a_heeled_ship_omits_directions_below_the_horizon() -> None:
     layout = layout_of(sensor(270.0, 60.0), sensor(0.0, 60.0), ship_roll_deg=30.0)
     moved = error_map(layout, 0)
     below = moved.elevations_deg < 30.0 + 4.9
@@ -163,12 +163,12 @@ def test_figure_1_is_flat(reading: InstallationReading) -> None:
     assert np.ptp(errors_of(1, reading), axis=1).max() < 1e-9
 
 
-def test_figure_5_is_flat_only_in_the_papers_reading() -> None:
+def test_figure_5_is_flat_only_in_the_papers_convention() -> None:
     assert np.ptp(errors_of(5, InstallationReading.PAPER), axis=1).max() < 1e-9
     assert np.nanmax(np.ptp(errors_of(5, InstallationReading.PHYSICAL), axis=1)) > 50.0
 
 
-def test_figure_3_starts_and_ends_where_the_formulas_say() -> None:
+def test_figure_3_starts_and_ends_at_the_formulas() -> None:
     """models.md §3 at Es 45°: sqrt 2 in heading for E0 = 0 abeam, none ahead; both 1/sqrt 2 at E0 = 90°."""
     heading = np.abs(errors_of(3, InstallationReading.PAPER)[:2, :, 0])
     np.testing.assert_allclose(heading[:, 0], [0.0, 141.42], atol=0.01)
@@ -176,7 +176,7 @@ def test_figure_3_starts_and_ends_where_the_formulas_say() -> None:
 
 
 def test_figure_4_adds_all_errors() -> None:
-    """Against the angles of the ship themselves, moved by the six errors at once."""
+    """Compared with the ship's own angles, changed by the six errors at once."""
     curve = curves_of(4, InstallationReading.PHYSICAL)[0]
     for index in (0, 100, 250):
         star, installation = np.deg2rad([235.0, 45.0, 90.0]), np.deg2rad([curve.swept_deg[index], 35.0, 0.0])
@@ -189,8 +189,8 @@ def test_figure_4_adds_all_errors() -> None:
         np.testing.assert_allclose(curve.errors_arcsec[index], errors, atol=0.15)
 
 
-def test_mend_24_numbers_of_boresights_lie_over_nothing() -> None:
-    """Sensors that look the same way, with names longer than the plan has room for."""
+def test_numbers_of_boresights_do_not_overlap() -> None:
+    """Sensors with equal boresights, and names longer than the plan has room for."""
     angles = {"fore": (0.0, 45.0), "mast": (0.0, 45.0), "bridge_wing_starboard": (95.0, 45.0), "wing_two": (90.0, 50.0)}
     sensors = {name: {"azimuth_deg": a, "elevation_deg": e} for name, (a, e) in angles.items()}
     computed = study(study_config({"sensors": sensors}))

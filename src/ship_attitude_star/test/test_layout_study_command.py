@@ -1,4 +1,4 @@
-"""The executable ``layout_study``: what it writes, and what it says to bad input."""
+"""The executable ``layout_study``: its output, and its errors for bad input."""
 
 import csv
 import re
@@ -11,7 +11,7 @@ from ship_attitude_star.layout.config import LayoutStudyConfig, study_config
 from ship_attitude_star.layout.layout_study_command import main
 from ship_estimation.parameters import describe
 
-pytestmark = pytest.mark.slow  # what its tests share takes long
+pytestmark = pytest.mark.slow  # the shared fixture is slow
 
 THREE_SENSORS = """\
 ship_roll_deg: 5.0
@@ -45,7 +45,7 @@ def test_everything_is_written(written: Path) -> None:
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in written.glob("*.png"))
 
 
-def test_page_needs_nothing_but_itself(written: Path) -> None:
+def test_page_is_self_contained(written: Path) -> None:
     page = (written / "layout_study.html").read_text(encoding="utf-8")
     sources = re.findall(r'(?:src|href)="([^"]{0,40})', page)
     assert len(sources) == 10
@@ -54,7 +54,7 @@ def test_page_needs_nothing_but_itself(written: Path) -> None:
     assert "$" not in re.sub(r"base64,[^\"]*", "", page)
 
 
-def test_page_says_what_the_tables_say(written: Path) -> None:
+def test_page_and_tables_agree(written: Path) -> None:
     page = (written / "layout_study.html").read_text(encoding="utf-8")
     joint = [row for row in rows_of(written / "layout.csv") if row["sensor"] == "joint"]
     assert [row["layout"] for row in joint] == ["given", "recommended"]
@@ -112,7 +112,7 @@ SENSOR = "sensors:\n  a: {azimuth_deg: 0.0, elevation_deg: 35.0}\n"
         (SENSOR + "common:\n  heading: 1.0\n", ":4: parameter 'common.heading' is unknown: expected one of"),
         ("sensors:\n  a/b: {azimuth_deg: 0.0, elevation_deg: 35.0}\n", ":2: .*letters, digits"),
         ("sensors: 3\n", "must be a group"),
-        (SENSOR + "ship_pitch_deg: -40.0\n", "-5.0 deg over the horizon, expected at least 5 deg"),
+        (SENSOR + "ship_pitch_deg: -40.0\n", "-5.0 deg above the horizon, expected at least 5 deg"),
         (SENSOR + "figures: {error_roll_arcsec: fast}\n", ":3: .*must be of type float, got 'fast'"),
         ("sensors: [\n", "bad.yaml"),
         ("", "bad.yaml:1: expected 'name: value'"),
@@ -129,7 +129,7 @@ def test_bad_layout_is_one_line(text: str, reason: str, tmp_path: Path, capsys: 
     assert not (tmp_path / "out").exists()
 
 
-def test_mend_20_every_file_that_is_written_is_looked_for_before(written: Path, tmp_path: Path) -> None:
+def test_existing_output_files_are_refused_before_the_study(written: Path, tmp_path: Path) -> None:
     assert {path.name for path in written.iterdir()} == set(layout_study_command.written(study_config({})))
     before = {path: path.read_bytes() for path in written.iterdir()}
     assert main(["--out", str(written)]) == 2

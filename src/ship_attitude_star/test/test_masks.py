@@ -1,4 +1,4 @@
-"""Masks and horizon of a layout study: what it says of a sensor that looks into them, and where it turns it."""
+"""Masks and horizon of a layout study: errors for sensors with obstructed fields, and recommended azimuths."""
 
 import numpy as np
 import pytest
@@ -15,15 +15,15 @@ ACROSS_BOW = {"azimuths_deg": [350.0, 370.0, 360.0], "elevations_deg": [0.0, 0.0
 @pytest.mark.parametrize(
     ("masks", "reason"),
     [
-        ({"mast": ACROSS_BOW}, "sensors.a.azimuth_deg': mast stands in the field of view: the nearest clear azimuth"),
+        ({"mast": ACROSS_BOW}, "sensors.a.azimuth_deg': mast is in the field of view: the nearest clear azimuth"),
         (
             {"tarpaulin": {"azimuths_deg": [0.0, 360.0, 360.0, 0.0], "elevations_deg": [-90.0, -90.0, 90.0, 90.0]}},
-            "the masks tarpaulin leave no azimuth at this elevation clear",
+            "the masks tarpaulin leave no clear azimuth at this elevation",
         ),
         ({"flag": {"azimuths_deg": [0.0, 1.0], "elevations_deg": [0.0, 1.0]}}, "masks.flag': 2 azimuths and 2 elev"),
         (
             {"rail": {"azimuths_deg": [-10.0, 360.0, 0.0], "elevations_deg": [0.0, 0.0, 5.0]}},
-            "masks.rail.azimuths_deg': from -10 to 360 deg is more than once round the ship",
+            "masks.rail.azimuths_deg': from -10 to 360 deg spans more than a full circle",
         ),
     ],
 )
@@ -49,7 +49,7 @@ def test_recommended_azimuths_are_clear_of_masks() -> None:
 
 
 def test_a_field_stays_over_the_horizon_as_the_ship_moves() -> None:
-    """Against a field of 31 x 31 directions, turned by roll and pitch on a fine grid."""
+    """Compared with a field of 31 x 31 directions, rotated by roll and pitch on a fine grid."""
     sensors = {"a": {"azimuth_deg": 50.0, "elevation_deg": 40.0, "roll_deg": 20.0}}
     moving = {"roll_deg": 12.0, "pitch_deg": 4.0, "clearance_deg": 3.0}
     config = study_config({"sensors": sensors, "horizon": moving, "ship_roll_deg": 2.0, "field_of_view_deg": 16.0})

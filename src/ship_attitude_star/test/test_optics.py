@@ -1,4 +1,4 @@
-"""Optics to noise: Liebe's formulas, our own covariance, scipy's attitudes and the real sky beside each other."""
+"""Noise from optics: Liebe's formulas, the study's covariance, scipy's attitudes and the real sky compared."""
 
 import csv
 from pathlib import Path
@@ -25,19 +25,19 @@ def drawn_stars(optics: Optics, count: int, rng: np.random.Generator) -> FloatAr
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
-def test_with_many_stars_liebe_is_the_covariance_but_for_his_mean_distance() -> None:
+def test_with_many_stars_liebe_equals_the_covariance_except_for_the_mean_distance() -> None:
     """A uniform square has mean distance 0.3826 and root mean square 1/√6 from its middle, in sides."""
     optics = Optics(**OPTICS)
     rng = np.random.default_rng(1)
     ours = np.mean([attitude_sigmas(drawn_stars(optics, 400, rng), optics.star_sigma()) for _ in range(50)], axis=0)
     ratio = ours / liebe_sigmas(optics, 400)
-    # The field is 12.85 deg: its edge is tan against angle 0.4 % off, and stars off the axis count by cos².
+    # Field of 12.85 deg: tangent and angle differ by 0.4 % at its edge, and stars off the axis have weight cos².
     np.testing.assert_allclose(ratio[1:], 1.0, atol=0.01)
     assert ratio[0] == pytest.approx(0.3825 * np.sqrt(6.0), rel=0.01)
 
 
 def test_with_eight_stars_the_covariance_is_larger() -> None:
-    """About their own middle N stars have N - 1 squares of distance: √(8/7) at least, more for the mean of roots."""
+    """About their mean N stars have N - 1 squares of distance: √(8/7) at least, more for the mean of roots."""
     optics = Optics(**OPTICS)
     rng = np.random.default_rng(2)
     ours = np.mean([attitude_sigmas(drawn_stars(optics, 8, rng), optics.star_sigma()) for _ in range(400)], axis=0)
@@ -48,7 +48,7 @@ def test_with_eight_stars_the_covariance_is_larger() -> None:
 
 @pytest.mark.parametrize("count", [2, 5, 20])
 def test_the_covariance_is_that_of_attitudes_solved_by_scipy(count: int) -> None:
-    """Errors of 2000 attitudes over their sigma, in the 99.9 % band of chi-square; our solver agrees."""
+    """Errors of 2000 attitudes over their sigma, in the 99.9 % band of chi-square; the suite's solver agrees."""
     optics = Optics(**OPTICS)
     rng = np.random.default_rng(3)
     stars = drawn_stars(optics, count, rng)
@@ -67,17 +67,17 @@ def test_the_covariance_is_that_of_attitudes_solved_by_scipy(count: int) -> None
 
 
 def test_the_mean_number_of_stars_is_that_of_the_whole_sky() -> None:
-    """All stars to 6.0 times the field's share of the sphere; Liebe's 6.57 exp(1.08 m) is V, a tenth off Hp."""
+    """All stars to 6.0 times the field's share of the sphere; Liebe's 6.57 exp(1.08 m) is for V, a tenth off Hp."""
     optics = Optics(**OPTICS)
     found = over_sky(optics)
     count = len(hipparcos().brighter_than(6.0))
     assert count == pytest.approx(6.57 * np.exp(1.08 * 6.0), rel=0.1)
     half = np.arctan(optics.half_field())
     share = np.arcsin(np.sin(half[0]) * np.sin(half[1])) / np.pi
-    # Counts scatter more than Poisson, for stars gather along the Milky Way.
+    # Counts scatter more than Poisson, because stars are concentrated along the Milky Way.
     scatter = found.stars.std() / np.sqrt(found.stars.size)
     assert abs(found.stars.mean() - count * share) < 3.3 * scatter
-    # Held in 95 % of the sky, and nothing less is.
+    # Not exceeded in 95 % of the sky; no smaller value is.
     assert np.all(np.mean(found.sigmas_arcsec <= found.held_arcsec, axis=0) >= 0.95)
     assert np.all(np.mean(found.sigmas_arcsec < found.held_arcsec, axis=0) <= 0.95)
     assert found.star_sigma_arcsec == pytest.approx(0.1 * 5.5e-6 / 0.05 / ARCSEC)

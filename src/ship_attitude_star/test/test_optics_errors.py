@@ -1,4 +1,4 @@
-"""Errors of a camera's optics against the camera with other parameters, by finite differences."""
+"""Errors of a camera's optics compared with a camera with other parameters, by finite differences."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ def field_pixels() -> FloatArray:
 
 
 def other_camera(camera: StarCamera, mode: int, size: float) -> StarCamera:
-    """The camera whose true parameters differ from the configured ones by one error."""
+    """Return the camera whose true parameters differ from the configured ones by one error."""
     if mode == 0:
         return replace(camera, focal_length_m=camera.focal_length_m * (1.0 + size))
     if mode == 1:
@@ -39,7 +39,7 @@ def test_a_mode_is_the_difference_of_two_cameras(camera, mode):
     pixels = field_pixels()
     measured_s = camera.directions(pixels)
     displaced_s = measured_s - other_camera(camera, mode, size).directions(pixels)
-    # The mounting takes up the turn that an error of the principal point makes of the boresight.
+    # The mounting contains the rotation by which an error of the principal point moves the boresight.
     turn = size * camera.pixel_pitch_m / camera.focal_length_m
     turns_s = {1: [0.0, -turn, 0.0], 2: [0.0, 0.0, -turn]}
     displaced_s -= np.cross(turns_s.get(mode, [0.0, 0.0, 0.0]), measured_s)

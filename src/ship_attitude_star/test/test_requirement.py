@@ -1,4 +1,4 @@
-"""Layouts from a requirement: against errors drawn, against all places of a grid, and against errors put back in."""
+"""Layouts by a requirement: compared with drawn errors, with all directions of a grid, and with maximum errors."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -36,9 +36,9 @@ def required_of(**values: Any) -> JudgedLayouts:
 
 
 def drawn_sigmas(layout: Layout, draws: int) -> FloatArray:
-    """Sigma of heading, pitch, roll of the best linear combination of attitudes drawn with all errors, arcsec.
+    """Return sigma of heading, pitch, roll of the best linear combination of drawn attitudes, arcsec.
 
-    The weights come from the covariance of what was drawn, not from a model of it.
+    The weights come from the covariance of the draws, not from a model.
     """
     rng = np.random.default_rng(20)
     ship = rotation_from_angles(*layout.ship_angles)
@@ -47,7 +47,7 @@ def drawn_sigmas(layout: Layout, draws: int) -> FloatArray:
     for angles, noise, mounting in zip(layout.angles, layout.noise_sigmas, layout.installation_sigmas, strict=True):
         installed = rotation_from_angles(*angles)
         true = ship @ installed
-        # Refraction lifts what the sensor sees: about the level axis across its boresight, by its size times cot E.
+        # Refraction rotates the attitude about the horizontal axis across the boresight, by its size times cot E.
         level = np.cross(true[:, 0], [0.0, 1.0, 0.0])
         lift = level / np.linalg.norm(level) / np.tan(np.arcsin(true[1, 0]))
         horizon = Rotation.from_rotvec(common[:, :3] + common[:, 3:] * lift)
@@ -66,7 +66,7 @@ def drawn_sigmas(layout: Layout, draws: int) -> FloatArray:
 
 @pytest.mark.statistics
 def test_a_layout_meets_a_requirement_if_errors_drawn_do() -> None:
-    """Variances of 8000 draws in their 99.9 % band; limits 5 % over and under them decide as the study does."""
+    """Variances of 8000 draws in their 99.9 % band; limits 5 % above and below them give the study's decision."""
     values = {"common": COMMON, "ship_roll_deg": 6.0, "ship_pitch_deg": 3.0}
     layout = Layout.from_config(study_config({"sensors": SENSORS, **values}))
     drawn = drawn_sigmas(layout, 8000)
@@ -79,13 +79,13 @@ def test_a_layout_meets_a_requirement_if_errors_drawn_do() -> None:
         assert required.given.admissible is admissible
 
 
-def test_only_what_is_asked_counts() -> None:
+def test_only_required_angles_count() -> None:
     required = required_of(requirement={"pitch_arcsec": 2.0})
     assert required.given.use == pytest.approx(required.given.sigmas_arcsec[1] / 2.0)
     assert study(study_config({"sensors": SENSORS})).required is None
 
 
-def test_what_is_not_known_is_not_admissible() -> None:
+def test_unknown_sigmas_are_not_admissible() -> None:
     limits = np.array([3.0, 3.0, np.inf])
     assert np.isnan(use_of(np.array([np.nan, 1.0, 1.0]), limits))
     assert use_of(np.array([1.0, 1.5, np.nan]), limits) == 0.5
@@ -111,8 +111,8 @@ def test_what_is_not_known_is_not_admissible() -> None:
         ),
     ],
 )
-def test_the_search_finds_the_best_of_all_places(asked: dict[str, float], masks: dict[str, Any]) -> None:
-    """Against each pair of places on a grid of 10 degrees: no worse than the best by more than half a percent."""
+def test_the_search_finds_the_best_of_all_directions(asked: dict[str, float], masks: dict[str, Any]) -> None:
+    """Compared with each pair of directions on a grid of 10 degrees: at most half a percent worse than the best."""
     config = study_config({"sensors": SENSORS, "common": COMMON, "masks": masks, "requirement": asked})
     required = study(config).required
     assert required is not None
@@ -128,7 +128,7 @@ def test_the_search_finds_the_best_of_all_places(asked: dict[str, float], masks:
     assert not found.obstacles
 
 
-def test_the_map_of_admissible_places_holds_each_place_for_itself() -> None:
+def test_the_admissible_map_equals_single_evaluations() -> None:
     config = study_config(read_plain(EXAMPLE).values)
     computed = study(config)
     assert computed.required is not None
@@ -145,7 +145,7 @@ def test_the_map_of_admissible_places_holds_each_place_for_itself() -> None:
         assert allowed.admissible()[row, column] == (met and free)
 
 
-def test_errors_as_large_as_they_may_be_just_meet_the_requirement() -> None:
+def test_maximum_errors_just_meet_the_requirement() -> None:
     limits = np.array([4.5, 4.0, 4.2])
     layout = Layout.from_config(study_config({"sensors": SENSORS, "common": COMMON}))
     use = float(np.max(layout.sigmas_arcsec() / limits))
@@ -175,7 +175,7 @@ def test_errors_as_large_as_they_may_be_just_meet_the_requirement() -> None:
     assert np.max(scaled.sigmas_arcsec() / limits) == pytest.approx(1.0)
 
 
-def test_where_nothing_helps_no_size_is_told() -> None:
+def test_an_unreachable_requirement_has_no_error_size() -> None:
     layout = Layout.from_config(study_config({"sensors": SENSORS}))
     rows = {row.key: row for row in allocated(layout, np.array([0.5, np.inf, np.inf]))}
     assert np.isnan(rows["sensors.fore.sigma_up_arcsec"].alone_arcsec)
@@ -184,9 +184,9 @@ def test_where_nothing_helps_no_size_is_told() -> None:
 
 @pytest.mark.slow
 def test_over_elevation_refraction_falls_with_the_cotangent() -> None:
-    """One sensor ahead: refraction is pitch, by its size at 45 degrees times cot E; heading grows with sin E."""
+    """One sensor ahead: refraction is pitch, its size at 45 degrees times cot E; heading grows with sin E."""
     one = {"sensors": {"a": {"azimuth_deg": 0.0, "elevation_deg": 45.0}}, "common": {"refraction_sigma_arcsec": 0.6}}
-    # Ahead alone is free; all other azimuths are behind a wall.
+    # Only the direction ahead is clear; all other azimuths are masked.
     wall = {"azimuths_deg": [12.0, 348.0, 348.0, 12.0], "elevations_deg": [-90.0, -90.0, 90.0, 90.0]}
     values = {**one, "masks": {"wall": wall}, "field_of_view_deg": 1.0, "horizon": {"roll_deg": 10.0, "pitch_deg": 8.0}}
     required = study(study_config({**values, "requirement": {"heading_arcsec": 200.0, "pitch_arcsec": 20.0}})).required
@@ -195,14 +195,14 @@ def test_over_elevation_refraction_falls_with_the_cotangent() -> None:
         if np.rad2deg(traded.judged.layout.angles[0, 0]) == 0.0:
             expected = 0.6 / np.tan(np.deg2rad(traded.elevation_deg))
             assert traded.refraction_arcsec[1] == pytest.approx(expected, rel=1e-6)
-    # The lower edge of the field is half a degree down, and the bow goes down by 8 degrees.
+    # The lower edge of the field is half a degree down, and the bow pitches down by 8 degrees.
     ahead = [t for t in required.trade if np.rad2deg(t.judged.layout.angles[0, 0]) == 0.0]
     assert len(ahead) > 10
     assert all(bool(t.judged.obstacles) == (t.elevation_deg < 8.5) for t in ahead if t.elevation_deg < 60.0)
 
 
 class AnyFigure(dict[str, Path]):
-    """Stands in for the figures, which take longer than all else."""
+    """Replaces the figures, which take longer than everything else."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__()
@@ -224,7 +224,7 @@ def test_a_requirement_out_of_reach_ends_with_1_and_the_nearest_miss(
     out = tmp_path / "out"
     assert main([str(layout), "--out", str(out)]) == 1
     said = capsys.readouterr().out
-    assert "no layout meets the requirement; the nearest miss: 'all sensors moved'" in said
+    assert "no layout meets the requirement; nearest miss: 'all sensors moved'" in said
     assert "of 2 arcsec" in said
     page = (out / "layout_study.html").read_text(encoding="utf-8")
     assert "No layout meets it." in page
@@ -232,7 +232,7 @@ def test_a_requirement_out_of_reach_ends_with_1_and_the_nearest_miss(
     assert {path.name for path in out.glob("*.csv")} == tables
 
 
-def test_a_horizon_that_leaves_no_place_is_in_the_nearest_miss() -> None:
+def test_a_blocking_horizon_is_in_the_nearest_miss() -> None:
     values = {"horizon": {"clearance_deg": 45.0}, "field_of_view_deg": 100.0}
     sensors = {"a": {"azimuth_deg": 0.0, "elevation_deg": 60.0}}
     required = study(study_config({**values, "sensors": sensors, "requirement": {"roll_arcsec": 500.0}})).required
@@ -244,7 +244,7 @@ def test_a_horizon_that_leaves_no_place_is_in_the_nearest_miss() -> None:
 @pytest.mark.parametrize(
     ("values", "reason"),
     [
-        ({"alternatives": {"b": {"sensors": {}}}}, "alternatives.b': there is no requirement to judge it by"),
+        ({"alternatives": {"b": {"sensors": {}}}}, "alternatives.b': there is no requirement to evaluate it by"),
         (
             {
                 "requirement": {"roll_arcsec": 3.0},
@@ -262,12 +262,12 @@ def test_bad_requirements_are_named(values: dict[str, Any], reason: str) -> None
 
 @pytest.mark.slow
 def test_the_example_has_an_admissible_layout(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The layout as given misses pitch by 1 %; elsewhere the requirement is met."""
+    """The layout as given exceeds the pitch limit by 1 %; another layout meets the requirement."""
     assert main([str(EXAMPLE), "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
     assert "  1 all sensors moved       meets it" in said
     assert f"  5 {AS_GIVEN:24}does not: pitch uses 101.1 %" in said
     assert {path.name for path in tmp_path.iterdir()} == set(written(study_config(read_plain(EXAMPLE).values)))
     page = (tmp_path / "layout_study.html").read_text(encoding="utf-8")
-    for words in ("What is required", "What elevation costs", "How large each error may be", "bridge_wings"):
+    for words in ("Requirement", "Effect of elevation", "Maximum size of each error", "bridge_wings"):
         assert words in page

@@ -1,4 +1,4 @@
-"""A focal length against the angles between stars: what is named, and what is not."""
+"""Focal length check by the angles between stars: rejected and accepted cases."""
 
 import re
 from dataclasses import replace
@@ -32,7 +32,7 @@ def watch() -> SkyWatch:
 
 
 def exposure(watch: SkyWatch, scale: float, rng: np.random.Generator, count: int = STARS) -> StarExposure:
-    """Stars with noise of 3″ by a camera whose true focal length is longer by ``scale`` than the configured one."""
+    """Return stars with noise of 3″ by a camera whose true focal length is longer by the ratio ``scale``."""
     seen = exposure_of(watch, "fore", count, rng)
     true = replace(CAMERA, focal_length_m=CAMERA.focal_length_m * (1.0 + scale))
     return replace(seen, directions_s=CAMERA.directions(true.pixels(seen.directions_s)), optics=OPTICS)

@@ -129,7 +129,7 @@ def test_a_false_star_is_named_with_its_angle() -> None:
     index = index_at(voyage(), FORE, MOMENT_S)
     run = sail(replaced(voyage(), index, star(3, u=100.0)))
     (innovation,) = run.innovations(Reason.MISIDENTIFIED)
-    assert "from its place, sigma" in innovation.reason_text
+    assert "from its expected direction, sigma" in innovation.reason_text
     assert not innovation.accepted
     assert run.health(FORE).rejected == 0
 
@@ -138,7 +138,7 @@ def test_without_a_fix_no_star_is_used_and_the_ins_continues() -> None:
     run = sail(except_(voyage(), FIX))
     assert run.reasons(FORE) == {"no_fix": run.health(FORE).received}
     assert claimed(run) == {Status.DEGRADED}
-    assert "is gnss/fix published?" in run.innovations(Reason.NO_FIX)[0].reason_text
+    assert "check that gnss/fix is published" in run.innovations(Reason.NO_FIX)[0].reason_text
 
 
 def test_a_fix_older_than_a_minute_is_none() -> None:
@@ -233,7 +233,7 @@ def test_an_exact_prior_can_be_compared_with_stars(monkeypatch: pytest.MonkeyPat
     # The same stars are selected as by any other prediction.
     wrong = replaced(exact, index_at(exact, FORE, MOMENT_S), star(3, u=100.0))
     (innovation,) = sail(wrong, ins=EXACT_INS, star_sensors=sensors).innovations(Reason.MISIDENTIFIED)
-    assert "from its place, sigma" in innovation.reason_text
+    assert "from its expected direction, sigma" in innovation.reason_text
 
 
 def test_an_ins_with_errors_and_zero_sigma_is_in_conflict() -> None:

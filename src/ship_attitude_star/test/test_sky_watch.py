@@ -1,4 +1,4 @@
-"""The sky at a moment: the refusals instead of it, and the errors that all stars share against a sky that has them."""
+"""The sky at a time: its rejections, and its shared errors compared with a sky that has them."""
 
 import numpy as np
 import pytest
@@ -28,14 +28,14 @@ def moment(*args, **kwargs) -> SkyMoment:
 
 @pytest.fixture(scope="module")
 def stars():
-    """Stars brighter than 3 mag and higher than 20°: lower, refraction changes by what it is itself."""
+    """Stars brighter than 3 mag and above 20°: lower, refraction varies too much."""
     watch = told()
     rows = watch.catalogue.brighter_than(3.0)
     elevation = watch.at(TIME_NS).apparent(watch.catalogue.at_j2000[rows]).elevation
     return watch.catalogue.at_j2000[rows[elevation > np.deg2rad(20.0)]]
 
 
-def test_without_a_place_or_earth_orientation_there_is_no_sky_and_it_says_why() -> None:
+def test_without_position_or_earth_orientation_the_sky_is_rejected_with_a_reason() -> None:
     watch = installed_sky(SkyConfig())
     assert watch.at(TIME_NS).reason is Reason.NO_FIX
     assert told().at(TIME_NS + 40 * 365 * 86_400 * 1_000_000_000).reason is Reason.NO_EARTH_ORIENTATION
@@ -44,7 +44,7 @@ def test_without_a_place_or_earth_orientation_there_is_no_sky_and_it_says_why() 
     assert watch.at(TIME_NS).reason is Reason.NO_FIX
 
 
-def test_the_same_fix_and_the_same_reading_again_are_told() -> None:
+def test_repeated_fixes_and_readings_are_rejected() -> None:
     watch = told()
     for given in (
         PositionFix(TIME_NS, POSITION, np.diag([NORTH_SIGMA_M**2, 0.0, EAST_SIGMA_M**2])),
@@ -54,17 +54,17 @@ def test_the_same_fix_and_the_same_reading_again_are_told() -> None:
         assert watch.surroundings.insert(given) is None
 
 
-def test_a_sigma_of_refraction_lifts_every_star_as_other_air_does(stars) -> None:
+def test_a_sigma_of_refraction_equals_other_air(stars) -> None:
     here = moment().apparent(stars)
     thicker = moment(pressure_hpa=1000.0 + PRESSURE_SIGMA_HPA).apparent(stars)
     lifted = here.shared_n[..., SHARED_TERMS.index("refraction")]
-    # The model's own error comes on top.
+    # The model's own error is added.
     np.testing.assert_allclose(lifted, thicker.direction_n - here.direction_n, atol=0.05 * ARCSEC)
     assert np.max(np.linalg.norm(lifted, axis=-1)) > 0.5 * ARCSEC
 
 
 @pytest.mark.parametrize(("column", "north", "east"), [(2, 1.0, 0.0), (3, 0.0, 1.0)])
-def test_a_sigma_of_position_turns_the_sky_as_another_place_does(stars, column: int, north: float, east: float) -> None:
+def test_a_sigma_of_position_equals_another_position(stars, column: int, north: float, east: float) -> None:
     assert SHARED_TERMS[column] == "ship_position"
     radius_north_m, radius_east_m = horizon_radii_m(POSITION)
     there = GeodeticPosition(
@@ -77,11 +77,11 @@ def test_a_sigma_of_position_turns_the_sky_as_another_place_does(stars, column: 
     np.testing.assert_allclose(here.shared_n[..., column], moved.direction_n - here.direction_n, atol=0.05 * ARCSEC)
 
 
-def test_the_air_that_nothing_measured_is_named() -> None:
+def test_unmeasured_quantities_of_the_air_are_named() -> None:
     assert told().surroundings.not_measured(TIME_NS) == ["temperature", "humidity"]
 
 
-def test_what_was_asked_is_kept_until_an_input_changes_it() -> None:
+def test_results_are_cached_until_an_input_changes_them() -> None:
     watch = told()
     stars = watch.catalogue.at_j2000[:3]
     first = watch.at(TIME_NS)
@@ -89,7 +89,7 @@ def test_what_was_asked_is_kept_until_an_input_changes_it() -> None:
     assert first.apparent(stars) is first.apparent(stars)
     with pytest.raises(ValueError, match="read-only"):
         first.apparent(stars).direction_n[0, 0] = 0.0
-    # Later air changes nothing now, the air of before does.
+    # Air with a later stamp changes nothing now, air with an earlier stamp does.
     watch.surroundings.insert(AirReading("temperature", TIME_NS + 1, 20.0))
     assert watch.at(TIME_NS) is first
     watch.surroundings.insert(AirReading("temperature", TIME_NS - 1, 20.0))

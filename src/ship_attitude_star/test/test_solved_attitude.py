@@ -1,8 +1,7 @@
-"""What solved attitudes of several sensors have in common counts once: Monte Carlo with a poor fix and poor weather.
+"""Common errors of solved attitudes count once: Monte Carlo with a poor fix and poor weather.
 
-The ship stands elsewhere than her fix says, under other air than she is told. Her sensors see the stars from where she
-is; all else knows the fix and the told air alone. So the sensitivities are judged by true shifts of the sky, not by
-themselves.
+The true position and air differ from the known ones by drawn errors. The sensors observe the stars with the true
+values; all other computations use the known ones. The sensitivities are therefore tested by true shifts of the sky.
 """
 
 import functools
@@ -56,7 +55,7 @@ METRES_PER_RADIAN = 6.37e6
 
 @dataclass(frozen=True)
 class Knowledge:
-    """How well the fix and the air are known, standard deviations."""
+    """Standard deviations of the fix and of the air."""
 
     fix_m: float
     pressure_hpa: float
@@ -68,7 +67,7 @@ POOR_WEATHER = Knowledge(5.0, 15.0, 15.0)
 
 
 def ship(known: Knowledge, **sensor: Any) -> ShipAttitudeConfig:
-    """Two sensors, and a weather that is not measured; a gate that none of some thousand messages meets by chance."""
+    """Return two sensors, weather without readings, and a gate that no correct message exceeds by chance."""
     air = {"pressure_sigma_hpa": known.pressure_hpa, "temperature_sigma_k": known.temperature_k}
     built = configuration(sky=air, gate={"probability": 1.0 - 1e-9})
     return replace(built, star_sensors={id_: replace(star, **sensor) for id_, star in built.star_sensors.items()})
@@ -88,7 +87,7 @@ def told(known: Knowledge) -> SkyWatch:
 
 
 def true_sky(known: Knowledge, rng: np.random.Generator) -> SkyWatch:
-    """Of a place and an air that differ from what is told as their sigmas say."""
+    """Return a sky whose position and air differ from the known ones by their sigmas."""
     north_m, east_m = known.fix_m * rng.standard_normal(2)
     place = GeodeticPosition(
         POSITION.latitude + north_m / METRES_PER_RADIAN,
@@ -106,7 +105,7 @@ def true_sky(known: Knowledge, rng: np.random.Generator) -> SkyWatch:
 
 @dataclass(frozen=True)
 class Voyage:
-    """What a seed draws: errors of the INS, true minus stated, and what the sensors see."""
+    """Draws of a seed: errors of the INS, true minus stated, and the exposures of the sensors."""
 
     error_n: FloatArray
     noise_n: tuple[FloatArray, ...]
@@ -129,14 +128,14 @@ def voyage(known: Knowledge, seed: int) -> Voyage:
 
 
 def solution(exposure: StarExposure, known: Knowledge) -> Any:
-    """``star/<id>/solution`` of an exposure by the told sky."""
+    """Return ``star/<id>/solution`` of an exposure by the known sky."""
     _, solved = solve_exposure(exposure, (), None, told(known))
     assert solved.valid
     return star_horizon_attitude(FACTORY, solved, "")
 
 
 def measured(exposure: StarExposure, config: ShipAttitudeConfig, known: Knowledge, noise_told: bool) -> Measurement:
-    """What the filter takes of an exposure, by the input that is configured."""
+    """Return the filter's measurement of an exposure, by the configured input."""
     id_ = exposure.source.partition(".")[2]
     star = config.star_sensors[id_]
     if star.input == "observations":
@@ -148,7 +147,7 @@ def measured(exposure: StarExposure, config: ShipAttitudeConfig, known: Knowledg
 
 
 def final(config: ShipAttitudeConfig, known: Knowledge, seed: int, noise_told: bool) -> tuple[FloatArray, FloatArray]:
-    """True minus estimated error of the INS after a few exposures of both sensors, and its covariance (N, U, E)."""
+    """Return true minus estimated error of the INS after exposures of both sensors, and its covariance (N, U, E)."""
     drawn, ship_filter = voyage(known, seed), ShipFilter(config)
     state = ship_filter.initial_state()
     for exposure, noise_n in zip(drawn.exposures, drawn.noise_n, strict=True):
@@ -164,7 +163,7 @@ def final(config: ShipAttitudeConfig, known: Knowledge, seed: int, noise_told: b
 
 @dataclass(frozen=True)
 class Campaign:
-    """Of all seeds: mean NEES; and about North, Up, East, RMS error / sigma, and sigma in arcseconds."""
+    """Results of all seeds: mean NEES; and about North, Up, East RMS error / sigma, and sigma in arcseconds."""
 
     nees: float
     ratio: FloatArray
@@ -195,7 +194,7 @@ ONE_ERROR_FOR_ALL = {
 @pytest.mark.statistics
 @pytest.mark.parametrize("case", ONE_ERROR_FOR_ALL)
 @pytest.mark.parametrize("known", [POOR_FIX, POOR_WEATHER], ids=["poor fix", "poor weather"])
-def test_the_ship_is_as_far_off_as_it_says_whatever_the_input(known: Knowledge, case: str) -> None:
+def test_errors_match_the_covariance_for_every_input(known: Knowledge, case: str) -> None:
     found = campaign(known, *ONE_ERROR_FOR_ALL[case])
     low, high = mean_nees_band(SEEDS, 3)
     assert low < found.nees < high
@@ -205,13 +204,13 @@ def test_the_ship_is_as_far_off_as_it_says_whatever_the_input(known: Knowledge, 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("known", [POOR_FIX, POOR_WEATHER], ids=["poor fix", "poor weather"])
-def test_solutions_tell_as_much_as_the_stars_that_they_are_made_of(known: Knowledge) -> None:
+def test_solutions_have_the_information_of_their_stars(known: Knowledge) -> None:
     by_stars, by_solutions = campaign(known, "observations"), campaign(known, "solution")
     assert by_solutions.sigma_arcsec == pytest.approx(by_stars.sigma_arcsec, rel=0.03)
 
 
 @pytest.mark.slow
-def test_where_the_position_is_most_of_it_one_error_of_all_messages_is_as_good() -> None:
+def test_with_a_dominant_position_error_a_common_error_is_equivalent() -> None:
     found, by_sky = campaign(POOR_FIX, "solution", "message"), campaign(POOR_FIX, "solution")
     low, high = mean_nees_band(SEEDS, 3)
     assert low < found.nees < high
@@ -219,7 +218,7 @@ def test_where_the_position_is_most_of_it_one_error_of_all_messages_is_as_good()
 
 
 def test_as_each_sensor_s_own_the_error_of_the_fix_would_seem_to_average() -> None:
-    """The bands can fail: so it was with every solution. In tilt sigma is too small, in heading too large."""
+    """The bands can fail: without separation sigma is too small in tilt and too large in heading."""
     ratio = campaign(POOR_FIX, "solution", "none").ratio
     low, high = sigma_ratio_band(SEEDS)
     assert ratio[0] > high - 0.05
@@ -248,7 +247,7 @@ def told_apart(message: Any, known: Knowledge = POOR_FIX) -> AttitudeMeasurement
 
 @pytest.mark.parametrize("noise_told", [True, False], ids=["noise told", "one covariance"])
 @pytest.mark.parametrize("known", [POOR_FIX, POOR_WEATHER], ids=["poor fix", "poor weather"])
-def test_nothing_counts_twice_and_nothing_is_lost(known: Knowledge, noise_told: bool) -> None:
+def test_separated_errors_add_up_to_the_stated_covariance(known: Knowledge, noise_told: bool) -> None:
     message = one_solution(known)
     if not noise_told:
         message.noise_covariance[:] = 0.0
@@ -257,13 +256,13 @@ def test_nothing_counts_twice_and_nothing_is_lost(known: Knowledge, noise_told: 
     np.testing.assert_allclose(noise_n + found.lasting_n, total_n, atol=1e-9 * np.trace(total_n))
     for part in (found.noise_v, found.common_n):
         assert np.linalg.eigvalsh(part)[0] > -1e-9 * np.trace(total_n)
-    # Of our own solutions the catalogue's error alone is left, 0.02" and less of each star.
+    # Of the suite's own solutions only the catalogue's error remains, at most 0.02" per star.
     if noise_told:
         assert np.sqrt(np.trace(found.common_n)) < 0.1 * ARCSEC
 
 
-def test_the_shared_turns_are_those_of_the_sky_moved_and_lifted() -> None:
-    """Against finite differences: the solution by a sky that is one sigma further north, and by one of denser air."""
+def test_the_shared_rotations_equal_finite_differences_of_the_sky() -> None:
+    """The solution with a sky that is one sigma further north, and with denser air."""
     exposure = exposure_of(told(POOR_WEATHER), "fore", 8)
     found = told_apart(one_solution(POOR_WEATHER), POOR_WEATHER)
     config = ship(POOR_WEATHER)
@@ -277,12 +276,12 @@ def test_the_shared_turns_are_those_of_the_sky_moved_and_lifted() -> None:
         turn_n = log_rotation(moved.solution.rotation_nb @ as_told.solution.rotation_nb.T)
         expected_n = found.shared_n[:, column]
         if column == 0:
-            # One sigma is that of pressure and temperature together.
+            # One sigma of pressure and temperature together.
             turn_n *= np.linalg.norm(expected_n) / np.linalg.norm(turn_n)
         np.testing.assert_allclose(turn_n, expected_n, atol=0.03 * np.linalg.norm(expected_n))
 
 
-def test_what_a_message_does_not_state_comes_on_top_of_the_configured_noise() -> None:
+def test_unstated_shared_errors_are_added_to_the_configured_noise() -> None:
     message = one_solution()
     for covariance in (message.covariance, message.rotation_covariance, message.noise_covariance):
         covariance[:] = 0.0
@@ -301,7 +300,7 @@ def test_a_message_that_states_less_than_the_fix_has_errors_is_not_made_negative
     assert np.linalg.norm(found.shared_n[:, 2]) / ARCSEC == pytest.approx(3.24, abs=0.02)
 
 
-def test_a_lasting_error_that_no_air_explains_is_the_sensor_s_own() -> None:
+def test_a_correlated_error_not_due_to_refraction_is_the_sensor_s_own() -> None:
     message = one_solution()
     more = (20.0 * ARCSEC) ** 2 * np.eye(3).ravel()
     message.rotation_covariance += more
@@ -311,7 +310,7 @@ def test_a_lasting_error_that_no_air_explains_is_the_sensor_s_own() -> None:
 
 
 @pytest.mark.parametrize("elevation_deg", [-20.0, 2.0, 90.0])
-def test_where_the_boresight_has_no_refraction_the_message_is_believed(elevation_deg: float) -> None:
+def test_below_the_refraction_model_the_stated_covariance_is_used(elevation_deg: float) -> None:
     message = one_solution()
     message.elevation = float(np.deg2rad(elevation_deg))
     found, total_n = told_apart(message), horizon_covariance(message.rotation_covariance.reshape(3, 3))
@@ -319,13 +318,13 @@ def test_where_the_boresight_has_no_refraction_the_message_is_believed(elevation
     np.testing.assert_allclose(noise_n + found.lasting_n, total_n, atol=1e-9 * np.trace(total_n))
 
 
-def test_without_a_fix_nothing_can_be_told_apart() -> None:
+def test_without_a_fix_shared_errors_cannot_be_separated() -> None:
     refusal = in_horizon(read(one_solution()), installed_sky(ship(POOR_FIX).sky))
     assert isinstance(refusal, Refusal)
     assert refusal.reason is Reason.NO_FIX
 
 
-def test_sharing_is_as_configured() -> None:
+def test_shared_errors_are_as_configured() -> None:
     message = one_solution()
     common_n = read(message, "none").common_n
     assert type(read(message, "none")) is type(read(message, "by_input")) is AttitudeMeasurement
@@ -336,7 +335,7 @@ def test_sharing_is_as_configured() -> None:
 
 
 @pytest.mark.parametrize("input_", ["observations", "inertial_attitude"])
-def test_what_stars_share_cannot_be_configured_away(input_: str) -> None:
+def test_shared_errors_of_stars_cannot_be_disabled(input_: str) -> None:
     with pytest.raises(ParameterError, match=r"'star_sensors\.fore\.shared': .*input: solution or horizon_attitude"):
         ship(POOR_FIX, input=input_, shared="none")
 
@@ -345,7 +344,7 @@ def test_what_stars_share_cannot_be_configured_away(input_: str) -> None:
 
 
 def solved_voyage(run: Run | None = None) -> tuple[Arrival, ...]:
-    """INS, fixes and weather of the voyage, and the solutions of star_attitude as they came out of a run."""
+    """Return INS, fixes and weather of the voyage, and the solutions of star_attitude from a run."""
     solved = [
         Arrival(topic, message, receive_ns)
         for receive_ns, topic, message in (run or clean_run()).published
@@ -355,14 +354,14 @@ def solved_voyage(run: Run | None = None) -> tuple[Arrival, ...]:
 
 
 def sail_solved(arrivals: Iterable[Arrival], shared: str = "by_input") -> Run:
-    """All that the node subscribes to; without the sky over the ship it needs neither place nor air."""
+    """Run all inputs that the node subscribes to; without the sky it needs neither position nor air."""
     sensors = {id_: {**values, "input": "solution", "shared": shared} for id_, values in OBSERVING.items()}
     surroundings = () if shared in ("by_input", "sky") else (FIX, PRESSURE, TEMPERATURE, HUMIDITY)
     return sail(except_(arrivals, *surroundings), star_sensors=sensors)
 
 
-def test_the_node_knows_from_solutions_what_it_knows_from_stars() -> None:
-    """With exact optics: the filter learns errors of the optics from stars, and not from solutions."""
+def test_the_node_estimates_the_same_from_solutions_and_stars() -> None:
+    """With exact optics: the filter estimates errors of the optics from stars, and not from solutions."""
     exact = {id_: {**values, "camera": EXACT_CAMERA} for id_, values in OBSERVING.items()}
     by_stars = sail(star_voyage(), star_sensors=exact)
     by_solutions = sail_solved(solved_voyage(solved_by(star_voyage(), **EXACT)))
@@ -387,7 +386,7 @@ def test_fixes_that_come_late_change_nothing() -> None:
     assert states[0] == states[1]
 
 
-def test_without_a_fix_solutions_are_refused_unless_they_are_to_be_believed() -> None:
+def test_without_a_fix_solutions_are_rejected_unless_configured_as_complete() -> None:
     without_fix = except_(solved_voyage(), FIX)
     run = sail_solved(without_fix)
     assert set(run.reasons("star/fore/solution")) == {"no_fix"}
@@ -398,8 +397,8 @@ def test_without_a_fix_solutions_are_refused_unless_they_are_to_be_believed() ->
     assert FIX not in {entry.topic for entry in run.adapter.inputs}
 
 
-def test_with_the_ins_gone_a_solution_carries_all_of_its_error() -> None:
-    """A sensor alone bears the error of the fix as any other, whoever else has it."""
+def test_without_the_ins_a_solution_has_its_full_error() -> None:
+    """A single sensor has the error of the fix too, whether or not other sensors share it."""
     cut_ns = START_NS + SECOND_NS
     cut = [a for a in solved_voyage() if a.topic != INS or a.receive_ns < cut_ns]
     sigmas = []

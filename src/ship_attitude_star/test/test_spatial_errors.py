@@ -1,7 +1,7 @@
-"""Errors that stay with a star's place on the detector: their statistics against the process that is stated for them.
+"""Errors that depend on a star's position on the detector: statistics of their stated process.
 
-The field-spatial error is a Gaussian process with the correlation exp(-d²/(2 · 1.5²)), d in half sides, less its
-mean over the detector; what it is expected to be comes here from sums over a grid of places.
+The field-spatial error is a Gaussian process with the correlation exp(-d²/(2 · 1.5²)), d in half sides, less its mean
+over the detector; expected values come from sums over a grid of positions.
 """
 
 import numpy as np
@@ -29,12 +29,12 @@ def correlation(places: np.ndarray, others: np.ndarray) -> np.ndarray:
 
 
 def powers(places: np.ndarray) -> np.ndarray:
-    """All products of powers up to the third degree, shape (k, 10)."""
+    """Return all products of powers up to the third degree, shape (k, 10)."""
     return np.stack([places[:, 0] ** i * places[:, 1] ** j for i in range(4) for j in range(4 - i)], axis=-1)
 
 
 def of_fitted_polynomials(places: np.ndarray) -> np.ndarray:
-    """Covariance at places (half sides) of the polynomial that fits the process best, less its mean.
+    """Return the covariance at positions (half sides) of the best polynomial fit to the process, less its mean.
 
     The process has a mean square of 1 over the detector without its mean.
     """
@@ -56,9 +56,9 @@ def test_the_field_error_is_the_best_polynomial_of_the_stated_process():
     assert modes_px.shape == (10, FIELD_MODES, 2)
     for axis in range(2):
         covariance = modes_px[..., axis] @ modes_px[..., axis].T
-        # The sums over the grid are good to some thousandths.
+        # The sums over the grid are accurate to some thousandths.
         np.testing.assert_allclose(covariance / FIELD_PX**2, of_fitted_polynomials(places), atol=0.01)
-    # What moves u leaves v.
+    # Modes of u do not change v.
     np.testing.assert_allclose(modes_px[..., 0] @ modes_px[..., 1].T, 0.0, atol=1e-9)
 
 
@@ -71,7 +71,7 @@ def test_the_polynomial_leaves_out_a_thousandth_of_its_variance():
 
 
 def worth(steps_px: np.ndarray, stars: int = 12, noise_px: float = 0.0, seed: int = 3) -> np.ndarray:
-    """What exposures in a row are worth where all stars go by these steps, beside one alone, shape (n,)."""
+    """Return the information of successive exposures, relative to a single one, for given movements, shape (n,)."""
     rng = np.random.default_rng([7, seed])
     places, stay, found = rng.uniform(100.0, 1400.0, (stars, 2)), None, []
     for place in np.cumsum(steps_px, axis=0):
@@ -86,11 +86,11 @@ def drift(step_px: tuple[float, float], count: int = 300) -> np.ndarray:
 
 
 @pytest.mark.parametrize("step_px", [(0.05, 0.0), (0.15, 0.0), (0.1, 0.1), (0.6, -0.2), (5.0, 3.0)])
-def test_exposures_on_the_same_pixels_are_worth_what_they_tell(step_px: tuple[float, float]):
-    """The weighted mean of 300 exposures of stars that drift over square pixels with errors of their own.
+def test_the_variance_of_exposures_on_the_same_pixels_matches_their_error(step_px: tuple[float, float]):
+    """The weighted mean of 300 exposures of stars that drift over square pixels with independent errors.
 
-    Two exposures have as much of their error in common as the pixels around them overlap. What the filter claims of the
-    mean is held against that; a pixel's share falls linearly, where the filter takes it to fall exponentially.
+    The common part of two exposures' errors is the overlap of the pixels around them. The filter's variance of the mean
+    is compared with it; the overlap decreases linearly, the filter's model exponentially.
     """
     exposures, number = worth(drift(step_px), stars=100), np.arange(300)
     apart = np.abs(number[:, None] - number)[..., None] * np.abs(step_px)
@@ -101,10 +101,10 @@ def test_exposures_on_the_same_pixels_are_worth_what_they_tell(step_px: tuple[fl
 
 @pytest.mark.statistics
 @pytest.mark.parametrize(("drift_px", "sway_px"), [(0.03, 0.0), (0.1, 0.0), (0.2, 0.0), (0.1, 0.3), (0.2, 0.3)])
-def test_noise_and_a_ship_that_sways_are_no_new_pixels(drift_px: float, sway_px: float):
-    """100 exposures of eight stars with noise, on pixels that are drawn: the mean is as good as it is said to be.
+def test_noise_and_sway_do_not_count_as_new_pixels(drift_px: float, sway_px: float):
+    """The mean of 100 exposures of eight stars with noise, on drawn pixels, has its stated error.
 
-    60 runs of two axes. What is claimed may differ from the truth by a fifth of the variance beside the 99.9 % band.
+    60 runs of two axes. The stated variance may differ from the truth by a fifth, in addition to the 99.9 % band.
     """
     squares = []
     for seed in range(60):
@@ -123,13 +123,13 @@ def test_noise_and_a_ship_that_sways_are_no_new_pixels(drift_px: float, sway_px:
 
 
 def _of_pixels(rng: np.random.Generator, path: np.ndarray) -> np.ndarray:
-    """Errors of unit variance along a way over pixels, shape (n, 2): one pair of numbers a pixel."""
+    """Return errors of unit variance along a path over pixels, shape (n, 2): one pair of numbers per pixel."""
     _, which = np.unique(path, axis=0, return_inverse=True)
     return rng.standard_normal((which.max() + 1, 2))[which.ravel()]
 
 
-def test_a_turn_about_the_boresight_is_a_way_as_a_shift_is():
-    """Twelve stars go round the middle of the detector, by as much on the root mean square as others that shift."""
+def test_a_rotation_about_the_boresight_counts_as_movement():
+    """Twelve stars rotate about the middle of the detector, with the same root mean square movement as a shift."""
     places = np.random.default_rng(11).uniform(-400.0, 400.0, (12, 2))
     arm = np.sqrt(np.mean(np.sum((places - places.mean(axis=0)) ** 2, axis=1)))
     begun = ERRORS.stay(CAMERA.directions(HALF_PX + places), np.full(12, 1e-12), None)
@@ -146,21 +146,21 @@ def test_a_turn_about_the_boresight_is_a_way_as_a_shift_is():
 
 
 def test_at_the_fold_of_a_distortion_the_error_is_finite():
-    """A lens whose picture folds at 1/sqrt(60) of a focal length: a star a hundredth of a pixel inside of it."""
+    """A lens whose image folds at 1/sqrt(60) of a focal length: a star 0.01 pixel inside it."""
     folds = StarCamera(0.05, 5.5e-6, 1023.5, 767.5, Distortion(k1=-20.0))
     edge = folds.pixels(np.array([[1.0, 0.0, 1.0 / np.sqrt(60.0)]]))
     inside = folds.directions(edge - np.array([0.01, 0.0]))
     assert np.all(np.isfinite(SpatialErrors(folds, 0.3, 0.0).field_modes(inside)))
 
 
-def test_stars_on_new_pixels_are_new():
+def test_stars_on_new_pixels_start_a_new_dwell():
     assert worth(drift((8.0, 0.0), 5)).tolist() == [1.0] * 5
     stay = ERRORS.stay(CAMERA.directions(np.array([[300.0, 400.0]])), np.full(1, 1e-6), None)
     other = ERRORS.stay(CAMERA.directions(np.array([[900.0, 200.0]])), np.full(1, 1e-6), stay)
     assert (other.exposures, other.excess) == (0, 0.0)
 
 
-def test_stars_that_stand_still_to_the_bit_tell_next_to_nothing_more():
+def test_exactly_constant_stars_add_the_least_information():
     exposures = worth(np.zeros((50, 2)))
     assert exposures[0] == 1.0
     assert np.all(exposures[1:] == 1e-3)
@@ -168,19 +168,19 @@ def test_stars_that_stand_still_to_the_bit_tell_next_to_nothing_more():
 
 @pytest.mark.parametrize("length_px", [0.0, 0.3, 2.0, 30.0])
 def test_a_streak_averages_over_its_pixels(length_px: float):
-    """Against the double mean of exp(-2 |s - t|) over the streak, by sums."""
+    """Compared with the double mean of exp(-2 |s - t|) over the streak, by sums."""
     ways = (np.arange(2000) + 0.5) / 2000.0 * length_px
     expected = np.mean(np.exp(-2.0 * np.abs(ways[:, None] - ways)))
     share = ERRORS.streak_share(np.array([length_px * PIXEL_RAD]))
     np.testing.assert_allclose(share, expected, rtol=1e-3)
 
 
-def test_a_field_error_needs_to_know_how_large_the_detector_is():
+def test_a_field_error_needs_the_size_of_the_detector():
     config = CameraConfig(focal_length_m=0.05, pixel_pitch_m=5.5e-6, field_spatial_sigma_px=0.1)
     with pytest.raises(ParameterError, match=r"'cam.principal_u_px' and 'cam.principal_v_px' must be given"):
         config.camera("cam")
 
 
-def test_without_them_nothing_is_modelled():
+def test_without_spatial_errors_nothing_is_modelled():
     config = CameraConfig(focal_length_m=0.05, pixel_pitch_m=5.5e-6)
     assert config.spatial_errors(config.camera("cam")) is None

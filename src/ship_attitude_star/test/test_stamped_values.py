@@ -1,4 +1,4 @@
-"""Values of which those that jump are left out: what is a jump, when it is believed, in any order of arrival."""
+"""Values ordered by stamp, with rejection of jumps: limits, confirmation, and any order of arrival."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -32,7 +32,7 @@ def ns(since_s: float) -> int:
 
 
 def told(*stamped: tuple[float, float], sigma: float = 0.0) -> tuple[StampedValues[Reading], list[float]]:
-    """The values after all have come, and the times of those refused."""
+    """Return the values after all have arrived, and the times of those rejected."""
     values, refused = StampedValues[Reading](LIMITS), []
     for since_s, value in stamped:
         if values.refusal(ns(since_s), Reading(value, sigma)) is not None:
@@ -49,80 +49,80 @@ STEADY = [(0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (3.0, 1e-9), (4.0, 0.0)]
 """At rest, as good as; but it does not stand to the last bit."""
 
 
-def test_a_value_within_its_reach_is_taken() -> None:
-    # A second later 10 + 2 and five sigmas of both together: 10 + 2 + 5·sqrt(2) = 19.07.
+def test_a_value_within_its_limit_is_accepted() -> None:
+    # One second later: 10 + 2 + five sigmas of the difference, 10 + 2 + 5·sqrt(2) = 19.07.
     assert told(*STEADY, (5.0, 19.0), sigma=1.0)[1] == []
     assert told(*STEADY, (5.0, 19.1), sigma=1.0)[1] == [5.0]
 
 
-def test_a_jump_is_refused_in_words_and_what_was_before_holds() -> None:
+def test_a_jump_is_rejected_with_a_reason_and_the_last_value_is_kept() -> None:
     values, refused = told(*STEADY, (5.0, 100.0), (6.0, 101.0))
     assert refused == [5.0, 6.0]
     assert believed(values)[-1] == (ns(4), 0.0, False)
     refusal = values.refusal(ns(7), Reading(102.0))
     assert refusal.reason is Reason.JUMP
     assert refusal.text == (
-        "102 m from the last one believed, 3.0 s before it: more than 16 m cannot be; "
-        "believed once it has lasted for 60 s"
+        "102 m from the last accepted value, 3.0 s before it, limit 16 m; "
+        "accepted once it has lasted for 60 s"
     )
 
 
-def test_what_comes_back_is_taken_at_once_as_far_as_it_may_have_gone_meanwhile() -> None:
+def test_a_return_is_accepted_within_the_limit_since_the_last_accepted_value() -> None:
     jumped = [(float(t), 500.0) for t in range(5, 25)]
-    # 21 s after the last good one: 10 + 2·21.
+    # 21 s after the last accepted value: 10 + 2·21.
     assert told(*STEADY, *jumped, (25.0, 52.0))[1] == [t for t, _ in jumped]
     assert told(*STEADY, *jumped, (25.0, 52.1))[1] == [*(t for t, _ in jumped), 25.0]
 
 
-def test_what_hangs_together_with_a_jump_does_not_profit_from_time() -> None:
-    # 30 is within 10 + 2·t of zero from 10 s on; yet it has come there by a jump.
+def test_values_consistent_with_a_jump_have_no_time_dependent_limit() -> None:
+    # 30 is within 10 + 2·t of zero from 10 s on, but it was reached by a jump.
     values, refused = told(*STEADY, *((float(t), 30.0) for t in range(5, 60)))
     assert refused == [float(t) for t in range(5, 60)]
     refusal = values.refusal(ns(60), Reading(30.0))
-    assert "it hangs together with others that had jumped" in refusal.text
-    # One that has walked back to where one step could lead is taken: 12 within a second.
+    assert "consistent with other values that had jumped" in refusal.text
+    # A value that has returned to within one step is accepted: 12 within a second.
     assert told(*STEADY, (5.0, 22.0), (6.0, 12.1), (7.0, 12.0))[1] == [5.0, 6.0]
 
 
-def test_a_jump_is_believed_when_it_has_lasted() -> None:
+def test_a_jump_is_accepted_after_the_confirmation_time() -> None:
     values, refused = told(*STEADY, *((float(t), 500.0) for t in range(5, 68)))
     assert refused == [float(t) for t in range(5, 65)]
     assert believed(values)[4:7] == [(ns(4), 0.0, False), (ns(65), 500.0, True), (ns(66), 500.0, False)]
 
 
-def test_what_does_not_agree_with_itself_is_never_believed() -> None:
+def test_inconsistent_values_are_never_accepted() -> None:
     wild = [(float(t), 500.0 + 100.0 * (t % 2)) for t in range(5, 200)]
     assert told(*STEADY, *wild)[1] == [t for t, _ in wild]
 
 
-def test_of_a_first_value_and_two_that_contradict_it_the_two_are_believed() -> None:
+def test_two_values_that_contradict_a_first_one_are_accepted() -> None:
     values, refused = told((0.0, 500.0), (1.0, 0.0), (2.0, 1.0), (3.0, 2.0))
     assert refused == [1.0]
     assert believed(values) == [(0, 500.0, False), (ns(2), 1.0, True), (ns(3), 2.0, False)]
-    # A first one that another confirms is as good as any.
+    # A first value that another one confirms is established.
     assert told((0.0, 500.0), (1.0, 500.0), (2.0, 0.0), (3.0, 1.0))[1] == [2.0, 3.0]
 
 
-def test_after_a_value_has_stood_the_ship_may_be_as_far_as_she_can_have_sailed() -> None:
-    # Frozen from 4 s to 24 s while it went on at 2 a second: 40 further when it moves again.
+def test_a_frozen_value_widens_the_limit_by_the_frozen_time() -> None:
+    # Frozen from 4 s to 24 s while the truth moves at 2 per second: 40 further when it moves again.
     moving = [(float(t), 2.0 * t) for t in range(5)]
     frozen = [(float(t), 8.0) for t in range(5, 25)]
     assert told(*moving, *frozen, (25.0, 50.0), (26.0, 52.0))[1] == []
-    # 10 + 2·21 from 8; and no more for having stood longer than a minute.
+    # 10 + 2·21 from 8; the frozen time is limited to one minute.
     assert told(*moving, *frozen, (25.0, 60.0))[1] == []
     assert told(*moving, *frozen, (25.0, 60.1))[1] == [25.0]
     long = [(float(t), 8.0) for t in range(5, 505)]
     assert told(*moving, *long, (505.0, 8.0 + 10.0 + 2.0 * 61.0))[1] == []
     assert told(*moving, *long, (505.0, 8.0 + 10.0 + 2.0 * 61.0 + 0.1))[1] == [505.0]
-    # What jumps and stands there does not profit by it.
+    # A jump that is then constant does not widen the limit.
     assert told(*moving, *((float(t), 40.0) for t in range(5, 60)))[1] == [float(t) for t in range(5, 60)]
 
 
-def test_no_number_is_near_nothing() -> None:
+def test_nan_is_rejected() -> None:
     assert told(*STEADY, (5.0, float("nan")), (6.0, float("nan")), (7.0, 0.0))[1] == [5.0, 6.0]
 
 
-def test_a_good_source_is_not_refused() -> None:
+def test_a_good_source_is_not_rejected() -> None:
     # Ten hours at 1 Hz, noise as stated, nothing at once and nothing in time: the five sigmas alone carry it. The
     # difference of two is normal with sqrt(2) sigma: beyond five of them with 5.7e-7, 0.02 in 36 000.
     rng = np.random.default_rng(20260301)
@@ -138,7 +138,7 @@ BRIEF = JumpLimits(at_once=10.0, per_s=2.0, lasts_s=8.0, unit="m")
 
 
 def drawn(rng: np.random.Generator) -> list[tuple[int, Reading]]:
-    """Values with jumps, some of which last, gaps, and different ones of one stamp."""
+    """Return values with jumps, some of them lasting, with gaps, and with conflicting values of one stamp."""
     times_ns = np.cumsum(rng.integers(1, 4, 40)) * SECOND_NS
     places = rng.choice([0.0, 0.0, 0.0, 15.0, 25.0, 400.0], 8)
     stamped = [
@@ -155,19 +155,19 @@ def put(stamped: list[tuple[int, Reading]], order: Iterable[int]) -> StampedValu
     return values
 
 
-def test_what_is_drawn_has_jumps_that_are_refused_and_some_that_are_believed() -> None:
+def test_the_drawn_values_have_rejected_and_accepted_jumps() -> None:
     runs = [put(stamped, range(len(stamped))) for stamped in map(drawn, map(np.random.default_rng, range(40)))]
     assert sum(len(values.times) < 35 for values in runs) > 20
     assert sum(any(values.anew) for values in runs) > 10
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_any_order_of_arrival_ends_in_the_same(seed: int) -> None:
+def test_any_order_of_arrival_gives_the_same_values(seed: int) -> None:
     rng = np.random.default_rng(seed)
     stamped = sorted(drawn(rng), key=lambda one: one[0])
     expected = believed(put(stamped, range(len(stamped))))
     assert believed(put(stamped, rng.permutation(len(stamped)))) == expected
-    # Late by up to ten seconds, and what is older than that is forgotten.
+    # Up to 10 s late; older values are dropped.
     late, newest_ns, forgotten = StampedValues[Reading](BRIEF), 0, []
     for index in np.argsort([time_ns + rng.uniform(0.0, ns(10)) for time_ns, _ in stamped]):
         late.insert(*stamped[index])
@@ -179,7 +179,7 @@ def test_any_order_of_arrival_ends_in_the_same(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_nothing_that_was_believed_before_the_stamp_it_says_has_changed(seed: int) -> None:
+def test_accepted_values_before_the_returned_stamp_are_unchanged(seed: int) -> None:
     rng = np.random.default_rng(seed)
     stamped, values = drawn(rng), StampedValues[Reading](BRIEF)
     for index in rng.permutation(len(stamped)):
@@ -193,7 +193,7 @@ def test_nothing_that_was_believed_before_the_stamp_it_says_has_changed(seed: in
             assert differing[0] == changed_ns
 
 
-def test_a_jump_that_lasts_for_long_takes_no_memory_and_what_comes_too_late_is_told() -> None:
+def test_a_long_jump_takes_limited_memory_and_older_values_are_late() -> None:
     values = StampedValues[Reading](JumpLimits(10.0, 2.0, 1e6, "m"))
     values.insert(0, Reading(0.0))
     values.insert(ns(1), Reading(0.0))
@@ -211,7 +211,7 @@ SETTLES = JumpLimits(at_once=10.0, per_s=2.0, lasts_s=60.0, unit="m", settled_by
 
 
 def settling(*stamped: tuple[float, float]) -> tuple[list[float], list[bool]]:
-    """Times of the values refused, and after each value whether the one believed is disputed."""
+    """Return the times of the rejected values, and after each value whether provisional values are in conflict."""
     values, refused, disputed = StampedValues[Reading](SETTLES), [], []
     for since_s, value in stamped:
         if values.refusal(ns(since_s), Reading(value)) is not None:
@@ -224,28 +224,28 @@ def settling(*stamped: tuple[float, float]) -> tuple[list[float], list[bool]]:
 GOOD = [(float(t), 1000.0 + t) for t in range(5, 15)]
 
 
-def test_a_provisional_value_is_replaced_by_as_many_as_settle_it_however_often_it_has_stood() -> None:
+def test_a_provisional_value_is_replaced_by_the_minimum_number_even_if_repeated() -> None:
     for stood in (2, 5):
         refused, disputed = settling(*((float(t), 0.0) for t in range(stood)), *GOOD)
         assert refused == [5.0, 6.0, 7.0]
         assert disputed == [False] * stood + [True] * 3 + [False] * 7
 
 
-def test_several_provisional_values_are_disputed_by_two() -> None:
+def test_two_values_contradict_several_provisional_ones() -> None:
     refused, disputed = settling((2.0, 0.0), (3.0, 1.0), (4.0, 2.0), *GOOD)
     assert refused == [5.0, 6.0, 7.0]
     assert disputed == [False] * 4 + [True, True] + [False] * 7
 
 
-def test_a_settled_value_is_replaced_only_by_what_lasts() -> None:
+def test_an_established_value_is_replaced_only_after_the_confirmation_time() -> None:
     settled = [(0.1 * t, float(t)) for t in range(4)]
     refused, disputed = settling(*settled, *((float(t), 1000.0) for t in range(5, 70)))
     assert refused == [float(t) for t in range(5, 65)]
     assert not any(disputed)
 
 
-def test_a_settled_value_stays_settled_over_a_step_of_the_clocks_and_a_provisional_one_provisional() -> None:
-    """Values come each fifth second, so that two of them are carried."""
+def test_a_step_of_the_clocks_keeps_values_established_or_provisional() -> None:
+    """Values arrive every five seconds, so that two of them are kept over the step."""
     for count, is_settled in ((3, False), (4, True)):
         values = StampedValues[Reading](SETTLES)
         for number in range(count):
@@ -256,7 +256,7 @@ def test_a_settled_value_stays_settled_over_a_step_of_the_clocks_and_a_provision
         assert shifted.is_disputed(ns(0.0)) is not is_settled
 
 
-def test_opponents_that_do_not_agree_replace_nothing() -> None:
+def test_inconsistent_rejected_values_replace_nothing() -> None:
     refused, disputed = settling((0.0, 0.0), (1.0, 0.0), *((float(t), 500.0 * (t % 3)) for t in range(2, 60)))
     assert refused == [float(t) for t in range(2, 60) if t % 3]
     assert disputed[2]
@@ -264,7 +264,7 @@ def test_opponents_that_do_not_agree_replace_nothing() -> None:
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_any_order_of_arrival_ends_in_the_same_disputes(seed: int) -> None:
+def test_any_order_of_arrival_gives_the_same_conflicts(seed: int) -> None:
     rng, limits = np.random.default_rng(seed), replace(BRIEF, settled_by=6)
     stamped = sorted(drawn(rng), key=lambda one: one[0])
     in_order = StampedValues[Reading](limits)

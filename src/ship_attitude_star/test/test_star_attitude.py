@@ -297,7 +297,7 @@ def test_a_detection_without_a_name_is_not_given_that_of_another() -> None:
     for message in run.messages(SOLUTION[FORE]):
         assert (message.star_count, message.rejected_count) == (STARS, 1)
     assert run.reasons(FORE) == {"unidentified": len(only(voyage(), FORE))}
-    assert "claimed twice" in run.messages("star/innovation")[0].reason_text
+    assert "matched by two detections" in run.messages("star/innovation")[0].reason_text
 
 
 def test_without_a_name_and_without_an_ins_there_is_no_solution() -> None:
@@ -417,10 +417,10 @@ def test_sigma_of_the_centroid_changes_while_it_runs() -> None:
 
 
 def test_a_sensor_must_not_be_called_joint() -> None:
-    with pytest.raises(ParameterError, match=r"'star_sensors\.joint': 'joint' means all sensors"):
+    with pytest.raises(ParameterError, match=r"'star_sensors\.joint': 'joint' is reserved for all sensors"):
         new_adapter(star_sensors__joint={"azimuth_deg": 1.0, "elevation_deg": 2.0, "camera": camera()})
     # With star/joint/solution in addition to those of the sensors, ship_attitude would count every star twice.
-    with pytest.raises(ParameterError, match=r"'star_sensors\.joint': 'joint' means all sensors"):
+    with pytest.raises(ParameterError, match=r"'star_sensors\.joint': 'joint' is reserved for all sensors"):
         small_voyage.config(star_sensors__joint={"azimuth_deg": 1.0, "elevation_deg": 2.0, "input": "solution"})
 
 

@@ -268,7 +268,7 @@ def assert_no_attitude_but_told(run: Run, reason: Reason, text: str) -> None:
 
 
 def test_without_a_fix_there_is_no_attitude() -> None:
-    assert_no_attitude_but_told(sail(except_(voyage(), FIX)), Reason.NO_FIX, "no position fix yet")
+    assert_no_attitude_but_told(sail(except_(voyage(), FIX)), Reason.NO_FIX, "no position fix received yet")
 
 
 def test_a_fix_older_than_a_minute_is_none() -> None:

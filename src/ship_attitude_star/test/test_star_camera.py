@@ -9,7 +9,7 @@ from ship_geometry.rotations import ARCSEC, angle_between
 # 50 mm, 5 µm pixels: 20.6" each; 2048 pixels see 11.7°.
 PLAIN = StarCamera(0.05, 5e-6, 1023.5, 1011.25)
 BENT = StarCamera(0.05, 5e-6, 1023.5, 1011.25, Distortion(k1=-0.12, k2=0.03, p1=2e-4, p2=-3e-4, k3=0.01))
-# A lens of 70° across, to see what small angles would hide.
+# A field of 70°, so that no approximation for small angles passes.
 WIDE = StarCamera(0.008, 5.5e-6, 1000.0, 1000.0, Distortion(k1=-0.08, k2=0.01, p1=1e-3, p2=-2e-3))
 CAMERAS = pytest.mark.parametrize("camera", [PLAIN, BENT, WIDE], ids=["plain", "bent", "wide"])
 
@@ -19,7 +19,7 @@ def pixels_all_over(count=500):
 
 
 def test_axes_of_the_models_page():
-    # W ∝ [f, -(v - v0) D, (u - u0) D]: the principal point looks forward, u grows to the right, v grows downwards.
+    # W ∝ [f, -(v - v0) D, (u - u0) D]: the principal point is forward, u increases to the right, v downwards.
     assert PLAIN.directions(np.array([1023.5, 1011.25])) == pytest.approx([1.0, 0.0, 0.0], abs=1e-15)
     right = PLAIN.directions(np.array([1123.5, 1011.25]))
     assert right == pytest.approx(np.array([0.05, 0.0, 100 * 5e-6]) / np.hypot(0.05, 5e-4), abs=1e-15)
@@ -28,7 +28,7 @@ def test_axes_of_the_models_page():
 
 
 @CAMERAS
-def test_there_and_back(camera):
+def test_pixels_and_directions_are_inverse(camera):
     pixels = pixels_all_over()
     directions = camera.directions(pixels)
     assert np.linalg.norm(directions, axis=-1) == pytest.approx(np.ones(len(pixels)), abs=1e-14)
@@ -55,7 +55,7 @@ def test_jacobian_of_the_distortion_equals_finite_differences():
 
 
 def test_barrel_distortion_brings_stars_inwards():
-    # So that a sign turned round is seen: with k1 < 0 the lens shows a star nearer to the middle than it stands.
+    # Detects a wrong sign: with k1 < 0 the lens images a star nearer to the middle.
     corner = np.array([2000.0, 2000.0])
     straight, bent = StarCamera(0.05, 5e-6, 1000.0, 1000.0), StarCamera(0.05, 5e-6, 1000.0, 1000.0, Distortion(-0.1))
     boresight = np.array([1.0, 0.0, 0.0])
@@ -109,19 +109,19 @@ def test_tangent_basis_is_up_and_right_across_the_direction():
     assert np.all(basis[:, 1, 2] > 0.7)
 
 
-def test_what_has_no_direction_or_pixel_is_nan():
+def test_points_without_direction_or_pixel_are_nan():
     pixels = np.array([[np.nan, 10.0], [100.0, 100.0], [10.0, np.inf]])
     for camera in (PLAIN, BENT):
         assert np.isnan(camera.directions(pixels)).any(axis=-1).tolist() == [True, False, True]
     behind = np.array([[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
     assert np.isnan(PLAIN.pixels(behind)).any(axis=-1).tolist() == [True, True, False]
-    # k1 = -10 turns back at r = 0.18 focal lengths, 0.12 on the detector: 1200 pixels. Beyond it shows nothing.
+    # k1 = -10 folds at r = 0.18 focal lengths, 0.12 on the detector: 1200 pixels. Beyond there is no image.
     folding = StarCamera(0.05, 5e-6, 0.0, 0.0, Distortion(k1=-10.0))
     assert np.isnan(folding.directions(np.array([[1100.0, 0.0], [1300.0, 0.0]]))).any(axis=-1).tolist() == [False, True]
 
 
 @CAMERAS
-def test_a_sighted_centroid_has_its_direction_and_its_sigma(camera):
+def test_a_measured_centroid_has_its_direction_and_its_sigma(camera):
     pixels, sigma_px = np.array([[1023.5, 1011.25], [200.0, 1800.0], [np.nan, 3.0], [500.0, 500.0]]), np.full(4, 0.1)
     sigma_px[3] = np.nan
     directions_s, sigma = camera.sighted(pixels, sigma_px)

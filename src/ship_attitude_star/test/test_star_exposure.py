@@ -1,4 +1,4 @@
-"""Stars of an exposure: where they stood at its middle, how well they are known then, which stars they are."""
+"""Stars of an exposure: directions at mid-exposure, their errors, and identification."""
 
 from dataclasses import replace
 
@@ -43,7 +43,7 @@ def watch():
 
 
 def rolling(since_s: float) -> FloatArray:
-    """Deck of a ship that rolls 4° in 11 s, at its crest now, pitches and turns; at the moment as in star_sky."""
+    """Return the attitude of a deck that rolls 4° in 11 s, at its crest at time zero, and pitches and turns."""
     roll = np.deg2rad(4.0) * (np.cos(2.0 * np.pi * since_s / 11.0) - 1.0)
     pitch = np.deg2rad(1.8) * np.sin(2.0 * np.pi * since_s / 8.0)
     return ROTATION_ND @ rotation_from_angles(np.deg2rad(1.5) * since_s, pitch, roll)
@@ -65,7 +65,7 @@ def ins_samples(first_s: float = -1.0, last_s: float = 1.0) -> list[AttitudeSamp
 
 
 def streaked(exposure, rotation_ds: FloatArray, exposure_s: float):
-    """The exposure with centroids that are the means of the pixels of a thousand moments, and those pixels."""
+    """Return the exposure with centroids that are the means of a thousand pixels each, and those pixels."""
     since_s = exposure_s * ((np.arange(1000) + 0.5) / 1000 - 0.5)
     turns = np.array([(rolling(t) @ rotation_ds).T @ rolling(0.0) @ rotation_ds for t in since_s])
     pixels = CAMERA.pixels(exposure.directions_s @ np.swapaxes(turns, -1, -2))
@@ -79,7 +79,7 @@ def mended(exposure, rotation_ds: FloatArray):
 
 @pytest.mark.parametrize("sensor", ["fore", "starboard"])
 @pytest.mark.parametrize(("exposure_s", "least_arcsec"), [(0.05, 0.2), (0.1, 1.0), (0.2, 4.0), (1.0, 100.0)])
-def test_mend_09_the_correction_brings_a_centroid_to_the_middle(watch, sensor, exposure_s, least_arcsec):
+def test_the_correction_moves_a_centroid_to_mid_exposure(watch, sensor, exposure_s, least_arcsec):
     rotation_ds = CONFIG.star_sensors[sensor].rotation_ds
     true = exposure_of(watch, sensor, 8)
     seen, _ = streaked(true, rotation_ds, exposure_s)
@@ -90,7 +90,7 @@ def test_mend_09_the_correction_brings_a_centroid_to_the_middle(watch, sensor, e
 
 
 @pytest.mark.parametrize("exposure_s", [0.05, 0.2])
-def test_mend_09_the_noise_grows_along_the_streak_alone(watch, exposure_s):
+def test_the_noise_grows_only_along_the_streak(watch, exposure_s):
     rotation_ds = CONFIG.star_sensors["fore"].rotation_ds
     seen, pixels = streaked(exposure_of(watch, "fore", 8), rotation_ds, exposure_s)
     found = mended(seen, rotation_ds)
@@ -105,14 +105,14 @@ def test_mend_09_the_noise_grows_along_the_streak_alone(watch, exposure_s):
     aside = np.cross(found.directions_s, along)
     expected = sigma_px**2 * length_px**2 / (12.0 * PSF_PX**2)
     added = np.einsum("ki,kij,kj->k", along, found.smear_s, along) / scale**2
-    # The camera's scale differs by its place and direction in the field, which one sigma for both axes leaves aside.
+    # The camera's scale depends on position and direction in the field, which one sigma for both axes neglects.
     np.testing.assert_allclose(added, expected, rtol=0.03)
     assert np.all(np.einsum("ki,kij,kj->k", aside, found.smear_s, aside) < 1e-3 * expected * scale**2)
     outward = np.einsum("kij,kj->ki", found.smear_s, found.directions_s)
     assert np.max(np.abs(outward)) < 1e-4 * np.max(found.smear_s)
 
 
-def test_a_star_that_leaves_the_camera_s_sight_meanwhile_tells_nothing(watch):
+def test_a_star_that_leaves_the_field_during_the_exposure_has_no_weight(watch):
     seen = replace(exposure_of(watch, "fore", 3), length=ExposureLength(10.0, CAMERA, PSF_PX))
     turning = turning_over(rolling_track(-6.0, 6.0), TIME_NS, seen.length.nodes)
     away = np.array([rotation_from_angles(np.deg2rad(20e-9 * ns), 0.0, 0.0) for ns in turning.nodes.offset_ns])
@@ -122,7 +122,7 @@ def test_a_star_that_leaves_the_camera_s_sight_meanwhile_tells_nothing(watch):
 
 
 def smeared_scene(rng: np.random.Generator):
-    """A scene of two sensors in which all stars are streaks, each noise drawn with what the streak adds."""
+    """Return a scene of two sensors in which all stars are streaks, with the noise of streaks."""
     scene = draw_scene(rng, (5, 4))
     streak = rng.standard_normal((len(scene.stars), 3)) * 30.0 * ARCSEC
     streak -= np.sum(streak * scene.stars.measured_b, axis=-1)[:, None] * scene.stars.measured_b
@@ -132,8 +132,8 @@ def smeared_scene(rng: np.random.Generator):
     return scene, replace(scene.stars, measured_b=measured, smear_b=smear)
 
 
-def test_mend_09_the_attitude_by_streaks_is_the_most_likely_one():
-    """Against a minimiser that knows nothing of Wahba's problem, each residual by its own two by two covariance."""
+def test_the_attitude_by_streaks_is_the_most_likely_one():
+    """Compared with a minimiser of the residuals, each weighted by its own two by two covariance."""
     _, stars = smeared_scene(np.random.default_rng(3))
     found = agreement(stars)
     basis = tangent_basis(stars.reference_n)
@@ -164,7 +164,7 @@ def exposed(watch, exposure_s: float = 0.2):
     return streaked(exposure_of(watch, "fore", 6), CONFIG.star_sensors["fore"].rotation_ds, exposure_s)[0]
 
 
-def test_mend_09_the_filter_s_jacobian_with_streaks_is_the_derivative(watch):
+def test_the_filter_s_jacobian_with_streaks_is_the_derivative(watch):
     ship_filter = ShipFilter(CONFIG)
     state = ship_filter.initial_state()
     sigma = np.sqrt(np.diagonal(state.covariance))
@@ -192,7 +192,7 @@ def test_mend_09_the_filter_s_jacobian_with_streaks_is_the_derivative(watch):
         np.testing.assert_allclose(here.jacobian[:, row], numeric, atol=1e-4 * scale)
 
 
-def test_mend_09_the_filter_takes_streaks_for_what_they_are(watch):
+def test_the_filter_models_streaks(watch):
     ship_filter = ShipFilter(CONFIG)
     start, track = ship_filter.initial_state(), rolling_track()
     seen = exposed(watch)
@@ -214,7 +214,7 @@ def core_with_fix(watch) -> ShipAttitudeCore:
     return core
 
 
-def test_mend_09_an_exposure_waits_for_the_ins_to_its_end_and_any_order_gives_the_same_state():
+def test_an_exposure_waits_for_the_ins_to_its_end_and_any_order_gives_the_same_state():
     states = []
     for after in (5, 60, 110, 200):
         core = core_with_fix(told_sky(CONFIG))
@@ -236,7 +236,7 @@ def test_mend_09_an_exposure_waits_for_the_ins_to_its_end_and_any_order_gives_th
         assert state.parts.tobytes() == states[0].parts.tobytes()
 
 
-def test_mend_09_a_late_ins_sample_within_the_exposure_is_used_for_it():
+def test_a_late_ins_sample_within_the_exposure_is_used_for_it():
     samples, held_back = ins_samples(), 107
     states = []
     for late in (False, True):
@@ -252,7 +252,7 @@ def test_mend_09_a_late_ins_sample_within_the_exposure_is_used_for_it():
     assert states[1].mean.tobytes() == states[0].mean.tobytes()
 
 
-def test_an_exposure_that_the_ins_does_not_span_is_refused():
+def test_an_exposure_without_ins_samples_over_its_length_is_rejected():
     core = core_with_fix(told_sky(CONFIG))
     core.add_measurement(exposed(told_sky(CONFIG)))
     decisions = []
@@ -262,7 +262,7 @@ def test_an_exposure_that_the_ins_does_not_span_is_refused():
     assert "whole exposure of 0.2 s" in decisions[0].text
 
 
-def test_identification_leaves_out_what_is_ambiguous_or_nowhere(watch):
+def test_identification_rejects_ambiguous_and_unmatched_detections(watch):
     exposure = exposure_of(watch, "fore", 4)
     twice = replace(exposure, directions_s=exposure.directions_s[[0, 0, 2, 3]])
     nowhere = twice.directions_s.copy()
@@ -273,6 +273,6 @@ def test_identification_leaves_out_what_is_ambiguous_or_nowhere(watch):
     result, reasons = identified(unknown, prior, watch.at(TIME_NS))
     assert result.hip.tolist() == [0, 0, exposure.hip[2], 0]
     assert set(reasons) == {0, 1, 3}
-    assert "claimed twice" in reasons[0].text
+    assert "matched by two detections" in reasons[0].text
     assert "no catalogue star within the gate" in reasons[3].text
     assert CONFIG.sky.magnitude_limit > MAGNITUDE_LIMIT

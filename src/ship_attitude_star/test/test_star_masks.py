@@ -1,4 +1,4 @@
-"""Masks of a star sensor: no detection in one is a star, no star behind one is a candidate, none may hide all."""
+"""Masks of a star sensor: detections inside, stars behind them, and masks that cover the whole field."""
 
 from dataclasses import replace
 from typing import Any
@@ -29,13 +29,13 @@ def watch() -> SkyWatch:
 
 
 def deck_places_deg(directions_s: FloatArray) -> FloatArray:
-    """Azimuth in (-180, 180] and elevation over the deck, shape (k, 2)."""
+    """Return azimuth in (-180, 180] and elevation above the deck, shape (k, 2)."""
     bow, up, starboard = (directions_s @ ROTATION_DS.T).T
     return np.rad2deg(np.stack([np.arctan2(starboard, bow), np.arctan2(up, np.hypot(bow, starboard))], axis=-1))
 
 
 def to_port_of(azimuth_deg: float, name: str = "mast") -> SensorMasks:
-    """All from 60° to port to an azimuth near the bow; its corners are given over 360."""
+    """Return a mask from 60° to port to an azimuth near the bow; its corners exceed 360°."""
     mask = MaskConfig(
         azimuths_deg=(300.0, 360.0 + azimuth_deg, 360.0 + azimuth_deg, 300.0), elevations_deg=(-10.0, -10.0, 89.0, 89.0)
     )
@@ -49,13 +49,13 @@ def prior_of(sigma_arcsec: float) -> StarPrior:
 
 
 def halved(exposure: StarExposure) -> float:
-    """An azimuth with half of the stars to port of it."""
+    """Return an azimuth with half of the stars to port of it."""
     azimuths = np.sort(deck_places_deg(exposure.directions_s)[:, 0])
     middle = len(azimuths) // 2
     return float(azimuths[middle - 1 : middle + 1].mean())
 
 
-def test_detections_in_a_mask_are_no_stars_and_the_others_keep_their_names(watch: SkyWatch) -> None:
+def test_detections_in_a_mask_are_no_stars_and_the_others_keep_their_identities(watch: SkyWatch) -> None:
     exposure = exposure_of(watch, "fore", 8)
     edge_deg = halved(exposure)
     hidden = deck_places_deg(exposure.directions_s)[:, 0] < edge_deg
@@ -63,14 +63,14 @@ def test_detections_in_a_mask_are_no_stars_and_the_others_keep_their_names(watch
     named, reasons = identified(masked, prior_of(30.0), watch.at(TIME_NS))
     assert named.hip.tolist() == np.where(hidden, 0, exposure.hip).tolist()
     assert sorted(reasons) == np.flatnonzero(hidden).tolist()
-    assert {reason.text for reason in reasons.values()} == {"no star: it lies in the mask mast"}
+    assert {reason.text for reason in reasons.values()} == {"not a star: inside the mask mast"}
     without, none = identified(without_identity(exposure), prior_of(30.0), watch.at(TIME_NS))
     assert without.hip.tolist() == exposure.hip.tolist()
     assert not none
 
 
-def test_a_lamp_behind_a_mask_claims_no_star(watch: SkyWatch) -> None:
-    """A star at the edge and a lamp beside it, both within the gate: without the mask the star is given to neither."""
+def test_a_lamp_behind_a_mask_matches_no_star(watch: SkyWatch) -> None:
+    """A star at the edge and a lamp next to it, both within the gate: without the mask neither gets the identity."""
     exposure = exposure_of(watch, "fore", 4)
     at_edge = int(np.argmin(deck_places_deg(exposure.directions_s)[:, 0]))
     star_deg = deck_places_deg(exposure.directions_s)[at_edge, 0]
@@ -89,10 +89,10 @@ def test_a_lamp_behind_a_mask_claims_no_star(watch: SkyWatch) -> None:
 
 
 @pytest.mark.parametrize("sigma_arcsec", [10.0, 600.0])
-def test_a_star_behind_a_mask_is_no_candidate_unless_the_prior_may_bring_it_out(
+def test_a_star_behind_a_mask_is_no_candidate_except_within_the_prior_error(
     watch: SkyWatch, sigma_arcsec: float
 ) -> None:
-    """Stars to port of the edge by more than five sigmas and the step of the edge are out, those by less are in."""
+    """Stars to port of the edge by more than five sigmas and the step of the edge are out, others are in."""
     exposure, moment = without_identity(exposure_of(watch, "fore", 8)), watch.at(TIME_NS)
     edge_deg, prior = halved(exposure), prior_of(sigma_arcsec)
 
@@ -134,23 +134,23 @@ def sensor_with(masks: dict[str, Any], **camera: float) -> dict[str, Any]:
     ("masks", "reason"),
     [
         ({"wall": WALL}, "parameter 'star_sensors.fore.masks': wall cover the whole field of view"),
-        ({"left": LEFT, "right": RIGHT}, "left, right cover the whole field of view: no star is ever seen"),
+        ({"left": LEFT, "right": RIGHT}, "left, right cover the whole field of view, so that no star is visible"),
         ({"a": {**WALL, "elevations_deg": [1.0, 2.0]}}, "'star_sensors.fore.masks.a': 4 azimuths and 2 elevations"),
-        ({"a": {**WALL, "azimuths_deg": [0.0, 400.0, 9.0, 9.0]}}, "masks.a.azimuths_deg': from 0 to 400 deg is more"),
+        ({"a": {**WALL, "azimuths_deg": [0.0, 400.0, 9.0, 9.0]}}, "masks.a.azimuths_deg': from 0 to 400 deg spans"),
         ({"a": {**WALL, "azimuths_deg": [0.0, float("nan"), 9.0, 9.0]}}, r"masks.a.azimuths_deg\[1\]' must be finite"),
     ],
 )
-def test_masks_that_cannot_be_are_named(kind: type, masks: dict[str, Any], reason: str) -> None:
+def test_invalid_masks_are_named(kind: type, masks: dict[str, Any], reason: str) -> None:
     with pytest.raises(ParameterError, match=reason):
         build(kind, sensor_with(masks))
 
 
 @pytest.mark.parametrize("kind", [ShipAttitudeConfig, StarAttitudeConfig])
-def test_masks_that_leave_a_part_are_kept(kind: type) -> None:
+def test_masks_that_leave_a_part_free_are_accepted(kind: type) -> None:
     config = build(kind, sensor_with({"left": LEFT}))
     masks = config.star_sensors["fore"].sensor_masks
     assert masks.hide(np.array([[1.0, 0.0, -0.05], [1.0, 0.0, 0.05]])).tolist() == [True, False]
     assert flatten(config)["star_sensors.fore.masks.left.azimuths_deg"] == LEFT["azimuths_deg"]
-    # Pixels counted from the boresight do not tell how large the field is.
+    # Pixels relative to the boresight do not define the size of the field.
     build(kind, sensor_with({"wall": WALL}, principal_u_px=0.0))
     assert build(kind, sensor_with({})).star_sensors["fore"].sensor_masks is None

@@ -1,4 +1,4 @@
-"""The joint solution: honest covariance, the terms of models.md §2, false stars. `make campaign` has the long runs."""
+"""The joint solution: consistent covariance, terms of models.md §2, false stars. Long runs: `make campaign`."""
 
 import os
 from dataclasses import replace
@@ -29,7 +29,7 @@ def nees(scene: Scene, solution) -> float:
     return float(normalized_error_squared(attitude_error(scene, solution.rotation_nb), solution.covariance_n))
 
 
-def test_mend_08_a_star_that_is_no_number_is_in_no_choice():
+def test_a_star_with_nan_is_never_selected():
     stars = draw_scene(np.random.default_rng(8), (6, 6)).stars
     measured_b = stars.measured_b.copy()
     measured_b[2, 1] = np.nan
@@ -46,14 +46,14 @@ def test_mend_08_a_star_that_is_no_number_is_in_no_choice():
 
 @pytest.mark.statistics
 @pytest.mark.parametrize("counts", [(8, 8), (2, 2), (1, 1)])
-def test_the_error_is_as_large_as_the_covariance_says(counts):
+def test_the_error_matches_the_covariance(counts):
     values = []
     for seed in range(EPOCHS):
         scene = draw_scene(np.random.default_rng([11, seed]), counts)
         solution = solve_stars(scene.stars)
         if solution.status is not SolutionStatus.INVALID:
             values.append(nees(scene, solution))
-    # One in a thousand honest sets is refused as inconsistent; so few with 99.9 %.
+    # One in a thousand correct sets is rejected as inconsistent; limit of their number at 99.9 %.
     assert len(values) >= EPOCHS - poisson.ppf(0.999, 1e-3 * EPOCHS) - 1
     low, high = mean_nees_band(len(values), 3)
     print(f"{counts}: mean NEES {np.mean(values):.3f} in [{low:.2f}, {high:.2f}], {EPOCHS - len(values)} refused")
@@ -61,14 +61,14 @@ def test_the_error_is_as_large_as_the_covariance_says(counts):
 
 
 def mean_parts(counts: tuple[int, int]) -> np.ndarray:
-    """Covariance by source of a level ship that heads North, mean over the places of the stars in their fields."""
+    """Return the covariance by source of a level ship heading North, averaged over star positions in the fields."""
     rngs = (np.random.default_rng([20, seed]) for seed in range(300))
     scenes = [draw_scene(rng, counts, heading_deg=0.0, tilt_deg=0.0) for rng in rngs]
     return np.mean([solve_stars(scene.stars).parts_n for scene in scenes], axis=0)
 
 
 def sigma_arcsec(covariance_n: np.ndarray) -> np.ndarray:
-    """Heading, pitch, roll of a level ship that heads North: rotations about Up, East, North."""
+    """Return heading, pitch, roll of a level ship heading North: rotations about Up, East, North."""
     return np.sqrt(np.diagonal(covariance_n, axis1=-2, axis2=-1))[..., [1, 2, 0]] / ARCSEC
 
 
@@ -90,11 +90,11 @@ def test_the_terms_are_those_of_the_design():
     assert not terms["catalogue"].any()
 
 
-def test_one_star_each_is_as_the_design_says():
+def test_one_star_per_sensor_has_the_covariance_of_the_design():
     np.testing.assert_allclose(sigma_arcsec(mean_parts((1, 1)).sum(axis=0)), (4.08, 3.08, 3.07), rtol=0.03)
 
 
-def test_catalogue_errors_are_counted_apart_from_noise():
+def test_catalogue_errors_are_separate_from_noise():
     stars = draw_scene(np.random.default_rng(21), (8, 8)).stars
     poor = replace(stars, position_sigma=stars.sigma)
     parts = dict(zip(SOLUTION_TERMS, solve_stars(poor).parts_n, strict=False))
@@ -112,8 +112,7 @@ def test_scipy_finds_the_same_attitude():
 
 
 def test_the_linear_model_is_the_derivative():
-    """Displacements of exp(δ) R and of turned mountings against finite differences; both sides are as good as the
-    displacement itself is small, 1e-4 rad."""
+    """Displacements of exp(δ) R and of rotated mountings against finite differences of 1e-4 rad."""
     scene = draw_scene(np.random.default_rng(13), (3, 2))
     rotation, stars = scene.rotation_nd, scene.stars
     fit = linearized(stars, rotation)
@@ -163,14 +162,14 @@ PRIOR_SIGMA = np.array([10.0, 72.0, 10.0]) * ARCSEC
 
 
 def error_with_prior(scene: Scene, error_n: np.ndarray) -> float | None:
-    """NEES of prior and chosen stars together, in one linear step; None where no star was chosen."""
+    """Return the NEES of prior and selected stars together, in one linear step; None if no star was selected."""
     prior = StarPrior(exp_rotation(-error_n) @ scene.rotation_nd, np.diag(PRIOR_SIGMA**2))
     members = select(scene.stars, prior).members
     if not members.any():
         return None
     fit = linearized(scene.stars, prior.rotation_nb).with_prior(prior.covariance_n)
     judgement = fit.judge(members)
-    # Its unknowns are numbers of standard deviation 1.
+    # Its unknowns are in units of their standard deviations.
     roots = square_root(prior.covariance_n)
     covariance_n = roots @ np.linalg.inv(judgement.constrained)[:3, :3] @ roots.T
     return float(normalized_error_squared(error_n - roots @ judgement.solution[:3], covariance_n))
@@ -199,7 +198,7 @@ def test_a_misidentified_star_is_named_with_its_angle():
     refusal = solution.rejected[8]
     angle = angle_between(scene.stars.measured_b[8] @ solution.rotation_nb.T, scene.stars.reference_n[8]) / ARCSEC
     assert refusal.reason is Reason.MISIDENTIFIED
-    assert f'{angle:.1f}" from its place, sigma 3.0"' in refusal.text
+    assert f'{angle:.1f}" from its expected direction, sigma 3.0"' in refusal.text
 
 
 def test_a_prior_verifies_two_stars_and_does_not_enter_the_attitude():
@@ -210,7 +209,7 @@ def test_a_prior_verifies_two_stars_and_does_not_enter_the_attitude():
     np.testing.assert_array_equal(alone.rotation_nb, helped.rotation_nb)
 
 
-def test_a_prior_tells_swapped_identities_of_two_stars():
+def test_a_prior_detects_swapped_identities_of_two_stars():
     scene = draw_scene(np.random.default_rng(17), (0, 0), swapped_pairs=1)
     prior = StarPrior(scene.rotation_nd, np.diag(PRIOR_SIGMA**2))
     assert solve_stars(scene.stars).status is SolutionStatus.UNVERIFIED
@@ -229,7 +228,7 @@ def test_too_few_stars_are_refused(count):
 
 
 def test_stars_in_one_direction_are_refused_with_the_reason():
-    """Two stars 10″ apart leave the turn about them open."""
+    """Two stars 10″ apart do not determine the rotation about them."""
     scene = draw_scene(np.random.default_rng(19), (1, 0))
     star = scene.stars
     turn = exp_rotation(10.0 * ARCSEC * np.cross(star.measured_b[0], [0.0, 0.0, 1.0]))
@@ -245,11 +244,11 @@ def test_stars_in_one_direction_are_refused_with_the_reason():
     )
     solution = solve_stars(stars)
     assert solution.status is SolutionStatus.INVALID
-    assert "the turn about it stays open" in solution.refusal.text
+    assert "the rotation about it is undetermined" in solution.refusal.text
 
 
 def with_optics(scene: Scene, rng: np.random.Generator) -> tuple[SightedStars, np.ndarray]:
-    """The stars of a scene in cameras with drawn errors of their optics, and these errors in their sigmas."""
+    """Return the stars of a scene in cameras with drawn errors of their optics, and these errors in sigmas."""
     stars, count = scene.stars, len(scene.stars)
     field_b, sources = np.zeros((count, 3, 8)), ("optics",) * 8
     for sensor in range(2):
@@ -283,10 +282,10 @@ def test_scipy_finds_the_same_attitude_with_errors_of_the_optics() -> None:
         parts = dict(zip(SOLUTION_TERMS, ours.parts_n, strict=False))
         covariance_n = np.linalg.inv(found.jac.T @ found.jac)[:3, :3]
         np.testing.assert_allclose(parts["star_noise"] + parts["optics"], covariance_n, rtol=1e-3, atol=1e-15)
-        # A catalogue as poor as the centroids has half of the noise.
+        # A catalogue as poor as the centroids causes half of the noise.
         poor = dict(zip(SOLUTION_TERMS, solve_stars(replace(stars, position_sigma=stars.sigma)).parts_n, strict=False))
         np.testing.assert_allclose(poor["catalogue"], poor["star_noise"], rtol=1e-6, atol=1e-16)
-        # An error of one sigma of each camera turns the attitude by the part that is booked to it.
+        # One sigma of each camera's error rotates the attitude by its part of the covariance by source.
         turns = []
         for mode in range(8):
             shifted = stars.measured_b + 0.1 * stars.field_b[..., mode]

@@ -1,4 +1,4 @@
-"""The air by what was measured last: its error grows with its age, parameters stand in, in any order of arrival."""
+"""The air from the last readings: error growth with age, default parameters, any order of arrival."""
 
 import itertools
 
@@ -33,7 +33,7 @@ def ns(since_s: float) -> int:
 
 
 class Readings(Surroundings):
-    """Surroundings of a ship at anchor, of which the air alone is asked."""
+    """Surroundings of a ship at anchor, for requests of the air only."""
 
     def __init__(self, config: SkyConfig) -> None:
         super().__init__(config)
@@ -44,14 +44,14 @@ class Readings(Surroundings):
         return self.at(time_ns)[1]
 
 
-def test_without_any_measurement_the_parameters_hold() -> None:
+def test_without_any_measurement_the_parameters_are_used() -> None:
     air = Readings(CONFIG).air(ns(0))
     assert air.weather == Weather(1000.0, -3.0, 0.9)
     assert (air.pressure_sigma_hpa, air.temperature_sigma_k) == (15.0, 10.0)
     assert Readings(CONFIG).not_measured(ns(0)) == ["pressure", "temperature", "humidity"]
 
 
-def test_the_last_value_holds_from_its_delay_on_and_the_first_one_from_its_stamp() -> None:
+def test_the_last_reading_is_used_after_its_delay_and_the_first_one_from_its_stamp() -> None:
     track = Readings(CONFIG)
     track.insert(AirReading("pressure", ns(0), 1010.0))
     track.insert(AirReading("pressure", ns(60), 1011.0))
@@ -65,20 +65,20 @@ def test_the_last_value_holds_from_its_delay_on_and_the_first_one_from_its_stamp
     assert track.not_measured(ns(40)) == []
 
 
-def test_the_variance_grows_to_that_of_the_parameter_and_then_the_parameter_holds() -> None:
+def test_the_variance_grows_to_that_of_the_parameter_which_is_then_used() -> None:
     track = Readings(CONFIG)
     track.insert(AirReading("pressure", ns(0), 1010.0, 0.3))
     track.insert(AirReading("temperature", ns(0), 20.0))
     fresh, half, last, gone = (track.air(ns(t)) for t in (0, 1800, 3600, 3601))
     assert (fresh.pressure_sigma_hpa, fresh.temperature_sigma_k) == (0.3, 1.0)
-    # Half way between 0.3² and 15², and between 1² and 10².
+    # Halfway between 0.3² and 15², and between 1² and 10².
     assert (half.pressure_sigma_hpa**2, half.temperature_sigma_k**2) == pytest.approx((112.545, 50.5))
     assert (last.pressure_sigma_hpa, last.temperature_sigma_k) == pytest.approx((15.0, 10.0))
     assert last.weather.pressure_hpa == 1010.0
     assert gone.weather == Weather(1000.0, -3.0, 0.9)
 
 
-def test_a_bad_instrument_does_not_get_better_with_age() -> None:
+def test_a_large_variance_does_not_decrease_with_age() -> None:
     track = Readings(CONFIG)
     track.insert(AirReading("temperature", ns(0), 20.0, 30.0))
     assert [track.air(ns(t)).temperature_sigma_k for t in (0, 1800)] == [30.0, 30.0]
@@ -96,7 +96,7 @@ def test_any_order_of_arrival_gives_the_same_air() -> None:
     assert all(answers(order) == answers(readings) for order in itertools.permutations(readings))
 
 
-def test_nothing_changed_at_or_before_the_moment_it_says() -> None:
+def test_nothing_changes_at_or_before_the_returned_time() -> None:
     track = Readings(CONFIG)
     track.insert(AirReading("pressure", ns(0), 1010.0))
     track.insert(AirReading("pressure", ns(20), 1010.0))
@@ -106,14 +106,14 @@ def test_nothing_changed_at_or_before_the_moment_it_says() -> None:
     assert track.insert(AirReading("pressure", ns(10), 1014.0)) is None
 
 
-def test_a_first_reading_and_one_after_a_long_time_count_from_their_stamps_on() -> None:
+def test_a_first_reading_and_one_after_a_gap_are_used_from_their_stamps() -> None:
     track = Readings(CONFIG)
     for since_s in (0, 4000):
         assert track.insert(AirReading("pressure", ns(since_s), 1010.0)) == ns(since_s) - 1
         assert track.not_measured(ns(since_s)) == ["temperature", "humidity"]
 
 
-def test_the_same_stamp_again_is_told() -> None:
+def test_a_repeated_stamp_is_rejected() -> None:
     track = Readings(CONFIG)
     track.insert(AirReading("humidity", ns(0), 0.5))
     assert track.refusal(AirReading("humidity", ns(0), 0.5, None)).reason is Reason.DUPLICATE
@@ -121,7 +121,7 @@ def test_the_same_stamp_again_is_told() -> None:
     assert track.refusal(AirReading("pressure", ns(0), 1000.0, None)) is None
 
 
-def test_what_is_dropped_is_needed_no_more() -> None:
+def test_dropped_readings_are_not_needed() -> None:
     track = Readings(CONFIG)
     for since_s in range(10):
         track.insert(AirReading("temperature", ns(since_s), float(since_s)))
@@ -131,7 +131,7 @@ def test_what_is_dropped_is_needed_no_more() -> None:
 
 
 def told(quantity: str, readings: list[tuple[float, float]]) -> tuple[list, Readings]:
-    """Which readings are refused, by their time, and the air after them."""
+    """Return the rejected readings, by their time, and the air after them."""
     track, refused = Readings(CONFIG), []
     for since_s, value in readings:
         refusal = track.refusal(AirReading(quantity, ns(since_s), value))
@@ -143,7 +143,7 @@ def told(quantity: str, readings: list[tuple[float, float]]) -> tuple[list, Read
 
 
 @pytest.mark.parametrize("off_hpa", [20.0, -30.0])
-def test_pressure_that_jumps_is_refused_and_the_last_one_goes_on_with_a_larger_error(off_hpa: float) -> None:
+def test_a_pressure_jump_is_rejected_and_the_last_reading_kept_with_a_larger_error(off_hpa: float) -> None:
     wrong = [(float(t), 1010.0 + off_hpa) for t in range(20, 40, 2)]
     refused, track = told("pressure", [(float(t), 1010.0) for t in range(0, 20, 2)] + wrong)
     assert refused == [since_s for since_s, _ in wrong]
@@ -153,15 +153,15 @@ def test_pressure_that_jumps_is_refused_and_the_last_one_goes_on_with_a_larger_e
     assert track.refusal(AirReading("pressure", ns(40), 1010.3)) is None
 
 
-def test_a_thermometer_that_jumps_is_refused() -> None:
-    # Kelvin for Celsius is told by its size; Fahrenheit is not: 20 °C become 68, 5 °C become 41.
+def test_a_temperature_jump_is_rejected() -> None:
+    # Kelvin is detected by its size; Fahrenheit is not: 20 °C become 68, 5 °C become 41.
     refused, track = told("temperature", [(0.0, 5.0), (60.0, 5.1), (120.0, 41.0), (180.0, 41.1), (240.0, 5.2)])
     assert refused == [120.0, 180.0]
     assert track.air(ns(200)).weather.temperature_c == 5.1
 
 
-def test_weather_is_no_jump() -> None:
-    # The eye of a typhoon: 30 hPa within an hour, read once a minute and once in ten minutes.
+def test_weather_changes_are_not_rejected() -> None:
+    # The eye of a typhoon: 30 hPa within an hour, with a reading every minute and every ten minutes.
     for period_s in (60.0, 600.0):
         times = [period_s * n for n in range(round(3600.0 / period_s) + 1)]
         assert told("pressure", [(t, 980.0 - 30.0 * t / 3600.0) for t in times])[0] == []
@@ -172,7 +172,7 @@ def test_weather_is_no_jump() -> None:
     assert told("humidity", [(0.0, 0.1), (1.0, 1.0)])[0] == []
 
 
-def test_another_pressure_is_believed_when_the_old_one_has_grown_too_old() -> None:
+def test_another_pressure_is_accepted_after_the_maximum_age() -> None:
     refused, track = told("pressure", [(0.0, 1010.0), (60.0, 1010.0), *((60.0 * n, 1040.0) for n in range(2, 63))])
     assert refused == [60.0 * n for n in range(2, 62)]
     assert track.air(ns(3720)).weather.pressure_hpa == 1040.0

@@ -1,4 +1,4 @@
-"""A fix or a barometer that jumps, in both nodes that look at the sky: it is named, and no star sees it."""
+"""A fix or a barometer that jumps, in both nodes that use the sky: it is reported, and affects no star."""
 
 from collections.abc import Callable
 from typing import Any
@@ -36,7 +36,7 @@ FAULTS = {
 
 
 def voyage() -> tuple[Arrival, ...]:
-    """The voyage of a ship whose position is established before."""
+    """Return the voyage of a ship whose position has been established before."""
     before = [since_s * SECOND_NS for since_s in range(-12, -2)]
     return (*(Arrival(FIX, fix(since_ns), START_NS + since_ns + 50_000_000) for since_ns in before), *short_voyage())
 
@@ -48,7 +48,7 @@ def is_hit(arrival: Arrival, topic: str) -> bool:
 @pytest.mark.slow
 @pytest.mark.parametrize("node", NODES)
 @pytest.mark.parametrize("fault", FAULTS)
-def test_what_jumps_is_named_and_leaves_no_trace(node: str, fault: str) -> None:
+def test_jumps_are_reported_and_change_nothing(node: str, fault: str) -> None:
     topic, change = FAULTS[fault]
     run = NODES[node](changed_where(voyage(), lambda arrival: is_hit(arrival, topic), change))
     without = NODES[node]([arrival for arrival in voyage() if not is_hit(arrival, topic)])
@@ -56,13 +56,13 @@ def test_what_jumps_is_named_and_leaves_no_trace(node: str, fault: str) -> None:
     assert run.reasons(topic) == {"jump": 2}
     told = run.innovations(Reason.JUMP)
     assert [message.source for message in told] == [topic] * 2
-    assert all("from the last one believed" in message.reason_text for message in told)
+    assert all("from the last accepted value" in message.reason_text for message in told)
 
 
 def test_the_attitude_stays_valid() -> None:
     topic, change = FAULTS["1 km south"]
     run = ship_observations.sail(changed_where(voyage(), lambda arrival: is_hit(arrival, topic), change))
-    # The first half second, before both sensors were used, and what is INVALID before the INS comes aside.
+    # Later than half a second: before, both sensors are not in use yet, and there is no INS sample.
     later = [m.status for ns, t, m in run.published if t == "ship/attitude" and ns > START_NS + SECOND_NS // 2]
     assert set(later) == {Status.VALID}
     told = run.diagnostics(f"input {FIX}", START_NS, START_NS + 4 * SECOND_NS)
@@ -71,10 +71,10 @@ def test_the_attitude_stays_valid() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
-def test_any_order_within_the_lag_ends_in_the_same_state(seed: int) -> None:
+def test_any_order_within_the_lag_gives_the_same_state(seed: int) -> None:
     wrong = changed_where(
         voyage(),
-        # A glitch of one fix, and the last one of the voyage: what comes between is judged against the right ones.
+        # A glitch of one fix and of the last one; the fixes between are compared with the right ones.
         lambda arrival: arrival.topic == FIX and arrival.stamp_ns in (START_NS, START_NS + 2 * SECOND_NS),
         FAULTS["1 km south"][1],
     )
@@ -93,7 +93,7 @@ def to_zero(message: Any) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("node", NODES)
 def test_a_first_position_that_others_contradict_is_replaced_by_ten_of_them(node: str) -> None:
-    """Five fixes at 0° N 0° E, then good ones, at 5 Hz: no star is used before ten of these have come."""
+    """Five fixes at 0° N 0° E, then good ones, at 5 Hz: no star is used before ten of these have arrived."""
     period_ns, first_ns = SECOND_NS // 5, -2 * SECOND_NS // 5
     fixes = [
         Arrival(FIX, fix(since_ns), START_NS + since_ns + 50_000_000)
@@ -103,7 +103,7 @@ def test_a_first_position_that_others_contradict_is_replaced_by_ten_of_them(node
     fixes = changed_where(fixes, lambda arrival: arrival.stamp_ns < good_ns, to_zero)
     run = NODES[node](in_order([*except_(short_voyage(5.0), FIX), *fixes]))
     assert run.reasons(FIX) == {"jump": 9}
-    assert "10 in a row agree" in run.innovations(Reason.JUMP)[0].reason_text
+    assert "10 in a row are consistent" in run.innovations(Reason.JUMP)[0].reason_text
     output, valid = ("ship/attitude", Status.VALID) if node == "ship_attitude" else ("star/fore/solution", 0)
     told = [(ns, message.status) for ns, topic, message in run.published if topic == output]
     assert valid not in {status for ns, status in told if START_NS < ns < settled_ns}

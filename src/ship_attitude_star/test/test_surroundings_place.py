@@ -1,4 +1,4 @@
-"""The ship's place by position fixes: anywhere on Earth, with an error that grows, in any order, not by the newest."""
+"""The ship's position from fixes: anywhere on Earth, with a growing error, in any order of arrival."""
 
 import itertools
 
@@ -34,7 +34,7 @@ def track(*fixes: tuple[float, GeodeticPosition], covariance_m2=SIGMA_M, **confi
 
 
 class Fixes(Surroundings):
-    """Surroundings of which the place alone is asked."""
+    """Surroundings for requests of the position only."""
 
     def place(self, time_ns: int) -> Place | Refusal:
         found = self.at(time_ns)
@@ -57,7 +57,7 @@ def away_m(place, position: GeodeticPosition) -> float:
     return float(np.linalg.norm(vector_between(position, place.observer.position)))
 
 
-def test_between_fixes_the_place_is_on_the_line() -> None:
+def test_between_fixes_the_position_is_on_the_line() -> None:
     place = track((0, at(0.0, 10.0)), (10, at(0.001, 10.0))).place(ns(2.5))
     # The chord is lower than the arc by s (L - s) / 2R, below a millimetre here.
     assert away_m(place, at(0.00025, 10.0)) < 1e-3
@@ -65,7 +65,7 @@ def test_between_fixes_the_place_is_on_the_line() -> None:
     assert place.age_s == 2.5
 
 
-def test_beyond_the_last_fix_it_goes_on_as_over_the_last_five_seconds() -> None:
+def test_beyond_the_last_fix_the_line_of_the_last_five_seconds_is_extrapolated() -> None:
     fixes = (0, at(0.0001, 10.0)), (1, at(0.0, 10.0)), (4, at(0.0002, 10.0)), (6, at(0.0, 10.0005))
     place = track(*fixes).place(ns(8))
     assert away_m(place, at(0.0, 10.0007)) < 1e-3
@@ -73,7 +73,7 @@ def test_beyond_the_last_fix_it_goes_on_as_over_the_last_five_seconds() -> None:
     assert place.age_s == 2.0
 
 
-def test_a_fix_tells_nothing_of_a_moment_before_its_delay_is_over() -> None:
+def test_a_fix_is_not_used_before_its_delay_is_over() -> None:
     fixes = [(t, at(50.0 + 1e-5 * t * t, 10.0)) for t in range(10)]
     earlier, later = track(*fixes[:9]), track(*fixes)
     for since_s in (8.5, 9.0, 9.25, 9.499999999):
@@ -91,7 +91,7 @@ def test_a_fix_in_time_changes_nothing_before_its_delay_is_over(delay_s: float) 
         fixes.drop_before(ns(t - 4.0))
 
 
-def test_fixes_ten_times_a_second_do_not_make_more_of_their_errors() -> None:
+def test_fixes_at_10_hz_do_not_amplify_their_errors() -> None:
     rng = np.random.default_rng(5)
     errors_m = rng.normal(0.0, 1.0, (400, 2))
     places_deg = errors_m / [M_PER_DEG_OF_LATITUDE, M_PER_DEG_OF_LONGITUDE]
@@ -101,7 +101,7 @@ def test_fixes_ten_times_a_second_do_not_make_more_of_their_errors() -> None:
     assert np.sqrt(np.mean(np.square(away))) == pytest.approx(np.sqrt(2.0) * np.hypot(1.11, 0.11), rel=0.15)
 
 
-def test_at_the_beginning_the_nearest_fix_serves_also_a_later_one() -> None:
+def test_at_the_start_the_nearest_fix_is_used_even_if_later() -> None:
     one = track((0, at(0.0, 10.0)))
     assert [one.place(ns(t)).age_s for t in (-0.25, 0.25, 0.75)] == [0.25, 0.25, 0.75]
     two = track((0, at(0.0, 10.0)), (1, at(0.0, 10.0001)))
@@ -111,7 +111,7 @@ def test_at_the_beginning_the_nearest_fix_serves_also_a_later_one() -> None:
     assert two.place(ns(1.5)).age_s == 0.5
 
 
-def test_after_a_time_without_fixes_the_first_new_one_serves_at_once() -> None:
+def test_after_a_gap_the_first_new_fix_is_used_at_once() -> None:
     fixes = track(*((t, at(50.0, 10.0)) for t in range(10)), (200, at(50.0, 10.001)))
     assert isinstance(fixes.place(ns(69.0)), Place)
     assert fixes.place(ns(69.0)).age_s == 60.0
@@ -119,19 +119,19 @@ def test_after_a_time_without_fixes_the_first_new_one_serves_at_once() -> None:
     assert [fixes.place(ns(t)).age_s for t in (199.75, 200.25)] == [0.25, 0.25]
 
 
-def test_before_the_first_fix_it_comes_from_where_it_will_go() -> None:
+def test_before_the_first_fix_the_line_is_extrapolated_backwards() -> None:
     place = track((0, at(0.0, 10.0)), (1, at(0.0, 10.0001))).place(ns(-2))
     assert away_m(place, at(0.0, 9.9998)) < 1e-3
 
 
-def test_across_the_date_line_the_way_is_the_short_one() -> None:
+def test_across_the_date_line_the_path_is_the_short_one() -> None:
     place = track((0, at(0.0, 179.9999)), (1, at(0.0, -179.9999))).place(ns(0.75))
     assert away_m(place, at(0.0, -179.99995)) < 1e-3
     assert place.observer.velocity_n_m_per_s[2] == pytest.approx(2e-4 * M_PER_DEG_OF_LONGITUDE, abs=1e-3)
 
 
-def test_over_the_pole_the_way_is_straight() -> None:
-    # 11 m on either side of the pole: north first, then south on the meridian opposite.
+def test_over_the_pole_the_path_is_straight() -> None:
+    # 11 m on either side of the pole: north first, then south on the opposite meridian.
     fixes = (0, at(89.9999, 30.0)), (2, at(89.9999, -150.0))
     speed_m_per_s = 2e-4 * 111_694.0 / 2  # per degree of latitude at the pole
     before, after = (track(*fixes).place(ns(t)) for t in (0.5, 1.5))
@@ -141,13 +141,13 @@ def test_over_the_pole_the_way_is_straight() -> None:
     np.testing.assert_allclose(after.observer.velocity_n_m_per_s, [-speed_m_per_s, 0, 0], atol=1e-3)
 
 
-def test_beside_the_pole_the_error_keeps_its_direction_on_earth_not_its_name() -> None:
+def test_near_the_pole_the_error_keeps_its_direction_on_earth() -> None:
     # A quarter of the way round the pole: what was north-south at the fix is east-west now.
     place = track((0, at(89.9999, 0.0)), (1, at(89.9999, 90.0)), covariance_m2=np.diag([100.0, 0.0, 1.0])).place(ns(0))
     assert place.covariance_m2[0, 0] == pytest.approx(100.0)
     turned = track((0, at(89.9999, 0.0)), covariance_m2=np.diag([100.0, 0.0, 1.0]))
     turned.insert(PositionFix(ns(1), at(89.9999, 90.0), np.diag([1.0, 0.0, 100.0])))
-    # On the way, at longitude 45°, half way in time: both fixes say the same ellipse, seen from 45° off.
+    # At longitude 45°, halfway in time: both fixes have the same ellipse, rotated by 45°.
     north, _, east = np.diagonal(turned.place(ns(0.5)).covariance_m2)
     drift_m2 = (0.5 * ACCELERATION_SIGMA_M_PER_S2 * 0.25) ** 2
     assert (north, east) == pytest.approx((50.5 + drift_m2, 50.5 + drift_m2))
@@ -168,23 +168,23 @@ def test_the_error_grows_with_the_time_to_the_fixes(since_s: float, drift_m: flo
     np.testing.assert_allclose(covariance_m2, SIGMA_M + np.diag([drift_m**2, 0.0, drift_m**2]), rtol=1e-9, atol=1e-9)
 
 
-def test_with_one_fix_the_ship_may_sail_anywhere() -> None:
+def test_with_one_fix_the_error_allows_any_course() -> None:
     place = track((0, at(50.0, 10.0))).place(ns(3))
     drift_m2 = (3 * SPEED_SIGMA_M_PER_S) ** 2
     np.testing.assert_allclose(place.covariance_m2, SIGMA_M + np.diag([drift_m2, 0.0, drift_m2]), atol=1e-9)
     np.testing.assert_array_equal(place.observer.velocity_n_m_per_s, 0.0)
 
 
-def test_fixes_far_apart_say_nothing_of_the_velocity() -> None:
+def test_fixes_with_a_long_gap_give_no_velocity() -> None:
     fast = {"fix_max_age_s": 60.0, "max_speed_m_per_s": 100.0}
     apart = track((0, at(0.0, 10.0)), (121, at(0.0, 10.1)), **fast)
     assert away_m(apart.place(ns(3)), at(0.0, 10.0)) < 1e-6
     joined = track((0, at(0.0, 10.0)), (120, at(0.0, 10.1)), **fast)
-    # The chord of 11 km passes below the sea by s (L - s) / 2R: 2.3 m in its middle.
+    # The chord of 11 km is below the sea surface by s (L - s) / 2R: 2.3 m in its middle.
     assert away_m(joined.place(ns(60)), at(0.0, 10.05)) == pytest.approx(5566.0**2 / 2 / 6_378_137.0, rel=1e-3)
 
 
-def test_without_a_young_fix_there_is_no_place_and_it_says_why() -> None:
+def test_without_a_recent_fix_the_position_is_rejected_with_a_reason() -> None:
     assert track().place(ns(0)).reason is Reason.NO_FIX
     fixes = track((0, at(50.0, 10.0)), fix_max_age_s=60.0)
     assert isinstance(fixes.place(ns(60)), Place)
@@ -193,10 +193,10 @@ def test_without_a_young_fix_there_is_no_place_and_it_says_why() -> None:
         Reason.NO_FIX,
         "the nearest position fix is 60.1 s older: more than fix_max_age_s = 60",
     )
-    assert "younger" in fixes.place(ns(-61)).text
+    assert "newer" in fixes.place(ns(-61)).text
 
 
-def test_any_order_of_arrival_gives_the_same_places_to_the_last_bit() -> None:
+def test_any_order_of_arrival_gives_the_same_positions_to_the_last_bit() -> None:
     rng = np.random.default_rng(11)
     fixes = [(float(t), at(50.0 + 1e-4 * rng.normal(), 10.0 + 1e-4 * rng.normal())) for t in (0, 1, 2, 4, 9)]
     fixes.append((4.0, at(50.0, 10.00005)))  # another with the same stamp
@@ -210,7 +210,7 @@ def test_any_order_of_arrival_gives_the_same_places_to_the_last_bit() -> None:
     assert all(answers(order) == expected for order in itertools.islice(itertools.permutations(fixes), 0, 720, 7))
 
 
-def test_nothing_changed_at_or_before_the_moment_it_says() -> None:
+def test_nothing_changes_at_or_before_the_returned_time() -> None:
     times = [0, 1, 2, 4, 9]
     places = {t: at(50.0 + 1e-4 * t * t, 10.0) for t in times}
     moments = np.arange(-5.0, 15.0, 0.25)
@@ -220,21 +220,21 @@ def test_nothing_changed_at_or_before_the_moment_it_says() -> None:
         before = [bits(others.place(ns(m))) for m in moments]
         changed_after_ns = others.insert(PositionFix(ns(late), places[late], SIGMA_M))
         for moment, old in zip(moments, before, strict=True):
-            # An answer that has not changed is kept: it must be the one that is found anew.
+            # A cached result must equal the recomputed one.
             assert bits(others.place(ns(moment))) == bits(whole.place(ns(moment)))
             assert bits(whole.place(ns(moment))) == old or ns(moment) > changed_after_ns
     assert others.insert(PositionFix(ns(9), places[9], SIGMA_M)) is None
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_whatever_comes_late_the_answers_kept_are_those_found_anew(seed: int) -> None:
-    """Fixes dense and sparse, with gaps, jumps and equal stamps, up to 3 s late, while old ones are forgotten."""
+def test_cached_results_equal_recomputed_ones_for_late_inputs(seed: int) -> None:
+    """Fixes with gaps, jumps and equal stamps, up to 3 s late, while old ones are dropped."""
     rng = np.random.default_rng(seed)
     period_s, max_age_s = rng.choice([0.1, 0.25, 1.0, 5.0]), rng.choice([1.2, 6.0, 60.0])
     stamps_s = np.cumsum(period_s * rng.choice([0.0, 0.9, 1.0, 1.1, 15.0], 25, p=[0.05, 0.3, 0.3, 0.3, 0.05]))
     north_m = 2.0 * stamps_s + rng.normal(0.0, 1.0, 25) + np.where(rng.random(25) < 0.1, 500.0, 0.0)
     arrivals_s = stamps_s + rng.choice([0.0, 1.0], 25) * rng.uniform(0.0, 3.0, 25)
-    # Answers change at the stamps, at the ends of delays, and anywhere between.
+    # Results change at the stamps, at the ends of delays, and in between.
     moments_s = np.sort(np.concatenate([stamps_s, stamps_s + 0.5, rng.uniform(-2.0, stamps_s[-1] + 3.0, 50)]))
     kept, taken, oldest_s = track(fix_max_age_s=max_age_s), [], -np.inf
     for index in np.argsort(arrivals_s, kind="stable"):
@@ -249,14 +249,14 @@ def test_whatever_comes_late_the_answers_kept_are_those_found_anew(seed: int) ->
             assert bits(kept.place(moment)) == bits(anew.place(moment))
 
 
-def test_the_same_stamp_again_is_told() -> None:
+def test_a_repeated_stamp_is_rejected() -> None:
     fixes = track((0, at(50.0, 10.0)))
     assert fixes.refusal(PositionFix(ns(0), at(50.0, 10.0), SIGMA_M)).reason is Reason.DUPLICATE
     assert fixes.refusal(PositionFix(ns(0), at(50.0, 10.1), SIGMA_M)).reason is Reason.CONFLICT
     assert fixes.refusal(PositionFix(ns(1), at(50.0, 10.0001), SIGMA_M)) is None
 
 
-def test_what_is_dropped_is_needed_no_more() -> None:
+def test_dropped_fixes_are_not_needed() -> None:
     fixes = [(t, at(50.0 + 1e-5 * t * t, 10.0)) for t in range(20)]
     kept, whole = track(*fixes), track(*fixes)
     kept.drop_before(ns(15.25))
@@ -266,24 +266,24 @@ def test_what_is_dropped_is_needed_no_more() -> None:
 
 
 def sailing(since_s: float, off_m: float = 0.0, latitude_deg: float = 50.0, longitude_deg: float = 10.0):
-    """Where a ship is that sails north at 10 m/s; ``off_m`` to the north of it."""
+    """Return the position of a ship that sails north at 10 m/s, ``off_m`` further north."""
     north_deg = (10.0 * since_s + off_m) / 111_229.0  # metres per degree of latitude at 50°, WGS 84
     return since_s, at(latitude_deg + north_deg, longitude_deg)
 
 
 @pytest.mark.parametrize("off_m", [300.0, -1000.0, 10_000.0, 5e6])
-def test_a_fix_that_jumps_is_refused_and_the_ship_sails_on(off_m: float) -> None:
+def test_a_fix_that_jumps_is_rejected_and_the_line_is_extrapolated(off_m: float) -> None:
     fixes = track(*(sailing(t) for t in range(10)))
     for t in range(10, 30):
         wrong = PositionFix(ns(t), sailing(t, off_m)[1], SIGMA_M)
         refusal = fixes.refusal(wrong)
         assert refusal is not None
-        assert (refusal.reason, "from the last one believed" in refusal.text) == (Reason.JUMP, True)
+        assert (refusal.reason, "from the last accepted value" in refusal.text) == (Reason.JUMP, True)
         assert fixes.insert(wrong) is None
         place = fixes.place(ns(t))
         assert away_m(place, sailing(t)[1]) < 0.1
         assert place.age_s == t - 9
-    # The error that the straight line leaves out, by 0.1 m/s²: as in any time without fixes.
+    # The error of the straight line by 0.1 m/s², as in any time without fixes.
     north_m2 = 4.0 + (0.5 * ACCELERATION_SIGMA_M_PER_S2 * 20.0 * 25.0) ** 2
     assert fixes.place(ns(29)).covariance_m2[0, 0] == pytest.approx(north_m2, rel=1e-3)
     back = PositionFix(ns(30), sailing(30)[1], SIGMA_M)
@@ -291,10 +291,10 @@ def test_a_fix_that_jumps_is_refused_and_the_ship_sails_on(off_m: float) -> None
     assert fixes.insert(back) == ns(30.5) - 1
 
 
-def test_a_jump_that_lasts_is_believed_and_no_line_leads_to_it() -> None:
-    """After 25 s (``JUMP_LASTS_S``)."""
+def test_a_lasting_jump_is_accepted_and_no_line_connects_it() -> None:
+    """After 25 s (``JUMP_CONFIRMATION_S``)."""
     fixes = track(*(sailing(t) for t in range(10)), *(sailing(t, 1000.0) for t in range(10, 36)))
-    # A fix holds from gnss_delay_s after its stamp on. No line leads from the place before to it.
+    # A fix is used from gnss_delay_s after its stamp on. No line connects it to the position before.
     assert away_m(fixes.place(ns(35.4)), sailing(35.4)[1]) < 0.1
     assert away_m(fixes.place(ns(35.5)), sailing(35, 1000.0)[1]) < 1e-3
     later = track(*(sailing(t) for t in range(10)), *(sailing(t, 1000.0) for t in range(10, 38))).place(ns(39))
@@ -302,7 +302,7 @@ def test_a_jump_that_lasts_is_believed_and_no_line_leads_to_it() -> None:
     assert later.observer.velocity_n_m_per_s[0] == pytest.approx(10.0, abs=0.01)
 
 
-def test_what_is_no_jump_is_taken() -> None:
+def test_changes_within_the_limits_are_accepted() -> None:
     def refused(*fixes, **config) -> list:
         told, sky = [], Fixes(SkyConfig(**config))
         for since_s, position, *sigma_m in fixes:
@@ -311,14 +311,14 @@ def test_what_is_no_jump_is_taken() -> None:
             sky.insert(fix)
         return [refusal for refusal in told if refusal is not None]
 
-    # Another antenna 45 m along the ship; minutes without fixes; a receiver that says that it knows little.
+    # Another antenna 45 m along the ship; minutes without fixes; a receiver that states a large error.
     assert refused(*(sailing(t) for t in range(5)), *(sailing(t, 45.0) for t in range(5, 10))) == []
     assert refused(sailing(0), sailing(1), sailing(400), sailing(401)) == []
     assert refused(*((*sailing(t, 300.0 * (t % 2)), 100.0) for t in range(20))) == []
     # The date line, and over the pole by 11 m on either side.
     assert refused((0, at(0.0, 179.9999)), (1, at(0.0, -179.9999)), (2, at(0.0, -179.9997))) == []
     assert refused((0, at(89.9999, 30.0)), (1, at(89.9999, -150.0)), (2, at(89.9997, -150.0))) == []
-    # On the other side of the Earth the straight way has no part along the horizon: it is a jump all the same.
+    # On the opposite side of the Earth the chord has no horizontal part: it is a jump nevertheless.
     assert len(refused((0, at(0.0, 10.0)), (1, at(0.0, 10.0)), (2, at(0.0, -170.0)))) == 1
     # Height is not compared.
     assert refused((0, at(50.0, 10.0, 20.0)), (1, at(50.0, 10.0, 900.0))) == []

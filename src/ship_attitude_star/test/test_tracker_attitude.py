@@ -1,4 +1,4 @@
-"""A star tracker that solves its attitude through the air, as a real one does: real stars, ERFA's own refraction."""
+"""A star tracker that computes its attitude through the air, with real stars and ERFA's own refraction."""
 
 from dataclasses import replace
 
@@ -34,9 +34,9 @@ def _watch():
 
 @pytest.fixture(scope="module", name="sky")
 def _sky(watch):
-    """Stars brighter than 5.2: where they are seen from the ship with air, and where a catalogue has them; (k, 3) each.
+    """Return stars brighter than 5.2: apparent directions from the ship, and catalogue directions; (k, 3) each.
 
-    Seen by ERFA's ``atco13`` in one go, in the catalogue by ``pmpx`` with aberration by ``ab`` or without.
+    Apparent directions by ERFA's ``atco13``; catalogue directions by ``pmpx`` with or without aberration by ``ab``.
     """
     catalogue = watch.catalogue
     stars = catalogue.at_j2000[catalogue.brighter_than(5.2)]
@@ -62,7 +62,7 @@ def _sky(watch):
 
 
 def scenes(elevations_deg: tuple[float, float], count: int = SCENES):
-    """Attitudes of the tracker, horizon from sensor, each with a generator for its noise."""
+    """Yield attitudes of the tracker, horizon from sensor, each with a generator for its noise."""
     for seed in range(count):
         rng = np.random.default_rng([28, seed])
         angles_deg = rng.uniform(0.0, 360.0), rng.uniform(*elevations_deg), rng.uniform(-180.0, 180.0)
@@ -70,7 +70,7 @@ def scenes(elevations_deg: tuple[float, float], count: int = SCENES):
 
 
 def solved(seen_n: FloatArray, catalogue_c: FloatArray, rotation_ns: FloatArray, most: int) -> FloatArray | None:
-    """ICRS from sensor as a tracker finds it from the stars in its field, of which it takes the first ones."""
+    """Return "ICRS from sensor" as a tracker computes it from the first stars in its field."""
     seen_s = seen_n @ rotation_ns
     inside = np.flatnonzero(seen_s[:, 0] > np.cos(FIELD.radius))[:most]
     if len(inside) < 3:
@@ -83,7 +83,7 @@ def nees(watch, sky, elevations_deg, field: FieldOfView, most: int = 5, aberrati
     field = replace(field, aberration_removed=aberration_removed)
     found = []
     for rotation_ns, rng in scenes(elevations_deg):
-        # Any of the stars, not always the brightest.
+        # Random stars, not always the brightest.
         order = rng.permutation(len(seen_n))
         catalogue_c = proper_c if aberration_removed else natural_c
         rotation_cs = solved(seen_n[order], catalogue_c[order], rotation_ns, most)
@@ -101,25 +101,25 @@ def nees(watch, sky, elevations_deg, field: FieldOfView, most: int = 5, aberrati
 
 @pytest.mark.parametrize("elevations_deg", [(25.0, 45.0), (45.0, 80.0)])
 @pytest.mark.parametrize("aberration_removed", [True, False])
-def test_mend_28_refraction_over_the_field_is_in_the_covariance(watch, sky, elevations_deg, aberration_removed) -> None:
+def test_refraction_over_the_field_is_in_the_covariance(watch, sky, elevations_deg, aberration_removed) -> None:
     values = nees(watch, sky, elevations_deg, FIELD, aberration_removed=aberration_removed)
     low, high = mean_nees_band(len(values), 3)
     print(f"elevation {elevations_deg}: mean NEES {np.mean(values):.2f} in [{low:.2f}, {high:.2f}]")
     assert low < np.mean(values) < high
 
 
-def test_mend_28_without_the_field_it_was_not(watch, sky) -> None:
+def test_without_the_field_the_covariance_is_too_small(watch, sky) -> None:
     values = nees(watch, sky, (25.0, 45.0), POINT)
     print(f"mean NEES {np.mean(values):.2f}")
     assert np.mean(values) > 2.0 * mean_nees_band(len(values), 3)[1]
 
 
-def test_mend_28_with_more_stars_it_is_on_the_safe_side(watch, sky) -> None:
+def test_with_more_stars_the_covariance_is_conservative(watch, sky) -> None:
     assert np.mean(nees(watch, sky, (30.0, 60.0), FIELD, most=20)) < 3.0
 
 
-def test_mend_28_aberration_left_in_is_taken_out_once(watch, sky) -> None:
-    """Very many stars at the boresight: only the lift by refraction and the shift by aberration are left."""
+def test_uncorrected_aberration_is_corrected_once(watch, sky) -> None:
+    """Very many stars at the boresight: only the lift by refraction and the shift by aberration remain."""
     seen_n, natural_c, proper_c = sky
     off = {}
     for removed, catalogue_c in ((True, proper_c), (False, natural_c)):
@@ -137,8 +137,8 @@ def test_mend_28_aberration_left_in_is_taken_out_once(watch, sky) -> None:
     assert min(off[True, False], off[False, True]) > 8.0
 
 
-def test_mend_28_the_filter_keeps_it_as_a_slow_error(watch) -> None:
-    """However often the tracker says the same, what refraction leaves in it does not average."""
+def test_the_filter_models_it_as_a_correlated_error(watch) -> None:
+    """The residual of refraction in repeated attitudes of the tracker does not average."""
     config = configuration()
     exact = {f"installation_sigma_{axis}_arcsec": 0.0 for axis in ("forward", "up", "right")}
     sensors = {id_: replace(sensor, input="inertial_attitude", **exact) for id_, sensor in config.star_sensors.items()}
@@ -163,11 +163,11 @@ def test_mend_28_the_filter_keeps_it_as_a_slow_error(watch) -> None:
 
 
 @pytest.mark.parametrize("elevation_deg", [88.0, 89.999, 90.0])
-def test_mend_28_it_is_regular_at_the_zenith(watch, elevation_deg: float) -> None:
+def test_the_field_covariance_is_regular_at_the_zenith(watch, elevation_deg: float) -> None:
     rotation_ns = rotation_from_angles(0.3, np.deg2rad(elevation_deg), 0.2)
     rotation_cs = watch.at(TIME_NS).rotation_horizon_from_icrs().T @ rotation_ns
     attitude = in_horizon(InertialAttitude("star.fore", TIME_NS, rotation_cs, NOISE_S, field=FIELD), watch)
     common_s = rotation_ns.T @ attitude.common_n @ rotation_ns
-    # A squeeze alike on all sides, that turns nothing: 57″ per radian and 10°/(2 √5).
+    # An isotropic compression without rotation: 57″ per radian and 10°/(2 √5).
     assert np.sqrt(np.diagonal(common_s)[1:]) / ARCSEC == pytest.approx([2.2, 2.2], abs=0.15)
     assert np.sqrt(max(common_s[0, 0], 0.0)) < 0.1 * ARCSEC

@@ -1,4 +1,4 @@
-"""``inject``: faults put into a bag, of whichever ship."""
+"""``inject``: add faults to a bag of any ship."""
 
 import argparse
 from collections.abc import Sequence
@@ -17,21 +17,21 @@ from ship_simulation.scenario.fault_file import load_faults
 from ship_simulation.simulate_command import seed_of
 
 FAULTS_ATTACHMENT = "faults.yaml"
-"""Name of the attachment that holds the file of faults."""
+"""Name of the attachment that contains the file of faults."""
 
 _BAG_RECORD = "rosbag2"
-"""rosbag2 keeps information on its own file in a metadata record of this name; it would be wrong in another file."""
+"""Name of the metadata record in which rosbag2 describes its own file; it is not valid in another file."""
 
 _DESCRIPTION = """\
-Puts faults into a bag: a simulated one, or a recording (.mcap file or rosbag2 folder). The file of faults holds a group
-`faults` as a scenario has it: by name, each with topic, kind, start_s, end_s and the sizes of its kind, units in the
-names. Times count from the bag's first message. Messages that no fault changes stay as they are, to the byte; the truth
-(truth/*) is never changed; attachments are copied. The same bag, faults and seed give the same bytes.
+Adds faults to a bag: a simulated one, or a recording (.mcap file or rosbag2 folder). The fault file contains a group
+`faults` as a scenario does: by name, each with topic, kind, start_s, end_s and the sizes of its kind, with units in the
+names. Times start at the bag's first message. Unaffected messages stay unchanged, to the byte; the truth (truth/*) is
+never changed; attachments are copied. The same bag, faults and seed give the same bytes.
 """
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point."""
+    """Run the command; return its exit code."""
     return run_command(_parser(), _run, arguments)
 
 
@@ -45,9 +45,9 @@ def _parser() -> CommandParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("bag", type=Path, metavar="BAG", help=".mcap file or rosbag2 folder")
-    parser.add_argument("--faults", type=Path, required=True, metavar="FILE", help="what goes wrong (YAML)")
+    parser.add_argument("--faults", type=Path, required=True, metavar="FILE", help="faults to add (YAML)")
     parser.add_argument("--out", type=Path, required=True, metavar="OUT.mcap", help="bag to write")
-    parser.add_argument("--seed", type=seed_of, default=1, metavar="N", help="seed of what the faults draw (1)")
+    parser.add_argument("--seed", type=seed_of, default=1, metavar="N", help="seed of the faults' random draws (1)")
     add_bag_names(parser)
     add_force(parser)
     return parser
@@ -71,7 +71,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _write(bag: Bag, injection: Injection, path: Path, text: bytes) -> int:
-    """Write the bag with its faults; returns the number of its messages."""
+    """Write the bag with its faults; return the number of its messages."""
 
     def define(type_name: str) -> TypeDefinition:
         return TypeDefinition(bag.store.generate_msgdef(type_name, ros_version=2)[0], bag.store.hash_rihs01(type_name))

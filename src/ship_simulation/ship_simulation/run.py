@@ -1,6 +1,6 @@
-"""One simulated voyage as arrays: what the devices say, when it arrives, and the truth. No ROS, no files.
+"""One simulated voyage as arrays: samples of the devices, their arrival times, and the truth; without ROS and files.
 
-A voyage comes as a whole, or in stretches one after another; the samples are the same.
+A voyage is simulated as a whole, or in successive stretches; the samples are the same.
 """
 
 from collections.abc import Iterator
@@ -40,34 +40,34 @@ from ship_simulation.stars.star_sightings import (
 from ship_simulation.theodolite.run import TheodoliteRun, simulate_theodolite
 
 SKY_SOURCES = ("fix", "pressure", "temperature", "humidity")
-"""Sources of a run whose star sensors look at the real sky, besides the measurements."""
+"""Sources, in addition to the measurements, of a run whose star sensors observe the real sky."""
 
 BASELINE_SOURCE = "baseline"
 """Source of a run of a ship with two antennas."""
 
 DEFLECTION_SOURCE = "deflection"
-"""Source of a run in which a topic tells the deflection of the vertical."""
+"""Source of a run in which a topic publishes the deflection of the vertical."""
 
 StarSamples = DeviceSamples | StarSightings | InertialSamples
-"""Horizon attitudes, single stars, or attitudes among the stars."""
+"""Horizon attitudes, single stars, or attitudes against the ICRS."""
 
 
 @dataclass(frozen=True)
 class VoyageTruth:
-    """What the devices would have said without their errors.
+    """The devices' measurements without their errors.
 
     Attributes:
-        ins_index: the samples of the INS at whose stamps the true attitude is given: each first one of a tenth of
-            a second, and the last, shape (m,).
+        ins_index: the INS samples at whose stamps the true attitude is given: the first in each tenth of a second, and
+            the last, shape (m,).
         rotation_nd: true attitude at those stamps, shape (m, 3, 3).
         rate_d: true angular velocity there, rad/s, shape (m, 3).
         ins: errors of the INS.
-        stars: mounting and timing of each star sensor.
-        sightings: of each sensor that gives single stars, which stars they are.
-        references: mounting and timing of each other attitude system.
-        track: where the ship is.
-        deflection: of the vertical, at those stamps, rad, shape (m, 2).
-        sky: the sky over it; None where no sensor looks at it.
+        stars: mounting and time offset of each star sensor.
+        sightings: true identities of the stars of each sensor that gives single stars.
+        references: mounting and time offset of each other attitude system.
+        track: the ship's position.
+        deflection: deflection of the vertical at those stamps, rad, shape (m, 2).
+        sky: the sky over the ship; None if no sensor observes it.
     """
 
     ins_index: np.ndarray
@@ -86,8 +86,8 @@ class VoyageTruth:
 class SimulatedRun:
     """A scenario with one draw of its random parts: the samples of a stretch of it, or of the whole voyage.
 
-    The weather station says at the stamps ``weather_ns``, shape (n,), what the scenario's ``weather`` says.
-    ``fused``, ``deflections``, ``ship_baseline`` and ``theodolite`` are None where the scenario has none.
+    The weather station publishes the scenario's ``weather`` at the stamps ``weather_ns``, shape (n,). ``fused``,
+    ``deflections``, ``ship_baseline`` and ``theodolite`` are None if the scenario has none.
     """
 
     scenario: Scenario
@@ -106,16 +106,16 @@ class SimulatedRun:
 
     @property
     def start_ns(self) -> int:
-        """The start of the voyage."""
+        """Start of the voyage, ns."""
         return self.stretch.start_ns
 
     def arrivals(self) -> list[tuple[int, str, int]]:
-        """(log time, source, index of the sample) of each input of ``ship_attitude``, in order of arrival.
+        """Return (log time, source, index of the sample) of each input of ``ship_attitude``, in order of arrival.
 
-        A source is ``ins``, ``star.<id>`` or ``reference.<name>``, BASELINE_SOURCE on a ship with two antennas, or,
-        where a star sensor looks at the real sky, one of SKY_SOURCES; of these the fix alone, and DEFLECTION_SOURCE,
-        where the suite is told of gravity. Samples that arrive at the same nanosecond come in this order of sources,
-        then by stamp.
+        A source is ``ins``, ``star.<id>`` or ``reference.<name>``, BASELINE_SOURCE on a ship with two antennas, or one
+        of SKY_SOURCES if a star sensor observes the real sky. If the suite receives the deflection, the sources are the
+        fix alone of SKY_SOURCES, and DEFLECTION_SOURCE. Samples that arrive at the same nanosecond are in this order of
+        sources, then by stamp.
         """
         sources = {"ins": self.ins.log_time_ns}
         sources |= {f"star.{key}": samples.log_time_ns for key, samples in self.stars.items()}
@@ -135,10 +135,10 @@ class SimulatedRun:
         return {fix: self.fixes.log_time_ns, **dict.fromkeys(weather, self.weather_ns)}
 
     def pointing_arrivals(self) -> list[tuple[int, str, int]]:
-        """(log time, source, index of the sample) of each input of ``optical_axis``, in order of arrival.
+        """Return (log time, source, index of the sample) of each input of ``optical_axis``, in order of arrival.
 
         A source is ``ins``, ``fused``, ``encoder``, ``drone.<id>``, ``baseline.<id>``, ``image`` or ``target``; with
-        cameras on the theodolite that see stars ``star.<id>`` and SKY_SOURCES too.
+        star cameras on the theodolite also ``star.<id>`` and SKY_SOURCES.
         """
         sources = {"ins": self.ins.log_time_ns}
         if self.fused is not None:
@@ -158,22 +158,22 @@ class SimulatedRun:
 def simulate(scenario: Scenario, seed: int) -> SimulatedRun:
     """Draw a voyage. The same scenario and seed give the same numbers.
 
-    Each random component has its own stream, named after it, so a further sensor changes nothing in the others.
+    Each random component has its own stream, named after it, so that a further sensor does not change the others.
 
     Raises:
-        BadInput: the recorded motion cannot be used, or the theodolite cannot look where it should.
+        BadInput: the recorded motion cannot be used, or the theodolite cannot point along its programme.
     """
     voyage = _Voyage(scenario, seed)
     return voyage.samples(Stretch(voyage.track.start_ns, scenario.duration_s))
 
 
 def simulate_stretches(scenario: Scenario, seed: int, length_s: int = STRETCH_S) -> Iterator[SimulatedRun]:
-    """Draw the same voyage in stretches, whose memory does not grow with it.
+    """Draw the same voyage in stretches, with memory independent of its length.
 
     Args:
-        scenario: what is simulated.
-        seed: of all its random parts.
-        length_s: of the stretches, an even number of seconds.
+        scenario: the voyage.
+        seed: seed of all its random parts.
+        length_s: length of the stretches, an even number of seconds.
 
     Raises:
         BadInput: as :func:`simulate`.
@@ -184,20 +184,20 @@ def simulate_stretches(scenario: Scenario, seed: int, length_s: int = STRETCH_S)
 
 
 class _Voyage:
-    """What is drawn once for a voyage, and what goes on from stretch to stretch."""
+    """The draws of a voyage, and the state that continues from stretch to stretch."""
 
     def __init__(self, scenario: Scenario, seed: int) -> None:
         self.scenario = scenario
         self.track = ShipTrack(scenario.position, start_of(scenario.start_utc))
         self._draws = Draws(seed)
         self._carrier = carrier_of(scenario.carrier, seed)
-        # A motion that ends too early is refused before the first sample.
+        # Refuse a motion that is too short before the first sample.
         self._carrier.attitude(np.array([0.0, scenario.duration_s]))
         self._deflection = Deflection(scenario, self.track, self._draws)
         self._sky = draw_sky(scenario, self.track, seed) if scenario.has_sky else None
 
     def samples(self, stretch: Stretch) -> SimulatedRun:
-        """The samples of the next stretch."""
+        """Return the samples of the next stretch."""
         scenario, carrier, draws, seed = self.scenario, self._carrier, self._draws, self._draws.seed
         draws.begin(stretch)
         deflection = self._deflection
@@ -241,20 +241,20 @@ class _Voyage:
 
 
 def _in_order(sources: dict[str, np.ndarray]) -> list[tuple[int, str, int]]:
-    """(log time, source, index) of all samples; ties in the order of the sources, then of the stamps."""
+    """Return (log time, source, index) of all samples; equal times in the order of the sources, then of the stamps."""
     arrivals = [
         (int(log_time_ns), source, index)
         for source, log_times_ns in sources.items()
         for index, log_time_ns in enumerate(log_times_ns)
     ]
-    # A stable sort keeps that order.
+    # The sort is stable, so equal times keep that order.
     return sorted(arrivals, key=lambda arrival: arrival[0])
 
 
 def _simulate_stars(
     scenario: Scenario, carrier: Carrier, sky: TrueSky | None, stretch: Stretch, draws: Draws
 ) -> tuple[dict[str, StarSamples], dict[str, DeviceTruth], dict[str, SightingsTruth]]:
-    """Samples of each star sensor, their mounting, and what the single stars are."""
+    """Return samples and mounting of each star sensor, and the true identities of single stars."""
     samples: dict[str, StarSamples] = {}
     mounted: dict[str, DeviceTruth] = {}
     sightings: dict[str, SightingsTruth] = {}

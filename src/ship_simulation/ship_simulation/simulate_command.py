@@ -1,4 +1,4 @@
-"""``simulate``: a scenario file becomes a bag with truth, scenario and suite configuration inside."""
+"""``simulate``: simulate a scenario file into a bag with truth, scenario and suite configuration."""
 
 import argparse
 from collections.abc import Sequence
@@ -20,16 +20,16 @@ from ship_simulation.suite.suite import suite_yaml
 
 _DESCRIPTION = """\
 Simulates a voyage: the ship's motion, INS, star sensors and other attitude systems with their errors and faults.
-A star sensor gives its horizon attitude, single stars of the real sky over the ship, or its attitude among the stars.
-A theodolite has encoders, sees the lights of drones, targets in its main tube, and stars in cameras on it.
-The bag holds their topics, the truth (truth/attitude and truth/pointing at 10 Hz, truth/alignment at 1 Hz, and more),
-and as attachments the scenario and the configuration of the suite that fits it. In a scenario units stand in the
-names: _deg, _arcsec, _s, _m, _hz. The same scenario and seed give the same bytes.
+A star sensor gives its horizon attitude, single stars of the real sky over the ship, or its attitude against the ICRS.
+A theodolite has encoders, and observes lights of drones, targets in its main tube, and stars in its cameras.
+The bag contains their topics and the truth (truth/attitude and truth/pointing at 10 Hz, truth/alignment at 1 Hz, and
+more). Its attachments are the scenario and the matching configuration of the suite. In a scenario the names contain
+the units: _deg, _arcsec, _s, _m, _hz. The same scenario and seed give the same bytes.
 """
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point."""
+    """Run the command; return its exit code."""
     return run_command(_parser(), _run, arguments)
 
 
@@ -44,11 +44,11 @@ def _parser() -> CommandParser:
         "exit code: 0 written; 2 bad input or usage; 130 interrupted",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("scenario", type=Path, metavar="SCENARIO.yaml", help="what to simulate")
+    parser.add_argument("scenario", type=Path, metavar="SCENARIO.yaml", help="scenario to simulate")
     parser.add_argument("--out", type=Path, required=True, metavar="BAG.mcap", help="bag to write")
     parser.add_argument("--seed", type=seed_of, default=1, metavar="N", help="seed of all random parts, 0 or more (1)")
     parser.add_argument(
-        "--carrier", type=Path, metavar="BAG", help="follow the recorded attitude of this bag, not of the scenario's"
+        "--carrier", type=Path, metavar="BAG", help="follow the recorded attitude of this bag, not the scenario's"
     )
     add_force(parser)
     return parser
@@ -59,10 +59,10 @@ def _keys() -> str:
 
 
 def seed_of(text: str) -> int:
-    """The seed that an argument gives.
+    """Return the seed of an argument.
 
     Raises:
-        ArgumentTypeError: it is none.
+        ArgumentTypeError: it is not a seed.
     """
     if not text.isdecimal():
         raise argparse.ArgumentTypeError(f"'{text}' is not a whole number, 0 or more")
@@ -78,7 +78,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def write_bag(scenario: Scenario, seed: int, path: Path, scenario_text: bytes) -> int:
-    """Simulate a voyage into a bag; returns the number of its messages.
+    """Simulate a voyage into a bag; return the number of its messages.
 
     Raises:
         BadInput: the voyage cannot be simulated, or the file cannot be written.

@@ -1,4 +1,4 @@
-"""The errors that a run draws: their size, their independence, and the equations of models.md §4."""
+"""Errors drawn by a run: size, independence, and the equations of models.md §4."""
 
 import dataclasses
 from pathlib import Path
@@ -36,7 +36,7 @@ def with_star(scenario: Scenario, sensor_id: str, **changes) -> Scenario:
 
 
 def assert_sigma(values, sigma, probability=0.999):
-    """The RMS of independent values is that of a sigma, within the chi² band."""
+    """Check that the RMS of independent values matches a sigma, within the chi² band."""
     low, high = sigma_ratio_band(values.size, probability)
     assert low < np.sqrt(np.mean(values**2)) / sigma < high
 
@@ -59,7 +59,7 @@ def test_ins_samples_obey_the_equation_of_the_model():
     true_nd = carrier_of(run.scenario.carrier, run.seed).attitude(
         (run.ins.time_ns - run.start_ns) / SECOND_NS + truth.time_offset_s
     )
-    # R_true(s + tau) = exp(a) exp(w) R_ins(s), so w is what remains.
+    # R_true(s + tau) = exp(a) exp(w) R_ins(s), so w is the remainder.
     white_n = log_rotation(exp_rotation(-truth.attitude_error_n) @ true_nd @ np.swapaxes(run.ins.rotation_nd, -1, -2))
     for axis in range(3):
         assert_sigma(white_n[:, axis], 1.0 * ARCSEC)
@@ -78,8 +78,8 @@ def test_ins_rates_are_those_at_the_moment_of_validity():
     assert_sigma((noisy.ins.rate_d - quiet.ins.rate_d).ravel(), 4.0 * ARCSEC)
 
 
-def test_slow_errors_of_the_rates_have_the_size_and_the_memory_that_the_scenario_says():
-    """Ends of many runs: one draw each. Of neighbours a second apart in a memory of ten, exp(-0.1) is the same."""
+def test_correlated_rate_errors_have_the_configured_sigma_and_correlation_time():
+    """Last samples of many runs: one draw each. Samples 1 s apart with a time constant of 10 s: exp(-0.1)."""
     biased = with_ins(
         paper(duration_s=1.0), rate_hz=1.0, rate_bias_sigma_arcsec_per_s=5.0, rate_bias_time_s=10.0
     )
@@ -90,8 +90,8 @@ def test_slow_errors_of_the_rates_have_the_size_and_the_memory_that_the_scenario
     assert kept == pytest.approx(np.exp(-0.1), abs=3.3 / np.sqrt(900.0))
 
 
-def test_gyroscopes_at_rest_show_a_turn_of_the_earth_in_a_sidereal_day():
-    """At 30° north, bow to the East: half a turn a day about Up, the rest about North, which is port."""
+def test_gyroscopes_at_rest_measure_the_earth_rate():
+    """At 30° north with the bow to the East, half the Earth rate is about Up, the rest about North, which is port."""
     still = paper(duration_s=1.0)
     carrier = dataclasses.replace(still.carrier, heading=AngleMotion(90.0), pitch=AngleMotion(), roll=AngleMotion())
     still = dataclasses.replace(still, carrier=carrier, position=Position(latitude_deg=30.0))
@@ -141,7 +141,7 @@ def test_star_samples_obey_the_equation_of_the_model():
     np.testing.assert_array_equal(samples.common_n, np.zeros((3, 3)))
 
 
-def test_flexure_and_common_error_are_slow_and_in_their_own_frames():
+def test_flexure_and_common_error_are_correlated_and_in_their_own_frames():
     clean = with_star(
         paper(duration_s=600.0),
         "fore",
@@ -205,7 +205,7 @@ def test_the_same_seed_gives_the_same_run_and_another_seed_another():
     assert np.abs(first.ins.rotation_nd - other.ins.rotation_nd).max() > 1e-6
 
 
-def test_a_further_device_changes_nothing_in_the_others():
+def test_a_further_device_does_not_change_the_others():
     scenario = paper(duration_s=5.0)
     more = dataclasses.replace(
         scenario,
@@ -219,7 +219,7 @@ def test_a_further_device_changes_nothing_in_the_others():
     assert np.abs(many.stars["aft"].rotation_nv - many.stars["fore"].rotation_nv).max() > 0.1
 
 
-def test_an_outage_takes_samples_away_and_leaves_the_others_as_they_were():
+def test_an_outage_removes_samples_and_keeps_the_others_unchanged():
     scenario = paper(duration_s=20.0)
     whole = simulate(scenario, seed=1).stars["fore"]
     cut = simulate(with_star(scenario, "fore", outages={"clouds": Outage(5.0, 15.0)}), seed=1).stars["fore"]

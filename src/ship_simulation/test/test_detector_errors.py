@@ -1,4 +1,4 @@
-"""What a simulated detector adds to centroids by their place: the stated statistics, and the same at the same place."""
+"""Errors of a simulated detector by position: the stated statistics, constant for each position."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def drawn(seed: int, field_px: float = 0.0, pixel_px: float = 0.0) -> DetectorEr
 
 
 def test_the_field_errors_covariance_is_the_stated_one():
-    """At three places, u and v, over 600 seeds: each squared error against its variance, each pair's correlation.
+    """Variances at three positions, u and v, over 600 seeds, and the correlation of each pair.
 
     Expected: exp(-d²/(2 · 1.5²)), d in half sides, less the mean over the detector, by sums over a grid.
     """
@@ -42,7 +42,7 @@ def test_the_field_errors_covariance_is_the_stated_one():
         whitened = np.linalg.solve(root, errors[..., axis].T)
         spread = np.mean(whitened**2, axis=1)
         assert np.all((low <= spread) & (spread <= high))
-        # Pairs: 3.29 standard errors of a correlation.
+        # Pairs: 3.29 standard errors of a correlation coefficient.
         pairs = (whitened @ whitened.T / SEEDS)[np.triu_indices(3, 1)]
         assert np.all(np.abs(pairs) <= 3.29 / np.sqrt(SEEDS))
     across = np.mean(errors[..., 0] * errors[..., 1]) / FIELD_PX**2
@@ -66,8 +66,8 @@ def test_each_pixel_has_its_own_error():
 
 
 @pytest.mark.parametrize("kind", ["field_spatial_sigma_px", "pixel_spatial_sigma_px"])
-def test_a_run_has_them_in_its_centroids_the_same_all_the_time(kind: str):
-    """Centroids without noise, less where the stars truly are, are the errors of one detector, whatever the stretch."""
+def test_centroids_of_a_run_contain_constant_detector_errors(kind: str):
+    """Centroids without noise, minus the true points, are the errors of one detector, for any stretches."""
     camera = {kind: 0.3, "centroid_sigma_px": 1e-6}
     run = simulate(with_sensor(paper_stars(), camera=camera), seed=5)
     sightings, detector = run.stars["fore"], run.scenario.star_sensors["fore"].camera

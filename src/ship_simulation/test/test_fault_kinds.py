@@ -1,4 +1,4 @@
-"""Every kind of fault with every type of message that nodes take: it works, and changes something, or it is refused."""
+"""Every kind of fault with every message type that nodes receive: it changes messages, or it is refused."""
 
 import dataclasses
 import itertools
@@ -67,7 +67,7 @@ UNCHANGED = {
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
-    """Two seconds with every device, and the fused attitude besides."""
+    """Two seconds with every device, and with the fused attitude."""
     scenario = load_scenario(ROOT / "bags" / "scenarios" / "everything.yaml")
     fused = dataclasses.replace(scenario.fused_attitude, written=True)
     gravity = dataclasses.replace(scenario.gravity, told="topic", rate_hz=5.0, xi_arcsec=5.0, sigma_arcsec=1.0)
@@ -92,7 +92,7 @@ def fault_of(kind, topic):
     return Fault(topic=topic, kind=kind, start_s=START_S, end_s=END_S, **sizes)
 
 
-def test_the_types_here_are_all_that_a_value_can_be_spoilt_of():
+def test_the_types_here_are_all_that_faults_apply_to():
     assert set(TOPICS.values()) == set(FIRST_VALUE)
 
 
@@ -113,19 +113,19 @@ def check_a_kind(bag, start_ns, kind, topic):
     fault = fault_of(kind, topic)
     if not can_happen(kind, TOPICS[topic]):
         problems = [str(problem) for problem in fault_problems({"f": fault}, TOPICS, "in the bag")]
-        assert problems == [f"'faults.f.kind' = {kind} cannot happen to {TOPICS[topic]}"]
+        assert problems == [f"'faults.f.kind' = {kind} does not apply to {TOPICS[topic]}"]
         return
     assert list(fault_problems({"f": fault}, TOPICS, "in the bag")) == []
     changed_ns = Injection(bag, {"f": fault}, 1).effect("f").times_ns
     since_s = [(time_ns - start_ns) / NS_PER_S for time_ns in changed_ns]
     assert bool(since_s) == ((kind, topic) not in UNCHANGED)
-    # By stamps; arrivals are at most half a second behind them.
+    # By stamps; messages arrive at most 0.5 s after them.
     assert all(START_S <= seconds < END_S + 0.5 for seconds in since_s)
 
 
 @pytest.mark.parametrize("topic", TOPICS)
-def test_covariances_can_be_spoilt_where_the_type_has_some(topic):
-    """By the definitions of the messages; of an IMU the nodes take the orientation's alone."""
+def test_covariance_faults_apply_to_all_types_with_covariances(topic):
+    """By the definitions of the messages; the nodes use only the orientation covariance of an IMU."""
     fields = message_store().fielddefs[TOPICS[topic]][1]
     names = [name for name, _ in fields if re.fullmatch(r"(\w+_)?covariance", name)]
     taken = [name for name in names if name not in ("angular_velocity_covariance", "linear_acceleration_covariance")]
@@ -135,7 +135,7 @@ def test_covariances_can_be_spoilt_where_the_type_has_some(topic):
 
 
 def test_a_fault_may_change_nothing(bag):
-    """The first message of a frozen time is its own; a delay of nothing is none; after the end there is no message."""
+    """The first frozen message is unchanged, a delay of zero changes nothing, and there is no message after the end."""
     fix = {"topic": "gnss/fix", "end_s": END_S}
     frozen = Injection(bag, {"f": Fault(kind="freeze", start_s=START_S, **fix)}, 1).effect("f").times_ns
     dropped = Injection(bag, {"f": Fault(kind="drop", start_s=START_S, **fix)}, 1).effect("f").times_ns
@@ -149,8 +149,8 @@ def test_a_fault_may_change_nothing(bag):
         assert Injection(bag, {"f": fault}, 1).effect("f").times_ns == []
 
 
-def test_what_a_fault_changes_is_counted_alone(bag):
-    """Another fault that drops all messages of its time, earlier in the order of names, takes nothing from it."""
+def test_the_effect_of_a_fault_is_counted_without_other_faults(bag):
+    """An earlier fault that drops all messages of the same time does not change the count."""
     faults = {
         "a": Fault(kind="drop", topic="ins/imu", start_s=START_S),
         "b": Fault(kind="frame", topic="ins/imu", start_s=START_S, end_s=END_S),

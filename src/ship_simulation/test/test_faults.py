@@ -1,4 +1,4 @@
-"""What faults do to the messages of one topic: in their window, and nowhere else."""
+"""Effects of faults on the messages of one topic: inside their window, and nowhere else."""
 
 import dataclasses
 from pathlib import Path
@@ -19,7 +19,7 @@ FORE = "star/fore/horizon_attitude"
 
 
 def entries_under(faults, topic):
-    """(message, log time) of one topic of three seconds at 20 Hz."""
+    """Return (message, log time) of one topic of three seconds at 20 Hz."""
     scenario = load_scenario(PAPER)
     ins = dataclasses.replace(scenario.ins, rate_hz=20.0)
     run = simulate(dataclasses.replace(scenario, duration_s=3.0, ins=ins, faults=faults), seed=1)
@@ -36,14 +36,14 @@ def vector(value):
 
 
 def faulty(topic, kind, **changes):
-    """The entries of a topic without and with a fault from 1 s to 2 s, as bytes and decoded."""
+    """Return the entries of a topic without and with a fault from 1 s to 2 s, as bytes and decoded."""
     clean = entries_under({}, topic)
     fault = Fault(topic=topic, kind=kind, start_s=1.0, end_s=2.0, **changes)
     return clean, entries_under({"fault": fault}, topic)
 
 
 def in_window(entries, run_start_ns=1_404_906_607_800_000_000):
-    """The entries stamped from 1 s to 2 s."""
+    """Return the entries stamped from 1 s to 2 s."""
     stamped = [(ns_from_stamp(m.header.stamp) - run_start_ns, m) for m, _ in entries]
     return [m for t, m in stamped if SECOND_NS <= t < 2 * SECOND_NS]
 
@@ -52,7 +52,7 @@ def same(first, second):
     return serialize(first) == serialize(second)
 
 
-def test_drop_leaves_the_others_as_they_were():
+def test_drop_keeps_the_other_messages_unchanged():
     clean, spoilt = faulty(FORE, "drop")
     assert len(clean) - len(spoilt) == 5
     assert in_window(spoilt) == []
@@ -86,7 +86,7 @@ def test_conflict_repeats_the_stamp_with_other_values():
         assert first.azimuth != second.azimuth
 
 
-def test_freeze_holds_the_values_under_new_stamps():
+def test_freeze_keeps_the_values_under_new_stamps():
     clean, frozen = faulty("ins/imu", "freeze")
     window = in_window(frozen)
     assert len(window) == len(in_window(clean)) == 20
@@ -110,7 +110,7 @@ def test_freeze_holds_the_values_under_new_stamps():
         (FORE, "covariance_negative", lambda m: m.noise_covariance[4] < 0.0 and m.rotation_covariance[4] < 0.0),
     ],
 )
-def test_a_spoilt_field_is_spoilt_in_the_window_only(topic, kind, differs):
+def test_a_field_fault_is_limited_to_its_window(topic, kind, differs):
     clean, spoilt = faulty(topic, kind)
     assert len(clean) == len(spoilt)
     window = in_window(spoilt)
@@ -134,7 +134,7 @@ def test_a_stamp_of_zero_keeps_its_values():
     assert [m.azimuth for m in zero] == [m.azimuth for m in in_window(clean)]
 
 
-def test_two_faults_of_one_topic_both_happen():
+def test_two_faults_of_one_topic_are_both_applied():
     faults = {
         "first": Fault(topic="ins/imu", kind="frame", start_s=1.0, end_s=2.0),
         "second": Fault(topic="ins/imu", kind="rate_in_degrees", start_s=1.5, end_s=2.5),

@@ -1,4 +1,4 @@
-"""The command ``inject``: each kind does what it says, in its time and nowhere else; one line for bad input."""
+"""The command ``inject``: effect of each kind inside its time and nowhere else; one line for bad input."""
 
 import dataclasses
 import math
@@ -33,7 +33,7 @@ SHIP, FIX = "ship/attitude", "gnss/fix"
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
-    """Five seconds with every device, and the fused attitude besides."""
+    """Five seconds with every device, and with the fused attitude."""
     scenario = load_scenario(ROOT / "bags" / "scenarios" / "everything.yaml")
     fused = dataclasses.replace(scenario.fused_attitude, written=True)
     scenario = dataclasses.replace(scenario, duration_s=LENGTH_S, fused_attitude=fused)
@@ -43,7 +43,7 @@ def bag(tmp_path_factory):
 
 
 def injected(bag, folder, faults, seed=1, *more):
-    """The bag with faults given as text in flow style."""
+    """Return the bag with faults given as text in flow style."""
     file = folder / "faults.yaml"
     file.write_text("faults:\n" + "".join(f"  f{i}: {{{fault}}}\n" for i, fault in enumerate(faults)))
     out = folder / f"out_{seed}.mcap"
@@ -58,7 +58,7 @@ def records_of(path, topic=None):
 
 
 def pairs(bag, out, topic, start_s=2.0, end_s=3.0):
-    """(before, after) of the messages of a topic stamped in the fault's time; others are the same to the byte."""
+    """Return (before, after) of a topic's messages stamped in the fault's time; others must be equal to the byte."""
     before, after = records_of(bag), records_of(out)
     assert len(before) == len(after)
     start_ns = before[0].log_time_ns
@@ -71,7 +71,7 @@ def pairs(bag, out, topic, start_s=2.0, end_s=3.0):
             continue
         since_s = (ns_from_stamp(message.header.stamp) - start_ns) / SECOND_NS
         if one.topic == topic and start_s <= since_s < end_s:
-            # A drift begins with nothing.
+            # A drift starts at zero.
             assert one.data != other.data or not found
             found.append((message, other.decode()))
         else:
@@ -96,7 +96,7 @@ def quaternion(message):
 
 
 def rotation(message):
-    """Parent from device (forward, up, right) of a message with an attitude."""
+    """Return "parent from device" (forward, up, right) of a message with an attitude."""
     if message.__msgtype__.endswith("StarHorizonAttitude"):
         return rotation_from_angles(message.azimuth, message.elevation, message.roll)
     if message.__msgtype__.endswith("StarInertialAttitude"):
@@ -109,7 +109,7 @@ def xyz(vector):
 
 
 @pytest.mark.parametrize("topic", [INS, GYRO, SHIP, BOW, TRACKER])
-def test_a_knock_turns_an_attitude_in_the_devices_own_frame(bag, tmp_path, topic):
+def test_a_mounting_shift_rotates_an_attitude_in_the_device_frame(bag, tmp_path, topic):
     for before, after in only(bag, tmp_path, topic, "knock", "forward_arcsec: 30, up_arcsec: 20, right_arcsec: -10"):
         turn = log_rotation(rotation(before).T @ rotation(after)) / ARCSEC
         np.testing.assert_allclose(turn, [30.0, 20.0, -10.0], atol=1e-6)
@@ -118,8 +118,8 @@ def test_a_knock_turns_an_attitude_in_the_devices_own_frame(bag, tmp_path, topic
             np.testing.assert_allclose(angles, rotation(after), atol=1e-12)
 
 
-def test_a_knock_of_a_sensor_of_single_stars_turns_what_it_measures(bag, tmp_path):
-    """A star stands still: by R' = R exp(t) the sensor sees it at exp(-t) s, turned here by scipy."""
+def test_a_mounting_shift_rotates_the_measured_star_directions(bag, tmp_path):
+    """With R' = R exp(t) the sensor sees a fixed star at exp(-t) s, computed here with scipy."""
     scenario = load_scenario(ROOT / "bags" / "scenarios" / "everything.yaml")
     camera = scenario.star_sensors["starboard"].camera.camera("")
     turn = Rotation.from_rotvec(np.array([40.0, 25.0, -15.0]) * ARCSEC)
@@ -129,25 +129,25 @@ def test_a_knock_of_a_sensor_of_single_stars_turns_what_it_measures(bag, tmp_pat
         assert [s.catalogue_id for s in before.stars] == [s.catalogue_id for s in after.stars]
 
 
-def test_a_knock_of_the_telescope_moves_all_lights_alike(bag, tmp_path):
-    """Turned by 20″ to the right about up the lights go to the left in the scene: to the right, x > 0, in the image."""
+def test_a_mounting_shift_of_the_telescope_moves_all_lights_equally(bag, tmp_path):
+    """After a rotation by 20″ to the right about up, the lights move left in the scene: right, x > 0, in the image."""
     for before, after in only(bag, tmp_path, LIGHTS, "knock", "up_arcsec: -20"):
         for one, other in zip(before.beacons, after.beacons, strict=True):
             x_m, z_m = one.x - 2.0e-4, one.z + 3.0e-4
-            # Turning to the right by a: tan(angle - a), and the height in the image goes with the cosine.
+            # Rotation to the right by a: tan(angle - a); the height in the image is proportional to the cosine.
             angle = math.atan2(x_m, 0.1) + 20.0 * ARCSEC
             np.testing.assert_allclose(other.x - 2.0e-4, 0.1 * math.tan(angle), atol=1e-12)
             assert other.z + 3.0e-4 == pytest.approx(z_m, rel=2e-5)
 
 
-def test_a_drift_grows_from_nothing_and_of_encoders_too(bag, tmp_path):
+def test_drifts_of_devices_and_encoders_start_at_zero(bag, tmp_path):
     found = only(bag, tmp_path, INS, "drift", "up_arcsec_per_min: 60")
     turns = [log_rotation(rotation(before).T @ rotation(after))[1] / ARCSEC for before, after in found[1:]]
-    # 1″ a second, at 50 Hz.
+    # 1″ per second, at 50 Hz.
     np.testing.assert_allclose(turns, np.arange(1, 50) / 50.0, atol=1e-6)
     found = only(bag, tmp_path, ENCODER, "drift", "elevation_arcsec_per_min: -120")
     turns = [(after.elevation - before.elevation) / ARCSEC for before, after in found]
-    # 2″ a second, at 20 Hz.
+    # 2″ per second, at 20 Hz.
     np.testing.assert_allclose(turns, -0.1 * np.arange(len(turns)), atol=1e-6)
     assert all(after.azimuth == before.azimuth for before, after in found)
 
@@ -175,7 +175,7 @@ def test_other_axes_are_those_of_wrong_drivers(bag, tmp_path):
         np.testing.assert_allclose(frd, flu * [1.0, -1.0, -1.0], atol=1e-12)
 
 
-def test_slips_wrong_fixes_and_positions_are_off_by_what_they_say(bag, tmp_path):
+def test_slips_wrong_fixes_and_position_offsets_have_the_configured_size(bag, tmp_path):
     for before, after in only(bag, tmp_path, ENCODER, "slip", "azimuth_arcsec: 100, elevation_arcsec: -50"):
         assert (after.azimuth - before.azimuth) / ARCSEC == pytest.approx(100.0, abs=1e-6)
         assert (after.elevation - before.elevation) / ARCSEC == pytest.approx(-50.0, abs=1e-6)
@@ -211,7 +211,7 @@ def test_corrupt_sets_any_number_by_its_path(bag, tmp_path, topic, sizes, holds)
 
 @pytest.mark.parametrize("topic", [INS, STARS, BOW, TRACKER, SHIP, ENCODER, LIGHTS, BASELINE, FIX, "met/humidity"])
 def test_every_number_of_a_message_can_be_corrupted(bag, tmp_path, topic):
-    """All numbers at once; each comes back from the bytes, those of 32 bits as such."""
+    """All numbers at once; each is read back from the bytes, those of 32 bits with their precision."""
     with read_bag(bag) as whole:
         paths = numeric_fields(whole.topics[topic])
     assert "header.stamp.nanosec" in paths
@@ -270,7 +270,7 @@ def test_a_clock_step_beyond_what_a_stamp_can_hold_ends_there(bag, tmp_path, ste
 
 def test_false_stars_have_numbers_where_stars_have_them(bag, tmp_path):
     for before, after in only(bag, tmp_path, STARS, "false_stars", "count: 3"):
-        # As texts: their directions are NaN.
+        # Compared as texts, because their directions are NaN.
         assert repr(after.stars[: len(before.stars)]) == repr(before.stars)
         false = after.stars[len(before.stars) :]
         assert len(false) == 3
@@ -278,7 +278,7 @@ def test_false_stars_have_numbers_where_stars_have_them(bag, tmp_path):
         assert all(0.0 <= star.u <= 2047.0 and 0.0 <= star.v <= 2047.0 for star in false)
 
 
-def test_false_lights_stand_elsewhere_and_swapped_stars_bear_each_others_numbers(bag, tmp_path):
+def test_false_lights_are_moved_and_swapped_stars_exchange_their_numbers(bag, tmp_path):
     for before, after in only(bag, tmp_path, LIGHTS, "false_lights", "count: 3"):
         known = [light.beacon_id for light in before.beacons]
         assert [light.beacon_id for light in after.beacons] == [*known, "false_2"]
@@ -302,7 +302,7 @@ def test_reordered_messages_are_all_there_in_another_order(bag, tmp_path):
     assert 0.4 < max(delay_s) < 0.503
 
 
-def test_a_flood_is_as_many_times_as_told_with_stamps_of_before(bag, tmp_path):
+def test_a_flood_has_the_configured_number_of_messages_with_earlier_stamps(bag, tmp_path):
     out = injected(bag, tmp_path, [f"topic: {BOW}, kind: flood, {WINDOW}, times: 20, spread_s: 1.5"])
     before, after = records_of(bag, BOW), records_of(out, BOW)
     assert len(after) - len(before) == 5 * 19
@@ -337,7 +337,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_fault_does_not_change_wh
     assert [r.data for r in records_of(beside, BOW)] == alone
 
 
-def test_faults_of_one_topic_add_up_and_a_repeated_message_is_spoilt_alone(bag, tmp_path):
+def test_faults_of_one_topic_combine_and_may_change_only_one_of_two_copies(bag, tmp_path):
     out = injected(
         bag,
         tmp_path,
@@ -359,8 +359,8 @@ def test_faults_of_one_topic_add_up_and_a_repeated_message_is_spoilt_alone(bag, 
     assert Counter(t for t, _ in turns)[2.233] == 2
 
 
-def test_a_recording_of_another_type_and_folder_keeps_what_it_holds(bag, tmp_path):
-    """A rosbag2 folder with names below a namespace, with topics that the suite does not know and a latched one."""
+def test_a_recording_in_a_folder_keeps_its_other_content(bag, tmp_path):
+    """A rosbag2 folder with a namespace, unknown topics and a latched topic."""
     folder = FolderWriter(tmp_path / "voyage", SplitLimits())
     folder.add_topic("/aurora/ship/note", "std_msgs/msg/String", latched=True)
     text = records_of(bag, INS)[0].store.types["std_msgs/msg/String"](data="hello")
@@ -408,12 +408,12 @@ def test_each_fault_is_summarised_in_one_line(bag, tmp_path, capsys):
 
 
 def stamp_s(record, path):
-    """Stamp of a message in seconds after the first message of its bag."""
+    """Return the stamp of a message in seconds after the first message of its bag."""
     with read_bag(path) as read:
         return (ns_from_stamp(record.decode().header.stamp) - read.start_ns) / SECOND_NS
 
 
-def test_attachments_and_metadata_are_copied_and_the_faults_are_told(bag, tmp_path):
+def test_attachments_and_metadata_are_copied_and_the_faults_are_printed(bag, tmp_path):
     out = injected(bag, tmp_path, [f"topic: {INS}, kind: drop, {WINDOW}"], 7)
     with read_bag(bag) as before, read_bag(out) as after:
         assert after.attachments["suite.yaml"] == before.attachments["suite.yaml"]
@@ -427,7 +427,7 @@ BROKEN = {
     "no such topic": ("topic: ins/imo, kind: drop, start_s: 1", ":2: 'faults.f.topic' = ins/imo is not in the bag"),
     "truth": ("topic: truth/attitude, kind: drop, start_s: 1", "'faults.f.topic' = truth/attitude is not in the bag"),
     "no such kind": ("topic: ins/imu, kind: explode, start_s: 1", "'faults.f.kind' = 'explode' must be one of drop"),
-    "cannot happen": ("topic: ins/imu, kind: slip, start_s: 1, azimuth_arcsec: 9", "= slip cannot happen to"),
+    "not applicable": ("topic: ins/imu, kind: slip, start_s: 1, azimuth_arcsec: 9", "= slip does not apply to"),
     "no size": ("topic: ins/imu, kind: knock, start_s: 1", "of kind knock needs forward_arcsec or up_arcsec or right"),
     "other size": ("topic: ins/imu, kind: drop, start_s: 1, east_m: 3", "'faults.f.east_m' is not used by kind drop"),
     "times": ("topic: ins/imu, kind: drop, start_s: 2, end_s: 1", "'faults.f.end_s' = 1.0 s must be after start_s"),
@@ -440,15 +440,15 @@ BROKEN = {
         "topic: ins/imu, kind: corrupt, start_s: 1, field: orientation_covariance", "has several elements: expected"
     ),
     "beyond": (
-        "topic: ins/imu, kind: corrupt, start_s: 1, field: 'orientation_covariance[9]'", "has 9 elements, counted from"
+        "topic: ins/imu, kind: corrupt, start_s: 1, field: 'orientation_covariance[9]'", "has 9 elements, starting at"
     ),
     "whole": ("topic: beacon/a/baseline, kind: corrupt, start_s: 1, field: fix, value: 300", "from 0 to 255"),
     "32 bits": (
-        "topic: theodolite/beacons, kind: corrupt, start_s: 1, field: beacons.sigma, value: 1e39", "ends at 3.4"
+        "topic: theodolite/beacons, kind: corrupt, start_s: 1, field: beacons.sigma, value: 1e39", "is 3.4"
     ),
-    "whole offset": ("topic: beacon/a/baseline, kind: offset, start_s: 1, field: fix, value: 1", "no offset: corrupt"),
-    "whole nan": ("topic: beacon/a/baseline, kind: nan, start_s: 1, field: fix", "which has no NaN"),
-    "no path": ("topic: ins/imu, kind: nan, start_s: 1, field: 'a..b'", "no path of a field"),
+    "whole offset": ("topic: beacon/a/baseline, kind: offset, start_s: 1, field: fix, value: 1", "use corrupt"),
+    "whole nan": ("topic: beacon/a/baseline, kind: nan, start_s: 1, field: fix", "allows no NaN"),
+    "no path": ("topic: ins/imu, kind: nan, start_s: 1, field: 'a..b'", "not a field path"),
     "unknown key": ("topic: ins/imu, kind: drop, start_s: 1, size: 3", "parameter 'faults.f.size' is unknown"),
 }  # fmt: skip
 
@@ -493,7 +493,7 @@ def test_other_bad_input_is_one_line(bag, tmp_path, capsys):
         (["{bag}", "--faults", "faults.yaml"], "--out"),
     ],
 )
-def test_wrong_words_are_exit_code_2_and_write_nothing(bag, tmp_path, capsys, monkeypatch, words, expected):
+def test_usage_errors_exit_with_2_and_write_nothing(bag, tmp_path, capsys, monkeypatch, words, expected):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "faults.yaml").write_text("faults: {f: {topic: ins/imu, kind: drop, start_s: 1}}\n")
     try:
@@ -507,7 +507,7 @@ def test_wrong_words_are_exit_code_2_and_write_nothing(bag, tmp_path, capsys, mo
     assert [path.name for path in tmp_path.iterdir()] == ["faults.yaml"]
 
 
-def test_a_camera_that_nobody_describes_is_named(bag, tmp_path, capsys):
+def test_a_camera_without_description_is_named(bag, tmp_path, capsys):
     bare = tmp_path / "bare.mcap"
     with BagWriter(bare) as writer:
         for record in records_of(bag):

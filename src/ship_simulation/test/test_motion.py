@@ -1,4 +1,4 @@
-"""Carriers: rates are the derivatives of attitudes; a spectrum's variance is its integral."""
+"""Carriers: rates are the derivatives of attitudes; the variance of a spectrum is its integral."""
 
 import numpy as np
 import pytest
@@ -42,7 +42,7 @@ CARRIERS = {
 @pytest.mark.parametrize("name", CARRIERS)
 def test_body_rate_is_the_derivative_of_the_attitude(name):
     carrier, half_step_s = CARRIERS[name], 1e-3
-    # Off the corners of the turn and the knots of the record, where the second derivative jumps.
+    # Away from the corners of the turn and the knots of the record, where the second derivative is discontinuous.
     t_s = np.arange(0.1317, 57.0, 0.37)
     turned = np.swapaxes(carrier.attitude(t_s - half_step_s), -1, -2) @ carrier.attitude(t_s + half_step_s)
     differenced = log_rotation(turned) / (2.0 * half_step_s)
@@ -50,7 +50,7 @@ def test_body_rate_is_the_derivative_of_the_attitude(name):
     np.testing.assert_allclose(carrier.body_rate(t_s), differenced, rtol=0.0, atol=2e-6)
 
 
-def test_a_carrier_takes_moments_of_any_shape():
+def test_a_carrier_takes_times_of_any_shape():
     for carrier in CARRIERS.values():
         t_s = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
         assert carrier.attitude(t_s).shape == (2, 3, 3, 3)
@@ -75,18 +75,18 @@ def test_a_turn_to_starboard_raises_the_heading_by_its_angle():
     motion = HarmonicMotion(np.zeros(3), np.zeros(0), np.zeros((0, 3)), [turn])
     t_s = np.array([100.0, 110.0, 127.5, 154.9, 155.0, 1000.0])
     heading_deg = np.rad2deg(angles_from_rotation(motion.attitude(t_s))[:, 0])
-    # By hand: the ramp makes 10°, at 2°/s; then 35 s at 2°/s; half way at half of 55 s; the end after 55 s.
+    # By hand: the ramp gives 10°, up to 2°/s; then 35 s at 2°/s; half of the angle at 27.5 s; the end after 55 s.
     np.testing.assert_allclose(heading_deg, [0.0, 10.0, 45.0, 90.0 - 0.5 * 0.2 * 0.1**2, 90.0, 90.0], atol=1e-9)
-    # Heading grows clockwise seen from above: a negative turn about Up, the second axis.
+    # Heading increases clockwise seen from above: a negative rotation about Up, the second axis.
     np.testing.assert_allclose(motion.body_rate(np.array(130.0)), [0.0, -np.deg2rad(2.0), 0.0], atol=1e-12)
 
 
-def test_a_record_is_met_at_its_own_moments_and_not_left():
+def test_a_record_is_reproduced_at_its_times_and_not_extrapolated():
     motion = recorded()
     knots_s = np.arange(-2.0, 58.0)
     expected = CARRIERS["steep"].attitude(knots_s + 2.0)
     np.testing.assert_allclose(motion.attitude(knots_s), expected, rtol=0.0, atol=1e-12)
-    with pytest.raises(BadInput, match=r"recorded motion holds 60\.0 s.*shorten duration_s"):
+    with pytest.raises(BadInput, match=r"recorded motion lasts 60\.0 s.*reduce duration_s"):
         motion.attitude(np.array([0.0, 58.1]))
 
 
@@ -97,35 +97,35 @@ def test_a_spline_through_one_sample_a_second_follows_a_rolling_ship():
     error = Rotation.from_matrix(motion.attitude(between_s)).inv() * Rotation.from_matrix(
         CARRIERS["paper"].attitude(between_s)
     )
-    # A cubic spline errs by h⁴/384 of the fourth derivative, 4° (2 pi / 11)⁴ + 1.8° (2 pi / 8)⁴: 0.0029°.
+    # Error of a cubic spline: h⁴/384 of the fourth derivative, 4° (2 pi / 11)⁴ + 1.8° (2 pi / 8)⁴: 0.0029°.
     assert np.rad2deg(error.magnitude().max()) < 0.004
 
 
 def elevation_spectrum(angular_frequency, significant_height_m, modal_period_s):
-    """Bretschneider's spectrum of the wave elevation, m² s/rad, one-sided."""
+    """Return Bretschneider's spectrum of the wave elevation, m² s/rad, one-sided."""
     modal = 2.0 * np.pi / modal_period_s
     ratio4 = (modal / angular_frequency) ** 4
     return 5.0 / 16.0 * significant_height_m**2 * ratio4 / angular_frequency * np.exp(-1.25 * ratio4)
 
 
-def test_the_spectrum_holds_a_sixteenth_of_the_squared_height():
+def test_the_variance_of_the_spectrum_is_a_sixteenth_of_the_squared_height():
     variance, _ = quad(lambda w: elevation_spectrum(np.array(w), 3.25, 9.7), 0.05, 60.0, limit=500)
     assert variance == pytest.approx(3.25**2 / 16.0, rel=1e-5)
     w = np.linspace(0.2, 3.0, 100_001)
     assert w[np.argmax(elevation_spectrum(w, 3.25, 9.7))] == pytest.approx(2.0 * np.pi / 9.7, rel=1e-3)
 
 
-def test_the_ships_answer_has_the_variance_of_the_integral_over_the_spectrum():
+def test_the_ships_response_has_the_variance_of_the_integral_over_the_spectrum():
     sea = Sea()
     modal = 2.0 * np.pi / sea.modal_period_s
     w = np.linspace(0.5 * modal, 4.0 * modal, 20_001)
     spectrum = elevation_spectrum(w, sea.significant_height_m, sea.modal_period_s)
     expected = [trapezoid(spectrum * np.abs(r.transfer(w)) ** 2, w) for r in sea_responses(sea)]
-    # Components lie at random in their bands, so a realisation scatters; the mean of 50 does by a seventh of that.
+    # Random frequencies in their bands make realisations scatter; the mean of 50 scatters by a seventh of that.
     motions = [carrier_of(CarrierMotion(kind="sea_state", sea=sea), seed) for seed in range(50)]
     variance = np.mean([0.5 * np.sum(np.abs(m.phasor) ** 2, axis=0) for m in motions], axis=0)
     np.testing.assert_allclose(variance, expected, rtol=0.02)
-    # And in time: an hour of one realisation, which holds some 350 waves.
+    # Variance in time: an hour of one realisation, with about 350 waves.
     angles = motions[0].angles(np.arange(0.0, 3600.0, 0.5))
     np.testing.assert_allclose(angles.std(axis=0), np.sqrt(expected), rtol=0.15)
 

@@ -1,4 +1,4 @@
-"""Stars in cameras on the theodolite: they stand where the true main axis and the true sky put them."""
+"""Stars in cameras on the theodolite: images according to the true main axis and the true sky."""
 
 import dataclasses
 
@@ -22,7 +22,7 @@ FOCAL_LENGTH_M, PIXEL_PITCH_M, MIDDLE_PX = 0.1, 6.5e-6, 1100.0
 
 
 def night(duration_s=4.0, **changes):
-    """The scenario of the night without lights and targets; changes by path of its camera."""
+    """Return the star scenario without lights and targets; changes by path of its camera."""
     scenario = with_exact_optics(load_scenario(SCENARIOS / "theodolite_night.yaml"))
     camera = replaced(scenario.telescopes["night"], **changes)
     return dataclasses.replace(scenario, duration_s=duration_s, beacons={}, targets={}, telescopes={"night": camera})
@@ -33,7 +33,7 @@ def stars_of(run):
 
 
 @pytest.mark.parametrize("exposure_s", [0.0, 0.8])
-def test_stars_stand_where_main_axis_mounting_and_sky_put_them(exposure_s):
+def test_stars_are_imaged_according_to_main_axis_mounting_and_sky(exposure_s):
     # Of an exposure the mean of the way, by the trapezoidal rule; the mount sweeps 12' in the longer one. For the
     # simulation the sky stands still meanwhile: what its turn, 12", and that of the image, 2°, have as product is left,
     # 0.03" or 0.002 px.
@@ -82,7 +82,7 @@ def test_no_stars_in_an_outage_and_by_day():
     assert not any(message.stars for message in stars_of(simulate(scenario, seed=1)))
 
 
-def test_parallelism_is_drawn_with_its_sigma_and_told_as_truth():
+def test_parallelism_is_drawn_with_its_sigma_and_published_as_truth():
     scenario = night(azimuth_sigma_arcsec=2.0, elevation_sigma_arcsec=3.0, roll_sigma_arcsec=40.0)
     config = scenario.telescopes["night"]
     known = np.deg2rad([config.azimuth_deg, config.elevation_deg, config.roll_deg])
@@ -111,16 +111,16 @@ def test_a_start_beyond_the_table_of_the_earth_is_refused(tmp_path):
     text = (SCENARIOS / "theodolite_night.yaml").read_text(encoding="utf-8").replace("2014-07-09", "2199-07-09")
     path = tmp_path / "far.yaml"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(Exception, match="cannot be given a sky"):
+    with pytest.raises(Exception, match="no sky can be computed"):
         load_scenario(path)
 
 
-def test_errors_that_stay_with_the_detector_are_drawn_for_this_camera_too():
+def test_detector_errors_are_drawn_for_this_camera_too():
     told = {"identified": True, "false_stars": 0.0, "exposure_s": 0.0}
     plain, spatial = (
         simulate(night(duration_s=20.0, camera__field_spatial_sigma_px=sigma_px, **told), seed=1)
         for sigma_px in (0.0, 0.5)
     )
     off_px = spatial.theodolite.stars["night"].pixel - plain.theodolite.stars["night"].pixel
-    # Few places of the detector are independent of one another: between half and twice its sigma.
+    # Few positions of the detector are independent: the sigma is within a factor of two.
     assert 0.25 < np.sqrt(np.mean(off_px**2)) < 1.0

@@ -11,18 +11,18 @@ from ship_simulation.scenario.scenario import start_of
 
 
 def assert_sigma(values, sigma):
-    """The RMS of independent values is that of a sigma, within the chi² band of 99.9 %."""
+    """Check that the RMS of independent values matches a sigma, within the chi² band of 99.9 %."""
     low, high = sigma_ratio_band(values.size)
     assert low < np.sqrt(np.mean(values**2)) / sigma < high
 
 
-def test_gauss_markov_is_steady_from_the_start_and_forgets_as_it_should():
+def test_gauss_markov_is_stationary_from_the_start_with_its_correlation_time():
     count = 4000
     sigma, time_s = np.full(count, 5.0), np.full(count, 20.0)
     process = GaussMarkov(random_stream(1, "test"), 1.0, sigma, time_s).take(41)
     for moment in (0, 1, 20, 40):
         assert_sigma(process[moment], 5.0)
-    # What is left of x(0) at x(20 s) is exp(-1) of it; the rest is independent of it.
+    # x(20 s) contains exp(-1) of x(0); the rest is independent of it.
     assert_sigma(process[20] - np.exp(-1.0) * process[0], 5.0 * np.sqrt(1.0 - np.exp(-2.0)))
     correlation = np.mean(process[20] * process[0]) / 25.0
     assert correlation == pytest.approx(np.exp(-1.0), abs=3.3 / np.sqrt(count))
@@ -48,7 +48,7 @@ def test_stamps_of_a_rate_that_does_not_divide_the_second_do_not_drift():
 
 
 @pytest.mark.parametrize(("rate_hz", "phase_s"), [(30.0, 0.01), (7.0, 0.0), (0.03, 12.0), (1.0, 0.5), (0.001, 0.0)])
-def test_stretches_hold_each_stamp_once_and_know_the_last(rate_hz, phase_s):
+def test_stretches_contain_each_stamp_once_and_identify_the_last(rate_hz, phase_s):
     whole = Stretch(5, 101.5).stamps(rate_hz, phase_s)
     parts = list(stretches_of(5, 101.5, 4))
     np.testing.assert_array_equal(np.concatenate([part.stamps(rate_hz, phase_s) for part in parts]), whole)
@@ -68,7 +68,7 @@ def test_processes_and_streams_go_on_where_they_were_left():
     assert [draws.stream("b").standard_normal() for _ in range(3)] == numbers[:3].tolist()
 
 
-def test_a_slow_error_forgets_nothing_that_is_still_asked_for():
+def test_a_correlated_error_drops_no_part_that_is_still_requested():
     moments_s = np.linspace(0.0, 400.0, 1001)
     whole = SlowError(random_stream(1, "test"), 390.0, np.array([1.0, 2.0]), 6.0)
     forgetful = SlowError(random_stream(1, "test"), 390.0, np.array([1.0, 2.0]), 6.0)
@@ -77,7 +77,7 @@ def test_a_slow_error_forgets_nothing_that_is_still_asked_for():
         part = slice(first, first + 77)
         forgetful.forget(moments_s[first] - 1.0)
         np.testing.assert_array_equal(forgetful.at(moments_s[part]), expected[part])
-    with pytest.raises(ValueError, match="forgotten"):
+    with pytest.raises(ValueError, match="dropped"):
         forgetful.at(np.array([3.0]))
 
 
@@ -94,7 +94,7 @@ def test_start_of(text, ns):
 
 
 @pytest.mark.parametrize("text", ["2014-07-09T11:50:07.8", "2014-07-09", "11:50:07Z", "yesterday"])
-def test_start_of_refuses_what_is_no_moment_in_utc(text):
+def test_start_of_refuses_texts_that_are_no_utc_time(text):
     with pytest.raises(ValueError, match="expected YYYY-MM-DDThh:mm:ss"):
         start_of(text)
 

@@ -1,4 +1,4 @@
-"""Rows of a voyage, a block at a time: the same as all at once, whatever the order in which they are asked for."""
+"""Rows of a voyage computed in blocks: equal to those computed all at once, for any order of access."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ COUNT = 2 * BLOCK_ROWS + 5
 
 
 class Asked:
-    """Squares of numbers, and which blocks of them were asked for."""
+    """Squares of numbers, with a record of the computed blocks."""
 
     def __init__(self):
         self.parts = []
@@ -22,7 +22,7 @@ class Asked:
         return (np.arange(COUNT)[part] ** 2).tolist()
 
 
-def test_rows_are_those_of_all_at_once_to_the_last_bit():
+def test_rows_equal_those_computed_all_at_once():
     rotation = Rotation.random(COUNT, np.random.default_rng(1)).as_matrix()
     rows = quaternion_rows(rotation)
     assert [rows[row] for row in range(COUNT)] == quaternion_from_rotation(rotation).tolist()
@@ -31,7 +31,7 @@ def test_rows_are_those_of_all_at_once_to_the_last_bit():
 def test_blocks_are_computed_once_in_order_of_time():
     asked = Asked()
     rows = Rows(asked)
-    # As samples arrive: some a little out of the order of their stamps, here across the ends of blocks.
+    # Order of arrival: some samples out of the order of their stamps, here across the ends of blocks.
     order = np.argsort(np.arange(COUNT) + np.random.default_rng(1).uniform(0.0, 50.0, COUNT))
     assert [rows[int(row)] for row in order] == (order**2).tolist()
     assert asked.parts == [slice(start, start + BLOCK_ROWS) for start in range(0, COUNT, BLOCK_ROWS)]

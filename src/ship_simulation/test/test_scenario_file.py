@@ -1,4 +1,4 @@
-"""Scenario files with real stars: what is refused."""
+"""Scenario files with real stars: refused values."""
 
 import pytest
 
@@ -43,17 +43,17 @@ BROKEN = {
     "mask of two corners": (
         "    magnitude_limit: 6.0",
         "    masks:\n      flag: {azimuths_deg: [1.0, 2.0], elevations_deg: [1.0, 2.0]}",
-        "parameter 'star_sensors.fore.masks.flag': 2 azimuths and 2 elevations are no polygon",
+        "parameter 'star_sensors.fore.masks.flag': 2 azimuths and 2 elevations do not define a polygon",
     ),
     "no Earth orientation": (
         "2014-07-09T11:50:07.8Z",
         "2090-07-09T11:50:07.8Z",
-        "'start_utc' = 2090-07-09T11:50:07.8Z cannot be given a sky: no Earth orientation for",
+        "'start_utc' = 2090-07-09T11:50:07.8Z: no sky can be computed: no Earth orientation for",
     ),
-    "fault that cannot happen": (
+    "fault that does not apply": (
         "position:",
         "faults: {f: {topic: star/fore/observations, kind: covariance_unknown, start_s: 1.0, end_s: 2.0}}\nposition:",
-        "'faults.f.kind' = covariance_unknown cannot happen to ship_msgs/msg/StarObservationArray",
+        "'faults.f.kind' = covariance_unknown does not apply to ship_msgs/msg/StarObservationArray",
     ),
     "topic of another output": (
         "position:",
@@ -76,7 +76,7 @@ def test_a_broken_scenario_is_refused_with_file_line_and_key(case, tmp_path):
     assert line.isdecimal()
 
 
-def test_a_voyage_without_real_stars_may_lie_anywhere_in_time(tmp_path):
+def test_a_voyage_without_real_stars_may_have_any_date(tmp_path):
     path = tmp_path / "far.yaml"
     text = (PAPER_STARS.parent / "paper.yaml").read_text(encoding="utf-8")
     path.write_text(text.replace("2014-07-09", "2090-07-09", 1), encoding="utf-8")

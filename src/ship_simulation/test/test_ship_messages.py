@@ -61,7 +61,7 @@ def test_entries_come_in_order_of_log_time_with_every_topic():
     }
 
 
-def test_imu_speaks_enu_and_forward_left_up():
+def test_imu_uses_enu_and_forward_left_up():
     run = short_run(duration_s=1.0)
     message, log = entries_of(run, "ins/imu")[7]
     assert ns_from_stamp(message.header.stamp) == run.ins.time_ns[7]
@@ -116,7 +116,7 @@ def test_star_message_carries_angles_and_both_covariances():
     np.testing.assert_allclose(covariance, jacobian @ total_n @ jacobian.T, rtol=0.0, atol=1e-6 * covariance.max())
 
 
-def test_star_message_at_the_zenith_says_singular():
+def test_star_message_at_the_zenith_has_status_angles_singular():
     scenario = load_scenario(SCENARIOS / "paper.yaml")
     still = dataclasses.replace(scenario.carrier, pitch=AngleMotion(), roll=AngleMotion())
     zenith = StarSensor(azimuth_deg=0.0, elevation_deg=90.0)
@@ -126,14 +126,14 @@ def test_star_message_at_the_zenith_says_singular():
     assert np.isfinite(message.rotation_covariance).all()
 
 
-def test_truth_messages_hold_the_attitude_and_every_state():
+def test_truth_messages_contain_the_attitude_and_every_state():
     reference = Reference(heading_deg=-0.8, installation_sigma_arcsec=0.0, time_offset_s=0.1, time_offset_sigma_s=0.0)
     run = short_run(duration_s=2.0, references={"s330": reference})
     attitude, log = entries_of(run, "truth/attitude")[5]
     stamp_ns = ns_from_stamp(attitude.header.stamp)
     assert log == stamp_ns == run.ins.time_ns[run.truth.ins_index[5]]
     expected = angles_from_rotation(run.truth.rotation_nd[5])
-    # One attitude and arrays of them are computed by different routines: their last bits may differ.
+    # Single attitudes and arrays use different routines, whose last bits may differ.
     np.testing.assert_allclose([attitude.heading, attitude.pitch, attitude.roll], expected, rtol=0.0, atol=1e-15)
     np.testing.assert_allclose(
         rotation_from_quaternion(quaternion(attitude)), run.truth.rotation_nd[5], rtol=0.0, atol=1e-14

@@ -1,4 +1,4 @@
-"""The command: bags that repeat to the byte, attachments that fit, one line for what is wrong."""
+"""The command ``simulate``: bags reproducible to the byte, matching attachments, one line for each error."""
 
 import hashlib
 import subprocess
@@ -46,7 +46,7 @@ def test_another_process_gives_the_same_bytes(scenario, tmp_path):
     assert (tmp_path / "here.mcap").read_bytes() == (tmp_path / "there.mcap").read_bytes()
 
 
-def test_the_bag_holds_the_scenario_and_a_suite_configuration_with_its_sigmas(scenario, tmp_path):
+def test_the_bag_contains_the_scenario_and_a_suite_configuration_with_its_sigmas(scenario, tmp_path):
     out = tmp_path / "short.mcap"
     assert main([str(scenario), "--out", str(out), "--seed", "1"]) == 0
     with read_bag(out) as bag:
@@ -109,8 +109,8 @@ def test_a_record_that_is_too_short_is_refused(scenario, tmp_path, capsys):
     assert main([str(scenario), "--out", str(recording)]) == 0
     capsys.readouterr()
     line = refused(main, capsys, SCENARIOS / "recorded.yaml", "--out", tmp_path / "x.mcap", "--carrier", recording)
-    assert "the recorded motion holds 4.0 s" in line
-    assert "shorten duration_s" in line
+    assert "the recorded motion lasts 4.0 s" in line
+    assert "reduce duration_s" in line
     assert not (tmp_path / "x.mcap").exists()
 
 
@@ -127,7 +127,7 @@ BROKEN = {
     "missing": ("elevation_deg: 45.0, ", "", ":8: parameter 'star_sensors.fore.elevation_deg'"),
     "unknown group": ("references:", "refs:", ":10: parameter 'refs' is unknown"),
     "kind": ("kind: sinusoids", "kind: magic", ":4: parameter 'carrier.kind' = 'magic' must be one of sinusoids"),
-    "not a moment": ("11:50:07.8Z", "11:50:07.8", ":1: 'start_utc' = 2014-07-09T11:50:07.8 is not a moment"),
+    "not a time": ("11:50:07.8Z", "11:50:07.8", ":1: 'start_utc' = 2014-07-09T11:50:07.8 is not a time"),
     "unused group": ("kind: sinusoids", "kind: recorded", ":5: 'carrier.roll' is not used by a carrier of kind"),
     "no recording": (
         "  kind: sinusoids\n  roll: {waves: {swell: {amplitude_deg: 4.0, period_s: 11.0}}}",
@@ -149,7 +149,7 @@ BROKEN = {
     "fault kind": (
         "references:",
         "faults: {f: {topic: gnss/fix, kind: rate_in_degrees, start_s: 1.0, end_s: 2.0}}\nreferences:",
-        ":9: 'faults.f.kind' = rate_in_degrees cannot happen to sensor_msgs/msg/NavSatFix",
+        ":9: 'faults.f.kind' = rate_in_degrees does not apply to sensor_msgs/msg/NavSatFix",
     ),
     "fault delay": (
         "references:",
@@ -170,7 +170,7 @@ def test_a_broken_scenario_is_one_line_with_file_line_and_key(case, scenario, tm
     assert list(tmp_path.iterdir()) == [scenario]
 
 
-def test_files_that_are_not_there_are_named(scenario, tmp_path, capsys):
+def test_missing_files_are_named(scenario, tmp_path, capsys):
     line = refused(main, capsys, tmp_path / "none.yaml", "--out", tmp_path / "x.mcap")
     assert "none.yaml" in line
     assert "No such file" in line
@@ -190,6 +190,6 @@ def test_a_seed_is_a_whole_number(seed, scenario, tmp_path, capsys):
     assert "whole number" in capsys.readouterr().err
 
 
-def test_a_carrier_for_a_scenario_that_follows_none_is_refused(scenario, tmp_path, capsys):
+def test_a_carrier_for_a_scenario_without_recording_is_refused(scenario, tmp_path, capsys):
     line = refused(main, capsys, scenario, "--out", tmp_path / "x.mcap", "--carrier", tmp_path / "carrier.mcap")
     assert "short.yaml:4: 'carrier.kind' must be recorded" in line

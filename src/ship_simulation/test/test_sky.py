@@ -1,4 +1,4 @@
-"""The sky over the simulated ship: against chains that share no code with it, and the errors drawn for it."""
+"""The sky over the simulated ship: comparison with independent algorithms, and the drawn errors."""
 
 import dataclasses
 from pathlib import Path
@@ -37,13 +37,13 @@ def observer_of(sky):
 
 
 def assert_sigma(values, sigma):
-    """The RMS of independent values is that of a sigma, within the chi² band of 99.9 %."""
+    """Check that the RMS of independent values matches a sigma, within the chi² band of 99.9 %."""
     low, high = sigma_ratio_band(np.size(values))
     assert low < np.sqrt(np.mean(np.square(values))) / sigma < high
 
 
 def by_atco13(sky, rows, time_ns):
-    """Observed directions (N, U, E) by ERFA's one function for everything, its refraction included."""
+    """Return observed directions (N, U, E) by ERFA's single function for all effects, its refraction included."""
     stars, orientation, place = sky.positions[rows], sky.orientation(time_ns), sky.track.at(time_ns)
     azimuth, zenith_distance, *_ = erfa.atco13(
         stars.right_ascension,
@@ -69,7 +69,7 @@ def by_atco13(sky, rows, time_ns):
 
 
 def test_directions_with_air_are_those_of_atco13():
-    # UT1 a second off and air far from what is told: what is drawn is what is used.
+    # UT1 1 s off and air far from the known one: the drawn values are used.
     weather = dataclasses.replace(paper_stars().weather, pressure_sigma_hpa=30.0, temperature_sigma_k=10.0)
     sky = drawn(1, earth_rotation_sigma_s=1.0, weather=weather)
     assert abs(sky.ut1_error_s) > 0.1
@@ -80,11 +80,11 @@ def test_directions_with_air_are_those_of_atco13():
         high = elevation_of(direction_n) > np.deg2rad(15.0)
         assert np.count_nonzero(high) > 100
         difference = angle_between(direction_n[high], by_atco13(sky, rows[high], moment))
-        # ERFA does the refraction of its two constants in another way: 0.03 mas at 15°.
+        # ERFA evaluates the refraction of its two constants differently: 0.03 mas at 15°.
         assert np.max(difference) < 0.1 * MAS
 
 
-def test_a_moving_ship_sees_the_stars_where_it_is_and_ahead_of_where_they_stand():
+def test_a_moving_ship_has_its_position_and_aberration():
     scenario = with_position(paper_stars(), speed_m_per_s=15.0, course_deg=60.0)
     sky = draw_sky(scenario, ShipTrack(scenario.position, START_NS), seed=1)
     rows = sky.catalogue.brighter_than(4.0)
@@ -96,7 +96,7 @@ def test_a_moving_ship_sees_the_stars_where_it_is_and_ahead_of_where_they_stand(
     velocity = 15.0 / 299_792_458.0 * np.array([0.5, 0.0, np.sqrt(0.75)])
     towards = velocity - at_rest * (at_rest @ velocity)[:, None]
     np.testing.assert_allclose(ours - at_rest, towards, rtol=0.0, atol=0.2 * MAS)
-    # The place moves with the velocity: 9 km in ten minutes, by the chord on the ellipsoid.
+    # The position moves with the velocity: 9 km in ten minutes, by the chord on the ellipsoid.
     start, end = (sky.track.at(np.array(time_ns)) for time_ns in (START_NS, later_ns))
     way_m = vector_between(start, end)
     assert way_m[[0, 2]] == pytest.approx([4500.0, 4500.0 * np.sqrt(3.0)], rel=1e-3)
@@ -115,7 +115,7 @@ def test_the_almanacs_refraction_is_another():
     assert np.isnan(theirs[:, 0]).sum() > np.isnan(ours[:, 0]).sum() > 0
 
 
-def test_the_horizon_turns_among_the_stars_as_erfas_other_chain_says():
+def test_the_horizon_rotation_equals_that_of_erfas_cirs_chain():
     """Without aberration and deflection, ICRS → CIRS → observed by angles must be the one rotation."""
     sky = drawn(2)
     time_ns = np.array(START_NS + 1234 * SECOND_NS)
@@ -146,7 +146,7 @@ def test_the_horizon_turns_among_the_stars_as_erfas_other_chain_says():
     assert np.max(angle_between(ours, expected)) < 0.01 * MAS
 
 
-def test_the_lift_is_the_refraction_of_what_is_seen_and_turns_about_the_horizontal():
+def test_the_refraction_rotation_is_about_the_horizontal():
     sky = drawn(1)
     rows = sky.catalogue.brighter_than(3.0)
     stars = sky.positions[rows]
@@ -155,7 +155,7 @@ def test_the_lift_is_the_refraction_of_what_is_seen_and_turns_about_the_horizont
     visible = np.isfinite(seen[:, 0])
     lifted = (sky.lift(seen[visible]) @ without_air[visible][..., None])[..., 0]
     assert np.max(angle_between(lifted, seen[visible])) < 0.01 * MAS
-    # Its axis is the sensor's right, level with the horizon: no roll about what is seen, none about Up.
+    # Its axis is horizontal, to the sensor's right: no rotation about the boresight or about Up.
     turns_n = log_rotation(sky.lift(seen[visible]))
     np.testing.assert_allclose(turns_n[:, 1], 0.0, atol=1e-12)
     np.testing.assert_allclose(np.sum(turns_n * seen[visible], axis=1), 0.0, atol=1e-12)
@@ -171,7 +171,7 @@ def test_the_sun_is_where_skyfield_sees_it():
     time_ns = START_NS + np.rint(hours * 3600 * SECOND_NS).astype(np.int64)
     moments = timescale.tt_jd(*tt_julian_date(time_ns))
     elevation, _, _ = (ephemeris["earth"] + place).at(moments).observe(ephemeris["sun"]).apparent().altaz()
-    # Aberration (20″) and parallax (9″) of the Sun are left out, and the way between minutes is straight.
+    # Aberration (20″) and parallax (9″) of the Sun are neglected, and the interpolation between minutes is linear.
     np.testing.assert_allclose(np.rad2deg(sky.sun_elevation(time_ns)), elevation.degrees, rtol=0.0, atol=0.02)
     ephemeris.close()
 
@@ -192,7 +192,7 @@ def test_errors_common_to_all_stars_have_their_sigmas():
     assert all(sky.weather.relative_humidity == 0.5 for sky in skies)
 
 
-def test_without_a_sigma_ut1_errs_as_its_table_says():
+def test_without_a_sigma_ut1_has_the_error_of_its_table():
     told = earth_orientation_table().at(START_NS)
     skies = [drawn(seed) for seed in range(100)]
     assert_sigma([sky.ut1_error_s for sky in skies], float(told.ut1_sigma_s))
@@ -200,10 +200,10 @@ def test_without_a_sigma_ut1_errs_as_its_table_says():
     assert true.ut1_minus_utc_s - told.ut1_minus_utc_s == pytest.approx(skies[0].ut1_error_s, abs=1e-15)
 
 
-def test_stars_stand_beside_their_catalogue_places_by_the_catalogues_sigma():
+def test_star_positions_have_the_errors_of_the_catalogue():
     sky = drawn(3)
     known, true = sky.catalogue.at_j2000, sky.positions
-    # By the end of the test, independent of how it is drawn: 2014.52 is 23.27 years after 1991.25.
+    # Independent of the implementation: 2014.52 is 23.27 years after 1991.25.
     sigma = np.hypot(sky.catalogue.position_sigma, 23.27 * sky.catalogue.pm_sigma)
     east = (true.right_ascension - known.right_ascension) * np.cos(known.declination)
     assert_sigma(east / sigma, 1.0)
@@ -211,9 +211,9 @@ def test_stars_stand_beside_their_catalogue_places_by_the_catalogues_sigma():
     assert abs(np.mean(east / sigma * (true.declination - known.declination) / sigma)) < 3.3 / np.sqrt(len(sigma))
 
 
-def test_a_place_of_date_needs_no_proper_motion():
+def test_a_position_of_date_needs_no_proper_motion():
     sky = drawn(1)
-    # Arcturus has moved by 33″ since 2000; Polaris stands where right ascensions crowd.
+    # Arcturus has moved by 33″ since 2000; Polaris is near the pole.
     rows = sky.catalogue.rows([69673, 11767])
     known = sky.catalogue.at_j2000[rows]
     of_date = place_of_date(known, START_NS)
@@ -225,7 +225,7 @@ def test_a_place_of_date_needs_no_proper_motion():
     assert moved[0] / ARCSEC == pytest.approx(14.52 * 2.279, abs=0.2)
 
 
-def test_fixes_have_a_white_and_a_slow_error_and_say_so():
+def test_fixes_have_a_white_and_a_correlated_error_and_state_them():
     scenario = with_position(
         paper_stars(duration_s=3600.0), sigma_m=2.0, slow_sigma_m=10.0, slow_time_s=1.0, speed_m_per_s=10.0
     )
@@ -236,9 +236,9 @@ def test_fixes_have_a_white_and_a_slow_error_and_say_so():
     sigma_m = np.sqrt(2.0**2 + 10.0**2)
     np.testing.assert_allclose(fixes.covariance_m2, sigma_m**2 * np.eye(3))
     for axis in range(3):
-        # Every fifth: what remains of the slow error after five correlation times is 0.7 %.
+        # Every fifth: after five correlation times 0.7 % of the correlated error remains.
         assert_sigma(error_m[::5, axis], sigma_m)
-        # From fix to fix, exp(-1) of the slow part remains.
+        # From fix to fix, exp(-1) of the correlated part remains.
         neighbours = np.mean(error_m[1:, axis] * error_m[:-1, axis]) / 10.0**2
         assert neighbours == pytest.approx(np.exp(-1.0), abs=0.1)
     without_slow = with_position(dataclasses.replace(scenario, star_sensors={}), slow_sigma_m=0.0)

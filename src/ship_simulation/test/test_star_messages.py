@@ -1,4 +1,4 @@
-"""Messages of sensors that look at the real sky: what they hold, what faults do to them, bags that repeat."""
+"""Messages of sensors that observe the real sky: content, effects of faults, reproducible bags."""
 
 import dataclasses
 
@@ -20,7 +20,7 @@ OBSERVATIONS, INERTIAL = "star/fore/observations", "star/fore/inertial_attitude"
 
 
 def entries_of(run, topic):
-    """(message, log time) of one topic, through the bytes of a bag."""
+    """Return (message, log time) of one topic, through the bytes of a bag."""
     store = message_store()
     found = [(message, log) for name, message, log in messages([run], RosbagsFactory()) if name == topic]
     return [(store.deserialize_cdr(serialize(message), message.__msgtype__), log) for message, log in found]
@@ -40,7 +40,7 @@ def test_an_observation_has_a_number_or_a_direction_or_nothing():
                 assert star.sigma_px == pytest.approx(0.13222, rel=1e-6)
 
 
-def test_an_inertial_attitude_speaks_forward_left_up():
+def test_an_inertial_attitude_uses_forward_left_up():
     sensor = {"output": "inertial_attitude", "sigma_forward_arcsec": 60.0, "sigma_right_arcsec": 5.0}
     run = simulate(with_sensor(paper_stars(duration_s=1.0), **sensor), seed=1)
     message, log = entries_of(run, INERTIAL)[3]
@@ -49,7 +49,7 @@ def test_an_inertial_attitude_speaks_forward_left_up():
     assert (message.sensor_id, message.header.frame_id) == ("fore", "star_fore")
     q = message.orientation
     rotation_if = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
-    # By hand: columns forward, left, up of forward, up, right.
+    # By hand: columns forward, left, up from forward, up, right.
     forward, up, right = samples.rotation_cv[3].T
     np.testing.assert_allclose(rotation_if, np.stack([forward, -right, up], axis=1), rtol=0.0, atol=1e-14)
     # About forward, left, up: 60″, that about right, that about up.
@@ -58,12 +58,12 @@ def test_an_inertial_attitude_speaks_forward_left_up():
 
 
 def in_window(entries, run):
-    """The entries stamped from 1 s to 2 s."""
+    """Return the entries stamped from 1 s to 2 s."""
     return [m for m, _ in entries if SECOND_NS <= ns_from_stamp(m.header.stamp) - run.start_ns < 2 * SECOND_NS]
 
 
 def faulty(scenario, topic, kind, **changes):
-    """The run, the entries of a topic without, and with a fault from 1 s to 2 s."""
+    """Return the run, and the entries of a topic without and with a fault from 1 s to 2 s."""
     fault = Fault(topic=topic, kind=kind, start_s=1.0, end_s=2.0, **changes)
     clean, spoilt = simulate(scenario, 1), simulate(dataclasses.replace(scenario, faults={"fault": fault}), 1)
     return clean, entries_of(clean, topic), entries_of(spoilt, topic)
@@ -83,7 +83,7 @@ def inertial_scenario():
         (INERTIAL, "covariance_negative", lambda m: m.covariance[4] < 0.0 < m.covariance[0]),
     ],
 )
-def test_a_spoilt_field_is_spoilt_in_the_window_only(topic, kind, differs):
+def test_a_field_fault_is_limited_to_its_window(topic, kind, differs):
     scenario = with_sensor(paper_stars(duration_s=3.0)) if topic == OBSERVATIONS else inertial_scenario()
     run, clean, spoilt = faulty(scenario, topic, kind)
     assert len(clean) == len(spoilt) == 16

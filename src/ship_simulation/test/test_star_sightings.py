@@ -1,4 +1,4 @@
-"""Single stars and inertial attitudes of a simulated voyage: which stars, where on the detector, called what."""
+"""Single stars and inertial attitudes of a simulated voyage: selection, position on the detector, identity."""
 
 import dataclasses
 
@@ -25,7 +25,7 @@ DISTORTED = {"distortion_k1": -0.4, "distortion_k2": 2.0, "distortion_p1": 1e-3,
 
 
 def sightings_of(scenario, seed=1):
-    """(what the sensor says, what its stars are, the sky) of the only sensor."""
+    """Return (sightings, truth, sky) of the only sensor."""
     run = simulate(scenario, seed)
     return run.stars[FORE], run.truth.sightings[FORE], run.truth.sky
 
@@ -36,12 +36,12 @@ def assert_sigma(values, sigma):
 
 
 def share_band(count, share):
-    """The 99.9 % band of the number of hits."""
+    """Return the 99.9 % band of the number of hits."""
     return binom.ppf([0.0005, 0.9995], count, share)
 
 
 def by_atco13(sky, rows, time_ns):
-    """Observed directions (N, U, E) with air of some stars, at one moment or one moment a star."""
+    """Return observed directions (N, U, E) with refraction of stars, at one time or one time per star."""
     stars, orientation, place = sky.positions[rows], sky.orientation(time_ns), sky.track.at(time_ns)
     air = sky.weather
     azimuth, zenith_distance, *_ = erfa.atco13(
@@ -63,7 +63,7 @@ def stars_by_exposure(said, truth):
 
 @pytest.mark.parametrize("most_stars", [1000, 5])
 def test_a_star_behind_a_mask_is_not_seen_and_the_next_brightest_is(most_stars):
-    """Against the same voyage without the mast, each star looked up in the mast's rectangle."""
+    """Compared with the same voyage without the mast; each star is looked up in the mast's rectangle."""
     mast = MaskConfig(azimuths_deg=(340.0, 361.0, 361.0, 340.0), elevations_deg=(-5.0, -5.0, 47.0, 47.0))
     free = with_sensor(paper_stars(), most_stars=1000, camera=QUIET)
     said, truth, sky = sightings_of(free)
@@ -83,7 +83,7 @@ def test_a_star_behind_a_mask_is_not_seen_and_the_next_brightest_is(most_stars):
         assert found == set(truth.hip[brightest].tolist())
 
 
-def test_each_star_stands_where_the_attitude_and_erfa_put_it():
+def test_each_star_is_imaged_according_to_attitude_and_erfa():
     scenario = with_sensor(
         paper_stars(),
         time_offset_s=0.3,
@@ -110,7 +110,7 @@ def test_each_star_stands_where_the_attitude_and_erfa_put_it():
 
 
 @pytest.mark.slow
-def test_all_stars_of_the_catalogue_that_stand_on_the_detector_are_there_and_no_others():
+def test_all_catalogue_stars_on_the_detector_are_present_and_no_others():
     scenario = with_sensor(paper_stars(duration_s=20.0), magnitude_limit=7.0, most_stars=1000, camera=QUIET)
     said, truth, sky = sightings_of(scenario)
     bright = np.flatnonzero(sky.catalogue.magnitude <= 7.0)
@@ -126,7 +126,7 @@ def test_all_stars_of_the_catalogue_that_stand_on_the_detector_are_there_and_no_
         assert sorted(truth.hip[said.rows(index)]) == sorted(expected)
 
 
-def test_the_brightest_are_kept():
+def test_the_brightest_stars_are_selected():
     many, many_truth, sky = sightings_of(with_sensor(paper_stars(), most_stars=1000))
     few, few_truth, _ = sightings_of(with_sensor(paper_stars(), most_stars=5))
     magnitude = dict(zip(sky.catalogue.hip.tolist(), sky.catalogue.magnitude.tolist(), strict=True))
@@ -141,7 +141,7 @@ def test_centroids_scatter_by_their_sigma_and_magnitudes_too():
     error_px = said.pixel - camera.pixels(truth.direction_s)
     assert_sigma(error_px[:, 0], 0.13222)
     assert_sigma(error_px[:, 1], 0.13222)
-    # 3″ on the sky, as the estimator is told; the same from the directions themselves, two degrees each.
+    # 3″ on the sky, as stated to the estimator; the same from the directions, two degrees of freedom each.
     assert said.stars.sigma == pytest.approx(np.full(len(said.stars), 3.0 * ARCSEC), rel=0.05)
     angle = angle_between(said.stars.directions_s, truth.direction_s)
     low, high = mean_nees_band(angle.size, 2)
@@ -150,7 +150,7 @@ def test_centroids_scatter_by_their_sigma_and_magnitudes_too():
 
 
 def ways_of(scenario, said, truth, count=200):
-    """Where each star of a run truly is on the detector at many moments of its exposure, shape (count, k, 2)."""
+    """Return the true points of each star at many times of its exposure, shape (count, k, 2)."""
     sensor, carrier = scenario.star_sensors[FORE], carrier_of(scenario.carrier, 1)
     camera, first_ns = sensor.camera.camera("camera"), said.time_ns[0]
     exposure = np.repeat(np.arange(said.time_ns.size), np.diff(said.first))
@@ -163,18 +163,18 @@ def ways_of(scenario, said, truth, count=200):
 
 
 @pytest.mark.parametrize("exposure_s", [0.1, 2.0])
-def test_mend_09_a_simulated_centroid_is_the_mean_of_the_star_s_true_way(exposure_s):
+def test_a_simulated_centroid_is_the_mean_of_the_star_s_true_path(exposure_s):
     scenario = paper_stars_one(exposure_s=exposure_s, camera={**QUIET, **DISTORTED})
     said, truth, _ = sightings_of(scenario)
     way = ways_of(scenario, said, truth)
     off = np.abs(way.mean(axis=0) - way[100]).max()
     np.testing.assert_allclose(said.pixel, way.mean(axis=0), atol=max(2e-3, 1e-4 * off))
-    # Points are what they were without an exposure.
+    # Points without an exposure are unchanged.
     still, _, _ = sightings_of(paper_stars_one(camera={**QUIET, **DISTORTED}))
     assert np.max(np.abs(said.pixel - still.pixel)) > 0.05
 
 
-def test_mend_09_a_simulated_centroid_scatters_more_along_its_streak():
+def test_a_simulated_centroid_scatters_more_along_its_streak():
     scenario = paper_stars_one(duration_s=60.0, exposure_s=0.05)
     said, truth, _ = sightings_of(scenario)
     way = ways_of(scenario, said, truth, 20)
@@ -191,7 +191,7 @@ def paper_stars_one(duration_s=10.0, **changes):
     return with_sensor(paper_stars(duration_s=duration_s), **changes)
 
 
-def test_identified_stars_bear_their_number_and_the_catalogues_place():
+def test_identified_stars_have_their_number_and_catalogue_position():
     said, truth, sky = sightings_of(paper_stars_one())
     np.testing.assert_array_equal(said.stars.hip, truth.hip)
     rows = sky.catalogue.rows(said.stars.hip)
@@ -202,13 +202,13 @@ def test_identified_stars_bear_their_number_and_the_catalogues_place():
     np.testing.assert_array_equal(one.directions_s, said.stars.directions_s[said.rows(7)])
 
 
-def test_stars_may_be_told_by_their_directions_or_not_at_all():
+def test_stars_may_be_identified_by_their_directions_or_not_at_all():
     by_direction, truth, sky = sightings_of(paper_stars_one(direction_given=True))
     assert not by_direction.stars.hip.any()
     known = sky.catalogue.at_j2000[sky.catalogue.rows(truth.hip)]
     told = by_direction.stars.positions
     apart = erfa.seps(known.right_ascension, known.declination, told.right_ascension, told.declination)
-    # Proper motion of fourteen years is in what is told.
+    # The reported direction contains the proper motion of fourteen years.
     assert np.all(apart < 40.0 * ARCSEC)
     assert np.max(apart) > 0.1 * ARCSEC
     assert not np.any(told.pm_declination)
@@ -218,13 +218,13 @@ def test_stars_may_be_told_by_their_directions_or_not_at_all():
     np.testing.assert_array_equal(nameless.pixel, by_direction.pixel)
 
 
-def test_false_stars_are_poisson_uniform_in_the_field_and_called_anything():
+def test_false_stars_are_poisson_uniform_in_the_field_with_any_identity():
     scenario = paper_stars_one(duration_s=400.0, rate_hz=5.0, false_stars=2.0, most_stars=1)
     said, truth, sky = sightings_of(scenario)
     false = truth.hip == 0
     exposure = np.repeat(np.arange(said.time_ns.size), np.diff(said.first))
     counts = np.bincount(exposure[false], minlength=said.time_ns.size)
-    # Of a Poisson count the variance is the mean: both in their bands, 2001 exposures.
+    # Variance and mean of a Poisson count are equal: both in their bands, 2001 exposures.
     assert abs(counts.mean() - 2.0) < 3.3 * np.sqrt(2.0 / counts.size)
     low, high = chi2.ppf([0.0005, 0.9995], counts.size - 1)
     assert low < np.sum((counts - counts.mean()) ** 2) / 2.0 < high
@@ -232,7 +232,7 @@ def test_false_stars_are_poisson_uniform_in_the_field_and_called_anything():
     expected = false.sum() / 64.0
     assert np.sum((cells - expected) ** 2) / expected < chi2.ppf(0.9995, 63)
     assert cells.sum() == false.sum()
-    # The identity says nothing of the place: over the sky as the catalogue's stars are, seldom from the field itself.
+    # The identity is independent of the position: distributed as the catalogue's stars, rarely in the field itself.
     rows = sky.catalogue.rows(said.stars.hip[false])
     bright = sky.catalogue.brighter_than(6.0)
     north = np.mean(sky.catalogue.at_j2000.declination[bright] > 0.0)
@@ -243,7 +243,7 @@ def test_false_stars_are_poisson_uniform_in_the_field_and_called_anything():
     assert np.isnan(truth.direction_s[false]).all()
 
 
-def test_false_stars_leave_the_true_ones_as_they_were_and_stand_among_them():
+def test_false_stars_are_mixed_with_unchanged_true_ones():
     clean, clean_truth, _ = sightings_of(paper_stars_one())
     mixed, truth, _ = sightings_of(paper_stars_one(false_stars=3.0))
     true = truth.hip != 0
@@ -327,7 +327,7 @@ def test_the_same_seed_gives_the_same_stars_and_another_seed_others():
     assert first.pixel.shape != other.pixel.shape or np.any(first.pixel != other.pixel)
 
 
-def test_an_inertial_attitude_shows_its_boresight_where_refraction_and_aberration_taken_out_leave_it():
+def test_the_boresight_of_an_inertial_attitude_is_without_aberration_and_with_refraction():
     scenario = inertial(sigma_forward_arcsec=0.0, sigma_up_arcsec=0.0, sigma_right_arcsec=0.0)
     scenario = with_position(scenario, speed_m_per_s=15.0)
     run = simulate(scenario, seed=2)
@@ -339,7 +339,7 @@ def test_an_inertial_attitude_shows_its_boresight_where_refraction_and_aberratio
     elevation = np.arcsin(bare_nv[:, 1, 0])
     lifted = np.arcsin(true_nv[:, 1, 0]) - elevation
     np.testing.assert_allclose(lifted, refraction("erfa", elevation, sky.weather).angle, rtol=0.0, atol=0.1 * MAS)
-    # And nothing but a lift: a turn about the horizontal across the boresight.
+    # Only a rotation about the horizontal axis across the boresight.
     turn_n = log_rotation(true_nv @ np.swapaxes(bare_nv, -1, -2))
     np.testing.assert_allclose(turn_n[:, 1], 0.0, atol=0.1 * MAS)
     np.testing.assert_allclose(np.sum(turn_n * true_nv[:, :, 0], axis=1), 0.0, atol=0.1 * MAS)
@@ -363,7 +363,7 @@ def test_clouds_daylight_and_the_horizon_leave_no_inertial_attitude():
     assert kept.sum() == kept.size - 10
     np.testing.assert_array_equal(cloudy.rotation_cv, whole.rotation_cv[kept])
     assert simulate(inertial(sun_limit_deg=-20.0), seed=1).stars[FORE].time_ns.size == 0
-    # The roll of the ship takes a boresight at 5° under the limit and back.
+    # The roll of the ship moves a boresight at 5° below the limit and back.
     low = simulate(with_sensor(inertial(20.0), elevation_deg=5.0), seed=1).stars[FORE]
     assert 10 < low.time_ns.size < 95
 

@@ -1,4 +1,4 @@
-"""A voyage in stretches is the voyage as a whole, to the last byte of its bag."""
+"""A voyage in stretches equals the whole voyage, to the last byte of its bag."""
 
 import dataclasses
 from pathlib import Path
@@ -26,7 +26,7 @@ FAULTS = {
 
 
 def everything(**changes):
-    """All devices, late and out of order, spots that are no stars, wrong identities, a sensor without stars."""
+    """All devices, late and out of order, with false spots, wrong identities and a sensor without stars."""
     found = load_scenario(SCENARIOS / "everything.yaml")
     stars = dict(found.star_sensors)
     stars["bow"] = dataclasses.replace(stars["bow"], jitter_s=1.3)
@@ -71,6 +71,6 @@ def test_a_rare_sample_is_the_last_of_the_truth_wherever_it_is():
     assert logged(simulate_stretches(scenario, 3, 2)) == logged([simulate(scenario, 3)])
 
 
-def test_a_stretch_holds_no_more_than_its_samples():
+def test_a_stretch_contains_only_its_samples():
     sizes = [run.ins.time_ns.size for run in simulate_stretches(everything(), 3, 4)]
     assert sizes == [200, 200, 166]

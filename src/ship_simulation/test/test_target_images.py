@@ -1,4 +1,4 @@
-"""Targets in the main tube: images against formulas of this file, their noise, and the truth about them."""
+"""Targets in the main tube: images against formulas of this file, their noise, and their truth."""
 
 import dataclasses
 
@@ -22,7 +22,7 @@ FOCAL_LENGTH_M, EARTH_RADIUS_M = 1.5, 6_371_000.0
 
 
 def night(duration_s=6.0, detector=None, **target):
-    """The scenario of the night without lights and stars; changes by path of its detector and of its target."""
+    """Return the scenario without lights and stars; changes by path of its detector and of its target."""
     scenario = load_scenario(SCENARIOS / "theodolite_night.yaml")
     changes = {f"main_detector__{name}": value for name, value in (detector or {}).items()}
     balloon = replaced(scenario.targets["balloon"], **target)
@@ -33,13 +33,13 @@ def night(duration_s=6.0, detector=None, **target):
 
 
 def exact(**target):
-    """Nothing is wrong; images come at the stamps at which the bag tells the true main axis."""
+    """Return a run without errors, with images at the stamps of the true main axis in the bag."""
     detector = {"sigma_m": 1e-9, "focal_length_sigma_m": 0.0, "rotation_sigma_arcsec": 0.0, "exposure_s": 0.0}
     return without_errors(night(detector=detector, **target))
 
 
 def told(run):
-    """Topic → its messages."""
+    """Return topic → its messages."""
     found = {}
     for topic, message, _ in messages([run], RosbagsFactory()):
         found.setdefault(topic, []).append(message)
@@ -51,7 +51,7 @@ def by_stamp(found):
 
 
 def direction_n(image, pointing, focal_length_m=FOCAL_LENGTH_M, principal_x_m=1e-4):
-    """The image is inverted, and turned by the rotation of the detector, right side down."""
+    """Return the direction of an inverted image, rotated by the rotation of the detector, right side down."""
     rho = image.detector_rotation
     right_v, up_v = -(image.x - principal_x_m) / focal_length_m, -image.z / focal_length_m
     up, right = up_v * np.cos(rho) - right_v * np.sin(rho), right_v * np.cos(rho) + up_v * np.sin(rho)
@@ -64,7 +64,7 @@ def of_vector(vector):
     return ENU_FROM_HORIZON.T @ [vector.x, vector.y, vector.z]
 
 
-def test_images_show_the_direction_that_the_truth_tells():
+def test_images_show_the_direction_of_the_truth():
     found = told(simulate(exact(), seed=1))
     pointings, truths = by_stamp(found[POINTING]), by_stamp(found[TRUTH])
     assert len(found[IMAGE]) == len(truths) == 61
@@ -85,7 +85,7 @@ def test_images_show_the_direction_that_the_truth_tells():
     assert len(rotations) == 61
 
 
-def test_the_true_place_is_along_the_direction_lowered_by_the_air_at_the_true_range():
+def test_the_true_position_is_along_the_direction_without_refraction_at_the_true_range():
     run = simulate(exact(), seed=1)
     samples, scene = run.theodolite.targets, run.theodolite.truth.scene
     t_s = (samples.time_ns - run.start_ns) * 1e-9
@@ -122,8 +122,8 @@ def test_a_target_off_the_detector_has_no_image():
     assert IMAGE not in told(run)
 
 
-def test_an_exposure_shows_the_mean_of_the_way():
-    # A detector that turns by 60° while the mount sweeps: 2001 moments by the trapezoidal rule.
+def test_an_exposure_shows_the_mean_of_the_path():
+    # A detector that rotates by 60° while the mount sweeps: 2001 times by the trapezoidal rule.
     turning = {"exposure_s": 1.0, "rotation_rate_deg_per_s": 0.0, "rate_hz": 1.0, "phase_s": 2.0, "sigma_m": 1e-9}
     turning |= {"focal_length_sigma_m": 0.0, "rotation_sigma_arcsec": 0.0, "width_m": 0.2, "height_m": 0.2}
     hanging = {"course__kind": "hover", "course__hover__azimuth_deg": 61.0, "course__hover__elevation_deg": 36.0}

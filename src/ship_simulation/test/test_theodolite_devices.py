@@ -1,4 +1,4 @@
-"""The errors that a run with a theodolite draws: their size, what they share, and their independence of the rest."""
+"""Errors drawn by a run with a theodolite: size, common parts, and independence."""
 
 import dataclasses
 
@@ -20,7 +20,7 @@ SEEDS = 400
 
 
 def assert_sigma(values, sigma, probability=0.999):
-    """The RMS of independent values is that of a sigma, within the chi² band."""
+    """Check that the RMS of independent values matches a sigma, within the chi² band."""
     low, high = sigma_ratio_band(np.size(values), probability)
     assert low < np.sqrt(np.mean(np.square(values))) / sigma < high
 
@@ -61,8 +61,8 @@ def test_uniform_axis_errors_fill_their_range_and_no_more():
         assert_sigma(drawn[:, column], width / np.sqrt(3.0))
 
 
-def test_slow_errors_are_gauss_markov_at_any_moment():
-    # Independent at twenty correlation times; between the moments of the grid as on them.
+def test_correlated_errors_are_gauss_markov_at_any_time():
+    # Independent at twenty correlation times; between grid points as on them.
     moments_s = 10.0 * np.arange(2000) + 0.005
     process = SlowError(random_stream(1, "test"), moments_s[-1] + 1.0, np.array([3.0]), 0.5)
     first, later = process.at(moments_s)[:, 0], process.at(moments_s + 0.15)[:, 0]
@@ -109,7 +109,7 @@ def test_baselines_have_noise_a_bias_of_their_own_and_the_ship_antenna_in_common
     steps = np.diff(errors, axis=2)
     assert steps.std() == pytest.approx(np.sqrt(2.0) * 0.02, rel=0.05)
     mean = errors.mean(axis=2)
-    # Eleven epochs leave a third of the noise in the mean.
+    # The mean of eleven epochs contains a third of the noise.
     own = np.hypot(0.03, 0.02 / np.sqrt(11.0))
     assert_sigma((mean[:, 0] - mean[:, 1]) / np.sqrt(2.0), own)
     assert_sigma(mean[:, 0], np.hypot(0.05, own))
@@ -117,7 +117,7 @@ def test_baselines_have_noise_a_bias_of_their_own_and_the_ship_antenna_in_common
     assert correlation == pytest.approx(0.05**2 / (0.05**2 + own**2), abs=3.3 * 0.6 / np.sqrt(mean[:, 0].size))
 
 
-def test_baselines_say_float_and_none_and_stop():
+def test_baselines_have_fix_float_and_none_and_stop():
     windows = {
         "rtk__float_times": {"x": Outage(1.0, 3.0)},
         "rtk__no_solution_times": {"y": Outage(4.0, 5.0)},
@@ -139,13 +139,13 @@ def test_baselines_say_float_and_none_and_stop():
     sigma = np.sqrt(samples.covariance_n[:, 0, 0])
     np.testing.assert_allclose(sigma[samples.fix == FLOAT], np.hypot(0.3, 0.02))
     np.testing.assert_allclose(sigma[samples.fix == FIXED], 0.02)
-    # Over seeds the errors are what the messages say.
+    # Over seeds the errors match the stated sigmas.
     means = [baseline_errors(simulate(scenario, seed), "a")[expected == FLOAT].mean(axis=0) for seed in range(60)]
     assert np.std(means) == pytest.approx(0.3, rel=0.25)
     assert np.abs(baseline_errors(run, "a")[expected == FIXED]).max() < 0.15
 
 
-def test_drone_and_ship_attitudes_err_as_their_covariances_say():
+def test_errors_of_drone_and_ship_attitudes_match_their_covariances():
     scenario = with_beacons(bag_scenario(duration_s=1.0), leaves_s=0.8)
     nees = []
     for seed in range(100):

@@ -1,4 +1,4 @@
-"""What of a theodolite stands in a bag: units, axes, names, truth; and what faults do to it."""
+"""Messages of a theodolite in a bag: units, axes, names, truth; and effects of faults."""
 
 import dataclasses
 import hashlib
@@ -41,7 +41,7 @@ def test_every_topic_is_there_in_order_of_arrival(run):
     assert {topic: counts.get(topic) for topic in drones | pointing} == drones | pointing
 
 
-def test_encoder_and_image_messages_say_what_was_measured(run):
+def test_encoder_and_image_messages_contain_the_measurements(run):
     encoder, images = run.theodolite.encoder, run.theodolite.images
     message, log = entries_of(run, ENCODER)[7]
     assert (ns_from_stamp(message.header.stamp), log) == (encoder.time_ns[7], encoder.log_time_ns[7])
@@ -57,7 +57,7 @@ def test_encoder_and_image_messages_say_what_was_measured(run):
     assert message.beacons[0].sigma == pytest.approx(6.5e-7, rel=1e-6)
 
 
-def test_baselines_are_east_north_up_and_drones_stand_as_measured(run):
+def test_baselines_are_east_north_up_and_drones_have_their_attitude(run):
     samples = run.theodolite.baselines["a"]
     message, log = entries_of(run, BASELINE)[0]
     north, up, east = samples.baseline_n[0]
@@ -71,7 +71,7 @@ def test_baselines_are_east_north_up_and_drones_stand_as_measured(run):
     message, _ = entries_of(run, DRONE)[5]
     q = message.orientation
     yaw_deg = np.rad2deg(np.arctan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y**2 + q.z**2)))
-    # The nose at 20° from North, sway of 2°, errors of 1°: ROS yaw counts from East the other way.
+    # The nose at 20° from North, sway of 2°, errors of 1°: ROS yaw is from East, counterclockwise.
     assert yaw_deg == pytest.approx(70.0, abs=4.0)
     east_var, north_var, up_var = np.diag(message.orientation_covariance.reshape(3, 3))
     assert east_var == north_var == pytest.approx(np.deg2rad(0.3) ** 2 + np.deg2rad(0.05) ** 2)
@@ -86,7 +86,7 @@ def test_a_baseline_without_solution_is_nan():
     assert all(np.isnan([m.enu.x, m.enu.y, m.enu.z]).all() and np.isnan(m.covariance).all() for m in none)
 
 
-def test_the_fused_attitude_bears_its_covariance(run):
+def test_the_fused_attitude_has_its_covariance(run):
     message, _ = entries_of(run, "ship/attitude")[20]
     np.testing.assert_allclose(
         [message.heading, message.pitch, message.roll], angles_from_rotation(run.fused.rotation_nd[20]), atol=1e-12
@@ -97,7 +97,7 @@ def test_the_fused_attitude_bears_its_covariance(run):
     assert (message.status, message.horizon) == (message.VALID, message.GEODETIC)
 
 
-def test_truth_is_told_at_encoder_stamps(run):
+def test_truth_is_published_at_encoder_stamps(run):
     truth, stamps = run.theodolite.truth, set(run.theodolite.encoder.time_ns.tolist())
     found = entries_of(run, "truth/pointing")
     assert all(ns_from_stamp(message.header.stamp) == log and log in stamps for message, log in found)
@@ -117,7 +117,7 @@ def test_truth_is_told_at_encoder_stamps(run):
     assert [unit for name, unit in zip(calibration.names, calibration.units, strict=True) if unit == "m"] == ["m"]
 
 
-def test_truth_says_when_the_lights_are_gone_or_hidden():
+def test_truth_states_when_the_lights_are_gone_or_hidden():
     scenario = with_beacons(bag_scenario(duration_s=6.0), leaves_s=4.0)
     hidden = dataclasses.replace(scenario.beacons["b"], hidden={"x": Outage(1.0, 2.0)})
     found = entries_of(
@@ -128,7 +128,7 @@ def test_truth_says_when_the_lights_are_gone_or_hidden():
 
 
 def faulty(topic, kind, **changes):
-    """The messages of a topic without and with a fault from 1 s to 2 s."""
+    """Return the messages of a topic without and with a fault from 1 s to 2 s."""
     scenario = bag_scenario(duration_s=3.0)
     fault = Fault(topic=topic, kind=kind, start_s=1.0, end_s=2.0, **changes)
     clean = entries_of(simulate(scenario, seed=1), topic)
@@ -136,7 +136,7 @@ def faulty(topic, kind, **changes):
 
 
 def changed(clean, spoilt):
-    """The pairs (clean, spoilt) that differ; they are those of the second from 1 s to 2 s."""
+    """Return the pairs (clean, faulty) that differ; they are those from 1 s to 2 s."""
     assert len(clean) == len(spoilt)
     start_ns = 1_404_906_607_800_000_000
     pairs = []
@@ -152,7 +152,7 @@ def test_a_stuck_encoder_has_new_stamps_and_the_old_angles():
     clean, stuck = faulty(ENCODER, "freeze")
     pairs = [(before, after) for (before, _), (after, _) in zip(clean, stuck, strict=True)]
     window = [after for before, after in pairs if serialize(before) != serialize(after)]
-    # Fifty in a second, of which the first keeps its own.
+    # Fifty in a second, of which the first is unchanged.
     assert len(window) == 49
     assert len({ns_from_stamp(message.header.stamp) for message in window}) == 49
     angles = {(message.azimuth, message.elevation) for message in window}
@@ -246,7 +246,7 @@ NIGHT_BROKEN = {
     "the telescope of the lights": (
         "\n  night: ",
         "\n  calibration: ",
-        "'telescopes.calibration' is the telescope that sees lights: give a camera for stars another id",
+        "'telescopes.calibration' is reserved for the telescope for lights: choose another id for a star camera",
     ),
     "no field": ("      width_px: 2200\n", "", "'telescopes.night.camera.width_px' and"),
     "no mounting": ("    roll_deg: 3.0\n", "", "roll_deg"),
@@ -273,7 +273,7 @@ BROKEN = {
     "no legs": (
         "flight: {kind: escort, escort: {right_deg: 3.0, up_deg: 2.0, distance_m: 2000.0}",
         "flight: {kind: legs",
-        "'beacons.a.flight.waypoints' must be two or more with different time_s, got []",
+        "'beacons.a.flight.waypoints' must contain two or more with different time_s, got []",
     ),
     "window": (
         "hidden: {cloud: {start_s: 40.0, end_s: 50.0}}",
@@ -289,7 +289,7 @@ BROKEN = {
     "fault of another topic": (
         "position:",
         "faults: {f: {topic: theodolite/encoder, kind: swap, start_s: 1.0, end_s: 2.0}}\nposition:",
-        "'faults.f.kind' = swap cannot happen to ship_msgs/msg/TheodoliteEncoder",
+        "'faults.f.kind' = swap does not apply to ship_msgs/msg/TheodoliteEncoder",
     ),
     "delay of another kind": (
         "position:",
@@ -300,7 +300,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("case", NIGHT_BROKEN)
-def test_a_broken_night_is_one_line_with_file_line_and_key(case, tmp_path, capsys):
+def test_a_broken_star_scenario_is_one_line_with_file_line_and_key(case, tmp_path, capsys):
     assert_refused("theodolite_night.yaml", NIGHT_BROKEN[case], tmp_path, capsys)
 
 

@@ -1,4 +1,4 @@
-"""Sightings against theodolite_calib's equations, and where drones and mount go."""
+"""Sightings against the equations of theodolite_calib, and the paths of drones and mount."""
 
 import dataclasses
 
@@ -50,7 +50,7 @@ def rows_at(samples, time_ns):
     return rows
 
 
-def test_a_sighting_without_errors_is_what_the_equations_say():
+def test_a_sighting_without_errors_obeys_the_equations():
     scenario = without_errors(bag_scenario(duration_s=39.0))
     run = simulate(scenario, seed=3)
     theodolite, time_ns = run.theodolite, run.theodolite.images.time_ns
@@ -74,7 +74,7 @@ def test_a_sighting_without_errors_is_what_the_equations_say():
     camera = Camera(telescope.focal_length_m, 0.0, np.array([telescope.principal_x_m, telescope.principal_z_m]))
     rotation_tm = rotation_from_angles(*parallelism_of(telescope)[0])
     direction_t = lines.direction_n @ (rotation_nd @ rotation_dm @ rotation_tm.T)
-    # The simulated detection is a nanometre: 1e-8 rad; without it the scene itself gives the points.
+    # The simulated detection noise is 1 nm: 1e-8 rad; without it the scene gives the exact points.
     points = theodolite.images.point_m.reshape(-1, 2, 2)
     assert np.abs(camera.points(direction_t) - points).max() < 6e-9
     scene = theodolite.truth.scene
@@ -82,7 +82,7 @@ def test_a_sighting_without_errors_is_what_the_equations_say():
     assert angle_between(scene.directions_n(t_s, scene.mount(t_s)), lines.direction_n).max() < 1e-9
 
 
-def test_the_image_is_inverted_and_the_lights_stand_where_the_scenario_says():
+def test_the_image_is_inverted_and_the_lights_are_at_the_scenario_positions():
     scenario = without_errors(bag_scenario(duration_s=20.0))
     scenario = with_theodolite(
         scenario,
@@ -102,7 +102,7 @@ def test_the_image_is_inverted_and_the_lights_stand_where_the_scenario_says():
     np.testing.assert_allclose(first["b"], -0.1 * np.tan(np.deg2rad([-2.0, -3.0])), atol=1e-4)
 
 
-def test_the_true_pointing_is_the_chain_of_the_true_values():
+def test_the_true_pointing_follows_from_the_true_values():
     run = simulate(bag_scenario(duration_s=30.0), seed=2)
     truth = run.theodolite.truth
     mount, constants = truth.mount, truth.scene.theodolite
@@ -111,19 +111,19 @@ def test_the_true_pointing_is_the_chain_of_the_true_values():
     assert np.abs(log_rotation(np.swapaxes(expected, -1, -2) @ mount.rotation_nm)).max() < 1e-12
     turned = np.swapaxes(truth.rotation_nt, -1, -2) @ mount.rotation_nm
     assert np.abs(log_rotation(rotation_from_angles(*constants.parallelism).T @ turned)).max() < 1e-12
-    # The mount looks where its programme says: 1.2°/s, from elevation 10° upwards.
+    # The mount follows its programme: 1.2°/s, from elevation 10° upwards.
     azimuth = np.arctan2(mount.rotation_nm[:, 2, 0], mount.rotation_nm[:, 0, 0])
     seconds = (run.theodolite.encoder.time_ns[truth.encoder_index] - run.start_ns) / SECOND_NS
     np.testing.assert_allclose(np.rad2deg(azimuth), 1.2 * seconds, atol=1e-9)
     assert mount.rotation_nm[0, 1, 0] == pytest.approx(np.sin(np.deg2rad(10.0)), abs=1e-12)
-    # Deformation and axis errors are tens of arcseconds: without them the chain is elsewhere.
+    # Deformation and axis errors are tens of arcseconds: without them the direction differs.
     plain = mount.rotation_nd @ main_axis_rotation(AxisErrors(), mount.azimuth, mount.elevation)
     off = np.linalg.norm(log_rotation(np.swapaxes(plain, -1, -2) @ mount.rotation_nm), axis=-1) / ARCSEC
     assert 5.0 < off.min() < off.max() < 200.0
 
 
 @pytest.mark.parametrize("exposure_s", [0.05, 0.5])
-def test_mend_09_a_simulated_point_is_the_mean_of_the_light_s_true_way(exposure_s):
+def test_a_simulated_point_is_the_mean_of_the_light_s_true_path(exposure_s):
     scenario = sweeping_over(exposure_s)
     telescope, run = scenario.theodolite.telescope, simulate(scenario, seed=3)
     images, scene = run.theodolite.images, run.theodolite.truth.scene
@@ -132,7 +132,7 @@ def test_mend_09_a_simulated_point_is_the_mean_of_the_light_s_true_way(exposure_
     since_s = exposure_s * ((np.arange(400) + 0.5) / 400 - 0.5)
     way = [points_on_detector(telescope, scene, middle_s + t, scene.mount(middle_s + t)) for t in since_s]
     mean_m = np.mean(way, axis=0)
-    # The noise of the image is a nanometre, a hundred times as much along the streaks.
+    # The image noise is 1 nm, a hundred times as much along the streaks.
     np.testing.assert_allclose(images.point_m.reshape(mean_m.shape), mean_m, atol=2e-6 * exposure_s)
     assert np.linalg.norm(way[-1] - way[0], axis=-1).min() > 1.5e-3 * exposure_s
 
@@ -151,7 +151,7 @@ def test_hover_orbit_and_legs_go_where_they_should():
     places = legs(np.array([0.0, 20.0, 25.0, 30.0, 40.0, 50.0, 99.0]))
     expected = [[1000, 0, 0], [1000, 0, 0], [500, 0, 500], [0, 0, 1000], [0, 0, 750], [0, 0, 500], [0, 0, 500]]
     np.testing.assert_allclose(places, np.array(expected, dtype=float), atol=1e-9)
-    # Straight, and at rest where the legs meet.
+    # Straight, with a stop where the legs meet.
     line = legs(np.linspace(20.0, 30.0, 11))
     np.testing.assert_allclose(line[:, 0] + line[:, 2], 1000.0, atol=1e-9)
     assert np.abs(np.diff(legs(np.array([29.99, 30.0, 30.01])), axis=0)).max() < 1e-4
@@ -175,12 +175,12 @@ def test_the_mount_follows_the_lights_and_then_sweeps_on_from_there():
     expected = np.where(seconds < 40.0, 2, np.where(seconds < 60.0, 1, 0))
     np.testing.assert_array_equal(np.diff(theodolite.images.first), expected)
     axis_n = theodolite.truth.mount.rotation_nm[:, :, 0]
-    # Nowhere faster than the sweep of 1.2°/s and the way to its elevation: no jump in a tenth of a second.
+    # Never faster than the sweep of 1.2°/s and the transition to its elevation: no jump in 0.1 s.
     steps_deg = np.rad2deg(angle_between(axis_n[1:-1], axis_n[:-2]))
     assert steps_deg.max() < 1.0
     at_s = 0.1 * np.arange(len(axis_n))
     azimuth_deg = np.rad2deg(np.unwrap(np.arctan2(axis_n[:, 2], axis_n[:, 0])))
-    # After a ramp of twenty seconds, the rate of the programme and its elevation.
+    # After a ramp of 20 s, the rate and elevation of the programme.
     late = at_s > 80.0
     np.testing.assert_allclose(np.diff(azimuth_deg[late])[:-1], 0.12, atol=1e-9)
     programme_deg = 40.0 - 30.0 * np.cos(2.0 * np.pi * at_s[late] / 110.0)
@@ -211,5 +211,5 @@ def test_a_line_along_the_vertical_axis_is_refused():
         angle: replaced(getattr(scenario.carrier, angle), mean_deg=mean_deg, waves={})
         for angle, mean_deg in (("heading", 0.0), ("pitch", 5.0), ("roll", 0.0))
     }
-    with pytest.raises(BadInput, match=r"at 0.00 s the theodolite would have to look along its vertical axis"):
+    with pytest.raises(BadInput, match=r"at 0.00 s the theodolite would point along its vertical axis"):
         simulate(dataclasses.replace(scenario, carrier=replaced(scenario.carrier, **still)), seed=1)

@@ -1,6 +1,5 @@
-"""The layout study: where on the ship to bolt star sensors, by the error model of their installation.
+"""Layout study: error model of star sensor installations, to decide where on the ship to mount the sensors.
 
-The room knows the errors of a sensor and of its installation, how several sensors join, what is required of them, and
-how to show that as figures, tables and a page. Of the other rooms it imports the catalogue of stars and the parameters
-of masks alone.
+The room contains the errors of sensors and installations, their combination, the requirement, and the output as
+figures, tables and a page. From the other rooms it imports only the star catalogue and the parameters of masks.
 """

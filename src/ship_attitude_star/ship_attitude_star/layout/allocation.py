@@ -1,9 +1,9 @@
-"""How large each error of a layout may be, so that what is required is met; and which error binds.
+"""Error budget of a layout: maximum size of each error for which the requirement is met, and the dominant error.
 
-If all errors were scaled by one factor, the joint error would be too, for the best combination stays the same: so each
-may be 1/use of what it is, *together* with all the others. *Alone*, while the others stay as they are, an error may be
-so large that the worst angle just meets its limit; the sensors are then combined anew, by their new covariances. An
-error that another sensor covers may be of any size.
+If all errors are scaled by one factor, the joint error scales by it too, because the best combination stays the same.
+Each error may therefore be divided by the requirement use, *together* with all others. *Alone*, with the other errors
+unchanged, an error may grow until the worst angle reaches its limit; the sensors are then combined with their new
+covariances. An error that another sensor compensates may have any size.
 """
 
 from collections.abc import Iterator
@@ -15,9 +15,9 @@ from ship_attitude_star.layout.joint_error import Layout
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 MOST_ARCSEC = 36_000.0
-"""Greatest error that a study takes; one that may be larger may be of any size."""
+"""Largest error of a study, arcseconds; an error that may be larger may have any size."""
 _LEAST_ARCSEC = 0.001
-"""For the noise of a sensor, for which zero has no covariance to combine by."""
+"""Least noise of a sensor, arcseconds: zero noise has a singular covariance."""
 _HALVINGS = 40
 
 _AXES = ("forward", "up", "right")
@@ -27,15 +27,15 @@ _KINDS_OF_COMMON = {"tilt": "horizon", "heading": "clock", "refraction": "refrac
 
 @dataclass(frozen=True)
 class Allocation:
-    """How large one error may be.
+    """Maximum size of one error.
 
     Attributes:
-        key: the parameter of the study that sets it.
+        key: parameter of the study that sets the error.
         kind: "star noise", "installation", "refraction", "horizon" or "clock".
-        sigma_arcsec: as it is.
-        share: of the variance of the angle that binds, as it is.
-        together_arcsec: as large as it may be if all errors are scaled alike.
-        alone_arcsec: as large as it may be while the others stay; infinite for any size, NaN where the requirement is
+        sigma_arcsec: its present size.
+        share: its present fraction of the variance of the angle that uses most of its limit.
+        together_arcsec: its maximum size if all errors are scaled equally.
+        alone_arcsec: its maximum size with the other errors unchanged; infinite for any size, NaN if the requirement is
             not met even without it.
     """
 
@@ -48,11 +48,11 @@ class Allocation:
 
 
 def use_of(sigmas_arcsec: FloatArray, limits_arcsec: FloatArray) -> FloatArray:
-    """Sigma over limit of the worst angle, shape (...); NaN where an angle that is asked for is not known.
+    """Return sigma over limit of the worst angle, shape (...); NaN if a required angle is not known.
 
     Args:
         sigmas_arcsec: of heading, pitch, roll, shape (..., 3).
-        limits_arcsec: of the same, shape (3,); infinite where nothing is asked.
+        limits_arcsec: limits of the same, shape (3,); infinite where nothing is required.
     """
     asked = np.isfinite(limits_arcsec)
     use: FloatArray = np.max(sigmas_arcsec[..., asked] / limits_arcsec[asked], axis=-1)
@@ -60,16 +60,16 @@ def use_of(sigmas_arcsec: FloatArray, limits_arcsec: FloatArray) -> FloatArray:
 
 
 def binding_angle(sigmas_arcsec: FloatArray, limits_arcsec: FloatArray) -> int:
-    """Index of the angle (heading, pitch, roll) that uses most of its limit."""
+    """Return the index of the angle (heading, pitch, roll) that uses most of its limit."""
     return int(np.argmax(np.asarray(sigmas_arcsec) / limits_arcsec))
 
 
 def allocated(layout: Layout, limits_arcsec: FloatArray) -> list[Allocation]:
-    """The errors of a layout, those with the largest share first.
+    """Return the maximum sizes of a layout's errors, those with the largest share first.
 
     Args:
-        layout: whose sigmas are known.
-        limits_arcsec: greatest sigma of heading, pitch, roll, shape (3,); infinite where nothing is asked.
+        layout: a layout whose sigmas are known.
+        limits_arcsec: maximum sigma of heading, pitch, roll, shape (3,); infinite where nothing is required.
     """
     sigmas = layout.sigmas_arcsec()
     use, angle = float(use_of(sigmas, limits_arcsec)), binding_angle(sigmas, limits_arcsec)
@@ -87,7 +87,7 @@ def allocated(layout: Layout, limits_arcsec: FloatArray) -> list[Allocation]:
 
 @dataclass(frozen=True)
 class _Error:
-    """One error: the field of a layout that holds it, and where there."""
+    """One error: the field of a layout that contains it, and the index in that field."""
 
     key: str
     kind: str
@@ -99,7 +99,7 @@ class _Error:
         return float(np.max(getattr(layout, self.field)[self.index])) / ARCSEC
 
     def scaled(self, layout: Layout, sigma_arcsec: float) -> Layout:
-        """The layout with another size of this error."""
+        """Return the layout with another size of this error."""
         sigmas = getattr(layout, self.field).copy()
         sigmas[self.index] = ARCSEC * max(sigma_arcsec, self.least_arcsec)
         changed: Layout = replace(layout, **{self.field: sigmas})
@@ -120,7 +120,7 @@ def _errors(layout: Layout) -> Iterator[_Error]:
 
 
 def _alone(layout: Layout, error: _Error, limits_arcsec: FloatArray) -> float:
-    """Largest sigma of an error with which the requirement is met, by halving: the joint error grows with it."""
+    """Return the largest sigma of an error that meets the requirement, by bisection: the joint error grows with it."""
 
     def met(sigma_arcsec: float) -> bool:
         return bool(use_of(error.scaled(layout, sigma_arcsec).sigmas_arcsec(), limits_arcsec) <= 1.0)

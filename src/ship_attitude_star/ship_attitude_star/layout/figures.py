@@ -1,4 +1,4 @@
-"""The figures of a layout study. Only the command imports this module: matplotlib loads longer than the study takes."""
+"""Figures of a layout study; only the command imports this module, because matplotlib loads slowly."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -29,12 +29,12 @@ _PART_STYLES = (("#0072b2", "-"), ("#d55e00", "--"), ("#009e73", "-."))
 _ARCSEC_TICKS = (1, 2, 3, 4, 5, 7, 10, 20, 30, 50, 100, 200, 300, 500, 1000)
 _FEW_LINES = (1, 3, 10, 30, 100, 300, 1000)
 _MORE_LINES = (1, 2, 3, 4, 5, 6, 8, 10, 30, 100, 300, 1000)
-# In a panel whose values span more than this factor fewer lines are drawn.
+# Ratio of the values of a panel above which fewer lines are drawn.
 _STEEP = 25.0
 
 
 def draw_figures(study: LayoutStudy, folder: Path) -> dict[str, Path]:
-    """Draw every figure as PNG into a folder that exists; returns the files by the figures' names."""
+    """Draw every figure as PNG into an existing folder; return the files by the figures' names."""
     return write_figures(_figures(study), folder)
 
 
@@ -50,19 +50,19 @@ def _figures(study: LayoutStudy) -> Iterator[tuple[str, Figure]]:
 
 
 def sweep_figures(curves: list[Curve]) -> Iterator[tuple[str, Figure]]:
-    """The six figures of [Z14] by name, each in both readings, of the curves of all of them."""
+    """Return the six figures of [Z14] by name, each in both conventions, from the curves of all of them."""
     for sweep in SWEEPS:
         yield f"figure_{sweep.number}", _sweep_figure(sweep, [curve for curve in curves if curve.sweep is sweep])
 
 
 _NEAR = 0.15
-"""Tips of arrows nearer to each other than this, in radii of the plan, have their numbers in one place."""
+"""Distance of arrow tips below which their numbers share one place, in radii of the plan."""
 _NUMBER_BESIDE = 0.2
-"""From a tip to its number, in lengths of the arrow."""
+"""Distance from a tip to its number, in lengths of the arrow."""
 
 
 def plan_figure(given: Layout, best: Layout) -> Figure:
-    """Boresights seen from above; an arrow is the shorter the higher its sensor looks."""
+    """Return the plan of the boresights from above; an arrow is shorter for a higher elevation."""
     figure, axes = plt.subplots(figsize=(6.2, 6.5 + 0.25 * len(given.names)), layout="constrained")
     _draw_hull(axes)
     circle = np.linspace(0.0, 2.0 * np.pi, 181)
@@ -91,7 +91,7 @@ def plan_figure(given: Layout, best: Layout) -> Figure:
 
 
 def _draw_boresight(axes: Axes, angles: FloatArray, colour: str, line: str) -> tuple[float, float]:
-    """An arrow in the plan; returns its tip."""
+    """Draw an arrow in the plan; return its tip."""
     tip = (float(np.cos(angles[1]) * np.sin(angles[0])), float(np.cos(angles[1]) * np.cos(angles[0])))
     look = {"arrowstyle": "-|>,head_width=0.35,head_length=0.7", "color": colour, "lw": 2.2, "ls": line}
     axes.annotate("", tip, (0.0, 0.0), arrowprops={**look, "shrinkA": 0, "shrinkB": 0})
@@ -150,8 +150,8 @@ def _draw_scan(axes: Axes, turned: AzimuthScan, study: LayoutStudy) -> None:
     axes.set(
         xlim=(0.0, 360.0),
         xlabel=f"azimuth of sensor “{turned.sensor}” from the bow [°]",
-        ylabel="error of the ship, 1σ [″]",
-        title=f"Turning sensor “{turned.sensor}” in azimuth{others}",
+        ylabel="attitude error of the ship, 1σ [″]",
+        title=f"Rotating sensor “{turned.sensor}” in azimuth{others}",
     )
 
 
@@ -172,7 +172,7 @@ def _map_figure(moved: ErrorMap, study: LayoutStudy, number: int) -> Figure:
             moved.azimuths_deg, moved.elevations_deg, values, levels, norm=LogNorm(levels[0], levels[-1]), cmap="YlOrBr"
         )
         least, most = np.nanmin(values), np.nanmax(values)
-        # A line so near to the least value that it would break up is left out.
+        # A line too near to the least value would be fragmented and is left out.
         lines = [line for line in (_FEW_LINES if most > _STEEP * least else _MORE_LINES) if 1.02 * least < line < most]
         drawn = axes.contour(moved.azimuths_deg, moved.elevations_deg, values, lines, colors="black", linewidths=0.7)
         axes.clabel(drawn, fmt="%g″", fontsize=9)
@@ -183,13 +183,13 @@ def _map_figure(moved: ErrorMap, study: LayoutStudy, number: int) -> Figure:
     for axes in grid[-1]:
         axes.set_xlabel("azimuth from the bow [°]")
     for axes in grid[:, 0]:
-        axes.set_ylabel("elevation over the deck [°]")
-    colours = figure.colorbar(filled, ax=grid, shrink=0.8, label="error of the ship, 1σ [″]")
+        axes.set_ylabel("elevation above the deck [°]")
+    colours = figure.colorbar(filled, ax=grid, shrink=0.8, label="attitude error of the ship, 1σ [″]")
     colours.set_ticks([tick for tick in _ARCSEC_TICKS if levels[0] <= tick <= levels[-1]])
     colours.ax.yaxis.set_major_formatter(ScalarFormatter())
     colours.ax.minorticks_off()
     figure.suptitle(
-        f"Bolting sensor “{moved.sensor}” anywhere" + (", the others as given" if len(layout.names) > 1 else "")
+        f"Mounting sensor “{moved.sensor}” anywhere" + (", the others as given" if len(layout.names) > 1 else "")
     )
     handles, labels = grid[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
@@ -199,9 +199,9 @@ def _map_figure(moved: ErrorMap, study: LayoutStudy, number: int) -> Figure:
 # -- the six figures of [Z14] ---------------------------------------------------------------------------------
 
 _SYMBOLS = ("dK", "dψ", "dθ")
-_READING_TITLES = {InstallationReading.PHYSICAL: "physical reading", InstallationReading.PAPER: "as in [Z14]"}
-# Wide pale curves lie below narrow dark ones, so that both are seen where they coincide. Blue looks ahead or astern,
-# orange abeam.
+_READING_TITLES = {InstallationReading.PHYSICAL: "physical convention", InstallationReading.PAPER: "as in [Z14]"}
+# Wide pale curves lie below narrow dark ones, so that coinciding curves are both visible. Blue: ahead or astern;
+# orange: abeam.
 _CURVE_STYLES = {
     0.0: ("#8fbfe6", "-", 5.0),
     90.0: ("#fbb982", "-", 5.0),
@@ -213,7 +213,7 @@ _MARGIN = 0.08
 
 
 def _sweep_figure(sweep: Sweep, curves: list[Curve]) -> Figure:
-    """One figure: three errors side by side, the physical reading above that of [Z14]."""
+    """Return one figure: three errors side by side, the physical convention above that of [Z14]."""
     figure, grid = plt.subplots(2, 3, figsize=(12, 6.6), sharex=True, layout="constrained")
     for row, (reading, words) in zip(grid, _READING_TITLES.items(), strict=True):
         drawn = [curve for curve in curves if curve.reading is reading]
@@ -227,7 +227,7 @@ def _sweep_figure(sweep: Sweep, curves: list[Curve]) -> Figure:
         row[0].set_ylabel("error [″]")
     for axes in grid[-1]:
         axes.set_xlabel(f"{sweep.symbol}, {sweep.meaning} [°]")
-    errors = "all six errors, added with their signs" if sweep.all_errors else "error of the sensor's roll γs alone"
+    errors = "all six errors, added with their signs" if sweep.all_errors else "error of the sensor's roll γs only"
     figure.suptitle(f"Figure {sweep.number} of [Z14]: {errors}, over {sweep.symbol}")
     handles, labels = grid[0, 0].get_legend_handles_labels()
     if len(labels) > 1:
@@ -245,7 +245,7 @@ def _draw_curve(axes: Axes, curve: Curve, column: int) -> None:
 
 
 def _limit(axes: Axes, series: list[FloatArray]) -> None:
-    """Set limits that hold zero and leave out errors that grow without bound where the ship stands on end."""
+    """Set limits that contain zero and omit errors that grow without bound near vertical pitch."""
     values = np.concatenate(series)
     values = values[np.isfinite(values)]
     size = np.abs(values)

@@ -1,13 +1,13 @@
-"""How errors of one star sensor and of its installation reach the ship's attitude; and the six figures of [Z14].
+"""Error model of a star sensor and its installation for the ship's attitude; and the six figures of [Z14].
 
-    R_ship = R(As, Es, roll_s) R(A0, E0, roll_0)^T         physical reading, [Z14] (4)
-    R_ship = R(As, Es, roll_s) R(A0, E0, roll_0)           what [Z14] computed for its figures
+    R_ship = R(As, Es, roll_s) R(A0, E0, roll_0)^T         physical convention, [Z14] (4)
+    R_ship = R(As, Es, roll_s) R(A0, E0, roll_0)           as computed by [Z14] for its figures
 
 To first order the error of heading, pitch and roll is ``J_s [dAs, dEs, droll_s] + J_0 [dA0, dE0, droll_0]``. Both
 Jacobians follow from B of :mod:`ship_geometry.frames`, exactly, for every layout. Angles are arrays (..., 3) of
-azimuth, elevation, roll (rad); all functions take leading dimensions, so that a sweep is one call. The model is told in
-docs/how-to/mount_a_sensor.md. A sweep is one of the six figures: the errors while one angle is turned and the others
-stay.
+azimuth, elevation, roll (rad); all functions take leading dimensions, so that a sweep is one call. The model is
+described in docs/how-to/mount_a_sensor.md. A sweep is one of the six figures: the errors while one angle varies and the
+others stay fixed.
 """
 
 import enum
@@ -29,17 +29,17 @@ SHIP_ANGLES = ("heading", "pitch", "roll")
 
 
 class InstallationReading(enum.Enum):
-    """What R(A0, E0, roll_0) stands for."""
+    """Convention of the rotation R(A0, E0, roll_0)."""
 
     PHYSICAL = "physical"
-    """Deck from sensor: the installation angles say where the boresight points in the ship."""
+    """Deck from sensor: the installation angles are the direction of the boresight in the ship."""
     PAPER = "paper"
-    """Sensor from deck: how [Z14] used the same angles in its factors and figures, against its own (4)."""
+    """Sensor from deck: use of the same angles in the factors and figures of [Z14], against its own (4)."""
 
 
 @dataclass(frozen=True)
 class ErrorModel:
-    """First-order errors of the ship's attitude, NaN where heading and roll are not told apart.
+    """First-order errors of the ship's attitude, NaN where heading and roll cannot be separated.
 
     Attributes:
         ship_angles: heading, pitch, roll, shape (..., 3), rad.
@@ -52,12 +52,12 @@ class ErrorModel:
     installation: FloatArray
 
     def errors(self, star_errors: FloatArray, installation_errors: FloatArray) -> FloatArray:
-        """Errors of heading, pitch, roll, shape (..., 3), in the unit of the errors given, signs kept."""
+        """Return the signed errors of heading, pitch, roll, shape (..., 3), in the unit of the given errors."""
         star = (self.star @ np.asarray(star_errors)[..., None])[..., 0]
         return star + (self.installation @ np.asarray(installation_errors)[..., None])[..., 0]
 
     def covariance(self, star_covariance: FloatArray, installation_covariance: FloatArray) -> FloatArray:
-        """Covariance of heading, pitch, roll, shape (..., 3, 3): J Sigma J^T, stars independent of installation."""
+        """Return the covariance of heading, pitch, roll, shape (..., 3, 3): J Sigma J^T, with independent errors."""
         return _transported(self.star, star_covariance) + _transported(self.installation, installation_covariance)
 
 
@@ -66,12 +66,12 @@ def linearise(
     installation_angles: FloatArray,
     reading: InstallationReading = InstallationReading.PHYSICAL,
 ) -> ErrorModel:
-    """The error model of one sensor at its horizon attitude and installation.
+    """Return the error model of one sensor at its horizon attitude and installation.
 
     Args:
         star_angles: azimuth, elevation, roll of the sensor in the horizon, shape (..., 3), rad.
         installation_angles: azimuth, elevation, roll of the sensor in the deck, shape (..., 3), rad.
-        reading: what the installation angles stand for.
+        convention: convention of the installation angles.
     """
     star, installation = np.broadcast_arrays(
         np.asarray(star_angles, dtype=float), np.asarray(installation_angles, dtype=float)
@@ -91,7 +91,7 @@ def linearise(
 
 
 def ship_rotation(star_angles: FloatArray, installation_angles: FloatArray, reading: InstallationReading) -> FloatArray:
-    """Rotation "horizon from deck" that a sensor's horizon attitude stands for, shape (..., 3, 3)."""
+    """Return the rotation "horizon from deck" by a sensor's horizon attitude, shape (..., 3, 3)."""
     installation = _rotation(np.asarray(installation_angles, dtype=float))
     if reading is InstallationReading.PHYSICAL:
         installation = np.swapaxes(installation, -1, -2)
@@ -114,21 +114,21 @@ class JointAttitude:
 def combine(
     covariances: FloatArray, common_effects: FloatArray | None = None, common_covariance: FloatArray | None = None
 ) -> JointAttitude:
-    """Best linear unbiased combination of N attitudes whose errors are ``own + effect @ common``.
+    """Return the best linear unbiased combination of N attitudes whose errors are ``own + effect @ common``.
 
-    Without common errors the information of the joint attitude is the sum of those of the sensors. An error that acts
-    on all sensors in the same way passes through undiminished. One that acts on each sensor differently shows in their
-    differences and is reduced in part.
+    Without common errors, the information of the joint attitude is the sum of those of the sensors. An error with the
+    same effect on all sensors is not reduced. One with different effects shows in their differences and is reduced in
+    part.
 
     Args:
         covariances: of each sensor's own error, rotation vectors in one frame, shape (..., N, 3, 3), regular, rad².
-        common_effects: what each of k common errors does to each sensor, shape (..., N, 3, k).
+        common_effects: effects of each of k common errors on each sensor, shape (..., N, 3, k).
         common_covariance: of the common errors, shape (k, k).
     """
     *leading, count, _, _ = covariances.shape
     stacked = np.zeros((*leading, count, 3, count, 3))
     each = np.arange(count)
-    # Indices apart from each other put the sensors first.
+    # Separated advanced indices put the sensors first.
     stacked[..., each, :, each, :] = np.moveaxis(covariances, -3, 0)
     joint = stacked.reshape(*leading, 3 * count, 3 * count)
     if common_effects is not None and common_covariance is not None:
@@ -169,11 +169,11 @@ class Sweep:
 
     Attributes:
         number: number of the figure in [Z14].
-        symbol: symbol of the angle swept.
-        meaning: the angle swept, in words.
+        symbol: symbol of the swept angle.
+        meaning: description of the swept angle.
         column: index of that angle in (As, Es, roll_s, A0, E0, roll_0).
         range_deg: least and greatest angle.
-        all_errors: all six errors added with their signs; otherwise that of the star sensor's roll alone.
+        all_errors: True for all six errors added with their signs; False for that of the star sensor's roll only.
     """
 
     number: int
@@ -200,10 +200,10 @@ class Curve:
 
     Attributes:
         sweep: the figure to which the curve belongs.
-        reading: what the installation angles stand for.
+        convention: convention of the installation angles.
         azimuth_deg: installation azimuth A0; None where A0 itself is swept.
-        swept_deg: the angle swept, shape (n,).
-        errors_arcsec: of heading, pitch, roll, signs kept, shape (n, 3); NaN where the ship stands on end.
+        swept_deg: the swept angle, shape (n,).
+        errors_arcsec: signed errors of heading, pitch, roll, shape (n, 3); NaN at a pitch of ±90°.
     """
 
     sweep: Sweep
@@ -214,7 +214,7 @@ class Curve:
 
 
 def all_curves(point: OperatingPoint) -> list[Curve]:
-    """Every curve of every figure in both readings, one point a degree."""
+    """Return every curve of every figure in both conventions, one point per degree."""
     return [
         _curve(point, sweep, reading, azimuth_deg)
         for sweep in SWEEPS
@@ -238,17 +238,17 @@ def _curve(point: OperatingPoint, sweep: Sweep, reading: InstallationReading, az
 
 
 def point_angles_deg(point: OperatingPoint, azimuth_deg: float) -> FloatArray:
-    """(As, Es, roll_s, A0, E0, roll_0) of the operating point, shape (6,)."""
+    """Return (As, Es, roll_s, A0, E0, roll_0) of the operating point, shape (6,)."""
     star = [point.star_azimuth_deg, point.star_elevation_deg, point.star_roll_deg]
     return np.array([*star, azimuth_deg, point.elevation_deg, point.roll_deg])
 
 
 SOURCES = ("ΔAs", "ΔEs", "Δγs", "ΔA0", "ΔE0", "Δγ0")
-"""The error sources of [Z14], in the order of :func:`source_errors_arcsec`."""
+"""Error sources of [Z14], in the order of :func:`source_errors_arcsec`."""
 
 
 def source_errors_arcsec(point: OperatingPoint, azimuth_deg: float, reading: InstallationReading) -> FloatArray:
-    """What each of the six errors alone does to heading, pitch, roll, shape (6, 3), signs kept."""
+    """Return the signed errors of heading, pitch, roll by each of the six errors alone, shape (6, 3)."""
     angles = np.deg2rad(point_angles_deg(point, azimuth_deg))
     model = linearise(angles[:3], angles[3:], reading)
     factors = np.concatenate([model.star, model.installation], axis=-1)

@@ -1,4 +1,4 @@
-"""Errors of a whole layout: of all sensors joined, by source of error, and while one sensor is bolted anywhere."""
+"""Errors of a whole layout: of all sensors combined, by error source, and as a function of one sensor's mounting."""
 
 from dataclasses import dataclass
 
@@ -22,19 +22,19 @@ _COMMON = (
     ("horizon about East", "tilt"),
     ("refraction", "refraction"),
 )
-"""The errors that sensors share, in words and as named in the study, in the order of ``Layout.common_sigmas``."""
+"""The errors that sensors share, as text and as parameter, in the order of ``Layout.common_sigmas``."""
 _HEADING = 0.0
-"""No error depends on the heading, so the bow looks North."""
+"""Heading of the ship, rad: no error depends on it."""
 
 
 @dataclass(frozen=True)
 class SourceError:
-    """What one sigma of one source of error does to the joint attitude.
+    """Effect of one sigma of one error source on the joint attitude.
 
     Attributes:
         sensor: the sensor that has this error; "all" for an error that the sensors share.
-        source: the source in words.
-        key: the parameter of the study that sets its size, where the noise does not follow from optics.
+        source: description of the source.
+        key: parameter of the study that sets its size, if the noise does not follow from optics.
         sigma_arcsec: standard deviation of the source.
         errors_arcsec: errors of heading, pitch, roll by it, shape (3,); the squares of all sources add up to the
             variance.
@@ -49,7 +49,7 @@ class SourceError:
 
 @dataclass(frozen=True)
 class Layout:
-    """The sensors of a study as arrays, ready to be moved about.
+    """The sensors of a study as arrays.
 
     Attributes:
         names: names of the sensors.
@@ -70,7 +70,7 @@ class Layout:
 
     @classmethod
     def from_config(cls, config: LayoutStudyConfig) -> "Layout":
-        """The layout of a study."""
+        """Return the layout of a study."""
         sensors, common = list(config.sensors.values()), config.common
         tilt = common.tilt_sigma_arcsec
         return cls(
@@ -83,7 +83,7 @@ class Layout:
         )
 
     def of_sensor(self, number: int) -> "Layout":
-        """The layout of one of the sensors alone."""
+        """Return the layout of one of the sensors alone."""
         only = slice(number, number + 1)
         return Layout(
             self.names[only],
@@ -95,7 +95,7 @@ class Layout:
         )
 
     def sigmas_arcsec(self, angles: FloatArray | None = None) -> FloatArray:
-        """Sigma of heading, pitch, roll of the joint attitude, shape (..., 3).
+        """Return sigma of heading, pitch, roll of the joint attitude, shape (..., 3).
 
         Args:
             angles: installation angles to use in place of the layout's own, shape (..., N, 3), rad.
@@ -106,11 +106,11 @@ class Layout:
         return np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1)) / ARCSEC
 
     def horizon_elevations_deg(self) -> FloatArray:
-        """Elevation of each boresight over the horizon, with the ship's pitch and roll, shape (N,)."""
+        """Return the elevation of each boresight above the horizon, with the ship's pitch and roll, shape (N,)."""
         return np.rad2deg(angles_from_rotation(self._rotations_ns(self.angles))[..., 1])
 
     def budget(self) -> list[SourceError]:
-        """The joint error by sensor and source, without sources of size zero."""
+        """Return the joint error by sensor and source, without sources of size zero."""
         joint, rotations_ns, common_effects = self._joined(self.angles)
         to_angles = angle_errors_from_rotation_vector(self.ship_angles[0], self.ship_angles[1])
         sources = []
@@ -138,7 +138,7 @@ class Layout:
         return rotation_nd @ rotation_from_angles(angles[..., 0], angles[..., 1], angles[..., 2])
 
     def _joined(self, angles: FloatArray) -> tuple[JointAttitude, FloatArray, FloatArray]:
-        """Joint attitude, "horizon from sensor" (..., N, 3, 3), effects of the common errors (..., N, 3, 4)."""
+        """Return joint attitude, rotations "horizon from sensor" (..., N, 3, 3), common effects (..., N, 3, 4)."""
         rotations_ns = self._rotations_ns(angles)
         # Noise and installation error turn about the same axes: R_star = R_ship R_0 exp(m) exp(n).
         variances = self.noise_sigmas**2 + self.installation_sigmas**2
@@ -148,7 +148,7 @@ class Layout:
 
 
 def _common_effects(rotations_ns: FloatArray) -> FloatArray:
-    """Rotation vectors that a turn of the horizon about N, U, E and refraction (per 45° value) add, (..., N, 3, 4)."""
+    """Return rotation vectors by rotations of the horizon about N, U, E and by refraction at 45°, (..., N, 3, 4)."""
     star = angles_from_rotation(rotations_ns)
     azimuth, elevation = star[..., 0], star[..., 1]
     seen = np.rad2deg(elevation) >= LEAST_ELEVATION_DEG - 1e-9
@@ -160,7 +160,7 @@ def _common_effects(rotations_ns: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class ErrorMap:
-    """The joint error while one sensor is bolted anywhere and the others stay.
+    """The joint error as a function of one sensor's mounting, with the other sensors fixed.
 
     Attributes:
         sensor: the sensor that is moved.
@@ -175,12 +175,12 @@ class ErrorMap:
     sigmas_arcsec: FloatArray
 
     def total_arcsec(self) -> FloatArray:
-        """Root sum of squares of the three, shape (e, a)."""
+        """Return the root sum of squares of the three, shape (e, a)."""
         return total_arcsec(self.sigmas_arcsec)
 
 
 def error_map(layout: Layout, number: int, step_deg: float = 2.5) -> ErrorMap:
-    """The map of one sensor of a layout."""
+    """Return the map of one sensor of a layout."""
     azimuths_deg = np.arange(0.0, 360.0 + step_deg / 2.0, step_deg)
     elevations_deg = np.arange(LEAST_ELEVATION_DEG, 85.0 + step_deg / 2.0, step_deg)
     angles = np.tile(layout.angles, (elevations_deg.size, azimuths_deg.size, 1, 1))
@@ -190,6 +190,6 @@ def error_map(layout: Layout, number: int, step_deg: float = 2.5) -> ErrorMap:
 
 
 def total_arcsec(sigmas_arcsec: FloatArray) -> FloatArray:
-    """The one number a layout is judged by: root sum of squares of heading, pitch and roll."""
+    """Return the figure of merit of a layout: root sum of squares of heading, pitch and roll."""
     total: FloatArray = np.sqrt(np.sum(sigmas_arcsec**2, axis=-1))
     return total

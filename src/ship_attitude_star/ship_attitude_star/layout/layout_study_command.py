@@ -1,4 +1,4 @@
-"""``layout_study``: where to bolt star sensors, as one page, figures and CSV tables; with the six figures of [Z14]."""
+"""``layout_study``: study of star sensor mounting as one page, figures and CSV tables, with the figures of [Z14]."""
 
 import argparse
 import sys
@@ -31,12 +31,12 @@ _DEFAULT_TITLE = "two sensors as in [Z14]"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point."""
+    """Run the command; return its exit code."""
     return run_command(_parser(), _run, arguments)
 
 
 class _WrappedAbove(argparse.RawDescriptionHelpFormatter):
-    """Wraps the description, and leaves the lines of the table of keys alone."""
+    """Formatter that wraps the description, and keeps the lines of the table of keys."""
 
     def add_text(self, text: str | None) -> None:
         """Wrap a text that has no lines of its own."""
@@ -57,12 +57,12 @@ def _parser() -> CommandParser:
     parser = CommandParser(
         prog="layout_study",
         example="./ros2run ship_attitude_star layout_study layout.yaml --out study",
-        description="Study where star sensors are bolted: errors [arcsec, 1 sigma] of heading, pitch and roll of all "
-        "sensors together, by source of error and over all directions [deg], recommended azimuths [deg], noise of "
-        "sensors by their optics [m, px] and the stars of the catalogue over the sky; with a requirement the layouts "
-        "that meet it, clear of masks and of the horizon, and how large each error may be; and the six figures of "
-        "[Z14] in both readings of its installation angles. Writes layout_study.html (one file with "
-        "everything), PNG and CSV.",
+        description="Study the mounting of star sensors. Results: errors [arcsec, 1 sigma] of heading, pitch and roll "
+        "of all sensors together, by error source and over all directions [deg]; recommended azimuths [deg]; noise of "
+        "sensors from their optics [m, px] and the stars of the catalogue over the sky; with a requirement, the "
+        "layouts that meet it without obstructions, and the maximum size of each error; and the six figures of [Z14] "
+        "in both conventions of its installation angles. Writes layout_study.html (one file with everything), PNG and "
+        "CSV.",
         epilog=f"keys of LAYOUT.yaml, nested at the dots (<id>: any name):\n{_keys()}\n\n"
         "exit code: 0 written; 1 written, no layout meets the requirement; 2 bad input or usage; 130 interrupted",
         formatter_class=_WrappedAbove,
@@ -74,7 +74,7 @@ def _parser() -> CommandParser:
         metavar="LAYOUT.yaml",
         help="sensors, angles [deg] and errors [arcsec] (default: two sensors with the values of [Z14])",
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write into, made if absent")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="output folder, created if absent")
     add_force(parser)
     return parser
 
@@ -83,7 +83,7 @@ def _run(options: argparse.Namespace) -> int:
     computed = _study(options)
     options.out.mkdir(parents=True, exist_ok=True)
     write_tables(computed, options.out)
-    # Loading the figures' library takes longer than the study: bad input is told before.
+    # Loading matplotlib takes longer than the study: bad input is reported before.
     from ship_attitude_star.layout.figures import draw_figures
     from ship_attitude_star.layout.page import page_text
 
@@ -95,10 +95,10 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _study(options: argparse.Namespace) -> LayoutStudy:
-    """The study of the file named, or of [Z14]'s sensors.
+    """Return the study of the given file, or of the sensors of [Z14].
 
     Raises:
-        BadInput: names the file, the line, the parameter and what was expected; or what cannot be written.
+        BadInput: names the file, the line, the parameter and the expected value; or what cannot be written.
     """
     file = None if options.layout is None else read_plain(options.layout)
     try:
@@ -110,7 +110,7 @@ def _study(options: argparse.Namespace) -> LayoutStudy:
 
 
 def written(config: LayoutStudyConfig) -> list[str]:
-    """Names of all files written."""
+    """Return the names of all files that the command writes."""
     figures = ["layout", "azimuth", *(f"map_{sensor}" for sensor in config.sensors)]
     figures += [f"figure_{sweep.number}" for sweep in SWEEPS]
     tables = [*TABLES, *([OPTICS_TABLE] if config.optics else [])]
@@ -138,8 +138,8 @@ def _summary(computed: LayoutStudy, page: Path) -> str:
     for name, found in computed.optics.items():
         forward, up, right = found.held_arcsec
         lines.append(
-            f"optics of {name}: {found.stars.mean():.1f} stars in the mean, {found.fewest_stars()[5]:.0f} or fewer in "
-            f"5 % of the sky; about forward, up, right {forward:.2f}, {up:.2f}, {right:.2f} arcsec"
+            f"optics of {name}: {found.stars.mean():.1f} stars on average, {found.fewest_stars()[5]:.0f} or fewer in "
+            f"5 % of the sky; noise about forward, up, right {forward:.2f}, {up:.2f}, {right:.2f} arcsec"
         )
     if computed.required is not None:
         lines += requirement_lines(computed.required)
@@ -153,13 +153,13 @@ TABLES = (
     *("layout.csv", "error_budget.csv", "error_map.csv", "azimuth_scan.csv"),
     *("sources_at_operating_point.csv", "figures_1_to_6.csv"),
 )
-"""Names of the tables that every study has."""
+"""Names of the tables of every study."""
 OPTICS_TABLE = "optics.csv"
 """Name of the table of a study with optics."""
 
 
 def write_tables(study: LayoutStudy, folder: Path) -> list[Path]:
-    """Write every table into a folder that exists; returns the files."""
+    """Write every table into an existing folder; return the files."""
     direction = ("azimuth_deg", "elevation_deg")
     tables = {
         "layout.csv": (("layout", "sensor", *direction, *_SIGMAS, "total_arcsec"), _layouts(study)),

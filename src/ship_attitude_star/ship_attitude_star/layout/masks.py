@@ -1,4 +1,4 @@
-"""What a star sensor may see where it is bolted: clear of the masks, and over the horizon while the ship moves."""
+"""Obstructions of a star sensor's field: masks on deck, and the horizon while the ship moves."""
 
 from dataclasses import dataclass
 
@@ -19,10 +19,10 @@ class Obstructions:
     """The masks and the horizon of a study.
 
     Attributes:
-        masks: what stands on deck.
+        masks: obstructions on deck.
         half_fields: tangents of half the field of view to the right and up of each sensor, shape (N, 2).
-        up_d: the direction upward, in the deck, in the extreme positions of the ship, shape (m, 3).
-        clearance: so high over the horizon a field must stay, rad.
+        up_d: the upward direction, in the deck, in the extreme attitudes of the ship, shape (m, 3).
+        clearance: required elevation of a field above the horizon, rad.
     """
 
     masks: DeckMasks
@@ -32,10 +32,10 @@ class Obstructions:
 
     @classmethod
     def from_config(cls, config: LayoutStudyConfig) -> "Obstructions":
-        """The masks and the horizon of a study's file.
+        """Return the masks and the horizon of a study's file.
 
         Raises:
-            ParameterError: a mask is no polygon.
+            ParameterError: a mask is not a valid polygon.
         """
         half = np.tan(np.deg2rad(config.field_of_view_deg) / 2.0)
         optics, horizon = config.optics, config.horizon
@@ -51,20 +51,20 @@ class Obstructions:
         )
 
     def in_view(self, number: int, angles: FloatArray) -> list[str]:
-        """Names of the masks that reach into the field of a sensor bolted at (azimuth, elevation, roll), rad."""
+        """Return the names of the masks in the field of a sensor mounted at (azimuth, elevation, roll), rad."""
         reaching = self.masks.reaching(rotation_from_angles(*angles)[None], self.half_fields[number])
         return [name for name, reaches in zip(self.masks.names, reaching, strict=True) if reaches[0]]
 
     def clear(self, number: int, angles: FloatArray) -> NDArray[np.bool_]:
-        """Whether the field of a sensor is clear of all masks, for installation angles (n, 3), rad; shape (n,)."""
+        """True if the field of a sensor is clear of all masks, for installation angles (n, 3), rad; shape (n,)."""
         reached: NDArray[np.bool_] = np.any(self.masks.reaching(_rotations(angles), self.half_fields[number]), axis=0)
         return ~reached
 
     def over_horizon(self, number: int, angles: FloatArray) -> FloatArray:
-        """How much higher than the clearance the field's lowest point stays as the ship moves, shape (n,), rad.
+        """Return the margin of the field's lowest point to the clearance as the ship moves, shape (n,), rad.
 
         Args:
-            number: of the sensor.
+            number: number of the sensor.
             angles: installation angles, shape (n, 3), rad.
         """
         field_d = field_directions(self.half_fields[number]) @ np.swapaxes(_rotations(angles), -1, -2)
@@ -72,7 +72,7 @@ class Obstructions:
         return lowest - self.clearance
 
     def is_open(self, number: int, angles: FloatArray) -> NDArray[np.bool_]:
-        """Whether a field is clear of masks and over the horizon, for installation angles (n, 3), rad; shape (n,)."""
+        """True if a field is clear of masks and horizon, for installation angles (n, 3), rad; shape (n,)."""
         return self.clear(number, angles) & (self.over_horizon(number, angles) >= 0.0)
 
 

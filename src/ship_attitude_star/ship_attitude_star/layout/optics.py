@@ -1,4 +1,4 @@
-"""From the optics of a star sensor to the noise of its attitude, by the real stars and by Liebe's formulas.
+"""Attitude noise of a star sensor from its optics, by the catalogue's stars and by Liebe's formulas.
 
 C. C. Liebe, "Accuracy performance of star trackers: a tutorial", IEEE Transactions on Aerospace and Electronic Systems
 38(2), 2002, gives for N stars in a square field:
@@ -6,13 +6,13 @@ C. C. Liebe, "Accuracy performance of star trackers: a tutorial", IEEE Transacti
     across the boresight    field · centroid / (pixels · √N)
     about the boresight     atan(centroid / (0.3825 · pixels)) / √N
 
-0.3825 is the *mean* distance of a star from the middle of a square field, in sides; what counts is its root mean
-square, 1/√6 = 0.4082, so with many stars the second formula is 7 % larger than the attitude's covariance. With
-few stars the covariance is larger, because the stars are turned about their own middle. The layout study
-takes the covariance of the stars that the catalogue has, and shows Liebe's figures beside it.
+0.3825 is the *mean* distance of a star from the middle of a square field, in sides. The attitude depends on its root
+mean square, 1/√6 = 0.4082, so with many stars the second formula is 7 % larger than the attitude's covariance. With few
+stars the covariance is larger, because the stars rotate about their own mean. The layout study uses the covariance by
+the catalogue's stars, and shows Liebe's values for comparison.
 
-The magnitude limit is given, not derived from aperture and exposure: with them alone, without the brightness of the
-sky, the noise of the read-out and the streaks of a rolling ship, any limit would be a guess.
+The magnitude limit is a parameter. It is not derived from aperture and exposure, because it also depends on the
+brightness of the sky, the read-out noise and the streaks of a rolling ship.
 """
 
 from collections.abc import Iterator
@@ -26,10 +26,10 @@ from ship_attitude_star.sky.catalogue import hipparcos
 from ship_geometry.rotations import FloatArray
 
 LEAST_STARS = 2
-"""Fewer stars give no attitude."""
+"""Least number of stars that give an attitude."""
 
 PERCENTILES = (1, 5, 10, 50)
-"""Shares of the sky, in percent, whose largest number of stars in the field is told."""
+"""Percentiles over the sky of the reported star counts."""
 
 _DIRECTIONS = 1000
 _SEED = 20020401
@@ -39,14 +39,14 @@ _MEAN_DISTANCE = 0.3825
 
 @dataclass(frozen=True)
 class OpticsOverSky:
-    """What optics give over the whole sky.
+    """Star counts and attitude noise of optics over the whole sky.
 
     Attributes:
         field_deg: width and height of the field of view.
         star_sigma_arcsec: noise of the direction of one star, per axis.
-        stars: number of stars in the field for each of many directions and rolls drawn evenly, shape (n,).
+        stars: number of stars in the field for each of many uniformly drawn directions and rolls, shape (n,).
         sigmas_arcsec: sigma about (forward, up, right) for each of them, shape (n, 3); infinite with too few stars.
-        held_arcsec: sigma about (forward, up, right) that is held in the share of the sky asked for, shape (3,).
+        quantile_arcsec: sigma about (forward, up, right) not exceeded in the required share of the sky, shape (3,).
         liebe_arcsec: sigma about (forward, up, right) by Liebe's formulas with the mean number of stars, shape (3,).
     """
 
@@ -58,16 +58,16 @@ class OpticsOverSky:
     liebe_arcsec: FloatArray
 
     def fewest_stars(self) -> dict[int, float]:
-        """Number of stars that is not reached in so many percent of the sky, by the percent."""
+        """Return the star count at each of the percentiles over the sky, by percentile."""
         return {percent: float(np.percentile(self.stars, percent, method="lower")) for percent in PERCENTILES}
 
     def share_without(self) -> float:
-        """Share of the sky in which there are too few stars for an attitude."""
+        """Return the share of the sky with too few stars for an attitude."""
         return float(np.mean(self.stars < LEAST_STARS))
 
 
 def over_sky(optics: Optics) -> OpticsOverSky:
-    """The stars in the field and the noise of the attitude over the sky, by the Hipparcos-2 catalogue.
+    """Return the stars in the field and the noise of the attitude over the sky, by the Hipparcos-2 catalogue.
 
     Directions and rolls are drawn with a fixed seed.
     """
@@ -75,7 +75,7 @@ def over_sky(optics: Optics) -> OpticsOverSky:
     fields = list(_fields(optics))
     stars = np.array([float(len(seen)) for seen in fields])
     sigmas = np.array([attitude_sigmas(seen, sigma) for seen in fields])
-    # Of infinite values the quantile between two would be no number: the upper one of the two is taken.
+    # Interpolation between infinite values would be NaN: the upper value is taken.
     held = np.quantile(sigmas, optics.sky_share, axis=0, method="higher")
     arcsec = np.rad2deg(1.0) * 3600.0
     width, height = np.rad2deg(2.0 * np.arctan(optics.half_field()))
@@ -90,7 +90,7 @@ def over_sky(optics: Optics) -> OpticsOverSky:
 
 
 def liebe_sigmas(optics: Optics, stars: float) -> FloatArray:
-    """Sigma about (forward, up, right) by Liebe's formulas, shape (3,), rad.
+    """Return sigma about (forward, up, right) by Liebe's formulas, shape (3,), rad.
 
     Args:
         optics: of the sensor; the pixels of Liebe's square field are the root of columns times rows.
@@ -100,7 +100,7 @@ def liebe_sigmas(optics: Optics, stars: float) -> FloatArray:
         fewer = np.sqrt(np.float64(1.0) / stars)
     pixels = np.sqrt(float(optics.width_px * optics.height_px))
     about = np.arctan(optics.centroid_sigma_px / (_MEAN_DISTANCE * pixels))
-    # A turn about the up axis moves stars along the rows.
+    # A rotation about the up axis moves stars along the rows.
     width, height = 2.0 * np.arctan(optics.half_field())
     about_up = width * optics.centroid_sigma_px / optics.width_px
     about_right = height * optics.centroid_sigma_px / optics.height_px
@@ -109,7 +109,7 @@ def liebe_sigmas(optics: Optics, stars: float) -> FloatArray:
 
 
 def attitude_sigmas(stars_s: FloatArray, sigma: float) -> FloatArray:
-    """Sigma about (forward, up, right) of the attitude by some stars, shape (3,), rad; infinite with fewer than two.
+    """Return sigma about (forward, up, right) of the attitude by stars, shape (3,), rad; infinite with fewer than two.
 
     The covariance is that of the best attitude, (Σ σ⁻² (I − v vᵀ))⁻¹.
 
@@ -125,7 +125,7 @@ def attitude_sigmas(stars_s: FloatArray, sigma: float) -> FloatArray:
 
 
 def _fields(optics: Optics) -> Iterator[FloatArray]:
-    """The stars in the field for each direction drawn: unit vectors in the sensor frame, each of shape (k, 3)."""
+    """Return the stars in the field of each drawn direction: unit vectors in the sensor frame, each of shape (k, 3)."""
     stars = _stars_up_to(optics.magnitude_limit)
     half = optics.half_field()
     rotations_sc = _drawn_rotations()
@@ -139,18 +139,18 @@ def _fields(optics: Optics) -> Iterator[FloatArray]:
 
 @lru_cache(maxsize=4)
 def _stars_up_to(magnitude: float) -> FloatArray:
-    """Unit vectors of the stars up to a magnitude, shape (k, 3)."""
+    """Return unit vectors of the stars up to a magnitude, shape (k, 3)."""
     catalogue = hipparcos()
     rows = catalogue.brighter_than(magnitude)
-    # Their motion since the epoch is nothing against a field of view.
+    # Their motion since the epoch is negligible compared with a field of view.
     alpha, delta = catalogue.at_epoch.right_ascension[rows], catalogue.at_epoch.declination[rows]
     return np.stack([np.cos(delta) * np.cos(alpha), np.cos(delta) * np.sin(alpha), np.sin(delta)], axis=-1)
 
 
 def _drawn_rotations() -> FloatArray:
-    """Rotations drawn evenly over all attitudes, shape (n, 3, 3): orthogonal factors of normal matrices."""
+    """Return uniformly distributed rotations, shape (n, 3, 3): orthogonal factors of normal matrices."""
     factors, triangles = np.linalg.qr(np.random.default_rng(_SEED).standard_normal((_DIRECTIONS, 3, 3)))
-    # With a positive diagonal of the triangle the factor is drawn evenly (Mezzadri, 2007); then mirrors are turned.
+    # With a positive diagonal of the triangle the factors are uniform (Mezzadri, 2007); reflections are then flipped.
     factors *= np.sign(np.diagonal(triangles, axis1=-2, axis2=-1))[:, None, :]
     factors[:, :, 0] *= np.linalg.det(factors)[:, None]
     return factors

@@ -1,4 +1,4 @@
-"""The layout study as one self-contained HTML page for the naval architect: plain words, tables, embedded figures."""
+"""The layout study as one self-contained HTML page for the naval architect: text, tables, embedded figures."""
 
 from collections.abc import Mapping
 from html import escape
@@ -24,17 +24,17 @@ from ship_geometry.rotations import FloatArray
 from ship_node.documents.html_page import STYLE, arcsec_texts, folded, image, table, table_body
 
 _READING_NAMES = {
-    InstallationReading.PHYSICAL: "physical: R(A0, E0, γ0) turns the sensor's axes into the deck's",
-    InstallationReading.PAPER: "as computed in [Z14]: R(A0, E0, γ0) turns the deck's axes into the sensor's",
+    InstallationReading.PHYSICAL: "physical: R(A0, E0, γ0) rotates the sensor's axes into the deck's",
+    InstallationReading.PAPER: "as computed in [Z14]: R(A0, E0, γ0) rotates the deck's axes into the sensor's",
 }
 
 
 def page_text(study: LayoutStudy, figures: Mapping[str, Path], title: str) -> str:
-    """The page.
+    """Return the page.
 
     Args:
         study: the study that the page shows.
-        figures: the PNG files by name; the page embeds them.
+        figures: PNG files by name, which the page embeds.
         title: title of the study, for the heading.
     """
     template = Template(resources.files(__package__).joinpath("page.html").read_text(encoding="utf-8"))
@@ -96,7 +96,7 @@ def _sensor_table(study: LayoutStudy) -> str:
 
 
 def _optics_text(study: LayoutStudy) -> str:
-    """What the optics give over the sky, and Liebe's figures beside; nothing where no optics are given."""
+    """Return the results of the optics over the sky with Liebe's values; empty if no optics are given."""
     if not study.optics:
         return ""
     rows = []
@@ -108,12 +108,12 @@ def _optics_text(study: LayoutStudy) -> str:
         star = f"{found.star_sigma_arcsec:.2f}"
         rows.append([name, field, star, f"{found.stars.mean():.1f}", *stars, share, *sigmas])
     header = ["sensor", "field", "one star [″]", "stars, mean", *(f"in {percent} %" for percent in PERCENTILES)]
-    header += ["held in", "about boresight / up / right [″]", "by Liebe [″]"]
+    header += ["share of sky", "about boresight / up / right [″]", "by Liebe [″]"]
     return (
-        "<p>The noise of these sensors follows from their optics and the stars that Hipparcos-2 has in the field: mean "
-        "number of stars, and the number at most found in so many percent of the sky; noise held in the share of the "
-        "sky asked for, and by Liebe's formulas with the mean number (C. C. Liebe, Accuracy performance of star "
-        "trackers, 2002). The magnitude limit is as given. Lens errors are not in it.</p>"
+        "<p>The noise of these sensors follows from their optics and the Hipparcos-2 stars in the field. The table "
+        "gives the mean number of stars and its percentiles over the sky, the noise not exceeded in the required share "
+        "of the sky, and the noise by Liebe's formulas with the mean number of stars (C. C. Liebe, Accuracy "
+        "performance of star trackers, 2002). The magnitude limit is as given. Lens errors are not included.</p>"
         f'<div class="table">{table(header, rows)}</div>'
     )
 
@@ -153,19 +153,19 @@ def _source_table(study: LayoutStudy, reading: InstallationReading) -> str:
     return f"<h3>Reading: {escape(_READING_NAMES[reading])}</h3>{of_reading}"
 
 
-# -- the plain words, every number in them computed from the layout at hand ------------------------------------
+# -- texts, with every number computed from the layout ---------------------------------------------------------
 
 _WORTH_MOVING = 0.1
-"""Where turning the sensors gains less than this share of the error, other needs of the ship decide."""
+"""Gain of the total error below which moving the sensors is not worthwhile, ratio."""
 
 
 def _result(study: LayoutStudy) -> str:
-    """What the layout as given achieves."""
+    """Return a sentence on the accuracy of the layout as given."""
     count = len(study.layout.names)
     if count == 1:
         return f"The one sensor, “{study.layout.names[0]}”, gives {_errors(study.joint_arcsec)} (1σ)."
     totals = total_arcsec(study.alone_arcsec)
-    # Of sensors that are equally good the first is named, whatever the last bits say.
+    # Of equally good sensors the first is named, whatever the last bits are.
     best = int(np.argmin(np.round(totals, 6)))
     joint = float(total_arcsec(study.joint_arcsec))
     return (
@@ -176,16 +176,16 @@ def _result(study: LayoutStudy) -> str:
 
 
 def _advice(study: LayoutStudy) -> str:
-    """The recommended azimuths and how much they may be missed, as a list."""
+    """Return the recommended azimuths with their tolerances as a list."""
     if len(study.layout.names) == 1:
         return (
-            "<p>With one sensor no azimuth is best in total: turning it only moves the error from roll to pitch. Look "
-            "along the keel where pitch matters, abeam where roll matters; for both, and for heading, add a second "
+            "<p>With one sensor no azimuth is best in total: rotating it only moves the error from roll to pitch. "
+            "Mount it along the keel if pitch matters, abeam if roll matters. For both, and for heading, add a second "
             "sensor about a right angle away.</p>"
         )
     given, best = (float(total_arcsec(sigmas)) for sigmas in (study.joint_arcsec, study.best_arcsec))
     first_deg = np.rad2deg(study.best.angles[0, 0]) % 360.0
-    items = [f"<li>“{study.best.names[0]}”: {first_deg:g}° from the bow (kept; the others are turned against it)</li>"]
+    items = [f"<li>“{study.best.names[0]}”: {first_deg:g}° from the bow (fixed; the others are rotated)</li>"]
     for number, turned in enumerate(study.scans, start=1):
         best_deg, given_deg = (np.rad2deg(layout.angles[number, 0]) % 360.0 for layout in (study.best, study.layout))
         items.append(
@@ -198,7 +198,7 @@ def _advice(study: LayoutStudy) -> str:
 
 
 def _rule_in_numbers(study: LayoutStudy) -> str:
-    """The engineering rule for the first sensor's own elevation and error about the boresight."""
+    """Return the engineering rule in numbers, for the first sensor's elevation and error about the boresight."""
     layout = study.layout
     elevation = layout.angles[0, 1]
     sensor = next(iter(study.config.sensors.values()))
@@ -217,11 +217,11 @@ def _errors(sigmas_arcsec: FloatArray) -> str:
 
 def _tolerance(turned: AzimuthScan) -> str:
     if turned.good_deg is None:
-        return "no room to turn it without losing a tenth"
+        return "any other azimuth increases the error by more than a tenth"
     low, high = turned.good_deg
     if high - low == 360.0:
-        return "any azimuth costs less than a tenth more"
-    return f"anything from {low:.0f}° clockwise to {high:.0f}° costs less than a tenth more"
+        return "any azimuth increases the error by less than a tenth"
+    return f"from {low:.0f}° clockwise to {high:.0f}° the error increases by less than a tenth"
 
 
 def _verdict(given: float, best: float) -> str:
@@ -229,5 +229,5 @@ def _verdict(given: float, best: float) -> str:
     if gain < 1e-6:
         return "The layout as given is the best one in azimuth."
     if gain < _WORTH_MOVING:
-        return f"The gain of {100.0 * gain:.1f} % is small: what else the ship needs may decide."
-    return f"Turning the sensors there takes {100.0 * gain:.0f} % off the total error."
+        return f"The gain of {100.0 * gain:.1f} % is small: other needs of the ship may decide."
+    return f"The recommended azimuths reduce the total error by {100.0 * gain:.0f} %."

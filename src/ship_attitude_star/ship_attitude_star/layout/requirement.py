@@ -1,9 +1,9 @@
-"""Layouts judged by what is required of the attitude: which are admissible, in what order, and what elevation costs.
+"""Evaluation of layouts by the required accuracy: admissible layouts, their ranking, and the effect of elevation.
 
-A layout *uses* the share sigma / requirement of its worst angle. It is admissible if that is at most 1, if no mask
-reaches into a field of view, and if all fields stay over the horizon while the ship moves. Judged are the layouts of
-the file, the recommended azimuths, each sensor moved alone over all azimuths and elevations, and all sensors moved
-together. The last is a search: two sensors at a time over a coarse grid, then one at a time over a finer one.
+The requirement use of a layout is sigma / requirement of its worst angle. The layout is admissible if the use is at
+most 1, no mask is in a field of view, and all fields stay above the horizon while the ship moves. Evaluated are the
+layouts of the file, the recommended azimuths, each sensor moved alone over all azimuths and elevations, and all sensors
+moved together. The last is a search: two sensors at a time over a coarse grid, then one at a time over a finer one.
 """
 
 from collections.abc import Iterator, Sequence
@@ -20,10 +20,10 @@ from ship_attitude_star.layout.masks import Obstructions
 from ship_geometry.rotations import FloatArray
 
 AS_GIVEN, RECOMMENDED, ALL_MOVED = "as given", "recommended azimuths", "all sensors moved"
-"""Names of layouts that no file gives; an alternative has its own name, a sensor moved alone "<id> moved"."""
+"""Names of the layouts that no file gives; an alternative has its own name, a sensor moved alone "<id> moved"."""
 
 SEARCH_STEP_DEG = 5.0
-"""All sensors are moved together over azimuths and elevations that are so far apart, in the end."""
+"""Final step of azimuth and elevation in the search that moves all sensors."""
 _COARSE_STEP_DEG = 15.0
 _TURNS_DEG = (0.0, 30.0, 60.0, 90.0)
 _TRADE_STEP_DEG = 2.5
@@ -34,14 +34,14 @@ _REFRACTION = "refraction"
 
 @dataclass(frozen=True)
 class Candidate:
-    """One layout, judged.
+    """One evaluated layout.
 
     Attributes:
-        name: as in :data:`AS_GIVEN` and the like.
+        name: as in :data:`AS_GIVEN`.
         layout: the layout.
-        sigmas_arcsec: of heading, pitch, roll, shape (3,); NaN where a boresight is too low for refraction.
-        use: sigma over requirement of the worst angle; NaN with the sigmas.
-        obstacles: what stands in the fields of view, in words; empty where nothing does.
+        sigmas_arcsec: of heading, pitch, roll, shape (3,); NaN if a boresight is too low for refraction.
+        requirement_use: sigma over requirement of the worst angle; NaN with the sigmas.
+        obstacles: descriptions of the obstructions in the fields of view; empty if there are none.
     """
 
     name: str
@@ -52,19 +52,19 @@ class Candidate:
 
     @property
     def admissible(self) -> bool:
-        """Whether it meets the requirement and sees the sky; not where its sigmas are not known."""
+        """True if it meets the requirement without obstructions; False if its sigmas are not known."""
         return self.use <= 1.0 and not self.obstacles
 
 
 @dataclass(frozen=True)
 class AdmissibleMap:
-    """Where one sensor may be while the others stay as given; goes with the study's map of it.
+    """Admissible mounting directions of one sensor with the others as given; belongs to the study's map of it.
 
     Attributes:
         sensor: the sensor that is moved.
-        use: shape (e, a); NaN where the boresight is too low.
-        clear: whether its field is clear of masks, shape (e, a).
-        over_horizon: whether its field stays over the horizon, shape (e, a).
+        requirement_use: requirement use, shape (e, a); NaN where the boresight is too low.
+        is_clear: True where its field is clear of masks, shape (e, a).
+        is_above_horizon: True where its field stays above the horizon, shape (e, a).
     """
 
     sensor: str
@@ -73,18 +73,18 @@ class AdmissibleMap:
     over_horizon: NDArray[np.bool_]
 
     def admissible(self) -> NDArray[np.bool_]:
-        """Whether the requirement is met with a free sight of this sensor, shape (e, a)."""
+        """True where the requirement is met and this sensor's field is unobstructed, shape (e, a)."""
         return (self.use <= 1.0) & self.clear & self.over_horizon
 
 
 @dataclass(frozen=True)
 class TradedElevation:
-    """All sensors at one elevation, at the azimuths that use the least of the requirement there.
+    """All sensors at one elevation, at the azimuths with the least requirement use.
 
     Attributes:
         elevation_deg: of all of them.
-        judged: the layout.
-        refraction_arcsec: what refraction adds to heading, pitch, roll, shape (3,).
+        candidate: the layout.
+        refraction_arcsec: errors of heading, pitch, roll by refraction, shape (3,).
     """
 
     elevation_deg: float
@@ -94,14 +94,14 @@ class TradedElevation:
 
 @dataclass(frozen=True)
 class JudgedLayouts:
-    """All that is said of a requirement.
+    """Results of the evaluation of a requirement.
 
     Attributes:
-        limits_arcsec: greatest sigma of heading, pitch, roll, shape (3,); infinite where nothing is asked.
-        ranking: the layouts, admissible ones first, then by use.
-        maps: where each sensor may be, in the order of the sensors.
-        trade: over elevation.
-        allocations: how large each error may be, of the first of the ranking and of the layout as given, by name.
+        limits_arcsec: maximum sigma of heading, pitch, roll, shape (3,); infinite where nothing is required.
+        ranking: the layouts, admissible ones first, then by requirement use.
+        maps: admissible directions of each sensor, in the order of the sensors.
+        trade: the layouts over elevation.
+        allocations: maximum error sizes, of the first layout of the ranking and of the layout as given, by name.
     """
 
     limits_arcsec: FloatArray
@@ -112,7 +112,7 @@ class JudgedLayouts:
 
     @property
     def met(self) -> bool:
-        """Whether any layout is admissible."""
+        """True if any layout is admissible."""
         return self.ranking[0].admissible
 
     @property
@@ -124,14 +124,14 @@ class JudgedLayouts:
 def judged(
     config: LayoutStudyConfig, layout: Layout, best: Layout, maps: list[ErrorMap], obstructions: Obstructions
 ) -> JudgedLayouts:
-    """The layouts of a study, judged by its requirement.
+    """Evaluate the layouts of a study by its requirement.
 
     Args:
         config: the study.
         layout: as given.
         best: at the recommended azimuths.
-        maps: the errors while each sensor is bolted anywhere.
-        obstructions: what stands in the way.
+        maps: the errors over each sensor's mounting direction.
+        obstructions: masks and horizon.
     """
     judge = _Judge(config.requirement.limits_arcsec(), obstructions)
     candidates = [judge.candidate(AS_GIVEN, layout)]
@@ -146,7 +146,7 @@ def judged(
     for number, (moved, allowed) in enumerate(zip(maps, admissible, strict=True)):
         candidates += judge.best_of_map(layout, number, moved, allowed)
     candidates.append(judge.searched(candidates, layout))
-    # The sort is stable: of equal layouts the one that stands first in the list changes the least.
+    # The sort is stable: of equal layouts the first of the list, which changes least, comes first.
     ranking = sorted(candidates, key=lambda one: (not one.admissible, bool(one.obstacles), _or_infinite(one.use)))
     return JudgedLayouts(
         limits_arcsec=judge.limits_arcsec,
@@ -159,7 +159,7 @@ def judged(
 
 @dataclass(frozen=True)
 class _Judge:
-    """Judges layouts by limits, arcsec, shape (3,), and by what stands in the way."""
+    """Evaluates layouts by limits, arcsec, shape (3,), and by obstructions."""
 
     limits_arcsec: FloatArray
     obstructions: Obstructions
@@ -175,7 +175,7 @@ class _Judge:
                 yield f"{mask} in the field of {name}"
             over = float(self.obstructions.over_horizon(number, layout.angles[number][None])[0])
             if not over >= 0.0:
-                yield f"the field of {name} comes {np.rad2deg(-over):.1f} deg too near to the horizon"
+                yield f"the field of {name} is {np.rad2deg(-over):.1f} deg too near to the horizon"
 
     def admissible_map(self, layout: Layout, number: int, moved: ErrorMap) -> AdmissibleMap:
         angles = _grid_angles(layout, number, moved.azimuths_deg, moved.elevations_deg)
@@ -188,7 +188,7 @@ class _Judge:
         )
 
     def best_of_map(self, layout: Layout, number: int, moved: ErrorMap, allowed: AdmissibleMap) -> list[Candidate]:
-        """The best open place of one sensor moved alone; none where no place is open."""
+        """Return the best unobstructed direction of one sensor moved alone; empty if there is none."""
         uses = np.where(allowed.clear & allowed.over_horizon, _or_infinite(allowed.use), np.inf)
         row, column = np.unravel_index(np.argmin(uses), uses.shape)
         if not np.isfinite(uses[row, column]):
@@ -198,11 +198,11 @@ class _Judge:
         return [self.candidate(f"{moved.sensor} moved", replace(layout, angles=angles))]
 
     def searched(self, candidates: list[Candidate], layout: Layout) -> Candidate:
-        """The layout that uses the least of the requirement, all sensors moved together.
+        """Search the layout with the least requirement use, all sensors moved together.
 
-        Two sensors at a time go to the best of all pairs of places that are far apart. From there, as from the layouts
-        judged already and from sensors spread round the ship, one at a time goes to the best of its places near to each
-        other.
+        Two sensors at a time move to the best pair of directions of a coarse grid. From there, from the layouts already
+        evaluated and from sensors distributed around the ship, one sensor at a time moves to the best direction of a
+        fine grid.
         """
         coarse = [self._open_places(layout, number, _COARSE_STEP_DEG) for number in range(len(layout.names))]
         fine = [self._open_places(layout, number, SEARCH_STEP_DEG) for number in range(len(layout.names))]
@@ -215,7 +215,7 @@ class _Judge:
         )
 
     def _open_places(self, layout: Layout, number: int, step_deg: float) -> FloatArray:
-        """Installation angles of a sensor from which its sight is free, on a grid, shape (n, 3), rad."""
+        """Return the installation angles of a sensor with an unobstructed field, on a grid, shape (n, 3), rad."""
         azimuths_deg = np.arange(0.0, 360.0, step_deg)
         own = _grid_angles(layout, number, azimuths_deg, _elevations_deg(step_deg))
         return own[self.obstructions.is_open(number, own)]
@@ -223,10 +223,10 @@ class _Judge:
     def _descended(
         self, layout: Layout, places: list[FloatArray], groups: Sequence[tuple[int, ...]] | None = None
     ) -> Layout:
-        """Sensors moved in their turn to the best of their places until none moves.
+        """Move sensors in turn to the best of their directions until none moves.
 
         Args:
-            layout: where they start.
+            layout: the start.
             places: installation angles of each, shape (n, 3), rad; a sensor without any stays.
             groups: numbers of the sensors that move together; None for each by itself.
         """
@@ -246,7 +246,7 @@ class _Judge:
         return layout
 
     def traded(self, layout: Layout) -> Iterator[TradedElevation]:
-        """All sensors at each elevation, at the azimuths that use the least of the requirement there."""
+        """Return all sensors at each elevation, at the azimuths with the least requirement use."""
         for elevation_deg in _elevations_deg(_TRADE_STEP_DEG):
             angles = layout.angles.copy()
             angles[:, 1] = np.deg2rad(elevation_deg)
@@ -255,7 +255,7 @@ class _Judge:
             for number in range(len(layout.names)):
                 turned = _grid_angles(level, number, np.arange(0.0, 360.0, SEARCH_STEP_DEG), np.array([elevation_deg]))
                 clear = self.obstructions.clear(number, turned)
-                # Where masks leave no azimuth the sensor stays, and its layout names them.
+                # If masks leave no azimuth, the sensor stays, and the candidate's obstacles name them.
                 places.append(turned[clear])
             best = self._descended(level, places)
             judged_there = self.candidate(f"all at {elevation_deg:g} deg", best)
@@ -267,7 +267,7 @@ class _Judge:
 
 
 def _spread(layout: Layout) -> Iterator[Layout]:
-    """The sensors at their elevations, spread evenly over half and over the whole circle."""
+    """Return the sensors at their elevations, with azimuths uniform over half and over the whole circle."""
     count = len(layout.names)
     for turn_deg in _TURNS_DEG:
         for circle in (np.pi, 2.0 * np.pi):
@@ -281,12 +281,12 @@ def _elevations_deg(step_deg: float) -> FloatArray:
 
 
 def _grid_angles(layout: Layout, number: int, azimuths_deg: FloatArray, elevations_deg: FloatArray) -> FloatArray:
-    """Installation angles of a sensor at each elevation and azimuth, its roll kept, shape (e · a, 3), rad."""
+    """Return installation angles of a sensor at each elevation and azimuth with its own roll, shape (e · a, 3), rad."""
     elevation, azimuth = np.meshgrid(np.deg2rad(elevations_deg), np.deg2rad(azimuths_deg), indexing="ij")
     roll = np.full(azimuth.size, layout.angles[number, 2])
     return np.stack([azimuth.ravel(), elevation.ravel(), roll], axis=-1)
 
 
 def _or_infinite(use: FloatArray | float) -> FloatArray:
-    """The uses, infinite where they are not known."""
+    """Return the requirement uses, infinite where they are not known."""
     return np.where(np.isnan(use), np.inf, use)

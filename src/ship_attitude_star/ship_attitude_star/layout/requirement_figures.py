@@ -1,6 +1,6 @@
-"""The figures of what is required: where a sensor may be, and what elevation costs; and what stands in the way.
+"""Figures of the requirement: admissible directions of sensors, effect of elevation, obstructions.
 
-Only the command imports this module: matplotlib loads longer than the study takes.
+Only the command imports this module, because matplotlib loads slowly.
 """
 
 from typing import Any
@@ -30,16 +30,16 @@ _MOST_USE = 3.0
 
 
 def admissible_figure(study: LayoutStudy, required: JudgedLayouts) -> Figure:
-    """Where each sensor may be while the others stay as given, with masks and horizon."""
+    """Return the figure of each sensor's admissible directions with the others as given, with masks and horizon."""
     count = len(required.maps)
     figure, grid = plt.subplots(count, 1, figsize=(9.5, 3.9 * count + 0.8), squeeze=False, layout="constrained")
     for number, (allowed, axes) in enumerate(zip(required.maps, grid[:, 0], strict=True)):
         _draw_admissible(axes, study, allowed, number)
     handles, labels = grid[0, 0].get_legend_handles_labels()
     handles += [Patch(color=_ADMISSIBLE), Patch(color=_TOO_NEAR)]
-    labels += ["requirement met, sight free", "field in a mask or too near to the horizon"]
+    labels += ["requirement met, field clear", "field in a mask or too near to the horizon"]
     figure.legend(handles, labels, loc="outside lower center", ncols=2)
-    figure.suptitle("Share of the requirement that the worst angle uses")
+    figure.suptitle("Requirement use of the worst angle: 1σ / requirement")
     return figure
 
 
@@ -60,14 +60,14 @@ def _draw_admissible(axes: Axes, study: LayoutStudy, allowed: AdmissibleMap, num
     axes.set(
         title=f"Sensor “{allowed.sensor}” anywhere" + (", the others as given" if len(study.layout.names) > 1 else ""),
         xlabel="azimuth from the bow [°]",
-        ylabel="elevation over the deck [°]",
+        ylabel="elevation above the deck [°]",
         xlim=(0.0, 360.0),
         ylim=(moved.elevations_deg[0], moved.elevations_deg[-1]),
     )
 
 
 def elevation_figure(required: JudgedLayouts) -> Figure:
-    """What elevation costs: refraction low down, the sensors' common direction high up."""
+    """Return the figure of the errors over elevation: refraction at low, parallel boresights at high elevation."""
     elevations_deg = np.array([one.elevation_deg for one in required.trade])
     figure, axes = plt.subplots(figsize=(8.5, 4.6), layout="constrained")
     sigmas = np.array([one.judged.sigmas_arcsec for one in required.trade])
@@ -77,15 +77,15 @@ def elevation_figure(required: JudgedLayouts) -> Figure:
         use = sigmas[:, angle] / required.limits_arcsec[angle]
         axes.plot(elevations_deg, use, color=colour, ls=line, lw=1.8, label=SHIP_ANGLES[angle])
     by_refraction = use_of(refraction, required.limits_arcsec)
-    axes.plot(elevations_deg, by_refraction, color="0.5", lw=1.8, ls=":", label="refraction alone")
+    axes.plot(elevations_deg, by_refraction, color="0.5", lw=1.8, ls=":", label="refraction only")
     axes.axhline(1.0, color="black", lw=1.3, label="requirement")
     _shade_blocked(axes, elevations_deg, np.array([bool(one.judged.obstacles) for one in required.trade]))
     axes.set(
         xlim=(elevations_deg[0], elevations_deg[-1]),
         ylim=(0.0, _MOST_USE),
-        xlabel="elevation of all sensors over the deck [°]",
-        ylabel="share of the requirement",
-        title="All sensors at one elevation, at their best azimuths there",
+        xlabel="elevation of all sensors above the deck [°]",
+        ylabel="requirement use: 1σ / requirement",
+        title="All sensors at one elevation, at their best azimuths",
     )
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3)
@@ -100,7 +100,7 @@ def _shade_blocked(axes: Axes, elevations_deg: FloatArray, blocked: FloatArray) 
 
 
 def draw_masks(axes: Axes, masks: DeckMasks) -> None:
-    """Draw masks into a map over azimuth and elevation (deg), also where they come in again over the bow."""
+    """Draw masks into a map over azimuth and elevation (deg), repeated across the bow."""
     look: dict[str, Any] = {"facecolor": "none", "edgecolor": _MASK, "hatch": "////", "lw": 1.2, "zorder": 3}
     (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
     for name, corners in zip(masks.names, masks.corners, strict=True):
@@ -116,7 +116,7 @@ def draw_masks(axes: Axes, masks: DeckMasks) -> None:
 
 
 def mark_sensors(axes: Axes, layout: Layout, moved: int) -> None:
-    """Mark where the sensors look in a map; the one that is moved as a star."""
+    """Mark the sensors' boresights in a map; the moved sensor as a star."""
     directions_deg = np.rad2deg(layout.angles[:, :2]) % 360.0
     others = np.delete(directions_deg, moved, axis=0)
     look: dict[str, Any] = {"ls": "", "markeredgecolor": "white", "clip_on": False, "zorder": 5}

@@ -1,4 +1,4 @@
-"""What is required, as a section of the page: the ranking, where the sensors may be, how large each error may be."""
+"""The requirement as a section of the page: ranking, admissible directions, maximum size of each error."""
 
 from collections.abc import Mapping
 from html import escape
@@ -15,29 +15,30 @@ from ship_node.documents.html_page import arcsec_texts, folded, image, table
 
 
 def required_section(study: LayoutStudy, figures: Mapping[str, Path]) -> str:
-    """The section; nothing where nothing is required."""
+    """Return the section; empty without a requirement."""
     required = study.required
     if required is None:
         return ""
     return (
-        f"<h2>What is required</h2><p>{_verdict(required)}</p>"
+        f"<h2>Requirement</h2><p>{_verdict(required)}</p>"
         f'<div class="table">{_ranking_table(required)}</div>'
-        "<p>A layout uses the share 1σ / requirement of its worst angle. Judged are the layouts of the file, the "
-        "recommended azimuths, each sensor moved alone, and all sensors moved together over a grid of 5°, which is "
+        "<p>The use of a layout is 1σ / requirement of its worst angle. The ranking contains the layouts of the file, "
+        "the recommended azimuths, each sensor moved alone, and all sensors moved together over a grid of 5°, which is "
         "searched from several starts.</p>"
-        f"{image(figures['requirement'], 'Where each sensor may be')}"
+        f"{image(figures['requirement'], 'Admissible directions of each sensor')}"
         + folded(
-            "What elevation costs",
-            "<p>Low down refraction grows with the cotangent of the elevation, and the field meets the horizon as the "
-            "ship rolls. High up all sensors look the same way, and the error about their common line of sight becomes "
-            f"heading. {_best_elevation(required)}</p>"
-            f"{image(figures['elevation'], 'Share of the requirement over elevation')}",
+            "Effect of elevation",
+            "<p>At low elevation refraction grows with the cotangent of the elevation, and the field reaches the "
+            "horizon as the ship rolls. At high elevation all boresights are nearly parallel, and the error about them "
+            f"becomes heading. {_best_elevation(required)}</p>"
+            f"{image(figures['elevation'], 'Requirement use over elevation')}",
         )
         + folded(
-            "How large each error may be",
-            "<p><i>Together</i>: if all errors are scaled alike. <i>Alone</i>: while the others stay as they are, "
-            "sensors combined anew. Any size: another sensor covers it. The share is of the variance of the angle that "
-            "uses most.</p>" + "".join(_allocation(name, rows) for name, rows in required.allocations.items()),
+            "Maximum size of each error",
+            "<p><i>Together</i>: all errors scaled by one factor. <i>Alone</i>: the other errors unchanged, with the "
+            "best combination of the sensors. Any size: another sensor compensates the error. The share is that of the "
+            "variance of the angle that uses most.</p>"
+            + "".join(_allocation(name, rows) for name, rows in required.allocations.items()),
         )
     )
 
@@ -49,11 +50,11 @@ def _verdict(required: JudgedLayouts) -> str:
         if np.isfinite(limit)
     )
     if not required.met:
-        return f"Required (1σ): {asked}. <b>No layout meets it.</b> The nearest miss: {escape(nearest_miss(required))}."
+        return f"Required (1σ): {asked}. <b>No layout meets it.</b> Nearest miss: {escape(nearest_miss(required))}."
     given, best = required.given, required.ranking[0]
     as_given = "The layout as given meets it" if given.admissible else "The layout as given does not meet it"
     return (
-        f"Required (1σ): {asked}. {as_given}. Of the layouts judged “{escape(best.name)}” uses least: "
+        f"Required (1σ): {asked}. {as_given}. Least use: “{escape(best.name)}” with "
         f"{100.0 * best.use:.1f} % ({escape(places(best.layout))})."
     )
 
@@ -70,18 +71,18 @@ def _ranking_table(required: JudgedLayouts) -> str:
         ]
         for one in required.ranking
     ]
-    header = ["layout", "meets it", "uses", *(f"{angle} [″]" for angle in SHIP_ANGLES)]
-    return table([*header, "azimuth/elevation [°]", "in the way"], rows)
+    header = ["layout", "admissible", "use", *(f"{angle} [″]" for angle in SHIP_ANGLES)]
+    return table([*header, "azimuth/elevation [°]", "obstructions"], rows)
 
 
 def _best_elevation(required: JudgedLayouts) -> str:
     free = [one for one in required.trade if not one.judged.obstacles and np.isfinite(one.judged.use)]
     if not free:
-        return "At no elevation the sight of all sensors is free."
+        return "At no elevation are the fields of all sensors clear."
     best = min(free, key=lambda one: one.judged.use)
     met = [one.elevation_deg for one in free if one.judged.admissible]
-    between = f"it is met between {met[0]:g}° and {met[-1]:g}°" if met else "it is met at none"
-    return f"Least is used with all sensors at {best.elevation_deg:g}°; of the elevations {between}."
+    between = f"the requirement is met between {met[0]:g}° and {met[-1]:g}°" if met else "no elevation meets it"
+    return f"The use is least with all sensors at {best.elevation_deg:g}°; {between}."
 
 
 def _allocation(name: str, allocations: list[Allocation]) -> str:
@@ -103,5 +104,5 @@ def _allocation(name: str, allocations: list[Allocation]) -> str:
 
 def _alone(alone_arcsec: float) -> str:
     if np.isnan(alone_arcsec):
-        return "not even none"
+        return "not achievable even at 0″"
     return "any size" if np.isinf(alone_arcsec) else arcsec_texts(np.array([alone_arcsec]))[0]

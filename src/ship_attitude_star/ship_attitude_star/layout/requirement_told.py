@@ -1,4 +1,4 @@
-"""What a study says of a requirement, as lines on the terminal and as tables."""
+"""Results of a requirement, as lines on the terminal and as tables."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -20,7 +20,7 @@ _SIGMAS = ("heading_sigma_arcsec", "pitch_sigma_arcsec", "roll_sigma_arcsec")
 
 
 def requirement_lines(required: JudgedLayouts) -> list[str]:
-    """The ranking, what binds, and, where no layout meets the requirement, how near the nearest comes."""
+    """Return the ranking, the dominant errors and, if no layout meets the requirement, the nearest miss."""
     asked = [
         f"{name} {limit:g}"
         for name, limit in zip(SHIP_ANGLES, required.limits_arcsec, strict=True)
@@ -31,23 +31,23 @@ def requirement_lines(required: JudgedLayouts) -> list[str]:
         verdict = "meets it" if one.admissible else "does not"
         lines.append(f"{place:3d} {one.name:24}{verdict}: {told(one, required)}")
     if not required.met:
-        lines.append(f"no layout meets the requirement; the nearest miss: {nearest_miss(required)}")
+        lines.append(f"no layout meets the requirement; nearest miss: {nearest_miss(required)}")
     for name, allocations in required.allocations.items():
         lines.append(f"{name}: {binding(allocations)}")
     return lines
 
 
 def told(one: Candidate, required: JudgedLayouts) -> str:
-    """One layout in words: what it uses, where the sensors are, what stands in the way."""
+    """Return a description of one layout: requirement use, directions of the sensors, obstructions."""
     if np.isnan(one.use):
-        uses = "a boresight is too low over the horizon"
+        uses = "a boresight is too near to the horizon"
     else:
         uses = f"{SHIP_ANGLES[binding_angle(one.sigmas_arcsec, required.limits_arcsec)]} uses {100.0 * one.use:.1f} %"
     return "; ".join([uses, places(one.layout), *one.obstacles])
 
 
 def places(layout: Layout) -> str:
-    """Azimuth and elevation of each sensor, degrees."""
+    """Return azimuth and elevation of each sensor as text, degrees."""
     angles_deg = np.rad2deg(layout.angles[:, :2])
     return ", ".join(
         f"{name} {azimuth_deg % 360.0:g}/{elevation_deg:g}"
@@ -56,7 +56,7 @@ def places(layout: Layout) -> str:
 
 
 def nearest_miss(required: JudgedLayouts) -> str:
-    """The first of the ranking where none is admissible: by how much it misses, or what stands in its way."""
+    """Return a description of the best layout that is not admissible: its deficit or its obstructions."""
     nearest = required.ranking[0]
     if nearest.obstacles or np.isnan(nearest.use):
         return f"'{nearest.name}': {told(nearest, required)}"
@@ -64,23 +64,23 @@ def nearest_miss(required: JudgedLayouts) -> str:
     return (
         f"'{nearest.name}', {SHIP_ANGLES[angle]} {nearest.sigmas_arcsec[angle]:.2f} of "
         f"{required.limits_arcsec[angle]:g} arcsec ({places(nearest.layout)}); with all errors "
-        f"{100.0 * (1.0 - 1.0 / nearest.use):.1f} % smaller it would meet it"
+        f"{100.0 * (1.0 - 1.0 / nearest.use):.1f} % smaller it would be met"
     )
 
 
 def binding(allocations: list[Allocation]) -> str:
-    """The error that binds, and how large it may be."""
+    """Return a text with the dominant error and its maximum size."""
     first = allocations[0]
-    text = f"{first.key} = {first.sigma_arcsec:.3g} arcsec binds with {100.0 * first.share:.0f} % of the variance; "
+    text = f"{first.key} = {first.sigma_arcsec:.3g} arcsec dominates with {100.0 * first.share:.0f} % of the variance; "
     if np.isnan(first.alone_arcsec):
-        return text + "not enough even without it"
+        return text + "not met even without it"
     if np.isinf(first.alone_arcsec):
-        return text + "alone it may be of any size"
-    return text + f"alone it may be {first.alone_arcsec:.3g} arcsec"
+        return text + "alone it may have any size"
+    return text + f"alone it may be up to {first.alone_arcsec:.3g} arcsec"
 
 
 def requirement_tables(study: LayoutStudy, required: JudgedLayouts) -> dict[str, Table]:
-    """Header and rows of each of :data:`REQUIREMENT_TABLES`."""
+    """Return header and rows of each of :data:`REQUIREMENT_TABLES`."""
     judged = ("admissible", "share_used", *_SIGMAS)
     where = ("azimuths_and_elevations_deg", "obstacles")
     return {

@@ -1,7 +1,7 @@
-"""All numbers of a layout study in one place, the recommended azimuths among them; tables, figures and page show them.
+"""All numbers of a layout study, with the recommended azimuths; tables, figures and page show them.
 
-Recommended are the azimuths with the least total error. The first sensor keeps its azimuth and the others are turned:
-on a level ship only the differences in azimuth count, so keeping the first loses nothing.
+The recommended azimuths have the least total error. The first sensor keeps its azimuth and the others are rotated: on a
+level ship only differences in azimuth matter.
 """
 
 from dataclasses import dataclass, replace
@@ -20,24 +20,24 @@ from ship_geometry.rotations import FloatArray, wrap_pi
 
 _STEP_DEG = 1.0
 _SAME = 1e-9
-"""Total errors closer than this share count as equal; of equals the azimuth nearest to the given one is taken."""
+"""Relative difference of total errors treated as equal; of equal azimuths the one nearest to the given one is taken."""
 _NEARLY_SAME = 0.02
-"""Another arrangement of the sensors must gain more than this share over the one near the given azimuths."""
+"""Least gain by which another arrangement must improve on the one near the given azimuths, ratio."""
 _ALLOWED_LOSS = 0.1
-"""Share of the least total error that a good azimuth may cost more."""
+"""Increase of the total error above the least one that is allowed for a good azimuth, ratio."""
 _MOST_ROUNDS = 20
 
 
 @dataclass(frozen=True)
 class AzimuthScan:
-    """The joint error while one sensor is turned in azimuth and the others stay.
+    """The joint error over the azimuth of one sensor, with the others fixed.
 
     Attributes:
-        sensor: the sensor that is turned.
+        sensor: the sensor that is rotated.
         azimuths_deg: in [0, 360), shape (n,).
         sigmas_arcsec: heading, pitch, roll, shape (n, 3).
-        good_deg: the range of azimuths (from, to), clockwise, around the sensor's own in which the total error is at
-            most a tenth above the least; None where it is more than that at the sensor's own azimuth.
+        good_deg: range of azimuths (from, to), clockwise, around the sensor's own, in which the total error is at most
+            a tenth above the least; None if the own azimuth exceeds that.
     """
 
     sensor: str
@@ -48,22 +48,22 @@ class AzimuthScan:
 
 @dataclass(frozen=True)
 class LayoutStudy:
-    """A layout and everything said about it.
+    """A layout and all results of its study.
 
     Attributes:
-        config: what was asked.
+        config: parameters of the study.
         layout: the layout as given.
-        alone_arcsec: sigma of heading, pitch, roll of each sensor of it alone, shape (N, 3).
+        alone_arcsec: sigma of heading, pitch, roll of each of its sensors alone, shape (N, 3).
         joint_arcsec: sigma of heading, pitch, roll of all its sensors together, shape (3,).
         best: the layout at the recommended azimuths.
-        best_arcsec: sigma of heading, pitch, roll of all sensors of that, shape (3,).
-        scans: the error while each sensor of ``best`` but the first, or the only one, is turned in azimuth.
-        maps: the error of ``layout`` while each sensor is bolted anywhere.
+        best_arcsec: sigma of heading, pitch, roll of all sensors of ``best``, shape (3,).
+        scans: the error over the azimuth of each sensor of ``best`` but the first, or of the only one.
+        maps: the error of ``layout`` over the mounting direction of each sensor.
         budget: the joint error of ``layout`` by source.
         curves: the curves of the six figures of [Z14].
-        optics: what the optics of sensors give over the sky, by the sensors' names.
-        obstructions: what stands in the way.
-        required: the layouts judged by what is required; None where nothing is.
+        optics: results of the sensors' optics over the sky, by sensor name.
+        obstructions: masks and horizon.
+        requirement_result: results of the requirement; None without a requirement.
     """
 
     config: LayoutStudyConfig
@@ -82,7 +82,7 @@ class LayoutStudy:
 
 
 def study(config: LayoutStudyConfig) -> LayoutStudy:
-    """All numbers of a study.
+    """Compute all numbers of a study.
 
     Raises:
         ParameterError: with the ship's pitch and roll a sensor looks too low, or its optics see too few stars.
@@ -93,8 +93,8 @@ def study(config: LayoutStudyConfig) -> LayoutStudy:
     for name, elevation_deg in zip(layout.names, layout.horizon_elevations_deg(), strict=True):
         if elevation_deg < LEAST_ELEVATION_DEG - 1e-9:
             raise ParameterError(
-                f"parameter 'sensors.{name}.elevation_deg': with the ship's pitch and roll the boresight is at "
-                f"{elevation_deg:.1f} deg over the horizon, expected at least {LEAST_ELEVATION_DEG:g} deg",
+                f"parameter 'sensors.{name}.elevation_deg': with the ship's pitch and roll the boresight is "
+                f"{elevation_deg:.1f} deg above the horizon, expected at least {LEAST_ELEVATION_DEG:g} deg",
                 f"sensors.{name}.elevation_deg",
             )
     obstructions = _checked_sights(config, layout)
@@ -119,17 +119,17 @@ def study(config: LayoutStudyConfig) -> LayoutStudy:
 
 
 def _with_noise_of(config: LayoutStudyConfig, optics: dict[str, OpticsOverSky]) -> LayoutStudyConfig:
-    """The study in which each sensor that has optics has the noise that they give.
+    """Return the study in which each sensor with optics has the noise that they give.
 
     Raises:
-        ParameterError: in more of the sky than allowed there are too few stars.
+        ParameterError: too large a share of the sky has too few stars.
     """
     sensors = dict(config.sensors)
     for name, found in optics.items():
         if not np.isfinite(found.held_arcsec).all():
             raise ParameterError(
                 f"parameter 'optics.{name}.magnitude_limit': in {100.0 * found.share_without():.0f} % of the sky the "
-                f"field of {found.field_deg[0]:.1f} x {found.field_deg[1]:.1f} deg holds fewer than {LEAST_STARS} "
+                f"field of {found.field_deg[0]:.1f} x {found.field_deg[1]:.1f} deg contains fewer than {LEAST_STARS} "
                 f"stars, more than sky_share = {config.optics[name].sky_share:g} allows: expected fainter stars or a "
                 "wider field",
                 f"optics.{name}.magnitude_limit",
@@ -142,10 +142,10 @@ def _with_noise_of(config: LayoutStudyConfig, optics: dict[str, OpticsOverSky]) 
 
 
 def _checked_sights(config: LayoutStudyConfig, layout: Layout) -> Obstructions:
-    """What stands in the way; nothing does in the field of a sensor as given.
+    """Return the obstructions, after a check that none is in the field of a sensor as given.
 
     Raises:
-        ParameterError: a mask does; names it, or the masks that leave the sensor no azimuth at its elevation.
+        ParameterError: a mask is; names it, or the masks that leave the sensor no azimuth at its elevation.
     """
     obstructions = Obstructions.from_config(config)
     for number, name in enumerate(layout.names):
@@ -159,41 +159,41 @@ def _checked_sights(config: LayoutStudyConfig, layout: Layout) -> Obstructions:
         instead = (
             f"the nearest clear azimuth at this elevation is {clear_deg[int(np.argmin(away))]:.0f} deg"
             if clear_deg.size
-            else f"the masks {', '.join(config.masks)} leave no azimuth at this elevation clear"
+            else f"the masks {', '.join(config.masks)} leave no clear azimuth at this elevation"
         )
         raise ParameterError(
-            f"parameter 'sensors.{name}.azimuth_deg': {', '.join(reaching)} stands in the field of view: {instead}",
+            f"parameter 'sensors.{name}.azimuth_deg': {', '.join(reaching)} is in the field of view: {instead}",
             f"sensors.{name}.azimuth_deg",
         )
     return obstructions
 
 
 def recommended(layout: Layout, obstructions: Obstructions | None = None) -> Layout:
-    """The layout with the clear azimuths that give the least total error; the first sensor keeps its own.
+    """Return the layout with the clear azimuths of least total error; the first sensor keeps its own.
 
-    The search descends from the given azimuths and from sensors spread evenly over half and over the whole circle.
+    The search descends from the given azimuths and from sensors spaced evenly over half and over the whole circle.
     """
     count = len(layout.names)
     first = layout.angles[0, 0]
     starts = [layout.angles[:, 0]]
     starts += [first + np.arange(count) * circle / count for circle in (np.pi, 2.0 * np.pi)]
     layouts = [_with_azimuths(layout, azimuths) for azimuths in starts]
-    # On a heeled ship a sensor of the other two starts may look into the sea, where no error is finite.
+    # On a heeled ship a sensor of the other two starts may point below the horizon, where no error is finite.
     candidates = [_descended(start, obstructions) for start in layouts if np.isfinite(start.sigmas_arcsec()).all()]
-    # Of nearly equal layouts the first is taken: it comes from the given azimuths and has the least to rebuild.
+    # Of nearly equal layouts the first is taken: it comes from the given azimuths and changes least.
     totals = np.array([total_arcsec(candidate.sigmas_arcsec()) for candidate in candidates])
     return candidates[int(np.argmax(totals <= totals.min() * (1.0 + _NEARLY_SAME)))]
 
 
 def scan(layout: Layout, number: int, obstructions: Obstructions | None = None) -> AzimuthScan:
-    """The error while the sensor of that number is turned through all azimuths; NaN where a mask is in its field."""
+    """Return the error over all azimuths of the sensor with that number; NaN where a mask is in its field."""
     azimuths_deg = np.arange(0.0, 360.0, _STEP_DEG)
     angles = np.tile(layout.angles, (azimuths_deg.size, 1, 1))
     angles[:, number, 0] = np.deg2rad(azimuths_deg)
     sigmas = layout.sigmas_arcsec(angles)
     if obstructions is not None:
         clear = obstructions.clear(number, angles[:, number])
-        # A gap between masks may be narrower than the steps: then nothing is hidden.
+        # If a gap between masks is narrower than the steps, no azimuth is clear and none is set to NaN.
         sigmas[~clear & clear.any()] = np.nan
     good = total_arcsec(sigmas) <= np.nanmin(total_arcsec(sigmas)) * (1.0 + _ALLOWED_LOSS)
     own = round(np.rad2deg(layout.angles[number, 0]) / _STEP_DEG) % azimuths_deg.size
@@ -201,7 +201,7 @@ def scan(layout: Layout, number: int, obstructions: Obstructions | None = None) 
 
 
 def _descended(layout: Layout, obstructions: Obstructions | None) -> Layout:
-    """Each sensor but the first turned to its best azimuth in its turn, until none moves."""
+    """Rotate each sensor but the first to its best azimuth in turn, until none moves."""
     for _ in range(_MOST_ROUNDS):
         before = layout.angles[:, 0].copy()
         for number in range(1, len(layout.names)):
@@ -224,7 +224,7 @@ def _with_azimuths(layout: Layout, azimuths: FloatArray) -> Layout:
 
 
 def _run_around(good: NDArray[np.bool_], own: int, azimuths_deg: FloatArray) -> tuple[float, float] | None:
-    """First and last azimuth of the unbroken run of good ones around index ``own``, over the bow if need be."""
+    """Return first and last azimuth of the unbroken range of good ones around index ``own``, also across the bow."""
     if not good[own]:
         return None
     if good.all():

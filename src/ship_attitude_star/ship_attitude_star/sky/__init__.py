@@ -1,5 +1,5 @@
-"""Where stars are seen from the ship: the catalogue, her place, the air, apparent directions and their shared errors.
+"""Apparent star directions for a ship: star catalogue, ship's position, air, and the errors that all directions share.
 
-The room may import the measurements. Of parameters it holds those that both nodes share (``config``, ``masks``).
-It knows nothing of cameras and estimators, so that the simulation may import it too.
+The room may import the measurements. It holds the parameters that both nodes share (``config``, ``masks``).
+It does not import cameras or estimators, so that the simulation may import it too.
 """

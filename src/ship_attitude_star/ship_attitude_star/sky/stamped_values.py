@@ -1,20 +1,21 @@
-"""Values by their stamps, of which those that jump are left out; any order of arrival ends in the same.
+"""Values ordered by stamp, with rejection of jumps; the result does not depend on the order of arrival.
 
-What all stars share, the ship's place and the air around her, is told by one receiver and one instrument. No star tells
-that these are wrong: all of them move alike, as if the INS tilted. But a ship sails no faster than she can, and the air
-changes no faster than weather does. A value further from the last one believed than that (:class:`JumpLimits`) has
-jumped. It is refused, and so are those after it that hang together with it, until
+One receiver and one instrument provide the ship's position and the air for all stars. Star residuals do not reveal an
+error of these: all directions change equally, as if the INS tilted. But a ship's speed is limited, and so is the rate
+at which the air changes. A value whose distance from the last accepted one exceeds these limits (:class:`JumpLimits`)
+has jumped. It is rejected, and so are the values after it that are consistent with it, until
 
-- a value is again where the last one believed allows it, and not where the refused ones lead; or
-- they have hung together for as long as a value holds: then nothing older holds any more, and they are believed anew.
+- a value is again within the limits of the last accepted one, and is not on the course of the rejected ones; or
+- the rejected values have been consistent for the confirmation time. Then nothing older is valid any more, and they are
+  accepted.
 
-Nothing speaks for a first value but itself: where the second contradicts it, the third decides. Where
-``JumpLimits.settled_by`` is given, values without a predecessor are provisional until that number of different ones
-agree; before, the same number of refused values that hang together replace them. A value that stands to the last bit
-tells nothing new, be it that the source is frozen: meanwhile the ship may have sailed.
+Nothing confirms a first value: where the second contradicts it, the third decides. Where ``JumpLimits.min_consistent``
+is given, values without a predecessor are provisional until that number of different values are consistent. Until then,
+the same number of consistent rejected values replace them. A value equal to the last one to the bit carries no
+information, since the source may be frozen; the ship may have moved meanwhile.
 
-Each verdict follows from the values before it alone, by their stamps. A late value is judged at its place, and those
-after it anew.
+The decision on each value depends only on the values before it, by stamp. A late value is evaluated at its place, and
+those after it are evaluated again.
 """
 
 import bisect
@@ -26,28 +27,28 @@ from ship_estimation.refusals import Content, Reason, Refusal, same_stamp
 from ship_geometry.time_scales import SECOND_NS
 
 _SIGMAS = 5.0
-"""So many sigmas of two values taken together are noise."""
+"""Number of standard deviations of two values' difference that are attributed to noise."""
 
 _STANDS_S = 60.0
-"""What a frozen source has not told counts for so long: a ship at anchor may truly stand for days."""
+"""Largest frozen time that widens the limits, s: a ship at anchor may really be stationary for days."""
 
 _CARRIED_NS = 10 * SECOND_NS
-"""Values that are older than this before the last one are not carried over a step of the clocks, ns."""
+"""Maximum age before the last value of the values that are kept over a step of the clocks, ns."""
 
 _REMEMBERED = 100
-"""So many refused values are kept with their stamps; what comes later than that behind its own stream is late."""
+"""Number of rejected values that are kept with their stamps; a value older than these is late."""
 
 
 class Quantity(Content, Protocol):
-    """Something that was measured."""
+    """A measured quantity."""
 
     @property
     def sigma(self) -> float:
-        """Its standard deviation."""
+        """Standard deviation of the value."""
         ...
 
     def away(self, other: Any) -> float:
-        """How far it is from another one of its kind, in the unit of sigma."""
+        """Return the distance to another value of the same kind, in the unit of ``sigma``."""
         ...
 
 
@@ -56,15 +57,15 @@ Value = TypeVar("Value", bound=Quantity)
 
 @dataclass(frozen=True)
 class JumpLimits:
-    """How far a true value may be from an earlier one.
+    """Limits of the distance between a value and an earlier one.
 
     Attributes:
-        at_once: in no time at all, beside the noise of both.
-        per_s: more for each second between the two.
-        lasts_s: what is further away is believed after it has lasted for so long.
-        unit: of all these, for people.
-        settled_by: number of different values that agree after which they are no longer provisional; also number of
-            refused ones that replace provisional ones. 1: no value is provisional.
+        max_step: allowed distance without any time between the two, in addition to their noise.
+        max_rate: allowed distance per second between the two.
+        confirmation_s: time after which consistent values beyond the limits are accepted, s.
+        unit: unit of these limits, for texts.
+        min_consistent: number of different consistent values after which they are no longer provisional; also the
+            number of rejected values that replace provisional ones. 1: no value is provisional.
     """
 
     at_once: float
@@ -74,13 +75,13 @@ class JumpLimits:
     settled_by: int = 1
 
     def between(self, earlier: Quantity, later: Quantity, seconds: float) -> float:
-        """How far two values may be apart that are both as good as they say."""
+        """Return the maximum distance of two values that both have their stated accuracy."""
         return self.at_once + self.per_s * seconds + _SIGMAS * math.hypot(earlier.sigma, later.sigma)
 
 
 @dataclass(frozen=True, eq=False)
 class _Stamped(Generic[Value]):
-    """A value with its stamp; equal to itself alone."""
+    """A value with its stamp; instances compare by identity."""
 
     time_ns: int
     value: Value
@@ -88,18 +89,18 @@ class _Stamped(Generic[Value]):
 
 @dataclass(frozen=True)
 class _Belief(Generic[Value]):
-    """What is believed after a value.
+    """State of acceptance after a value.
 
     Attributes:
-        good: the last value believed.
-        stood_ns: stamp since when it is the same.
-        alone: whether it was believed without any before it.
-        refused: the last one of those that hang together and are refused; None where the last value was believed.
-        since_ns: stamp of the first of them.
-        anew: whether the last value was believed although it had jumped.
-        agreed: number of different values that agree with the last one believed, itself included; no more are counted
-            than make it settled.
-        opposed: number of refused values that hang together.
+        last_accepted: the last accepted value.
+        constant_since_ns: stamp since which the value has been constant.
+        is_first: True if it was accepted without a predecessor.
+        last_rejected: the last one of the consistent rejected values; None if the last value was accepted.
+        rejected_since_ns: stamp of the first of them.
+        follows_jump: True if the last value was accepted although it had jumped.
+        consistent_count: number of different values consistent with the last accepted one, itself included, at most
+            ``min_consistent``.
+        rejected_count: number of consistent rejected values.
     """
 
     good: _Stamped[Value] | None = None
@@ -113,16 +114,16 @@ class _Belief(Generic[Value]):
 
 
 class StampedValues(Generic[Value]):
-    """Values in the order of their stamps; of two with the same stamp the one whose bytes sort first is kept.
+    """Values in the order of their stamps; of two with the same stamp, the one whose bytes sort first is kept.
 
     Args:
-        limits: what is further than that from the last value believed has jumped.
+        limits: a value beyond these limits from the last accepted value has jumped.
 
     Attributes:
-        times: stamps of the values that are believed, increasing.
-        values: of the same length.
-        anew: whether the value had jumped, so that nothing leads from the one before to it; of the same length.
-        disputed_since_ns: stamp from which on the last :meth:`insert` has changed :meth:`is_disputed`; None for none.
+        times: stamps of the accepted values, increasing.
+        values: the accepted values, of the same length.
+        follows_jump: True if the value had jumped, so that it is not connected to the one before; of the same length.
+        conflict_changed_ns: stamp from which on the last :meth:`insert` changed :meth:`has_conflict_at`; None for none.
     """
 
     def __init__(self, limits: JumpLimits) -> None:
@@ -131,7 +132,7 @@ class StampedValues(Generic[Value]):
         self.anew: list[bool] = []
         self._limits = limits
         self._lasts_ns = limits.lasts_s * SECOND_NS
-        # All values, and what is believed after each of them; before them, what is forgotten has led to a belief too.
+        # All values, and the state after each of them; `_initial_state` is the state after the dropped values.
         self._stamps: list[int] = []
         self._taken: list[_Stamped[Value]] = []
         self._beliefs: list[_Belief[Value]] = []
@@ -142,29 +143,29 @@ class StampedValues(Generic[Value]):
     # -- inputs ---------------------------------------------------------------------------------------------
 
     def refusal(self, time_ns: int, value: Value) -> Refusal | None:
-        """DUPLICATE or CONFLICT where there is a value of that stamp, LATE, or JUMP where the value has jumped."""
+        """Return DUPLICATE or CONFLICT if a value with this stamp exists, LATE, or JUMP if the value has jumped."""
         place = bisect.bisect_left(self._stamps, time_ns)
         if place < len(self._stamps) and self._stamps[place] == time_ns:
             return same_stamp(self._taken[place].value, value)[1]
         if self._is_forgotten(time_ns):
-            return Refusal(Reason.LATE, "its stamp lies before what is remembered of its own source")
+            return Refusal(Reason.LATE, "its stamp is older than the values kept of its own source")
         before = self._belief_before(place)
         if before.good is None or self._believed(before, _Stamped(time_ns, value)).refused is None:
             return None
         limits, away, allowed = self._limits, value.away(before.good.value), self._reach(before, time_ns, value)
         seconds = (time_ns - before.good.time_ns) / SECOND_NS
-        jumped = f"{away:.4g} {limits.unit} from the last one believed, {seconds:.1f} s before it"
+        jumped = f"{away:.4g} {limits.unit} from the last accepted value, {seconds:.1f} s before it"
         if away > allowed:
-            jumped += f": more than {allowed:.3g} {limits.unit} cannot be"
+            jumped += f", limit {allowed:.3g} {limits.unit}"
         else:
-            jumped += ": it hangs together with others that had jumped"
+            jumped += ", consistent with other values that had jumped"
         lasts = f"it has lasted for {limits.lasts_s:g} s"
         if self._is_provisional(before):
-            lasts = f"{limits.settled_by} in a row agree, as the one believed is provisional, or {lasts}"
-        return Refusal(Reason.JUMP, f"{jumped}; believed once {lasts}")
+            lasts = f"{limits.settled_by} in a row are consistent (the accepted one is provisional), or {lasts}"
+        return Refusal(Reason.JUMP, f"{jumped}; accepted once {lasts}")
 
     def insert(self, time_ns: int, value: Value) -> int | None:
-        """Put a value in its place; returns the stamp from which on what is believed has changed, None for nothing."""
+        """Insert a value at its stamp; return the stamp from which accepted values have changed, None for none."""
         self.disputed_since_ns = None
         if self._is_forgotten(time_ns):
             return None
@@ -180,7 +181,7 @@ class StampedValues(Generic[Value]):
         return self._judge_from(place)
 
     def drop_before(self, time_ns: int, keep: int = 1) -> None:
-        """Forget old values, but keep the last ``keep`` believed at or before a moment and all after it."""
+        """Drop old values, but keep the last ``keep`` accepted ones at or before a time and all later ones."""
         count = bisect.bisect_right(self.times, time_ns) - keep
         if count > 0:
             del self.times[:count], self.values[:count], self.anew[:count]
@@ -194,9 +195,9 @@ class StampedValues(Generic[Value]):
             del self._stamps[:forgotten], self._taken[:forgotten], self._beliefs[:forgotten]
 
     def with_shifted_stamps(self, step_ns: int) -> "StampedValues[Value]":
-        """Return the values that are believed, of the last seconds or the last one, with stamps later by a step.
+        """Return the accepted values of the last seconds, or the last one, with stamps later by a step.
 
-        They are provisional only where the last one is.
+        They are provisional only if the last one is.
         """
         shifted: StampedValues[Value] = StampedValues(self._limits)
         for time_ns, value in zip(self.times, self.values, strict=True):
@@ -206,20 +207,20 @@ class StampedValues(Generic[Value]):
             shifted._beliefs = [replace(belief, agreed=self._limits.settled_by) for belief in shifted._beliefs]
         return shifted
 
-    # -- answers --------------------------------------------------------------------------------------------
+    # -- results --------------------------------------------------------------------------------------------
 
     def last_before(self, time_ns: int) -> int:
-        """Index of the last value believed at or before a moment; -1 where there is none."""
+        """Return the index of the last value accepted at or before a time; -1 if there is none."""
         return bisect.bisect_right(self.times, time_ns) - 1
 
     def is_disputed(self, time_ns: int) -> bool:
-        """True if a provisional value was contradicted last before a moment, more than by one outlier among several."""
+        """True if provisional values are contradicted at a time: a single one by one value, several by two values."""
         return self._disputes(self._belief_before(bisect.bisect_right(self._stamps, time_ns)))
 
-    # -- verdicts -------------------------------------------------------------------------------------------
+    # -- decisions ------------------------------------------------------------------------------------------
 
     def _judge_from(self, place: int) -> int | None:
-        """Judge a value, and those after it until they are believed or not as before; returns as :meth:`insert`."""
+        """Evaluate a value and those after it until their state is unchanged; returns as :meth:`insert`."""
         belief, first = self._belief_before(place), place
         while place < len(self._taken):
             belief = self._believed(belief, self._taken[place])
@@ -233,17 +234,17 @@ class StampedValues(Generic[Value]):
         return self._put(first, place)
 
     def _put(self, first: int, last: int) -> int | None:
-        """Put what is believed of some values in the place of what was; returns as :meth:`insert`.
+        """Replace the accepted values of a range by newly evaluated ones; returns as :meth:`insert`.
 
         Args:
-            first: index of the first of them, among all values.
+            first: index of the first value of the range, among all values.
             last: index after the last one.
         """
         begin = bisect.bisect_left(self.times, self._stamps[first])
         end = bisect.bisect_right(self.times, self._stamps[last - 1])
         judged = zip(self._taken[first:last], self._beliefs[first:last], strict=True)
         good = [(one, belief.anew) for one, belief in judged if belief.good is one]
-        # Where all before are as they were, what is left differs from its first on.
+        # Skip the values that are unchanged; the rest differs from its first one on.
         while good and begin < end and good[0][0].value is self.values[begin] and good[0][1] is self.anew[begin]:
             del good[0]
             begin += 1
@@ -254,7 +255,7 @@ class StampedValues(Generic[Value]):
         return changed_ns
 
     def _believed(self, before: _Belief[Value], new: _Stamped[Value]) -> _Belief[Value]:
-        """What is believed after a value."""
+        """Return the state of acceptance after a value."""
         good, refused, limits = before.good, before.refused, self._limits
         if good is None:
             return _Belief(new, new.time_ns)
@@ -264,11 +265,11 @@ class StampedValues(Generic[Value]):
         if refused is not None:
             step_s = (new.time_ns - refused.time_ns) / SECOND_NS
         if refused is None or not new.value.away(refused.value) <= limits.between(refused.value, new.value, step_s):
-            # Written so that NaN is not believed.
+            # Written so that NaN is rejected.
             is_near = away <= self._reach(before, new.time_ns, new.value)
             opposed = replace(before, refused=new, since_ns=new.time_ns, anew=False, opposed=1)
             return taken if is_near else opposed
-        # What hangs together with refused values does not profit from the time that has passed since the last good one.
+        # For a value consistent with rejected ones, the time since the last accepted value does not widen the limit.
         if away <= limits.between(good.value, new.value, step_s):
             return taken
         count = before.opposed + 1
@@ -279,7 +280,7 @@ class StampedValues(Generic[Value]):
         return replace(before, refused=new, anew=False, opposed=count)
 
     def _is_provisional(self, belief: _Belief[Value]) -> bool:
-        """True if too few values agree with the last one believed."""
+        """True if too few values are consistent with the last accepted one."""
         return belief.agreed < self._limits.settled_by
 
     def _disputes(self, belief: _Belief[Value]) -> bool:
@@ -288,7 +289,7 @@ class StampedValues(Generic[Value]):
         return opposed >= min(2, belief.agreed) and self._is_provisional(belief)
 
     def _reach(self, before: _Belief[Value], time_ns: int, value: Value) -> float:
-        """How far a value may be from the last one believed."""
+        """Return the maximum distance of a value from the last accepted one."""
         good = before.good
         assert good is not None
         stood_s = min((good.time_ns - before.stood_ns) / SECOND_NS, _STANDS_S)

@@ -1,9 +1,9 @@
-"""The ship's place and the air around it at any moment, from position fixes and readings of the air.
+"""The ship's position and the air around it at any time, from position fixes and readings of the air.
 
-The place is that of :mod:`ship_attitude_star.sky.place_by_fixes`. The air is what was measured last, ``gnss_delay_s``
-before the moment or earlier; where nothing was measured, parameters stand in. A fix or a reading that has jumped is
-left out: the last good ones go on, with an error that grows (:mod:`ship_attitude_star.sky.stamped_values`). Whatever
-the order of arrival, the answers are the same.
+The position comes from :mod:`ship_attitude_star.sky.position_from_fixes`. The air is the last reading stamped
+``gnss_delay_s`` or more before the time; parameters replace missing readings. A fix or reading that has jumped is
+rejected; the last accepted one stays in use with a growing error (:mod:`ship_attitude_star.sky.stamped_values`). The
+results do not depend on the order of arrival.
 """
 
 import math
@@ -19,26 +19,26 @@ from ship_geometry.refraction import Weather
 from ship_geometry.time_scales import SECOND_NS
 
 PRESSURE_AT_ONCE_HPA = 5.0
-"""What a barometer may change at once: gusts at its inlet (30 m/s: 5 hPa), heave (10 m: 1 hPa), a squall (2 hPa)."""
+"""Largest step of the measured pressure: gusts at the inlet (30 m/s: 5 hPa), heave (10 m: 1 hPa), a squall (2 hPa)."""
 
 PRESSURE_PER_H_HPA = 30.0
-"""Ten times what WMO-No. 305 (1993, VI.21) tolerates within an hour: a typhoon may pass."""
+"""Maximum rate of the pressure: ten times the hourly tolerance of WMO-No. 305 (1993, VI.21), for a passing typhoon."""
 
 TEMPERATURE_AT_ONCE_K = 5.0
-"""What a thermometer may change at once: the plume of the funnel, the sun."""
+"""Largest step of the measured temperature: the plume of the funnel, the sun."""
 
 TEMPERATURE_PER_H_K = 40.0
-"""Ten times what WMO-No. 305 (1993, VI.21) tolerates within an hour: the outflow of a thunderstorm may arrive."""
+"""Maximum rate of the temperature: ten times the hourly tolerance of WMO-No. 305 (1993, VI.21), for a thunderstorm."""
 
 
 @dataclass(frozen=True)
 class Air:
-    """The air at the ship at one moment.
+    """The air at the ship at one time.
 
     Attributes:
         weather: pressure, temperature, humidity.
-        pressure_sigma_hpa: standard deviation of the pressure; it grows with the age of the reading.
-        temperature_sigma_k: standard deviation of the temperature; it grows likewise.
+        pressure_sigma_hpa: standard deviation of the pressure; grows with the age of the reading.
+        temperature_sigma_k: standard deviation of the temperature; grows with the age of the reading.
     """
 
     weather: Weather
@@ -61,13 +61,13 @@ class _Value:
 
 
 class _Quantity:
-    """One quantity of the air: its readings, and the value that holds without any.
+    """One quantity of the air: its readings and its default value.
 
     Args:
-        default: holds without a reading, and after the last one has grown too old.
+        default: value used without a recent reading.
         measured_sigma: standard deviation of a reading whose message gives none.
-        limits: what the air cannot have changed by; a reading holds for as long as these say that a jump must last.
-        delay_ns: a reading holds from so long after its stamp on; before, where no earlier one holds.
+        limits: limits of a jump; their confirmation time is also the maximum age of a reading.
+        delay_ns: age from which a reading is used; it is used earlier if no earlier reading is valid.
     """
 
     def __init__(self, default: _Value, measured_sigma: float, limits: JumpLimits, delay_ns: int) -> None:
@@ -80,32 +80,32 @@ class _Quantity:
         return _Value(reading.value, self._measured_sigma if reading.sigma is None else reading.sigma)
 
     def insert(self, reading: AirReading) -> int | None:
-        """Take a reading; returns the moment (ns) after which answers may have changed, None for nothing."""
+        """Insert a reading; return the time (ns) after which results may have changed, None if none has."""
         changed_ns = self.readings.insert(reading.time_ns, self.measured(reading))
         if changed_ns is None:
             return None
-        # Where an earlier reading holds until the delay is over, nobody has asked for this one before.
+        # While an earlier reading is in use until the delay is over, no result has depended on this one.
         holds = self._young(changed_ns - self._delay_ns, changed_ns + self._delay_ns)
         return changed_ns - 1 + (0 if holds is None else self._delay_ns)
 
     def drop_before(self, time_ns: int) -> None:
-        """Forget what is not needed for moments at or after ``time_ns``."""
+        """Drop the readings that times at or after ``time_ns`` do not need."""
         self.readings.drop_before(time_ns - self._delay_ns)
 
     def holding(self, time_ns: int) -> int | None:
-        """Index of the reading that holds at a moment; None where none does."""
+        """Return the index of the reading used at a time; None if there is none."""
         delayed = self._young(time_ns - self._delay_ns, time_ns)
         return self._young(time_ns, time_ns) if delayed is None else delayed
 
     def _young(self, before_ns: int, time_ns: int) -> int | None:
-        """Index of the last reading at or before a moment, where it is young enough at ``time_ns``."""
+        """Return the index of the last reading at or before ``before_ns``, None if it is too old at ``time_ns``."""
         last = self.readings.last_before(before_ns)
         return last if last >= 0 and time_ns - self.readings.times[last] <= self._max_age_ns else None
 
     def at(self, time_ns: int) -> _Value:
-        """The value at a moment.
+        """Return the value at a time.
 
-        The variance of a reading grows in its life to that of the default, unless it is larger from the beginning.
+        The variance of a reading grows with its age up to that of the default, unless it is larger from the start.
         """
         index = self.holding(time_ns)
         if index is None:
@@ -116,14 +116,14 @@ class _Quantity:
 
 
 _ANSWERS_KEPT = 256
-"""Moments of which the answer is kept: exposures that are applied again ask again, 28 a second in two seconds."""
+"""Number of times with cached results: repeated exposures request the same times, 28 per second over two seconds."""
 
 
 class Surroundings:
-    """Position fixes and readings of the air by their stamps, and what they tell of any moment.
+    """Position fixes and readings of the air by their stamps, and the position and air at any time.
 
     Args:
-        config: how old a fix and a reading may be, and what holds where the air was not measured.
+        config: maximum ages of fixes and readings, and default values of the air.
     """
 
     def __init__(self, config: SkyConfig) -> None:
@@ -132,8 +132,8 @@ class Surroundings:
         self._answers: dict[int, tuple[Place, Air]] = {}
         pressure = _Value(config.pressure_hpa, config.pressure_sigma_hpa)
         temperature = _Value(config.temperature_c, config.temperature_sigma_k)
-        # The error of humidity is left out: from dry to saturated air, refraction changes as by 0.5 K at 10 °C, and as
-        # by 2.5 K at 35 °C. For the same reason no change of it is a jump.
+        # The error of humidity is neglected: from dry to saturated air, refraction changes as by 0.5 K at 10 °C, and
+        # as by 2.5 K at 35 °C. For the same reason no change of humidity is a jump.
         humidity = _Value(config.relative_humidity, 0.0)
         max_age_s = config.weather_max_age_s
         by_weather = JumpLimits(PRESSURE_AT_ONCE_HPA, PRESSURE_PER_H_HPA / 3600.0, max_age_s, "hPa")
@@ -147,11 +147,11 @@ class Surroundings:
     # -- inputs ---------------------------------------------------------------------------------------------
 
     def refusal(self, given: SkyInput) -> Refusal | None:
-        """Why an input is not used, or not as it came; to be asked before :meth:`insert`.
+        """Return why an input is rejected or only partly used; call it before :meth:`insert`.
 
-        DUPLICATE or CONFLICT where an input of the same kind and stamp is known, LATE where it comes too long after
-        later ones of its kind, JUMP where it has jumped. All inputs are inserted: of two with the same stamp the one
-        whose bytes sort first is kept, and what has jumped tells something of those after it.
+        DUPLICATE or CONFLICT if an input of the same kind and stamp exists, LATE if it arrives too long after later
+        ones of its kind, JUMP if it has jumped. All inputs are inserted: of two with the same stamp, the one whose
+        bytes sort first is kept, and an input that has jumped affects the evaluation of later ones.
         """
         if isinstance(given, PositionFix):
             return self._place.refusal(given)
@@ -159,10 +159,10 @@ class Surroundings:
         return quantity.readings.refusal(given.time_ns, quantity.measured(given))
 
     def insert(self, given: SkyInput) -> int | None:
-        """Take a position fix or a reading of the air.
+        """Insert a position fix or a reading of the air.
 
         Returns:
-            The moment (ns) after which answers may have changed; None where no answer has changed.
+            Time (ns) after which results may have changed; None if no result has changed.
         """
         if isinstance(given, PositionFix):
             changed_after_ns = self._place.insert(given)
@@ -173,24 +173,24 @@ class Surroundings:
         return changed_after_ns
 
     def drop_before(self, time_ns: int) -> None:
-        """Forget what is not needed for moments at or after ``time_ns``; no earlier ones may be asked for any more."""
+        """Drop the inputs that times from ``time_ns`` on do not need; earlier times may not be requested any more."""
         self._place.drop_before(time_ns)
         for quantity in self._air.values():
             quantity.drop_before(time_ns)
 
     def step_time_base(self, step_ns: int) -> None:
-        """Carry what is believed over a step of the clocks."""
+        """Shift the accepted inputs by a step of the clocks."""
         self._answers.clear()
         self._place.step_time_base(step_ns)
         for quantity in self._air.values():
             quantity.readings = quantity.readings.with_shifted_stamps(step_ns)
 
-    # -- answers --------------------------------------------------------------------------------------------
+    # -- results --------------------------------------------------------------------------------------------
 
     def at(self, time_ns: int) -> tuple[Place, Air] | Refusal:
-        """Place and air at a moment, or NO_FIX where no fix is near enough in time.
+        """Return position and air at a time, or NO_FIX if no fix is near enough in time.
 
-        As long as no input has changed the answer, it is the same object.
+        The same object is returned until an input changes the result.
         """
         known = self._answers.get(time_ns)
         if known is not None:
@@ -206,5 +206,5 @@ class Surroundings:
         return told
 
     def not_measured(self, time_ns: int) -> list[str]:
-        """Names of the quantities of the air that are taken from parameters at a moment."""
+        """Return the names of the quantities of the air that are taken from parameters at a time."""
         return [name for name, quantity in self._air.items() if quantity.holding(time_ns) is None]

@@ -1,13 +1,13 @@
-"""The attitude of a star tracker against the ICRS → its attitude in the horizon, by the same sky as single stars.
+"""Conversion of a star tracker's attitude against the ICRS into the horizon, with the same sky model as single stars.
 
-A tracker compares the stars that it sees with a catalogue, and knows nothing of the air: a star that refraction lifts
-looks to it like one that stands higher. The turn by refraction at the boresight must therefore be added. The same holds
-for aberration where the tracker has not taken it out.
+A tracker compares the stars that it sees with a catalogue and does not model the air: it takes a refracted star for a
+higher one. The rotation by refraction at the boresight must therefore be added. The same holds for aberration where the
+tracker does not correct it.
 
-Refraction is not the same all over the field. It squeezes the picture, towards the vertical by ρ tan E and along the
-vertical by -dρ/dE, both in radians per radian (ρ the refraction, E the elevation). No turn can follow a squeeze. What
-of it remains in the tracker's attitude depends on where its stars happen to stand, which the tracker does not tell, and
-lasts as long as they stand there: each tracker has a slow error of its own.
+Refraction varies over the field. It compresses the image towards the vertical by ρ tan E and along the vertical by
+-dρ/dE, both in radians per radian (ρ the refraction, E the elevation). No rotation represents a compression. The
+residual error of the tracker's attitude depends on the positions of its stars, which the tracker does not report, and
+lasts as long as they stay there. Each tracker therefore has a correlated error of its own.
 """
 
 import numpy as np
@@ -21,21 +21,21 @@ from ship_geometry.refraction import elevation_of, lifting_axis
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 
 _STARS = 5
-"""Number of stars, anywhere in the field, that are taken to make an attitude; more stars would make the error less."""
+"""Assumed number of stars in an attitude, anywhere in the field; more stars would reduce the error."""
 
 _GREATEST_ABERRATION = 20.5 * ARCSEC
 
 
 def in_horizon(attitude: InertialAttitude | SolvedAttitude, watch: SkyWatch) -> AttitudeMeasurement | Refusal:
-    """The attitude in the horizon, with the errors of refraction, Earth rotation and position that it shares.
+    """Return the attitude in the horizon, with the shared errors of refraction, Earth rotation and position.
 
     Args:
-        attitude: against the ICRS, or by a sensor that has found the horizon itself.
-        watch: the sky.
+        attitude: against the ICRS, or already in the horizon as computed by a sensor.
+        sky_model: the sky model.
 
     Returns:
-        The refusal where no star can be placed at that moment, or the boresight is lower than the refraction model
-        holds.
+        The rejection if no star can be placed at that time, or if the boresight is below the elevation range of the
+        refraction model.
     """
     moment = watch.at(attitude.time_ns)
     if isinstance(moment, Refusal):
@@ -44,7 +44,7 @@ def in_horizon(attitude: InertialAttitude | SolvedAttitude, watch: SkyWatch) -> 
 
 
 def _turned(inertial: InertialAttitude, moment: SkyMoment) -> AttitudeMeasurement | Refusal:
-    """An attitude against the ICRS, turned into the horizon."""
+    """Convert an attitude against the ICRS into the horizon."""
     field = inertial.field
     bare_ns = moment.rotation_horizon_from_icrs() @ inertial.rotation_cs
     if not field.aberration_removed:
@@ -72,27 +72,27 @@ def _turned(inertial: InertialAttitude, moment: SkyMoment) -> AttitudeMeasuremen
 def _over_the_field(
     field: FieldOfView, moment: SkyMoment, elevation: float, angle: float, forward: FloatArray
 ) -> tuple[float, FloatArray]:
-    """What refraction does to the attitude beside lifting the boresight by ``angle``.
+    """Return the effect of refraction on the attitude in addition to raising the boresight by ``angle``.
 
-    The stars are taken to be spread evenly over a disc of radius F. Each axis of a star's place then has the variance
-    F²/4, and that of the middle of n stars F²/(4 n). The squeeze moves the middle. It also turns the field about the
-    boresight where the stars lie along a diagonal: their Σxy/Σr² has the variance 1/(6 (n - 1)), whatever F.
+    The stars are assumed uniformly distributed over a disc of radius F. Each axis of a star's position then has the
+    variance F²/4, and that of the mean of n stars F²/(4 n). The compression shifts the mean. It also rotates the field
+    about the boresight where the stars lie along a diagonal: their Σxy/Σr² has the variance 1/(6 (n - 1)), for any F.
 
     Returns:
-        How much more the lift is on the average, by the curvature of refraction, rad; and the covariance of the rest,
-        rotation vector in the horizon frame, rad², shape (3, 3).
+        The mean additional lift by the curvature of refraction, rad; and the covariance of the rest, rotation vector in
+        the horizon frame, rad², shape (3, 3).
     """
     if field.radius == 0.0:
         return 0.0, np.zeros((3, 3))
     slope, curvature = moment.refraction_slopes_at(elevation)
-    # ρ tan E; at the zenith the slope is as good.
+    # ρ tan E; at the zenith it equals the slope.
     towards = angle * np.tan(elevation) if elevation < 0.5 * np.pi - 1e-6 else -slope
     middle = field.radius / (2.0 * np.sqrt(_STARS))
     left_in = 0.0 if field.aberration_removed else _GREATEST_ABERRATION
     lift, about = lifting_axis(forward), np.outer(forward, forward)
     common_n = (towards**2 + left_in**2) * middle**2 * (np.eye(3) - about)
     bent = field.radius**2 / 8.0 * (curvature + 2.0 * angle)
-    # The slope itself changes over the field, near the horizon by as much as it is.
+    # The slope itself varies over the field, near the horizon by its own size.
     uneven = (0.5 * field.radius * curvature) ** 2
     common_n += ((slope**2 + uneven - towards**2) * middle**2 + bent**2 / _STARS) * np.outer(lift, lift)
     common_n += ((slope + towards) ** 2 + uneven) / (6.0 * (_STARS - 1)) * about

@@ -1,7 +1,7 @@
-"""A star sensor's camera: directions of pixels in the sensor frame (forward, up, right), pixels of directions, errors.
+"""Camera model of a star sensor: pixels to directions in the sensor frame (forward, up, right) and back, with errors.
 
-Pixels are (u, v): u counts to the right and v down, as seen looking out of the sensor. Both count from 0, and are whole
-numbers at the centres of the pixels.
+Pixels are (u, v): u increases to the right and v down, as seen looking out of the sensor. Both start at 0 and are
+integers at the centres of the pixels.
 """
 
 from dataclasses import dataclass
@@ -11,16 +11,16 @@ import numpy as np
 from ship_geometry.rotations import FloatArray
 
 _NEWTON_STEPS = 20
-# In focal lengths: a millionth of a milliarcsecond.
+# In focal lengths; corresponds to 2e-9″.
 _CONVERGED = 1e-14
 
 
 @dataclass(frozen=True)
 class Distortion:
-    """Brown–Conrady distortion in its usual form. Points are x right, y down in focal lengths from the principal point.
+    """Brown–Conrady distortion. Points are x right, y down in focal lengths from the principal point.
 
-    The distorted point is the ideal one times 1 + k1 r² + k2 r⁴ + k3 r⁶, plus (2 p1 x y + p2 (r² + 2 x²),
-    p1 (r² + 2 y²) + 2 p2 x y).
+    The distorted point is the sum of two terms: the ideal point times 1 + k1 r² + k2 r⁴ + k3 r⁶, and (2 p1 x y + p2 (r²
+    + 2 x²), p1 (r² + 2 y²) + 2 p2 x y).
     """
 
     k1: float = 0.0
@@ -30,7 +30,7 @@ class Distortion:
     k3: float = 0.0
 
     def distorted(self, ideal: FloatArray) -> FloatArray:
-        """The points, shape (..., 2), where the lens images ideal points of the same shape."""
+        """Return the distorted points, shape (..., 2), of ideal points of the same shape."""
         x, y = ideal[..., 0], ideal[..., 1]
         r2 = x * x + y * y
         radial = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
@@ -43,7 +43,7 @@ class Distortion:
         )
 
     def jacobian(self, ideal: FloatArray) -> FloatArray:
-        """Derivative of the distorted by the ideal point, shape (..., 2, 2)."""
+        """Return the derivative of the distorted by the ideal point, shape (..., 2, 2)."""
         x, y = ideal[..., 0], ideal[..., 1]
         r2 = x * x + y * y
         radial = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
@@ -58,7 +58,7 @@ class Distortion:
         return matrix
 
     def ideal(self, distorted: FloatArray) -> FloatArray:
-        """The ideal points of distorted ones, shape (..., 2); NaN beyond the turning point of the model."""
+        """Return the ideal points of distorted ones, shape (..., 2); NaN beyond the turning point of the model."""
         ideal = np.array(distorted, dtype=float)
         for _ in range(_NEWTON_STEPS):
             step = _solved(self.jacobian(ideal), distorted - self.distorted(ideal))
@@ -69,7 +69,7 @@ class Distortion:
 
 
 def _solved(matrix: FloatArray, right_side: FloatArray) -> FloatArray:
-    """Solution of symmetric 2 x 2 equations; NaN where the determinant is not positive, where the model folds over."""
+    """Solve symmetric 2 x 2 equations; NaN if the determinant is not positive, where the model folds over."""
     determinant = matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] ** 2
     x, y = right_side[..., 0], right_side[..., 1]
     cofactors = np.stack(
@@ -83,11 +83,11 @@ class StarCamera:
     """Geometry of one sensor's camera.
 
     Attributes:
-        focal_length_m: of the lens.
-        pixel_pitch_m: from pixel to pixel.
+        focal_length_m: focal length of the lens.
+        pixel_pitch_m: distance between pixel centres.
         principal_u_px: column of the boresight.
         principal_v_px: row of the boresight.
-        distortion: of the lens; None for none.
+        distortion: distortion of the lens; None if there is none.
     """
 
     focal_length_m: float
@@ -97,11 +97,11 @@ class StarCamera:
     distortion: Distortion | None = None
 
     def directions(self, pixels: FloatArray) -> FloatArray:
-        """Unit vectors (forward, up, right), shape (..., 3), of pixels (u, v), shape (..., 2); NaN where not finite."""
+        """Return unit vectors (forward, up, right), shape (..., 3), of pixels (u, v), (..., 2); NaN if not finite."""
         return _direction(self._ideal(pixels))
 
     def pixels(self, directions_s: FloatArray) -> FloatArray:
-        """Pixels (u, v), shape (..., 2), of directions (forward, up, right), shape (..., 3); NaN behind the sensor."""
+        """Return pixels (u, v), shape (..., 2), of directions (forward, up, right), (..., 3); NaN behind the sensor."""
         forward = np.where(directions_s[..., 0] > 0.0, directions_s[..., 0], np.nan)
         point = np.stack([directions_s[..., 2] / forward, -directions_s[..., 1] / forward], axis=-1)
         if self.distortion is not None:
@@ -109,7 +109,9 @@ class StarCamera:
         return self._principal_px + point / self._pixel
 
     def sighted(self, pixels: FloatArray, sigma_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Directions of centroids and their errors; NaN where a pixel, and of the errors where a sigma, is not finite.
+        """Return directions of centroids and their errors.
+
+        Directions are NaN where a pixel is not finite; errors are NaN also where a sigma is not finite.
 
         Args:
             pixels: centroids (u, v), shape (k, 2).
@@ -123,7 +125,7 @@ class StarCamera:
         return _direction(ideal), equivalent_sigma(self._covariance(ideal, sigma_px))
 
     def direction_covariance(self, pixels: FloatArray, sigma_px: FloatArray | float) -> FloatArray:
-        """Covariance of directions found from centroids, rad², shape (..., 2, 2), along :func:`tangent_basis`.
+        """Return the covariance of directions of centroids, rad², shape (..., 2, 2), along :func:`tangent_basis`.
 
         Args:
             pixels: centroids (u, v), shape (..., 2).
@@ -132,14 +134,14 @@ class StarCamera:
         return self._covariance(self._ideal(pixels), sigma_px)
 
     def optics_slopes(self, directions_s: FloatArray) -> FloatArray:
-        """Derivative of the directions of fixed pixels by the optics, rad, shape (..., 3, 4).
+        """Return the derivative of the directions of fixed pixels by the optics, rad, shape (..., 3, 4).
 
         Args:
             directions_s: as measured, unit vectors (forward, up, right), shape (..., 3).
 
         Returns:
             Columns: by the logarithm of the focal length, by ``principal_u_px`` and ``principal_v_px`` (per pixel), by
-            k1 of the distortion.
+                k1 of the distortion.
         """
         forward = directions_s[..., 0]
         ideal = np.stack([directions_s[..., 2] / forward, -directions_s[..., 1] / forward], axis=-1)
@@ -159,11 +161,11 @@ class StarCamera:
         return slopes
 
     def _covariance(self, ideal: FloatArray, sigma_px: FloatArray | float) -> FloatArray:
-        """Covariance of directions, as :meth:`direction_covariance`, by their ideal points in focal lengths."""
+        """Return the covariance of directions, as :meth:`direction_covariance`, for ideal points in focal lengths."""
         x, y = ideal[..., 0], ideal[..., 1]
         length2 = 1.0 + x * x + y * y
         across2 = 1.0 + x * x
-        # Components (up, right) of the direction's change by x and y, written out.
+        # Derivative of the direction's components (up, right) by x and y.
         slope = np.zeros((*x.shape, 2, 2))
         slope[..., 0, 0] = x * y / (np.sqrt(across2) * length2)
         slope[..., 0, 1] = -np.sqrt(across2) / length2
@@ -183,15 +185,15 @@ class StarCamera:
         return np.array([self.principal_u_px, self.principal_v_px])
 
     def _ideal(self, pixels: FloatArray) -> FloatArray:
-        """Ideal points of pixels, x right and y down in focal lengths, shape (..., 2)."""
+        """Return the ideal points of pixels, x right and y down in focal lengths, shape (..., 2)."""
         point = (np.where(np.isfinite(pixels), pixels, np.nan) - self._principal_px) * self._pixel
         return point if self.distortion is None else self.distortion.ideal(point)
 
 
 def tangent_basis(directions_s: FloatArray) -> FloatArray:
-    """Two unit vectors across each direction (forward, up, right), shape (..., 2, 3): first up, then right.
+    """Return two unit vectors across each direction (forward, up, right), shape (..., 2, 3): first up, then right.
 
-    They are NaN for directions straight up and down in the sensor, where no lens looks.
+    They are NaN for the sensor's zenith and nadir, which no lens images.
     """
     basis = np.zeros((*directions_s.shape[:-1], 2, 3))
     forward, up, right = directions_s[..., 0], directions_s[..., 1], directions_s[..., 2]
@@ -205,16 +207,16 @@ def tangent_basis(directions_s: FloatArray) -> FloatArray:
 
 
 def equivalent_sigma(covariance: FloatArray) -> FloatArray:
-    """One sigma per axis (rad), shape (...), for a direction's covariance (..., 2, 2): the root of its mean variance.
+    """Return the root mean variance, rad per axis, shape (...), of a direction's covariance (..., 2, 2).
 
-    Wahba's problem knows one sigma a direction. Off axis the sigmas up and right differ by the cosine: 3 % at 14°.
+    Wahba's problem has one sigma per direction. Off axis the sigmas up and right differ by the cosine: 3 % at 14°.
     """
     sigma: FloatArray = np.sqrt(0.5 * (covariance[..., 0, 0] + covariance[..., 1, 1]))
     return sigma
 
 
 def _direction(point: FloatArray) -> FloatArray:
-    """Unit vectors (forward, up, right), shape (..., 3), of ideal points (x right, y down) in focal lengths."""
+    """Return unit vectors (forward, up, right), shape (..., 3), of ideal points (x right, y down) in focal lengths."""
     x, y = point[..., 0], point[..., 1]
     inverse_length = 1.0 / np.sqrt(1.0 + x * x + y * y)
     direction = np.empty((*x.shape, 3))

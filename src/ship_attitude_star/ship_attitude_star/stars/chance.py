@@ -1,10 +1,9 @@
-"""How many sets of stars would agree with a prior by chance: what the identity of a few stars is worth.
+"""Expected number of false matches: sets of stars that would be consistent with a prior by chance.
 
-A detection that is no star, or that has the name of another star, fits the prior where a catalogue star happens to
-stand in its gate. With n detections, each of which ρ catalogue stars per steradian may be by their magnitude, and gates
-of the area a, that happens n ρ a times on the average (n ρ: :attr:`SightedStars.rivals`). A second star must fit the
-prior and the first one, which leave it a smaller gate, and so on: the number of sets that agree by chance is the
-product over the stars.
+A false detection, or one with a wrong identity, fits the prior if a catalogue star happens to lie in its gate. With n
+detections, ρ catalogue stars per steradian of a matching magnitude and gates of area a, this happens n ρ a times on
+average (n ρ: :attr:`MatchedStars.false_match_density`). A second star must fit both the prior and the first one, which
+leave it a smaller gate, and so on. The expected number of false sets is the product over the stars.
 """
 
 import numpy as np
@@ -16,21 +15,21 @@ from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.rotations import FloatArray, skew
 
 GATE_PROBABILITY = 0.9999
-"""A detection passes the gate of its star with this probability."""
+"""Probability with which a detection passes the gate of its star."""
 
 MOST_BY_CHANCE = 1e-3
-"""Of stars that agree with a prior no more sets than this, on the average, may do so by chance."""
+"""Maximum expected number of false sets for a set of stars to be accepted."""
 
 WRONG_NAMES = 0.01
-"""Share of the names given by sensors that is taken to be wrong. A star of a wrong name may be any other."""
+"""Assumed ratio of wrong identities among those that sensors give; a star with a wrong identity may be any other."""
 
 
 def surely_few(stars: SightedStars, covariance_n: FloatArray) -> bool:
-    """Whether even a single star fits a prior by chance less often than :data:`MOST_BY_CHANCE`, by a quick bound.
+    """True if even a single star fits a prior falsely less often than :data:`MAX_FALSE_MATCHES`, by a quick bound.
 
     Args:
-        stars: with their rivals; those without any are told by others.
-        covariance_n: of the prior's error, rad², shape (3, 3).
+        stars: with their false match densities; True if they have none.
+        covariance_n: covariance of the prior's error, rad², shape (3, 3).
     """
     if stars.rivals is None or not len(stars):
         return True
@@ -41,13 +40,13 @@ def surely_few(stars: SightedStars, covariance_n: FloatArray) -> bool:
 def by_chance(
     stars: SightedStars, members: NDArray[np.bool_], basis: FloatArray, covariance_n: FloatArray
 ) -> float:
-    """How many sets of as many stars as the members are would agree with a prior by chance, on the average at most.
+    """Return an upper bound of the expected number of false sets with as many stars as the members.
 
     Args:
-        stars: with their rivals.
-        members: the stars that agree, shape (k,).
+        stars: with their false match densities.
+        members: True for the consistent stars, shape (k,).
         basis: two unit vectors across each star's direction in the horizon frame, shape (k, 2, 3).
-        covariance_n: of the prior's error, rad², shape (3, 3).
+        covariance_n: covariance of the prior's error, rad², shape (3, 3).
     """
     assert stars.rivals is not None
     expected, left_n = 1.0, covariance_n
@@ -56,7 +55,7 @@ def by_chance(
         cross = turned @ left_n
         gate = cross @ turned.T + stars.worst_sigma[row] ** 2 * np.eye(2)
         expected *= float(stars.rivals[row]) * gate_area(float(np.sqrt(np.linalg.det(gate))))
-        # That the first of them agree by chance is no less probable than that all do.
+        # The expected number of false sets decreases with each further star, so this bound suffices.
         if expected <= MOST_BY_CHANCE:
             break
         left_n = left_n - cross.T @ np.linalg.solve(gate, cross)
@@ -64,11 +63,11 @@ def by_chance(
 
 
 def gate_area(variance: float) -> float:
-    """Solid angle of a gate by the root of its covariance's determinant, at most all directions, steradian."""
+    """Return the solid angle of a gate by the root of its covariance's determinant, at most 4π, steradian."""
     return min(float(np.pi * chi_square_gate(GATE_PROBABILITY, 2)) * variance, 4.0 * float(np.pi))
 
 
 def improbable_identity(expected: float) -> Refusal:
-    """The refusal of stars of which so many sets are expected to agree by chance."""
-    text = f"they may be others: {expected:.2g} such sets agree with the prediction by chance, {MOST_BY_CHANCE:g} may"
+    """Return the rejection of stars whose expected number of false sets is too large."""
+    text = f"ambiguous identity: {expected:.2g} false sets expected to fit the prediction, limit {MOST_BY_CHANCE:g}"
     return Refusal(Reason.UNIDENTIFIED, text)

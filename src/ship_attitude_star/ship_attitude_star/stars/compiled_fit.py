@@ -1,9 +1,9 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""The arithmetic of single stars, compiled: an exposure has a handful of them, and numpy is made for many.
+"""Compiled arithmetic for single stars, because numpy is slow on the handful of stars of an exposure.
 
-This is the one source of it. It is Python with C types for its numbers, compiled by Cython when the package is built.
-What the functions compute is told where they are called, in :mod:`ship_attitude_star.stars.fit` and
-:mod:`ship_attitude_star.ship_attitude.comparison`; the same in plain numpy stands in the tests.
+This is the only source. It is Python with C types for numbers, compiled by Cython when the package is built. The
+results are described at the callers, in :mod:`ship_attitude_star.stars.fit` and
+:mod:`ship_attitude_star.ship_attitude.comparison`; the tests contain the same in plain numpy.
 """
 
 import cython
@@ -21,7 +21,7 @@ from cython.cimports.libc.math import hypot, sqrt
 @cython.exceptval(check=False)
 @cython.inline
 def _crossed(v: cython.p_double, w: cython.p_double, out: cython.p_double, step: cython.Py_ssize_t) -> cython.void:
-    """The vector v × w; its elements are written so many places apart."""
+    """Write the vector v × w into ``out``, its elements ``step`` places apart."""
     out[0] = v[1] * w[2] - v[2] * w[1]
     out[step] = v[2] * w[0] - v[0] * w[2]
     out[2 * step] = v[0] * w[1] - v[1] * w[0]
@@ -37,17 +37,17 @@ def linearized(
     turned_b: cython.const[cython.double][:, :, :],
     rotation_nb: cython.const[cython.double][:, :],
 ):
-    """The fields ``jacobian``, ``displacement`` and ``residual_n`` of a fit of stars that are no streaks.
+    """Return ``jacobian``, ``displacement`` and ``residual_n`` of a fit of stars without streaks.
 
     Args:
-        measured_b: and the others as in :class:`ship_attitude_star.stars.fit.SightedStars`, of k stars.
+        measured_b: of k stars, as the others in :class:`ship_attitude_star.stars.fit.MatchedStars`.
         reference_n: shape (k, 3).
-        sigma: of each star, catalogue and all, shape (k,).
+        sigma: of each star, catalogue included, shape (k,).
         shared_n: shape (k, 3, n_shared).
         sensor: shape (k,).
         mounting_b: shape (n_sensors, 3, 3), or (0, 3, 3).
-        turned_b: shape (n_sensors, 3, c), or (0, 3, 0).
-        rotation_nb: where the stars are linearised, shape (3, 3).
+        time_transfer_b: shape (n_sensors, 3, c), or (0, 3, 0).
+        rotation_nb: point of linearisation, shape (3, 3).
     """
     count: cython.Py_ssize_t = measured_b.shape[0]
     mounted: cython.Py_ssize_t = 3 * mounting_b.shape[0]
@@ -81,7 +81,7 @@ def linearized(
             displacement[k, i] = residual[k, i] * per_sigma
             for c in range(shared):
                 jacobian[k, i, width - shared + c] = -shared_n[k, i, c] * per_sigma
-        # A turn δ moves the star by δ × v.
+        # A rotation δ moves the star by δ × v.
         for c in range(3):
             for i in range(3):
                 turn[i] = 1.0 if i == c else 0.0
@@ -116,7 +116,7 @@ def _normal(
     information: cython.double[:, ::1],
     right_side: cython.double[::1],
 ) -> cython.double:
-    """Add what some stars say of the unknowns to zeros; returns the sum of their squares."""
+    """Add the normal equations of the members to zeros; return the sum of their squares."""
     q: cython.Py_ssize_t = jacobian.shape[2]
     squares: cython.double = 0.0
     k: cython.Py_ssize_t
@@ -139,7 +139,7 @@ def _normal(
 
 
 def _fits(jacobian, displacement, members) -> None:
-    """Refuse stars whose arrays do not fit together; the loops look at no bounds."""
+    """Refuse stars whose arrays do not match in shape; the loops check no bounds."""
     check("stars", displacement.shape[0] == members.shape[0] == jacobian.shape[0])
     check("vectors", jacobian.shape[1] == displacement.shape[1] == 3)
 
@@ -149,12 +149,12 @@ def normal_equations(
     displacement: cython.const[cython.double][:, :],
     members: cython.const[cython.uchar][:],
 ):
-    """Information of some stars, shape (q, q), and right side, shape (q,).
+    """Return the information of the members, shape (q, q), and the right side, shape (q,).
 
     Args:
         jacobian: shape (k, 3, q).
         displacement: shape (k, 3).
-        members: which stars, shape (k,).
+        members: True for each member, shape (k,).
     """
     _fits(jacobian, displacement, members)
     information, right_side = np.zeros((jacobian.shape[2], jacobian.shape[2])), np.zeros(jacobian.shape[2])
@@ -168,20 +168,20 @@ def judged(
     members: cython.const[cython.uchar][:],
     open_: cython.Py_ssize_t,
 ):
-    """The most likely unknowns by some stars.
+    """Return the most likely unknowns of the members.
 
     Args:
-        jacobian: and the next two as in :func:`normal_equations`.
-        displacement: likewise.
-        members: likewise.
-        open_: so many unknowns, the first ones, are without any prior; that of the others is the identity.
+        jacobian: as in :func:`normal_equations`.
+        displacement: as in :func:`normal_equations`.
+        members: as in :func:`normal_equations`.
+        free_count: number of unknowns without a prior, the first ones; the prior of the others is the identity.
 
     Returns:
-        Information by the stars alone and with the priors, shape (q, q) each; the unknowns, shape (q,); what they leave
-        over of the squares, of the priors too; and the number of stars.
+        Information by the stars alone and with the priors, shape (q, q) each; the unknowns, shape (q,); the remaining
+        sum of squares, priors included; and the number of stars.
 
     Raises:
-        numpy.linalg.LinAlgError: the stars leave the unknowns open.
+        numpy.linalg.LinAlgError: the stars do not determine the unknowns.
     """
     _fits(jacobian, displacement, members)
     q: cython.Py_ssize_t = jacobian.shape[2]
@@ -202,7 +202,7 @@ def judged(
         count += 1 if members[i] else 0
     for i in range(open_, q):
         constrained[i, i] += 1.0
-    # Cholesky's factor, and with each row of it the solution of the first half.
+    # Cholesky factor, with forward substitution row by row.
     for i in range(q):
         for j in range(i + 1):
             total = constrained[i, j]
@@ -213,7 +213,7 @@ def judged(
             elif total > 0.0:
                 lower[i, i] = sqrt(total)
             else:
-                raise np.linalg.LinAlgError("stars that leave the attitude open cannot be judged")
+                raise np.linalg.LinAlgError("the stars do not determine the attitude")
         total = right_side[i]
         for c in range(i):
             total -= lower[i, c] * solution[c]
@@ -234,13 +234,13 @@ def predicted(
     root_n: cython.const[cython.double][:, :],
     expected_n: cython.const[cython.double][:],
 ):
-    """Jacobian and displacement with the attitude counted in standard deviations of its prediction.
+    """Return Jacobian and displacement with the attitude in standard deviations of its prediction.
 
     Args:
-        jacobian: shape (k, 3, q); the attitude has the first three columns.
+        jacobian: shape (k, 3, q); the first three columns belong to the attitude.
         displacement: shape (k, 3).
         root_n: a root of the prediction's covariance, rad, shape (3, 3).
-        expected_n: the turn that was predicted, rad, shape (3,).
+        expected_n: predicted rotation, rad, shape (3,).
     """
     count: cython.Py_ssize_t = jacobian.shape[0]
     q: cython.Py_ssize_t = jacobian.shape[2]
@@ -275,15 +275,16 @@ def covariances(
     term_of: cython.const[cython.Py_ssize_t][:],
     terms: cython.Py_ssize_t,
 ):
-    """Covariance of an attitude by terms, and the part of its noise that comes with errors of some stars.
+    """Return the covariance of an attitude by term, and the part of its noise caused by given errors of stars.
 
     Args:
-        white_n: of the attitude by what differs from star to star, rad², shape (3, 3); by this stars are weighted.
-        information: of all unknowns by the stars, shape (q, q); the attitude has the first three.
+        white_n: covariance of the attitude by independent errors of the stars, which determine the weights, rad², shape
+            (3, 3).
+        information: of all unknowns by the stars, shape (q, q); the first three are the attitude.
         jacobian: of the stars, shape (k, 3, q).
-        share: of each star's white error that comes with these errors, 0 for a star without a part, shape (k,).
-        term_of: to which term each of the other unknowns belongs, counted in sigmas, shape (q - 3,).
-        terms: how many terms there are.
+        share: ratio of the given errors to each star's white error, 0 for a star without them, shape (k,).
+        term_of: term of each of the other unknowns, which are in units of sigma, shape (q - 3,).
+        terms: number of terms.
 
     Returns:
         Rad², shape (terms, 3, 3), and shape (3, 3).
@@ -304,7 +305,7 @@ def covariances(
     j: cython.Py_ssize_t
     for c in range(q - 3):
         check("terms", 0 <= term_of[c] < terms)
-        # The turn of the attitude by one sigma of the unknown.
+        # The rotation of the attitude by one sigma of the unknown.
         for i in range(3):
             turn[i] = 0.0
             for j in range(3):
@@ -337,12 +338,12 @@ def expected(
     shared_n: cython.const[cython.double][:, :, :],
     estimate: cython.const[cython.double][:],
 ):
-    """Where stars are expected once the errors that they share are estimated: unit vectors, shape (k, 3).
+    """Return the directions of stars corrected by the estimated shared errors, unit vectors, shape (k, 3).
 
     Args:
-        reference_n: where they stand, shape (k, 3).
+        reference_n: directions by the sky model, shape (k, 3).
         shared_n: displacement by one sigma of each shared error, shape (k, 3, n_shared).
-        estimate: of these errors, sigmas, shape (n_shared,).
+        estimate: estimate of these errors, in sigmas, shape (n_shared,).
     """
     count: cython.Py_ssize_t = reference_n.shape[0]
     check("stars", shared_n.shape[0] == count and reference_n.shape[1] == shared_n.shape[1] == 3)
@@ -375,20 +376,20 @@ def residuals(
     to_sensor: cython.const[cython.double][:, :],
     first: cython.Py_ssize_t,
 ):
-    """Some stars beside the prediction of their sensor, up and right of each.
+    """Return the residuals of stars against the prediction of their sensor, up and right of each.
 
     Args:
         measured_s: directions, shape (k, 3).
-        expected_n: where they are expected in the sky, shape (k, 3).
+        expected_n: expected directions in the horizon frame, shape (k, 3).
         shared_n: displacement by one sigma of each shared error, shape (k, 3, n_shared).
-        members: which of them, m, shape (k,).
-        rotation_ns: horizon from sensor as predicted, shape (3, 3).
-        to_sensor: its rotation vector in the sensor frame by the n states, shape (3, n).
-        first: of the states that are the shared errors.
+        members: True for the m stars used, shape (k,).
+        rotation_ns: predicted attitude "horizon from sensor", shape (3, 3).
+        to_sensor: derivative of its rotation vector in the sensor frame by the n states, shape (3, n).
+        first: index of the first state of the shared errors.
 
     Returns:
-        Measured minus expected direction, shape (2 m,), its derivative by the states, shape (2 m, n), and by a turn of
-        the sensor, shape (2 m, 3); and the two directions across each line of sight, shape (m, 2, 3).
+        Measured minus expected direction, shape (2 m,); its derivative by the states, shape (2 m, n), and by a rotation
+        of the sensor, shape (2 m, 3); and the two directions across each line of sight, shape (m, 2, 3).
     """
     n: cython.Py_ssize_t = to_sensor.shape[1]
     shared: cython.Py_ssize_t = shared_n.shape[2]
@@ -437,7 +438,7 @@ def residuals(
                 for j in range(3):
                     across_n[i] += rotation_ns[i, j] * basis[row, c, j]
             residual[2 * row + c] = total
-            # A turn ε of the sensor moves the star by p × ε, along b by (b × p) ε.
+            # A rotation ε of the sensor moves the star by p × ε, along b by (b × p) ε.
             _crossed(cython.address(basis[row, c, 0]), star, cython.address(by_turn[2 * row + c, 0]), 1)
             for j in range(n):
                 for i in range(3):

@@ -1,7 +1,4 @@
-"""Parameters of one star sensor: its camera, and where it is bolted.
-
-Both nodes of the package have these parameters for each of their sensors.
-"""
+"""Parameters of one star sensor: camera and mounting, the same for both nodes of the package."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,29 +18,29 @@ from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 JOINT = "joint"
-"""Stands in the place of a sensor's id where the stars of all sensors give one attitude of the deck."""
+"""Reserved in place of a sensor id: the stars of all sensors give one attitude of the deck."""
 
 _FIELD_POINTS = 21
 
 
 class StarSensorsById:
-    """What the parameters of both nodes have in common: star sensors by id.
+    """Parameters that both nodes have in common: star sensors by id.
 
-    No sensor may have the id JOINT, which names the joint solution. A sensor of that name would publish on the
-    topic of the joint solution, and its stars would count twice.
+    No sensor may have the id JOINT, which names the joint solution. A sensor with that id would publish on the topic of
+    the joint solution, and its stars would count twice.
     """
 
     star_sensors: Mapping[str, "SensorWithCamera"]
 
     def __post_init__(self) -> None:
-        """Check the ids, and that the masks of each sensor leave it something to see.
+        """Check the ids, and that the masks of each sensor leave part of its field free.
 
         Raises:
             ParameterError: names the parameter.
         """
         if JOINT in self.star_sensors:
             name = f"star_sensors.{JOINT}"
-            raise ParameterError(f"parameter '{name}': '{JOINT}' means all sensors, give it another id", name)
+            raise ParameterError(f"parameter '{name}': '{JOINT}' is reserved for all sensors: choose another id", name)
         for id_, sensor in self.star_sensors.items():
             prefix = f"star_sensors.{id_}"
             masks = sensor_masks(sensor, prefix)
@@ -57,17 +54,17 @@ def _coefficient(doc: str) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class CameraConfig:
-    """The camera of a star sensor. Only a sensor that gives single stars needs one."""
+    """The camera of a star sensor; needed only for a sensor that gives single stars."""
 
     focal_length_m: float = parameter(
         0.0, doc="focal length; 0: not given", unit="m", minimum=0.0, maximum=10.0
     )
-    pixel_pitch_m: float = parameter(0.0, doc="from pixel to pixel; 0: not given", unit="m", minimum=0.0, maximum=0.001)
+    pixel_pitch_m: float = parameter(0.0, doc="pixel pitch; 0: not given", unit="m", minimum=0.0, maximum=0.001)
     principal_u_px: float = parameter(
-        0.0, doc="column of the boresight, from 0 at the first pixel's centre", unit="px", minimum=-1e5, maximum=1e5
+        0.0, doc="column of the boresight; 0: centre of the first pixel", unit="px", minimum=-1e5, maximum=1e5
     )
     principal_v_px: float = parameter(
-        0.0, doc="row of the boresight, from 0 at the first pixel's centre, down", unit="px", minimum=-1e5, maximum=1e5
+        0.0, doc="row of the boresight, downwards; 0: centre of the first pixel", unit="px", minimum=-1e5, maximum=1e5
     )
     distortion_k1: float = _coefficient("radial distortion (Brown–Conrady), r²")
     distortion_k2: float = _coefficient("radial distortion, r⁴")
@@ -75,44 +72,44 @@ class CameraConfig:
     distortion_p1: float = _coefficient("tangential distortion, first")
     distortion_p2: float = _coefficient("tangential distortion, second")
     focal_length_sigma_m: float = parameter(
-        0.0, doc="error of focal_length_m; 0: 0.02 % of it, an honest survey", unit="m", minimum=0.0, maximum=1.0
+        0.0, doc="error of focal_length_m; 0: 0.02 % of it, as surveyed", unit="m", minimum=0.0, maximum=1.0
     )
     principal_sigma_px: float = parameter(
         1.0,
-        doc="error of the principal point, each axis, beyond that which the mounting has taken up",
+        doc="error of the principal point, each axis, in addition to that absorbed by the mounting",
         unit="px",
         minimum=0.0,
         maximum=1000.0,
     )
     distortion_sigma: float = parameter(0.01, doc="error of distortion_k1", minimum=0.0, maximum=100.0)
     centroid_sigma_px: float = parameter(
-        0.1, doc="error of u and of v where the message gives none", unit="px", minimum=1e-6, maximum=100.0, live=True
+        0.1, doc="error of u and of v if the message gives none", unit="px", minimum=1e-6, maximum=100.0, live=True
     )
     psf_sigma_px: float = parameter(
         0.8,
-        doc="spread of the image of a star at rest, each axis; a streak long against it has a worse centroid",
+        doc="standard deviation of the image of a star at rest, each axis; longer streaks have a worse centroid",
         unit="px",
         minimum=0.05,
         maximum=100.0,
     )
     field_spatial_sigma_px: float = parameter(
         0.0,
-        doc="what calibration has left of distortion and the like: RMS over the detector of a smooth error, each axis",
+        doc="smooth error over the detector that remains after calibration (distortion and similar), RMS of each axis",
         unit="px",
         minimum=0.0,
         maximum=10.0,
     )
     pixel_spatial_sigma_px: float = parameter(
-        0.0, doc="error that each pixel has of its own, each axis", unit="px", minimum=0.0, maximum=10.0
+        0.0, doc="independent error of each pixel, each axis", unit="px", minimum=0.0, maximum=10.0
     )
 
     @property
     def given(self) -> bool:
-        """Whether the parameters describe a camera at all."""
+        """True if the parameters describe a camera."""
         return self.focal_length_m > 0.0 and self.pixel_pitch_m > 0.0
 
     def camera(self, prefix: str) -> StarCamera:
-        """The camera that these parameters describe.
+        """Return the camera that these parameters describe.
 
         Args:
             prefix: name of this section of the parameters, for the error message.
@@ -124,14 +121,14 @@ class CameraConfig:
         if not self.given:
             raise ParameterError(
                 f"parameters '{prefix}.focal_length_m' and '{prefix}.pixel_pitch_m' must be given in metres: "
-                "single stars come in pixels",
+                "single stars are measured in pixels",
                 f"{prefix}.focal_length_m",
                 f"{prefix}.pixel_pitch_m",
             )
         if self.field_spatial_sigma_px > 0.0 and not self.shows_field:
             raise ParameterError(
                 f"parameters '{prefix}.principal_u_px' and '{prefix}.principal_v_px' must be given with "
-                "field_spatial_sigma_px: they tell how large the detector is",
+                "field_spatial_sigma_px: they define the size of the detector",
                 f"{prefix}.principal_u_px",
                 f"{prefix}.principal_v_px",
             )
@@ -147,7 +144,7 @@ class CameraConfig:
         )
 
     def optics_errors(self, camera: StarCamera) -> OpticsErrors:
-        """The errors of the parameters of this camera's optics."""
+        """Return the errors of this camera's optics parameters."""
         return OpticsErrors(camera, self.focal_sigma, self.principal_sigma_px, self.distortion_sigma)
 
     @property
@@ -156,20 +153,20 @@ class CameraConfig:
         return self.focal_length_sigma_m / self.focal_length_m or SURVEYED_FOCAL_SIGMA
 
     def spatial_errors(self, camera: StarCamera) -> SpatialErrors | None:
-        """The errors that stay with the place on the detector of this camera; None where there are none."""
+        """Return the errors that depend on the position on this camera's detector; None if there are none."""
         if not (self.field_spatial_sigma_px or self.pixel_spatial_sigma_px):
             return None
         return SpatialErrors(camera, self.field_spatial_sigma_px, self.pixel_spatial_sigma_px)
 
     @property
     def shows_field(self) -> bool:
-        """Whether the parameters tell how large the field of view is: by a principal point off the first pixel."""
+        """True if the parameters define the field of view, by a principal point off the first pixel."""
         return self.given and self.principal_u_px > 0.0 and self.principal_v_px > 0.0
 
     def field_directions(self, prefix: str) -> FloatArray:
-        """Directions all over the field of view in the sensor frame, unit vectors, shape (n, 3).
+        """Return directions covering the field of view in the sensor frame, unit vectors, shape (n, 3).
 
-        The principal point is taken for the middle of the detector.
+        The principal point is taken as the middle of the detector.
 
         Args:
             prefix: as of :meth:`camera`.
@@ -184,30 +181,30 @@ class CameraConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class GivenCameraConfig(CameraConfig):
-    """The camera of a sensor that gives single stars: without it no pixel means anything."""
+    """The camera of a sensor that gives single stars; focal length and pixel pitch are required."""
 
     focal_length_m: float = parameter(doc="focal length", unit="m", minimum=0.001, maximum=10.0)
-    pixel_pitch_m: float = parameter(doc="from pixel to pixel", unit="m", minimum=1e-7, maximum=0.001)
+    pixel_pitch_m: float = parameter(doc="pixel pitch", unit="m", minimum=1e-7, maximum=0.001)
 
 
 @dataclass(frozen=True, kw_only=True)
 class MountingConfig:
-    """Where a star sensor is bolted, and how well that is known."""
+    """Mounting angles of a star sensor and their uncertainty."""
 
-    frame_id: str = parameter("", doc="frame_id that its messages must carry; empty accepts any")
+    frame_id: str = parameter("", doc="frame_id required in its messages; empty accepts any")
     azimuth_deg: float = degrees(doc="installation azimuth of the boresight in the deck")
     elevation_deg: float = parameter(
-        doc="installation elevation of the boresight over the deck", unit="deg", minimum=-90.0, maximum=90.0
+        doc="installation elevation of the boresight above the deck", unit="deg", minimum=-90.0, maximum=90.0
     )
     roll_deg: float = degrees(0.0, doc="installation roll about the boresight, right side down")
     installation_sigma_forward_arcsec: float = arcsec(20.0, doc="installation error about the boresight")
     installation_sigma_up_arcsec: float = arcsec(1.0, doc="installation error about the up axis")
     installation_sigma_right_arcsec: float = arcsec(1.0, doc="installation error about the right axis")
-    masks: dict[str, MaskConfig] = mapping_of("what stands on deck in its way, by name: no detection there is a star")
+    masks: dict[str, MaskConfig] = mapping_of("obstructions in its view by name; no detection inside one is a star")
 
     @cached_property
     def sensor_masks(self) -> SensorMasks | None:
-        """What stands in its way; None where nothing does."""
+        """Obstructions in its view; None if there are none."""
         return sensor_masks(self, "star_sensors")
 
     @cached_property
@@ -228,8 +225,8 @@ class MountingConfig:
 
 
 class SensorWithCamera(MountedSensor, Protocol):
-    """A star sensor of either node: where it is bolted, what stands in its way, and its camera."""
+    """A star sensor of either node: mounting, obstructions and camera."""
 
     @property
     def camera(self) -> CameraConfig:
-        """Only a sensor that gives single stars needs one."""
+        """The camera; needed only for a sensor that gives single stars."""

@@ -1,13 +1,13 @@
-"""The stars of one exposure of a star sensor: where they stood at its middle, which stars they are, and their places.
+"""Stars of one exposure: directions at mid-exposure, identities and catalogue positions.
 
-A ship turns while a star sensor exposes. The centroid of a streak is the mean of the star's pixels over the exposure.
-The INS tells how the sensor turned, and so by how much that mean is off the pixel at the middle: by the angular
-acceleration and its centripetal part. A streak of L pixels spreads the light along itself by L²/12 more than the image
-of a star at rest, s², so that along the streak the centroid's variance is σ² (1 + L²/(12 s²)). Across the streak
-nothing changes (docs/explanation/stars.md).
+A ship rotates while a star sensor exposes. The centroid of a streak is the mean of the star's pixels over the exposure.
+The INS measures the rotation of the sensor, and so the offset of that mean from the pixel at mid-exposure, which the
+angular acceleration and its centripetal part cause. A streak of L pixels increases the variance of the light along
+itself by L²/12 over that of an image at rest, s². The centroid's variance along the streak is therefore σ² (1 + L²/(12
+s²)). Across the streak nothing changes (docs/explanation/stars.md).
 
-A detection without an identity is identified by the attitude that is predicted for its sensor. It is the nearest
-catalogue star within the gate; where a second star could be meant too, it stays without an identity.
+A detection without an identity is identified with the predicted attitude of its sensor, as the nearest catalogue star
+within the gate. If a second star is possible too, it stays without an identity.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ from ship_geometry.exposure_mean import Nodes, exposure_nodes
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.star_directions import StarPositions
 
-_PRIOR_TOO_WIDE = f"the attitude is not known to {np.rad2deg(WIDEST):.0f}°: too many catalogue stars fit"
+_PRIOR_TOO_WIDE = f"the attitude is not known to {np.rad2deg(WIDEST):.0f}°: too many catalogue stars match"
 
 _ONE_SENSOR: FloatArray = np.empty((0, 3, 3))
-"""Mounting errors of stars that are compared in their sensor's own frame: none."""
+"""Mounting errors for stars that are compared in their sensor's own frame: none."""
 
 _OUT_OF_SIGHT = 1.0
-"""Variance of a star that leaves the camera's sight during the exposure, rad²: so large that the star has no weight."""
+"""Variance of a star that leaves the field of view during the exposure, rad²; it removes the star's weight."""
 
 
 @dataclass(frozen=True)
 class ExposureLength:
-    """How long an exposure lasted, and how the camera shows a star that moves meanwhile.
+    """Length of an exposure, and the camera parameters that determine streaks.
 
     Attributes:
         exposure_s: length, above 0.
@@ -59,44 +59,44 @@ class ExposureLength:
 
     @cached_property
     def nodes(self) -> Nodes:
-        """Moments at which the motion is asked for, to find the mean over the exposure."""
+        """Times at which the motion is evaluated to average over the exposure."""
         return exposure_nodes(self.exposure_s)
 
     @property
     def not_covered(self) -> Refusal:
-        """Refusal of an exposure that is compared with an INS which has no samples over the whole of it."""
+        """Rejection of an exposure for which the INS has no samples over its full length."""
         return Refusal(Reason.GAP, f"no INS samples over its whole exposure of {self.exposure_s:g} s")
 
     def untold_turn_variance(self, acceleration: float) -> float:
-        """Variance of the turn from the mean of the exposure to its middle where no INS tells it, each axis, rad².
+        """Return the variance of the rotation from the exposure's mean to its middle without an INS, each axis, rad².
 
         Args:
-            acceleration: angular acceleration that the sensor may have, standard deviation of each axis, rad/s².
+            acceleration: standard deviation of the sensor's angular acceleration, each axis, rad/s².
         """
         return (acceleration * self.exposure_s**2 / 24.0) ** 2
 
 
 @dataclass(frozen=True)
 class StarExposure:
-    """The stars of one exposure of one sensor; arrays have one entry a star.
+    """The stars of one exposure of one sensor; arrays have one entry per star.
 
     Attributes:
         source: ``star.<id>``.
         time_ns: middle of the exposure, stamp of the sensor.
-        hip: HIP numbers; 0 where the star has none, because its direction in the ICRS was given or it is unidentified.
+        hip: HIP numbers; 0 if the message gives the direction in the ICRS, or the star is unidentified.
         directions_s: unit vectors in the sensor frame (forward, up, right), shape (k, 3).
         sigma: error of a direction, rad per axis across it, shape (k,).
-        positions: of the stars, J2000.0; NaN where a star is not identified yet.
+        positions: of the stars, J2000.0; NaN while a star is not identified.
         position_sigma: error of the star's position, rad per axis, shape (k,).
         magnitude: as measured, shape (k,); NaN where unknown.
-        length: how long the exposure lasted, and of which camera it is; None where the message does not tell.
-        smear_s: what the motion during the exposure adds to the error of a direction, covariance in the sensor frame,
-            rad², shape (k, 3, 3); None before :func:`at_middle`.
-        streak: how far each star went on the detector meanwhile, rad, shape (k,); None before :func:`at_middle`.
-        masks: what stands on deck in the sensor's way; None where nothing does.
-        optics: errors of the parameters of its camera's optics; None where they are exact.
-        spatial: errors that stay with a star's place on the detector; None where there are none.
-        stay: how long the stars have kept their pixels; None before :meth:`after`, and where nothing depends on it.
+        length: length of the exposure, with its camera; None if the message does not state it.
+        smear_s: covariance that the motion during the exposure adds to a direction, in the sensor frame, rad², shape
+            (k, 3, 3); None before :func:`reduce_to_mid_exposure`.
+        streak_length: length of each star's streak, rad, shape (k,); None before :func:`reduce_to_mid_exposure`.
+        masks: obstructions on deck in the sensor's view; None if there are none.
+        optics: errors of its camera's optics parameters; None where they are exact.
+        spatial: errors that depend on the position on the detector; None if there are none.
+        pixel_dwell: pixel dwell of the stars; None before :meth:`with_pixel_dwell`, and where no error depends on it.
     """
 
     source: str
@@ -114,20 +114,20 @@ class StarExposure:
     optics: OpticsErrors | None = None
     spatial: SpatialErrors | None = None
     stay: PixelStay | None = None
-    covariance_known = True  # a star whose message gives no error of its centroid has the configured one
+    covariance_known = True  # a star whose message gives no centroid error has the configured one
 
     @property
     def reach_ns(self) -> int:
-        """How far from the middle the motion of the sensor must be known; 0 where no length was given."""
+        """Time before and after the middle for which the sensor's motion must be known; 0 if no length was given."""
         return 0 if self.length is None else self.length.nodes.reach_ns
 
     @property
     def identified(self) -> NDArray[np.bool_]:
-        """True where it is known which star it is, shape (k,)."""
+        """True for each identified star, shape (k,)."""
         return np.isfinite(self.positions.right_ascension)
 
     def name(self, row: int) -> str:
-        """A star for people: its number, else its place in the ICRS, else where the sensor saw it."""
+        """Return a star's name for texts: its HIP number, else its ICRS position, else its direction in the sensor."""
         hip = int(self.hip[row])
         if hip:
             return f"HIP {hip}"
@@ -141,7 +141,7 @@ class StarExposure:
         return len(self.hip)
 
     def __getitem__(self, rows: Any) -> StarExposure:
-        """The same exposure with some of its stars."""
+        """Return the exposure with some of its stars."""
         return StarExposure(
             self.source,
             self.time_ns,
@@ -161,14 +161,14 @@ class StarExposure:
         )
 
     def after(self, before: PixelStay | None) -> StarExposure:
-        """The same exposure as it counts after those before it of its sensor; None for none."""
+        """Return the exposure with its pixel dwell after the sensor's previous exposures; None for none."""
         if self.spatial is None or self.spatial.pixel_sigma_px <= 0.0:
             return self
         return replace(self, stay=self.spatial.stay(self.directions_s, self.sigma, before))
 
     @property
     def lone_sigma(self) -> FloatArray:
-        """Error of a direction taken by itself, those of optics and place included, rad per axis, shape (k,)."""
+        """Error of a single direction, those of optics and detector position included, rad per axis, shape (k,)."""
         field_s = self.field_modes
         of_field = 0.0 if field_s is None else 0.5 * np.sum(field_s**2, axis=(-2, -1))
         of_pixels = 0.0 if self.pixel_sigma is None else self.pixel_sigma**2
@@ -177,9 +177,9 @@ class StarExposure:
 
     @cached_property
     def field_modes(self) -> FloatArray | None:
-        """Displacement of the directions by one sigma of each of f lasting errors of the camera, rad, shape (k, 3, f).
+        """Displacement of the directions by one sigma of each of f correlated camera errors, rad, shape (k, 3, f).
 
-        The errors are those of the optics, then the field-spatial ones; None where there are none.
+        The errors of the optics come first, then the field-spatial ones; None if there are none.
         """
         of_optics = None if self.optics is None else self.optics.modes(self.directions_s)
         of_field = None if self.spatial is None else self.spatial.field_modes(self.directions_s)
@@ -189,21 +189,21 @@ class StarExposure:
 
     @property
     def field_sources(self) -> tuple[str, ...]:
-        """Source of each of these errors."""
+        """Error source of each of these errors."""
         of_field = self.spatial is not None and self.spatial.field_sigma_px > 0.0
         of_optics = self.optics is not None
         return (SOURCE_OPTICS,) * (OPTICS_MODES * of_optics) + (SOURCE_FIELD,) * (FIELD_MODES * of_field)
 
     @cached_property
     def pixel_sigma(self) -> FloatArray | None:
-        """Pixel-spatial error of each direction, rad per axis, shape (k,); None where there is none."""
+        """Pixel-spatial error of each direction, rad per axis, shape (k,); None if there is none."""
         if self.spatial is None or self.spatial.pixel_sigma_px <= 0.0:
             return None
         sigma = self.spatial.pixel_sigma(self.directions_s)
         return sigma if self.streak is None else sigma * np.sqrt(self.spatial.streak_share(self.streak))
 
     def content(self) -> bytes:
-        """All values as bytes: equal for a repeated message, and an order for conflicting ones."""
+        """Return all values as bytes: equal for a repeated message, and an order for conflicting ones."""
         positions = self.positions
         arrays = (
             self.hip,
@@ -218,12 +218,11 @@ class StarExposure:
 
 
 def at_middle(exposure: StarExposure, turns: FloatArray) -> StarExposure:
-    """The stars where they stood at the middle of the exposure, with what their streaks add to their errors.
+    """Return the stars at mid-exposure, with the errors that their streaks add.
 
     Args:
         exposure: of a known length.
-        turns: of the sensor, rotations "sensor at the node from sensor at the middle" at the nodes of the length, shape
-            (m, 3, 3).
+        turns: rotations "sensor at the node from sensor at mid-exposure" at the nodes of the exposure, shape (m, 3, 3).
     """
     length = exposure.length
     assert length is not None
@@ -241,7 +240,7 @@ def at_middle(exposure: StarExposure, turns: FloatArray) -> StarExposure:
 
 
 def _across(directions_s: FloatArray, covariance_s: FloatArray) -> FloatArray:
-    """The part of covariances that lies across the lines of sight, shape (k, 3, 3)."""
+    """Return the part of covariances across the lines of sight, shape (k, 3, 3)."""
     keep = np.eye(3) - directions_s[:, :, None] * directions_s[:, None, :]
     across: FloatArray = keep @ covariance_s @ keep
     return across
@@ -250,17 +249,17 @@ def _across(directions_s: FloatArray, covariance_s: FloatArray) -> FloatArray:
 def visible_stars(
     exposure: StarExposure, watch: SkyWatch, prior: StarPrior | None
 ) -> tuple[StarExposure, SightedStars, list[tuple[str, Refusal]]] | Refusal:
-    """The stars of an exposure that have a place in the sky.
+    """Return the stars of an exposure that have a direction in the sky model.
 
     Args:
-        exposure: the stars as the sensor saw them.
-        watch: the sky.
-        prior: attitude of the sensor, by which stars without an identity are identified; None leaves them out.
+        exposure: the stars as the sensor measured them.
+        sky_model: the sky model.
+        prior: attitude of the sensor, used to identify stars without an identity; None leaves these out.
 
     Returns:
-        The exposure with the stars that can be used; the same stars with their places, in the sensor frame; and the
-        names of the other stars, each with its refusal. Or one refusal, where no star can be placed in the sky at the
-        moment of the exposure.
+        The exposure with the usable stars; the same stars matched with their sky directions, in the sensor frame; and
+        the names of the other stars, each with its rejection. Or one rejection if no star can be placed in the sky at
+        the time of the exposure.
     """
     refused: list[tuple[str, Refusal]] = []
     known = named = exposure.identified
@@ -273,7 +272,7 @@ def visible_stars(
         if prior is not None:
             exposure, reasons = identified(exposure, prior, moment)
             known = exposure.identified
-        nobody = Refusal(Reason.UNIDENTIFIED, "no identity, and no attitude to identify it by")
+        nobody = Refusal(Reason.UNIDENTIFIED, "no identity, and no attitude to identify it with")
         refused += [(exposure.name(row), reasons.get(row, nobody)) for row in np.flatnonzero(~known).tolist()]
         exposure, named = exposure[known], named[known]
     apparent = moment.apparent(exposure.positions)
@@ -283,7 +282,7 @@ def visible_stars(
             refused.append((exposure.name(row), moment.too_low(float(apparent.elevation[row]))))
         exposure, direction_n, shared_n, named = exposure[seen], direction_n[seen], shared_n[seen], named[seen]
     rivals = None
-    # By a prior that is not wide a star with a name is hardly ever another one.
+    # With a narrow prior, a wrong identity of a named star is very improbable.
     if prior is not None and (np.trace(prior.covariance_n) > LINEAR_RANGE**2 or not named.all()):
         rivals = detections * moment.bright.density(exposure.magnitude, MAGNITUDE_TOLERANCE)
         rivals *= np.where(named, WRONG_NAMES, 1.0)
@@ -307,15 +306,15 @@ def visible_stars(
 def identified(
     exposure: StarExposure, prior: StarPrior, moment: SkyMoment
 ) -> tuple[StarExposure, dict[int, Refusal]]:
-    """The exposure with identities for those of its stars that had none, where one can be found.
+    """Identify the stars of an exposure that have no identity, where possible.
 
     Args:
-        exposure: the stars as the sensor saw them.
+        exposure: the stars as the sensor measured them.
         prior: attitude of the sensor.
-        moment: the sky at the exposure; it also says which catalogue stars are bright enough.
+        local_sky: the sky at the exposure; it also defines which catalogue stars are bright enough.
 
     Returns:
-        The exposure, and for each row that is still without an identity the reason.
+        The exposure, and for each row still without an identity the reason.
     """
     rows = np.flatnonzero(~exposure.identified)
     if np.trace(prior.covariance_n) > WIDEST**2:
@@ -330,8 +329,8 @@ def identified(
         moment,
         exposure.masks,
     )
-    # No catalogue star counts twice: one that two detections could be is given to neither. A catalogue star
-    # already assigned by its number is not assigned to another detection.
+    # A catalogue star that matches two detections is assigned to neither. A catalogue star that is already assigned
+    # by its number is not assigned to another detection.
     hip = moment.bright.catalogue.hip[found.rows]
     claimed_once = (np.count_nonzero(found.fitting, axis=0) == 1) & ~np.isin(hip, exposure.hip)
     chosen = np.full(len(rows), -1)
@@ -348,17 +347,17 @@ def identified(
 
 
 def _why_not(nearest: float, fitting: int, behind: str) -> Refusal:
-    """The refusal of a detection for which so many catalogue stars lay within the gate, the nearest at this angle.
+    """Return the rejection of a detection that was not identified.
 
     Args:
-        nearest: rad; infinite where there is none.
-        fitting: number of stars.
-        behind: the masks that the detection lies in; empty for none.
+        nearest: angle to the nearest catalogue star, rad; infinite if there is none.
+        fitting: number of catalogue stars within the gate.
+        masks: names of the masks that cover the detection; empty for none.
     """
     if behind:
-        return Refusal(Reason.UNIDENTIFIED, f"no star: it lies in the mask {behind}")
+        return Refusal(Reason.UNIDENTIFIED, f"not a star: inside the mask {behind}")
     if fitting:
-        text = f"{fitting} catalogue stars within the gate, or one claimed twice: left out"
+        text = f"ambiguous: {fitting} catalogue stars within the gate, or one matched by two detections"
         return Refusal(Reason.UNIDENTIFIED, text)
     if not np.isfinite(nearest):
         return Refusal(Reason.UNIDENTIFIED, "no catalogue star in the field")
@@ -369,7 +368,7 @@ def _why_not(nearest: float, fitting: int, behind: str) -> Refusal:
 def _filled(
     exposure: StarExposure, rows: NDArray[np.intp], chosen: NDArray[np.intp], moment: SkyMoment
 ) -> StarExposure:
-    """The exposure with the catalogue's stars ``chosen`` in its rows ``rows``."""
+    """Return the exposure with the catalogue stars ``chosen`` in its rows ``rows``."""
     catalogue = moment.bright.catalogue
     hip, position_sigma = exposure.hip.copy(), exposure.position_sigma.copy()
     hip[rows] = catalogue.hip[chosen]

@@ -1,17 +1,17 @@
 """Focal length and principal point of a camera from fields of identified stars, without a known attitude.
 
-The angles between the stars of one exposure are known from the catalogue. They depend on the optics, but not on the
-attitude. So each field is linearised at the attitude that its own stars give, the error of this attitude is eliminated,
-and what is left of the displacements states the optics (:mod:`ship_attitude_star.stars.fit` has the equations):
+The angles between the stars of one exposure are known from the catalogue. They depend on the optics but not on the
+attitude. Each field is linearised at the attitude that its own stars give. The error of this attitude is eliminated,
+and the remaining displacements determine the optics (equations as in :mod:`ship_attitude_star.stars.fit`):
 
     d_i = δ × v_i + R S_i θ - R F_i f - G_i z + noise
 
-θ is the correction of (logarithm of the focal length, principal u, principal v) that the camera needs, and S_i the
-slope of the measured direction by θ. The coefficients f of the field-spatial error and the shared errors z (refraction)
-last over all fields. The information of several fields is the sum of theirs; f and z have their prior sigmas of 1.
+θ is the correction of (logarithm of the focal length, principal u, principal v) of the camera, and S_i the derivative
+of the measured direction by θ. The coefficients f of the field-spatial error and the shared errors z (refraction) are
+constant over all fields. The information of several fields is the sum of theirs; f and z have their prior sigmas of 1.
 
-The focal length is determined well: a field of ten stars over 13°, each known to 3", gives 0.005 %. The principal point
-is not: its shift is a turn of the camera but for 1 % of it, at the edge of such a field.
+The focal length is determined well: a field of ten stars over 13°, each known to 3″, gives 0.005 %. The principal point
+is not: its shift equals a rotation of the camera up to 1 %, at the edge of such a field.
 """
 
 from dataclasses import dataclass, replace
@@ -25,16 +25,16 @@ from ship_attitude_star.stars.optics_errors import SOURCE_OPTICS
 from ship_geometry.rotations import FloatArray
 
 OPTICS = slice(0, 3)
-"""The optics among the unknowns; coefficients of the field-spatial error come next, shared errors last."""
+"""Slice of the optics among the unknowns; coefficients of the field-spatial error follow, then the shared errors."""
 
 _FREE = (np.inf, np.inf, np.inf)
 _LEAST_EIGENVALUE = 1e-9
-"""Of the information with a diagonal of ones: below it the unknowns are not determined."""
+"""Least eigenvalue of the information, normalised to a diagonal of ones, for which the unknowns are determined."""
 
 
 @dataclass(frozen=True)
 class FieldInformation:
-    """Information of fields of stars about the unknowns, the attitude of each field eliminated; fields can be added.
+    """Information of star fields about the unknowns, with each field's attitude eliminated; fields can be added.
 
     Attributes:
         matrix: information without priors, shape (q, q).
@@ -49,7 +49,7 @@ class FieldInformation:
     degrees: int
 
     def __add__(self, other: "FieldInformation") -> "FieldInformation":
-        """The information of both."""
+        """Return the information of both."""
         return FieldInformation(
             self.matrix + other.matrix,
             self.right_side + other.right_side,
@@ -66,7 +66,7 @@ class OpticsEstimate:
         scale: relative correction of the focal length.
         principal_px: correction of the principal point (u, v), px, shape (2,).
         covariance: of (scale, u, v), shape (3, 3).
-        chi_square: of the displacements that the corrected optics leave, and of the unknowns against their priors.
+        chi_square: of the displacements remaining with the corrected optics, and of the unknowns against their priors.
         degrees: degrees of freedom of ``chi_square``.
     """
 
@@ -94,19 +94,19 @@ def field_information(
     """Return the information of one field about the optics.
 
     Args:
-        camera: by which the directions were measured, true to 1 %.
+        camera: camera by which the directions were measured, correct to 1 %.
         stars: of one exposure of it, in its own frame; a star with a wrong identity must not be a member.
         members: True for the stars that are used, shape (k,); None for all.
 
     Returns:
-        None where the members do not determine an attitude.
+        None if the members do not determine an attitude.
     """
     count = len(stars) if members is None else int(np.count_nonzero(members))
     found = agreement(stars, members) if count > 1 else None
     if found is None:
         return None
     slopes_b = -camera.optics_slopes(stars.measured_b)[..., OPTICS]
-    # The optics are unknown themselves here, so the errors that they are stated to have are left out.
+    # The optics themselves are unknowns here, so their stated errors are left out.
     is_other = [source != SOURCE_OPTICS for source in stars.field_sources]
     field_b = slopes_b if stars.field_b is None else np.concatenate([slopes_b, stars.field_b[..., is_other]], axis=-1)
     fit = linearized(replace(stars, field_b=field_b), found.rotation_nb)
@@ -130,14 +130,14 @@ def estimate_optics(
 
     Args:
         information: of all fields.
-        prior_sigma: uncertainty of the configured (logarithm of the focal length, principal u, principal v), px for
-            the last two; infinite where the stars alone decide, 0 where a value is held.
+        prior_sigma: uncertainty of the configured (logarithm of the focal length, principal u, principal v), px for the
+            last two; infinite for no prior, 0 for a fixed value.
 
     Returns:
-        None where the stars and priors do not determine all three.
+        None if stars and priors do not determine all three.
     """
     count = len(information.right_side)
-    # Counted in their sigmas, a value that is held needs no division by zero; a free one is counted as it is.
+    # In units of its sigma, a fixed value needs no division by zero; a free one keeps its own unit.
     sigma = np.append(np.asarray(prior_sigma, dtype=float), np.ones(count - OPTICS.stop))
     is_free = np.isinf(sigma)
     unit = np.where(is_free, 1.0, sigma)

@@ -1,8 +1,8 @@
-"""Which catalogue stars a detection without an identity may be, by the attitude that is predicted for its sensor.
+"""Candidate catalogue stars of a detection without an identity, by the predicted attitude of its sensor.
 
-A detection and a catalogue star fit where a probable turn of the predicted attitude brings the one to the other. Where
-the prediction is wide such a turn is no small one: the likeliest one is searched step by step (Gauss-Newton), for each
-pair of detection and star.
+A detection and a catalogue star match if a probable rotation of the predicted attitude maps one to the other. Where the
+prediction is wide, this rotation is not small: the most likely one is found iteratively (Gauss-Newton) for each pair of
+detection and star.
 """
 
 from dataclasses import dataclass
@@ -18,35 +18,35 @@ from ship_geometry.deck_masks import SensorMasks
 from ship_geometry.rotations import FloatArray, angle_between, exp_rotation, left_jacobian, skew
 
 MAGNITUDE_TOLERANCE = 1.5
-"""A catalogue star that differs by more from the measured magnitude is not the star of a detection.
+"""Maximum difference between a measured magnitude and that of its catalogue star.
 
 Most of the tolerance is for the colours of stars, and for the difference between the bands Hp and V.
 """
 
 _FIELD_MARGIN = np.deg2rad(1.0)
-"""Far more than aberration and refraction together, rad."""
+"""Margin of the field for aberration and refraction, which are far smaller, rad."""
 
 _FAR = 5.0
-"""Sigmas by which the predicted attitude may be off."""
+"""Number of sigmas by which the predicted attitude may be wrong."""
 
 _MOST_STEPS, _SMALL_TURN = 8, 1e-5
 
 WIDEST = np.deg2rad(5.0)
-"""By an attitude that is not predicted to this (rad, sigma) no detection is identified: too many stars fit."""
+"""Maximum standard deviation of a predicted attitude for identification, rad; beyond it too many stars match."""
 
 _CROWDED = 5.0
-"""Where more catalogue stars than this are expected in a gate, there is no use in looking which."""
+"""Maximum expected number of catalogue stars in a gate for which candidates are compared."""
 
 
 @dataclass(frozen=True)
 class Candidates:
-    """What k detections may be.
+    """Candidate stars of k detections.
 
     Attributes:
-        rows: of the catalogue, the stars in the field, shape (c,).
-        fitting: whether a detection may be that star, shape (k, c).
-        nearest: angle from the predicted place of each detection that no star fits to the nearest star in the field,
-            rad, shape (k,); infinite where there is none. Of no meaning where one fits.
+        rows: catalogue rows of the stars in the field, shape (c,).
+        is_match: True if a detection may be that star, shape (k, c).
+        nearest: angle from the predicted direction of each unmatched detection to the nearest star in the field, rad,
+            shape (k,); infinite if there is none; meaningless for a matched detection.
     """
 
     rows: NDArray[np.int64]
@@ -63,7 +63,7 @@ def candidates(
     moment: SkyMoment,
     masks: SensorMasks | None = None,
 ) -> Candidates:
-    """The catalogue stars within the gates of detections.
+    """Return the catalogue stars within the gates of detections.
 
     Args:
         directions_s: unit vectors in the sensor frame, shape (k, 3).
@@ -71,9 +71,9 @@ def candidates(
         magnitude: as measured, shape (k,); NaN where unknown.
         smear_s: covariance of the error by motion during the exposure, rad², shape (k, 3, 3); None for none.
         prior: attitude of the sensor.
-        moment: the sky at the exposure; it also says which catalogue stars are bright enough.
-        masks: what stands on deck in the sensor's way: a star behind it is no candidate, and no detection there is a
-            star; None where nothing does.
+        local_sky: the sky at the exposure; it also defines which catalogue stars are bright enough.
+        masks: obstructions on deck in the sensor's view; a star behind one is no candidate, and a detection inside one
+            is no star; None if there are none.
     """
     rows, catalogue = _in_field(directions_s, prior, moment), moment.bright.catalogue
     apparent = moment.apparent(catalogue.at_j2000[rows])
@@ -97,7 +97,7 @@ def candidates(
 
 
 def _crowd(seen_n: FloatArray, magnitude: FloatArray, prior: StarPrior, moment: SkyMoment) -> float:
-    """How many catalogue stars are to be expected in the gate of the detection that has the fewest."""
+    """Return the expected number of catalogue stars in the gate of the detection with the fewest."""
     turned = across(seen_n) @ skew(seen_n)
     covariance = turned @ prior.covariance_n @ np.swapaxes(turned, -1, -2)
     area = np.pi * chi_square_gate(GATE_PROBABILITY, 2) * np.sqrt(np.maximum(np.linalg.det(covariance), 0.0))
@@ -105,12 +105,12 @@ def _crowd(seen_n: FloatArray, magnitude: FloatArray, prior: StarPrior, moment: 
 
 
 def _behind(masks: SensorMasks, reference_n: FloatArray, prior: StarPrior) -> NDArray[np.bool_]:
-    """Whether stars are behind a mask wherever the predicted attitude may be off to, shape (c,)."""
+    """True if a star is masked for any probable error of the predicted attitude, shape (c,)."""
     return masks.hide(reference_n @ prior.rotation_nb, _FAR * float(np.sqrt(np.trace(prior.covariance_n))))
 
 
 def _in_field(directions_s: FloatArray, prior: StarPrior, moment: SkyMoment) -> NDArray[np.int64]:
-    """Rows of the catalogue with the bright stars that may be in the field of these detections."""
+    """Return the catalogue rows of the bright stars that may be in the field of these detections."""
     centre_s = np.mean(directions_s, axis=0)
     centre_s /= np.linalg.norm(centre_s)
     prior_sigma = np.sqrt(np.trace(prior.covariance_n))
@@ -121,7 +121,7 @@ def _in_field(directions_s: FloatArray, prior: StarPrior, moment: SkyMoment) -> 
 def _mahalanobis(
     seen_n: FloatArray, reference_n: FloatArray, variance: FloatArray, smear_n: FloatArray | None, prior: StarPrior
 ) -> FloatArray:
-    """Mahalanobis² of each of k detections to each of c candidates under the prior's error, shape (k, c)."""
+    """Return Mahalanobis² of each of k detections to each of c candidates under the prior's error, shape (k, c)."""
     if prior.is_wide:
         return _mahalanobis_wide(seen_n, reference_n, variance, smear_n, prior)
     basis = across(seen_n)
@@ -137,10 +137,10 @@ def _mahalanobis(
 def _mahalanobis_wide(
     seen_n: FloatArray, reference_n: FloatArray, variance: FloatArray, smear_n: FloatArray | None, prior: StarPrior
 ) -> FloatArray:
-    """The same where the prior is wide.
+    """Return Mahalanobis² as :func:`_mahalanobis`, for a wide prior.
 
-    It is the least sum of squares that any turn leaves: of the turn against the prior, of the direction against its
-    noise. Infinite where no turn is found.
+    It is the minimum over all rotations of the sum of squares of the rotation against the prior and of the direction
+    against its noise. Infinite if the search does not converge.
     """
     turn_n, squared, settled = np.zeros((*variance.shape, 3)), np.zeros(variance.shape), np.zeros(variance.shape, bool)
     for _ in range(_MOST_STEPS):

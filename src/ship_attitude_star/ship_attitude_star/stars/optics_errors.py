@@ -1,15 +1,15 @@
-"""Errors of the parameters of a camera's optics: focal length, principal point, leading radial distortion.
+"""Errors of a camera's optics parameters: focal length, principal point, leading radial distortion.
 
-They last, and all exposures of the camera share them. Each displaces the measured directions in a pattern over the
-field. With the point (x, y) of a star in focal lengths from the principal point, its centroid moves
+They are constant and common to all exposures of the camera. Each displaces the measured directions in a pattern over
+the field. With the point (x, y) of a star in focal lengths from the principal point, its centroid moves
 
 * by e (x, y) for a focal length that is longer by the relative error e,
 * by the error of the principal point, the same everywhere,
 * by the error of k1 times (x² + y²) (x, y).
 
-An error of the principal point is nearly a turn of the camera. The mounting is calibrated through the camera's own
-stars, with the same parameters, so it holds that turn already. What remains is the part that no turn explains: an error
-of a pixels in u displaces a star by -a (x², x y), in the measure of a pixel; in v accordingly.
+An error of the principal point is nearly a rotation of the camera. The mounting is calibrated with the camera's own
+stars and the same parameters, so it already contains that rotation. Only the part that no rotation explains remains: an
+error of a pixels in u displaces a star by -a (x², x y), in units of a pixel, and likewise in v.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from ship_attitude_star.stars.camera import StarCamera
 from ship_geometry.rotations import FloatArray
 
 SOURCE_OPTICS = "optics"
-"""Source of error in budgets."""
+"""Name of the error source in budgets."""
 
 OPTICS_MODES = 4
 """Number of errors: focal length, principal point in u and in v, k1."""
@@ -51,7 +51,7 @@ class OpticsErrors:
         return np.array([self.focal_sigma, self.principal_sigma_px, self.principal_sigma_px, self.distortion_sigma])
 
     def modes(self, directions_s: FloatArray) -> FloatArray:
-        """Displacements of measured directions by one sigma of each error, in the sensor frame, rad.
+        """Return displacements of measured directions by one sigma of each error, in the sensor frame, rad.
 
         Args:
             directions_s: as measured, unit vectors, shape (k, 3).
@@ -60,7 +60,7 @@ class OpticsErrors:
             Shape (k, 3, OPTICS_MODES).
         """
         displacement_s: FloatArray = -self.sigmas * self.camera.optics_slopes(directions_s)
-        # The turns that displace the boresight as much, about the axes up and right: u goes right, and v down.
+        # Add the rotations about up and right that cancel the displacement at the boresight: u is right, v is down.
         turn = self.principal_sigma_px * self.camera.pixel_pitch_m / self.camera.focal_length_m
         forward, up, right = directions_s.T
         displacement_s[:, 0, 1] += turn * right

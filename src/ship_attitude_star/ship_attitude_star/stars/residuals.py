@@ -1,9 +1,9 @@
 """Stars against the attitude predicted for their sensor: residual, Jacobian, noise.
 
 Each star has a residual of two components, up and right in the sensor. With R the predicted attitude (horizon from
-sensor), v the star's place in the sky and u its measured direction, the residual is the part of u - Rᵀ v across the
-line of sight. A rotation ε of the sensor (rotation vector in its own frame) moves the predicted direction p = Rᵀ v by
-p × ε. The errors that all stars share (refraction, Earth rotation, position) are states of the filter
+sensor), v the star's sky direction and u its measured direction, the residual is the part of u - Rᵀ v across the line
+of sight. A rotation ε of the sensor (rotation vector in its own frame) moves the predicted direction p = Rᵀ v by p × ε.
+The errors that all stars share (refraction, Earth rotation, position) are states of the filter
 (:mod:`ship_attitude_star.sky.shared_states`): one sigma of such an error displaces v by g, and the predicted direction
 by Rᵀ g. The errors of the camera's optics (:mod:`ship_attitude_star.stars.optics_errors`) and the coefficients of its
 field-spatial error (:mod:`ship_attitude_star.stars.spatial_errors`) are states too; they displace the measured
@@ -28,7 +28,7 @@ from ship_estimation.refusals import Reason, Refusal
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between
 
 SOURCE_STAR_NOISE = "star_noise"
-"""What the noise of the stars is booked to, that of the catalogue included."""
+"""Error source of the stars' noise, that of the catalogue included."""
 
 
 @dataclass(frozen=True)
@@ -38,12 +38,13 @@ class StarResiduals:
     Attributes:
         residual: measured minus predicted direction, up and right of each of k stars, rad, shape (2 k,).
         jacobian: derivative of the residual by the n states, shape (2 k, n).
-        by_turn: its derivative by a turn of the predicted sensor, rotation vector in its own frame, shape (2 k, 3).
-        noise: covariance by source of error, rad², shape (2 k, 2 k) each.
+        rotation_jacobian: its derivative by a rotation of the predicted sensor, rotation vector in its own frame, shape
+            (2 k, 3).
+        noise: covariance by error source, rad², shape (2 k, 2 k) each.
         components: name of each residual.
-        refused: the other stars by name, each with its refusal.
-        rotation_ns: the sensor's attitude (horizon from sensor) by these stars alone, where they contradict the
-            prediction, shape (3, 3); None where they agree with it.
+        rejected: the other stars by name, each with its rejection.
+        rotation_ns: the sensor's attitude (horizon from sensor) by these stars alone if they contradict the prediction,
+            shape (3, 3); None if they are consistent with it.
     """
 
     residual: FloatArray
@@ -66,21 +67,21 @@ def star_residuals(
     near_ns: FloatArray | None = None,
     field_rows: NDArray[np.intp] | None = None,
 ) -> StarResiduals | Refusal:
-    """Choose the stars that are what they are taken for, and compare them with the prediction.
+    """Select the correctly identified stars, and compare them with the prediction.
 
     Args:
-        exposure: the stars where they stood at its middle.
+        exposure: the stars at mid-exposure.
         rotation_ns: predicted attitude of the sensor (horizon from sensor) at ``mean``, shape (3, 3).
-        to_sensor: its rotation vector in the sensor frame per state, shape (3, n).
-        prior: what tells which stars are believed: the attitude of the sensor, with the covariance of its error.
-        watch: the sky.
-        sky_rows: where the states of the shared errors are.
+        to_sensor: derivative of its rotation vector in the sensor frame by the states, shape (3, n).
+        prior: attitude of the sensor with the covariance of its error, used to select the stars.
+        sky_model: the sky model.
+        sky_slice: slice of the states of the shared errors.
         mean: of the state, shape (n,).
-        near_ns: an attitude near the truth, where the prior's own is perhaps not, shape (3, 3).
-        field_rows: where the states of the lasting errors of the sensor's camera are; None where it has none.
+        initial_ns: an attitude near the truth, where that of the prior may be far from it, shape (3, 3).
+        camera_indices: state indices of the correlated errors of the sensor's camera; None if it has none.
 
     Returns:
-        The refusal of the whole exposure where no star can be placed in the sky at its moment, none can be used, or
+        The rejection of the whole exposure if no star can be placed in the sky at its time, if none can be used, or if
         the stars contradict the focal length of their camera.
     """
     found = _compare(exposure, rotation_ns, to_sensor, prior, watch, sky_rows, mean, near_ns, field_rows)
@@ -99,7 +100,7 @@ def _compare(
     near_ns: FloatArray | None,
     field_rows: NDArray[np.intp] | None,
 ) -> StarResiduals | Refusal:
-    """Compare the stars that are what they are taken for with the prediction; see :func:`star_residuals`."""
+    """Compare the correctly identified stars with the prediction; see :func:`star_residuals`."""
     visible = visible_stars(exposure, watch, prior)
     if isinstance(visible, Refusal):
         return visible
@@ -107,8 +108,8 @@ def _compare(
     if len(stars.sigma) == 0:
         nameless = any(refusal.reason is Reason.UNIDENTIFIED for _, refusal in refused)
         reason = Reason.UNIDENTIFIED if nameless else Reason.TOO_FEW_STARS
-        return Refusal(reason, _listed(f"none of {len(exposure)} stars can be used", refused))
-    # The estimate of the shared errors moves the stars to where they are expected.
+        return Refusal(reason, _listed(f"none of {len(exposure)} stars is usable", refused))
+    # The estimate of the shared errors corrects the expected directions.
     expected_n = compiled_fit.expected(stars.reference_n, stars.shared_n, mean[sky_rows])
     measured_s, field_s = stars.measured_b, None if field_rows is None else stars.field_b
     if field_s is not None:
@@ -142,17 +143,17 @@ def _compare(
 def _believed(
     stars: SightedStars, at_estimate: SightedStars, prior: StarPrior, near_ns: FloatArray | None
 ) -> tuple[NDArray[np.bool_], FloatArray | None] | Refusal:
-    """The stars that agree with the prediction; where none does, those that agree on another attitude.
+    """Return the stars consistent with the prediction; if there are none, those consistent with another attitude.
 
     Args:
-        stars: with their places by the sky.
-        at_estimate: the same where the estimate of the shared errors expects them.
+        stars: with their directions by the sky model.
+        at_estimate: the same, corrected by the estimate of the shared errors.
         prior: the prediction.
-        near_ns: an attitude near the truth, where the prediction's own is perhaps not, shape (3, 3).
+        initial_ns: an attitude near the truth, where that of the prediction may be far from it, shape (3, 3).
 
     Returns:
-        True for each of them, shape (k,), none where the stars contradict the prediction as well as one another; and
-        the attitude of the sensor by them alone where they contradict the prediction, else None.
+        True for each selected star, shape (k,), none if the stars contradict the prediction and one another; and the
+        attitude of the sensor by these stars alone if they contradict the prediction, else None.
     """
     choice = select(at_estimate, prior, near_ns)
     if choice.by_chance is not None:
@@ -167,15 +168,15 @@ def _believed(
 
 def _contradiction(count: int) -> str:
     return (
-        f"none of {count} stars is where it is expected, and they do not agree on another attitude: "
-        "where this lasts, look at the camera's parameters, gnss/fix and the clock"
+        f"none of {count} stars is near its expected direction, and they are not consistent with another attitude: "
+        "if this persists, check the camera's parameters, gnss/fix and the clock"
     )
 
 
 def _noise(
     stars: SightedStars, stay: PixelStay | None, basis: FloatArray, members: NDArray[np.bool_]
 ) -> dict[str, FloatArray]:
-    """Covariance of the residuals of the k members, along their basis (k, 2, 3), by source, rad², shape (2 k, 2 k)."""
+    """Return the covariance by source of the k members' residuals along their basis (k, 2, 3), rad², (2 k, 2 k)."""
     noise = np.diag(np.repeat(np.hypot(stars.sigma, stars.position_sigma)[members] ** 2, 2))
     if stars.smear_b is not None:
         smear = basis @ stars.smear_b[members] @ np.swapaxes(basis, -1, -2)
@@ -189,7 +190,7 @@ def _noise(
 
 def _misfit(stars: SightedStars, row: int, rotation_ns: FloatArray) -> Refusal:
     angle = float(angle_between(rotation_ns @ stars.measured_b[row], stars.reference_n[row]))
-    text = f'{angle / ARCSEC:.1f}" from its place, sigma {stars.lone_sigma[row] / ARCSEC:.1f}"'
+    text = f'{angle / ARCSEC:.1f}" from its expected direction, sigma {stars.lone_sigma[row] / ARCSEC:.1f}"'
     return Refusal(Reason.MISIDENTIFIED, text)
 
 

@@ -1,9 +1,8 @@
 """Check of a camera's focal length by the angles between its stars, which need no attitude.
 
-A focal length that is wrong by more than its stated error makes the stars of a field contradict one another: few of
-them fit any one attitude. Then the field is solved again with a focal length that is nearly free. Where the stars agree
-with a focal length far from the configured one, the whole exposure is rejected: what few of its stars fit would be a
-wrong attitude.
+A focal length that is wrong by more than its stated error makes the stars of a field inconsistent: few of them fit any
+one attitude. Then the field is solved again with a nearly free focal length. If the stars are consistent with a focal
+length far from the configured one, the whole exposure is rejected: the few stars that fit would give a wrong attitude.
 """
 
 from dataclasses import replace
@@ -18,26 +17,26 @@ from ship_attitude_star.stars.selection import FEWEST_VERIFIED, StarPrior, selec
 from ship_estimation.refusals import Reason, Refusal
 
 FREE_FOCAL_SIGMA = 0.01
-"""Relative standard deviation of a focal length that is nearly free."""
+"""Relative standard deviation of a nearly free focal length."""
 
 MOST_SIGMAS = 4.0
-"""Threshold of the difference between the focal length that fits and the configured one, standard deviations."""
+"""Threshold of the difference between the fitted focal length and the configured one, standard deviations."""
 
 _ENOUGH = 6
-"""Number of stars that fit no one attitude where the focal length is off by more than the threshold."""
+"""Number of fitting stars at which the field is not solved again: a wrong focal length lets fewer fit."""
 
 
 def contradicted_scale(
     exposure: StarExposure, watch: SkyWatch, prior: StarPrior | None, used_count: int
 ) -> Refusal | None:
-    """Return the rejection of an exposure whose stars contradict the focal length; None where they do not.
+    """Return the rejection of an exposure whose stars contradict the focal length; None if they do not.
 
     Args:
         exposure: all detections.
-        watch: the sky.
-        prior: attitude of the sensor known without these stars; None where there is none.
-        used_count: number of detections that fit one attitude with the configured optics. Where these are all, or
-            enough to determine the focal length with them, the field is not solved again.
+        sky_model: the sky model.
+        prior: attitude of the sensor known without these stars; None if there is none.
+        used_count: number of detections that fit one attitude with the configured optics. If these are all, or enough
+            to determine the focal length, the field is not solved again.
     """
     optics = exposure.optics
     if optics is None or used_count >= min(len(exposure), _ENOUGH) or len(exposure) < FEWEST_VERIFIED:
@@ -54,14 +53,14 @@ def contradicted_scale(
     information = field_information(optics.camera, stars, members)
     principal = optics.principal_sigma_px
     found = None if information is None else estimate_optics(information, (np.inf, principal, principal))
-    # Written so that NaN is a contradiction.
+    # Written so that NaN is a contradiction of the focal length.
     if found is None or abs(found.scale) <= MOST_SIGMAS * np.hypot(optics.focal_sigma, found.scale_sigma):
         return None
     return wrong_focal_length(optics, found.scale, f"the angles between {count} stars")
 
 
 def learned_contradiction(optics: OpticsErrors, error: float, variance: float) -> Refusal | None:
-    """Return the rejection of an exposure whose camera's focal length a filter has learned to be another one.
+    """Return the rejection of an exposure whose focal length the filter has estimated as another one; None if not.
 
     Args:
         optics: as configured.
@@ -74,12 +73,12 @@ def learned_contradiction(optics: OpticsErrors, error: float, variance: float) -
 
 
 def wrong_focal_length(optics: OpticsErrors, scale: float, by_what: str) -> Refusal:
-    """Return a rejection that names the focal length that fits.
+    """Return a rejection that states the fitted focal length.
 
     Args:
         optics: as configured.
-        scale: relative error of the focal length, fitting minus configured.
-        by_what: it is fitted.
+        scale: relative error of the focal length, fitted minus configured.
+        evidence: data to which the focal length is fitted, for the text.
     """
     told_mm = 1e3 * optics.camera.focal_length_m
     text = (

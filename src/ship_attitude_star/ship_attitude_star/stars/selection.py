@@ -1,11 +1,10 @@
-"""The choice of stars that are what they are taken for, by the attitude on which most of them agree.
+"""Selection of correctly identified stars, by the attitude with which most of them are consistent.
 
-A trial is a possible attitude: one that a pair of stars gives whose angle fits, or, where an attitude is known
-beforehand (the prior), one that a single star gives by turning the prior. All stars with Mahalanobis² < 16 are members
-of the trial. The worst member is dropped as long as the members agree with a probability below 1e-3. A trial is
-accepted where its members agree with a probability above 1e-6 and are more than those of any rival. Without a prior at
-least three stars are needed to verify one another: two stars whose identities are swapped agree with each other in any
-case.
+A trial is a possible attitude. It comes from a pair of stars whose angle fits, or, if an attitude is known beforehand
+(the prior), from a single star by which the prior is rotated. All stars with Mahalanobis² < 16 are members of the
+trial. The worst member is dropped while the probability of the members is below 1e-3. A trial is accepted if the
+probability of its members is above 1e-6 and it has more members than any rival. Without a prior at least three stars
+are needed to verify one another: two stars with swapped identities are always consistent.
 """
 
 from dataclasses import dataclass
@@ -19,20 +18,22 @@ from ship_geometry import wahba
 from ship_geometry.rotations import FloatArray, angle_between, left_jacobian, log_rotation, skew
 
 MEMBER_DISTANCE = 16.0
-"""Mahalanobis² (two degrees of freedom) up to which a star is a member of a trial."""
+"""Gate of a trial's members, Mahalanobis² (two degrees of freedom)."""
 
 DROP_PROBABILITY, ACCEPT_PROBABILITY = 1e-3, 1e-6
-"""The worst member is dropped below the first probability, and the last members are accepted above the second."""
+"""The worst member is dropped below the first probability; the last members are accepted above the second."""
 
 FEWEST_VERIFIED = 3
-"""Number of stars that verify one another without a prior."""
+"""Least number of stars that verify one another without a prior."""
 
 CLEARLY_BETTER = 13.8
-"""Difference of chi² by which one of two explanations is clearly better (two degrees of freedom, 1 in 1000)."""
+"""Threshold of the chi² difference between two explanations (two degrees of freedom, 1 in 1000)."""
 
 LINEAR_RANGE = 5e-4
-"""An attitude that is predicted to better than this (rad, sigma) needs one linearisation: even at three times as much,
-the square of the error is 0.2 arcseconds."""
+"""Maximum standard deviation of a predicted attitude for which one linearisation suffices, rad.
+
+At three times as much, the square of the error is 0.2 arcseconds.
+"""
 
 _TRIALS_REFINED = 3
 
@@ -45,7 +46,8 @@ class StarPrior:
 
     Attributes:
         rotation_nb: horizon from b, shape (3, 3).
-        covariance_n: of its error, rotation vector in the horizon frame, rad², shape (3, 3); zero where it is exact.
+        covariance_n: covariance of its error, rotation vector in the horizon frame, rad², shape (3, 3); zero where
+            exact.
     """
 
     rotation_nb: FloatArray
@@ -53,11 +55,11 @@ class StarPrior:
 
     @property
     def is_wide(self) -> bool:
-        """Whether stars may be so far from where it expects them that one linearisation is not enough."""
+        """True if the error may be too large for one linearisation."""
         return float(np.trace(self.covariance_n)) > LINEAR_RANGE**2
 
     def seen_from(self, rotation_nb: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The prior as it is told from another attitude: what it expects the turn from there to be, and covariance.
+        """Return the prior relative to another attitude: the expected rotation from there, and its covariance.
 
         Returns:
             Rotation vector in the horizon frame, rad, shape (3,), and its covariance, rad², shape (3, 3).
@@ -70,7 +72,7 @@ class StarPrior:
 
 @dataclass(frozen=True)
 class Trial:
-    """The stars that agree on one possible attitude.
+    """The stars that are consistent with one possible attitude.
 
     Attributes:
         members: True for each of these stars, shape (k,).
@@ -83,12 +85,12 @@ class Trial:
 
 @dataclass(frozen=True)
 class Choice:
-    """The stars that belong together.
+    """The selected stars.
 
     Attributes:
-        members: True for each of these stars, shape (k,); nowhere where no set is larger than its rivals.
-        agreement: the attitude that they give; None where the choice did not need it.
-        by_chance: where stars agree, but so few that they may do so by chance: the mean number of such sets.
+        members: True for each selected star, shape (k,); all False if no set is larger than its rivals.
+        attitude_fit: the attitude that they give; None if the selection did not need it.
+        false_matches: expected number of false sets if that is too large for the consistent stars; else None.
     """
 
     members: BoolArray
@@ -97,20 +99,20 @@ class Choice:
 
 
 def select(stars: SightedStars, prior: StarPrior | None = None, near_nb: FloatArray | None = None) -> Choice:
-    """Choose the stars that are what they are taken for.
+    """Select the correctly identified stars.
 
     Args:
-        stars: all that were seen and have a place in the sky.
-        prior: helps to choose among sets, and lets one star suffice. It does not enter the attitude that the chosen
-            stars give.
-        near_nb: an attitude within a degree of the truth, where the prior's own is perhaps not, shape (3, 3).
+        stars: all measured stars that have a sky direction.
+        prior: used to select among sets, and to accept a single star. It does not enter the attitude of the selected
+            stars.
+        initial_nb: an attitude within a degree of the truth, where that of the prior may be further away, shape (3, 3).
     """
     if prior is None:
         return _select_alone(stars)
     members = _select_by_prior(stars, prior, near_nb)
     if stars.rivals is not None and members.any() and not surely_few(stars, prior.covariance_n):
         expected = by_chance(stars, members, across(stars.reference_n), prior.covariance_n)
-        # Written so that NaN leaves no star in.
+        # Written so that NaN rejects the star.
         if not expected <= MOST_BY_CHANCE:
             return Choice(np.zeros_like(members), by_chance=expected)
     return Choice(members)
@@ -134,7 +136,7 @@ def _select_alone(stars: SightedStars) -> Choice:
 
 
 def _refined_alone(stars: SightedStars, members: BoolArray) -> BoolArray:
-    """The members without those that do not fit the rest; none where the rest does not agree either."""
+    """Drop the members that do not fit the rest; return none if the rest is not consistent either."""
     while np.count_nonzero(members) >= 2:
         refined = agreement(stars, members)
         if refined is None:
@@ -148,10 +150,9 @@ def _refined_alone(stars: SightedStars, members: BoolArray) -> BoolArray:
 
 
 def _unambiguous(fit: StarFit, members: BoolArray) -> BoolArray:
-    """The members without the ambiguous ones.
+    """Drop the ambiguous members.
 
-    A member is ambiguous where a star left out explains the rest as well as it does: which of the two is right cannot
-    be told.
+    A member is ambiguous if a star left out explains the rest as well as it does.
     """
     limit = fit.judge(members).chi_square + CLEARLY_BETTER
     kept: BoolArray = members.copy()
@@ -160,22 +161,22 @@ def _unambiguous(fit: StarFit, members: BoolArray) -> BoolArray:
         both[outsider] = True
         judgement = fit.judge(both)
         without_one = judgement.chi_square - fit.gain_by_leaving_out(judgement, both)
-        # Written so that NaN leaves no star in.
+        # Written so that NaN rejects the star.
         kept[np.flatnonzero(both)[~(without_one >= limit)]] = False
     return kept
 
 
 def _has_rival(trials: list[Trial], members: BoolArray, shared: int) -> bool:
-    """Whether a trial of another attitude has as many members.
+    """True if a trial of another attitude has as many members.
 
-    Two sets with ``shared`` stars in common have the same attitude: that trial is no rival.
+    Two sets with ``shared`` stars in common have the same attitude; such a trial is no rival.
     """
     count = np.count_nonzero(members)
     return any(trial.count >= count and np.count_nonzero(trial.members & members) < shared for trial in trials)
 
 
 def _pair_trials(stars: SightedStars) -> list[Trial]:
-    """Trials by all pairs of stars whose angle in the sky is the measured one, those with most members first."""
+    """Return trials by all pairs of stars whose angle in the sky is the measured one, those with most members first."""
     first, second = np.triu_indices(len(stars), 1)
     seen = angle_between(stars.measured_b[first], stars.measured_b[second])
     expected = angle_between(stars.reference_n[first], stars.reference_n[second])
@@ -197,14 +198,14 @@ def _pair_trials(stars: SightedStars) -> list[Trial]:
         own = own + turned_basis @ stars.smear_b @ np.swapaxes(turned_basis, -1, -2)
     covariance += own
     members = distance(left, covariance) < MEMBER_DISTANCE
-    # A star on the other side of the sphere is no member. The two stars that make the trial always are.
+    # A star on the other side of the sphere is no member. The two stars of the trial always are.
     members &= np.einsum("tkj,kj->tk", displacement, stars.reference_n) < 0.5
     members[np.arange(len(pairs))[:, None], pairs] = True
     return _by_size(members, np.trace(covariance_n, axis1=-2, axis2=-1))
 
 
 def _common_variance(stars: SightedStars) -> FloatArray:
-    """Variance that mounting and shared errors add to a star's direction, mean of both axes, rad², shape (k,)."""
+    """Return the variance that mounting and shared errors add to a direction, mean of both axes, rad², shape (k,)."""
     variance: FloatArray = 0.5 * np.sum(stars.shared_n**2, axis=(-2, -1))
     if len(stars.mounting_b):
         about_star = skew(stars.measured_b)
@@ -236,7 +237,7 @@ def _select_by_prior(stars: SightedStars, prior: StarPrior, near_nb: FloatArray 
 
 
 def _refined_by_prior(fit: StarFit, members: BoolArray) -> BoolArray:
-    """The members without those that do not fit the rest and the prior; none where no member fits the prior."""
+    """Drop the members that do not fit the rest and the prior; return none if no member fits the prior."""
     while members.any():
         judgement = fit.judge(members)
         if judgement.probability >= DROP_PROBABILITY:
@@ -248,14 +249,17 @@ def _refined_by_prior(fit: StarFit, members: BoolArray) -> BoolArray:
 
 
 def _without_worst(fit: StarFit, judgement: StarJudgement, members: BoolArray) -> BoolArray:
-    """The members without the one that explains most of the misfit."""
+    """Drop the member that explains most of the misfit."""
     kept: BoolArray = members.copy()
     kept[np.flatnonzero(members)[np.argmax(fit.gain_by_leaving_out(judgement, members))]] = False
     return kept
 
 
 def _single_trials(stars: SightedStars, fit: StarFit) -> list[Trial]:
-    """Trials by single stars, those with most members first: a star turns the prior, and others agree with the turn."""
+    """Return trials by single stars, those with most members first.
+
+    Each star rotates the prior; the other stars are compared with the rotated prior.
+    """
     basis = across(stars.reference_n)
     left = np.einsum("kij,kj->ki", basis, fit.displacement)
     rows = basis @ fit.jacobian
@@ -263,7 +267,7 @@ def _single_trials(stars: SightedStars, fit: StarFit) -> list[Trial]:
     own = np.arange(len(stars))
     covariance[own, own] += np.eye(2)
     possible = np.flatnonzero(distance(left, covariance[own, own]) < MEMBER_DISTANCE)
-    # Each possible star t updates the prior; the others k are compared with what is then predicted.
+    # Each possible star t updates the prior; the other stars k are compared with the updated prediction.
     cross = covariance[:, possible].swapaxes(0, 1)
     gain = cross @ np.linalg.inv(covariance[possible, possible])[:, None]
     rest = left - np.einsum("tkij,tj->tki", gain, left[possible])
@@ -275,20 +279,20 @@ def _single_trials(stars: SightedStars, fit: StarFit) -> list[Trial]:
 
 
 def _by_size(members: BoolArray, spread: FloatArray) -> list[Trial]:
-    """Trials with most members first; among equals, those with the smaller spread of the attitude first."""
+    """Sort trials by number of members; equal ones by increasing spread of the attitude."""
     counts = np.count_nonzero(members, axis=-1)
     return [Trial(members[row], int(counts[row])) for row in np.lexsort((spread, -counts)).tolist()]
 
 
 def distance(left: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Mahalanobis² of residuals, shape (..., 2), under their covariances, shape (..., 2, 2)."""
+    """Return Mahalanobis² of residuals, shape (..., 2), under their covariances, shape (..., 2, 2)."""
     squared: FloatArray = np.einsum("...i,...i->...", left, np.linalg.solve(covariance, left[..., None])[..., 0])
     return squared
 
 
 def across(direction: FloatArray) -> FloatArray:
-    """Two unit vectors across each direction (any frame, shape (k, 3)), shape (k, 2, 3)."""
-    # The axis farthest from the direction defines the first one, so that no direction is special.
+    """Return two unit vectors across each direction (any frame, shape (k, 3)), shape (k, 2, 3)."""
+    # The axis farthest from the direction defines the first vector, so that no direction is singular.
     axis = np.eye(3)[np.argmin(np.abs(direction), axis=-1)]
     first = np.cross(direction, axis)
     first /= np.linalg.norm(first, axis=-1, keepdims=True)

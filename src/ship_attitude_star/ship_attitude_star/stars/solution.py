@@ -1,8 +1,8 @@
-"""The attitude from all stars of all sensors, with a covariance in which every error is accounted for.
+"""The attitude from all stars of all sensors, with a covariance that includes every error.
 
 [P15] (13)-(16) gives the attitude as the solution of Wahba's problem. Its error is linear in the errors of
-:mod:`ship_attitude_star.stars.fit`, and one set of normal equations holds its sensitivity to each of them. The noise of
-the stars averages; the other errors are common to all stars, and do not.
+:mod:`ship_attitude_star.stars.fit`, and one set of normal equations contains its sensitivity to each of them. The noise
+of the stars averages; the other errors are common to all stars, and do not.
 """
 
 import enum
@@ -42,10 +42,9 @@ SOLUTION_TERMS = (
     SOURCE_FIELD,
     SOURCE_PIXEL,
 )
-"""Error sources of :attr:`StarSolution.parts_n`, in order. Only star_noise is independent from epoch to epoch.
+"""Error sources of :attr:`StarSolution.covariance_by_source_n`, in order; only star_noise is independent in time.
 
-The spatial errors at the end are missing where the camera has none; and so is then UTC, where that is taken to be
-right.
+The spatial errors at the end are absent if the camera has none; then UTC is absent too where it is taken as exact.
 """
 
 _STAR_NOISE, _INSTALLATION, _CATALOGUE, _OPTICS, _FIELD, _PIXEL = (
@@ -53,18 +52,18 @@ _STAR_NOISE, _INSTALLATION, _CATALOGUE, _OPTICS, _FIELD, _PIXEL = (
     for term in ("star_noise", "installation", "catalogue", SOURCE_OPTICS, SOURCE_FIELD, SOURCE_PIXEL)
 )
 _TERMS_OF_SHARED = np.array([SOLUTION_TERMS.index(term) for term in SHARED_TERMS], dtype=np.intp)
-"""Index of the term to which each of the shared errors belongs."""
+"""Index of the term of each shared error."""
 
 _SINGULAR_UP = float(np.sin(SINGULAR_ELEVATION))
-"""Up component of the forward axis from which on azimuth and roll cannot be told from one another."""
+"""Up component of the forward axis above which azimuth and roll cannot be separated."""
 
 
 _MOST_STEPS, _SMALL_TURN = 10, 1e-3
-"""The most likely attitude is searched in at most so many steps, until one turns by less than this, rad."""
+"""Limits of the search for the most likely attitude: number of steps, and rotation of the last step, rad."""
 
 
 class SolutionStatus(enum.IntEnum):
-    """What a solution is worth; the values are those of ship_msgs/StarHorizonAttitude."""
+    """Status of a solution; the values are those of ship_msgs/StarHorizonAttitude."""
 
     VALID = 0
     UNVERIFIED = 1
@@ -77,13 +76,14 @@ class StarSolution:
     """An attitude from k stars.
 
     Attributes:
-        status: INVALID where there is none.
-        refusal: why it is INVALID; None where it is not.
-        rotation_nb: horizon from b, shape (3, 3); NaN where INVALID.
-        parts_n: covariance by SOLUTION_TERMS, rotation vector in the horizon frame, rad², shape (n_terms, 3, 3).
+        status: INVALID if there is no attitude.
+        rejection: why it is INVALID; else None.
+        rotation_nb: horizon from b, shape (3, 3); NaN if INVALID.
+        covariance_by_source_n: covariance by SOLUTION_TERMS, rotation vector in the horizon frame, rad², shape
+            (n_terms, 3, 3).
         members: True for each star used, shape (k,).
-        residual_n: reference minus measured direction of each star, used or not, rad, shape (k, 3); NaN where INVALID.
-        rejected: by row, stars that were not used because they are not what they were taken for.
+        residual_n: reference minus measured direction of each star, used or not, rad, shape (k, 3); NaN if INVALID.
+        rejected: by row, stars that were not used because their identity is wrong.
     """
 
     status: SolutionStatus
@@ -102,34 +102,34 @@ class StarSolution:
 
     @property
     def noise_n(self) -> FloatArray:
-        """Covariance of the part that is independent from epoch to epoch, rad², shape (3, 3)."""
+        """Covariance of the error that is independent from epoch to epoch, rad², shape (3, 3)."""
         noise: FloatArray = self.parts_n[_STAR_NOISE]
         return noise
 
     def with_more_noise(self, variance: float) -> "StarSolution":
-        """The same attitude with a further error, new at each epoch, of this variance about each axis, rad²."""
+        """Return the attitude with an additional independent error of this variance about each axis, rad²."""
         parts_n = self.parts_n.copy()
         parts_n[_STAR_NOISE] += variance * np.eye(3)
         return replace(self, parts_n=parts_n)
 
     @property
     def star_count(self) -> int:
-        """Number of stars used; 0 where INVALID."""
+        """Number of stars used; 0 if INVALID."""
         return 0 if self.status is SolutionStatus.INVALID else int(self.members.sum())
 
     @property
     def residual_rms(self) -> float:
-        """Root mean square of the angle between used stars and their places, rad; NaN where INVALID."""
+        """Root mean square of the angle between used stars and their sky directions, rad; NaN if INVALID."""
         squares = np.sum(self.residual_n[self.members] ** 2, axis=-1)
         return float(np.sqrt(np.mean(squares))) if squares.size else float("nan")
 
 
 def solve_stars(stars: SightedStars, prior: StarPrior | None = None) -> StarSolution:
-    """The attitude of frame b (horizon from b), its covariance by source, and the stars that do not belong to it.
+    """Return the attitude of frame b (horizon from b), its covariance by source, and the stars inconsistent with it.
 
     Args:
-        stars: all that were seen and have a place in the sky.
-        prior: helps to choose the stars, and verifies them where they are only two. It does not enter the attitude.
+        stars: all measured stars that have a sky direction.
+        prior: used to select the stars, and to verify them if there are only two. It does not enter the attitude.
     """
     near_nb = likely_attitude(stars, prior) if prior is not None and prior.is_wide and len(stars) else None
     choice = select(stars, prior, near_nb)
@@ -142,7 +142,7 @@ def solve_stars(stars: SightedStars, prior: StarPrior | None = None) -> StarSolu
     if found is None:
         return no_attitude(members, Refusal(Reason.TOO_FEW_STARS, _open_turn(int(np.count_nonzero(together)))))
     if not count:
-        text = f"{len(stars)} stars, no set of them belongs together more than another"
+        text = f"{len(stars)} stars, no set of them is more consistent than another"
         reason = Reason.TOO_FEW_STARS if len(stars) < FEWEST_VERIFIED else Reason.MISIDENTIFIED
         return no_attitude(members, Refusal(reason, text))
     residual_n = found.fit.residual_n
@@ -158,14 +158,14 @@ def solve_stars(stars: SightedStars, prior: StarPrior | None = None) -> StarSolu
 
 
 def solve_in_doubt_alone(stars: SightedStars, prior: StarPrior | None) -> tuple[StarSolution, bool]:
-    """The solution with the help of the prior; where the stars contradict the prior, the solution by the stars alone.
+    """Return the solution with the prior; if the stars contradict the prior, the solution by the stars alone.
 
     Args:
-        stars: all that were seen and have a place in the sky.
+        stars: all measured stars that have a sky direction.
         prior: as for :func:`solve_stars`.
 
     Returns:
-        The solution, and True where the stars verify one another but contradict the prior.
+        The solution, and True if the stars verify one another but contradict the prior.
     """
     solution = solve_stars(stars, prior)
     if prior is None or solution.refusal is None or solution.refusal.reason is Reason.UNIDENTIFIED:
@@ -177,12 +177,12 @@ def solve_in_doubt_alone(stars: SightedStars, prior: StarPrior | None) -> tuple[
 
 
 def likely_attitude(stars: SightedStars, prior: StarPrior) -> FloatArray:
-    """An attitude so near to the truth that stars can be linearised there, where the prior's own may be far off.
+    """Return an attitude near enough to the truth to linearise stars there, where the prior's own may be far off.
 
-    It is that of the stars alone where they verify one another; else the most likely one by the prior and all stars.
+    It is that of the stars alone if they verify one another; else the most likely one by the prior and all stars.
 
     Args:
-        stars: all that were seen and have a place in the sky.
+        stars: all measured stars that have a sky direction.
         prior: of any width.
 
     Returns:
@@ -204,8 +204,8 @@ def likely_attitude(stars: SightedStars, prior: StarPrior) -> FloatArray:
 
 def _open_turn(count: int) -> str:
     if count < 2:
-        return "no star" if count == 0 else "one star: the turn about it stays open"
-    return f"{count} stars, all in one direction: the turn about it stays open"
+        return "no star" if count == 0 else "one star: the rotation about it is undetermined"
+    return f"{count} stars, all in one direction: the rotation about it is undetermined"
 
 
 def _status(count: int, prior: StarPrior | None, rotation_nb: FloatArray) -> SolutionStatus:
@@ -217,11 +217,11 @@ def _status(count: int, prior: StarPrior | None, rotation_nb: FloatArray) -> Sol
 
 
 def _parts(stars: SightedStars, found: Agreement, members: NDArray[np.bool_]) -> FloatArray:
-    """Covariance of the attitude by SOLUTION_TERMS, shape (n_terms, 3, 3)."""
+    """Return the covariance of the attitude by SOLUTION_TERMS, shape (n_terms, 3, 3)."""
     share = stars.position_sigma / stars.white_sigma
     share[~members] = 0.0
     information, jacobian = found.judgement.information, found.fit.jacobian
-    # Errors of mounting and of turns stand before those of the field, and these before the shared ones.
+    # Order of the unknowns: mounting and time transfer, field errors, shared errors.
     shared, of_field = stars.shared_n.shape[-1], [SOLUTION_TERMS.index(source) for source in stars.field_sources]
     installed = len(information) - ATTITUDE.stop - len(of_field) - shared
     kinds = [np.full(installed, _INSTALLATION), np.array(of_field, dtype=np.intp), _TERMS_OF_SHARED[:shared]]
@@ -235,7 +235,7 @@ def _parts(stars: SightedStars, found: Agreement, members: NDArray[np.bool_]) ->
     parts, by_catalogue = compiled_fit.covariances(
         found.white_covariance_n, information, jacobian, share, np.concatenate(kinds), terms
     )
-    # Errors of the fields are in that covariance already; those of mountings and of the sky come on top of it.
+    # The white covariance contains the field errors; those of mountings and of the sky are added to it.
     by_fields = parts[_OPTICS] + parts[_FIELD] if spatial else parts[_OPTICS]
     parts[_CATALOGUE] = by_catalogue
     parts[_STAR_NOISE] = found.white_covariance_n - by_fields - by_catalogue
@@ -254,7 +254,7 @@ def _rejected(residual_n: FloatArray, sigma: FloatArray, members: NDArray[np.boo
     rejected = {}
     for row in np.flatnonzero(~members).tolist():
         angle = float(np.linalg.norm(residual_n[row]))
-        text = f'{_angle_text(angle)} from its place, sigma {sigma[row] / ARCSEC:.1f}"'
+        text = f'{_angle_text(angle)} from its expected direction, sigma {sigma[row] / ARCSEC:.1f}"'
         rejected[row] = Refusal(Reason.MISIDENTIFIED, text)
     return rejected
 
@@ -264,11 +264,11 @@ def _angle_text(angle: float) -> str:
 
 
 def no_attitude(members: NDArray[np.bool_], refusal: Refusal) -> StarSolution:
-    """An INVALID solution.
+    """Return an INVALID solution.
 
     Args:
-        members: True for each star that belongs to the others all the same, shape (k,).
-        refusal: why there is no attitude.
+        members: True for each star that is consistent with the others, shape (k,).
+        rejection: why there is no attitude.
     """
     unknown = np.full((3, 3), np.nan)
     return StarSolution(

@@ -1,4 +1,4 @@
-"""Everything random: streams of numbers, slow errors, the sea.
+"""Random parts of a voyage: streams of numbers, correlated errors, the sea.
 
-All of it comes from seeds: the same seed gives the same numbers. The room imports ``scenario/`` alone.
+All numbers depend only on the seed. The room imports only ``scenario/``.
 """

@@ -1,7 +1,7 @@
-"""What all simulated devices share: random streams, slow errors, the moments of samples, exposures of what moves.
+"""Common parts of all simulated devices: random streams, correlated errors, arrival times, exposures of moving points.
 
-A point that moves while it is exposed has the mean of its way as centroid, and a worse centroid along it. Nothing here
-is the estimators' own: the mean is a Gauss–Legendre sum over the true motion.
+The centroid of a point that moves during the exposure is the mean of its path, and its error along the path is larger.
+Nothing here is shared with the estimators: the mean is a Gauss–Legendre sum over the true motion.
 """
 
 import math
@@ -17,28 +17,28 @@ from ship_simulation.scenario.motion_scenario import Outage
 
 _LONGEST_STEP_S = 0.1
 _LEAST_STEPS = 50
-"""In a correlation time: halfway between two moments of the grid the variance is then too small by 1 %."""
+"""Grid steps per correlation time: the variance halfway between two grid points is then 1 % too small."""
 
 TRUTH_RATE_HZ = 10.0
-"""How often a simulated bag tells the truth."""
+"""Rate of the truth in a simulated bag, Hz."""
 
 _FEWEST_NODES, _NODES_PER_SECOND = 7, 5.0
-"""Of the sum over an exposure."""
+"""Number of nodes of the sum over an exposure: the least, and the additional nodes per second."""
 
 
 def random_stream(seed: int, component: str) -> np.random.Generator:
-    """The generator of one component. It gives the same numbers whatever other components a run has."""
+    """Return the generator of one component; its numbers do not depend on the other components of a run."""
     key = zlib.crc32(component.encode())
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(key,))))
 
 
 class GaussMarkov:
-    """First-order Gauss–Markov processes in their steady state, each sampled exactly.
+    """Stationary first-order Gauss–Markov processes, each sampled exactly.
 
     Args:
         rng: source of the noise.
-        period_s: time from sample to sample.
-        sigma: steady standard deviation of each process, shape (n,).
+        period_s: time between samples.
+        sigma: stationary standard deviation of each process, shape (n,).
         time_s: correlation time of each process, shape (n,).
     """
 
@@ -52,7 +52,7 @@ class GaussMarkov:
         self._carried = np.zeros((len(sigma), 1))
 
     def take(self, count: int) -> FloatArray:
-        """The next samples, shape (count, n)."""
+        """Return the next samples, shape (count, n)."""
         noise = self._rng.standard_normal((count, len(self._sigma)))
         noise[0 if self._begun else 1 :] *= self._innovation
         samples = np.empty_like(noise)
@@ -64,15 +64,15 @@ class GaussMarkov:
 
 
 class SlowError:
-    """Gauss–Markov processes with one correlation time, whose values can be asked at any moment.
+    """Gauss–Markov processes with one correlation time, which can be evaluated at any time.
 
-    The processes are drawn on a grid far finer than the correlation time, up to the latest moment asked for. Between
-    the grid's moments they are straight.
+    The processes are drawn on a grid much finer than the correlation time, up to the latest requested time, and
+    interpolated linearly.
 
     Args:
         rng: source of the noise.
-        duration_s: the processes reach from zero to here.
-        sigma: steady standard deviation of each process, shape (n,).
+        duration_s: the processes are defined from zero to here.
+        sigma: stationary standard deviation of each process, shape (n,).
         time_s: correlation time.
     """
 
@@ -84,20 +84,20 @@ class SlowError:
         self._values = self._process.take(1)
 
     def at(self, t_s: FloatArray) -> FloatArray:
-        """The processes at moments, shape (k, n).
+        """Return the processes at times, shape (k, n).
 
         Raises:
-            ValueError: a moment lies before what was forgotten.
+            ValueError: a time is before the dropped part.
         """
         if np.size(t_s):
             self._reach(float(np.max(t_s)))
         moments_s = self._period_s * np.arange(self._first, self._first + len(self._values))
         if self._first and np.any(t_s < moments_s[0]):
-            raise ValueError(f"the slow error before {moments_s[0]:.1f} s is forgotten")
+            raise ValueError(f"the correlated error before {moments_s[0]:.1f} s has been dropped")
         return np.stack([np.interp(t_s, moments_s, column) for column in self._values.T], axis=-1)
 
     def forget(self, before_s: float) -> None:
-        """No moment before this is asked for any more."""
+        """Drop the part before a time; earlier times may not be requested any more."""
         first = min(int(before_s / self._period_s), self._first + len(self._values) - 1)
         if first > self._first:
             self._values, self._first = self._values[first - self._first :].copy(), first
@@ -110,13 +110,13 @@ class SlowError:
 
 
 def arrival_times(stamp_ns: np.ndarray, latency_s: float, jitter_s: float, rng: np.random.Generator) -> np.ndarray:
-    """Log times of samples: stamp + latency + a delay uniform in [0, jitter), ns, shape (n,)."""
+    """Return log times of samples: stamp + latency + a delay uniform in [0, jitter), ns, shape (n,)."""
     delay_s = latency_s + jitter_s * rng.random(stamp_ns.size)
     return stamp_ns + np.rint(delay_s * SECOND_NS).astype(np.int64)
 
 
 def outside(since_start_s: FloatArray, outages: dict[str, Outage]) -> np.ndarray:
-    """Whether each moment (seconds after the start) lies outside of all outages, shape (n,)."""
+    """True for each time (seconds after the start) outside all outages, shape (n,)."""
     keep = np.ones(since_start_s.size, dtype=bool)
     for outage in outages.values():
         keep &= (since_start_s < outage.start_s) | (since_start_s >= outage.end_s)
@@ -124,12 +124,12 @@ def outside(since_start_s: FloatArray, outages: dict[str, Outage]) -> np.ndarray
 
 
 def truth_index(time_ns: np.ndarray, start_ns: int, ends: bool = True) -> np.ndarray:
-    """The first sample in each tenth of a second, and the last of all where the samples end here, shape (m,)."""
+    """Return the first sample in each tenth of a second, and the last one if the samples end here, shape (m,)."""
     return _first_in_each(round(SECOND_NS / TRUTH_RATE_HZ), time_ns, start_ns, ends)
 
 
 def once_a_second(time_ns: np.ndarray, start_ns: int, ends: bool = True) -> np.ndarray:
-    """The first sample in each second, and the last of all where the samples end here, shape (m,)."""
+    """Return the first sample in each second, and the last one if the samples end here, shape (m,)."""
     return _first_in_each(SECOND_NS, time_ns, start_ns, ends)
 
 
@@ -140,11 +140,11 @@ def _first_in_each(period_ns: int, time_ns: np.ndarray, start_ns: int, ends: boo
 
 @dataclass(frozen=True)
 class ExposureTimes:
-    """Moments of an exposure and their shares in its image.
+    """Quadrature nodes of an exposure.
 
     Attributes:
-        since_middle_s: shape (m,).
-        share: shape (m,); their sum is 1.
+        since_middle_s: times after the middle, shape (m,).
+        weight: weights, shape (m,); their sum is 1.
     """
 
     since_middle_s: FloatArray
@@ -152,7 +152,7 @@ class ExposureTimes:
 
 
 def exposure_times(exposure_s: float) -> ExposureTimes:
-    """The moments by which an exposure is summed; an exposure of length 0 has its middle alone."""
+    """Return the quadrature nodes of an exposure; an exposure of length 0 has its middle only."""
     if exposure_s == 0.0:
         return ExposureTimes(np.zeros(1), np.ones(1))
     count = _FEWEST_NODES + math.ceil(_NODES_PER_SECOND * exposure_s)
@@ -161,12 +161,12 @@ def exposure_times(exposure_s: float) -> ExposureTimes:
 
 
 def centroids(times: ExposureTimes, way: FloatArray, psf_sigma: float, sigma: float, noise: FloatArray) -> FloatArray:
-    """Centroids of points that move during an exposure, with their errors, shape (..., 2).
+    """Return centroids of points that move during an exposure, with their errors, shape (..., 2).
 
     Args:
         times: of the exposure.
-        way: where the points were at these times, shape (m, ..., 2).
-        psf_sigma: spread of the image of a point at rest, each axis.
+        path: positions of the points at these times, shape (m, ..., 2).
+        psf_sigma: standard deviation of the image of a point at rest, each axis.
         sigma: error of the centroid of an image at rest, each axis.
         noise: standard normal numbers, shape (..., 2).
     """
@@ -174,7 +174,7 @@ def centroids(times: ExposureTimes, way: FloatArray, psf_sigma: float, sigma: fl
     if len(times.share) > 1:
         off = (way - mean) / psf_sigma
         spread = np.einsum("m,m...i,m...j->...ij", times.share, off, off)
-        # The root whose square is what the light is spread by, in images of a point at rest.
+        # Root of the light's covariance in units of the image of a point at rest.
         value, vector = np.linalg.eigh(np.eye(2) + np.where(np.isfinite(spread), spread, 0.0))
         noise = ((vector * np.sqrt(value)[..., None, :]) @ np.swapaxes(vector, -1, -2) @ noise[..., None])[..., 0]
     centroid: FloatArray = mean + sigma * noise

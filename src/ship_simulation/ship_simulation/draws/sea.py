@@ -1,13 +1,13 @@
-"""A sea as a spectrum, and the ship's answer to it, as a sum of sinusoids.
+"""A sea state as a spectrum, and the ship's response to it, as a sum of sinusoids.
 
-Spectrum of the wave elevation: the two-parameter spectrum of Bretschneider (1959), the one that ITTC (15th
-conference, 1978; Recommended Procedure 7.5-02-07-01.1) takes for the open ocean:
+Spectrum of the wave elevation: the two-parameter spectrum of Bretschneider (1959), which ITTC (15th conference, 1978;
+Recommended Procedure 7.5-02-07-01.1) recommends for the open ocean:
 
     S(w) = 5/16 Hs² wp⁴ / w⁵ exp(-5/4 (wp / w)⁴)
 
 Sea state 5 of STANAG 4194: Hs 2.5 m to 4 m, mean 3.25 m, modal period 9.7 s in the North Atlantic.
 
-The answer of each angle is a damped resonance driven by the wave's slope as the hull averages it, at zero speed:
+The response of each angle is a damped resonance, excited by the wave slope averaged over the hull, at zero speed:
 
     angle / elevation = direction factor * gain * k * sinc(k L / 2) / (1 - (w / wn)² + 2 i z w / wn),  k = w² / g
 """
@@ -22,17 +22,17 @@ from ship_geometry.rotations import FloatArray
 _GRAVITY = 9.80665
 """Standard gravity, m/s²."""
 
-# Outside of these multiples of the modal frequency lies 0.5 % of the elevation's variance, at the high end,
-# where the hull no longer answers.
+# Outside these multiples of the modal frequency lies 0.5 % of the elevation's variance, at the high end,
+# where the hull does not respond.
 _LOWEST, _HIGHEST = 0.5, 4.0
 
 
 @dataclass(frozen=True)
 class Response:
-    """How one angle of the ship answers the slope of the waves.
+    """Response of one angle of the ship to the slope of the waves.
 
     Attributes:
-        direction_factor: what the direction of the waves leaves of the slope.
+        direction_factor: factor of the slope by the direction of the waves.
         gain: angle per slope of a long wave.
         period_s: natural period.
         damping: damping ratio.
@@ -46,7 +46,7 @@ class Response:
     length_m: float
 
     def transfer(self, angular_frequency: FloatArray) -> np.ndarray:
-        """Angle per wave elevation, rad/m, complex, shape (n,)."""
+        """Return the angle per wave elevation, rad/m, complex, shape (n,)."""
         wave_number = angular_frequency**2 / _GRAVITY
         averaged_slope = wave_number * np.sinc(wave_number * self.length_m / (2.0 * np.pi))
         ratio = angular_frequency * self.period_s / (2.0 * np.pi)
@@ -56,10 +56,10 @@ class Response:
 def wave_components(
     significant_height_m: float, modal_period_s: float, count: int, rng: np.random.Generator
 ) -> tuple[FloatArray, np.ndarray]:
-    """A realisation of the sea as sinusoids: angular frequencies, rad/s, and complex amplitudes, m, each (n,).
+    """Return a realisation of the sea as sinusoids: angular frequencies, rad/s, and complex amplitudes, m, each (n,).
 
-    Equal bands of frequency, in each a component at a random place (so that the sum does not repeat itself)
-    with a random phase and the exact variance of its band.
+    Each of the equal frequency bands contains one component with a random frequency, so that the sum is not periodic, a
+    random phase, and the exact variance of its band.
     """
     modal = 2.0 * np.pi / modal_period_s
     edges = modal * np.linspace(_LOWEST, _HIGHEST, count + 1)
@@ -71,5 +71,5 @@ def wave_components(
 
 
 def ship_phasors(angular_frequency: FloatArray, elevation: np.ndarray, responses: Sequence[Response]) -> np.ndarray:
-    """Complex amplitude of (heading, pitch, roll) for each wave, rad, shape (n, 3)."""
+    """Return the complex amplitude of (heading, pitch, roll) for each wave, rad, shape (n, 3)."""
     return np.stack([elevation * response.transfer(angular_frequency) for response in responses], axis=-1)

@@ -1,7 +1,7 @@
-"""A voyage in stretches, so that its memory does not grow with its length; and what goes on from one to the next.
+"""Division of a voyage into stretches, so that memory does not grow with its length, and the state between them.
 
-Whatever the stretches, the numbers are the same: each random stream and each slow error goes on where the stretch
-before left it, and what is drawn once for a voyage comes from the seed alone.
+The numbers do not depend on the stretches: each random stream and each correlated error continues from the previous
+stretch, and constant draws depend only on the seed.
 """
 
 import functools
@@ -17,23 +17,23 @@ from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.draws.noise import GaussMarkov, SlowError, random_stream
 
 STRETCH_S = 20
-"""Length of the stretches of a voyage that is written: some thousand samples, which is as fast as all at once."""
+"""Length of a stretch when a bag is written, s: some thousand samples, which is as fast as all at once."""
 
 _ASKED_BACK_S = 10.0
-"""Nobody asks for a slow error longer than this before a stretch: exposures and time offsets are shorter."""
+"""Longest time before a stretch for which a correlated error is requested; exposures and offsets are shorter."""
 
 _NORMALS_AT_ONCE = 4096
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """The samples of a voyage whose stamps, without any error, lie from ``begin_s`` up to ``end_s``.
+    """The samples of a voyage whose error-free stamps lie from ``begin_s`` up to ``end_s``.
 
     Attributes:
-        start_ns: of the voyage.
-        duration_s: of the voyage, its end inclusive.
-        begin_s: after the start, in whole seconds.
-        end_s: likewise; infinite where nothing comes after.
+        start_ns: start of the voyage.
+        duration_s: duration of the voyage, its end inclusive.
+        begin_s: begin of the stretch after the start, in whole seconds.
+        end_s: end of the stretch; infinite for the last one.
     """
 
     start_ns: int
@@ -43,33 +43,33 @@ class Stretch:
 
     @property
     def ends(self) -> bool:
-        """Whether the voyage ends with it."""
+        """True if it is the last stretch of the voyage."""
         return math.isinf(self.end_s)
 
     @property
     def end_ns(self) -> float:
-        """Its end; infinite where nothing comes after."""
+        """End of the stretch, ns; infinite for the last one."""
         return self.end_s if self.ends else self.start_ns + round(self.end_s * SECOND_NS)
 
     def count(self, rate_hz: float, phase_s: float) -> int:
-        """Regular samples from ``phase_s`` after the start to the end of the voyage."""
-        # A hair over, so that a duration of whole periods includes its end in spite of rounding.
+        """Return the number of regular samples from ``phase_s`` after the start to the end of the voyage."""
+        # The margin includes the end of a duration of whole periods in spite of rounding.
         return max(int(np.floor((self.duration_s - phase_s) * rate_hz + 1e-6)) + 1, 0)
 
     def stamps(self, rate_hz: float, phase_s: float) -> np.ndarray:
-        """Stamps of the regular samples in the stretch, ns, shape (n,)."""
+        """Return the stamps of the regular samples in the stretch, ns, shape (n,)."""
         numbers, offsets_ns = self._samples(rate_hz, phase_s)
         return self.start_ns + offsets_ns[numbers < self.count(rate_hz, phase_s)]
 
     def holds_last(self, rate_hz: float, phase_s: float) -> bool:
-        """Whether the last one of these samples is in the stretch."""
+        """True if the last one of these samples is in the stretch."""
         numbers, _ = self._samples(rate_hz, phase_s)
         return self.count(rate_hz, phase_s) - 1 in numbers
 
     def _samples(self, rate_hz: float, phase_s: float) -> tuple[np.ndarray, np.ndarray]:
-        """Numbers and moments after the start, ns, of the samples that would be in it if the voyage did not end."""
+        """Return numbers and times after the start, ns, of the samples in the stretch of an unlimited voyage."""
         last = self.count(rate_hz, phase_s)
-        # One more at each end, for moments are rounded to nanoseconds.
+        # One more at each end, because times are rounded to nanoseconds.
         first = max(math.floor((self.begin_s - phase_s) * rate_hz) - 1, 0)
         if math.isfinite(self.end_s):
             last = min(last, math.ceil((self.end_s - phase_s) * rate_hz) + 1)
@@ -80,7 +80,7 @@ class Stretch:
 
 
 def stretches_of(start_ns: int, duration_s: float, length_s: int) -> Iterator[Stretch]:
-    """A voyage in stretches of ``length_s`` one after another; what is left at the end belongs to the last."""
+    """Divide a voyage into stretches of ``length_s``; the last stretch contains the remainder."""
     last = max(math.ceil(duration_s / length_s) - 1, 0)
     for number in range(last + 1):
         begin_s = float(number * length_s)
@@ -88,17 +88,17 @@ def stretches_of(start_ns: int, duration_s: float, length_s: int) -> Iterator[St
 
 
 class Lasting(Protocol):
-    """Something drawn that goes on through a voyage."""
+    """A drawn quantity that continues through a voyage."""
 
     def forget(self, before_s: float) -> None:
-        """No moment before this is asked for any more."""
+        """Drop the part before a time; earlier times may not be requested any more."""
 
 
 LastingT = TypeVar("LastingT", bound=Lasting)
 
 
 class Draws:
-    """The random parts of one voyage that go on from stretch to stretch.
+    """The random parts of one voyage that continue from stretch to stretch.
 
     Args:
         seed: of the voyage.
@@ -111,7 +111,7 @@ class Draws:
         self._lasting: dict[str, Lasting] = {}
 
     def stream(self, component: str, after: int = 0) -> np.random.Generator:
-        """The random stream of a component; it begins after so many standard normal numbers of it."""
+        """Return the random stream of a component, advanced by ``after`` standard normal numbers."""
         found = self._streams.get((component, after))
         if found is None:
             found = self._streams[component, after] = random_stream(self.seed, component)
@@ -122,23 +122,23 @@ class Draws:
     def gauss_markov(
         self, component: str, count: int, period_s: float, sigma: FloatArray, time_s: FloatArray
     ) -> FloatArray:
-        """The next ``count`` samples of a component's processes (:class:`GaussMarkov`), shape (count, n)."""
+        """Return the next ``count`` samples of a component's processes (:class:`GaussMarkov`), shape (count, n)."""
         if component not in self._processes:
             self._processes[component] = GaussMarkov(random_stream(self.seed, component), period_s, sigma, time_s)
         return self._processes[component].take(count)
 
     def slow_error(self, component: str, duration_s: float, sigma: FloatArray, time_s: float) -> SlowError:
-        """A component's slow error, the same one whenever it is asked for."""
+        """Return a component's correlated error, the same object at each call."""
         make = functools.partial(SlowError, duration_s=duration_s, sigma=sigma, time_s=time_s)
         return self.lasting(component, make)
 
     def lasting(self, component: str, make: Callable[[np.random.Generator], LastingT]) -> LastingT:
-        """What a component draws with a random stream of its own, the same one whenever it is asked for."""
+        """Return a component's draw with a random stream of its own, the same object at each call."""
         if component not in self._lasting:
             self._lasting[component] = make(random_stream(self.seed, component))
         return cast(LastingT, self._lasting[component])
 
     def begin(self, stretch: Stretch) -> None:
-        """Forget what a stretch and those after it do not ask for."""
+        """Drop the parts of all draws that a stretch and later ones do not need."""
         for lasting in self._lasting.values():
             lasting.forget(stretch.begin_s - _ASKED_BACK_S)

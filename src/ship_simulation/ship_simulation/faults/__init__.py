@@ -1,5 +1,5 @@
-"""What goes wrong between a device and the suite: silence, lateness, wrong values, as a scenario or a file tells it.
+"""Faults between a device and the suite: missing, late and wrong messages, as a scenario or a file describes them.
 
-The room spoils messages that others made, as they are simulated or from a bag. It imports ``scenario/``, the random
+The room changes messages that others created, from a simulation or from a bag. It imports ``scenario/``, the random
 streams of ``draws/``, cameras and the star catalogue.
 """

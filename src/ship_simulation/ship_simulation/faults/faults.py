@@ -1,7 +1,8 @@
-"""What goes wrong between the devices and the bag: one implementation for scenarios and for bags that are there.
+"""Faults between the devices and the bag: one implementation for scenarios and for existing bags.
 
-The messages of a topic go through its faults one after another, in order of arrival, and come out in order of arrival.
-:mod:`ship_simulation.scenario.fault` lists the kinds. What a fault draws comes from a stream of its own, by its name.
+The messages of a topic pass through its faults one after another, in order of arrival.
+:mod:`ship_simulation.scenario.fault` lists the kinds. Each fault draws from a random stream of its own, selected by its
+name.
 """
 
 import copy
@@ -23,19 +24,19 @@ _REPETITION_AFTER_NS = 1_000_000
 _LONGEST_PERIOD_NS = SECOND_NS
 
 PASSED = object()
-"""In place of a message, without a stamp: whatever is still to come arrives later. It hits nothing and passes."""
+"""Marks a time without a message: all further deliveries arrive later. Faults do not affect it."""
 
 
 @dataclass(slots=True)
 class Delivery:
-    """A message as it arrives.
+    """A message with its arrival time.
 
     Attributes:
-        message: it may be changed; None where it cannot be read.
-        log_time_ns: when it arrives.
-        stamp_ns: the stamp that it had before all faults; None where it has no header.
-        order: its place in the bag, which settles equal times of arrival.
-        data: its bytes as they came; None once it is another message than it was.
+        message: the message, which may be changed; None if it cannot be decoded.
+        log_time_ns: arrival time.
+        stamp_ns: its stamp before all faults; None if it has no header.
+        order: its place in the bag, the order of equal arrival times.
+        data: its original bytes; None once the message has been changed.
     """
 
     message: Any
@@ -51,14 +52,14 @@ Deliveries = Iterator[Delivery]
 def spoilt(
     deliveries: Deliveries, type_name: str, faults: Mapping[str, Fault], start_ns: int, seed: int, optics: Optics
 ) -> Deliveries:
-    """The deliveries of one topic under its faults, in order of arrival.
+    """Return the deliveries of one topic with its faults, in order of arrival.
 
     Args:
         deliveries: in order of arrival.
-        type_name: of the messages.
-        faults: name → fault, of this topic; they work in the order of their names.
-        start_ns: the time that the faults' times count from.
-        seed: of what they draw.
+        type_name: message type.
+        faults: name → fault, of this topic; they are applied in the order of their names.
+        start_ns: time from which the faults' times count.
+        seed: seed of the faults' draws.
         optics: cameras of the devices.
     """
     for name, fault in sorted(faults.items()):
@@ -74,14 +75,14 @@ def spoilt(
 
 @dataclass(frozen=True)
 class _Window:
-    """The messages that a fault hits."""
+    """Selects the messages that a fault affects."""
 
     fault: Fault
     start_ns: int
     rng: np.random.Generator
 
     def since_s(self, delivery: Delivery) -> float | None:
-        """How long after the fault's beginning a message that it hits is stamped; None where it does not hit it."""
+        """Return the time from the fault's start to the stamp of an affected message, s; None if it is not affected."""
         if delivery.stamp_ns is None:
             return None
         since_start_s = (delivery.stamp_ns - self.start_ns) / SECOND_NS
@@ -92,12 +93,12 @@ class _Window:
         return since_start_s - self.fault.start_s
 
     def hits(self, delivery: Delivery) -> bool:
-        """Whether the fault hits a message."""
+        """True if the fault affects a message."""
         return self.since_s(delivery) is not None
 
 
 class _Queue:
-    """Deliveries that wait for those that arrive before them."""
+    """Deliveries that wait for others that arrive before them."""
 
     def __init__(self) -> None:
         self._heap: list[tuple[int, int, Delivery]] = []
@@ -108,7 +109,7 @@ class _Queue:
         self._count += 1
 
     def ready(self, now_ns: int | None) -> Deliveries:
-        """Those that have arrived by a time; None: all."""
+        """Yield the deliveries that have arrived by a time; None: all."""
         while self._heap and (now_ns is None or self._heap[0][0] <= now_ns):
             yield heapq.heappop(self._heap)[2]
 
@@ -134,7 +135,7 @@ def _delay(deliveries: Deliveries, window: _Window) -> Deliveries:
             share = window.rng.random() if window.fault.kind == "reorder" else 1.0
             delivery.log_time_ns += round(share * window.fault.delay_s * SECOND_NS)
         queue.put(delivery)
-        # What comes later arrives later than what came now was to arrive.
+        # Later deliveries arrive later than this one did without the fault.
         yield from queue.ready(now_ns)
     yield from queue.ready(None)
 
@@ -154,7 +155,7 @@ def _conflict(deliveries: Deliveries, window: _Window) -> Deliveries:
     waiting: Delivery | None = None
     for delivery in deliveries:
         if delivery.message is PASSED:
-            # What waits is still to come.
+            # The waiting delivery is still pending, so the watermark must not pass it.
             delivery.log_time_ns = delivery.log_time_ns if waiting is None else waiting.log_time_ns
             queue.put(delivery)
         else:
@@ -200,12 +201,12 @@ def _flood(deliveries: Deliveries, window: _Window) -> Deliveries:
 
 
 def _again(delivery: Delivery, log_time_ns: int) -> Delivery:
-    """The same message once more: a further fault may change the one and not the other."""
+    """Return a copy of the delivery: a further fault may change one and not the other."""
     return replace(delivery, message=copy.deepcopy(delivery.message), log_time_ns=log_time_ns)
 
 
 def _with_values(delivery: Delivery, other: Delivery) -> Delivery:
-    """A message with the stamp of one delivery and the values of another, just after the first one."""
+    """Return a message with the stamp of one delivery and the values of another, shortly after the first one."""
     message = copy.deepcopy(other.message)
     message.header = delivery.message.header
     return replace(delivery, message=message, log_time_ns=delivery.log_time_ns + _REPETITION_AFTER_NS, data=None)
@@ -220,4 +221,4 @@ _STREAMS: dict[str, Callable[[Deliveries, _Window], Deliveries]] = {
     "freeze": _freeze,
     "flood": _flood,
 }
-"""The kinds that change which messages arrive, and when."""
+"""Functions of the kinds that change number or arrival time of messages."""

@@ -1,4 +1,4 @@
-"""Faults put into a bag that is there already, whichever devices or ships it comes from."""
+"""Faults added to an existing bag, independent of its devices and ships."""
 
 import heapq
 from collections.abc import Iterator, Mapping
@@ -17,16 +17,16 @@ from ship_simulation.scenario.fault import Fault
 
 
 def injectable_topics(bag: Bag, namespace: str = "") -> dict[str, str]:
-    """Relative topic → type of the topics that faults may be about: all but the truth."""
+    """Return relative topic → type of the topics that faults may affect: all but the truth."""
     found = relative_topics(bag.topics, namespace)
     return {name: bag.topics[full] for name, full in found.items() if not name.startswith(TRUTH_PREFIX)}
 
 
 def optics_of_bag(bag: Bag, faults: Mapping[str, Fault], namespace: str = "") -> Optics:
-    """The cameras of the devices, as the attached suite file describes them.
+    """Return the cameras of the devices that the attached suite file describes.
 
     Raises:
-        BadInput: a fault needs a camera, and none is described.
+        BadInput: a fault needs a camera that is not described.
     """
     text = bag.attachments.get(SUITE_ATTACHMENT, b"").decode("utf-8", errors="replace")
     optics = optics_of_suite(text) if text else Optics()
@@ -34,7 +34,7 @@ def optics_of_bag(bag: Bag, faults: Mapping[str, Fault], namespace: str = "") ->
     for name, fault in faults.items():
         missing = optics.reason_against(fault, topics[fault.topic])
         if missing:
-            reason = f"fault '{name}' of kind {fault.kind}: {missing}; the bag's {SUITE_ATTACHMENT} must describe it"
+            reason = f"fault '{name}' of kind {fault.kind}: {missing}; add it to the bag's {SUITE_ATTACHMENT}"
             raise BadInput(reason, file=bag.path)
     return optics
 
@@ -45,10 +45,10 @@ class FaultEffect:
 
     Attributes:
         times_ns: arrival times, without the fault, of the messages that it affects, in order.
-        dropped: messages that do not arrive.
-        added: messages that arrive in addition.
-        changed: messages with other bytes.
-        delayed: messages with the same bytes that arrive at another time.
+        dropped: number of messages that do not arrive.
+        added: number of additional messages.
+        changed: number of messages with other bytes.
+        delayed: number of messages with the same bytes at another time.
     """
 
     times_ns: list[int]
@@ -59,7 +59,7 @@ class FaultEffect:
 
     @property
     def text(self) -> str:
-        """The counts that are not zero, for people."""
+        """The counts that are not zero, as text."""
         counts = {name: getattr(self, name) for name in ("changed", "dropped", "delayed", "added")}
         return ", ".join(f"{count} messages {name}" for name, count in counts.items() if count) or "no message affected"
 
@@ -71,7 +71,7 @@ class Injection:
     Attributes:
         path: of the bag.
         faults: name → fault; checked against :func:`injectable_topics`.
-        seed: of what the faults draw.
+        seed: seed of the faults' draws.
         namespace: of the ship in the bag.
     """
 
@@ -81,7 +81,7 @@ class Injection:
     namespace: str = ""
 
     def records(self, bag: Bag) -> Iterator[BagRecord]:
-        """All messages, in order of arrival; those that no fault changes are the bag's own, to the byte.
+        """Yield all messages in order of arrival; unaffected ones are the bag's own, to the byte.
 
         Args:
             bag: the bag, open.
@@ -94,7 +94,7 @@ class Injection:
         hit = {names[fault.topic] for fault in self.faults.values()}
         with ExitStack() as stack:
             streams = [_untouched(bag, hit)]
-            # Each topic with faults is read for itself: what is delayed or waits for its successor holds nothing up.
+            # Each topic with faults is read separately, so that its delayed messages do not block other topics.
             for name in sorted(hit):
                 other = stack.enter_context(read_bag(self.path))
                 streams.append(self._spoilt(other, name, _deliveries(other, name), optics))
@@ -102,7 +102,7 @@ class Injection:
                 yield record
 
     def effect(self, name: str) -> FaultEffect:
-        """Return what a fault by itself does; a fault may affect no message (no light in view of a knocked telescope).
+        """Return the effect of a fault by itself; a fault may affect no message, for example without a light in view.
 
         Args:
             name: of the fault.
@@ -160,7 +160,7 @@ def _untouched(bag: Bag, hit: set[str]) -> Iterator[tuple[int, int, BagRecord]]:
 
 
 def _deliveries(bag: Bag, name: str) -> Iterator[Delivery]:
-    """The messages of a topic of a bag; one that cannot be read stays as it is."""
+    """Yield the messages of a topic of a bag; one that cannot be decoded passes unchanged."""
     for order, record in enumerate(bag.records()):
         if record.topic == name:
             try:

@@ -1,4 +1,4 @@
-"""The cameras through which a turn of a device moves what it sees, as a suite file describes them."""
+"""Cameras of devices, from a suite file; with them a rotation of a device moves its image points."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -21,27 +21,27 @@ _SPOTS = ("false_stars", "false_lights")
 
 @dataclass(frozen=True)
 class Optics:
-    """Cameras that see stars by the topic of these, and that of the calibration telescope if there is one."""
+    """Cameras that observe stars, by the topic of these, and that of the calibration telescope if there is one."""
 
     stars: Mapping[str, StarCamera] = field(default_factory=dict)
     telescope: Camera | None = None
 
     def reason_against(self, fault: Fault, type_name: str) -> str:
-        """Which camera a fault needs that is not known; empty where none is missing."""
+        """Return a text stating which camera a fault needs but is not described; empty if none is missing."""
         if fault.kind not in (*_TURNS, *_SPOTS):
             return ""
         if type_name == OBSERVATIONS and fault.topic not in self.stars:
             return f"no star sensor or telescope of the suite file has a camera for {fault.topic}"
         if type_name == IMAGE and self.telescope is None:
-            return f"the suite file says nothing of the telescope of {IMAGE_TOPIC}"
+            return f"the suite file does not describe the telescope of {IMAGE_TOPIC}"
         return ""
 
 
 def optics_of_suite(text: str) -> Optics:
-    """The cameras that a suite file describes.
+    """Return the cameras that a suite file describes.
 
     Raises:
-        BadInput: it is no parameter file, or a camera in it is none.
+        BadInput: it is not a parameter file, or a camera in it is invalid.
     """
     stars: dict[str, StarCamera] = {}
     telescope = None
@@ -58,13 +58,13 @@ def optics_of_suite(text: str) -> Optics:
 
 
 _WITH_STARS = {"star_sensors": "star/{}/observations".format, "telescopes": mount_stars_topic}
-"""Parameters of what gives single stars, by id → the topic of its stars."""
+"""Parameter groups of devices that give single stars → the topic of the stars by id."""
 
 _TELESCOPE = ("focal_length_m", "principal_x_m", "principal_z_m")
 
 
 def telescope_camera(focal_length_m: float, principal_x_m: float, principal_z_m: float) -> Camera:
-    """The camera of the calibration telescope."""
+    """Return the camera of the calibration telescope."""
     return Camera(focal_length_m, 0.0, np.array([principal_x_m, principal_z_m]))
 
 

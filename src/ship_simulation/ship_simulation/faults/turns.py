@@ -1,8 +1,8 @@
-"""Devices that are turned, in a message: their attitude, their rates, and what they see.
+"""Rotation of devices in their messages: attitude, angular rate, and image points.
 
-A turn is a rotation vector, rad. In the device's own frame (forward, up, right) it is a knock: R' = R exp(turn); stars
-and lights, which stand still, are then seen at exp(-turn) times where they were. In the horizon's frame (North, Up,
-East) it is an error of the attitude: R' = exp(turn) R.
+A rotation is given by a rotation vector, rad. In the device's own frame (forward, up, right) it is a mounting shift: R'
+= R exp(turn); fixed stars and lights then appear in directions rotated by exp(-turn). In the horizon frame (North, Up,
+East) it is an attitude error: R' = exp(turn) R.
 """
 
 from collections.abc import Callable
@@ -31,7 +31,7 @@ _FRD_FROM_FLU = np.diag([1.0, -1.0, -1.0])
 
 
 def turn_in_device(message: Any, type_name: str, turn: FloatArray, topic: str, optics: Optics) -> None:
-    """Turn a device in its own frame; its rates are then told in the new axes."""
+    """Rotate a device in its own frame; its rates are then in the new axes."""
     back = exp_rotation(-turn)
     if type_name == OBSERVATIONS:
         camera = optics.stars[topic]
@@ -50,12 +50,12 @@ def turn_in_device(message: Any, type_name: str, turn: FloatArray, topic: str, o
 
 
 def turn_in_horizon(message: Any, type_name: str, turn: FloatArray) -> None:
-    """Turn an attitude about the horizon's axes."""
+    """Rotate an attitude about the horizon's axes."""
     _set_attitude(message, type_name, exp_rotation(turn) @ _attitude(message, type_name))
 
 
 def other_axes(message: Any, type_name: str, axes: str) -> None:
-    """Put an attitude, or a baseline, into the axes that a wrong driver uses."""
+    """Convert an attitude or a baseline to the axes of a wrong driver."""
     ned = axes == "ned_frd"
     if not hasattr(message, "orientation"):
         x, y, z = _xyz(message.enu)
@@ -76,7 +76,7 @@ def other_axes(message: Any, type_name: str, axes: str) -> None:
 
 
 def _attitude(message: Any, type_name: str) -> FloatArray:
-    """Rotation "horizon from device" of a message."""
+    """Return the rotation "horizon from device" of a message."""
     if type_name == STAR:
         return rotation_from_angles(message.azimuth, message.elevation, message.roll)
     return rotation_from_quaternion(np.array(_xyzw(message.orientation)))
@@ -102,7 +102,7 @@ def _move(spots: Any, names: tuple[str, str], moved: Callable[[FloatArray], Floa
 
 
 def _quaternion(matrix: FloatArray) -> list[float]:
-    """x, y, z, w of a rotation matrix between ROS's own axes."""
+    """Return x, y, z, w of a rotation matrix between ROS's own axes."""
     found: list[float] = Rotation.from_matrix(matrix).as_quat(canonical=True).tolist()
     return found
 

@@ -1,6 +1,6 @@
-"""What a fault does to the values of one message.
+"""Effects of faults on the values of one message.
 
-A message's arrays may be shared with others, so they are replaced, not changed.
+A message's arrays may be shared with other messages, so they are replaced, not changed.
 """
 
 import copy
@@ -38,14 +38,14 @@ from ship_simulation.scenario.names import (
 _OTHER = "_other"
 
 _FIXED = 4
-"""RtkBaseline.FIXED."""
+"""Value of RtkBaseline.FIXED."""
 
 _MINUTE_S = 60.0
 _EARTH_RADIUS_M = 6_371_000.0
 _BRIGHT = 5.5
-"""False stars are as bright as the stars up to this magnitude (Hp)."""
+"""Magnitude limit (Hp) of the stars from which false stars take their magnitude."""
 _HALF_FIELD = math.tan(math.radians(3.0))
-"""False lights stand within 3° of the axis, in focal lengths."""
+"""Largest distance of false lights from the axis, 3°, in focal lengths."""
 
 _RATES = ("angular_velocity.x", "angular_velocity.y", "angular_velocity.z")
 _DEGREES = 180.0 / math.pi
@@ -62,7 +62,7 @@ _UNITS: dict[str, tuple[tuple[str, ...], float, float]] = {
     TEMPERATURE: (("temperature",), 1.0, 273.15),
     HUMIDITY: (("relative_humidity",), 100.0, 0.0),
 }
-"""Message type → fields, and the factor and the offset that put them into the wrong unit."""
+"""Message type → fields, and the factor and the offset that convert them to the wrong unit."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Spoiler:
     """A fault of messages of one type.
 
     Attributes:
-        fault: what goes wrong.
+        fault: the fault.
         type_name: of the messages.
         optics: cameras of the devices.
         rng: the fault's own source of randomness.
@@ -82,7 +82,7 @@ class Spoiler:
     rng: np.random.Generator
 
     def spoil(self, message: Any, since_s: float) -> None:
-        """Put the fault into a message stamped ``since_s`` after the fault began."""
+        """Apply the fault to a message stamped ``since_s`` after its start."""
         _SPOILERS[self.fault.kind](self, message, since_s)
 
 
@@ -97,7 +97,7 @@ def _field(spoiler: Spoiler, message: Any, since_s: float) -> None:
 
 
 def _change(message: Any, path: str, new: Callable[[float], float]) -> None:
-    """Change the numbers at a path; a place beyond the end of an array is no place."""
+    """Change the numbers at a path; an index beyond the end of an array changes nothing."""
     holders = [message]
     *parents, (name, index) = field_steps(path)
     for parent, chosen in parents:
@@ -115,7 +115,7 @@ def _change(message: Any, path: str, new: Callable[[float], float]) -> None:
 
 
 def _chosen(value: Any, index: str) -> list[Any]:
-    """The messages of a list by an index; a message that stands alone is itself."""
+    """Return the messages of a list by an index; a single message is its own list."""
     if not isinstance(value, list):
         return [value]
     return value if index == "*" else value[int(index) : int(index) + 1]
@@ -149,7 +149,7 @@ def _covariance(spoiler: Spoiler, message: Any, since_s: float) -> None:
         spoilt = np.zeros(given.size)
         if spoiler.fault.kind == "covariance_negative":
             spoilt[:] = given
-            # The second variance: in the place of the first a negative number means "not given" to ROS.
+            # The second variance is used, because a negative first one means "not given" in ROS.
             second = math.isqrt(given.size) + 1
             spoilt[second] = -abs(spoilt[second])
         setattr(message, name, spoilt)
@@ -209,7 +209,7 @@ def _wrong_fix(spoiler: Spoiler, message: Any, since_s: float) -> None:
 
 
 def _false_stars(spoiler: Spoiler, message: Any, since_s: float) -> None:
-    """Spots anywhere on the detector, each taken for a star anywhere in the sky where the sensor knows its stars."""
+    """Add spots anywhere on the detector, each identified as any star of the sky if the sensor identifies stars."""
     if not message.stars:
         return
     camera, rng = spoiler.optics.stars[spoiler.fault.topic], spoiler.rng

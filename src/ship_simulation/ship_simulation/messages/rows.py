@@ -1,4 +1,4 @@
-"""What follows from the samples of a voyage, computed when it is asked for, so that memory does not grow with it."""
+"""Values derived from the samples of a voyage, computed on demand, so that memory does not grow with its length."""
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
@@ -7,17 +7,17 @@ from typing import Generic, TypeVar
 Row = TypeVar("Row")
 
 BLOCK_ROWS = 4096
-"""Rows computed at a time: as fast as all at once."""
+"""Number of rows computed at a time: as fast as all at once."""
 
 _KEPT_BLOCKS = 2
-"""Samples are asked for in the order of their arrival, some of them a little out of the order of their stamps."""
+"""Number of cached blocks: samples are used in order of arrival, which differs slightly from that of stamps."""
 
 
 class Rows(Generic[Row]):
-    """One row a sample, of which the blocks asked for last are kept.
+    """One row per sample, with a cache of the last blocks.
 
     Args:
-        of: the rows of some of the samples; each row depends on its own sample alone.
+        compute: returns the rows of a slice of samples; each row depends on its own sample only.
     """
 
     def __init__(self, of: Callable[[slice], Sequence[Row]]) -> None:
@@ -25,7 +25,7 @@ class Rows(Generic[Row]):
         self._block = lru_cache(_KEPT_BLOCKS)(self._computed)
 
     def __getitem__(self, row: int) -> Row:
-        """The row of a sample."""
+        """Return the row of a sample."""
         number, place = divmod(row, BLOCK_ROWS)
         return self._block(number)[place]
 

@@ -1,9 +1,7 @@
-"""Messages of the ship's devices, from the arrays of a run: INS, other attitude systems, satellite receiver, weather.
+"""Messages of the ship's devices from arrays of a run: INS, other attitude systems, satellite receiver, weather.
 
-Each function returns a maker of single messages.
-
-A maker takes the sample whose stamp a message bears and the sample whose values it bears: the same, unless a
-fault says otherwise.
+Each function returns a maker of single messages. A maker takes the index of the sample whose stamp a message has, and
+that of the sample whose values it has. The two are equal except under a fault.
 """
 
 from collections.abc import Callable
@@ -25,21 +23,21 @@ from ship_simulation.ship.ship_track import FixSamples
 Maker = Callable[[int, int], Any]
 
 NOT_GIVEN = np.array([-1.0, *[0.0] * 8])
-"""A covariance by which a message says that it gives none."""
+"""Covariance that means "not given" in a message."""
 
 _EXACT = np.zeros(9)
-"""The covariance of the truth."""
+"""Covariance of the truth."""
 
 _FIX, _GPS, _DIAGONAL_KNOWN = 0, 1, 2
 """NavSatStatus.STATUS_FIX, NavSatStatus.SERVICE_GPS, NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN."""
 
 
 def ins_maker(samples: InsSamples, config: Ins, factory: MessageFactory) -> Maker:
-    """Maker of ins/imu. The orientation's covariance is that of the INS's total error."""
+    """Return the maker of ins/imu. The orientation's covariance is that of the INS's total error."""
     sigma_enu = np.array([config.tilt_sigma_arcsec, config.tilt_sigma_arcsec, config.heading_sigma_arcsec])
     variance = ARCSEC**2 * (sigma_enu**2 + config.white_sigma_arcsec**2)
     covariance = np.diag(variance).ravel()
-    # All zero, which says unknown, where the scenario has no noise of the rate.
+    # All zero, which means unknown, if the scenario has no noise of the rate.
     rate_covariance = np.diag(np.full(3, (config.rate_sigma_arcsec_per_s * ARCSEC) ** 2)).ravel()
     quaternions = quaternion_rows(samples.rotation_nd)
     rates = rate_rows(samples.rate_d)
@@ -52,7 +50,7 @@ def ins_maker(samples: InsSamples, config: Ins, factory: MessageFactory) -> Make
 
 
 def reference_maker(name: str, samples: DeviceSamples, factory: MessageFactory) -> Maker:
-    """Maker of reference/<name>/imu. Its covariance is that of the white noise alone; it gives no rate."""
+    """Return the maker of reference/<name>/imu. Its covariance is that of the white noise only; it has no rate."""
     quaternions = quaternion_rows(samples.rotation_nv)
     covariances = Rows(lambda part: list(enu_covariance(white_in_horizon(samples, part)).reshape(-1, 9)))
 
@@ -64,23 +62,23 @@ def reference_maker(name: str, samples: DeviceSamples, factory: MessageFactory) 
 
 
 def white_in_horizon(samples: DeviceSamples, part: slice) -> FloatArray:
-    """White covariance of some samples about the horizon's axes, turned by the measured attitude, shape (n, 3, 3)."""
+    """Return the white covariance of samples about the horizon's axes by the measured attitude, shape (n, 3, 3)."""
     rotation_nv = samples.rotation_nv[part]
     return rotation_nv @ samples.noise_v @ np.swapaxes(rotation_nv, -1, -2)
 
 
 def quaternion_rows(rotation: FloatArray) -> Rows[list[float]]:
-    """Quaternions x, y, z, w, ENU <- FLU, of rotations "horizon from device", shape (n, 3, 3)."""
+    """Return quaternions x, y, z, w, ENU <- FLU, of rotations "horizon from device", shape (n, 3, 3)."""
     return Rows(lambda part: quaternion_from_rotation(rotation[part]).tolist())
 
 
 def angle_rows(rotation: FloatArray) -> Rows[list[float]]:
-    """The three angles of rotations, rad, shape (n, 3, 3)."""
+    """Return the three angles of rotations, rad, shape (n, 3, 3)."""
     return Rows(lambda part: angles_from_rotation(rotation[part]).tolist())
 
 
 def rate_rows(rate: FloatArray) -> Rows[list[float]]:
-    """Angular velocities in FLU, of those in the axes of the device, rad/s, shape (n, 3)."""
+    """Return angular velocities in FLU from those in the axes of the device, rad/s, shape (n, 3)."""
     return Rows(lambda part: flu_from_device_vector(rate[part]).tolist())
 
 
@@ -92,7 +90,7 @@ def make_imu(
     rate: list[float],
     rate_covariance: np.ndarray,
 ) -> Any:
-    """A sensor_msgs/Imu that measures no acceleration."""
+    """Make a sensor_msgs/Imu without acceleration."""
     return factory.make(
         IMU,
         header=header,
@@ -106,19 +104,19 @@ def make_imu(
 
 
 def make_quaternion(factory: MessageFactory, xyzw: list[float]) -> Any:
-    """A geometry_msgs/Quaternion."""
+    """Make a geometry_msgs/Quaternion."""
     x, y, z, w = xyzw
     return factory.make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
 
 
 def make_vector(factory: MessageFactory, xyz: list[float]) -> Any:
-    """A geometry_msgs/Vector3."""
+    """Make a geometry_msgs/Vector3."""
     x, y, z = xyz
     return factory.make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
 
 
 def fused_maker(samples: FusedSamples, factory: MessageFactory) -> Maker:
-    """Maker of ship/attitude."""
+    """Return the maker of ship/attitude."""
 
     def covariances(part: slice) -> list[FloatArray]:
         headings, pitches, _ = angles_from_rotation(samples.rotation_nd[part]).T
@@ -132,7 +130,7 @@ def fused_maker(samples: FusedSamples, factory: MessageFactory) -> Maker:
 def true_attitude_maker(
     time_ns: np.ndarray, rotation_nd: FloatArray, rate_d: FloatArray, factory: MessageFactory
 ) -> Maker:
-    """Maker of truth/attitude."""
+    """Return the maker of truth/attitude."""
     told = {"rotation_covariance": np.zeros(9), "sources": ["truth"], "star_age_s": float("nan")}
     return _maker(time_ns, rotation_nd, rate_d, Rows(lambda part: [_EXACT] * BLOCK_ROWS), told, factory)
 
@@ -145,7 +143,7 @@ def _maker(
     told: dict[str, Any],
     factory: MessageFactory,
 ) -> Maker:
-    """Maker of ShipAttitude; ``told`` holds the fields that are the same in all messages."""
+    """Return the maker of ShipAttitude; ``constant_fields`` are equal in all messages."""
     angles = angle_rows(rotation_nd)
     quaternions = quaternion_rows(rotation_nd)
     rates = rate_rows(rate_d)
@@ -170,7 +168,7 @@ def _maker(
 
 
 def fix_maker(fixes: FixSamples, factory: MessageFactory) -> Maker:
-    """Maker of gnss/fix."""
+    """Return the maker of gnss/fix."""
     covariance = enu_covariance(fixes.covariance_m2).ravel()
 
     def make(stamp: int, value: int) -> object:
@@ -191,7 +189,7 @@ def fix_maker(fixes: FixSamples, factory: MessageFactory) -> Maker:
 def deflection_maker(
     time_ns: np.ndarray, deflection: FloatArray, covariance: FloatArray, factory: MessageFactory
 ) -> Maker:
-    """Maker of Deflection, of shape (n, 2) at n stamps, with the covariance of each, shape (2, 2)."""
+    """Return the maker of Deflection, of shape (n, 2) at n stamps, with the covariance of each, shape (2, 2)."""
 
     def make(stamp: int, value: int) -> object:
         header = make_header(factory, int(time_ns[stamp]), "gravity")
@@ -202,7 +200,7 @@ def deflection_maker(
 
 
 def weather_makers(time_ns: np.ndarray, weather: WeatherStation, factory: MessageFactory) -> dict[str, Maker]:
-    """Makers of met/pressure (Pa), met/temperature (°C) and met/humidity (0 to 1) by topic."""
+    """Return the makers of met/pressure (Pa), met/temperature (°C) and met/humidity (0 to 1) by topic."""
     values = {
         "met/pressure": ("sensor_msgs/msg/FluidPressure", "fluid_pressure", 100.0 * weather.pressure_hpa),
         "met/temperature": ("sensor_msgs/msg/Temperature", "temperature", weather.temperature_c),
@@ -214,7 +212,7 @@ def weather_makers(time_ns: np.ndarray, weather: WeatherStation, factory: Messag
 def _constant_maker(time_ns: np.ndarray, type_name: str, field: str, constant: float, factory: MessageFactory) -> Maker:
     def make(stamp: int, value: int) -> object:
         header = make_header(factory, int(time_ns[stamp]), "met")
-        # A variance of zero says unknown.
+        # A variance of zero means unknown.
         return factory.make(type_name, header=header, variance=0.0, **{field: constant})
 
     return make

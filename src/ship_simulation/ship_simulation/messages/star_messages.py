@@ -1,4 +1,4 @@
-"""Messages of star sensors: horizon attitudes, single stars, attitudes among the stars."""
+"""Messages of star sensors: horizon attitudes, single stars, attitudes against the ICRS."""
 
 import math
 from typing import Any
@@ -23,7 +23,7 @@ _STATUS_VALID, _STATUS_ANGLES_SINGULAR = 0, 2
 
 
 def star_maker(sensor_id: str, samples: DeviceSamples, config: StarSensor, factory: MessageFactory) -> Maker:
-    """Maker of star/<id>/horizon_attitude."""
+    """Return the maker of star/<id>/horizon_attitude."""
     angles = angle_rows(samples.rotation_nv)
 
     def covariances(part: slice) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
@@ -64,11 +64,11 @@ def star_maker(sensor_id: str, samples: DeviceSamples, config: StarSensor, facto
 def observations_maker(
     sensor_id: str, frame_id: str, sightings: StarSightings, exposure_s: float, factory: MessageFactory
 ) -> Maker:
-    """Maker of star/<id>/observations, and of theodolite/<id>/stars."""
+    """Return the maker of star/<id>/observations, and of theodolite/<id>/stars."""
     stars = sightings.stars
 
     def make_star(row: int) -> Any:
-        # A star with a number takes its place from the catalogue.
+        # The position of a star with a number comes from the catalogue.
         numbered = stars.hip[row] != 0
         u, v = sightings.pixel[row].tolist()
         return factory.make(
@@ -96,7 +96,7 @@ def observations_maker(
 
 
 def inertial_maker(sensor_id: str, samples: InertialSamples, factory: MessageFactory) -> Maker:
-    """Maker of star/<id>/inertial_attitude."""
+    """Return the maker of star/<id>/inertial_attitude."""
     # ICRS <- forward, left, up.
 
     def quaternions_of(part: slice) -> list[list[float]]:

@@ -1,4 +1,4 @@
-"""Messages of the theodolite and of the drones from the arrays of a run; and of the truth about them."""
+"""Messages of the theodolite and of the drones from the arrays of a run, and messages of their truth."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -58,16 +58,16 @@ CALIBRATION_NAMES = (
     "deformation_up",
     "deformation_starboard",
 )
-"""What truth/calibration holds; telescope_...: angles of the main axis in the telescope."""
+"""Names in truth/calibration; telescope_...: angles of the main axis in the telescope."""
 
 _CAMERA_ANGLES = "azimuth", "elevation", "roll"
-"""The same of the main axis in each camera that sees stars, as telescopes.<id>.…"""
+"""Names of the same angles for each camera that observes stars, as telescopes.<id>.…."""
 
 
 def theodolite_sources(
     run: TheodoliteRun, scenario: Scenario, factory: MessageFactory
 ) -> dict[str, tuple[np.ndarray, np.ndarray, Maker]]:
-    """Topic → stamps, log times and maker of messages."""
+    """Return topic → stamps, log times and maker of messages."""
     theodolite = scenario.theodolite
     image = image_maker(run.images, theodolite.telescope.exposure_s, factory)
     sources = {
@@ -90,7 +90,7 @@ def theodolite_sources(
 
 
 def encoder_maker(samples: EncoderSamples, factory: MessageFactory) -> Maker:
-    """Maker of theodolite/encoder."""
+    """Return the maker of theodolite/encoder."""
 
     def make(stamp: int, value: int) -> Any:
         return factory.make(
@@ -106,7 +106,7 @@ def encoder_maker(samples: EncoderSamples, factory: MessageFactory) -> Maker:
 
 
 def image_maker(samples: ImageSamples, exposure_s: float, factory: MessageFactory) -> Maker:
-    """Maker of theodolite/beacons."""
+    """Return the maker of theodolite/beacons."""
 
     def make(stamp: int, value: int) -> Any:
         lights = [
@@ -131,7 +131,7 @@ def image_maker(samples: ImageSamples, exposure_s: float, factory: MessageFactor
 
 
 def baseline_maker(rover_id: str, samples: BaselineSamples, factory: MessageFactory) -> Maker:
-    """Maker of beacon/<id>/baseline, and of ship/baseline."""
+    """Return the maker of beacon/<id>/baseline, and of ship/baseline."""
     enu_m: Rows[list[float]] = Rows(lambda part: (samples.baseline_n[part] @ ENU_FROM_HORIZON.T).tolist())
     covariances = Rows(lambda part: list(enu_covariance(samples.covariance_n[part]).reshape(-1, 9)))
 
@@ -152,7 +152,7 @@ def baseline_maker(rover_id: str, samples: BaselineSamples, factory: MessageFact
 
 
 def drone_maker(beacon_id: str, samples: DroneSamples, factory: MessageFactory) -> Maker:
-    """Maker of beacon/<id>/imu. The orientation's covariance is that of its total error."""
+    """Return the maker of beacon/<id>/imu. The orientation's covariance is that of its total error."""
     quaternions = quaternion_rows(samples.rotation_nb)
     rates = rate_rows(samples.rate_b)
     covariance = enu_covariance(samples.covariance_n).ravel()
@@ -165,7 +165,7 @@ def drone_maker(beacon_id: str, samples: DroneSamples, factory: MessageFactory) 
 
 
 def target_maker(samples: TargetSamples, config: MainDetector, factory: MessageFactory) -> Maker:
-    """Maker of theodolite/target."""
+    """Return the maker of theodolite/target."""
 
     def make(stamp: int, value: int) -> Any:
         x, z = samples.point_m[value].tolist()
@@ -186,7 +186,7 @@ def target_maker(samples: TargetSamples, config: MainDetector, factory: MessageF
 
 
 def true_directions(samples: TargetSamples, factory: MessageFactory) -> Iterator[tuple[int, Any]]:
-    """(stamp, TargetDirection) of each image: the direction, and the place by the true range."""
+    """Yield (stamp, TargetDirection) of each image: the true direction, and the position by the true range."""
     north, up, east = samples.direction_n.T
     azimuth, elevation = np.mod(np.arctan2(east, north), 2.0 * np.pi), np.arctan2(up, np.hypot(north, east))
     directions, positions = samples.direction_n @ ENU_FROM_HORIZON.T, samples.position_n @ ENU_FROM_HORIZON.T
@@ -210,7 +210,7 @@ def true_directions(samples: TargetSamples, factory: MessageFactory) -> Iterator
 
 
 def true_pointings(run: TheodoliteRun, factory: MessageFactory) -> Iterator[tuple[int, Any]]:
-    """(stamp, OpticalAxisPointing) at the stamps of the truth; mode by the lights in the telescope's view."""
+    """Yield (stamp, OpticalAxisPointing) at the stamps of the truth; mode by the lights in the telescope's view."""
     truth = run.truth
     main = angle_rows(truth.mount.rotation_nm)
     telescope = angle_rows(truth.rotation_nt)
@@ -237,7 +237,7 @@ def true_pointings(run: TheodoliteRun, factory: MessageFactory) -> Iterator[tupl
 def true_calibrations(
     run: TheodoliteRun, start_ns: int, ends: bool, factory: MessageFactory
 ) -> Iterator[tuple[int, Any]]:
-    """(stamp, TheodoliteCalibration) once a second at stamps of the truth, and at the last where they end here."""
+    """Yield (stamp, TheodoliteCalibration) once per second at stamps of the truth, and at the last one of a voyage."""
     truth, time_ns = run.truth, run.encoder.time_ns[run.truth.encoder_index]
     constants = truth.scene.theodolite
     constant = [*constants.axis_errors.vector(), constants.focal_length_m, *constants.parallelism]

@@ -1,4 +1,4 @@
-"""A simulated run as messages in the order of their arrival, with the faults of the scenario."""
+"""Messages of a simulated run in order of arrival, with the faults of the scenario."""
 
 import heapq
 from collections.abc import Iterable, Iterator, Mapping
@@ -61,14 +61,14 @@ TRUTH_TYPES = {
     TRUTH_DIRECTION: "ship_msgs/msg/TargetDirection",
     TRUTH_POINTING: "ship_msgs/msg/OpticalAxisPointing",
 }
-"""Topic → type of what no node sees; which of them a bag has its scenario decides."""
+"""Topic → type of the truth, which no node receives; the scenario determines which of them a bag contains."""
 
 LogEntry = tuple[str, Any, int]
 """(topic, message, log time in ns)."""
 
 
 def messages(runs: Iterable[SimulatedRun], factory: MessageFactory) -> Iterator[LogEntry]:
-    """All messages of a voyage's stretches in order of log time; the truth is logged at its stamps."""
+    """Yield all messages of a voyage's stretches in order of log time; the truth is logged at its stamps."""
     topics: dict[str, _Topic] = {}
     held: dict[str, list[LogEntry]] = {}
     for run in runs:
@@ -88,12 +88,12 @@ def messages(runs: Iterable[SimulatedRun], factory: MessageFactory) -> Iterator[
 
 
 def _in_order(streams: Mapping[str, Iterable[LogEntry]]) -> Iterator[LogEntry]:
-    """By log time; those of one moment in the order of the topics."""
+    """Merge messages by log time; those of equal time are in the order of the topics."""
     return heapq.merge(*streams.values(), key=lambda entry: entry[2])
 
 
 def _truths(run: SimulatedRun, factory: MessageFactory) -> Iterator[tuple[str, Iterator[LogEntry]]]:
-    """Topic and messages of the truth."""
+    """Yield topic and messages of the truth."""
     yield TRUTH_ALIGNMENT, _logged_at_stamp(TRUTH_ALIGNMENT, truth_alignments(run, factory))
     yield TRUTH_ATTITUDE, _logged_at_stamp(TRUTH_ATTITUDE, truth_attitudes(run, factory))
     if not run.scenario.gravity.is_level:
@@ -110,7 +110,7 @@ def _truths(run: SimulatedRun, factory: MessageFactory) -> Iterator[tuple[str, I
 
 
 def _sources(run: SimulatedRun, factory: MessageFactory) -> dict[str, tuple[np.ndarray, np.ndarray, Maker]]:
-    """Topic → stamps, log times and maker of messages."""
+    """Return topic → stamps, log times and maker of messages."""
     scenario = run.scenario
     sources = {"ins/imu": (run.ins.time_ns, run.ins.log_time_ns, ins_maker(run.ins, scenario.ins, factory))}
     for key, stars in run.stars.items():
@@ -149,14 +149,14 @@ def _logged_at_stamp(topic: str, stamped: Iterator[tuple[int, Any]]) -> Iterator
 
 
 class _Topic:
-    """The messages of a topic from stretch to stretch: those that arrive after their stretch wait for the next.
+    """The messages of a topic; those that arrive after their stretch are delivered in a later one.
 
     Args:
         run: a stretch of the voyage.
         topic: its name.
 
     Attributes:
-        passed_ns: what has not been delivered yet arrives later than this.
+        watermark_ns: time after which all messages arrive that are not delivered yet.
     """
 
     def __init__(self, run: SimulatedRun, topic: str) -> None:
@@ -171,7 +171,7 @@ class _Topic:
     def delivered(
         self, run: SimulatedRun, time_ns: np.ndarray, log_time_ns: np.ndarray, maker: Maker
     ) -> Iterator[LogEntry]:
-        """What arrives in a stretch, in order of arrival."""
+        """Yield the messages that arrive in a stretch, in order of arrival."""
         self._coming = self._of_stretch(run, time_ns, log_time_ns, maker)
         for delivery in self._spoilt:
             if delivery.message is PASSED:
@@ -180,7 +180,7 @@ class _Topic:
             yield self._topic, delivery.message, delivery.log_time_ns
 
     def _arriving(self) -> Iterator[Delivery]:
-        """What arrives in all stretches; after each one but the last comes PASSED."""
+        """Yield the deliveries of all stretches; WATERMARK follows each one but the last."""
         passed = True
         while passed:
             passed = False
@@ -194,7 +194,7 @@ class _Topic:
         order = np.argsort(log_time_ns, kind="stable").tolist()
         made = (Delivery(maker(i, i), int(log_time_ns[i]), int(time_ns[i]), i) for i in order)
         waited, self._waiting = self._waiting, []
-        # Of those that arrive at the same moment, the one with the earlier stamp comes first.
+        # Of deliveries with equal arrival times, the one with the earlier stamp comes first.
         for delivery in heapq.merge(waited, made, key=lambda delivery: delivery.log_time_ns):
             if delivery.log_time_ns < run.stretch.end_ns:
                 yield delivery
@@ -205,7 +205,7 @@ class _Topic:
 
 
 def _optics(scenario: Scenario) -> Optics:
-    """The cameras of a scenario's devices."""
+    """Return the cameras of a scenario's devices."""
     stars = {
         f"star/{key}/observations": sensor.camera.camera(key)
         for key, sensor in scenario.star_sensors.items()
@@ -219,7 +219,7 @@ def _optics(scenario: Scenario) -> Optics:
 
 
 def truth_attitudes(run: SimulatedRun, factory: MessageFactory) -> Iterator[tuple[int, Any]]:
-    """(stamp, ShipAttitude) at the stamps of the truth."""
+    """Yield (stamp, ShipAttitude) at the stamps of the truth."""
     time_ns = run.ins.time_ns[run.truth.ins_index]
     make = true_attitude_maker(time_ns, run.truth.rotation_nd, run.truth.rate_d, factory)
     for row, stamp_ns in enumerate(map(int, time_ns)):
@@ -227,7 +227,7 @@ def truth_attitudes(run: SimulatedRun, factory: MessageFactory) -> Iterator[tupl
 
 
 def truth_deflections(run: SimulatedRun, factory: MessageFactory) -> Iterator[tuple[int, Any]]:
-    """(stamp, Deflection) once a second at stamps of the truth, and at the last of the voyage."""
+    """Yield (stamp, Deflection) once per second at stamps of the truth, and at the last one of the voyage."""
     time_ns = run.ins.time_ns[run.truth.ins_index]
     make = deflection_maker(time_ns, run.truth.deflection, np.zeros((2, 2)), factory)
     ends = run.stretch.holds_last(run.scenario.ins.rate_hz, 0.0)
@@ -236,7 +236,7 @@ def truth_deflections(run: SimulatedRun, factory: MessageFactory) -> Iterator[tu
 
 
 def truth_alignments(run: SimulatedRun, factory: MessageFactory) -> Iterator[tuple[int, Any]]:
-    """(stamp, AlignmentState) once a second at stamps of the truth, and at the last of the voyage."""
+    """Yield (stamp, AlignmentState) once per second at stamps of the truth, and at the last one of the voyage."""
     index = run.truth.ins_index
     ends = run.stretch.holds_last(run.scenario.ins.rate_hz, 0.0)
     chosen = index[once_a_second(run.ins.time_ns[index], run.start_ns, ends)]
@@ -259,7 +259,7 @@ def truth_alignments(run: SimulatedRun, factory: MessageFactory) -> Iterator[tup
 
 
 def _constant_values(run: SimulatedRun) -> dict[str, float]:
-    """Name → true value of each quantity that does not change during the run."""
+    """Return name → true value of each quantity that is constant during the run."""
     values = {"ins.time_offset": run.truth.ins.time_offset_s}
     for key, device in run.truth.stars.items():
         azimuth, elevation, roll = angles_from_rotation(device.rotation_dv).tolist()

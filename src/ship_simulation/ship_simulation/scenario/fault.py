@@ -1,6 +1,6 @@
-"""One thing that goes wrong with the messages of a topic: what a fault is called, and which sizes it needs.
+"""Faults of the messages of a topic: kinds, and the sizes that each kind needs.
 
-A scenario lists faults, and so does the file that ``inject`` takes. :mod:`ship_simulation.faults` makes them.
+Scenarios contain faults, and so does the file for ``inject``. :mod:`ship_simulation.faults` applies them.
 """
 
 import dataclasses
@@ -29,9 +29,9 @@ class Kind(NamedTuple):
     """A kind of fault.
 
     Attributes:
-        doc: what it does to a message.
-        needs: sizes that it needs; of each group one or more.
-        may: sizes that it takes besides.
+        doc: its effect on a message.
+        required: required sizes; of each group one or more.
+        optional: optional sizes.
     """
 
     doc: str
@@ -45,22 +45,24 @@ class Kind(NamedTuple):
 
 
 KINDS = {
-    "drop": Kind("nothing arrives"),
-    "delay": Kind("arrives later by delay_s", (("delay_s",),)),
-    "reorder": Kind("arrives later by something between 0 and delay_s, each message by its own", (("delay_s",),)),
-    "duplicate": Kind("arrives again, the same bytes, 1 ms later"),
-    "conflict": Kind("a message of the same stamp with the next one's values arrives 1 ms later; none for the last"),
+    "drop": Kind("no message arrives"),
+    "delay": Kind("messages arrive delay_s later", (("delay_s",),)),
+    "reorder": Kind("each message arrives later by a random time between 0 and delay_s", (("delay_s",),)),
+    "duplicate": Kind("each message arrives again 1 ms later, with the same bytes"),
+    "conflict": Kind("a message with the same stamp and the next one's values arrives 1 ms later; none for the last"),
     "flood": Kind(
-        "arrives times as often; the others have random stamps, up to spread_s earlier", (("times",),), ("spread_s",)
+        "times messages arrive for each; the others have random stamps, up to spread_s earlier",
+        (("times",),),
+        ("spread_s",),
     ),
-    "freeze": Kind("new stamps, the values of the first message of the time"),
-    "nan": Kind("NaN in a field; without one in the first value (of the first star, if there is one)", (), ("field",)),
-    "infinite": Kind("infinity in a field; without one in the first value", (), ("field",)),
-    "corrupt": Kind("a field has the value", (("field",),), ("value",)),
-    "offset": Kind("a field is off by the value", (("field",), ("value",))),
+    "freeze": Kind("new stamps, with the values of the first affected message"),
+    "nan": Kind("NaN in a field; default: the first value (of the first star, if there is one)", (), ("field",)),
+    "infinite": Kind("infinity in a field; default: the first value", (), ("field",)),
+    "corrupt": Kind("a field is set to the value", (("field",),), ("value",)),
+    "offset": Kind("the value is added to a field", (("field",), ("value",))),
     "stamp_zero": Kind("stamp zero"),
-    "stamp_late": Kind("stamps later by delay_s than the moment that they are of", (("delay_s",),)),
-    "clock_step": Kind("stamps off by step_s, to both sides", (("step_s",),)),
+    "stamp_late": Kind("stamps are delay_s later than the measurement", (("delay_s",),)),
+    "clock_step": Kind("step_s is added to the stamps, positive or negative", (("step_s",),)),
     "frame": Kind("another frame_id"),
     "covariance_unknown": Kind("covariances all zero"),
     "covariance_negative": Kind("a negative variance"),
@@ -69,18 +71,18 @@ KINDS = {
     "units": Kind(
         "the wrong unit: degrees; of a fix radians; hPa, K, percent; millimetres of a baseline and of an image"
     ),
-    "axes": Kind("axes as axes says: x and y exchanged, or north-east-down and forward-right-down", (("axes",),)),
-    "bias": Kind("attitude turned about the horizon's axes, the rates as before", (_HORIZON,)),
-    "position_off": Kind("position off by a vector", (_VECTOR,)),
-    "knock": Kind("the device is turned in its own frame; of single stars and lights the points move", (_DEVICE,)),
-    "drift": Kind("the device turns slowly in its own frame, or encoders drift", (_DRIFT,)),
-    "slip": Kind("encoders off by a step", (_ENCODERS,)),
-    "wrong_fix": Kind("a baseline that says FIXED and is off by a vector", (_VECTOR,)),
-    "false_stars": Kind("count spots more that are no stars; with numbers where the others have some", (("count",),)),
-    "false_lights": Kind("count lights stand elsewhere in the image; those beyond them have new ids", (("count",),)),
+    "axes": Kind("other axes: x and y exchanged, or north-east-down and forward-right-down", (("axes",),)),
+    "bias": Kind("attitude rotated about the horizon's axes, with unchanged rates", (_HORIZON,)),
+    "position_off": Kind("a vector is added to the position", (_VECTOR,)),
+    "knock": Kind("mounting shift: the device is rotated in its own frame; stars and lights move", (_DEVICE,)),
+    "drift": Kind("the device rotates slowly in its own frame, or encoders drift", (_DRIFT,)),
+    "slip": Kind("a step is added to the encoders", (_ENCODERS,)),
+    "wrong_fix": Kind("a vector is added to a baseline with fix FIXED", (_VECTOR,)),
+    "false_stars": Kind("count additional spots that are no stars; identified as the other stars are", (("count",),)),
+    "false_lights": Kind("count lights are moved in the image; additional ones have new ids", (("count",),)),
     "hide": Kind("the first light of the image is missing"),
-    "swap": Kind("the first two lights of the image, or stars of the exposure, bear each other's identity"),
-    "wrong_id": Kind("the first light of the image, or the rover of a baseline, has an id that nobody knows"),
+    "swap": Kind("the identities of the first two lights of the image, or stars of the exposure, are swapped"),
+    "wrong_id": Kind("the first light of the image, or the rover of a baseline, has an unknown id"),
 }
 
 AXES = ("", "exchanged", "ned_frd")
@@ -88,23 +90,23 @@ AXES = ("", "exchanged", "ned_frd")
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault of one topic that lasts for a time."""
+    """A fault of one topic during a time."""
 
     topic: str = parameter(doc="topic, for example ins/imu")
-    kind: str = parameter(doc="what goes wrong", choices=tuple(KINDS))
-    start_s: float = parameter(doc="from, after the start, by stamps", **MOMENT)
-    end_s: float = parameter(_TO_THE_END_S, doc="to, after the start, by stamps; for good where not given", **MOMENT)
-    share: float = parameter(1.0, doc="share of the messages of that time, drawn, that are hit", minimum=0.0, maximum=1)
-    delay_s: float = parameter(0.0, doc="how late: delay, stamp_late; at most: reorder", **DELAY)
-    step_s: float = parameter(0.0, doc="of the stamps: clock_step", unit="s", minimum=-1e9, maximum=1e9)
-    field: str = parameter("", doc="of nan, infinite, corrupt, offset: orientation.x, covariance[4], stars[*].u")
-    value: float = parameter(0.0, doc="of corrupt, offset, in the field's own unit", minimum=-1e300, maximum=1e300)
-    axes: str = parameter("", doc="of axes", choices=AXES)
-    north_arcsec: float = parameter(0.0, doc="turn about North: bias", **_STEP)
-    up_arcsec: float = parameter(0.0, doc="turn about Up, or the device's up axis: bias, knock", **_STEP)
-    east_arcsec: float = parameter(0.0, doc="turn about East: bias", **_STEP)
-    forward_arcsec: float = parameter(0.0, doc="turn about the device's forward axis: knock", **_STEP)
-    right_arcsec: float = parameter(0.0, doc="turn about the device's right axis: knock", **_STEP)
+    kind: str = parameter(doc="kind of the fault", choices=tuple(KINDS))
+    start_s: float = parameter(doc="begin, after the start, by stamps", **MOMENT)
+    end_s: float = parameter(_TO_THE_END_S, doc="end, after the start, by stamps; default: no end", **MOMENT)
+    share: float = parameter(1.0, doc="share of that time's messages, drawn, that are affected", minimum=0.0, maximum=1)
+    delay_s: float = parameter(0.0, doc="delay: delay, stamp_late; maximum delay: reorder", **DELAY)
+    step_s: float = parameter(0.0, doc="step of the stamps: clock_step", unit="s", minimum=-1e9, maximum=1e9)
+    field: str = parameter("", doc="field of nan, infinite, corrupt, offset: orientation.x, covariance[4], stars[*].u")
+    value: float = parameter(0.0, doc="value of corrupt, offset, in the field's unit", minimum=-1e300, maximum=1e300)
+    axes: str = parameter("", doc="wrong axes: axes", choices=AXES)
+    north_arcsec: float = parameter(0.0, doc="rotation about North: bias", **_STEP)
+    up_arcsec: float = parameter(0.0, doc="rotation about Up, or the device's up axis: bias, knock", **_STEP)
+    east_arcsec: float = parameter(0.0, doc="rotation about East: bias", **_STEP)
+    forward_arcsec: float = parameter(0.0, doc="rotation about the device's forward axis: knock", **_STEP)
+    right_arcsec: float = parameter(0.0, doc="rotation about the device's right axis: knock", **_STEP)
     azimuth_arcsec: float = parameter(0.0, doc="step of the azimuth encoder: slip", **_STEP)
     elevation_arcsec: float = parameter(0.0, doc="step of the elevation encoder: slip", **_STEP)
     forward_arcsec_per_min: float = parameter(0.0, doc="drift about the device's forward axis", **_RATE)
@@ -112,12 +114,12 @@ class Fault:
     right_arcsec_per_min: float = parameter(0.0, doc="drift about the device's right axis", **_RATE)
     azimuth_arcsec_per_min: float = parameter(0.0, doc="drift of the azimuth encoder", **_RATE)
     elevation_arcsec_per_min: float = parameter(0.0, doc="drift of the elevation encoder", **_RATE)
-    east_m: float = parameter(0.0, doc="off to the East: position_off, wrong_fix", **_WAY)
-    north_m: float = parameter(0.0, doc="off to the North: position_off, wrong_fix", **_WAY)
-    up_m: float = parameter(0.0, doc="off upwards: position_off, wrong_fix", **_WAY)
-    count: int = parameter(0, doc="spots of each message: false_stars, false_lights", minimum=0, maximum=1000)
-    times: int = parameter(0, doc="messages for each one: flood", minimum=0, maximum=10_000)
-    spread_s: float = parameter(2.0, doc="how far back the stamps of a flood go", **DELAY)
+    east_m: float = parameter(0.0, doc="offset to the East: position_off, wrong_fix", **_WAY)
+    north_m: float = parameter(0.0, doc="offset to the North: position_off, wrong_fix", **_WAY)
+    up_m: float = parameter(0.0, doc="offset upwards: position_off, wrong_fix", **_WAY)
+    count: int = parameter(0, doc="number of spots per message: false_stars, false_lights", minimum=0, maximum=1000)
+    times: int = parameter(0, doc="number of messages for each one: flood", minimum=0, maximum=10_000)
+    spread_s: float = parameter(2.0, doc="maximum age of the random stamps: flood", **DELAY)
 
     @property
     def sizes(self) -> tuple[str, ...]:
@@ -126,7 +128,7 @@ class Fault:
 
     @property
     def window_text(self) -> str:
-        """When the fault is active, in seconds after the first message, for people."""
+        """Time of the fault, in seconds after the first message, as text."""
         end = "the end" if self.end_s >= _TO_THE_END_S else f"{self.end_s:g} s"
         return f"from {self.start_s:g} s to {end}"
 
@@ -136,7 +138,7 @@ _SIZES = tuple(name for name in _DEFAULTS if name not in ("topic", "kind", "star
 
 
 def size_problems(key: str, fault: Fault) -> Iterator[ParameterError]:
-    """What is wrong with the times and the sizes of a fault whose name in the file is ``key``."""
+    """Yield the errors in the times and sizes of a fault whose name in the file is ``key``."""
     if fault.end_s <= fault.start_s:
         name = f"{key}.end_s"
         yield ParameterError(f"'{name}' = {fault.end_s} s must be after start_s = {fault.start_s} s", name)
@@ -153,7 +155,7 @@ def size_problems(key: str, fault: Fault) -> Iterator[ParameterError]:
 
 
 def kind_rows() -> list[str]:
-    """The kinds of faults for people, one line each."""
+    """Return the kinds of faults as text, one line each."""
     width = max(map(len, KINDS))
     rows = []
     for name, kind in KINDS.items():

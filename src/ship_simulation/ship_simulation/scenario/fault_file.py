@@ -1,4 +1,4 @@
-"""Reads files of faults, and checks faults against the topics that they are about, of a scenario or of a bag."""
+"""Reading of fault files, and checks of faults against the topics of a scenario or a bag."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -23,21 +23,21 @@ _NESTED = {Nodetype.ARRAY, Nodetype.SEQUENCE}
 
 @dataclass(frozen=True)
 class FaultFile:
-    """What a file of faults says."""
+    """Content of a file of faults."""
 
     faults: dict[str, Fault] = mapping_of("faults by name")
 
 
 def load_faults(source: Path | str, topics: Mapping[str, str], place: str) -> dict[str, Fault]:
-    """The checked faults of a file.
+    """Return the checked faults of a file.
 
     Args:
-        source: YAML file with a group ``faults`` as a scenario has it; a ``str`` is the text itself.
-        topics: topic → type of those that faults may be about.
-        place: what has these topics, for the message: ``in the bag``.
+        source: YAML file with a group ``faults`` as in a scenario; a ``str`` is the text itself.
+        topics: topic → type of the topics that faults may affect.
+        location: location of these topics, for the message: ``in the bag``.
 
     Raises:
-        BadInput: names file, line, key, value and what was expected.
+        BadInput: names file, line, key, value and the expected value.
     """
     file = read_plain(source)
     try:
@@ -52,7 +52,7 @@ def load_faults(source: Path | str, topics: Mapping[str, str], place: str) -> di
 
 
 def fault_problems(faults: Mapping[str, Fault], topics: Mapping[str, str], place: str) -> Iterator[ParameterError]:
-    """What is wrong with faults although each value for itself is right."""
+    """Yield the errors of faults whose values are each valid by themselves."""
     for name, fault in faults.items():
         key = f"faults.{name}"
         yield from size_problems(key, fault)
@@ -63,7 +63,7 @@ def fault_problems(faults: Mapping[str, Fault], topics: Mapping[str, str], place
             continue
         type_name = topics[fault.topic]
         if not can_happen(fault.kind, type_name):
-            yield ParameterError(f"'{key}.kind' = {fault.kind} cannot happen to {type_name}", f"{key}.kind")
+            yield ParameterError(f"'{key}.kind' = {fault.kind} does not apply to {type_name}", f"{key}.kind")
         if "field" in fault.sizes:
             problem = _field_problem(fault, type_name)
             if problem:
@@ -71,19 +71,19 @@ def fault_problems(faults: Mapping[str, Fault], topics: Mapping[str, str], place
 
 
 def field_steps(path: str) -> list[tuple[str, str]]:
-    """(name, index) of each part of a field's path; the index is a number, ``*`` or empty.
+    """Return (name, index) of each part of a field's path; the index is a number, ``*`` or empty.
 
     Raises:
-        ValueError: it is no path.
+        ValueError: it is not a path.
     """
     parts = [_STEP.fullmatch(part) for part in path.split(".")]
     if any(part is None for part in parts):
-        raise ValueError("no path of a field such as orientation.x, covariance[4], stars[*].u")
+        raise ValueError("not a field path such as orientation.x, covariance[4], stars[*].u")
     return [(part[1], part[2] or "") for part in parts if part is not None]
 
 
 def numeric_fields(type_name: str) -> dict[str, str]:
-    """Path → type (``float64``) of each number in a message; of a list of messages, and of an array, the first."""
+    """Return path → type (``float64``) of each number in a message; of lists and arrays the first element."""
     found: dict[str, str] = {}
     fields: dict[str, Any] = dict(message_store().fielddefs[type_name][1])
     for name, (node, content) in fields.items():
@@ -98,7 +98,7 @@ def numeric_fields(type_name: str) -> dict[str, str]:
 
 
 def _field_problem(fault: Fault, type_name: str) -> str:
-    """Why a fault's field cannot be set to a number; empty where it can."""
+    """Return why a fault's field cannot be set to a number; empty if it can."""
     if not fault.field:
         return "" if type_name in FIRST_VALUE else f"must be given for {type_name}"
     try:
@@ -108,17 +108,17 @@ def _field_problem(fault: Fault, type_name: str) -> str:
     if base.startswith("float"):
         largest = float(np.finfo(base).max)
         fits = abs(fault.value) <= largest
-        return "" if fits else f"value = {fault.value:g} does not fit: {base} ends at {largest:g}"
+        return "" if fits else f"value = {fault.value:g} is too large: the maximum of {base} is {largest:g}"
     if fault.kind != "corrupt":
-        return f"a whole number ({base}), which has no NaN, no infinity and no offset: corrupt sets it"
+        return f"an integer field ({base}) allows no NaN, infinity or offset: use corrupt"
     limits = np.iinfo(base)
     if not (fault.value.is_integer() and limits.min <= fault.value <= limits.max):
-        return f"value = {fault.value:g} does not fit: expected a whole number from {limits.min} to {limits.max}"
+        return f"value = {fault.value:g} is out of range: expected an integer from {limits.min} to {limits.max}"
     return ""
 
 
 def _base_type(steps: list[tuple[str, str]], type_name: str) -> str:
-    """The type of the number at a path.
+    """Return the type of the number at a path.
 
     Raises:
         ValueError: there is none.
@@ -133,7 +133,7 @@ def _base_type(steps: list[tuple[str, str]], type_name: str) -> str:
             if node == Nodetype.BASE and not index:
                 raise ValueError(f"{name} has several elements: expected {name}[0] or {name}[*]")
             if index.isdecimal() and 0 < length <= int(index):
-                raise ValueError(f"{name} has {length} elements, counted from 0")
+                raise ValueError(f"{name} has {length} elements, starting at 0")
         elif index:
             raise ValueError(f"{name} is a single value: expected no [{index}]")
         last = number + 1 == len(steps)

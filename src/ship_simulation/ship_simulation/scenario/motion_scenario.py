@@ -1,4 +1,4 @@
-"""The part of a scenario file that says how the ship moves, and the units and ranges that all parts share."""
+"""Parameters of the ship's motion in a scenario file, and units and ranges that all parts share."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -22,10 +22,10 @@ _LENGTH: dict[str, Any] = {"doc": "hull length that averages the slope", "unit":
 
 @dataclass(frozen=True)
 class Outage:
-    """A span of time, in seconds after the start, in which something is missing."""
+    """A time span without data, in seconds after the start."""
 
-    start_s: float = parameter(doc="from, after the start", **MOMENT)
-    end_s: float = parameter(doc="to, after the start", **MOMENT)
+    start_s: float = parameter(doc="begin, after the start", **MOMENT)
+    end_s: float = parameter(doc="end, after the start", **MOMENT)
 
 
 @dataclass(frozen=True)
@@ -49,24 +49,24 @@ class AngleMotion:
 class Turn:
     """A turn of the ship at constant rate, with linear ramps of the rate at both ends."""
 
-    start_s: float = parameter(0.0, doc="when the turn begins", unit="s", minimum=0.0, maximum=1e6)
+    start_s: float = parameter(0.0, doc="begin of the turn", unit="s", minimum=0.0, maximum=1e6)
     angle_deg: float = parameter(
         0.0, doc="change of heading, to starboard positive", unit="deg", minimum=-36_000.0, maximum=36_000.0
     )
     rate_deg_per_s: float = parameter(1.0, doc="rate of turn", unit="deg/s", minimum=0.001, maximum=60.0)
-    ramp_s: float = parameter(10.0, doc="time to reach the rate, and to lose it", unit="s", minimum=0.1, maximum=600.0)
+    ramp_s: float = parameter(10.0, doc="duration of each ramp of the rate", unit="s", minimum=0.1, maximum=600.0)
 
 
 @dataclass(frozen=True)
 class Sea:
-    """A long-crested sea and how the ship answers it. The defaults: sea state 5, a research vessel of 80 m."""
+    """A long-crested sea and the ship's response to it. Defaults: sea state 5, a research vessel of 80 m."""
 
     significant_height_m: float = parameter(3.25, doc="significant wave height", unit="m", minimum=0.0, maximum=20.0)
     modal_period_s: float = parameter(
         9.7, doc="period at the peak of the spectrum", unit="s", minimum=1.0, maximum=30.0
     )
     direction_deg: float = parameter(
-        135.0, doc="where the waves run to: 0 the bow, 90 starboard, 180 the stern", **_ANGLE
+        135.0, doc="direction to which the waves travel: 0 bow, 90 starboard, 180 stern", **_ANGLE
     )
     component_count: int = parameter(100, doc="number of wave components", minimum=10, maximum=2000)
     heading_gain: float = parameter(2.0, **_GAIN)
@@ -87,13 +87,13 @@ class Sea:
 class Recording:
     """A recorded attitude that the simulated ship follows."""
 
-    bag: str = parameter("", doc="bag with the attitude; a relative path starts at the scenario file")
+    bag: str = parameter("", doc="bag with the attitude; path relative to the scenario file")
     topic: str = parameter("ins/imu", doc="its topic of type sensor_msgs/msg/Imu")
 
 
 @dataclass(frozen=True)
 class CarrierMotion:
-    """How the ship moves."""
+    """Motion of the ship."""
 
     kind: str = parameter(doc="source of the motion", choices=("sinusoids", "sea_state", "recorded"))
     heading: AngleMotion = section(AngleMotion)
@@ -109,4 +109,4 @@ SECTIONS_OF_KIND = {
     "sea_state": ("heading", "pitch", "roll", "turn", "sea"),
     "recorded": ("recording",),
 }
-"""The groups that each kind of carrier uses."""
+"""Groups that each kind of carrier uses."""

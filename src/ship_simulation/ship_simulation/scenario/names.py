@@ -1,6 +1,6 @@
-"""Names that a scenario gives its devices: topics and their types (the truth aside), frames, ids, and which faults fit.
+"""Names of a scenario's devices: topics and types (without the truth), frames, ids, and applicable faults.
 
-The messages carry these names, and the suite file tells them to the nodes.
+The messages contain these names, and the suite file passes them to the nodes.
 """
 
 from ship_simulation.scenario.scenario import Scenario
@@ -40,7 +40,7 @@ COVARIANCES = {
     FIX: ("position_covariance",),
     DEFLECTION: ("covariance",),
 }
-"""Message type → its fields that are covariances of what the nodes take from it, square matrices row by row."""
+"""Message type → its fields with covariances of the quantities that the nodes use, square matrices row by row."""
 
 FIRST_VALUE = {
     IMU: "orientation.x",
@@ -58,7 +58,7 @@ FIRST_VALUE = {
     HUMIDITY: "relative_humidity",
     DEFLECTION: "xi",
 }
-"""Message type → the field that NaN is put into where a fault names none."""
+"""Message type → the field that NaN replaces if a fault names none."""
 
 _STAR_TYPES = {"horizon_attitude": STAR, "observations": OBSERVATIONS, "inertial_attitude": INERTIAL}
 
@@ -85,7 +85,7 @@ _TYPES_OF_KIND = {
 
 
 def simulated_topics(scenario: Scenario) -> dict[str, str]:
-    """Topic → type of all that a scenario's devices send."""
+    """Return topic → type of all messages of a scenario's devices."""
     topics = {
         "ins/imu": IMU,
         **{f"star/{key}/{star.output}": _STAR_TYPES[star.output] for key, star in scenario.star_sensors.items()},
@@ -112,35 +112,35 @@ def simulated_topics(scenario: Scenario) -> dict[str, str]:
 
 
 def can_happen(kind: str, type_name: str) -> bool:
-    """Whether a message type has what a kind of fault spoils."""
+    """True if a kind of fault applies to a message type."""
     return kind not in _TYPES_OF_KIND or type_name in _TYPES_OF_KIND[kind]
 
 
 def baseline_topic(beacon_id: str) -> str:
-    """Topic of a drone's baselines."""
+    """Return the topic of a drone's baselines."""
     return f"beacon/{beacon_id}/baseline"
 
 
 def drone_topic(beacon_id: str) -> str:
-    """Topic of a drone's attitude."""
+    """Return the topic of a drone's attitude."""
     return f"beacon/{beacon_id}/imu"
 
 
 def mount_stars_topic(camera_id: str) -> str:
-    """Topic of the stars in a camera on the theodolite."""
+    """Return the topic of the stars in a camera on the theodolite."""
     return f"theodolite/{camera_id}/stars"
 
 
 def mount_camera_frame(camera_id: str) -> str:
-    """frame_id of a camera on the theodolite."""
+    """Return the frame_id of a camera on the theodolite."""
     return f"theodolite_{camera_id}"
 
 
 def star_frame(sensor_id: str) -> str:
-    """frame_id of a star sensor."""
+    """Return the frame_id of a star sensor."""
     return f"star_{sensor_id}"
 
 
 def beacon_frame(beacon_id: str) -> str:
-    """frame_id of a drone."""
+    """Return the frame_id of a drone."""
     return f"beacon_{beacon_id}"

@@ -1,4 +1,4 @@
-"""Reads scenario files; what is wrong with one is said with file, line, key and what was expected."""
+"""Reading of scenario files; an error states file, line, key and the expected value."""
 
 import dataclasses
 from collections.abc import Iterator, Mapping
@@ -38,14 +38,14 @@ FIELDS_OF_OUTPUTS = {
 
 
 def load_scenario(path: Path | str, recording: Path | None = None) -> Scenario:
-    """The checked scenario of a file.
+    """Return the checked scenario of a file.
 
     Args:
         path: YAML file.
-        recording: bag to follow instead of the one that the file names.
+        recording: bag with the motion, in place of the one that the file names.
 
     Raises:
-        BadInput: names file, line, key, value and what was expected.
+        BadInput: names file, line, key, value and the expected value.
     """
     file = read_plain(Path(path))
     try:
@@ -65,7 +65,7 @@ def _wrong(key: str, text: str) -> ParameterError:
 
 
 def _with_recording(scenario: Scenario, folder: Path, recording: Path | None) -> Scenario:
-    """The scenario with the place of the recorded motion seen from the current folder."""
+    """Return the scenario with the path of the recorded motion relative to the current folder."""
     named = scenario.carrier.recording.bag
     bag = str(recording) if recording is not None else str(folder / named) if named else ""
     moved: CarrierMotion = dataclasses.replace(
@@ -75,11 +75,11 @@ def _with_recording(scenario: Scenario, folder: Path, recording: Path | None) ->
 
 
 def _problems(scenario: Scenario, file: ParameterFile) -> Iterator[ParameterError]:
-    """What is wrong with a scenario although each value for itself is right."""
+    """Yield the errors of a scenario whose values are each valid by themselves."""
     try:
         start_of(scenario.start_utc)
     except ValueError as problem:
-        yield _wrong("start_utc", f"= {scenario.start_utc} is not a moment such as 2014-07-09T11:50:07.8Z: {problem}")
+        yield _wrong("start_utc", f"= {scenario.start_utc} is not a time such as 2014-07-09T11:50:07.8Z: {problem}")
     yield from _carrier_problems(scenario.carrier, file)
     for sensor_id, sensor in scenario.star_sensors.items():
         yield from _windows_problems(f"star_sensors.{sensor_id}.outages", sensor.outages)
@@ -98,7 +98,7 @@ def _carrier_problems(carrier: CarrierMotion, file: ParameterFile) -> Iterator[P
             yield _wrong(f"carrier.{group}", f"is not used by a carrier of kind {carrier.kind}: expected {expected}")
     if carrier.kind == "recorded" and not Path(carrier.recording.bag).exists():
         named = carrier.recording.bag or "not given"
-        yield _wrong("carrier.recording.bag", f"= {named} is not there: expected a bag with {carrier.recording.topic}")
+        yield _wrong("carrier.recording.bag", f"= {named} is missing: expected a bag with {carrier.recording.topic}")
 
 
 def _output_problems(key: str, sensor: StarSensor, given: Mapping[str, Any]) -> Iterator[ParameterError]:
@@ -119,10 +119,10 @@ def _imaging_problems(key: str, imaging: StarImaging) -> Iterator[ParameterError
     except ParameterError as problem:
         yield problem
     if not (imaging.camera.width_px and imaging.camera.height_px):
-        text = f"and '{key}.camera.height_px' must be given: they are the field of view"
+        text = f"and '{key}.camera.height_px' must be given: they define the field of view"
         yield _wrong(f"{key}.camera.width_px", text)
     if imaging.direction_given and not imaging.identified:
-        yield _wrong(f"{key}.direction_given", "needs identified stars: leave one of the two out")
+        yield _wrong(f"{key}.direction_given", "needs identified stars: remove one of the two")
 
 
 def _mask_problems(key: str, sensor: StarSensor) -> Iterator[ParameterError]:
@@ -137,14 +137,14 @@ def _mask_problems(key: str, sensor: StarSensor) -> Iterator[ParameterError]:
 def _sky_problems(scenario: Scenario) -> Iterator[ParameterError]:
     start_ns = start_of(scenario.start_utc)
     ends_ns = np.array([start_ns, start_ns + round(scenario.duration_s * SECOND_NS)])
-    # A day more, so that no time offset leaves the table.
+    # With a margin of one day for time offsets.
     reason = earth_orientation_table().reason_against(ends_ns + np.array([-DAY_NS, DAY_NS]))
     if reason is not None:
-        yield _wrong("start_utc", f"= {scenario.start_utc} cannot be given a sky: {reason}")
+        yield _wrong("start_utc", f"= {scenario.start_utc}: no sky can be computed: {reason}")
 
 
 def _theodolite_problems(scenario: Scenario, given: Mapping[str, Any]) -> Iterator[ParameterError]:
-    """The problems of a scenario; ``given`` is what its file holds."""
+    """Yield the errors of the theodolite's part; ``given`` is the content of the file."""
     if not scenario.theodolite.aboard:
         for group in ("theodolite", "beacons", "targets", "telescopes"):
             if given.get(group):
@@ -166,7 +166,7 @@ def _theodolite_problems(scenario: Scenario, given: Mapping[str, Any]) -> Iterat
     for camera_id, camera in scenario.telescopes.items():
         yield from _telescope_problems(f"telescopes.{camera_id}", camera)
     if TELESCOPE_ID in scenario.telescopes:
-        text = "is the telescope that sees lights: give a camera for stars another id"
+        text = "is reserved for the telescope for lights: choose another id for a star camera"
         yield _wrong(f"telescopes.{TELESCOPE_ID}", text)
 
 
@@ -195,7 +195,7 @@ def _course_problems(key: str, course: Course, given: Mapping[str, Any]) -> Iter
             yield _wrong(f"{key}.{group}", f"is not used by a course of kind {course.kind}: expected {used}")
     moments = [waypoint.time_s for waypoint in course.waypoints.values()]
     if course.kind == "legs" and len(set(moments)) < max(2, len(moments)):
-        yield _wrong(f"{key}.waypoints", f"must be two or more with different time_s, got {moments}")
+        yield _wrong(f"{key}.waypoints", f"must contain two or more with different time_s, got {moments}")
 
 
 def _windows_problems(key: str, windows: Mapping[str, Outage]) -> Iterator[ParameterError]:

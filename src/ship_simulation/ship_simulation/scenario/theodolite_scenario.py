@@ -1,6 +1,7 @@
-"""The part of a scenario file that describes the theodolite, and the drones whose lights it sees.
+"""Parameters of the theodolite in a scenario file, and of the drones whose lights it observes.
 
-Vectors of devices are (forward, up, right). Places of drones are seen from the crossing of the theodolite's axes.
+Vectors of devices are (forward, up, right). Positions of drones are relative to the intersection of the theodolite's
+axes.
 """
 
 from dataclasses import dataclass
@@ -27,7 +28,7 @@ _SIGMA_DEG: dict[str, Any] = {"unit": "deg", "minimum": 0.0, "maximum": 90.0}
 
 @dataclass(frozen=True)
 class Lever:
-    """A surveyed vector in the axes of the device that carries it."""
+    """A surveyed vector in the axes of the device on which it is mounted."""
 
     forward_m: float = parameter(0.0, doc="surveyed component along forward (bow)", **_METRES)
     up_m: float = parameter(0.0, doc="surveyed component along up", **_METRES)
@@ -37,11 +38,11 @@ class Lever:
 
 @dataclass(frozen=True)
 class UntoldVector:
-    """What a survey missed, in the axes of the device that carries it: true, and told to nobody."""
+    """Error of a survey in the axes of the device: part of the truth, and unknown to the suite."""
 
-    forward_m: float = parameter(0.0, doc="component along forward that nobody surveyed", **_METRES)
-    up_m: float = parameter(0.0, doc="component along up that nobody surveyed", **_METRES)
-    right_m: float = parameter(0.0, doc="component along right that nobody surveyed", **_METRES)
+    forward_m: float = parameter(0.0, doc="error of the survey along forward, unknown to the suite", **_METRES)
+    up_m: float = parameter(0.0, doc="error of the survey along up, unknown to the suite", **_METRES)
+    right_m: float = parameter(0.0, doc="error of the survey along right, unknown to the suite", **_METRES)
 
 
 @dataclass(frozen=True)
@@ -51,55 +52,55 @@ class Encoder:
     rate_hz: float = parameter(100.0, doc="readings per second", **RATE)
     phase_s: float = parameter(0.0, doc="first reading after the start", **MOMENT)
     latency_s: float = parameter(0.002, doc="from stamp to arrival", **DELAY)
-    jitter_s: float = parameter(0.0, doc="further delay, uniform between 0 and this", **DELAY)
+    jitter_s: float = parameter(0.0, doc="additional delay, uniform between 0 and this", **DELAY)
     sigma_arcsec: float = parameter(1.0, doc="noise of a reading, each axis", **SIGMA)
 
 
 @dataclass(frozen=True)
 class Axes:
-    """Axis errors: what is known of each, and how far the true one may be from that."""
+    """Axis errors: known values, and standard deviations of the true ones."""
 
-    spread: str = parameter("normal", doc="distribution of that, sigma the same", choices=("normal", "uniform"))
-    g_arcsec: float = parameter(0.0, doc="zero point of the azimuth encoder as known", **_AXIS_ERROR)
+    spread: str = parameter("normal", doc="distribution of the errors, sigma unchanged", choices=("normal", "uniform"))
+    g_arcsec: float = parameter(0.0, doc="known zero point of the azimuth encoder", **_AXIS_ERROR)
     g_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
-    h_arcsec: float = parameter(0.0, doc="zero point of the elevation encoder as known", **_AXIS_ERROR)
+    h_arcsec: float = parameter(0.0, doc="known zero point of the elevation encoder", **_AXIS_ERROR)
     h_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
-    c_arcsec: float = parameter(0.0, doc="collimation as known, to the left", **_AXIS_ERROR)
+    c_arcsec: float = parameter(0.0, doc="known collimation, to the left", **_AXIS_ERROR)
     c_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
-    I_arcsec: float = parameter(0.0, doc="tilt of the horizontal axis as known, right end up", **_AXIS_ERROR)
+    I_arcsec: float = parameter(0.0, doc="known tilt of the horizontal axis, right end up", **_AXIS_ERROR)
     I_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
-    beta_x_arcsec: float = parameter(0.0, doc="tilt of the vertical axis to the bow as known", **_AXIS_ERROR)
+    beta_x_arcsec: float = parameter(0.0, doc="known tilt of the vertical axis to the bow", **_AXIS_ERROR)
     beta_x_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
-    beta_y_arcsec: float = parameter(0.0, doc="tilt of the vertical axis to starboard as known", **_AXIS_ERROR)
+    beta_y_arcsec: float = parameter(0.0, doc="known tilt of the vertical axis to starboard", **_AXIS_ERROR)
     beta_y_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
-    flexure_arcsec: float = parameter(0.0, doc="bending of the tube as known, up at elevation 0", **_AXIS_ERROR)
+    flexure_arcsec: float = parameter(0.0, doc="known bending of the tube, up at elevation 0", **_AXIS_ERROR)
     flexure_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
 
 
 @dataclass(frozen=True)
 class Deformation:
-    """How the hull turns between INS and theodolite: Gauss–Markov about bow, up and starboard."""
+    """Rotation of the hull between INS and theodolite: Gauss–Markov about bow, up and starboard."""
 
-    sigma_arcsec: float = parameter(20.0, doc="each axis", **SIGMA)
+    sigma_arcsec: float = parameter(20.0, doc="standard deviation, each axis", **SIGMA)
     time_s: float = parameter(600.0, doc="correlation time", unit="s", minimum=1.0, maximum=1e7)
 
 
 @dataclass(frozen=True)
 class Telescope:
-    """The calibration telescope, its detector, and how parallel it is to the main axis."""
+    """The calibration telescope, its detector, and its parallelism to the main axis."""
 
     rate_hz: float = parameter(10.0, doc="exposures per second", **RATE)
     phase_s: float = parameter(0.0, doc="middle of the first exposure after the start", **MOMENT)
     latency_s: float = parameter(0.05, doc="from stamp (middle of the exposure) to arrival", **DELAY)
-    jitter_s: float = parameter(0.0, doc="further delay, uniform between 0 and this", **DELAY)
+    jitter_s: float = parameter(0.0, doc="additional delay, uniform between 0 and this", **DELAY)
     exposure_s: float = parameter(
         0.0,
-        doc="length of an exposure: lights are streaks, with the mean of their way as point; 0: points, and not told",
+        doc="length of an exposure: lights are streaks, points the mean of the path; 0: points, not stated",
         unit="s",
         minimum=0.0,
         maximum=LONGEST_EXPOSURE_S,
     )
-    focal_length_m: float = parameter(0.1, doc="as known", unit="m", minimum=0.01, maximum=10.0)
+    focal_length_m: float = parameter(0.1, doc="known focal length", unit="m", minimum=0.01, maximum=10.0)
     focal_length_sigma_m: float = parameter(0.0001, doc="its error", unit="m", minimum=0.0, maximum=0.1)
     principal_x_m: float = parameter(
         0.0, doc="detector point of the axis, along right", unit="m", minimum=-0.1, maximum=0.1
@@ -111,13 +112,13 @@ class Telescope:
     height_m: float = parameter(0.014, doc="of the detector", unit="m", minimum=1e-4, maximum=1.0)
     sigma_m: float = parameter(6.5e-7, doc="noise of an image point, each axis", unit="m", minimum=1e-9, maximum=0.001)
     psf_sigma_m: float = parameter(
-        5.2e-6, doc="spread of the image of a light at rest, each axis", unit="m", minimum=1e-7, maximum=0.001
+        5.2e-6, doc="sigma of the image of a light at rest, each axis", unit="m", minimum=1e-7, maximum=0.001
     )
-    azimuth_arcsec: float = parameter(0.0, doc="of the main axis in the telescope, as known", **_PARALLELISM)
+    azimuth_arcsec: float = parameter(0.0, doc="known azimuth of the main axis in the telescope", **_PARALLELISM)
     azimuth_sigma_arcsec: float = parameter(0.0, doc="its error", **SIGMA)
-    elevation_arcsec: float = parameter(0.0, doc="of the main axis in the telescope, as known", **_PARALLELISM)
+    elevation_arcsec: float = parameter(0.0, doc="known elevation of the main axis in the telescope", **_PARALLELISM)
     elevation_sigma_arcsec: float = parameter(0.0, doc="its error", **SIGMA)
-    rotation_arcsec: float = parameter(0.0, doc="of the main image in the telescope, as known", **_PARALLELISM)
+    rotation_arcsec: float = parameter(0.0, doc="known rotation of the main image in the telescope", **_PARALLELISM)
     rotation_sigma_arcsec: float = parameter(0.0, doc="its error", **SIGMA)
     lens: Lever = section(Lever)
     lens_untold: UntoldVector = section(UntoldVector)
@@ -125,28 +126,28 @@ class Telescope:
 
 @dataclass(frozen=True)
 class MainDetector:
-    """The detector in the main tube, on which targets are seen; there is none where it has no focal length."""
+    """The detector in the main tube, which images targets; there is none if its focal length is 0."""
 
     rate_hz: float = parameter(10.0, doc="exposures per second", **RATE)
     phase_s: float = parameter(0.0, doc="middle of the first exposure after the start", **MOMENT)
     latency_s: float = parameter(0.05, doc="from stamp (middle of the exposure) to arrival", **DELAY)
-    jitter_s: float = parameter(0.0, doc="further delay, uniform between 0 and this", **DELAY)
+    jitter_s: float = parameter(0.0, doc="additional delay, uniform between 0 and this", **DELAY)
     exposure_s: float = parameter(
         0.0,
-        doc="length of an exposure: a target's point is the mean of its way; 0: none, and not told",
+        doc="length of an exposure: a target's point is the mean of its path; 0: not stated",
         unit="s",
         minimum=0.0,
         maximum=LONGEST_EXPOSURE_S,
     )
     focal_length_m: float = parameter(
-        0.0, doc="of the main tube, as known; 0: there is no main detector", unit="m", minimum=0.0, maximum=100.0
+        0.0, doc="known focal length of the main tube; 0: no main detector", unit="m", minimum=0.0, maximum=100.0
     )
     focal_length_sigma_m: float = parameter(0.0, doc="its error", unit="m", minimum=0.0, maximum=0.1)
     principal_x_m: float = parameter(
-        0.0, doc="detector point of the main axis, along right, as known", unit="m", minimum=-0.5, maximum=0.5
+        0.0, doc="known detector point of the main axis, along right", unit="m", minimum=-0.5, maximum=0.5
     )
     principal_z_m: float = parameter(
-        0.0, doc="detector point of the main axis, along up, as known", unit="m", minimum=-0.5, maximum=0.5
+        0.0, doc="known detector point of the main axis, along up", unit="m", minimum=-0.5, maximum=0.5
     )
     principal_sigma_m: float = parameter(0.0, doc="error of that point, each axis", unit="m", minimum=0.0, maximum=0.1)
     width_m: float = parameter(0.02, doc="of the detector", unit="m", minimum=1e-4, maximum=1.0)
@@ -154,52 +155,52 @@ class MainDetector:
     sigma_m: float = parameter(
         1e-6, doc="noise of an image point, each axis", unit="m", minimum=1e-9, maximum=0.001
     )
-    rotation_deg: float = parameter(0.0, doc="of the detector about the main axis at the start, right down", **ANGLE)
+    rotation_deg: float = parameter(0.0, doc="rotation about the main axis at the start, right down", **ANGLE)
     rotation_rate_deg_per_s: float = parameter(
-        0.0, doc="how fast it is turned", unit="deg/s", minimum=-60.0, maximum=60.0
+        0.0, doc="rotation rate of the detector", unit="deg/s", minimum=-60.0, maximum=60.0
     )
-    rotation_sigma_arcsec: float = parameter(0.0, doc="error of the rotation that the images tell", **SIGMA)
+    rotation_sigma_arcsec: float = parameter(0.0, doc="error of the rotation stated in the images", **SIGMA)
 
 
 @dataclass(frozen=True)
 class Programme:
-    """Where the main axis looks: a steady sweep in azimuth, up and down in elevation; over the ship's motion."""
+    """Pointing of the main axis: constant azimuth rate, periodic elevation, stabilised against the ship's motion."""
 
-    azimuth_deg: float = parameter(0.0, doc="at the start, from North", **ANGLE)
-    azimuth_rate_deg_per_s: float = parameter(1.2, doc="of the sweep", unit="deg/s", minimum=-60.0, maximum=60.0)
-    least_elevation_deg: float = parameter(10.0, doc="at the start", unit="deg", minimum=-10.0, maximum=85.0)
+    azimuth_deg: float = parameter(0.0, doc="azimuth at the start, from North", **ANGLE)
+    azimuth_rate_deg_per_s: float = parameter(1.2, doc="azimuth rate", unit="deg/s", minimum=-60.0, maximum=60.0)
+    least_elevation_deg: float = parameter(10.0, doc="elevation at the start", unit="deg", minimum=-10.0, maximum=85.0)
     greatest_elevation_deg: float = parameter(
-        70.0, doc="after half a period", unit="deg", minimum=-10.0, maximum=85.0
+        70.0, doc="elevation after half a period", unit="deg", minimum=-10.0, maximum=85.0
     )
-    elevation_period_s: float = parameter(110.0, doc="from least to least", unit="s", minimum=1.0, maximum=1e6)
+    elevation_period_s: float = parameter(110.0, doc="period of the elevation", unit="s", minimum=1.0, maximum=1e6)
     follows_lights: bool = parameter(
-        False, doc="looks at the middle of the lights, and sweeps from there when all have left"
+        False, doc="point at the middle of the lights, and sweep from there when all have left"
     )
 
 
 @dataclass(frozen=True)
 class TerrestrialRefraction:
-    """Refraction on the way to the lights: its coefficient k is a Gauss–Markov process about what is known."""
+    """Refraction on the path to the lights: its coefficient k is a Gauss–Markov process about the known value."""
 
-    coefficient: float = parameter(0.13, doc="k as known", minimum=-5.0, maximum=5.0)
-    sigma: float = parameter(0.0, doc="error of k, the same for all lights", minimum=0.0, maximum=5.0)
-    light_sigma: float = parameter(0.0, doc="further error of k at each light", minimum=0.0, maximum=5.0)
+    coefficient: float = parameter(0.13, doc="known value of k", minimum=-5.0, maximum=5.0)
+    sigma: float = parameter(0.0, doc="error of k common to all lights", minimum=0.0, maximum=5.0)
+    light_sigma: float = parameter(0.0, doc="additional error of k for each light", minimum=0.0, maximum=5.0)
     time_s: float = parameter(3600.0, doc="correlation time of both", **CORRELATION)
 
 
 @dataclass(frozen=True)
 class ShipAntenna:
-    """The antenna aboard from which all baselines begin: its error is in all of them."""
+    """The base antenna of all baselines on board: its error is in all of them."""
 
-    sigma_m: float = parameter(0.0, doc="slow error, each axis", **_SMALL_METRES)
+    sigma_m: float = parameter(0.0, doc="correlated error, each axis", **_SMALL_METRES)
     time_s: float = parameter(300.0, doc="its correlation time", **CORRELATION)
 
 
 @dataclass(frozen=True)
 class Theodolite:
-    """The theodolite, where it stands, and what it is used with."""
+    """The theodolite, its position on board, and its equipment."""
 
-    aboard: bool = parameter(False, doc="whether there is one")
+    aboard: bool = parameter(False, doc="whether the ship has one")
     encoder: Encoder = section(Encoder)
     axes: Axes = section(Axes)
     deformation: Deformation = section(Deformation)
@@ -213,50 +214,50 @@ class Theodolite:
 
 @dataclass(frozen=True)
 class Escort:
-    """Flies with the sweep of the theodolite's programme, at a steady place beside its line."""
+    """A drone that follows the programme's sweep with a constant offset."""
 
-    right_deg: float = parameter(0.0, doc="to the right of the line", **_OFFSET)
-    up_deg: float = parameter(0.0, doc="above the line", **_OFFSET)
-    distance_m: float = parameter(2000.0, doc="from the theodolite", **_DISTANCE)
+    right_deg: float = parameter(0.0, doc="offset to the right of the line of sight", **_OFFSET)
+    up_deg: float = parameter(0.0, doc="offset above the line of sight", **_OFFSET)
+    distance_m: float = parameter(2000.0, doc="distance from the theodolite", **_DISTANCE)
 
 
 @dataclass(frozen=True)
 class Hover:
-    """Stays, or drifts in a straight line."""
+    """A drone that hovers, or drifts in a straight line."""
 
-    azimuth_deg: float = parameter(0.0, doc="at the start, from North", **ANGLE)
-    elevation_deg: float = parameter(30.0, doc="at the start", **_ELEVATION)
-    distance_m: float = parameter(2000.0, doc="at the start", **_DISTANCE)
-    north_m_per_s: float = parameter(0.0, doc="drift against the ship", **_SPEED)
-    up_m_per_s: float = parameter(0.0, doc="drift against the ship", **_SPEED)
-    east_m_per_s: float = parameter(0.0, doc="drift against the ship", **_SPEED)
+    azimuth_deg: float = parameter(0.0, doc="azimuth at the start, from North", **ANGLE)
+    elevation_deg: float = parameter(30.0, doc="elevation at the start", **_ELEVATION)
+    distance_m: float = parameter(2000.0, doc="distance at the start", **_DISTANCE)
+    north_m_per_s: float = parameter(0.0, doc="drift relative to the ship, northward", **_SPEED)
+    up_m_per_s: float = parameter(0.0, doc="drift relative to the ship, upward", **_SPEED)
+    east_m_per_s: float = parameter(0.0, doc="drift relative to the ship, eastward", **_SPEED)
 
 
 @dataclass(frozen=True)
 class Orbit:
-    """Circles round the theodolite."""
+    """A drone that circles the theodolite."""
 
-    azimuth_deg: float = parameter(0.0, doc="at the start, from North", **ANGLE)
-    elevation_deg: float = parameter(30.0, doc="all along", **_ELEVATION)
-    distance_m: float = parameter(2000.0, doc="all along", **_DISTANCE)
-    rate_deg_per_s: float = parameter(0.3, doc="of the azimuth", unit="deg/s", minimum=-60.0, maximum=60.0)
+    azimuth_deg: float = parameter(0.0, doc="azimuth at the start, from North", **ANGLE)
+    elevation_deg: float = parameter(30.0, doc="constant elevation", **_ELEVATION)
+    distance_m: float = parameter(2000.0, doc="constant distance", **_DISTANCE)
+    rate_deg_per_s: float = parameter(0.3, doc="azimuth rate", unit="deg/s", minimum=-60.0, maximum=60.0)
 
 
 @dataclass(frozen=True)
 class Waypoint:
-    """A place where a drone on straight legs comes to rest for a moment."""
+    """A point where a drone on straight legs stops for an instant."""
 
-    time_s: float = parameter(doc="when, after the start", **MOMENT)
-    azimuth_deg: float = parameter(doc="from North", **ANGLE)
-    elevation_deg: float = parameter(doc="over the horizon", **_ELEVATION)
-    distance_m: float = parameter(doc="from the theodolite", **_DISTANCE)
+    time_s: float = parameter(doc="time after the start", **MOMENT)
+    azimuth_deg: float = parameter(doc="azimuth from North", **ANGLE)
+    elevation_deg: float = parameter(doc="elevation above the horizon", **_ELEVATION)
+    distance_m: float = parameter(doc="distance from the theodolite", **_DISTANCE)
 
 
 @dataclass(frozen=True)
 class Course:
-    """How a body moves, seen from the theodolite."""
+    """Course of a body relative to the theodolite."""
 
-    kind: str = parameter("hover", doc="what it does", choices=("escort", "hover", "orbit", "legs"))
+    kind: str = parameter("hover", doc="kind of the course", choices=("escort", "hover", "orbit", "legs"))
     escort: Escort = section(Escort)
     hover: Hover = section(Hover)
     orbit: Orbit = section(Orbit)
@@ -265,15 +266,15 @@ class Course:
 
 @dataclass(frozen=True)
 class Flight(Course):
-    """How a drone flies, and how it sways."""
+    """Flight of a drone, with its sway."""
 
-    yaw_deg: float = parameter(0.0, doc="where the nose points, from North", **ANGLE)
+    yaw_deg: float = parameter(0.0, doc="heading of the nose, from North", **ANGLE)
     sway_deg: float = parameter(2.0, doc="amplitude of pitch and of roll", unit="deg", minimum=0.0, maximum=45.0)
     sway_period_s: float = parameter(4.0, doc="period of both", unit="s", minimum=0.1, maximum=1000.0)
 
 
 SECTIONS_OF_COURSE = {"escort": "escort", "hover": "hover", "orbit": "orbit", "legs": "waypoints"}
-"""The group that each kind of course uses."""
+"""Group that each kind of course uses."""
 
 
 @dataclass(frozen=True)
@@ -283,13 +284,13 @@ class Rtk:
     rate_hz: float = parameter(10.0, doc="solutions per second", **RATE)
     phase_s: float = parameter(0.0, doc="first solution after the start", **MOMENT)
     latency_s: float = parameter(0.1, doc="from stamp to arrival", **DELAY)
-    jitter_s: float = parameter(0.0, doc="further delay, uniform between 0 and this", **DELAY)
+    jitter_s: float = parameter(0.0, doc="additional delay, uniform between 0 and this", **DELAY)
     sigma_m: float = parameter(
         0.015, doc="noise of each solution, each axis; the message's sigma", unit="m", minimum=1e-4, maximum=100.0
     )
-    bias_sigma_m: float = parameter(0.0, doc="slow error of its own, each axis", **_SIGMA_M)
+    bias_sigma_m: float = parameter(0.0, doc="correlated error of its own, each axis", **_SIGMA_M)
     bias_time_s: float = parameter(300.0, doc="its correlation time", **CORRELATION)
-    float_sigma_m: float = parameter(0.3, doc="further slow error while FLOAT, in the message's sigma", **_SIGMA_M)
+    float_sigma_m: float = parameter(0.3, doc="further correlated error of FLOAT, in the message sigma", **_SIGMA_M)
     float_time_s: float = parameter(60.0, doc="its correlation time", **CORRELATION)
     float_times: dict[str, Outage] = mapping_of("times with the fix FLOAT, by name")
     no_solution_times: dict[str, Outage] = mapping_of("times with the fix NONE, by name")
@@ -298,30 +299,30 @@ class Rtk:
 
 @dataclass(frozen=True)
 class ShipBaseline:
-    """Two antennas aboard, and satellite positioning between them; none where the three lengths are 0."""
+    """Two antennas on board with satellite positioning between them; none if the three lengths are 0."""
 
     forward_m: float = parameter(0.0, doc="from the base to the rover antenna, toward the bow", **_LENGTH_M)
     up_m: float = parameter(0.0, doc="the same, upward", **_LENGTH_M)
     right_m: float = parameter(0.0, doc="the same, to starboard", **_LENGTH_M)
-    sigma_m: float = parameter(0.005, doc="how far off they were surveyed, each", **_SIGMA_M)
+    sigma_m: float = parameter(0.005, doc="error of the survey, each component", **_SIGMA_M)
     rtk: Rtk = section(Rtk)
 
     @property
     def is_aboard(self) -> bool:
-        """Whether the ship has one."""
+        """True if the ship has one."""
         return any((self.forward_m, self.up_m, self.right_m))
 
 
 @dataclass(frozen=True)
 class DroneImu:
-    """What the drone says of its own attitude."""
+    """Attitude published by the drone."""
 
     rate_hz: float = parameter(20.0, doc="samples per second", **RATE)
     phase_s: float = parameter(0.0, doc="first sample after the start", **MOMENT)
     latency_s: float = parameter(0.1, doc="from stamp to arrival", **DELAY)
-    jitter_s: float = parameter(0.0, doc="further delay, uniform between 0 and this", **DELAY)
-    tilt_sigma_deg: float = parameter(0.3, doc="slow error in tilt, each axis", **_SIGMA_DEG)
-    heading_sigma_deg: float = parameter(1.0, doc="slow error in heading", **_SIGMA_DEG)
+    jitter_s: float = parameter(0.0, doc="additional delay, uniform between 0 and this", **DELAY)
+    tilt_sigma_deg: float = parameter(0.3, doc="correlated error in tilt, each axis", **_SIGMA_DEG)
+    heading_sigma_deg: float = parameter(1.0, doc="correlated error in heading", **_SIGMA_DEG)
     time_s: float = parameter(300.0, doc="their correlation time", **CORRELATION)
     white_sigma_deg: float = parameter(0.05, doc="noise of each sample, each axis", **_SIGMA_DEG)
 
@@ -331,8 +332,8 @@ class Beacon:
     """A drone with a light."""
 
     flight: Flight = section(Flight)
-    leaves_s: float = parameter(1e6, doc="when it is gone, with its light and its messages", **MOMENT)
-    hidden: dict[str, Outage] = mapping_of("times in which its light is not seen, by name")
+    leaves_s: float = parameter(1e6, doc="time when it leaves, with its light and its messages", **MOMENT)
+    hidden: dict[str, Outage] = mapping_of("times in which its light is hidden, by name")
     light: Lever = section(Lever)
     rtk: Rtk = section(Rtk)
     imu: DroneImu = section(DroneImu)
@@ -340,11 +341,11 @@ class Beacon:
 
 @dataclass(frozen=True)
 class Target:
-    """A body that the main tube looks at."""
+    """A body observed by the main tube."""
 
     course: Course = section(Course)
-    leaves_s: float = parameter(1e6, doc="when it is gone", **MOMENT)
-    hidden: dict[str, Outage] = mapping_of("times in which it is not seen, by name")
+    leaves_s: float = parameter(1e6, doc="time when it leaves", **MOMENT)
+    hidden: dict[str, Outage] = mapping_of("times in which it is hidden, by name")
     range_sigma_m: float = parameter(
-        0.0, doc="noise of the range that its images tell; 0: they tell none", unit="m", minimum=0.0, maximum=1e4
+        0.0, doc="noise of the range stated in its images; 0: no range", unit="m", minimum=0.0, maximum=1e4
     )

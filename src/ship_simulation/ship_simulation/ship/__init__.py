@@ -1,4 +1,4 @@
-"""The ship's true motion and track, and the devices aboard that tell an attitude or a place.
+"""The ship's true motion and track, and the devices on board that measure attitude or position.
 
-The room knows no stars and no theodolite. It imports ``draws/`` and ``scenario/``.
+The room imports ``draws/`` and ``scenario/``, and no stars or theodolite.
 """

@@ -1,7 +1,7 @@
-"""Devices bolted to the ship that tell an attitude: true motion in, samples with their errors out.
+"""Attitude devices mounted on the ship: samples with errors from the true motion.
 
-The INS, star sensors that solve for the horizon, other attitude systems, and the fused attitude as INS and stars
-together leave it.
+The devices are the INS, star sensors that solve for the horizon attitude, other attitude systems, and the attitude
+fused from INS and stars.
 """
 
 import functools
@@ -35,7 +35,7 @@ class InsSamples:
 
     Attributes:
         time_ns: stamps, increasing, shape (n,).
-        log_time_ns: moments of arrival, shape (n,).
+        log_time_ns: arrival times, shape (n,).
         rotation_nd: horizon from deck as measured, shape (n, 3, 3).
         rate_d: angular velocity as measured, (bow, up, starboard), rad/s, shape (n, 3).
     """
@@ -48,11 +48,11 @@ class InsSamples:
 
 @dataclass(frozen=True)
 class InsTruth:
-    """The errors of the INS that last from sample to sample.
+    """The errors of the INS that are correlated from sample to sample.
 
     Attributes:
-        attitude_error_n: slow error a at each sample (north, up, east), what gravity makes of it included, rad, shape
-            (n, 3).
+        attitude_error_n: correlated error a at each sample (north, up, east), the effect of gravity included, rad,
+            shape (n, 3).
         time_offset_s: a sample is valid at its stamp plus this.
     """
 
@@ -63,7 +63,7 @@ class InsTruth:
 def simulate_ins(
     scenario: Scenario, carrier: Carrier, stretch: Stretch, draws: Draws, deflection: Deflection
 ) -> tuple[InsSamples, InsTruth]:
-    """Samples by R_true(s + tau) = exp(a) exp(w) R_ins(s), with the true rate of s + tau; a is the slow error."""
+    """Return samples by R_true(s + tau) = exp(a) exp(w) R_ins(s), with the true rate of s + tau; a is correlated."""
     config = scenario.ins
     time_ns = stretch.stamps(config.rate_hz, 0.0)
     truth = InsTruth(
@@ -84,7 +84,7 @@ def simulate_ins(
 
 
 def _slow_error_of_ins(scenario: Scenario, stretch: Stretch, draws: Draws, deflection: Deflection) -> FloatArray:
-    """The INS's own slow error, which is drawn, and what the deflection makes of it, as it levels itself on gravity."""
+    """Return the INS's own correlated error, plus the effect of the deflection, as it levels itself on gravity."""
     config, gravity = scenario.ins, None if scenario.gravity.is_level else deflection
     time_ns = stretch.stamps(config.rate_hz, 0.0)
     since_start_s = (time_ns - stretch.start_ns) / SECOND_NS
@@ -98,9 +98,9 @@ def _slow_error_of_ins(scenario: Scenario, stretch: Stretch, draws: Draws, defle
 
 
 def _rate_errors(scenario: Scenario, true_nd: FloatArray, draws: Draws) -> FloatArray:
-    """What the INS's angular rates hold beside the turn of the deck in the horizon, rad/s, shape (n, 3).
+    """Return the errors of the INS's angular rates relative to the horizon, rad/s, shape (n, 3).
 
-    Noise, a slow error of the gyroscopes, and the Earth's own turn where the INS does not take it out.
+    They are noise, a correlated error of the gyroscopes, and the Earth rate if the INS does not remove it.
 
     Args:
         scenario: the INS, and the latitude.
@@ -127,11 +127,11 @@ def _rate_errors(scenario: Scenario, true_nd: FloatArray, draws: Draws) -> Float
 
 @dataclass(frozen=True)
 class DeviceSamples:
-    """The attitudes that a device tells.
+    """The attitudes that a device measures.
 
     Attributes:
         time_ns: stamps, increasing, shape (n,).
-        log_time_ns: moments of arrival, in any order, shape (n,).
+        log_time_ns: arrival times, in any order, shape (n,).
         rotation_nv: horizon from device (forward, up, right) as measured, shape (n, 3, 3).
         noise_v: covariance of the noise, independent from sample to sample, in the device frame, rad², shape (3, 3).
         common_n: covariance of the error that the samples share, about the horizon's axes, rad², shape (3, 3).
@@ -146,13 +146,13 @@ class DeviceSamples:
 
 @dataclass(frozen=True)
 class DeviceTruth:
-    """How a device is truly mounted and timed.
+    """True mounting and time offset of a device.
 
     Attributes:
         installation_error_v: rotation vector m in the device frame, rad, shape (3,).
         rotation_dv: deck from device, its installation error included, shape (3, 3).
-        time_offset_s: of a star sensor: a sample is valid at its stamp plus this; of a reference: its stamp minus
-            the INS's for the same attitude.
+        time_offset_s: of a star sensor: a sample is valid at its stamp plus this; of a reference: its stamp minus the
+            INS's for the same attitude.
     """
 
     installation_error_v: FloatArray
@@ -162,15 +162,15 @@ class DeviceTruth:
 
 @dataclass(frozen=True)
 class ExposedMotion:
-    """The exposures of what sees stars, and its true attitude at each.
+    """The exposures of a device that observes stars, and its true attitude at each.
 
     Attributes:
         time_ns: stamps, shape (n,).
         since_start_s: the same in seconds after the start, shape (n,).
-        valid_ns: the moments that they belong to: the stamps plus the sensor's time offset, shape (n,).
+        valid_ns: times of validity: the stamps plus the sensor's time offset, shape (n,).
         rotation_nv: horizon from sensor, shape (n, 3, 3).
-        times: moments of each exposure.
-        passing_nv: horizon from sensor at these moments, shape (m, n, 3, 3).
+        times: quadrature nodes of each exposure.
+        exposure_nv: horizon from sensor at these nodes, shape (m, n, 3, 3).
     """
 
     time_ns: np.ndarray
@@ -195,7 +195,7 @@ class MountedMotion(ExposedMotion):
 def motion_of_star_sensor(
     sensor_id: str, scenario: Scenario, carrier: Carrier, stretch: Stretch, draws: Draws
 ) -> MountedMotion:
-    """Where a star sensor looks: R_star(t) = exp(c) R_true(t + offset) exp(f) R0 exp(m)."""
+    """Return the attitude of a star sensor: R_star(t) = exp(c) R_true(t + offset) exp(f) R0 exp(m)."""
     config, name = scenario.star_sensors[sensor_id], f"star.{sensor_id}"
     nominal_dv = rotation_from_angles(*np.deg2rad([config.azimuth_deg, config.elevation_deg, config.roll_deg]))
     sigma_installation = [
@@ -232,7 +232,7 @@ def motion_of_star_sensor(
 
 
 def simulate_star_sensor(sensor_id: str, scenario: Scenario, motion: MountedMotion, draws: Draws) -> DeviceSamples:
-    """Horizon attitudes by R_star(t) exp(n)."""
+    """Return horizon attitudes by R_star(t) exp(n)."""
     config = scenario.star_sensors[sensor_id]
     common_sigma = config.common_sigma_arcsec * ARCSEC
     samples = _samples(
@@ -242,7 +242,7 @@ def simulate_star_sensor(sensor_id: str, scenario: Scenario, motion: MountedMoti
 
 
 def sigma_of_attitudes(config: StarSensor) -> FloatArray:
-    """White noise of a sensor that gives attitudes, about its axes (forward, up, right), rad, shape (3,)."""
+    """Return the white noise of an attitude sensor about its axes (forward, up, right), rad, shape (3,)."""
     return ARCSEC * np.array([config.sigma_forward_arcsec, config.sigma_up_arcsec, config.sigma_right_arcsec])
 
 
@@ -255,9 +255,9 @@ def simulate_reference(
     draws: Draws,
     deflection: Deflection,
 ) -> tuple[DeviceSamples, DeviceTruth]:
-    """Samples by R_ref(t) = R_true(t - offset + tau) C exp(n), C the turn from INS axes to the reference's.
+    """Return samples by R_ref(t) = R_true(t - offset + tau) C exp(n), C the rotation from INS to reference axes.
 
-    It levels itself on gravity: R_true is that against gravity's horizon.
+    It levels itself on gravity: R_true is relative to the horizon of gravity.
     """
     config = scenario.references[name]
     nominal_dv = rotation_from_angles(*np.deg2rad([config.heading_deg, config.pitch_deg, config.roll_deg]))
@@ -286,7 +286,7 @@ def _draw_truth(
 def _slow_error(
     name: str, draws: Draws, count: int, rate_hz: float, sigma_arcsec: float, time_s: float
 ) -> FloatArray:
-    """A Gauss–Markov rotation vector with equal axes, rad, shape (count, 3)."""
+    """Return a Gauss–Markov rotation vector with equal axes, rad, shape (count, 3)."""
     sigma = np.full(3, sigma_arcsec * ARCSEC)
     return draws.gauss_markov(name, count, 1.0 / rate_hz, sigma, np.full(3, time_s))
 
@@ -300,7 +300,7 @@ def _samples(
     common_sigma: float,
     config: StarSensor | Reference,
 ) -> DeviceSamples:
-    """Samples of true attitudes, with the white noise of the device put on."""
+    """Return samples of true attitudes, with the white noise of the device added."""
     noise_v = sigma_v * draws.stream(name + ".white").standard_normal((time_ns.size, 3))
     arrival = draws.stream(name + ".arrival")
     return DeviceSamples(
@@ -324,7 +324,7 @@ class FusedSamples:
 
     Attributes:
         time_ns: stamps, increasing, shape (n,).
-        log_time_ns: moments of arrival, shape (n,).
+        log_time_ns: arrival times, shape (n,).
         rotation_nd: horizon from deck as estimated, shape (n, 3, 3).
         rate_d: angular velocity (bow, up, starboard), rad/s, shape (n, 3).
         covariance_n: of the total error as a rotation vector (North, Up, East), rad², shape (3, 3).
@@ -338,7 +338,7 @@ class FusedSamples:
 
 
 def simulate_fused_attitude(scenario: Scenario, carrier: Carrier, stretch: Stretch, draws: Draws) -> FusedSamples:
-    """Samples by R_true(t) = exp(e) exp(w) R_fused(t), e Gauss–Markov, w white."""
+    """Return samples by R_true(t) = exp(e) exp(w) R_fused(t), e Gauss–Markov, w white."""
     config = scenario.fused_attitude
     time_ns = stretch.stamps(config.rate_hz, config.phase_s)
     since_start_s = (time_ns - stretch.start_ns) / SECOND_NS

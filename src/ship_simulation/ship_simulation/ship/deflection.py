@@ -1,4 +1,4 @@
-"""The true deflection of the vertical along the ship's way, and what maps know of it."""
+"""The true deflection of the vertical along the ship's track, and its part known from maps."""
 
 from dataclasses import dataclass
 
@@ -18,8 +18,8 @@ class Deflection:
     """The deflection (xi, eta): gravity's zenith is Up + xi North + eta East.
 
     Args:
-        scenario: gravity, and how the ship sails.
-        track: where she is.
+        scenario: gravity, and the ship's track.
+        track: the ship's position.
         draws: of the run.
     """
 
@@ -28,7 +28,7 @@ class Deflection:
         self._duration_s = scenario.duration_s
 
     def at(self, since_start_s: FloatArray) -> FloatArray:
-        """The true deflection at some moments, rad, shape (n, 2)."""
+        """Return the true deflection at times, rad, shape (n, 2)."""
         gravity, speed = self._gravity, self._track.position.speed_m_per_s
         known = known_deflection(gravity, speed * since_start_s)
         if not gravity.sigma_arcsec:
@@ -40,7 +40,7 @@ class Deflection:
         return known + self._draws.slow_error(_UNKNOWN, self._duration_s, sigma, time_s).at(since_start_s)
 
     def turn_n(self, since_start_s: FloatArray) -> FloatArray:
-        """Rotation vector of the geodetic horizon against gravity's, about (North, Up, East), rad, shape (n, 3)."""
+        """Return the rotation vector of the geodetic horizon against gravity's, (North, Up, East), rad, (n, 3)."""
         xi, eta = self.at(since_start_s).T
         time_ns = self._track.start_ns + np.rint(since_start_s * SECOND_NS).astype(np.int64)
         latitude_deg, _ = self._track.degrees(time_ns)
@@ -49,11 +49,11 @@ class Deflection:
 
 @dataclass(frozen=True)
 class DeflectionSamples:
-    """What a topic tells of the deflection; it arrives at its stamps.
+    """The deflection published by a topic; messages arrive at their stamps.
 
     Attributes:
         time_ns: stamps, increasing, shape (n,).
-        deflection: (xi, eta) as maps know it, rad, shape (n, 2).
+        deflection: (xi, eta) by maps, rad, shape (n, 2).
         covariance: of the error of each, rad², shape (2, 2).
     """
 
@@ -63,7 +63,7 @@ class DeflectionSamples:
 
 
 def simulate_deflections(scenario: Scenario, stretch: Stretch) -> DeflectionSamples:
-    """What maps know at the ship's place, again and again."""
+    """Return the deflection known from maps at the ship's position, at regular stamps."""
     gravity = scenario.gravity
     time_ns = stretch.stamps(gravity.rate_hz, 0.0)
     way_m = scenario.position.speed_m_per_s * (time_ns - stretch.start_ns) / SECOND_NS
@@ -72,7 +72,7 @@ def simulate_deflections(scenario: Scenario, stretch: Stretch) -> DeflectionSamp
 
 
 def known_deflection(gravity: Gravity, way_m: FloatArray) -> FloatArray:
-    """What maps know of the deflection at some points of the way, rad, shape (n, 2)."""
+    """Return the deflection known from maps at distances along the track, rad, shape (n, 2)."""
     along = np.clip((np.asarray(way_m) - gravity.change_start_m) / gravity.change_length_m, 0.0, 1.0)
     share = 0.5 * (1.0 - np.cos(np.pi * along))
     change_arcsec = np.array([gravity.change_xi_arcsec, gravity.change_eta_arcsec])
@@ -81,7 +81,7 @@ def known_deflection(gravity: Gravity, way_m: FloatArray) -> FloatArray:
 
 
 def deflection_table(scenario: Scenario) -> dict[str, list[float]]:
-    """The rows of a table of what maps know, as the suite's parameters ``gravity.table_...`` name them."""
+    """Return the table of the deflection known from maps, with the suite's parameter names ``gravity.table_...``."""
     gravity, track = scenario.gravity, ShipTrack(scenario.position, start_of(scenario.start_utc))
     speed = scenario.position.speed_m_per_s
     end_m = speed * scenario.duration_s

@@ -1,6 +1,6 @@
-"""Carriers: the true attitude and angular rate of the ship at any moment.
+"""Carriers: the true attitude and angular rate of the ship at any time.
 
-A carrier is exact: its rate is the derivative of its attitude, analytically.
+A carrier is exact: its rate is the analytical derivative of its attitude.
 """
 
 import functools
@@ -22,34 +22,34 @@ from ship_simulation.draws.sea import Response, ship_phasors, wave_components
 from ship_simulation.scenario.motion_scenario import CarrierMotion, Recording, Sea
 
 _HEADING = 0
-"""Place of the heading among (heading, pitch, roll)."""
+"""Index of the heading in (heading, pitch, roll)."""
 
-# Rows of the table of wave components made at one time: bounds the memory of long runs. A product of fewer rows is
-# filled up to so many, for it may differ in the last bit from that of more: what is true at a moment hangs on no other.
+# Rows of the table of wave components computed at a time; bounds the memory of long runs. A product of fewer rows is
+# padded to this number, because its last bits may depend on the number of rows: each time gets the same value always.
 _ROWS_AT_ONCE = 4096
 
 _IMU = "sensor_msgs/msg/Imu"
 
 RECORDING_MARGIN_S = 1.0
-"""Simulated time zero lies this long after the begin of a recording, so that time offsets do not leave it."""
+"""Time from the begin of a recording to simulated time zero, so that time offsets stay within the recording, s."""
 
 
 class Carrier(Protocol):
-    """The motion of the ship; moments in seconds after the start, of any shape (...)."""
+    """The motion of the ship; times in seconds after the start, of any shape (...)."""
 
     def attitude(self, t_s: FloatArray) -> FloatArray:
-        """Horizon from deck, shape (..., 3, 3)."""
+        """Return horizon from deck, shape (..., 3, 3)."""
 
     def body_rate(self, t_s: FloatArray) -> FloatArray:
-        """Angular velocity in the deck frame (bow, up, starboard), rad/s, shape (..., 3)."""
+        """Return the angular velocity in the deck frame (bow, up, starboard), rad/s, shape (..., 3)."""
 
 
 @dataclass(frozen=True)
 class SteadyTurn:
-    """A change of heading whose rate rises linearly, stays, and falls linearly.
+    """A change of heading whose rate rises linearly, is constant, and falls linearly.
 
     Attributes:
-        start_s: when it begins.
+        start_s: time of its begin.
         angle: total change, rad, clockwise positive.
         rate: greatest rate, rad/s, positive.
         ramp_s: length of the rise and of the fall.
@@ -61,15 +61,15 @@ class SteadyTurn:
     ramp_s: float
 
     def heading(self, t_s: FloatArray) -> FloatArray:
-        """Change of heading up to ``t_s``, rad."""
+        """Return the change of heading up to ``t_s``, rad."""
         return self._sum_over_corners(0.5 * self._since_corners(t_s) ** 2)
 
     def heading_rate(self, t_s: FloatArray) -> FloatArray:
-        """Rate of that change, rad/s."""
+        """Return the rate of that change, rad/s."""
         return self._sum_over_corners(self._since_corners(t_s))
 
     def _since_corners(self, t_s: FloatArray) -> FloatArray:
-        """Time since each corner of the rate, zero before it, shape (..., 4)."""
+        """Return the time since each corner of the rate, zero before it, shape (..., 4)."""
         steady_s = abs(self.angle) / self.rate
         corners = self.start_s + np.array([0.0, self.ramp_s, steady_s, steady_s + self.ramp_s])
         return np.maximum(np.asarray(t_s, dtype=float)[..., None] - corners, 0.0)
@@ -87,8 +87,8 @@ class HarmonicMotion:
     Args:
         mean: (heading, pitch, roll), rad, shape (3,).
         angular_frequency: of each component, rad/s, shape (n,).
-        phasor: complex amplitude of each component in each angle, rad, shape (n, 3):
-            the angle is Re(phasor * exp(i w t)).
+        phasor: complex amplitude of each component in each angle, rad, shape (n, 3): the angle is Re(phasor * exp(i w
+            t)).
         turns: changes of heading, added to it.
     """
 
@@ -110,7 +110,7 @@ class HarmonicMotion:
 
     def body_rate(self, t_s: FloatArray) -> FloatArray:
         """See :class:`Carrier`."""
-        # Both sums in one pass: the sines are what costs.
+        # Both sums in one pass, because the sines dominate the computing time.
         rate_phasor = 1j * self.angular_frequency[:, None] * self.phasor
         both = self._harmonics(t_s, np.hstack([self.phasor, rate_phasor]))
         harmonics, rates = np.split(both, 2, axis=-1)
@@ -124,14 +124,14 @@ class HarmonicMotion:
         return (np.swapaxes(rotation_nd, -1, -2) @ rate_n)[..., 0]
 
     def angles(self, t_s: FloatArray) -> FloatArray:
-        """Heading, pitch, roll, rad, shape (..., 3)."""
+        """Return heading, pitch, roll, rad, shape (..., 3)."""
         angles = self.mean + self._harmonics(t_s, self.phasor)
         for turn in self.turns:
             angles[..., _HEADING] += turn.heading(t_s)
         return angles
 
     def _harmonics(self, t_s: FloatArray, phasor: np.ndarray) -> FloatArray:
-        """Real part of the sum of phasor (n, k) * exp(i w t) over the components, shape (..., k)."""
+        """Return the real part of the sum of phasor (n, k) * exp(i w t) over the components, shape (..., k)."""
         t_s = np.asarray(t_s, dtype=float)
         flat = t_s.reshape(-1, 1)
         summed = np.empty((flat.shape[0], phasor.shape[1]))
@@ -146,12 +146,12 @@ class HarmonicMotion:
 
 
 class RecordedMotion:
-    """A recorded attitude, made continuous by a rotation spline (twice differentiable).
+    """A recorded attitude, interpolated by a rotation spline (twice differentiable).
 
     Args:
-        time_s: moments of the record, in seconds from any zero, increasing, shape (n,).
+        time_s: times of the record, in seconds from any zero, increasing, shape (n,).
         rotation_nd: horizon from deck, shape (n, 3, 3).
-        start_s: the moment of the record that is the start of the simulation.
+        start_s: time of the record at the start of the simulation.
     """
 
     def __init__(self, time_s: FloatArray, rotation_nd: FloatArray, start_s: float = 0.0) -> None:
@@ -162,7 +162,7 @@ class RecordedMotion:
         """See :class:`Carrier`.
 
         Raises:
-            BadInput: the record does not reach that far.
+            BadInput: the record does not cover the time.
         """
         t_s = np.asarray(t_s, dtype=float)
         rotation_nd: FloatArray = self._spline(self._record_time(t_s)).as_matrix()
@@ -172,7 +172,7 @@ class RecordedMotion:
         """See :class:`Carrier`.
 
         Raises:
-            BadInput: the record does not reach that far.
+            BadInput: the record does not cover the time.
         """
         t_s = np.asarray(t_s, dtype=float)
         rate: FloatArray = self._spline(self._record_time(t_s), 1)
@@ -183,14 +183,14 @@ class RecordedMotion:
         first, last = self._spline.times[0], self._spline.times[-1]
         if moments.size and (moments.min() < first or moments.max() > last):
             raise BadInput(
-                f"the recorded motion holds {last - first:.1f} s, the simulation needs "
-                f"{np.ptp(moments):.1f} s from {self._start_s - first:.1f} s after its begin: shorten duration_s"
+                f"the recorded motion lasts {last - first:.1f} s, the simulation needs "
+                f"{np.ptp(moments):.1f} s from {self._start_s - first:.1f} s after its start: reduce duration_s"
             )
         return moments
 
 
 def carrier_of(motion: CarrierMotion, seed: int) -> Carrier:
-    """The motion of the ship; the phases of a sea come from the seed.
+    """Return the motion of the ship; the phases of a sea depend on the seed.
 
     Raises:
         BadInput: the recording cannot be used.
@@ -215,7 +215,7 @@ def carrier_of(motion: CarrierMotion, seed: int) -> Carrier:
 
 
 def sea_responses(sea: Sea) -> tuple[Response, Response, Response]:
-    """How (heading, pitch, roll) answer the waves: pitch answers the slope along the ship, roll the slope across."""
+    """Return the responses of (heading, pitch, roll): pitch to the slope along the ship, roll to that across."""
     along, across = np.cos(np.deg2rad(sea.direction_deg)), np.sin(np.deg2rad(sea.direction_deg))
     return (
         Response(along * across, sea.heading_gain, sea.heading_period_s, sea.heading_damping, sea.heading_length_m),
@@ -231,7 +231,7 @@ def _sea_components(sea: Sea, rng: np.random.Generator) -> tuple[FloatArray, np.
 
 @functools.lru_cache(maxsize=4)
 def read_recording(recording: Recording) -> tuple[FloatArray, FloatArray]:
-    """Moments (s, from the first) and attitudes (horizon from deck) of a recorded Imu topic.
+    """Return times (s, from the first) and attitudes (horizon from deck) of a recorded Imu topic.
 
     Raises:
         BadInput: the bag cannot be read, or has no such topic, or fewer than three attitudes.
@@ -240,7 +240,7 @@ def read_recording(recording: Recording) -> tuple[FloatArray, FloatArray]:
     with read_bag(recording.bag) as bag:
         found = bag.topics.get(recording.topic)
         if found != _IMU:
-            there = f"carries {found}" if found else f"is not there (it has: {', '.join(sorted(bag.topics))})"
+            there = f"has type {found}" if found else f"does not exist (topics: {', '.join(sorted(bag.topics))})"
             raise BadInput(f"topic '{recording.topic}' {there}: expected {_IMU}", file=recording.bag)
         for record in bag.records([recording.topic]):
             message = record.decode()

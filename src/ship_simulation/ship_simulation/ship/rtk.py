@@ -1,4 +1,4 @@
-"""Solutions of satellite positioning for the way between two antennas: from ship to drone, or both aboard."""
+"""Satellite positioning solutions for the baseline between two antennas: from ship to drone, or both on board."""
 
 from dataclasses import dataclass
 
@@ -13,18 +13,18 @@ from ship_simulation.scenario.theodolite_scenario import Rtk
 from ship_simulation.ship.motion import Carrier
 
 NONE, FLOAT, FIXED = 0, 3, 4
-"""RtkBaseline.NONE, RtkBaseline.FLOAT, RtkBaseline.FIXED."""
+"""Values of RtkBaseline.NONE, RtkBaseline.FLOAT, RtkBaseline.FIXED."""
 
 
 @dataclass(frozen=True)
 class BaselineSamples:
-    """Solutions of satellite positioning for the way from one antenna to another.
+    """Satellite positioning solutions for the baseline from one antenna to another.
 
     Attributes:
         time_ns: stamps, increasing, shape (n,).
-        log_time_ns: moments of arrival, shape (n,).
+        log_time_ns: arrival times, shape (n,).
         baseline_n: (North, Up, East), m, shape (n, 3); NaN with the fix NONE.
-        covariance_n: of the error that is new in each solution and of that of FLOAT, m², shape (n, 3, 3); NaN likewise.
+        covariance_n: of the white error and of that of FLOAT, m², shape (n, 3, 3); NaN likewise.
         fix: NONE, FLOAT or FIXED, shape (n,).
     """
 
@@ -35,7 +35,7 @@ class BaselineSamples:
     fix: np.ndarray
 
     def some(self, which: np.ndarray) -> "BaselineSamples":
-        """Some of them."""
+        """Return some of the samples."""
         return BaselineSamples(
             self.time_ns[which],
             self.log_time_ns[which],
@@ -48,13 +48,13 @@ class BaselineSamples:
 def solved(
     name: str, config: Rtk, time_ns: np.ndarray, true_n: FloatArray, stretch: Stretch, draws: Draws
 ) -> BaselineSamples:
-    """Solutions of the true way (North, Up, East), m, shape (n, 3), with white noise and a slow error of their own.
+    """Return solutions of true baselines (North, Up, East), m, shape (n, 3), with white and correlated errors.
 
     Args:
-        name: of the component whose random streams they are.
-        config: how good and how often they are.
-        time_ns: their stamps.
-        true_n: the way, with whatever error it shares with others.
+        name: component that names the random streams.
+        config: errors and rate.
+        time_ns: stamps.
+        true_n: the baselines, with errors shared with other baselines.
         stretch: of the voyage.
         draws: of the run.
     """
@@ -81,7 +81,7 @@ def solved(
 
 
 def simulate_ship_baseline(scenario: Scenario, carrier: Carrier, stretch: Stretch, draws: Draws) -> BaselineSamples:
-    """The way between the two antennas aboard, which stand a little off from where they were surveyed."""
+    """Return the baseline between the two antennas on board, whose survey has an error."""
     config, name = scenario.ship_baseline, "ship_baseline"
     time_ns = stretch.stamps(config.rtk.rate_hz, config.rtk.phase_s)
     surveyed_off_d = config.sigma_m * random_stream(draws.seed, name + ".survey").standard_normal(3)

@@ -1,8 +1,8 @@
-"""The error of a simulated INS that is left to its own gyroscopes and accelerometers.
+"""The error of a simulated free-running INS by its gyroscopes and accelerometers.
 
-It is drawn second by second. Each second is exact: scipy's matrix exponential of the equations of motion, and of the
-covariance of what the noise adds in it (C. F. Van Loan, Computing integrals involving the matrix exponential, 1978).
-The equations stand here as they are, and not by way of the estimator's.
+It is drawn second by second. Each second is exact: matrix exponential of the equations of motion, and of the covariance
+of the process noise (C. F. Van Loan, Computing integrals involving the matrix exponential, 1978). The equations are
+independent of the estimator's implementation.
 """
 
 import math
@@ -19,21 +19,24 @@ from ship_simulation.ship.ship_track import ShipTrack
 
 _STEP_S = 1.0
 _STEPS_AT_A_PLACE = 300
-"""Five minutes, in which a ship changes her latitude by a few miles."""
+"""Number of steps with the same latitude: in five minutes a ship changes it by a few miles."""
 
 _STATES = 11
-"""Attitude (north, up, east), velocity (north, east), latitude, drift of the gyroscopes (3), bias of the accelerometers
-(2)."""
+"""Number of states.
+
+Attitude (north, up, east), velocity (north, east), latitude, drift of the gyroscopes (3), bias of the accelerometers
+(2).
+"""
 
 
 class SchulerError:
-    """The error of the INS's attitude, drawn up to the latest moment asked for; straight between whole seconds.
+    """The error of the INS's attitude, drawn up to the latest requested time; linear between whole seconds.
 
     Args:
-        rng: source of all that is drawn.
-        scenario: the INS, and how the ship sails.
+        rng: source of all draws.
+        scenario: the INS, and the ship's track.
         sigma: of the attitude at the start, about (North, Up, East), rad, shape (3,).
-        deflection: of the vertical; None where gravity is everywhere normal to the ellipsoid.
+        deflection: of the vertical; None if gravity is everywhere normal to the ellipsoid.
     """
 
     def __init__(
@@ -62,14 +65,14 @@ class SchulerError:
         self._step: tuple[FloatArray, FloatArray, FloatArray]
 
     def at(self, since_start_s: FloatArray) -> FloatArray:
-        """The error at some moments, rad, shape (n, 3)."""
+        """Return the error at times, rad, shape (n, 3)."""
         if np.size(since_start_s):
             self._reach(math.ceil(float(np.max(since_start_s)) / _STEP_S))
         moments_s = _STEP_S * (self._first + np.arange(len(self._values)))
         return np.stack([np.interp(since_start_s, moments_s, column) for column in self._values.T], axis=-1)
 
     def forget(self, before_s: float) -> None:
-        """No moment before this is asked for any more."""
+        """Drop the part before a time; earlier times may not be requested any more."""
         first = min(math.floor(before_s / _STEP_S), self._first + len(self._values) - 1)
         if first > self._first:
             self._values, self._first = self._values[first - self._first :].copy(), first
@@ -91,7 +94,7 @@ class SchulerError:
             self._values = np.concatenate([self._values, more])
 
     def _step_at(self, since_start_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """What a second makes of the states, what a deflection adds in it, and a root of the noise's covariance."""
+        """Return the transition of one second, the effect of the deflection, and a root of the noise covariance."""
         latitude_deg, _ = self._track.degrees(
             np.array([self._track.start_ns + round(since_start_s * SECOND_NS)])
         )
@@ -114,7 +117,7 @@ class SchulerError:
         return transition, moved[:_STATES, _STATES:], vectors * np.sqrt(np.maximum(values, 0.0))
 
     def _rates(self, state: FloatArray, latitude: float) -> FloatArray:
-        """By what the states change in a second, with the deflection (xi, eta) at their end; linear in all."""
+        """Return the derivative of the states, with the deflection (xi, eta) at their end; linear in all."""
         tilt, (north, east), own_latitude, drift = state[:3], state[3:5], state[5], state[6:9]
         (bias_north, bias_east), (xi, eta) = state[9:11], state[11:]
         meridian_m, across_m = horizon_radii_m(GeodeticPosition(latitude, 0.0, 0.0))
@@ -122,11 +125,11 @@ class SchulerError:
         of_earth = EARTH_RATE_RAD_PER_S * np.array([math.cos(latitude), math.sin(latitude), 0.0])
         per_m = np.array([[0.0, 1.0 / across_m], [0.0, tangent / across_m], [-1.0 / meridian_m, 0.0]])
         over_ground, wrong_turn = per_m @ self._velocity, per_m @ [north, east]
-        # What a wrong latitude makes of the Earth's turn and of tan L.
+        # Effect of a latitude error on the Earth rate and on tan L.
         wrong_earth = own_latitude * EARTH_RATE_RAD_PER_S * np.array([-math.sin(latitude), math.cos(latitude), 0.0])
         wrong_way = np.array([0.0, own_latitude * self._velocity[1] / (across_m * math.cos(latitude) ** 2), 0.0])
         sailing = np.array([self._velocity[0], 0.0, self._velocity[1]])
-        # (North, Up, East) are right-handed; the specific force is gravity's reaction, upward and along the deflection.
+        # (North, Up, East) is right-handed; the specific force opposes gravity: upward, and along the deflection.
         force = np.cross([0.0, gravity, 0.0], tilt) + gravity * np.array([xi, 0.0, eta])
         turned = np.cross(2.0 * of_earth + over_ground, [north, 0.0, east])
         turned += np.cross(2.0 * wrong_earth + wrong_way, sailing)

@@ -1,4 +1,4 @@
-"""Where the ship truly is, and the fixes of its satellite receiver."""
+"""The ship's true position, and the fixes of its satellite receiver."""
 
 from dataclasses import dataclass
 
@@ -11,19 +11,19 @@ from ship_simulation.draws.stretch import Draws, Stretch
 from ship_simulation.scenario.scenario import Position, Scenario
 
 _EARTH_RADIUS_M = 6_371_000.0
-"""Mean radius, good enough to turn the noise of a fix into degrees."""
+"""Mean radius, accurate enough to convert the noise of a fix to degrees."""
 
-# At the poles a longitude has no error that matters.
+# Limits the longitude error near the poles, where it is irrelevant.
 _LEAST_COSINE = 1e-3
 
 
 @dataclass(frozen=True)
 class ShipTrack:
-    """A ship on a steady course: latitude and longitude change at the rates that its velocity has at the start.
+    """A ship on a steady course: latitude and longitude change at the rates of its velocity at the start.
 
     Attributes:
-        position: where it starts, course and speed.
-        start_ns: when it is there.
+        position: position at the start, course and speed.
+        start_ns: time of the start.
     """
 
     position: Position
@@ -31,12 +31,12 @@ class ShipTrack:
 
     @property
     def velocity_n_m_per_s(self) -> FloatArray:
-        """Over ground in (North, Up, East), shape (3,)."""
+        """Velocity over ground in (North, Up, East), shape (3,)."""
         course = np.deg2rad(self.position.course_deg)
         return self.position.speed_m_per_s * np.array([np.cos(course), 0.0, np.sin(course)])
 
     def degrees(self, time_ns: np.ndarray) -> tuple[FloatArray, FloatArray]:
-        """Latitude and longitude at some moments, deg."""
+        """Return latitude and longitude at times, deg."""
         place = self.position
         latitude = np.deg2rad(place.latitude_deg)
         radius_north_m, radius_east_m = horizon_radii_m(GeodeticPosition(latitude, 0.0, place.height_m))
@@ -50,7 +50,7 @@ class ShipTrack:
         )
 
     def at(self, time_ns: np.ndarray) -> GeodeticPosition:
-        """Position at some moments."""
+        """Return the position at times."""
         latitude_deg, longitude_deg = self.degrees(time_ns)
         height_m = np.full(np.shape(time_ns), self.position.height_m)
         return GeodeticPosition(np.deg2rad(latitude_deg), np.deg2rad(longitude_deg), height_m)
@@ -76,23 +76,23 @@ class FixSamples:
 
     @property
     def log_time_ns(self) -> np.ndarray:
-        """Moments of arrival, shape (n,)."""
+        """Arrival times, shape (n,)."""
         return self.time_ns
 
     def position(self, index: int) -> GeodeticPosition:
-        """One of the fixes."""
+        """Return one of the fixes."""
         latitude, longitude = np.deg2rad([self.latitude_deg[index], self.longitude_deg[index]])
         return GeodeticPosition(float(latitude), float(longitude), float(self.height_m[index]))
 
 
 def simulate_fixes(scenario: Scenario, track: ShipTrack, stretch: Stretch, draws: Draws) -> FixSamples:
-    """Fixes along the track, each with a white and a slow error."""
+    """Return fixes along the track, each with a white and a correlated error."""
     place = scenario.position
     time_ns = stretch.stamps(place.rate_hz, 0.0)
     white_m = place.sigma_m * draws.stream("gnss.white").standard_normal((time_ns.size, 3))
     sigma_m, time_s = np.full(3, place.slow_sigma_m), np.full(3, place.slow_time_s)
     slow_m = draws.gauss_markov("gnss.slow", time_ns.size, 1.0 / place.rate_hz, sigma_m, time_s)
-    # In this order: north, east, up.
+    # The order is north, east, up.
     error_m = white_m + slow_m
     north_deg, east_deg = np.rad2deg(error_m[:, :2] / _EARTH_RADIUS_M).T
     latitude_deg, longitude_deg = track.degrees(time_ns)

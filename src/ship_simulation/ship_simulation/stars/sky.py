@@ -1,8 +1,8 @@
-"""The true sky over the ship: air, turn of the Earth and places of the stars, each a little off what is told.
+"""The true sky over the ship: air, Earth rotation and star positions, each with an error relative to the known values.
 
-The sky is drawn once a run. The air is not quite what the weather station says, the Earth is not turned quite as the
-table says, and each star stands a little beside its place in the catalogue. Directions take ERFA's exact path at every
-moment; the path of the estimator, which is refreshed now and then, is not used here.
+The sky is drawn once per run. The true air differs from the weather station's values, the Earth rotation from the
+table, and each star position from the catalogue. Directions are computed by ERFA's exact algorithm at every time; the
+estimator's algorithm, which refreshes parts periodically, is not used here.
 """
 
 import dataclasses
@@ -26,7 +26,7 @@ from ship_simulation.ship.ship_track import ShipTrack
 _J2000, _JULIAN_YEAR_D = 2_451_545.0, 365.25
 _MINUTE_NS = 60 * SECOND_NS
 
-# An elevation without air from one with: each step leaves the change of refraction, 3 % at 5°, of the error.
+# Number of iterations from apparent to geometric elevation: each step reduces the error to 3 % at 5°.
 _STEPS = 8
 
 
@@ -35,12 +35,12 @@ class TrueSky:
     """The sky over a ship.
 
     Attributes:
-        track: where the ship is.
+        track: the ship's position.
         model: of refraction.
         weather: the true air at the ship.
         ut1_error_s: true UT1 − UTC minus that of the table.
-        catalogue: what is known of the stars.
-        positions: where the stars of the catalogue truly are, J2000.0, a row each.
+        catalogue: the star catalogue.
+        positions: true positions of the catalogue's stars, J2000.0, one row each.
     """
 
     track: ShipTrack
@@ -51,23 +51,23 @@ class TrueSky:
     positions: StarPositions
 
     def orientation(self, time_ns: np.ndarray) -> EarthOrientation:
-        """True orientation of the Earth at moments in ns."""
+        """Return the true orientation of the Earth at times in ns."""
         told = earth_orientation_table().at(time_ns)
         return dataclasses.replace(told, ut1_minus_utc_s=told.ut1_minus_utc_s + self.ut1_error_s)
 
     def directions(self, stars: StarPositions, time_ns: np.ndarray) -> FloatArray:
-        """Unit vectors (N, U, E) with air, shape (..., 3); NaN lower than the refraction model holds.
+        """Return unit vectors (N, U, E) with refraction, shape (..., 3); NaN below the range of the refraction model.
 
         Args:
-            stars: true positions, broadcast against the moments.
-            time_ns: moments.
+            stars: true positions, broadcast against the times.
+            time_ns: times.
         """
         observer = Observer(self.track.at(time_ns), self.track.velocity_n_m_per_s)
         without_air = directions(stars, time_ns, observer, self.orientation(time_ns))
         return lifted(without_air, refraction(self.model, elevation_of(without_air), self.weather).angle)
 
     def rotation_horizon_from_icrs(self, time_ns: np.ndarray) -> FloatArray:
-        """Attitude of the horizon among the stars, aberration left out, shape (n, 3, 3)."""
+        """Return the rotation "horizon from ICRS", without aberration, shape (n, 3, 3)."""
         orientation, position = self.orientation(time_ns), self.track.at(time_ns)
         ut1 = julian_date(time_ns, orientation.ut1_minus_utc_s)
         rotation_ec = erfa.c2t06a(*tt_julian_date(time_ns), *ut1, orientation.pole_x, orientation.pole_y)
@@ -75,9 +75,9 @@ class TrueSky:
         return rotation_ne
 
     def lift(self, direction_n: FloatArray) -> FloatArray:
-        """The turn by which the air moves what is seen at directions (N, U, E), shape (..., 3): shape (..., 3, 3).
+        """Return the rotation by refraction at apparent directions (N, U, E), shape (..., 3): shape (..., 3, 3).
 
-        It is a turn about the horizontal axis across the direction. NaN lower than the refraction model holds.
+        It is a rotation about the horizontal axis across the direction. NaN below the range of the refraction model.
         """
         with_air = elevation_of(direction_n)
         angle = np.zeros_like(with_air)
@@ -90,9 +90,9 @@ class TrueSky:
         return turn
 
     def sun_elevation(self, time_ns: np.ndarray) -> FloatArray:
-        """Elevation of the Sun's centre without air, rad, shape (n,).
+        """Return the elevation of the Sun's centre without refraction, rad, shape (n,).
 
-        It is interpolated from minute to minute: at the horizon the error is less than an arcsecond.
+        It is interpolated between minutes: at the horizon the error is less than an arcsecond.
         """
         minutes = np.unique(np.concatenate([time_ns // _MINUTE_NS, time_ns // _MINUTE_NS + 1]))
         to_sun_i = -erfa.epv00(*tt_julian_date(minutes * _MINUTE_NS))[0]["p"]
@@ -101,7 +101,7 @@ class TrueSky:
 
 
 def draw_sky(scenario: Scenario, track: ShipTrack, seed: int) -> TrueSky:
-    """The sky of a run; its errors come from the seed and have the scenario's sigmas."""
+    """Return the sky of a run; its errors depend on the seed and have the scenario's sigmas."""
     told = earth_orientation_table().at(track.start_ns)
     ut1_sigma_s = scenario.earth_rotation_sigma_s or float(told.ut1_sigma_s)
     catalogue = hipparcos()
@@ -116,26 +116,26 @@ def draw_sky(scenario: Scenario, track: ShipTrack, seed: int) -> TrueSky:
 
 
 def year_of(time_ns: int) -> float:
-    """Julian year of a moment: 2014.5."""
+    """Return the Julian year of a time, such as 2014.5."""
     whole, fraction = julian_date(time_ns)
     return float(2000.0 + (whole - _J2000 + fraction) / _JULIAN_YEAR_D)
 
 
 def place_of_date(stars: StarPositions, time_ns: int) -> StarPositions:
-    """Stars as they stand among the axes of the ICRS at a moment: proper motion and parallax are in their places."""
+    """Return the ICRS positions of stars at a time, with proper motion and parallax applied."""
     tt = tt_julian_date(time_ns)
     earth_au = erfa.epv00(*tt)[1]["p"]
     place = stars.right_ascension, stars.declination
     motion = stars.pm_right_ascension, stars.pm_declination, stars.parallax_arcsec
     since_years = (tt[0] - _J2000 + tt[1]) / _JULIAN_YEAR_D
-    # A radial velocity of 0: the catalogue has none.
+    # The radial velocity is 0, because the catalogue has none.
     direction_c = erfa.pmpx(*place, *motion, 0.0, since_years, earth_au)
     right_ascension, declination = erfa.c2s(direction_c)
     return fixed_stars(np.mod(right_ascension, 2.0 * np.pi), declination)
 
 
 def _true_air(station: WeatherStation, seed: int) -> Weather:
-    """The air that the station tells, plus its errors, within the range of the refraction models."""
+    """Return the station's air plus its errors, within the range of the refraction models."""
     pressure, temperature = random_stream(seed, "sky.weather").standard_normal(2)
     return Weather(
         pressure_hpa=float(np.clip(station.pressure_hpa + station.pressure_sigma_hpa * pressure, 800.0, 1100.0)),
@@ -145,7 +145,7 @@ def _true_air(station: WeatherStation, seed: int) -> Weather:
 
 
 def _displaced(catalogue: StarCatalogue, year: float, rng: np.random.Generator) -> StarPositions:
-    """The catalogue's positions, each with an error of the size that it has in that year."""
+    """Return the catalogue's positions, each with an error of its standard deviation in that year."""
     stars = catalogue.at_j2000
     east, north = catalogue.sigma(np.arange(len(catalogue.hip)), year) * rng.standard_normal((2, len(catalogue.hip)))
     return dataclasses.replace(

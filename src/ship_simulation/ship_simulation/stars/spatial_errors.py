@@ -1,9 +1,9 @@
-"""What a detector adds to the centroids of stars by where they stand on it, the same whenever they stand there again.
+"""Errors of star centroids that depend on the position on the detector, constant over time.
 
-The field-spatial error is a smooth random function of the place: a sum of many waves whose wave numbers are drawn from
-the normal distribution of a Gaussian correlation, three quarters of a side of the detector long, less its mean over
-the detector. The pixel-spatial error is a number of its own for each pixel and axis. Nothing here is the estimators'
-own: these hold the map as a polynomial.
+The field-spatial error is a smooth random function of the position: a sum of many waves, minus its mean over the
+detector. The wave numbers are drawn from the normal distribution of a Gaussian correlation, whose length is three
+quarters of a side of the detector. The pixel-spatial error is an independent number for each pixel and axis. Nothing
+here is shared with the estimators, which represent the map as a polynomial.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ _WAVES, _LENGTH = 200, 1.5
 """Number of waves, and the correlation length in half sides."""
 
 _TILE_PX = 512
-"""The pixels' errors repeat after so many, which no star can tell."""
+"""Period of the pixels' errors, which no star can resolve, px."""
 
 
 class DetectorErrors:
@@ -23,7 +23,7 @@ class DetectorErrors:
 
     Args:
         rng: source of the draws.
-        detector: its size, and how large the errors are.
+        detector: its size, and the sigmas of the errors.
     """
 
     def __init__(self, rng: np.random.Generator, detector: Detector) -> None:
@@ -32,16 +32,16 @@ class DetectorErrors:
         # Along the two axes of a wave, for the errors in u and in v.
         self._number = rng.standard_normal((_WAVES, 2, 2)) / _LENGTH
         self._phase = rng.uniform(0.0, 2.0 * np.pi, (_WAVES, 2))
-        # The mean of a wave over the detector, and its mean square without that, on the average over phases.
+        # Mean of a wave over the detector, and mean square without it, averaged over phases.
         self._mean = np.prod(np.sinc(self._number / np.pi), axis=-1)
         mean_square = 0.5 * np.mean(1.0 - self._mean**2, axis=0)
         self._amplitude = detector.field_spatial_sigma_px / np.sqrt(_WAVES * mean_square)
-        # The draws of a tile take longer than all others: a detector without such errors goes without.
+        # Drawing a tile is slow, so it is left out for a detector without such errors.
         tile_px = _TILE_PX if detector.pixel_spatial_sigma_px > 0.0 else 1
         self._pixel = detector.pixel_spatial_sigma_px * rng.standard_normal((tile_px, tile_px, 2))
 
     def at(self, pixels: FloatArray) -> FloatArray:
-        """Errors in (u, v) of centroids there, shape (..., 2); NaN where a place is not finite."""
+        """Return errors in (u, v) of centroids at pixels, shape (..., 2); NaN if a pixel is not finite."""
         found = np.full(pixels.shape, np.nan)
         finite = np.all(np.isfinite(pixels), axis=-1)
         places = (pixels[finite] - self._middle_px) / self._half_px
@@ -52,4 +52,4 @@ class DetectorErrors:
         return found
 
     def forget(self, before_s: float) -> None:
-        """A detector's errors belong to no moment."""
+        """Do nothing: the errors of a detector do not depend on time."""

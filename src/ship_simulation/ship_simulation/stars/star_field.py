@@ -1,4 +1,4 @@
-"""Which stars a sensor has in its field, where on the detector, and which of them it takes for one another."""
+"""Stars in a sensor's field of view, their pixels, and swapped identities."""
 
 from dataclasses import dataclass
 
@@ -11,10 +11,10 @@ from ship_geometry.rotations import FloatArray
 from ship_simulation.scenario.scenario import Detector, StarImaging
 from ship_simulation.stars.sky import TrueSky
 
-# Candidates are chosen once for exposures within this time after the start, so that they are few.
+# Candidates are selected once for all exposures of a block of this length, s.
 _BLOCK_S = 2
-# What moves a star from its place of J2000.0 to where it is seen: aberration, refraction, two centuries of motion, and
-# the Earth's rotation within a block.
+# Margin for the motion of a star from its J2000.0 position to its apparent one: aberration, refraction, two centuries
+# of proper motion, and the Earth's rotation within a block.
 _MARGIN = np.deg2rad(0.5)
 
 Rows = NDArray[np.int64]
@@ -22,12 +22,12 @@ Rows = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class FieldStars:
-    """Stars as they truly stand on the detector, exposure after exposure.
+    """True star images on the detector, exposure after exposure.
 
     Attributes:
         exposure: number of the exposure, shape (k,).
         row: of the catalogue, shape (k,).
-        direction_s: in the sensor frame, with air, shape (k, 3).
+        direction_s: in the sensor frame, with refraction, shape (k, 3).
         pixel: (u, v), shape (k, 2).
     """
 
@@ -40,13 +40,13 @@ class FieldStars:
 def stars_in_field(
     sensor: StarImaging, sky: TrueSky, rotation_nv: FloatArray, valid_ns: np.ndarray, since_start_s: FloatArray
 ) -> FieldStars:
-    """The brightest stars in the field of each exposure that nothing on deck hides.
+    """Return the brightest unobstructed stars in the field of each exposure.
 
     Args:
         sensor: its camera, masks, magnitude limit and number of stars.
         sky: the true one.
         rotation_nv: horizon from sensor at each exposure, shape (n, 3, 3).
-        valid_ns: their moments, shape (n,).
+        valid_ns: their times, shape (n,).
         since_start_s: their stamps after the start, increasing, shape (n,).
     """
     camera, masks = sensor.camera.camera("camera"), sensor.sight_masks
@@ -82,7 +82,7 @@ def stars_in_field(
 
 
 def _radius(camera: StarCamera, detector: Detector) -> float:
-    """Angle from the boresight to the farthest corner of the detector, rad."""
+    """Return the angle from the boresight to the farthest corner of the detector, rad."""
     (left, top), (right, bottom) = detector.edges_px
     corners_s = camera.directions(np.array([[left, top], [left, bottom], [right, top], [right, bottom]]))
     return float(np.arccos(corners_s[:, 0].min()))
@@ -91,23 +91,23 @@ def _radius(camera: StarCamera, detector: Detector) -> float:
 def swapped_identities(
     rows: Rows, exposure: NDArray[np.int64], probability: float, rng: np.random.Generator
 ) -> Rows:
-    """Identities of stars as a sensor tells them: in some exposures two are exchanged.
+    """Return star identities in which two are swapped in some exposures.
 
     Args:
-        rows: rows of the catalogue, a star each, shape (k,).
-        exposure: number of the exposure that a star belongs to, not decreasing, shape (k,).
+        rows: rows of the catalogue, one per star, shape (k,).
+        exposure: number of the exposure of each star, not decreasing, shape (k,).
         probability: of a swap in an exposure with two stars or more.
         rng: source of the draws.
 
     Returns:
-        The rows claimed, shape (k,).
+        The reported rows, shape (k,).
     """
     claimed: Rows = rows.copy()
     _, first, count = np.unique(exposure, return_index=True, return_counts=True)
     swap, one, other = rng.random((first.size, 3)).T
     chosen = (swap < probability) & (count >= 2)
     first, count = first[chosen], count[chosen]
-    # Two different stars of each: the second is counted on from the first.
+    # Two different stars of each exposure: the second is an offset from the first.
     one = (one[chosen] * count).astype(np.int64)
     other = (one + 1 + (other[chosen] * (count - 1)).astype(np.int64)) % count
     one, other = first + one, first + other

@@ -1,4 +1,4 @@
-"""Star sensors that look at the true sky: single stars, or attitudes among the stars, with their errors.
+"""Star sensors that observe the true sky: single stars, or attitudes against the ICRS, with their errors.
 
 Sensors of the first kind give centroids with identities. Those of the second solve for their attitude, as most star
 trackers do.
@@ -24,23 +24,23 @@ from ship_simulation.stars.star_field import stars_in_field, swapped_identities
 from ship_simulation.stars.true_optics import draw_optics
 
 MAGNITUDE_SIGMA = 0.2
-"""Error of the magnitudes that a sensor measures."""
+"""Standard deviation of measured magnitudes."""
 
-# What the estimator takes for the error of a position that is not its catalogue's (star_messages_in).
+# Error that the estimator assumes for a position that is not from its catalogue (star_messages_in).
 _GIVEN_DIRECTION_SIGMA = 0.05 * ARCSEC
 
 
 @dataclass(frozen=True)
 class ToldStars:
-    """Stars as a sensor tells them, an entry a star.
+    """Stars as a sensor reports them, one entry per star.
 
-    The fields have the names of an estimator's exposure, which is not known here: so each is held against it.
+    The fields have the names of an estimator's exposure, which is not imported here; a test compares the two.
 
     Attributes:
-        hip: HIP number told, shape (k,); 0 where the sensor tells a direction, or nothing.
+        hip: reported HIP number, shape (k,); 0 if the sensor reports a direction, or no identity.
         directions_s: unit vectors by the centroids, in the sensor frame (forward, up, right), shape (k, 3).
         sigma: error of a direction, rad per axis across it, shape (k,).
-        positions: of the stars told, J2000.0; NaN where the sensor does not say which star it is.
+        positions: of the reported stars, J2000.0; NaN if the sensor reports no identity.
         position_sigma: error of these, rad per axis, shape (k,).
         magnitude: as measured, shape (k,).
     """
@@ -56,21 +56,21 @@ class ToldStars:
         return len(self.hip)
 
     def __getitem__(self, rows: Any) -> "ToldStars":
-        """Some of the stars."""
+        """Return some of the stars."""
         return ToldStars(*(getattr(self, field)[rows] for field in vars(self)))
 
 
 @dataclass(frozen=True)
 class StarSightings:
-    """The exposures of a sensor that gives single stars; the stars of all exposures in one row.
+    """The exposures of a sensor that gives single stars; the stars of all exposures are concatenated.
 
     Attributes:
         time_ns: middle of each exposure, stamp of the sensor, increasing, shape (n,).
-        log_time_ns: moments of arrival, in any order, shape (n,).
+        log_time_ns: arrival times, in any order, shape (n,).
         first: the stars of exposure i are those from first[i] up to first[i + 1], shape (n + 1,).
         pixel: centroids (u, v), shape (k, 2).
         sigma_px: error of u and of v that the sensor states.
-        stars: the stars told.
+        stars: the reported stars.
     """
 
     time_ns: NDArray[np.int64]
@@ -81,19 +81,19 @@ class StarSightings:
     stars: ToldStars
 
     def rows(self, index: int) -> slice:
-        """Where the stars of an exposure are."""
+        """Return the slice of an exposure's stars."""
         return slice(int(self.first[index]), int(self.first[index + 1]))
 
 
 @dataclass(frozen=True)
 class SightingsTruth:
-    """What the stars of :class:`StarSightings` truly are, in the same order.
+    """True identities of the stars of :class:`StarSightings`, in the same order.
 
     Attributes:
         rotation_nv: horizon from sensor at each exposure, shape (n, 3, 3).
-        hip: HIP number; 0 where there is no star, shape (k,).
-        direction_s: true direction in the sensor frame, shape (k, 3); NaN where there is no star.
-        swapped: whether a star bears the identity of another star of its exposure, shape (k,).
+        hip: HIP number; 0 if there is no star, shape (k,).
+        direction_s: true direction in the sensor frame, shape (k, 3); NaN if there is no star.
+        is_swapped: True if a star has the identity of another star of its exposure, shape (k,).
     """
 
     rotation_nv: FloatArray
@@ -105,7 +105,7 @@ class SightingsTruth:
 def simulate_sightings(
     source: str, config: StarImaging, motion: ExposedMotion, sky: TrueSky, draws: Draws
 ) -> tuple[StarSightings, SightingsTruth]:
-    """All exposures of a star sensor, or of a camera on the theodolite. They are empty by day, and in outages.
+    """Return all exposures of a star sensor, or of a camera on the theodolite; empty by day, and in outages.
 
     Args:
         source: name of its random streams.
@@ -119,7 +119,7 @@ def simulate_sightings(
     true = _true_spots(source, config, motion, sky, seeing, draws)
     spots = _as_read_out([true, _false_spots(source, config, sky, seeing, draws)])
     arrival = draws.stream(source + ".arrival")
-    # What the fields of a message can hold.
+    # The message field has single precision.
     sigma_px = float(np.float32(config.camera.centroid_sigma_px))
     hip, positions, position_sigma = _identities(config, sky, spots.claimed)
     camera = config.camera.camera(source)
@@ -145,10 +145,10 @@ def simulate_sightings(
 
 @dataclass(frozen=True)
 class _Spots:
-    """The spots of light on the detector, an entry a spot.
+    """The spots of light on the detector, one entry per spot.
 
-    ``row`` is of the catalogue, UNKNOWN where there is no star; ``claimed`` the row of the identity given;
-    ``magnitude`` as measured.
+    ``row`` is that of the catalogue, UNKNOWN if there is no star; ``claimed`` is the row of the reported identity;
+    ``magnitude`` is the measured one.
     """
 
     exposure: NDArray[np.int64]
@@ -165,12 +165,12 @@ class _Spots:
 def _true_spots(
     source: str, config: StarImaging, motion: ExposedMotion, sky: TrueSky, seeing: NDArray[np.bool_], draws: Draws
 ) -> _Spots:
-    """Stars with errors in their centroids and magnitudes; some are taken for one another."""
+    """Return stars with errors in their centroids and magnitudes, and some swapped identities."""
     field = stars_in_field(
         config, sky, motion.rotation_nv[seeing], motion.valid_ns[seeing], motion.since_start_s[seeing]
     )
     exposure = np.flatnonzero(seeing)[field.exposure]
-    # Where each star goes on the detector; the sky stands still meanwhile.
+    # Path of each star on the detector; the sky is fixed during the exposure.
     way_s = field.direction_s[None]
     if config.exposure_s > 0.0:
         place_n = (motion.rotation_nv[exposure] @ field.direction_s[..., None])[..., 0]
@@ -196,7 +196,7 @@ def _true_spots(
 
 
 def _false_spots(source: str, config: StarImaging, sky: TrueSky, seeing: NDArray[np.bool_], draws: Draws) -> _Spots:
-    """Spots anywhere on the detector, each taken for a star anywhere in the sky."""
+    """Return spots anywhere on the detector, each identified as any star of the sky."""
     name = source + ".false_stars"
     count = draws.stream(name).poisson(config.false_stars, seeing.size) * seeing
     total = int(count.sum())
@@ -213,7 +213,7 @@ def _false_spots(source: str, config: StarImaging, sky: TrueSky, seeing: NDArray
 
 
 def _as_read_out(kinds: list[_Spots]) -> _Spots:
-    """All spots in the order in which a detector is read, row after row: the order tells nothing of their kinds."""
+    """Return all spots in readout order, row after row, so that the order does not depend on their kinds."""
     spots = _Spots(*(np.concatenate([getattr(kind, field) for kind in kinds]) for field in vars(kinds[0])))
     return spots[np.lexsort((spots.pixel[:, 1], spots.exposure))]
 
@@ -221,7 +221,7 @@ def _as_read_out(kinds: list[_Spots]) -> _Spots:
 def _identities(
     config: StarImaging, sky: TrueSky, claimed: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], StarPositions, FloatArray]:
-    """What the sensor says of each star: its HIP number, its position, and the error of the position."""
+    """Return the reported HIP number and position of each star, and the error of the position."""
     catalogue, start_ns = sky.catalogue, sky.track.start_ns
     if config.identified and not config.direction_given:
         return catalogue.hip[claimed], catalogue.at_j2000[claimed], catalogue.sigma(claimed, year_of(start_ns))
@@ -234,11 +234,11 @@ def _identities(
 
 @dataclass(frozen=True)
 class InertialSamples:
-    """The attitudes of a sensor that solves for its attitude among the stars.
+    """The attitudes of a sensor that solves for its attitude against the ICRS.
 
     Attributes:
         time_ns: stamps, increasing, shape (n,).
-        log_time_ns: moments of arrival, in any order, shape (n,).
+        log_time_ns: arrival times, in any order, shape (n,).
         rotation_cv: ICRS from sensor (forward, up, right) as measured, shape (n, 3, 3).
         noise_v: covariance of its error, in the sensor frame, rad², shape (3, 3).
     """
@@ -252,11 +252,11 @@ class InertialSamples:
 def simulate_inertial_sensor(
     sensor_id: str, scenario: Scenario, motion: MountedMotion, sky: TrueSky, draws: Draws
 ) -> InertialSamples:
-    """Samples by R_cv = R_nc^T L^T R_star exp(n), L the lift by the air at the boresight.
+    """Return samples by R_cv = R_nc^T L^T R_star exp(n), L the rotation by refraction at the boresight.
 
-    The sensor knows the velocity of the Earth and takes aberration out; of the air it knows nothing, so it finds the
-    attitude from which it would see the same stars without air. No attitude while the Sun is up, in an outage, or
-    with the boresight lower than the refraction model holds.
+    The sensor corrects aberration with the velocity of the Earth. It does not correct refraction, so it finds the
+    attitude from which it would see the same stars without air. There is no attitude while the Sun is up, in an outage,
+    or with the boresight below the range of the refraction model.
     """
     config, name = scenario.star_sensors[sensor_id], f"star.{sensor_id}"
     sigma_v = sigma_of_attitudes(config)

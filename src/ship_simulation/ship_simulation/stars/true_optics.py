@@ -1,7 +1,7 @@
-"""The true optics of a camera, which differ from those that the suite is given by errors of the stated sigmas.
+"""The true optics of a camera, which differ from those given to the suite by errors of the stated sigmas.
 
-The mounting is calibrated through the camera, so that a star in the direction that is called the boresight stands on
-the pixel that is called the principal point. So a camera whose true principal point is another one is turned.
+The mounting is calibrated through the camera: a star in the nominal boresight direction is imaged on the nominal
+principal point. A camera whose true principal point differs is therefore rotated.
 """
 
 from dataclasses import dataclass, replace
@@ -18,7 +18,7 @@ _SURVEYED_FOCAL_SIGMA = 2e-4
 
 @dataclass(frozen=True)
 class TrueOptics:
-    """The optics of a camera as they are.
+    """The true optics of a camera.
 
     Attributes:
         camera: true parameters.
@@ -29,7 +29,7 @@ class TrueOptics:
     rotation_cs: FloatArray
 
     def pixels(self, directions_s: FloatArray) -> FloatArray:
-        """Pixels (u, v) of directions in the sensor frame, shape (..., 3) → (..., 2)."""
+        """Return pixels (u, v) of directions in the sensor frame, shape (..., 3) → (..., 2)."""
         return self.camera.pixels(directions_s @ self.rotation_cs.T)
 
 
@@ -52,7 +52,7 @@ def draw_optics(rng: np.random.Generator, detector: Detector, name: str) -> True
         configured.principal_v_px + detector.principal_sigma_px * principal_v,
         replace(distortion, k1=distortion.k1 + detector.distortion_sigma * k1),
     )
-    # The first axis of the sensor, seen from the true camera, and two others across it.
+    # Forward axis of the sensor in the true camera's frame, and two axes across it.
     forward_c = true.directions(np.array([configured.principal_u_px, configured.principal_v_px]))
     right_c = np.cross(forward_c, [0.0, 1.0, 0.0])
     right_c /= np.linalg.norm(right_c)

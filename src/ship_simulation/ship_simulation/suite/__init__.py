@@ -1,5 +1,5 @@
-"""The suite file that belongs to a scenario: the parameters that the nodes would be given on that ship.
+"""The suite file of a scenario: the parameters of the nodes for that ship.
 
-The room writes names and values alone. It imports ``scenario/`` and the names of the axis errors
+The room writes names and values only. It imports ``scenario/`` and the names of the axis errors
 (``theodolite_calib.chain``), and no node's configuration.
 """

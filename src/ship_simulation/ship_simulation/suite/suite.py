@@ -1,7 +1,7 @@
-"""The suite file that fits a scenario: same layout, same sigmas.
+"""The suite file of a scenario, with the same layout and the same sigmas.
 
-A scenario and a node's parameters call the same thing by the same name. Each table here lists what a node is told of a
-device; a test loads the file of each scenario into the nodes' own configurations.
+A scenario and a node's parameters have the same names. Each table here lists the parameters of a device that a node
+receives; a test loads the file of each scenario into the nodes' own configurations.
 """
 
 import math
@@ -41,7 +41,7 @@ _INS = (
     "time_offset_sigma_s",
 )
 _INS_BESIDE_STARS = tuple(name for name in _INS if name not in ("tilt_time_s", "heading_time_s"))
-"""``star_attitude`` asks for nothing that takes longer than an exposure."""
+"""Parameters of the INS for ``star_attitude``, which needs no correlation time longer than an exposure."""
 _STAR_MOUNTING = (
     "azimuth_deg",
     "elevation_deg",
@@ -126,12 +126,12 @@ _STAR_TELESCOPE = (
 _REFRACTION = ("coefficient", "sigma", "light_sigma", "time_s")
 
 _LEAST_POSITION_TIME_S = 1.0
-"""The least value that the estimator's parameter may have."""
+"""Minimum of the estimator's parameter."""
 
 
 def suite_yaml(scenario: Scenario) -> str:
-    """A ROS 2 parameter file, for whatever namespace, of all nodes that the scenario has inputs for."""
-    # Where the fused attitude is in the bag already, ship_attitude has nothing to do.
+    """Return a ROS 2 parameter file, for any namespace, of all nodes that the scenario has inputs for."""
+    # A bag that contains the fused attitude needs no ship_attitude.
     nodes = {} if scenario.fused_attitude.written else {"ship_attitude": suite_configuration(scenario)}
     if scenario.theodolite.aboard:
         nodes["optical_axis"] = optical_axis_configuration(scenario)
@@ -142,7 +142,7 @@ def suite_yaml(scenario: Scenario) -> str:
 
 
 def suite_configuration(scenario: Scenario) -> dict[str, Any]:
-    """Parameters of ``ship_attitude`` as nested mapping."""
+    """Return the parameters of ``ship_attitude`` as nested mapping."""
     configuration: dict[str, Any] = {"ins": {"frame_id": INS_FRAME, **_told(scenario.ins, _INS), **_rates(scenario)}}
     if scenario.ins.model == SCHULER:
         configuration["ins"] |= {"model": SCHULER, "schuler": asdict(scenario.ins.schuler)}
@@ -167,7 +167,7 @@ def suite_configuration(scenario: Scenario) -> dict[str, Any]:
 
 
 def _ship_baseline(baseline: ShipBaseline) -> dict[str, Any]:
-    """What the suite is told of the two antennas aboard."""
+    """Return the parameters of the two antennas on board."""
     ids = {"frame_id": ANTENNA_FRAME, "base_id": SHIP_ANTENNA_ID, "rover_id": SECOND_ANTENNA_ID}
     rtk = {
         "noise_sigma_m": baseline.rtk.sigma_m,
@@ -178,7 +178,7 @@ def _ship_baseline(baseline: ShipBaseline) -> dict[str, Any]:
 
 
 def _gravity(scenario: Scenario) -> dict[str, Any]:
-    """What the suite is told of the deflection of the vertical."""
+    """Return the parameters of the deflection of the vertical."""
     gravity = scenario.gravity
     told: dict[str, Any] = {
         "deflection": gravity.told,
@@ -192,7 +192,7 @@ def _gravity(scenario: Scenario) -> dict[str, Any]:
 
 
 def star_attitude_configuration(scenario: Scenario) -> dict[str, Any]:
-    """Parameters of ``star_attitude``, for the sensors that give single stars."""
+    """Return the parameters of ``star_attitude``, for the sensors that give single stars."""
     return {
         "ins": {"frame_id": INS_FRAME, **_told(scenario.ins, _INS_BESIDE_STARS), **_rates(scenario)},
         "star_sensors": {
@@ -210,7 +210,7 @@ def star_attitude_configuration(scenario: Scenario) -> dict[str, Any]:
 
 
 def optical_axis_configuration(scenario: Scenario) -> dict[str, Any]:
-    """Parameters of ``optical_axis`` as nested mapping."""
+    """Return the parameters of ``optical_axis`` as nested mapping."""
     theodolite = scenario.theodolite
     configuration = {
         "encoder": {**_told(theodolite.encoder, ("sigma_arcsec",)), "frame_id": MOUNT_FRAME},
@@ -241,7 +241,7 @@ def optical_axis_configuration(scenario: Scenario) -> dict[str, Any]:
 
 
 def _rates(scenario: Scenario) -> dict[str, Any]:
-    """What is said of the INS's rates: nothing where they are free of errors, as they are by default."""
+    """Return the parameters of the INS's rates; empty if they have no errors, as by default."""
     told = _told(scenario.ins, ("rate_sigma_arcsec_per_s", "rate_has_earth_rate"))
     return {name: value for name, value in told.items() if value}
 
@@ -255,17 +255,17 @@ def _camera(detector: Detector) -> dict[str, Any]:
 
 
 def _input(sensor: StarSensor) -> dict[str, Any]:
-    """What a sensor sends, and its camera where it sends single stars."""
+    """Return the input type of a sensor, and its camera if it sends single stars."""
     if sensor.output == "horizon_attitude":
         return {}
     if sensor.output == "inertial_attitude":
-        # The simulated tracker sees the air of its boresight alone.
+        # The simulated tracker is affected by the refraction at its boresight only.
         return {"input": sensor.output, "inertial": {"field_deg": 0.0}}
     return {"input": sensor.output, "camera": _camera(sensor.camera)}
 
 
 def _masks(sensor: StarSensor) -> dict[str, Any]:
-    """What stands in the way of a sensor; nothing is said where nothing does."""
+    """Return the masks of a sensor; empty if there are none."""
     masks = {
         name: {"azimuths_deg": list(mask.azimuths_deg), "elevations_deg": list(mask.elevations_deg)}
         for name, mask in sensor.masks.items()
@@ -274,13 +274,13 @@ def _masks(sensor: StarSensor) -> dict[str, Any]:
 
 
 def _sky_of_ship(scenario: Scenario) -> dict[str, Any]:
-    """The sky of the star sensors."""
+    """Return the sky parameters for the star sensors."""
     looking = [sensor for sensor in scenario.star_sensors.values() if sensor.output != "horizon_attitude"]
     return _sky(scenario, [sensor.magnitude_limit for sensor in looking])
 
 
 def _sky(scenario: Scenario, magnitude_limits: list[float]) -> dict[str, Any]:
-    """How well the air and the ship's place are known, and the faintest star that anything sees."""
+    """Return the parameters of air, position errors and the faintest star of all cameras."""
     weather, position = scenario.weather, scenario.position
     known = {
         "refraction_model": weather.refraction_model,
@@ -303,7 +303,7 @@ def _telescope(telescope: Telescope) -> dict[str, Any]:
 
 
 def _ship(scenario: Scenario) -> dict[str, Any]:
-    """Where the ship's attitude comes from: simulated, from the filter, or, without stars, from the INS alone."""
+    """Return the source of the ship's attitude: simulated, from the filter, or without stars from the INS only."""
     if scenario.fused_attitude.written:
         fused = scenario.fused_attitude
         return {

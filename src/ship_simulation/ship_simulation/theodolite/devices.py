@@ -1,4 +1,4 @@
-"""What the devices about a theodolite say: its encoders, its telescope, satellite positioning, and the drones."""
+"""Measurements of the devices around a theodolite: encoders, telescope, satellite positioning, and drones."""
 
 from dataclasses import dataclass
 
@@ -25,7 +25,7 @@ class EncoderSamples:
 
     Attributes:
         time_ns: stamps, increasing, shape (n,).
-        log_time_ns: moments of arrival, shape (n,).
+        log_time_ns: arrival times, shape (n,).
         azimuth: rad, 0 to 2 pi, shape (n,).
         elevation: rad, shape (n,).
         sigma: of each angle, rad.
@@ -39,10 +39,10 @@ class EncoderSamples:
 
 
 def read_encoders(config: Encoder, mount: MountState, stretch: Stretch, draws: Draws) -> EncoderSamples:
-    """Readings of the mount at the stamps of the encoders, with their noise."""
+    """Return readings of the mount at the stamps of the encoders, with their noise."""
     time_ns = stretch.stamps(config.rate_hz, config.phase_s)
     sigma = config.sigma_arcsec * ARCSEC
-    # The numbers of the elevation come after all those of the azimuth.
+    # The random numbers of the elevation follow all those of the azimuth.
     starts = (0, stretch.count(config.rate_hz, config.phase_s))
     noise = [sigma * draws.stream("theodolite.encoder", start).standard_normal(time_ns.size) for start in starts]
     arrival = draws.stream("theodolite.encoder.arrival")
@@ -63,10 +63,10 @@ class ImageSamples:
 
     Attributes:
         time_ns: middles of the exposures, increasing, shape (n,).
-        log_time_ns: moments of arrival, shape (n,).
+        log_time_ns: arrival times, shape (n,).
         first: shape (n + 1,).
         beacon_ids: of all lights of the scenario.
-        light: which of them each found one is, shape (k,).
+        beacon_index: index of each found light in ``beacon_ids``, shape (k,).
         point_m: on the detector, along right and up, shape (k, 2).
         sigma_m: of each coordinate, of a light at rest.
     """
@@ -80,13 +80,13 @@ class ImageSamples:
     sigma_m: float
 
     def sightings(self, exposure: int) -> list[tuple[str, FloatArray]]:
-        """(id, point on the detector, shape (2,)) of each light in an exposure."""
+        """Return (id, point on the detector, shape (2,)) of each light in an exposure."""
         rows = range(self.first[exposure], self.first[exposure + 1])
         return [(self.beacon_ids[self.light[row]], self.point_m[row]) for row in rows]
 
 
 def expose(config: Telescope, scene: Scene, stretch: Stretch, draws: Draws) -> ImageSamples:
-    """The exposures of a stretch, also those without lights."""
+    """Return the exposures of a stretch, including those without lights."""
     time_ns = stretch.stamps(config.rate_hz, config.phase_s)
     t_s = (time_ns - stretch.start_ns) / SECOND_NS
     noise = draws.stream("theodolite.detection").standard_normal((time_ns.size, len(scene.lights), 2))
@@ -107,14 +107,14 @@ def expose(config: Telescope, scene: Scene, stretch: Stretch, draws: Draws) -> I
 
 
 def points_on_detector(config: Telescope, scene: Scene, t_s: FloatArray, mount: MountState) -> FloatArray:
-    """Where the lights truly are on the plane of the detector, m, shape (k, N, 2); NaN behind the telescope."""
+    """Return true points of the lights on the plane of the detector, m, shape (k, N, 2); NaN behind the telescope."""
     principal_point_m = np.array([config.principal_x_m, config.principal_z_m])
     camera = Camera(scene.theodolite.focal_length_m, 0.0, principal_point_m)
     return camera.points(scene.directions_n(t_s, mount) @ scene.rotation_nt(mount))
 
 
 def in_view(config: Telescope, scene: Scene, t_s: FloatArray, point_m: FloatArray) -> np.ndarray:
-    """Whether the lights are there, not hidden, and on the detector, shape (k, N)."""
+    """True if a light is present, not hidden, and on the detector, shape (k, N)."""
     on_detector = np.all(np.abs(point_m) <= 0.5 * np.array([config.width_m, config.height_m]), axis=-1)
     shown = [light.shows(t_s) for light in scene.lights.values()]
     seen: np.ndarray = on_detector & (np.stack(shown, axis=-1) if shown else np.empty((t_s.size, 0), dtype=bool))
@@ -124,7 +124,7 @@ def in_view(config: Telescope, scene: Scene, t_s: FloatArray, point_m: FloatArra
 def solve_baselines(
     beacon_id: str, scene: Scene, ship_antenna: SlowError, stretch: Stretch, draws: Draws
 ) -> BaselineSamples:
-    """Solutions for the way from the ship's antenna to a drone's, with the error of the former."""
+    """Return solutions for the baseline from the ship's antenna to a drone's, with the error of the former."""
     light = scene.lights[beacon_id]
     config = light.config.rtk
     time_ns = stretch.stamps(config.rate_hz, config.phase_s)
@@ -136,14 +136,14 @@ def solve_baselines(
 
 @dataclass(frozen=True)
 class DroneSamples:
-    """The attitude that a drone tells of itself.
+    """The attitude that a drone publishes.
 
     Attributes:
         time_ns: stamps, increasing, shape (n,).
-        log_time_ns: moments of arrival, shape (n,).
+        log_time_ns: arrival times, shape (n,).
         rotation_nb: horizon from drone (nose, up, right) as measured, shape (n, 3, 3).
         rate_b: angular velocity in the drone's frame, rad/s, shape (n, 3).
-        covariance_n: of its rotation vector (North, Up, East), in all, rad², shape (3, 3).
+        covariance_n: covariance of its total rotation vector (North, Up, East), rad², shape (3, 3).
     """
 
     time_ns: np.ndarray
@@ -156,7 +156,7 @@ class DroneSamples:
 def simulate_drone_attitude(
     beacon_id: str, light: TrueLight, stretch: Stretch, draws: Draws
 ) -> DroneSamples:
-    """Samples by R_true(t) = exp(e) exp(w) R_drone(t), e Gauss–Markov, until the drone leaves."""
+    """Return samples by R_true(t) = exp(e) exp(w) R_drone(t), e Gauss–Markov, until the drone leaves."""
     config, name = light.config.imu, f"beacon.{beacon_id}.imu"
     time_ns = stretch.stamps(config.rate_hz, config.phase_s)
     t_s = (time_ns - stretch.start_ns) / SECOND_NS

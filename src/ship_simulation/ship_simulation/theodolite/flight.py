@@ -1,7 +1,7 @@
-"""Where the drones fly, how they stand, and where the main axis looks.
+"""Paths and attitudes of the drones, and pointing of the main axis.
 
-Places are seen from the crossing of the theodolite's axes in (North, Up, East), m. A stabilised mount holds its line
-over the ship's motion.
+Positions are relative to the intersection of the theodolite's axes, in (North, Up, East), m. A stabilised mount keeps
+its line of sight under the ship's motion.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,14 +15,14 @@ from ship_simulation.scenario.theodolite_scenario import Course, Escort, Flight,
 from ship_simulation.ship.motion import HarmonicMotion
 
 FlightPath = Callable[[FloatArray], FloatArray]
-"""Moments in seconds after the start, shape (k,) → places in m, shape (k, 3)."""
+"""Times in seconds after the start, shape (k,) → positions in m, shape (k, 3)."""
 
 _RAMP_S = 20.0
-"""From following the lights to the sweep."""
+"""Time of the transition from following the lights to the sweep, s."""
 
 
 def flight_path(course: Course, programme: Programme) -> FlightPath:
-    """The path of a drone or a target; ``programme`` is what an escort goes with."""
+    """Return the path of a drone or a target; an escort follows ``programme``."""
     paths: dict[str, FlightPath] = {
         "escort": lambda t_s: _escorting(course.escort, programme, t_s),
         "hover": lambda t_s: _hovering(course.hover, t_s),
@@ -33,7 +33,7 @@ def flight_path(course: Course, programme: Programme) -> FlightPath:
 
 
 def swaying(flight: Flight, rng: np.random.Generator) -> HarmonicMotion:
-    """The attitude of a drone (nose, up, right): a steady yaw, pitch and roll that sway with phases of their own."""
+    """Return the attitude of a drone (nose, up, right): constant yaw, and a sway in pitch and roll."""
     mean = np.array([np.deg2rad(flight.yaw_deg), 0.0, 0.0])
     phasor = np.zeros((2, 3), dtype=complex)
     phasor[[0, 1], [1, 2]] = np.deg2rad(flight.sway_deg) * np.exp(1j * rng.uniform(0.0, 2.0 * np.pi, 2))
@@ -41,7 +41,7 @@ def swaying(flight: Flight, rng: np.random.Generator) -> HarmonicMotion:
 
 
 def sweep_angles(programme: Programme, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Azimuth, not wrapped, and elevation of the programme's line, rad."""
+    """Return azimuth, not wrapped, and elevation of the programme's line of sight, rad."""
     azimuth_deg = programme.azimuth_deg + programme.azimuth_rate_deg_per_s * t_s
     least, greatest = programme.least_elevation_deg, programme.greatest_elevation_deg
     turned = 2.0 * np.pi * t_s / programme.elevation_period_s
@@ -50,13 +50,13 @@ def sweep_angles(programme: Programme, t_s: FloatArray) -> tuple[FloatArray, Flo
 
 
 def smooth_step(x: FloatArray) -> FloatArray:
-    """A step from 0 (at 0) to 1 (at 1), without rate and acceleration at either end, and constant outside."""
+    """Return a step from 0 (at 0) to 1 (at 1), with zero rate and acceleration at both ends, constant outside."""
     x = np.clip(x, 0.0, 1.0)
     return x**3 * (10.0 - 15.0 * x + 6.0 * x * x)
 
 
 def direction(azimuth: FloatArray, elevation: FloatArray) -> FloatArray:
-    """Unit vectors (North, Up, East), shape (..., 3)."""
+    """Return unit vectors (North, Up, East), shape (..., 3)."""
     return np.stack(
         [np.cos(azimuth) * np.cos(elevation), np.sin(elevation), np.sin(azimuth) * np.cos(elevation)], axis=-1
     )
@@ -81,7 +81,7 @@ def _orbiting(orbit: Orbit, t_s: FloatArray) -> FloatArray:
 
 
 def _on_legs(waypoints: list[Waypoint], t_s: FloatArray) -> FloatArray:
-    """Straight legs with a rest at each end; before the first waypoint and after the last the drone stays there."""
+    """Return straight legs with a stop at each end; constant before the first waypoint and after the last."""
     waypoints = sorted(waypoints, key=lambda waypoint: waypoint.time_s)
     moments_s = np.array([waypoint.time_s for waypoint in waypoints])
     places = np.array([_place(w.azimuth_deg, w.elevation_deg, w.distance_m) for w in waypoints])
@@ -97,12 +97,12 @@ def _place(azimuth_deg: FloatArray | float, elevation_deg: FloatArray | float, d
 
 @dataclass(frozen=True)
 class Aim:
-    """The line of the main axis.
+    """The line of sight of the main axis.
 
     Attributes:
         programme: the sweep, and whether the lights are followed.
         paths: of the drones.
-        gone_s: when the last of them has left.
+        last_departure_s: time when the last of them leaves.
     """
 
     programme: Programme
@@ -110,7 +110,7 @@ class Aim:
     gone_s: float
 
     def direction_n(self, t_s: FloatArray) -> FloatArray:
-        """Unit vectors of the wanted line in (North, Up, East), shape (k, 3)."""
+        """Return unit vectors of the required line of sight in (North, Up, East), shape (k, 3)."""
         if not (self.programme.follows_lights and self.paths):
             return direction(*sweep_angles(self.programme, t_s))
         following = t_s <= self.gone_s
@@ -120,14 +120,14 @@ class Aim:
         return directions_n
 
     def _middle_of_lights(self, t_s: FloatArray) -> FloatArray:
-        """Unit vectors to the middle of all drones. One that has left still counts, so that the line does not jump."""
+        """Return unit vectors to the middle of all drones, including those that have left, so that there is no jump."""
         places = np.stack([path(t_s) for path in self.paths])
         summed = np.sum(places / np.linalg.norm(places, axis=-1, keepdims=True), axis=0)
         middle_n: FloatArray = summed / np.linalg.norm(summed, axis=-1, keepdims=True)
         return middle_n
 
     def _angles_after(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Azimuth and elevation of the sweep that begins where the lights were last, rad."""
+        """Return azimuth and elevation of the sweep that starts at the last direction of the lights, rad."""
         left_n = self._middle_of_lights(np.array([self.gone_s]))[0]
         since_s = t_s - self.gone_s
         swept_s = np.where(since_s < _RAMP_S, 0.5 * since_s**2 / _RAMP_S, since_s - 0.5 * _RAMP_S)

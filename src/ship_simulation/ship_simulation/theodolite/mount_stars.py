@@ -1,4 +1,4 @@
-"""Cameras on the theodolite that see stars: they turn with its main axis, and see what star sensors see."""
+"""Star cameras on the theodolite: they rotate with its main axis, and measure as star sensors do."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from ship_simulation.theodolite.scene import Scene
 
 
 def draw_parallelism(camera_id: str, config: StarTelescope, seed: int) -> FloatArray:
-    """The true azimuth, elevation and roll of the main axis in a camera, rad, shape (3,)."""
+    """Return the true azimuth, elevation and roll of the main axis in a camera, rad, shape (3,)."""
     known = np.deg2rad([config.azimuth_deg, config.elevation_deg, config.roll_deg])
     sigma = ARCSEC * np.array([config.azimuth_sigma_arcsec, config.elevation_sigma_arcsec, config.roll_sigma_arcsec])
     drawn: FloatArray = known + sigma * random_stream(seed, f"{_source(camera_id)}.parallelism").standard_normal(3)
@@ -31,14 +31,14 @@ def see_stars(
     stretch: Stretch,
     draws: Draws,
 ) -> StarSightings:
-    """The exposures of a camera in a stretch; ``parallelism`` is the true one."""
+    """Return the exposures of a camera in a stretch; ``parallelism`` is the true one."""
     motion = _motion(config, parallelism, scene, stretch)
     sightings, _ = simulate_sightings(_source(camera_id), config, motion, sky, draws)
     return sightings
 
 
 def _motion(config: StarTelescope, parallelism: FloatArray, scene: Scene, stretch: Stretch) -> ExposedMotion:
-    """Where a camera looks: R_camera(t) = R_main(t) R(azimuth, elevation, roll)^T."""
+    """Return the attitude of a camera: R_camera(t) = R_main(t) R(azimuth, elevation, roll)^T."""
     time_ns = stretch.stamps(config.rate_hz, config.phase_s)
     since_start_s = (time_ns - stretch.start_ns) / SECOND_NS
     times = exposure_times(config.exposure_s)
@@ -61,5 +61,5 @@ def _motion(config: StarTelescope, parallelism: FloatArray, scene: Scene, stretc
 
 
 def _source(camera_id: str) -> str:
-    """The name of a camera's random streams."""
+    """Return the name of a camera's random streams."""
     return f"theodolite.telescopes.{camera_id}"

@@ -1,4 +1,4 @@
-"""The theodolite's part of a simulated voyage as arrays: what the devices say, when it arrives, and the truth."""
+"""The theodolite's part of a simulated voyage as arrays: measurements, arrival times, and the truth."""
 
 from dataclasses import dataclass
 
@@ -31,16 +31,16 @@ from ship_simulation.theodolite.targets import TargetSamples, draw_targets, see_
 
 @dataclass(frozen=True)
 class PointingTruth:
-    """What the theodolite's devices would have said without their errors.
+    """The measurements of the theodolite's devices without their errors.
 
     Attributes:
-        encoder_index: the encoder samples at whose stamps the truth is given: each first one of a tenth of a second,
-            and the last, shape (m,).
+        encoder_index: the encoder samples at whose stamps the truth is given: the first in each tenth of a second, and
+            the last, shape (m,).
         mount: the mount there.
         rotation_nt: horizon from telescope there, shape (m, 3, 3).
-        light_count: lights in the telescope's view there, shape (m,).
-        scene: all that is true, at any moment.
-        star_parallelism: of the main axis in each camera that sees stars, rad, shape (3,).
+        beacon_count: number of lights in the telescope's view there, shape (m,).
+        scene: all true quantities, at any time.
+        star_parallelism: of the main axis in each camera that observes stars, rad, shape (3,).
     """
 
     encoder_index: np.ndarray
@@ -53,7 +53,7 @@ class PointingTruth:
 
 @dataclass(frozen=True)
 class TheodoliteRun:
-    """One draw of a theodolite with its lights, targets and stars; drones and cameras for stars by id."""
+    """One draw of a theodolite with its lights, targets and stars; drones and star cameras by id."""
 
     encoder: EncoderSamples
     images: ImageSamples
@@ -67,10 +67,10 @@ class TheodoliteRun:
 def simulate_theodolite(
     scenario: Scenario, carrier: Carrier, sky: TrueSky | None, stretch: Stretch, draws: Draws
 ) -> TheodoliteRun:
-    """The theodolite's part of a stretch; ``sky`` is there where it has cameras that see stars.
+    """Return the theodolite's part of a stretch; ``sky`` is not None if it has star cameras.
 
     Raises:
-        BadInput: the theodolite would have to look along its vertical axis.
+        BadInput: the theodolite would have to point along its vertical axis.
     """
     config = scenario.theodolite
     scene = draw_scene(scenario, carrier, draws)

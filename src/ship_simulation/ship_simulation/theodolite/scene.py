@@ -1,6 +1,7 @@
-"""The theodolite and the lights as they truly are at any moment.
+"""True theodolite and true lights at any time.
 
-Their constants are drawn once a run about what the scenario says is known. What the devices say is made from this.
+The constants are drawn once per run about the scenario's known values. The measurements are computed from these
+quantities.
 """
 
 from dataclasses import dataclass
@@ -36,7 +37,7 @@ class TrueTheodolite:
         axis_errors: of its axes.
         parallelism: azimuth, elevation and rotation of the main axis in the telescope frame, rad, shape (3,).
         focal_length_m: of the telescope.
-        lever_d: from the ship's antenna to the crossing of the axes, m, shape (3,).
+        lever_d: from the ship's antenna to the intersection of the axes, m, shape (3,).
         lens_m: N' of the telescope's lens from there, in the main frame, m, shape (3,).
     """
 
@@ -48,7 +49,7 @@ class TrueTheodolite:
 
 
 def draw_theodolite(config: Theodolite, seed: int) -> TrueTheodolite:
-    """The constants as known, each with an error of its sigma put on."""
+    """Return the constants as known, each with an error of its sigma added."""
     telescope = config.telescope
     known, sigma = parallelism_of(telescope)
     focal_error = random_stream(seed, "theodolite.focal_length").standard_normal()
@@ -62,31 +63,31 @@ def draw_theodolite(config: Theodolite, seed: int) -> TrueTheodolite:
 
 
 def axis_errors_of(axes: Axes) -> tuple[FloatArray, FloatArray]:
-    """Known axis errors and their sigmas in the order of theodolite_calib.chain.axes.NAMES, rad, shape (7,) each."""
+    """Return known axis errors and their sigmas in the order of axes.NAMES, rad, shape (7,) each."""
     known = [getattr(axes, f"{name}_arcsec") for name in NAMES]
     sigma = [getattr(axes, f"{name}_sigma_arcsec") for name in NAMES]
     return ARCSEC * np.array(known), ARCSEC * np.array(sigma)
 
 
 def parallelism_of(telescope: Telescope) -> tuple[FloatArray, FloatArray]:
-    """Known angles of the main axis in the telescope and their sigmas, rad, shape (3,) each."""
+    """Return known angles of the main axis in the telescope and their sigmas, rad, shape (3,) each."""
     known = [telescope.azimuth_arcsec, telescope.elevation_arcsec, telescope.rotation_arcsec]
     sigma = [telescope.azimuth_sigma_arcsec, telescope.elevation_sigma_arcsec, telescope.rotation_sigma_arcsec]
     return ARCSEC * np.array(known), ARCSEC * np.array(sigma)
 
 
 def surveyed(lever: Lever) -> FloatArray:
-    """The surveyed vector, m, shape (3,)."""
+    """Return the surveyed vector, m, shape (3,)."""
     return np.array([lever.forward_m, lever.up_m, lever.right_m])
 
 
 def untold(vector: UntoldVector) -> FloatArray:
-    """What the survey of a vector missed, m, shape (3,)."""
+    """Return the error of the survey of a vector, m, shape (3,)."""
     return np.array([vector.forward_m, vector.up_m, vector.right_m])
 
 
 def draw_lever(lever: Lever, name: str, seed: int) -> FloatArray:
-    """The true vector, m, shape (3,)."""
+    """Return the true vector, m, shape (3,)."""
     return surveyed(lever) + lever.sigma_m * random_stream(seed, name).standard_normal(3)
 
 
@@ -94,19 +95,19 @@ def _draw_axis_errors(axes: Axes, seed: int) -> FloatArray:
     known, sigma = axis_errors_of(axes)
     rng = random_stream(seed, "theodolite.axes")
     if axes.spread == "uniform":
-        # Of the same sigma.
+        # Uniform distribution with the same sigma.
         return known + sigma * rng.uniform(-np.sqrt(3.0), np.sqrt(3.0), len(NAMES))
     return known + sigma * rng.standard_normal(len(NAMES))
 
 
 @dataclass(frozen=True)
 class SeenBody:
-    """What the theodolite looks at.
+    """A body that the theodolite observes.
 
     Attributes:
         config: its part of the scenario.
-        path: its way, from the crossing of the theodolite's axes.
-        refraction: difference of k on the way to it, one process.
+        path: its path, from the intersection of the theodolite's axes.
+        refraction: difference of k on the path to it, one process.
     """
 
     config: Beacon | Target
@@ -114,7 +115,7 @@ class SeenBody:
     refraction: SlowError
 
     def shows(self, t_s: FloatArray) -> np.ndarray:
-        """Whether it is there and not hidden, shape (k,)."""
+        """True if the body is present and not hidden, shape (k,)."""
         shown: np.ndarray = (t_s < self.config.leaves_s) & outside(t_s, self.config.hidden)
         return shown
 
@@ -136,11 +137,11 @@ class TrueLight(SeenBody):
 
 @dataclass(frozen=True)
 class MountState:
-    """The mount at some moments.
+    """The mount at given times.
 
     Attributes:
-        azimuth: angle at which the azimuth encoder truly is, rad, 0 to 2 pi, shape (k,).
-        elevation: the same of the elevation encoder, shape (k,).
+        azimuth: true angle of the azimuth encoder, rad, 0 to 2 pi, shape (k,).
+        elevation: true angle of the elevation encoder, rad, shape (k,).
         deformation_d: rotation vector of the theodolite's base against the deck, rad, shape (k, 3).
         rotation_nd: horizon from deck, shape (k, 3, 3).
         rotation_nm: horizon from main frame, shape (k, 3, 3).
@@ -155,15 +156,15 @@ class MountState:
 
 @dataclass(frozen=True)
 class Scene:
-    """All that is true of theodolite, lights and air in one run.
+    """True theodolite, lights and air of one run.
 
     Attributes:
         carrier: motion of the ship.
         theodolite: its constants.
         deformation: rotation vector of its base against the deck, rad.
-        aim: where it looks.
-        lights: by id, in the order of ids.
-        refraction: the error of k that is the same for all lights, one process.
+        aim: its line of sight.
+        beacons: by id, in the order of ids.
+        refraction: the error of k that is common to all lights, one process.
         coefficient: k as known.
     """
 
@@ -176,10 +177,10 @@ class Scene:
     coefficient: float
 
     def mount(self, t_s: FloatArray) -> MountState:
-        """The mount at moments of shape (k,).
+        """Return the mount at times of shape (k,).
 
         Raises:
-            BadInput: the theodolite would have to look where its axes do not reach.
+            BadInput: the line of sight is outside the range of the axes.
         """
         rotation_nd = self.carrier.attitude(t_s)
         deformation_d = self.deformation.at(t_s)
@@ -189,17 +190,17 @@ class Scene:
         azimuth, elevation = encoder_angles(errors, wanted_f)
         if not np.all(np.isfinite(azimuth)):
             late = t_s[~np.isfinite(azimuth)][0]
-            raise BadInput(f"at {late:.2f} s the theodolite would have to look along its vertical axis: lower its line")
+            raise BadInput(f"at {late:.2f} s the theodolite would point along its vertical axis: reduce its elevation")
         rotation_nm = rotation_nf @ main_axis_rotation(errors, azimuth, elevation)
         return MountState(azimuth, elevation, deformation_d, rotation_nd, rotation_nm)
 
     def rotation_nt(self, mount: MountState) -> FloatArray:
-        """Horizon from telescope, shape (k, 3, 3)."""
+        """Return horizon from telescope, shape (k, 3, 3)."""
         rotation_nt: FloatArray = mount.rotation_nm @ rotation_from_angles(*self.theodolite.parallelism).T
         return rotation_nt
 
     def directions_n(self, t_s: FloatArray, mount: MountState) -> FloatArray:
-        """Unit vectors along which the lights are seen, shape (k, N, 3)."""
+        """Return unit vectors along which the lights are observed, shape (k, N, 3)."""
         lens_n = mount.rotation_nm @ self.theodolite.lens_m
         common = self.coefficient + self.refraction.at(t_s)[:, 0]
         seen = [
@@ -213,7 +214,7 @@ class Scene:
 
 
 def raised(path_n: FloatArray, coefficient: FloatArray) -> FloatArray:
-    """Directions of paths, raised by k · (horizontal distance) / (2 R)."""
+    """Return directions of paths, raised by k · (horizontal distance) / (2 R)."""
     north_m, up_m, east_m = path_n.T
     horizontal_m = np.hypot(north_m, east_m)
     elevation = np.arctan2(up_m, horizontal_m) + coefficient * horizontal_m / (2.0 * EARTH_RADIUS_M)
@@ -221,7 +222,7 @@ def raised(path_n: FloatArray, coefficient: FloatArray) -> FloatArray:
 
 
 def draw_scene(scenario: Scenario, carrier: Carrier, draws: Draws) -> Scene:
-    """What is true in one run of a scenario."""
+    """Return the true quantities of one run of a scenario."""
     config, duration_s, seed = scenario.theodolite, scenario.duration_s, draws.seed
     lights = {
         key: TrueLight(

@@ -1,7 +1,7 @@
-"""What the main tube looks at: targets on their courses, their images on the main detector, and where they truly are.
+"""Targets of the main tube: their courses, their images on the main detector, and their true positions.
 
-A target is seen along its way from the crossing of the axes, which the air raises as it raises the lights. On the
-detector, whose axes v are turned about the main axis by ρ, it is where the true focal length puts it.
+A target is observed along its path from the intersection of the axes, raised by refraction as the lights are. The
+detector's axes v are rotated about the main axis by ρ; the image point follows from the true focal length.
 """
 
 from collections.abc import Callable
@@ -23,26 +23,26 @@ from theodolite_calib.lights.image import Camera
 
 @dataclass(frozen=True)
 class TrueTarget(SeenBody):
-    """A target; its part of the scenario is ``config``."""
+    """A target; ``config`` is its part of the scenario."""
 
     config: Target
 
 
 @dataclass(frozen=True)
 class TargetSamples:
-    """Images of targets on the main detector, one a target and exposure, and the truth about each.
+    """Images of targets on the main detector, one per target and exposure, and the truth of each.
 
     Attributes:
         time_ns: middles of the exposures, not decreasing, shape (n,).
-        log_time_ns: moments of arrival, shape (n,).
+        log_time_ns: arrival times, shape (n,).
         target_ids: of all targets of the scenario.
-        target: which of them it is, shape (n,).
+        target: index in ``target_ids``, shape (n,).
         point_m: on the detector, along its right and up, shape (n, 2).
-        rotation: of the detector as told, rad, shape (n,).
-        range_m: as told, shape (n,); NaN where it is not.
-        range_sigma_m: its error, shape (n,); NaN where it is not told.
-        direction_n: unit vector (North, Up, East) along which it is truly seen, shape (n, 3).
-        position_n: where it truly is, from the ship's antenna, m, shape (n, 3).
+        rotation: reported rotation of the detector, rad, shape (n,).
+        range_m: reported range, shape (n,); NaN if there is none.
+        range_sigma_m: its error, shape (n,); NaN if there is none.
+        direction_n: true direction of observation, unit vector (North, Up, East), shape (n, 3).
+        position_n: true position, from the ship's antenna, m, shape (n, 3).
     """
 
     time_ns: np.ndarray
@@ -58,7 +58,7 @@ class TargetSamples:
 
 
 def draw_targets(scenario: Scenario, draws: Draws) -> dict[str, TrueTarget]:
-    """The targets of a run, in the order of ids."""
+    """Return the targets of a run, in the order of ids."""
     air = scenario.theodolite.air
     return {
         key: TrueTarget(
@@ -75,11 +75,11 @@ def draw_targets(scenario: Scenario, draws: Draws) -> dict[str, TrueTarget]:
 def see_targets(
     config: MainDetector, targets: dict[str, TrueTarget], scene: Scene, stretch: Stretch, draws: Draws
 ) -> TargetSamples:
-    """The images of a stretch: of each target that is there, not hidden, and on the detector."""
+    """Return the images of a stretch, of each target that is present, not hidden, and on the detector."""
     time_ns = stretch.stamps(config.rate_hz, config.phase_s)
     t_s = (time_ns - stretch.start_ns) / SECOND_NS
     told = np.deg2rad(config.rotation_deg + config.rotation_rate_deg_per_s * t_s)
-    # Each target has a stream of its own: a further one changes nothing of the others.
+    # Each target has a stream of its own, so that a further target does not change the others.
     drawn = [draws.stream(f"target.{key}.image").standard_normal((time_ns.size, 3)) for key in targets]
     noise = np.stack(drawn, axis=1) if drawn else np.empty((time_ns.size, 0, 3))
     times = exposure_times(config.exposure_s)
@@ -87,7 +87,7 @@ def see_targets(
     way_m = np.array([
         _points(camera, scene, targets, t_s + t, told + rotation_error) for t in times.since_middle_s
     ])  # fmt: skip
-    # What the spread of a streak does to its centroid is in sigma_m: the main detector tells no more of it.
+    # The effect of streaks on the centroid is part of sigma_m, the only error that the main detector states.
     point_m = centroids(times, way_m, np.inf, config.sigma_m, noise[..., :2])
     on_detector = np.all(np.abs(point_m) <= 0.5 * np.array([config.width_m, config.height_m]), axis=-1)
     shown = _of_each(targets, lambda one: one.shows(t_s), (t_s.size, 0))
@@ -112,7 +112,7 @@ def see_targets(
 
 
 def _true_detector(config: MainDetector, seed: int) -> tuple[Camera, float]:
-    """The true geometry of the detector, drawn about what is known, and the error of its rotation as told, rad."""
+    """Return the true geometry of the detector, drawn about the known one, and its rotation error, rad."""
     focal, x, z, rotation = random_stream(seed, "theodolite.main_detector").standard_normal(4)
     principal_point_m = np.array([config.principal_x_m, config.principal_z_m]) + config.principal_sigma_m * np.array(
         [x, z]
@@ -124,13 +124,13 @@ def _true_detector(config: MainDetector, seed: int) -> tuple[Camera, float]:
 def _points(
     camera: Camera, scene: Scene, targets: dict[str, TrueTarget], t_s: FloatArray, rotation: FloatArray
 ) -> FloatArray:
-    """Where the targets truly are on the plane of the detector, m, shape (k, N, 2); NaN behind the tube."""
+    """Return true points of the targets on the plane of the detector, m, shape (k, N, 2); NaN behind the tube."""
     rotation_mv = rotation_from_angles(np.zeros_like(rotation), np.zeros_like(rotation), rotation)
     return camera.points(_directions_n(scene, targets, t_s) @ scene.mount(t_s).rotation_nm @ rotation_mv)
 
 
 def _directions_n(scene: Scene, targets: dict[str, TrueTarget], t_s: FloatArray) -> FloatArray:
-    """Unit vectors along which the targets are seen, shape (k, N, 3)."""
+    """Return unit vectors along which the targets are observed, shape (k, N, 3)."""
     common = scene.coefficient + scene.refraction.at(t_s)[:, 0]
     return _of_each(targets, lambda one: raised(one.path(t_s), common + one.refraction.at(t_s)[:, 0]), (t_s.size, 0, 3))
 
@@ -138,5 +138,5 @@ def _directions_n(scene: Scene, targets: dict[str, TrueTarget], t_s: FloatArray)
 def _of_each(
     targets: dict[str, TrueTarget], of: Callable[[TrueTarget], np.ndarray], none: tuple[int, ...]
 ) -> np.ndarray:
-    """What is said of each target, along a second axis; of the shape ``none`` where there is no target."""
+    """Return a quantity of each target, along a second axis; of the shape ``none`` if there is no target."""
     return np.stack([of(target) for target in targets.values()], axis=1) if targets else np.empty(none)
