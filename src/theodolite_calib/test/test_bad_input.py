@@ -261,7 +261,7 @@ def test_a_wrong_light_is_refused_by_the_angle_between_them() -> None:
     run = drive(new_adapter(), replaced(session(), index, shift))
     (message,) = run.innovations(Reason.LIGHT_CONFLICT)
     assert not message.accepted
-    assert "angle between alpha and bravo is off by" in message.reason_text
+    assert "angle between alpha and bravo: residual" in message.reason_text
     assert run.reasons(BEACONS) == {"light_conflict": 1}
     assert run.state() == drive(new_adapter(), without(session(), index)).state()
     assert never_wrong(run)
