@@ -221,7 +221,7 @@ def test_without_lights_stars_and_calibration_the_pointing_is_in_doubt(watch) ->
     night, rng = mount.night(0)
     estimate = mount.pointing(night, mount.filter.initial_state(), random_field(rng))
     assert (estimate.mode, estimate.status) == (Mode.ENCODER, Status.DEGRADED)
-    assert estimate.text == "no light or star was ever seen and no calibration loaded: axis errors as configured"
+    assert estimate.text == "no light or star used yet and no calibration loaded: axis errors as configured"
 
 
 def knocked(night: MountNight) -> MountNight:

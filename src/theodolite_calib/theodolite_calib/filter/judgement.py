@@ -55,7 +55,7 @@ class SightingJudge:
         """Evaluate a sighting against the state propagated to its time."""
         comparison = self._filter.compare(state, sighting)
         if comparison is None:
-            text = "a light would be behind the telescope: large error of its baseline, the encoders or the ship's attitude"
+            text = "a light would be behind the telescope: large error of baseline, encoders or ship's attitude"
             return Judgement(ExposureDecision(exposure, Reason.LIGHT_CONFLICT, text=text))
         if self._passes(comparison):
             return self._use(exposure, sighting, comparison)

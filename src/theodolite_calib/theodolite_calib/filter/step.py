@@ -154,7 +154,7 @@ class SightingStep:
         compared: Comparison,
         decision: ExposureDecision,
     ) -> tuple[CalibrationState, ExposureDecision]:
-        """Update subfilters and fault state with an accepted sighting; ``before`` is the state propagated to its time."""
+        """Update subfilters and fault state with an accepted sighting; ``before`` is the state propagated to it."""
         first = before.mean, compared.covariance
         alternatives, seen = self._filter.rows.seen(
             before.alternatives, names, compared.measurement, first, before.trust.excluded, self._gate.probability

@@ -4,9 +4,9 @@ A source is excluded if the other sources are consistent without it (:mod:`ship_
 also excluded if its baseline jumps by more than its flight allows. If beacons are rejected and no single source
 explains the rejections, the fault is unresolved, and the pointing covariance covers the disagreement.
 
-An excluded source is monitored and is reinstated after it has been consistent for ``return_after_s``. Consistency counts
-only if the fault would still be detectable: the standard deviation of the predicted beacon must be small against the
-residual that was rejected. A baseline that has jumped back has no residual left to reject.
+An excluded source is monitored. It is reinstated after it has been consistent for ``return_after_s``. Consistency
+counts only if the fault would still be detectable: the standard deviation of the predicted beacon must be small against
+the rejected residual. A baseline that has jumped back has no residual left.
 """
 
 from collections.abc import Mapping, Set
