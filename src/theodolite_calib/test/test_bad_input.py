@@ -486,7 +486,7 @@ def test_mend_18_a_crowd_of_lights_and_endless_ids_are_cut() -> None:
     assert max(len(text) for both in strangers for text in both) <= LONGEST_TEXT
     assert strangers[0][1].endswith("…' is unknown: expected alpha, bravo")
     ((_, text),) = told(run, Reason.OVERFLOW)
-    assert text == f"{MOST_LIGHTS + 52} lights in one image: only the first {MOST_LIGHTS} are looked at"
+    assert text == f"{MOST_LIGHTS + 52} lights in one image: only the first {MOST_LIGHTS} are used"
     assert run.state() == clean_run().state()
 
 

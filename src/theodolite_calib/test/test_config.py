@@ -57,7 +57,7 @@ def test_the_calibration_telescope_has_one_parallelism_by_lights_and_by_stars() 
     assert "telescope.night.parallelism" in state_model(config(**NIGHT, **MOUNTED)).slices
     for changes, name, expected in (
         ({"telescope__azimuth_arcsec": 361.0}, "azimuth_deg' = 0.1", "telescope.azimuth_arcsec = 0.10027"),
-        ({"telescope__rotation_sigma_arcsec": 2.0}, "roll_sigma_arcsec' = 1", "telescope.rotation_sigma_arcsec says 2"),
+        ({"telescope__rotation_sigma_arcsec": 2.0}, "roll_sigma_arcsec' = 1", "telescope.rotation_sigma_arcsec = 2"),
         ({"telescope__focal_length_m": 0.2}, "camera.focal_length_m' = 0.1", "telescope.focal_length_m = 0.2"),
     ):
         with pytest.raises(ParameterError, match=f"telescopes.night.{name}.*{expected}"):

@@ -363,7 +363,7 @@ def test_the_diagnostics_tell_of_the_last_place() -> None:
 @pytest.mark.parametrize(
     ("topics", "named"),
     [
-        (["a/target_direction", "a/target_direction"], "is that of 't0' already"),
+        (["a/target_direction", "a/target_direction"], "is already used by 't0'"),
         (["/west/theodolite/target_direction", ""], "expected a relative name"),
         (["west target", ""], "expected a relative name"),
     ],
@@ -378,4 +378,4 @@ def test_topics_that_cannot_be_are_named(topics: list[str], named: str) -> None:
 
 def test_fewer_than_two_theodolites_are_warned_of() -> None:
     assert adapter_of(2).start_warnings == ()
-    assert adapter_of(1).start_warnings == ("stations has 1: a place takes two theodolites or more",)
+    assert adapter_of(1).start_warnings == ("stations has 1: a position needs two theodolites or more",)

@@ -1,5 +1,4 @@
-"""Accuracy of the pointing with beacons at given positions, from the calibration filter's own model before any
-sighting.
+"""Accuracy of the pointing with beacons at given positions, from the calibration filter's model before any sighting.
 
 The filter's first update by one sighting is computed, without its residual: covariance P of all states as configured,
 with the ship's attitude as stated at that time, Jacobian H and noise R of the sighting
@@ -97,8 +96,7 @@ class LightsAccuracy:
         return self._on_sky(main @ self._covariance @ main.T - learned + by_noise_n)
 
     def budget(self, names: tuple[str, ...], places_n: FloatArray) -> dict[str, FloatArray]:
-        """Return the pointing's covariance by source, rotation vector in n, rad², shape (3, 3) each; their sum is the
-        total.
+        """Return the pointing's covariance by source, rotation vector in n, rad², shape (3, 3) each.
 
         Args:
             names: names of N beacons, at least one.
@@ -127,8 +125,7 @@ class LightsAccuracy:
         return self._filter.sightings.predict(self._mean, sighting)
 
     def _main_axis(self, prediction: Prediction) -> tuple[FloatArray, FloatArray]:
-        """Return the rotation of the main axis per state, shape (3, n), and its noise at a reading, rad², shape (3,
-        3)."""
+        """Return the rotation of the main axis per state, shape (3, n), and its noise at a reading, rad², (3, 3)."""
         turn_n = prediction.turn_n.copy()
         # The parallelism rotates the telescope, not the main axis.
         turn_n[:, self._parallelism] = 0.0

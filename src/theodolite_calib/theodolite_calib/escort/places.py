@@ -25,15 +25,15 @@ _NEAREST_M = 1.0
 
 @dataclass(frozen=True)
 class AllowedPlaces:
-    """The places that the limits allow a drone while the telescope points where it points.
+    """Positions that the limits allow a drone for one direction of the telescope.
 
     Attributes:
         limits: as configured.
         centre_n: from the ship's antenna to the theodolite (N, U, E), m, shape (3,).
-        azimuth: of the telescope's axis in the horizon, rad.
-        elevation: of it, rad.
-        least_elevation: of a drone, by limit and field, rad.
-        greatest_elevation: of a drone, rad; less than the least one where no place is allowed.
+        azimuth: azimuth of the telescope's axis in the horizon, rad.
+        elevation: its elevation, rad.
+        least_elevation: least elevation of a drone, by limit and field, rad.
+        greatest_elevation: greatest elevation of a drone, rad; less than the least one if no position is allowed.
     """
 
     limits: EscortConfig
@@ -115,9 +115,7 @@ class AllowedPlaces:
         return apart_m
 
     def limits_reached(self, names: tuple[str, ...], places_n: FloatArray) -> list[str]:
-        """Return the limits that positions reach, as ``name: parameter``, and ``name, name: parameter`` for the
-        separation.
-        """
+        """Return the limits that positions reach: ``name: parameter``; for separations ``name, name: parameter``."""
         limits = self.limits
         (range_m, elevation), off = self._seen(places_n), self._off_axis(places_n)
         field = np.deg2rad(limits.field_deg)
