@@ -141,7 +141,7 @@ OPTICS = {"telescope_id": "t", "focal_length_m": 0.1}
         (changed(lights={"a": LIGHTS["a"] | {"distance_m": float("nan")}}), r"'lights.a.distance_m' must be finite"),
         (changed(optical_axis={"telescope": OPTICS}, lights={}), r"'optical_axis.beacons': expected a drone"),
         (changed(optical_axis={"beacons": {"a": DRONE}}), r"'optical_axis.telescope"),
-        (changed(optical_axis={"telescope": OPTICS | {"sigma_m": 1e-6}, "beacons": {"a": DRONE}}), "take it out"),
+        (changed(optical_axis={"telescope": OPTICS | {"sigma_m": 1e-6}, "beacons": {"a": DRONE}}), "remove it"),
         (
             changed(optical_axis={"telescope": OPTICS, "beacons": {"a": DRONE}, "escort": {"range_min_m": 9000.0}}),
             r":\d+: under 'optical_axis': parameter 'escort.range_min_m' = 9000 m: expected at most",

@@ -99,7 +99,7 @@ def test_summary(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shown = capsys.readouterr().out
     assert re.search(r"^beta_x +-2\.50 +fixed   tilt of the vertical axis", shown, re.MULTILINE)
     assert re.search(r"^without a model +\d", shown, re.MULTILINE)
-    assert "poorly told apart: g, c, I: g +" in shown
+    assert "poorly separated: g, c, I: g +" in shown
     assert f"{len(rows)} sightings, 0 of them plunged; elevations " in shown
     one_place = [[10.0 + 1e-7 * number, 40.0, 0.01, 0.01] for number in range(6)]
     assert main([str(write_table(tmp_path / "one.csv", one_place)), "--out", str(tmp_path)]) == 0
@@ -243,7 +243,7 @@ def test_options_that_contradict(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "contradict each other" in capsys.readouterr().err
     every = [argument for name in NAMES for argument in ("--fix", name)]
     assert main([table, "--out", str(tmp_path), *every]) == 2
-    assert "nothing is left to fit" in capsys.readouterr().err
+    assert "no term to fit" in capsys.readouterr().err
 
 
 def test_help(capsys: pytest.CaptureFixture[str]) -> None:
@@ -293,8 +293,8 @@ def test_mend_23_no_sigma_where_sightings_share_errors_that_nothing_states(
     assert main([str(write_table(tmp_path / "s.csv", rows.tolist())), "--out", str(out), "--force"]) == 0
     shown = capsys.readouterr().out
     assert re.search(r"^beta_x +-?[0-9.]+ +unknown", shown, re.MULTILINE)
-    assert "no sigma: the residuals of neighbouring sightings hang together" in shown
-    assert "not written: calibration.yaml, for no sigma is known" in shown
+    assert "no sigma: the residuals of neighbouring sightings are correlated" in shown
+    assert "not written: calibration.yaml, because no sigma is known" in shown
     assert not (out / "calibration.yaml").exists()
     document = yaml.safe_load((out / "axes.yaml").read_text(encoding="utf-8"))
     assert document["sigma_arcsec"] is None
@@ -306,7 +306,7 @@ def test_mend_23_rows_given_twice_count_once(tmp_path: Path, capsys: pytest.Capt
     for name, rows in (("once", table_rows()), ("twice", [*table_rows(), *table_rows()[:7]])):
         assert main([str(write_table(tmp_path / f"{name}.csv", rows)), "--out", str(tmp_path / name)]) == 0
     shown = capsys.readouterr().out
-    assert "given again, counted once: observation S40 (as S0)" in shown
+    assert "repeated, counted once: observation S40 (as S0)" in shown
     once, twice = (yaml.safe_load((tmp_path / name / "axes.yaml").read_text()) for name in ("once", "twice"))
     assert once.pop("given_again") == []
     assert len(twice.pop("given_again")) == 7
@@ -319,8 +319,8 @@ def test_mend_23_rows_given_twice_count_once(tmp_path: Path, capsys: pytest.Capt
     [
         (lambda row: row, None),
         (lambda row: [*row[:2], row[2] * math.cos(math.radians(row[1])), row[3]], "already multiplied by cos E"),
-        (lambda row: [*row[:2], -row[2], row[3]], "the other sign than elevation_offset_deg"),
-        (lambda row: [*row[:3], -row[3]], "the other sign than elevation_offset_deg"),
+        (lambda row: [*row[:2], -row[2], row[3]], "the opposite sign of elevation_offset_deg"),
+        (lambda row: [*row[:3], -row[3]], "the opposite sign of elevation_offset_deg"),
     ],
 )
 def test_mend_23_offsets_that_mean_something_else_are_told(
@@ -330,8 +330,8 @@ def test_mend_23_offsets_that_mean_something_else_are_told(
     assert main([str(table), "--out", str(tmp_path / "out")]) == 0
     shown = capsys.readouterr().out
     # Which sign both have no sighting can tell: the first is written out.
-    assert "observation S0 truly looked at" in shown
-    assert ("doubtful: " in shown) == (told is not None)
+    assert "observation S0 has the true direction" in shown
+    assert ("warning: " in shown) == (told is not None)
     assert (tmp_path / "out" / "calibration.yaml").exists() == (told is None)
     if told is not None:
         assert told in shown
