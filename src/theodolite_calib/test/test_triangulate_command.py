@@ -104,7 +104,7 @@ def test_directions_that_do_not_fit_one_another_are_told(tmp_path: Path, capsys)
     assert main([str(stations), "--target", "buoy", "--out", str(tmp_path / "places.csv")]) == 1
     rows = table(tmp_path / "places.csv")
     assert {row["fits"] for row in rows} == {"0"}
-    assert "do not fit" in capsys.readouterr().out
+    assert "inconsistent directions" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -36,9 +36,9 @@ class AxisErrors:
     Attributes:
         g: zero point of the azimuth encoder; the axis points at A - g.
         h: zero point of the elevation encoder; the axis points at E - h.
-        c: collimation: the optical axis looks so far to the left of the normal to the horizontal axis.
+        c: collimation: angle of the optical axis to the left of the normal to the horizontal axis.
         I: tilt of the horizontal axis against the normal to the vertical axis, its right end up.
-        beta_x: tilt of the vertical axis towards the bow, βm cos Am; it lowers what is pointed at over the bow.
+        beta_x: tilt of the vertical axis towards the bow, βm cos Am; it lowers the axis when pointing over the bow.
         beta_y: tilt of the vertical axis towards starboard, βm sin Am.
         flexure: bending of the tube; it raises the axis by flexure · cos E.
     """

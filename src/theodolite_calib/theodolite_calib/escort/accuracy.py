@@ -1,7 +1,7 @@
 """Accuracy of the pointing with beacons at given positions, from the calibration filter's model before any sighting.
 
-The filter's first update by one sighting is computed, without its residual: covariance P of all states as configured,
-with the ship's attitude as stated at that time, Jacobian H and noise R of the sighting
+The filter's first update by one sighting is computed, without its residual. P is the configured covariance of states,
+with the ship's attitude as stated at that time, H and R are Jacobian and noise of the sighting
 (:mod:`theodolite_calib.filter.prediction`). With T the rotation of the main axis per state, the pointing has
 
     C = T (P - P Hᵀ (H P Hᵀ + R/n)⁻¹ H P) Tᵀ + noise of the encoders and of the ship at a reading

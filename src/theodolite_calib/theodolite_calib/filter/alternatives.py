@@ -1,9 +1,9 @@
 """Subfilters of the theodolite: each estimate leaves out one source.
 
-There is one subfilter for each source except the telescope: a mounting shift of the telescope has the same effect on
+There is one subfilter for each source except the telescope. A mounting shift of the telescope has the same effect on
 beacons as a slip of the encoders, and is handled by the estimate before it. A subfilter without a drone gives no weight
 to its beacon. A subfilter without the encoders, or without the ship's attitude, adds an unknown change of their error
-before every sighting; it still uses the rotation that they measure between sightings, because there would be no
+before every sighting. It still uses the rotation that they measure between sightings, because there would be no
 pointing without it. An excluded source is left out of every subfilter.
 
 Subfilters have no error budget: each covariance is one matrix, and one sighting updates all subfilters in one step.
@@ -45,10 +45,10 @@ class Alternatives:
     """Estimates without one source each; h subfilters of n states.
 
     Attributes:
-        time_ns: Time of all estimates; None before the first sighting.
-        mean: Shape (h, n).
-        parts: Covariance, with a single source, shape (h, 1, n, n).
-        ship_steady_n: Stated covariance of the ship's error, rad², shape (3, 3); None if none is stated.
+        time_ns: time of all estimates; None before the first sighting.
+        mean: shape (h, n).
+        parts: covariance, with a single source, shape (h, 1, n, n).
+        ship_steady_n: stated covariance of the ship's error, rad², shape (3, 3); None if none is stated.
     """
 
     time_ns: int | None
@@ -63,9 +63,9 @@ class RowsSeen:
 
     Attributes:
         accepted: True for each subfilter in which the sighting passes the gate, shape (h,).
-        light_nis: Normalised innovation squared of each beacon, in the main filter and in every subfilter, shape (h +
+        light_nis: normalised innovation squared of each beacon, in the main filter and in every subfilter, shape (h +
             1, l).
-        light_turn: Whitened innovation, along the axes of the detector and 0, shape (h + 1, l, 3).
+        light_turn: whitened innovation, along the axes of the detector and 0, shape (h + 1, l, 3).
     """
 
     accepted: NDArray[np.bool_]
@@ -77,12 +77,12 @@ class _Pattern(NamedTuple):
     """Components of a sighting that each subfilter uses; h subfilters, l beacons, m = 2 l components.
 
     Attributes:
-        sees: Components that each subfilter uses, shape (h, m).
-        known: Components of the other beacons on which the innovation of one beacon is conditioned, in the main filter
+        sees: components that each subfilter uses, shape (h, m).
+        known: components of the other beacons on which the innovation of one beacon is conditioned, in the main filter
             and in every subfilter, shape (l, h + 1, m). Without encoders or ship a single beacon has no information,
             but several together have.
-        learns: States that are updated, all of them, shape (h, n).
-        gates: Gate for the components that each subfilter uses, shape (h,).
+        learns: states that are updated, all of them, shape (h, n).
+        gates: gate for the components that each subfilter uses, shape (h,).
     """
 
     sees: NDArray[np.uint8]
@@ -95,13 +95,13 @@ class SourceRows:
     """Set of subfilters of a configuration, with the steps of their states.
 
     Args:
-        config: Parameters of the node.
-        model: States of the filter.
-        ship_error: Process of the ship's error.
+        config: parameters of the node.
+        model: states of the filter.
+        ship_error: process of the ship's error.
 
     Attributes:
-        sources: Source that each subfilter leaves out: the drones, the encoders, the ship's attitude.
-        beacons: Ids of the drones.
+        sources: source that each subfilter leaves out: the drones, the encoders, the ship's attitude.
+        beacons: ids of the drones.
     """
 
     def __init__(self, config: OpticalAxisConfig, model: StateModel, ship_error: ShipErrorProcess) -> None:
@@ -202,12 +202,12 @@ class SourceRows:
         """Update the subfilters with a sighting of beacons; return them with their innovations.
 
         Args:
-            rows: Subfilters, propagated to the time of the sighting.
-            names: Beacons, none of them of an excluded drone.
-            measurement: Two components for each beacon; the residual is that of the main filter.
-            first: Propagated mean of the main filter, shape (n,), and covariance of its residual, shape (m, m).
-            excluded: Sources that every subfilter leaves out.
-            probability: Probability of the gate.
+            rows: subfilters, propagated to the time of the sighting.
+            names: beacons, none of them of an excluded drone.
+            measurement: two components for each beacon; the residual is that of the main filter.
+            first: propagated mean of the main filter, shape (n,), and covariance of its residual, shape (m, m).
+            excluded: sources that every subfilter leaves out.
+            probability: probability of the gate.
         """
         pattern, parts = self._pattern(names, frozenset(excluded), probability), np.ascontiguousarray(rows.parts[:, 0])
         residual, gain, nis, light_turn = compiled_rows.rows_seen(
@@ -249,11 +249,11 @@ class SourceRows:
         No subfilter leaves out the stars: an exposure has many stars, which check one another.
 
         Args:
-            rows: Subfilters, propagated to the time of the exposure.
-            measurement: Stars; the residual is that of the main filter.
-            first_mean: Propagated mean of the main filter, shape (n,).
-            by_turn: Derivative of the residual by a rotation of the camera, shape (m, 3).
-            probability: Probability of the gate.
+            rows: subfilters, propagated to the time of the exposure.
+            measurement: stars; the residual is that of the main filter.
+            first_mean: propagated mean of the main filter, shape (n,).
+            by_turn: derivative of the residual by a rotation of the camera, shape (m, 3).
+            probability: probability of the gate.
         """
         stack = rows.parts[:, 0]
         compared = compare_rows(rows.mean, stack, measurement, first_mean, by_turn)
@@ -278,9 +278,9 @@ def light_compared(residual: FloatArray, covariance: FloatArray, noise: FloatArr
     """Return the innovation of one beacon in one estimate; the whitened innovation is along the axes of the detector.
 
     Args:
-        residual: Shape (2,).
-        covariance: Covariance of the residual, shape (2, 2).
-        noise: Part of it that is the sighting's own noise, shape (2, 2).
+        residual: shape (2,).
+        covariance: covariance of the residual, shape (2, 2).
+        noise: part of it that is the sighting's own noise, shape (2, 2).
     """
     root = _whitening(covariance)
     turn, turn_noise = np.zeros((1, 3)), np.eye(3)

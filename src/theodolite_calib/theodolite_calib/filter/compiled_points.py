@@ -26,13 +26,13 @@ def by_states(
     """Return the Jacobian of the points of N beacons by n states.
 
     Args:
-        by_attitude: Points by a rotation of the telescope, rotation vector in n, m/rad, shape (N, 2, 3).
-        by_direction: Points by the directions of the beacons in n, m/rad, shape (N, 2, 3).
-        by_focal_length: Points by the focal length, m/m, shape (N, 2).
-        lines: Directions by c errors of the lines of sight, rad per unit, shape (N, 3, c).
-        turn_n: Telescope by the states, rotation vector in n, shape (3, n).
-        focal_length: Index of the focal length's state.
-        places: Couplings (beacon, error, state): the state moves the beacon by that error; beacon -1 stands for all,
+        by_attitude: points by a rotation of the telescope, rotation vector in n, m/rad, shape (N, 2, 3).
+        by_direction: points by the directions of the beacons in n, m/rad, shape (N, 2, 3).
+        by_focal_length: points by the focal length, m/m, shape (N, 2).
+        lines: directions by c errors of the lines of sight, rad per unit, shape (N, 3, c).
+        turn_n: telescope by the states, rotation vector in n, shape (3, n).
+        focal_length: index of the focal length's state.
+        places: couplings (beacon, error, state): the state moves the beacon by that error; beacon -1 stands for all,
             shape (e, 3).
 
     Returns:
@@ -78,8 +78,8 @@ def by_turns(rows: cython.const[cython.double][:, :], covariances: cython.const[
     """Return the covariances of m numbers that follow from covariances of rotations, shape (p, m, m).
 
     Args:
-        rows: Derivative of the numbers by a rotation, shape (m, 3).
-        covariances: Covariances of rotations, shape (p, 3, 3).
+        rows: derivative of the numbers by a rotation, shape (m, 3).
+        covariances: covariances of rotations, shape (p, 3, 3).
     """
     m: cython.Py_ssize_t = rows.shape[0]
     check("turns", rows.shape[1] == covariances.shape[1] == covariances.shape[2] == 3)
@@ -105,8 +105,8 @@ def of_each(by_error: cython.const[cython.double][:, :, :], covariance: cython.c
     """Return the covariance of the points of N beacons from an error independent for each beacon, shape (2 N, 2 N).
 
     Args:
-        by_error: Derivative of the points, of which the first three columns are used, shape (N, 2, 3 or more).
-        covariance: Covariance of the errors, shape (N, 3, 3).
+        by_error: derivative of the points, of which the first three columns are used, shape (N, 2, 3 or more).
+        covariance: covariance of the errors, shape (N, 3, 3).
     """
     count: cython.Py_ssize_t = covariance.shape[0]
     check("lights", by_error.shape[0] == count and by_error.shape[1] == 2 and by_error.shape[2] >= 3)

@@ -1,4 +1,4 @@
-"""Combinations of axis errors and deformation that the sightings cannot separate, computed live beside the filter.
+"""Combinations of axis errors and deformation that the sightings cannot separate, computed live with the filter.
 
 If stars are observed as well as beacons, N' is included: beacons depend on it, and stars do not.
 

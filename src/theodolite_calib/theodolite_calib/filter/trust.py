@@ -45,13 +45,13 @@ class LeftOut:
     """Excluded source, with the reason of its exclusion.
 
     Attributes:
-        exclusion: Time of the exclusion, and time since which the source has been consistent.
-        why: Reason, as text.
-        refused_m: Size of the rejected residual on the detector, m; 0 if the baseline jumped.
-        jumped_n: Sum of the jumps of the baseline (North, Up, East), m, shape (3,); zeros if it has jumped back or
+        exclusion: time of the exclusion, and time since which the source has been consistent.
+        why: reason, as text.
+        refused_m: size of the rejected residual on the detector, m; 0 if the baseline jumped.
+        jumped_n: sum of the jumps of the baseline (North, Up, East), m, shape (3,); zeros if it has jumped back or
             never jumped.
-        jumped_sigma_m: Standard deviation of that sum, m.
-        jump_ns: Stamp of the last jump, ns.
+        jumped_sigma_m: standard deviation of that sum, m.
+        jump_ns: stamp of the last jump, ns.
     """
 
     exclusion: Exclusion
@@ -67,10 +67,10 @@ class Conflict:
     """Unresolved fault: beacons contradict the encoders and the ship's attitude, and no single source explains it.
 
     Attributes:
-        spread_n: Possible error of the pointing: covariance of the rotation vector in n, rad², shape (3, 3).
+        spread_n: possible error of the pointing: covariance of the rotation vector in n, rad², shape (3, 3).
         lasting: True if more than one or two sightings disagreed; the fault then ends only after a period of
             consistency.
-        agrees_since_ns: Time since which beacons have been accepted again; None while they are rejected.
+        agrees_since_ns: time since which beacons have been accepted again; None while they are rejected.
     """
 
     spread_n: FloatArray
@@ -83,10 +83,10 @@ class Trust:
     """State of fault detection and exclusion.
 
     Attributes:
-        means: Windowed innovation means of every drone in the main filter (first) and in every subfilter.
-        left_out: Excluded sources by name.
-        conflict: Unresolved fault; None if there is none.
-        jumped_ns: Stamps up to which jumps of baselines have been processed, by source.
+        means: windowed innovation means of every drone in the main filter (first) and in every subfilter.
+        left_out: excluded sources by name.
+        conflict: unresolved fault; None if there is none.
+        jumped_ns: stamps up to which jumps of baselines have been processed, by source.
     """
 
     means: Means
@@ -104,10 +104,10 @@ def blamed(source: str, explaining: Set[str], told: Streams, off_rad: float) -> 
     """Return the faulty source of a sudden contradiction between beacons and prediction; None if it is not isolated.
 
     Args:
-        source: Encoders or ship's attitude, as isolated by the subfilters.
-        explaining: All sources without which the rest is consistent.
-        told: Largest steps of the two streams since the last accepted sighting.
-        off_rad: Offset of the beacons on the sky, rad.
+        source: encoders or ship's attitude, as isolated by the subfilters.
+        explaining: all sources without which the rest is consistent.
+        told: largest steps of the two streams since the last accepted sighting.
+        off_rad: offset of the beacons on the sky, rad.
     """
     if told.ship_in_doubt:
         return SHIP if SHIP in explaining else None
@@ -128,8 +128,8 @@ def crept(source: str | None, explaining: Set[str], alike: bool, ship_crept: boo
     as well as a drone does, no source is isolated.
 
     Args:
-        source: As isolated by the subfilters; None if they isolate none.
-        explaining: All sources without which the rest is consistent.
+        source: as isolated by the subfilters; None if they isolate none.
+        explaining: all sources without which the rest is consistent.
         alike: True if all beacons drift together.
         ship_crept: True if the ship's attitude has departed from its own rates; None if unknown.
     """
@@ -152,10 +152,10 @@ class Referee:
     """Fault detector for the sources of a configuration, from the innovations in the subfilters.
 
     Args:
-        config: Probabilities for exclusions, and the reinstatement time.
-        gate: Gate of the beacons.
-        rows: Set of subfilters.
-        threshold: Threshold of a solution separation, in standard deviations.
+        config: probabilities for exclusions, and the reinstatement time.
+        gate: gate of the beacons.
+        rows: set of subfilters.
+        threshold: threshold of a solution separation, in standard deviations.
     """
 
     def __init__(self, config: IntegrityConfig, gate: GateConfig, rows: SourceRows, threshold: float) -> None:
@@ -169,9 +169,9 @@ class Referee:
         """Restart the timers of sources that had no data before a sighting: a gap is no consistency.
 
         Args:
-            trust: State after the previous sighting.
-            names: Beacons of this sighting.
-            time_ns: Time of the sighting.
+            trust: state after the previous sighting.
+            names: beacons of this sighting.
+            time_ns: time of the sighting.
         """
         heard_ns, silent_ns = trust.means.heard_ns, time_ns - HEARD_NS
         quiet: Set[str] = {BEACON + name for name in names if heard_ns[self._rows.beacons.index(name)] < silent_ns}
@@ -199,9 +199,9 @@ class Referee:
         """Return True if a source is faulty, the isolated source or None, and all sources that explain the fault.
 
         Args:
-            trust: State after the sighting.
-            statistic: Solution separation of each subfilter in standard deviations, shape (h,).
-            time_ns: Time of the sighting.
+            trust: state after the sighting.
+            statistic: solution separation of each subfilter in standard deviations, shape (h,).
+            time_ns: time of the sighting.
         """
         sources, excluded = self._rows.sources, trust.excluded
         gone = np.array([BEACON + id_ in excluded for id_ in self._rows.beacons], dtype=bool)
@@ -280,11 +280,11 @@ class Referee:
         """Compare a beacon of an excluded drone with the estimate by the others; reinstate the drone when due.
 
         Args:
-            trust: State before.
-            name: Beacon.
-            compared: Innovation against the estimate by all other sources; one filter.
-            time_ns: Time of the sighting.
-            refused_m: Residual on the detector that the fault would cause now, m; 0 if there is none.
+            trust: state before.
+            name: beacon.
+            compared: innovation against the estimate by all other sources; one filter.
+            time_ns: time of the sighting.
+            refused_m: residual on the detector that the fault would cause now, m; 0 if there is none.
         """
         index, source = self._rows.beacons.index(name), BEACON + name
         left_out = trust.left_out[source]

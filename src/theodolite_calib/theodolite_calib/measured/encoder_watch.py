@@ -116,18 +116,18 @@ class EncoderWatch:
 
     @property
     def doubt_rad(self) -> float:
-        """By so much the readings may be wrong about each axis, as a standard deviation, beside their noise."""
+        """Standard deviation of the readings about each axis while unconfirmed, in addition to their noise, rad."""
         return math.hypot(self._steps.off_rad, 0.0 if self._stepped is None else self._stepped[1])
 
     def judge(
         self, sample: EncoderSample, track: VectorTrack[EncoderSample], late: Refusal | None = None
     ) -> JudgedReading:
-        """Judge a reading.
+        """Check a reading.
 
         Args:
             sample: the reading.
-            track: those taken so far; by these a reading is judged that comes after later ones.
-            late: the refusal of a reading that comes too late; None where it does not. Its unit is judged all the same.
+            track: accepted readings so far, against which a reading that comes after later ones is checked.
+            late: rejection of a reading that comes too late; None if it does not. Its unit is checked in any case.
         """
         refusal = self._units_refusal(sample, counts=late is None) or late
         if refusal is not None:

@@ -242,7 +242,7 @@ def _saved(filter_: CalibrationFilter, config: OpticalAxisConfig) -> list[_Saved
 def _reason_against_camera(
     prior: CalibrationPrior, of_camera: NDArray[np.bool_], saved: Mapping[str, _Saved], initial: CalibrationState
 ) -> str:
-    """Why the saved angles of a camera are not used; empty where they are."""
+    """Return the reason why the saved angles of a camera are not used; empty if they are."""
     for place in np.flatnonzero(of_camera):
         one = saved.get(prior.names[place])
         if one is None:

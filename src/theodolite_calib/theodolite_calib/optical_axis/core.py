@@ -334,7 +334,7 @@ class OpticalAxisCore:
         return self._calibration[1]
 
     def calibration_to_save(self) -> CalibrationPrior | None:
-        """Return the part of the calibration that the next session can start from; None if nothing was ever sighted."""
+        """Return the prior for the next session; None if there is no sighting and no saved calibration."""
         if self.state.informed_ns is None:
             return self._start[0] if self._start is not None else None
         return prior_of(self.filter, self.config, self.state)

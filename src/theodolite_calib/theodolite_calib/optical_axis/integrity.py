@@ -70,5 +70,5 @@ class PointingLevels:
 
 
 def integrity_of(filter_: CalibrationFilter, config: OpticalAxisConfig, estimate: PointingEstimate) -> IntegrityReport:
-    """The integrity of one pointing, which rests on a state of the filter of that configuration."""
+    """Return the integrity of one pointing, from a state of the filter of that configuration."""
     return PointingLevels(filter_, config, estimate.state).of(estimate)

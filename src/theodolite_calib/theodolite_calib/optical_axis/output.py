@@ -170,7 +170,7 @@ class PointingOutput:
         self._disagreement = filter_.model.sources.index(SOURCE_SHIP)
 
     def of_due(self, due: Sequence[DuePointing]) -> list[tuple[slice, PointingRun | Refusal]]:
-        """Compute pending pointings; return slices of them with the series of one state each, or the failure."""
+        """Compute pending pointings; return slices of them, each with its series or its failure."""
         found: list[tuple[slice, PointingRun | Refusal]] = []
         for _, group in groupby(due, key=lambda one: (id(one.state), one.ship.slow_covariance_n is None)):
             alike, start = list(group), found[-1][0].stop if found else 0
