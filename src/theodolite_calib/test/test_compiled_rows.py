@@ -42,7 +42,7 @@ def inverse_root(covariance: FloatArray) -> FloatArray:
 
 
 @pytest.mark.parametrize("lights", [1, 2, 5])
-def test_rows_see_lights_as_by_numpy(lights: int) -> None:
+def test_beacon_innovations_equal_numpy(lights: int) -> None:
     distance, parts, residual, h, noise, first, sees, known = sighting(lights)
     residuals, gains, nis, turns = compiled_rows.rows_seen(*sighting(lights))
     every = [residual, *(residual - distance @ h.T)]
@@ -63,7 +63,7 @@ def test_rows_see_lights_as_by_numpy(lights: int) -> None:
         assert turns[row, light, 2] == 0.0
 
 
-def test_a_covariance_that_is_none_is_refused() -> None:
+def test_indefinite_covariance_is_refused() -> None:
     arrays = list(sighting(2))
     arrays[4] = -1e3 * np.eye(4)
     with pytest.raises(np.linalg.LinAlgError):
@@ -71,7 +71,7 @@ def test_a_covariance_that_is_none_is_refused() -> None:
 
 
 @pytest.mark.parametrize("number", range(8))
-def test_shapes_that_do_not_fit_are_refused(number: int) -> None:
+def test_mismatched_shapes_are_refused(number: int) -> None:
     """The loops look at no bounds."""
     arrays = list(sighting(2))
     arrays[number] = arrays[number][:-1].copy()

@@ -21,7 +21,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("changes", "text"), REFUSED)
-def test_what_cannot_be_is_refused(changes: dict[str, object], text: str) -> None:
+def test_impossible_values_are_refused(changes: dict[str, object], text: str) -> None:
     with pytest.raises(ParameterError, match=text):
         config(**changes)
 

@@ -77,11 +77,11 @@ def test_who_stepped_is_named(steps, off_arcsec, name, rates):
 
 
 @pytest.mark.parametrize("rows", [ENCODER, SHIP])
-def test_what_is_too_small_to_be_seen_in_the_streams_stays_as_the_rows_have_it(rows):
+def test_undetectable_step_keeps_the_isolated_source(rows):
     assert {blamed(rows, BOTH, told(*samples(seed)), 5.0 * ARCSEC) for seed in range(20)} == {rows}
 
 
-def test_a_ship_that_was_in_doubt_itself_is_blamed_or_nobody():
+def test_degraded_ship_is_isolated_or_no_source():
     encoder, ship = samples(1, encoder_step=(0.0, 25.0))
     doubtful = [*ship[:25], replace(ship[25], status=Status.DEGRADED), *ship[26:]]
     gappy = [*ship[:20], *ship[24:]]
@@ -91,7 +91,7 @@ def test_a_ship_that_was_in_doubt_itself_is_blamed_or_nobody():
         assert blamed(ENCODER, {ENCODER}, streams, 25.0 * ARCSEC) is None
 
 
-def test_encoders_that_stopped_dead_are_not_believed_against_the_telescope():
+def test_stopped_encoders_do_not_implicate_the_telescope():
     """Frozen encoders make no step either; the lights move on without them."""
     encoder, ship = samples(1)
     frozen = [*encoder[:22], *(replace(one, vector=encoder[22].vector) for one in encoder[22:])]
@@ -100,7 +100,7 @@ def test_encoders_that_stopped_dead_are_not_believed_against_the_telescope():
     assert blamed(ENCODER, BOTH, told(at_rest, ship), 100.0 * ARCSEC) == TELESCOPE
 
 
-def test_streams_that_tell_nothing_leave_what_the_rows_say():
+def test_uninformative_streams_keep_the_isolated_source():
     streams = streams_since(SINCE_NS, [], [], (PERIOD_NS, PERIOD_NS), ARCSEC)
     assert blamed(ENCODER, BOTH, streams, 100.0 * ARCSEC) == ENCODER
 
@@ -118,7 +118,7 @@ def ships(seed, creep_arcsec_per_s, rates=True, creep_s=20.0):
     return found
 
 
-def test_a_ship_attitude_that_creeps_leaves_its_own_rates():
+def test_drifting_ship_attitude_departs_from_its_rates():
     """Sizes of 20" and 60" beside a noise of 1" a sample and 1"/s of a rate."""
     for seed in range(10):
         assert ship_crept(ships(seed, 1.0), 2 * PERIOD_NS, ARCSEC) is True
@@ -134,13 +134,13 @@ def test_attitudes_that_come_rarely_leave_their_rates_by_the_coarseness_of_the_s
         assert ship_crept(ships(seed, 0.0)[::every], 2 * every * PERIOD_NS, ARCSEC) is not True
 
 
-def test_without_rates_or_with_a_gap_nothing_tells_whether_a_ship_has_crept():
+def test_ship_drift_is_unknown_without_rates_or_with_a_gap():
     assert ship_crept(ships(0, 3.0, rates=False), 2 * PERIOD_NS, ARCSEC) is None
     assert ship_crept(ships(0, 3.0)[:100] + ships(0, 3.0)[110:], 2 * PERIOD_NS, ARCSEC) is None
     assert ship_crept([], 2 * PERIOD_NS, ARCSEC) is None
 
 
-def test_a_ship_attitude_that_was_put_right_as_its_covariance_says_has_not_crept():
+def test_corrected_ship_attitude_is_no_drift():
     sharper = [
         replace(sample, slow_covariance_n=np.eye(3) * ((30.0 if sample.time_ns < 30 * 10**9 else 1.0) * ARCSEC) ** 2)
         for sample in ships(0, 3.0)
@@ -164,5 +164,5 @@ def test_a_ship_attitude_that_was_put_right_as_its_covariance_says_has_not_crept
         (None, {ENCODER, SHIP}, False, False, None),
     ],
 )
-def test_who_creeps(source, explaining, alike, ship, named):
+def test_isolation_of_a_drift(source, explaining, alike, ship, named):
     assert crept(source, explaining, alike, ship) == named

@@ -90,7 +90,7 @@ def test_everything_is_written_and_looked_for_before(folder: Path) -> None:
     assert {path: path.read_bytes() for path in folder.iterdir()} == before
 
 
-def test_page_says_what_the_tables_say(folder: Path, paper: DesignStudy) -> None:
+def test_page_contains_the_tables(folder: Path, paper: DesignStudy) -> None:
     page = (folder / "design_study.html").read_text(encoding="utf-8")
     sources = re.findall(r'(?:src|href)="([^"]{0,40})', page)
     assert len(sources) == 2

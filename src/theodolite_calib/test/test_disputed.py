@@ -66,7 +66,7 @@ def pointed() -> tuple[Pointed, ...]:
 
 
 @pytest.mark.slow
-def test_what_is_disputed_is_in_the_covariance_long_before_anybody_is_excluded() -> None:
+def test_separations_inflate_the_covariance_before_an_exclusion() -> None:
     creeping = [one for one in pointed() if one.since_s > 0.0]
     with_it = [one.sigmas(one.estimate.covariance_n) > 5.0 for one in creeping]
     without = [one.sigmas(one.estimate.undisputed_n) > 5.0 for one in creeping]
@@ -75,7 +75,7 @@ def test_what_is_disputed_is_in_the_covariance_long_before_anybody_is_excluded()
     assert sum(with_it) < sum(without) / 3
 
 
-def test_while_all_is_right_little_is_disputed() -> None:
+def test_separations_are_small_without_faults() -> None:
     right = [np.any(one.disputed_n) for one in pointed() if -25.0 < one.since_s <= 0.0]
     assert len(right) > 500
     assert np.mean(right) < 0.05

@@ -35,7 +35,7 @@ def watched(angles, acceleration=FAST, times_ns=None):
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_a_step_of_twenty_arcsec_is_in_doubt_at_its_first_reading_until_lights_agree(axis):
+def test_step_is_unconfirmed_until_beacons_agree(axis):
     """A cubic through twelve readings: sigma of a prediction 1.92", bound 12.5"; 20" is 3.9 sigma above it."""
     seconds, at = np.arange(120) / RATE_HZ, 100
     first = lasts = 0
@@ -92,7 +92,7 @@ def test_slews_are_no_steps():
     assert doubts <= 2 * corners
 
 
-def test_a_single_wrong_reading_leaves_no_doubt():
+def test_single_wrong_reading_is_not_unconfirmed():
     angles = motion(np.arange(130) / RATE_HZ, np.random.default_rng(1))
     angles[100] += 60.0 * ARCSEC
     _, found = watched(angles)
@@ -101,7 +101,7 @@ def test_a_single_wrong_reading_leaves_no_doubt():
 
 @pytest.mark.statistics
 @pytest.mark.parametrize("sigma_arcsec", [0.3, 1.0, 5.0])
-def test_good_readings_are_not_suspected(sigma_arcsec):
+def test_valid_readings_are_no_steps(sigma_arcsec):
     """More noise than is stated is learnt; stamps that jitter by a tenth of a period are taken as they are."""
     rng = np.random.default_rng(7)
     seconds = np.arange(20_000) / RATE_HZ + rng.uniform(-0.1, 0.1, 20_000) / RATE_HZ

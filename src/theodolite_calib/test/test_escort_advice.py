@@ -62,7 +62,7 @@ def beside_axis(accuracy: LightsAccuracy, beside_deg: FloatArray, range_m: float
 
 
 @pytest.mark.parametrize("elevation_deg", [10.0, 60.0])
-def test_accuracy_is_that_of_the_lights_alone_where_nothing_else_is_known(elevation_deg: float) -> None:
+def test_accuracy_without_priors_is_that_of_the_beacons(elevation_deg: float) -> None:
     """The bound of models.md §5, 3.47", and the maximum likelihood of the telescope's attitude, made of other code."""
     accuracy = accuracy_of(paper_config(), elevation_deg)
     places_n = beside_axis(accuracy, PAPER_FIELD_DEG, 2000.0)
@@ -228,7 +228,7 @@ def test_limits_reached_are_named() -> None:
          "separation_min_m"),
     ],
 )  # fmt: skip
-def test_no_place_is_said_with_the_limit(elevation_deg: float, limits: dict[str, float], reached: str) -> None:
+def test_missing_position_names_the_limit(elevation_deg: float, limits: dict[str, float], reached: str) -> None:
     config = paper_config(**limits)
     accuracy = accuracy_of(config, elevation_deg)
     advice = advice_for(config, accuracy, a=beside_axis(accuracy, PAPER_FIELD_DEG, 1000.0)[0])
@@ -238,7 +238,7 @@ def test_no_place_is_said_with_the_limit(elevation_deg: float, limits: dict[str,
     assert np.isfinite(advice.sigma_now)
 
 
-def test_only_lights_in_the_field_count_now() -> None:
+def test_only_beacons_in_the_field_count() -> None:
     config = paper_config()
     accuracy = accuracy_of(config, 20.0)
     inside_n, beside_n = beside_axis(accuracy, np.array([[1.0, 1.0], [4.0, 0.0]]), 1000.0)
@@ -251,7 +251,7 @@ def test_only_lights_in_the_field_count_now() -> None:
 
 
 @pytest.mark.parametrize("range_max_m", [500.0, 3000.0])
-def test_a_drone_on_deck_is_no_light_in_the_field(range_max_m: float) -> None:
+def test_drone_on_deck_is_not_in_the_field(range_max_m: float) -> None:
     config = paper_config(range_max_m=range_max_m)
     accuracy = accuracy_of(config, 20.0)
     on_deck_n = np.tile(accuracy.centre_n, (2, 1))

@@ -156,7 +156,7 @@ def test_the_optimum_is_that_of_a_batch_least_squares() -> None:
     assert sigma[free] == pytest.approx(np.sqrt(np.diagonal(covariance))[free], rel=2e-3)
 
 
-def test_a_start_far_off_ends_where_a_near_one_does() -> None:
+def test_distant_start_converges_to_the_same_estimate() -> None:
     """Ten arcminutes in the zero points: linearised once, their squares alone would be 1.7"."""
     far = {"axes__g_arcsec": 600.0, "axes__h_arcsec": -600.0}
     sigma = {"axes__g_sigma_arcsec": 1000.0, "axes__h_sigma_arcsec": 1000.0}

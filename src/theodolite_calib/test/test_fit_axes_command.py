@@ -62,7 +62,7 @@ def test_everything_is_written(folder: Path) -> None:
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in folder.glob("*.png"))
 
 
-def test_tables_say_the_same(folder: Path) -> None:
+def test_tables_are_consistent(folder: Path) -> None:
     document = yaml.safe_load((folder / "axes.yaml").read_text(encoding="utf-8"))
     terms = {row["term"]: row for row in rows_of(folder / "axes.csv")}
     assert tuple(terms) == NAMES
@@ -119,7 +119,7 @@ def test_zero_points_may_be_degrees(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 
 @pytest.mark.slow
-def test_flexure_is_fitted_when_asked_for(tmp_path: Path) -> None:
+def test_flexure_is_fitted_if_requested(tmp_path: Path) -> None:
     table = write_table(tmp_path / "s.csv")
     assert main([str(table), "--out", str(tmp_path), "--flexure", "--fix", "c", "--fix", "I=-25"]) == 0
     document = yaml.safe_load((tmp_path / "axes.yaml").read_text(encoding="utf-8"))
@@ -128,7 +128,7 @@ def test_flexure_is_fitted_when_asked_for(tmp_path: Path) -> None:
     assert document["values_arcsec"]["I"] == pytest.approx(-25.0)
 
 
-def test_yaml_and_csv_are_read_alike(tmp_path: Path) -> None:
+def test_yaml_and_csv_are_equal(tmp_path: Path) -> None:
     rows = table_rows()
     rows[0][0] += 360.0
     entries = [{"observation": f"S{number}", **dict(zip(COLUMNS, row, strict=True))} for number, row in enumerate(rows)]
@@ -255,7 +255,7 @@ def test_help(capsys: pytest.CaptureFixture[str]) -> None:
         assert word in shown
 
 
-def test_mend_23_what_the_table_states_of_shared_errors_is_in_the_calibration_file(tmp_path: Path) -> None:
+def test_shared_errors_are_in_the_calibration_file(tmp_path: Path) -> None:
     """The optical axis takes the file; a turn of the base by 20″ leaves the tilt open by as much, plain rows do not."""
     rows = table_rows()
     header = f"{HEADER},time_s,group,group_sigma_arcsec"
@@ -279,7 +279,7 @@ def test_mend_23_what_the_table_states_of_shared_errors_is_in_the_calibration_fi
     np.testing.assert_array_equal(grouped.covariance[6:], 0.0)
 
 
-def test_mend_23_no_sigma_where_sightings_share_errors_that_nothing_states(
+def test_no_sigma_with_unstated_shared_errors(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rng = np.random.default_rng(4)
@@ -302,7 +302,7 @@ def test_mend_23_no_sigma_where_sightings_share_errors_that_nothing_states(
     assert {row["sigma_arcsec"] for row in rows_of(out / "axes.csv")} == {""}
 
 
-def test_mend_23_rows_given_twice_count_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_repeated_rows_count_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name, rows in (("once", table_rows()), ("twice", [*table_rows(), *table_rows()[:7]])):
         assert main([str(write_table(tmp_path / f"{name}.csv", rows)), "--out", str(tmp_path / name)]) == 0
     shown = capsys.readouterr().out
@@ -323,7 +323,7 @@ def test_mend_23_rows_given_twice_count_once(tmp_path: Path, capsys: pytest.Capt
         (lambda row: [*row[:3], -row[3]], "the opposite sign of elevation_offset_deg"),
     ],
 )
-def test_mend_23_offsets_that_mean_something_else_are_told(
+def test_wrong_offset_conventions_are_reported(
     changed: Callable[[list[float]], list[float]], told: str | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     table = write_table(tmp_path / "s.csv", [changed(row) for row in table_rows()])
@@ -348,7 +348,7 @@ def test_mend_23_offsets_that_mean_something_else_are_told(
         ("group", "a", "columns missing: group, group_sigma_arcsec belong together"),
     ],
 )
-def test_mend_23_columns_of_shared_errors_that_cannot_be_read(
+def test_unreadable_columns_of_shared_errors(
     column: str, value: str, reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     table = tmp_path / "s.csv"

@@ -45,7 +45,7 @@ def test_levels_go_out_once_a_second_and_name_their_hypotheses() -> None:
     assert last.dominant in last.hypotheses
 
 
-def test_without_lights_nothing_checks_the_encoders() -> None:
+def test_integrity_is_unavailable_without_beacons() -> None:
     dark = tuple(a for a in session(10.0) if a.topic != BEACONS or (a.stamp_ns - START_NS) < 3 * SECOND_NS)
     run = drive(new_adapter(), dark)
     last = run.messages(TOPIC)[-1]
@@ -53,7 +53,7 @@ def test_without_lights_nothing_checks_the_encoders() -> None:
     assert np.all(np.isnan(last.protection_level))
 
 
-def test_a_source_that_is_excluded_is_told_at_once_and_in_the_diagnostics() -> None:
+def test_exclusion_is_published_at_once_and_in_diagnostics() -> None:
     def moved(message: Any) -> None:
         message.enu.z += 3.0
 
@@ -88,7 +88,7 @@ def lost_lights() -> Any:
 
 
 @pytest.mark.parametrize("arrivals", [frozen_ship(), lost_lights()], ids=["ship frozen", "no lights"])
-def test_what_is_told_covers_each_output(arrivals: Any) -> None:
+def test_published_levels_cover_each_output(arrivals: Any) -> None:
     run = LevelledRun(new_adapter(), arrivals)
     assert len(run.told_and_own()) > 100
     assert run.uncovered() == []
@@ -104,7 +104,7 @@ def test_what_is_told_covers_each_output(arrivals: Any) -> None:
         ({"integrity__prior_per_h": {"encoder": 0.0}}, "integrity.prior_per_h.encoder"),
     ],
 )
-def test_what_cannot_be_is_refused_by_name(changes: dict[str, Any], name: str) -> None:
+def test_impossible_configuration_is_refused_by_name(changes: dict[str, Any], name: str) -> None:
     with pytest.raises(ParameterError) as refused:
         config(**changes)
     assert name in str(refused.value)

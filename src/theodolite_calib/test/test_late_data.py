@@ -92,7 +92,7 @@ def test_one_late_message_is_applied_at_its_own_time(topic: str, late_s: float) 
 
 
 @pytest.mark.parametrize("topic", ALL)
-def test_what_is_later_than_the_lag_is_refused_and_counted(topic: str) -> None:
+def test_data_later_than_the_lag_are_rejected_and_counted(topic: str) -> None:
     index = index_at(session(), topic, 2.6)
     late_ns = session()[index].receive_ns + round((LAG_S + 0.3) * SECOND_NS)
     run = drive(new_adapter(), replaced(session(), index, lambda message: None, late_ns))
@@ -110,7 +110,7 @@ def test_a_pointing_waits_for_the_ship_and_comes_with_it() -> None:
     assert len(run.pointings) >= len(clean_run().pointings) - 1
 
 
-def test_the_clock_goes_back_once_and_all_begins_anew() -> None:
+def test_clock_jump_back_resets_once() -> None:
     adapter = new_adapter()
     first = drive(adapter, session())
     adapter.clock_jumped_back(session()[0].receive_ns)
@@ -122,7 +122,7 @@ def test_the_clock_goes_back_once_and_all_begins_anew() -> None:
 
 
 @pytest.mark.slow
-def test_a_flood_with_random_stamps_costs_few_steps_and_what_is_refused_leaves_no_trace(
+def test_flood_of_random_stamps_costs_few_steps(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Exposures at 2 Hz; unbounded, each of the flood would make some hundred steps."""
@@ -149,7 +149,7 @@ def lights_used(run: Run) -> list[float]:
     return sorted({(stamp_of(m) - START_NS) / SECOND_NS for m in told})
 
 
-def test_no_lights_are_used_while_encoders_and_ship_tell_a_time_twice() -> None:
+def test_beacons_are_rejected_while_encoders_and_ship_repeat_times() -> None:
     run = drive(new_adapter(), told_twice((ENCODER, SHIP)))
     core = run.adapter.core
     assert not core.state.trust.left_out
@@ -159,7 +159,7 @@ def test_no_lights_are_used_while_encoders_and_ship_tell_a_time_twice() -> None:
     assert [s for s in used if s > 12.4]
 
 
-def test_in_any_order_no_lights_are_used_while_encoders_and_ship_tell_a_time_twice() -> None:
+def test_repeated_times_reject_beacons_in_any_order() -> None:
     arrivals = told_twice((ENCODER, SHIP))
     one = drive(new_adapter(), arrivals)
     rng = np.random.default_rng(7)
@@ -168,6 +168,6 @@ def test_in_any_order_no_lights_are_used_while_encoders_and_ship_tell_a_time_twi
     assert other.state() == one.state()
 
 
-def test_lights_are_used_while_one_source_alone_tells_a_time_twice() -> None:
+def test_beacons_are_used_while_one_source_repeats_times() -> None:
     used = lights_used(drive(new_adapter(), told_twice((SHIP,))))
     assert len([s for s in used if 3.5 < s < 12.0]) == 17  # all: there are two a second

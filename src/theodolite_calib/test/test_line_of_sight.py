@@ -151,7 +151,7 @@ def test_jacobians_equal_finite_differences(name):
         assert term.jacobian_n[..., k] == pytest.approx(expected, abs=1e-4 * largest)
 
 
-def test_each_light_has_its_own_error_where_not_common():
+def test_own_errors_are_independent_between_beacons():
     for name, term in TERMS.items():
         if term.common:
             continue
@@ -162,7 +162,7 @@ def test_each_light_has_its_own_error_where_not_common():
         assert np.abs(moved[1]).max() > 0.0
 
 
-def test_what_is_common_and_what_lasts():
+def test_common_and_correlated_terms():
     common = {"rtk_base", "theodolite_lever", "principal_point", "ship_attitude", "refraction"}
     assert {name for name, term in TERMS.items() if term.common} == common
     assert {name for name, term in TERMS.items() if not term.slow} == {"rtk_noise"}
@@ -249,7 +249,7 @@ def test_block_diagonal():
     assert block_diagonal(blocks)[0].tolist() == expected
 
 
-def test_a_common_error_correlates_the_lights_fully():
+def test_common_error_correlates_the_beacons_fully():
     jacobian_n = np.ones((2, 3, 1))
     term = ErrorTerm("x", "x", common=True, slow=True, jacobian_n=jacobian_n, covariance=np.array([[4.0]]))
     assert term.direction_covariance_n().tolist() == np.full((6, 6), 4.0).tolist()

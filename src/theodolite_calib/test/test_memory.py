@@ -49,7 +49,7 @@ def moved_across(sighting: Sighting, right_m: float) -> Sighting:
     return replace(sighting, lights=replace(sighting.lights, baseline_n=sighting.lights.baseline_n + right_m * right_n))
 
 
-def test_a_baseline_that_moves_turns_its_light_to_the_other_side() -> None:
+def test_moved_baseline_turns_its_beacon_to_the_other_side() -> None:
     """By the shift across the line of sight over the distance: plane geometry."""
     state, sighting = remembered(1)
     moved_n = np.array([0.4, 0.5, -0.3])
@@ -79,7 +79,7 @@ def test_separations_have_the_covariance_that_is_stated() -> None:
     assert low < np.mean(values) < high
 
 
-def test_what_is_expected_grows_by_the_drift() -> None:
+def test_expected_covariance_grows_with_time() -> None:
     state, sighting = remembered(2)
     later = propagate_memory(FILTER, state, [], sighting.time_ns + SECOND_NS)
     now = memory_residuals(FILTER, state, sighting)[sighting.names[0]]
@@ -106,7 +106,7 @@ def test_a_start_from_the_memory_departs_from_it_by_nothing() -> None:
 
 
 @pytest.mark.parametrize(("moved_m", "least", "most"), [(0.0, 0.0, 3.0), (1.0, 4.0, np.inf)])
-def test_another_estimate_departs_from_the_memory_where_all_lights_have_moved(moved_m, least, most) -> None:
+def test_difference_from_memory_after_all_beacons_moved(moved_m, least, most) -> None:
     """A metre at 2 km is 103″; each state by itself hides it, for they are known to tens of arcseconds."""
     departures = []
     for seed in range(10):

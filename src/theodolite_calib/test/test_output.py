@@ -65,7 +65,7 @@ def readings(source: str, state: CalibrationState) -> tuple[EncoderRun, ShipRun]
 
 
 @pytest.mark.parametrize("source", SOURCES)
-def test_the_axis_is_where_the_predicted_state_has_it(source: str) -> None:
+def test_axis_equals_that_of_the_predicted_state(source: str) -> None:
     """The filter carries the whole state to each moment; of that the chain makes the axis, by numpy."""
     _, filter_, state = seen(source)
     encoders, ship = readings(source, state)
@@ -126,7 +126,7 @@ def test_a_reading_gives_to_the_bit_what_it_gives_among_others(source: str, disp
 
 
 @pytest.mark.parametrize("source", SOURCES)
-def test_what_depends_on_lights_is_there_while_they_are_recent(source: str) -> None:
+def test_beacon_outputs_are_valid_while_recent(source: str) -> None:
     settings, filter_, before = seen(source)
     state = in_dispute(before)
     encoders, ship = readings(source, state)

@@ -62,7 +62,7 @@ def test_maximum_likelihood_reaches_the_bound_and_knows_it(elevation_deg, rotati
 
 
 @pytest.mark.parametrize("elevation_deg", ELEVATIONS_DEG)
-def test_refraction_common_to_both_lights(elevation_deg):
+def test_refraction_common_to_both_beacons(elevation_deg):
     epochs, attitude = solved(elevation_deg, 40.0, common_refraction=True)
     assert rms(axis_error_arcsec(epochs, attitude.rotation_nt)) <= 3.80
     error_n = log_rotation(epochs.truth.rotation_nt @ np.swapaxes(attitude.rotation_nt, -1, -2))

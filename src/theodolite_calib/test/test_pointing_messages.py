@@ -71,7 +71,7 @@ def test_rows_are_the_messages_of_each_pointing_in_their_order() -> None:
     assert {len(messages) for messages in found} == {1, 2}
 
 
-def test_one_pointing_says_what_it_is() -> None:
+def test_fields_of_one_pointing() -> None:
     factory = RosbagsFactory()
     for pointing in pointings(len(KINDS)):
         (topic, message), *on_tf = pointing_messages(factory, LEVER, pointing)

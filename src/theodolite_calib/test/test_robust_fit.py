@@ -32,7 +32,7 @@ def test_exact_sightings_give_the_errors_back(g: float) -> None:
 
 @pytest.mark.statistics
 @pytest.mark.parametrize("outlier_share", [0.0, 0.05])
-def test_covariance_is_honest(outlier_share: float) -> None:
+def test_covariance_is_consistent(outlier_share: float) -> None:
     """99.9 % bands over 200 seeds, one error a seed; with outliers seven times the noise as well."""
     rng = np.random.default_rng(2)
     angles = spread(rng, 60, (10.0, 85.0))
@@ -52,7 +52,7 @@ def test_covariance_is_honest(outlier_share: float) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("stated", [True, False])
-def test_mend_23_errors_that_sightings_share_are_in_the_covariance(stated: bool) -> None:
+def test_shared_errors_are_in_the_covariance(stated: bool) -> None:
     """A hull that turns by 20″ in ten minutes and a lever that is off for good; 99.9 % bands over the seeds."""
     rng = np.random.default_rng(10)
     seeds, count = 40, 50
@@ -89,7 +89,7 @@ def test_mend_23_errors_that_sightings_share_are_in_the_covariance(stated: bool)
     assert np.all((low <= ratio) & (ratio <= high)), ratio
 
 
-def test_outliers_are_named_and_hardly_count() -> None:
+def test_outliers_are_named_and_have_little_weight() -> None:
     rng = np.random.default_rng(3)
     angles = spread(rng, 100, (10.0, 85.0))
     clean = sight(rng, ERRORS, angles, 6.0)
@@ -157,7 +157,7 @@ def test_valley_of_a_narrow_range_of_elevation() -> None:
     assert np.max(both.sigmas) < 0.1 * np.max(narrow.sigmas)
 
 
-def test_good_coverage_is_told_apart() -> None:
+def test_good_coverage_separates_the_errors() -> None:
     rng = np.random.default_rng(7)
     azimuth, elevation = spread(rng, 100, (0.0, 85.0))
     elevation[::2] = np.pi - elevation[::2]
@@ -177,7 +177,7 @@ def test_good_coverage_is_told_apart() -> None:
         ((30.0, 30.0), (77.0, 77.0), ("g", "h", "c", "I", "beta_x", "beta_y"), 4),
     ],
 )
-def test_what_sightings_say_nothing_about_is_named_and_stays_at_zero(
+def test_unobservable_errors_are_named_and_stay_at_zero(
     elevations_deg: tuple[float, float], azimuths_deg: tuple[float, float], names: tuple[str, ...], count: int
 ) -> None:
     rng = np.random.default_rng(8)

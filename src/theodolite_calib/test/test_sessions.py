@@ -105,7 +105,7 @@ def rms(values: FloatArray) -> float:
 
 
 @pytest.mark.slow
-def test_pointing_after_the_lights_have_left() -> None:
+def test_pointing_after_the_last_beacons() -> None:
     """Independent figures: 7.9" over the first 30 s, 29.7" after ten minutes, of which the deformation 26.3"."""
     left = left_alone()
     assert rms(left.sigma[:, :7]) < 8.5
@@ -153,7 +153,7 @@ THE_SAME_ALL_ALONG = {
     ],
     ids=["new each time", "the same all along"],
 )
-def test_ten_seconds_of_lights_are_worth_what_is_claimed(changes: dict[str, float], low: float, high: float) -> None:
+def test_ten_seconds_of_beacons_match_their_covariance(changes: dict[str, float], low: float, high: float) -> None:
     settings = config(**changes)
     filter_ = CalibrationFilter(settings)
     times_s = np.arange(0.0, 10.0, 0.1)
@@ -194,12 +194,12 @@ def test_a_narrow_range_of_elevation_leaves_the_valley_of_c_I_and_g() -> None:
     assert valley == "g - c + 0.46 I"
 
 
-def test_what_is_held_is_no_question() -> None:
+def test_fixed_errors_are_not_reported() -> None:
     held = {"axes__c_sigma_arcsec": 0.0}
     assert open_after(20.0, 30.0, **held) == THREE
 
 
-def test_before_the_first_light_everything_is_open() -> None:
+def test_all_is_unobservable_before_the_first_beacon() -> None:
     filter_ = CalibrationFilter(config())
     names = filter_.observability.open_combinations(filter_.initial_state().unaided)
     assert set(names) == {

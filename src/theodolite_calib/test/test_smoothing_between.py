@@ -109,7 +109,7 @@ def test_before_the_first_sighting_the_errors_are_what_they_may_be() -> None:
         np.testing.assert_allclose(cross[place, 3:6, 3:6], np.exp(-last_s / 25.0) * first.covariance[3:6, 3:6])
 
 
-def test_a_moment_before_a_jump_may_be_later_than_the_estimate_that_it_opens() -> None:
+def test_time_before_a_jump_may_be_later_than_its_estimate() -> None:
     # The jump adds to the zero points: what the moment has in common with the opened state are the errors at that.
     filter_ = TracedFilter(config(**ERRORS))
     state = correlated(filter_, 1.0)

@@ -71,7 +71,7 @@ DRONE = BEACON + "alpha"
 
 
 @pytest.mark.parametrize("source", [ENCODER, SHIP, TELESCOPE, DRONE])
-def test_of_what_leads_to_the_telescope_nothing_excluded_is_told_back(source: str) -> None:
+def test_excluded_axis_sources_are_not_smoothed(source: str) -> None:
     filter_ = TracedFilter(SETTINGS)
     first, second = sightings(2)
     before = stepped(filter_, filter_.initial_state(), first)

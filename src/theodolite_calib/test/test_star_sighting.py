@@ -84,7 +84,7 @@ def test_streaks_are_brought_to_the_middle_by_encoders_and_ship(exposure_s: floa
     assert np.trace(sighting.exposure.smear_s[0]) == pytest.approx(expected, rel=0.05)
 
 
-def test_without_a_length_stars_stay_where_they_were_seen() -> None:
+def test_stars_without_exposure_length_are_unchanged() -> None:
     seen = replace(exposure(0.05), length=None)
     sighting = star_sighting(seen, SETTINGS, tracks())
     assert isinstance(sighting, StarSighting)

@@ -95,7 +95,7 @@ def one_exposure(mount: Mount, count: int) -> tuple[float, float, float]:
 
 
 @pytest.mark.parametrize(("count", "most_arcsec"), [(4, 1.2), (8, 0.9)])
-def test_one_exposure_gives_the_axis_as_its_covariance_says(watch, count: int, most_arcsec: float) -> None:
+def test_one_exposure_matches_its_covariance(watch, count: int, most_arcsec: float) -> None:
     rms, sigma, nees = one_exposure(Mount(SETTINGS, watch), count)
     low, high = mean_nees_band(SEEDS, 3)
     assert low <= nees <= high
@@ -143,7 +143,7 @@ def test_through_a_camera_that_turns_the_pointing_comes_to_the_bound_of_the_stre
     assert np.sqrt(squares) <= 1.15 * np.sqrt(np.mean(bounds))
 
 
-def test_a_parallelism_of_an_arcsecond_is_what_limits_and_the_budget_says_so(watch) -> None:
+def test_parallelism_dominates_the_budget(watch) -> None:
     mount = Mount(mount_config(parallelism_sigma_arcsec=1.0), watch)
     rms, sigma, nees = one_exposure(mount, 4)
     low, high = mean_nees_band(SEEDS, 3)
@@ -216,7 +216,7 @@ def test_stars_without_a_name_are_named_by_the_predicted_pointing(watch) -> None
     assert named + left_open == 120
 
 
-def test_without_lights_stars_and_calibration_the_pointing_is_in_doubt(watch) -> None:
+def test_pointing_without_beacons_stars_and_calibration_is_degraded(watch) -> None:
     mount = Mount(SETTINGS, watch)
     night, rng = mount.night(0)
     estimate = mount.pointing(night, mount.filter.initial_state(), random_field(rng))
@@ -230,7 +230,7 @@ def knocked(night: MountNight) -> MountNight:
     return MountNight(night.settings, errors, night.watch, night.rng)
 
 
-def test_stars_that_contradict_the_calibrated_axes_are_refused_and_the_pointing_is_in_doubt(watch) -> None:
+def test_inconsistent_stars_are_rejected_and_degrade_the_pointing(watch) -> None:
     mount = Mount(SETTINGS, watch)
     night, _ = mount.night(1)
     encoder = np.array([1.0, 0.9])
@@ -249,7 +249,7 @@ def test_stars_that_contradict_the_calibrated_axes_are_refused_and_the_pointing_
     assert mount.pointing(night, state, encoder, TIME_NS + SECOND_NS).status is Status.VALID
 
 
-def test_while_the_encoders_are_excluded_stars_with_names_tell_where_the_camera_looks(watch) -> None:
+def test_identified_stars_give_the_attitude_without_encoders(watch) -> None:
     """The encoders have slipped by a degree: stars without names are not identified, and that is no contradiction."""
     mount = Mount(SETTINGS, watch)
     night, _ = mount.night(3)

@@ -68,7 +68,7 @@ def mean_nees(settings: OpticalAxisConfig) -> tuple[float, PointingEstimate, Cal
     return float(np.mean(nees)), estimate, filter_
 
 
-def test_the_pointing_is_as_good_as_its_covariance_says_and_the_budget_names_them() -> None:
+def test_pointing_matches_its_covariance_with_pixel_errors() -> None:
     nees, estimate, filter_ = mean_nees(configured(**ERRORS_PX))
     low, high = mean_nees_band(NIGHTS, 3)
     assert low <= nees <= high
@@ -82,7 +82,7 @@ def test_the_pointing_is_as_good_as_its_covariance_says_and_the_budget_names_the
 
 
 @pytest.mark.statistics
-def test_a_filter_that_is_not_told_of_them_claims_too_much() -> None:
+def test_filter_without_pixel_errors_is_overconfident() -> None:
     nees, _, _ = mean_nees(configured())
     assert nees > mean_nees_band(NIGHTS, 3)[1]
 

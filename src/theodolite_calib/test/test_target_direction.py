@@ -152,7 +152,7 @@ def test_derivatives_of_angles_and_place(seed: int) -> None:
     np.testing.assert_allclose(place.by_direction_n @ across, by_direction, atol=0.05)  # of 2000 m: the bend, 2e-5
 
 
-def test_a_light_path_of_two_kilometres_is_lowered_by_four_centimetres() -> None:
+def test_refraction_over_two_kilometres_is_four_centimetres() -> None:
     # models.md §5: k d / (2 R) = 4.2" at 2 km.
     place = ranged_place(np.array([1.0, 0.0, 0.0]), 2000.0, 0.13)
     assert np.arcsin(-place.path_n[1] / 2000.0) / ARCSEC == pytest.approx(4.21, abs=0.01)
@@ -249,7 +249,7 @@ def drawn(plunged: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 @pytest.mark.statistics
 @pytest.mark.parametrize("plunged", [False, True])
-def test_the_errors_are_as_the_covariance_says(plunged: bool) -> None:
+def test_errors_match_the_covariance(plunged: bool) -> None:
     """Azimuth 0-360°, elevation -5 to 85°, detector ±180°; plunged, the image of the main axis stands on its head."""
     direction, angles, place = drawn(plunged)
     for nees, degrees in ((direction, 2), (angles, 2), (place, 3)):

@@ -96,7 +96,7 @@ def test_each_image_gets_its_direction_at_its_own_time() -> None:
     assert clean().health(TARGET).rejected == 0
 
 
-def test_a_direction_is_worth_no_more_than_the_pointings_beside_it() -> None:
+def test_direction_has_the_worst_status_of_adjacent_pointings() -> None:
     pointings = {stamp_of(m): m.status for m in clean().pointings}
     times = sorted(pointings)
     statuses = set()
@@ -111,7 +111,7 @@ def test_images_change_no_other_output_to_the_last_bit() -> None:
     assert without_targets(clean()) == run_of().results()
 
 
-def test_a_ship_that_says_degraded_makes_it_degraded() -> None:
+def test_degraded_ship_makes_it_degraded() -> None:
     base = tuple(
         Arrival(a.topic, _changed(a.message, status=2), a.receive_ns) if a.topic == SHIP else a for a in session()
     )
@@ -139,14 +139,14 @@ BAD: dict[str, tuple[Reason, dict[str, Any]]] = {
 
 
 @pytest.mark.parametrize("kind", BAD)
-def test_a_bad_image_is_refused_by_name_and_leaves_no_trace(kind: str) -> None:
+def test_bad_image_is_rejected_by_name_without_effect(kind: str) -> None:
     reason, fields = BAD[kind]
     run = run_of(*images(), arriving(image(2.05, **fields)))
     assert run.reasons(TARGET) == {reason.word: 1}
     assert run.results() == clean().results()
 
 
-def test_without_a_main_detector_every_image_is_refused_and_told_what_to_set() -> None:
+def test_images_without_a_main_detector_are_rejected_with_advice() -> None:
     run = drive(new_adapter(), in_order((*session(), *images())), START_NS + 9 * SECOND_NS)
     assert run.messages(DIRECTION) == []
     assert run.reasons(TARGET) == {"unknown_sensor": len(images())}
@@ -195,7 +195,7 @@ def test_a_late_image_is_answered_at_its_own_time_within_the_lag(latency_s: floa
 
 
 @pytest.mark.parametrize(("topic", "text"), [(ENCODER, "no encoder readings"), (SHIP, "no attitudes of the ship")])
-def test_an_image_without_its_pointing_is_invalid_and_told(topic: str, text: str) -> None:
+def test_image_without_pointing_is_invalid_and_reported(topic: str, text: str) -> None:
     """In the silence the image waits for the lag; then INVALID says so, with NaN, and the reason stands in health."""
     base = tuple(a for a in session() if not (a.topic == topic and a.stamp_ns > START_NS + 3 * SECOND_NS))
     run = run_of(arriving(image(2.05)), arriving(image(4.05)), base=base)
@@ -207,7 +207,7 @@ def test_an_image_without_its_pointing_is_invalid_and_told(topic: str, text: str
     assert text in run.innovations(Reason.GAP)[0].reason_text
 
 
-def test_a_flood_is_bounded_and_its_oldest_are_refused() -> None:
+def test_flood_is_bounded_and_its_oldest_are_rejected() -> None:
     base = tuple(a for a in session() if a.stamp_ns < START_NS + 3 * SECOND_NS)
     flood = [arriving(image(3.5, target_id=f"t{number}"), 0.01) for number in range(1100)]
     run = run_of(*flood, base=base)

@@ -56,7 +56,7 @@ def test_an_attitude_between_two_is_worth_no_more_than_either() -> None:
     assert told == {"long before": VALID, "before": DEGRADED, "at it": DEGRADED, "after": DEGRADED, "long after": VALID}
 
 
-def test_mend_27_what_is_put_together_at_an_exposure_counts_its_interpolation() -> None:
+def test_assembled_sighting_includes_interpolation_errors() -> None:
     slow = inputs()
     of_encoder, of_ship, of_baseline = [], [], []
     for time_ns in np.random.default_rng(27).integers(2 * STEP_NS, 56 * STEP_NS, 200).tolist():

@@ -51,7 +51,7 @@ def table(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def test_places_are_as_good_as_their_covariance_says(tmp_path: Path, capsys) -> None:
+def test_positions_match_their_covariance(tmp_path: Path, capsys) -> None:
     # Stamps of all three are alike: nothing is interpolated, errors are independent from row to row.
     stations = described(tmp_path, 0, 0, 0, count=60)
     assert main([str(stations), "--target", "buoy", "--out", str(tmp_path / "places.csv")]) in (0, 1)
@@ -71,7 +71,7 @@ def test_places_are_as_good_as_their_covariance_says(tmp_path: Path, capsys) -> 
     assert low < np.mean(squares) < high
 
 
-def test_theodolites_that_expose_at_other_moments_are_brought_together(tmp_path: Path) -> None:
+def test_directions_at_other_times_are_interpolated(tmp_path: Path) -> None:
     stations = described(tmp_path, 0, 37_000_000, -21_000_000, noise=0.0)
     assert main([str(stations), "--target", "buoy", "--out", str(tmp_path / "places.csv")]) == 0
     rows = table(tmp_path / "places.csv")
@@ -82,7 +82,7 @@ def test_theodolites_that_expose_at_other_moments_are_brought_together(tmp_path:
         np.testing.assert_allclose(found, buoy_n(since_s), atol=0.02)
 
 
-def test_where_the_first_theodolite_sees_nothing_the_next_leads(tmp_path: Path) -> None:
+def test_next_theodolite_leads_if_the_first_has_no_direction(tmp_path: Path) -> None:
     stations = described(tmp_path, 0, 20_000_000, 40_000_000, noise=0.0)
     write(tmp_path / "t0.mcap.new", 0, 0, seed=0, count=8, noise=0.0)
     (tmp_path / "t0.mcap.new").replace(tmp_path / "t0.mcap")
@@ -97,7 +97,7 @@ def test_where_the_first_theodolite_sees_nothing_the_next_leads(tmp_path: Path) 
     assert len(leaders) > 15
 
 
-def test_directions_that_do_not_fit_one_another_are_told(tmp_path: Path, capsys) -> None:
+def test_inconsistent_directions_are_reported(tmp_path: Path, capsys) -> None:
     stations = described(tmp_path, 0, 0, 0, noise=0.0)
     write(tmp_path / "t1.mcap.new", 1, 0, seed=9, noise=0.0, turn=0.01)
     (tmp_path / "t1.mcap.new").replace(tmp_path / "t1.mcap")
@@ -117,7 +117,7 @@ def test_directions_that_do_not_fit_one_another_are_told(tmp_path: Path, capsys)
         ({"height": 1.0}, "buoy", "stations.t0.height"),
     ],
 )
-def test_what_is_wrong_is_named(tmp_path: Path, capsys, change: dict, target: str, named: str) -> None:
+def test_bad_input_is_named(tmp_path: Path, capsys, change: dict, target: str, named: str) -> None:
     stations = described(tmp_path, 0, 0)
     values = yaml.safe_load(stations.read_text())
     values["stations"]["t0"] |= change
@@ -133,7 +133,7 @@ def test_one_theodolite_gives_no_place(tmp_path: Path, capsys) -> None:
     assert "two theodolites or more" in capsys.readouterr().err
 
 
-def test_where_no_distance_is_told_the_reason_is(tmp_path: Path, capsys) -> None:
+def test_unknown_distance_is_reported(tmp_path: Path, capsys) -> None:
     """The theodolites' own places are known to a kilometre: the distance of a buoy two kilometres off is not."""
     path = described(tmp_path, 0, 0)
     values = yaml.safe_load(path.read_text())

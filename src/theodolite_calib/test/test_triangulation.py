@@ -67,7 +67,7 @@ def errors() -> tuple[np.ndarray, np.ndarray, float]:
     return np.array(nees), np.array(chi_square), refused
 
 
-def test_three_theodolites_50_m_apart_know_a_target_at_2_km_as_their_covariance_says() -> None:
+def test_three_theodolites_match_their_covariance_at_2_km() -> None:
     nees, chi_square, refused = errors()
     low, high = mean_nees_band(DRAWS, 3)
     assert low < nees.mean() < high
@@ -76,7 +76,7 @@ def test_three_theodolites_50_m_apart_know_a_target_at_2_km_as_their_covariance_
     assert refused <= 6  # one in a thousand: more has a probability of 1e-4 (Poisson of mean 1)
 
 
-def test_a_direction_that_is_wrong_makes_the_set_refused() -> None:
+def test_wrong_direction_rejects_the_set() -> None:
     directions, _ = drawn(3)
     wrong = directions[1].direction_n + 60.0 * ARCSEC * np.array([0.0, 1.0, 0.0])
     place = found([directions[0], replace(directions[1], direction_n=wrong / np.linalg.norm(wrong)), directions[2]])
@@ -86,7 +86,7 @@ def test_a_direction_that_is_wrong_makes_the_set_refused() -> None:
 
 
 @pytest.mark.parametrize("kind", ["one", "parallel", "behind", "nan"])
-def test_what_gives_no_place_is_told(kind: str) -> None:
+def test_missing_position_is_reported(kind: str) -> None:
     directions, _ = drawn(4, noise=0.0)
     given = {
         "one": directions[:1],
@@ -127,7 +127,7 @@ def abreast(distance_m: float, sigma: float, rng: np.random.Generator) -> tuple[
     return directions, target_n
 
 
-def test_two_theodolites_50_m_apart_know_a_target_at_50_km_as_their_covariance_says() -> None:
+def test_two_theodolites_match_their_covariance_at_50_km() -> None:
     rng, nees = np.random.default_rng(20), []
     for _ in range(DRAWS):
         directions, target_n = abreast(50_000.0, SIGMA, rng)
@@ -138,7 +138,7 @@ def test_two_theodolites_50_m_apart_know_a_target_at_50_km_as_their_covariance_s
 
 
 @pytest.mark.parametrize(("distance_m", "sigma"), [(50_000.0, 100.0 * ARCSEC), (2000.0, 0.02)])
-def test_a_place_whose_distance_is_not_told_is_none(distance_m: float, sigma: float) -> None:
+def test_position_with_unknown_distance_is_rejected(distance_m: float, sigma: float) -> None:
     """The distance is known to sqrt(2) sigma times itself over 50 m: to 0.69 and 1.1 of itself."""
     rng, texts = np.random.default_rng(21), []
     for _ in range(200):

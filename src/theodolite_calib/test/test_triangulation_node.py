@@ -56,7 +56,7 @@ def error_m(message: Any) -> np.ndarray:
     return ENU_FROM_HORIZON.T @ [message.position.x, message.position.y, message.position.z] - buoy_n(since_s)
 
 
-def test_places_are_as_good_as_their_covariance_says() -> None:
+def test_positions_match_their_covariance() -> None:
     adapter, rng, squares = adapter_of(), np.random.default_rng(3), []
     for index in range(120):
         time_ns = START_NS + index * PERIOD_NS
@@ -97,7 +97,7 @@ def test_one_place_a_stamp_of_the_first_whatever_the_order_of_arrival() -> None:
         assert np.linalg.norm(error_m(message)) < 0.05
 
 
-def test_of_two_messages_that_overtake_one_another_the_older_is_late_where_nobody_else_is_awaited() -> None:
+def test_overtaken_message_is_late_without_other_theodolites() -> None:
     adapter, published = adapter_of(2), []
     for number in range(2):
         give(adapter, number, seen(number, START_NS))
@@ -107,7 +107,7 @@ def test_of_two_messages_that_overtake_one_another_the_older_is_late_where_nobod
     assert reasons(published) == [("station.t0", Reason.LATE)]
 
 
-def test_a_theodolite_that_tells_of_the_target_is_waited_for_and_no_longer_than_the_lag() -> None:
+def test_reporting_theodolite_is_awaited_up_to_the_lag() -> None:
     adapter = adapter_of(3, lag_s=0.5)
     for index in range(3):
         for number in range(3):
@@ -129,7 +129,7 @@ def test_a_theodolite_that_tells_of_the_target_is_waited_for_and_no_longer_than_
     assert reasons(give(adapter, 2, seen(2, time_ns), later_ns + LATENCY_NS)) == [("station.t2", Reason.LATE)]
 
 
-def test_one_theodolite_alone_claims_nothing_and_says_why() -> None:
+def test_single_theodolite_is_invalid_with_the_reason() -> None:
     adapter = adapter_of(2)
     published = give(adapter, 0, seen(0, START_NS))
     (place,) = places(published)
@@ -162,7 +162,7 @@ def test_a_place_is_worth_no_more_than_the_directions_that_it_rests_on(status: S
     assert places(published)[-1].status == status
 
 
-def test_an_invalid_direction_is_left_out_and_nobody_waits_for_it() -> None:
+def test_invalid_direction_is_ignored_and_not_awaited() -> None:
     adapter, published = adapter_of(3), []
     for index in range(2):
         for number in range(3):
@@ -173,7 +173,7 @@ def test_an_invalid_direction_is_left_out_and_nobody_waits_for_it() -> None:
     assert (("station.t2", Reason.GAP)) in reasons(published)
 
 
-def test_a_theodolite_that_contradicts_itself_is_in_doubt() -> None:
+def test_contradictory_theodolite_is_degraded() -> None:
     adapter, published = adapter_of(2), []
     for index in range(3):
         time_ns = START_NS + index * PERIOD_NS
@@ -214,7 +214,7 @@ def test_a_place_by_directions_of_two_publishers_is_degraded_while_both_send() -
         ({"header": make_header(FACTORY, 0, "horizon")}, Reason.BAD_STAMP),
     ],
 )
-def test_what_cannot_be_used_is_refused_with_the_reason(changes: dict, reason: Reason) -> None:
+def test_unusable_messages_are_rejected_with_the_reason(changes: dict, reason: Reason) -> None:
     adapter = adapter_of(2)
     published = give(adapter, 0, seen(0, START_NS, **changes), START_NS + LATENCY_NS)
     assert reasons(published) == [("station.t0", reason)]
@@ -344,7 +344,7 @@ def test_sources_off_gate_and_reset_by_live_means() -> None:
     assert adapter.core._targets == {}
 
 
-def test_the_diagnostics_tell_of_the_last_place() -> None:
+def test_diagnostics_report_the_last_position() -> None:
     adapter = adapter_of(2)
     (status,) = adapter.own_statuses(START_NS)
     assert status.message == "none yet"

@@ -121,7 +121,7 @@ def test_places_at_a_common_rate_do_not_wait_for_a_theodolite_whose_next_report_
 
 
 @pytest.mark.parametrize("interval_s", [0.1, 5.0])
-def test_a_theodolite_that_stays_silent_is_waited_for_until_its_next_report_is_overdue(interval_s: float) -> None:
+def test_theodolite_without_data_is_awaited_until_overdue(interval_s: float) -> None:
     config = config_of(3, max_gap_s=8.0)
     of_two = [arrivals(number, every(interval_s)[:100]) for number in (0, 1)]
     run = run_of(config, *of_two, arrivals(2, every(interval_s)[:10]))
@@ -151,7 +151,7 @@ def test_a_clock_that_lags_behind_holds_no_place_for_ever() -> None:
 
 
 @pytest.mark.parametrize("interval_s", [0.1, 5.0])
-def test_repeated_messages_of_a_silent_theodolite_leave_no_trace(interval_s: float) -> None:
+def test_repeated_messages_have_no_effect(interval_s: float) -> None:
     config, since_s = config_of(3, max_gap_s=8.0), every(interval_s)[:20]
     of_two, silent = [arrivals(number, since_s) for number in (0, 1)], arrivals(2, since_s[:10])
     last = silent[-1]

@@ -168,7 +168,7 @@ def test_a_focal_length_that_stars_contradict_is_not_valid_and_the_value_that_fi
         assert np.mean(found.valid) < 0.2
 
 
-def test_the_focal_length_that_stars_tell_is_that_of_the_lights() -> None:
+def test_focal_length_from_stars_matches_the_beacons() -> None:
     """Three sigma off and seen by stars alone: the calibration has it, to 0.01 %."""
     ratio = 3e-3
     found = voyage(0, TELESCOPE, ratio)
