@@ -1,4 +1,4 @@
-"""The chain of the theodolite's axes: definition, first order, Jacobians, inverse, zenith, quadrants."""
+"""Axis geometry of the theodolite: definition, first order, Jacobians, inverse, zenith, quadrants."""
 
 from itertools import product
 
@@ -30,7 +30,7 @@ LARGE = AxisErrors(g=2.0, h=-0.3, c=0.04, I=-0.03, beta_x=0.02, beta_y=0.05, fle
 
 
 def everywhere() -> tuple[FloatArray, FloatArray]:
-    """All azimuths in all quadrants and on the axes, elevations of both faces."""
+    """Return azimuths in all quadrants and on the axes, elevations of both faces."""
     azimuth_deg = np.arange(0.0, 360.0, 15.0)
     elevation_deg = np.array([-5.0, 0.0, 10.0, 30.0, 60.0, 80.0, 89.9, 100.0, 150.0, 185.0])
     azimuth, elevation = np.meshgrid(np.deg2rad(azimuth_deg), np.deg2rad(elevation_deg))
@@ -145,7 +145,7 @@ def test_change_of_the_direction() -> None:
 
 @pytest.mark.parametrize("errors", [AxisErrors(), SMALL, LARGE])
 def test_inverse_gives_the_encoder_angles_back(errors: AxisErrors) -> None:
-    """To 1e-12 rad on the sky, in all quadrants, on the face they were taken."""
+    """To 1e-12 rad on the sky, in all quadrants, on the same face."""
     azimuth, elevation = everywhere()
     direction = main_axis_rotation(errors, azimuth, elevation)[..., 0]
     raised = elevation - errors.h + errors.flexure * np.cos(elevation)

@@ -1,4 +1,4 @@
-"""Messages that cannot be used: the reason, where it is told, and that the pointing is as without them."""
+"""Unusable messages: the reason, its place of publication, and the pointing without them."""
 
 import copy
 import functools
@@ -49,7 +49,7 @@ Change = Callable[[Any], None]
 
 
 def put(path: str, value: Any) -> Change:
-    """Sets a field (``orientation.x``) or all of an array."""
+    """Set a field (``orientation.x``) or all of an array."""
     *parents, leaf = path.split(".")
 
     def change(message: Any) -> None:
@@ -115,13 +115,13 @@ def told(run: Run, reason: Reason) -> list[tuple[str, str]]:
 
 
 def never_wrong(run: Run) -> bool:
-    """Nothing published as VALID or COASTING is off by more than it says, six sigmas."""
+    """Assert that no VALID or COASTING error exceeds six standard deviations."""
     claimed = [m for m in run.pointings if m.status in (Status.VALID, Status.COASTING)]
     return max(error_in_sigmas(message) for message in claimed) < 6.0
 
 
 def seen(message: Any, name: str) -> Any:
-    """A light in an image."""
+    """Return a beacon in an image."""
     return next(sighting for sighting in message.beacons if sighting.beacon_id == name)
 
 
@@ -204,7 +204,7 @@ NAMED = {
 
 
 def test_two_attitudes_of_the_ship_at_every_stamp_are_never_called_valid() -> None:
-    """Two publishers, 20″ apart in heading: which of the two is right cannot be known. [Errors of more than 5 sigma]"""
+    """Two publishers, 20″ apart in heading: the right one cannot be determined."""
     turned = [
         replace(changed_copy(a, turned_by(20.0)), receive_ns=a.receive_ns + order)
         for a, order in zip([a for a in session() if a.topic == SHIP], itertools.cycle([-1, 1, 2]))
@@ -215,7 +215,7 @@ def test_two_attitudes_of_the_ship_at_every_stamp_are_never_called_valid() -> No
 
 
 def turned_by(arcsec: float) -> Change:
-    """Another heading."""
+    """Return a change of the heading."""
 
     def change(message: Any) -> None:
         q, half = message.orientation, 0.5 * arcsec * ARCSEC
@@ -225,7 +225,7 @@ def turned_by(arcsec: float) -> Change:
 
 
 def test_beacons_without_exposure_length_are_points():
-    """The session's lights stand still on the detector, so that its exposures make no streaks either."""
+    """The session's lights stand still on the detector, so that its exposures have no streaks either."""
     not_given = changed_where(session(), lambda a: a.topic == BEACONS, put("exposure_s", np.nan))
     zero = changed_where(session(), lambda a: a.topic == BEACONS, put("exposure_s", 0.0))
     points = drive(new_adapter(), not_given)
@@ -377,7 +377,7 @@ def test_baseline_of_another_drone_is_rejected() -> None:
 
 
 def test_exchanged_baselines_are_a_conflict() -> None:
-    """A wrong drone id at the source: the angle stays, and exchanging the names of the lights puts it right."""
+    """A wrong drone id at the source: the angle stays, and exchanged names of the lights are consistent."""
     other = {BASELINE["alpha"]: BASELINE["bravo"], BASELINE["bravo"]: BASELINE["alpha"]}
     crossed = tuple(Arrival(other.get(a.topic, a.topic), a.message, a.receive_ns) for a in session())
     run = drive(new_adapter(), crossed)
@@ -406,7 +406,7 @@ def test_baseline_later_than_the_lag_is_rejected() -> None:
 
 
 def test_baselines_one_second_old_are_a_conflict() -> None:
-    """A light that moves by 1.5°/s is a degree and a half from where its baseline says: after three it is excluded."""
+    """A light that moves by 1.5°/s is 1.5° from its baseline's direction: excluded after three sightings."""
     stale = changed_where(session(), lambda a: a.topic == ALPHA, stamp_moved(1.0))
     stale = in_order(Arrival(a.topic, a.message, a.receive_ns + SECOND_NS * (a.topic == ALPHA)) for a in stale)
     run = drive(new_adapter(), stale)
@@ -420,7 +420,7 @@ def test_baselines_one_second_old_are_a_conflict() -> None:
 
 
 def frozen(from_s: float, until_s: float) -> tuple[Arrival, ...]:
-    """Ten seconds in which the encoder says the same for a while."""
+    """Return ten seconds with constant encoder readings in a time range."""
     value = session()[index_at(session(), ENCODER, from_s)].message
 
     def freeze(message: Any) -> None:

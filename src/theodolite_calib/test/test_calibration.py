@@ -1,4 +1,4 @@
-"""The calibration saved and loaded: file, ages, other devices, services; changes while the node runs."""
+"""Calibration saved and loaded: file, ages, other devices, services; changes while the node runs."""
 
 from dataclasses import replace
 from pathlib import Path

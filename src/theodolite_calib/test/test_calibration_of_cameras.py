@@ -1,4 +1,4 @@
-"""How the main axis stands in cameras that see stars, saved and read back with the rest of the calibration."""
+"""Parallelism of star cameras, saved and loaded with the rest of the calibration."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -26,7 +26,7 @@ OFF = np.array([0.8, -1.1, 0.5]) * ARCSEC
 
 
 def learned(settings: OpticalAxisConfig) -> tuple[CalibrationFilter, CalibrationState]:
-    """A state that knows the camera's mounting to a third of what is configured, and collimation with it."""
+    """Return a state with the camera's mounting known to a third of the configured sigma, and collimation with it."""
     filter_ = CalibrationFilter(settings)
     state = filter_.initial_state()
     rows = filter_.model.rows(f"telescope.{CAMERA_ID}.parallelism")

@@ -1,4 +1,4 @@
-"""Cubics by least squares, compiled, against numpy's pseudoinverse and QR; "equal" is 1e-11 of about one."""
+"""Compiled least-squares cubics against numpy's pseudoinverse and QR; equal to 1e-11 of about one."""
 
 import numpy as np
 import pytest

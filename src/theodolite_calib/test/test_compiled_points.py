@@ -1,4 +1,4 @@
-"""How points of lights depend on states, compiled, against the same by numpy."""
+"""Compiled Jacobian of beacon points by states against numpy."""
 
 import numpy as np
 import pytest
@@ -51,7 +51,7 @@ def test_covariances_of_points_are_as_by_numpy(lights: int) -> None:
 
 @pytest.mark.parametrize("number", range(5))
 def test_mismatched_shapes_are_refused(number: int) -> None:
-    """The loops look at no bounds."""
+    """The loops check no bounds."""
     wrong = arguments()
     wrong[number] = wrong[number][:-1].copy()
     with pytest.raises(ValueError, match="do not fit together"):

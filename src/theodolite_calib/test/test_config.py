@@ -1,4 +1,4 @@
-"""Parameters of optical_axis that are refused, with what was expected."""
+"""Refused parameters of optical_axis, with the expected values."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Who stepped under the theodolite: the streams of encoders and ship, asked where lights contradict them."""
+"""Isolation of a step in the pointing by the streams of encoders and ship after a contradiction by beacons."""
 
 from dataclasses import replace
 
@@ -33,7 +33,7 @@ def ship_at(seconds, rng):
 
 
 def samples(seed, encoder_step=(0.0, 0.0), ship_step_n=(0.0, 0.0, 0.0), rates=True, step_ns=10_120_000_000):
-    """Both streams at 20 Hz with steps in arcsec, from a second before on."""
+    """Return both streams at 20 Hz with steps in arcsec, from one second before on."""
     rng = np.random.default_rng(seed)
     encoder, ship = [], []
     for time_ns in range(SINCE_NS - 10**9, END_NS + 1, PERIOD_NS):
@@ -64,7 +64,7 @@ def told(encoder, ship):
     ],
 )
 def test_who_stepped_is_named(steps, off_arcsec, name, rates):
-    """Whatever the rows have it: both explain it."""
+    """Independent of the source isolated by the subfilters: both explain the step."""
     named = [
         blamed(rows, BOTH, told(*samples(seed, rates=rates, **steps)), off_arcsec * ARCSEC)
         for seed in range(20)
@@ -92,7 +92,7 @@ def test_degraded_ship_is_isolated_or_no_source():
 
 
 def test_stopped_encoders_do_not_implicate_the_telescope():
-    """Frozen encoders make no step either; the lights move on without them."""
+    """Stuck encoders have no step either; the beacons move on without them."""
     encoder, ship = samples(1)
     frozen = [*encoder[:22], *(replace(one, vector=encoder[22].vector) for one in encoder[22:])]
     assert blamed(ENCODER, BOTH, told(frozen, ship), 100.0 * ARCSEC) == ENCODER
@@ -106,7 +106,7 @@ def test_uninformative_streams_keep_the_isolated_source():
 
 
 def ships(seed, creep_arcsec_per_s, rates=True, creep_s=20.0):
-    """A minute of attitudes at 20 Hz that creep about Up from 10 s on, then are back."""
+    """Return a minute of attitudes at 20 Hz that drift about Up from 10 s on, then return."""
     rng = np.random.default_rng(seed)
     found = []
     for time_ns in range(0, 60 * 10**9, PERIOD_NS):
@@ -119,7 +119,7 @@ def ships(seed, creep_arcsec_per_s, rates=True, creep_s=20.0):
 
 
 def test_drifting_ship_attitude_departs_from_its_rates():
-    """Sizes of 20" and 60" beside a noise of 1" a sample and 1"/s of a rate."""
+    """Drifts of 20" and 60" with a noise of 1" per sample and 1"/s of a rate."""
     for seed in range(10):
         assert ship_crept(ships(seed, 1.0), 2 * PERIOD_NS, ARCSEC) is True
         assert ship_crept(ships(seed, -3.0), 2 * PERIOD_NS, ARCSEC) is True
@@ -129,7 +129,7 @@ def test_drifting_ship_attitude_departs_from_its_rates():
 
 @pytest.mark.parametrize("every", [4, 10])
 def test_attitudes_that_come_rarely_leave_their_rates_by_the_coarseness_of_the_sum(every):
-    """At 5 Hz and 2 Hz the trapezoids alone are off by more than eight arcseconds: that is no creep."""
+    """At 5 Hz and 2 Hz the trapezoidal error alone exceeds eight arcseconds: that is no drift."""
     for seed in range(10):
         assert ship_crept(ships(seed, 0.0)[::every], 2 * every * PERIOD_NS, ARCSEC) is not True
 

@@ -1,4 +1,4 @@
-"""The executable ``design_study``: its numbers, what it writes, what it says to bad input."""
+"""Executable ``design_study``: its numbers, its files, and its messages for bad input."""
 
 import csv
 import re
@@ -61,7 +61,7 @@ def test_sweeps_pass_through_the_design(paper: DesignStudy) -> None:
 
 
 def test_error_of_the_principal_point_is_that_of_a_shift(paper: DesignStudy) -> None:
-    """No light shows it: at 2 km, s each axis adds √2 s / 2 km to the pointing, whatever the rest is."""
+    """No residual shows it: at 2 km, s per axis adds √2 s / 2 km to the pointing, independent of the rest."""
     telescope = paper.config.optical_axis.telescope
     shifted = replace(telescope, lens=replace(telescope.lens, sigma_m=0.1))
     config = replace(paper.config, optical_axis=replace(paper.config.optical_axis, telescope=shifted))

@@ -1,4 +1,4 @@
-"""Encoders that creep under lights: what the estimates without one source dispute is in the covariance put out."""
+"""Drifting encoders under observation of beacons: the solution separations inflate the published covariance."""
 
 import functools
 from dataclasses import dataclass, replace
@@ -25,7 +25,7 @@ FILTER = CalibrationFilter(SETTINGS)
 
 @dataclass(frozen=True)
 class Pointed:
-    """A pointing that was VALID, the time since the encoders began to creep, and the truth."""
+    """VALID pointing, the time since the encoders began to drift, and the truth."""
 
     since_s: float
     estimate: PointingEstimate
@@ -33,11 +33,11 @@ class Pointed:
 
     @property
     def disputed_n(self) -> FloatArray:
-        """What the covariance has in it because the sources dispute it."""
+        """Return the part of the covariance from the solution separations."""
         return self.estimate.covariance_n - self.estimate.undisputed_n
 
     def sigmas(self, covariance_n: FloatArray) -> float:
-        """Largest error of azimuth, elevation and image rotation in the sigmas of a covariance."""
+        """Return the largest error of azimuth, elevation and image rotation in sigmas of a covariance."""
         azimuth, elevation, _ = angles_from_rotation(self.estimate.rotation_nm)
         to_angles = angle_errors_from_rotation_vector(azimuth, elevation)
         error = to_angles @ log_rotation(self.rotation_nm @ self.estimate.rotation_nm.T)
@@ -46,7 +46,7 @@ class Pointed:
 
 @functools.cache
 def pointed() -> tuple[Pointed, ...]:
-    """Sightings at 5 Hz, and an azimuth that creeps after 30 s; of each session what was VALID before an exclusion."""
+    """Sightings at 5 Hz and an azimuth drift after 30 s; VALID pointings of each session before an exclusion."""
     times_s, out, found = np.arange(0.0, START_S + 60.0, 0.2), PointingOutput(SETTINGS, FILTER), []
     for seed in range(SEEDS):
         given = session(SETTINGS, seed, times_s, sweep(times_s))

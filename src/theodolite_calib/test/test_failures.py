@@ -1,4 +1,4 @@
-"""The software itself fails on one message: that is told, and all else comes out as without it."""
+"""Software failures on one message: they are reported, and all other outputs are unchanged."""
 
 from collections.abc import Callable
 from typing import Any
@@ -15,7 +15,7 @@ MOMENT_S = 2.6
 
 
 def failing_where(bad: Callable[..., bool], function: Callable[..., Any]) -> Callable[..., Any]:
-    """The function, which raises for some arguments."""
+    """Return the function, which raises for some arguments."""
 
     def call(*arguments: Any) -> Any:
         if bad(*arguments):

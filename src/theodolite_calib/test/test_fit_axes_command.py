@@ -1,4 +1,4 @@
-"""The executable ``fit_axes``: what it writes, and what it says to bad input."""
+"""Executable ``fit_axes``: its files, and its messages for bad input."""
 
 import csv
 import math
@@ -25,7 +25,7 @@ KNOCKED = 11
 
 
 def table_rows() -> list[list[float]]:
-    """Forty sightings with 5″ per component, one of them knocked by 2′."""
+    """Return forty sightings with 5″ per component, one of them displaced by 2′."""
     rng = np.random.default_rng(1)
     sightings = sight(rng, ERRORS, spread(rng, COUNT, (10.0, 85.0)), 5.0)
     azimuth, elevation = azimuth_and_elevation(sightings.direction_d)
@@ -256,7 +256,7 @@ def test_help(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_shared_errors_are_in_the_calibration_file(tmp_path: Path) -> None:
-    """The optical axis takes the file; a turn of the base by 20″ leaves the tilt open by as much, plain rows do not."""
+    """The optical axis uses the file; a base rotation error of 20″ keeps the tilt as uncertain, plain rows do not."""
     rows = table_rows()
     header = f"{HEADER},time_s,group,group_sigma_arcsec"
     lines = [

@@ -1,4 +1,4 @@
-"""What is said of the ship's attitudes does not depend on whether the guard was told of them before, rightly or not."""
+"""Checks of the ship's attitudes do not depend on their announcement, right or wrong."""
 
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -26,7 +26,7 @@ def rolling(time_s: float) -> FloatArray:
 
 
 def voyage(jump_at: int | None = None, wrong_rates_from: int | None = None) -> list[ShipSample]:
-    """A ship that rolls; the covariance that it states shrinks every two seconds, and grows fast in each third time."""
+    """Return a rolling ship; its stated covariance shrinks every two seconds and grows fast in each third time."""
     rng, samples = np.random.default_rng(RNG_SEED), []
     for k in range(COUNT):
         time_s = k / RATE_HZ
@@ -45,7 +45,7 @@ def voyage(jump_at: int | None = None, wrong_rates_from: int | None = None) -> l
 
 
 class Run:
-    """A guard, told of nothing, or of whole blocks, and what it says of samples as the watch over them asks it."""
+    """Check with announcements of nothing or of whole blocks, and its results as the ship check requests them."""
 
     def __init__(self, guard: GuardAhead | InsGuard) -> None:
         self.guard, self.said = guard, []
@@ -67,7 +67,7 @@ class Run:
 
 
 def said(judged: JudgedIns) -> tuple[Any, ...]:
-    """All that a judgement says, comparable to the bit."""
+    """Return all fields of a result, comparable to the bit."""
     jumps = tuple((jump.time_ns, jump.jump_n.tolist(), jump.sigma_rad, jump.creeps) for jump in judged.jumps)
     return judged.sample.content(), judged.refusal, jumps, judged.rates_wrong_after_ns
 
@@ -107,7 +107,7 @@ def test_announced_batch_gives_the_same_results(name: str, monkeypatch: pytest.M
 
 @pytest.mark.parametrize("name", VOYAGES)
 def test_wrong_announcement_gives_the_same_results(name: str) -> None:
-    """Every block lacks one of its samples, has one twice, or comes in another order from somewhere on."""
+    """Every block lacks one of its samples, has one twice, or changes its order at some sample."""
     run, samples, came = Run(GuardAhead(CONFIG)), VOYAGES[name], []
     for number, start in enumerate(range(0, COUNT, BLOCK)):
         block = samples[start : start + BLOCK]

@@ -1,4 +1,4 @@
-"""The camera of the calibration telescope and the points that it predicts: axes, derivatives, covariance."""
+"""Camera of the calibration telescope and its predicted points: axes, derivatives, covariance."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ PREDICTED = predict_points(PAPER_CAMERA, TRUTH.rotation_nt, DIRECTION_N)
 
 
 def points(count: int = 300) -> FloatArray:
-    """All over a detector of 40 mm: 11° from the axis."""
+    """Return points all over a detector of 40 mm: 11° from the axis."""
     return np.random.default_rng(1).uniform(-0.02, 0.02, (count, 2, 2))
 
 

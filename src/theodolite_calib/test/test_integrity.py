@@ -1,4 +1,4 @@
-"""The integrity of the pointing as it is published: levels, limits, exclusions, and configurations that are none."""
+"""Published integrity of the pointing: levels, limits, exclusions, and invalid configurations."""
 
 from typing import Any
 
@@ -72,7 +72,7 @@ def test_exclusion_is_published_at_once_and_in_diagnostics() -> None:
 
 
 def frozen_ship() -> Any:
-    """The ship's attitude stands still for four seconds while she sways."""
+    """Return a ship's attitude that is constant for four seconds while she rolls."""
     frozen: list[Any] = []
 
     def stand(message: Any) -> None:
@@ -112,7 +112,7 @@ def test_impossible_configuration_is_refused_by_name(changes: dict[str, Any], na
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_an_exclusion_does_not_depend_on_the_order_of_arrival(seed: int) -> None:
-    """A baseline that jumps by 3 m, then messages of lights and baselines up to two seconds late."""
+    """A baseline jumps by 3 m; messages of beacons and baselines are up to two seconds late."""
 
     def moved(message: Any) -> None:
         message.enu.z += 3.0

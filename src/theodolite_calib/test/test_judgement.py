@@ -1,4 +1,4 @@
-"""Which sightings are used: three lights of which one is wrong, runs of disagreement, gates re-opened."""
+"""Gate of the sightings: three beacons with a wrong one, runs of rejections, inflated covariances."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ TIMES_S = np.arange(0.0, 30.0)
 
 
 def shifted(sighting: Sighting, shift_arcsec: np.ndarray) -> Sighting:
-    """Lights moved on the detector, arcseconds, shape (N, 2)."""
+    """Return beacons moved on the detector, arcseconds, shape (N, 2)."""
     image = Image(sighting.image.point_m + 0.1 * ARCSEC * shift_arcsec, sighting.image.sigma_m)
     return replace(sighting, image=image)
 
@@ -93,7 +93,7 @@ def off_sightings() -> list[Sighting]:
 
 
 def off_for_good(lights: tuple[int, ...] = (0,), **gate: float):
-    """States and decisions of sightings; the mount slips by 600", and one light alone cannot tell who is wrong."""
+    """Return states and decisions; the mount slips by 600", and one beacon alone cannot isolate the fault."""
     settings = config(**gate)
     filter_ = CalibrationFilter(settings)
     step, state, found = SightingStep(settings, filter_), filter_.initial_state(), []

@@ -1,4 +1,4 @@
-"""N' = 60 mm and what is not parallel, by lights and stars together: estimated, and what stays open named.
+"""N' = 60 mm and the parallelism from beacons and stars together: estimates, and unobservable combinations.
 
 The noise is that of the scenario ``theodolite_sweep``: five minutes through 360°, 10° to 70°, lights and stars in turn
 in the calibration telescope.
@@ -61,7 +61,7 @@ def _watch():
 def swept(
     seed: int, watch, distance_m=None, settings=SETTINGS, lens_error_m=PER_AXIS_M
 ) -> tuple[CalibrationFilter, CalibrationState, Session]:
-    """The filter's state after the sweep, and what was true; without ``watch`` by lights alone."""
+    """Return the filter's state after the sweep, and the truth; without ``watch`` by beacons alone."""
     drawn = session(settings, seed, TIMES_S, ENCODER, lens_error_m=np.full(3, lens_error_m), distance_m=distance_m)
     filter_, rng = CalibrationFilter(settings), np.random.default_rng(1000 + seed)
     by_lights, sky = SightingStep(settings, filter_), rng.standard_normal(4)
@@ -87,7 +87,7 @@ def swept(
 
 
 def lens_error_m(filter_: CalibrationFilter, state: CalibrationState) -> tuple[np.ndarray, np.ndarray]:
-    """Estimate minus truth, and sigma."""
+    """Return estimate minus truth, and sigma."""
     rows = filter_.model.slices["lens"]
     return state.mean[rows] - PER_AXIS_M, np.sqrt(np.diagonal(state.covariance)[rows])
 

@@ -1,4 +1,4 @@
-"""Lights taken for one another, or for what they are not."""
+"""Beacons with exchanged names, or at wrong positions."""
 
 from dataclasses import replace
 
@@ -24,7 +24,7 @@ THREE_LIGHTS_DEG = FOUR_LIGHTS_DEG[:3]
 
 
 def an_epoch(lights_deg: FloatArray = LIGHTS_DEG, seed: int = 2) -> Epochs:
-    """One of the paper's epochs."""
+    """Return one of the paper's epochs."""
     many = paper_epochs(truth_of(np.array([75.0]), 35.0, 15.0, lights_deg), seed=seed)
     return replace(
         many,
@@ -42,12 +42,12 @@ def an_epoch(lights_deg: FloatArray = LIGHTS_DEG, seed: int = 2) -> Epochs:
 
 
 def seen_as(epoch: Epochs, order: list[int]) -> Epochs:
-    """Sighting i is in truth that of light ``order[i]``."""
+    """Return the epoch with sighting i of beacon ``order[i]``."""
     return replace(epoch, image=replace(epoch.image, point_m=epoch.image.point_m[order]))
 
 
 def encoder_prior(epoch: Epochs, off_arcmin: float = 1.0) -> AttitudePrior:
-    """What encoder and INS say, to an arcminute."""
+    """Return the prior from encoder and INS, to an arcminute."""
     off = np.array([0.6, -0.6, 0.5]) * off_arcmin * 60.0 * ARCSEC
     return AttitudePrior(exp_rotation(off) @ epoch.truth.rotation_nt, {"prior": (60.0 * ARCSEC) ** 2 * np.eye(3)})
 

@@ -1,4 +1,4 @@
-"""Lines of sight: geometry by hand, Jacobians by differences, joint covariance by chance."""
+"""Lines of sight: geometry by hand, Jacobians by differences, joint covariance by random draws."""
 
 from dataclasses import replace
 
@@ -52,7 +52,7 @@ def inputs() -> tuple[Lights, Ship, Survey]:
 
 
 def disturbed(name: str, error: FloatArray, lights: Lights, ship: Ship, survey: Survey) -> LinesOfSight:
-    """Lines of sight with what was used plus an error: (k,) where common, (N, k) where not."""
+    """Return lines of sight of the used values plus an error: (k,) if common, (N, k) if not."""
 
     def longer(lever: LeverArm) -> LeverArm:
         return replace(lever, vector_m=lever.vector_m + error)
@@ -115,7 +115,7 @@ def test_no_refraction_at_the_zenith():
 
 
 def bare_lines(path_n: FloatArray, refraction_coefficient: float) -> LinesOfSight:
-    """One light at the end of its baseline, no levers."""
+    """Return the line of sight of one beacon at the end of its baseline, without levers."""
     lights = Lights(path_n[None], np.zeros((3, 3)), np.eye(3)[None], np.zeros((3, 3)))
     survey = replace(
         SURVEY,
@@ -171,7 +171,7 @@ def test_common_and_correlated_terms():
 
 
 def test_joint_covariance_is_that_of_drawn_errors():
-    """All errors at once, each put in where it arises: also what the lights share."""
+    """All errors at once, each applied at its origin, common errors included."""
     rng, count = np.random.default_rng(12), 20_000
     lights, ship, survey = inputs()
 

@@ -1,4 +1,4 @@
-"""What the pointing rests on and what it is worth: a ship that coasts, the INS alone."""
+"""Mode and status of the pointing: a coasting ship, the INS alone."""
 
 import numpy as np
 

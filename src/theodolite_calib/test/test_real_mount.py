@@ -1,6 +1,6 @@
 """A real alt-azimuth mount: 118 sightings of stars on two nights, and an observatory package's own fit of them.
 
-Expected values: the README beside the sightings, and models.md §5.
+Expected values: the README of the sightings, and models.md §5.
 """
 
 from dataclasses import replace
@@ -49,7 +49,7 @@ def test_collimation_and_tilt_are_nearly_dependent(six_terms: AxisFit) -> None:
 
 
 def test_left_out_is_what_refits_give(sightings: Sightings, six_terms: AxisFit) -> None:
-    """On the sightings that pull the most and on some that do not."""
+    """For the sightings with the largest influence and for some others."""
     for number in [*np.argsort(-sizes(six_terms.residuals))[:4], 0, 1]:
         kept = np.arange(len(sightings.labels)) != number
         others = Sightings(

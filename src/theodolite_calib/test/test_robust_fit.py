@@ -1,4 +1,4 @@
-"""The robust fit of axis errors: what it finds, how well it says it knows it, what it names."""
+"""Robust fit of axis errors: estimates, covariance, and reported names."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ SEEDS = 200
 
 @pytest.mark.parametrize("g", [0.0, 1.5, 3.1, -2.5])
 def test_exact_sightings_give_the_errors_back(g: float) -> None:
-    """Zero points anywhere, the rest of degrees, both faces: the chain is exact."""
+    """Any zero points, the other errors of degrees, both faces: the axis geometry is exact."""
     rng = np.random.default_rng(1)
     errors = AxisErrors(g=g, h=-0.3, c=0.01, I=-0.012, beta_x=0.02, beta_y=-0.015, flexure=0.005)
     azimuth, elevation = spread(rng, 80, (-5.0, 85.0))
@@ -53,7 +53,7 @@ def test_covariance_is_consistent(outlier_share: float) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("stated", [True, False])
 def test_shared_errors_are_in_the_covariance(stated: bool) -> None:
-    """A hull that turns by 20″ in ten minutes and a lever that is off for good; 99.9 % bands over the seeds."""
+    """A hull that rotates by 20″ in ten minutes and a constant lever error; 99.9 % bands over the seeds."""
     rng = np.random.default_rng(10)
     seeds, count = 40, 50
     time_s = 2.0 * np.arange(count)

@@ -1,4 +1,4 @@
-"""The messages of a block read together are those read one by one, to the last bit; the others are left to that."""
+"""Messages read as a batch equal those read one by one, to the last bit; irregular ones are left to that."""
 
 import functools
 from collections.abc import Callable

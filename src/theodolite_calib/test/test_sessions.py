@@ -1,4 +1,4 @@
-"""Sessions from the first light to long after the last, over seeds: errors, what is claimed, what cannot be told."""
+"""Sessions from the first beacon to long after the last, over seeds: errors, covariances, unobservable combinations."""
 
 import functools
 from dataclasses import dataclass
@@ -49,14 +49,14 @@ def filtered(settings: OpticalAxisConfig, filter_: CalibrationFilter, given: Ses
 
 @dataclass(frozen=True)
 class AxisAt:
-    """The main axis at one moment: horizon from main frame, and its covariance by source, rad²."""
+    """Main axis at one time: horizon from main frame, and its covariance by source, rad²."""
 
     rotation_nm: FloatArray
     parts_n: FloatArray
 
 
 def axis_at(filter_: CalibrationFilter, state: CalibrationState, sighting: Sighting, noise: float) -> AxisAt:
-    """The main axis at the moment of a sighting by a state, with so much noise of the encoders, rad²."""
+    """Return the main axis at the time of a sighting by a state, with a noise of the encoders, rad²."""
     angles = np.array([[sighting.encoder.azimuth, sighting.encoder.elevation]])
     reading = EncoderRun(np.array([sighting.time_ns]), angles, np.array([noise]), [""])
     axes = CorrectedAxis(filter_, state).axes(ShipRun.of([sighting.ship]), reading)
@@ -65,7 +65,7 @@ def axis_at(filter_: CalibrationFilter, state: CalibrationState, sighting: Sight
 
 @dataclass(frozen=True)
 class Left:
-    """Errors after the lights have left, arcseconds on the sky, shape (seeds, moments)."""
+    """Errors after the last beacons, arcseconds on the sky, shape (seeds, times)."""
 
     error: FloatArray
     sigma: FloatArray
@@ -74,7 +74,7 @@ class Left:
 
 @functools.cache
 def left_alone() -> Left:
-    """Five minutes of sweep with one sighting of two lights a second; then the mount goes on without them."""
+    """Five minutes of sweep with one sighting of two beacons a second; then the mount continues without them."""
     settings = config(air__sigma=0.06, **each_light(rtk__sigma_m=0.027))
     filter_ = CalibrationFilter(settings)
     times_s = np.concatenate([SWEEP_S, SWEEP_S[-1] + 1e-3 + AFTER_S])

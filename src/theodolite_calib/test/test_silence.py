@@ -1,4 +1,4 @@
-"""What is said of the pointing while inputs fail together or come late: it rests on what was put out."""
+"""Pointing while inputs fail together or are late: published pointings are final."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -25,7 +25,7 @@ def claimed(run: Run) -> list[Any]:
 
 
 def said_invalid(run: Run) -> list[int]:
-    """When INVALID was said, the start aside."""
+    """Return the times of INVALID outputs, except at the start."""
     return [ns for ns, topic, m in run.published if topic == POINTING and m.status == Status.INVALID and ns > at(0.5)]
 
 
@@ -46,7 +46,7 @@ def until(arrivals: Iterable[Arrival], s: float, *topics: str) -> list[Arrival]:
     ],
 )
 def test_published_pointing_is_final(dead: tuple[str, ...], missing: str) -> None:
-    """The lights go on all the while."""
+    """The beacons continue all the time."""
     run = drive(new_adapter(slow_topics_period_s=0.2), until(session(), FROM_S, *dead), until_ns=at(5.0))
     said = said_invalid(run)
     assert at(FROM_S + 0.9) < said[0] <= at(FROM_S + 1.2)
@@ -60,7 +60,7 @@ def test_published_pointing_is_final(dead: tuple[str, ...], missing: str) -> Non
 
 
 def test_encoder_and_ship_time_out_and_return() -> None:
-    """First the ship's attitude, then both; the encoder comes back first."""
+    """First the ship's attitude ends, then both; the encoder returns first."""
     gaps = {SHIP: (1.0, 3.5), ENCODER: (1.6, 3.0)}
     spans = {topic: range(*map(at, gap)) for topic, gap in gaps.items()}
     arrivals = [a for a in session() if a.stamp_ns not in spans.get(a.topic, ())]

@@ -1,4 +1,4 @@
-"""The states between two sightings: the filter's own prediction, and one joint distribution with the next sighting."""
+"""States between two sightings: the filter's own prediction, and the joint distribution with the next sighting."""
 
 from dataclasses import replace
 
@@ -46,7 +46,7 @@ def between_of(filter_: TracedFilter, size: float | None) -> Between:
 
 
 def correlated(filter_: TracedFilter, size: float | None):
-    """A state as after sightings: correlated, away from zero."""
+    """Return a state as after sightings: correlated, away from zero."""
     rng, n = np.random.default_rng(4), filter_.model.size
     state = filter_.predicted(filter_.initial_state(), START_NS, some(size))
     sigma = np.sqrt(state.covariance.diagonal())

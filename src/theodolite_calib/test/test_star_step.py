@@ -1,4 +1,4 @@
-"""Stars in a camera on the theodolite: Jacobian, accuracy of one exposure, identification, contradictions, axis errors.
+"""Stars in a camera on the theodolite: Jacobian, accuracy, identification, contradictions, axis errors.
 
 The numbers of the accuracy are those of models.md §7 and of the error budget: 1.34″ a star over ±4°, with refraction,
 position and a parallelism surveyed to 0.2″.
@@ -70,7 +70,7 @@ class Mount:
 
 
 def off_axis(rotation_nm: FloatArray, estimate: PointingEstimate) -> tuple[float, float, float]:
-    """Squares of the error of the axis, and of its sigma, on the sky; NEES of all three angles."""
+    """Return squares of the error of the axis, and of its sigma, on the sky; NEES of all three angles."""
     error_n = log_rotation(rotation_nm @ estimate.rotation_nm.T)
     across = estimate.rotation_nm[:, 1:].T
     variance = float(np.trace(across @ estimate.covariance_n @ across.T))
@@ -79,7 +79,7 @@ def off_axis(rotation_nm: FloatArray, estimate: PointingEstimate) -> tuple[float
 
 
 def one_exposure(mount: Mount, count: int) -> tuple[float, float, float]:
-    """RMS of the pointing by one exposure, the sigma that it claims (arcsec), and the mean NEES."""
+    """Return RMS and stated sigma of the pointing by one exposure (arcsec), and the mean NEES."""
     told = []
     for seed in range(SEEDS):
         night, rng = mount.night(seed)
@@ -105,7 +105,7 @@ def test_one_exposure_matches_its_covariance(watch, count: int, most_arcsec: flo
 
 
 def streaked(sighting: StarSighting, rng: np.random.Generator) -> tuple[StarSighting, FloatArray]:
-    """The same through a camera that turns by 3°/s, with noise along the streaks; and the bound of the axis, rad²."""
+    """Return the exposure of a camera that rotates by 3°/s, with streak noise; and the bound of the axis, rad²."""
     length = ExposureLength(0.02, SETTINGS.telescopes[CAMERA_ID].camera.camera("camera"), 0.8)
     rate_s = np.deg2rad(3.0) * unit(rng.standard_normal(3) * [0.3, 1.0, 1.0])
     turns = exp_rotation(-np.array(length.nodes.offset_ns)[:, None] * 1e-9 * rate_s)
@@ -225,7 +225,7 @@ def test_pointing_without_beacons_stars_and_calibration_is_degraded(watch) -> No
 
 
 def knocked(night: MountNight) -> MountNight:
-    """The camera was knocked by 100″, or the encoders have slipped by as much: to the stars that is one thing."""
+    """Return the state after a shift of camera or encoders by 100″, which stars cannot distinguish."""
     errors = replace(night.errors, parallelism=night.errors.parallelism + np.array([0.0, 100.0, 0.0]) * ARCSEC)
     return MountNight(night.settings, errors, night.watch, night.rng)
 
@@ -250,7 +250,7 @@ def test_inconsistent_stars_are_rejected_and_degrade_the_pointing(watch) -> None
 
 
 def test_identified_stars_give_the_attitude_without_encoders(watch) -> None:
-    """The encoders have slipped by a degree: stars without names are not identified, and that is no contradiction."""
+    """The encoders slipped by a degree: stars without names are not identified, which is no contradiction."""
     mount = Mount(SETTINGS, watch)
     night, _ = mount.night(3)
     encoder = np.array([2.0, 0.8])
@@ -290,7 +290,7 @@ def test_one_false_star_is_left_out_and_the_others_are_used(watch) -> None:
 
 
 def test_exposures_of_a_camera_that_stands_still_are_all_used(watch) -> None:
-    """What such a camera leaves open stays as good as unknown beside stars known to an arcsecond: no step fails."""
+    """Unobservable combinations stay unknown although the stars are known to an arcsecond: no step fails."""
     mount = Mount(SETTINGS, watch)
     night, rng = mount.night(4)
     encoder, state = random_field(rng), mount.filter.initial_state()
@@ -304,7 +304,7 @@ def test_exposures_of_a_camera_that_stands_still_are_all_used(watch) -> None:
 
 
 def test_a_night_of_stars_calibrates_the_axes_for_the_day(watch) -> None:
-    """Half a minute all over the sky; then as long by the encoders, while the deformation goes on."""
+    """Half a minute all over the sky; then as long by the encoders, while the deformation continues."""
     settings = mount_config(encoder__sigma_arcsec=0.5, ship__white_sigma_arcsec=0.5)
     mount, seeds, exposures = Mount(settings, watch), 6, 120
     deformation = np.full(3, settings.deformation.sigma_arcsec * ARCSEC)

@@ -1,4 +1,4 @@
-"""Messages of stars on the mount that cannot be used: what is refused, by which name, and what it does to the rest."""
+"""Unusable messages of stars on the mount: rejection, its name, and its effect on the rest."""
 
 import copy
 from typing import Any

@@ -1,6 +1,6 @@
-"""A camera on the theodolite that stands still: its stars keep their places on the detector, with the errors there.
+"""Pixel dwell of a fixed camera on the theodolite: its stars keep their pixels, with the errors there.
 
-The errors are those of a simulated detector (waves, a number for each pixel), drawn anew each night.
+The errors are those of a simulated detector (waves, a number for each pixel), drawn for each session.
 """
 
 from dataclasses import replace
@@ -44,7 +44,7 @@ def configured(**errors_px: float) -> OpticalAxisConfig:
 def after_five_seconds(
     seed: int, settings: OpticalAxisConfig
 ) -> tuple[np.ndarray, PointingEstimate, CalibrationFilter]:
-    """The true main axis after 25 exposures of the brightest stars, the estimate, and the filter that made it."""
+    """Return the true main axis after 25 exposures of the brightest stars, the estimate, and its filter."""
     rng = np.random.default_rng([31, seed])
     detector = DetectorErrors(rng, Detector(**CAMERA, width_px=2201, height_px=2201, **ERRORS_PX))
     watch = mount_sky(settings)
@@ -95,7 +95,7 @@ def test_each_alone_makes_the_pointing_less_sure(kind: str) -> None:
 
 
 def test_after_a_slip_of_the_encoders_the_stars_are_new() -> None:
-    """What exposures of before have told is gone with what the encoders said."""
+    """The pixel dwell is reset with the encoders' zero points."""
     _, estimate, filter_ = after_five_seconds(0, configured(**ERRORS_PX))
     state = estimate.state
     assert state.stays[f"star.{CAMERA_ID}"].exposures > 0

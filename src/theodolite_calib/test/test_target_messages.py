@@ -1,4 +1,4 @@
-"""Images of targets through the adapter: directions at the image's own time, bad images, silence, order of arrival."""
+"""Images of targets through the adapter: directions at the image's time, bad images, timeouts, order of arrival."""
 
 import functools
 from typing import Any
@@ -21,7 +21,7 @@ NAN = float("nan")
 
 
 def seen_n(t_s: float) -> np.ndarray:
-    """The target drifts beside the line of the mount: where it is seen."""
+    """Return the direction of a target that drifts next to the line of the mount."""
     beside = np.array([1.0, 0.004 * np.sin(t_s), 0.006])
     return mount(t_s)[2] @ (beside / np.linalg.norm(beside))
 
@@ -33,7 +33,7 @@ def path_n(t_s: float) -> np.ndarray:
 
 
 def image(t_s: float, **changes: Any) -> Any:
-    """A detector whose right side is down by 0.4 rad."""
+    """Return an image of a detector whose right side is down by 0.4 rad."""
     rho, seen_m = 0.4, mount(t_s)[2].T @ seen_n(t_s)
     up_v = seen_m @ [0.0, np.cos(rho), np.sin(rho)]
     right_v = seen_m @ [0.0, -np.sin(rho), np.cos(rho)]
@@ -196,7 +196,7 @@ def test_a_late_image_is_answered_at_its_own_time_within_the_lag(latency_s: floa
 
 @pytest.mark.parametrize(("topic", "text"), [(ENCODER, "no encoder readings"), (SHIP, "no attitudes of the ship")])
 def test_image_without_pointing_is_invalid_and_reported(topic: str, text: str) -> None:
-    """In the silence the image waits for the lag; then INVALID says so, with NaN, and the reason stands in health."""
+    """Without data the image waits for the lag; then INVALID with NaN is published, and the reason is in health."""
     base = tuple(a for a in session() if not (a.topic == topic and a.stamp_ns > START_NS + 3 * SECOND_NS))
     run = run_of(arriving(image(2.05)), arriving(image(4.05)), base=base)
     first, silent = sorted(run.messages(DIRECTION), key=stamp_of)

@@ -1,4 +1,4 @@
-"""The telescope's attitude from lights: exact cases, scipy's rotations, honest covariance, error budget."""
+"""Telescope attitude from beacons: exact cases, scipy's rotations, consistent covariance, error budget."""
 
 from dataclasses import replace
 
@@ -79,7 +79,7 @@ def test_rotation_by_weights_is_scipys():
 
 @pytest.mark.parametrize("source", ["rtk", "image", "focal_length", "refraction"])
 def test_a_part_of_the_budget_is_what_its_source_does(source):
-    """Only one error is drawn, all are believed in."""
+    """Only one error is drawn, all are modelled."""
     count = 5_000
     truth = truth_of(np.full(count, 33.0), 20.0, -60.0)
     exact, drawn = error_free(truth, seed=9), paper_epochs(truth, seed=9)
@@ -156,7 +156,7 @@ def test_one_beacon_with_a_prior_matches_its_covariance():
 
 
 def about(direction_n: FloatArray, covariance_n: FloatArray) -> FloatArray:
-    """Variance of the rotation about a direction."""
+    """Return the variance of the rotation about a direction."""
     return np.einsum("ni,nij,nj->n", direction_n, covariance_n, direction_n)
 
 
@@ -203,7 +203,7 @@ def test_beacon_behind_the_telescope_is_not_solved():
 
 
 def test_principal_point_off_its_place_is_seen_by_nothing():
-    """models.md §5: N' 60 mm off shifts both lights alike, 6-7" that no residual shows; only the budget can say so."""
+    """models.md §5: N' 60 mm off shifts both beacons equally, 6-7" that no residual shows; only the budget has it."""
     truth = truth_of(np.full(500, 210.0), 15.0, 30.0)
     epochs = paper_epochs(truth, seed=17)
     lens = epochs.survey.principal_point.vector_m

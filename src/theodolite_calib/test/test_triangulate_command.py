@@ -1,6 +1,6 @@
-"""``triangulate``: bags of several theodolites in, a table of places out; what is wrong with the input is named.
+"""``triangulate``: bags of several theodolites in, a table of positions out; messages for bad input.
 
-The true places and directions are made by pyerfa's own routines (ship_testing.theodolite_stations).
+The true positions and directions are computed by pyerfa's own routines (ship_testing.theodolite_stations).
 """
 
 import csv
@@ -24,7 +24,7 @@ INVALID = 3
 
 
 def write(path: Path, number: int, phase_ns: int, seed: int, count: int = 20, noise: float = 1.0, turn: float = 0.0):
-    """A bag with what one of the theodolites sees, its noise being new each time."""
+    """Write a bag with the directions of one theodolite, with new noise each time."""
     rng = np.random.default_rng(seed)
     with BagWriter(path) as writer:
         writer.add_topic(TOPIC, DIRECTION)
@@ -134,7 +134,7 @@ def test_one_theodolite_gives_no_place(tmp_path: Path, capsys) -> None:
 
 
 def test_unknown_distance_is_reported(tmp_path: Path, capsys) -> None:
-    """The theodolites' own places are known to a kilometre: the distance of a buoy two kilometres off is not."""
+    """The theodolites' own positions are known to a kilometre: the distance of a buoy at two kilometres is unknown."""
     path = described(tmp_path, 0, 0)
     values = yaml.safe_load(path.read_text())
     for station in values["stations"].values():

@@ -1,6 +1,6 @@
-"""A place by several theodolites: errors as the covariance says, sets that do not fit, lines that meet nowhere.
+"""Position from several theodolites: errors against the covariance, inconsistent sets, lines without intersection.
 
-Places and directions are made by pyerfa's own routines and by formulas of this file.
+Positions and directions are computed by pyerfa's own routines and by formulas of this file.
 """
 
 import functools
@@ -20,7 +20,7 @@ SIGMA, DRAWS = 3.0 * ARCSEC, 1000
 
 
 def drawn(seed: int, noise: float = 1.0, spread_m: float = 50.0, distance_m: float = 2000.0):
-    """Three theodolites in a row, a target at random around them, and the place of the target from the origin."""
+    """Return three theodolites in a row, a random target around them, and its position from the origin."""
     rng = np.random.default_rng(seed)
     azimuth, elevation = rng.uniform(0.0, 2.0 * np.pi), np.deg2rad(rng.uniform(-0.5, 60.0))
     line = np.array([np.cos(elevation) * np.cos(azimuth), np.sin(elevation), np.cos(elevation) * np.sin(azimuth)])
@@ -116,7 +116,7 @@ def test_the_change_by_the_place_is_that_of_finite_differences(distance_m: float
 
 
 def abreast(distance_m: float, sigma: float, rng: np.random.Generator) -> tuple[list[StationDirection], np.ndarray]:
-    """What two theodolites tell that stand 50 m apart, abreast of the target; places and air are known."""
+    """Return the position from two theodolites 50 m apart, abreast of the target; positions and air are known."""
     target_n, directions = np.array([25.0, 0.05 * distance_m, distance_m]), []
     for number in range(2):
         at = replace(station(f"t{number}", foot_n(number)), sigma_m=0.0)

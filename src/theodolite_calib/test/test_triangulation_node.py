@@ -1,6 +1,6 @@
-"""The node ``triangulation`` by its adapter: places of a buoy as its directions come, and what is not believed.
+"""Node ``triangulation`` by its adapter: positions of a buoy as its directions come, and rejected directions.
 
-The true places and directions are made by pyerfa's own routines (ship_testing.theodolite_stations).
+The true positions and directions are computed by pyerfa's own routines (ship_testing.theodolite_stations).
 """
 
 from typing import Any
@@ -32,13 +32,13 @@ def adapter_of(count: int = 3, **changes: Any) -> TriangulationAdapter:
 
 
 def seen(number: int, time_ns: int, turn_n: Any = (0.0, 0.0, 0.0), **changes: Any) -> Any:
-    """What a theodolite tells of the buoy, turned by an error."""
+    """Return a theodolite's direction of the buoy, rotated by an error."""
     turned_n = exp_rotation(np.asarray(turn_n, dtype=float)) @ buoy_seen(number, (time_ns - START_NS) * 1e-9)
     return direction_message(time_ns, turned_n, SIGMA, **changes)
 
 
 def give(adapter: TriangulationAdapter, number: int, message: Any, came_ns: int | None = None) -> list[Any]:
-    """Hand over a message of a theodolite; all that is published."""
+    """Pass a message of a theodolite to the adapter; return all that is published."""
     came_ns = ns_from_stamp(message.header.stamp) + LATENCY_NS if came_ns is None else came_ns
     return adapter.handle(f"t{number}/theodolite/target_direction", message, came_ns)
 

@@ -1,6 +1,6 @@
-"""Directions that come more rarely than ``lag_s``: the node gives the places that the command gives, and no others.
+"""Directions with intervals longer than ``lag_s``: the node gives the positions of the command, and no others.
 
-The true places and directions are made by pyerfa's own routines (ship_testing.theodolite_stations).
+The true positions and directions are computed by pyerfa's own routines (ship_testing.theodolite_stations).
 """
 
 from dataclasses import replace
@@ -35,7 +35,7 @@ def config_of(stations: int, **changes: Any) -> TriangulationConfig:
 
 
 def arrivals(number: int, since_s: Any) -> list[Arrival]:
-    """Directions of one theodolite to the buoy at some times after the start."""
+    """Return directions of one theodolite to the buoy at some times after the start."""
     found = []
     for at_s in since_s:
         time_ns = START_NS + round(at_s * SECOND_NS)
@@ -56,7 +56,7 @@ def run_of(config: TriangulationConfig, *of_stations: list[Arrival]) -> AdapterR
 
 
 def places(run: AdapterRun) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-    """Stamp → place (North, Up, East), m, and its covariance, m², of those that are claimed."""
+    """Return stamp → position (North, Up, East), m, and its covariance, m², of those that are not INVALID."""
     found = {}
     for message in run.messages(POSITION_TOPIC):
         if message.status != Status.INVALID:
@@ -66,7 +66,7 @@ def places(run: AdapterRun) -> dict[int, tuple[np.ndarray, np.ndarray]]:
 
 
 def waited_s(run: AdapterRun) -> dict[int, float]:
-    """Stamp → time from the stamp to the answer, s."""
+    """Return stamp → time from the stamp to the answer, s."""
     return {
         stamp_of(message): (published_ns - stamp_of(message)) / SECOND_NS
         for published_ns, topic, message in run.published
@@ -179,5 +179,5 @@ def test_late_directions_to_forgotten_targets_forget_no_other() -> None:
 
 
 def results(run: AdapterRun) -> list[tuple[int, Any]]:
-    """Time and bytes of each place."""
+    """Return time and bytes of each position."""
     return [(ns, exactly(message)) for ns, topic, message in run.published if topic == POSITION_TOPIC]

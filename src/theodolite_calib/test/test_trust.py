@@ -1,4 +1,4 @@
-"""Silence is no agreement: what agreed before it must agree anew."""
+"""Reinstatement timers restart after a gap without measurements."""
 
 from dataclasses import replace
 
@@ -19,7 +19,9 @@ AGREED_NS, LAST_NS = 10 * SECOND_NS, 40 * SECOND_NS
 
 
 def agreeing(heard_ns: dict[str, int]) -> Trust:
-    """The first drone, the encoders and the lights agree since 10 s; each light was seen last at its moment."""
+    """Return a state with the first drone, encoders and beacons consistent since 10 s, and the last times of each
+    beacon.
+    """
     trust = no_doubt(ROWS)
     seen_ns = trust.means.heard_ns.copy()
     for name, time_ns in heard_ns.items():

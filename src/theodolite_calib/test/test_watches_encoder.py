@@ -1,4 +1,4 @@
-"""Encoders at rest, in doubt, stuck, in degrees, read wrong once, slipped: told by their own motion and the lights."""
+"""Check of the encoders: at rest, stopped, stuck, in degrees, single wrong readings, slips; by motion and beacons."""
 
 from collections.abc import Callable
 from typing import Any
@@ -44,7 +44,7 @@ def lights(watch: EncoderWatch, number: int, azimuth: float) -> None:
 
 
 def stopped(rate: float = 0.02) -> tuple[EncoderWatch, int]:
-    """Ten readings in motion, rad/s, and one like the last."""
+    """Return ten readings in motion, rad/s, and one equal to the last."""
     watch = EncoderWatch(ARCSEC, FREE)
     for number in range(10):
         assert check(watch, reading(number, 1.0 + rate * number * 0.01)) is None
@@ -63,7 +63,7 @@ def test_stopped_readings_are_unconfirmed_until_beacons_confirm() -> None:
 
 
 def test_encoder_jump_is_confirmed_by_beacons_at_two_times() -> None:
-    """The first lights find whatever the estimate was opened for, also an axis that stands still while it turns."""
+    """The first beacons fit any inflated estimate, also an axis that stands still while it rotates."""
     watch = EncoderWatch(ARCSEC, max_acceleration=1.0)
     for number in range(10):
         check(watch, reading(number, 1.0 + 2e-4 * number))
@@ -216,7 +216,7 @@ def test_readings_after_a_stuck_encoder_are_unconfirmed() -> None:
 
 
 def test_live_changes_reach_the_encoder_check() -> None:
-    """One reading is off by 0.1°, which a mount of 100°/s² can reach within 50 ms and one of 10°/s² cannot."""
+    """One reading has an error of 0.1°, which a mount of 100°/s² can reach within 50 ms and one of 10°/s² cannot."""
     spoilt = replaced(session(), index_at(session(), ENCODER, 4.0), read_off(0.1))
     half = index_at(spoilt, ENCODER, 3.0)
     for changes, refused in (
@@ -230,7 +230,7 @@ def test_live_changes_reach_the_encoder_check() -> None:
 
 
 def test_slip_of_degrees_is_never_valid() -> None:
-    """What lights say of zero points so far off is not linear, and they do not fit any more: a reset is needed."""
+    """Beacons are not linear in zero points of this size and are rejected: a reset is needed."""
     run = drive(new_adapter(), changed_where(session(10.0), encoder_from(3.0), read_off(5.0)))
     assert {m.status for m in run.pointings if seconds(m) >= 3.0} == {Status.DEGRADED}
 

@@ -1,4 +1,4 @@
-"""With the INS alone as the ship's attitude: samples that are well formed and wrong, alone and together with others."""
+"""The INS alone as the ship's attitude: well-formed wrong samples, alone and with other faults."""
 
 from collections.abc import Callable
 from typing import Any
@@ -50,7 +50,7 @@ def rates(factor: float) -> Change:
 
 
 def turned(*degrees_n: float) -> Change:
-    """The attitude turned about North, Up, East."""
+    """Return a change that rotates the attitude about North, Up, East."""
 
     def change(message: Any) -> None:
         q = message.orientation
@@ -82,7 +82,7 @@ def test_one_wrong_sample_is_rejected_without_effect(wrong: Change, factor: floa
 
 
 def test_late_wrong_sample_is_rejected() -> None:
-    """It is off by a degree, which only the rates of its neighbour contradict."""
+    """It has an error of a degree, which only the rates of its neighbour contradict."""
     arrivals = ins_alone()
     index = index_at(arrivals, INS, 3.017)
     spoilt = replaced(arrivals, index, turned(1.0, 0.0, 0.0))
@@ -126,7 +126,7 @@ def test_jump_without_beacons_stays_degraded() -> None:
 
 
 def test_beacons_before_a_jump_do_not_confirm_it() -> None:
-    """Those of 2.6 s come late by 0.9 s, when the jump of 3 s is believed already."""
+    """Those of 2.6 s come late by 0.9 s, after the jump of 3 s has been accepted."""
     arrivals = [
         Arrival(a.topic, a.message, a.receive_ns + 900_000_000 * of_topic(BEACONS, 2.6)(a))
         for a in ins_alone(5.0)
