@@ -503,7 +503,7 @@ def test_covariances_that_are_not_given_are_not_perfect() -> None:
     for topic in (ENCODER, SHIP, BEACONS, ALPHA):
         assert run.reasons(topic) == {"covariance_unknown": run.health(topic).received}
         assert run.health(topic).rejected == 0
-    # The ship's attitude then has the INS's errors, the others what is configured: the same as the messages say.
+    # The ship's attitude then has the INS's errors, the others the configured ones, equal to those of the messages.
     # Not of a single one: what the estimates without one source dispute comes and goes with each sighting.
     of_each = ([m.rotation_covariance[0] for m in one.pointings] for one in (run, clean_run()))
     assert np.greater(*(np.median(covariance) for covariance in of_each))

@@ -22,7 +22,7 @@ from theodolite_calib.ros.calibration_file import CALIBRATION_FILE
 
 NOW_NS = 1_767_225_600_000_000_000
 OFF = np.array([0.8, -1.1, 0.5]) * ARCSEC
-"""What a night has told of the mounting, beyond what is configured."""
+"""Correction of the configured mounting, estimated in one night."""
 
 
 def learned(settings: OpticalAxisConfig) -> tuple[CalibrationFilter, CalibrationState]:

@@ -70,7 +70,7 @@ def test_who_stepped_is_named(steps, off_arcsec, name, rates):
         for seed in range(20)
         for rows in (ENCODER, SHIP)
     ]
-    # Without rates the ship's own motion hides steps of so few sigmas: then what the rows say may stand.
+    # Without rates the ship's own motion hides steps of few sigmas: the isolated source is kept.
     sure = off_arcsec > 50.0 or rates or name == ENCODER
     allowed = {name} if sure else {name, ENCODER, SHIP}
     assert set(named) <= allowed
@@ -155,7 +155,7 @@ def test_corrected_ship_attitude_is_no_drift():
         ("beacon.a", {"beacon.a", ENCODER, SHIP}, True, True, SHIP),
         ("beacon.a", {"beacon.a", ENCODER, SHIP}, True, None, None),
         ("beacon.a", {"beacon.a", ENCODER, SHIP}, False, False, None),
-        ("beacon.a", {"beacon.a", SHIP}, False, False, "beacon.a"),  # the ship has not crept, and encoders are no way
+        ("beacon.a", {"beacon.a", SHIP}, False, False, "beacon.a"),  # the ship has not drifted, and encoders do not explain it
         ("beacon.a", {"beacon.a"}, True, True, "beacon.a"),
         (ENCODER, {ENCODER, SHIP}, False, True, SHIP),
         (SHIP, {ENCODER, SHIP}, False, False, ENCODER),

@@ -142,7 +142,7 @@ def test_within_two_percent_of_the_best_on_a_grid(elevation_deg: float, limits: 
     accuracy = accuracy_of(config, elevation_deg)
     places_n = grid(accuracy, config)
     assert len(places_n) > 20
-    # The drones are alike, so each pair counts once.
+    # The drones are equal, so each pair counts once.
     best = min(
         accuracy.sigma(("a", "b"), np.array(pair))
         for pair in combinations_with_replacement(places_n, 2)

@@ -272,7 +272,7 @@ def test_shared_errors_are_in_the_calibration_file(tmp_path: Path) -> None:
     assert tilt_arcsec[0] == pytest.approx([20.0, 20.0], abs=1.0)
     assert np.all(tilt_arcsec[1] < 3.0)
     assert (grouped.serial, grouped.time_ns) == ("T7", round((1.4e9 + COUNT - 1) * 1e9))
-    # Without a time nobody knows how old it is.
+    # Without a time its age is unknown.
     assert plain.time_ns == 0
     fitted = yaml.safe_load((tmp_path / "grouped" / "axes.yaml").read_text(encoding="utf-8"))
     np.testing.assert_allclose(grouped.covariance[:6, :6], fitted["covariance_rad2"], rtol=1e-12)
@@ -329,7 +329,7 @@ def test_wrong_offset_conventions_are_reported(
     table = write_table(tmp_path / "s.csv", [changed(row) for row in table_rows()])
     assert main([str(table), "--out", str(tmp_path / "out")]) == 0
     shown = capsys.readouterr().out
-    # Which sign both have no sighting can tell: the first is written out.
+    # No sighting can show the common sign of both: the first one is printed.
     assert "observation S0 has the true direction" in shown
     assert ("warning: " in shown) == (told is not None)
     assert (tmp_path / "out" / "calibration.yaml").exists() == (told is None)

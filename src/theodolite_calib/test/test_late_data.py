@@ -106,7 +106,7 @@ def test_a_pointing_waits_for_the_ship_and_comes_with_it() -> None:
     run = drive(new_adapter(), late)
     times = [(ns - stamp_of(m)) * 1e-9 for ns, topic, m in run.published if topic == "theodolite/pointing"]
     assert 0.3 <= np.median(times) < 0.36
-    # The first tick found none and said INVALID.
+    # The first tick published INVALID.
     assert len(run.pointings) >= len(clean_run().pointings) - 1
 
 

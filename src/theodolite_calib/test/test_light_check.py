@@ -80,7 +80,7 @@ def test_two_swapped_beacons_are_found_with_a_prior():
 
 
 def test_two_swapped_beacons_are_consistent_without_a_prior():
-    # The angle is the same: nothing but the half turn of the image would tell.
+    # The angle is the same: only the half turn of the image differs.
     epoch = an_epoch()
     check = checked(seen_as(epoch, [1, 0]))
     assert check.verdict is Verdict.CONSISTENT
@@ -101,7 +101,7 @@ def test_three_swapped_beacons_need_no_prior(order):
 @pytest.mark.parametrize("with_prior", [False, True])
 @pytest.mark.parametrize("lights_deg", [LIGHTS_DEG, THREE_LIGHTS_DEG], ids=["two", "three"])
 def test_wrong_beacon(lights_deg, with_prior):
-    # Where the second light should be, another one 0.05° beside it is seen.
+    # Instead of the second beacon another one 0.05° away is detected.
     epoch = an_epoch(lights_deg)
     elsewhere_deg = lights_deg.copy()
     elsewhere_deg[1, 0] += 0.05

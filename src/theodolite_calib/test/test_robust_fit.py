@@ -95,7 +95,7 @@ def test_outliers_are_named_and_have_little_weight() -> None:
     clean = sight(rng, ERRORS, angles, 6.0)
     moved = clean.direction_d.copy()
     planted = [5, 17, 60]
-    # A wrong star, a wrong row, a knock: all to one side, so that plain least squares would follow.
+    # A wrong star, a wrong row, a shift: all to one side, so that plain least squares would follow.
     moved[planted] = moved[planted] @ exp_rotation(np.array([0.0, 2.0e-3, 0.0])).T
     result = fit(Sightings(clean.labels, *angles, direction_d=moved), STRAIGHT)
     assert np.flatnonzero(result.outliers).tolist() == planted
@@ -143,7 +143,7 @@ def test_valley_of_a_narrow_range_of_elevation() -> None:
     assert along > 500.0 * across
     assert np.linalg.norm(valley.run) == pytest.approx(along, rel=0.1)
     assert valley.effect == pytest.approx(2.5 * ARCSEC / np.sqrt(300), rel=0.2)
-    # So far along the valley the pointing hardly changes, as it says.
+    # Along the valley the pointing hardly changes, as stated.
     run = AxisErrors(**dict(zip(valley.names, valley.run, strict=True)))
     sightings = sight(rng, AxisErrors(), (azimuth, elevation), 0.0)
     assert rms(sightings.residuals(run)) == pytest.approx(valley.effect, rel=0.1)

@@ -160,7 +160,7 @@ def test_ten_seconds_of_beacons_match_their_covariance(changes: dict[str, float]
     encoder = np.tile(np.deg2rad([70.0, 30.0]), (len(times_s), 1))
     seeds, ratios = 20, []
     for seed in range(seeds):
-        # Still: by rolling, what lasts in the horizon is told from what lasts in the deck.
+        # Roll separates constant errors in the horizon from constant errors in the deck.
         given = session(settings, seed, times_s, encoder, ship_sigma_n=np.zeros(3), swing=0.0)
         state = filtered(settings, filter_, given, len(times_s))
         last = given.sightings[-1]

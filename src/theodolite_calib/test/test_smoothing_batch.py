@@ -1,7 +1,7 @@
 """The theodolite's smoother against one least-squares solution over all states of all epochs at once, by scipy.
 
-The batch knows the measurement equations and the autocorrelation of each error as docs/explanation/theodolite.md tells
-them. It shares no line with the filter or the smoother: rotations are scipy's, derivatives are differences.
+The batch has the measurement equations and the autocorrelation of each error from docs/explanation/theodolite.md. It
+shares no line with the filter or the smoother: rotations are scipy's, derivatives are differences.
 """
 
 from dataclasses import dataclass, field

@@ -110,7 +110,7 @@ def test_before_the_first_sighting_the_errors_are_what_they_may_be() -> None:
 
 
 def test_time_before_a_jump_may_be_later_than_its_estimate() -> None:
-    # The jump adds to the zero points: what the moment has in common with the opened state are the errors at that.
+    # The jump adds to the zero points: the time has only the errors before it in common with the inflated state.
     filter_ = TracedFilter(config(**ERRORS))
     state = correlated(filter_, 1.0)
     anchor = Anchor(START_NS, Known(state.mean, state.covariance), state.given)

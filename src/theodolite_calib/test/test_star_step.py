@@ -299,7 +299,7 @@ def test_exposures_of_a_camera_that_stands_still_are_all_used(watch) -> None:
         assert decision.accepted, decision.text
     root = state.unaided.root
     assert np.all(np.isfinite(root))
-    # Of axes and deformation six are left open, of which stars at one place can tell three sums.
+    # Six combinations of axes and deformation are unknown; stars at one place determine three sums of them.
     assert mount.filter.observability.open_combinations(state.unaided)
 
 
@@ -332,6 +332,6 @@ def test_a_night_of_stars_calibrates_the_axes_for_the_day(watch) -> None:
     assert np.sqrt(np.mean(squares)) / ARCSEC < 8.0
     low, high = mean_nees_band(seeds, 3)
     assert low <= np.mean(nees) <= high
-    # Collimation and tilt of the horizontal axis, of which 26.5″ were not known, are told; the others go with the
+    # Collimation and tilt of the horizontal axis, unknown by 26.5″, are estimated; the others go with the
     # deformation, and the filter names them (theodolite/calibration).
     assert np.max(np.array(left)[:, 2:4]) < 4.0

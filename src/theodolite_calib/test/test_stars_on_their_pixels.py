@@ -33,7 +33,7 @@ from theodolite_calib.measured.samples import Mode, PointingEstimate
 from theodolite_calib.optical_axis.output import DuePointing, PointingOutput
 
 ERRORS_PX = {"field_spatial_sigma_px": 0.2, "pixel_spatial_sigma_px": 0.1}
-"""2.7″ and 1.3″, beside a noise of 1.3″."""
+"""2.7″ and 1.3″, with a noise of 1.3″."""
 NIGHTS, EXPOSURES, STARS, PERIOD_NS = 24, 25, 6, 200_000_000
 
 

@@ -173,7 +173,7 @@ def test_the_same_image_again_is_a_duplicate_and_another_one_a_conflict() -> Non
     other = Arrival(TARGET, image(2.05, x=0.001), first.receive_ns + 1_000_000)
     run = run_of(first, other, arriving(image(2.25)))
     assert run.reasons(TARGET) == {"conflict": 1}
-    # After it the detector has told two things of one moment: for ten seconds nothing by it is VALID.
+    # After it the detector has sent conflicting images of one time: for ten seconds nothing by it is VALID.
     assert [m.status for m in run.messages(DIRECTION)][-1] == Status.DEGRADED
 
 

@@ -49,7 +49,7 @@ def test_all_clocks_step_and_the_pointing_is_valid_within_two_seconds(step_s: fl
     sigma = np.sqrt(np.diagonal(other.covariance))
     assert np.all(np.abs(one.values - other.values) < sigma)
     assert np.sqrt(np.diagonal(one.covariance)) == pytest.approx(sigma, rel=0.2)
-    # Nothing is counted anew.
+    # No counter restarts.
     assert one.sighting_count >= other.sighting_count - 3
     assert [text for text in run.adapter.notices if text.startswith("time base stepped")] == [
         f"time base stepped by {step_s:+.3f} s: reset, mountings and calibration kept"

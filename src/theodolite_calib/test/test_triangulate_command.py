@@ -52,7 +52,7 @@ def table(path: Path) -> list[dict[str, str]]:
 
 
 def test_positions_match_their_covariance(tmp_path: Path, capsys) -> None:
-    # Stamps of all three are alike: nothing is interpolated, errors are independent from row to row.
+    # Stamps of all three are equal: nothing is interpolated, errors are independent from row to row.
     stations = described(tmp_path, 0, 0, 0, count=60)
     assert main([str(stations), "--target", "buoy", "--out", str(tmp_path / "places.csv")]) in (0, 1)
     rows = table(tmp_path / "places.csv")

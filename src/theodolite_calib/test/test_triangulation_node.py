@@ -66,7 +66,7 @@ def test_positions_match_their_covariance() -> None:
             for message in places(give(adapter, number, seen(number, time_ns, SIGMA * rng.standard_normal(3))))
         ]
         if index == 0:
-            continue  # nobody is known to tell of the buoy yet
+            continue  # no theodolite has reported the buoy yet
         (message,) = found
         if message.status == Status.INVALID:
             continue  # one set of a thousand does not fit
@@ -250,7 +250,7 @@ def test_nothing_is_interpolated_across_an_invalid_direction(invalid_comes_first
     adapter, found = adapter_of(2), []
     arrivals = [(index, number) for index in range(11) for number in (0, 1)]
     if invalid_comes_first:
-        # All that the second tells is there before the first tells of the same moments.
+        # All reports of the second precede those of the first for the same times.
         arrivals = sorted(arrivals, key=lambda arrival: (arrival[0] > 2, arrival[0] > 2 and arrival[1] == 0, arrival))
     for index, number in arrivals:
         worth = Status.INVALID if number == 1 and 3 <= index < 10 else Status.VALID

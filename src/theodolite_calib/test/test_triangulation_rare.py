@@ -91,7 +91,7 @@ def places_of_the_command(config: TriangulationConfig, *of_stations: list[Arriva
 @pytest.mark.parametrize(
     ("phase_s", "max_gap_s", "missing"),
     [
-        (0.0, 1.0, 1),  # alike: the first direction is answered before the other theodolite is known to report
+        (0.0, 1.0, 1),  # same stamps: the first direction is answered before the other theodolite is known to report
         (2.5, 8.0, 0),
         (4.9, 8.0, 0),
     ],

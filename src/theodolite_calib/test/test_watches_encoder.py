@@ -70,7 +70,7 @@ def test_encoder_jump_is_confirmed_by_beacons_at_two_times() -> None:
     jumped = next(n for n in range(10, 40) if check(watch, reading(n, 1.3 + 2e-4 * n)) is None)
     assert watch.doubt
     watch.confirm((jumped - 20) * PERIOD_NS)  # of before the jump
-    for _ in range(2):  # the same lights twice are one moment
+    for _ in range(2):  # the same beacons twice are one time
         watch.confirm((jumped + 1) * PERIOD_NS)
         assert watch.doubt
     watch.confirm((jumped + 2) * PERIOD_NS)
@@ -101,7 +101,7 @@ def test_beacons_before_the_stop_are_no_reference() -> None:
     watch = EncoderWatch(ARCSEC, FREE)
     for number in range(10):
         check(watch, reading(number, 1.0 + 0.01 * number))
-    # The light of 5 is heard of only now; meanwhile the mount has come to rest.
+    # The beacon of 5 is received only now; meanwhile the mount has come to rest.
     lights(watch, 5, 1.05)
     for number in range(10, 60):
         assert check(watch, reading(number, 1.09)) is None
