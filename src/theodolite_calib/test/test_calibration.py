@@ -84,7 +84,7 @@ def test_an_old_calibration_is_a_wider_prior() -> None:
     young, _ = state_from_prior(filter_, config(), saved(), NOW_NS + 29 * DAY_NS)
     old, messages = state_from_prior(filter_, config(), saved(), NOW_NS + 31 * DAY_NS)
     (message,) = messages
-    assert message.startswith("saved calibration is 31.0 d old, more than calibration_max_age_d = 30: its uncertainty")
+    assert message.startswith("saved calibration is 31.0 d old, more than calibration_max_age_d = 30: the configured")
     rows = filter_.model.rows("axes")[:6]
     added = np.diagonal(old.covariance - young.covariance)[rows]
     assert np.sqrt(added) == pytest.approx(30.0 * ARCSEC)

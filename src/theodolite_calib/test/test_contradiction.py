@@ -155,7 +155,7 @@ def test_corrected_ship_attitude_is_no_drift():
         ("beacon.a", {"beacon.a", ENCODER, SHIP}, True, True, SHIP),
         ("beacon.a", {"beacon.a", ENCODER, SHIP}, True, None, None),
         ("beacon.a", {"beacon.a", ENCODER, SHIP}, False, False, None),
-        ("beacon.a", {"beacon.a", SHIP}, False, False, "beacon.a"),  # the ship has not drifted, and encoders do not explain it
+        ("beacon.a", {"beacon.a", SHIP}, False, False, "beacon.a"),  # no ship drift, encoders no explanation
         ("beacon.a", {"beacon.a"}, True, True, "beacon.a"),
         (ENCODER, {ENCODER, SHIP}, False, True, SHIP),
         (SHIP, {ENCODER, SHIP}, False, False, ENCODER),
