@@ -433,7 +433,7 @@ def test_stuck_encoder_is_detected_by_beacons() -> None:
     run = drive(new_adapter(), frozen(2.0, 10.0))
     stuck = told(run, Reason.STUCK)
     assert {source for source, _ in stuck} == {"encoder"}
-    assert "stand still while the lights say" in stuck[0][1]
+    assert "both encoders stuck" in stuck[0][1]
     assert run.reasons(BEACONS).keys() <= {"gate", "attitude_conflict", "gap"}
     wrong = [m for m in run.pointings if seconds(m) > 2.0 and m.status != Status.INVALID]
     assert {m.status for m in wrong} == {Status.DEGRADED}

@@ -46,7 +46,7 @@ def readings(source: str, state: CalibrationState) -> tuple[EncoderRun, ShipRun]
     assert state.time_ns is not None
     since_ns = np.concatenate([[0], np.sort(rng.integers(1, 8 * 10**9, COUNT - 1))])
     angles = np.stack([rng.uniform(0.0, 6.0, COUNT), rng.uniform(0.1, 1.0, COUNT)], axis=-1)
-    doubt = ["", "", "the encoders stopped dead"] * (COUNT // 3)
+    doubt = ["", "", "the encoders stopped during a motion"] * (COUNT // 3)
     encoders = EncoderRun(state.time_ns + since_ns, angles, rng.uniform(1e-12, 1e-10, COUNT), doubt)
     # Stars have gone and come again: the ship's error changes at once.
     sizes = np.resize([1.0, 1.1, 3.0, 0.2], COUNT)[:, None, None]
