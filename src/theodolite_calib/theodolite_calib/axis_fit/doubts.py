@@ -6,7 +6,7 @@ combination of errors that hardly moves the pointing of these sightings. The err
 are involved in it.
 
 **Other readings of the table.** They are compared by the likelihood of the numbers in the table, not by the residuals
-on the sky: an offset that was already multiplied by cos E has smaller residuals, because it is smaller. With the scale
+on the sky. An offset that was already multiplied by cos E has smaller residuals, because it is smaller. With the scale
 s of n sightings,
 
     log L = -2 n log s + sum log |d(sky) / d(offset)|

@@ -127,7 +127,7 @@ class PredictedPoints:
 def predict_points(camera: Camera, rotation_nt: FloatArray, direction_n: FloatArray) -> PredictedPoints:
     """Return the detector points of beacons in the directions ``direction_n`` for a telescope's attitude.
 
-    With R the attitude "horizon from telescope" and R_true = exp(δ) R, a beacon in the direction w (in n) is at Rᵀ w in
+    R is the attitude "horizon from telescope", and R_true = exp(δ) R. A beacon in the direction w (in n) is at Rᵀ w in
     the telescope, and δ moves it there by Rᵀ (w × δ).
 
     Args:

@@ -103,8 +103,9 @@ class TelescopeAttitude:
 def solve(image: Image, camera: Camera, lines: LinesOfSight, prior: AttitudePrior | None = None) -> TelescopeAttitude:
     """Return the maximum-likelihood attitude of the telescope.
 
-    The attitude is not solved (NaN) if the information is insufficient: without a prior, if the beacons are so close
-    together that the rotation of the image has a sigma of more than a degree (:data:`ship_geometry.wahba.WORST_SIGMA`).
+    The attitude is not solved (NaN) if the information is insufficient. Without a prior this is the case for beacons so
+    close together that the rotation of the image has a sigma of more than a degree
+    (:data:`ship_geometry.wahba.WORST_SIGMA`).
 
     Args:
         image: N beacons on the detector.

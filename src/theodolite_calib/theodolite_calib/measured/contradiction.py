@@ -1,9 +1,9 @@
 """Consistency of the encoder and ship attitude streams around the time at which beacons began to contradict them.
 
 For the beacons a slip of the encoders, a step of the ship's attitude and a mounting shift of the telescope have the
-same effect. The first two are visible in their own streams: a polynomial through the readings, or a line through the
-residuals of the attitudes against the rates, is fitted to some samples before and after each time, with a step between
-them. If neither stream has stepped by the offset of the beacons, the telescope has shifted.
+same effect. The first two are visible in their own streams. A polynomial through the readings, or a line through the
+residuals of the attitudes against the rates, is fitted to some samples before and after each time. A step is allowed
+between them. If neither stream has stepped by the offset of the beacons, the telescope has shifted.
 
 A drift has no step. A drifting ship's attitude departs from the integral of its own rates; for encoders there is no
 such reference.
