@@ -105,7 +105,7 @@ class EncoderConfig:
     """Encoders of the two axes."""
 
     frame_id: str = parameter("", doc="frame_id that theodolite/encoder must carry; empty accepts any")
-    sigma_arcsec: float = arcsec(1.0, doc="noise of each reading where the message gives none", live=True)
+    sigma_arcsec: float = arcsec(1.0, doc="noise of each reading if the message states none", live=True)
     max_acceleration_deg_per_s2: float = parameter(
         100.0,
         doc="maximum acceleration of an axis: a reading that needs more is rejected (fast tracking mounts reach 60)",
@@ -175,7 +175,7 @@ class TelescopeConfig:
     )
     sigma_m: float = parameter(
         1e-6,
-        doc="error of x and of z of a light's image where the message gives none",
+        doc="error of x and of z of a light's image if the message states none",
         unit="m",
         minimum=1e-9,
         maximum=0.001,
@@ -269,7 +269,7 @@ class MainDetectorConfig:
     )
     sigma_m: float = parameter(
         1e-6,
-        doc="error of x and of z of a target's image where the message gives none",
+        doc="error of x and of z of a target's image if the message states none",
         unit="m",
         minimum=1e-9,
         maximum=0.001,
@@ -281,7 +281,7 @@ class MainDetectorConfig:
         if 0.0 < self.focal_length_m < _SHORTEST_FOCAL_LENGTH_M:
             raise ParameterError(
                 f"parameter 'main_detector.focal_length_m' = {self.focal_length_m:g}: expected metres, "
-                f"{_SHORTEST_FOCAL_LENGTH_M:g} at least, or 0 where there is no main detector",
+                f"{_SHORTEST_FOCAL_LENGTH_M:g} at least, or 0 without a main detector",
                 "main_detector.focal_length_m",
                 value=self.focal_length_m,
             )
@@ -298,7 +298,7 @@ class AirConfig:
 
     coefficient: float = parameter(0.13, doc="k near the sea", minimum=-5.0, maximum=5.0)
     sigma: float = parameter(0.06, doc="error of k, common to all lights", minimum=0.0, maximum=5.0)
-    light_sigma: float = parameter(0.02, doc="further error of k at each light", minimum=0.0, maximum=5.0)
+    light_sigma: float = parameter(0.02, doc="further error of k on the path to each light", minimum=0.0, maximum=5.0)
     time_s: float = parameter(3600.0, doc="correlation time of both", unit="s", minimum=0.0, maximum=1e7)
 
 
@@ -319,7 +319,7 @@ class RtkConfig:
     rover_id: str = parameter("", doc="rover_id that it must carry; empty accepts any")
     sigma_m: float = parameter(
         0.02,
-        doc="noise of each solution, each axis, where the message gives none",
+        doc="noise of each solution, each axis, if the message states none",
         unit="m",
         minimum=1e-4,
         maximum=100.0,
@@ -405,7 +405,7 @@ class EscortConfig:
         widest_m = float(max(alike_m, unlike_m))
         if not self.separation_min_m <= widest_m:
             raise ParameterError(
-                f"parameter 'escort.separation_min_m' = {self.separation_min_m:g} m: no two places in the field and "
+                f"parameter 'escort.separation_min_m' = {self.separation_min_m:g} m: no two positions in the field and "
                 f"range of escort.field_deg, escort.range_min_m and escort.range_max_m are more than {widest_m:.1f} m "
                 "apart",
                 "escort.separation_min_m",
@@ -429,7 +429,7 @@ class OpticalAxisConfig:
     air: AirConfig = section(AirConfig)
     ship_antenna: ShipAntennaConfig = section(ShipAntennaConfig)
     beacons: dict[str, BeaconConfig] = mapping_of("drones with a light, by beacon_id")
-    telescopes: dict[str, StarCameraConfig] = mapping_of("cameras on the theodolite that see stars, by sensor_id")
+    telescopes: dict[str, StarCameraConfig] = mapping_of("star cameras on the theodolite, by sensor_id")
     sky: SkyConfig = section(SkyConfig)
     escort: EscortConfig = section(EscortConfig)
     gate: GateConfig = section(GateConfig)
@@ -456,7 +456,7 @@ class OpticalAxisConfig:
     slow_topics_period_s: float = parameter(
         1.0, doc="period of budget, calibration, error and health topics", unit="s", minimum=0.1, maximum=60.0
     )
-    calibration_file: str = parameter("", doc="file of the saved calibration, read at the start where it exists")
+    calibration_file: str = parameter("", doc="file of the saved calibration, read at the start if it exists")
     alignment_autosave_s: float = autosave_period()
     calibration_max_age_d: float = parameter(
         30.0, doc="age above which a saved calibration is a wider prior", unit="d", minimum=0.0, maximum=36500.0

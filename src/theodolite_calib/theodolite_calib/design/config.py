@@ -61,7 +61,7 @@ class DesignStudyConfig:
         30.0, doc="elevation of the pointing, over the horizon of a level ship", unit="deg", minimum=-10.0, maximum=89.0
     )
     ship_heading_sigma_arcsec: float = arcsec(
-        2.0, doc="error of ship/attitude about Up; not where ins/imu is the source"
+        2.0, doc="error of ship/attitude about Up; unused with ins/imu as the source"
     )
     ship_tilt_sigma_arcsec: float = arcsec(1.5, doc="the same about North and about East")
     pixel_pitch_m: float = parameter(
@@ -103,7 +103,7 @@ def study_config(values: Mapping[str, Any]) -> DesignStudyConfig:
         raise _in_study(error) from error
     lights, beacons = set(config.lights), set(config.optical_axis.beacons)
     if not beacons:
-        raise ParameterError("parameter 'optical_axis.beacons': expected a drone or more", "optical_axis.beacons")
+        raise ParameterError("parameter 'optical_axis.beacons': expected at least one drone", "optical_axis.beacons")
     for name in sorted(beacons):
         if not _NAME.fullmatch(name):
             reason = "the name of a drone is letters, digits and _, a letter first"

@@ -38,7 +38,7 @@ class PositionConfig:
 class StationPlaceConfig(PositionConfig):
     """Position of a theodolite's centre, and its error. The theodolite is fixed to the Earth."""
 
-    sigma_m: float = parameter(0.05, doc="error of the place, each axis", unit="m", minimum=0.0, maximum=1000.0)
+    sigma_m: float = parameter(0.05, doc="error of the position, each axis", unit="m", minimum=0.0, maximum=1000.0)
 
     def station(self, name: str) -> Station:
         """Return the theodolite of a name at this position."""
@@ -85,7 +85,7 @@ class LiveStationConfig(StationPlaceConfig):
 class TriangulationConfig(PlacingConfig):
     """All parameters of the node ``triangulation``."""
 
-    stations: dict[str, LiveStationConfig] = mapping_of("theodolites that stand still on the Earth, by name")
+    stations: dict[str, LiveStationConfig] = mapping_of("theodolites fixed to the Earth, by name")
     lag_s: float = parameter(
         2.0,
         doc="directions wait for the next report of each theodolite until it is overdue by this time",
@@ -112,7 +112,7 @@ class TriangulationConfig(PlacingConfig):
             if station.topic and not _RELATIVE_NAME.fullmatch(station.topic):
                 raise ParameterError(
                     f"parameter '{parameter_name}' = {station.topic}: expected a relative name, such as "
-                    f"west/{DIRECTION_TOPIC}; remap it at the start where it is elsewhere",
+                    f"west/{DIRECTION_TOPIC}; remap it at the start if it differs",
                     parameter_name,
                     value=station.topic,
                 )
