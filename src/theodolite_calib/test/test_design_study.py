@@ -122,7 +122,7 @@ def test_a_requirement_that_is_not_met_is_exit_code_1(tmp_path: Path, capsys: py
     assert "limits reached: elevation_min_deg" in told
     page = (tmp_path / "out" / "design_study.html").read_text(encoding="utf-8")
     assert "is <b>not</b> met" in page
-    assert "there is no place for the drones: elevation_min_deg leaves none" in page
+    assert "No position of the drones is within the limits: elevation_min_deg leaves none" in page
 
 
 def changed(**values: Any) -> dict[str, Any]:
